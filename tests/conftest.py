@@ -10,11 +10,13 @@ Hypothesis takes its number of examples from a profile: few in `make test`, many
 
 import contextlib
 import gc
+import json
 import os
 import signal
 import sys
 from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
+from typing import Any
 
 import hypothesis
 import pytest
@@ -69,12 +71,25 @@ def pytest_collection_finish() -> None:
     gc.enable()
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Marks whatever serves a rig as `endpoint`, and puts all those first."""
+@pytest.hookimpl(wrapper=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> Generator[None, None, None]:
+    """Marks whatever serves a rig as `endpoint`, and puts all those first. What is `early` comes first among these.
+
+    The first worker has them: another one that steals tests takes the last ones, and has a lower priority. The last worker
+    begins with what else is `early`.
+    """
     for item in items:
         if {"serve", "forked_serve"} & set(getattr(item, "fixturenames", ())):
             item.add_marker(pytest.mark.endpoint)
-    items.sort(key=lambda item: item.get_closest_marker("endpoint") is None)
+    items.sort(key=lambda item: [item.get_closest_marker(name) is None for name in ("endpoint", "early")])
+    yield  # -m deselects tests
+    names = [[marker.name for marker in item.iter_markers()] for item in items]
+    early = [item for item, has in zip(items, names, strict=True) if "early" in has and "endpoint" not in has]
+    others = [item for item in items if item not in early]
+    first = 0  # of the tests that pytest-xdist gives to the last worker
+    for left in range(int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1")), 1, -1):
+        first += (len(items) - first) // left
+    items[:] = [*others[:first], *early, *others[first:]]
 
 
 @pytest.fixture
@@ -91,14 +106,14 @@ def heard_hangup() -> Iterator[None]:
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
     """Runs one test after the other where they are marked `endpoint`, whichever worker they are on."""
-    with contextlib.nullcontext() if item.get_closest_marker("endpoint") is None else alone():
+    with contextlib.nullcontext() if item.get_closest_marker("endpoint") is None else locked(REPOSITORY / "pyproject.toml"):
         return (yield)
 
 
 @contextlib.contextmanager
-def alone() -> Iterator[None]:
-    """Holds the lock of this repository's tests. Windows has no such lock: run the tests on one worker there."""
-    with (REPOSITORY / "pyproject.toml").open(encoding="utf-8") as file:
+def locked(path: Path) -> Iterator[None]:
+    """Holds the lock of a file, one worker at a time. Windows has no such lock: run the tests on one worker there."""
+    with path.open(encoding="utf-8") as file:
         if sys.platform != "win32":
             import fcntl
 
@@ -153,6 +168,23 @@ def opened(write_rig: Writer) -> Iterator[RigOpener]:
     yield open_changed
     for rig in rigs:
         rig.close()
+
+
+@pytest.fixture(scope="session")
+def demo_run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    """Folder and result of a `goniotwin demo`, made once for all workers. Tests only read it."""
+    from tests.system.command import invoke, json_result
+
+    base = tmp_path_factory.getbasetemp()
+    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "demo"
+    folder.mkdir(exist_ok=True)
+    (folder / "lock").touch()
+    with locked(folder / "lock"):
+        result = folder / "result.json"
+        if not result.exists():
+            found = json_result(invoke("demo", "--out", folder, "--transcript", folder / "wires", "--json"))
+            result.write_text(json.dumps(found), encoding="utf-8")
+    return folder, json.loads(result.read_text(encoding="utf-8"))
 
 
 @pytest.fixture

@@ -61,6 +61,7 @@ def test_the_wheel_has_one_import_package_with_all_sources_and_examples(wheel: P
     assert names == wanted
 
 
+@pytest.mark.long
 def test_the_wheel_runs_in_a_folder_with_files_of_the_same_names(unpacked: Path, tmp_path: Path) -> None:
     for name in BARE_NAMES:
         (tmp_path / f"{name}.py").write_text("raise RuntimeError('the wrong file')\n", encoding="utf-8")

@@ -62,7 +62,6 @@ class FaultBench(ABC):
         self.opened: OpenRig = open_rig(_description(QUIET + self.changes), VirtualClock(1.0))
         assert self.opened.virtual is not None
         self.rig, self.virtual = self.opened.rig, self.opened.virtual
-        self.rig.device(self.devices[0]).connect()  # the other devices have no part in the task
         self.clock = self.virtual.clock
         self.insert_faulty_wire()
         self.run_task()

@@ -197,7 +197,7 @@ def storm(bench: FaultyMonitorBench, seed: int) -> BoundedCalls:
     return calls
 
 
-@pytest.mark.parametrize("seed", range(16))
+@pytest.mark.parametrize("seed", [pytest.param(each, marks=pytest.mark.long if each % 2 else []) for each in range(16)])
 def test_a_bus_with_faults_gives_no_wrong_value(opened: RigOpener, seed: int) -> None:
     storm(FaultyMonitorBench(opened), seed)
 

@@ -78,7 +78,7 @@ def read_with_random_faults(rig: OpenRig, serial: bool, seed: int) -> BoundedCal
 
 
 @pytest.mark.parametrize("serial", [False, True])
-@pytest.mark.parametrize("seed", range(0, 60, 6))
+@pytest.mark.parametrize("seed", [pytest.param(each, marks=pytest.mark.long if each % 12 else []) for each in range(0, 60, 6)])
 def test_a_wire_with_faults_gives_no_wrong_value(bench: BenchOpener, serial: bool, seed: int) -> None:
     calls = read_with_random_faults(bench(serial), serial, seed)
     assert calls.good + len(calls.errors) >= 3

@@ -79,7 +79,7 @@ def stopped_once(busy: BusyRig, silent: str) -> StopTimes:
 @pytest.mark.parametrize("silent", SILENT)
 def test_stop_frames_are_sent_in_time_and_all_axes_rest_whichever_device_is_silent(work: Work, silent: str) -> None:
     busy = work(silent)
-    for _ in range(12 if silent == "none" else 4):
+    for _ in range(6 if silent == "none" else 3):
         stopped_once(busy, silent)
 
 

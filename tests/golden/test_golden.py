@@ -23,11 +23,11 @@ def test_the_points_of_a_campaign_are_the_golden_ones(name: str, tmp_path: Path)
     check_points(files.as_written(contents.points_record(journal)), files.read(f"points-{name}"))
 
 
-SLOW_PLAN = "dense-lobe-spectral"
+SLOW_PLANS = ("anisotropic", "dense-lobe-spectral", "diffuse-spectral")
 
 
 @pytest.mark.parametrize(
-    "schedule", [pytest.param(each, marks=[pytest.mark.long] if each == SLOW_PLAN else []) for each in contents.PLANS]
+    "schedule", [pytest.param(each, marks=[pytest.mark.long] if each in SLOW_PLANS else []) for each in contents.PLANS]
 )
 def test_the_plans_of_a_schedule_are_the_golden_ones(schedule: str) -> None:
     golden = files.read("plans")[schedule]

@@ -20,14 +20,8 @@ from tests.system.command import (
 )
 
 
-@pytest.fixture(scope="session")
-def demo(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
-    folder = tmp_path_factory.mktemp("demo")
-    return folder, json_result(invoke("demo", "--out", folder, "--transcript", folder / "wires", "--json"))
-
-
-def test_the_demo_reports_its_deviation_from_theory(demo: tuple[Path, dict[str, Any]]) -> None:
-    folder, result = demo
+def test_the_demo_reports_its_deviation_from_theory(demo_run: tuple[Path, dict[str, Any]]) -> None:
+    folder, result = demo_run
     assert result["rows"] == 130
     assert result["simulated"] is True
     for key in ("relative_rms_percent", "noise_free_percent"):
@@ -38,18 +32,18 @@ def test_the_demo_reports_its_deviation_from_theory(demo: tuple[Path, dict[str, 
     assert (folder / "quick.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_check_predicts_the_duration_of_the_journal(demo: tuple[Path, dict[str, Any]]) -> None:
+def test_check_predicts_the_duration_of_the_journal(demo_run: tuple[Path, dict[str, Any]]) -> None:
     predicted = json_result(invoke("check", SCHEDULE, "--rig", RIG, "--json"))
     assert predicted["rows"] == 130
-    assert predicted["duration_s"] == pytest.approx(demo[1]["duration_s"], rel=0.01)
-    database = sqlite3.connect(demo[0] / "quick.journal")
+    assert predicted["duration_s"] == pytest.approx(demo_run[1]["duration_s"], rel=0.01)
+    database = sqlite3.connect(demo_run[0] / "quick.journal")
     (seconds,) = database.execute("SELECT MAX(ended_s) - MIN(started_s) FROM attempt").fetchone()
     database.close()
     assert seconds == pytest.approx(predicted["duration_s"], rel=0.01)
 
 
-def test_every_wire_of_the_demo_has_a_transcript(demo: tuple[Path, dict[str, Any]]) -> None:
-    wires = {path.stem: path.read_text(encoding="utf-8") for path in (demo[0] / "wires").iterdir()}
+def test_every_wire_of_the_demo_has_a_transcript(demo_run: tuple[Path, dict[str, Any]]) -> None:
+    wires = {path.stem: path.read_text(encoding="utf-8") for path in (demo_run[0] / "wires").iterdir()}
     assert set(wires) == {"axes", "monochromator", "monitor", *(f"photodiodes-{k}" for k in range(5))}
     line = re.compile(r" *\d+\.\d{6} [<>] ([0-9a-f]{2} )+ \| .*")
     for text in wires.values():

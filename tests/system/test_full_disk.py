@@ -126,7 +126,8 @@ def test_a_campaign_fails_at_a_limit_of_the_file_size_and_resumes_without_it(ben
     print(f"\nrows before the disk was full: {found}")
 
 
-@pytest.mark.parametrize("sizes", [pytest.param(1, id="1"), pytest.param(13, id="13", marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("sizes", [13])
 def test_a_campaign_fails_on_a_full_disk_and_resumes_with_free_space(bench: Bench, small_disk: SmallDisk, sizes: int) -> None:
     found = []
     for size in np.linspace(MIN_KB, MAX_KB, sizes):

@@ -881,6 +881,7 @@ sys.exit(status)
 
 
 @pytest.mark.long
+@pytest.mark.early
 @pytest.mark.skipif(sys.platform != "linux", reason="this system has no /proc")
 def test_a_million_rows_are_exported_within_a_gigabyte(tmp_path: Path) -> None:
     path, out = tmp_path / "long.journal", tmp_path / "long.csv"

@@ -12,6 +12,7 @@ from tests.system.conftest import ForkedServe, control_client
 pytestmark = FORKED
 
 
+@pytest.mark.long
 def test_after_a_reset_between_two_runs_nothing_is_measured_until_the_positions_are_set(
     forked_serve: ForkedServe, write_schedule: Writer, tmp_path: Path
 ) -> None:

@@ -84,6 +84,7 @@ SHIFTS: tuple[Change, ...] = (("[0, 1]", "{ start = 0.0, stop = 4.5, step = 0.5 
 
 
 @pytest.mark.long
+@pytest.mark.early
 @pytest.mark.parametrize("rows", [SIGMAS, SHIFTS], ids=["rows of some seconds", "rows of a second"])
 def test_a_campaign_in_real_time_takes_as_long_as_its_rehearsal(
     serve: Serve, write_schedule: Writer, tmp_path: Path, rows: tuple[Change, ...]

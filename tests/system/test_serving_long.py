@@ -160,7 +160,8 @@ def test_memory_does_not_grow_in_ten_minutes_with_clients(serve: Serve, capsys: 
     check_orderly_end(process, lines, signal.SIGTERM)
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_the_end_is_orderly_during_exchanges_of_clients(serve: Serve, number: signal.Signals) -> None:
     process, lines = serve(RIG)
     addresses = addresses_of(lines)

@@ -79,6 +79,7 @@ def test_table3_is_shown_to_a_person() -> None:
     assert "explanations of the paper's values" in text.stdout
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("call", CALLS)
 def test_the_illumination_is_plotted_and_its_rays_are_a_source(call: Call, tmp_path: Path) -> None:
     beam, monochromator = tmp_path / "beam.h5", ["--wavelength", 600, "--interval", 10, "--bandwidth", 10]

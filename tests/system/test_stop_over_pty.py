@@ -78,6 +78,7 @@ def stopped_once(busy: BusyRig, silent: str) -> StopTimes:
     return stop
 
 
+@pytest.mark.early
 @pytest.mark.parametrize("silent", STOPS)
 def test_a_hundred_stops_over_pseudo_terminals_are_all_in_time(
     busy: BusyRig, silent: str, capsys: pytest.CaptureFixture[str]

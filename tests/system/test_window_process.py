@@ -137,6 +137,7 @@ def test_after_a_signal_the_run_is_stopped_and_can_be_resumed(
     assert planned_values(journal) == planned_values(tmp_path / "undisturbed.journal")
 
 
+@pytest.mark.long
 def test_a_signal_brings_moving_axes_to_rest_and_later_signals_are_ignored(
     start_window: Starter, write_rig: Writer, write_schedule: Writer, forked_serve: ForkedServe, tmp_path: Path
 ) -> None:

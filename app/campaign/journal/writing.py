@@ -509,7 +509,11 @@ def _check_file(path: Path) -> None:
 
 
 def _known_version(path: Path) -> int:
-    """The schema version of a journal. Raises UserError for a file that is not a journal, or too new."""
+    """The schema version of a journal.
+
+    Raises UserError for a file that is not a journal, or too new, and DamagedJournal for one that may have been a journal: half
+    of a file, or a copy that was made while rows were written.
+    """
     _check_file(path)
     try:
         with contextlib.closing(open_read_only(path)) as db:
@@ -521,6 +525,9 @@ def _known_version(path: Path) -> int:
     except ValueError as error:
         raise UserError(f"{path}: {error}; use the journal as goniotwin wrote it, or a copy of that") from None
     except (sqlite3.Error, OSError) as error:
+        if getattr(error, "sqlite_errorname", "").startswith("SQLITE_CORRUPT"):
+            with report_damage(path):
+                raise
         raise UserError(f"{path}: is not a journal: {' '.join(str(error).split())}; is it the right file?") from None
     if found != APPLICATION_ID or version < 1:
         what = "is an SQLite file, but not a journal of goniotwin" if path.stat().st_size > 1 else "is empty"

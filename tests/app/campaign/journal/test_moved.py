@@ -128,7 +128,7 @@ def lose_readings(path: Path) -> None:
 @pytest.mark.parametrize(
     ("damage", "named"),
     [
-        (cut, "a.journal: is not a journal: database disk image is malformed"),
+        (cut, "a.journal: is damaged: database disk image is malformed; use a copy"),
         (lose_readings, "a.journal: differs from what was measured: row 1 ("),
     ],
 )

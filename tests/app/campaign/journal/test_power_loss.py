@@ -120,7 +120,7 @@ def check_journal(path: Path, plan: Plan) -> None:
     database.close()
 
 
-@pytest.mark.parametrize("pages", [FEW_PAGES, USUAL_PAGES])
+@pytest.mark.parametrize("pages", [FEW_PAGES, pytest.param(USUAL_PAGES, marks=pytest.mark.long)])
 @pytest.mark.parametrize("cuts", [pytest.param(20, id="20"), pytest.param(100, id="100", marks=pytest.mark.long)])
 def test_a_power_loss_loses_no_acknowledged_row(record: Record, steady: Plan, tmp_path: Path, pages: int, cuts: int) -> None:
     """One random moment in each of `cuts` intervals, from the first operation to the last.

@@ -50,7 +50,7 @@ def test_the_duration_of_fixed_readings_is_within_one_percent(text: str, tmp_pat
     assert run_campaign(plan, tmp_path / "run.journal").seconds == pytest.approx(plan.seconds, rel=0.01)
 
 
-@variants(LIGHT_DEPENDENT, "auto-range", "both, at two gains, dark readings in between")
+@variants(LIGHT_DEPENDENT, "auto-range")
 def test_the_duration_of_light_dependent_readings_is_within_five_percent(text: str, tmp_path: Path) -> None:
     plan = planned(text)
     assert run_campaign(plan, tmp_path / "run.journal").seconds == pytest.approx(plan.seconds, rel=TOLERANCE)

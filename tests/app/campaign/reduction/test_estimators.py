@@ -33,7 +33,6 @@ def measure(rig: Path, schedule: Path, journal: Path) -> BsdfPoints:
     ("error", "angles"),
     [
         pytest.param(0.1, "sigma_deg = [30]", id="10 percent", marks=pytest.mark.long),
-        pytest.param(0.05, "sigma_deg = [30]", id="5 percent", marks=pytest.mark.long),
         pytest.param(0.015, "sigma_deg = [0, 30, 60]", id="1.5 percent", marks=pytest.mark.long),
     ],
 )

@@ -82,12 +82,11 @@ def test_an_isotropic_sample_passes(checked: tuple[Path, BsdfDataset]) -> None:
     assert any(note.startswith("symmetry of gaussian-5: the stated symmetry (isotropic) holds within") for note in found.notes)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("repeats", "changes"),
     [
-        pytest.param(
-            "repeats = 2\n", (("[20, 40, 60]", "[20, 60]"),), id="repeats that share an etalon", marks=pytest.mark.long
-        ),
+        pytest.param("repeats = 2\n", (("[20, 40, 60]", "[20, 60]"),), id="repeats that share an etalon"),
         pytest.param(
             "",
             (("[1e8, 1e10, 1e11]", "[1e11]"), ("readings = 2", "readings = 10"), ("points = 4", "points = 16")),
@@ -118,7 +117,7 @@ def test_a_campaign_without_the_check_has_no_result(write_rig: Writer, write_sch
     assert not found.samples["gaussian-5"].mirrored.any()
 
 
-@pytest.mark.parametrize("stated", ["isotropic", "plane-symmetric"])
+@pytest.mark.parametrize("stated", ["isotropic", pytest.param("plane-symmetric", marks=pytest.mark.long)])
 def test_an_anisotropic_sample_fails(
     stated: str, write_rig: Writer, write_schedule: Writer, tmp_path: Path, anisotropic: None
 ) -> None:
