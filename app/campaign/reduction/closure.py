@@ -195,12 +195,19 @@ class ClosureReport:
         }
 
     @property
+    def apart(self) -> list[Closure]:
+        """The closures whose two scales certainly do not agree."""
+        return [each for each in self.closures if abs(each.z) > DIFFERS]
+
+    @property
     def alarms(self) -> list[str]:
         """What could not be compared, and the comparisons that do not agree, as warnings."""
-        apart = [each for each in self.closures if abs(each.z) > DIFFERS]
         return [
             *(f"no closure: {each}" for each in self.missing),
-            *(f"closure at sigma {each.beam.scan.at_deg:g} deg, {each.wavelength_nm:g} nm: {each.verdict}" for each in apart),
+            *(
+                f"closure at sigma {each.beam.scan.at_deg:g} deg, {each.wavelength_nm:g} nm: {each.verdict}"
+                for each in self.apart
+            ),
         ]
 
     @property
@@ -513,7 +520,7 @@ def _gain_effects(
         if above:
             ratio = Input(
                 f"gain_ratio[{beam.scan.photodiode},{step}]", "1", settings.gain_uncertainty, "normal",
-                "all rows of a photodiode", "rig file, photodiodes.gain_uncertainty", "electronics.gain_spread",
+                "all rows of a photodiode", "[photodiodes] gain_uncertainty", "electronics.gain_spread",
             )  # fmt: skip
             yield Component(ratio.name, abs(above) * ratio.u, above, ratio)
 
@@ -549,14 +556,14 @@ def _relative(name: str, sensitivity: float, rig: RigFile, key: str, shared: str
     """A component of a relative input of the rig file."""
     table = rig.uncertainty
     given = Input(
-        name, "1", table.standard(key), table.distribution(key), shared, f"rig file, uncertainty.{key}", f"disturbances.{key}"
+        name, "1", table.standard(key), table.distribution(key), shared, f"[uncertainty] {key}", f"disturbances.{key}"
     )
     return Component(name, abs(sensitivity) * given.u, sensitivity, given)
 
 
 def _degrees(name: str, key: str, shared: str, rig: RigFile) -> Input:
     table = rig.uncertainty
-    source, twin = f"rig file, uncertainty.{key}", f"disturbances.{key}"
+    source, twin = f"[uncertainty] {key}", f"disturbances.{key}"
     return Input(name, "deg", table.standard(key), table.distribution(key), shared, source, twin)
 
 
