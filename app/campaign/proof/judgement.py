@@ -94,11 +94,11 @@ class RigResult:
         cells = {
             table: {label: Cell(**cell) for label, cell in labels.items()} for table, labels in content.pop("cells").items()
         }
-        pairs = {
-            name: {key: (float(a), float(b)) for key, (a, b) in content.pop(name).items()}
+        inputs, angles, reflectances = (
+            {key: (float(a), float(b)) for key, (a, b) in content.pop(name).items()}
             for name in ("inputs", "angles", "reflectances")
-        }
-        return cls(cells=cells, **pairs, **content)
+        )
+        return cls(cells=cells, inputs=inputs, angles=angles, reflectances=reflectances, **content)
 
 
 def judge(journal: Path, plan: Plan) -> RigResult:

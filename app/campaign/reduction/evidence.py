@@ -192,10 +192,9 @@ class EvidenceSums:
                     here[index, len(reading.counts)].append((k, before, reading))
                     before = index
         shape = (len(rows), gains)
-        block = _Block(
-            *(np.full((*shape, n), np.nan) for _ in range(4)), np.full(shape, np.nan), np.zeros(shape), np.ones(shape),
-            np.zeros(len(rows), dtype=np.int64),
-        )  # fmt: skip
+        volts, noise, dark, resolution = np.full((4, *shape, n), np.nan)
+        interval = np.zeros(len(rows), dtype=np.int64)
+        block = _Block(volts, noise, dark, resolution, np.full(shape, np.nan), np.zeros(shape), np.ones(shape), interval)
         for (gain, count), readings in here.items():
             at_once = max(1, MOST_VALUES // (count * n))
             for begin in range(0, len(readings), at_once):
@@ -214,10 +213,11 @@ class EvidenceSums:
     def _add_readings(self, gain: int, readings: list[tuple[int, int, Reading]], block: _Block) -> None:
         """Add readings of one gain and one number, and fill in the block."""
         dark, converter = self._dark[float(self._gains[gain])], self._settings.range
-        raw = np.stack([reading.counts for _, _, reading in readings]).astype(np.float64)
+        counts = np.stack([reading.counts for _, _, reading in readings])
+        raw = counts.astype(np.float64)
         times = np.array([middle_s(reading) for _, _, reading in readings])
         dark_counts, dark_monitor, divisor = dark.at(times)
-        clipped = np.any(converter.saturated(raw), axis=1)
+        clipped = np.any(converter.saturated(counts), axis=1)
         volts = (raw.mean(axis=1) - dark_counts) * converter.lsb_v
         shot = self._settings.shot_variance_a2(volts / self._gains[gain]) * self._gains[gain] ** 2
         expected = dark.variance_v2 + shot
@@ -303,7 +303,8 @@ class EvidenceSums:
         length = 2 * SIGNAL_BINS * n
 
         def summed(values: Floats, chosen: Flags = known) -> Floats:
-            return np.bincount(place[chosen], weights=values[chosen], minlength=length).reshape(2, SIGNAL_BINS, n)
+            sums = np.bincount(place[chosen], weights=values[chosen], minlength=length)
+            return np.asarray(sums, dtype=np.float64).reshape(2, SIGNAL_BINS, n)
 
         ones = np.ones(weight.shape)
         inverse = (1.0 / block.conversions[rows, low] + 1.0 / block.conversions[rows, high])[:, None]
@@ -420,7 +421,7 @@ class EvidenceSums:
 
     def _of_modules(self, flags: Flags) -> Flags:
         """Flags (..., photodiodes) or (..., modules) as flags of the modules (m,)."""
-        of_last = flags.reshape(-1, flags.shape[-1]).any(axis=0)
+        of_last: Flags = np.logical_or.reduce(flags.reshape(-1, flags.shape[-1]), axis=0)
         modules = self._first_of_module.size
         return of_last if of_last.size == modules else np.logical_or.reduceat(of_last, self._first_of_module)
 

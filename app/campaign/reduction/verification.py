@@ -24,8 +24,8 @@ from goniotwin.app.campaign.wording import number_list
 from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.twin.optics.geometry.coordinates import fold_azimuth, incidence_deg, round_deg
 
-NOTHING = "nothing to judge"
 Outcome = Literal["holds", "fails", "nothing to judge"]
+NOTHING: Outcome = "nothing to judge"
 MOST_U = 2.0
 """A reflectance above 1 by so many standard uncertainties is not possible."""
 MOST_TOGETHER = 500
