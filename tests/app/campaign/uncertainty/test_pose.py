@@ -293,7 +293,7 @@ FEWER_PATHS = 100_000_000
 @pytest.mark.long
 @pytest.mark.parametrize("name", STEPS)
 def test_sensitivities_at_three_points_are_those_of_traced_rays(name: str) -> None:
-    """To 5 % of it or 2 % of the point's largest one, and four standard errors of the rays: 0.8 %, of the sensor's tilt 1.6 %."""
+    """To 5 % of it or 2 % of the point's largest one, and four standard errors of the rays (0.8 %; sensor 1.6 %)."""
     sample, at, step = gaussian(5.0, reflectance=0.5), views(30.0, [25.0, 34.0, 36.0], [180.0, 180.0, 180.0]), STEPS[name]
     effects, directions = pose_effects(INSTRUMENT, at), arc_direction(np.degrees(at.polar), np.degrees(at.azimuth))
     parts, names = (effects.common, effects.sample), (*COMMON, *(f"sample_{each}" for each in MOUNTED))
