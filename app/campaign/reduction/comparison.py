@@ -35,7 +35,7 @@ from goniotwin.twin.optics.geometry.coordinates import (
 COLOURS = ("#c0392b", "#b7950b", "#1e8449", "#1f618d", "#6c3483", "#616a6b")
 
 SLOPE_STEP_DEG = 0.01
-ADDED = frozenset({"noise", "resolution", "ray_tracing", "dark"})
+ADDED = frozenset({"noise", "resolution", "ray_tracing", "dark", "crosstalk", "signature"})
 """Components that do not grow with the value."""
 
 
