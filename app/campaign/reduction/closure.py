@@ -8,11 +8,14 @@ the angles: S_etalon goes as cos(theta_i) cos(theta_r), the beam through the hol
 mirror's tilt d in the plane of incidence turns the light by +d at sigma and by -d at 180 deg - sigma, so that it counts twice.
 The scan sees some of this itself: its centroid is the sum of the tilts of light and arc. It is an observation of the inputs, by
 which the value is corrected and their uncertainty reduced (the conditional expectation of normal inputs).
+
+The scan's second moment is that of the instrument function: the field of view that the values are corrected for. Where it is
+not that of the rig file, `field_deg` is the one that explains the scan.
 """
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -25,10 +28,13 @@ from goniotwin.app.campaign.reduction.signals import LIGHT
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.schedule.grids import grid_values
 from goniotwin.app.campaign.uncertainty.effects import Component
+from goniotwin.app.campaign.uncertainty.field import directions_covariance
 from goniotwin.app.campaign.uncertainty.inputs import Input
-from goniotwin.app.rig import RigFile
+from goniotwin.app.campaign.uncertainty.slopes import Directions
+from goniotwin.app.rig import RigFile, nominal_instrument
 from goniotwin.arrays import Floats
-from goniotwin.twin.optics.geometry.coordinates import round_deg
+from goniotwin.twin.optics import Instrument
+from goniotwin.twin.optics.geometry.coordinates import SPECULAR_AZIMUTH_DEG, round_deg
 
 MIRROR_LEVERS = tuple(math.sqrt(2.0) * k / 4.0 for k in (1, 2, 3))
 """Turn of the light in the plane of incidence for a tilt of each mirror: 1.414 times its share of the path to the sample."""
@@ -40,6 +46,10 @@ SMALLEST_U = 1e-12
 """A rig file may state that everything is exact."""
 AGREES, DIFFERS = 2.0, 4.0
 """Up to so many combined uncertainties two scales agree; beyond so many they certainly do not."""
+MOMENT_U = 0.02
+"""Relative standard uncertainty of a scan's second moment against the expected one: on the virtual rig 0 to 1.8 % apart."""
+FIELDS_DEG = (0.05, 6.0)
+"""Fields of view that a scan can show: of a wider one the beam is not within the scan."""
 
 
 @dataclass(frozen=True)
@@ -132,16 +142,52 @@ TROUBLES = {
 
 
 @dataclass(frozen=True)
+class ScannedField:
+    """The field of view by the scans: `ratio` of their second moments to those of the rig file's `stated_deg`, with `u`.
+
+    `field_deg` is the one that explains the scans; None where none does.
+    """
+
+    ratio: float
+    u: float
+    stated_deg: float
+    field_deg: float | None
+
+    @property
+    def z(self) -> float:
+        """The logarithm of the ratio in its uncertainties."""
+        return math.log(self.ratio) / self.u
+
+    @property
+    def applied(self) -> bool:
+        """Whether the values are corrected for `field_deg` in place of the rig file's."""
+        return abs(self.z) > AGREES and self.field_deg is not None
+
+    def __str__(self) -> str:
+        shown = f"the scan of the open beam has {self.ratio:.2f} of the variance of directions that the rig file has"
+        if abs(self.z) <= AGREES:
+            return f"{shown} (u {self.u:.2f}): they agree"
+        if self.field_deg is None:
+            return f"{shown}, and no field of view explains it; check [geometry] in the rig file"
+        return (
+            f"{shown}: its field of view is {self.field_deg:.2f} deg, not {self.stated_deg:g}; values are corrected for it; "
+            "correct field_deg of [geometry] in the rig file"
+        )
+
+
+@dataclass(frozen=True)
 class ClosureReport:
     """The closures of a journal, the scans that they come from, and the reasons why there are no others.
 
-    `not_planned` are those of the schedule, `missing` those of the measurement.
+    `not_planned` are those of the schedule, `missing` those of the measurement. `field` is the field of view by the scans, None
+    without one that has all of the beam.
     """
 
     closures: tuple[Closure, ...]
     beams: tuple[ScannedBeam, ...]
     not_planned: tuple[str, ...]
     missing: tuple[str, ...] = ()
+    field: ScannedField | None = None
 
     @property
     def scale(self) -> dict[tuple[float, float, bool], tuple[float, float]]:
@@ -190,13 +236,23 @@ class ClosureReport:
                 }
                 for each in self.beams
             ],
+            "field": None
+            if self.field is None
+            else {
+                "ratio": self.field.ratio,
+                "u": self.field.u,
+                "z": self.field.z,
+                "field_deg": self.field.field_deg,
+                "applied": self.field.applied,
+                "verdict": str(self.field),
+            },
             "missing": [*self.not_planned, *self.missing],
             "verdict": self.verdict,
         }
 
     @property
     def apart(self) -> list[Closure]:
-        """The closures whose two scales certainly do not agree."""
+        """The closures that show that the etalon's scale, or that of the open beam, is certainly wrong."""
         return [each for each in self.closures if abs(each.z) > DIFFERS]
 
     @property
@@ -208,6 +264,7 @@ class ClosureReport:
                 f"closure at sigma {each.beam.scan.at_deg:g} deg, {each.wavelength_nm:g} nm: {each.verdict}"
                 for each in self.apart
             ),
+            *([str(self.field)] if self.field is not None and abs(self.field.z) > AGREES else []),
         ]
 
     @property
@@ -265,7 +322,7 @@ def journal_closure(
                 closures.append(found)
             else:
                 missing.append(f"{where}, {wavelength:g} nm: {found}")
-    return ClosureReport(tuple(closures), tuple(beams), tuple(not_planned), tuple(missing))
+    return ClosureReport(tuple(closures), tuple(beams), tuple(not_planned), tuple(missing), scanned_field(beams, rig))
 
 
 def closure_text(report: ClosureReport) -> str:
@@ -290,6 +347,8 @@ def closure_text(report: ClosureReport) -> str:
         if beam.neighbours:
             seen = ", ".join(f"{k}: {x:.1e} (u {u:.0e})" for k, (x, u) in beam.neighbours.items())
             lines.append(f"    cross-talk and stray light, in volts over those of photodiode {beam.scan.photodiode}: {seen}")
+    if report.field is not None:
+        lines.append(f"  {report.field}")
     if report.closures:
         lines.append("  *: the wavelength of the scan; at the others its middle pose")
     lines += [f"  none: {each}" for each in (*report.not_planned, *report.missing)]
@@ -411,6 +470,41 @@ def scanned_beam(
         scan, wavelength_nm, total, share, centroid, moment, edge, none if crosstalk is None else crosstalk,
         none if u_crosstalk is None else u_crosstalk,
     )  # fmt: skip
+
+
+def moment_deg2(scan: BeamScan, instrument: Instrument) -> Floats:
+    """The second moment (2, 2) that a scan has with an instrument, deg^2: of light straight through the empty holder."""
+    one, none = np.ones(1), np.zeros(1)
+    place = Directions(
+        setting=np.zeros(1, dtype=np.int64), plane=np.zeros(1, dtype=np.int64), polar=np.radians(scan.at_deg) * one,
+        azimuth=np.radians(SPECULAR_AZIMUTH_DEG) * one, up=one if scan.arc == "upper" else -one, middle=one, along=none,
+        across=none,
+    )  # fmt: skip
+    sigma = np.radians(scan.poses[scan.middle, 1]) * one
+    along, across, both = directions_covariance(instrument, place, sigma, np.ones(1, dtype=bool))[0].tolist()
+    return np.array([[along, both], [both, across]]) * math.degrees(1.0) ** 2
+
+
+def scanned_field(beams: Sequence[ScannedBeam], rig: RigFile) -> ScannedField | None:
+    """The field of view by the scans that have all of the beam; None without one."""
+    whole = [each for each in beams if each.edge <= EDGE_SHARE and np.trace(each.moment_deg2) > 0.0]
+    if not whole:
+        return None
+    nominal = nominal_instrument(rig)
+
+    def ratio(field_deg: float) -> float:
+        instrument = replace(nominal, field_deg=field_deg)
+        parts = [math.log(np.trace(each.moment_deg2) / np.trace(moment_deg2(each.scan, instrument))) for each in whole]
+        return math.exp(math.fsum(parts) / len(parts))
+
+    found, u = ratio(nominal.field_deg), math.hypot(rig.uncertainty.standard("field_of_view"), MOMENT_U)
+    low, high = FIELDS_DEG
+    if abs(math.log(found)) <= AGREES * u or not ratio(low) > 1.0 > ratio(high):
+        return ScannedField(found, u, nominal.field_deg, nominal.field_deg if abs(math.log(found)) <= AGREES * u else None)
+    while high - low > 1e-3:  # the moment grows with the field
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if ratio(middle) > 1.0 else (low, middle)
+    return ScannedField(found, u, nominal.field_deg, low)
 
 
 def compare(

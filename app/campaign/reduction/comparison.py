@@ -35,7 +35,7 @@ from goniotwin.twin.optics.geometry.coordinates import (
 COLOURS = ("#c0392b", "#b7950b", "#1e8449", "#1f618d", "#6c3483", "#616a6b")
 
 SLOPE_STEP_DEG = 0.01
-ADDED = frozenset({"noise", "resolution", "ray_tracing", "dark"})
+ADDED = frozenset({"noise", "resolution", "ray_tracing", "dark", "crosstalk", "signature"})
 """Components that do not grow with the value."""
 
 
@@ -71,23 +71,30 @@ def true_bsdf(scatterer: Scatterer, points: BsdfPoints) -> Floats:
 
 
 def with_true_slopes(scatterer: Scatterer, points: BsdfPoints) -> BsdfPoints:
-    """The points with the slopes of a model at their nominal directions, where they are not for the most part noise."""
+    """The points with the slopes of a model at their nominal directions.
+
+    Of a value that is for the most part noise the slope is that of the truth over the value: what an angle adds to it.
+    """
+    truth = true_bsdf(scatterer, points)
+    share = np.where(noisy(points), truth / np.where(points.bsdf == 0.0, 1.0, points.bsdf), 1.0)
+    slopes = []
+    for turn in ((SLOPE_STEP_DEG, 0.0), (0.0, SLOPE_STEP_DEG)):
+        ahead, behind = (moved_logarithm(scatterer, points, *(sign * np.array(turn))) for sign in (1.0, -1.0))
+        slopes.append(share * (ahead - behind) / (2.0 * SLOPE_STEP_DEG))
+    return replace(points, slope_along=slopes[0], slope_across=slopes[1])
+
+
+def moved_logarithm(scatterer: Scatterer, points: BsdfPoints, along: Floats | float, across: Floats | float) -> Floats:
+    """Logarithm (n,) of a model's BSDF at the points' directions, turned by so many degrees along the arc and across it."""
     polar = points.zenith_deg * (np.pi / 180.0)
     azimuth = np.radians(points.azimuth_deg)
     level = np.stack([-np.sin(azimuth), np.cos(azimuth), np.zeros(azimuth.size)], axis=1)
     ahead = np.stack([np.cos(polar) * level[:, 1], -np.cos(polar) * level[:, 0], -np.sin(polar)], axis=1)
-    up = np.where(is_lower(points.zenith_deg), -1.0, 1.0)[:, None]
-    direction = arc_direction(points.zenith_deg, points.azimuth_deg)
-    slopes = []
-    for turn in (up * ahead, up * level):
-        logarithms = []
-        for sign in (-1.0, 1.0):
-            zenith, around = zenith_and_azimuth(direction + sign * np.radians(SLOPE_STEP_DEG) * turn)
-            moved = true_bsdf(scatterer, replace(points, zenith_deg=zenith, azimuth_deg=around))
-            logarithms.append(np.log(np.maximum(moved, np.finfo(float).tiny)))
-        slope = (logarithms[1] - logarithms[0]) / (2.0 * SLOPE_STEP_DEG)
-        slopes.append(np.where(noisy(points), np.nan, slope))
-    return replace(points, slope_along=slopes[0], slope_across=slopes[1])
+    up = np.where(is_lower(points.zenith_deg), -1.0, 1.0)
+    turn = (up * np.radians(along))[:, None] * ahead + (up * np.radians(across))[:, None] * level
+    zenith, around = zenith_and_azimuth(arc_direction(points.zenith_deg, points.azimuth_deg) + turn)
+    moved = true_bsdf(scatterer, replace(points, zenith_deg=zenith, azimuth_deg=around))
+    return np.log(np.maximum(moved, np.finfo(float).tiny))
 
 
 def deviations_in_u(points: BsdfPoints, truth: Floats) -> Floats:

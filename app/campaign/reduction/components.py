@@ -26,7 +26,7 @@ INDEPENDENT = frozenset({"noise", "resolution", "ray_tracing", "etalon_reading",
 All others count as shared, also those that are shared in part (`dark`, `monitor`, `gain`, `signature`): that the errors average
 out would be a claim, so u is at most too large. A new contribution is shared unless it is named here.
 """
-NOISE = INDEPENDENT | {"dark", "signature"}
+NOISE = INDEPENDENT | {"dark", "crosstalk", "signature"}
 """Components that are there without light: what a value is lost in. All others are shares of the value."""
 COVERAGE = 1.96
 """Standard uncertainties from a value to the ends of its interval of 95 %."""

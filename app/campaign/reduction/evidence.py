@@ -21,7 +21,7 @@ import numpy as np
 
 from goniotwin.app.campaign.reduction.components import Estimate, Signal
 from goniotwin.app.campaign.reduction.points import CHANCE, plausible
-from goniotwin.app.campaign.reduction.signals import LATEST_S, DarkReadings, independent_conversions, middle_s
+from goniotwin.app.campaign.reduction.signals import LATEST_S, DarkReadings, independent_conversions, middle_s, others_volts
 from goniotwin.app.campaign.row import CommittedRow, Reading
 from goniotwin.app.campaign.wording import number_list
 from goniotwin.app.rig import RigFile
@@ -142,12 +142,16 @@ def stated(rig: RigFile) -> SignalEvidence:
 
 @dataclass
 class _Block:
-    """Rows of a block (rows, gains, photodiodes): volts above the dark ones, NaN where clipped or not read; and their noise."""
+    """Rows of a block (rows, gains, photodiodes): volts above the dark ones, NaN where clipped or not read; and their noise.
+
+    `crosstalk` is the standard uncertainty of the volts by their module's other channels: one error for all of them.
+    """
 
     volts: Floats
     noise: Floats
     dark: Floats
     resolution: Floats
+    crosstalk: Floats
     monitor: Floats
     middle: Floats
     conversions: Floats
@@ -174,9 +178,9 @@ class EvidenceSums:
         self._pairs = [(low, high) for high in range(gains) for low in range(high)]
         shape = (len(self._pairs), 2, SIGNAL_BINS)
         # Of pairs, by pair, order (1: the higher gain was read last), volts and photodiode: number, weight, weighted ratio and
-        # its square, squared weights, weighted resolution, weighted inverse numbers of conversions, and the dark readings'
-        # part, squared.
-        self._linked = np.zeros((8, *shape, n))
+        # its square, squared weights, weighted resolution, weighted inverse numbers of conversions, weighted cross-talk, and
+        # the dark readings' part, squared.
+        self._linked = np.zeros((9, *shape, n))
         self._of_interval = np.zeros((*shape, n))
         self._intervals = [NO_CHANGE] * len(self._pairs)
         self._row_weights = np.zeros((2, len(self._pairs), 2, SIGNAL_BINS + 1, modules))  # the last bin: all
@@ -193,9 +197,11 @@ class EvidenceSums:
                     here[index, len(reading.counts)].append((k, before, reading))
                     before = index
         shape = (len(rows), gains)
-        volts, noise, dark, resolution = np.full((4, *shape, n), np.nan)
+        volts, noise, dark, resolution, crosstalk = np.full((5, *shape, n), np.nan)
         interval = np.zeros(len(rows), dtype=np.int64)
-        block = _Block(volts, noise, dark, resolution, np.full(shape, np.nan), np.zeros(shape), np.ones(shape), interval)
+        block = _Block(
+            volts, noise, dark, resolution, crosstalk, np.full(shape, np.nan), np.zeros(shape), np.ones(shape), interval
+        )
         for (gain, count), readings in here.items():
             at_once = max(1, MOST_VALUES // (count * n))
             for begin in range(0, len(readings), at_once):
@@ -234,6 +240,7 @@ class EvidenceSums:
         block.noise[rows, gain] = expected / conversions[:, None]
         block.dark[rows, gain] = dark.variance_v2 / divisor[:, None]
         block.resolution[rows, gain] = 2.0 * dark.undithered_v2
+        block.crosstalk[rows, gain] = self._rig.uncertainty.crosstalk * others_volts(volts, clipped, self._settings)
         block.monitor[rows, gain] = np.where(monitor > 0.0, monitor, np.nan)
         block.middle[rows, gain] = times
         block.conversions[rows, gain] = conversions
@@ -289,10 +296,13 @@ class EvidenceSums:
             noise = block.noise[rows, low] / predicted**2 + block.noise[rows, high] / other**2
             dark = block.dark[rows, low] / predicted**2 + block.dark[rows, high] / other**2
             resolution = block.resolution[rows, low] / predicted**2 + block.resolution[rows, high] / other**2
-            variance = noise + dark + resolution
+            # Of both gains alike where no channel is saturated.
+            crosstalk = np.abs(block.crosstalk[rows, high] / other - block.crosstalk[rows, low] / predicted)
+            variance = noise + dark + resolution + crosstalk**2
             known = np.isfinite(one) & (one > 0.0) & (other > 0.0) & (variance < PAIR_LIMIT**2)
             ratio = np.log(predicted / one) - np.log(block.monitor[rows, high] / block.monitor[rows, low])[:, None]
-            dark, resolution, variance, ratio = (np.where(known, each, 0.0) for each in (dark, resolution, variance, ratio))
+            parts = (dark, resolution, crosstalk, variance, ratio)
+            dark, resolution, crosstalk, variance, ratio = (np.where(known, each, 0.0) for each in parts)
         if not known.any():
             return
         full_scale = (self._settings.range.highest - self._settings.range.zero) * self._settings.range.lsb_v
@@ -309,8 +319,8 @@ class EvidenceSums:
 
         ones = np.ones(weight.shape)
         inverse = (1.0 / block.conversions[rows, low] + 1.0 / block.conversions[rows, high])[:, None]
-        parts = (ones, weight, weight * ratio, weight * ratio**2, weight**2, weight * resolution, weight * inverse)
-        for k, each in enumerate(parts):
+        weighted = (weight * each for each in (ones, ratio, ratio**2, weight, resolution, inverse, crosstalk))
+        for k, each in enumerate((ones, *weighted)):
             self._linked[k, p] += summed(each)
         # The error of a dark reading is one for all rows between two of them; of the next ones it is half the same.
         for interval in np.unique(block.interval[rows]).tolist():
@@ -328,7 +338,7 @@ class EvidenceSums:
 
     def _begin_interval(self, p: int, interval: int) -> None:
         if interval != self._intervals[p]:
-            self._linked[7, p] += self._of_interval[p] ** 2
+            self._linked[8, p] += self._of_interval[p] ** 2
             self._of_interval[p] = 0.0
             self._intervals[p] = interval
 
@@ -524,48 +534,55 @@ class _Ratios:
         of_each, degrees = about.sum(axis=(0, 1)), freedom.sum(axis=(0, 1))
         own = np.where(degrees >= FEW_DEGREES, of_each / np.maximum(degrees, 1.0), pooled)
         self._widened = np.maximum(own, 1.0)
-        self.value, self.variance, _ = self._mean((0, 1))
+        self.value, variance, common, _ = self._mean((0, 1))
+        self.variance = variance + common**2
         self.number = number.sum(axis=(0, 1))
 
-    def _mean(self, axes: tuple[int, ...]) -> tuple[Floats, Floats, Floats]:
-        """The mean over order (0) or volts (1), its variance, and the effective number of rows."""
-        _, weight, first, _, squared, resolution, _, _ = (each.sum(axis=axes) for each in self._sums)
-        dark = np.sqrt(self._sums[7]).sum(axis=axes)
+    def _mean(self, axes: tuple[int, ...]) -> tuple[Floats, Floats, Floats, Floats]:
+        """The mean over order (0) or volts (1), its variance, the uncertainty that its photodiodes share, and the effective
+        number of rows.
+        """
+        _, weight, first, _, squared, resolution, _, crosstalk, _ = (each.sum(axis=axes) for each in self._sums)
+        dark = np.sqrt(self._sums[8]).sum(axis=axes)
         with np.errstate(invalid="ignore", divide="ignore"):
             variance = self._widened / weight + resolution / weight + (dark / weight) ** 2
-            return first / weight, variance, weight**2 / squared
+            return first / weight, variance, crosstalk / weight, weight**2 / squared
 
     def by_order(self) -> Iterator[Tested]:
         """Differences of the ratios where the higher gain was read last from the others, of photodiodes and of modules."""
-        value, variance, rows = self._mean((1,))
-        yield value[1] - value[0], variance.sum(axis=0), rows.min(axis=0)
+        value, variance, common, rows = self._mean((1,))
+        common = common.max(axis=0)  # of both orders alike, but for the volts
+        yield value[1] - value[0], variance.sum(axis=0) + common**2, rows.min(axis=0)
         weights, squared = self._row_weights[:, :, -1]
         with np.errstate(invalid="ignore", divide="ignore"):
             effective = weights**2 / squared
             shared = (self._of_row / effective).sum(axis=0)
-        size, own = self._of_modules(value[1] - value[0], variance.sum(axis=0))
+        size, own = self._of_modules(value[1] - value[0], variance.sum(axis=0), common)
         yield size, own + shared, effective.min(axis=0)
 
     def by_signal(self) -> Iterator[Tested]:
         """Differences of the ratios at some volts from the mean ratio, of photodiodes and of modules."""
-        value, variance, rows = self._mean((0,))
-        yield value - self.value, variance, rows
+        value, variance, common, rows = self._mean((0,))
+        yield value - self.value, variance + common**2, rows
         weights, squared = self._row_weights[:, :, :-1].sum(axis=1)
         with np.errstate(invalid="ignore", divide="ignore"):
             effective = weights**2 / squared
             shared = self._of_row / effective
-        size, own = self._of_modules(value - self.value, variance)
+        size, own = self._of_modules(value - self.value, variance, common)
         yield size, own + shared, effective
 
-    def _of_modules(self, size: Floats, variance: Floats) -> tuple[Floats, Floats]:
-        """Weighted means over the photodiodes (last axis) of each module, and their variances."""
+    def _of_modules(self, size: Floats, variance: Floats, common: Floats) -> tuple[Floats, Floats]:
+        """Weighted means over the photodiodes (last axis) of each module, and their variances; of `common` they share all."""
         known = np.isfinite(size) & np.isfinite(variance)
-        weight = np.where(known, 1.0 / np.where(known, variance, 1.0), 0.0)
+        weight = np.where(known, 1.0 / np.where(known, variance + common**2, 1.0), 0.0)
         first = np.arange(0, size.shape[-1], self._channels)
         total = np.add.reduceat(weight, first, axis=-1)
         with np.errstate(invalid="ignore", divide="ignore"):
-            mean = np.add.reduceat(weight * np.where(known, size, 0.0), first, axis=-1) / total
-            return mean, 1.0 / total
+            mean, shared, own = (
+                np.add.reduceat(np.where(known, each, 0.0), first, axis=-1) / total**power
+                for each, power in ((weight * size, 1), (weight * common, 1), (weight**2 * variance, 2))
+            )
+            return mean, own + shared**2
 
     def excess(self, of_scatter: float) -> float:
         """Relative variance of a mean that its readings do not show: of what the ratios scatter more than was expected.
@@ -574,7 +591,7 @@ class _Ratios:
         """
         if self._chi - self._freedom <= CERTAIN * math.sqrt(2.0 * self._freedom):
             return 0.0
-        _, weight, _, _, squared, _, inverse, _ = self._sums
+        _, weight, _, _, squared, _, inverse, _, _ = self._sums
         some = weight > 0.0
         effective = float(weight.sum() - (squared[some] / weight[some]).sum())
         if effective <= 0.0:

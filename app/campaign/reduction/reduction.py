@@ -137,16 +137,18 @@ class Reduction:
         stated = self.rig.file.uncertainty.repeatability
         if self._repeats is not None and self._repeats.excess > stated:
             self.settings = replace(self.settings, repeatability=self._repeats.excess)
-        scan = self.schedule.open_beam_scan
-        if scan is not None and scan.scale == "open beam":
-            self.settings = replace(self.settings, absolute=self.closure().scale)
+        self._closure: ClosureReport | None = None
+        if self.schedule.open_beam_scan is not None:
+            self.settings = _by_scan(self.settings, self.closure())
 
     def closure(self) -> ClosureReport:
         """The closure of the etalon's scale with that of the open beam. Raises UserError."""
-        try:
-            return journal_closure(self.settings, self._measurements, self._etalon, self._signature)
-        except ValueError as error:  # the schedule and the rig file in the journal were not planned together
-            raise UserError(f"{self.journal.path} (schedule): {error}") from None
+        if self._closure is None:
+            try:
+                self._closure = journal_closure(self.settings, self._measurements, self._etalon, self._signature)
+            except ValueError as error:  # the schedule and the rig file in the journal were not planned together
+                raise UserError(f"{self.journal.path} (schedule): {error}") from None
+        return self._closure
 
     def blocks(self, sample: str, rows: int = BLOCK_ROWS) -> Iterator[PointBlock]:
         """The points of a sample in the order of sigma, gamma, wavelength, half planes and time; not finished yet.
@@ -432,6 +434,17 @@ def check_journal(path: Path, chain: Chain | None = None) -> CheckResults:
             return results
         except UserError as error:
             return CheckResults(trouble=str(error).removeprefix(f"{path}: "))
+
+
+def _by_scan(settings: ReductionSettings, found: ClosureReport) -> ReductionSettings:
+    """The settings with what the scan of the open beam shows: scale, field of view, and whether the etalon can be right."""
+    scan, field_of_view = settings.schedule.open_beam_scan, found.field
+    if scan is not None and scan.scale == "open beam":
+        settings = replace(settings, absolute=found.scale)
+    if field_of_view is not None and field_of_view.applied and field_of_view.field_deg is not None:
+        geometry = replace(settings.rig.geometry, field_deg=field_of_view.field_deg)
+        settings = replace(settings, rig=replace(settings.rig, geometry=geometry))
+    return replace(settings, doubted=bool(found.apart))
 
 
 def _first_day(journal: JournalReader) -> date | None:

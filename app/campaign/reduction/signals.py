@@ -15,7 +15,7 @@ from goniotwin.app.campaign.reduction.components import Estimate, Signal
 from goniotwin.app.campaign.row import CommittedRow, Reading
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigFile
-from goniotwin.arrays import Floats, Ints
+from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.drivers import ConverterDescription
 
 MIN_FREEDOM = 3.0
@@ -112,12 +112,16 @@ def subtract_dark(reading: Reading, dark: DarkReadings, settings: ConverterDescr
 
 def add_crosstalk(volts: Estimate, reading: Reading, settings: ConverterDescription, u_crosstalk: float) -> Estimate:
     """The voltages with the component `crosstalk`: a share of what the module's other channels have, all with one sign."""
-    clipped = saturation(reading.counts, settings.range)
-    held = np.where(clipped, BEYOND_RANGE * volts.value, volts.value)
+    others = others_volts(volts.value, saturation(reading.counts, settings.range), settings)
+    return volts.with_component("crosstalk", (u_crosstalk * others) ** 2)
+
+
+def others_volts(volts: Floats, clipped: Flags, settings: ConverterDescription) -> Floats:
+    """The voltages (..., photodiodes) of the other channels of each one's module together; saturated ones count as more."""
+    held = np.where(clipped, BEYOND_RANGE * volts, volts)
     first = np.arange(0, settings.count, settings.module_channels)
     sizes = np.diff(np.append(first, settings.count))
-    others = np.repeat(np.add.reduceat(held, first), sizes) - held
-    return volts.with_component("crosstalk", (u_crosstalk * others) ** 2)
+    return np.asarray(np.repeat(np.add.reduceat(held, first, axis=-1), sizes, axis=-1) - held)
 
 
 def convert_to_photocurrent(volts: Estimate, reading: Reading, settings: ConverterDescription) -> Estimate:

@@ -19,9 +19,11 @@ from goniotwin.app.campaign.reduction.closure import (
     centroid_uncertainty_deg,
     compare,
     journal_closure,
+    moment_deg2,
     pose_effects,
     pose_inputs,
     scanned_beam,
+    scanned_field,
 )
 from goniotwin.app.campaign.reduction.components import Signal
 from goniotwin.app.campaign.reduction.effects_of_points import effects_of
@@ -178,6 +180,43 @@ def test_the_centroid_reduces_the_uncertainty_of_the_pose_as_far_as_it_can() -> 
             left = math.fsum(((each.of_value - factor * each.of_centroid) * each.input.u) ** 2 for each in inputs)
             assert best < left
         assert centroid_uncertainty_deg(scan, FILE) == pytest.approx(0.075, abs=0.002)
+
+
+@pytest.mark.parametrize("field_deg", [0.5, 1.5])
+def test_the_moments_of_a_scan_are_those_of_the_field_of_view(field_deg: float) -> None:
+    """Along the arc and across it, from 17 to 81 deg: the nodes of the virtual rig are another way to the same covariance."""
+    for scan in scans_of("[17, 42, 67, 81]"):
+        seen = scanned_beam(scan, 550.0, beam_signal(scan, Instrument(field_deg=field_deg))).moment_deg2
+        known = moment_deg2(scan, Instrument(field_deg=field_deg))
+        assert np.diag(seen) == pytest.approx(np.diag(known), rel=0.03)
+        assert np.trace(seen) == pytest.approx(np.trace(known), rel=0.02)
+        assert abs(seen[0, 1]) < 0.01 * seen[0, 0]
+
+
+@pytest.mark.parametrize(("field_deg", "applied"), [(0.2, True), (0.5, False), (0.55, False), (1.5, True)])
+def test_a_field_of_view_that_is_not_that_of_the_rig_file_is_found(field_deg: float, applied: bool) -> None:
+    beams = [scanned_beam(scan, 550.0, beam_signal(scan, Instrument(field_deg=field_deg))) for scan in scans_of("[17, 42, 67]")]
+    found = scanned_field(beams, FILE)
+    assert found is not None
+    assert found.applied is applied
+    if applied:
+        assert found.field_deg == pytest.approx(field_deg, abs=0.03)
+        assert f"its field of view is {found.field_deg:.2f} deg, not 0.5" in str(found)
+    else:
+        assert str(found).endswith("they agree")
+    assert ClosureReport((), (), (), field=found).alarms == ([str(found)] if applied else [])
+
+
+def test_a_field_of_view_that_nothing_explains_is_not_applied() -> None:
+    """A pupil that is larger than the rig file's alone: the scan shows one moment for both, unless no field explains it."""
+    (scan,) = scans_of("[42]")
+    beam = scanned_beam(scan, 550.0, beam_signal(scan, Instrument()))
+    narrow = replace(beam, moment_deg2=0.2 * beam.moment_deg2)
+    found = scanned_field([narrow], FILE)
+    assert found is not None
+    assert not found.applied
+    assert "no field of view explains it" in str(found)
+    assert scanned_field([replace(beam, edge=0.1)], FILE) is None
 
 
 class DrawnRig:

@@ -41,7 +41,8 @@ class Drawn:
     """Rows with drawn readings, and the true photocurrents (rows, photodiodes) in A at a monitor's current of MONITOR_A.
 
     `own` is the relative noise of each photodiode's reading, `lamp` that of all of a row's, `spread` that of the gains about
-    the nominal ones, `settling_s` the amplifiers' time constant, `bend` how much a voltage of 10 V is too low, of module 2.
+    the nominal ones, `settling_s` the amplifiers' time constant, `bend` how much a voltage of 10 V is too low, of module 2,
+    `crosstalk` the share of the volts (12 at most) of a module's other channels.
     """
 
     seed: int = 1
@@ -51,6 +52,7 @@ class Drawn:
     spread: float = 0.0
     settling_s: float = 0.01
     bend: float = 0.0
+    crosstalk: float = 0.0
     currents_a: tuple[float, float] = (1e-13, 8e-10)
     gains: tuple[float, ...] = (LOW, HIGH)
     readings: int = 4
@@ -97,6 +99,9 @@ class Drawn:
         volts = light * real
         module = np.arange(N) // RIG_FILE.photodiodes.module_channels
         volts = np.where(module == 2, volts * (1.0 - self.bend * volts / 10.0), volts)
+        held = np.minimum(volts, 12.0)
+        of_module = np.stack([held[:, module == each].sum(axis=1) for each in module], axis=1)
+        volts = volts + self.crosstalk * (of_module - held)
         volts = volts + OFFSET_V + NOISE_V * normal(size=(count, N))
         counts = RIG_FILE.photodiodes.range.raw(volts).astype(np.uint16)
         return Reading(gain, t, PERIOD_S, level * MONITOR_A, counts)
@@ -285,6 +290,15 @@ def test_a_module_that_is_not_linear_is_a_verdict_on_it_alone() -> None:
     assert np.flatnonzero(evidence.unsound).tolist() == list(range(16, 24))
     (verdict,) = evidence.verdicts
     assert verdict.text.startswith("photodiodes module 2: the ratio of the gains 1e+08 and 1e+10 V/A changes with the signal")
+
+
+def test_cross_talk_that_the_rig_file_states_is_no_verdict() -> None:
+    """A dark channel's volts at the higher gain are for the most part its neighbours': a ratio that depends on the signal."""
+    drawn = Drawn(rows=120, gains=(HIGH, 1e11), currents_a=(2e-13, 1e-9), crosstalk=2.5e-5, readings=16, dark_readings=256)
+    assert (drawn.evidence.verdicts, drawn.evidence.notes) == ((), ())
+    stated = with_uncertainty(crosstalk=0.0)
+    evidence = collect(DarkHistory(drawn.dark, stated).sums(), drawn.lit)
+    assert any("changes with the signal" in each.text for each in evidence.verdicts)
 
 
 @pytest.mark.long

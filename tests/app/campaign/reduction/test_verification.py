@@ -49,7 +49,7 @@ def verdicts(path: Path) -> dict[str, Verdict]:
         return {each.name.partition(" of ")[0]: each for each in verify_journal(Reduction(journal))}
 
 
-def test_the_components_of_a_value_add_up_to_its_uncertainty(measure: Measure, capsys) -> None:
+def test_the_components_of_a_value_add_up_to_its_uncertainty(measure: Measure, capsys: pytest.CaptureFixture[str]) -> None:
     path = measure(PAIRS)
     with Journal.open(path) as journal:
         points = reduce_journal(journal).samples["gaussian-5"]
@@ -103,7 +103,7 @@ def test_a_half_sphere_has_a_reflectance_with_its_budget(measure: Measure) -> No
     assert energy.figures["reflectances"][0]["value"] == found.value
 
 
-def test_more_light_than_arrives_fails(measure: Measure, capsys) -> None:
+def test_more_light_than_arrives_fails(measure: Measure, capsys: pytest.CaptureFixture[str]) -> None:
     """The certificate states half as much again as the etalon has."""
     path = measure(
         HALF_SPHERE, (PAINT[0], PAINT[1].replace("0.6", "0.95")), ("radiance_factor = 0.99", "radiance_factor = 1.4")
