@@ -98,6 +98,11 @@ class SignalEvidence:
     ratios: int = 0
 
     @property
+    def findings(self) -> tuple[str, ...]:
+        """What is wrong with modules and gains, in words."""
+        return (*self.notes, *(each.text for each in self.verdicts))
+
+    @property
     def unsound(self) -> Flags:
         """The photodiodes (n,) of the modules with a verdict."""
         flags = np.zeros(self.factor.size, dtype=bool)

@@ -250,8 +250,7 @@ class Reduction:
     @property
     def findings(self) -> list[str]:
         """What the campaign shows that is wrong with modules, gains, light or scale, in words."""
-        found = [*self.evidence.notes, *(verdict.text for verdict in self.evidence.verdicts)]
-        found += [str(interval) for interval in self.drift_intervals]
+        found = [*self.evidence.findings, *(str(interval) for interval in self.drift_intervals)]
         return found + ([] if self.schedule.open_beam_scan is None else self.closure().alarms)
 
     @property
@@ -434,6 +433,12 @@ def check_journal(path: Path, chain: Chain | None = None) -> CheckResults:
             return results
         except UserError as error:
             return CheckResults(trouble=str(error).removeprefix(f"{path}: "))
+
+
+def journal_findings(path: Path) -> list[str]:
+    """What a journal shows that is wrong with the instrument. Raises UserError where it has too little for a reduction."""
+    with Journal.open(path) as journal:
+        return Reduction(journal).findings
 
 
 def _by_scan(settings: ReductionSettings, found: ClosureReport) -> ReductionSettings:

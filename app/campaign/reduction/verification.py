@@ -261,7 +261,7 @@ def _covariance_of_differences(points: BsdfPoints, one: Ints, other: Ints, reduc
 def _gains(reduction: Reduction) -> Verdict:
     """Gains and modules by the rows that were read at two gains."""
     evidence, stated = reduction.evidence, reduction.rig.file.photodiodes.gain_uncertainty
-    found = [*(each.text for each in evidence.verdicts), *evidence.notes]
+    found = list(evidence.findings)
     figures = {"ratios": evidence.ratios, "findings": found}
     if found:
         return Verdict("gains and modules", "fails", "; ".join(found), figures)
