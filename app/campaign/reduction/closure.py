@@ -253,19 +253,21 @@ class ClosureReport:
         }
 
     @property
-    def alarms(self) -> list[str]:
-        """What could not be compared, and the comparisons that do not agree, as warnings."""
-        apart = [each for each in self.closures if abs(each.z) > DIFFERS]
-        return [
-            *(f"no closure: {each}" for each in self.missing),
-            *(f"closure at sigma {each.beam.scan.at_deg:g} deg, {each.wavelength_nm:g} nm: {each.verdict}" for each in apart),
-            *([str(self.field)] if self.field is not None and abs(self.field.z) > AGREES else []),
-        ]
+    def apart(self) -> list[Closure]:
+        """The closures that show that the etalon's scale, or that of the open beam, is certainly wrong."""
+        return [each for each in self.closures if abs(each.z) > DIFFERS]
 
     @property
-    def contradicts_etalon(self) -> bool:
-        """Whether a comparison shows that the etalon's scale, or that of the open beam, is certainly wrong."""
-        return any(abs(each.z) > DIFFERS for each in self.closures)
+    def alarms(self) -> list[str]:
+        """What could not be compared, and the comparisons that do not agree, as warnings."""
+        return [
+            *(f"no closure: {each}" for each in self.missing),
+            *(
+                f"closure at sigma {each.beam.scan.at_deg:g} deg, {each.wavelength_nm:g} nm: {each.verdict}"
+                for each in self.apart
+            ),
+            *([str(self.field)] if self.field is not None and abs(self.field.z) > AGREES else []),
+        ]
 
     @property
     def verdict(self) -> str:
@@ -482,7 +484,7 @@ def moment_deg2(scan: BeamScan, instrument: Instrument) -> Floats:
     )  # fmt: skip
     sigma = np.radians(scan.poses[scan.middle, 1]) * one
     along, across, both = directions_covariance(instrument, place, sigma, np.ones(1, dtype=bool))[0].tolist()
-    return np.degrees(np.degrees(np.array([[along, both], [both, across]])))
+    return np.array([[along, both], [both, across]]) * math.degrees(1.0) ** 2
 
 
 def scanned_field(beams: Sequence[ScannedBeam], rig: RigFile) -> ScannedField | None:
@@ -645,7 +647,7 @@ def _relative(name: str, sensitivity: float, rig: RigFile, key: str, shared: str
     """A component of a relative input of the rig file."""
     table = rig.uncertainty
     given = Input(
-        name, "1", table.standard(key), table.distribution(key), shared, f"rig file, uncertainty.{key}", f"disturbances.{key}"
+        name, "1", table.standard(key), table.distribution(key), shared, f"[uncertainty] {key}", f"disturbances.{key}"
     )
     return Component(name, abs(sensitivity) * given.u, sensitivity, given)
 

@@ -83,7 +83,7 @@ def with_true_slopes(scatterer: Scatterer, points: BsdfPoints) -> BsdfPoints:
 
 
 def moved_logarithm(scatterer: Scatterer, points: BsdfPoints, along: Floats | float, across: Floats | float) -> Floats:
-    """Logarithm (n,) of a model's BSDF at directions that are turned from the points' ones, deg along the arc and across."""
+    """Logarithm (n,) of a model's BSDF at the points' directions, turned by so many degrees along the arc and across it."""
     polar = points.zenith_deg * (np.pi / 180.0)
     azimuth = np.radians(points.azimuth_deg)
     level = np.stack([-np.sin(azimuth), np.cos(azimuth), np.zeros(azimuth.size)], axis=1)

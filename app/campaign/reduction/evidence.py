@@ -82,7 +82,7 @@ class SignalEvidence:
     The noise of a reading is `factor` (photodiodes,) times (the expected one + `own`), and what its row has in common is
     `lamp`; `slow` is the part of a mean's own variance that its readings do not show. `deviation` (gains, photodiodes) is by
     how much the real gains are above the nominal ones, and `link` (photodiodes, gains, gains) the variance of the ratio of two
-    of them.
+    of them. `ratios` is the number of ratios of two gains of a photodiode that were tested.
     """
 
     factor: Floats
@@ -93,6 +93,12 @@ class SignalEvidence:
     slow: float = 0.0
     verdicts: tuple[Verdict, ...] = ()
     notes: tuple[str, ...] = ()
+    ratios: int = 0
+
+    @property
+    def findings(self) -> tuple[str, ...]:
+        """What is wrong with modules and gains, in words."""
+        return (*self.notes, *(each.text for each in self.verdicts))
 
     @property
     def unsound(self) -> Flags:
@@ -369,7 +375,8 @@ class EvidenceSums:
         deviation, link, notes = self._adjusted(ratios, sound)
         own = total - lamp
         slow = max([0.0, *(each.excess(own + lamp) for each in ratios)])
-        return SignalEvidence(factor, deviation, link, own, lamp, slow, verdicts, notes)
+        tested = sum(int((each.number >= FEWEST_ROWS).sum()) for each in ratios)
+        return SignalEvidence(factor, deviation, link, own, lamp, slow, verdicts, notes, tested)
 
     def _findings(self, ratios: Sequence["_Ratios"]) -> Iterator[tuple[Flags, str]]:
         """The modules (m,) that did not pass a test, and what was found. What follows from settling is not named again."""

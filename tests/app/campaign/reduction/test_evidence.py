@@ -295,7 +295,7 @@ def test_a_module_that_is_not_linear_is_a_verdict_on_it_alone() -> None:
 def test_cross_talk_that_the_rig_file_states_is_no_verdict() -> None:
     """A dark channel's volts at the higher gain are for the most part its neighbours': a ratio that depends on the signal."""
     drawn = Drawn(rows=120, gains=(HIGH, 1e11), currents_a=(2e-13, 1e-9), crosstalk=2.5e-5, readings=16, dark_readings=256)
-    assert drawn.evidence.verdicts == drawn.evidence.notes == ()
+    assert (drawn.evidence.verdicts, drawn.evidence.notes) == ((), ())
     stated = with_uncertainty(crosstalk=0.0)
     evidence = collect(DarkHistory(drawn.dark, stated).sums(), drawn.lit)
     assert any("changes with the signal" in each.text for each in evidence.verdicts)
