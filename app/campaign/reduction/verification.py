@@ -58,7 +58,7 @@ def verify_journal(reduction: Reduction) -> list[Verdict]:
             continue
         tallies[name] = of_sample.tally
         verdicts += of_sample.verdicts()
-    return [*verdicts, _drift(reduction, tallies)]
+    return [*verdicts, _gains(reduction), _open_beam(reduction), _drift(reduction, tallies)]
 
 
 class _Sample:
@@ -254,6 +254,28 @@ def _covariance_of_differences(points: BsdfPoints, one: Ints, other: Ints, reduc
     effects = effects_of(points.where(used), reduction.settings)
     crossed = effects.covariance(a, b)
     return effects.covariance(a, a) + effects.covariance(b, b) - crossed - crossed.T
+
+
+def _gains(reduction: Reduction) -> Verdict:
+    """The gain linkage: ratios of gains in rows that were read at two of them, against each other and the certificate."""
+    evidence, name = reduction.evidence, "gain linkage"
+    found = [*(each.text for each in evidence.verdicts), *evidence.notes]
+    figures = {"ratios": evidence.ratios, "worst_u": evidence.worst_ratio, "unsound": np.flatnonzero(evidence.unsound).tolist()}
+    if found:
+        return Verdict(name, "fails", "; ".join(found), figures)
+    if not evidence.ratios:
+        return Verdict(name, NOTHING, "too few rows were read at two gains that are not saturated, and with light", figures)
+    text = f"{evidence.ratios} ratios of gains were measured, the worst is {evidence.worst_ratio:.1f} u from the nominal one"
+    return Verdict(name, "holds", text, figures)
+
+
+def _open_beam(reduction: Reduction) -> Verdict:
+    """The closure of the etalon's scale with that of the open beam, and the field of view by its scan."""
+    name, report = "open beam", reduction.closure()
+    if not report.closures and report.field is None:
+        return Verdict(name, NOTHING, "; ".join((*report.not_planned, *report.missing)) or report.verdict)
+    text = "; ".join(report.alarms) or f"{report.verdict}; {report.field}"
+    return Verdict(name, "fails" if report.alarms else "holds", text, report.as_dict())
 
 
 def _drift(reduction: Reduction, tallies: dict[str, Tally]) -> Verdict:

@@ -116,9 +116,32 @@ def test_reciprocity_holds_and_a_wrong_zero_of_sigma_breaks_it(measure) -> None:
     found = verdicts(path := measure(PAIRS))
     assert found["reciprocity"].verdict == "holds"
     assert found["reciprocity"].figures["pairs"] >= 1
-    assert {found[name].verdict for name in ("energy", "symmetry", "overlaps", "drift")} == {"nothing to judge"}
+    unasked = ("energy", "symmetry", "overlaps", "drift", "open beam")
+    assert {found[name].verdict for name in unasked} == {"nothing to judge"}
     path.unlink()
     assert verdicts(measure(PAIRS, TURNED))["reciprocity"].verdict == "fails"
+
+
+@pytest.mark.parametrize(
+    ("fault", "verdict", "words"),
+    [
+        ("", "holds", "ratios of gains were measured, the worst is"),
+        ("gain_spread = 0.02", "fails", "the gains are not those of the rig file"),
+        ("settling_s = 0.06", "fails", "the amplifiers are not at rest"),
+    ],
+)
+def test_gains_that_do_not_fit_fail_the_verification(fault: str, verdict: str, words: str, measure) -> None:  # type: ignore[no-untyped-def]
+    rows = (("beta_deg = [180]", "beta_deg = [0, 180]"), ("shift_deg = [0, 1]", "shift_deg = [0, 1, 2, 3, 4]"))
+    changes = (("[twin.light]", f"[twin.electronics]\n{fault}\n\n[twin.light]"),) if fault else ()
+    found = verdicts(measure(rows, *changes))["gain linkage"]
+    assert found.verdict == verdict
+    assert words in found.text
+    assert found.figures["ratios"] > 0 or fault.startswith("settling")
+
+
+def test_a_campaign_at_one_gain_has_no_gain_linkage(measure) -> None:  # type: ignore[no-untyped-def]
+    found = verdicts(measure((("gains_v_per_a = [1e8, 1e10]", "gains_v_per_a = [1e8]"),)))["gain linkage"]
+    assert found.verdict == "nothing to judge"
 
 
 def test_pairs_have_light_and_view_exchanged() -> None:
