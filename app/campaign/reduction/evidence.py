@@ -82,7 +82,8 @@ class SignalEvidence:
     The noise of a reading is `factor` (photodiodes,) times (the expected one + `own`), and what its row has in common is
     `lamp`; `slow` is the part of a mean's own variance that its readings do not show. `deviation` (gains, photodiodes) is by
     how much the real gains are above the nominal ones, and `link` (photodiodes, gains, gains) the variance of the ratio of two
-    of them. `ratios` is the number of ratios of two gains of a photodiode that were tested.
+    of them. `ratios` is the number of measured ratios of gains, and `worst_ratio` the largest difference of one from the
+    nominal ratio, in its standard uncertainties and those of the certificate.
     """
 
     factor: Floats
@@ -94,6 +95,7 @@ class SignalEvidence:
     verdicts: tuple[Verdict, ...] = ()
     notes: tuple[str, ...] = ()
     ratios: int = 0
+    worst_ratio: float = 0.0
 
     @property
     def findings(self) -> tuple[str, ...]:
@@ -372,11 +374,10 @@ class EvidenceSums:
         verdicts = tuple(self._verdict(modules, text) for modules, text in self._findings(ratios))
         plain = stated(self._rig)
         sound = ~replace(plain, verdicts=verdicts).unsound
-        deviation, link, notes = self._adjusted(ratios, sound)
         own = total - lamp
         slow = max([0.0, *(each.excess(own + lamp) for each in ratios)])
-        tested = sum(int((each.number >= FEWEST_ROWS).sum()) for each in ratios)
-        return SignalEvidence(factor, deviation, link, own, lamp, slow, verdicts, notes, tested)
+        noise = SignalEvidence(factor, plain.deviation, plain.link, own, lamp, slow, verdicts)
+        return self._adjusted(noise, ratios, sound)
 
     def _findings(self, ratios: Sequence["_Ratios"]) -> Iterator[tuple[Flags, str]]:
         """The modules (m,) that did not pass a test, and what was found. What follows from settling is not named again."""
@@ -454,16 +455,16 @@ class EvidenceSums:
         """The relative uncertainty of a gain by its certificate; 0 would be no uncertainty but a missing one."""
         return max(self._settings.gain_uncertainty, LEAST_CERTIFIED)
 
-    def _adjusted(self, ratios: Sequence["_Ratios"], sound: Flags) -> tuple[Floats, Floats, tuple[str, ...]]:
-        """The gains' deviations and the variances of their ratios (see SignalEvidence), with the certificate; and notes.
+    def _adjusted(self, evidence: SignalEvidence, ratios: Sequence["_Ratios"], sound: Flags) -> SignalEvidence:
+        """The evidence with the gains' deviations and the variances of their ratios, adjusted with the certificate.
 
         Least squares for each photodiode: the certificate of each gain is one observation, the mean of a pair's ratio another.
         Where the ratios contradict the certificate, it counts as much as the differences allow.
         """
-        plain, gains = stated(self._rig), self._gains.size
+        gains = self._gains.size
         known = [np.isfinite(each.value) & (each.number >= FEWEST_ROWS) & sound for each in ratios]
         if not any(each.any() for each in known):
-            return plain.deviation, plain.link, ()
+            return evidence
         value = np.array([np.where(here, each.value, 0.0) for each, here in zip(ratios, known, strict=True)])
         weight = np.array([np.where(here, 1.0 / each.variance, 0.0) for each, here in zip(ratios, known, strict=True)])
         certified = np.full(self._settings.count, self._certified**2)
@@ -488,7 +489,9 @@ class EvidenceSums:
         unseen = (UNSEEN * self._certified) ** 2
         link = own[:, :, None] + own[:, None, :] - 2.0 * covariance + unseen
         link = np.where(np.eye(gains) > 0.0, 0.0, np.minimum(link, 2.0 * certified[:, None, None]))
-        return deviation, link, notes
+        return replace(
+            evidence, deviation=deviation, link=link, notes=notes, ratios=count, worst_ratio=math.sqrt(float(chi.max()))
+        )
 
 
 class RunningEvidence:
