@@ -17,7 +17,14 @@ from goniotwin.app.campaign.geometry.directions import polar_from_zenith
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.reduction.budget import finished_blocks
-from goniotwin.app.campaign.reduction.comparison import deviations_in_u, moved_logarithm, noisy, true_bsdf, with_true_slopes
+from goniotwin.app.campaign.reduction.comparison import (
+    deviations_in_u,
+    moved_logarithm,
+    noisy,
+    relative_residuals,
+    true_bsdf,
+    with_true_slopes,
+)
 from goniotwin.app.campaign.reduction.components import COVERAGE
 from goniotwin.app.campaign.reduction.effects_of_points import angles, effects_of
 from goniotwin.app.campaign.reduction.etalon import ReductionSettings
@@ -242,14 +249,6 @@ def effect_of(effects: Effects, inputs: Mapping[str, float]) -> Floats:
         error = np.array([inputs.get(group.inputs[k].name, 0.0) if k >= 0 else 0.0 for k in numbers.tolist()])
         total += np.sum(group.sensitivity * error[place.reshape(group.member.shape)], axis=1)
     return total
-
-
-def relative_residuals(points: BsdfPoints, truth: Floats) -> Floats:
-    """Relative deviations (n,) from the truth, of the logarithm where a value is not for the most part noise."""
-    value = np.where(points.bsdf == 0.0, 1.0, points.bsdf)  # as in effects_of
-    clear = (value > 0.0) & (truth > 0.0) & ~noisy(points)
-    ratio = np.where(clear, value, 1.0) / np.where(clear, truth, 1.0)
-    return np.where(clear, np.log(ratio), (points.bsdf - truth) / value)
 
 
 def cell_labels(name: str, points: BsdfPoints, truth: Floats) -> dict[str, Any]:

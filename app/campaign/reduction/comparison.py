@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from goniotwin.app.campaign.geometry.directions import direction_keys, is_lower
-from goniotwin.app.campaign.reduction.components import LOGARITHMIC, total_variance
+from goniotwin.app.campaign.reduction.components import logarithmic, mostly_added
 from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.reduction.reduction import BsdfDataset
 from goniotwin.app.errors import UserError
@@ -34,8 +34,6 @@ from goniotwin.twin.optics.geometry.coordinates import (
 COLOURS = ("#c0392b", "#b7950b", "#1e8449", "#1f618d", "#6c3483", "#616a6b")
 
 SLOPE_STEP_DEG = 0.01
-ADDED = frozenset({"noise", "resolution", "ray_tracing", "dark", "crosstalk", "signature"})
-"""Components that do not grow with the value."""
 
 
 @dataclass(frozen=True)
@@ -97,22 +95,28 @@ def moved_logarithm(scatterer: Scatterer, points: BsdfPoints, along: Floats | fl
 
 
 def deviations_in_u(points: BsdfPoints, truth: Floats) -> Floats:
-    """Deviations (n,) of values from the truth in their u: a value is within its 95 % interval where they are within COVERAGE.
-
-    Above a relative u of LOGARITHMIC the interval is one of the logarithm, unless that u is for the most part noise, which is
-    added to a value whatever its size.
-    """
+    """Deviations (n,) of values from the truth in their u: a value is within its interval where they are within COVERAGE."""
     u = np.maximum(points.u_bsdf, np.finfo(float).tiny)
-    plain = (points.bsdf - truth) / u
-    chosen = (points.bsdf > 0.0) & (truth > 0.0) & (u > LOGARITHMIC * np.abs(points.bsdf)) & ~noisy(points)
+    chosen = logarithmic(points.bsdf, u, noisy(points)) & (truth > 0.0)
     ratio = np.where(chosen, points.bsdf, 1.0) / np.where(chosen, truth, 1.0)
-    return np.where(chosen, np.log(ratio) * points.bsdf / u, plain)
+    return np.where(chosen, np.log(ratio) * points.bsdf / u, (points.bsdf - truth) / u)
+
+
+def relative_residuals(points: BsdfPoints, truth: Floats) -> Floats:
+    """Relative deviations (n,) from the truth, for a fit of inputs: of the logarithm where a value is not mostly noise.
+
+    Also where u is below 15 %, and an interval is linear: the model is one of the logarithm, and its second order (u^2 / 2, far
+    less than u) may be more than the independent part of u that the fit leaves.
+    """
+    value = np.where(points.bsdf == 0.0, 1.0, points.bsdf)  # as in effects_of
+    clear = (value > 0.0) & (truth > 0.0) & ~noisy(points)
+    ratio = np.where(clear, value, 1.0) / np.where(clear, truth, 1.0)
+    return np.where(clear, np.log(ratio), (points.bsdf - truth) / value)
 
 
 def noisy(points: BsdfPoints) -> Flags:
-    """The points (n,) of whose variance noise and dark readings are more than half."""
-    added = {name: each for name, each in points.components.items() if name in ADDED}
-    return np.asarray(total_variance(added) + np.zeros(points.size) > 0.5 * points.u_bsdf**2)
+    """The points (n,) of whose variance more than half is added to a value whatever its size."""
+    return mostly_added(points.components)
 
 
 def compare(rig: RigDescription, sample: str, points: BsdfPoints) -> list[Comparison]:
@@ -215,8 +219,8 @@ def _draw_axes(upper: Axes, lower: Axes, reduced: BsdfDataset, sample: str) -> N
     lower.set_xticks(range(-90, 91, 15))
     upper.set_title(f"{sample}: measurement and theory", loc="left", fontsize=12)
     if reduced.simulated:
-        mark = f"SIMULATED (seed {reduced.rig.seed})"
-        upper.text(1.0, 1.02, mark, transform=upper.transAxes, ha="right", va="bottom", color="#a93226", weight="bold")
+        text = f"SIMULATED (seed {reduced.rig.seed})"
+        upper.text(1.0, 1.02, text, transform=upper.transAxes, ha="right", va="bottom", color="#a93226", weight="bold")
 
 
 def _theoretical_curve(reduced: BsdfDataset, sample: str, sigma: float, angles: Floats) -> Floats:

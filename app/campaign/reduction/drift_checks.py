@@ -165,7 +165,7 @@ class DriftWatch:
 
     def _signal(self, data: RowData) -> Signal:
         dark = dark_readings_by_gain(self._dark_rows, self._settings)
-        return pipeline.reduce_readings(data, dark, self._settings, self._rig, self._evidence.renewed(dark))
+        return pipeline.reduce_readings([data], dark, self._settings, self._rig, self._evidence.renewed(dark))[0]
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ import numpy as np
 
 from goniotwin.app.campaign.reduction.components import Estimate, Signal
 from goniotwin.app.campaign.reduction.points import CHANCE, plausible
-from goniotwin.app.campaign.reduction.signals import LATEST_S, DarkReadings, independent_conversions, middle_s, others_volts
+from goniotwin.app.campaign.reduction.signals import LATEST_S, MOST_VALUES, DarkReadings, RowReadings, middle_s, others_volts
 from goniotwin.app.campaign.row import CommittedRow, Reading
 from goniotwin.app.campaign.wording import number_list
 from goniotwin.app.rig import RigFile
@@ -61,8 +61,6 @@ LEAST_CERTIFIED = 1e-5
 FIT_ROUNDS = 10
 MOST_WAITING = 1024
 """Rows that wait for a dark reading during a run."""
-MOST_VALUES = 1 << 20
-"""Counts that are in memory together, as numbers of eight bytes, several times."""
 NO_CHANGE = -1
 SETTLE = "increase settling_s of [photodiodes] in the rig file, and measure again"
 Tested = tuple[Floats, Floats, Floats]
@@ -84,7 +82,8 @@ class SignalEvidence:
     The noise of a reading is `factor` (photodiodes,) times (the expected one + `own`), and what its row has in common is
     `lamp`; `slow` is the part of a mean's own variance that its readings do not show. `deviation` (gains, photodiodes) is by
     how much the real gains are above the nominal ones, and `link` (photodiodes, gains, gains) the variance of the ratio of two
-    of them. `ratios` is the number of ratios of two gains of a photodiode that were tested.
+    of them. `ratios` is the number of measured ratios of gains, and `worst_ratio` the largest difference of one from the
+    nominal ratio, in its standard uncertainties and those of the certificate.
     """
 
     factor: Floats
@@ -96,6 +95,7 @@ class SignalEvidence:
     verdicts: tuple[Verdict, ...] = ()
     notes: tuple[str, ...] = ()
     ratios: int = 0
+    worst_ratio: float = 0.0
 
     @property
     def findings(self) -> tuple[str, ...]:
@@ -111,28 +111,31 @@ class SignalEvidence:
         return flags
 
 
-def add_scatter(current: Estimate, reading: Reading, settings: ConverterDescription, evidence: SignalEvidence) -> Estimate:
+def add_scatter(current: Estimate, readings: RowReadings, settings: ConverterDescription, evidence: SignalEvidence) -> Estimate:
     """Photocurrents with the noise that the lit readings show, beyond what was expected: `noise`, and `lamp` of the row.
 
     Readings that scatter as wildly as by a count that was changed on a wire have the uncertainty that follows from these alone.
     """
-    square, conversions = current.value**2, independent_conversions(reading)
+    square, conversions = current.value**2, readings.conversions
     own = evidence.factor * (current.components["noise"] + evidence.own * square / conversions) + evidence.slow * square
-    if conversions > 1:
-        scatter = reading.counts.var(axis=0, ddof=1) * (settings.range.lsb_v / reading.gain_v_per_a) ** 2 / conversions
-        own = np.where(scatter > WILD * (own + evidence.lamp * square / conversions), scatter, own)
+    if readings.counts.shape[1] > 1:
+        scatter = readings.counts.var(axis=1, ddof=1) * (settings.range.lsb_v / readings.gain_v_per_a) ** 2 / conversions
+        wild = scatter > WILD * (own + evidence.lamp * square / conversions)
+        own = np.where(wild & (conversions > 1), scatter, own)
     widened = replace(current, components={**current.components, "noise": own})
     return widened.with_component("lamp", evidence.lamp * square / conversions)
 
 
-def correct_gain(current: Estimate, reading: Reading, settings: ConverterDescription, evidence: SignalEvidence) -> Estimate:
+def correct_gain(
+    current: Estimate, readings: RowReadings, settings: ConverterDescription, evidence: SignalEvidence
+) -> Estimate:
     """Photocurrents over the gain that the evidence gives in place of the nominal one."""
-    return current.divided(1.0 + evidence.deviation[settings.gains_v_per_a.index(reading.gain_v_per_a)])
+    return current.divided(1.0 + evidence.deviation[settings.gains_v_per_a.index(readings.gain_v_per_a)])
 
 
 def link_gains(signal: Signal, evidence: SignalEvidence) -> Signal:
-    """A row's signal with the variances of its gains' ratios to the others."""
-    return replace(signal, link=evidence.link[np.arange(signal.gain.size), signal.gain])
+    """The signals of rows with the variances of their gains' ratios to the others."""
+    return replace(signal, link=evidence.link[np.arange(signal.gain.shape[1]), signal.gain])
 
 
 def stated(rig: RigFile) -> SignalEvidence:
@@ -371,11 +374,10 @@ class EvidenceSums:
         verdicts = tuple(self._verdict(modules, text) for modules, text in self._findings(ratios))
         plain = stated(self._rig)
         sound = ~replace(plain, verdicts=verdicts).unsound
-        deviation, link, notes = self._adjusted(ratios, sound)
         own = total - lamp
         slow = max([0.0, *(each.excess(own + lamp) for each in ratios)])
-        tested = sum(int((each.number >= FEWEST_ROWS).sum()) for each in ratios)
-        return SignalEvidence(factor, deviation, link, own, lamp, slow, verdicts, notes, tested)
+        noise = SignalEvidence(factor, plain.deviation, plain.link, own, lamp, slow, verdicts)
+        return self._adjusted(noise, ratios, sound)
 
     def _findings(self, ratios: Sequence["_Ratios"]) -> Iterator[tuple[Flags, str]]:
         """The modules (m,) that did not pass a test, and what was found. What follows from settling is not named again."""
@@ -453,16 +455,16 @@ class EvidenceSums:
         """The relative uncertainty of a gain by its certificate; 0 would be no uncertainty but a missing one."""
         return max(self._settings.gain_uncertainty, LEAST_CERTIFIED)
 
-    def _adjusted(self, ratios: Sequence["_Ratios"], sound: Flags) -> tuple[Floats, Floats, tuple[str, ...]]:
-        """The gains' deviations and the variances of their ratios (see SignalEvidence), with the certificate; and notes.
+    def _adjusted(self, evidence: SignalEvidence, ratios: Sequence["_Ratios"], sound: Flags) -> SignalEvidence:
+        """The evidence with the gains' deviations and the variances of their ratios, adjusted with the certificate.
 
         Least squares for each photodiode: the certificate of each gain is one observation, the mean of a pair's ratio another.
         Where the ratios contradict the certificate, it counts as much as the differences allow.
         """
-        plain, gains = stated(self._rig), self._gains.size
+        gains = self._gains.size
         known = [np.isfinite(each.value) & (each.number >= FEWEST_ROWS) & sound for each in ratios]
         if not any(each.any() for each in known):
-            return plain.deviation, plain.link, ()
+            return evidence
         value = np.array([np.where(here, each.value, 0.0) for each, here in zip(ratios, known, strict=True)])
         weight = np.array([np.where(here, 1.0 / each.variance, 0.0) for each, here in zip(ratios, known, strict=True)])
         certified = np.full(self._settings.count, self._certified**2)
@@ -487,7 +489,9 @@ class EvidenceSums:
         unseen = (UNSEEN * self._certified) ** 2
         link = own[:, :, None] + own[:, None, :] - 2.0 * covariance + unseen
         link = np.where(np.eye(gains) > 0.0, 0.0, np.minimum(link, 2.0 * certified[:, None, None]))
-        return deviation, link, notes
+        return replace(
+            evidence, deviation=deviation, link=link, notes=notes, ratios=count, worst_ratio=math.sqrt(float(chi.max()))
+        )
 
 
 class RunningEvidence:

@@ -139,15 +139,19 @@ def uniformity(points: BsdfPoints, settings: ReductionSettings) -> Effects | Non
 
 
 def repeatability(points: BsdfPoints, settings: ReductionSettings) -> Effects | None:
-    """What is another each time a pose is reached again: of the row at the sample and of the row at the etalon."""
+    """What is another each time a pose is reached again: of the row at the sample and of the row at the etalon.
+
+    It is the same for all rows, of all wavelengths, from one move of any axis to the next.
+    """
     u = settings.rig.uncertainty.repeatability if settings.repeatability is None else settings.repeatability
     if not u:
         return None
     source = "" if settings.repeatability is None else "the repeats of this campaign"
-    number = np.stack([points.row, points.etalon_row], axis=1)
+    both, history = (points.row, points.etalon_row), settings.history
+    number = np.stack([rows if history is None else np.sum(history.moves(rows), axis=1) for rows in both], axis=1)
     inputs = {
-        row: _input(f"repeatability@row {row}", u, "all photodiodes of the row", source, "repeatability")
-        for row in np.unique(number).tolist()
+        each: _input(f"repeatability@#{each}", u, "all rows until the next move of any axis", source, "repeatability")
+        for each in np.unique(number).tolist()
     }
     sensitivity = np.broadcast_to([1.0, -1.0], number.shape)
     return Effects(points.bsdf, {}, [Group("repeatability", inputs, number, sensitivity)], ())

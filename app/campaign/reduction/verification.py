@@ -259,31 +259,25 @@ def _covariance_of_differences(points: BsdfPoints, one: Ints, other: Ints, reduc
 
 
 def _gains(reduction: Reduction) -> Verdict:
-    """Gains and modules by the rows that were read at two gains."""
-    evidence, stated = reduction.evidence, reduction.rig.file.photodiodes.gain_uncertainty
-    found = list(evidence.findings)
-    figures = {"ratios": evidence.ratios, "findings": found}
+    """The gain linkage: ratios of gains in rows that were read at two of them, against each other and the certificate."""
+    evidence, name = reduction.evidence, "gain linkage"
+    found = evidence.findings
+    figures = {"ratios": evidence.ratios, "worst_u": evidence.worst_ratio, "unsound": np.flatnonzero(evidence.unsound).tolist()}
     if found:
-        return Verdict("gains and modules", "fails", "; ".join(found), figures)
+        return Verdict(name, "fails", "; ".join(found), figures)
     if not evidence.ratios:
-        return Verdict("gains and modules", NOTHING, "too few rows were read at two gains with light", figures)
-    text = (
-        f"{evidence.ratios} ratios of two gains of a photodiode are those of the rig file, within its gain_uncertainty of "
-        f"{100.0 * stated:.2g} %, and depend neither on the signal nor on the order"
-    )
-    return Verdict("gains and modules", "holds", text, figures)
+        return Verdict(name, NOTHING, "too few rows were read at two gains that are not saturated, and with light", figures)
+    text = f"{evidence.ratios} ratios of gains were measured, the worst is {evidence.worst_ratio:.1f} u from the nominal one"
+    return Verdict(name, "holds", text, figures)
 
 
 def _closure(reduction: Reduction) -> Verdict:
-    """The etalon's scale against that of the open beam."""
-    report = reduction.closure()
-    missing = [*report.not_planned, *report.missing]
-    figures = {"closures": len(report.closures), "missing": missing}
-    if report.alarms:
-        return Verdict("closure", "fails", "; ".join(report.alarms), figures)
-    if not report.closures:
-        return Verdict("closure", NOTHING, "; ".join(missing), figures)
-    return Verdict("closure", "holds", report.verdict, figures)
+    """The closure of the etalon's scale with that of the open beam, and the field of view by its scan."""
+    name, report = "closure", reduction.closure()
+    if not report.closures and report.field is None:
+        return Verdict(name, NOTHING, "; ".join((*report.not_planned, *report.missing)) or report.verdict)
+    text = "; ".join(report.alarms) or f"{report.verdict}; {report.field}"
+    return Verdict(name, "fails" if report.alarms else "holds", text, report.as_dict())
 
 
 def _drift(reduction: Reduction, tallies: dict[str, Tally]) -> Verdict:

@@ -151,7 +151,7 @@ class ScanPlot(QWidget):
         symbols = ["d" if steep else "s" if transmitted else "o" for transmitted, steep in marks]
         self._items["measured"].setSymbol(symbols)
         self._items["below limit"].setData(points.x_deg[below], np.full(int(below.sum()), floor))
-        low, high = interval(points.values[above], points.u_values[above], coverage=1.0)
+        low, high = interval(points.values[above], points.u_values[above], points.added[above], coverage=1.0)
         self._bars.setData(
             x=points.x_deg[above], y=logs[above], top=np.log10(high) - logs[above], bottom=logs[above] - np.log10(low)
         )

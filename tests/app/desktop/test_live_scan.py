@@ -264,7 +264,7 @@ def scan_data(values: list[float], u_values: list[float], blocked: list[bool], u
     none = np.zeros(len(values), dtype=bool)
     points = ScanPoints(
         np.arange(float(len(values))), np.array(values), np.array(u_values), np.array(blocked),
-        np.array(blocked if untrusted is None else untrusted), none, np.array(values) < DETECTED * np.array(u_values),
+        np.array(blocked if untrusted is None else untrusted), none, np.array(values) < DETECTED * np.array(u_values), none,
         np.zeros(len(values), dtype=np.uint16),
     )  # fmt: skip
     return ScanData("a scan", "x", "y", (-90.0, 90.0), ((2.5, 3.5),), points)

@@ -6,6 +6,7 @@ formula of a value by itself.
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any, cast
 
 import GTC
 import numpy as np
@@ -22,7 +23,7 @@ from goniotwin.app.campaign.reduction.pipeline import add_shared
 from goniotwin.app.campaign.reduction.points import BsdfPoints, join_points
 from goniotwin.app.campaign.reduction.reduction import Reduction, reduce_journal, reduction_settings
 from goniotwin.app.campaign.reduction.reflectance import components_of_sum, quadrature
-from goniotwin.app.campaign.reduction.row_history import history_of
+from goniotwin.app.campaign.reduction.row_history import RowHistory, history_of
 from goniotwin.app.campaign.schedule.certificate import parse_certificate
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.campaign.uncertainty.effects import Effects
@@ -297,6 +298,20 @@ def test_the_history_counts_mountings_dark_readings_and_moves() -> None:
     assert by_row[6] == by_row[7] == [2, 2, 2, 2, 3, 2]
     assert by_row[8] == [3, 2, 3, 3, 4, 3]
     assert [each[0] for each in table.tolist()] == sorted(by_row)
+
+
+def test_repeatability_is_shared_from_one_move_to_the_next_as_in_the_twin() -> None:
+    pose, other = (0.0, 30.0, 0.0, 0.0), (0.0, 30.0, 45.0, 0.0)
+    poses = {5: pose, 7: other, 10: pose, 11: pose, 12: other}
+    history = RowHistory(cast(Any, None))
+    rows = [executed(4, "mount", "etalon"), *(executed(number, "measure", "paint", each) for number, each in poses.items())]
+    history.__dict__["_read"] = history_of(rows)
+    points = measured(np.ones(COUNT), np.full((COUNT, 2), np.nan), {}, replace(ALL_SETTINGS, history=history))
+    groups = effects_of(points, replace(ALL_SETTINGS, history=history)).groups
+    (group,) = [each for each in groups if each.name == "repeatability"]
+    of_rows = [[group.inputs[k].name for k in each] for each in group.member[:: POLAR.size].T.tolist()]
+    assert of_rows == [[f"repeatability@#{k}" for k in moves] for moves in ((6, 6, 7), (4, 4, 5))]
+    assert points.components["repeatability"] == pytest.approx(np.full(COUNT, 2.0 * TABLE.repeatability**2))
 
 
 def test_a_campaigns_points_sum_and_share_what_its_journal_states(tmp_path: Path) -> None:

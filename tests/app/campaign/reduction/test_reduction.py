@@ -5,7 +5,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 import pytest
 
@@ -13,7 +12,7 @@ from goniotwin.app.campaign.campaign import run_campaign
 from goniotwin.app.campaign.geometry.arcs import arc_views
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import make_plan
-from goniotwin.app.campaign.reduction.comparison import compare, cut_figure, theoretical_bsdf
+from goniotwin.app.campaign.reduction.comparison import compare, theoretical_bsdf
 from goniotwin.app.campaign.reduction.export import export, export_format
 from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.reduction.reduction import BsdfDataset, reduce_journal
@@ -54,13 +53,6 @@ def test_the_demos_gaussian_is_within_3_percent_of_theory(demo: BsdfDataset) -> 
     assert [each.sigma_deg for each in found] == [0.0, 30.0, 60.0]
     assert all(each.relative_rms_percent <= 3.0 for each in found)
     assert [each.count for each in found] == [26, 41, 41]
-
-
-def test_the_demos_figure_is_marked_as_simulated(demo: BsdfDataset, tmp_path: Path) -> None:
-    found = compare(demo.rig, "gaussian-5", demo.samples["gaussian-5"])
-    with mpl.rc_context({"svg.fonttype": "none"}):
-        cut_figure(demo, "gaussian-5", found, tmp_path / "a.svg")
-    assert ">SIMULATED (seed 1)<" in (tmp_path / "a.svg").read_text(encoding="utf-8")
 
 
 def test_directions_blocked_at_normal_incidence_are_flagged_and_listed(demo: BsdfDataset) -> None:

@@ -120,7 +120,8 @@ def test_reciprocity_holds_and_a_wrong_zero_of_sigma_breaks_it(measure: Measure)
     found = verdicts(path := measure(PAIRS))
     assert found["reciprocity"].verdict == "holds"
     assert found["reciprocity"].figures["pairs"] >= 1
-    assert {found[name].verdict for name in ("energy", "symmetry", "overlaps", "drift")} == {"nothing to judge"}
+    unasked = ("energy", "symmetry", "overlaps", "drift", "closure")
+    assert {found[name].verdict for name in unasked} == {"nothing to judge"}
     path.unlink()
     assert verdicts(measure(PAIRS, TURNED))["reciprocity"].verdict == "fails"
 
@@ -132,7 +133,7 @@ def test_gains_that_are_not_those_of_the_rig_file_reach_the_operator(
     schedule = (*HALF_SPHERE, ("[1e8, 1e10]", "[1e10, 1e11]"))
     sound = measure(schedule, PAINT)
     assert check_journal(sound).findings == ()
-    assert verdicts(sound)["gains and modules"].verdict == "holds"
+    assert verdicts(sound)["gain linkage"].verdict == "holds"
     journal, words = tmp_path / "b.journal", "the gains are not those of the rig file"
     rig, plan = str(write_rig(PAINT, SPREAD)), str(write_schedule(*schedule))
     command = ["run", plan, "--rig", rig, "--out", str(journal), "--json"]
@@ -140,7 +141,7 @@ def test_gains_that_are_not_those_of_the_rig_file_reach_the_operator(
     assert done.exit_code == 0
     assert f"goniotwin: {words}" in done.stderr
     assert words in json.loads(done.stdout)["checks"]["findings"][0]
-    found = verdicts(journal)["gains and modules"]
+    found = verdicts(journal)["gain linkage"]
     assert (found.verdict, found.text[: len(words)]) == ("fails", words)
     done = CliRunner().invoke(app, ["export", str(journal), "--format", "csv", "--out", str(tmp_path / "b.csv")])
     assert words in done.stderr
@@ -162,6 +163,28 @@ def test_the_small_components_are_listed_where_asked_for(measure: Measure, monke
 def test_a_cut_has_no_reflectance(measure: Measure) -> None:
     with Journal.open(measure(PAIRS)) as journal, pytest.raises(UserError, match="do not cover the half sphere"):
         budget_of_reflectance(Reduction(journal), parse_place("sigma=30"))
+
+
+@pytest.mark.parametrize(
+    ("fault", "verdict", "words"),
+    [
+        ("", "holds", "ratios of gains were measured, the worst is"),
+        ("gain_spread = 0.02", "fails", "the gains are not those of the rig file"),
+        ("settling_s = 0.06", "fails", "the amplifiers are not at rest"),
+    ],
+)
+def test_gains_that_do_not_fit_fail_the_verification(fault: str, verdict: str, words: str, measure: Measure) -> None:
+    rows = (("beta_deg = [180]", "beta_deg = [0, 180]"), ("shift_deg = [0, 1]", "shift_deg = [0, 1, 2, 3, 4]"))
+    changes = (("[twin.light]", f"[twin.electronics]\n{fault}\n\n[twin.light]"),) if fault else ()
+    found = verdicts(measure(rows, *changes))["gain linkage"]
+    assert found.verdict == verdict
+    assert words in found.text
+    assert found.figures["ratios"] > 0 or fault.startswith("settling")
+
+
+def test_a_campaign_at_one_gain_has_no_gain_linkage(measure: Measure) -> None:
+    found = verdicts(measure((("gains_v_per_a = [1e8, 1e10]", "gains_v_per_a = [1e8]"),)))["gain linkage"]
+    assert found.verdict == "nothing to judge"
 
 
 def test_pairs_have_light_and_view_exchanged() -> None:
