@@ -388,7 +388,7 @@ def test_an_etalon_that_is_five_percent_low_is_found(closed: tuple[Path, Closure
 
 def test_the_verification_of_a_journal_has_its_closure(closed: tuple[Path, ClosureReport]) -> None:
     with Journal.open(closed[0]) as journal:
-        (found,) = [each for each in verify_journal(Reduction(journal)) if each.name == "open beam"]
+        (found,) = [each for each in verify_journal(Reduction(journal)) if each.name == "closure"]
     assert found.verdict == "holds"
     assert "the two scales agree in all 2 comparisons" in found.text
     assert found.text.endswith("they agree")
