@@ -26,6 +26,7 @@ from goniotwin.app.errors import UserError
 from goniotwin.app.rig import AXES, kinds, open_rig, read_rig, rig_file_table, twin_file
 from goniotwin.app.rig import file as rig_file
 from goniotwin.app.rig.kinds import register, unregister
+from goniotwin.app.rig.uncertainty import UncertaintyTable
 from goniotwin.app.toml_file import json_schema, validate_table
 from goniotwin.drivers import Homing
 from goniotwin.protocols.clock import VirtualClock
@@ -98,6 +99,29 @@ def test_every_key_of_the_examples_and_documents_validates() -> None:
     for kind, content in found:
         Draft202012Validator(SCHEMAS[kind]).validate(as_json(content))
         validate_table(FILES[kind], content, kind)
+
+
+def test_the_page_on_uncertainty_has_the_keys_of_its_table_with_their_defaults() -> None:
+    """In its list of keys, and wherever else a default stands beside a key or beside the inputs of one."""
+    text = (REPOSITORY / "docs" / "uncertainty.md").read_text(encoding="utf-8")
+    before, _, after = text.partition("| key | default |")
+    table, _, after = after.partition("\n\n")
+    listed: list[tuple[str, float]] = []
+    for line in table.splitlines()[2:]:
+        names, defaults = line.split("|")[1:3]
+        listed += zip(re.findall(r"`(\w+)`", names), map(float, defaults.split(",")), strict=True)
+    known = {each.name: float(getattr(UncertaintyTable(), each.name)) for each in fields(UncertaintyTable)}
+    assert len(listed) == len(known)
+    assert dict(listed) == known
+    beside = re.findall(r"`(\w+)` \(([\d.e-]+)( %|\)| nm)", before + after)
+    beside += re.findall(r"`\[uncertainty\] (\w+)`(?:,| \|) ([\d.e-]+)( %)?", before + after)
+    stated = [(key, float(number) / (100.0 if unit == " %" else 1.0)) for key, number, unit in beside if key in known]
+    for part in re.findall(r"^\| (`.*?) \|", (before + after).replace("_1..3", ""), re.MULTILINE):
+        for names, half, unit in re.findall(r"(`[^;]*), ([\d.]+) (deg|mm)", part):
+            of_inputs = re.findall(r"`([a-z_]+?)(?:_[xyz]|\[c\]|@axis#k)?`", names)
+            stated += [(key, float(half)) for name in of_inputs if (key := f"{name}_{unit}") in known]
+    assert len(stated) >= 25
+    assert [(key, default) for key, default in stated if default != pytest.approx(known[key])] == []
 
 
 def test_an_unknown_key_validates_in_no_table_of_them() -> None:
