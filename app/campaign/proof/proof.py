@@ -8,7 +8,7 @@ import os
 import signal
 import tempfile
 import threading
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
@@ -27,8 +27,9 @@ from goniotwin.app.formats import FormatError
 from goniotwin.app.formats.file import write_file
 from goniotwin.app.rig import RigDescription, parse_rig
 from goniotwin.app.rig.described_twin import described_twin
+from goniotwin.app.rig.lock import LockFile
 
-ABOUT = "proof.json"
+ABOUT, LOCK = "proof.json", "proof.lock"
 RESULTS = 1
 """Version of the results: files of another one are not counted together."""
 MOST_RIGS = 100_000
@@ -92,9 +93,22 @@ class Proof:
                 raise UserError(f"{wrong}; choose another folder with --out, or delete this one")
         except (OSError, FormatError) as error:
             remedy = room_on_disk(error) if isinstance(error, OSError) else ""
-            raise UserError(f"{self.folder}: cannot be used: {error}; {remedy or 'choose another folder with --out'}") from None
+            reason = "is a file" if isinstance(error, FileExistsError) else f"cannot be used: {error}"
+            raise UserError(f"{self.folder}: {reason}; {remedy or 'choose another folder with --out'}") from None
         except ValueError:
             raise UserError(f"{path}: is damaged; delete the folder, or choose another one with --out") from None
+
+    @contextlib.contextmanager
+    def locked(self) -> Iterator[None]:
+        """The folder, which is prepared, is locked. Raises UserError where another program runs a proof in it."""
+        try:
+            lock = LockFile(self.folder / LOCK, str(self.folder), "proof", 0o644)
+        except OSError as error:
+            raise UserError(f"{self.folder}: cannot be used: {error.strerror}; choose another folder with --out") from None
+        try:
+            yield
+        finally:
+            lock.release(remove=True)
 
     def _digest(self) -> str:
         texts = (self.schedule.text, self.schedule.certificate or "", self.rig.text)
@@ -132,6 +146,11 @@ def prove(proof: Proof, processes: int | None = None, report: Callable[[int], No
     """
     _ = proof.plan  # refused before anything is written
     proof.prepare()
+    with proof.locked():
+        return _prove(proof, processes, report)
+
+
+def _prove(proof: Proof, processes: int | None, report: Callable[[int], None]) -> Totals:
     results = {seed: result for seed in proof.seeds if (result := proof.read(seed)) is not None}
     left = [seed for seed in proof.seeds if seed not in results]
     report(len(results))

@@ -6,7 +6,10 @@ from collections.abc import Iterator
 from goniotwin.app.campaign.proof.proof import Proof
 from goniotwin.app.campaign.proof.totals import TABLES, CellTotal, Totals
 
-HEADING = f"{'':34}{'values':>9}{'coverage':>10}{'se':>7}{'mean z':>9}{'se':>7}{'chi2/n':>8}{'> 5 u':>7}{'expected':>10}"
+HEADING = f"{'':28}{'values':>8}{'coverage':>9}{'se':>6}{'mean z':>8}{'se':>6}{'chi2/n':>8}{'> 5 u':>6}"
+WIDE = 1e4
+"""A larger number has no room in its column as it is."""
+INPUTS = f"{'':28}{'variance / u2':>14}{'determined':>12}"
 
 
 def proof_text(proof: Proof, totals: Totals) -> str:
@@ -16,7 +19,7 @@ def proof_text(proof: Proof, totals: Totals) -> str:
 
 def _lines(proof: Proof, totals: Totals) -> Iterator[str]:
     how = "through the wires" if proof.wires else "without wires"
-    yield f"SIMULATED: {proof.schedule.file.name} on {totals.rigs} virtual rigs of {proof.rig.name}, {how}"
+    yield f"SIMULATED: {proof.schedule.file.name} on {totals.rigs} virtual rig{'' if totals.rigs == 1 else 's'} of {proof.rig.name}, {how}"
     whole, worst = totals.whole, totals.worst
     if whole is None:
         yield "no rig has a value"
@@ -28,11 +31,15 @@ def _lines(proof: Proof, totals: Totals) -> Iterator[str]:
         yield f"by {table}"
         yield from (_cell(f"  {each.label}", each) for each in totals.tables.get(table, []))
     if worst is not None:
-        yield f"worst cell: {worst.label}, {worst.coverage:.1%}"
+        yield f"worst cell: {worst.label}, {100.0 * worst.coverage:.1f} %"
+    yield f"beyond 5 u: {whole.beyond} values; a normal law gives {whole.expected_beyond:.2g}"
     yield f"variance of the fitted inputs over their u: {_number(totals.variance_shared, '.3f')}"
+    if totals.inputs:
+        yield "by kind of input; determined: how many inputs of a rig the values determine"
+        yield INPUTS
     for kind, (square, expected, count) in totals.inputs.items():
         if expected > 0.0:
-            yield f"  {kind:32}{square / expected:8.2f}   determined by the values in {expected / count:.2g} inputs a rig"
+            yield f"{f'  {kind}':28}{square / expected:14.2f}{expected / count:12.2g}"
     for name, (correlation, difference) in totals.angles.items():
         yield (
             f"angle in the plane of incidence, fitted to {name} and as drawn: correlation {_number(correlation, '.4f')}, rms "
@@ -57,9 +64,8 @@ def _lines(proof: Proof, totals: Totals) -> Iterator[str]:
 
 def _cell(label: str, cell: CellTotal) -> str:
     return (
-        f"{label:34}{cell.values:9d}{100.0 * cell.coverage:9.1f} %{_number(100.0 * cell.u_coverage, '.2f'):>6}"
-        f"{cell.mean:9.3f}{_number(cell.u_mean, '.3f'):>7}{_number(cell.chi_square, '.2f'):>8}{cell.beyond:7d}"
-        f"{cell.expected_beyond:10.2g}"
+        f"{label:28}{cell.values:8d}{100.0 * cell.coverage:7.1f} %{_number(100.0 * cell.u_coverage, '.2f'):>6}"
+        f"{cell.mean:8.3f}{_number(cell.u_mean, '.3f'):>6}{_number(cell.chi_square, '.2f' if cell.chi_square < WIDE else '.1e'):>8}{cell.beyond:6d}"
     )
 
 

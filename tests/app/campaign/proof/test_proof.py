@@ -1,7 +1,7 @@
 """Proofs on small schedules: what is drawn, both ways to run a rig, a proof that continues, and the law of all."""
 
 import json
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -104,6 +104,25 @@ def test_a_folder_of_other_files_and_a_wrong_number_are_refused(
         small_proof(write_rig, write_schedule, tmp_path / "proof", rigs=0)
     with pytest.raises(UserError, match="is not empty, and no folder of a proof; choose another one with --out"):
         prove(small_proof(write_rig, write_schedule, tmp_path), 1)
+
+
+def test_a_folder_in_use_is_refused_and_its_file_too(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
+    proof = small_proof(write_rig, write_schedule, tmp_path / "proof", rigs=1)
+    proof.prepare()
+    with proof.locked(), pytest.raises(UserError, match=r"is in use by process .*: proof; wait for it"):
+        prove(proof, 1)
+    prove(proof, 1)
+    assert sorted(each.name for each in proof.folder.iterdir()) == ["proof.json", "rig-000001.json"]
+    (tmp_path / "a.csv").write_text("a", encoding="utf-8")
+    with pytest.raises(UserError, match=r"a\.csv: is a file; choose another folder with --out"):
+        prove(replace(proof, folder=tmp_path / "a.csv"), 1)
+
+
+def test_the_report_fits_80_columns(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
+    proof = small_proof(write_rig, write_schedule, tmp_path / "proof", rigs=1)
+    table = proof_text(proof, prove(proof, 1)).partition("\nall ")[2].partition("\nangle")[0]
+    assert "gaussian-5, 1e+0 to 1e-1" in table
+    assert max(map(len, table.splitlines())) <= 80
 
 
 def test_a_rig_without_a_result_does_not_end_the_others(
