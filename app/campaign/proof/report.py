@@ -19,7 +19,8 @@ def proof_text(proof: Proof, totals: Totals) -> str:
 
 def _lines(proof: Proof, totals: Totals) -> Iterator[str]:
     how = "through the wires" if proof.wires else "without wires"
-    yield f"SIMULATED: {proof.schedule.file.name} on {totals.rigs} virtual rig{'' if totals.rigs == 1 else 's'} of {proof.rig.name}, {how}"
+    rigs = f"{totals.rigs} virtual rig{'' if totals.rigs == 1 else 's'}"
+    yield f"SIMULATED: {proof.schedule.file.name} on {rigs} of {proof.rig.name}, {how}"
     whole, worst = totals.whole, totals.worst
     if whole is None:
         yield "no rig has a value"
@@ -63,9 +64,10 @@ def _lines(proof: Proof, totals: Totals) -> Iterator[str]:
 
 
 def _cell(label: str, cell: CellTotal) -> str:
+    left = _number(cell.chi_square, ".2f" if cell.chi_square < WIDE else ".1e")
     return (
         f"{label:28}{cell.values:8d}{100.0 * cell.coverage:7.1f} %{_number(100.0 * cell.u_coverage, '.2f'):>6}"
-        f"{cell.mean:8.3f}{_number(cell.u_mean, '.3f'):>6}{_number(cell.chi_square, '.2f' if cell.chi_square < WIDE else '.1e'):>8}{cell.beyond:6d}"
+        f"{cell.mean:8.3f}{_number(cell.u_mean, '.3f'):>6}{left:>8}{cell.beyond:6d}"
     )
 
 
