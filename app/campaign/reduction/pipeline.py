@@ -44,7 +44,6 @@ from goniotwin.app.campaign.reduction.signals import (
 )
 from goniotwin.app.campaign.reduction.spectrum import correct_band
 from goniotwin.app.campaign.row import RowData
-from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigFile
 from goniotwin.arrays import Floats, Ints
 from goniotwin.drivers import ConverterDescription

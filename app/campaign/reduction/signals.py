@@ -15,7 +15,7 @@ from functools import cached_property
 
 import numpy as np
 
-from goniotwin.app.campaign.readout import QUANTISATION_VARIANCE, saturation
+from goniotwin.app.campaign.readout import QUANTISATION_VARIANCE
 from goniotwin.app.campaign.reduction.components import Estimate, Signal
 from goniotwin.app.campaign.row import CommittedRow, Reading, RowData
 from goniotwin.app.errors import UserError
