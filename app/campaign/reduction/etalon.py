@@ -9,8 +9,10 @@ from transmitted light: without a sample it is the direct beam.
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from goniotwin.app.campaign.geometry.arcs import ArcView, arc_views
 from goniotwin.app.campaign.geometry.directions import PoseAngles
@@ -252,8 +254,7 @@ def _arc_rows(arc: list[_Joined]) -> ArcRows:
     unknown = np.broadcast_to(np.nan, sample.value.shape)
     measured = np.array([[each.signature is not None] for each in arc])
     flags = {
-        name: np.stack([each.sample.flags[name][c] | each.etalon.flags[name][c] for each in arc])
-        for name in arc[0].sample.flags
+        name: _taken([each.sample.flags[name] | each.etalon.flags[name] for each in arc], c) for name in arc[0].sample.flags
     }
     return ArcRows(
         rows=tuple(each.sample.row for each in arc),
@@ -279,15 +280,16 @@ def _arc_rows(arc: list[_Joined]) -> ArcRows:
 def _stack(rows: Sequence[RowSignal | None], channels: Ints) -> Signal:
     """The signals (rows, photodiodes) of the photodiodes `channels`; 0 for a row that was not measured."""
     signals = [None if each is None else each.signal for each in rows]
-    if all(each is None for each in signals):
+    first = next((each for each in signals if each is not None), None)
+    if first is None:
         shape = len(rows), len(channels)
         return Signal(np.broadcast_to(0.0, shape), {}, np.broadcast_to(np.int64(0), shape))
     names = dict.fromkeys(name for each in signals if each is not None for name in each.components)
-    none, unsaturated = np.zeros(len(channels)), np.zeros(len(channels), dtype=np.int64)
+    none, unsaturated = np.zeros(first.value.shape), np.zeros(first.gain.shape, dtype=np.int64)
     return Signal(
-        np.stack([none if each is None else each.value[channels] for each in signals]),
-        {name: np.stack([none if each is None else each.components[name][channels] for each in signals]) for name in names},
-        np.stack([unsaturated if each is None else each.gain[channels] for each in signals]),
+        _taken([none if each is None else each.value for each in signals], channels),
+        {name: _taken([none if each is None else each.components[name] for each in signals], channels) for name in names},
+        _taken([unsaturated if each is None else each.gain for each in signals], channels),
         _stack_links(signals, channels),
     )
 
@@ -296,8 +298,13 @@ def _stack_links(signals: Sequence[Signal | None], channels: Ints) -> Floats | N
     known = [each.link for each in signals if each is not None and each.link is not None]
     if not known:
         return None
-    none = np.zeros(known[0][channels].shape)
-    return np.stack([none if each is None or each.link is None else each.link[channels] for each in signals])
+    none = np.zeros(known[0].shape)
+    return _taken([none if each is None or each.link is None else each.link for each in signals], channels)
+
+
+def _taken(rows: Sequence[npt.NDArray[Any]], channels: Ints) -> npt.NDArray[Any]:
+    """Arrays (photodiodes, ...) of rows as one of the photodiodes `channels`."""
+    return np.take(np.stack(rows), channels, axis=1)
 
 
 # The steps.

@@ -21,7 +21,7 @@ import numpy as np
 
 from goniotwin.app.campaign.reduction.components import Estimate, Signal
 from goniotwin.app.campaign.reduction.points import CHANCE, plausible
-from goniotwin.app.campaign.reduction.signals import LATEST_S, DarkReadings, independent_conversions, middle_s, others_volts
+from goniotwin.app.campaign.reduction.signals import LATEST_S, MOST_VALUES, DarkReadings, RowReadings, middle_s, others_volts
 from goniotwin.app.campaign.row import CommittedRow, Reading
 from goniotwin.app.campaign.wording import number_list
 from goniotwin.app.rig import RigFile
@@ -59,10 +59,8 @@ FEW_DEGREES = 20.0
 LEAST_CERTIFIED = 1e-5
 """Least relative uncertainty of a gain."""
 FIT_ROUNDS = 10
-MOST_WAITING = 1024
-"""Rows that wait for a dark reading during a run."""
-MOST_VALUES = 1 << 20
-"""Counts that are in memory together, as numbers of eight bytes, several times."""
+MOST_WAITING = 64
+"""Rows of a run that wait for the next dark reading: some 100 kB. Beyond, they count with the last one alone."""
 NO_CHANGE = -1
 SETTLE = "increase settling_s of [photodiodes] in the rig file, and measure again"
 Tested = tuple[Floats, Floats, Floats]
@@ -108,28 +106,31 @@ class SignalEvidence:
         return flags
 
 
-def add_scatter(current: Estimate, reading: Reading, settings: ConverterDescription, evidence: SignalEvidence) -> Estimate:
+def add_scatter(current: Estimate, readings: RowReadings, settings: ConverterDescription, evidence: SignalEvidence) -> Estimate:
     """Photocurrents with the noise that the lit readings show, beyond what was expected: `noise`, and `lamp` of the row.
 
     Readings that scatter as wildly as by a count that was changed on a wire have the uncertainty that follows from these alone.
     """
-    square, conversions = current.value**2, independent_conversions(reading)
+    square, conversions = current.value**2, readings.conversions
     own = evidence.factor * (current.components["noise"] + evidence.own * square / conversions) + evidence.slow * square
-    if conversions > 1:
-        scatter = reading.counts.var(axis=0, ddof=1) * (settings.range.lsb_v / reading.gain_v_per_a) ** 2 / conversions
-        own = np.where(scatter > WILD * (own + evidence.lamp * square / conversions), scatter, own)
+    if readings.counts.shape[1] > 1:
+        scatter = readings.counts.var(axis=1, ddof=1) * (settings.range.lsb_v / readings.gain_v_per_a) ** 2 / conversions
+        wild = scatter > WILD * (own + evidence.lamp * square / conversions)
+        own = np.where(wild & (conversions > 1), scatter, own)
     widened = replace(current, components={**current.components, "noise": own})
     return widened.with_component("lamp", evidence.lamp * square / conversions)
 
 
-def correct_gain(current: Estimate, reading: Reading, settings: ConverterDescription, evidence: SignalEvidence) -> Estimate:
+def correct_gain(
+    current: Estimate, readings: RowReadings, settings: ConverterDescription, evidence: SignalEvidence
+) -> Estimate:
     """Photocurrents over the gain that the evidence gives in place of the nominal one."""
-    return current.divided(1.0 + evidence.deviation[settings.gains_v_per_a.index(reading.gain_v_per_a)])
+    return current.divided(1.0 + evidence.deviation[settings.gains_v_per_a.index(readings.gain_v_per_a)])
 
 
 def link_gains(signal: Signal, evidence: SignalEvidence) -> Signal:
-    """A row's signal with the variances of its gains' ratios to the others."""
-    return replace(signal, link=evidence.link[np.arange(signal.gain.size), signal.gain])
+    """The signals of rows with the variances of their gains' ratios to the others."""
+    return replace(signal, link=evidence.link[np.arange(signal.gain.shape[1]), signal.gain])
 
 
 def stated(rig: RigFile) -> SignalEvidence:
@@ -501,14 +502,18 @@ class RunningEvidence:
         if row.row.kind in ("measure", "drift") and row.data.readings:
             self._waiting.append(row)
 
-    def renewed(self, dark: Mapping[float, DarkReadings]) -> SignalEvidence:
-        """What all rows so far show, with all dark readings so far."""
+    def count(self, dark: Mapping[float, DarkReadings]) -> EvidenceSums:
+        """Count the rows that wait, with all dark readings so far."""
         if self._sums is None:
             self._sums = EvidenceSums(dark, self._rig)
         self._sums.renew(dark)
         self._sums.add(self._waiting)
         self._waiting = []
-        return self._sums.result()
+        return self._sums
+
+    def renewed(self, dark: Mapping[float, DarkReadings]) -> SignalEvidence:
+        """What all rows so far show, with all dark readings so far."""
+        return self.count(dark).result()
 
     @property
     def full(self) -> bool:
