@@ -14,7 +14,6 @@ from matplotlib.figure import Figure
 
 from goniotwin.app.campaign.geometry.directions import direction_keys, is_lower
 from goniotwin.app.campaign.reduction.components import logarithmic, mostly_added
-from goniotwin.app.campaign.reduction.export import heading
 from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.reduction.reduction import BsdfDataset
 from goniotwin.app.errors import UserError
@@ -220,9 +219,8 @@ def _draw_axes(upper: Axes, lower: Axes, reduced: BsdfDataset, sample: str) -> N
     lower.set_xticks(range(-90, 91, 15))
     upper.set_title(f"{sample}: measurement and theory", loc="left", fontsize=12)
     if reduced.simulated:
-        text = heading(reduced)[-1].split(";")[0]
-        upper.text(1.0, 1.02, text.split(":")[0] + f" (seed {reduced.rig.seed})", transform=upper.transAxes, ha="right",
-                   va="bottom", color="#a93226", weight="bold")  # fmt: skip
+        text = f"SIMULATED (seed {reduced.rig.seed})"
+        upper.text(1.0, 1.02, text, transform=upper.transAxes, ha="right", va="bottom", color="#a93226", weight="bold")
 
 
 def _theoretical_curve(reduced: BsdfDataset, sample: str, sigma: float, angles: Floats) -> Floats:
