@@ -1,5 +1,6 @@
 """Samples of every kind that a rig file can name, measured and reduced like a user's: the values are theirs, within u."""
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -8,17 +9,21 @@ import pytest
 from goniotwin.app.campaign.campaign import run_campaign
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import make_plan
+from goniotwin.app.campaign.reduction.budget import FILLED, INTERPOLATION, budget_of_reflectance, finished_blocks
 from goniotwin.app.campaign.reduction.comparison import deviations_in_u, theoretical_bsdf, true_bsdf
 from goniotwin.app.campaign.reduction.components import COVERAGE
-from goniotwin.app.campaign.reduction.points import BsdfPoints
-from goniotwin.app.campaign.reduction.reduction import BsdfDataset, reduce_journal
+from goniotwin.app.campaign.reduction.effects_of_points import effects_of
+from goniotwin.app.campaign.reduction.points import BsdfPoints, join_points
+from goniotwin.app.campaign.reduction.reduction import BsdfDataset, Reduction, reduce_journal
+from goniotwin.app.campaign.reduction.reflectance import integration_settings, quadrature
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.formats import BsdfTable
 from goniotwin.app.formats.ddr import write as write_ddr
 from goniotwin.app.rig import read_rig
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics import anisotropic_gaussian, evaluate, from_specular, light_direction
-from tests.conftest import Change, Writer
+from goniotwin.twin.plant import TwinModel
+from tests.conftest import RIG, SMALL, Change, Writer, changed
 
 HEAD = "[twin.samples.etalon]"
 SAMPLES = """[twin.samples.brushed]
@@ -76,14 +81,24 @@ def usable(points: BsdfPoints) -> BsdfPoints:
     return points.where(points.good & ~points.flag("field") & ~points.flag("steep"))
 
 
-def test_every_kind_of_sample_is_measured_within_its_uncertainty(
-    write_rig: Writer, write_schedule: Writer, tmp_path: Path
-) -> None:
-    write_turned(tmp_path / "turned.ddr")
-    rig = write_rig((HEAD, SAMPLES))
+@pytest.fixture(scope="module")
+def kinds(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, TwinModel]:
+    """The journal of a campaign of all kinds, and the model of its rig."""
+    folder = tmp_path_factory.mktemp("kinds")
+    write_turned(folder / "turned.ddr")
+    rig, schedule = folder / "rig.toml", folder / "schedule.toml"
+    rig.write_text(changed(RIG.read_text(encoding="utf-8"), ((HEAD, SAMPLES),)), encoding="utf-8")
+    schedule.write_text(changed(SMALL, POSES), encoding="utf-8")
     model = read_rig(rig).model()
     assert model is not None
-    reduced = measure(rig, write_schedule(*POSES), tmp_path / "kinds.journal")
+    run_campaign(make_plan(read_schedule(schedule), read_rig(rig)), folder / "kinds.journal")
+    return folder / "kinds.journal", model
+
+
+def test_every_kind_of_sample_is_measured_within_its_uncertainty(kinds: tuple[Path, TwinModel]) -> None:
+    path, model = kinds
+    with Journal.open(path) as journal:
+        reduced = reduce_journal(journal)
     assert set(reduced.samples) == {"brushed", "rough", "tails", "turned"}
     every = []
     for name, measured in reduced.samples.items():
@@ -93,11 +108,45 @@ def test_every_kind_of_sample_is_measured_within_its_uncertainty(
         assert np.abs(z).max() < 5.0, name
         every.append(z)
         if name != "tails":
-            one, other = (points.where((points.gamma_deg == gamma) & (points.wavelength_nm == 500.0)) for gamma in (0.0, 40.0))
-            peaks = [float(np.max(each.bsdf)) for each in (one, other)]
-            assert abs(peaks[0] / peaks[1] - 1.0) > 0.01 or one.bsdf != pytest.approx(other.bsdf, rel=0.1)
+            at = [measured.where((measured.gamma_deg == gamma) & (measured.wavelength_nm == 500.0)) for gamma in (0.0, 40.0)]
+            one, other = at
+            both = one.good & other.good & (one.zenith_deg == other.zenith_deg)
+            apart = np.abs(one.bsdf - other.bsdf)[both] / np.hypot(one.u_bsdf, other.u_bsdf)[both]
+            assert apart.max() > 3.0, name
     inside = np.abs(np.concatenate(every)) <= COVERAGE
     assert inside.mean() > 0.95 - 3.0 * np.sqrt(0.95 * 0.05 / inside.size)
+
+
+def test_components_of_values_and_of_integrals_square_and_sum_to_u_squared(kinds: tuple[Path, TwinModel]) -> None:
+    """Of all values of several samples by the named inputs, and of their integrals by the covariance of all values."""
+    with Journal.open(kinds[0]) as journal:
+        reduction = Reduction(journal)
+        for name in reduction.schedule.samples:
+            points = join_points(list(finished_blocks(reduction, name)))
+            good = points.where(points.good)
+            effects = effects_of(good, reduction.settings)
+            total = np.sum(list(effects.variances().values()), axis=0)
+            assert np.abs(total / good.u_bsdf**2 - 1.0).max() < 1e-12, name
+            for k in (0, good.size // 2, int(np.argmax(good.bsdf))):
+                squares = math.fsum(each.u**2 for each in effects.budget(k))
+                assert squares == pytest.approx(float(good.u_bsdf[k]) ** 2, rel=1e-12), name
+            for setting in list(integration_settings(points))[:1]:
+                here = points.where(setting.index)
+                weight = quadrature(here, "anisotropic").weight
+                used = np.flatnonzero(weight != 0.0)
+                matrix = effects_of(here.where(used), reduction.settings).covariance(np.arange(used.size), np.arange(used.size))
+                found = budget_of_reflectance(
+                    reduction,
+                    {
+                        "sample": name,
+                        "wavelength": setting.wavelength_nm,
+                        "sigma": setting.sigma_deg,
+                        "gamma": setting.gamma_deg,
+                    },
+                )
+                of_values = math.fsum(each.u**2 for each in found.components if each.name not in (INTERPOLATION, FILLED))
+                assert of_values == pytest.approx(float(weight[used] @ matrix @ weight[used]), rel=1e-12), name
+                assert math.fsum(each.u**2 for each in found.components) == pytest.approx(found.u**2, rel=1e-12)
 
 
 # ---- the band of the light ----
