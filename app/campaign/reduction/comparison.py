@@ -85,7 +85,7 @@ def with_true_slopes(scatterer: Scatterer, points: BsdfPoints) -> BsdfPoints:
 
 
 def moved_logarithm(scatterer: Scatterer, points: BsdfPoints, along: Floats | float, across: Floats | float) -> Floats:
-    """Logarithm (n,) of a model's BSDF, at directions that are turned from the points' ones, in deg along the arc and across."""
+    """Logarithm (n,) of a model's BSDF where the points' directions are turned, by deg along the arc and across it."""
     polar = points.zenith_deg * (np.pi / 180.0)
     azimuth = np.radians(points.azimuth_deg)
     level = np.stack([-np.sin(azimuth), np.cos(azimuth), np.zeros(azimuth.size)], axis=1)
