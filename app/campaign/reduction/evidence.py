@@ -59,8 +59,8 @@ FEW_DEGREES = 20.0
 LEAST_CERTIFIED = 1e-5
 """Least relative uncertainty of a gain."""
 FIT_ROUNDS = 10
-MOST_WAITING = 1024
-"""Rows that wait for a dark reading during a run."""
+MOST_WAITING = 32
+"""Rows of a run that wait for the next dark reading: some 30 kB. Beyond, they count with the last one alone."""
 NO_CHANGE = -1
 SETTLE = "increase settling_s of [photodiodes] in the rig file, and measure again"
 Tested = tuple[Floats, Floats, Floats]
@@ -508,16 +508,20 @@ class RunningEvidence:
     def add(self, row: CommittedRow) -> None:
         """Add a row; the last rows wait for a dark reading after them."""
         if row.row.kind in ("measure", "drift") and row.data.readings:
-            self._waiting.append(row)
+            self._waiting.append(replace(row, data=replace(row.data, positions=None)))
 
-    def renewed(self, dark: Mapping[float, DarkReadings]) -> SignalEvidence:
-        """What all rows so far show, with all dark readings so far."""
+    def count(self, dark: Mapping[float, DarkReadings]) -> EvidenceSums:
+        """Count the rows that wait, with all dark readings so far."""
         if self._sums is None:
             self._sums = EvidenceSums(dark, self._rig)
         self._sums.renew(dark)
         self._sums.add(self._waiting)
         self._waiting = []
-        return self._sums.result()
+        return self._sums
+
+    def renewed(self, dark: Mapping[float, DarkReadings]) -> SignalEvidence:
+        """What all rows so far show, with all dark readings so far."""
+        return self.count(dark).result()
 
     @property
     def full(self) -> bool:

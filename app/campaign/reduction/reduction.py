@@ -344,12 +344,7 @@ def reduction_settings(
     Without a certificate it is the rig file's. `measured` is the day of the measurement, today if it is missing; where a
     certificate has no date of calibration, this was a year before. Raises UserError.
     """
-    etalon = rig.etalon
-    parsed = (
-        constant_certificate(etalon.radiance_factor, etalon.relative_uncertainty)
-        if certificate is None
-        else parse_certificate(certificate, name)
-    )
+    parsed = constant_certificate(rig.etalon) if certificate is None else parse_certificate(certificate, name)
     years = parsed.years(measured or date.fromisoformat(calendar_stamp()[:10]))
     return ReductionSettings(rig, ArcGeometry(rig), schedule, parsed, etalon_years=ASSUMED_YEARS if years is None else years)
 

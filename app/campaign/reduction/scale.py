@@ -17,9 +17,10 @@ from goniotwin.app.campaign.reduction.etalon import ReductionSettings
 from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.reduction.polarisation import light_state
 from goniotwin.app.campaign.reduction.spectrum import bandwidth_effects, stray_effects, wavelength_effects
-from goniotwin.app.campaign.schedule.certificate import Certificate, known_angles
+from goniotwin.app.campaign.schedule.certificate import Certificate
 from goniotwin.app.campaign.uncertainty.effects import Dense, Effects, Group
 from goniotwin.app.campaign.uncertainty.inputs import Input
+from goniotwin.app.rig.file import known_angles
 from goniotwin.arrays import Floats, Ints
 from goniotwin.twin.optics.geometry.coordinates import HALF_TURN_DEG, round_deg
 
