@@ -106,6 +106,7 @@ class ReductionSettings:
     standard uncertainty that the repeats of the campaign show, None where there are too few of them.
     `absolute` has, by wavelength, incidence and whether the arc is the lower one, the ratio of the open beam's scale to that of
     the certificate, and the relative standard uncertainty of the former; where it has one, it scales transmitted light.
+    `doubted`: the scan of the open beam contradicts the etalon's scale.
     """
 
     rig: RigFile
@@ -118,6 +119,7 @@ class ReductionSettings:
     etalon_years: float = 1.0
     repeatability: float | None = None
     absolute: Mapping[tuple[float, float, bool], tuple[float, float]] = field(default_factory=dict)
+    doubted: bool = False
 
     @property
     def calibrates(self) -> bool:
@@ -351,17 +353,19 @@ def apply_certificate(data: ArcRows, settings: ReductionSettings) -> ArcRows:
     factor, _ = settings.certificate.interpolate(
         wavelength_nm, data.incidence_deg, data.column("polar"), data.column("azimuth")
     )
-    bsdf = data.estimate.scaled(factor / math.pi)
-    return replace(data, estimate=bsdf.scaled(_absolute_scale(data, settings))).flagged({"uncertified": np.isnan(factor)})
+    ratio = _absolute_scale(data, settings)
+    bsdf = data.estimate.scaled(factor / math.pi).scaled(np.where(np.isnan(ratio), 1.0, ratio))
+    flags = {"uncertified": np.isnan(factor), "scale": np.broadcast_to(settings.doubted & np.isnan(ratio), factor.shape)}
+    return replace(data, estimate=bsdf).flagged(flags)
 
 
 def _absolute_scale(data: ArcRows, settings: ReductionSettings) -> Floats:
-    """Ratio of the open beam's scale to the certificate's (rows, 1); 1 where the certificate holds."""
-    ratio = np.ones((len(data.rows), 1))
+    """Ratio of the open beam's scale to the certificate's (rows, 1); NaN where the certificate holds."""
+    ratio = np.full((len(data.rows), 1), np.nan)
     for k, (row, view) in enumerate(zip(data.rows, data.views, strict=True) if settings.absolute else ()):
         if view.transmitted:
             wavelength, sigma = round_deg([row.wavelength_nm or 0.0, data.incidence_deg[k, 0]]).tolist()
-            ratio[k], _ = settings.absolute.get((wavelength, sigma, not view.back), (1.0, 0.0))
+            ratio[k], _ = settings.absolute.get((wavelength, sigma, not view.back), (math.nan, 0.0))
     return ratio
 
 

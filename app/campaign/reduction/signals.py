@@ -173,11 +173,16 @@ def subtract_dark(readings: RowReadings, dark: DarkReadings, settings: Converter
 
 def add_crosstalk(volts: Estimate, readings: RowReadings, settings: ConverterDescription, u_crosstalk: float) -> Estimate:
     """The voltages with the component `crosstalk`: a share of what the module's other channels have, all with one sign."""
-    held = np.where(readings.saturated(settings), BEYOND_RANGE * volts.value, volts.value)
+    others = others_volts(volts.value, readings.saturated(settings), settings)
+    return volts.with_component("crosstalk", (u_crosstalk * others) ** 2)
+
+
+def others_volts(volts: Floats, clipped: Flags, settings: ConverterDescription) -> Floats:
+    """The voltages (..., photodiodes) of the other channels of each one's module together; saturated ones count as more."""
+    held = np.where(clipped, BEYOND_RANGE * volts, volts)
     first = np.arange(0, settings.count, settings.module_channels)
     sizes = np.diff(np.append(first, settings.count))
-    others = np.repeat(np.add.reduceat(held, first, axis=1), sizes, axis=1) - held
-    return volts.with_component("crosstalk", (u_crosstalk * others) ** 2)
+    return np.asarray(np.repeat(np.add.reduceat(held, first, axis=-1), sizes, axis=-1) - held)
 
 
 def convert_to_photocurrent(volts: Estimate, readings: RowReadings, settings: ConverterDescription) -> Estimate:
