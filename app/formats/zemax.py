@@ -76,7 +76,8 @@ def read(path: Path) -> BsdfTable:
     """Read a .bsdf file with one sample rotation. Raises FormatError."""
     table = read_zemax(path)
     if (count := table.sample_rotation_deg.size) != 1:
-        raise FormatError(path, f"it has {count} sample rotations", "give a table with exactly one")
+        wrong = f"it has {count} sample rotations, and the format does not state which way the sample is turned"
+        raise FormatError(path, wrong, "give a table with one of them, or a .ddr of four dimensions")
     return BsdfTable(
         sigma_deg=table.incidence_deg,
         phi_deg=table.azimuth_deg,

@@ -4,8 +4,10 @@ The operator's part has the addresses of the devices and their nominal propertie
 `[twin]` is the description of a virtual rig: see `twin_file`.
 """
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, make_dataclass, replace
+from datetime import date
 from functools import cache
 from types import GenericAlias
 from typing import Annotated, Any, Literal, Union, get_args, get_type_hints
@@ -49,6 +51,10 @@ OWN_CONTROLLER = "An axis with a motion controller of its own: its `kind` and `p
 HIGHEST_RADIANCE_FACTOR, HIGHEST_NEAR_GRAZING = 1.5, 5.0
 """The ideal diffuser has 1 in every direction; a broad lobe has somewhat more, and a lobe near grazing much more."""
 NEAR_GRAZING_DEG = 60.0
+GEOMETRY = re.compile(r"(d[ie]?|h|\d+(?:\.\d+)?):(d[ie]?|h|\d+(?:\.\d+)?)")
+"""Illumination and observation: an angle from the normal in degrees, or diffuse (d, di, de) or hemispherical (h)."""
+SHAPE = 0.03
+"""Relative standard uncertainty of an etalon's deviation from the ideal diffuser, at the normal; assumed."""
 NO_TABLE = Annotated[dict[str, Any], WithJsonSchema({"not": {}})]
 """A table of which there is no kind."""
 
@@ -181,14 +187,38 @@ def refuse_percentage(radiance_factor: float, zenith_deg: float = 0.0) -> None:
         )
 
 
+def known_angles(geometry: str) -> list[float]:
+    """The angles from the normal, in degrees, in which a geometry such as 8:d has light: those of its sides that are not d."""
+    return [float(each) for each in geometry.split(":") if not each.startswith(("d", "h"))]
+
+
+def check_geometry(value: str | None) -> None:
+    """Raise ValueError for what is no geometry of a measurement, such as 8:d."""
+    if value is not None and (not GEOMETRY.fullmatch(value) or any(each >= 90.0 for each in known_angles(value))):
+        raise ValueError(
+            f'{value!r} is no geometry: give illumination and observation, each an angle below 90 or d, as in "8:d"'
+        )
+
+
 @dataclass(frozen=True)
 class EtalonTable:
-    """The etalon's certificate: `radiance_factor` (1 is the ideal diffuser) and its `relative_uncertainty` (standard)."""
+    """The etalon's certificate: `radiance_factor` (1 is the ideal diffuser) and its `relative_uncertainty` (standard).
+
+    `geometry` is that of its measurement, such as "8:d": the value is then taken for all directions, and `shape` is the
+    uncertainty of the etalon's deviation from the ideal diffuser, at the normal. `calibrated` is the day of the calibration.
+    """
 
     radiance_factor: Positive = 1.0
     relative_uncertainty: Fraction = 0.0
+    geometry: str | None = None
+    shape: Fraction = SHAPE
+    calibrated: date | None = None
 
     def __post_init__(self) -> None:
+        try:
+            check_geometry(self.geometry)
+        except ValueError as error:
+            raise ValueError(f"geometry: {error}") from None
         try:
             refuse_percentage(self.radiance_factor)
         except ValueError as error:

@@ -6,8 +6,8 @@ The result is small, whatever the campaign: sums by cell. Nothing of the truth i
 import itertools
 import math
 import re
-from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +17,17 @@ from goniotwin.app.campaign.geometry.directions import polar_from_zenith
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.reduction.budget import finished_blocks
-from goniotwin.app.campaign.reduction.comparison import deviations_in_u, noisy, true_bsdf, with_true_slopes
+from goniotwin.app.campaign.reduction.comparison import (
+    deviations_in_u,
+    moved_logarithm,
+    noisy,
+    relative_residuals,
+    true_bsdf,
+    with_true_slopes,
+)
 from goniotwin.app.campaign.reduction.components import COVERAGE
-from goniotwin.app.campaign.reduction.effects_of_points import effects_of
+from goniotwin.app.campaign.reduction.effects_of_points import angles, effects_of
+from goniotwin.app.campaign.reduction.etalon import ReductionSettings
 from goniotwin.app.campaign.reduction.points import BsdfPoints, join_points
 from goniotwin.app.campaign.reduction.reduction import Reduction
 from goniotwin.app.campaign.reduction.reflectance import components_of_sum, integration_settings, quadrature
@@ -36,6 +44,10 @@ MOST_LISTED = 20
 """Points beyond FAR_U whose places are listed, of one rig."""
 MOST_FITTED = 4000
 """Values in one fit: of more, each wavelength is fitted by itself, then each sigma. The law holds for each."""
+OF_ANGLES = frozenset({"second_order", "slope_unresolved"})
+"""Components that state the effect of unknown angles where slopes are too little of it: the fitted angles have it."""
+SECOND_ORDER_STEPS = 2
+"""Fits with the second order of the angles of the fit before."""
 DECADES = 6
 ZENITHS_DEG = (15.0, 30.0, 45.0, 60.0, 75.0, 90.0)
 STEEP, SLOPE, NO_SLOPE = "steep", "with a slope", "without a slope"
@@ -94,11 +106,11 @@ class RigResult:
         cells = {
             table: {label: Cell(**cell) for label, cell in labels.items()} for table, labels in content.pop("cells").items()
         }
-        pairs = {
-            name: {key: (float(a), float(b)) for key, (a, b) in content.pop(name).items()}
+        inputs, angles, reflectances = (
+            {key: (float(a), float(b)) for key, (a, b) in content.pop(name).items()}
             for name in ("inputs", "angles", "reflectances")
-        }
-        return cls(cells=cells, **pairs, **content)
+        )
+        return cls(cells=cells, inputs=inputs, angles=angles, reflectances=reflectances, **content)
 
 
 def judge(journal: Path, plan: Plan) -> RigResult:
@@ -157,10 +169,8 @@ def _add_sample(
     known = np.flatnonzero(~steep)
     for part in _parts(points_of.where(known)):
         at = known[part]
-        # With the true slopes: what is left of the measured ones' errors, times an angle, is no independent error.
         fitted = with_true_slopes(scatterer, points_of.where(at))
-        effects = effects_of(fitted, reduction.settings)
-        fit = fit_inputs(effects, relative_residuals(fitted, truth_of[at]))
+        effects, fit = _fit(scatterer, fitted, truth_of[at], reduction.settings)
         chi_square[at], freedom[at] = fit.chi_square, fit.expected
         _add_inputs(result, fit)
         if name not in result.angles and (angles := _in_plane_angles(fitted, effects, fit, drawn)) is not None:
@@ -196,12 +206,49 @@ def _parts(points: BsdfPoints) -> Iterator[Any]:
     return iter(parts)
 
 
-def relative_residuals(points: BsdfPoints, truth: Floats) -> Floats:
-    """Relative deviations (n,) from the truth, of the logarithm where a value is not for the most part noise."""
-    value = np.where(points.bsdf == 0.0, 1.0, points.bsdf)  # as in effects_of
-    clear = (value > 0.0) & (truth > 0.0) & ~noisy(points)
-    ratio = np.where(clear, value, 1.0) / np.where(clear, truth, 1.0)
-    return np.where(clear, np.log(ratio), (points.bsdf - truth) / value)
+def _fit(scatterer: Scatterer, points: BsdfPoints, truth: Floats, settings: ReductionSettings) -> tuple[Effects, Fit]:
+    """The effects of all inputs, by the true slopes, and the shared inputs as fitted to the deviations from the truth.
+
+    With the true slopes what is left of the measured ones' errors, times an angle, is no independent error; nor is the second
+    order of the fitted angles, which follows from them.
+    """
+    effects = effects_of(points, settings)
+    own = {name: variance for name, variance in effects.independent.items() if name not in OF_ANGLES}
+    effects = replace(effects, independent=own)
+    residual = relative_residuals(points, truth)
+    fit = fit_inputs(effects, residual)
+    none = np.zeros(points.size)
+    by_slopes = [
+        angles(replace(points, slope_along=none + along, slope_across=none + across), settings)
+        for along, across in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0))
+    ]
+    for _ in range(SECOND_ORDER_STEPS):
+        estimate = dict(zip((each.name for each in fit.inputs), fit.estimate.tolist(), strict=True))
+        diffuse, *moved = (effect_of(each, estimate) for each in by_slopes)
+        along, across = (each - diffuse for each in moved)
+        fit = fit_inputs(effects, residual - _second_order(scatterer, points, truth, along, across))
+    return effects, fit
+
+
+def _second_order(scatterer: Scatterer, points: BsdfPoints, truth: Floats, along: Floats, across: Floats) -> Floats:
+    """What angles (n,), in deg, change in the values (n,) beyond the first order; relative."""
+    change = moved_logarithm(scatterer, points, along, across) - moved_logarithm(scatterer, points, 0.0, 0.0)
+    noise = noisy(points)
+    share = np.where(noise, truth / np.where(points.bsdf == 0.0, 1.0, points.bsdf), 1.0)
+    change = np.where(noise, share * np.expm1(np.minimum(change, 1.0)), change)
+    return np.asarray(change - points.slope_along * along - points.slope_across * across)
+
+
+def effect_of(effects: Effects, inputs: Mapping[str, float]) -> Floats:
+    """The relative change (n,) of values by the errors of inputs, by name."""
+    total = np.zeros(effects.value.size)
+    for part in effects.dense:
+        total += part.sensitivity @ np.array([inputs.get(each.name, 0.0) for each in part.inputs])
+    for group in effects.groups:
+        numbers, place = np.unique(group.member, return_inverse=True)
+        error = np.array([inputs.get(group.inputs[k].name, 0.0) if k >= 0 else 0.0 for k in numbers.tolist()])
+        total += np.sum(group.sensitivity * error[place.reshape(group.member.shape)], axis=1)
+    return total
 
 
 def cell_labels(name: str, points: BsdfPoints, truth: Floats) -> dict[str, Any]:

@@ -22,6 +22,7 @@ import numpy as np
 
 from goniotwin.app.campaign.geometry.open_beam import LEAST_SIGMA_DEG, BeamScan, beam_scans, scan_wavelength_nm
 from goniotwin.app.campaign.reduction.components import Signal, total_variance
+from goniotwin.app.campaign.reduction.effects_of_points import gain_input
 from goniotwin.app.campaign.reduction.etalon import ReductionSettings, RowSignal, pose_key
 from goniotwin.app.campaign.reduction.readings import Measurements, ReferenceMeasurements
 from goniotwin.app.campaign.reduction.signals import LIGHT
@@ -30,7 +31,7 @@ from goniotwin.app.campaign.schedule.grids import grid_values
 from goniotwin.app.campaign.uncertainty.effects import Component
 from goniotwin.app.campaign.uncertainty.field import directions_covariance
 from goniotwin.app.campaign.uncertainty.inputs import Input
-from goniotwin.app.campaign.uncertainty.pose import POSITIONS
+from goniotwin.app.campaign.uncertainty.pose import POSITIONS, mounting_inputs, photodiode_inputs, position_input, rig_inputs
 from goniotwin.app.campaign.uncertainty.slopes import Directions
 from goniotwin.app.rig import RigFile, nominal_instrument
 from goniotwin.arrays import Floats, Ints
@@ -293,15 +294,9 @@ class ClosureReport:
         }
 
     @property
-    def alarms(self) -> list[str]:
-        """What could not be compared, and the comparisons that do not agree, as warnings."""
-        apart = [each for each in self.closures if abs(each.z) > DIFFERS]
-        return [
-            *(f"no closure: {each}" for each in self.missing),
-            *(f"closure at sigma {each.beam.scan.at_deg:g} deg, {each.wavelength_nm:g} nm: {each.verdict}" for each in apart),
-            *([f"closure of {self.together}: they do NOT agree"] if self._apart_together else []),
-            *([str(self.field)] if self.field is not None and abs(self.field.z) > AGREES else []),
-        ]
+    def apart(self) -> list[Closure]:
+        """The closures that certainly do not agree."""
+        return [each for each in self.closures if abs(each.z) > DIFFERS]
 
     @property
     def together(self) -> JointClosure | None:
@@ -309,13 +304,26 @@ class ClosureReport:
         return JointClosure.of(self.closures)
 
     @property
+    def contradicts_etalon(self) -> bool:
+        """Whether a comparison shows that the etalon's scale, or that of the open beam, is certainly wrong."""
+        return bool(self.apart) or self._apart_together
+
+    @property
     def _apart_together(self) -> bool:
         return self.together is not None and abs(self.together.z) > DIFFERS
 
     @property
-    def contradicts_etalon(self) -> bool:
-        """Whether a comparison shows that the etalon's scale, or that of the open beam, is certainly wrong."""
-        return self._apart_together or any(abs(each.z) > DIFFERS for each in self.closures)
+    def alarms(self) -> list[str]:
+        """What could not be compared, and the comparisons that do not agree, as warnings."""
+        return [
+            *(f"no closure: {each}" for each in self.missing),
+            *(
+                f"closure at sigma {each.beam.scan.at_deg:g} deg, {each.wavelength_nm:g} nm: {each.verdict}"
+                for each in self.apart
+            ),
+            *([f"closure of {self.together}: they do NOT agree"] if self._apart_together else []),
+            *([str(self.field)] if self.field is not None and abs(self.field.z) > AGREES else []),
+        ]
 
     @property
     def verdict(self) -> str:
@@ -538,7 +546,7 @@ def moment_deg2(scan: BeamScan, instrument: Instrument) -> Floats:
     )  # fmt: skip
     sigma = np.radians(scan.poses[scan.middle, 1]) * one
     along, across, both = directions_covariance(instrument, place, sigma, np.ones(1, dtype=bool))[0].tolist()
-    return np.degrees(np.degrees(np.array([[along, both], [both, across]])))
+    return np.array([[along, both], [both, across]]) * math.degrees(1.0) ** 2
 
 
 def scanned_field(beams: Sequence[ScannedBeam], rig: RigFile) -> ScannedField | None:
@@ -608,35 +616,34 @@ class PoseInput:
 def pose_inputs(scan: BeamScan, rig: RigFile) -> list[PoseInput]:
     """The inputs of the pose in the plane of incidence; out of it all have no effect to first order.
 
-    A tilt towards growing sigma, or towards growing polar angle of the arc, is positive.
+    They are those of the values' budgets, of the same names and signs.
     """
     sigma = math.radians(scan.at_deg)
     per_deg = math.radians(1.0)
     tangent, cotangent = math.tan(sigma) * per_deg, per_deg / math.tan(sigma)
     side = 1.0 if scan.arc == "upper" else -1.0  # the unit and the arc turn the other way about the lower arc's pole
-    light = [(f"mirror_{k}_tilt", lever, "mirror_tilt_deg") for k, lever in enumerate(MIRROR_LEVERS, 1)]
-    light.append(("sigma_zero", 1.0, "sigma_zero_deg"))
-    found = [
-        PoseInput(_degrees(name, key, "all rows", rig), -2.0 * side * lever * tangent, -side * lever)
-        for name, lever, key in light
-    ]
-    found.append(PoseInput(_degrees("arc_tilt_y", "arc_tilt_deg", "all rows", rig), -side * tangent, -side))
-    for name, key, shared in (
-        ("shift_zero", "shift_zero_deg", "all rows"),
-        (f"photodiode_angle[{scan.photodiode}]", "photodiode_angle_deg", "all rows of a photodiode"),
-        ("sensor_tilt", "sensor_tilt_deg", "all rows"),
-    ):
-        found.append(PoseInput(_degrees(name, key, shared, rig), cotangent - tangent, -1.0))
-    # The empty holder's hole cuts the beam out, tilted as a sample is.
-    found.append(PoseInput(_degrees("sample_tilt_y@nothing", "sample_tilt_deg", "this mounting", rig), side * tangent, 0.0))
-    # sigma, and for the etalon the shift, arrive anew.
-    for name, of_value, of_centroid in (
-        ("position@etalon sigma", -side * tangent, 0.0),
-        ("position@etalon shift", -tangent, 0.0),
-        ("position@open beam sigma", -side * tangent, -side),
-    ):
-        found.append(PoseInput(_degrees(name, "position_deg", "one move", rig), of_value, of_centroid))
-    return found
+    levers = {f"mirror_{k}_tilt_y": lever for k, lever in enumerate(MIRROR_LEVERS, 1)}
+    of_light = {name: (-2.0 * side * lever * tangent, -side * lever) for name, lever in {**levers, "sigma_zero": 1.0}.items()}
+    of_arc = dict.fromkeys(("shift_zero", f"photodiode_angle[{scan.photodiode}]", "sensor_tilt_y"), (cotangent - tangent, -1.0))
+    effects = {
+        **of_light,
+        "arc_tilt_y": (side * tangent, side),  # about y the arc turns towards smaller polar angles
+        **of_arc,
+        # The empty holder's hole cuts the beam out, tilted as a sample is.
+        "sample_tilt_y@nothing": (side * tangent, 0.0),
+        # sigma, and for the etalon the shift, arrive anew.
+        "position@sigma#etalon": (-side * tangent, 0.0),
+        "position@shift#etalon": (-tangent, 0.0),
+        "position@sigma#open beam": (-side * tangent, -side),
+    }
+    table = rig.uncertainty
+    moves = (("sigma", "etalon"), ("shift", "etalon"), ("sigma", "open beam"))
+    named = [
+        *rig_inputs(table), *photodiode_inputs(table, scan.photodiode), *mounting_inputs(table, "sample", "nothing"),
+        *(position_input(table, axis, move) for axis, move in moves),
+    ]  # fmt: skip
+    inputs = {each.name: each for each in named}
+    return [PoseInput(inputs[name], *effect) for name, effect in effects.items()]
 
 
 def pose_effects(scan: BeamScan, rig: RigFile, centroid_deg: float) -> tuple[list[Component], float]:
@@ -673,25 +680,21 @@ def _scan_positions(
         squares = float(np.sum(np.bincount(which.ravel(), weights=parts[:, k]) ** 2))
         if middle is not None:  # the middle pose is reached once more
             squares += 2.0 * float(slopes[scan.middle, k] / scanned.value[scan.middle]) ** 2
-        stop = _degrees(f"position@scan {axis}", "position_deg", "the poses of the scan between two moves", rig)
+        stop = position_input(rig.uncertainty, axis, "scan")
         yield Component(stop.name, math.sqrt(squares) * stop.u, math.sqrt(squares), stop)
 
 
 def _gain_effects(
     beam: ScannedBeam, scanned: Signal, middle: Signal | None, etalon: Signal, rig: RigFile
 ) -> Iterator[Component]:
-    """The ratios of neighbouring gains between those of the open beam and that of the etalon."""
-    settings = rig.photodiodes
-    for step in range(len(settings.gains_v_per_a) - 1):
-        above = float(beam.share @ (scanned.gain > step)) - float(etalon.gain[0] > step)
+    """The gains at which the open beam and the etalon are read: what both have of one cancels."""
+    for index in range(len(rig.photodiodes.gains_v_per_a)):
+        share = float(beam.share @ (scanned.gain == index)) - float(etalon.gain[0] == index)
         if middle is not None:
-            above += float(middle.gain[0] > step) - float(scanned.gain[beam.scan.middle] > step)
-        if above:
-            ratio = Input(
-                f"gain_ratio[{beam.scan.photodiode},{step}]", "1", settings.gain_uncertainty, "normal",
-                "all rows of a photodiode", "rig file, photodiodes.gain_uncertainty", "electronics.gain_spread",
-            )  # fmt: skip
-            yield Component(ratio.name, abs(above) * ratio.u, above, ratio)
+            share += float(middle.gain[0] == index) - float(scanned.gain[beam.scan.middle] == index)
+        if share:
+            own = gain_input(beam.scan.photodiode, index, rig)
+            yield Component(own.name, abs(share) * own.u, share, own)
 
 
 def _noise(
@@ -725,15 +728,9 @@ def _relative(name: str, sensitivity: float, rig: RigFile, key: str, shared: str
     """A component of a relative input of the rig file."""
     table = rig.uncertainty
     given = Input(
-        name, "1", table.standard(key), table.distribution(key), shared, f"rig file, uncertainty.{key}", f"disturbances.{key}"
+        name, "1", table.standard(key), table.distribution(key), shared, f"[uncertainty] {key}", f"disturbances.{key}"
     )
     return Component(name, abs(sensitivity) * given.u, sensitivity, given)
-
-
-def _degrees(name: str, key: str, shared: str, rig: RigFile) -> Input:
-    table = rig.uncertainty
-    source, twin = f"rig file, uncertainty.{key}", f"disturbances.{key}"
-    return Input(name, "deg", table.standard(key), table.distribution(key), shared, source, twin)
 
 
 def _of_photodiode(rows: Sequence[RowSignal], photodiode: int) -> Signal:

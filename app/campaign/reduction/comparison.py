@@ -6,15 +6,12 @@ Only this file uses the theory. Measurement and reduction do not.
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from goniotwin.app.campaign.geometry.directions import direction_keys, is_lower
-from goniotwin.app.campaign.reduction.components import LOGARITHMIC, total_variance
-from goniotwin.app.campaign.reduction.export import heading
+from goniotwin.app.campaign.reduction.components import logarithmic, mostly_added
 from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.reduction.reduction import BsdfDataset
 from goniotwin.app.errors import UserError
@@ -32,11 +29,12 @@ from goniotwin.twin.optics.geometry.coordinates import (
     zenith_and_azimuth,
 )
 
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
 COLOURS = ("#c0392b", "#b7950b", "#1e8449", "#1f618d", "#6c3483", "#616a6b")
 
 SLOPE_STEP_DEG = 0.01
-ADDED = frozenset({"noise", "resolution", "ray_tracing", "dark", "crosstalk", "signature"})
-"""Components that do not grow with the value."""
 
 
 @dataclass(frozen=True)
@@ -71,42 +69,55 @@ def true_bsdf(scatterer: Scatterer, points: BsdfPoints) -> Floats:
 
 
 def with_true_slopes(scatterer: Scatterer, points: BsdfPoints) -> BsdfPoints:
-    """The points with the slopes of a model at their nominal directions, where they are not for the most part noise."""
+    """The points with the slopes of a model at their nominal directions.
+
+    Of a value that is for the most part noise the slope is that of the truth over the value: what an angle adds to it.
+    """
+    truth = true_bsdf(scatterer, points)
+    share = np.where(noisy(points), truth / np.where(points.bsdf == 0.0, 1.0, points.bsdf), 1.0)
+    slopes = []
+    for turn in ((SLOPE_STEP_DEG, 0.0), (0.0, SLOPE_STEP_DEG)):
+        ahead, behind = (moved_logarithm(scatterer, points, *(sign * np.array(turn))) for sign in (1.0, -1.0))
+        slopes.append(share * (ahead - behind) / (2.0 * SLOPE_STEP_DEG))
+    return replace(points, slope_along=slopes[0], slope_across=slopes[1])
+
+
+def moved_logarithm(scatterer: Scatterer, points: BsdfPoints, along: Floats | float, across: Floats | float) -> Floats:
+    """Logarithm (n,) of a model's BSDF at the points' directions, turned by so many degrees along the arc and across it."""
     polar = points.zenith_deg * (np.pi / 180.0)
     azimuth = np.radians(points.azimuth_deg)
     level = np.stack([-np.sin(azimuth), np.cos(azimuth), np.zeros(azimuth.size)], axis=1)
     ahead = np.stack([np.cos(polar) * level[:, 1], -np.cos(polar) * level[:, 0], -np.sin(polar)], axis=1)
-    up = np.where(is_lower(points.zenith_deg), -1.0, 1.0)[:, None]
-    direction = arc_direction(points.zenith_deg, points.azimuth_deg)
-    slopes = []
-    for turn in (up * ahead, up * level):
-        logarithms = []
-        for sign in (-1.0, 1.0):
-            zenith, around = zenith_and_azimuth(direction + sign * np.radians(SLOPE_STEP_DEG) * turn)
-            moved = true_bsdf(scatterer, replace(points, zenith_deg=zenith, azimuth_deg=around))
-            logarithms.append(np.log(np.maximum(moved, np.finfo(float).tiny)))
-        slope = (logarithms[1] - logarithms[0]) / (2.0 * SLOPE_STEP_DEG)
-        slopes.append(np.where(noisy(points), np.nan, slope))
-    return replace(points, slope_along=slopes[0], slope_across=slopes[1])
+    up = np.where(is_lower(points.zenith_deg), -1.0, 1.0)
+    turn = (up * np.radians(along))[:, None] * ahead + (up * np.radians(across))[:, None] * level
+    zenith, around = zenith_and_azimuth(arc_direction(points.zenith_deg, points.azimuth_deg) + turn)
+    moved = true_bsdf(scatterer, replace(points, zenith_deg=zenith, azimuth_deg=around))
+    return np.log(np.maximum(moved, np.finfo(float).tiny))
 
 
 def deviations_in_u(points: BsdfPoints, truth: Floats) -> Floats:
-    """Deviations (n,) of values from the truth in their u: a value is within its 95 % interval where they are within COVERAGE.
-
-    Above a relative u of LOGARITHMIC the interval is one of the logarithm, unless that u is for the most part noise, which is
-    added to a value whatever its size.
-    """
+    """Deviations (n,) of values from the truth in their u: a value is within its interval where they are within COVERAGE."""
     u = np.maximum(points.u_bsdf, np.finfo(float).tiny)
-    plain = (points.bsdf - truth) / u
-    chosen = (points.bsdf > 0.0) & (truth > 0.0) & (u > LOGARITHMIC * np.abs(points.bsdf)) & ~noisy(points)
+    chosen = logarithmic(points.bsdf, u, noisy(points)) & (truth > 0.0)
     ratio = np.where(chosen, points.bsdf, 1.0) / np.where(chosen, truth, 1.0)
-    return np.where(chosen, np.log(ratio) * points.bsdf / u, plain)
+    return np.where(chosen, np.log(ratio) * points.bsdf / u, (points.bsdf - truth) / u)
+
+
+def relative_residuals(points: BsdfPoints, truth: Floats) -> Floats:
+    """Relative deviations (n,) from the truth, for a fit of inputs: of the logarithm where a value is not mostly noise.
+
+    Also where u is below 15 %, and an interval is linear: the model is one of the logarithm, and its second order (u^2 / 2, far
+    less than u) may be more than the independent part of u that the fit leaves.
+    """
+    value = np.where(points.bsdf == 0.0, 1.0, points.bsdf)  # as in effects_of
+    clear = (value > 0.0) & (truth > 0.0) & ~noisy(points)
+    ratio = np.where(clear, value, 1.0) / np.where(clear, truth, 1.0)
+    return np.where(clear, np.log(ratio), (points.bsdf - truth) / value)
 
 
 def noisy(points: BsdfPoints) -> Flags:
-    """The points (n,) of whose variance noise and dark readings are more than half."""
-    added = {name: each for name, each in points.components.items() if name in ADDED}
-    return np.asarray(total_variance(added) + np.zeros(points.size) > 0.5 * points.u_bsdf**2)
+    """The points (n,) of whose variance more than half is added to a value whatever its size."""
+    return mostly_added(points.components)
 
 
 def compare(rig: RigDescription, sample: str, points: BsdfPoints) -> list[Comparison]:
@@ -157,6 +168,9 @@ def cut_figure(reduced: BsdfDataset, sample: str, comparisons: list[Comparison],
 
     `sample` is one with a known theory. Blocked directions are shaded.
     """
+    import matplotlib as mpl  # a rehearsal needs the truth of a sample, and not the 30 MB of what draws
+    from matplotlib.figure import Figure
+
     points = reduced.samples[sample].front
     chosen = points.where(points.in_plane)
     with mpl.rc_context({"font.size": 10.0, "axes.spines.top": False, "axes.spines.right": False}):
@@ -169,8 +183,8 @@ def cut_figure(reduced: BsdfDataset, sample: str, comparisons: list[Comparison],
 
 
 def _draw_cut(
-    upper: Axes,
-    lower: Axes,
+    upper: "Axes",
+    lower: "Axes",
     reduced: BsdfDataset,
     sample: str,
     points: BsdfPoints,
@@ -198,7 +212,7 @@ def _draw_cut(
     lower.plot(_signed_zenith(close), deviation, ".", ms=4, color=colour)
 
 
-def _draw_axes(upper: Axes, lower: Axes, reduced: BsdfDataset, sample: str) -> None:
+def _draw_axes(upper: "Axes", lower: "Axes", reduced: BsdfDataset, sample: str) -> None:
     upper.set_ylabel("luminance factor (pi times BRDF)")
     upper.set_ylim(bottom=0.0)
     upper.legend(loc="upper left", framealpha=1.0, edgecolor="white", title="points: measured, lines: theory")
@@ -209,9 +223,8 @@ def _draw_axes(upper: Axes, lower: Axes, reduced: BsdfDataset, sample: str) -> N
     lower.set_xticks(range(-90, 91, 15))
     upper.set_title(f"{sample}: measurement and theory", loc="left", fontsize=12)
     if reduced.simulated:
-        text = heading(reduced)[-1].split(";")[0]
-        upper.text(1.0, 1.02, text.split(":")[0] + f" (seed {reduced.rig.seed})", transform=upper.transAxes, ha="right",
-                   va="bottom", color="#a93226", weight="bold")  # fmt: skip
+        text = f"SIMULATED (seed {reduced.rig.seed})"
+        upper.text(1.0, 1.02, text, transform=upper.transAxes, ha="right", va="bottom", color="#a93226", weight="bold")
 
 
 def _theoretical_curve(reduced: BsdfDataset, sample: str, sigma: float, angles: Floats) -> Floats:

@@ -26,25 +26,35 @@ INDEPENDENT = frozenset({"noise", "resolution", "ray_tracing", "etalon_reading",
 All others count as shared, also those that are shared in part (`dark`, `monitor`, `gain`, `signature`): that the errors average
 out would be a claim, so u is at most too large. A new contribution is shared unless it is named here.
 """
-NOISE = INDEPENDENT | {"dark", "signature"}
+NOISE = INDEPENDENT | {"dark", "crosstalk", "signature"}
 """Components that are there without light: what a value is lost in. All others are shares of the value."""
+ADDED = frozenset({"noise", "resolution", "ray_tracing", "dark", "signature", "crosstalk"})
+"""Components that are added to a value whatever its size; all others are shares of it."""
 COVERAGE = 1.96
 """Standard uncertainties from a value to the ends of its interval of 95 %."""
 LOGARITHMIC = 0.15
 """Relative standard uncertainty above which an interval is one of the logarithm."""
 
 
-def interval(value: Floats, u: Floats, coverage: float = COVERAGE) -> tuple[Floats, Floats]:
-    """Lower and upper ends of the values' intervals, so many standard uncertainties `u` away.
+def mostly_added(components: Components) -> Flags:
+    """Whether more than half of a variance is of ADDED components: then a deviation is one of the value at any u."""
+    added = total_variance({name: each for name, each in components.items() if name in ADDED})
+    return np.asarray(added > 0.5 * total_variance(components))
 
-    Where u is above 15 % of a positive value, it is an interval of the logarithm: on a lobe's flank an error of an angle
-    moves a value by a factor.
+
+def logarithmic(value: Floats, u: Floats, added: Flags) -> Flags:
+    """Whether the interval of a value is one of the logarithm: u is above 15 % of it, and not for the most part `added`.
+
+    On a lobe's flank an error of an angle moves a value by a factor; noise does not know how large the value is.
     """
-    positive = value > 0.0
-    relative = np.where(positive, u / np.where(positive, value, 1.0), 0.0)
-    factor = np.where(relative > LOGARITHMIC, np.exp(coverage * relative), np.nan)
-    known = np.isfinite(factor)
-    return np.where(known, value / factor, value - coverage * u), np.where(known, value * factor, value + coverage * u)
+    return np.asarray((value > 0.0) & (u > LOGARITHMIC * value) & ~added)
+
+
+def interval(value: Floats, u: Floats, added: Flags, coverage: float = COVERAGE) -> tuple[Floats, Floats]:
+    """Lower and upper ends of the values' intervals, so many standard uncertainties `u` away; `added` of `mostly_added`."""
+    chosen = logarithmic(value, u, added)
+    factor = np.exp(coverage * np.where(chosen, u, 0.0) / np.where(chosen, value, 1.0))
+    return np.where(chosen, value / factor, value - coverage * u), np.where(chosen, value * factor, value + coverage * u)
 
 
 COMMON = frozenset(

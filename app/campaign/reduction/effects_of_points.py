@@ -29,7 +29,7 @@ from goniotwin.app.campaign.uncertainty.pose import (
     rig_inputs,
     variance,
 )
-from goniotwin.app.rig import nominal_instrument
+from goniotwin.app.rig import RigFile, nominal_instrument
 from goniotwin.arrays import Floats, Ints
 
 ANGLES = tuple(PLACE.index(f"{axis}_deg") for axis in POSITIONS)
@@ -121,7 +121,7 @@ def dark(points: BsdfPoints, settings: ReductionSettings) -> Effects:
     keys = np.stack([points.photodiode, points.gain, interval], axis=1)
     # Its volts are one share of a bright value and another of a dark one.
     group = _grouped(
-        "dark", keys, -_signed(points, "dark"), lambda key: f"[{key[0]}, {_gain(key[1], settings)}]@dark {key[2]}",
+        "dark", keys, -_signed(points, "dark"), lambda key: f"[{key[0]}, {_gain(key[1], settings.rig)}]@dark {key[2]}",
         "rows of this photodiode and gain until the next dark reading", scaled=True,
     )  # fmt: skip
     return _of_group(points, group)
@@ -143,7 +143,9 @@ def lamp(points: BsdfPoints, settings: ReductionSettings) -> Effects:
 
 def monitor(points: BsdfPoints, settings: ReductionSettings) -> Effects:
     """The monitor's reading at the row, and at the etalon's row."""
-    return _of_rows(points, "monitor", settings.rig.monitor.relative_uncertainty, "rig file, monitor", "monitor.noise")
+    return _of_rows(
+        points, "monitor", settings.rig.monitor.relative_uncertainty, "[monitor] relative_uncertainty", "monitor.noise"
+    )
 
 
 def monitor_drift(points: BsdfPoints, settings: ReductionSettings) -> Effects:
@@ -176,19 +178,21 @@ def _of_rows(points: BsdfPoints, name: str, u: float, source: str, twin: str) ->
 
 def gain(points: BsdfPoints, settings: ReductionSettings) -> Effects:
     """The gains of a photodiode at the row and at the etalon's row: one and the same gain cancels."""
-    u = max(settings.rig.photodiodes.gain_uncertainty, LEAST_CERTIFIED)
     count = len(settings.rig.photodiodes.gains_v_per_a) + 1
     gains = np.stack([points.gain, points.etalon_gain], axis=1) % count  # none, -1, is the last one
     numbers = points.photodiode[:, None] * count + gains
-    inputs = {
-        number: Input(
-            f"gain_ratio[{number // count}, {_gain(number % count, settings)}]", "1", u, "normal",
-            "all values of this photodiode at this gain", "rig file, photodiodes.gain_uncertainty, and rows at two gains",
-            "electronics.gain_spread",
-        )
-        for number in np.unique(numbers).tolist()
-    }  # fmt: skip
+    inputs = {number: gain_input(number // count, number % count, settings.rig) for number in np.unique(numbers).tolist()}
+    u = next((each.u for each in inputs.values()), 0.0)
     return _of_group(points, Group("gain", inputs, numbers, _pair(_relative(points, "gain"), u)))
+
+
+def gain_input(photodiode: int, gain: int, rig: RigFile) -> Input:
+    """The gain of a photodiode's channel, by its place in the rig's list."""
+    u = max(rig.photodiodes.gain_uncertainty, LEAST_CERTIFIED)
+    return Input(
+        f"gain_ratio[{photodiode}, {_gain(gain, rig)}]", "1", u, "normal", "all values of this photodiode at this gain",
+        "[photodiodes] gain_uncertainty, and rows at two gains", "electronics.gain_spread",
+    )  # fmt: skip
 
 
 def linearity(points: BsdfPoints, settings: ReductionSettings) -> Effects:
@@ -209,7 +213,7 @@ def crosstalk(points: BsdfPoints, settings: ReductionSettings) -> Effects:
 
 def signature(points: BsdfPoints, settings: ReductionSettings) -> Effects:
     """The instrument signature, which was subtracted."""
-    of_rig = "rig file, sample_unit.signature_uncertainty, and the journal's readings"
+    of_rig = "[sample_unit] signature_uncertainty, and the journal's readings"
     source = Input("signature", "1", 1.0, "normal", "all values", of_rig, "")
     del settings
     return _of_one(points, source, -_signed(points, "signature"))
@@ -231,12 +235,12 @@ def field(points: BsdfPoints, settings: ReductionSettings) -> Effects:
 def _of_table(name: str, key: str, settings: ReductionSettings) -> Input:
     """A relative input of all values, of the rig file's `[uncertainty]`."""
     table = settings.rig.uncertainty
-    source, twin = f"rig file, uncertainty.{key}", f"disturbances.{key}"
+    source, twin = f"[uncertainty] {key}", f"disturbances.{key}"
     return Input(name, "1", table.standard(key), table.distribution(key), "all values", source, twin)
 
 
-def _gain(index: int, settings: ReductionSettings) -> str:
-    gains = settings.rig.photodiodes.gains_v_per_a
+def _gain(index: int, rig: RigFile) -> str:
+    gains = rig.photodiodes.gains_v_per_a
     return f"{gains[index]:g} V/A" if 0 <= index < len(gains) else "no gain"
 
 

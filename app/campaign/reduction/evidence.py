@@ -59,8 +59,8 @@ FEW_DEGREES = 20.0
 LEAST_CERTIFIED = 1e-5
 """Least relative uncertainty of a gain."""
 FIT_ROUNDS = 10
-MOST_WAITING = 64
-"""Rows of a run that wait for the next dark reading: some 100 kB. Beyond, they count with the last one alone."""
+MOST_WAITING = 32
+"""Rows of a run that wait for the next dark reading: some 30 kB. Beyond, they count with the last one alone."""
 NO_CHANGE = -1
 SETTLE = "increase settling_s of [photodiodes] in the rig file, and measure again"
 Tested = tuple[Floats, Floats, Floats]
@@ -96,6 +96,11 @@ class SignalEvidence:
     notes: tuple[str, ...] = ()
     ratios: int = 0
     worst_ratio: float = 0.0
+
+    @property
+    def findings(self) -> tuple[str, ...]:
+        """What is wrong with modules and gains, in words."""
+        return (*self.notes, *(each.text for each in self.verdicts))
 
     @property
     def unsound(self) -> Flags:
@@ -200,10 +205,11 @@ class EvidenceSums:
                     here[index, len(reading.counts)].append((k, before, reading))
                     before = index
         shape = (len(rows), gains)
+        volts, noise, dark, resolution, crosstalk = np.full((5, *shape, n), np.nan)
+        interval = np.zeros(len(rows), dtype=np.int64)
         block = _Block(
-            *(np.full((*shape, n), np.nan) for _ in range(5)), np.full(shape, np.nan), np.zeros(shape), np.ones(shape),
-            np.zeros(len(rows), dtype=np.int64),
-        )  # fmt: skip
+            volts, noise, dark, resolution, crosstalk, np.full(shape, np.nan), np.zeros(shape), np.ones(shape), interval
+        )
         for (gain, count), readings in here.items():
             at_once = max(1, MOST_VALUES // (count * n))
             for begin in range(0, len(readings), at_once):
@@ -222,10 +228,11 @@ class EvidenceSums:
     def _add_readings(self, gain: int, readings: list[tuple[int, int, Reading]], block: _Block) -> None:
         """Add readings of one gain and one number, and fill in the block."""
         dark, converter = self._dark[float(self._gains[gain])], self._settings.range
-        raw = np.stack([reading.counts for _, _, reading in readings]).astype(np.float64)
+        counts = np.stack([reading.counts for _, _, reading in readings])
+        raw = counts.astype(np.float64)
         times = np.array([middle_s(reading) for _, _, reading in readings])
         dark_counts, dark_monitor, divisor = dark.at(times)
-        clipped = np.any(converter.saturated(raw), axis=1)
+        clipped = np.any(converter.saturated(counts), axis=1)
         volts = (raw.mean(axis=1) - dark_counts) * converter.lsb_v
         shot = self._settings.shot_variance_a2(volts / self._gains[gain]) * self._gains[gain] ** 2
         expected = dark.variance_v2 + shot
@@ -315,7 +322,8 @@ class EvidenceSums:
         length = 2 * SIGNAL_BINS * n
 
         def summed(values: Floats, chosen: Flags = known) -> Floats:
-            return np.bincount(place[chosen], weights=values[chosen], minlength=length).reshape(2, SIGNAL_BINS, n)
+            sums = np.bincount(place[chosen], weights=values[chosen], minlength=length)
+            return np.asarray(sums, dtype=np.float64).reshape(2, SIGNAL_BINS, n)
 
         ones = np.ones(weight.shape)
         inverse = (1.0 / block.conversions[rows, low] + 1.0 / block.conversions[rows, high])[:, None]
@@ -432,7 +440,7 @@ class EvidenceSums:
 
     def _of_modules(self, flags: Flags) -> Flags:
         """Flags (..., photodiodes) or (..., modules) as flags of the modules (m,)."""
-        of_last = flags.reshape(-1, flags.shape[-1]).any(axis=0)
+        of_last: Flags = np.logical_or.reduce(flags.reshape(-1, flags.shape[-1]), axis=0)
         modules = self._first_of_module.size
         return of_last if of_last.size == modules else np.logical_or.reduceat(of_last, self._first_of_module)
 
@@ -500,7 +508,7 @@ class RunningEvidence:
     def add(self, row: CommittedRow) -> None:
         """Add a row; the last rows wait for a dark reading after them."""
         if row.row.kind in ("measure", "drift") and row.data.readings:
-            self._waiting.append(row)
+            self._waiting.append(replace(row, data=replace(row.data, positions=None)))
 
     def count(self, dark: Mapping[float, DarkReadings]) -> EvidenceSums:
         """Count the rows that wait, with all dark readings so far."""

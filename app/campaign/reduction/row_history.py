@@ -70,7 +70,7 @@ def history_of(rows: Iterable[ExecutedRow]) -> tuple[list[str], Ints]:
     campaign, for it may have been referenced.
     """
     names = ["before any mounting"]
-    found = np.fromiter(_counts(rows, names), dtype=np.dtype((np.int64, 3 + AXES)))
+    found: Ints = np.fromiter(_counts(rows, names), dtype=np.dtype((np.int64, 3 + AXES)))
     return names, found[np.argsort(found[:, 0], kind="stable")]
 
 

@@ -17,15 +17,16 @@ from goniotwin.app.campaign.reduction.etalon import ReductionSettings
 from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.reduction.polarisation import light_state
 from goniotwin.app.campaign.reduction.spectrum import bandwidth_effects, stray_effects, wavelength_effects
-from goniotwin.app.campaign.schedule.certificate import Certificate, known_angles
+from goniotwin.app.campaign.schedule.certificate import Certificate
 from goniotwin.app.campaign.uncertainty.effects import Dense, Effects, Group
 from goniotwin.app.campaign.uncertainty.inputs import Input
+from goniotwin.app.rig.file import known_angles
 from goniotwin.arrays import Floats, Ints
 from goniotwin.twin.optics.geometry.coordinates import HALF_TURN_DEG, round_deg
 
 Kind = Literal["sample", "etalon"]
 EffectsOf = Callable[[BsdfPoints, ReductionSettings], Effects | None]
-ALL, FILE = "all values", "the certificate's file"
+ALL, FILE, RIG_FILE = "all values", "the certificate's file", "[etalon] relative_uncertainty"
 
 
 def certificate_effects(points: BsdfPoints, settings: ReductionSettings) -> Effects | None:
@@ -33,6 +34,7 @@ def certificate_effects(points: BsdfPoints, settings: ReductionSettings) -> Effe
     certificate = settings.certificate
     incidence, polar = incidence_deg(points), polar_from_zenith(points.zenith_deg)
     scaled = _by_certificate(points, settings)
+    source = RIG_FILE if settings.schedule.certificate is None else FILE
     shared = {
         "level": (certificate.level, np.ones(points.size)),
         "wavelength": (certificate.wavelength, certificate.slope("wavelength_nm", points.wavelength_nm)),
@@ -40,7 +42,7 @@ def certificate_effects(points: BsdfPoints, settings: ReductionSettings) -> Effe
         "geometry": (certificate.shape, shape_of(certificate.geometry, incidence, polar)),
     }
     dense = [
-        _shared(f"certificate[{mode}]", u, -sensitivity * scaled, ALL, FILE, "certificate_level" if mode == "level" else "")
+        _shared(f"certificate[{mode}]", u, -sensitivity * scaled, ALL, source, "certificate_level" if mode == "level" else "")
         for mode, (u, sensitivity) in shared.items()
         if u
     ]
@@ -138,15 +140,19 @@ def uniformity(points: BsdfPoints, settings: ReductionSettings) -> Effects | Non
 
 
 def repeatability(points: BsdfPoints, settings: ReductionSettings) -> Effects | None:
-    """What is another each time a pose is reached again: of the row at the sample and of the row at the etalon."""
+    """What is another each time a pose is reached again: of the row at the sample and of the row at the etalon.
+
+    It is the same for all rows, of all wavelengths, from one move of any axis to the next.
+    """
     u = settings.rig.uncertainty.repeatability if settings.repeatability is None else settings.repeatability
     if not u:
         return None
     source = "" if settings.repeatability is None else "the repeats of this campaign"
-    number = np.stack([points.row, points.etalon_row], axis=1)
+    both, history = (points.row, points.etalon_row), settings.history
+    number = np.stack([rows if history is None else np.sum(history.moves(rows), axis=1) for rows in both], axis=1)
     inputs = {
-        row: _input(f"repeatability@row {row}", u, "all photodiodes of the row", source, "repeatability")
-        for row in np.unique(number).tolist()
+        each: _input(f"repeatability@#{each}", u, "all rows until the next move of any axis", source, "repeatability")
+        for each in np.unique(number).tolist()
     }
     sensitivity = np.broadcast_to([1.0, -1.0], number.shape)
     return Effects(points.bsdf, {}, [Group("repeatability", inputs, number, sensitivity)], ())
@@ -204,7 +210,7 @@ def _shared(name: str, u: float, sensitivity: Floats, shared_by: str, source: st
 
 def _input(name: str, u: float, shared_by: str, source: str, twin: str = "") -> Input:
     """An input of the rig file's `[uncertainty]` key `twin`, or of another source."""
-    return Input(name, "1", u, "normal", shared_by, source or f"rig file, uncertainty.{twin}", twin and f"disturbances.{twin}")
+    return Input(name, "1", u, "normal", shared_by, source or f"[uncertainty] {twin}", twin and f"disturbances.{twin}")
 
 
 def incidence_deg(points: BsdfPoints) -> Floats:

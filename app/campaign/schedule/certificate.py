@@ -24,7 +24,7 @@ import numpy as np
 from pydantic import Field, field_validator
 
 from goniotwin.app.errors import UserError
-from goniotwin.app.rig.file import refuse_percentage
+from goniotwin.app.rig.file import SHAPE, EtalonTable, check_geometry, refuse_percentage
 from goniotwin.app.toml_file import TomlTable, parse_toml, read_text, validate_table
 from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.keys import Fraction
@@ -42,8 +42,6 @@ LARGEST = 1e6
 TOLERANCE = 10.0**-DECIMALS
 """Values beyond the first or last of the table by no more than this are inside, in nm or degrees."""
 KEY_LINE = re.compile(r"\s*([A-Za-z_]\w*)\s*=")
-GEOMETRY = re.compile(r"(d[ie]?|h|\d+(?:\.\d+)?):(d[ie]?|h|\d+(?:\.\d+)?)")
-"""Illumination and observation: an angle from the normal in degrees, or diffuse (d, di, de) or hemispherical (h)."""
 DAYS_OF_A_YEAR = 365.25
 ROUNDING = 1e-9
 
@@ -76,22 +74,14 @@ class CertificateKeys(TomlTable):
     wavelength: Fraction = 0.0
     angle: Fraction = 0.0
     geometry: str | None = None
-    shape: Fraction = 0.03
+    shape: Fraction = SHAPE
     calibrated: date | None = None
 
     @field_validator("geometry")
     @classmethod
     def _check_geometry(cls, value: str | None) -> str | None:
-        if value is not None and (not GEOMETRY.fullmatch(value) or any(each >= 90.0 for each in known_angles(value))):
-            raise ValueError(
-                f'{value!r} is no geometry: give illumination and observation, each an angle below 90 or d, as in "8:d"'
-            )
+        check_geometry(value)
         return value
-
-
-def known_angles(geometry: str) -> list[float]:
-    """The angles from the normal, in degrees, in which a geometry such as 8:d has light: those of its sides that are not d."""
-    return [float(each) for each in geometry.split(":") if not each.startswith(("d", "h"))]
 
 
 @dataclass(frozen=True)
@@ -181,11 +171,13 @@ class Certificate:
         return ", ".join(ranges) or "all wavelengths and directions"
 
 
-def constant_certificate(radiance_factor: float, relative_uncertainty: float) -> Certificate:
-    """A certificate with the same values at all wavelengths and in all directions."""
-    shape = (1, 1, 1, 1)
-    relative = np.full(shape, relative_uncertainty)
-    return Certificate((np.zeros(0),) * 4, np.full(shape, radiance_factor), relative, relative_uncertainty)
+def constant_certificate(etalon: EtalonTable) -> Certificate:
+    """The certificate of a rig file: the same values at all wavelengths and in all directions."""
+    one = np.ones((1, 1, 1, 1))
+    return Certificate(
+        (np.zeros(0),) * 4, etalon.radiance_factor * one, etalon.relative_uncertainty * one, etalon.relative_uncertainty,
+        geometry=etalon.geometry, shape=0.0 if etalon.geometry is None else etalon.shape, calibrated=etalon.calibrated,
+    )  # fmt: skip
 
 
 def parse_certificate(text: str, name: str) -> Certificate:

@@ -465,8 +465,8 @@ def photodiode_inputs(table: UncertaintyTable, photodiode: int) -> list[Input]:
     return [_input(table, f"{name}[{photodiode}]", f"{name}_deg", "all values of this photodiode") for name in names]
 
 
-def position_input(table: UncertaintyTable, axis: str, move: int) -> Input:
-    """The position of an axis after its move of this number, with the backlash where none is taken up."""
+def position_input(table: UncertaintyTable, axis: str, move: int | str) -> Input:
+    """The position of an axis after its move of this number or name, with the backlash where none is taken up."""
     each = _input(table, f"position@{axis}#{move}", "position_deg", "all rows until its next move")
     return Input(**{**vars(each), "u": position_u_deg(table)})
 
@@ -485,7 +485,7 @@ def _key(name: str) -> str:
 
 def _input(table: UncertaintyTable, name: str, key: str, shared_by: str) -> Input:
     unit = "mm" if key.endswith("_mm") else "deg"
-    source = f"rig file, uncertainty.{key}"
+    source = f"[uncertainty] {key}"
     return Input(name, unit, table.standard(key), table.distribution(key), shared_by, source, f"disturbances.{key}")
 
 

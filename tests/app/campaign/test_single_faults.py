@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from goniotwin.app.campaign.journal.writing import Journal
-from goniotwin.app.campaign.planning.plan import Plan, make_plan
+from goniotwin.app.campaign.planning.plan import NewPlan, make_plan
 from goniotwin.app.campaign.proof.virtual_rigs import run_without_wires
 from goniotwin.app.campaign.reduction.closure import ClosureReport
 from goniotwin.app.campaign.reduction.comparison import deviations_in_u, theoretical_bsdf
@@ -127,7 +127,7 @@ class Found:
         )
 
 
-def plan_of(fault: Fault, *changes: Change) -> Plan:
+def plan_of(fault: Fault, *changes: Change) -> NewPlan:
     rig = parse_rig(changed(RIG.read_text(encoding="utf-8"), (fault.change, GAUSSIAN_15)), RIG.parent, "rig")
     return make_plan(parse_schedule(changed(SCHEDULE, changes), "faults.toml"), rig)
 

@@ -46,11 +46,10 @@ def found_on(name: str, seed: int, folder: Path) -> list[str]:
     run_without_wires(make_plan(parse_schedule(text, name), parse_rig(rig, RIG.parent, "rig")), path)
     with Journal.open(path) as journal:
         reduction = Reduction(journal)
-        verdicts = [*(each.text for each in reduction.evidence.verdicts), *reduction.evidence.notes]
+        verdicts = list(reduction.evidence.findings)
         if reduction.schedule.open_beam_scan is not None:
             verdicts += reduction.closure().alarms
-    checks = check_journal(path)
-    return [*verdicts, *(checks.alarms if checks is not None else [])]
+    return [*verdicts, *check_journal(path).alarms]
 
 
 @pytest.mark.long

@@ -9,7 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from goniotwin.app.formats import FormatError, ZemaxBsdf, read_zemax, write_zemax
+from goniotwin.app.formats import FormatError, ZemaxBsdf, read_zemax, registry, write_zemax
+from goniotwin.app.formats.registry import Holds
 
 # One rotation, two incidences, azimuths 0 and 180, radials 0, 10, 90: the smallest file with every list.
 GOOD = """\
@@ -114,6 +115,16 @@ def test_sample_rotations_are_the_first_dimension(tmp_path: Path, word: str) -> 
     assert table.values.shape == (2, 2, 2, 3)
     assert table.values[:, 0, 0, 0].tolist() == [0.3, 0.7]
     assert table.tis.shape == (2, 2)
+
+
+def test_a_sample_of_several_rotations_is_refused_with_the_reason(tmp_path: Path) -> None:
+    head, data = GOOD.replace("SampleRotation\t1\n0", "SampleRotation 2\n0 90").split("DataBegin\n")
+    blocks = data.removesuffix("DataEnd\n")
+    path = good(tmp_path, f"{head}DataBegin\n{blocks}{blocks}DataEnd\n")
+    with pytest.raises(
+        FormatError, match=r"2 sample rotations, .* does not state which way .*; give .* a .ddr of four dimensions"
+    ):
+        registry.read(path, Holds.GRID)
 
 
 @pytest.mark.parametrize(

@@ -20,6 +20,7 @@ from goniotwin.app.campaign.schedule.certificate import (
 from goniotwin.app.campaign.schedule.file import ScheduleDescription, read_schedule
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import read_rig
+from goniotwin.app.rig.file import EtalonTable
 from goniotwin.protocols.clock import calendar_stamp
 from tests.app.campaign.campaign_bench import QUIET
 from tests.conftest import RIG, SMALL, Change, Writer
@@ -74,7 +75,7 @@ def test_there_is_no_value_outside_the_table(point: tuple[float, float, float, f
 def test_a_certificate_without_a_column_is_valid_at_all_values_of_it() -> None:
     assert at(BY_ZENITH, 300, 77, 30, 123) == pytest.approx((0.95, 0.004))
     assert np.isnan(at(BY_ZENITH, 300, 77, 61, 0)).all()
-    factor, relative = constant_certificate(0.99, 0.002).interpolate(550, 30, np.arange(0.0, 90.0), np.zeros(90))
+    factor, relative = constant_certificate(EtalonTable(0.99, 0.002)).interpolate(550, 30, np.arange(0.0, 90.0), np.zeros(90))
     assert np.all(factor == 0.99)
     assert np.all(relative == 0.002)
 
@@ -179,8 +180,9 @@ def test_the_bsdf_follows_the_certificate_and_the_journal_keeps_it(
     plain_points, certified_points = points
     inside = plain_points.zenith_deg <= 60.0
     factor = 1.05 - 0.2 * plain_points.zenith_deg / 60.0
-    expected = plain_points.bsdf * factor / 0.99
-    assert np.allclose(certified_points.bsdf[inside], expected[inside], equal_nan=True)
+    # Before the correction of the field of view, which is that of the corrected values' own slopes.
+    plain_values, certified_values = (each.bsdf * np.exp(-each.field_correction) for each in points)
+    assert np.allclose(certified_values[inside], (plain_values * factor / 0.99)[inside], equal_nan=True)
     assert np.isnan(certified_points.bsdf[~inside]).all()
     assert np.array_equal(certified_points.flag("uncertified"), ~inside)
     assert not plain_points.flag("uncertified").any()

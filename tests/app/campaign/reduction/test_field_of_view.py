@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from goniotwin.app.campaign.geometry.arcs import arc_views
 from goniotwin.app.campaign.reduction import field_of_view
-from goniotwin.app.campaign.reduction.components import interval
+from goniotwin.app.campaign.reduction.comparison import deviations_in_u
+from goniotwin.app.campaign.reduction.components import COVERAGE, interval, mostly_added
 from goniotwin.app.campaign.reduction.field_of_view import (
     FieldOfView,
     correct_field_of_view,
@@ -435,7 +436,21 @@ def test_neither_the_scale_nor_the_order_of_points_nor_chunks_change_a_slope(see
     assert np.array_equal(small, columns(correct_field_of_view(both, SETTINGS)), equal_nan=True)
 
 
-def test_an_interval_is_one_of_the_logarithm_where_u_is_above_15_percent() -> None:
-    low, high = interval(np.array([1.0, 1.0, 2.0, -1.0]), np.array([0.1, 0.2, 0.6, 0.5]))
-    assert low == pytest.approx([1.0 - 0.196, math.exp(-0.392), 2.0 * math.exp(-0.588), -1.0 - 0.98])
-    assert high == pytest.approx([1.0 + 0.196, math.exp(0.392), 2.0 * math.exp(0.588), -1.0 + 0.98])
+def test_an_interval_is_one_of_the_logarithm_where_u_is_above_15_percent_and_not_noise() -> None:
+    value, u = np.array([1.0, 1.0, 2.0, -1.0, 1.0]), np.array([0.1, 0.2, 0.6, 0.5, 0.3])
+    parts = {"pose": u**2 * [1.0, 1.0, 0.51, 1.0, 0.49], "dark": u**2 * [0.0, 0.0, 0.49, 0.0, 0.3], "noise": u**2 * 0.21}
+    parts["noise"][:4] = 0.0
+    assert mostly_added(parts).tolist() == [False, False, False, False, True]
+    low, high = interval(value, u, mostly_added(parts))
+    assert low == pytest.approx([1.0 - 0.196, math.exp(-0.392), 2.0 * math.exp(-0.588), -1.0 - 0.98, 1.0 - 0.588])
+    assert high == pytest.approx([1.0 + 0.196, math.exp(0.392), 2.0 * math.exp(0.588), -1.0 + 0.98, 1.0 + 0.588])
+
+
+def test_an_end_of_an_interval_is_as_many_u_away_as_its_coverage() -> None:
+    """The rule of intervals is that of deviations from a truth."""
+    made = made_points(30.0, np.full(4, 40.0), np.full(4, 180.0), np.array([1.0, 1.0, 1.0, -1.0]), 0.0)
+    u = np.array([0.1, 0.3, 0.3, 0.3])
+    added = u**2 * [0.0, 0.0, 1.0, 0.0]
+    points = replace(made, components={"noise": added, "pose": u**2 - added})
+    for end, sign in zip(interval(points.bsdf, points.u_bsdf, mostly_added(points.components)), (1.0, -1.0), strict=True):
+        assert deviations_in_u(points, end) == pytest.approx(np.full(4, sign * COVERAGE), rel=1e-12)

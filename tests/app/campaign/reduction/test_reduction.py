@@ -7,12 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from goniotwin.app.campaign.campaign import run_campaign
 from goniotwin.app.campaign.geometry.arcs import arc_views
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import make_plan
-from goniotwin.app.campaign.reduction.comparison import compare, theoretical_bsdf
+from goniotwin.app.campaign.reduction.comparison import compare, cut_figure, theoretical_bsdf
 from goniotwin.app.campaign.reduction.export import export, export_format
 from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.reduction.reduction import BsdfDataset, reduce_journal
@@ -63,6 +64,18 @@ def test_directions_blocked_at_normal_incidence_are_flagged_and_listed(demo: Bsd
     blocked = points.where((points.sigma_deg == 0.0) & (points.theta_deg < 2.0))
     assert blocked.flag("shadowed").all()
     assert not blocked.good.any()
+
+
+def test_the_figure_is_marked_as_simulated_whatever_its_heading_ends_with(
+    demo: BsdfDataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    texts: list[str] = []
+    monkeypatch.setattr(Figure, "savefig", lambda figure, _: texts.extend(text.get_text() for text in figure.axes[0].texts))
+    for each in (demo, replace(demo, chain="", notes=(*demo.notes, "a last note"))):
+        comparisons = compare(each.rig, "gaussian-5", each.samples["gaussian-5"])
+        cut_figure(each, "gaussian-5", comparisons, tmp_path / "cut.png")
+        assert texts[-1] == f"SIMULATED (seed {demo.rig.seed})"
+        texts.clear()
 
 
 def test_without_noise_the_blur_of_the_aperture_is_corrected(demo_run: tuple[Path, dict[str, Any]]) -> None:

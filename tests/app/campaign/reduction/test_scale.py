@@ -135,6 +135,23 @@ def test_the_etalons_age_goes_from_its_calibration_to_the_measurement() -> None:
     assert aged.budget["etalon_age"] == pytest.approx([2.0 * 0.01])
 
 
+def test_a_rig_file_states_age_and_geometry_of_its_etalon_as_a_certificate_does(write_rig: Writer) -> None:
+    keys = 'geometry = "8:d"\nshape = 0.02\ncalibrated = 2026-01-15\n'
+    rig = read_rig(write_rig(("[etalon] ", f"[etalon]\n{keys}#"))).file
+    of_rig = reduction_settings(rig, SCHEDULE, None, "", date(2028, 1, 15))
+    text = f"{keys}level = 0.002\nradiance_factor, relative_uncertainty\n0.99, 0.002\n"
+    of_file = reduction_settings(RIG_FILE, SCHEDULE, text, "c.csv", date(2028, 1, 15))
+    points = points_at([500.0, 500.0], [0.0, 85.0])
+    assert of_rig.etalon_years == of_file.etalon_years == pytest.approx(2.0, abs=0.01)
+    one, other = (add_shared(points, each).budget for each in (of_rig, of_file))
+    assert {name: each.tolist() for name, each in one.items()} == {name: each.tolist() for name, each in other.items()}
+    plain = add_shared(points, reduction_settings(RIG_FILE, SCHEDULE, None, "", date(2028, 1, 15))).budget
+    assert np.all(one["certificate"] > 2.0 * plain["certificate"])
+    assert one["etalon_age"] == pytest.approx(plain["etalon_age"] * of_rig.etalon_years)
+    with pytest.raises(UserError, match=r"etalon.geometry: .8/d. is no geometry: give .*8:d"):
+        read_rig(write_rig(("[etalon] ", '[etalon]\ngeometry = "8/d"\n#')))
+
+
 def test_a_hemispherical_certificate_leaves_the_angles_unknown_and_keeps_the_reflectance() -> None:
     theta = np.degrees(np.linspace(0.0, 0.5 * np.pi, 2001))
     weight = np.sin(2.0 * np.radians(theta)) * np.radians(theta[1])  # cos dOmega / pi

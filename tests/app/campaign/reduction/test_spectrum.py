@@ -25,6 +25,7 @@ from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.schedule.certificate import constant_certificate
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.rig import read_rig
+from goniotwin.app.rig.file import EtalonTable
 from goniotwin.app.rig.light import LightTable
 from goniotwin.arrays import Floats
 from tests.app.campaign.reduction.long_journal import write_long_journal
@@ -40,7 +41,7 @@ SETTINGS = ReductionSettings(
     RIG_FILE,
     ArcGeometry(RIG_FILE),
     parse_schedule(SMALL, "small.toml").file,
-    constant_certificate(1.0, 0.0),
+    constant_certificate(EtalonTable()),
     sample="gaussian-5",
 )
 
