@@ -267,6 +267,11 @@ class Formula:
         u = FILE.uncertainty.linearity_per_decade
         decades = self._relative["linearity"][k] / u * (1.0 if brighter else -1.0)
         signal = signal * (1.0 + decades * self._input("linearity", u))
+        for name, key in (
+            ("monitor_drift", "monitor_drift_per_hour"), ("monitor_linearity", "monitor_linearity_per_decade"),
+        ):  # fmt: skip
+            u = getattr(FILE.uncertainty, key)
+            signal = signal * (1.0 - self._relative[name][k] / u * self._input(name, u))
         signal = signal - self._relative["signature"][k] * self._input("signature", 1.0)
         for name in ("resolution", "ray_tracing", "second_order", "slope_unresolved", "field_noise"):
             signal = signal * (1.0 + self._input(f"{name} of {k}", self._relative[name][k]))
