@@ -21,6 +21,7 @@ from goniotwin.app.cli.output import (
     errors,
     print_error,
     print_order,
+    print_warning,
 )
 from goniotwin.app.errors import UserError, one_line
 
@@ -239,8 +240,10 @@ def run(
         result,
         lambda: print("\n".join([text, outcome.chain.statement, *(checks.lines if checks is not None else [])])),
     )
+    for finding in checks.findings if checks is not None else ():
+        print_warning(finding)
     if outcome.ended_by_schedule:
-        errors.print(f"goniotwin: ended by the schedule: {outcome.ended_by_schedule}", style="yellow", markup=False)
+        print_warning(f"ended by the schedule: {outcome.ended_by_schedule}")
     if outcome.rows < outcome.planned:
         errors.print(f"to continue: goniotwin run --resume {journal}", markup=False)
     for order in progress.orders:

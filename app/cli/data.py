@@ -1,6 +1,8 @@
 """Commands on measured data: `goniotwin export`, `budget`, `verify`, `closure` and `copy`."""
 
+import math
 import os
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -9,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from goniotwin.app.cli.output import CommandWithFormats, Json, answer, print_error
+from goniotwin.app.cli.output import CommandWithFormats, Json, answer, print_error, print_warning
 from goniotwin.app.errors import UserError
 
 if TYPE_CHECKING:  # the reduction loads numpy, which a command's help does not need
@@ -18,6 +20,10 @@ if TYPE_CHECKING:  # the reduction loads numpy, which a command's help does not 
 JournalArgument = Annotated[
     Path, typer.Argument(metavar="JOURNAL", help="Data file (journal) of a campaign.", show_default=False)
 ]
+WIDE_COLUMNS = 110
+"""Width of a terminal from which a budget has a column for each of its texts."""
+LEAST_SHARE = 1e-4
+"""Share of u squared below which a component is not listed without --all: a hundredth of u."""
 FAILS_STYLE = {"fails": "red", "holds": "green", "nothing to judge": "dim"}
 
 app = typer.Typer()
@@ -25,7 +31,7 @@ app = typer.Typer()
 
 @app.command(cls=CommandWithFormats)
 def export(
-    journal: Annotated[Path, typer.Argument(metavar="JOURNAL", help="Data file (journal) of a campaign.", show_default=False)],
+    journal: JournalArgument,
     out: Annotated[Path, typer.Option("--out", metavar="FILE", help="File to write.", show_default=False)],
     file_format: Annotated[
         str, typer.Option("--format", metavar="FORMAT", help="A format of the list below, by its name.", show_default=False)
@@ -66,11 +72,13 @@ def export(
     files = [str(file) for file in exported.files]
     result = {
         "file": files[0], "files": files, "format": form.name, "values": exported.values, "simulated": reduced.simulated,
-        "chain": chain.as_dict(), "damaged": sorted(chain.without_values),
+        "chain": chain.as_dict(), "damaged": sorted(chain.without_values), "findings": list(reduced.findings),
     }  # fmt: skip
     mark = "SIMULATED, " if reduced.simulated else ""
     text = f"{mark}{exported.values} measured values: {', '.join(files)}\n{reduced.chain}"
     answer(as_json, result, lambda: print(text))
+    for finding in reduced.findings:
+        print_warning(finding)
     if chain.damage:
         print_error(f"{journal}: exported without what differs from what was measured: {chain.damage}")
 
@@ -91,12 +99,15 @@ def budget(
     reflectance: Annotated[
         bool, typer.Option("--reflectance", help="Of the directional-hemispherical reflectance, instead of one value.")
     ] = False,
+    every: Annotated[
+        bool, typer.Option("--all", help="Also the components below a hundredth of u; --json always has all of them.")
+    ] = False,
     as_json: Json = False,
 ) -> None:
     """List the components of a value's uncertainty, the largest first.
 
-    For each: u in the unit of the value and in percent, its share of u squared, which values share it, and its source. The
-    squares of the components add up to the square of u.
+    For each: u in the unit of the value and in percent of it, its share of the square of u, which values share it, and its
+    source: the table and key of the rig file, or a measurement. The squares of the components add up to the square of u.
     """
     from goniotwin.app.campaign.journal.writing import Journal
     from goniotwin.app.campaign.reduction.budget import budget_of_reflectance, budget_of_value, parse_place
@@ -106,28 +117,36 @@ def budget(
     with Journal.open(journal) as opened:
         simulated = opened.simulated
         found = (budget_of_reflectance if reflectance else budget_of_value)(Reduction(opened), place)
-    answer(
-        as_json, {**found.as_dict(), "simulated": simulated}, lambda: _print_budget(Console(highlight=False), found, simulated)
-    )
+    show = partial(_print_budget, Console(highlight=False), found, simulated, every)
+    answer(as_json, {**found.as_dict(), "simulated": simulated}, show)
 
 
-def _print_budget(console: Console, budget: "Budget", simulated: bool) -> None:
+def _print_budget(console: Console, budget: "Budget", simulated: bool, every: bool) -> None:
     result = budget.as_dict()
     unit = "" if budget.unit == "1" else f" {budget.unit}"
-    relative = f" ({result['relative_u']:.3%})" if result["relative_u"] is not None else ""
+    relative = f" ({100.0 * result['relative_u']:.3g} %)" if result["relative_u"] is not None else ""
     console.print(f"{'SIMULATED, ' if simulated else ''}{budget.title}", markup=False, soft_wrap=True)
     console.print(f"{budget.value:.6g}{unit}, u {budget.u:.3g}{unit}{relative}", markup=False)
     for each in budget.about:
         console.print(each, markup=False, soft_wrap=True)
+    wide = console.width >= WIDE_COLUMNS
     table = Table(box=None, pad_edge=False)
-    for name in ("component", f"u{unit and ','}{unit}", "u, %", "share", "shared by", "source"):
-        number = name == "share" or name.startswith("u")
+    for name in ("component", f"u{unit and ','}{unit}", "u, %", "share, %", *(["shared by", "source"] if wide else [])):
+        number = name.startswith(("u", "share,"))
         table.add_column(name, justify="right" if number else "left", no_wrap=number or name == "component", overflow="fold")
-    for each in result["components"]:
+    if not wide:
+        table.add_column("shared by; source", overflow="fold")
+    components = result["components"]
+    shown = [each for each in components if every or each["share"] >= LEAST_SHARE] or components
+    for each in shown:
         percent = "" if each["relative_u"] is None else f"{100.0 * each['relative_u']:.3g}"
-        texts = (each["name"], f"{each['u']:.3g}", percent, f"{each['share']:.1%}", each["shared_by"], each.get("source", ""))
-        table.add_row(*map(Text, texts))
+        origin = (each["shared_by"], each.get("source", ""))
+        texts = (each["name"], f"{each['u']:.3g}", percent, f"{100.0 * each['share']:.2f}")
+        table.add_row(*map(Text, (*texts, *(origin if wide else ["; ".join(filter(None, origin))]))))
     console.print(table)
+    if rest := components[len(shown) :]:
+        share = math.sqrt(math.fsum(each["share"] for each in rest))
+        console.print(f"and {len(rest)} smaller ones, together {100.0 * share:.2g} % of u (--all lists them)", soft_wrap=True)
 
 
 @app.command()
@@ -167,7 +186,7 @@ def verify(
 
 @app.command()
 def closure(
-    journal: Annotated[Path, typer.Argument(metavar="JOURNAL", help="Data file (journal) of a campaign.", show_default=False)],
+    journal: JournalArgument,
     without_damaged: Annotated[
         bool, typer.Option("--without-damaged", help="Leave out the rows that are damaged, instead of giving nothing.")
     ] = False,
@@ -177,6 +196,8 @@ def closure(
 
     For each sigma and wavelength the etalon's radiance factor by its certificate and by the scan of the open beam: ratio,
     combined uncertainty u, z, and a verdict. The schedule needs the table [open_beam].
+
+    Exit status: 1 if the two scales do not agree at one of them.
     """
     from goniotwin.app.campaign.journal.writing import Journal
     from goniotwin.app.campaign.reduction.closure import closure_text
@@ -188,11 +209,13 @@ def closure(
         mark = "SIMULATED, " if opened.simulated else ""
     text = f"{mark}closure of {journal}\n{closure_text(report)}"
     answer(as_json, result, lambda: print(text))
+    if report.apart:
+        raise typer.Exit(1)
 
 
 @app.command()
 def copy(
-    journal: Annotated[Path, typer.Argument(metavar="JOURNAL", help="Data file (journal) of a campaign.", show_default=False)],
+    journal: JournalArgument,
     file: Annotated[Path, typer.Argument(metavar="FILE", help="Copy to make; not overwritten.", show_default=False)],
     as_json: Json = False,
 ) -> None:

@@ -60,6 +60,7 @@ def run_demo(
         "hidden_theta_deg": {f"{each.sigma_deg:g}": list(each.hidden_deg) for each in measured},
         "simulated": rig.simulated,
         "seed": rig.seed,
+        "findings": list(reduced.findings),
         "files": {name: str(file) for name, file in files.items()},
     }
     return result, lambda terminal: _print_result(terminal, result, measured, noise_free)
@@ -108,5 +109,7 @@ def _print_result(console: Console, result: dict[str, Any], measured: list[Compa
         f"SIMULATED (seed {result['seed']}): {result['rows']} rows, {result['duration_s']:.0f} s simulated "
         f"(estimated {result['foretold_s']:.0f} s), {result['wall_s']:.1f} s elapsed."
     )
+    for finding in result["findings"]:
+        console.print(finding, style="yellow", markup=False, soft_wrap=True)
     for name, file in result["files"].items():
         console.print(f"  {name:8}{file}", markup=False, soft_wrap=True)

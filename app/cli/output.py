@@ -78,6 +78,12 @@ def print_error(text: object) -> None:
         errors.print(f"goniotwin: {one_line(str(text))}", style="red", markup=False)
 
 
+def print_warning(text: object) -> None:
+    """Print what needs attention on standard error, in yellow and in one line."""
+    with contextlib.suppress(OSError):  # a closed terminal
+        errors.print(f"goniotwin: {one_line(str(text))}", style="yellow", markup=False)
+
+
 def print_order(text: str) -> None:
     """Print a safety order on standard error, as an error."""
     print_error(f"SAFETY: {text}")

@@ -40,7 +40,7 @@ STATUS = {
     State.STOPPING: "Stopping.",
 }
 END = {State.DONE: "done", State.IDLE: "stopped", State.FAILED: "failed"}
-SERIOUS = ("fault", "stop", "encoder", "sleep")
+SERIOUS = ("fault", "stop", "encoder", "sleep", "finding")
 """Kinds of the journal's events that a person should look at."""
 
 

@@ -6,6 +6,7 @@ virtual rig can have each of them as a disturbance: the keys of `[twin.disturban
 """
 
 from dataclasses import dataclass, field, fields
+from functools import cache
 from typing import Annotated, Any, Literal
 
 from annotated_types import Ge, Le
@@ -75,6 +76,7 @@ class UncertaintyTable:
         return value if self.distribution(key) == "normal" else value / 3.0**0.5
 
     @staticmethod
+    @cache
     def distribution(key: str) -> Distribution:
         """The distribution of a key's input."""
         (entry,) = [each for each in fields(UncertaintyTable) if each.name == key]

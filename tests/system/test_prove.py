@@ -19,10 +19,10 @@ pytestmark = [
 
 def test_an_interrupted_proof_continues(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
     folder = tmp_path / "proof"
-    command = [*MAIN, "prove", write_schedule(), "--rig", write_rig(), "--rigs", "12", "--without-wires", "--processes", "2",
-               "--out", folder, "--json"]  # fmt: skip
+    options = ["--rigs", "12", "--without-wires", "--processes", "2", "--out", str(folder), "--json"]
+    command = [*MAIN, "prove", str(write_schedule()), "--rig", str(write_rig()), *options]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True)
-    until(lambda: process.poll() is not None or list(folder.glob("rig-*.json")))
+    until(lambda: process.poll() is not None or any(folder.glob("rig-*.json")))
     process.send_signal(signal.SIGINT)
     out, errors = process.communicate(timeout=120)
     assert process.returncode == 130, errors

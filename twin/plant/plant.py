@@ -158,9 +158,9 @@ class Plant:
 
         At the wavelength that is set then, or at another one.
         """
-        axes = (self.angle_deg(axis, t) for axis in ("sigma", "gamma", "beta", "shift"))
+        sigma, gamma, beta, shift = (self.angle_deg(axis, t) for axis in ("sigma", "gamma", "beta", "shift"))
         wavelength = self._true_nm(self.wavelength_nm.at(t)) if wavelength_nm is None else wavelength_nm
-        aspect = Aspect(self.sample.at(t), self.tilt_deg.at(t), wavelength, *axes, self.mounting.at(t))
+        aspect = Aspect(self.sample.at(t), self.tilt_deg.at(t), wavelength, sigma, gamma, beta, shift, self.mounting.at(t))
         return self.view.throughputs_m2sr(aspect)
 
     def warm_up(self) -> None:

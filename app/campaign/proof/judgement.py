@@ -106,11 +106,11 @@ class RigResult:
         cells = {
             table: {label: Cell(**cell) for label, cell in labels.items()} for table, labels in content.pop("cells").items()
         }
-        pairs = {
-            name: {key: (float(a), float(b)) for key, (a, b) in content.pop(name).items()}
+        inputs, angles, reflectances = (
+            {key: (float(a), float(b)) for key, (a, b) in content.pop(name).items()}
             for name in ("inputs", "angles", "reflectances")
-        }
-        return cls(cells=cells, **pairs, **content)
+        )
+        return cls(cells=cells, inputs=inputs, angles=angles, reflectances=reflectances, **content)
 
 
 def judge(journal: Path, plan: Plan) -> RigResult:
@@ -217,21 +217,21 @@ def _fit(scatterer: Scatterer, points: BsdfPoints, truth: Floats, settings: Redu
     effects = replace(effects, independent=own)
     residual = relative_residuals(points, truth)
     fit = fit_inputs(effects, residual)
+    none = np.zeros(points.size)
+    by_slopes = [
+        angles(replace(points, slope_along=none + along, slope_across=none + across), settings)
+        for along, across in ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0))
+    ]
     for _ in range(SECOND_ORDER_STEPS):
-        fit = fit_inputs(effects, residual - _second_order(scatterer, points, truth, settings, fit))
+        estimate = dict(zip((each.name for each in fit.inputs), fit.estimate.tolist(), strict=True))
+        diffuse, *moved = (effect_of(each, estimate) for each in by_slopes)
+        along, across = (each - diffuse for each in moved)
+        fit = fit_inputs(effects, residual - _second_order(scatterer, points, truth, along, across))
     return effects, fit
 
 
-def _second_order(scatterer: Scatterer, points: BsdfPoints, truth: Floats, settings: ReductionSettings, fit: Fit) -> Floats:
-    """What the fitted angles change in the values (n,) beyond the first order; relative."""
-    none = np.zeros(points.size)
-    slopes = [(none, none), (none + 1.0, none), (none, none + 1.0)]
-    estimate = dict(zip((each.name for each in fit.inputs), fit.estimate.tolist(), strict=True))
-    diffuse, *moved = (
-        effect_of(angles(replace(points, slope_along=along, slope_across=across), settings), estimate)
-        for along, across in slopes
-    )
-    along, across = (each - diffuse for each in moved)
+def _second_order(scatterer: Scatterer, points: BsdfPoints, truth: Floats, along: Floats, across: Floats) -> Floats:
+    """What angles (n,), in deg, change in the values (n,) beyond the first order; relative."""
     change = moved_logarithm(scatterer, points, along, across) - moved_logarithm(scatterer, points, 0.0, 0.0)
     noise = noisy(points)
     share = np.where(noise, truth / np.where(points.bsdf == 0.0, 1.0, points.bsdf), 1.0)

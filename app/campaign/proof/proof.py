@@ -8,7 +8,7 @@ import os
 import signal
 import tempfile
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, replace
@@ -145,12 +145,12 @@ def prove(proof: Proof, processes: int | None = None, report: Callable[[int], No
     return Totals([results[seed] for seed in proof.seeds])
 
 
-def _here(proof: Proof, seeds: list[int]) -> Iterator[RigResult]:
+def _here(proof: Proof, seeds: list[int]) -> Generator[RigResult]:
     for seed in seeds:
         yield proof.result(seed)
 
 
-def _in_processes(proof: Proof, seeds: list[int], count: int) -> Iterator[RigResult]:
+def _in_processes(proof: Proof, seeds: list[int], count: int) -> Generator[RigResult]:
     """The results as they are done. At the end, and at a Ctrl-C, the processes are ended: a rig takes some seconds."""
     context = multiprocessing.get_context("spawn")  # a fork would copy the locks of other threads
     schedule, rig = proof.schedule, proof.rig

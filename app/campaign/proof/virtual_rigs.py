@@ -48,6 +48,7 @@ class DrawnRigs:
         twin = _table(self._document, "twin")
         _add(_table(twin, "disturbances"), stated)
         _add(_table(twin, "electronics"), {"gain_spread": rig.file.photodiodes.gain_uncertainty})
+        _add(_table(twin, "monitor"), {"noise": rig.file.monitor.relative_uncertainty})
         self._simulated = _table(self._document, "simulated")
         self._first = parse_rig(tomlkit.dumps(self._document), rig.folder, rig.name)
 

@@ -10,11 +10,19 @@ import numpy as np
 from goniotwin.app.campaign.reduction.effects_of_points import effects_of
 from goniotwin.app.campaign.reduction.points import BsdfPoints, join_points
 from goniotwin.app.campaign.reduction.reduction import Reduction
-from goniotwin.app.campaign.reduction.reflectance import Setting, components_of_sum, integration_settings, quadrature
+from goniotwin.app.campaign.reduction.reflectance import (
+    WIDEST_AZIMUTH_DEG,
+    WIDEST_POLAR_DEG,
+    Setting,
+    components_of_sum,
+    integration_settings,
+    quadrature,
+)
 from goniotwin.app.campaign.uncertainty.effects import Component
 from goniotwin.app.errors import UserError
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics import arc_direction
+from goniotwin.twin.optics.geometry.coordinates import round_deg
 
 NEAR_DEG = 0.05
 """A direction further than this from all measured ones is another direction: angles are typed with two decimals or one."""
@@ -145,9 +153,17 @@ def budget_of_reflectance(reduction: Reduction, place: Mapping[str, str | float]
 
 
 def reflectance(reduction: Reduction, name: str, points: BsdfPoints, setting: Setting) -> Budget:
-    """The reflectance (or transmittance) of one setting of a sample's points, with its budget."""
+    """The reflectance (or transmittance) of one setting of a sample's points, with its budget.
+
+    Raises UserError where the measured directions do not cover the half sphere.
+    """
     here = points.where(setting.index)
     rule = quadrature(here, reduction.schedule.symmetry)
+    if not rule.hemisphere:
+        raise UserError(
+            f"{name}, {setting}: the measured directions do not cover the half sphere, so there is no reflectance; they may be "
+            f"{WIDEST_AZIMUTH_DEG:g} deg apart in azimuth and {WIDEST_POLAR_DEG:g} deg in zenith"
+        )
     value = np.where(rule.weight != 0.0, here.bsdf, 0.0)
     of_filled = float(np.sum((rule.obstructed + rule.extrapolated) * np.abs(value)))
     components = [
@@ -158,12 +174,10 @@ def reflectance(reduction: Reduction, name: str, points: BsdfPoints, setting: Se
     ]
     components.sort(key=lambda each: -each.u)
     total = float(np.sum(rule.weight * value))
-    about = (
-        [] if rule.hemisphere else ["the measured directions do not cover the half sphere: this is an integral, no reflectance"]
-    )
+    about: list[str] = []
     if total:
         parts = (("obstructed directions", rule.obstructed), ("directions beyond the outermost ring", rule.extrapolated))
-        about += [f"{abs(np.sum(part * value) / total):.2%} of it is of {title}" for title, part in parts]
+        about += [f"{100.0 * abs(np.sum(part * value) / total):.2f} % of it is of {title}" for title, part in parts]
     kind = "transmittance" if setting.transmitted else "reflectance"
     return Budget(
         f"directional-hemispherical {kind} of {name}, {setting}", total, _root_sum(components), "1",
@@ -223,7 +237,7 @@ def _distances_deg(points: BsdfPoints, first: float, second: float, specular: bo
 def _listed(points: BsdfPoints, order: np.ndarray) -> str:
     """The first directions of an order, in words."""
     columns = (points.zenith_deg, points.azimuth_deg, points.theta_deg, points.phi_deg)
-    rows = np.stack(columns, axis=1)[order[: 4 * NEIGHBOURS]].tolist()
+    rows = round_deg(np.stack(columns, axis=1))[order[: 4 * NEIGHBOURS]].tolist()
     found = dict.fromkeys(f"zenith {z:g}, azimuth {a:g} (theta {theta:.4g}, phi {phi:.4g})" for z, a, theta, phi in rows)
     return "; ".join(list(found)[:NEIGHBOURS]) or "none"
 

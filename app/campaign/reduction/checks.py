@@ -1,11 +1,12 @@
 """Consistency checks of a campaign: the stated symmetry, and the agreement of photodiodes that measured the same direction."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
+from goniotwin.app.campaign.reduction.closure import ClosureReport
 from goniotwin.app.campaign.reduction.etalon import ReductionSettings, monitor_variance
 from goniotwin.app.campaign.reduction.overlaps import OverlapCheck, Overlaps
 from goniotwin.app.campaign.reduction.points import PLACE, BsdfPoints
@@ -59,14 +60,17 @@ class ConsistencyChecks:
 class CheckResults:
     """The results of the checks by sample; the overlaps as they are before a calibration.
 
-    `calibrated`: whether the values have been multiplied by the calibration factors. `trouble` is the reason why the checks
-    cannot be evaluated, or empty.
+    `calibrated`: whether the values have been multiplied by the calibration factors. `findings` state what is wrong with the
+    instrument, `closure` is that of the open beam, if the schedule has its scan. `trouble` is the reason why the checks cannot
+    be evaluated, or empty.
     """
 
-    symmetry: dict[str, SymmetryResult]
-    overlaps: dict[str, Overlaps]
+    symmetry: dict[str, SymmetryResult] = field(default_factory=dict)
+    overlaps: dict[str, Overlaps] = field(default_factory=dict)
     trouble: str = ""
     calibrated: bool = False
+    findings: tuple[str, ...] = ()
+    closure: ClosureReport | None = None
 
     def add(self, name: str, checks: ConsistencyChecks) -> None:
         """Add the results of a sample, after all of its points."""
@@ -80,6 +84,8 @@ class CheckResults:
             "symmetry": {name: result.as_dict() for name, result in self.symmetry.items()},
             "overlaps": {name: result.as_dict() for name, result in self.overlaps.items() if result.pairs},
             "calibrated": self.calibrated,
+            "findings": list(self.findings),
+            **({} if self.closure is None else {"closure": self.closure.as_dict()}),
             "trouble": self.trouble,
             "told": self.lines,
         }
@@ -99,10 +105,11 @@ class CheckResults:
             if listed := ", ".join(f"photodiode {k}: {factors.of(k):.4f}" for k in factors.significant):
                 applied = "applied" if self.calibrated else "NOT applied, because overlap.calibrate is false"
                 lines.append(f"overlaps of {name}: calibration factors beyond 4 u from 1 ({applied}): {listed}")
-        return lines
+        return lines if self.closure is None else [*lines, f"closure: {self.closure.verdict}"]
 
     @property
     def alarms(self) -> list[str]:
-        """The lines of the checks that have failed."""
+        """The lines of the checks that have failed, and the findings."""
         alarms = [f"symmetry of {name}: {each}" for name, each in self.symmetry.items() if each.pairs and not each.holds]
-        return alarms + [f"overlaps of {name}: {each}" for name, each in self.overlaps.items() if not each.agree]
+        alarms += [f"overlaps of {name}: {each}" for name, each in self.overlaps.items() if not each.agree]
+        return [*alarms, *self.findings]

@@ -8,11 +8,14 @@ the angles: S_etalon goes as cos(theta_i) cos(theta_r), the beam through the hol
 mirror's tilt d in the plane of incidence turns the light by +d at sigma and by -d at 180 deg - sigma, so that it counts twice.
 The scan sees some of this itself: its centroid is the sum of the tilts of light and arc. It is an observation of the inputs, by
 which the value is corrected and their uncertainty reduced (the conditional expectation of normal inputs).
+
+The scan's second moment is that of the instrument function: the field of view that the values are corrected for. Where it is
+not that of the rig file, `field_deg` is the one that explains the scan.
 """
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -26,11 +29,14 @@ from goniotwin.app.campaign.reduction.signals import LIGHT
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.schedule.grids import grid_values
 from goniotwin.app.campaign.uncertainty.effects import Component
+from goniotwin.app.campaign.uncertainty.field import directions_covariance
 from goniotwin.app.campaign.uncertainty.inputs import Input
-from goniotwin.app.campaign.uncertainty.pose import mounting_inputs, photodiode_inputs, position_input, rig_inputs
-from goniotwin.app.rig import RigFile
-from goniotwin.arrays import Floats
-from goniotwin.twin.optics.geometry.coordinates import round_deg
+from goniotwin.app.campaign.uncertainty.pose import POSITIONS, mounting_inputs, photodiode_inputs, position_input, rig_inputs
+from goniotwin.app.campaign.uncertainty.slopes import Directions
+from goniotwin.app.rig import RigFile, nominal_instrument
+from goniotwin.arrays import Floats, Ints
+from goniotwin.twin.optics import Instrument
+from goniotwin.twin.optics.geometry.coordinates import SPECULAR_AZIMUTH_DEG, round_deg
 
 MIRROR_LEVERS = tuple(math.sqrt(2.0) * k / 4.0 for k in (1, 2, 3))
 """Turn of the light in the plane of incidence for a tilt of each mirror: 1.414 times its share of the path to the sample."""
@@ -42,6 +48,10 @@ SMALLEST_U = 1e-12
 """A rig file may state that everything is exact."""
 AGREES, DIFFERS = 2.0, 4.0
 """Up to so many combined uncertainties two scales agree; beyond so many they certainly do not."""
+MOMENT_U = 0.02
+"""Relative standard uncertainty of a scan's second moment against the expected one: on the virtual rig 0 to 1.8 % apart."""
+FIELDS_DEG = (0.05, 6.0)
+"""Fields of view that a scan can show: of a wider one the beam is not within the scan."""
 
 
 @dataclass(frozen=True)
@@ -123,6 +133,48 @@ class Closure:
         return f"{difference}: they do NOT agree" if size > DIFFERS else f"{difference}: more than expected"
 
 
+@dataclass(frozen=True)
+class JointClosure:
+    """The closures of several scans together: their best mean `ratio`, with its relative standard uncertainty `u`."""
+
+    sigmas_deg: tuple[float, ...]
+    ratio: float
+    u: float
+
+    @classmethod
+    def of(cls, closures: Sequence[Closure]) -> "JointClosure | None":
+        """Of those at the wavelengths of their scans; None of fewer than two. Inputs of one name are common to them."""
+        scanned = [each for each in closures if each.wavelength_nm == each.beam.wavelength_nm]
+        if len(scanned) < 2:
+            return None
+        effects: dict[str, Floats] = {}
+        for k, each in enumerate(scanned):
+            for part in each.components:
+                own = part.name in OWN_OF_A_SCAN or part.name.startswith("position@")
+                effect = effects.setdefault(f"{k} {part.name}" if own else part.name, np.zeros(len(scanned)))
+                effect[k] = math.copysign(part.u, part.sensitivity)
+        columns = np.array(list(effects.values()))
+        covariance = columns.T @ columns + SMALLEST_U**2 * np.eye(len(scanned))
+        weight = np.linalg.solve(covariance, np.ones(len(scanned)))
+        ratio = float(weight @ [each.ratio for each in scanned] / weight.sum())
+        return cls(tuple(each.beam.scan.at_deg for each in scanned), ratio, 1.0 / math.sqrt(float(weight.sum())))
+
+    @property
+    def z(self) -> float:
+        """The difference of the two routes in combined uncertainties."""
+        return (self.ratio - 1.0) / max(self.u, SMALLEST_U)
+
+    def as_dict(self) -> dict[str, Any]:
+        """The result for JSON."""
+        return {"sigmas_deg": list(self.sigmas_deg), "ratio": self.ratio, "u": self.u, "z": self.z}
+
+    def __str__(self) -> str:
+        sigmas = ", ".join(f"{each:g}" for each in self.sigmas_deg)
+        return f"all scans together (sigma {sigmas} deg): ratio {self.ratio:.4f}, u {100.0 * self.u:.2f} %, z {self.z:+.1f}"
+
+
+OWN_OF_A_SCAN = frozenset({"scan", "noise", "dark", "etalon_reading", "signature", "monitor"})
+"""Components of which each scan has an error of its own, beside the positions of its axes."""
 CERTIFICATE_INPUTS = ("certificate", "etalon_age", "etalon_edge")
 TROUBLES = {
     "dead": "has lost its dark current",
@@ -134,16 +186,59 @@ TROUBLES = {
 
 
 @dataclass(frozen=True)
+class ScannedField:
+    """The field of view by the scans: `ratio` of their second moments to those of the rig file's `stated_deg`, with `u`.
+
+    `field_deg` is the one that explains the scans; None where none does.
+    """
+
+    ratio: float
+    u: float
+    stated_deg: float
+    field_deg: float | None
+
+    @property
+    def z(self) -> float:
+        """The logarithm of the ratio in its uncertainties."""
+        return math.log(self.ratio) / self.u
+
+    @property
+    def applied(self) -> bool:
+        """Whether the values are corrected for `field_deg` in place of the rig file's."""
+        return abs(self.z) > AGREES and self.field_deg is not None
+
+    def as_dict(self) -> dict[str, Any]:
+        """The result for JSON."""
+        return {
+            "ratio": self.ratio, "u": self.u, "z": self.z, "field_deg": self.field_deg, "applied": self.applied,
+            "verdict": str(self),
+        }  # fmt: skip
+
+    def __str__(self) -> str:
+        shown = f"the scan of the open beam has {self.ratio:.2f} of the variance of directions that the rig file has"
+        if abs(self.z) <= AGREES:
+            return f"{shown} (u {self.u:.2f}): they agree"
+        if self.field_deg is None:
+            return f"{shown}, and no field of view explains it; check [geometry] in the rig file"
+        return (
+            f"{shown}: its field of view is {self.field_deg:.2f} deg, not {self.stated_deg:g}; values are corrected for it; "
+            "correct field_deg of [geometry] in the rig file"
+        )
+
+
+@dataclass(frozen=True)
 class ClosureReport:
     """The closures of a journal, the scans that they come from, and the reasons why there are no others.
 
-    `not_planned` are those of the schedule, `missing` those of the measurement.
+    `not_planned` are those of the schedule, `missing` those of the measurement. `field` is the field of view by the scans, None
+    without one that has all of the beam.
     """
 
     closures: tuple[Closure, ...]
     beams: tuple[ScannedBeam, ...]
     not_planned: tuple[str, ...]
     missing: tuple[str, ...] = ()
+    field: ScannedField | None = None
 
     @property
     def scale(self) -> dict[tuple[float, float, bool], tuple[float, float]]:
@@ -192,17 +287,42 @@ class ClosureReport:
                 }
                 for each in self.beams
             ],
+            "together": self.together.as_dict() if self.together is not None else None,
+            "field": self.field.as_dict() if self.field is not None else None,
             "missing": [*self.not_planned, *self.missing],
             "verdict": self.verdict,
         }
 
     @property
+    def apart(self) -> list[Closure]:
+        """The closures that certainly do not agree."""
+        return [each for each in self.closures if abs(each.z) > DIFFERS]
+
+    @property
+    def together(self) -> JointClosure | None:
+        """The closures of all scans together; None with fewer than two."""
+        return JointClosure.of(self.closures)
+
+    @property
+    def contradicts_etalon(self) -> bool:
+        """Whether a comparison shows that the etalon's scale, or that of the open beam, is certainly wrong."""
+        return bool(self.apart) or self._apart_together
+
+    @property
+    def _apart_together(self) -> bool:
+        return self.together is not None and abs(self.together.z) > DIFFERS
+
+    @property
     def alarms(self) -> list[str]:
         """What could not be compared, and the comparisons that do not agree, as warnings."""
-        apart = [each for each in self.closures if abs(each.z) > DIFFERS]
         return [
             *(f"no closure: {each}" for each in self.missing),
-            *(f"closure at sigma {each.beam.scan.at_deg:g} deg, {each.wavelength_nm:g} nm: {each.verdict}" for each in apart),
+            *(
+                f"closure at sigma {each.beam.scan.at_deg:g} deg, {each.wavelength_nm:g} nm: {each.verdict}"
+                for each in self.apart
+            ),
+            *([f"closure of {self.together}: they do NOT agree"] if self._apart_together else []),
+            *([str(self.field)] if self.field is not None and abs(self.field.z) > AGREES else []),
         ]
 
     @property
@@ -260,7 +380,7 @@ def journal_closure(
                 closures.append(found)
             else:
                 missing.append(f"{where}, {wavelength:g} nm: {found}")
-    return ClosureReport(tuple(closures), tuple(beams), tuple(not_planned), tuple(missing))
+    return ClosureReport(tuple(closures), tuple(beams), tuple(not_planned), tuple(missing), scanned_field(beams, rig))
 
 
 def closure_text(report: ClosureReport) -> str:
@@ -285,6 +405,7 @@ def closure_text(report: ClosureReport) -> str:
         if beam.neighbours:
             seen = ", ".join(f"{k}: {x:.1e} (u {u:.0e})" for k, (x, u) in beam.neighbours.items())
             lines.append(f"    cross-talk and stray light, in volts over those of photodiode {beam.scan.photodiode}: {seen}")
+    lines += [f"  {each}" for each in (report.together, report.field) if each is not None]
     if report.closures:
         lines.append("  *: the wavelength of the scan; at the others its middle pose")
     lines += [f"  none: {each}" for each in (*report.not_planned, *report.missing)]
@@ -357,7 +478,14 @@ class _Readings:
             middle = _of_photodiode([self._open[middle_key]], scan.photodiode)
         age = _relative("etalon_age", self._settings.etalon_years, rig, "etalon_age_per_year", "all readings of the etalon")
         certified = Component("certificate", float(u_factor[0]), 1.0, None), age
-        return compare(beam, wavelength_nm, scanned, middle, etalon, float(factor[0]), certified, rig)
+        return compare(beam, wavelength_nm, scanned, middle, etalon, float(factor[0]), certified, rig, self._moves())
+
+    def _moves(self) -> Ints | None:
+        """For each pose (n, 2) the number of moves so far of shift and beta; None without a history of the rows."""
+        if self._settings.history is None:
+            return None
+        rows = np.array([self._open[key].row.number for key in self._keys])
+        return self._settings.history.moves(rows)[:, [POSITIONS.index("shift"), POSITIONS.index("beta")]]
 
     def _direction(self, wavelength_nm: float) -> tuple[float, float, float, float]:
         scan = self._scan
@@ -408,13 +536,49 @@ def scanned_beam(
     )  # fmt: skip
 
 
+def moment_deg2(scan: BeamScan, instrument: Instrument) -> Floats:
+    """The second moment (2, 2) that a scan has with an instrument, deg^2: of light straight through the empty holder."""
+    one, none = np.ones(1), np.zeros(1)
+    place = Directions(
+        setting=np.zeros(1, dtype=np.int64), plane=np.zeros(1, dtype=np.int64), polar=np.radians(scan.at_deg) * one,
+        azimuth=np.radians(SPECULAR_AZIMUTH_DEG) * one, up=one if scan.arc == "upper" else -one, middle=one, along=none,
+        across=none,
+    )  # fmt: skip
+    sigma = np.radians(scan.poses[scan.middle, 1]) * one
+    along, across, both = directions_covariance(instrument, place, sigma, np.ones(1, dtype=bool))[0].tolist()
+    return np.array([[along, both], [both, across]]) * math.degrees(1.0) ** 2
+
+
+def scanned_field(beams: Sequence[ScannedBeam], rig: RigFile) -> ScannedField | None:
+    """The field of view by the scans that have all of the beam; None without one."""
+    whole = [each for each in beams if each.edge <= EDGE_SHARE and np.trace(each.moment_deg2) > 0.0]
+    if not whole:
+        return None
+    nominal = nominal_instrument(rig)
+
+    def ratio(field_deg: float) -> float:
+        instrument = replace(nominal, field_deg=field_deg)
+        parts = [math.log(np.trace(each.moment_deg2) / np.trace(moment_deg2(each.scan, instrument))) for each in whole]
+        return math.exp(math.fsum(parts) / len(parts))
+
+    found, u = ratio(nominal.field_deg), math.hypot(rig.uncertainty.standard("field_of_view"), MOMENT_U)
+    low, high = FIELDS_DEG
+    if abs(math.log(found)) <= AGREES * u or not ratio(low) > 1.0 > ratio(high):
+        return ScannedField(found, u, nominal.field_deg, nominal.field_deg if abs(math.log(found)) <= AGREES * u else None)
+    while high - low > 1e-3:  # the moment grows with the field
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if ratio(middle) > 1.0 else (low, middle)
+    return ScannedField(found, u, nominal.field_deg, low)
+
+
 def compare(
     beam: ScannedBeam, wavelength_nm: float, scanned: Signal, middle: Signal | None, etalon: Signal, certified: float,
-    certificate: Sequence[Component], rig: RigFile,
+    certificate: Sequence[Component], rig: RigFile, moves: Ints | None = None,
 ) -> Closure:  # fmt: skip
     """The closure at a wavelength: `scanned` (n,) is the scan, `etalon` (1,) the etalon's signal, of a `certificate`.
 
-    `middle` (1,) is the open beam at the wavelength in the middle pose; None at the wavelength of the scan itself.
+    `middle` (1,) is the open beam at the wavelength in the middle pose; None at the wavelength of the scan itself. `moves`
+    (n, 2) are the numbers of moves of shift and beta before each pose; without them each pose has its own.
     """
     scan = beam.scan
     at = scan.middle
@@ -425,13 +589,14 @@ def compare(
     mean_beam = float(beam.share @ scanned.value) * spectral
     components = [
         *inputs,
+        *_scan_positions(beam, scanned, middle, moves, rig),
         *_gain_effects(beam, scanned, middle, etalon, rig),
         *_noise(beam, scanned, middle, etalon, rig),
         _relative("linearity", math.log10(mean_beam / seen), rig, "linearity_per_decade", "all values"),
         _relative("etalon_edge", 1.0, rig, "etalon_edge", "all readings of the etalon"),
         *(_relative(f"beam_hole@{side}", 1.0, rig, "beam_hole", "all scans") for side in ("upper", "lower")),
         # The sharper edges of the beam, foreshortened by the spot at grazing incidence, are sampled less well.
-        _relative("scan", math.hypot(1.0, 0.5 * math.tan(math.radians(scan.at_deg))) * (scan.polar_step_deg / STEP_DEG) ** 2,
+        _relative("scan", math.hypot(1.0, 0.5 * math.tan(math.radians(scan.at_deg))) * (scan.step_deg / STEP_DEG) ** 2,
                   rig, "scan", "this scan"),
         *certificate,
     ]  # fmt: skip
@@ -502,6 +667,23 @@ def centroid_uncertainty_deg(scan: BeamScan, rig: RigFile) -> float:
     return math.sqrt(math.fsum((each.of_centroid * each.input.u) ** 2 for each in pose_inputs(scan, rig)))
 
 
+def _scan_positions(
+    beam: ScannedBeam, scanned: Signal, middle: Signal | None, moves: Ints | None, rig: RigFile
+) -> Iterator[Component]:  # fmt: skip
+    """Where shift and beta stop for each pose of the scan: poses between two moves of an axis have one error."""
+    scan = beam.scan
+    slopes = scan.slopes(scanned.value) * [1.0, math.sin(math.radians(scan.at_deg))]
+    parts = slopes * scan.solid_angle_sr[:, None] / beam.total
+    own = np.repeat(np.arange(len(parts))[:, None], 2, axis=1)
+    for k, axis in enumerate(("shift", "beta")):
+        _, which = np.unique((own if moves is None else moves)[:, k], return_inverse=True)
+        squares = float(np.sum(np.bincount(which.ravel(), weights=parts[:, k]) ** 2))
+        if middle is not None:  # the middle pose is reached once more
+            squares += 2.0 * float(slopes[scan.middle, k] / scanned.value[scan.middle]) ** 2
+        stop = position_input(rig.uncertainty, axis, "scan")
+        yield Component(stop.name, math.sqrt(squares) * stop.u, math.sqrt(squares), stop)
+
+
 def _gain_effects(
     beam: ScannedBeam, scanned: Signal, middle: Signal | None, etalon: Signal, rig: RigFile
 ) -> Iterator[Component]:
@@ -546,7 +728,7 @@ def _relative(name: str, sensitivity: float, rig: RigFile, key: str, shared: str
     """A component of a relative input of the rig file."""
     table = rig.uncertainty
     given = Input(
-        name, "1", table.standard(key), table.distribution(key), shared, f"rig file, uncertainty.{key}", f"disturbances.{key}"
+        name, "1", table.standard(key), table.distribution(key), shared, f"[uncertainty] {key}", f"disturbances.{key}"
     )
     return Component(name, abs(sensitivity) * given.u, sensitivity, given)
 

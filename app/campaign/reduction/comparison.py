@@ -6,11 +6,9 @@ Only this file uses the theory. Measurement and reduction do not.
 import math
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from goniotwin.app.campaign.geometry.directions import direction_keys, is_lower
 from goniotwin.app.campaign.reduction.components import logarithmic, mostly_added
@@ -30,6 +28,9 @@ from goniotwin.twin.optics.geometry.coordinates import (
     signed_polar,
     zenith_and_azimuth,
 )
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 COLOURS = ("#c0392b", "#b7950b", "#1e8449", "#1f618d", "#6c3483", "#616a6b")
 
@@ -82,7 +83,7 @@ def with_true_slopes(scatterer: Scatterer, points: BsdfPoints) -> BsdfPoints:
 
 
 def moved_logarithm(scatterer: Scatterer, points: BsdfPoints, along: Floats | float, across: Floats | float) -> Floats:
-    """Logarithm (n,) of a model's BSDF at directions that are turned from the points' ones, deg along the arc and across."""
+    """Logarithm (n,) of a model's BSDF at the points' directions, turned by so many degrees along the arc and across it."""
     polar = points.zenith_deg * (np.pi / 180.0)
     azimuth = np.radians(points.azimuth_deg)
     level = np.stack([-np.sin(azimuth), np.cos(azimuth), np.zeros(azimuth.size)], axis=1)
@@ -167,6 +168,9 @@ def cut_figure(reduced: BsdfDataset, sample: str, comparisons: list[Comparison],
 
     `sample` is one with a known theory. Blocked directions are shaded.
     """
+    import matplotlib as mpl  # a rehearsal needs the truth of a sample, and not the 30 MB of what draws
+    from matplotlib.figure import Figure
+
     points = reduced.samples[sample].front
     chosen = points.where(points.in_plane)
     with mpl.rc_context({"font.size": 10.0, "axes.spines.top": False, "axes.spines.right": False}):
@@ -179,8 +183,8 @@ def cut_figure(reduced: BsdfDataset, sample: str, comparisons: list[Comparison],
 
 
 def _draw_cut(
-    upper: Axes,
-    lower: Axes,
+    upper: "Axes",
+    lower: "Axes",
     reduced: BsdfDataset,
     sample: str,
     points: BsdfPoints,
@@ -208,7 +212,7 @@ def _draw_cut(
     lower.plot(_signed_zenith(close), deviation, ".", ms=4, color=colour)
 
 
-def _draw_axes(upper: Axes, lower: Axes, reduced: BsdfDataset, sample: str) -> None:
+def _draw_axes(upper: "Axes", lower: "Axes", reduced: BsdfDataset, sample: str) -> None:
     upper.set_ylabel("luminance factor (pi times BRDF)")
     upper.set_ylim(bottom=0.0)
     upper.legend(loc="upper left", framealpha=1.0, edgecolor="white", title="points: measured, lines: theory")

@@ -18,7 +18,7 @@ import numpy as np
 from goniotwin.app.campaign.reduction import pipeline
 from goniotwin.app.campaign.reduction.components import Signal
 from goniotwin.app.campaign.reduction.evidence import RunningEvidence
-from goniotwin.app.campaign.reduction.signals import LIGHT, dark_readings_by_gain
+from goniotwin.app.campaign.reduction.signals import LIGHT, DarkReadings, dark_readings_by_gain
 from goniotwin.app.campaign.row import CommittedRow, Row, RowData
 from goniotwin.app.campaign.schedule.file import DriftTable
 from goniotwin.app.campaign.wording import number_list
@@ -148,6 +148,7 @@ class DriftWatch:
         self._rig = rig
         self._settings = rig.photodiodes
         self._dark_rows: list[CommittedRow] = []
+        self._dark: dict[float, DarkReadings] | None = None
         self._evidence = RunningEvidence(rig)
 
     def add(self, row: Row, data: RowData) -> DriftCheck | None:
@@ -155,17 +156,23 @@ class DriftWatch:
         committed = CommittedRow(row, data)
         if row.kind == "dark":
             self._dark_rows.append(committed)
+            self._dark = None
         self._evidence.add(committed)
         if self._evidence.full:
             with contextlib.suppress(UserError):  # too few dark readings: a drift check would report it
-                self._evidence.renewed(dark_readings_by_gain(self._dark_rows, self._settings))
+                self._evidence.count(self._dark_readings())
         if row.kind == "mount" or data.readings:
             return self._reference.check(row, lambda: self._signal(data))
         return None
 
+    def _dark_readings(self) -> dict[float, DarkReadings]:
+        if self._dark is None:
+            self._dark = dark_readings_by_gain(self._dark_rows, self._settings)
+        return self._dark
+
     def _signal(self, data: RowData) -> Signal:
-        dark = dark_readings_by_gain(self._dark_rows, self._settings)
-        return pipeline.reduce_readings(data, dark, self._settings, self._rig, self._evidence.renewed(dark))
+        dark = self._dark_readings()
+        return pipeline.reduce_readings([data], dark, self._settings, self._rig, self._evidence.renewed(dark))[0]
 
 
 @dataclass(frozen=True)

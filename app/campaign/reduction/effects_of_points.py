@@ -143,7 +143,9 @@ def lamp(points: BsdfPoints, settings: ReductionSettings) -> Effects:
 
 def monitor(points: BsdfPoints, settings: ReductionSettings) -> Effects:
     """The monitor's reading at the row, and at the etalon's row."""
-    return _of_rows(points, "monitor", settings.rig.monitor.relative_uncertainty, "rig file, monitor", "monitor.noise")
+    return _of_rows(
+        points, "monitor", settings.rig.monitor.relative_uncertainty, "[monitor] relative_uncertainty", "monitor.noise"
+    )
 
 
 def _of_rows(points: BsdfPoints, name: str, u: float, source: str, twin: str) -> Effects:
@@ -170,7 +172,7 @@ def gain_input(photodiode: int, gain: int, rig: RigFile) -> Input:
     u = max(rig.photodiodes.gain_uncertainty, LEAST_CERTIFIED)
     return Input(
         f"gain_ratio[{photodiode}, {_gain(gain, rig)}]", "1", u, "normal", "all values of this photodiode at this gain",
-        "rig file, photodiodes.gain_uncertainty, and rows at two gains", "electronics.gain_spread",
+        "[photodiodes] gain_uncertainty, and rows at two gains", "electronics.gain_spread",
     )  # fmt: skip
 
 
@@ -192,7 +194,7 @@ def crosstalk(points: BsdfPoints, settings: ReductionSettings) -> Effects:
 
 def signature(points: BsdfPoints, settings: ReductionSettings) -> Effects:
     """The instrument signature, which was subtracted."""
-    of_rig = "rig file, sample_unit.signature_uncertainty, and the journal's readings"
+    of_rig = "[sample_unit] signature_uncertainty, and the journal's readings"
     source = Input("signature", "1", 1.0, "normal", "all values", of_rig, "")
     del settings
     return _of_one(points, source, -_signed(points, "signature"))
@@ -214,7 +216,7 @@ def field(points: BsdfPoints, settings: ReductionSettings) -> Effects:
 def _of_table(name: str, key: str, settings: ReductionSettings) -> Input:
     """A relative input of all values, of the rig file's `[uncertainty]`."""
     table = settings.rig.uncertainty
-    source, twin = f"rig file, uncertainty.{key}", f"disturbances.{key}"
+    source, twin = f"[uncertainty] {key}", f"disturbances.{key}"
     return Input(name, "1", table.standard(key), table.distribution(key), "all values", source, twin)
 
 

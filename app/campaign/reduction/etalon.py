@@ -9,8 +9,10 @@ from transmitted light: without a sample it is the direct beam.
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from goniotwin.app.campaign.geometry.arcs import ArcView, arc_views
 from goniotwin.app.campaign.geometry.directions import PoseAngles
@@ -104,6 +106,7 @@ class ReductionSettings:
     standard uncertainty that the repeats of the campaign show, None where there are too few of them.
     `absolute` has, by wavelength, incidence and whether the arc is the lower one, the ratio of the open beam's scale to that of
     the certificate, and the relative standard uncertainty of the former; where it has one, it scales transmitted light.
+    `doubted`: the scan of the open beam contradicts the etalon's scale.
     """
 
     rig: RigFile
@@ -116,6 +119,7 @@ class ReductionSettings:
     etalon_years: float = 1.0
     repeatability: float | None = None
     absolute: Mapping[tuple[float, float, bool], tuple[float, float]] = field(default_factory=dict)
+    doubted: bool = False
 
     @property
     def calibrates(self) -> bool:
@@ -250,8 +254,7 @@ def _arc_rows(arc: list[_Joined]) -> ArcRows:
     unknown = np.broadcast_to(np.nan, sample.value.shape)
     measured = np.array([[each.signature is not None] for each in arc])
     flags = {
-        name: np.stack([each.sample.flags[name][c] | each.etalon.flags[name][c] for each in arc])
-        for name in arc[0].sample.flags
+        name: _taken([each.sample.flags[name] | each.etalon.flags[name] for each in arc], c) for name in arc[0].sample.flags
     }
     return ArcRows(
         rows=tuple(each.sample.row for each in arc),
@@ -277,15 +280,16 @@ def _arc_rows(arc: list[_Joined]) -> ArcRows:
 def _stack(rows: Sequence[RowSignal | None], channels: Ints) -> Signal:
     """The signals (rows, photodiodes) of the photodiodes `channels`; 0 for a row that was not measured."""
     signals = [None if each is None else each.signal for each in rows]
-    if all(each is None for each in signals):
+    first = next((each for each in signals if each is not None), None)
+    if first is None:
         shape = len(rows), len(channels)
         return Signal(np.broadcast_to(0.0, shape), {}, np.broadcast_to(np.int64(0), shape))
     names = dict.fromkeys(name for each in signals if each is not None for name in each.components)
-    none, unsaturated = np.zeros(len(channels)), np.zeros(len(channels), dtype=np.int64)
+    none, unsaturated = np.zeros(first.value.shape), np.zeros(first.gain.shape, dtype=np.int64)
     return Signal(
-        np.stack([none if each is None else each.value[channels] for each in signals]),
-        {name: np.stack([none if each is None else each.components[name][channels] for each in signals]) for name in names},
-        np.stack([unsaturated if each is None else each.gain[channels] for each in signals]),
+        _taken([none if each is None else each.value for each in signals], channels),
+        {name: _taken([none if each is None else each.components[name] for each in signals], channels) for name in names},
+        _taken([unsaturated if each is None else each.gain for each in signals], channels),
         _stack_links(signals, channels),
     )
 
@@ -294,8 +298,13 @@ def _stack_links(signals: Sequence[Signal | None], channels: Ints) -> Floats | N
     known = [each.link for each in signals if each is not None and each.link is not None]
     if not known:
         return None
-    none = np.zeros(known[0][channels].shape)
-    return np.stack([none if each is None or each.link is None else each.link[channels] for each in signals])
+    none = np.zeros(known[0].shape)
+    return _taken([none if each is None or each.link is None else each.link for each in signals], channels)
+
+
+def _taken(rows: Sequence[npt.NDArray[Any]], channels: Ints) -> npt.NDArray[Any]:
+    """Arrays (photodiodes, ...) of rows as one of the photodiodes `channels`."""
+    return np.take(np.stack(rows), channels, axis=1)
 
 
 # The steps.
@@ -344,17 +353,19 @@ def apply_certificate(data: ArcRows, settings: ReductionSettings) -> ArcRows:
     factor, _ = settings.certificate.interpolate(
         wavelength_nm, data.incidence_deg, data.column("polar"), data.column("azimuth")
     )
-    bsdf = data.estimate.scaled(factor / math.pi)
-    return replace(data, estimate=bsdf.scaled(_absolute_scale(data, settings))).flagged({"uncertified": np.isnan(factor)})
+    ratio = _absolute_scale(data, settings)
+    bsdf = data.estimate.scaled(factor / math.pi).scaled(np.where(np.isnan(ratio), 1.0, ratio))
+    flags = {"uncertified": np.isnan(factor), "scale": np.broadcast_to(settings.doubted & np.isnan(ratio), factor.shape)}
+    return replace(data, estimate=bsdf).flagged(flags)
 
 
 def _absolute_scale(data: ArcRows, settings: ReductionSettings) -> Floats:
-    """Ratio of the open beam's scale to the certificate's (rows, 1); 1 where the certificate holds."""
-    ratio = np.ones((len(data.rows), 1))
+    """Ratio of the open beam's scale to the certificate's (rows, 1); NaN where the certificate holds."""
+    ratio = np.full((len(data.rows), 1), np.nan)
     for k, (row, view) in enumerate(zip(data.rows, data.views, strict=True) if settings.absolute else ()):
         if view.transmitted:
             wavelength, sigma = round_deg([row.wavelength_nm or 0.0, data.incidence_deg[k, 0]]).tolist()
-            ratio[k], _ = settings.absolute.get((wavelength, sigma, not view.back), (1.0, 0.0))
+            ratio[k], _ = settings.absolute.get((wavelength, sigma, not view.back), (math.nan, 0.0))
     return ratio
 
 

@@ -21,7 +21,7 @@ import numpy as np
 
 from goniotwin.app.campaign.reduction.components import Estimate, Signal
 from goniotwin.app.campaign.reduction.points import CHANCE, plausible
-from goniotwin.app.campaign.reduction.signals import LATEST_S, DarkReadings, independent_conversions, middle_s
+from goniotwin.app.campaign.reduction.signals import LATEST_S, MOST_VALUES, DarkReadings, RowReadings, middle_s, others_volts
 from goniotwin.app.campaign.row import CommittedRow, Reading
 from goniotwin.app.campaign.wording import number_list
 from goniotwin.app.rig import RigFile
@@ -59,10 +59,8 @@ FEW_DEGREES = 20.0
 LEAST_CERTIFIED = 1e-5
 """Least relative uncertainty of a gain."""
 FIT_ROUNDS = 10
-MOST_WAITING = 1024
-"""Rows that wait for a dark reading during a run."""
-MOST_VALUES = 1 << 20
-"""Counts that are in memory together, as numbers of eight bytes, several times."""
+MOST_WAITING = 32
+"""Rows of a run that wait for the next dark reading: some 30 kB. Beyond, they count with the last one alone."""
 NO_CHANGE = -1
 SETTLE = "increase settling_s of [photodiodes] in the rig file, and measure again"
 Tested = tuple[Floats, Floats, Floats]
@@ -84,7 +82,8 @@ class SignalEvidence:
     The noise of a reading is `factor` (photodiodes,) times (the expected one + `own`), and what its row has in common is
     `lamp`; `slow` is the part of a mean's own variance that its readings do not show. `deviation` (gains, photodiodes) is by
     how much the real gains are above the nominal ones, and `link` (photodiodes, gains, gains) the variance of the ratio of two
-    of them.
+    of them. `ratios` is the number of measured ratios of gains, and `worst_ratio` the largest difference of one from the
+    nominal ratio, in its standard uncertainties and those of the certificate.
     """
 
     factor: Floats
@@ -95,6 +94,13 @@ class SignalEvidence:
     slow: float = 0.0
     verdicts: tuple[Verdict, ...] = ()
     notes: tuple[str, ...] = ()
+    ratios: int = 0
+    worst_ratio: float = 0.0
+
+    @property
+    def findings(self) -> tuple[str, ...]:
+        """What is wrong with modules and gains, in words."""
+        return (*self.notes, *(each.text for each in self.verdicts))
 
     @property
     def unsound(self) -> Flags:
@@ -105,28 +111,31 @@ class SignalEvidence:
         return flags
 
 
-def add_scatter(current: Estimate, reading: Reading, settings: ConverterDescription, evidence: SignalEvidence) -> Estimate:
+def add_scatter(current: Estimate, readings: RowReadings, settings: ConverterDescription, evidence: SignalEvidence) -> Estimate:
     """Photocurrents with the noise that the lit readings show, beyond what was expected: `noise`, and `lamp` of the row.
 
     Readings that scatter as wildly as by a count that was changed on a wire have the uncertainty that follows from these alone.
     """
-    square, conversions = current.value**2, independent_conversions(reading)
+    square, conversions = current.value**2, readings.conversions
     own = evidence.factor * (current.components["noise"] + evidence.own * square / conversions) + evidence.slow * square
-    if conversions > 1:
-        scatter = reading.counts.var(axis=0, ddof=1) * (settings.range.lsb_v / reading.gain_v_per_a) ** 2 / conversions
-        own = np.where(scatter > WILD * (own + evidence.lamp * square / conversions), scatter, own)
+    if readings.counts.shape[1] > 1:
+        scatter = readings.counts.var(axis=1, ddof=1) * (settings.range.lsb_v / readings.gain_v_per_a) ** 2 / conversions
+        wild = scatter > WILD * (own + evidence.lamp * square / conversions)
+        own = np.where(wild & (conversions > 1), scatter, own)
     widened = replace(current, components={**current.components, "noise": own})
     return widened.with_component("lamp", evidence.lamp * square / conversions)
 
 
-def correct_gain(current: Estimate, reading: Reading, settings: ConverterDescription, evidence: SignalEvidence) -> Estimate:
+def correct_gain(
+    current: Estimate, readings: RowReadings, settings: ConverterDescription, evidence: SignalEvidence
+) -> Estimate:
     """Photocurrents over the gain that the evidence gives in place of the nominal one."""
-    return current.divided(1.0 + evidence.deviation[settings.gains_v_per_a.index(reading.gain_v_per_a)])
+    return current.divided(1.0 + evidence.deviation[settings.gains_v_per_a.index(readings.gain_v_per_a)])
 
 
 def link_gains(signal: Signal, evidence: SignalEvidence) -> Signal:
-    """A row's signal with the variances of its gains' ratios to the others."""
-    return replace(signal, link=evidence.link[np.arange(signal.gain.size), signal.gain])
+    """The signals of rows with the variances of their gains' ratios to the others."""
+    return replace(signal, link=evidence.link[np.arange(signal.gain.shape[1]), signal.gain])
 
 
 def stated(rig: RigFile) -> SignalEvidence:
@@ -141,12 +150,16 @@ def stated(rig: RigFile) -> SignalEvidence:
 
 @dataclass
 class _Block:
-    """Rows of a block (rows, gains, photodiodes): volts above the dark ones, NaN where clipped or not read; and their noise."""
+    """Rows of a block (rows, gains, photodiodes): volts above the dark ones, NaN where clipped or not read; and their noise.
+
+    `crosstalk` is the standard uncertainty of the volts by their module's other channels: one error for all of them.
+    """
 
     volts: Floats
     noise: Floats
     dark: Floats
     resolution: Floats
+    crosstalk: Floats
     monitor: Floats
     middle: Floats
     conversions: Floats
@@ -173,9 +186,9 @@ class EvidenceSums:
         self._pairs = [(low, high) for high in range(gains) for low in range(high)]
         shape = (len(self._pairs), 2, SIGNAL_BINS)
         # Of pairs, by pair, order (1: the higher gain was read last), volts and photodiode: number, weight, weighted ratio and
-        # its square, squared weights, weighted resolution, weighted inverse numbers of conversions, and the dark readings'
-        # part, squared.
-        self._linked = np.zeros((8, *shape, n))
+        # its square, squared weights, weighted resolution, weighted inverse numbers of conversions, weighted cross-talk, and
+        # the dark readings' part, squared.
+        self._linked = np.zeros((9, *shape, n))
         self._of_interval = np.zeros((*shape, n))
         self._intervals = [NO_CHANGE] * len(self._pairs)
         self._row_weights = np.zeros((2, len(self._pairs), 2, SIGNAL_BINS + 1, modules))  # the last bin: all
@@ -192,10 +205,11 @@ class EvidenceSums:
                     here[index, len(reading.counts)].append((k, before, reading))
                     before = index
         shape = (len(rows), gains)
+        volts, noise, dark, resolution, crosstalk = np.full((5, *shape, n), np.nan)
+        interval = np.zeros(len(rows), dtype=np.int64)
         block = _Block(
-            *(np.full((*shape, n), np.nan) for _ in range(4)), np.full(shape, np.nan), np.zeros(shape), np.ones(shape),
-            np.zeros(len(rows), dtype=np.int64),
-        )  # fmt: skip
+            volts, noise, dark, resolution, crosstalk, np.full(shape, np.nan), np.zeros(shape), np.ones(shape), interval
+        )
         for (gain, count), readings in here.items():
             at_once = max(1, MOST_VALUES // (count * n))
             for begin in range(0, len(readings), at_once):
@@ -214,10 +228,11 @@ class EvidenceSums:
     def _add_readings(self, gain: int, readings: list[tuple[int, int, Reading]], block: _Block) -> None:
         """Add readings of one gain and one number, and fill in the block."""
         dark, converter = self._dark[float(self._gains[gain])], self._settings.range
-        raw = np.stack([reading.counts for _, _, reading in readings]).astype(np.float64)
+        counts = np.stack([reading.counts for _, _, reading in readings])
+        raw = counts.astype(np.float64)
         times = np.array([middle_s(reading) for _, _, reading in readings])
         dark_counts, dark_monitor, divisor = dark.at(times)
-        clipped = np.any(converter.saturated(raw), axis=1)
+        clipped = np.any(converter.saturated(counts), axis=1)
         volts = (raw.mean(axis=1) - dark_counts) * converter.lsb_v
         shot = self._settings.shot_variance_a2(volts / self._gains[gain]) * self._gains[gain] ** 2
         expected = dark.variance_v2 + shot
@@ -233,6 +248,7 @@ class EvidenceSums:
         block.noise[rows, gain] = expected / conversions[:, None]
         block.dark[rows, gain] = dark.variance_v2 / divisor[:, None]
         block.resolution[rows, gain] = 2.0 * dark.undithered_v2
+        block.crosstalk[rows, gain] = self._rig.uncertainty.crosstalk * others_volts(volts, clipped, self._settings)
         block.monitor[rows, gain] = np.where(monitor > 0.0, monitor, np.nan)
         block.middle[rows, gain] = times
         block.conversions[rows, gain] = conversions
@@ -288,10 +304,13 @@ class EvidenceSums:
             noise = block.noise[rows, low] / predicted**2 + block.noise[rows, high] / other**2
             dark = block.dark[rows, low] / predicted**2 + block.dark[rows, high] / other**2
             resolution = block.resolution[rows, low] / predicted**2 + block.resolution[rows, high] / other**2
-            variance = noise + dark + resolution
+            # Of both gains alike where no channel is saturated.
+            crosstalk = np.abs(block.crosstalk[rows, high] / other - block.crosstalk[rows, low] / predicted)
+            variance = noise + dark + resolution + crosstalk**2
             known = np.isfinite(one) & (one > 0.0) & (other > 0.0) & (variance < PAIR_LIMIT**2)
             ratio = np.log(predicted / one) - np.log(block.monitor[rows, high] / block.monitor[rows, low])[:, None]
-            dark, resolution, variance, ratio = (np.where(known, each, 0.0) for each in (dark, resolution, variance, ratio))
+            parts = (dark, resolution, crosstalk, variance, ratio)
+            dark, resolution, crosstalk, variance, ratio = (np.where(known, each, 0.0) for each in parts)
         if not known.any():
             return
         full_scale = (self._settings.range.highest - self._settings.range.zero) * self._settings.range.lsb_v
@@ -303,12 +322,13 @@ class EvidenceSums:
         length = 2 * SIGNAL_BINS * n
 
         def summed(values: Floats, chosen: Flags = known) -> Floats:
-            return np.bincount(place[chosen], weights=values[chosen], minlength=length).reshape(2, SIGNAL_BINS, n)
+            sums = np.bincount(place[chosen], weights=values[chosen], minlength=length)
+            return np.asarray(sums, dtype=np.float64).reshape(2, SIGNAL_BINS, n)
 
         ones = np.ones(weight.shape)
         inverse = (1.0 / block.conversions[rows, low] + 1.0 / block.conversions[rows, high])[:, None]
-        parts = (ones, weight, weight * ratio, weight * ratio**2, weight**2, weight * resolution, weight * inverse)
-        for k, each in enumerate(parts):
+        weighted = (weight * each for each in (ones, ratio, ratio**2, weight, resolution, inverse, crosstalk))
+        for k, each in enumerate((ones, *weighted)):
             self._linked[k, p] += summed(each)
         # The error of a dark reading is one for all rows between two of them; of the next ones it is half the same.
         for interval in np.unique(block.interval[rows]).tolist():
@@ -326,7 +346,7 @@ class EvidenceSums:
 
     def _begin_interval(self, p: int, interval: int) -> None:
         if interval != self._intervals[p]:
-            self._linked[7, p] += self._of_interval[p] ** 2
+            self._linked[8, p] += self._of_interval[p] ** 2
             self._of_interval[p] = 0.0
             self._intervals[p] = interval
 
@@ -354,10 +374,10 @@ class EvidenceSums:
         verdicts = tuple(self._verdict(modules, text) for modules, text in self._findings(ratios))
         plain = stated(self._rig)
         sound = ~replace(plain, verdicts=verdicts).unsound
-        deviation, link, notes = self._adjusted(ratios, sound)
         own = total - lamp
         slow = max([0.0, *(each.excess(own + lamp) for each in ratios)])
-        return SignalEvidence(factor, deviation, link, own, lamp, slow, verdicts, notes)
+        noise = SignalEvidence(factor, plain.deviation, plain.link, own, lamp, slow, verdicts)
+        return self._adjusted(noise, ratios, sound)
 
     def _findings(self, ratios: Sequence["_Ratios"]) -> Iterator[tuple[Flags, str]]:
         """The modules (m,) that did not pass a test, and what was found. What follows from settling is not named again."""
@@ -420,7 +440,7 @@ class EvidenceSums:
 
     def _of_modules(self, flags: Flags) -> Flags:
         """Flags (..., photodiodes) or (..., modules) as flags of the modules (m,)."""
-        of_last = flags.reshape(-1, flags.shape[-1]).any(axis=0)
+        of_last: Flags = np.logical_or.reduce(flags.reshape(-1, flags.shape[-1]), axis=0)
         modules = self._first_of_module.size
         return of_last if of_last.size == modules else np.logical_or.reduceat(of_last, self._first_of_module)
 
@@ -435,16 +455,16 @@ class EvidenceSums:
         """The relative uncertainty of a gain by its certificate; 0 would be no uncertainty but a missing one."""
         return max(self._settings.gain_uncertainty, LEAST_CERTIFIED)
 
-    def _adjusted(self, ratios: Sequence["_Ratios"], sound: Flags) -> tuple[Floats, Floats, tuple[str, ...]]:
-        """The gains' deviations and the variances of their ratios (see SignalEvidence), with the certificate; and notes.
+    def _adjusted(self, evidence: SignalEvidence, ratios: Sequence["_Ratios"], sound: Flags) -> SignalEvidence:
+        """The evidence with the gains' deviations and the variances of their ratios, adjusted with the certificate.
 
         Least squares for each photodiode: the certificate of each gain is one observation, the mean of a pair's ratio another.
         Where the ratios contradict the certificate, it counts as much as the differences allow.
         """
-        plain, gains = stated(self._rig), self._gains.size
+        gains = self._gains.size
         known = [np.isfinite(each.value) & (each.number >= FEWEST_ROWS) & sound for each in ratios]
         if not any(each.any() for each in known):
-            return plain.deviation, plain.link, ()
+            return evidence
         value = np.array([np.where(here, each.value, 0.0) for each, here in zip(ratios, known, strict=True)])
         weight = np.array([np.where(here, 1.0 / each.variance, 0.0) for each, here in zip(ratios, known, strict=True)])
         certified = np.full(self._settings.count, self._certified**2)
@@ -469,7 +489,9 @@ class EvidenceSums:
         unseen = (UNSEEN * self._certified) ** 2
         link = own[:, :, None] + own[:, None, :] - 2.0 * covariance + unseen
         link = np.where(np.eye(gains) > 0.0, 0.0, np.minimum(link, 2.0 * certified[:, None, None]))
-        return deviation, link, notes
+        return replace(
+            evidence, deviation=deviation, link=link, notes=notes, ratios=count, worst_ratio=math.sqrt(float(chi.max()))
+        )
 
 
 class RunningEvidence:
@@ -486,16 +508,20 @@ class RunningEvidence:
     def add(self, row: CommittedRow) -> None:
         """Add a row; the last rows wait for a dark reading after them."""
         if row.row.kind in ("measure", "drift") and row.data.readings:
-            self._waiting.append(row)
+            self._waiting.append(replace(row, data=replace(row.data, positions=None)))
 
-    def renewed(self, dark: Mapping[float, DarkReadings]) -> SignalEvidence:
-        """What all rows so far show, with all dark readings so far."""
+    def count(self, dark: Mapping[float, DarkReadings]) -> EvidenceSums:
+        """Count the rows that wait, with all dark readings so far."""
         if self._sums is None:
             self._sums = EvidenceSums(dark, self._rig)
         self._sums.renew(dark)
         self._sums.add(self._waiting)
         self._waiting = []
-        return self._sums.result()
+        return self._sums
+
+    def renewed(self, dark: Mapping[float, DarkReadings]) -> SignalEvidence:
+        """What all rows so far show, with all dark readings so far."""
+        return self.count(dark).result()
 
     @property
     def full(self) -> bool:
@@ -521,48 +547,55 @@ class _Ratios:
         of_each, degrees = about.sum(axis=(0, 1)), freedom.sum(axis=(0, 1))
         own = np.where(degrees >= FEW_DEGREES, of_each / np.maximum(degrees, 1.0), pooled)
         self._widened = np.maximum(own, 1.0)
-        self.value, self.variance, _ = self._mean((0, 1))
+        self.value, variance, common, _ = self._mean((0, 1))
+        self.variance = variance + common**2
         self.number = number.sum(axis=(0, 1))
 
-    def _mean(self, axes: tuple[int, ...]) -> tuple[Floats, Floats, Floats]:
-        """The mean over order (0) or volts (1), its variance, and the effective number of rows."""
-        _, weight, first, _, squared, resolution, _, _ = (each.sum(axis=axes) for each in self._sums)
-        dark = np.sqrt(self._sums[7]).sum(axis=axes)
+    def _mean(self, axes: tuple[int, ...]) -> tuple[Floats, Floats, Floats, Floats]:
+        """The mean over order (0) or volts (1), its variance, the uncertainty that its photodiodes share, and the effective
+        number of rows.
+        """
+        _, weight, first, _, squared, resolution, _, crosstalk, _ = (each.sum(axis=axes) for each in self._sums)
+        dark = np.sqrt(self._sums[8]).sum(axis=axes)
         with np.errstate(invalid="ignore", divide="ignore"):
             variance = self._widened / weight + resolution / weight + (dark / weight) ** 2
-            return first / weight, variance, weight**2 / squared
+            return first / weight, variance, crosstalk / weight, weight**2 / squared
 
     def by_order(self) -> Iterator[Tested]:
         """Differences of the ratios where the higher gain was read last from the others, of photodiodes and of modules."""
-        value, variance, rows = self._mean((1,))
-        yield value[1] - value[0], variance.sum(axis=0), rows.min(axis=0)
+        value, variance, common, rows = self._mean((1,))
+        common = common.max(axis=0)  # of both orders alike, but for the volts
+        yield value[1] - value[0], variance.sum(axis=0) + common**2, rows.min(axis=0)
         weights, squared = self._row_weights[:, :, -1]
         with np.errstate(invalid="ignore", divide="ignore"):
             effective = weights**2 / squared
             shared = (self._of_row / effective).sum(axis=0)
-        size, own = self._of_modules(value[1] - value[0], variance.sum(axis=0))
+        size, own = self._of_modules(value[1] - value[0], variance.sum(axis=0), common)
         yield size, own + shared, effective.min(axis=0)
 
     def by_signal(self) -> Iterator[Tested]:
         """Differences of the ratios at some volts from the mean ratio, of photodiodes and of modules."""
-        value, variance, rows = self._mean((0,))
-        yield value - self.value, variance, rows
+        value, variance, common, rows = self._mean((0,))
+        yield value - self.value, variance + common**2, rows
         weights, squared = self._row_weights[:, :, :-1].sum(axis=1)
         with np.errstate(invalid="ignore", divide="ignore"):
             effective = weights**2 / squared
             shared = self._of_row / effective
-        size, own = self._of_modules(value - self.value, variance)
+        size, own = self._of_modules(value - self.value, variance, common)
         yield size, own + shared, effective
 
-    def _of_modules(self, size: Floats, variance: Floats) -> tuple[Floats, Floats]:
-        """Weighted means over the photodiodes (last axis) of each module, and their variances."""
+    def _of_modules(self, size: Floats, variance: Floats, common: Floats) -> tuple[Floats, Floats]:
+        """Weighted means over the photodiodes (last axis) of each module, and their variances; of `common` they share all."""
         known = np.isfinite(size) & np.isfinite(variance)
-        weight = np.where(known, 1.0 / np.where(known, variance, 1.0), 0.0)
+        weight = np.where(known, 1.0 / np.where(known, variance + common**2, 1.0), 0.0)
         first = np.arange(0, size.shape[-1], self._channels)
         total = np.add.reduceat(weight, first, axis=-1)
         with np.errstate(invalid="ignore", divide="ignore"):
-            mean = np.add.reduceat(weight * np.where(known, size, 0.0), first, axis=-1) / total
-            return mean, 1.0 / total
+            mean, shared, own = (
+                np.add.reduceat(np.where(known, each, 0.0), first, axis=-1) / total**power
+                for each, power in ((weight * size, 1), (weight * common, 1), (weight**2 * variance, 2))
+            )
+            return mean, own + shared**2
 
     def excess(self, of_scatter: float) -> float:
         """Relative variance of a mean that its readings do not show: of what the ratios scatter more than was expected.
@@ -571,7 +604,7 @@ class _Ratios:
         """
         if self._chi - self._freedom <= CERTAIN * math.sqrt(2.0 * self._freedom):
             return 0.0
-        _, weight, _, _, squared, _, inverse, _ = self._sums
+        _, weight, _, _, squared, _, inverse, _, _ = self._sums
         some = weight > 0.0
         effective = float(weight.sum() - (squared[some] / weight[some]).sum())
         if effective <= 0.0:

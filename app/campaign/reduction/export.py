@@ -79,12 +79,12 @@ def export(
 
 def heading(reduced: ReducedJournal) -> list[str]:
     """The first comment lines of a file: campaign, rig, whether it is simulated, and the light's polarisation."""
-    lines = [f"campaign: {reduced.name}", f"rig: {reduced.rig.file.name}", *reduced.light]
+    lines = [f"campaign: {reduced.name}", f"rig: {reduced.rig.file.name}"]
     if reduced.simulated:
         lines.append(f"SIMULATED: measured on a virtual rig, seed {reduced.rig.seed}; no value is from a real instrument")
     if reduced.chain:
         lines.append(f"journal: {reduced.chain}")
-    return lines
+    return lines + list(reduced.light)
 
 
 def points_of(reduced: ReducedJournal, sample: str | None, path: Path) -> tuple[PointStream, int]:

@@ -3,9 +3,9 @@
 Illuminated spot, exit pupil and a photodiode's acceptance make each value a mean over directions. The correction is that of a
 lobe whose logarithm is locally a parabola (uncertainty/field.py), from the slopes of the measured values, which
 uncertainty/slopes.py has. What is left has three parts: `field`, by the variance of the directions, which all values share;
-`field_noise`, by the noise of the slopes; and `slope_unresolved`, by neighbours too far apart. `second_order` is what an
-unknown angle does where there is no slope. A value that is lost in its noise is not corrected: the field's whole effect on it
-is within its `field_noise`.
+`field_noise`, by the noise of the slopes and what they do not resolve; and `slope_unresolved`, by neighbours too far apart.
+`second_order` is what an unknown angle does where there is no slope. A value that is lost in its noise is not corrected: the
+field's whole effect on it is within its `field_noise`.
 
 See docs/decisions/0030-the-field-is-corrected.md.
 """
@@ -80,9 +80,10 @@ class FieldOfView:
     """What the field of view and the slopes do to values (n,). Relative; NaN where unknown.
 
     `correction` is added to the logarithm; slopes and `bend` (n, 2), second derivatives, are those of the corrected logarithm,
-    per degree, along the arc and across it, and `unresolved` (n, 2) is the standard uncertainty of the slopes. `noise` is the
-    standard uncertainty that the slopes' noise adds. `estimate`, in the values' unit, is the whole effect on a value that
-    cannot be corrected. `steep`: the directions nearby are too far apart for the slope.
+    per degree, along the arc and across it, and `unresolved` (n, 2) is the standard uncertainty of the slopes by neighbours
+    that are too far apart. `noise` is that of the correction by the slopes' noise and by what they do not resolve. `estimate`,
+    in the values' unit, is the whole effect on a value that cannot be corrected. `steep`: the directions nearby are too far
+    apart for the slope.
     """
 
     correction: Floats
@@ -192,8 +193,9 @@ def _evaluate(values: MergedDirections, instrument: Instrument) -> FieldOfView:
     slopes = slopes_of(lit, np.log(bsdf), relative, window)
     covariance = directions_covariance(instrument, lit, values.sigma[light], values.transmitted[light])
     correction = correct_logarithm(slopes, covariance)
-    noise = np.sqrt(slopes.noise(correction.sensitivity, relative))
-    unresolved = np.stack([slopes.unresolved(across=each) for each in (False, True)], axis=1)
+    noise = np.hypot(np.sqrt(slopes.noise(correction.sensitivity, relative)), slopes.unresolved(correction.sensitivity))
+    each_slope = np.eye(2, correction.sensitivity.shape[1])
+    unresolved = np.stack([slopes.unresolved(np.tile(one, (relative.size, 1))) for one in each_slope], axis=1)
 
     def everywhere(column: Floats) -> Floats:
         result = np.full((n, *column.shape[1:]), np.nan)

@@ -171,7 +171,8 @@ class OverlapCheck:
         self._seen.update(np.unique(good.photodiode).tolist())
         # At the horizon the arcs meet: one measures reflected light, the other transmitted.
         light = good.transmitted.astype(float)
-        settings = [good.wavelength_nm, good.sigma_deg, good.gamma_deg, scan_plane_deg(good.beta_deg)]
+        # In the order of blocks, so that sums are the same to the last bit for any size of these.
+        settings = [good.sigma_deg, good.gamma_deg, good.wavelength_nm, scan_plane_deg(good.beta_deg)]
         keys = [*settings, *direction_keys(good.zenith_deg, good.azimuth_deg).T, light]
         _, which = np.unique(round_deg(np.stack(keys, axis=1)), axis=0, return_inverse=True)
         order = np.lexsort((good.photodiode, which.ravel()))
@@ -200,7 +201,7 @@ class OverlapCheck:
             relative = np.where(points.bsdf > 0.0, own / points.bsdf**2, np.inf)
         clear = (relative[first] <= RESOLVED**2) & (relative[second] <= RESOLVED**2)
         first, second = first[clear], second[clear]
-        pose = [points.wavelength_nm, points.sigma_deg, points.gamma_deg, scan_plane_deg(points.beta_deg)]
+        pose = [points.sigma_deg, points.gamma_deg, points.wavelength_nm, scan_plane_deg(points.beta_deg)]
         poses = np.stack([*pose, points.beta_deg, points.shift_deg], axis=1)
         both = np.concatenate([poses[first], poses[second][:, 4:]], axis=1)
         kinds, together = np.unique(both, axis=0, return_inverse=True)

@@ -1,4 +1,4 @@
-"""The reduction on one page: the steps from a row's readings to the BSDF dataset, in order.
+"""The reduction on one page: the steps from the rows' readings to the BSDF dataset, in order.
 
 Each step takes a dataset and gives the next one, with the components of the uncertainty that come in with it (components.py has
 their convention, and u). A further correction or contribution is a function in a file of its own, and one line in a list here
@@ -34,15 +34,16 @@ from goniotwin.app.campaign.reduction.signals import (
     DarkReadings,
     add_crosstalk,
     add_tracing_error,
-    check_reading,
+    check_rows,
     choose_gain,
     convert_to_photocurrent,
     divide_by_monitor,
+    group_readings,
+    signals_of_rows,
     subtract_dark,
 )
 from goniotwin.app.campaign.reduction.spectrum import correct_band
 from goniotwin.app.campaign.row import RowData
-from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigFile
 from goniotwin.arrays import Floats, Ints
 from goniotwin.drivers import ConverterDescription
@@ -90,13 +91,13 @@ SETTING_STEPS: Sequence[Callable[[BsdfPoints, ReductionSettings], BsdfPoints]] =
 
 
 def reduce_readings(
-    data: RowData,
+    rows: Sequence[RowData],
     dark: Mapping[float, DarkReadings],
     settings: ConverterDescription,
     rig: RigFile,
     evidence: SignalEvidence | None = None,
-) -> Signal:
-    """The signal of a row: photocurrents over the monitor's current, each photodiode at its highest unsaturated gain.
+) -> list[Signal]:
+    """The signals of rows: photocurrents over the monitor's current, each photodiode at its highest unsaturated gain.
 
     `dark` are the dark readings by gain, `evidence` is what the campaign's rows show; None before there are any.
     Raises UserError for a gain without a dark reading, for a gain that the rig does not have, for counts of other photodiodes,
@@ -104,19 +105,15 @@ def reduce_readings(
     """
     at_gains = []
     known = stated(rig) if evidence is None else evidence
-    for reading in data.readings:
-        gain = reading.gain_v_per_a
-        check_reading(reading, settings)
-        if gain not in settings.gains_v_per_a:
-            raise UserError(f"a reading was made at {gain:g} V/A, a gain that the rig does not have")
-        if gain not in dark:
-            raise UserError(f"the journal has no dark reading at {gain:g} V/A, so readings at this gain cannot be reduced")
-        volts = subtract_dark(reading, dark[gain], settings)
-        volts = add_crosstalk(volts, reading, settings, rig.uncertainty.crosstalk)
-        current = convert_to_photocurrent(volts, reading, settings)
-        current = correct_gain(add_scatter(current, reading, settings, known), reading, settings, known)
-        at_gains.append((reading, divide_by_monitor(current, reading, dark[gain])))
-    return link_gains(add_tracing_error(choose_gain(at_gains, settings), rig), known)
+    check_rows(rows, dark, settings)
+    for readings in group_readings([row.readings for row in rows]):
+        of_gain = dark[readings.gain_v_per_a]
+        volts = subtract_dark(readings, of_gain, settings)
+        volts = add_crosstalk(volts, readings, settings, rig.uncertainty.crosstalk)
+        current = convert_to_photocurrent(volts, readings, settings)
+        current = correct_gain(add_scatter(current, readings, settings, known), readings, settings, known)
+        at_gains.append((readings, divide_by_monitor(current, readings, of_gain)))
+    return signals_of_rows(link_gains(add_tracing_error(choose_gain(at_gains, len(rows), settings), rig), known))
 
 
 def reduce_rows(

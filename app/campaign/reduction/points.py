@@ -67,6 +67,11 @@ FLAGS: dict[str, Flag] = {
     ),
     "monitor": Flag("the monitor was at the end of its range", True, "measured with the monitor at the end of its range",
                     "set a wider range of the monitor in the rig file"),
+    # By the scan of the open beam. All values that the etalon scales have it.
+    "scale": Flag(
+        "the etalon and the scan of the open beam do not agree, see the notes", True,
+        "of an etalon that does not agree with the scan of the open beam", "see goniotwin closure",
+    ),
     # Or in the uncertainty of the signature: the value is right, but its relative uncertainty is large.
     "under-range": Flag("lost in its noise", False),
     "field": Flag("the effect of the field of view cannot be estimated: it is neither corrected nor in u_bsdf", False),
@@ -76,7 +81,7 @@ FLAGS: dict[str, Flag] = {
 """The flags of a point by their names in files. Where a point has no value, a flag gives the reason."""
 BITS = {name: np.uint16(1 << k) for k, name in enumerate(FLAGS)}
 UNTRUSTED = np.uint16(sum(int(BITS[name]) for name, flag in FLAGS.items() if flag.untrusted))
-REASON_ORDER = ("shadowed", "uncertified", "no-etalon", "clipped", "dead", "module", "monitor", "drift")
+REASON_ORDER = ("shadowed", "uncertified", "no-etalon", "clipped", "dead", "module", "monitor", "drift", "scale")
 """Flags by which a tally counts a point: the first one that it has."""
 
 

@@ -10,14 +10,13 @@ import copy
 import itertools
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
 from goniotwin.app.campaign.geometry.directions import scan_plane_deg
 from goniotwin.app.campaign.journal.reading import JournalReader
-from goniotwin.app.campaign.readout import saturation
 from goniotwin.app.campaign.reduction.components import Estimate, Signal
 from goniotwin.app.campaign.reduction.drift_checks import DriftInterval, drift_intervals, insensitive_photodiodes
 from goniotwin.app.campaign.reduction.etalon import PoseKey, RowSignal, mean_row
@@ -28,6 +27,7 @@ from goniotwin.app.campaign.reduction.signals import (
     check_reading,
     dark_current_loss_s,
     dark_readings_by_gain,
+    group_readings,
     middle_s,
     subtract_dark,
 )
@@ -38,6 +38,8 @@ from goniotwin.app.rig import RigFile
 from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.twin.optics.geometry.coordinates import round_deg
 
+ROWS_AT_ONCE = 64
+"""Rows whose signals are computed together."""
 EVIDENCE_ROWS = 256
 """Rows whose readings are in memory together for the evidence."""
 END_OF_RANGE = 0.98
@@ -81,26 +83,34 @@ class DarkHistory:
 
     def signal(self, row: CommittedRow) -> Signal:
         """The signal of a row with readings. Raises UserError where it cannot be reduced."""
-        return reduce_readings(row.data, self._dark, self._settings, self._rig, self.evidence)
+        return self.signals([row])[0]
+
+    def signals(self, rows: Sequence[CommittedRow]) -> list[Signal]:
+        """The signals of rows with readings. Raises UserError where one cannot be reduced."""
+        return reduce_readings([row.data for row in rows], self._dark, self._settings, self._rig, self.evidence)
 
     def volts(self, row: CommittedRow, gain_v_per_a: float) -> Estimate | None:
         """Voltages (photodiodes,) of a row above the dark reading at one gain, NaN where saturated; None if not read there."""
         for reading in row.data.readings:
             if reading.gain_v_per_a == gain_v_per_a and gain_v_per_a in self._dark:
                 check_reading(reading, self._settings)
-                volts = subtract_dark(reading, self._dark[gain_v_per_a], self._settings)
-                return replace(volts, value=np.where(saturation(reading.counts, self._settings.range), np.nan, volts.value))
+                readings = next(group_readings([[reading]]))
+                volts = subtract_dark(readings, self._dark[gain_v_per_a], self._settings)
+                value = np.where(readings.saturated(self._settings), np.nan, volts.value)
+                return Estimate(value[0], {name: each[0] for name, each in volts.components.items()})
         return None
 
     def row_signal(self, row: CommittedRow, signal: Signal, intervals: Sequence[DriftInterval]) -> RowSignal:
         """The signal of a row, with its flags: see `RowSignal`."""
-        none = np.zeros(self._settings.count, dtype=bool)
+        drifted = np.zeros(self._settings.count, dtype=bool)
+        for drift in intervals:
+            drifted |= drift.flagged_at(row.data.started_s)
         largest = max(reading.monitor_a for reading in row.data.readings)
         flags = {
-            "drift": np.any([none, *(drift.flagged_at(row.data.started_s) for drift in intervals)], axis=0),
+            "drift": drifted,
             "dead": self._loss_s < middle_s(row.data.readings[0]),
             "module": self.evidence.unsound,
-            "monitor": none | (largest > END_OF_RANGE * self._rig.monitor.largest_a),
+            "monitor": np.full(self._settings.count, largest > END_OF_RANGE * self._rig.monitor.largest_a),
         }
         return RowSignal(row.row, signal, flags)
 
@@ -134,12 +144,15 @@ class Measurements:
 
     def row_signals(self, numbers: Iterable[int]) -> Iterator[RowSignal]:
         """The signals of rows, by the rows' numbers."""
-        for number in numbers:
-            if (kept := self._kept.pop(number, None)) is not None:
-                yield kept
-                continue
-            for each in self._journal.rows_of((number,)):
-                yield self._dark.row_signal(each, self._signal(each), self.drift_intervals)
+        left = iter(numbers)
+        while block := list(itertools.islice(left, ROWS_AT_ONCE)):
+            found = {number: self._kept.pop(number) for number in block if number in self._kept}
+            rows = list(self._journal.rows_of(number for number in block if number not in found))
+            with self._path_in_errors():
+                signals = self._dark.signals(rows)
+            for row, signal in zip(rows, signals, strict=True):
+                found[row.row.number] = self._dark.row_signal(row, signal, self.drift_intervals)
+            yield from (found[number] for number in block if number in found)
 
     def keep_signals(self, numbers: Iterable[int]) -> list[RowSignal]:
         """The signals of a few rows, which are then known when they are next asked for: no row is reduced twice for it."""
@@ -184,11 +197,9 @@ class ReferenceMeasurements:
 
     def at(self, keys: Iterable[PoseKey]) -> dict[PoseKey, RowSignal]:
         """The signals at those keys that were measured."""
-        signals = {}
-        for key, numbers in self._rows_at(keys):
-            if numbers:
-                signals[key] = mean_row(list(self._measurements.row_signals(numbers)))
-        return signals
+        measured = [(key, numbers) for key, numbers in self._rows_at(keys) if numbers]
+        signals = self._measurements.row_signals(number for _, numbers in measured for number in numbers)
+        return {key: mean_row(list(itertools.islice(signals, len(numbers)))) for key, numbers in measured}
 
     def numbers_at(self, keys: Iterable[PoseKey]) -> list[int]:
         """The numbers of the rows at those keys that were measured."""

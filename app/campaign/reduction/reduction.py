@@ -66,9 +66,10 @@ class ReducedJournal:
     """The result of a reduction: points by sample, and whether they are simulated.
 
     By sample: `overlaps` is the agreement of photodiodes that measured the same direction, `symmetry` the test of the stated
-    symmetry, for schedules that ask for it. `notes` are remarks on the reduction, for the reader of the values. `unchecked`
-    are, by the mounted sample, the photodiodes that its drift checks do not cover. `chain` states the journal's
-    checksums, `light` the polarisation of the light: these notes belong to every file of values.
+    symmetry, for schedules that ask for it. `notes` are remarks on the reduction, for the reader of the values; `findings` are
+    those of them that state what is wrong with the instrument. `unchecked` are, by the mounted sample, the photodiodes that its
+    drift checks do not cover. `chain` states the journal's checksums, `light` the polarisation of the light: these notes belong
+    to every file of values.
     """
 
     name: str
@@ -81,6 +82,7 @@ class ReducedJournal:
     unchecked: dict[str, tuple[int, ...]] = field(default_factory=dict)
     chain: str = ""
     light: tuple[str, ...] = ()
+    findings: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -135,16 +137,18 @@ class Reduction:
         stated = self.rig.file.uncertainty.repeatability
         if self._repeats is not None and self._repeats.excess > stated:
             self.settings = replace(self.settings, repeatability=self._repeats.excess)
-        scan = self.schedule.open_beam_scan
-        if scan is not None and scan.scale == "open beam":
-            self.settings = replace(self.settings, absolute=self.closure().scale)
+        self._closure: ClosureReport | None = None
+        if self.schedule.open_beam_scan is not None:
+            self.settings = _by_scan(self.settings, self.closure())
 
     def closure(self) -> ClosureReport:
         """The closure of the etalon's scale with that of the open beam. Raises UserError."""
-        try:
-            return journal_closure(self.settings, self._measurements, self._etalon, self._signature)
-        except ValueError as error:  # the schedule and the rig file in the journal were not planned together
-            raise UserError(f"{self.journal.path} (schedule): {error}") from None
+        if self._closure is None:
+            try:
+                self._closure = journal_closure(self.settings, self._measurements, self._etalon, self._signature)
+            except ValueError as error:  # the schedule and the rig file in the journal were not planned together
+                raise UserError(f"{self.journal.path} (schedule): {error}") from None
+        return self._closure
 
     def blocks(self, sample: str, rows: int = BLOCK_ROWS) -> Iterator[PointBlock]:
         """The points of a sample in the order of sigma, gamma, wavelength, half planes and time; not finished yet.
@@ -214,8 +218,7 @@ class Reduction:
         """Remarks on the reduction, for the reader of the values, from the tallies of all blocks, by sample."""
         without_etalon = {name: rows for name in self.schedule.samples if (rows := self._without_etalon(name))}
         notes = list(missing_notes(self.journal, without_etalon))
-        notes += [*self.evidence.notes, *(verdict.text for verdict in self.evidence.verdicts)]
-        notes += [str(interval) for interval in self.drift_intervals]
+        notes += self.findings
         transmitted = any(tally.transmitted for tally in tallies.values())
         subtracted = any(tally.signature_subtracted for tally in tallies.values())
         u_signature = self.rig.file.sample_unit.signature_uncertainty
@@ -243,6 +246,12 @@ class Reduction:
     def evidence(self) -> SignalEvidence:
         """What the rows show of noise, gains and modules."""
         return self._measurements.evidence
+
+    @property
+    def findings(self) -> list[str]:
+        """What the campaign shows that is wrong with modules, gains, light or scale, in words."""
+        found = [*self.evidence.findings, *(str(interval) for interval in self.drift_intervals)]
+        return found + ([] if self.schedule.open_beam_scan is None else self.closure().alarms)
 
     @property
     def drift_intervals(self) -> list[DriftInterval]:
@@ -391,12 +400,12 @@ def _reduce(reduction: Reduction, keep: Keep) -> ReducedJournal:
     notes += [f"overlaps of {name}: {note}" for name, each in overlaps.items() for note in reduction.calibration_notes(each)]
     return ReducedJournal(
         journal.value("name"), reduction.rig, journal.simulated, {}, overlaps, tuple(notes), symmetry,
-        reduction.unchecked(tallies), journal.chain.statement, tuple(reduction.light(tallies)),
+        reduction.unchecked(tallies), journal.chain.statement, tuple(reduction.light(tallies)), tuple(reduction.findings),
     )  # fmt: skip
 
 
-def check_journal(path: Path, chain: Chain | None = None) -> CheckResults | None:
-    """Evaluate the consistency checks of a journal, as far as it goes; None where its schedule asks for none.
+def check_journal(path: Path, chain: Chain | None = None) -> CheckResults:
+    """Evaluate the consistency checks of a journal, as far as it goes, and what it shows of the instrument.
 
     Raises UserError where the journal cannot be read, or is not whole with the `chain` with which it was written.
     """
@@ -406,19 +415,36 @@ def check_journal(path: Path, chain: Chain | None = None) -> CheckResults | None
         if chain is not None and journal.chain.damage:
             raise DamagedJournal(f"{path}: differs from what was measured: {journal.chain.damage}; {RESUME}, or {USE_A_COPY}")
         try:
-            file = parse_schedule(journal.value("schedule"), f"{path} (schedule)").file
-            if file.symmetry_check is None and file.overlap is None:
-                return None
             reduction = Reduction(journal)
-            results = CheckResults({}, {}, calibrated=reduction.calibrates)
-            for name in file.samples:
+            file = reduction.schedule
+            closure = None if file.open_beam_scan is None else reduction.closure()
+            results = CheckResults(calibrated=reduction.calibrates, findings=tuple(reduction.findings), closure=closure)
+            asked = file.symmetry_check is not None or file.overlap is not None
+            for name in file.samples if asked else ():
                 checks = reduction.checks(name)
                 for block in reduction.blocks(name):
                     checks.add(block.points)
                 results.add(name, checks)
             return results
         except UserError as error:
-            return CheckResults({}, {}, str(error).removeprefix(f"{path}: "))
+            return CheckResults(trouble=str(error).removeprefix(f"{path}: "))
+
+
+def journal_findings(path: Path) -> list[str]:
+    """What a journal shows that is wrong with the instrument. Raises UserError where it has too little for a reduction."""
+    with Journal.open(path) as journal:
+        return Reduction(journal).findings
+
+
+def _by_scan(settings: ReductionSettings, found: ClosureReport) -> ReductionSettings:
+    """The settings with what the scan of the open beam shows: scale, field of view, and whether the etalon can be right."""
+    scan, field_of_view = settings.schedule.open_beam_scan, found.field
+    if scan is not None and scan.scale == "open beam":
+        settings = replace(settings, absolute=found.scale)
+    if field_of_view is not None and field_of_view.applied and field_of_view.field_deg is not None:
+        geometry = replace(settings.rig.geometry, field_deg=field_of_view.field_deg)
+        settings = replace(settings, rig=replace(settings.rig, geometry=geometry))
+    return replace(settings, doubted=bool(found.apart))
 
 
 def _first_day(journal: JournalReader) -> date | None:

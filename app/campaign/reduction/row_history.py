@@ -1,7 +1,7 @@
 """What was done before each row of a journal: mountings, moves of axes, dark readings. Rows share errors by it."""
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from functools import cached_property
 
 import numpy as np
@@ -50,9 +50,15 @@ def history_of(rows: Iterable[ExecutedRow]) -> tuple[list[str], Ints]:
     Rows are in order of time. Every axis counts as moved where a sample is mounted, by hand, and in a further session of a
     campaign, for it may have been referenced.
     """
-    names, mounted, dark_readings, session = ["before any mounting"], Counter[str](), 0, -1
+    names = ["before any mounting"]
+    found: Ints = np.fromiter(_counts(rows, names), dtype=np.dtype((np.int64, 3 + AXES)))
+    return names, found[np.argsort(found[:, 0], kind="stable")]
+
+
+def _counts(rows: Iterable[ExecutedRow], names: list[str]) -> Iterator[tuple[int, ...]]:
+    """The lines of that table in order of time; adds the mountings to the names."""
+    mounted, dark_readings, session = Counter[str](), 0, -1
     moves, last = [0] * AXES, (np.nan,) * AXES
-    table = []
     for row in rows:
         if row.kind == "mount":
             mounted[row.sample] += 1
@@ -65,6 +71,4 @@ def history_of(rows: Iterable[ExecutedRow]) -> tuple[list[str], Ints]:
             pose = tuple(round_deg(row.pose).tolist())
             moves = [count + (now != before) for count, now, before in zip(moves, pose, last, strict=True)]
             last = pose
-        table.append((row.number, len(names) - 1, dark_readings, *moves))
-    found = np.array(table, dtype=np.int64).reshape(-1, 3 + AXES)
-    return names, found[np.argsort(found[:, 0], kind="stable")]
+        yield (row.number, len(names) - 1, dark_readings, *moves)

@@ -26,7 +26,7 @@ from goniotwin.twin.optics.geometry.coordinates import HALF_TURN_DEG, round_deg
 
 Kind = Literal["sample", "etalon"]
 EffectsOf = Callable[[BsdfPoints, ReductionSettings], Effects | None]
-ALL, FILE = "all values", "the certificate's file"
+ALL, FILE, RIG_FILE = "all values", "the certificate's file", "[etalon] relative_uncertainty"
 
 
 def certificate_effects(points: BsdfPoints, settings: ReductionSettings) -> Effects | None:
@@ -34,6 +34,7 @@ def certificate_effects(points: BsdfPoints, settings: ReductionSettings) -> Effe
     certificate = settings.certificate
     incidence, polar = incidence_deg(points), polar_from_zenith(points.zenith_deg)
     scaled = _by_certificate(points, settings)
+    source = RIG_FILE if settings.schedule.certificate is None else FILE
     shared = {
         "level": (certificate.level, np.ones(points.size)),
         "wavelength": (certificate.wavelength, certificate.slope("wavelength_nm", points.wavelength_nm)),
@@ -41,7 +42,7 @@ def certificate_effects(points: BsdfPoints, settings: ReductionSettings) -> Effe
         "geometry": (certificate.shape, shape_of(certificate.geometry, incidence, polar)),
     }
     dense = [
-        _shared(f"certificate[{mode}]", u, -sensitivity * scaled, ALL, FILE, "certificate_level" if mode == "level" else "")
+        _shared(f"certificate[{mode}]", u, -sensitivity * scaled, ALL, source, "certificate_level" if mode == "level" else "")
         for mode, (u, sensitivity) in shared.items()
         if u
     ]
@@ -209,7 +210,7 @@ def _shared(name: str, u: float, sensitivity: Floats, shared_by: str, source: st
 
 def _input(name: str, u: float, shared_by: str, source: str, twin: str = "") -> Input:
     """An input of the rig file's `[uncertainty]` key `twin`, or of another source."""
-    return Input(name, "1", u, "normal", shared_by, source or f"rig file, uncertainty.{twin}", twin and f"disturbances.{twin}")
+    return Input(name, "1", u, "normal", shared_by, source or f"[uncertainty] {twin}", twin and f"disturbances.{twin}")
 
 
 def incidence_deg(points: BsdfPoints) -> Floats:

@@ -1,4 +1,6 @@
-"""Signals of a row, in named steps: dark readings, photocurrent, monitor, choice of the gain; and their mean over repeats.
+"""Signals of rows, in named steps: dark readings, photocurrent, monitor, choice of the gain; and their mean over repeats.
+
+The steps take the readings of many rows at once, and a row alone as one of many: there is no other formula for it.
 
 Noise: the scatter of each channel's readings within a dark reading, pooled over all dark readings of a gain, and at least the
 variance of the converter's step; the light adds its own shot noise. Between two dark readings the dark counts are interpolated
@@ -7,15 +9,18 @@ readings, `resolution` of the converter, and for a virtual rig with ray-traced l
 """
 
 from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from goniotwin.app.campaign.readout import QUANTISATION_VARIANCE, saturation
+from goniotwin.app.campaign.readout import QUANTISATION_VARIANCE
 from goniotwin.app.campaign.reduction.components import Estimate, Signal
-from goniotwin.app.campaign.row import CommittedRow, Reading
+from goniotwin.app.campaign.row import CommittedRow, Reading, RowData
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigFile
-from goniotwin.arrays import Floats, Ints
+from goniotwin.arrays import Counts, Flags, Floats, Ints
 from goniotwin.drivers import ConverterDescription
 
 MIN_FREEDOM = 3.0
@@ -29,6 +34,8 @@ BEYOND_RANGE = 1.5
 """An amplifier on supplies of 15 V gives up to so many times the range of a converter that it saturates."""
 LIGHT = 5.0
 """A photodiode has light where its signal is above so many standard uncertainties."""
+MOST_VALUES = 1 << 20
+"""Counts that are in memory together, as numbers of eight bytes, several times."""
 
 
 class DarkReadings:
@@ -43,7 +50,7 @@ class DarkReadings:
         self._times = np.array([middle_s(each) for each in readings])
         self._means = np.array([each.counts.mean(axis=0) for each in readings])
         self._monitor_a = np.array([each.monitor_a for each in readings])
-        self._readings = np.array([independent_conversions(each) for each in readings])
+        self._readings = np.array([independent_conversions(each.counts) for each in readings])
         self.freedom = freedom = float(np.sum([len(each.counts) - 1 for each in readings]))
         if freedom < MIN_FREEDOM:
             raise UserError(
@@ -96,61 +103,129 @@ def dark_readings_by_gain(rows: list[CommittedRow], settings: ConverterDescripti
     return {gain: DarkReadings(readings, settings) for gain, readings in by_gain.items()}
 
 
-def subtract_dark(reading: Reading, dark: DarkReadings, settings: ConverterDescription) -> Estimate:
-    """The mean voltages (n,) of a reading above the dark reading at its time."""
-    dark_counts, _, divisor = dark.at(middle_s(reading))
-    volts = (reading.counts.mean(axis=0) - dark_counts) * settings.range.lsb_v
+@dataclass(frozen=True)
+class RowReadings:
+    """Readings of `rows` (k,), by their places in a list, at one gain: counts (k, readings, photodiodes).
+
+    `middle_s` (k,) is the time in the middle of each reading on the rig's clock, `monitor_a` (k,) the monitor's current.
+    """
+
+    rows: Ints
+    gain_v_per_a: float
+    counts: Counts
+    middle_s: Floats
+    monitor_a: Floats
+
+    @cached_property
+    def conversions(self) -> Ints:
+        """Numbers (k, 1) of readings from different conversions."""
+        return independent_conversions(self.counts)[:, None]
+
+    def saturated(self, settings: ConverterDescription) -> Flags:
+        """The photodiodes (k, n) that are saturated in any of the readings."""
+        return np.asarray(np.any(settings.range.saturated(self.counts), axis=1))
+
+
+def group_readings(rows: Sequence[Sequence[Reading]]) -> Iterator[RowReadings]:
+    """The readings of rows, those of one gain and of one number together, some rows at a time."""
+    alike: dict[tuple[float, tuple[int, ...]], list[tuple[int, Reading]]] = defaultdict(list)
+    for k, readings in enumerate(rows):
+        for each in readings:
+            alike[each.gain_v_per_a, each.counts.shape].append((k, each))
+    for (gain, shape), found in alike.items():
+        at_once = max(1, MOST_VALUES // (shape[0] * shape[1]))
+        for begin in range(0, len(found), at_once):
+            here = found[begin : begin + at_once]
+            yield RowReadings(
+                rows=np.array([k for k, _ in here]),
+                gain_v_per_a=gain,
+                counts=np.stack([each.counts for _, each in here]),
+                middle_s=np.array([middle_s(each) for _, each in here]),
+                monitor_a=np.array([each.monitor_a for _, each in here]),
+            )
+
+
+def check_rows(rows: Iterable[RowData], dark: Mapping[float, DarkReadings], settings: ConverterDescription) -> None:
+    """Raise UserError for readings that cannot be reduced: at a gain without a dark reading, or as `check_reading`."""
+    for row in rows:
+        for reading in row.readings:
+            gain = reading.gain_v_per_a
+            check_reading(reading, settings)
+            if gain not in settings.gains_v_per_a:
+                raise UserError(f"a reading was made at {gain:g} V/A, a gain that the rig does not have")
+            if gain not in dark:
+                raise UserError(f"the journal has no dark reading at {gain:g} V/A, so readings at this gain cannot be reduced")
+
+
+def subtract_dark(readings: RowReadings, dark: DarkReadings, settings: ConverterDescription) -> Estimate:
+    """The mean voltages (k, n) of readings above the dark reading at their time."""
+    dark_counts, _, divisor = dark.at(readings.middle_s)
+    volts = (readings.counts.mean(axis=1) - dark_counts) * settings.range.lsb_v
     return Estimate(
         volts,
         {
-            "noise": dark.variance_v2 / independent_conversions(reading),
-            "dark": dark.variance_v2 / divisor,
-            "resolution": 2.0 * dark.undithered_v2,  # of the lit and of the dark reading
+            "noise": dark.variance_v2 / readings.conversions,
+            "dark": dark.variance_v2 / divisor[:, None],
+            "resolution": np.broadcast_to(2.0 * dark.undithered_v2, volts.shape),  # of the lit and of the dark reading
         },
     )
 
 
-def add_crosstalk(volts: Estimate, reading: Reading, settings: ConverterDescription, u_crosstalk: float) -> Estimate:
+def add_crosstalk(volts: Estimate, readings: RowReadings, settings: ConverterDescription, u_crosstalk: float) -> Estimate:
     """The voltages with the component `crosstalk`: a share of what the module's other channels have, all with one sign."""
-    clipped = saturation(reading.counts, settings.range)
-    held = np.where(clipped, BEYOND_RANGE * volts.value, volts.value)
-    first = np.arange(0, settings.count, settings.module_channels)
-    sizes = np.diff(np.append(first, settings.count))
-    others = np.repeat(np.add.reduceat(held, first), sizes) - held
+    others = others_volts(volts.value, readings.saturated(settings), settings)
     return volts.with_component("crosstalk", (u_crosstalk * others) ** 2)
 
 
-def convert_to_photocurrent(volts: Estimate, reading: Reading, settings: ConverterDescription) -> Estimate:
+def others_volts(volts: Floats, clipped: Flags, settings: ConverterDescription) -> Floats:
+    """The voltages (..., photodiodes) of the other channels of each one's module together; saturated ones count as more."""
+    held = np.where(clipped, BEYOND_RANGE * volts, volts)
+    first = np.arange(0, settings.count, settings.module_channels)
+    sizes = np.diff(np.append(first, settings.count))
+    return np.asarray(np.repeat(np.add.reduceat(held, first, axis=-1), sizes, axis=-1) - held)
+
+
+def convert_to_photocurrent(volts: Estimate, readings: RowReadings, settings: ConverterDescription) -> Estimate:
     """The photocurrents in A of voltages; with them comes the shot noise of the light."""
-    current = volts.divided(reading.gain_v_per_a)
+    current = volts.divided(readings.gain_v_per_a)
     shot_a2 = settings.shot_variance_a2(current.value)
-    return current.with_component("noise", shot_a2 / independent_conversions(reading))
+    return current.with_component("noise", shot_a2 / readings.conversions)
 
 
-def divide_by_monitor(current: Estimate, reading: Reading, dark: DarkReadings) -> Estimate:
+def divide_by_monitor(current: Estimate, readings: RowReadings, dark: DarkReadings) -> Estimate:
     """Photocurrents over the monitor's current. Raises UserError for a monitor without light.
 
     The monitor's own uncertainty belongs to two rows, sample and etalon: it is added where these are divided.
     """
-    _, dark_monitor, _ = dark.at(middle_s(reading))
-    monitor = reading.monitor_a - dark_monitor
-    if not monitor > 0.0:
+    _, dark_monitor, _ = dark.at(readings.middle_s)
+    monitor = readings.monitor_a - dark_monitor
+    if not np.all(monitor > 0.0):
         raise UserError("the monitor has no light in a row measured with the shutter open; check its fibre")
-    return current.divided(monitor)
+    return current.divided(monitor[:, None])
 
 
-def choose_gain(at_gains: list[tuple[Reading, Estimate]], settings: ConverterDescription) -> Signal:
-    """Each photodiode's value at its highest gain that is not saturated; NaN where all are."""
-    value, used = np.full(settings.count, np.nan), np.full(settings.count, -1)
+def choose_gain(at_gains: list[tuple[RowReadings, Estimate]], rows: int, settings: ConverterDescription) -> Signal:
+    """Of so many rows, each photodiode's value at its highest gain that is not saturated; NaN where all are."""
+    value, used = np.full((rows, settings.count), np.nan), np.full((rows, settings.count), -1)
     components: dict[str, Floats] = {}
     gains = np.array([*settings.gains_v_per_a, 0.0])  # the last one, at index -1, is no gain
-    for reading, estimate in at_gains:
-        better = ~saturation(reading.counts, settings.range) & (reading.gain_v_per_a > gains[used])
-        value[better] = estimate.value[better]
+    for readings, estimate in at_gains:
+        at = readings.rows
+        better = ~readings.saturated(settings) & (readings.gain_v_per_a > gains[used[at]])
+        value[at] = np.where(better, estimate.value, value[at])
         for name, variance in estimate.components.items():
-            components.setdefault(name, np.full(settings.count, np.nan))[better] = variance[better]
-        used[better] = settings.gains_v_per_a.index(reading.gain_v_per_a)
+            known = components.setdefault(name, np.full(value.shape, np.nan))
+            known[at] = np.where(better, variance, known[at])
+        used[at] = np.where(better, settings.gains_v_per_a.index(readings.gain_v_per_a), used[at])
     return Signal(value, components, used)
+
+
+def signals_of_rows(signals: Signal) -> list[Signal]:
+    """The signal of each row, from those (rows, photodiodes) of all."""
+    names, variances = list(signals.components), list(signals.components.values())
+    links = [None] * len(signals.value) if signals.link is None else list(signals.link)
+    each = zip(signals.value, signals.gain, links, *variances, strict=True)
+    return [Signal(value, dict(zip(names, own, strict=True)), gain, link) for value, gain, link, *own in each]
 
 
 def mean_signal(signals: list[Signal]) -> Signal:
@@ -190,9 +265,12 @@ def dark_current_loss_s(rows: list[CommittedRow], settings: ConverterDescription
     return since
 
 
-def independent_conversions(reading: Reading) -> int:
-    """Number of readings from different conversions: a reading equal to the one before on all channels is a repeat."""
-    return 1 + int(np.any(reading.counts[1:] != reading.counts[:-1], axis=1).sum())
+def independent_conversions(counts: Counts) -> Ints:
+    """Number (...) of readings (..., readings, photodiodes) from different conversions.
+
+    A reading equal to the one before on all channels is a repeat.
+    """
+    return np.asarray(1 + np.any(counts[..., 1:, :] != counts[..., :-1, :], axis=-1).sum(axis=-1))
 
 
 def middle_s(reading: Reading) -> float:
@@ -207,7 +285,7 @@ def tracing_error(rig: RigFile) -> float | None:
 
 
 def add_tracing_error(signal: Signal, rig: RigFile) -> Signal:
-    """Add the component `ray_tracing`, the variance of the ray paths, to a row's signal; no real instrument has it.
+    """Add the component `ray_tracing`, the variance of the ray paths, to rows' signals; no real instrument has it.
 
     The paths are counted as photons are, so that their variance is proportional to the signal. The rig file states the error
     of the median of the photodiodes with light. For a lobe that is sampled in several ways the tails are better known than
@@ -217,5 +295,5 @@ def add_tracing_error(signal: Signal, rig: RigFile) -> Signal:
     if error is None:
         return signal
     lit = signal.value > LIGHT * np.sqrt(signal.variance)
-    median = float(np.median(signal.value[lit])) if lit.any() else 0.0
-    return signal.with_component("ray_tracing", error**2 * median * np.abs(signal.value))
+    medians = [[float(np.median(value[some])) if some.any() else 0.0] for value, some in zip(signal.value, lit, strict=True)]
+    return signal.with_component("ray_tracing", error**2 * np.array(medians) * np.abs(signal.value))

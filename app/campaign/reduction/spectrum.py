@@ -208,7 +208,7 @@ def _contrast(f: Floats, s: Floats, known: Stencil) -> Floats:
 def wavelength_effects(points: BsdfPoints, settings: ReductionSettings) -> Effects | None:
     """The error of the monochromator's wavelength; 0 where the slope over wavelength is unknown."""
     u = settings.rig.uncertainty.wavelength_nm
-    rig_file = "rig file, uncertainty.wavelength_nm"
+    rig_file = "[uncertainty] wavelength_nm"
     source = Input("wavelength", "nm", u, "normal", "all values", rig_file, "disturbances.wavelength_nm")
     return _known_effects(points, source, points.wavelength_slope)
 
@@ -216,7 +216,7 @@ def wavelength_effects(points: BsdfPoints, settings: ReductionSettings) -> Effec
 def bandwidth_effects(points: BsdfPoints, settings: ReductionSettings) -> Effects | None:
     """The band: half of what was corrected, or all of the effect where the rig file states no band; 0 where it is unknown."""
     stated = settings.rig.light.bandwidth_nm is not None
-    words = "rig file, light.bandwidth_nm" if stated else f"no band is stated; {ASSUMED_BAND_NM:g} nm are assumed"
+    words = "[light] bandwidth_nm" if stated else f"no band is stated; {ASSUMED_BAND_NM:g} nm are assumed"
     source = Input("bandwidth", "1", KNOWN_HALF if stated else 1.0, "normal", "all values", words, "")
     return _known_effects(points, source, points.band_correction)
 
@@ -224,7 +224,7 @@ def bandwidth_effects(points: BsdfPoints, settings: ReductionSettings) -> Effect
 def stray_effects(points: BsdfPoints, settings: ReductionSettings) -> Effects | None:
     """The monochromator's light of other wavelengths; where these were not measured the sample may be twice as bright there."""
     u = settings.rig.uncertainty.monochromator_stray
-    rig_file = "rig file, uncertainty.monochromator_stray"
+    rig_file = "[uncertainty] monochromator_stray"
     source = Input("monochromator_stray", "1", u, "normal", "all values", rig_file, "disturbances.monochromator_stray")
     return _known_effects(points, source, np.where(np.isnan(points.stray_contrast), 1.0, points.stray_contrast))
 

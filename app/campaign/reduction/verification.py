@@ -24,8 +24,8 @@ from goniotwin.app.campaign.wording import number_list
 from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.twin.optics.geometry.coordinates import fold_azimuth, incidence_deg, round_deg
 
-NOTHING = "nothing to judge"
 Outcome = Literal["holds", "fails", "nothing to judge"]
+NOTHING: Outcome = "nothing to judge"
 MOST_U = 2.0
 """A reflectance above 1 by so many standard uncertainties is not possible."""
 MOST_TOGETHER = 500
@@ -58,7 +58,7 @@ def verify_journal(reduction: Reduction) -> list[Verdict]:
             continue
         tallies[name] = of_sample.tally
         verdicts += of_sample.verdicts()
-    return [*verdicts, _drift(reduction, tallies)]
+    return [*verdicts, _gains(reduction), _closure(reduction), _drift(reduction, tallies)]
 
 
 class _Sample:
@@ -126,8 +126,8 @@ class _Sample:
         chi_square = float(difference[some] @ np.linalg.solve(covariance, difference[some]))
         holds = plausible(z.size, 0.0, worst) and plausible(some.size, chi_square, 0.0)
         text = (
-            f"{z.size} pairs, {beyond:.1%} of them differ by more than 2 u, worst {worst:.1f} u at {at}; chi-square of "
-            f"{some.size} pairs with their covariance {chi_square:.1f}"
+            f"{z.size} pairs, {100.0 * beyond:.1f} % of them differ by more than 2 u, worst {worst:.1f} u at {at}; "
+            f"chi-square of {some.size} pairs with their covariance {chi_square:.1f}"
         )
         figures = {
             "pairs": int(z.size),
@@ -176,7 +176,8 @@ class _Sample:
             return Verdict(name, NOTHING, "no signal without a sample was measured")
         u = self._reduction.rig.file.sample_unit.signature_uncertainty
         median, largest = float(np.median(shares)), float(np.max(shares))
-        text = f"median {median:.2%}, at most {largest:.2%} of a signal above its noise; subtracted, with a u of {u:.2g}"
+        size = f"median {100.0 * median:.2f} %, at most {100.0 * largest:.2f} %"
+        text = f"{size} of a signal above its noise; subtracted, with a u of {100.0 * u:.2g} % of it"
         return Verdict(name, "holds", text, {"median_share": median, "largest_share": largest})
 
     def _directions(self) -> Verdict:
@@ -188,7 +189,8 @@ class _Sample:
             if total > 0.0:
                 figures |= {"obstructed_energy": obstructed / total, "extrapolated_energy": extrapolated / total}
                 text += (
-                    f"; {abs(obstructed / total):.2%} of the energy is interpolated there, {abs(extrapolated / total):.2%} is "
+                    f"; {100.0 * abs(obstructed / total):.2f} % of the energy is interpolated there, "
+                    f"{100.0 * abs(extrapolated / total):.2f} % is "
                     "beyond the last directions"
                 )
         return Verdict(f"obstructed directions of {self._name}", "holds", text, figures)
@@ -254,6 +256,28 @@ def _covariance_of_differences(points: BsdfPoints, one: Ints, other: Ints, reduc
     effects = effects_of(points.where(used), reduction.settings)
     crossed = effects.covariance(a, b)
     return effects.covariance(a, a) + effects.covariance(b, b) - crossed - crossed.T
+
+
+def _gains(reduction: Reduction) -> Verdict:
+    """The gain linkage: ratios of gains in rows that were read at two of them, against each other and the certificate."""
+    evidence, name = reduction.evidence, "gain linkage"
+    found = evidence.findings
+    figures = {"ratios": evidence.ratios, "worst_u": evidence.worst_ratio, "unsound": np.flatnonzero(evidence.unsound).tolist()}
+    if found:
+        return Verdict(name, "fails", "; ".join(found), figures)
+    if not evidence.ratios:
+        return Verdict(name, NOTHING, "too few rows were read at two gains that are not saturated, and with light", figures)
+    text = f"{evidence.ratios} ratios of gains were measured, the worst is {evidence.worst_ratio:.1f} u from the nominal one"
+    return Verdict(name, "holds", text, figures)
+
+
+def _closure(reduction: Reduction) -> Verdict:
+    """The closure of the etalon's scale with that of the open beam, and the field of view by its scan."""
+    name, report = "closure", reduction.closure()
+    if not report.closures and report.field is None:
+        return Verdict(name, NOTHING, "; ".join((*report.not_planned, *report.missing)) or report.verdict)
+    text = "; ".join(report.alarms) or f"{report.verdict}; {report.field}"
+    return Verdict(name, "fails" if report.alarms else "holds", text, report.as_dict())
 
 
 def _drift(reduction: Reduction, tallies: dict[str, Tally]) -> Verdict:

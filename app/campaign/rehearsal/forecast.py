@@ -14,7 +14,6 @@ import numpy.typing as npt
 
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.reduction.checks import CheckResults
-from goniotwin.app.campaign.reduction.closure import ClosureReport
 from goniotwin.app.campaign.reduction.comparison import deviations_in_u, true_bsdf
 from goniotwin.app.campaign.reduction.components import COVERAGE
 from goniotwin.app.campaign.reduction.points import BsdfPoints, Tally
@@ -79,8 +78,7 @@ class UncertaintySpread:
 class Forecast:
     """`spread` and `tallies` by sample; `trouble` is the reason why there are none.
 
-    `unchecked` are, by the mounted sample, the photodiodes that its drift checks do not cover. `closure` is that of the open
-    beam, if the schedule has its scan.
+    `unchecked` are, by the mounted sample, the photodiodes that its drift checks do not cover.
     """
 
     spread: dict[str, dict[str, Any]]
@@ -88,7 +86,6 @@ class Forecast:
     trouble: str = ""
     tallies: dict[str, Tally] = field(default_factory=dict)
     unchecked: dict[str, tuple[int, ...]] = field(default_factory=dict)
-    closure: ClosureReport | None = None
 
 
 def forecast(
@@ -107,7 +104,8 @@ def forecast(
     try:
         with Journal.open(path) as journal:
             reduction = Reduction(journal)
-            check_results = CheckResults({}, {}, calibrated=reduction.calibrates)
+            closure = None if reduction.schedule.open_beam_scan is None else reduction.closure()
+            check_results = CheckResults(calibrated=reduction.calibrates, findings=tuple(reduction.findings), closure=closure)
             parts = _parts(reduction, spreads, check_results, rows_at_once, truth or {})
             first = next(parts, None)
             if points is None or first is None:
@@ -118,18 +116,17 @@ def forecast(
                 format_for(points, {Holds.COLUMNS}).write(points, stream)
             tallies = {name: each.tally for name, each in spreads.items()}
             unchecked = reduction.unchecked(tallies)
-            closure = None if reduction.schedule.open_beam_scan is None else reduction.closure()
     except FormatError as error:
         raise UserError(str(error)) from None
     except UserError as error:
         trouble = str(error).removeprefix(f"{path}: ")
         if points is not None:
             raise UserError(f"{points}: no sample has a value, so there is nothing to write: {trouble}") from None
-        return Forecast({}, CheckResults({}, {}, trouble), trouble)
+        return Forecast({}, CheckResults(trouble=trouble), trouble)
     if points is not None and not spreads:
         raise UserError(f"{points}: no sample has a value, so there is nothing to write")
     spread = {name: each.as_dict() for name, each in spreads.items()}
-    return Forecast(spread, check_results, tallies=tallies, unchecked=unchecked, closure=closure)
+    return Forecast(spread, check_results, tallies=tallies, unchecked=unchecked)
 
 
 def relative_uncertainty(points: BsdfPoints) -> Floats:

@@ -107,7 +107,6 @@ def rehearse(
                 f"the schedule's [stop] ends the run {run.sessions - 1} times; continue each time with goniotwin run --resume"
             )
         warnings += predicted.check_results.alarms
-        warnings += predicted.closure.alarms if predicted.closure is not None else []
         warnings += value_warnings(plan.schedule.file, predicted.tallies, predicted.unchecked) if not predicted.trouble else []
         result = {
             "simulated": True,
@@ -132,8 +131,6 @@ def rehearse(
             "warnings": warnings,
             "assumed": [*assumed, *run.assumed],
         }
-        if predicted.closure is not None:
-            result["closure"] = predicted.closure.as_dict()
     return Rehearsal(plan, result)
 
 

@@ -20,7 +20,6 @@ def report_text(rehearsal: Rehearsal) -> str:
         f"  counts      {_counts(result)}",
         *(f"  uncertainty {name}: {_spread(spread)}" for name, spread in result["relative_uncertainty"].items()),
         *(f"  check       {each}" for each in result["checks"]["told"]),
-        *([f"  closure     {result['closure']['verdict']}"] if "closure" in result else []),
         f"  lamp        {result['lamp_hours']:.2f} h",
         f"  journal     {_size(result['journal_bytes'])}",
         *(f"  assumed     {each}" for each in result["assumed"]),

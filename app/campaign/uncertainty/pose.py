@@ -485,7 +485,7 @@ def _key(name: str) -> str:
 
 def _input(table: UncertaintyTable, name: str, key: str, shared_by: str) -> Input:
     unit = "mm" if key.endswith("_mm") else "deg"
-    source = f"rig file, uncertainty.{key}"
+    source = f"[uncertainty] {key}"
     return Input(name, unit, table.standard(key), table.distribution(key), shared_by, source, f"disturbances.{key}")
 
 

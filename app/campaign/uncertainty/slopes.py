@@ -46,7 +46,9 @@ class Parabola:
     `own_first` and `own_second` are the derivatives' weights of the value itself; `variance_first`, `variance_second` and
     `covariance` follow from the values' noise. `half_difference` of the slopes of the two sides, each a parabola through the
     value and two neighbours on that side, and `departure` of their mean from the slope, with variances; 0 where a side has
-    too few neighbours. `step` is the largest modulus of the difference from a nearest neighbour.
+    too few neighbours. `step` is the largest modulus of the difference from a nearest neighbour. `third` is the slope's error
+    by a third derivative over the departure that it makes, `fourth` that of the second derivative by a fourth one over the
+    half difference.
     """
 
     first: Floats
@@ -61,9 +63,11 @@ class Parabola:
     departure: Floats
     variance_departure: Floats
     step: Floats
+    third: Floats
+    fourth: Floats
 
 
-PARABOLA_COLUMNS = 12
+PARABOLA_COLUMNS = 14
 
 
 def local_parabola(line: Ints, x: Floats, y: Floats, variance: Floats, window: float, longest: float) -> Parabola:
@@ -114,14 +118,17 @@ def _fit(
         found[0, i] = (c01 * t0 + c11 * t1 + c12 * t2) * one
         found[1, i] = (c02 * t0 + c12 * t1 + c22 * t2) * two
         found[2, i], found[3, i] = c01 * one, c02 * two
-        v11, v22, v12 = 0.0, 0.0, 0.0
+        v11, v22, v12, third, fourth = 0.0, 0.0, 0.0, 0.0, 0.0
         for j in range(begin, end):
             place = (x[j] - x[i]) / width
             slope, bend = (c01 + (c11 + c12 * place) * place) * one, (c02 + (c12 + c22 * place) * place) * two
             v11 += slope * slope * variance[j]
             v22 += bend * bend * variance[j]
             v12 += slope * bend * variance[j]
+            third += slope * (x[j] - x[i]) ** 3
+            fourth += bend * (x[j] - x[i]) ** 4
         found[4, i], found[5, i], found[6, i] = v11, v22, v12
+        found[12, i], found[13, i] = third, fourth
         _compare_sides(i, line, x, y, variance, window, furthest, found)
 
 
@@ -129,8 +136,12 @@ def _fit(
 def _compare_sides(
     i: int, line: Ints, x: Floats, y: Floats, variance: Floats, window: float, furthest: float, found: Floats
 ) -> None:
-    """Slopes at a value from two neighbours on one side each: the nearest beyond half a window, and one twice as far."""
-    n, step, sides, others = x.size, 0.0, 0, 0.0
+    """Slopes at a value from two neighbours on one side each: the nearest beyond half a window, and one twice as far.
+
+    Rows 12 and 13 have what x^3 and x^4 add to the derivatives of the parabola; to a side with neighbours at a and b they add
+    - a b, and - a b (a + b) with the sign of the side.
+    """
+    n, step, sides, others, cubic, quartic = x.size, 0.0, 0, 0.0, 0.0, 0.0
     after, own_after, before, own_before = 0.0, 0.0, 0.0, 0.0
     for sign in (1, -1):
         j = i + sign
@@ -151,15 +162,19 @@ def _compare_sides(
         own_after = -(to_near + to_far)
         after = to_near * y[j] + to_far * y[k] + own_after * y[i]
         others += to_near * to_near * variance[j] + to_far * to_far * variance[k]
+        cubic += 0.5 * near * far
+        quartic += 0.5 * abs(near * far * (near + far))
         sides += 1
     found[11, i] = step
     if sides < 2:  # one of them has too few neighbours
-        found[7:11, i] = 0.0
+        found[7:11, i], found[12:, i] = 0.0, 0.0
         return
     found[7, i] = 0.5 * (after - before)
     found[8, i] = 0.25 * (others + (own_after - own_before) ** 2 * variance[i])
     found[9, i] = 0.5 * (after + before) - found[0, i]
     found[10, i] = 0.25 * (others + (own_after + own_before) ** 2 * variance[i])
+    found[12, i] /= found[12, i] + cubic
+    found[13, i] /= quartic
 
 
 def reach(line: Ints, x: Floats, window: float, longest: float) -> Floats:
@@ -238,16 +253,21 @@ class Slopes:
             own += np.where(used, a * fit.own_first + b * fit.own_second, 0.0)
         return np.maximum(total - 2.0 * own * own_variance, 0.0)
 
-    def unresolved(self, *, across: bool) -> Floats:
-        """Standard uncertainty (n,) of a slope by what its parabola does not resolve; 0 where that is not known.
+    def unresolved(self, sensitivity: Floats) -> Floats:
+        """Standard uncertainty (n,) of a function of the slopes by what the parabolas do not resolve; 0 where unknown.
 
-        Half the difference of the slopes of the two sides, and a third of the departure of their mean, which is what a third
-        derivative adds to the slope of a parabola through neighbours on both sides. Both without their noise.
+        `sensitivity` (n, 5) is the function's, as in `noise`. Of a first derivative: half the difference of the slopes of the
+        two sides, and what a third derivative adds to it, by the departure of their mean. Of a second derivative: what a
+        fourth one adds, by that half difference. Both without their noise.
         """
-        fit = self.circle if across else self.arc
-        half = np.maximum(fit.half_difference**2 - NOISE_MARGIN * fit.variance_half, 0.0)
-        third = np.maximum(fit.departure**2 - NOISE_MARGIN * fit.variance_departure, 0.0)
-        return np.nan_to_num(np.sqrt(half + third / 9.0))
+        by = np.einsum("nk,nkl->nl", sensitivity, self.mixing)
+        total = np.zeros(by.shape[0])
+        for first, fit in ((0, self.arc), (2, self.circle)):
+            half = np.maximum(fit.half_difference**2 - NOISE_MARGIN * fit.variance_half, 0.0)
+            departure = np.maximum(fit.departure**2 - NOISE_MARGIN * fit.variance_departure, 0.0)
+            part = by[:, first] ** 2 * (half + fit.third**2 * departure) + by[:, first + 1] ** 2 * fit.fourth**2 * half
+            total += np.nan_to_num(part)
+        return np.sqrt(total)
 
     def undecided(self) -> Flags:
         """Where the slopes of two sides differ by more than the larger of them, and by more than noise and UNDECIDED."""

@@ -28,7 +28,7 @@ from goniotwin.app.campaign.reduction.etalon import PoseKey, ReferenceSignals, R
 from goniotwin.app.campaign.reduction.evidence import RunningEvidence
 from goniotwin.app.campaign.reduction.overlaps import CalibrationFactors
 from goniotwin.app.campaign.reduction.pipeline import finish_points, reduce_rows
-from goniotwin.app.campaign.reduction.points import BsdfPoints
+from goniotwin.app.campaign.reduction.points import BsdfPoints, Marks, pack_flags
 from goniotwin.app.campaign.reduction.readings import EVIDENCE_ROWS, DarkHistory
 from goniotwin.app.campaign.reduction.reduction import reduction_settings
 from goniotwin.app.campaign.row import NO_SAMPLE, CommittedRow, Row
@@ -54,9 +54,9 @@ ENDED = object()
 class ScanPoints:
     """Points of a scan (n,): `x_deg`, and values with their standard uncertainty.
 
-    They may be `blocked` by the mirror unit, `untrusted` for this or another reason (drift, a dead photodiode), of
-    `transmitted` light, or with a signal that is `lost` in its noise, which is the flag under-range of the journal. `added`:
-    their uncertainty is for the most part noise (`mostly_added`).
+    They may be `blocked` by the mirror unit, `untrusted` for this or another reason, of `transmitted` light, or with a signal
+    that is `lost` in its noise, which is the flag under-range of the journal. `added`: their uncertainty is for the most part
+    noise (`mostly_added`). `marks` are all flags, as `pack_flags` has them.
     """
 
     x_deg: Floats
@@ -67,11 +67,14 @@ class ScanPoints:
     transmitted: Flags
     lost: Flags
     added: Flags
+    marks: Marks
 
 
 @dataclass(frozen=True)
 class ScanData:
     """Data of the plot of a scan. `blocked_deg` are the intervals of the abscissa that are blocked by the mirror unit.
+
+    `findings` are what the run shows so far of modules and gains.
 
     `complete`: all rows so far are in it, with the latest dark readings; otherwise the next call has more.
     """
@@ -83,6 +86,7 @@ class ScanData:
     blocked_deg: tuple[tuple[float, float], ...]
     points: ScanPoints
     complete: bool = True
+    findings: tuple[str, ...] = ()
 
 
 class LiveScan:
@@ -155,7 +159,9 @@ class LiveScan:
             x = _x_deg(here.zenith_deg, here.azimuth_deg, here.theta_deg, here.phi_deg, plane)
             blocked, lost = here.flag("shadowed"), here.flag("under-range")
             added = mostly_added(here.components)
-            points = _sort(ScanPoints(x, here.bsdf, here.u_bsdf, blocked, ~here.good, here.transmitted, lost, added))
+            points = _sort(
+                ScanPoints(x, here.bsdf, here.u_bsdf, blocked, ~here.good, here.transmitted, lost, added, here.marks)
+            )
         self._signals = {number: each for number, each in self._signals.items() if number in self._shown}
         return self._describe(self._scans[key], y_label, points)
 
@@ -176,6 +182,7 @@ class LiveScan:
             blocked_deg=self._blocked_intervals(row),
             points=points,
             complete=not self._omitted,
+            findings=() if self._dark is None else self._dark.evidence.findings,
         )
 
     # The rows.
@@ -341,7 +348,8 @@ class LiveScan:
                     c, transmitted = view.channels, np.full(len(view.channels), view.transmitted)
                     untrusted = blocked | np.any([flags[c] for flags in each.flags.values()], axis=0)
                     values = each.signal.value[c]
-                    parts.append(ScanPoints(x, values, u[c], blocked, untrusted, transmitted, lost[c], added[c]))
+                    marks = pack_flags({name: flags[c] for name, flags in each.flags.items()}, len(c))
+                    parts.append(ScanPoints(x, values, u[c], blocked, untrusted, transmitted, lost[c], added[c], marks))
         return _sort(*parts)
 
     def _blocked_intervals(self, row: Row) -> tuple[tuple[float, float], ...]:
@@ -392,7 +400,7 @@ def _sort(*parts: ScanPoints) -> ScanPoints:
     """The points of all parts in the order of the abscissa."""
     if not parts:
         empty, none = np.empty(0), np.empty(0, dtype=bool)
-        return ScanPoints(empty, empty, empty, none, none, none, none, none)
+        return ScanPoints(empty, empty, empty, none, none, none, none, none, np.empty(0, dtype=np.uint16))
     columns = [np.concatenate(each) for each in zip(*(vars(part).values() for part in parts), strict=True)]
     order = np.argsort(columns[0], kind="stable")
     return ScanPoints(*(each[order] for each in columns))

@@ -16,6 +16,7 @@ from goniotwin.app.campaign.campaign import operator_for
 from goniotwin.app.campaign.journal.summary import SUFFIX
 from goniotwin.app.campaign.journal.writing import Journal, JournalError, software_versions
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
+from goniotwin.app.campaign.reduction.reduction import journal_findings
 from goniotwin.app.campaign.running.engine import Engine
 from goniotwin.app.campaign.running.events import (
     Event,
@@ -288,6 +289,13 @@ class RigThread:
             self._axes_connected &= all(each.name != device for each in self._opened.rig.controllers)
             self._send(DeviceFault(device, f"{device}: could not be reconnected during the run; connect again"))
         self._send(RunEnded(state, self._reason, journal.kept_at))
+        self._report_findings(journal.kept_at)
+
+    def _report_findings(self, journal: Path) -> None:
+        """Send what the data of a run show of the instrument, if they are enough for a reduction."""
+        with contextlib.suppress(UserError):
+            for finding in journal_findings(journal):
+                self._send(EventLogged("finding", finding, journal.name, "see goniotwin verify"))
 
     def _run_engine(self, engine: Engine) -> State:
         """Run the engine. An exception that is not a fault of a device (a full disk, a program error) stops the axes too."""

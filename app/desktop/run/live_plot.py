@@ -12,8 +12,9 @@ from PySide6.QtWidgets import QLabel, QVBoxLayout, QWidget
 
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.reduction.components import DETECTED, interval
+from goniotwin.app.campaign.reduction.points import BITS, REASON_ORDER
 from goniotwin.app.campaign.running.events import RowCommitted, RowStarted
-from goniotwin.app.desktop.model.live_scan import LiveScan, ScanData
+from goniotwin.app.desktop.model.live_scan import LiveScan, ScanData, ScanPoints
 from goniotwin.app.desktop.theme import Colours
 from goniotwin.arrays import Flags, Floats
 
@@ -145,7 +146,9 @@ class ScanPlot(QWidget):
         floor = float(np.min(logs[above])) - 0.3 if above.any() else -4.0
         for kind, chosen in kinds.items():
             self._items[kind].setData(points.x_deg[chosen], logs[chosen])
-        symbols = ["s" if each else "o" for each in points.transmitted[kinds["measured"]].tolist()]
+        shown = kinds["measured"]
+        marks = zip(points.transmitted[shown].tolist(), _steep(points)[shown].tolist(), strict=True)
+        symbols = ["d" if steep else "s" if transmitted else "o" for transmitted, steep in marks]
         self._items["measured"].setSymbol(symbols)
         self._items["below limit"].setData(points.x_deg[below], np.full(int(below.sum()), floor))
         low, high = interval(points.values[above], points.u_values[above], points.added[above], coverage=1.0)
@@ -263,10 +266,18 @@ def _note_text(scan: ScanData, kinds: dict[str, Flags], below: int) -> str:
         text += f", highest {points.values[top]:.3g} at {points.x_deg[top]:.1f}°"
     if transmitted := int((measured & points.transmitted).sum()):
         text += f"    ■\u00a0{transmitted} of these transmitted"
+    if steep := int((measured & _steep(points)).sum()):
+        text += f"    ◆\u00a0{steep} of these steep (measured too far apart: their u may be too small)"
     if blocked or scan.blocked_deg:
         text += f"    ○\u00a0{blocked} blocked by the mirror unit (shaded)"
     if flagged:
-        text += f"    ×\u00a0{flagged} flagged (drift, or a dead photodiode)"
+        marks = points.marks[kinds["flagged"]]
+        names = ", ".join(name for name in REASON_ORDER if np.any(marks & BITS[name]))
+        text += f"    ×\u00a0{flagged} flagged" + (f" ({names})" if names else "")
     if below:
         text += f"    ▽\u00a0{below} below detection limit (signal under {DETECTED:g} u)"
-    return text
+    return "\n".join([text, *(f"✗\u00a0{each}" for each in scan.findings)])
+
+
+def _steep(points: ScanPoints) -> Flags:
+    return np.asarray((points.marks & BITS["steep"]) != 0)

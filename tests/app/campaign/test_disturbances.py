@@ -71,8 +71,9 @@ LAMP, GAINS = (
 )
 NOT_LINEAR, CROSSTALK = (
     (("[twin.light]", f"[twin.disturbances]\n{key}\n\n[twin.light]"),)
-    for key in ("linearity_per_decade = 1e-3", "crosstalk = 1e-5")
+    for key in ("linearity_per_decade = 1e-3", "crosstalk = 4e-6")
 )
+"""The seed draws 1.4e-3 and 1.0e-5: 1.4 and 1.0 standard uncertainties of the rig file."""
 SLOW, VERY_SLOW = (
     (("[twin.light]", f"[twin.electronics]\nsettling_s = {settling_s}\n\n[twin.light]"),) for settling_s in (0.06, 0.3)
 )
@@ -128,7 +129,7 @@ CASES = (
     Case("amplifiers of 0.3 s", "flagged", rig=VERY_SLOW),
     Case("photodiodes that are not linear", "corrected", rig=NOT_LINEAR),
     Case("photodiodes that are not linear", "corrected", sample="gaussian-15", gains=WIDE, rig=NOT_LINEAR),
-    Case("cross-talk in a module", "corrected", sample="gaussian-5", gains=WIDE, rig=CROSSTALK),
+    Case("cross-talk of 1e-5 in a module", "corrected", sample="gaussian-5", gains=WIDE, rig=CROSSTALK),
     Case("saturation at the peak, one gain", "flagged", sample="gaussian-15", gains="[1e11]"),
     Case("saturation at the peak, auto-range", "corrected", sample="gaussian-15", gains='"automatic"'),
 )  # fmt: skip
@@ -215,7 +216,7 @@ def check_result(found: CaseResult) -> None:
         return
     assert found.run.state is State.DONE, (case.name, found.run.faults)
     assert found.within >= min_share_within(found.good), str(found)
-    assert (found.flagged > 0) or case.expected == "corrected", str(found)
+    assert (found.flagged > 0) == (case.expected == "flagged"), str(found)
 
 
 FIRST = [case for k, case in enumerate(CASES) if case.name not in [each.name for each in CASES[:k]]]

@@ -9,7 +9,7 @@ from pytestqt.qtbot import QtBot
 
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.reduction.components import DETECTED, Signal
-from goniotwin.app.campaign.reduction.points import BsdfPoints
+from goniotwin.app.campaign.reduction.points import BITS, BsdfPoints
 from goniotwin.app.campaign.reduction.readings import DarkHistory
 from goniotwin.app.campaign.reduction.reduction import BsdfDataset
 from goniotwin.app.campaign.row import CommittedRow
@@ -265,6 +265,7 @@ def scan_data(values: list[float], u_values: list[float], blocked: list[bool], u
     points = ScanPoints(
         np.arange(float(len(values))), np.array(values), np.array(u_values), np.array(blocked),
         np.array(blocked if untrusted is None else untrusted), none, np.array(values) < DETECTED * np.array(u_values), none,
+        np.zeros(len(values), dtype=np.uint16),
     )  # fmt: skip
     return ScanData("a scan", "x", "y", (-90.0, 90.0), ((2.5, 3.5),), points)
 
@@ -297,10 +298,21 @@ def test_the_marks_below_the_detection_limit_are_the_values_that_the_journal_cal
 
 def test_values_flagged_for_drift_are_marks_of_their_own(plot: ScanPlot) -> None:
     plot.show_scan(scan_data([1.0, 0.9, 0.8], [0.01] * 3, [False, True, False], [False, True, True]))
-    assert "×\u00a01 flagged (drift, or a dead photodiode)" in plot.summary
+    assert "×\u00a01 flagged" in plot.summary
     assert {name: x.tolist() for name, (x, _y) in plot.marks().items()} == {
         "measured": [0.0], "blocked": [1.0], "flagged": [2.0], "below limit": [],
     }  # fmt: skip
+
+
+def test_flags_are_named_steep_values_have_a_mark_and_findings_a_line(plot: ScanPlot) -> None:
+    scan = scan_data([1.0, 0.9, 0.8, 0.7], [0.01] * 4, [False] * 4, [False, False, True, True])
+    marks = np.array([0, BITS["steep"], BITS["module"], BITS["monitor"] | BITS["steep"]], dtype=np.uint16)
+    scan = replace(scan, points=replace(scan.points, marks=marks), findings=("photodiodes module 2: the amplifiers",))
+    plot.show_scan(scan)
+    assert "◆\u00a01 of these steep" in plot.summary
+    assert "×\u00a02 flagged (module, monitor)" in plot.summary
+    assert plot.summary.endswith("\n✗\u00a0photodiodes module 2: the amplifiers")
+    assert len(plot.marks()["measured"][0]) == 2
 
 
 def test_the_plot_changes_its_label_once_the_etalon_is_there(plot: ScanPlot) -> None:

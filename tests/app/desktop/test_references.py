@@ -39,7 +39,8 @@ class PaintCounter(QObject):
 
 def scan_data(points: int) -> ScanData:
     x = np.arange(float(points))
-    scan = ScanPoints(x, x + 1.0, 0.1 * (x + 1.0), x == 3.0, x == 3.0, x == 1.0, x == 2.0, x < 0.0)
+    no_marks = np.zeros(x.size, dtype=np.uint16)
+    scan = ScanPoints(x, x + 1.0, 0.1 * (x + 1.0), x == 3.0, x == 3.0, x == 1.0, x == 2.0, x < 0.0, no_marks)
     return ScanData("a scan", "x", "y", (-90.0, 90.0), ((2.5, 3.5),), scan)
 
 

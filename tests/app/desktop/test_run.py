@@ -51,6 +51,20 @@ def test_a_run_measures_all_rows_into_the_journal(qtbot: QtBot, window: MainWind
     assert "measured" in window.view.plot.summary
 
 
+def test_findings_on_the_instrument_are_in_the_log_and_under_the_plot(
+    qtbot: QtBot, open_window: WindowOpener, write_rig: Writer, write_schedule: Writer
+) -> None:
+    """Gains that the rig file does not state."""
+    spread = write_rig(("[twin.light]", "[twin.electronics]\ngain_spread = 0.02\n\n[twin.light]"))
+    more = write_schedule(("shift_deg = [0, 1]", "shift_deg = [0, 1, 2, 3, 4]"), ("[1e8, 1e10]", "[1e10, 1e11]"))
+    window = ready(qtbot, open_window(spread, more))
+    click(window.view.run.start_button)
+    wait_for_end(qtbot, window, State.DONE)
+    finding = "the gains are not those of the rig file"
+    qtbot.waitUntil(lambda: any(each.serious and finding in each.what for each in window.view.log.entries), timeout=READY_MS)
+    qtbot.waitUntil(lambda: finding in window.view.plot.summary, timeout=READY_MS)
+
+
 def test_a_second_run_gets_a_journal_of_its_own(qtbot: QtBot, window: MainWindow, journals: Path) -> None:
     for _ in range(2):
         ready(qtbot, window)

@@ -186,7 +186,8 @@ def test_an_impossible_format_is_refused() -> None:
 
 def test_the_page_on_formats_has_what_each_format_holds() -> None:
     text = (REPOSITORY / "docs" / "formats.md").read_text(encoding="utf-8")
-    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in text.splitlines() if line.startswith("|")]
+    table = text[text.index("\n|") :].strip().partition("\n\n")[0]
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines()]
     heading, body = rows[0], {row[0]: row[1:] for row in rows[2:]}
     assert heading[1:] == [each.name for each in BUILT_IN]
     assert body.pop("suffix") == [", ".join(each.suffixes) for each in BUILT_IN]

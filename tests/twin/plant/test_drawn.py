@@ -292,9 +292,9 @@ def test_the_light_has_the_wavelength_set_and_the_drawn_error(changed: Changed) 
     plant = Plant(model)
     plant.mount("paint", 0.0)
     plant.shutter_open.set(0.0, True)
-    axes = (plant.angle_deg(axis, 1.0) for axis in ("sigma", "gamma", "beta", "shift"))
+    sigma, gamma, beta, shift = (plant.angle_deg(axis, 1.0) for axis in ("sigma", "gamma", "beta", "shift"))
     start = MonochromatorDrive.start_nm
-    steady = plant.steady_photocurrents_a(Aspect("paint", 0.0, start, *axes, mounting=1))
+    steady = plant.steady_photocurrents_a(Aspect("paint", 0.0, start, sigma, gamma, beta, shift, mounting=1))
     np.testing.assert_allclose(plant.photocurrents_a(1.0)[: steady.size], steady, rtol=1e-12)
     assert plant.wavelength_nm.at(1.0) == start
 

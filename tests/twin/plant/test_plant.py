@@ -49,7 +49,7 @@ def test_the_light_of_an_aspect_equals_that_of_the_rig_in_it(rig: VirtualRig) ->
     plant.mount("gaussian-5", 0.0)
     plant.shutter_open.set(0.0, True)
     wavelength = plant.wavelength_nm.at(1.0)
-    angles = (plant.angle_deg(axis, 1.0) for axis in ("sigma", "gamma", "beta", "shift"))
-    currents = plant.steady_photocurrents_a(Aspect("gaussian-5", 0.0, wavelength, *angles))
+    sigma, gamma, beta, shift = (plant.angle_deg(axis, 1.0) for axis in ("sigma", "gamma", "beta", "shift"))
+    currents = plant.steady_photocurrents_a(Aspect("gaussian-5", 0.0, wavelength, sigma, gamma, beta, shift))
     assert currents.max() > 0.0
     assert currents == pytest.approx(plant.photocurrents_a(1.0)[: len(currents)], rel=1e-12)

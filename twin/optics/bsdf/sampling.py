@@ -86,8 +86,8 @@ def shaped_density(kind: int, params: Floats, lx: float, ly: float, lz: float, d
     theta = 2.0 * math.asin(min(1.0, 0.5 * chord))
     stretch = theta / math.sin(theta) if 1e-9 < theta < math.pi else 1.0
     if kind == WIDE:
-        lobe = params[1] / (math.pi * params[3] * (1.0 + params[1] * theta * theta) ** 2) * stretch
-        return LOBE_SHARE * lobe + (1.0 - LOBE_SHARE) * cosine
+        wide: float = params[1] / (math.pi * params[3] * (1.0 + params[1] * theta * theta) ** 2) * stretch
+        return LOBE_SHARE * wide + (1.0 - LOBE_SHARE) * cosine
     ex, ey, ez, tilt2 = _axis_at_lobe(params, lx, ly, lz)
     sine = math.sin(theta)
     # The part of d across the specular direction, along the lobe's own axis there.

@@ -59,14 +59,28 @@ def test_the_scan_is_thirteen_by_thirteen_directions_about_the_beam() -> None:
     assert middle == [(0.0, 140.0, 180.0, 0.0)] * 2
     apart = np.degrees(np.arccos(np.clip(seen @ seen.T, -1.0, 1.0)))
     nearest = np.sort(apart, axis=1)[:, 1]
-    assert nearest.min() > 0.194
-    assert nearest.max() < 0.2001
-    assert np.degrees(np.arccos(np.clip(seen @ beam, -1.0, 1.0))).max() == pytest.approx(1.2 * 2**0.5, rel=0.02)
+    side = 0.2 * (1.0 + 1.0 / 12.0**2) ** 0.5
+    assert nearest.min() > 0.97 * side
+    assert nearest.max() < 1.001 * side
+    assert np.degrees(np.arccos(np.clip(seen @ beam, -1.0, 1.0))).max() == pytest.approx(6.0 * side * 2**0.5, rel=0.02)
+    # Turned: no two neighbours have the same shift or beta, and only the corners of two lines meet.
+    assert all(len(set(poses[:, axis])) == 13 * 12 + 1 for axis in (2, 3))
     # The solid angles of all poses fill the square.
-    square = np.radians(13 * 0.2) ** 2
+    square = np.radians(13 * side) ** 2
     assert planned_scan.solid_angle_sr.sum() == pytest.approx(square, rel=1e-3)
     assert len(planned_scan.edge) == 4 * 12
     assert planned_scan.offset_deg[planned_scan.middle] == pytest.approx([0.0, 0.0])
+
+
+def test_the_slopes_of_a_scan_are_those_of_what_it_sees() -> None:
+    """Along the arc and across it, of a Gaussian as narrow as the beam, 0.24 deg, that is not in the middle."""
+    (scan,) = beam_scans(planned("sigma_deg = [42]\n[open_beam]\n").schedule.file, read_rig(RIG).file)
+    x, y = (scan.offset_deg - [0.07, -0.04]).T
+    seen = np.exp(-(x**2) / (2.0 * 0.24**2) - y**2 / (2.0 * 0.3**2))
+    expected = np.stack([-x / 0.24**2 * seen, -y / 0.3**2 * seen], axis=1)
+    found = scan.slopes(seen)
+    assert np.abs(found - expected).max() < 0.1 * np.abs(expected).max()
+    assert np.sum(found**2, axis=0) == pytest.approx(np.sum(expected**2, axis=0), rel=0.1)
 
 
 def test_the_etalon_is_measured_on_the_same_photodiode_at_every_wavelength() -> None:
@@ -74,7 +88,7 @@ def test_the_etalon_is_measured_on_the_same_photodiode_at_every_wavelength() -> 
     plan = planned("sigma_deg = [17, 40]\n[open_beam]\n")
     found = {(row.pose, row.wavelength_nm) for row in rows_of(plan, "etalon")}
     scans = beam_scans(plan.schedule.file, plan.rig.file)
-    assert [(each.sigma_deg, each.at_deg, each.photodiode) for each in scans] == [(17.0, 17.0, 3), (40.0, 40.7, 8)]
+    assert [(each.sigma_deg, each.at_deg, each.photodiode) for each in scans] == [(17.0, 17.0, 3), (40.0, 40.8, 8)]
     for each in scans:
         gamma, sigma, beta, shift = each.etalon_pose
         assert (gamma, sigma, beta) == (0.0, each.at_deg, 180.0)
@@ -84,7 +98,7 @@ def test_the_etalon_is_measured_on_the_same_photodiode_at_every_wavelength() -> 
         assert {row.pose for row in rows_of(plan, NO_SAMPLE)} >= {tuple(pose) for pose in each.poses.tolist()}
     assert not any(row.pose is not None and row.pose[2] == 180.0 for row in rows_of(plan, "gaussian-5"))
     (note,) = [each for each in check_plan(plan)["warnings"] if "open beam" in each]
-    assert "40.7 in place of 40 deg" in note
+    assert "40.8 in place of 40 deg" in note
 
 
 def test_transmitted_light_and_the_back_are_scanned_on_the_arc_that_is_scaled() -> None:
@@ -121,7 +135,7 @@ def test_below_ten_degrees_there_is_no_scan_and_check_reports_it() -> None:
         ("step_deg = 0\n", "", "open_beam.step_deg"),
         ("steps = 3\n", "", "there is no such key; did you mean"),
         ("wavelength_nm = 500\n", "", "open_beam.wavelength_nm: 500 is not in wavelength_nm"),
-        ("", NARROW, "a scan of 13 poses 0.2 deg apart needs 2.4 deg of the shift, and axes.shift has 2"),
+        ("", NARROW, "a scan of 13 poses 0.2 deg apart needs 2.6 deg of the shift, and axes.shift has 2"),
     ],
 )
 def test_refusals_name_the_key(table: str, rig: str, reason: str) -> None:
@@ -138,10 +152,10 @@ def test_the_limits_of_an_axis_and_a_gap_between_photodiodes_are_refused() -> No
 
 
 def test_two_sigmas_that_the_shift_brings_to_one_scan_have_it_once() -> None:
-    """40 and 40.5 would both be scanned at 40.7: an identity of a row is there once."""
+    """40 and 40.5 would both be scanned at 40.8: an identity of a row is there once."""
     plan = planned("sigma_deg = [40, 40.5, 41]\n[open_beam]\n")
     assert [(each.sigma_deg, each.at_deg) for each in beam_scans(plan.schedule.file, plan.rig.file)] == [
-        (40.5, 40.7),
+        (40.5, 40.8),
         (41.0, 41.0),
     ]
     identities = [row.identity for row in plan.rows]

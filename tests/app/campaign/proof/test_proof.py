@@ -73,7 +73,12 @@ def test_a_proof_continues_and_its_results_are_those_of_one_run(
     first = (folder / "rig-000001.json").read_bytes()
     run: list[int] = []
     result = Proof.result
-    monkeypatch.setattr(Proof, "result", lambda self, seed: (run.append(seed), result(self, seed))[1])
+
+    def counted(proof: Proof, seed: int) -> RigResult:
+        run.append(seed)
+        return result(proof, seed)
+
+    monkeypatch.setattr(Proof, "result", counted)
     done: list[int] = []
     proof = small_proof(write_rig, write_schedule, folder)
     totals = prove(proof, 1, done.append)

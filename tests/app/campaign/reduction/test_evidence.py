@@ -24,6 +24,7 @@ from goniotwin.app.campaign.row import CommittedRow, Reading, Row, RowData
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.rig import RigFile, read_rig
 from goniotwin.arrays import Floats
+from goniotwin.drivers import PhotodiodeSettings
 from tests.app.campaign.reduction.made_points import made_points
 from tests.conftest import RIG
 from tests.conftest import SMALL as SCHEDULE
@@ -40,7 +41,8 @@ class Drawn:
     """Rows with drawn readings, and the true photocurrents (rows, photodiodes) in A at a monitor's current of MONITOR_A.
 
     `own` is the relative noise of each photodiode's reading, `lamp` that of all of a row's, `spread` that of the gains about
-    the nominal ones, `settling_s` the amplifiers' time constant, `bend` how much a voltage of 10 V is too low, of module 2.
+    the nominal ones, `settling_s` the amplifiers' time constant, `bend` how much a voltage of 10 V is too low, of module 2,
+    `crosstalk` the share of the volts (12 at most) of a module's other channels.
     """
 
     seed: int = 1
@@ -50,6 +52,7 @@ class Drawn:
     spread: float = 0.0
     settling_s: float = 0.01
     bend: float = 0.0
+    crosstalk: float = 0.0
     currents_a: tuple[float, float] = (1e-13, 8e-10)
     gains: tuple[float, ...] = (LOW, HIGH)
     readings: int = 4
@@ -60,7 +63,8 @@ class Drawn:
     def __post_init__(self) -> None:
         self.random = np.random.default_rng(self.seed)
         self.deviation = {gain: self.spread * self.random.normal(size=N) for gain in self.gains}
-        self.truth_a = 10.0 ** self.random.uniform(*np.log10(self.currents_a), size=(self.rows, N))
+        low, high = self.currents_a
+        self.truth_a = 10.0 ** self.random.uniform(math.log10(low), math.log10(high), (self.rows, N))
         t = 0.0
         for k, current in enumerate(self.truth_a):
             if k % DARK_EVERY == 0:
@@ -88,12 +92,16 @@ class Drawn:
         light = current * level * (1.0 + self.lamp * normal(size=(count, 1))) * (1.0 + self.own * normal(size=(count, N)))
         real = gain * (1.0 + self.deviation[gain])
         if before is not None:
+            assert isinstance(RIG_FILE.photodiodes, PhotodiodeSettings)
             since = RIG_FILE.photodiodes.settling_s + PERIOD_S * np.arange(count)[:, None]
             left = np.exp(-since / self.settling_s)
             real = real + (before * (1.0 + self.deviation[before]) - real) * left
         volts = light * real
         module = np.arange(N) // RIG_FILE.photodiodes.module_channels
         volts = np.where(module == 2, volts * (1.0 - self.bend * volts / 10.0), volts)
+        held = np.minimum(volts, 12.0)
+        of_module = np.stack([held[:, module == each].sum(axis=1) for each in module], axis=1)
+        volts = volts + self.crosstalk * (of_module - held)
         volts = volts + OFFSET_V + NOISE_V * normal(size=(count, N))
         counts = RIG_FILE.photodiodes.range.raw(volts).astype(np.uint16)
         return Reading(gain, t, PERIOD_S, level * MONITOR_A, counts)
@@ -129,7 +137,7 @@ def deviations(drawn: Drawn, evidence: SignalEvidence) -> Floats:
     """Errors of the values with light over their standard uncertainties, without that of the gains: these are exact."""
     signal = drawn.signals(replace(evidence, deviation=plain(drawn).deviation))
     u = np.sqrt(signal.variance - signal.components["crosstalk"])
-    z = (signal.value - drawn.truth_a / MONITOR_A) / u
+    z: Floats = (signal.value - drawn.truth_a / MONITOR_A) / u
     return z[np.isfinite(z) & (signal.value > 20.0 * np.sqrt(signal.components["dark"]))]
 
 
@@ -156,7 +164,7 @@ def test_intervals_hold_the_truth_whatever_makes_the_noise(name: str) -> None:
         assert float(np.mean(np.abs(deviations(drawn, plain(drawn))) < 1.96)) < 0.88
     assert math.sqrt(evidence.own) == pytest.approx(drawn.own, rel=0.05, abs=2e-3)
     assert math.sqrt(evidence.lamp) == pytest.approx(drawn.lamp, rel=0.1, abs=2e-3)
-    assert evidence.verdicts == evidence.notes == ()
+    assert (evidence.verdicts, evidence.notes) == ((), ())
 
 
 def test_shot_noise_is_expected_and_not_counted_twice() -> None:
@@ -237,7 +245,7 @@ def test_ratios_of_gains_are_adjusted_together_with_their_certificate() -> None:
     assert u.max() < 0.6 * certified
     assert float(np.mean(((found - drawn_ratio) / u) ** 2)) < 1.3
     assert float(np.std(found - drawn_ratio)) < 0.5 * float(np.std(drawn_ratio))
-    assert evidence.notes == evidence.verdicts == ()
+    assert (evidence.verdicts, evidence.notes) == ((), ())
     assert evidence.link[:, low, 0] == pytest.approx(certified**2, rel=0.6)  # no row was read at the first gain
 
 
@@ -284,11 +292,20 @@ def test_a_module_that_is_not_linear_is_a_verdict_on_it_alone() -> None:
     assert verdict.text.startswith("photodiodes module 2: the ratio of the gains 1e+08 and 1e+10 V/A changes with the signal")
 
 
+def test_cross_talk_that_the_rig_file_states_is_no_verdict() -> None:
+    """A dark channel's volts at the higher gain are for the most part its neighbours': a ratio that depends on the signal."""
+    drawn = Drawn(rows=120, gains=(HIGH, 1e11), currents_a=(2e-13, 1e-9), crosstalk=2.5e-5, readings=16, dark_readings=256)
+    assert (drawn.evidence.verdicts, drawn.evidence.notes) == ((), ())
+    stated = with_uncertainty(crosstalk=0.0)
+    evidence = collect(DarkHistory(drawn.dark, stated).sums(), drawn.lit)
+    assert any("changes with the signal" in each.text for each in evidence.verdicts)
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("seed", range(20))
 def test_sound_modules_have_no_verdict(seed: int) -> None:
     for drawn in (Drawn(seed, 400, spread=1e-3), Drawn(seed, 400, own=0.01, spread=1e-3), Drawn(seed, 400, lamp=0.02)):
-        assert drawn.evidence.verdicts == drawn.evidence.notes == ()
+        assert (drawn.evidence.verdicts, drawn.evidence.notes) == ((), ())
 
 
 # ---- properties ----

@@ -11,6 +11,8 @@ import pytest
 from goniotwin.app.campaign.campaign import run_campaign
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import make_plan
+from goniotwin.app.campaign.reduction import readings
+from goniotwin.app.campaign.reduction import reduction as reducing
 from goniotwin.app.campaign.reduction.points import COLUMNS, BsdfPoints, join_points
 from goniotwin.app.campaign.reduction.reduction import Reduction, reduce_journal
 from goniotwin.app.campaign.rehearsal.forecast import forecast
@@ -104,8 +106,15 @@ def test_a_forecast_is_the_same_for_any_size_of_a_block(journal: Path, sizes: tu
 @pytest.mark.long
 @pytest.mark.parametrize("steps", [(20.0, 5.0), (4.0, 1.0)], ids=["few", "many"])
 def test_the_memory_of_a_forecast_grows_by_much_less_than_a_kilobyte_per_row(
-    write_rig: Writer, write_schedule: Writer, tmp_path: Path, steps: tuple[float, float]
+    write_rig: Writer, write_schedule: Writer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, steps: tuple[float, float]
 ) -> None:
+    for module, name in (
+        (reducing, "BLOCK_ROWS"),
+        (reducing, "MOST_ROWS"),
+        (readings, "EVIDENCE_ROWS"),
+        (readings, "ROWS_AT_ONCE"),
+    ):
+        monkeypatch.setattr(module, name, 16)  # with small blocks a short journal shows what a long one takes
     rig, memory, rows = read_rig(write_rig()), [], []
     for step in steps:
         many = ("[550]", f"{{ start = 500.0, stop = 600.0, step = {step} }}")

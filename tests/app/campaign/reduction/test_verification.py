@@ -1,17 +1,20 @@
 """Budgets of values and reflectances, and verdicts on a journal: on small campaigns of a virtual rig without wires."""
 
+import json
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.proof.virtual_rigs import run_without_wires
 from goniotwin.app.campaign.reduction.budget import budget_of_reflectance, budget_of_value, parse_place
-from goniotwin.app.campaign.reduction.reduction import Reduction, reduce_journal
+from goniotwin.app.campaign.reduction.reduction import Reduction, check_journal, reduce_journal
 from goniotwin.app.campaign.reduction.verification import Verdict, reciprocal_pairs, verify_journal
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.cli.main import app
@@ -26,12 +29,13 @@ HALF_SPHERE = (
     ('samples = ["gaussian-5"]', 'samples = ["paint"]'),
 )  # fmt: skip
 PAINT = ("[twin.samples.etalon]", '[twin.samples.paint]\nmodel = "lambertian"\nreflectance = 0.6\n\n[twin.samples.etalon]')
-
+SPREAD = ("[twin.light]", "[twin.electronics]\ngain_spread = 0.02\n\n[twin.light]")
 TURNED = ("sigma = { motor = 4, gear = 36.0 }", "sigma = { motor = 4, gear = 36.0, zero_deg = 1.0 }")
+Measure = Callable[..., Path]
 
 
 @pytest.fixture
-def measure(write_rig: Writer, write_schedule: Writer, tmp_path: Path):  # type: ignore[no-untyped-def]
+def measure(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> Measure:
     def run(schedule: tuple[Change, ...], *rig: Change) -> Path:
         path = tmp_path / "a.journal"
         run_without_wires(make_plan(read_schedule(write_schedule(*schedule)), read_rig(write_rig(*rig))), path)
@@ -45,7 +49,7 @@ def verdicts(path: Path) -> dict[str, Verdict]:
         return {each.name.partition(" of ")[0]: each for each in verify_journal(Reduction(journal))}
 
 
-def test_the_components_of_a_value_add_up_to_its_uncertainty(measure, capsys) -> None:  # type: ignore[no-untyped-def]
+def test_the_components_of_a_value_add_up_to_its_uncertainty(measure: Measure, capsys: pytest.CaptureFixture[str]) -> None:
     path = measure(PAIRS)
     with Journal.open(path) as journal:
         points = reduce_journal(journal).samples["gaussian-5"]
@@ -77,7 +81,7 @@ def test_the_components_of_a_value_add_up_to_its_uncertainty(measure, capsys) ->
         ("sample=paint,sigma=30,zenith=36,azimuth=180", "--at sample=paint: choose one of the journal's samples: gaussian-5"),
     ],
 )  # fmt: skip
-def test_a_place_without_a_value_is_refused_with_its_neighbours(at: str, words: str, measure) -> None:  # type: ignore[no-untyped-def]
+def test_a_place_without_a_value_is_refused_with_its_neighbours(at: str, words: str, measure: Measure) -> None:
     with Journal.open(measure(PAIRS)) as journal, pytest.raises(UserError, match=words):
         budget_of_value(Reduction(journal), parse_place(at))
 
@@ -88,7 +92,7 @@ def test_a_place_that_is_none_is_one_line(at: str) -> None:
         parse_place(at)
 
 
-def test_a_half_sphere_has_a_reflectance_with_its_budget(measure) -> None:  # type: ignore[no-untyped-def]
+def test_a_half_sphere_has_a_reflectance_with_its_budget(measure: Measure) -> None:
     path = measure(HALF_SPHERE, PAINT)
     with Journal.open(path) as journal:
         found = budget_of_reflectance(Reduction(journal), parse_place("sigma=30"))
@@ -99,7 +103,7 @@ def test_a_half_sphere_has_a_reflectance_with_its_budget(measure) -> None:  # ty
     assert energy.figures["reflectances"][0]["value"] == found.value
 
 
-def test_more_light_than_arrives_fails(measure, capsys) -> None:  # type: ignore[no-untyped-def]
+def test_more_light_than_arrives_fails(measure: Measure, capsys: pytest.CaptureFixture[str]) -> None:
     """The certificate states half as much again as the etalon has."""
     path = measure(
         HALF_SPHERE, (PAINT[0], PAINT[1].replace("0.6", "0.95")), ("radiance_factor = 0.99", "radiance_factor = 1.4")
@@ -111,14 +115,76 @@ def test_more_light_than_arrives_fails(measure, capsys) -> None:  # type: ignore
     assert "energy of paint: fails" in capsys.readouterr().out
 
 
-def test_reciprocity_holds_and_a_wrong_zero_of_sigma_breaks_it(measure) -> None:  # type: ignore[no-untyped-def]
+def test_reciprocity_holds_and_a_wrong_zero_of_sigma_breaks_it(measure: Measure) -> None:
     """A degree, twenty times as much as the rig file states: light and view are not the other way round any more."""
     found = verdicts(path := measure(PAIRS))
     assert found["reciprocity"].verdict == "holds"
     assert found["reciprocity"].figures["pairs"] >= 1
-    assert {found[name].verdict for name in ("energy", "symmetry", "overlaps", "drift")} == {"nothing to judge"}
+    unasked = ("energy", "symmetry", "overlaps", "drift", "closure")
+    assert {found[name].verdict for name in unasked} == {"nothing to judge"}
     path.unlink()
     assert verdicts(measure(PAIRS, TURNED))["reciprocity"].verdict == "fails"
+
+
+def test_gains_that_are_not_those_of_the_rig_file_reach_the_operator(
+    measure: Measure, write_rig: Writer, write_schedule: Writer, tmp_path: Path
+) -> None:  # fmt: skip
+    """By the run itself, by an export and by `verify`; and sound gains are no finding."""
+    schedule = (*HALF_SPHERE, ("[1e8, 1e10]", "[1e10, 1e11]"))
+    sound = measure(schedule, PAINT)
+    assert check_journal(sound).findings == ()
+    assert verdicts(sound)["gain linkage"].verdict == "holds"
+    journal, words = tmp_path / "b.journal", "the gains are not those of the rig file"
+    rig, plan = str(write_rig(PAINT, SPREAD)), str(write_schedule(*schedule))
+    command = ["run", plan, "--rig", rig, "--out", str(journal), "--json"]
+    done = CliRunner().invoke(app, command)
+    assert done.exit_code == 0
+    assert f"goniotwin: {words}" in done.stderr
+    assert words in json.loads(done.stdout)["checks"]["findings"][0]
+    found = verdicts(journal)["gain linkage"]
+    assert (found.verdict, found.text[: len(words)]) == ("fails", words)
+    done = CliRunner().invoke(app, ["export", str(journal), "--format", "csv", "--out", str(tmp_path / "b.csv")])
+    assert words in done.stderr
+
+
+def test_the_small_components_are_listed_where_asked_for(measure: Measure, monkeypatch: pytest.MonkeyPatch) -> None:
+    """In 80 columns each component has a line of its own, and no number or key is cut."""
+    command = ["budget", str(measure(PAIRS)), "--at", "sigma=30,theta=6,phi=180"]
+    for columns in ("80", "120"):
+        monkeypatch.setenv("COLUMNS", columns)
+        text, whole = (CliRunner().invoke(app, [*command, *more]).stdout for more in ((), ("--all",)))
+        assert all(key in text for key in ("sample_tilt_y@gaussian-5#1", "photodiode_angle_deg", "[etalon]", "smaller ones"))
+        assert "photodiode_across_deg" not in text
+        assert "photodiode_across_deg" in whole
+        assert "smaller ones" not in whole
+        assert all(len(line) <= int(columns) for line in whole.splitlines()[2:])
+
+
+def test_a_cut_has_no_reflectance(measure: Measure) -> None:
+    with Journal.open(measure(PAIRS)) as journal, pytest.raises(UserError, match="do not cover the half sphere"):
+        budget_of_reflectance(Reduction(journal), parse_place("sigma=30"))
+
+
+@pytest.mark.parametrize(
+    ("fault", "verdict", "words"),
+    [
+        ("", "holds", "ratios of gains were measured, the worst is"),
+        ("gain_spread = 0.02", "fails", "the gains are not those of the rig file"),
+        ("settling_s = 0.06", "fails", "the amplifiers are not at rest"),
+    ],
+)
+def test_gains_that_do_not_fit_fail_the_verification(fault: str, verdict: str, words: str, measure: Measure) -> None:
+    rows = (("beta_deg = [180]", "beta_deg = [0, 180]"), ("shift_deg = [0, 1]", "shift_deg = [0, 1, 2, 3, 4]"))
+    changes = (("[twin.light]", f"[twin.electronics]\n{fault}\n\n[twin.light]"),) if fault else ()
+    found = verdicts(measure(rows, *changes))["gain linkage"]
+    assert found.verdict == verdict
+    assert words in found.text
+    assert found.figures["ratios"] > 0 or fault.startswith("settling")
+
+
+def test_a_campaign_at_one_gain_has_no_gain_linkage(measure: Measure) -> None:
+    found = verdicts(measure((("gains_v_per_a = [1e8, 1e10]", "gains_v_per_a = [1e8]"),)))["gain linkage"]
+    assert found.verdict == "nothing to judge"
 
 
 def test_pairs_have_light_and_view_exchanged() -> None:

@@ -59,7 +59,8 @@ def test_the_bsdf_is_that_of_readings_at_all_gains(plan: Plan, tmp_path: Path) -
         run_campaign(each, tmp_path / f"{name}.journal")
         with Journal.open(tmp_path / f"{name}.journal") as journal:
             found.append(reduce_journal(journal).samples["gaussian-5"])
-    assert np.array_equal(found[0].bsdf, found[1].bsdf, equal_nan=True)
+    # The evidence of both gains, where both were read, may change the last bit of a ratio.
+    assert np.allclose(found[0].bsdf, found[1].bsdf, rtol=1e-15, atol=0.0, equal_nan=True)
     assert not found[0].flag("clipped").any()
 
 
