@@ -115,16 +115,19 @@ def _of_group(points: BsdfPoints, group: Group) -> Effects:
 
 
 def dark(points: BsdfPoints, settings: ReductionSettings) -> Effects:
-    """The dark readings of a photodiode and a gain before and after a row."""
+    """The dark readings of a photodiode and a gain before and after a row: what was subtracted is between the two, by time."""
     history = settings.history
-    interval = points.row if history is None else history.dark_readings(points.row)
-    keys = np.stack([points.photodiode, points.gain, interval], axis=1)
+    before = points.row if history is None else history.dark_readings(points.row)
+    share = np.zeros(points.size) if history is None else history.dark_share(points.row)
+    keys = np.concatenate([np.stack([points.photodiode, points.gain, before + k], axis=1) for k in (0, 1)])
     # Its volts are one share of a bright value and another of a dark one.
-    group = _grouped(
-        "dark", keys, -_signed(points, "dark"), lambda key: f"[{key[0]}, {_gain(key[1], settings.rig)}]@dark {key[2]}",
-        "rows of this photodiode and gain until the next dark reading", scaled=True,
+    shares = np.stack([1.0 - share, share], axis=1) / np.hypot(1.0 - share, share)[:, None]
+    both = _grouped(
+        "dark", keys, np.ones(2 * points.size), lambda key: f"[{key[0]}, {_gain(key[1], settings.rig)}]@dark {key[2]}",
+        "rows of this photodiode and gain until the next dark reading, and after the one before", scaled=True,
     )  # fmt: skip
-    return _of_group(points, group)
+    member = np.where(shares > 0.0, both.member.reshape(2, points.size).T, -1)
+    return _of_group(points, replace(both, member=member, sensitivity=-_signed(points, "dark")[:, None] * shares))
 
 
 def etalon_reading(points: BsdfPoints, settings: ReductionSettings) -> Effects:

@@ -1,5 +1,6 @@
 """What was done before each row of a journal: mountings, moves of axes, dark readings. Rows share errors by it."""
 
+from array import array
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from functools import cached_property
@@ -7,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from goniotwin.app.campaign.journal.reading import ExecutedRow, JournalReader
-from goniotwin.arrays import Ints
+from goniotwin.arrays import Floats, Ints
 from goniotwin.twin.optics.geometry.coordinates import round_deg
 
 AXES = 4
@@ -22,7 +23,7 @@ class RowHistory:
 
     def mounted(self, rows: Ints) -> tuple[list[str], Ints]:
         """The mountings in which rows were measured, and for each row (n,) which of these: `paint#2` is the sample's second."""
-        names, table = self._read
+        names, table, _ = self._read
         some, which = np.unique(table[self._places(rows), 1], return_inverse=True)
         return [names[k] for k in some.tolist()], which.ravel()
 
@@ -35,28 +36,46 @@ class RowHistory:
         before: Ints = self._read[1][self._places(rows), 2]
         return before
 
+    def dark_share(self, rows: Ints) -> Floats:
+        """For each row (n,) how far it is from the dark reading before it, 0, to the one after it, 1; 0 after the last one."""
+        share: Floats = self._read[2][self._places(rows)]
+        return share
+
     def _places(self, rows: Ints) -> Ints:
         places: Ints = np.searchsorted(self._read[1][:, 0], rows)
         return places
 
     @cached_property
-    def _read(self) -> tuple[list[str], Ints]:
+    def _read(self) -> tuple[list[str], Ints, Floats]:
         return history_of(self._journal.executed_rows())
 
 
-def history_of(rows: Iterable[ExecutedRow]) -> tuple[list[str], Ints]:
-    """Names of the mountings, and a table (rows, 7) by row: number, mounting, dark readings before it, moves of each axis.
+def history_of(rows: Iterable[ExecutedRow]) -> tuple[list[str], Ints, Floats]:
+    """Names of the mountings, a table (rows, 7), and each row's `dark_share` (rows,).
 
-    Rows are in order of time. Every axis counts as moved where a sample is mounted, by hand, and in a further session of a
-    campaign, for it may have been referenced.
+    By row: number, mounting, dark readings before it, moves of each axis. Rows are in order of time. Every axis counts as moved
+    where a sample is mounted, by hand, and in a further session of a campaign, for it may have been referenced.
     """
-    names = ["before any mounting"]
-    found: Ints = np.fromiter(_counts(rows, names), dtype=np.dtype((np.int64, 3 + AXES)))
-    return names, found[np.argsort(found[:, 0], kind="stable")]
+    names, times = ["before any mounting"], array("d")
+    found: Ints = np.fromiter(_counts(rows, names, times), dtype=np.dtype((np.int64, 3 + AXES)))
+    order = np.argsort(found[:, 0], kind="stable")
+    return names, found[order], _dark_share(found[:, 2], np.array(times))[order]
 
 
-def _counts(rows: Iterable[ExecutedRow], names: list[str]) -> Iterator[tuple[int, ...]]:
-    """The lines of that table in order of time; adds the mountings to the names."""
+def _dark_share(dark_readings: Ints, started_s: Floats) -> Floats:
+    """How far rows are from the dark reading before them to the one after, by their starts; in order of time."""
+    of_dark = started_s[np.diff(dark_readings, prepend=0) > 0]
+    last = len(of_dark)
+    if not last:
+        return np.zeros(dark_readings.size)
+    before = of_dark[np.maximum(dark_readings - 1, 0)]
+    after = of_dark[np.minimum(dark_readings, last - 1)]
+    share = np.clip((started_s - before) / np.where(after > before, after - before, np.inf), 0.0, 1.0)
+    return np.where(dark_readings == 0, 1.0, share)
+
+
+def _counts(rows: Iterable[ExecutedRow], names: list[str], times: "array[float]") -> Iterator[tuple[int, ...]]:
+    """The lines of that table in order of time; adds the mountings to the names, and the rows' starts to the times."""
     mounted, dark_readings, session = Counter[str](), 0, -1
     moves, last = [0] * AXES, (np.nan,) * AXES
     for row in rows:
@@ -71,4 +90,5 @@ def _counts(rows: Iterable[ExecutedRow], names: list[str]) -> Iterator[tuple[int
             pose = tuple(round_deg(row.pose).tolist())
             moves = [count + (now != before) for count, now, before in zip(moves, pose, last, strict=True)]
             last = pose
+        times.append(row.started_s)
         yield (row.number, len(names) - 1, dark_readings, *moves)
