@@ -12,7 +12,7 @@ import numpy as np
 
 from goniotwin.app.campaign.geometry.directions import direction_keys, is_lower
 from goniotwin.app.campaign.reduction.components import logarithmic, mostly_added
-from goniotwin.app.campaign.reduction.points import BsdfPoints
+from goniotwin.app.campaign.reduction.points import PLACE, BsdfPoints
 from goniotwin.app.campaign.reduction.reduction import BsdfDataset
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 COLOURS = ("#c0392b", "#b7950b", "#1e8449", "#1f618d", "#6c3483", "#616a6b")
 
-SLOPE_STEP_DEG = 0.01
+SLOPE_STEP_DEG, WAVELENGTH_STEP_NM = 0.01, 0.1
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ def true_bsdf(scatterer: Scatterer, points: BsdfPoints) -> Floats:
 
 
 def with_true_slopes(scatterer: Scatterer, points: BsdfPoints) -> BsdfPoints:
-    """The points with the slopes of a model at their nominal directions.
+    """The points with the slopes of a model at their nominal directions and, where one was measured, over the wavelength.
 
     Of a value that is for the most part noise the slope is that of the truth over the value: what an angle adds to it.
     """
@@ -79,7 +79,16 @@ def with_true_slopes(scatterer: Scatterer, points: BsdfPoints) -> BsdfPoints:
     for turn in ((SLOPE_STEP_DEG, 0.0), (0.0, SLOPE_STEP_DEG)):
         ahead, behind = (moved_logarithm(scatterer, points, *(sign * np.array(turn))) for sign in (1.0, -1.0))
         slopes.append(share * (ahead - behind) / (2.0 * SLOPE_STEP_DEG))
-    return replace(points, slope_along=slopes[0], slope_across=slopes[1])
+    longer, shorter = (
+        true_bsdf(scatterer, replace(points, places=points.places + sign * np.eye(len(PLACE))[0] * WAVELENGTH_STEP_NM))
+        for sign in (1.0, -1.0)
+    )
+    over_wavelength = share * (longer - shorter) / (2.0 * WAVELENGTH_STEP_NM * np.where(truth > 0.0, truth, np.nan))
+    known = np.isfinite(points.wavelength_slope)
+    return replace(
+        points, slope_along=slopes[0], slope_across=slopes[1],
+        wavelength_slope=np.where(known, over_wavelength, points.wavelength_slope),
+    )  # fmt: skip
 
 
 def moved_logarithm(scatterer: Scatterer, points: BsdfPoints, along: Floats | float, across: Floats | float) -> Floats:

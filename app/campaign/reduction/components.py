@@ -26,7 +26,7 @@ INDEPENDENT = frozenset({"noise", "resolution", "ray_tracing", "etalon_reading",
 All others count as shared, also those that are shared in part (`dark`, `monitor`, `gain`, `signature`): that the errors average
 out would be a claim, so u is at most too large. A new contribution is shared unless it is named here.
 """
-NOISE = INDEPENDENT | {"dark", "crosstalk", "signature"}
+NOISE = INDEPENDENT | {"dark", "etalon_dark", "crosstalk", "signature"}
 """Components that are there without light: what a value is lost in. All others are shares of the value."""
 ADDED = frozenset({"noise", "resolution", "ray_tracing", "dark", "signature", "crosstalk"})
 """Components that are added to a value whatever its size; all others are shares of it."""

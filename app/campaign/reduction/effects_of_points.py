@@ -115,16 +115,28 @@ def _of_group(points: BsdfPoints, group: Group) -> Effects:
 
 
 def dark(points: BsdfPoints, settings: ReductionSettings) -> Effects:
-    """The dark readings of a photodiode and a gain before and after a row."""
-    history = settings.history
-    interval = points.row if history is None else history.dark_readings(points.row)
-    keys = np.stack([points.photodiode, points.gain, interval], axis=1)
+    """The dark readings of a photodiode and a gain before and after a row: what was subtracted is between the two, by time."""
     # Its volts are one share of a bright value and another of a dark one.
-    group = _grouped(
-        "dark", keys, -_signed(points, "dark"), lambda key: f"[{key[0]}, {_gain(key[1], settings.rig)}]@dark {key[2]}",
-        "rows of this photodiode and gain until the next dark reading", scaled=True,
+    return _of_dark_readings(points, settings, points.row, points.gain, -_signed(points, "dark"))
+
+
+def etalon_dark(points: BsdfPoints, settings: ReductionSettings) -> Effects:
+    """The same before and after the etalon's row: common to the etalon's readings of a photodiode between them."""
+    return _of_dark_readings(points, settings, points.etalon_row, points.etalon_gain, _relative(points, "etalon_dark"))
+
+
+def _of_dark_readings(points: BsdfPoints, settings: ReductionSettings, rows: Ints, gain: Ints, signed: Floats) -> Effects:
+    history = settings.history
+    before = rows if history is None else history.dark_readings(rows)
+    share = np.zeros(points.size) if history is None else history.dark_share(rows)
+    keys = np.concatenate([np.stack([points.photodiode, gain, before + k], axis=1) for k in (0, 1)])
+    shares = np.stack([1.0 - share, share], axis=1) / np.hypot(1.0 - share, share)[:, None]
+    both = _grouped(
+        "dark", keys, np.ones(2 * points.size), lambda key: f"[{key[0]}, {_gain(key[1], settings.rig)}]@dark {key[2]}",
+        "rows of this photodiode and gain until the next dark reading, and after the one before", scaled=True,
     )  # fmt: skip
-    return _of_group(points, group)
+    member = np.where(shares > 0.0, both.member.reshape(2, points.size).T, -1)
+    return _of_group(points, replace(both, member=member, sensitivity=signed[:, None] * shares))
 
 
 def etalon_reading(points: BsdfPoints, settings: ReductionSettings) -> Effects:
@@ -325,6 +337,7 @@ def _positions(points: BsdfPoints, settings: ReductionSettings, sensitivity: Flo
 
 FAMILIES: Mapping[str, EffectsOf] = {
     "dark": dark,
+    "etalon_dark": etalon_dark,
     "etalon_reading": etalon_reading,
     "lamp": lamp,
     "monitor": monitor,

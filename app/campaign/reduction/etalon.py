@@ -340,7 +340,7 @@ def subtract_signature(data: ArcRows, settings: ReductionSettings) -> ArcRows:
 
 
 def divide_by_etalon(data: ArcRows, settings: ReductionSettings) -> ArcRows:
-    """Divide by the signal of the etalon. Its components become `etalon_reading`, but for the signature and the lamp."""
+    """Divide by the signal of the etalon. Its components become `etalon_reading`, but for what other readings share."""
     del settings
     etalon = data.etalon
     too_low = np.isfinite(etalon.value) & ~(etalon.value > ETALON_SIGNAL * np.sqrt(etalon.variance))
@@ -353,6 +353,8 @@ def divide_by_etalon(data: ArcRows, settings: ReductionSettings) -> ArcRows:
         quotient = quotient.with_component("signature", of_etalon)
     if "lamp" in relative:
         quotient = quotient.with_component("lamp", relative.pop("lamp"))  # one for all photodiodes of the etalon's row
+    if "dark" in relative:
+        quotient = quotient.with_component("etalon_dark", relative.pop("dark"))
     quotient = quotient.with_component("etalon_reading", total_variance(relative))
     return replace(data, estimate=quotient).flagged({"no-etalon": too_low})
 

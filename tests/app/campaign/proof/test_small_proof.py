@@ -13,21 +13,23 @@ ROWS = ("shift_deg = [0, 1]", "shift_deg = [0, 1, 2, 3, 4]")
 RIGS = 8
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("wires", [False, True], ids=["without wires", "through the wires"])
+@pytest.mark.parametrize("wires", [False, pytest.param(True, marks=pytest.mark.long)], ids=["without wires", "with wires"])
 def test_eight_rigs_have_the_law_that_they_state(
     wires: bool, write_rig: Writer, write_schedule: Writer, tmp_path: Path
 ) -> None:  # fmt: skip
+    """(a) what a fit of all shared inputs leaves; (b) the fitted inputs over their u, and the angle as it was drawn.
+
+    Of eight rigs: 1,400 values, whose chi-square has a standard error of 4 %; 35 determined inputs, one of 25 %.
+    """
     schedule = read_schedule(
-        write_schedule(ROWS, ("beta_deg = [180]", "beta_deg = [0, 180]"), ("readings = 2", "readings = 4"))
+        write_schedule(ROWS, ("readings = 2", "readings = 4"), ("dark_readings = 4", "dark_readings = 16"))
     )
     totals = prove(Proof(schedule, read_rig(write_rig()), RIGS, tmp_path / "proof", wires), 1)
     whole = totals.whole
     assert whole is not None
     assert not totals.failed
-    assert whole.chi_square == pytest.approx(1.0, abs=0.15)
+    assert whole.chi_square == pytest.approx(1.0, abs=0.12)
     assert 0.3 < totals.variance_shared < 2.2
     correlation, difference = totals.angles["gaussian-5"]
-    assert correlation > 0.98
-    assert difference < 0.02
-    assert whole.coverage > 0.9
+    assert correlation > 0.99
+    assert difference < 0.01

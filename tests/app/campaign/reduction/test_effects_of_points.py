@@ -313,7 +313,7 @@ class Formula:
 def executed(
     number: int, kind: str, sample: str, pose: tuple[float, float, float, float] | None = None, session: int = 1
 ) -> ExecutedRow:
-    return ExecutedRow(number, kind, sample, session, pose)
+    return ExecutedRow(number, kind, sample, session, pose, 10.0 * number)
 
 
 def test_the_history_counts_mountings_dark_readings_and_moves() -> None:
@@ -324,8 +324,10 @@ def test_the_history_counts_mountings_dark_readings_and_moves() -> None:
         executed(6, "measure", "paint", two), executed(7, "measure", "paint", (0.0, 30.0, 45.0 + 1e-9, 0.0)),
         executed(9, "mount", "paint", session=2), executed(8, "measure", "paint", two, session=2),
     ]  # fmt: skip
-    names, table = history_of(rows)
+    names, table, dark_share = history_of(rows)
     assert names[1:] == ["etalon#1", "paint#1", "paint#2"]
+    # Before the first dark reading; from the first one to the second; after the last one.
+    assert dark_share.tolist() == [1.0, 0.0, 0.25, 0.5, 0.75, 0.0, 0.0, 0.0, 0.0, 0.0]
     by_row = {each[0]: each[1:] for each in table.tolist()}
     assert by_row[2] == [1, 1, 1, 1, 1, 1]
     assert by_row[3] == [1, 1, 1, 1, 2, 1]

@@ -30,6 +30,7 @@ SIGNALS = {
     "dark",
     "resolution",
     "crosstalk",
+    "etalon_dark",
     "etalon_reading",
     "monitor",
     "monitor_drift",
