@@ -275,7 +275,8 @@ class Reduction:
             ("bandwidth", sum(tally.without_band for tally in tallies.values()), NO_BAND),
         ):
             if missing:
-                yield f"{name}: not in u of {'all' if missing == above else missing} values ({reason})"
+                of = "any value" if missing == above else f"{missing} of {above} values"
+                yield f"{name}: not in u of {of} ({reason})"
 
     def light(self, samples: Iterable[str]) -> list[str]:
         """The polarisation of the light at each sigma, and the samples for which it is not in the uncertainty."""
