@@ -32,10 +32,11 @@ class UncertaintyTable:
     after each of its moves, and `backlash_deg` the play of an axis whose backlash is not taken up.
 
     Standard uncertainties, relative where no unit is named: `field_of_view` of the variance of the directions in the field of
-    view, `wavelength_nm`, `linearity_per_decade` of the photodiodes' current, `crosstalk` of a channel's volts in its module's
-    others, `etalon_age_per_year`, `etalon_edge` (light that a diffuser loses at the frames' edges), `monochromator_stray`
-    (share of light of other wavelengths), `scan` of the open beam (of its sum, for steps of 0.2 deg), `beam_hole` (light of the
-    open beam that a hole of one frame cuts off), `uniformity` of the sample's surface, `repeatability` between repeats, and
+    view, `wavelength_nm`, `linearity_per_decade` of the photodiodes' current, `monitor_linearity_per_decade` of the monitor's,
+    `monitor_drift_per_hour` of its responsivity, `crosstalk` of a channel's volts in its module's others,
+    `etalon_age_per_year`, `etalon_edge` (light that a diffuser loses at the frames' edges), `monochromator_stray` (share of
+    light of other wavelengths), `scan` of the open beam (of its sum, for steps of 0.2 deg), `beam_hole` (light of the open
+    beam that a hole of one frame cuts off), `uniformity` of the sample's surface, `repeatability` between repeats, and
     `mounting` between mountings.
     """
 
@@ -61,6 +62,8 @@ class UncertaintyTable:
     wavelength_nm: Annotated[float, Ge(0.0), Le(50.0)] = field(default=0.35, metadata=NORMAL)
     linearity_per_decade: Fraction = field(default=1e-3, metadata=NORMAL)
     crosstalk: Fraction = field(default=1e-5, metadata=NORMAL)
+    monitor_linearity_per_decade: Fraction = field(default=1e-3, metadata=NORMAL)
+    monitor_drift_per_hour: Fraction = field(default=2e-4, metadata=NORMAL)
     etalon_age_per_year: Fraction = field(default=1e-3, metadata=NORMAL)
     etalon_edge: Fraction = field(default=2e-3, metadata=NORMAL)
     monochromator_stray: Fraction = field(default=1e-4, metadata=NORMAL)

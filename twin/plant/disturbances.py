@@ -38,7 +38,8 @@ class Disturbances:
 
     Standard deviations, relative where no unit is named: `field_of_view` of the logarithm of the variance of the directions
     in the field of view, `wavelength_nm` of the true wavelength, `linearity_per_decade` of the photodiodes' current,
-    `crosstalk` of the volts of a module's other channels, `monochromator_stray` of white light. Of the etalon alone:
+    `crosstalk` of the volts of a module's other channels, `monitor_linearity_per_decade` and `monitor_drift_per_hour` (both
+    added to those of `[twin.monitor]`), `monochromator_stray` of white light. Of the etalon alone:
     `certificate_level` of its radiance factor against the certificate, `etalon_age_per_year` over `etalon_years`, and
     `etalon_edge`. `uniformity` and `mounting` are drawn at each mounting of a sample, the etalon too, `repeatability`
     after each move of any axis.
@@ -68,6 +69,8 @@ class Disturbances:
     wavelength_nm: Annotated[float, Ge(0.0), Le(50.0)] = field(default=0.0, metadata=NORMAL)
     linearity_per_decade: Fraction = field(default=0.0, metadata=NORMAL)
     crosstalk: Fraction = field(default=0.0, metadata=NORMAL)
+    monitor_linearity_per_decade: Fraction = field(default=0.0, metadata=NORMAL)
+    monitor_drift_per_hour: Fraction = field(default=0.0, metadata=NORMAL)
     certificate_level: Fraction = field(default=0.0, metadata=NORMAL)
     etalon_age_per_year: Fraction = field(default=0.0, metadata=NORMAL)
     etalon_edge: Fraction = field(default=0.0, metadata=NORMAL)
@@ -96,6 +99,8 @@ _KEYS = {
     "wavelength": "wavelength_nm",
     "linearity": "linearity_per_decade",
     "crosstalk": "crosstalk",
+    "monitor_linearity": "monitor_linearity_per_decade",
+    "monitor_drift": "monitor_drift_per_hour",
     "certificate[level]": "certificate_level",
     "etalon_age": "etalon_age_per_year",
     "etalon_edge": "etalon_edge",

@@ -197,15 +197,15 @@ class MonitorPhotodiode:
     linearity_per_decade: Annotated[float, Gt(-1.0), Lt(1.0)] = field(default=0.0, metadata=LATER)
     saturation_a: NonNegative = field(default=0.0, metadata=LATER)
 
-    def measured_a(self, current_a: float, t: float) -> float:
-        """The current that it gives at the time `t` for the light of `current_a`."""
+    def measured_a(self, current_a: float, t: float, drift_per_hour: float = 0.0, linearity_per_decade: float = 0.0) -> float:
+        """The current that it gives at the time `t` for the light of `current_a`, with what is drawn beside its own errors."""
         if current_a <= 0.0:
             return current_a
         result = current_a
-        if self.drift_per_hour != 0.0:
-            result *= 1.0 + self.drift_per_hour * t / 3600.0
-        if self.linearity_per_decade != 0.0:
-            result *= 1.0 + self.linearity_per_decade * math.log10(current_a / self.current_a)
+        if (drift := self.drift_per_hour + drift_per_hour) != 0.0:
+            result *= 1.0 + drift * t / 3600.0
+        if (linearity := self.linearity_per_decade + linearity_per_decade) != 0.0:
+            result *= 1.0 + linearity * math.log10(current_a / self.current_a)
         if self.saturation_a > 0.0:
             result /= 1.0 + result / self.saturation_a
         return result

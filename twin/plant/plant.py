@@ -260,7 +260,8 @@ class Plant:
 
     def monitor_a(self, start: float, end: float) -> float:
         """Mean current of the monitor photodiode over [start, end], A."""
-        monitor = self.model.monitor
+        monitor, drawn = self.model.monitor, self.drawn
+        drift, linearity = drawn["monitor_drift"], drawn["monitor_linearity"]
         current = monitor.dark_a
         changing = max(each.last_change for each in (self.wavelength_nm, self.wheel, self.shutter_open)) > start
         pieces = MONITOR_PIECES if changing else 1
@@ -270,7 +271,7 @@ class Plant:
             if self.shutter_open.at(middle):
                 level = lamp_mean(first, last, *self._lamp)
                 light_a = monitor.current_a * sum(light for _, light in self._light(middle)) * level
-                current += monitor.measured_a(light_a, middle) / pieces
+                current += monitor.measured_a(light_a, middle, drift, linearity) / pieces
         if self.model.noise:
             key = process_key(self.model.seed, "monitor")
             current *= 1.0 + monitor.noise * normal(key, np.int64(math.floor(end * monitor.samples_per_s)))

@@ -271,6 +271,14 @@ class JournalReader:
             ):
                 yield ExecutedRow(number, kind, sample, session, None if None in pose else tuple(pose))
 
+    def row_lights(self) -> Iterator[tuple[float, float, float]]:
+        """Number, begin in s, and mean current of the monitor in A (0 without readings), of all rows that were executed."""
+        with self._reading():
+            mean = "SELECT AVG(monitor_a) FROM reading r WHERE r.number = a.number AND r.attempt = a.attempt"
+            yield from self._db.execute(
+                f"SELECT p.number, started_s, COALESCE(({mean}), 0) FROM plan p JOIN attempt a USING (number) {LAST_ATTEMPT}"
+            )
+
     @contextlib.contextmanager
     def _reading(self) -> Iterator[None]:
         with report_damage(self.path):

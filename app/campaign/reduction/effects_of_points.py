@@ -148,6 +148,25 @@ def monitor(points: BsdfPoints, settings: ReductionSettings) -> Effects:
     )
 
 
+def monitor_drift(points: BsdfPoints, settings: ReductionSettings) -> Effects:
+    """The drift of the monitor against the light, from the etalon's row to the sample's."""
+    change = 1.0 if settings.history is None else settings.history.hours(points.row) - settings.history.hours(points.etalon_row)
+    return _of_change(points, "monitor_drift", "monitor_drift_per_hour", change, settings)
+
+
+def monitor_linearity(points: BsdfPoints, settings: ReductionSettings) -> Effects:
+    """The linearity of the monitor, by the decades from the light at the etalon's row to that at the sample's."""
+    history = settings.history
+    change = 1.0 if history is None else history.monitor_decades(points.row) - history.monitor_decades(points.etalon_row)
+    return _of_change(points, "monitor_linearity", "monitor_linearity_per_decade", change, settings)
+
+
+def _of_change(points: BsdfPoints, name: str, key: str, change: Floats | float, settings: ReductionSettings) -> Effects:
+    """One input of all values, with the sign of what has changed: where the monitor gives more, values are lower."""
+    source = _of_table(name, key, settings)
+    return _of_one(points, source, -np.where(np.less(change, 0.0), -1.0, 1.0) * _relative(points, name) / (source.u or 1.0))
+
+
 def _of_rows(points: BsdfPoints, name: str, u: float, source: str, twin: str) -> Effects:
     numbers = np.stack([points.row, points.etalon_row], axis=1)
     inputs = {
@@ -309,6 +328,8 @@ FAMILIES: Mapping[str, EffectsOf] = {
     "etalon_reading": etalon_reading,
     "lamp": lamp,
     "monitor": monitor,
+    "monitor_drift": monitor_drift,
+    "monitor_linearity": monitor_linearity,
     "gain": gain,
     "linearity": linearity,
     "crosstalk": crosstalk,

@@ -132,12 +132,15 @@ class RowSignal:
     """A measured row, or the mean of several rows of one pose: its signal, and the photodiodes (n,) that are flagged.
 
     `flags` by their names in files. drift: the row lies in a drift interval of the photodiode. dead: the photodiode has lost
-    its dark current. module: its module has not passed the tests of the signals. monitor: this has no range left.
+    its dark current. module: its module has not passed the tests of the signals. monitor: this has no range left. `hours` is
+    when the row began, on the rig's clock, and `monitor_decades` the logarithm of base ten of the monitor's current in A.
     """
 
     row: Row
     signal: Signal
     flags: Mapping[str, Flags]
+    hours: float
+    monitor_decades: float
 
 
 def mean_row(rows: Sequence[RowSignal]) -> RowSignal:
@@ -146,6 +149,8 @@ def mean_row(rows: Sequence[RowSignal]) -> RowSignal:
         rows[0].row,
         mean_signal([each.signal for each in rows]),
         {name: np.any([each.flags[name] for each in rows], axis=0) for name in rows[0].flags},
+        math.fsum(each.hours for each in rows) / len(rows),
+        math.fsum(each.monitor_decades for each in rows) / len(rows),
     )
 
 
@@ -182,7 +187,8 @@ class ArcRows:
     those so far, by their names in files. `sample`, `etalon` and the two signatures are the signals; a signature is 0 where it
     was not measured. `common_signature`: both signatures are one measurement, and their error is common to sample and etalon.
     `etalon_rows` are the numbers of the etalon's rows, of several of one pose the first one. `share` is the signature's share
-    of the sample's signal, NaN where it was not measured. `wavelength_slope`, `band_correction` and `stray_contrast` are those
+    of the sample's signal, NaN where it was not measured. `hours` and `monitor_decades` are the changes of those of `RowSignal`
+    from the etalon's row to the sample's. `wavelength_slope`, `band_correction` and `stray_contrast` are those
     of BsdfPoints, NaN where they are unknown.
     """
 
@@ -203,6 +209,8 @@ class ArcRows:
     band_correction: Floats
     stray_contrast: Floats
     flags: Mapping[str, Flags]
+    hours: Floats
+    monitor_decades: Floats
 
     def column(self, name: str) -> Floats:
         """An array of the views: `polar`, `zenith`, `azimuth`, `theta`, `phi`."""
@@ -274,6 +282,8 @@ def _arc_rows(arc: list[_Joined]) -> ArcRows:
         band_correction=unknown,
         stray_contrast=unknown,
         flags=flags,
+        hours=np.array([[each.sample.hours - each.etalon.hours] for each in arc]),
+        monitor_decades=np.array([[each.sample.monitor_decades - each.etalon.monitor_decades] for each in arc]),
     )
 
 
@@ -367,6 +377,18 @@ def _absolute_scale(data: ArcRows, settings: ReductionSettings) -> Floats:
             wavelength, sigma = round_deg([row.wavelength_nm or 0.0, data.incidence_deg[k, 0]]).tolist()
             ratio[k], _ = settings.absolute.get((wavelength, sigma, not view.back), (math.nan, 0.0))
     return ratio
+
+
+def add_monitor_changes(data: ArcRows, settings: ReductionSettings) -> ArcRows:
+    """Add what drift and linearity of the monitor make of the time, and of the light's change, since the etalon's row."""
+    table = settings.rig.uncertainty
+    for name, u, change in (
+        ("monitor_drift", table.monitor_drift_per_hour, data.hours),
+        ("monitor_linearity", table.monitor_linearity_per_decade, data.monitor_decades),
+    ):
+        if u:
+            data = data.with_component(name, (u * change * data.estimate.value) ** 2)
+    return data
 
 
 def flag_values(data: ArcRows, settings: ReductionSettings) -> ArcRows:

@@ -99,7 +99,7 @@ def points_of(reduced: ReducedJournal, sample: str | None, path: Path) -> tuple[
         "side: the lit side, front or back; light: reflected or transmitted",
         "check: mirrored, for a direction measured only to check the stated symmetry",
         "signature_share: the instrument signature's share of the signal, already subtracted; empty where not measured",
-        "where u_bsdf is above 15 % of bsdf, an interval of k u is bsdf exp(-k u_bsdf / bsdf) to bsdf exp(k u_bsdf / bsdf)",
+        "where u_bsdf is above 15 % of bsdf and not mostly noise, an interval of k u is bsdf exp(+-k u_bsdf / bsdf)",
         "field_correction: what the correction of the finite field of view has added to the logarithm of bsdf",
         "u_field_per_sr: what is left of the field of view in u_bsdf; empty where it cannot be estimated",
         f"flags: {', '.join(f'{name} ({flag.meaning})' for name, flag in FLAGS.items())}",

@@ -16,6 +16,7 @@ from goniotwin.app.campaign.reduction.etalon import (
     ReductionSettings,
     ReferenceSignals,
     RowSignal,
+    add_monitor_changes,
     apply_certificate,
     divide_by_etalon,
     flag_values,
@@ -78,6 +79,7 @@ ARC_STEPS: Sequence[Callable[[ArcRows, ReductionSettings], ArcRows]] = (
     add_quotient_uncertainty,
     correct_band,
     apply_certificate,
+    add_monitor_changes,
     flag_values,
 )
 """From the signals of rows, at the sample, at the etalon and without a sample, to the BSDF: on the rows of one arc."""

@@ -112,7 +112,9 @@ class DarkHistory:
             "module": self.evidence.unsound,
             "monitor": np.full(self._settings.count, largest > END_OF_RANGE * self._rig.monitor.largest_a),
         }
-        return RowSignal(row.row, signal, flags)
+        light = math.fsum(reading.monitor_a for reading in row.data.readings) / len(row.data.readings)
+        decades = math.log10(light) if light > 0.0 else 0.0
+        return RowSignal(row.row, signal, flags, row.data.started_s / 3600.0, decades)
 
 
 class Measurements:

@@ -1,4 +1,4 @@
-"""What was done before each row of a journal: mountings, moves of axes, dark readings. Rows share errors by it."""
+"""What was done before each row of a journal: mountings, moves of axes, dark readings; and when. Rows share errors by it."""
 
 from collections import Counter
 from collections.abc import Iterable, Iterator
@@ -7,9 +7,11 @@ from functools import cached_property
 import numpy as np
 
 from goniotwin.app.campaign.journal.reading import ExecutedRow, JournalReader
-from goniotwin.arrays import Ints
+from goniotwin.arrays import Floats, Ints
 from goniotwin.twin.optics.geometry.coordinates import round_deg
 
+SECONDS = 3600.0
+"""Of an hour."""
 AXES = 4
 """Gamma, sigma, beta and shift, the angles of a pose in their order."""
 
@@ -35,9 +37,26 @@ class RowHistory:
         before: Ints = self._read[1][self._places(rows), 2]
         return before
 
+    def hours(self, rows: Ints) -> Floats:
+        """When rows (n,) began, in hours on the rig's clock."""
+        return self._lights[self._places(rows), 0] / SECONDS
+
+    def monitor_decades(self, rows: Ints) -> Floats:
+        """Logarithms of base ten of the monitor's mean current in rows (n,), in A; 0 where it was not read."""
+        return self._lights[self._places(rows), 1]
+
     def _places(self, rows: Ints) -> Ints:
         places: Ints = np.searchsorted(self._read[1][:, 0], rows)
         return places
+
+    @cached_property
+    def _lights(self) -> Floats:
+        """Begin in s and logarithm of the monitor's current (rows, 2), in the order of `_read`."""
+        found = np.fromiter(self._journal.row_lights(), dtype=np.dtype((np.float64, 3)))
+        found = found[np.argsort(found[:, 0], kind="stable"), 1:]
+        current = found[:, 1]
+        found[:, 1] = np.log10(np.where(current > 0.0, current, 1.0))
+        return found
 
     @cached_property
     def _read(self) -> tuple[list[str], Ints]:

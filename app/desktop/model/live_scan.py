@@ -9,7 +9,7 @@ shown. A new dark reading, and what the rows before it show of noise and gains, 
 again a few at a time. It grows with the drift checks, which are all compared again after a dark reading (a thousand: a quarter
 of a second). At the end of the run the values become those of the journal: the evidence of all rows, the field of view from all
 half planes, the correction for the band from other wavelengths, and the calibration by overlaps, which needs every scan of the
-sample.
+sample. What the journal alone has: the scale and the field of an open beam's scan, and a repeatability from repeats.
 """
 
 from collections.abc import Callable, Generator, Iterator, Sequence

@@ -85,7 +85,7 @@ def test_each_uncertainty_of_the_rig_file_is_a_disturbance_of_the_same_distribut
 def test_without_disturbances_everything_is_zero() -> None:
     drawn = Drawn(Disturbances(), 5, 36)
     assert not any(drawn.values())
-    assert len(drawn) == len(set(drawn)) == 15 + 3 + 6 + 5 + 3 + 2 * 36 + 8
+    assert len(drawn) == len(set(drawn)) == 15 + 3 + 6 + 5 + 3 + 2 * 36 + 10
     assert drawn.mounted("paint", 1) == Deviation()
     assert drawn.signal_factor("etalon", 2, 40) == 1.0
     assert drawn.instrument(Instrument()) == Instrument()
@@ -420,3 +420,15 @@ def test_the_monitor_drifts_saturates_and_is_not_linear(changed: Changed) -> Non
     assert reading(MonitorPhotodiode(saturation_a=plain[0])) == pytest.approx(0.5 * plain[0], rel=1e-6)
     curved = [reading(MonitorPhotodiode(linearity_per_decade=0.03), level) for level in (1.0, 0.1)]
     assert curved[0] / curved[1] == pytest.approx(10.0 / 0.97, rel=1e-3)
+
+
+def test_the_monitors_errors_can_be_drawn(changed: Changed) -> None:
+    model = changed(monitor_drift_per_hour=0.02, monitor_linearity_per_decade=0.03)
+    drawn, readings = Plant(model).drawn, []
+    for plant in (Plant(changed()), Plant(model)):
+        plant.shutter_open.set(0.0, True)
+        plant.set_lamp(0.0, drift_per_hour=0.0, level=0.1)
+        readings.append(plant.monitor_a(3600.0, 3600.1) - plant.model.monitor.dark_a)
+    factor = (1.0 + drawn["monitor_drift"]) * (1.0 - drawn["monitor_linearity"])
+    assert abs(factor - 1.0) > 1e-3
+    assert readings[1] / readings[0] == pytest.approx(factor, rel=1e-4)

@@ -14,6 +14,7 @@ LARGEST = 8.0
 """Largest factor by which pupil and cone are scaled."""
 
 
+@lru_cache(maxsize=16)
 def scale_field(instrument: Instrument, log_variance: float) -> Instrument:
     """The instrument with exit pupil and acceptance cone scaled alike, so that ln(variance) grows by `log_variance`.
 

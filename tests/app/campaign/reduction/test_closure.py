@@ -218,7 +218,7 @@ def test_a_field_of_view_that_is_not_that_of_the_rig_file_is_found(field_deg: fl
 
 
 def test_a_field_of_view_that_nothing_explains_is_not_applied() -> None:
-    """A pupil that is larger than the rig file's alone: the scan shows one moment for both, unless no field explains it."""
+    """A beam narrower than the pupil alone makes it."""
     (scan,) = scans_of("[42]")
     beam = scanned_beam(scan, 550.0, beam_signal(scan, Instrument()))
     narrow = replace(beam, moment_deg2=0.2 * beam.moment_deg2)

@@ -87,6 +87,8 @@ def relative_of(noise: Floats) -> dict[str, Floats]:
         "resolution": 0.1 * noise,
         "dark": 0.5 * noise,
         "monitor": np.sqrt(2.0) * U_MONITOR * one,
+        "monitor_drift": 0.3 * noise,
+        "monitor_linearity": 0.1 * noise,
         "gain": np.sqrt(2.0) * U_GAIN * (np.arange(COUNT) % 2),
         "etalon_reading": 1e-4 * (1.0 + photodiode + 20.0 * etalon),
         "calibration": 1e-4 * (1.0 + photodiode),
@@ -265,6 +267,11 @@ class Formula:
         u = FILE.uncertainty.linearity_per_decade
         decades = self._relative["linearity"][k] / u * (1.0 if brighter else -1.0)
         signal = signal * (1.0 + decades * self._input("linearity", u))
+        for name, key in (
+            ("monitor_drift", "monitor_drift_per_hour"), ("monitor_linearity", "monitor_linearity_per_decade"),
+        ):  # fmt: skip
+            u = getattr(FILE.uncertainty, key)
+            signal = signal * (1.0 - self._relative[name][k] / u * self._input(name, u))
         signal = signal - self._relative["signature"][k] * self._input("signature", 1.0)
         for name in ("resolution", "ray_tracing", "second_order", "slope_unresolved", "field_noise"):
             signal = signal * (1.0 + self._input(f"{name} of {k}", self._relative[name][k]))
@@ -359,6 +366,21 @@ def test_a_campaigns_points_sum_and_share_what_its_journal_states(tmp_path: Path
         assert {rows[number].sample for number in good.etalon_row.tolist()} == {"etalon"}
         poses = np.array([rows[number].pose for number in good.row.tolist()])
         assert np.array_equal(poses[:, 1], good.sigma_deg)
+        # The monitor: its drift over the time between the two rows, its linearity over the change of the light.
+        committed = {each.row.number: each.data for each in journal.rows("measure")}
+        pairs = list(zip(good.row.tolist(), good.etalon_row.tolist(), strict=True))
+        hours = [(committed[one].started_s - committed[other].started_s) / 3600.0 for one, other in pairs]
+        light = {number: np.mean([each.monitor_a for each in data.readings]) for number, data in committed.items()}
+        decades = [np.log10(light[one] / light[other]) for one, other in pairs]
+        table = reduction.rig.file.uncertainty
+        for name, u, change in (
+            ("monitor_drift", table.monitor_drift_per_hour, hours),
+            ("monitor_linearity", table.monitor_linearity_per_decade, decades),
+        ):
+            assert np.sqrt(good.components[name]) == pytest.approx(
+                u * np.abs(np.array(change) * good.bsdf), rel=1e-9, abs=1e-15
+            )
+            assert name in names
 
 
 # Integrals.

@@ -24,7 +24,19 @@ from tests.conftest import RIG, SMALL, Change, Writer, changed
 
 PER_DECADE = 0.02
 """Relative uncertainty for each decade between the signals of sample and etalon; made up."""
-SIGNALS = {"noise", "lamp", "dark", "resolution", "crosstalk", "etalon_reading", "monitor", "gain", "linearity"}
+SIGNALS = {
+    "noise",
+    "lamp",
+    "dark",
+    "resolution",
+    "crosstalk",
+    "etalon_reading",
+    "monitor",
+    "monitor_drift",
+    "monitor_linearity",
+    "gain",
+    "linearity",
+}
 SLOPES = {"field", "field_noise", "second_order", "slope_unresolved"}
 POSE = {"pose", "position", "photodiode_angle"}
 SCALE = {"certificate", "etalon_age", "etalon_edge", "monochromator_stray"}

@@ -13,6 +13,7 @@ import pytest
 from goniotwin.app.campaign.uncertainty.pose import (
     LIGHT,
     MOUNTED,
+    POSITIONS,
     VIEW,
     Displacement,
     PoseEffects,
@@ -21,7 +22,9 @@ from goniotwin.app.campaign.uncertainty.pose import (
     common_disc,
     moments,
     mounting_inputs,
+    photodiode_inputs,
     pose_effects,
+    position_input,
     rig_inputs,
     standard_uncertainties,
     variance,
@@ -42,10 +45,17 @@ from goniotwin.twin.optics import (
 INSTRUMENT = Instrument(obstruction=False)
 TABLE = UncertaintyTable()
 COMMON = (*LIGHT, *VIEW)
-NAMES = (*COMMON, *(f"sample_{each}" for each in MOUNTED), *(f"etalon_{each}" for each in MOUNTED))
-U = np.array(
-    [each.u for each in (*rig_inputs(TABLE), *mounting_inputs(TABLE, "sample", "a"), *mounting_inputs(TABLE, "etalon", "b"))]
-)
+NAMES = (
+    *COMMON, *(f"sample_{each}" for each in MOUNTED), *(f"etalon_{each}" for each in MOUNTED),
+    *(f"sample_position_{each}" for each in POSITIONS), *(f"etalon_position_{each}" for each in POSITIONS),
+    "photodiode_angle", "photodiode_across",
+)  # fmt: skip
+"""All inputs; those that act on the sample alone, or on the etalon, begin with that word."""
+INPUTS = (
+    *rig_inputs(TABLE), *mounting_inputs(TABLE, "sample", "a"), *mounting_inputs(TABLE, "etalon", "b"),
+    *(position_input(TABLE, axis, 1) for axis in (*POSITIONS, *POSITIONS)), *photodiode_inputs(TABLE, 3),
+)  # fmt: skip
+U = np.array([each.u for each in INPUTS])
 CERTIFICATE = 0.002
 """That of the examples' etalon: the largest component of a diffuser."""
 DIFFUSER = lambertian(1.0, side="both")
@@ -196,45 +206,61 @@ class Twin:
 
     def slopes(self, step: float = 0.02) -> tuple[Floats, Floats]:
         """Slopes of the values per degree, along the arc and across it."""
-        polar, azimuth, up = self._at.polar, self._at.azimuth, -1.0 if self._lower else 1.0
-        d = arc_direction(np.degrees(polar), np.degrees(azimuth), self._lower)
-        along = arc_direction(np.degrees(polar) + 90.0, np.degrees(azimuth), self._lower)
-        across = up * np.stack([-np.sin(azimuth), np.cos(azimuth), np.zeros_like(polar)], axis=1)
+        d = arc_direction(np.degrees(self._at.polar), np.degrees(self._at.azimuth), self._lower)
         found = []
-        for way in (along, across):
+        for way in self._ways():
             there = [self._ratio(d + sign * math.radians(step) * way) for sign in (1.0, -1.0)]
             found.append(np.log(there[0] / there[1]) / (2.0 * step))
         return found[0], found[1]
+
+    def _ways(self) -> tuple[Floats, Floats]:
+        """Unit vectors along the arc and across it."""
+        polar, azimuth, up = self._at.polar, self._at.azimuth, -1.0 if self._lower else 1.0
+        along = arc_direction(np.degrees(polar) + 90.0, np.degrees(azimuth), self._lower)
+        return along, up * np.stack([-np.sin(azimuth), np.cos(azimuth), np.zeros_like(polar)], axis=1)
 
     def _ratio(self, directions: Floats) -> Floats:
         return self._of(True, INSTRUMENT, 0.0, directions) / self._of(False, INSTRUMENT, 0.0, directions)
 
     def _throughput(self, of_sample: bool, name: str = "", size: float = 0.0) -> Floats:
         polar, azimuth = np.degrees(self._at.polar), np.degrees(self._at.azimuth)
-        turned, instrument = 0.0, INSTRUMENT
-        if name == "sigma_zero":
-            turned = size
-        elif name == "beta_zero":
-            azimuth = azimuth + size
-        elif name == "shift_zero":
-            polar = polar + size
-        elif name:
-            element, moved = deviation(name, size)
-            instrument = replace(INSTRUMENT, deviations={element: moved})
-        return self._of(of_sample, instrument, turned, arc_direction(polar, azimuth, self._lower))
+        turned, gamma, instrument = 0.0, 0.0, INSTRUMENT
+        match name.removeprefix("sample_").removeprefix("etalon_"):
+            case "sigma_zero" | "position_sigma":
+                turned = size
+            case "beta_zero" | "position_beta":
+                azimuth = azimuth + size
+            case "shift_zero" | "position_shift" | "photodiode_angle":
+                polar = polar + size
+            case "photodiode_across":  # towards growing beta, on both arcs
+                level = self._ways()[1] * (-1.0 if self._lower else 1.0)
+                directions = arc_direction(polar, azimuth, self._lower) + math.radians(size) * level
+                return self._of(of_sample, INSTRUMENT, 0.0, directions)
+            case "position_gamma":
+                gamma = size
+            case "":
+                pass
+            case _:
+                element, moved = deviation(name, size)
+                instrument = replace(INSTRUMENT, deviations={element: moved})
+        return self._of(of_sample, instrument, turned, arc_direction(polar, azimuth, self._lower), gamma)
 
-    def _of(self, of_sample: bool, instrument: Instrument, turned: float, directions: Floats) -> Floats:
+    def _of(
+        self, of_sample: bool, instrument: Instrument, turned: float, directions: Floats, gamma: float = 0.0
+    ) -> Floats:  # fmt: skip
         sigma = float(self._at.sigma_deg[0])
         at = sigma if of_sample or not self._far else 180.0 - sigma
         scatterer = self._sample if of_sample else DIFFUSER
-        return throughput(instrument, at + turned, directions, scatterer, gamma_deg=float(self._at.gamma_deg[0]))
+        return throughput(instrument, at + turned, directions, scatterer, gamma_deg=float(self._at.gamma_deg[0]) + gamma)
 
 
 def compare(sample: Scatterer, at: Views, step: float = 0.02) -> None:
     """Every sensitivity: to 5 % of it, or to 2 % of the point's largest component."""
     twin, effects = Twin(sample, at), pose_effects(INSTRUMENT, at)
     along, across = twin.slopes()
-    parts: list[Displacement] = [effects.common, effects.sample, effects.etalon]
+    parts: list[Displacement] = [
+        effects.common, effects.sample, effects.etalon, effects.position, effects.etalon_position, effects.photodiode,
+    ]  # fmt: skip
     computed = np.concatenate([part.relative(along, across) for part in parts], axis=1)
     differences = [np.log(twin.value(name, step) / twin.value(name, -step)) / (2.0 * step) for name in NAMES]
     component, found = computed * U, np.stack(differences, axis=1) * U
