@@ -197,7 +197,7 @@ def closure(
     For each sigma and wavelength the etalon's radiance factor by its certificate and by the scan of the open beam: ratio,
     combined uncertainty u, z, and a verdict. The schedule needs the table [open_beam].
 
-    Exit status: 1 if the two scales do not agree at one of them.
+    Exit status: 1 if the two scales certainly do not agree.
     """
     from goniotwin.app.campaign.journal.writing import Journal
     from goniotwin.app.campaign.reduction.closure import closure_text
@@ -209,7 +209,7 @@ def closure(
         mark = "SIMULATED, " if opened.simulated else ""
     text = f"{mark}closure of {journal}\n{closure_text(report)}"
     answer(as_json, result, lambda: print(text))
-    if report.apart:
+    if report.contradicts_etalon:
         raise typer.Exit(1)
 
 

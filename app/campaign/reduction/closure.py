@@ -123,6 +123,11 @@ class Closure:
         return (self.ratio - 1.0) / max(self.u, SMALLEST_U)
 
     @property
+    def word(self) -> str:
+        """The comparison in a word, for a table."""
+        return "agree" if abs(self.z) <= AGREES else "do NOT agree" if abs(self.z) > DIFFERS else "differ"
+
+    @property
     def verdict(self) -> str:
         """The comparison in words."""
         size = abs(self.z)
@@ -330,6 +335,8 @@ class ClosureReport:
         """The comparison as a whole, in words."""
         if not self.closures:
             return "there is no closure"
+        if self._apart_together and not self.apart:
+            return f"{self.together}: they do NOT agree"
         worst = max(self.closures, key=lambda each: abs(each.z))
         where = f"sigma {worst.beam.scan.at_deg:g} deg, {worst.wavelength_nm:g} nm"
         if abs(worst.z) <= AGREES:
@@ -387,12 +394,12 @@ def closure_text(report: ClosureReport) -> str:
     """A report as lines of text: a table of the comparisons, what each scan shows, what is missing, the verdict."""
     lines = []
     if report.closures:
-        lines.append("  sigma  photodiode      nm  certified  absolute   ratio    u %      z  verdict")
+        lines.append("  sigma  photodiode      nm  certified  absolute   ratio    u %      z  scales")
     for each in report.closures:
         scan, star = each.beam.scan, "*" if each.wavelength_nm == each.beam.wavelength_nm else " "
         lines.append(
             f"  {scan.at_deg:5.1f}  {scan.photodiode:10d}  {each.wavelength_nm:6.1f}{star} {each.certified:9.4f} "
-            f"{each.absolute:9.4f}  {each.ratio:6.4f}  {100.0 * each.u:5.2f}  {each.z:+5.1f}  {each.verdict}"
+            f"{each.absolute:9.4f}  {each.ratio:6.4f}  {100.0 * each.u:5.2f}  {each.z:+5.1f}  {each.word}"
         )
     for beam in report.beams:
         along, across = beam.centroid_deg.tolist()

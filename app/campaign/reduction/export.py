@@ -78,13 +78,13 @@ def export(
 
 
 def heading(reduced: ReducedJournal) -> list[str]:
-    """The first comment lines of a file: campaign, rig, whether it is simulated, and the light's polarisation."""
+    """The first comment lines of a file: campaign, rig, whether it is simulated, the light's polarisation, and findings."""
     lines = [f"campaign: {reduced.name}", f"rig: {reduced.rig.file.name}"]
     if reduced.simulated:
         lines.append(f"SIMULATED: measured on a virtual rig, seed {reduced.rig.seed}; no value is from a real instrument")
     if reduced.chain:
         lines.append(f"journal: {reduced.chain}")
-    return lines + list(reduced.light)
+    return [*lines, *reduced.light, *reduced.findings]
 
 
 def points_of(reduced: ReducedJournal, sample: str | None, path: Path) -> tuple[PointStream, int]:
@@ -103,7 +103,7 @@ def points_of(reduced: ReducedJournal, sample: str | None, path: Path) -> tuple[
         "field_correction: what the correction of the finite field of view has added to the logarithm of bsdf",
         "u_field_per_sr: what is left of the field of view in u_bsdf; empty where it cannot be estimated",
         f"flags: {', '.join(f'{name} ({flag.meaning})' for name, flag in FLAGS.items())}",
-        *(note for note in reduced.notes if note not in reduced.light),
+        *(note for note in reduced.notes if note not in (*reduced.light, *reduced.findings)),
         *(f"overlaps of {name}: {each}" for name, each in reduced.overlaps.items() if name in chosen and each.pairs),
     ]
     parts = (_columns(name, points) for name, source in chosen.items() for points in source.parts(PART_POINTS))

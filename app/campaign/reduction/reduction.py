@@ -139,7 +139,7 @@ class Reduction:
             self.settings = replace(self.settings, repeatability=self._repeats.excess)
         self._closure: ClosureReport | None = None
         if self.schedule.open_beam_scan is not None:
-            self.settings = _by_scan(self.settings, self.closure())
+            self.settings = scan_settings(self.settings, self.closure())
 
     def closure(self) -> ClosureReport:
         """The closure of the etalon's scale with that of the open beam. Raises UserError."""
@@ -275,7 +275,8 @@ class Reduction:
             ("bandwidth", sum(tally.without_band for tally in tallies.values()), NO_BAND),
         ):
             if missing:
-                yield f"{name}: not in u of {'all' if missing == above else missing} values ({reason})"
+                of = "any value" if missing == above else f"{missing} of {above} values"
+                yield f"{name}: not in u of {of} ({reason})"
 
     def light(self, samples: Iterable[str]) -> list[str]:
         """The polarisation of the light at each sigma, and the samples for which it is not in the uncertainty."""
@@ -436,7 +437,7 @@ def journal_findings(path: Path) -> list[str]:
         return Reduction(journal).findings
 
 
-def _by_scan(settings: ReductionSettings, found: ClosureReport) -> ReductionSettings:
+def scan_settings(settings: ReductionSettings, found: ClosureReport) -> ReductionSettings:
     """The settings with what the scan of the open beam shows: scale, field of view, and whether the etalon can be right."""
     scan, field_of_view = settings.schedule.open_beam_scan, found.field
     if scan is not None and scan.scale == "open beam":
@@ -444,7 +445,7 @@ def _by_scan(settings: ReductionSettings, found: ClosureReport) -> ReductionSett
     if field_of_view is not None and field_of_view.applied and field_of_view.field_deg is not None:
         geometry = replace(settings.rig.geometry, field_deg=field_of_view.field_deg)
         settings = replace(settings, rig=replace(settings.rig, geometry=geometry))
-    return replace(settings, doubted=bool(found.apart))
+    return replace(settings, doubted=found.contradicts_etalon)
 
 
 def _first_day(journal: JournalReader) -> date | None:

@@ -32,7 +32,7 @@ from goniotwin.app.campaign.reduction.components import Signal
 from goniotwin.app.campaign.reduction.effects_of_points import effects_of
 from goniotwin.app.campaign.reduction.points import BsdfPoints, Tally
 from goniotwin.app.campaign.reduction.readings import Measurements, ReferenceMeasurements
-from goniotwin.app.campaign.reduction.reduction import Reduction
+from goniotwin.app.campaign.reduction.reduction import Reduction, reduction_settings, scan_settings
 from goniotwin.app.campaign.reduction.verification import verify_journal
 from goniotwin.app.campaign.row import NO_SAMPLE
 from goniotwin.app.campaign.schedule.file import parse_schedule
@@ -247,6 +247,15 @@ def test_scans_together_have_the_uncertainty_of_what_they_share() -> None:
     low = ClosureReport(tuple(replace(each, certified=1.0 / (1.0 - 4.5 * joint.u)) for each in closures), (), ())
     assert low.contradicts_etalon
     assert "all scans together (sigma 17, 42, 67 deg)" in low.alarms[-1]
+    only = [replace(each, certified=each.absolute / (1.0 - 4.02 * joint.u)) for each in closures]
+    together = ClosureReport(tuple(only), (), ())
+    assert together.apart == []
+    assert together.contradicts_etalon
+    assert together.verdict.endswith("they do NOT agree")
+    assert {each.word for each in together.closures} == {"differ"}
+    settings = reduction_settings(FILE, parse_schedule(SMALL, "small.toml").file, None, "")
+    assert scan_settings(settings, together).doubted
+    assert not scan_settings(settings, ClosureReport(tuple(closures), (), ())).doubted
 
 
 class DrawnRig:

@@ -145,6 +145,9 @@ def test_gains_that_are_not_those_of_the_rig_file_reach_the_operator(
     assert (found.verdict, found.text[: len(words)]) == ("fails", words)
     done = CliRunner().invoke(app, ["export", str(journal), "--format", "csv", "--out", str(tmp_path / "b.csv")])
     assert words in done.stderr
+    assert (tmp_path / "b.csv").read_text(encoding="utf-8").count(words) == 1
+    CliRunner().invoke(app, ["export", str(journal), "--format", "ddr", "--out", str(tmp_path / "b.ddr")])
+    assert words in " ".join((tmp_path / "b.ddr").read_text(encoding="utf-8").replace(";;", " ").split())
 
 
 def test_the_small_components_are_listed_where_asked_for(measure: Measure, monkeypatch: pytest.MonkeyPatch) -> None:
