@@ -12,7 +12,7 @@ half planes, the correction for the band from other wavelengths, and the calibra
 sample. What the journal alone has: the scale and the field of an open beam's scan, and a repeatability from repeats.
 """
 
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -229,6 +229,15 @@ class LiveScan:
                 self._omitted = True
         return signal
 
+    def _compute(self, rows: Iterable[CommittedRow]) -> None:
+        """Compute the signals of rows together, as many as this repaint has left: one by one takes ten times as long."""
+        dark = self._dark
+        assert dark is not None
+        missing = [row for row in rows if self._signals.get(row.row.number, (None, None))[0] is not dark][: self._left]
+        self._left -= len(missing)
+        for row, signal in zip(missing, dark.signals(missing) if missing else (), strict=True):
+            self._signals[row.row.number] = dark, signal
+
     def _update_drift(self) -> None:
         """Compare the drift checks again where a row or a signal is new."""
 
@@ -269,7 +278,11 @@ class LiveScan:
         """The BSDF of rows of a setting; None for what is no sample, and before the etalon has been measured."""
         if setting[0] in self._references:
             return None
-        points = self._reduce([*rows, *self._other_wavelengths(setting, rows)], self._signal)
+        rows = [*rows, *self._other_wavelengths(setting, rows)]
+        if self._dark is not None:
+            self._compute(rows)
+            self._compute(self._reference_rows(rows))
+        points = self._reduce(rows, self._signal)
         if points is None:
             return None
         points = points.where(points.wavelength_nm == setting[1])
@@ -313,19 +326,21 @@ class LiveScan:
     def _reduce_slowly(self, rows: list[CommittedRow]) -> Generator[None, None, BsdfPoints | None]:
         """The points of a whole setting, not finished yet; a few signals at a time."""
         signals: dict[int, Signal] = {}
-        for k, row in enumerate([*rows, *self._reference_rows(rows)]):
-            assert self._dark is not None
-            signals[row.row.number] = self._dark.signal(row)
-            if k % SIGNALS_AT_ONCE == SIGNALS_AT_ONCE - 1:
+        needed = [*rows, *self._reference_rows(rows)]
+        for begin in range(0, len(needed), SIGNALS_AT_ONCE):
+            if begin:
                 yield
+            assert self._dark is not None
+            some = needed[begin : begin + SIGNALS_AT_ONCE]
+            signals.update(zip((row.row.number for row in some), self._dark.signals(some), strict=True))
         return self._reduce(rows, lambda row: signals[row.row.number])
 
     def _reference_rows(self, rows: list[CommittedRow]) -> Iterator[CommittedRow]:
         """The rows of the etalon and without a sample that rows need."""
         at_sample, at_etalon = reference_keys([each.row for each in rows], self._settings.geometry)
-        for key in dict.fromkeys(at_sample + at_etalon):
-            for measured in self._references.values():
-                yield from measured.get(key, [])
+        for sample, keys in ((self._schedule.etalon, at_etalon), (NO_SAMPLE, at_sample + at_etalon)):
+            for key in dict.fromkeys(keys):
+                yield from self._references[sample].get(key, [])
 
     # What is shown.
 

@@ -1,5 +1,6 @@
 """The live scan has the values of the reduction of the finished journal, and its plot shows every point."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -219,11 +220,11 @@ def test_the_work_for_a_row_does_not_grow_with_the_campaign(
     shifts = ("shift_deg = [0, 1]", "shift_deg = { start = 0, stop = 5, step = 0.25 }")
     plan = make_plan(read_schedule(write_schedule(shifts, ("[1e8, 1e10]", "[1e8]"))), read_rig(write_rig()))
     live, computed, work = LiveScan(plan), [0], []
-    plain = DarkHistory.signal
+    plain = DarkHistory.signals
 
-    def count(dark: DarkHistory, row: CommittedRow) -> Signal:
-        computed[0] += 1
-        return plain(dark, row)
+    def count(dark: DarkHistory, rows: Sequence[CommittedRow]) -> list[Signal]:
+        computed[0] += len(rows)
+        return plain(dark, rows)
 
     def look(event: Event) -> None:
         if isinstance(event, RowCommitted) and event.row.kind == "measure":
@@ -231,7 +232,7 @@ def test_the_work_for_a_row_does_not_grow_with_the_campaign(
             live.data()
             work.append((event.row.sample, computed[0]))
 
-    monkeypatch.setattr(DarkHistory, "signal", count)
+    monkeypatch.setattr(DarkHistory, "signals", count)
     run_plan(plan, tmp_path / "a.journal", listeners=[watch(live), look])
     of_sample = [number for sample, number in work if sample == "gaussian-5"]
     assert len(of_sample) == 21
