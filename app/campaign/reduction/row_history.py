@@ -54,7 +54,7 @@ class RowHistory:
     @cached_property
     def _lights(self) -> Floats:
         """Begin in s and logarithm of the monitor's current (rows, 2), in the order of `_read`."""
-        found: Floats = np.fromiter(self._journal.row_lights(), dtype=np.dtype((np.float64, 3)))  # type: ignore[assignment]
+        found: Floats = np.fromiter(self._journal.row_lights(), dtype=np.dtype((np.float64, 3)))
         found = found[np.argsort(found[:, 0], kind="stable"), 1:]
         current = found[:, 1]
         found[:, 1] = np.log10(np.where(current > 0.0, current, 1.0))
