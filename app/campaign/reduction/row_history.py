@@ -39,11 +39,13 @@ class RowHistory:
 
     def hours(self, rows: Ints) -> Floats:
         """When rows (n,) began, in hours on the rig's clock."""
-        return self._lights[self._places(rows), 0] / SECONDS
+        hours: Floats = self._lights[self._places(rows), 0] / SECONDS
+        return hours
 
     def monitor_decades(self, rows: Ints) -> Floats:
         """Logarithms of base ten of the monitor's mean current in rows (n,), in A; 0 where it was not read."""
-        return self._lights[self._places(rows), 1]
+        decades: Floats = self._lights[self._places(rows), 1]
+        return decades
 
     def _places(self, rows: Ints) -> Ints:
         places: Ints = np.searchsorted(self._read[1][:, 0], rows)
@@ -52,8 +54,8 @@ class RowHistory:
     @cached_property
     def _lights(self) -> Floats:
         """Begin in s and logarithm of the monitor's current (rows, 2), in the order of `_read`."""
-        found = np.fromiter(self._journal.row_lights(), dtype=np.dtype((np.float64, 3)))
-        found = found[np.argsort(found[:, 0], kind="stable"), 1:]
+        rows: Floats = np.asarray(np.fromiter(self._journal.row_lights(), dtype=np.dtype((np.float64, 3))), dtype=np.float64)
+        found: Floats = rows[np.argsort(rows[:, 0], kind="stable"), 1:]
         current = found[:, 1]
         found[:, 1] = np.log10(np.where(current > 0.0, current, 1.0))
         return found

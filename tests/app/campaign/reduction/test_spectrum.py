@@ -63,7 +63,7 @@ def arc_rows(values: Floats, etalon: Floats, at: Floats = AT, noise: float = 1e-
     return ArcRows(
         tuple(rows), tuple(range(len(rows))), (), np.full((at.size, 1), 30.0), none,
         estimate, signal, signal, signal, signal, none[:, :1], none[:, :1],
-        unknown, unknown, unknown, unknown, {},
+        unknown, unknown, unknown, unknown, {}, np.zeros((at.size, 1)), np.zeros((at.size, 1)),
     )  # fmt: skip
 
 
