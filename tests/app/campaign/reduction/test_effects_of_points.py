@@ -86,6 +86,7 @@ def relative_of(noise: Floats) -> dict[str, Floats]:
         "noise": noise,
         "resolution": 0.1 * noise,
         "dark": 0.5 * noise,
+        "etalon_dark": 0.4 * noise,
         "monitor": np.sqrt(2.0) * U_MONITOR * one,
         "monitor_drift": 0.3 * noise,
         "monitor_linearity": 0.1 * noise,
