@@ -1,4 +1,4 @@
-"""What a parabola through neighbours does not resolve: third and fourth derivatives, of which both sides tell."""
+"""What a parabola through neighbours does not resolve: third and fourth derivatives, which show on both sides."""
 
 import numpy as np
 import pytest
