@@ -19,6 +19,7 @@ from goniotwin.app.campaign.reduction.reflectance import (
     quadrature,
 )
 from goniotwin.app.campaign.uncertainty.effects import Component
+from goniotwin.app.campaign.wording import number_list
 from goniotwin.app.errors import UserError
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics import arc_direction
@@ -29,6 +30,7 @@ NEAR_DEG = 0.05
 NEIGHBOURS = 3
 ANGLES = ("theta", "phi", "zenith", "azimuth")
 NUMBERS = ("wavelength", "sigma", "gamma", *ANGLES, "photodiode")
+LIGHTS = ("reflected", "transmitted")
 KEYS = ("sample", *NUMBERS, "light")
 Unit = Literal["1/sr", "1"]
 INTERPOLATION, FILLED = "interpolation", "directions without a value"
@@ -88,8 +90,8 @@ def parse_place(text: str) -> dict[str, str | float]:
         if key in place:
             raise UserError(f"--at {key}: is given twice; remove one of them")
         place[key] = _number(key, value) if key in NUMBERS else value
-    if place.get("light", "reflected") not in ("reflected", "transmitted"):
-        raise UserError(f"--at light={place['light']}: is not reflected or transmitted")
+    if place.get("light", LIGHTS[0]) not in LIGHTS:
+        raise UserError(f"--at light={place['light']}: is not {' or '.join(LIGHTS)}")
     return place
 
 
@@ -209,10 +211,6 @@ def _points_at(reduction: Reduction, place: Mapping[str, str | float]) -> tuple[
             each.update(np.unique(values).tolist())
             if column in wanted:
                 chosen &= np.abs(values - wanted[column]) <= NEAR_DEG
-        if "light" in place:
-            chosen &= points.transmitted == (place["light"] == "transmitted")
-        if "photodiode" in place:
-            chosen &= points.photodiode == place["photodiode"]
         if chosen.any():
             found.append(points.where(chosen))
     for column, each in known_at.items():
@@ -224,7 +222,20 @@ def _points_at(reduction: Reduction, place: Mapping[str, str | float]) -> tuple[
             raise UserError(f"--at: {key} is missing; {name} was measured at {listed} {unit}")
     if not found:
         raise UserError(f"--at: {name} has no values there")
-    return name, join_points(found)
+    points = join_points(found)
+    if "light" in place:
+        chosen = points.transmitted == (place["light"] == LIGHTS[1])
+        if not chosen.any():
+            other = LIGHTS[int(points.transmitted[0])]
+            raise UserError(f"--at light={place['light']}: {name} has no such values there, only {other} light")
+        points = points.where(chosen)
+    if "photodiode" in place:
+        chosen = points.photodiode == place["photodiode"]
+        if not chosen.any():
+            known = number_list(np.unique(points.photodiode).tolist())
+            raise UserError(f"--at photodiode={place['photodiode']:g}: {name} has no values of it there, but of {known}")
+        points = points.where(chosen)
+    return name, points
 
 
 def _distances_deg(points: BsdfPoints, first: float, second: float, specular: bool) -> Floats:

@@ -44,6 +44,8 @@ STEP_DEG = 0.2
 """Step of the scan to which the uncertainty of its sum belongs."""
 EDGE_SHARE = 0.01
 """A signal at the edge of the scan above this share of the largest means that the beam is not all within."""
+CERTAIN = 5.0
+"""What a scan shows of cross-talk counts beyond so many of its standard uncertainties."""
 SMALLEST_U = 1e-12
 """A rig file may state that everything is exact."""
 AGREES, DIFFERS = 2.0, 4.0
@@ -175,7 +177,7 @@ class JointClosure:
 
     def __str__(self) -> str:
         sigmas = ", ".join(f"{each:g}" for each in self.sigmas_deg)
-        return f"all scans together (sigma {sigmas} deg): ratio {self.ratio:.4f}, u {100.0 * self.u:.2f} %, z {self.z:+.1f}"
+        return f"all scans together (sigma {sigmas} deg): ratio {self.ratio:.4f}, u {100.0 * self.u:.2f} %, z {signed(self.z)}"
 
 
 OWN_OF_A_SCAN = frozenset({"scan", "noise", "dark", "etalon_reading", "signature", "monitor"})
@@ -236,7 +238,7 @@ class ClosureReport:
     """The closures of a journal, the scans that they come from, and the reasons why there are no others.
 
     `not_planned` are those of the schedule, `missing` those of the measurement. `field` is the field of view by the scans, None
-    without one that has all of the beam.
+    without one that has all of the beam. `crosstalk` is what they show of it beyond the rig file's, in words; empty without.
     """
 
     closures: tuple[Closure, ...]
@@ -244,6 +246,7 @@ class ClosureReport:
     not_planned: tuple[str, ...]
     missing: tuple[str, ...] = ()
     field: ScannedField | None = None
+    crosstalk: str = ""
 
     @property
     def scale(self) -> dict[tuple[float, float, bool], tuple[float, float]]:
@@ -328,6 +331,7 @@ class ClosureReport:
             ),
             *([f"closure of {self.together}: they do NOT agree"] if self._apart_together else []),
             *([str(self.field)] if self.field is not None and abs(self.field.z) > AGREES else []),
+            *([self.crosstalk] if self.crosstalk else []),
         ]
 
     @property
@@ -340,7 +344,9 @@ class ClosureReport:
         worst = max(self.closures, key=lambda each: abs(each.z))
         where = f"sigma {worst.beam.scan.at_deg:g} deg, {worst.wavelength_nm:g} nm"
         if abs(worst.z) <= AGREES:
-            return f"the two scales agree in all {len(self.closures)} comparisons; the largest difference is {worst.z:+.1f} u"
+            return (
+                f"the two scales agree in all {len(self.closures)} comparisons; the largest difference is {signed(worst.z)} u"
+            )
         return f"{worst.verdict} ({where})"
 
 
@@ -387,7 +393,14 @@ def journal_closure(
                 closures.append(found)
             else:
                 missing.append(f"{where}, {wavelength:g} nm: {found}")
-    return ClosureReport(tuple(closures), tuple(beams), tuple(not_planned), tuple(missing), scanned_field(beams, rig))
+    return ClosureReport(
+        tuple(closures),
+        tuple(beams),
+        tuple(not_planned),
+        tuple(missing),
+        scanned_field(beams, rig),
+        scanned_crosstalk(beams, rig),
+    )
 
 
 def closure_text(report: ClosureReport) -> str:
@@ -399,7 +412,7 @@ def closure_text(report: ClosureReport) -> str:
         scan, star = each.beam.scan, "*" if each.wavelength_nm == each.beam.wavelength_nm else " "
         lines.append(
             f"  {scan.at_deg:5.1f}  {scan.photodiode:10d}  {each.wavelength_nm:6.1f}{star} {each.certified:9.4f} "
-            f"{each.absolute:9.4f}  {each.ratio:6.4f}  {100.0 * each.u:5.2f}  {each.z:+5.1f}  {each.word}"
+            f"{each.absolute:9.4f}  {each.ratio:6.4f}  {100.0 * each.u:5.2f}  {signed(each.z):>5}  {each.word}"
         )
     for beam in report.beams:
         along, across = beam.centroid_deg.tolist()
@@ -412,7 +425,7 @@ def closure_text(report: ClosureReport) -> str:
         if beam.neighbours:
             seen = ", ".join(f"{k}: {x:.1e} (u {u:.0e})" for k, (x, u) in beam.neighbours.items())
             lines.append(f"    cross-talk and stray light, in volts over those of photodiode {beam.scan.photodiode}: {seen}")
-    lines += [f"  {each}" for each in (report.together, report.field) if each is not None]
+    lines += [f"  {each}" for each in (report.together, report.field, report.crosstalk or None) if each is not None]
     if report.closures:
         lines.append("  *: the wavelength of the scan; at the others its middle pose")
     lines += [f"  none: {each}" for each in (*report.not_planned, *report.missing)]
@@ -576,6 +589,34 @@ def scanned_field(beams: Sequence[ScannedBeam], rig: RigFile) -> ScannedField | 
         middle = 0.5 * (low + high)
         low, high = (middle, high) if ratio(middle) > 1.0 else (low, middle)
     return ScannedField(found, u, nominal.field_deg, low)
+
+
+def scanned_crosstalk(beams: Sequence[ScannedBeam], rig: RigFile) -> str:
+    """What scans show of the cross-talk beyond the rig file's, in words; empty where they show no more.
+
+    The channels beside the one in the beam count where they are of its module.
+    """
+    module, stated = rig.photodiodes.module_channels, rig.uncertainty.crosstalk
+    found = [
+        (
+            abs(share),
+            f"photodiode {k} has {share:.1e} (u {u:.0e}) of the volts of photodiode {each.scan.photodiode} in the open beam",
+        )
+        for each in beams
+        for k, (share, u) in each.neighbours.items()
+        if k // module == each.scan.photodiode // module and abs(share) > math.hypot(DIFFERS * stated, CERTAIN * u)
+    ]
+    if not found:
+        return ""
+    return (
+        f"{max(found)[1]}, where [uncertainty] states a crosstalk of {stated:.1e}: it is cross-talk, or stray light of the "
+        "beam; state crosstalk in [uncertainty]"
+    )
+
+
+def signed(z: float) -> str:
+    """A deviation with its sign and one decimal; what rounds to 0 has no sign."""
+    return "0.0" if abs(z) < 0.05 else f"{z:+.1f}"
 
 
 def compare(

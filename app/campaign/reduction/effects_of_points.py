@@ -223,7 +223,9 @@ def linearity(points: BsdfPoints, settings: ReductionSettings) -> Effects:
 def crosstalk(points: BsdfPoints, settings: ReductionSettings) -> Effects:
     """The share of a module's other channels, at the sample; that at the etalon is in its reading."""
     source = _of_table("crosstalk", "crosstalk", settings)
-    return _of_one(points, source, _signed(points, "crosstalk") / (source.u or 1.0))
+    # Where rows at two gains show more of it than is stated, values have more of this input.
+    source = replace(source, u=source.u or 1.0, source=f"{source.source}, and rows at two gains")
+    return _of_one(points, source, _signed(points, "crosstalk") / source.u)
 
 
 def signature(points: BsdfPoints, settings: ReductionSettings) -> Effects:

@@ -21,7 +21,14 @@ import numpy as np
 
 from goniotwin.app.campaign.reduction.components import Estimate, Signal
 from goniotwin.app.campaign.reduction.points import CHANCE, plausible
-from goniotwin.app.campaign.reduction.signals import LATEST_S, MOST_VALUES, DarkReadings, RowReadings, middle_s, others_volts
+from goniotwin.app.campaign.reduction.signals import (
+    LATEST_S,
+    MOST_VALUES,
+    DarkReadings,
+    RowReadings,
+    middle_s,
+    others_volts,
+)
 from goniotwin.app.campaign.row import CommittedRow, Reading
 from goniotwin.app.campaign.wording import number_list
 from goniotwin.app.rig import RigFile
@@ -50,6 +57,10 @@ UNSEEN = TOLERATED / math.sqrt(3.0)
 """Standard uncertainty of what the tests tolerate, in the certificate's: a ratio is never better known."""
 CLEARED = 0.1
 """A module is cleared of what others have where it certainly has less than this share of it."""
+BEYOND = 4.0
+"""Cross-talk is more than what is stated beyond so many of its u: chance makes that of one rig in 16 000."""
+HELD = 1.25
+"""A saturated channel has so many times the range of its converter, within a quarter: see BEYOND_RANGE of the signals."""
 IMPLAUSIBLE = 0.1
 """A ratio of gains that is off by more is no gain, but a fault."""
 FEWEST_ROWS, FEW_ROWS = 4, 8
@@ -82,13 +93,16 @@ class SignalEvidence:
     The noise of a reading is `factor` (photodiodes,) times (the expected one + `own`), and what its row has in common is
     `lamp`; `slow` is the part of a mean's own variance that its readings do not show. `deviation` (gains, photodiodes) is by
     how much the real gains are above the nominal ones, and `link` (photodiodes, gains, gains) the variance of the ratio of two
-    of them. `ratios` is the number of measured ratios of gains, and `worst_ratio` the largest difference of one from the
-    nominal ratio, in its standard uncertainties and those of the certificate.
+    of them. `crosstalk` (photodiodes,) is the standard uncertainty of the share of the volts of its module's other channels:
+    the stated one, or what was found where that is certainly more. `ratios` is the number of measured ratios of gains, and
+    `worst_ratio` the largest difference of one from the nominal ratio, in its standard uncertainties and those of the
+    certificate.
     """
 
     factor: Floats
     deviation: Floats
     link: Floats
+    crosstalk: Floats
     own: float = 0.0
     lamp: float = 0.0
     slow: float = 0.0
@@ -144,7 +158,10 @@ def stated(rig: RigFile) -> SignalEvidence:
     gains = len(settings.gains_v_per_a)
     different = 2.0 * settings.gain_uncertainty**2 * (1.0 - np.eye(gains))
     return SignalEvidence(
-        np.ones(settings.count), np.zeros((gains, settings.count)), np.broadcast_to(different, (settings.count, gains, gains))
+        np.ones(settings.count),
+        np.zeros((gains, settings.count)),
+        np.broadcast_to(different, (settings.count, gains, gains)),
+        np.full(settings.count, rig.uncertainty.crosstalk),
     )
 
 
@@ -152,14 +169,14 @@ def stated(rig: RigFile) -> SignalEvidence:
 class _Block:
     """Rows of a block (rows, gains, photodiodes): volts above the dark ones, NaN where clipped or not read; and their noise.
 
-    `crosstalk` is the standard uncertainty of the volts by their module's other channels: one error for all of them.
+    `others` are the volts of their module's other channels.
     """
 
     volts: Floats
     noise: Floats
     dark: Floats
     resolution: Floats
-    crosstalk: Floats
+    others: Floats
     monitor: Floats
     middle: Floats
     conversions: Floats
@@ -186,12 +203,13 @@ class EvidenceSums:
         self._pairs = [(low, high) for high in range(gains) for low in range(high)]
         shape = (len(self._pairs), 2, SIGNAL_BINS)
         # Of pairs, by pair, order (1: the higher gain was read last), volts and photodiode: number, weight, weighted ratio and
-        # its square, squared weights, weighted resolution, weighted inverse numbers of conversions, weighted cross-talk, and
-        # the dark readings' part, squared.
+        # its square, squared weights, weighted resolution, weighted inverse numbers of conversions, weighted cross-talk of
+        # a share of 1, and the dark readings' part, squared.
         self._linked = np.zeros((9, *shape, n))
         self._of_interval = np.zeros((*shape, n))
         self._intervals = [NO_CHANGE] * len(self._pairs)
         self._row_weights = np.zeros((2, len(self._pairs), 2, SIGNAL_BINS + 1, modules))  # the last bin: all
+        self._crosstalk = _CrosstalkSums(len(self._pairs), n, settings.module_channels)
 
     def add(self, rows: Sequence[CommittedRow]) -> None:
         """Add measured rows, in order of time."""
@@ -205,10 +223,10 @@ class EvidenceSums:
                     here[index, len(reading.counts)].append((k, before, reading))
                     before = index
         shape = (len(rows), gains)
-        volts, noise, dark, resolution, crosstalk = np.full((5, *shape, n), np.nan)
+        volts, noise, dark, resolution, others = np.full((5, *shape, n), np.nan)
         interval = np.zeros(len(rows), dtype=np.int64)
         block = _Block(
-            volts, noise, dark, resolution, crosstalk, np.full(shape, np.nan), np.zeros(shape), np.ones(shape), interval
+            volts, noise, dark, resolution, others, np.full(shape, np.nan), np.zeros(shape), np.ones(shape), interval
         )
         for (gain, count), readings in here.items():
             at_once = max(1, MOST_VALUES // (count * n))
@@ -219,6 +237,7 @@ class EvidenceSums:
             both = np.isfinite(block.monitor[:, low]) & np.isfinite(block.monitor[:, high]) & ~between
             if both.any():
                 self._add_pairs(p, np.flatnonzero(both), block)
+                self._add_crosstalk(p, np.flatnonzero(both), block)
 
     def _reducible(self, reading: Reading) -> bool:
         count, channels = reading.counts.shape
@@ -248,7 +267,7 @@ class EvidenceSums:
         block.noise[rows, gain] = expected / conversions[:, None]
         block.dark[rows, gain] = dark.variance_v2 / divisor[:, None]
         block.resolution[rows, gain] = 2.0 * dark.undithered_v2
-        block.crosstalk[rows, gain] = self._rig.uncertainty.crosstalk * others_volts(volts, clipped, self._settings)
+        block.others[rows, gain] = others_volts(volts, clipped, self._settings)
         block.monitor[rows, gain] = np.where(monitor > 0.0, monitor, np.nan)
         block.middle[rows, gain] = times
         block.conversions[rows, gain] = conversions
@@ -305,15 +324,15 @@ class EvidenceSums:
             dark = block.dark[rows, low] / predicted**2 + block.dark[rows, high] / other**2
             resolution = block.resolution[rows, low] / predicted**2 + block.resolution[rows, high] / other**2
             # Of both gains alike where no channel is saturated.
-            crosstalk = np.abs(block.crosstalk[rows, high] / other - block.crosstalk[rows, low] / predicted)
-            variance = noise + dark + resolution + crosstalk**2
+            crosstalk = np.abs(block.others[rows, high] / other - block.others[rows, low] / predicted)
+            variance = noise + dark + resolution + (self._rig.uncertainty.crosstalk * crosstalk) ** 2
             known = np.isfinite(one) & (one > 0.0) & (other > 0.0) & (variance < PAIR_LIMIT**2)
             ratio = np.log(predicted / one) - np.log(block.monitor[rows, high] / block.monitor[rows, low])[:, None]
             parts = (dark, resolution, crosstalk, variance, ratio)
             dark, resolution, crosstalk, variance, ratio = (np.where(known, each, 0.0) for each in parts)
         if not known.any():
             return
-        full_scale = (self._settings.range.highest - self._settings.range.zero) * self._settings.range.lsb_v
+        full_scale = self._full_scale_v
         volts = np.maximum(np.where(known, other, full_scale), full_scale * 2.0 ** (1 - SIGNAL_BINS))
         bins = np.clip(-np.ceil(np.log2(volts / full_scale)).astype(np.int64), 0, SIGNAL_BINS - 1)
         order = (block.middle[rows, high] > block.middle[rows, low]).astype(np.int64)[:, None]
@@ -344,6 +363,38 @@ class EvidenceSums:
             self._row_weights[0, p, each] += chosen.sum(axis=0)
             self._row_weights[1, p, each] += (chosen**2).sum(axis=0)
 
+    def _add_crosstalk(self, p: int, rows: Ints, block: _Block) -> None:
+        """Add what the lower gain should give by the higher one, less what it gives, where a neighbour is saturated.
+
+        Where none is, cross-talk is the same share at both gains. A saturated one gives less at the higher gain than in
+        proportion: what its neighbours have of it is missing there, whatever light they have themselves.
+        """
+        low, high = self._pairs[p]
+        to_low = float(self._gains[low] / self._gains[high])
+        one, other = block.volts[rows, low], block.volts[rows, high]
+        clipped = np.stack([~np.isfinite(one), ~np.isfinite(other)])
+        lower = np.where(clipped[0], HELD * self._full_scale_v, one)
+        higher = np.where(clipped[1], np.clip(lower / to_low, self._full_scale_v, HELD * self._full_scale_v), other)
+        sums = self._crosstalk
+        missing = to_low * sums.of_others(higher) - sums.of_others(lower)
+        chosen = ~clipped.any(axis=0) & (sums.of_others(clipped[1] * 1.0) > 0.0)
+        light = (block.monitor[rows, low] / block.monitor[rows, high])[:, None]
+        seen = np.where(chosen, other, 0.0) * to_low * light
+        difference = np.where(chosen, seen - one, 0.0)
+        fixed = block.dark[rows, low] + block.resolution[rows, low] + (block.dark + block.resolution)[rows, high] * to_low**2
+        # What is relative to a signal (noise of the light, linearity) shall not be taken for cross-talk.
+        variance = block.noise[rows, low] + block.noise[rows, high] * to_low**2 + fixed + (WEIGHT_LIMIT * seen) ** 2
+        weight = np.where(chosen, 1.0 / np.where(chosen, variance, 1.0), 0.0)
+        fixed_v = np.sqrt(np.where(chosen, fixed, 0.0))
+        for interval in np.unique(block.interval[rows]).tolist():
+            here = block.interval[rows] == interval
+            sums.add(p, interval, weight[here], seen[here], missing[here], difference[here], fixed_v[here])
+
+    @property
+    def _full_scale_v(self) -> float:
+        converter = self._settings.range
+        return (converter.highest - converter.zero) * converter.lsb_v
+
     def _begin_interval(self, p: int, interval: int) -> None:
         if interval != self._intervals[p]:
             self._linked[8, p] += self._of_interval[p] ** 2
@@ -367,17 +418,38 @@ class EvidenceSums:
         together, weights = self._common.tolist()
         lamp = min(max(0.0, together / weights), total) if weights > 0.0 else 0.0
         of_row = 2.0 * (self._rig.monitor.relative_uncertainty**2 + lamp)
+        plain = stated(self._rig)
+        crosstalk, crosstalk_notes = self._found_crosstalk(of_row)
         ratios = [
-            _Ratios(self._linked[:, p], self._row_weights[:, p], of_row, self._settings.module_channels)
+            _Ratios(self._linked[:, p], self._row_weights[:, p], of_row, self._settings.module_channels, crosstalk)
             for p in range(len(self._pairs))
         ]
         verdicts = tuple(self._verdict(modules, text) for modules, text in self._findings(ratios))
-        plain = stated(self._rig)
         sound = ~replace(plain, verdicts=verdicts).unsound
         own = total - lamp
         slow = max([0.0, *(each.excess(own + lamp) for each in ratios)])
-        noise = SignalEvidence(factor, plain.deviation, plain.link, own, lamp, slow, verdicts)
+        noise = SignalEvidence(factor, plain.deviation, plain.link, crosstalk, own, lamp, slow, verdicts, crosstalk_notes)
         return self._adjusted(noise, ratios, sound)
+
+    def _found_crosstalk(self, of_row: float) -> tuple[Floats, tuple[str, ...]]:
+        """The uncertainty of cross-talk (photodiodes,), and a note where it is certainly more than what is stated."""
+        stated_u = self._rig.uncertainty.crosstalk
+        share, u = self._crosstalk.fit(of_row)  # of each module, and of all
+        with np.errstate(invalid="ignore"):
+            beyond = np.abs(share) > np.hypot(BEYOND * stated_u, CERTAIN * u)
+            if not beyond.any():
+                return np.full(self._settings.count, stated_u), ()
+            worst = float(np.max(np.abs(share[beyond])))
+            # Modules of one make share what one of them has, unless their own readings show that they do not.
+            cleared = np.abs(share) + CERTAIN * u < worst
+        of_module = np.where(beyond, np.hypot(share, u), np.where(cleared, stated_u, worst))[:-1]
+        found = np.flatnonzero(beyond[:-1]).tolist()
+        some = f" (photodiodes module{'s' if len(found) > 1 else ''} {number_list(found)})" if found else ""
+        text = (
+            f"a channel has up to {worst:.1e} of the volts of its module's other channels{some}, where [uncertainty] states a "
+            f"crosstalk of {stated_u:.1e}: u has what was found; state crosstalk in [uncertainty]"
+        )
+        return of_module[np.arange(self._settings.count) // self._settings.module_channels], (text,)
 
     def _findings(self, ratios: Sequence["_Ratios"]) -> Iterator[tuple[Flags, str]]:
         """The modules (m,) that did not pass a test, and what was found. What follows from settling is not named again."""
@@ -470,11 +542,13 @@ class EvidenceSums:
         certified = np.full(self._settings.count, self._certified**2)
         chi = value**2 / (2.0 * certified + np.where(weight > 0.0, 1.0 / np.where(weight > 0.0, weight, 1.0), 0.0))
         count = int((weight > 0.0).sum())
-        notes: tuple[str, ...] = ()
+        notes = evidence.notes
         if not plausible(count, float(chi.sum()), math.sqrt(float(chi.max()))):
             certified *= np.maximum(max(1.0, float(chi.sum()) / count), chi.max(axis=0))
-            off = np.flatnonzero(chi.max(axis=0) > CERTAIN**2)
+            # Where the ratios are off together and none alone, the worst one is named.
+            off = np.flatnonzero(chi.max(axis=0) >= min(CERTAIN**2, float(chi.max())))
             notes = (
+                *notes,
                 f"the gains are not those of the rig file within its gain_uncertainty of {_percent(self._certified)}: their "
                 f"ratios are off by up to {_percent(value)} (most certainly of photodiodes {number_list(off.tolist())}); the "
                 "measured ratios are applied; correct gain_uncertainty of [photodiodes]",
@@ -529,14 +603,72 @@ class RunningEvidence:
         return len(self._waiting) >= MOST_WAITING
 
 
+class _CrosstalkSums:
+    """Sums for the share of the volts of a module's other channels that a channel has, from rows at two gains.
+
+    The differences of what the lower gain should give from what it gives are d V + k x, of each pair of gains and photodiode:
+    V are its volts, x what is missing of the other channels' volts, d the deviation of the gains' ratio, k the share.
+    """
+
+    def __init__(self, pairs: int, count: int, module_channels: int) -> None:
+        self._first = np.arange(0, count, module_channels)
+        self._sizes = np.diff(np.append(self._first, count))
+        self._sums = np.zeros((7, pairs, count))
+        self._of_rows = np.zeros(self._first.size + 1)
+        self._fixed = np.zeros((pairs, count))
+        self._of_interval = np.zeros((pairs, count))
+        self._intervals = [NO_CHANGE] * pairs
+
+    def of_others(self, values: Floats) -> Floats:
+        """The sums (rows, photodiodes) over the other channels of each one's module."""
+        return np.asarray(np.repeat(np.add.reduceat(values, self._first, axis=-1), self._sizes, axis=-1) - values)
+
+    def add(
+        self, pair: int, interval: int, weight: Floats, volts: Floats, missing: Floats, difference: Floats, fixed: Floats
+    ) -> None:  # fmt: skip
+        """Add rows (rows, photodiodes) between two dark readings; `fixed` is the uncertainty of the error they share, V."""
+        if interval != self._intervals[pair]:
+            self._fixed[pair] += self._of_interval[pair] ** 2
+            self._of_interval[pair] = 0.0
+            self._intervals[pair] = interval
+        v, x, y = volts, missing, difference
+        products = (v * v, v * x, x * x, v * y, x * y, y * y)
+        self._sums[0, pair] += (weight > 0.0).sum(axis=0)
+        for k, each in enumerate(products, 1):
+            self._sums[k, pair] += (weight * each).sum(axis=0)
+        self._of_interval[pair] += (weight * x * fixed).sum(axis=0)
+        of_row = np.add.reduceat(weight * x * v, self._first, axis=1)
+        self._of_rows += (np.column_stack([of_row, of_row.sum(axis=1)]) ** 2).sum(axis=0)
+
+    def fit(self, of_row: float) -> tuple[Floats, Floats]:
+        """The shares and their standard uncertainties (modules + 1,), of each module and of all together; NaN without light.
+
+        `of_row` is the relative variance that all photodiodes of a row have in common.
+        """
+        number, vv, vx, xx, vy, xy, yy = self._sums
+        gain = vv + 1.0 / IMPLAUSIBLE**2
+        fixed = self._fixed + self._of_interval**2
+        each = np.stack([number, xx - vx**2 / gain, xy - vx * vy / gain, yy - vy**2 / gain, fixed]).sum(axis=1)
+        number, xx, xy, yy, fixed = np.concatenate(
+            [np.add.reduceat(each, self._first, axis=1), each.sum(axis=1, keepdims=True)], axis=1
+        )
+        known = (number >= FEWEST_ROWS) & (xx > 0.0)
+        xx = np.where(known, xx, np.nan)
+        scatter = np.maximum((yy - xy**2 / xx) / np.maximum(number - 1.0, 1.0), 1.0)
+        u = np.sqrt(scatter / xx + (fixed + of_row * self._of_rows) / xx**2) * (1.0 + (FEW_ROWS / np.maximum(number, 1.0)) ** 2)
+        return xy / xx, u
+
+
 class _Ratios:
     """The ratios of one pair of gains: logarithms of the real over the nominal one, from the sums of `EvidenceSums`.
 
-    `of_row` is the variance that all photodiodes of a row have in common. `value`, `variance` and `number` (photodiodes,).
+    `of_row` is the variance that all photodiodes of a row have in common, `crosstalk` (photodiodes,) the uncertainty of its
+    share. `value`, `variance` and `number` (photodiodes,).
     """
 
-    def __init__(self, sums: Floats, row_weights: Floats, of_row: float, module_channels: int) -> None:
+    def __init__(self, sums: Floats, row_weights: Floats, of_row: float, module_channels: int, crosstalk: Floats) -> None:
         self._sums, self._row_weights, self._of_row, self._channels = sums, row_weights, of_row, module_channels
+        self._crosstalk = crosstalk
         number, weight, first, second = sums[0], sums[1], sums[2], sums[3]
         with np.errstate(invalid="ignore", divide="ignore"):
             about = np.where(number > 1.0, second - first**2 / weight, 0.0)
@@ -555,11 +687,11 @@ class _Ratios:
         """The mean over order (0) or volts (1), its variance, the uncertainty that its photodiodes share, and the effective
         number of rows.
         """
-        _, weight, first, _, squared, resolution, _, crosstalk, _ = (each.sum(axis=axes) for each in self._sums)
+        _, weight, first, _, squared, resolution, _, missing, _ = (each.sum(axis=axes) for each in self._sums)
         dark = np.sqrt(self._sums[8]).sum(axis=axes)
         with np.errstate(invalid="ignore", divide="ignore"):
             variance = self._widened / weight + resolution / weight + (dark / weight) ** 2
-            return first / weight, variance, crosstalk / weight, weight**2 / squared
+            return first / weight, variance, self._crosstalk * missing / weight, weight**2 / squared
 
     def by_order(self) -> Iterator[Tested]:
         """Differences of the ratios where the higher gain was read last from the others, of photodiodes and of modules."""

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from goniotwin.app.campaign.geometry.directions import polar_from_zenith
-from goniotwin.app.campaign.reduction.components import shared_variance
+from goniotwin.app.campaign.reduction.components import INTERVAL_RULE, shared_variance
 from goniotwin.app.campaign.reduction.points import FLAGS, BsdfPoints, PointSource
 from goniotwin.app.campaign.reduction.reduction import ReducedJournal
 from goniotwin.app.errors import UserError
@@ -99,7 +99,7 @@ def points_of(reduced: ReducedJournal, sample: str | None, path: Path) -> tuple[
         "side: the lit side, front or back; light: reflected or transmitted",
         "check: mirrored, for a direction measured only to check the stated symmetry",
         "signature_share: the instrument signature's share of the signal, already subtracted; empty where not measured",
-        "where u_bsdf is above 15 % of bsdf and not mostly noise, an interval of k u is bsdf exp(+-k u_bsdf / bsdf)",
+        INTERVAL_RULE,
         "field_correction: what the correction of the finite field of view has added to the logarithm of bsdf",
         "u_field_per_sr: what is left of the field of view in u_bsdf; empty where it cannot be estimated",
         f"flags: {', '.join(f'{name} ({flag.meaning})' for name, flag in FLAGS.items())}",

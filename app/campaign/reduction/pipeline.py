@@ -111,7 +111,7 @@ def reduce_readings(
     for readings in group_readings([row.readings for row in rows]):
         of_gain = dark[readings.gain_v_per_a]
         volts = subtract_dark(readings, of_gain, settings)
-        volts = add_crosstalk(volts, readings, settings, rig.uncertainty.crosstalk)
+        volts = add_crosstalk(volts, readings, settings, known.crosstalk)
         current = convert_to_photocurrent(volts, readings, settings)
         current = correct_gain(add_scatter(current, readings, settings, known), readings, settings, known)
         at_gains.append((readings, divide_by_monitor(current, readings, of_gain)))

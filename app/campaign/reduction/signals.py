@@ -171,7 +171,7 @@ def subtract_dark(readings: RowReadings, dark: DarkReadings, settings: Converter
     )
 
 
-def add_crosstalk(volts: Estimate, readings: RowReadings, settings: ConverterDescription, u_crosstalk: float) -> Estimate:
+def add_crosstalk(volts: Estimate, readings: RowReadings, settings: ConverterDescription, u_crosstalk: Floats) -> Estimate:
     """The voltages with the component `crosstalk`: a share of what the module's other channels have, all with one sign."""
     others = others_volts(volts.value, readings.saturated(settings), settings)
     return volts.with_component("crosstalk", (u_crosstalk * others) ** 2)

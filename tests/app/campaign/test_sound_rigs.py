@@ -26,7 +26,7 @@ SMALLER: dict[str, tuple[Change, ...]] = {
         ("{ start = 400, stop = 700, step = 20 }", "[450, 550]"), ("stop = 4.5, step = 0.5", "stop = 4, step = 2"),
         ("beta_step_deg = 1", "beta_step_deg = 4"),
     ),
-    "diffuse-spectral": (("stop = 180, step = 5", "stop = 180, step = 60"), ("step = 10\n", "step = 110\n")),
+    "diffuse-spectral": (("stop = 180, step = 5", "stop = 180, step = 60"), ("step = 10 }", "step = 110 }")),
     "paper-order": (("stop = 180, step = 30", "stop = 180, step = 90"), ("stop = 4, step = 1", "stop = 4, step = 2")),
     "transmission": (
         ("[0, 20, 40, 60]", "[20, 40]"), ("stop = 180, step = 10", "stop = 180, step = 60"),

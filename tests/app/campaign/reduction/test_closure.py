@@ -20,13 +20,16 @@ from goniotwin.app.campaign.reduction.closure import (
     JointClosure,
     ScannedBeam,
     centroid_uncertainty_deg,
+    closure_text,
     compare,
     journal_closure,
     moment_deg2,
     pose_effects,
     pose_inputs,
     scanned_beam,
+    scanned_crosstalk,
     scanned_field,
+    signed,
 )
 from goniotwin.app.campaign.reduction.components import Signal
 from goniotwin.app.campaign.reduction.effects_of_points import effects_of
@@ -215,6 +218,35 @@ def test_a_field_of_view_that_is_not_that_of_the_rig_file_is_found(field_deg: fl
     else:
         assert str(found).endswith("they agree")
     assert ClosureReport((), (), (), field=found).alarms == ([str(found)] if applied else [])
+
+
+@pytest.mark.parametrize(("share", "found"), [(3e-5, False), (2e-4, True)])
+def test_cross_talk_in_the_open_beam_that_is_not_stated_is_a_finding(share: float, found: bool) -> None:
+    """Channels of the same module only: beside photodiode 8 those are 9 to 15."""
+    (scan,) = scans_of("[42]")
+    assert scan.photodiode == 8
+    crosstalk, u = np.full(FILE.photodiodes.count, np.nan), np.full(FILE.photodiodes.count, 5e-6)
+    crosstalk[7], crosstalk[9] = 1e-2, share
+    beam = scanned_beam(scan, 550.0, beam_signal(scan, Instrument()), crosstalk, u)
+    text = scanned_crosstalk([beam], FILE)
+    assert bool(text) is found
+    report = ClosureReport((), (beam,), (), crosstalk=text)
+    assert report.alarms == ([text] if found else [])
+    if found:
+        assert text.startswith("photodiode 9 has 2.0e-04 (u 5e-06) of the volts of photodiode 8")
+        assert text in closure_text(report)
+    unknown = replace(beam, u_crosstalk=np.full(FILE.photodiodes.count, 1e-4))
+    assert scanned_crosstalk([unknown], FILE) == ""
+
+
+def test_a_difference_of_nothing_has_no_sign() -> None:
+    assert [signed(each) for each in (-0.04, 0.04, 0.06, -1.25)] == ["0.0", "0.0", "+0.1", "-1.2"]
+    (scan,) = scans_of("[42]")
+    signal, etalon = beam_signal(scan, Instrument()), etalon_signal(scan, Instrument())
+    each = compare(scanned_beam(scan, 550.0, signal), 550.0, signal, None, etalon, 1.0, (CERTIFICATE,), FILE)
+    report = ClosureReport((replace(each, certified=each.absolute * (1.0 + 1e-6)),), (each.beam,), ())
+    assert report.verdict.endswith("the largest difference is 0.0 u")
+    assert "-0.0  agree" not in closure_text(report)
 
 
 def test_a_field_of_view_that_nothing_explains_is_not_applied() -> None:

@@ -5,6 +5,7 @@ reduction finds can be compared with what was drawn.
 """
 
 import math
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
@@ -313,9 +314,72 @@ def test_cross_talk_that_the_rig_file_states_is_no_verdict() -> None:
     """A dark channel's volts at the higher gain are for the most part its neighbours': a ratio that depends on the signal."""
     drawn = Drawn(rows=120, gains=(HIGH, 1e11), currents_a=(2e-13, 1e-9), crosstalk=2.5e-5, readings=16, dark_readings=256)
     assert (drawn.evidence.verdicts, drawn.evidence.notes) == ((), ())
-    stated = with_uncertainty(crosstalk=0.0)
-    evidence = collect(DarkHistory(drawn.dark, stated).sums(), drawn.lit)
-    assert any("changes with the signal" in each.text for each in evidence.verdicts)
+    assert np.array_equal(drawn.evidence.crosstalk, plain(drawn).crosstalk)
+
+
+CROSSTALK = 1.5e-4
+
+
+def crossed(stated: float, **keys: float) -> tuple[Drawn, SignalEvidence]:
+    """Readings with more cross-talk than is stated, and what they show."""
+    drawn = Drawn(**{"rows": 60, "gains": (HIGH, 1e11), "currents_a": (2e-13, 1e-9), "crosstalk": CROSSTALK, **keys})  # type: ignore[arg-type]
+    return drawn, collect(DarkHistory(drawn.dark, with_uncertainty(crosstalk=stated)).sums(), drawn.lit)
+
+
+@pytest.mark.parametrize("stated", [0.0, 1e-5])
+def test_cross_talk_beyond_what_is_stated_is_in_u_and_a_note(stated: float) -> None:
+    """A share of 1.5e-4 of saturated neighbours: it is no error of a gain, and no amplifier that is not linear."""
+    drawn, evidence = crossed(stated)
+    (note,) = evidence.findings
+    assert "has up to 1.5e-04 of the volts" in note or "has up to 1.6e-04" in note
+    assert f"states a crosstalk of {stated:.1e}" in note
+    assert evidence.crosstalk == pytest.approx(np.full(N, CROSSTALK), rel=0.15)
+    assert np.max(np.abs(evidence.deviation)) < 5.0 * RIG_FILE.photodiodes.gain_uncertainty
+
+    def coverage(known: SignalEvidence) -> float:
+        signal = drawn.signals(known)
+        z = (signal.value - drawn.truth_a / MONITOR_A) / np.sqrt(signal.variance)
+        return float(np.mean(np.abs(z[np.isfinite(z)]) < 1.96))
+
+    assert coverage(evidence) > 0.97
+    assert coverage(replace(evidence, crosstalk=np.full(N, stated))) < 0.8
+
+
+def test_cross_talk_is_found_of_one_module_and_the_others_are_cleared() -> None:
+    drawn = Drawn(rows=60, gains=(HIGH, 1e11), currents_a=(2e-13, 1e-9))
+    other = Drawn(rows=60, gains=(HIGH, 1e11), currents_a=(2e-13, 1e-9), crosstalk=CROSSTALK)
+    for each, crosstalk in zip(drawn.lit, other.lit, strict=True):
+        for one, another in zip(each.data.readings, crosstalk.data.readings, strict=True):
+            one.counts[:, 8:16] = another.counts[:, 8:16]
+    evidence = drawn.evidence
+    (note,) = evidence.notes
+    assert "(photodiodes module 1)" in note
+    assert evidence.crosstalk[8:16] == pytest.approx(np.full(8, CROSSTALK), rel=0.15)
+    assert np.all(np.delete(evidence.crosstalk, np.s_[8:16]) == RIG_FILE.uncertainty.crosstalk)
+
+
+@pytest.mark.parametrize("fault", [{"settling_s": 0.06}, {"lamp": 0.02, "own": 0.02}, {"spread": 0.02}, {}])
+def test_other_faults_are_not_taken_for_cross_talk(fault: dict[str, float]) -> None:
+    _, evidence = crossed(1e-5, crosstalk=0.0, **fault)
+    assert np.all(evidence.crosstalk == 1e-5)
+    assert not any("crosstalk" in each for each in evidence.findings)
+
+
+def test_cross_talk_that_is_not_stated_has_one_input_all_the_same() -> None:
+    points = made_points(30.0, np.linspace(0.0, 55.0, 5), np.zeros(5), np.full(5, 0.01), 1e-3)
+    points = replace(points, components={**points.components, "crosstalk": (0.02 * points.bsdf) ** 2})
+    rig = with_uncertainty(crosstalk=0.0)
+    effects = effects_of(points, reduction_settings(rig, parse_schedule(SCHEDULE, "small.toml").file, None, ""))
+    assert effects.variances()["crosstalk"] == pytest.approx((0.02 * points.bsdf) ** 2, rel=1e-12)
+
+
+def test_ratios_that_are_off_together_and_none_alone_name_the_worst() -> None:
+    """Two thirds more than the certificate has, of each photodiode: chance does not make all of them."""
+    drawn = Drawn(spread=2.2e-3, rows=60, currents_a=(2e-10, 9e-10), dark_readings=64)
+    evidence = drawn.evidence
+    assert evidence.worst_ratio < 5.0
+    (note,) = evidence.notes
+    assert re.search(r"most certainly of photodiodes \d", note)
 
 
 @pytest.mark.long

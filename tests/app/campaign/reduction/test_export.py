@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from goniotwin.app.campaign.reduction import export as export_module
+from goniotwin.app.campaign.reduction.components import interval, mostly_added
 from goniotwin.app.campaign.reduction.export import export, export_format, regrid
 from goniotwin.app.campaign.reduction.overlaps import overlaps
 from goniotwin.app.campaign.reduction.points import BsdfPoints, join_points
@@ -140,6 +141,19 @@ def test_a_csv_has_every_point(reduced: BsdfDataset, tmp_path: Path) -> None:
     assert any("SIMULATED" in comment for comment in points.comments)
     assert len(points.columns["bsdf_per_sr"]) == 360
     assert list(np.unique(points.columns["flags"])) == ["", "shadowed"]
+
+
+def test_a_csv_states_the_rule_of_the_intervals(reduced: BsdfDataset, tmp_path: Path) -> None:
+    """By it a reader gets those of `interval`."""
+    export(reduced, None, tmp_path / "a.csv", export_format("csv"))
+    (rule,) = (each for each in read_points_csv(tmp_path / "a.csv").comments if "interval" in each)
+    threshold = float(rule.partition("above ")[2].partition(" %")[0]) / 100.0
+    added = rule.partition("all components but ")[2].partition(")")[0].split(", ")
+    u, one = np.array([0.99, 1.01]) * threshold, np.ones(2)
+    for names, logarithms in ((["pose"], [False, True]), *(([name], [False, False]) for name in added)):
+        ends = interval(one, u, mostly_added(dict.fromkeys(names, u**2)), 1.0)
+        for end, sign in zip(ends, (-1.0, 1.0), strict=True):
+            assert end == pytest.approx(np.where(logarithms, np.exp(sign * u), 1.0 + sign * u), rel=1e-12)
 
 
 def test_a_csv_has_the_fields_component_and_a_flag_where_it_is_unknown(reduced: BsdfDataset, tmp_path: Path) -> None:

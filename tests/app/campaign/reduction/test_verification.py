@@ -78,6 +78,8 @@ def test_the_components_of_a_value_add_up_to_its_uncertainty(measure: Measure, c
         ("sigma=31,zenith=36,azimuth=180", "--at sigma=31: gaussian-5 was not measured there, but at 30, 35 deg"),
         ("sigma=30,zenith=36.4,azimuth=180", r"no direction within 0.05 deg .* the nearest are zenith 36, azimuth 180"),
         ("sigma=30,zenith=36,theta=6,phi=180", "--at zenith: give either theta and phi, or zenith and azimuth"),
+        ("sigma=30,zenith=36,azimuth=180,light=transmitted", "gaussian-5 has no such values there, only reflected light"),
+        ("sigma=30,zenith=36,azimuth=180,photodiode=3.5", r"photodiode=3.5: gaussian-5 has no values of it there, but of \d"),
         ("sample=paint,sigma=30,zenith=36,azimuth=180", "--at sample=paint: choose one of the journal's samples: gaussian-5"),
     ],
 )  # fmt: skip
