@@ -834,6 +834,8 @@ def test_the_memory_of_an_export_grows_by_less_than_a_kilobyte_per_row_and_each_
 ) -> None:
     """With small blocks a short journal shows what a long one takes."""
     monkeypatch.setattr(reduction, "BLOCK_ROWS", 16)
+    monkeypatch.setattr(readings, "EVIDENCE_ROWS", 16)
+    monkeypatch.setattr(readings, "ROWS_AT_ONCE", 16)
     monkeypatch.setattr(exporting, "PART_POINTS", 64)
     reduced = 0
 

@@ -117,15 +117,18 @@ def _of_group(points: BsdfPoints, group: Group) -> Effects:
 def dark(points: BsdfPoints, settings: ReductionSettings) -> Effects:
     """The dark readings of a photodiode and a gain before and after a row: what was subtracted is between the two, by time."""
     # Its volts are one share of a bright value and another of a dark one.
-    return _of_dark_readings(points, settings, points.row, points.gain, -_signed(points, "dark"))
+    return _of_dark_readings("dark", points, settings, points.row, points.gain, -_signed(points, "dark"))
 
 
 def etalon_dark(points: BsdfPoints, settings: ReductionSettings) -> Effects:
     """The same before and after the etalon's row: common to the etalon's readings of a photodiode between them."""
-    return _of_dark_readings(points, settings, points.etalon_row, points.etalon_gain, _relative(points, "etalon_dark"))
+    relative = _relative(points, "etalon_dark")
+    return _of_dark_readings("etalon_dark", points, settings, points.etalon_row, points.etalon_gain, relative)
 
 
-def _of_dark_readings(points: BsdfPoints, settings: ReductionSettings, rows: Ints, gain: Ints, signed: Floats) -> Effects:
+def _of_dark_readings(
+    name: str, points: BsdfPoints, settings: ReductionSettings, rows: Ints, gain: Ints, signed: Floats
+) -> Effects:
     history = settings.history
     before = rows if history is None else history.dark_readings(rows)
     share = np.zeros(points.size) if history is None else history.dark_share(rows)
@@ -136,7 +139,7 @@ def _of_dark_readings(points: BsdfPoints, settings: ReductionSettings, rows: Int
         "rows of this photodiode and gain until the next dark reading, and after the one before", scaled=True,
     )  # fmt: skip
     member = np.where(shares > 0.0, both.member.reshape(2, points.size).T, -1)
-    return _of_group(points, replace(both, member=member, sensitivity=signed[:, None] * shares))
+    return _of_group(points, replace(both, name=name, member=member, sensitivity=signed[:, None] * shares))
 
 
 def etalon_reading(points: BsdfPoints, settings: ReductionSettings) -> Effects:

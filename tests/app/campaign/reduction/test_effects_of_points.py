@@ -86,6 +86,7 @@ def relative_of(noise: Floats) -> dict[str, Floats]:
         "noise": noise,
         "resolution": 0.1 * noise,
         "dark": 0.5 * noise,
+        "etalon_dark": 1e-4 * (2.0 + photodiode),
         "monitor": np.sqrt(2.0) * U_MONITOR * one,
         "monitor_drift": 0.3 * noise,
         "monitor_linearity": 0.1 * noise,
@@ -154,7 +155,7 @@ def test_the_pipeline_and_the_effects_agree_on_what_is_a_family() -> None:
     assert set(effects.independent) == ALONE
     assert not ALONE & set(FAMILIES)
     assert sorted(group.name for group in effects.groups) == [
-        "calibration", "dark", "etalon_reading", "gain", "lamp", "monitor", "photodiode_angle", "position",
+        "calibration", "dark", "etalon_dark", "etalon_reading", "gain", "lamp", "monitor", "photodiode_angle", "position",
     ]  # fmt: skip
     names = [each.name for part in effects.dense for each in part.inputs]
     assert {"certificate[level]", "field", "signature", "something_new", "sigma_zero", "sample_tilt_x@sample#1"} <= set(names)
@@ -200,7 +201,7 @@ def test_covariances_are_those_that_gtc_finds_from_the_formula_of_a_value(settin
             assert each.u == pytest.approx(abs(GTC.component(mean, formula.inputs[each.name])), rel=1e-6), each.name
 
 
-GTC_NAMES = ("noise", "monitor", "lamp", "gain", "crosstalk", "etalon_reading", "calibration", "dark")
+GTC_NAMES = ("noise", "monitor", "lamp", "gain", "crosstalk", "etalon_reading", "calibration", "dark", "etalon_dark")
 
 
 class Formula:
@@ -226,7 +227,8 @@ class Formula:
         )
         signal = signal / self._gain(c, gain) / self._monitor(row)
         reading = 1.0 + self._input(f"etalon_reading[{c}]@row {etalon_row}", self._relative["etalon_reading"][k])
-        etalon = reading / self._gain(c, 0) / self._monitor(etalon_row)
+        dark = self._relative["etalon_dark"][k] * self._input(f"dark[{c}, {volts[0]:g} V/A]@dark {etalon_row}", 1.0)
+        etalon = reading * (1.0 - dark) / self._gain(c, 0) / self._monitor(etalon_row)
         factor = 1.0 + self._input(f"calibration[{c}]", self._relative["calibration"][k])
         table = FILE.uncertainty
         u_crosstalk = table.crosstalk
