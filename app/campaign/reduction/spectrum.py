@@ -161,7 +161,7 @@ def correct_band(data: ArcRows, settings: ReductionSettings) -> ArcRows:
         left = np.where(known.exact[:, None] & (left <= OF_ACCOUNT), 0.0, left)  # a parabola has it too
         unresolved = (left > OF_ACCOUNT) & (left > np.abs(here))
         f1 = np.where(unresolved, _steeper_side(f, wavelengths), f1)
-        steep[rows] = _of_rows(unresolved | (np.abs(here) > LARGE_EFFECT), cells)
+        steep[rows] = _of_rows(np.where(unresolved | (np.abs(here) > LARGE_EFFECT), 1.0, 0.0), cells) > 0.0
         shape[rows] = _of_rows(np.nan_to_num(left), cells)
         here = np.where(np.abs(here) <= LARGEST_EFFECT, here, np.nan)
         slope[rows], effect[rows] = _of_rows(f1 / f, cells), _of_rows(np.log1p(here), cells)
