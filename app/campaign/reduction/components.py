@@ -64,8 +64,8 @@ def interval(value: Floats, u: Floats, added: Flags, coverage: float = COVERAGE)
 
 COMMON = frozenset(
     {
-        "etalon_age", "etalon_edge", "open_beam", "mounting", "uniformity", "wavelength", "bandwidth", "monochromator_stray",
-        "polarisation",
+        "etalon_age", "etalon_edge", "open_beam", "mounting", "uniformity", "wavelength", "bandwidth", "band_shape",
+        "monochromator_stray", "polarisation",
     }
 )  # fmt: skip
 """Components whose errors are the same for two values of one direction, or of a direction and its mirror image."""

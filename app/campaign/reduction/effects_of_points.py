@@ -243,6 +243,16 @@ def calibration(points: BsdfPoints, settings: ReductionSettings) -> Effects:
     return _of_group(points, _grouped("calibration", points.photodiode[:, None], relative, lambda key: f"[{key[0]}]", shared))
 
 
+def band_shape(points: BsdfPoints, settings: ReductionSettings) -> Effects:
+    """What the parabola over the wavelengths does not resolve: the same spectrum in all directions."""
+    del settings
+    keys = np.round(1e3 * points.wavelength_nm).astype(np.int64)[:, None]
+    relative = _relative(points, "band_shape")
+    return _of_group(
+        points, _grouped("band_shape", keys, relative, lambda key: f"[{1e-3 * key[0]:g} nm]", "all values of this wavelength")
+    )
+
+
 def field(points: BsdfPoints, settings: ReductionSettings) -> Effects:
     """The logarithm of the variance of the directions in the field of view: with more of it more had to be corrected."""
     source = _of_table("field", "field_of_view", settings)
@@ -353,6 +363,7 @@ FAMILIES: Mapping[str, EffectsOf] = {
     "crosstalk": crosstalk,
     "signature": signature,
     "calibration": calibration,
+    "band_shape": band_shape,
     "field": field,
     "pose": angles,
     "position": angles,

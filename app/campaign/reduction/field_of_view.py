@@ -83,7 +83,7 @@ class FieldOfView:
     per degree, along the arc and across it, and `unresolved` (n, 2) is the standard uncertainty of the slopes by neighbours
     that are too far apart. `noise` is that of the correction by the slopes' noise and by what they do not resolve. `estimate`,
     in the values' unit, is the whole effect on a value that cannot be corrected. `steep`: the directions nearby are too far
-    apart for the slope.
+    apart for the slope, or there are none across the arc and the lobe need not be round.
     """
 
     correction: Floats
@@ -95,8 +95,8 @@ class FieldOfView:
     steep: Flags
 
     @classmethod
-    def of(cls, points: BsdfPoints, instrument: Instrument) -> Self:
-        """Of points in any order; NaN for those without a trusted value."""
+    def of(cls, points: BsdfPoints, instrument: Instrument, *, round_lobe: bool = True) -> Self:
+        """Of points in any order; NaN for those without a trusted value. `round_lobe` as in `slopes_of`."""
         n = points.bsdf.size
         correction, noise, estimate = (np.full(n, np.nan) for _ in range(3))
         slope, bend, unresolved = (np.full((n, 2), np.nan) for _ in range(3))
@@ -110,7 +110,7 @@ class FieldOfView:
         for end in [*(np.flatnonzero(changes) + 1).tolist(), order.size]:
             if end - begin >= CHUNK_POINTS or end == order.size > begin:
                 part = order[begin:end]
-                found = _evaluate(merge_directions(points.where(part)), instrument)
+                found = _evaluate(merge_directions(points.where(part)), instrument, round_lobe=round_lobe)
                 for name, column in vars(found).items():
                     getattr(result, name)[part] = column
                 begin = end
@@ -180,7 +180,7 @@ def merge_directions(points: BsdfPoints) -> MergedDirections:
     )
 
 
-def _evaluate(values: MergedDirections, instrument: Instrument) -> FieldOfView:
+def _evaluate(values: MergedDirections, instrument: Instrument, *, round_lobe: bool) -> FieldOfView:
     """The correction and its parts, for each point of the `values`."""
     directions, n = values.directions, values.bsdf.size
     variance = field_variance(instrument)
@@ -190,7 +190,7 @@ def _evaluate(values: MergedDirections, instrument: Instrument) -> FieldOfView:
     lit = directions if light.all() else directions.where(light)
     bsdf = values.bsdf[light]
     relative = (np.sqrt(values.variance[light]) / bsdf) ** 2
-    slopes = slopes_of(lit, np.log(bsdf), relative, window)
+    slopes = slopes_of(lit, np.log(bsdf), relative, window, round_lobe=round_lobe)
     covariance = directions_covariance(instrument, lit, values.sigma[light], values.transmitted[light])
     correction = correct_logarithm(slopes, covariance)
     noise = np.hypot(np.sqrt(slopes.noise(correction.sensitivity, relative)), slopes.unresolved(correction.sensitivity))
@@ -218,6 +218,8 @@ def _evaluate(values: MergedDirections, instrument: Instrument) -> FieldOfView:
     steep = np.maximum(np.append(step, 0.0), np.insert(step, 0, 0.0)) > TENFOLD
     steep |= np.nan_to_num(everywhere(np.maximum(slopes.circle.step, 0.0))) > TENFOLD
     steep[light] |= slopes.undecided()
+    if not round_lobe:
+        steep[light] |= slopes.unknown_across()
     sign = np.where(values.opposite, -1.0, 1.0)[:, None]
     which = values.which
     return FieldOfView(
@@ -236,7 +238,9 @@ def correct_field_of_view(points: BsdfPoints, settings: ReductionSettings) -> Bs
 
     Values that cannot be corrected keep the flag `field`, but for those that are lost in their noise.
     """
-    found = FieldOfView.of(points, nominal_instrument(settings.rig))
+    # Of a plane-symmetric sample the slope across is 0 in its plane; its lobe is as narrow across as it may be.
+    round_lobe = settings.schedule.symmetry == "isotropic"
+    found = FieldOfView.of(points, nominal_instrument(settings.rig), round_lobe=round_lobe)
     corrected = np.isfinite(found.correction)
     correction = np.where(corrected, found.correction, 0.0)
     factor = np.exp(correction)

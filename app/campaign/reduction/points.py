@@ -76,7 +76,10 @@ FLAGS: dict[str, Flag] = {
     "under-range": Flag("lost in its noise", False),
     "field": Flag("the effect of the field of view cannot be estimated: it is neither corrected nor in u_bsdf", False),
     # A good value with a warning: a slope is what turns an error of an angle into one of the value.
-    "steep": Flag("the directions nearby are too far apart for the slope here: u_bsdf may be too small", False),
+    "steep": Flag(
+        "the slope of the lobe along or across the arc, or of the spectrum, is not resolved by the measured directions or "
+        "wavelengths nearby: u_bsdf may be too small", False,
+    ),
 }  # fmt: skip
 """The flags of a point by their names in files. Where a point has no value, a flag gives the reason."""
 BITS = {name: np.uint16(1 << k) for k, name in enumerate(FLAGS)}

@@ -2,8 +2,9 @@
 
 A value is the mean of the quotient of sample and etalon over the band, weighted by the etalon's signal S. For a band with the
 variance s^2 (of a triangle: its width squared over 6) that is, to second order, q + s^2 (q'' / 2 + q' S' / S). Derivatives are
-those of a parabola through the same photodiode's values of the same pose at the wavelengths nearby. The steps need all rows of
-a pose together. Where too few wavelengths were measured, wavelength or band are not in u, and the notes name them.
+those of a parabola through the same photodiode's values of the same pose at the wavelengths nearby; their departure from it is
+the component `band_shape`. The steps need all rows of a pose together. Where too few wavelengths were measured, wavelength or
+band are not in u, and the notes name them.
 """
 
 from collections import defaultdict
@@ -20,7 +21,7 @@ from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.uncertainty.effects import Dense, Effects
 from goniotwin.app.campaign.uncertainty.inputs import Input
 from goniotwin.app.rig import RigFile
-from goniotwin.arrays import Floats, Ints
+from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.twin.optics.geometry.coordinates import round_deg
 
 ASSUMED_BAND_NM = 5.0
@@ -36,6 +37,12 @@ MOST_OTHERS = 8
 FEWEST_OTHERS = 3
 LARGEST_EFFECT = 0.5
 """An effect of the band beyond this is not corrected: the second order does not describe it."""
+LARGE_EFFECT = 0.1
+"""An effect beyond this is flagged: its fourth order may be as large."""
+OF_ACCOUNT = 0.02
+"""Values that depart from their parabola by less of themselves are not flagged; it is in their u."""
+CERTAIN = 3.0
+"""Standard uncertainties beyond which a departure is one of the spectrum."""
 KNOWN_HALF = 0.5
 """Relative standard uncertainty of the effect of a stated band: its shape, its width, and the third order."""
 
@@ -48,12 +55,18 @@ NO_BAND = f"they need three wavelengths within {BANDS:g} bands, and light"
 class Stencil:
     """Derivatives at wavelengths (w,) as sums over neighbours: their indices (w, m), and weights (w, m) of both derivatives.
 
-    Weights are NaN where a derivative is unknown. `others` are the wavelengths that stand for all.
+    Weights are NaN where a derivative is unknown. `departure` (w, m, m) gives the departures of the wavelengths `nearby` (w, m)
+    from a parabola, as large as a spectrum that is none has them for the freedom that the fit leaves. Where three wavelengths
+    leave none, `exact` (w,), it gives the effect of the band on a spectrum of two lines that meet at the middle one. `others`
+    are the wavelengths that stand for all.
     """
 
     index: Ints
     first: Floats
     second: Floats
+    nearby: Ints
+    departure: Floats
+    exact: Flags
     others: Ints
 
     @property
@@ -73,7 +86,8 @@ def stencil(wavelengths_nm: tuple[float, ...], band: float) -> Stencil:
     """The stencil of ascending wavelengths for a band."""
     at = np.array(wavelengths_nm)
     index = np.repeat(np.arange(at.size)[:, None], MOST_FITTED, axis=1)
-    first, second = np.zeros(index.shape), np.zeros(index.shape)
+    first, second, departure = np.zeros(index.shape), np.zeros(index.shape), np.zeros((*index.shape, MOST_FITTED))
+    nearby, exact = index.copy(), np.zeros(at.size, dtype=bool)
     for k in range(at.size):
         near, order = _neighbours(at, k, band)
         if order == 0:
@@ -85,14 +99,29 @@ def stencil(wavelengths_nm: tuple[float, ...], band: float) -> Stencil:
         inverse = np.linalg.pinv(powers)
         first[k, : near.size] = inverse[1] / scale
         second[k, : near.size] = 2.0 * inverse[2] / scale**2 if order == 2 else np.nan
+        if order < 2:
+            continue
+        wider, order = _neighbours(at, k, band, (BANDS,))
+        tested = wider if near.size == 3 and order == 2 else near
+        nearby[k, : tested.size] = tested
+        if tested.size == 3:
+            exact[k] = True
+            departure[k, 0] = second[k] * 0.5 * float(np.ptp(at[near])) * band / 6.0
+        else:
+            powers = np.vander((at[tested] - at[k]) / scale, 3, increasing=True)
+            left = np.eye(tested.size) - powers @ np.linalg.pinv(powers)
+            departure[k, : tested.size, : tested.size] = np.sqrt(tested.size / (tested.size - 3.0)) * left
     others = np.unique(np.round(np.linspace(0, at.size - 1, MOST_OTHERS)).astype(np.int64))
-    return Stencil(index, first, second, others)
+    return Stencil(index, first, second, nearby, departure, exact, others)
 
 
-def _neighbours(at: Floats, k: int, band: float) -> tuple[Ints, int]:
-    """The wavelengths that are fitted at the one with index k, and the order of the fit: 2, 1, or 0 for none."""
+def _neighbours(at: Floats, k: int, band: float, widths: tuple[float, ...] = (0.5 * BANDS, BANDS)) -> tuple[Ints, int]:
+    """The wavelengths that are fitted at the one with index k, and the order of the fit: 2, 1, or 0 for none.
+
+    A parabola is that over the first one of the `widths`, in bands, that has enough of them.
+    """
     apart = np.abs(at - at[k])
-    for width in (0.5 * BANDS, BANDS):
+    for width in widths:
         within = np.flatnonzero(apart <= width * band * (1.0 + 1e-9))
         spread = at[within[-1]] - at[within[0]]
         if within.size >= 3 and spread <= BANDS * band * (1.0 + 1e-9):
@@ -111,13 +140,16 @@ def _thinned(within: Ints, k: int) -> Ints:
 
 
 def correct_band(data: ArcRows, settings: ReductionSettings) -> ArcRows:
-    """Correct the quotients for the band, where it is stated, and note what they change with the wavelength."""
+    """Correct the quotients for the band, where it is stated, and note what they change with the wavelength.
+
+    Values have the flag `steep` where the spectrum nearby is no parabola, or the effect of the band is large.
+    """
     band = band_nm(settings.rig)
     variance = band**2 / 6.0
     value = data.estimate.value
     detected = value > DETECTED * np.sqrt(data.estimate.variance)
     slope, effect, contrast = (np.full(value.shape, np.nan) for _ in range(3))
-    noise = np.ones(value.shape)
+    noise, shape, steep = np.ones(value.shape), np.zeros(value.shape), np.zeros(value.shape, dtype=bool)
     for wavelengths, rows, cells in _poses(data.rows):
         known = stencil(wavelengths, band)
         f = _means(np.where(detected, value, np.nan)[rows], cells, len(wavelengths))
@@ -125,17 +157,25 @@ def correct_band(data: ArcRows, settings: ReductionSettings) -> ArcRows:
         f1, f2 = _derivatives(f, known)
         relative = _derivatives(s, known)[0] / s
         here = -variance * (0.5 * f2 + f1 * relative) / f
+        left = _departure(f, _means(data.estimate.variance[rows], cells, len(wavelengths)), known) / f
+        left = np.where(known.exact[:, None] & (left <= OF_ACCOUNT), 0.0, left)  # a parabola has it too
+        unresolved = (left > OF_ACCOUNT) & (left > np.abs(here))
+        f1 = np.where(unresolved, _steeper_side(f, wavelengths), f1)
+        steep[rows] = _of_rows(np.where(unresolved | (np.abs(here) > LARGE_EFFECT), 1.0, 0.0), cells) > 0.0
+        shape[rows] = _of_rows(np.nan_to_num(left), cells)
         here = np.where(np.abs(here) <= LARGEST_EFFECT, here, np.nan)
         slope[rows], effect[rows] = _of_rows(f1 / f, cells), _of_rows(np.log1p(here), cells)
         noise[rows] = _of_rows(_amplified_noise(known, relative, variance), cells)
         contrast[rows] = _of_rows(_contrast(f, s, known), cells)
     data = replace(data, wavelength_slope=slope, band_correction=effect, stray_contrast=contrast)
-    if settings.rig.light.bandwidth_nm is None:
-        return data
-    noise = np.where(np.isfinite(effect), noise, 1.0)
-    estimate = data.estimate.scaled(np.exp(np.nan_to_num(effect)))
-    components = {name: each * noise if name in INDEPENDENT else each for name, each in estimate.components.items()}
-    return replace(data, estimate=replace(estimate, components=components))
+    if settings.rig.light.bandwidth_nm is not None:
+        noise = np.where(np.isfinite(effect), noise, 1.0)
+        estimate = data.estimate.scaled(np.exp(np.nan_to_num(effect)))
+        components = {name: each * noise if name in INDEPENDENT else each for name, each in estimate.components.items()}
+        data = replace(data, estimate=replace(estimate, components=components))
+    if shape.any():
+        data = data.with_component("band_shape", (shape * data.estimate.value) ** 2)
+    return data.flagged({"steep": steep}) if steep.any() else data
 
 
 def _poses(rows: Sequence[Row]) -> Iterator[tuple[tuple[float, ...], Ints, Ints]]:
@@ -181,6 +221,24 @@ def _derivatives(values: Floats, known: Stencil) -> tuple[Floats, Floats]:
         first += known.first[:, m, None] * used
         second += known.second[:, m, None] * used
     return first, second
+
+
+def _departure(values: Floats, variance: Floats, known: Stencil) -> Floats:
+    """Largest departure of values (poses, wavelengths, n) near each one from its parabola, beyond noise; 0 where unknown."""
+    result = np.zeros(values.shape)
+    for k in np.flatnonzero(known.departure.any(axis=(1, 2))).tolist():
+        near, weights = known.nearby[k], known.departure[k]
+        of_noise = CERTAIN**2 * (weights**2 @ variance[:, near])
+        squared = np.max((weights @ values[:, near]) ** 2 - of_noise, axis=1)
+        result[:, k] = np.sqrt(np.maximum(np.nan_to_num(squared), 0.0))
+    return result
+
+
+def _steeper_side(values: Floats, wavelengths_nm: Sequence[float]) -> Floats:
+    """The steeper one of the slopes to both neighbours, of values (poses, wavelengths, n)."""
+    steps = np.diff(values, axis=1) / np.diff(wavelengths_nm)[:, None]
+    before, after = (np.concatenate(each, axis=1) for each in ((steps[:, :1], steps), (steps, steps[:, -1:])))
+    return np.where(np.abs(after) >= np.abs(before), after, before)
 
 
 def _amplified_noise(known: Stencil, relative: Floats, variance: float) -> Floats:

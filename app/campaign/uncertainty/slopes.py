@@ -2,7 +2,8 @@
 
 Along the arc: a local parabola through the logarithms, which follows a Gaussian lobe exactly, however far apart its values are.
 Across it: the same on a circle about the normal, where other beta near enough were measured; elsewhere the lobe is taken to be
-rotationally symmetric about the specular direction (for transmitted light: about the direction of regular transmission). What a
+rotationally symmetric about the specular direction (for transmitted light: about the direction of regular transmission). Where
+the schedule does not state it that is an estimate, and the mixed derivative that of the arcs' slopes along the circle. What a
 parabola does not resolve shows in the slopes of the two sides, which have neighbours of their own.
 
 Axes. A direction d is on an arc at the signed polar angle p, from the arc's own pole, in the half plane at the azimuth A, its
@@ -223,9 +224,9 @@ class Directions:
 class Slopes:
     """Derivatives of y at each direction (n,): along, across, and mixed; NaN where there are too few neighbours.
 
-    They are linear in the derivatives of the parabolas, `arc` and, where it was measured across, `circle`: `mixing` (n, 5, 4)
-    is the derivative of (first_along, first_across, second_along, second_across, mixed) by (arc.first, arc.second,
-    circle.first, circle.second).
+    They are linear in the derivatives of the parabolas, `arc` and, where it was measured across, `circle` and `crossed`, that
+    of the arcs' slopes on the circle: `mixing` (n, 5, 5) is the derivative of (first_along, first_across, second_along,
+    second_across, mixed) by (arc.first, arc.second, circle.first, circle.second, crossed.first).
     """
 
     first_along: Floats
@@ -235,6 +236,7 @@ class Slopes:
     mixed: Floats
     arc: Parabola
     circle: Parabola
+    crossed: Parabola
     mixing: Floats
 
     def noise(self, sensitivity: Floats, own_variance: Floats) -> Floats:
@@ -251,6 +253,8 @@ class Slopes:
             part = a**2 * fit.variance_first + b**2 * fit.variance_second + 2.0 * a * b * fit.covariance
             total += np.where(used, part, 0.0)
             own += np.where(used, a * fit.own_first + b * fit.own_second, 0.0)
+        # The arcs' slopes at the neighbours have readings of their own, and the value's own slope nearly cancels.
+        total += np.where(by[:, 4] != 0.0, by[:, 4] ** 2 * self.crossed.variance_first, 0.0)
         return np.maximum(total - 2.0 * own * own_variance, 0.0)
 
     def unresolved(self, sensitivity: Floats) -> Floats:
@@ -262,11 +266,12 @@ class Slopes:
         """
         by = np.einsum("nk,nkl->nl", sensitivity, self.mixing)
         total = np.zeros(by.shape[0])
-        for first, fit in ((0, self.arc), (2, self.circle)):
+        for first, fit in ((0, self.arc), (2, self.circle), (4, self.crossed)):
             half = np.maximum(fit.half_difference**2 - NOISE_MARGIN * fit.variance_half, 0.0)
             departure = np.maximum(fit.departure**2 - NOISE_MARGIN * fit.variance_departure, 0.0)
-            part = by[:, first] ** 2 * (half + fit.third**2 * departure) + by[:, first + 1] ** 2 * fit.fourth**2 * half
-            total += np.nan_to_num(part)
+            total += np.nan_to_num(by[:, first] ** 2 * (half + fit.third**2 * departure))
+            if first < 4:
+                total += np.nan_to_num(by[:, first + 1] ** 2 * fit.fourth**2 * half)
         return np.sqrt(total)
 
     def undecided(self) -> Flags:
@@ -280,23 +285,49 @@ class Slopes:
                 result |= (half > UNDECIDED) & (np.abs(fit.half_difference) > mean)
         return result
 
+    def unknown_across(self) -> Flags:
+        """Where there is a lobe by what was measured along the arc, and nothing was measured across it.
+
+        A lobe has a slope of more than UNDECIDED, beyond its noise, or one so far away as a neighbour may be.
+        """
+        slope = np.abs(self.arc.first) - NOISE_MARGIN * np.sqrt(self.arc.variance_first)
+        bend = np.abs(self.arc.second) - NOISE_MARGIN * np.sqrt(self.arc.variance_second)
+        with np.errstate(invalid="ignore"):
+            lobe = (slope > UNDECIDED) | (MAX_DISTANCE_RAD * bend > UNDECIDED)
+        return np.asarray(lobe & ~np.isfinite(self.circle.second))
+
 
 UNDECIDED = math.degrees(0.05)
 """Half differences of two slopes below this, 5 % a degree, are of no account."""
 
 
-def slopes_of(directions: Directions, y: Floats, variance: Floats, window: float) -> Slopes:
-    """Slopes of `y`, with the `variance` of its noise, over all directions; the parabolas' smallest half width is `window`."""
+def slopes_of(directions: Directions, y: Floats, variance: Floats, window: float, *, round_lobe: bool = True) -> Slopes:
+    """Slopes of `y`, with the `variance` of its noise, over all directions; the parabolas' smallest half width is `window`.
+
+    `round_lobe`: the lobe is stated to be rotationally symmetric, so that where its slope across was measured, the mixed
+    derivative is that of a lobe with equal curvatures, 0.
+    """
     arc = local_parabola(directions.plane, directions.polar, y, variance, window, MAX_DISTANCE_RAD)
     circle = _circles(directions, y, variance, window)
-    mixing = np.zeros((y.size, 5, 4))
+    mixing = np.zeros((y.size, 5, 5))
     _mix(
         directions.polar, directions.up, directions.middle, directions.along, directions.across, arc.second,
         arc.variance_second, circle.second, window, mixing,
     )  # fmt: skip
-    base = np.stack([arc.first, arc.second, np.nan_to_num(circle.first), np.nan_to_num(circle.second)], axis=1)
-    along, across, second_along, second_across, mixed = np.einsum("nkl,nl->kn", mixing, base)
-    return Slopes(along, across, second_along, second_across, mixed, arc, circle, mixing)
+    if round_lobe or not np.isfinite(circle.second).any():
+        crossed = Parabola(*np.full((PARABOLA_COLUMNS, y.size), np.nan))
+    else:
+        # From the derivative along the circle of that by the polar angle, less what the circle's curvature makes of the slope.
+        outward = np.where(directions.polar < 0.0, -1.0, 1.0)
+        crossed = _circles(directions, outward * arc.first, arc.variance_first, window)
+        turned = np.isfinite(crossed.first) & np.isfinite(circle.second)
+        up, polar = directions.up[turned], np.abs(directions.polar[turned])
+        mixing[turned, 4, 2], mixing[turned, 4, 4] = -up / np.tan(polar), up
+    firsts = [np.nan_to_num(each) for each in (circle.first, circle.second, crossed.first)]
+    along, across, second_along, second_across, mixed = np.einsum(
+        "nkl,nl->kn", mixing, np.stack([arc.first, arc.second, *firsts], axis=1)
+    )
+    return Slopes(along, across, second_along, second_across, mixed, arc, circle, crossed, mixing)
 
 
 def _circles(directions: Directions, y: Floats, variance: Floats, window: float) -> Parabola:

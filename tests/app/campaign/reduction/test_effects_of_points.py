@@ -121,7 +121,8 @@ SLOPES = arrays(np.float64, (COUNT, 2), elements=st.one_of(st.floats(-5.0, 5.0),
 @given(values(-3.0, 3.0), SLOPES, values(0.0, 1.0))
 def test_the_parts_of_any_points_sum_to_their_uncertainty(bsdf: Floats, slope: Floats, noise: Floats) -> None:
     bsdf = np.where(np.abs(bsdf) < 1e-6, 0.0, bsdf)
-    points = measured(bsdf, slope, relative_of(noise), ALL_SETTINGS)
+    relative = {**relative_of(noise), "band_shape": 0.3 * noise}
+    points = measured(bsdf, slope, relative, ALL_SETTINGS)
     assert set(points.components) == (ALONE | set(FAMILIES) | {"something_new"}) - {"open_beam"}
     effects = effects_of(points, ALL_SETTINGS)
     expected = points.u_bsdf**2

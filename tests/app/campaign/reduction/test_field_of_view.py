@@ -25,7 +25,16 @@ from goniotwin.app.campaign.uncertainty.field import correct_logarithm, directio
 from goniotwin.app.campaign.uncertainty.slopes import Directions, Slopes, local_parabola
 from goniotwin.app.rig import nominal_instrument, read_rig
 from goniotwin.arrays import Floats
-from goniotwin.twin.optics import Instrument, arc_direction, evaluate, gaussian, light_direction, luminance_factor, to_specular
+from goniotwin.twin.optics import (
+    Instrument,
+    anisotropic_gaussian,
+    arc_direction,
+    evaluate,
+    gaussian,
+    light_direction,
+    luminance_factor,
+    to_specular,
+)
 from tests.app.campaign.reduction.made_points import made_points
 from tests.conftest import RIG, SMALL
 
@@ -115,7 +124,7 @@ def test_the_correction_inverts_the_mean_over_directions_of_a_gaussian_lobe(widt
     along, across = fits
     slopes = Slopes(
         along.first, across.first, along.second, across.second, np.full(x.size, -inverse[0, 1]), along, across,
-        np.zeros((x.size, 5, 4)),
+        across, np.zeros((x.size, 5, 5)),
     )  # fmt: skip
     found = correct_logarithm(slopes, np.tile([field[0, 0], field[1, 1], field[0, 1]], (x.size, 1)))
     original = np.linalg.inv(of_lobe)
@@ -366,6 +375,56 @@ def test_beside_values_lost_in_noise_the_slope_is_that_of_the_other_side() -> No
     assert last.sum() == 2
     assert found.slope_along[last] == pytest.approx(slope[last, 0], rel=1e-3)
     assert found.flag("steep")[last].all()
+
+
+def turned_lobe(beta: tuple[float, ...], step: float = 0.5) -> tuple[BsdfPoints, Floats]:
+    """A lobe of 10 by 2 deg, turned by 30 deg, through the twin's fast estimator; and its true slopes (n, 2)."""
+    sample = anisotropic_gaussian(10.0, 2.0, 30.0, reflectance=0.5)
+    instrument = Instrument(obstruction=False)
+    points = points_of(1.0, np.arange(28.0, 50.0, step), beta, 40.0)
+
+    def logarithms(zenith: Floats, azimuth: Floats) -> Floats:
+        return np.log(evaluate(sample, light_direction(40.0), arc_direction(zenith, azimuth)))
+
+    z, a, d = points.zenith_deg, points.azimuth_deg, 1e-3
+    along = (logarithms(z + d, a) - logarithms(z - d, a)) / (2.0 * d)
+    across = (logarithms(z, a + d) - logarithms(z, a - d)) / (2.0 * d * np.sin(np.radians(z)))
+    bsdf = luminance_factor(instrument, 40.0, arc_direction(z, a), sample) / math.pi
+    points = replace(points, bsdf=bsdf, components={"noise": np.zeros(z.size) + 1e-24})
+    return points, np.stack([along, across], axis=1)
+
+
+STATED = {
+    symmetry: replace(SETTINGS, schedule=SETTINGS.schedule.model_copy(update={"symmetry": symmetry}))
+    for symmetry in ("isotropic", "plane-symmetric", "anisotropic")
+}
+
+
+def test_a_lobe_that_need_not_be_round_is_flagged_where_nothing_was_measured_across() -> None:
+    points, slope = turned_lobe((180.0,))
+    lobe_itself = points.theta_deg < 8.0
+    found = {symmetry: correct_field_of_view(points, each) for symmetry, each in STATED.items()}
+    assert not found["isotropic"].flag("steep")[lobe_itself].any()
+    for symmetry in ("plane-symmetric", "anisotropic"):
+        assert found[symmetry].flag("steep")[lobe_itself].all()
+        assert np.array_equal(found[symmetry].bsdf, found["isotropic"].bsdf)  # a round lobe is the estimate
+    assert float(np.max(np.abs(found["anisotropic"].slope_across - slope[:, 1])[lobe_itself])) > 0.5
+    # A diffuser has no lobe, and with other beta the slope across is measured.
+    diffuse = replace(points_of(np.full(86, 0.3), beta=(180.0,)), components={"noise": np.full(86, 1e-6)})
+    assert not correct_field_of_view(diffuse, STATED["anisotropic"]).flag("steep").any()
+    measured, _ = turned_lobe((178.0, 179.0, 180.0, 181.0, 182.0))
+    middle = (measured.azimuth_deg == 180.0) & (measured.theta_deg < 8.0)
+    assert not correct_field_of_view(measured, STATED["anisotropic"]).flag("steep")[middle].any()
+
+
+def test_a_turned_lobe_has_the_mixed_derivative_of_the_arcs_slopes() -> None:
+    points, slope = turned_lobe((178.0, 179.0, 180.0, 181.0, 182.0))
+    middle = (points.azimuth_deg == 180.0) & (points.theta_deg < 8.0)
+    round_one, found = (correct_field_of_view(points, STATED[each]) for each in ("isotropic", "anisotropic"))
+    errors = [
+        np.max(np.abs(np.stack([each.slope_along, each.slope_across], axis=1) - slope)[middle]) for each in (round_one, found)
+    ]
+    assert errors[1] < 0.6 * errors[0]
 
 
 def test_values_with_too_few_neighbours_are_not_corrected_and_flagged() -> None:

@@ -188,6 +188,70 @@ def test_the_noise_of_a_corrected_value_is_that_of_the_sum_that_it_is(step: floa
     assert corrected.estimate.components["noise"][:, 0] == pytest.approx(1e-4 * np.sum(jacobian**2, axis=1), rel=1e-4)
 
 
+def kinked_through_band(at: Floats, kink_nm: float, band: float) -> tuple[Floats, Floats]:
+    """A spectrum that rises by 4 % a nm to this wavelength and is flat from there on, through the band; and the spectrum."""
+    x = np.linspace(-band, band, 4001)
+    weight = (1.0 - np.abs(x) / band) / np.sum(1.0 - np.abs(x) / band)
+
+    def f(nm: Floats) -> Floats:
+        return np.asarray(1.0 + 0.04 * np.minimum(nm - kink_nm, 0.0))
+
+    return (f(at[:, None] + x) @ weight)[:, None], f(at)[:, None]
+
+
+@pytest.mark.parametrize(
+    ("at", "band", "stated"),
+    [
+        (np.arange(510.0, 536.0, 2.5), 5.0, True),
+        (np.arange(510.0, 536.0, 5.0), 5.0, True),
+        (np.arange(510.0, 536.0, 5.0), 5.0, False),
+        (np.arange(510.0, 541.0, 5.0), 10.0, True),
+        (np.arange(510.0, 541.0, 10.0), 5.0, True),  # three wavelengths: what two lines would do
+    ],
+)
+def test_a_kink_in_the_spectrum_is_in_u_and_flagged(at: Floats, band: float, stated: bool) -> None:
+    kink = int(np.argmin(np.abs(at - 520.0)))
+    measured, true = kinked_through_band(at, float(at[kink]), band)
+    rows = correct_band(arc_rows(measured, np.ones(measured.shape), at, noise=1e-4), settings(band if stated else None))
+    points = replace(
+        made_points(30.0, np.zeros(at.size), np.zeros(at.size), rows.estimate.value[:, 0], 0.0),
+        band_correction=rows.band_correction[:, 0],
+    )
+    effects = bandwidth_effects(points, settings(band if stated else None))
+    assert effects is not None
+    variance = effects.variances()["bandwidth"] + rows.estimate.components["band_shape"][:, 0]
+    error = np.abs(rows.estimate.value - true)[kink, 0]
+    assert error > 2.0 * np.sqrt(effects.variances()["bandwidth"])[kink]  # without it
+    assert error < 1.5 * np.sqrt(variance)[kink]
+    assert rows.flags["steep"][kink, 0]
+    # Of both slopes the larger one: an error of the wavelength may be on either side.
+    before = (measured[kink, 0] - measured[kink - 1, 0]) / (at[kink] - at[kink - 1])
+    assert rows.wavelength_slope[kink, 0] == pytest.approx(before / measured[kink, 0])
+
+
+@pytest.mark.parametrize("step", [2.5, 5.0, 10.0])
+def test_neither_noise_nor_a_smooth_spectrum_has_a_shape(step: float) -> None:
+    at = np.arange(500.0, 601.0, step)
+    smooth = 1.0 + 0.5 * np.sin(at / 30.0)[:, None]
+    noise = 1.0 + 0.02 * np.random.default_rng(3).standard_normal((at.size, 200))
+    rows = correct_band(arc_rows(smooth * noise, np.ones(noise.shape), at, noise=0.02), settings(5.0))
+    by_chance = [rows.flags.get("steep", np.zeros(1)), rows.estimate.components.get("band_shape", np.zeros(1)) > 0.0]
+    assert max(float(np.mean(each)) for each in by_chance) < 0.02
+    rows = correct_band(arc_rows(smooth, np.ones(smooth.shape), at), settings(5.0))
+    assert "steep" not in rows.flags
+    assert float(np.max(rows.estimate.components.get("band_shape", np.zeros(1)))) < 0.002**2
+
+
+def test_a_large_effect_of_the_band_is_flagged() -> None:
+    at = np.arange(500.0, 561.0, 5.0)
+    measured, signal = through_band(polynomial(0.05, 0.0, 1.0), polynomial(1.0), at, 15.0)
+    rows = correct_band(arc_rows(measured, signal, at), settings(15.0))
+    large = np.abs(rows.band_correction[:, 0]) > 0.11
+    assert large.any() or np.isnan(rows.band_correction).any()
+    assert rows.flags["steep"][large | np.isnan(rows.band_correction[:, 0]), 0].all()
+    assert not rows.flags["steep"][np.abs(rows.band_correction[:, 0]) < 0.09, 0].any()
+
+
 def test_stray_light_changes_coloured_samples_and_no_grey_ones() -> None:
     at = np.array([450.0, 500.0, 550.0, 600.0])
     signal = np.array([1.0, 2.0, 4.0, 5.0])[:, None]
