@@ -28,7 +28,7 @@ out would be a claim, so u is at most too large. A new contribution is shared un
 """
 NOISE = INDEPENDENT | {"dark", "etalon_dark", "crosstalk", "signature"}
 """Components that are there without light: what a value is lost in. All others are shares of the value."""
-ADDED = frozenset({"noise", "resolution", "ray_tracing", "dark", "signature", "crosstalk"})
+ADDED = frozenset({"noise", "resolution", "ray_tracing", "dark", "signature", "crosstalk", "field_noise"})
 """Components that are added to a value whatever its size; all others are shares of it."""
 COVERAGE = 1.96
 """Standard uncertainties from a value to the ends of its interval of 95 %."""

@@ -153,7 +153,7 @@ dark_every_s = 45
 def test_a_black_paint_from_measured_data_is_reproduced(write_rig: Writer, write_schedule: Writer, measure: Measure) -> None:
     """Values of 0.003 1/sr have to be right within their uncertainty, and that has to be at most 2 %.
 
-    The rig is not off, and its file says so: angles would be most of u on the flank of the gloss.
+    The rig is not off, and its file states it: angles would be most of u on the flank of the gloss.
     """
     if not AEROGLAZE.is_file():
         pytest.skip(f"the measured data of the paint are missing: {AEROGLAZE}")
