@@ -22,6 +22,7 @@ from goniotwin.app.campaign.uncertainty.pose import (
     POSITIONS,
     Displacement,
     Views,
+    lifted_inputs,
     mounting_inputs,
     photodiode_inputs,
     pose_effects,
@@ -318,15 +319,17 @@ def angles(points: BsdfPoints, settings: ReductionSettings) -> Effects:
         return part.relative(along, across)
 
     dense = [Dense(rig_inputs(table), relative(effects.common))]
-    kinds: Sequence[tuple[Kind, Ints, Displacement]] = (
-        ("sample", points.row, effects.sample), ("etalon", points.etalon_row, effects.etalon),
+    lifted = relative(effects.lifted)
+    kinds: Sequence[tuple[Kind, Ints, Displacement, Floats]] = (
+        ("sample", points.row, effects.sample, lifted), ("etalon", points.etalon_row, effects.etalon, -lifted),
     )  # fmt: skip
-    for kind, rows, part in kinds:
+    for kind, rows, part, products in kinds:
         names, which = mounted(kind, rows, settings)
         sensitivity = relative(part)
         for k, name in enumerate(names):
             here = (which == k)[:, None]
             dense.append(Dense(mounting_inputs(table, kind, name), np.where(here, sensitivity, 0.0)))
+            dense.append(Dense(lifted_inputs(table, kind, name), np.where(here, products, 0.0)))
     photodiode = points.photodiode.astype(np.int64)
     own = {2 * c + k: each for c in np.unique(photodiode).tolist() for k, each in enumerate(photodiode_inputs(table, c))}
     groups = [

@@ -49,6 +49,8 @@ VIEW = (
 """Inputs that move the directions that photodiodes look along."""
 MOUNTED = ("tilt_x", "tilt_y", "height")
 """Inputs of each mounting of a sample or of the etalon: turns about x and y of a frame that turns with gamma, and a lift."""
+ASIDE = ("arc_shift_x", "arc_shift_y", "arc_shift_z", "sensor_tilt_y", "sensor_shift_x")
+"""Inputs of VIEW that move a photodiode's disc along the arc against its cone: a lift does so too, and counts the more."""
 POSITIONS = ("gamma", "sigma", "beta", "shift")
 """Axes with an error of their own after each move."""
 NEAREST = 1e-3
@@ -60,6 +62,8 @@ GRID_DEG = np.array([0.0, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 65.0, 70.0, 75.0, 
 NODES = 24
 STEP = 1e-3
 """Relative step of a derivative."""
+BEND_STEP = 0.1
+"""Step of the second derivative over the disc's radius: about as far as discs are off."""
 
 
 @dataclass(frozen=True)
@@ -98,6 +102,7 @@ class PoseEffects:
 
     `common`: LIGHT and VIEW, which act on sample and etalon. `sample` and `etalon`: MOUNTED of each. `position`: POSITIONS at
     the sample's row, and `etalon_position` at the etalon's. `photodiode`: its own angle along the arc and across it.
+    `lifted`: the height of the sample's mounting times each of ASIDE, per mm and unit; for the etalon's it has the other sign.
     """
 
     common: Displacement
@@ -106,6 +111,7 @@ class PoseEffects:
     position: Displacement
     etalon_position: Displacement
     photodiode: Displacement
+    lifted: Displacement
 
 
 def pose_effects(instrument: Instrument, views: Views) -> PoseEffects:
@@ -151,6 +157,7 @@ def pose_effects(instrument: Instrument, views: Views) -> PoseEffects:
             np.concatenate([none, (frame.sign * up)[:, None]], axis=1),
             np.concatenate([none, none], axis=1),
         ),
+        lifted=_lifted(instrument, frame, accepted, views),
     )
 
 
@@ -293,7 +300,7 @@ class Acceptance:
     Disc and spot cut the cone. With the disc moved aside, and the cone's axis as it was, the mean direction turns by
     `turn` of the angle by which the disc has moved, and the mean point of the spot moves by `spot` of the disc's way.
     `share`: relative change of the light for one of the spot's width as it is seen. `nearer`: the same for the distance, with
-    the opposite sign.
+    the opposite sign. `bend`: the light's second derivative over the disc's way along the arc, relative, per mm^2.
     """
 
     turn_along: Floats
@@ -302,6 +309,7 @@ class Acceptance:
     spot_across: Floats
     share: Floats
     nearer: Floats
+    bend: Floats
 
     def at(self, polar: Floats) -> "Acceptance":
         """The acceptance at polar angles (n,), rad."""
@@ -336,7 +344,9 @@ def acceptance(instrument: Instrument) -> Acceptance:
         wider = rays(0.0, 0.0, 1.0 + STEP) - rays(0.0, 0.0, 1.0 - STEP)
         nearer = rays(0.0, 0.0, 1.0, distance * (1.0 - STEP)) - rays(0.0, 0.0, 1.0, distance * (1.0 + STEP))
         turned = [distance * along[1], distance * across[2], along[3], across[4]]
-        columns.append(np.array([*turned, wider[0] / (2.0 * STEP), nearer[0] / (2.0 * STEP)]) / middle)
+        far = BEND_STEP * disc
+        bend = (rays(far, 0.0)[0] + rays(-far, 0.0)[0] - 2.0 * middle) / far**2
+        columns.append(np.array([*turned, wider[0] / (2.0 * STEP), nearer[0] / (2.0 * STEP), bend]) / middle)
     return Acceptance(*np.array(columns).T)
 
 
@@ -393,6 +403,13 @@ def _seen(
 
 def _view_displacement(instrument: Instrument, frame: _Frame, seen: _Seen, views: Views) -> Displacement:
     """The inputs VIEW: what turns cone and disc together, and what moves the disc against the cone."""
+    turned, disc = _view_moves(instrument, frame, views)
+    moved = [turned[j] + np.einsum("nk,kni->ni", seen.moved[:, j], disc) for j in (0, 1)]
+    return Displacement(moved[0], moved[1], np.zeros((frame.sign.size, len(VIEW))))
+
+
+def _view_moves(instrument: Instrument, frame: _Frame, views: Views) -> tuple[Floats, Floats]:
+    """The inputs VIEW along the arc and across it, (2, n, inputs): turns, deg a unit, and moves of the disc, mm a unit."""
     n, far = frame.sign.size, instrument.arc_radius_mm * RAD
     turned, disc = np.zeros((2, n, len(VIEW))), np.zeros((2, n, len(VIEW)))
     up = np.where(views.lower, -1.0, 1.0)
@@ -408,8 +425,19 @@ def _view_displacement(instrument: Instrument, frame: _Frame, seen: _Seen, views
     turned[:, :, 8], turned[:, :, 9] = -beside, away
     disc[:, :, 8:10] = -far * turned[:, :, 8:10]  # the disc stays where it was
     disc[:, :, 10], disc[:, :, 11] = away, beside
-    moved = [turned[j] + np.einsum("nk,kni->ni", seen.moved[:, j], disc) for j in (0, 1)]
-    return Displacement(moved[0], moved[1], np.zeros((n, len(VIEW))))
+    return turned, disc
+
+
+def _lifted(instrument: Instrument, frame: _Frame, accepted: Acceptance, views: Views) -> Displacement:
+    """A lift times each of ASIDE, (n, inputs): what a disc loses that is off already, of the sample and not of the etalon.
+
+    To the first order a disc that is off, off alike for both, cancels; its product with the lift of one of them does not, and
+    it is as large as the lift by itself.
+    """
+    _, disc = _view_moves(instrument, frame, views)
+    way = disc[0][:, [VIEW.index(name) for name in ASIDE]]
+    none = np.zeros_like(way)
+    return Displacement(none, none, (accepted.bend * -frame.slope_n)[:, None] * way)
 
 
 def _mounted(instrument: Instrument, frame: _Frame, seen: _Seen, views: Views, light: _Light, *, lobe: bool) -> Displacement:
@@ -457,6 +485,21 @@ def mounting_inputs(table: UncertaintyTable, kind: str, mounting: str) -> list[I
     """The inputs MOUNTED of a mounting of a `sample`, or of the `etalon`."""
     shared = "all values of this mounting" if kind == "sample" else "all values that divide by this mounting"
     return [_input(table, f"{kind}_{each}@{mounting}", _key(f"{kind}_{each}"), shared) for each in MOUNTED]
+
+
+def lifted_inputs(table: UncertaintyTable, kind: str, mounting: str) -> list[Input]:
+    """The products of the height of a mounting with each of ASIDE: of mean 0, and correlated with no other input."""
+    height = mounting_inputs(table, kind, mounting)[MOUNTED.index("height")]
+    products = []
+    for name in ASIDE:
+        other = _input(table, name, _key(name), "all values")
+        products.append(
+            Input(
+                f"{kind}_height*{name}@{mounting}", f"mm {other.unit}", height.u * other.u, "normal", height.shared_by,
+                f"{height.source}, {_key(name)}", height.twin,
+            )
+        )  # fmt: skip
+    return products
 
 
 def photodiode_inputs(table: UncertaintyTable, photodiode: int) -> list[Input]:
@@ -517,8 +560,10 @@ def pose_moments(rig: RigFile, views: Views) -> Floats:
     """What the variances need at `views`, (n, 2, 6): of the dense inputs of pose, and of the axes' positions."""
     table, effects = rig.uncertainty, pose_effects(nominal_instrument(rig), views)
     mounted = [standard_uncertainties(mounting_inputs(table, kind, "")) for kind in ("sample", "etalon")]
+    lifted = [standard_uncertainties(lifted_inputs(table, kind, "")) for kind in ("sample", "etalon")]
     position = np.full(len(POSITIONS), position_u_deg(table))
     dense = moments(
-        (effects.common, standard_uncertainties(rig_inputs(table))), (effects.sample, mounted[0]), (effects.etalon, mounted[1])
-    )
+        (effects.common, standard_uncertainties(rig_inputs(table))), (effects.sample, mounted[0]), (effects.etalon, mounted[1]),
+        *((effects.lifted, each) for each in lifted),
+    )  # fmt: skip
     return np.stack([dense, moments((effects.position, position), (effects.etalon_position, position))], axis=1)

@@ -27,7 +27,15 @@ from goniotwin.app.campaign.reduction.row_history import RowHistory, history_of
 from goniotwin.app.campaign.schedule.certificate import parse_certificate
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.campaign.uncertainty.effects import Effects
-from goniotwin.app.campaign.uncertainty.pose import POSITIONS, Views, pose_effects, position_u_deg, rig_inputs
+from goniotwin.app.campaign.uncertainty.pose import (
+    ASIDE,
+    POSITIONS,
+    Views,
+    lifted_inputs,
+    pose_effects,
+    position_u_deg,
+    rig_inputs,
+)
 from goniotwin.app.rig import nominal_instrument, read_rig
 from goniotwin.arrays import Floats
 from tests.app.campaign.reduction.made_points import made_points
@@ -144,7 +152,12 @@ def test_a_point_without_a_slope_has_the_diffuse_part_alone() -> None:
     u_tilt = np.radians(FILE.uncertainty.standard("sample_tilt_deg"))
     at_80 = np.flatnonzero(none.zenith_deg == 80.0)[0]
     tilts = np.hypot(np.tan(np.radians(30.0)) - np.tan(np.radians(80.0)), 0.0) * u_tilt * np.sqrt(2.0)
-    assert np.sqrt(none.components["pose"][at_80]) == pytest.approx(tilts, rel=0.05)
+    # Each of the two heights, times what moves the photodiodes' discs against their cones.
+    views = Views(*(np.array([each]) for each in (30.0, 0.0, np.radians(80.0), np.pi)), *(np.array([False]),) * 3)
+    u = np.array([each.u for each in lifted_inputs(TABLE, "sample", "a")])
+    lifted = np.sqrt(2.0) * np.linalg.norm(pose_effects(nominal_instrument(FILE), views).lifted.diffuse[0] * u)
+    assert lifted > 0.3 * tilts
+    assert np.sqrt(none.components["pose"][at_80]) == pytest.approx(np.hypot(tilts, lifted), rel=0.05)
     steep = measured(np.ones(COUNT), np.full((COUNT, 2), 1.0))
     assert np.all(steep.components["pose"] > none.components["pose"])
 
@@ -287,6 +300,14 @@ class Formula:
             for i, (each, unit) in enumerate((("tilt_x", "deg"), ("tilt_y", "deg"), ("height", "mm"))):
                 at = self._sample if self._sample is not None and kind == "sample" else kind
                 terms.append((f"{kind}_{each}@{at}#1", table.standard(f"{kind}_{each.split('_')[0]}_{unit}"), part, i))
+        for kind, sign in (("sample", 1.0), ("etalon", -1.0)):
+            at = self._sample if self._sample is not None and kind == "sample" else kind
+            part = replace(effects.lifted, diffuse=sign * effects.lifted.diffuse)
+            for i, (each, key) in enumerate(
+                zip(ASIDE, ("arc_shift_mm",) * 3 + ("sensor_tilt_deg", "sensor_shift_mm"), strict=True)
+            ):
+                u = table.standard(f"{kind}_height_mm") * table.standard(key)
+                terms.append((f"{kind}_height*{each}@{at}#1", u, part, i))
         for i, each in enumerate(("angle", "across")):
             terms.append((f"photodiode_{each}[{c}]", table.standard(f"photodiode_{each}_deg"), effects.photodiode, i))
         for i, axis in enumerate(POSITIONS):
