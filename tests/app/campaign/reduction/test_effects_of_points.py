@@ -153,7 +153,9 @@ def test_a_point_without_a_slope_has_the_diffuse_part_alone() -> None:
     at_80 = np.flatnonzero(none.zenith_deg == 80.0)[0]
     tilts = np.hypot(np.tan(np.radians(30.0)) - np.tan(np.radians(80.0)), 0.0) * u_tilt * np.sqrt(2.0)
     # Each of the two heights, times what moves the photodiodes' discs against their cones.
-    views = Views(*(np.array([each]) for each in (30.0, 0.0, np.radians(80.0), np.pi)), *(np.array([False]),) * 3)
+    sigma, gamma, polar, azimuth = (np.array([each]) for each in (30.0, 0.0, np.radians(80.0), np.pi))
+    no = np.zeros(1, dtype=bool)
+    views = Views(sigma, gamma, polar, azimuth, lower=no, transmitted=no, reverse=no)
     u = np.array([each.u for each in lifted_inputs(TABLE, "sample", "a")])
     lifted = np.sqrt(2.0) * np.linalg.norm(pose_effects(nominal_instrument(FILE), views).lifted.diffuse[0] * u)
     assert lifted > 0.3 * tilts
