@@ -133,7 +133,8 @@ def _print_budget(console: Console, budget: "Budget", simulated: bool, every: bo
     table = Table(box=None, pad_edge=False)
     for name in ("component", f"u{unit and ','}{unit}", "u, %", "share, %", *(["shared by", "source"] if wide else [])):
         number = name.startswith(("u", "share,"))
-        table.add_column(name, justify="right" if number else "left", no_wrap=number or name == "component", overflow="fold")
+        width = (41 if wide else 27) if name == "component" else None  # the name of a product is longer
+        table.add_column(name, justify="right" if number else "left", no_wrap=number, overflow="fold", width=width)
     if not wide:
         table.add_column("shared by; source", overflow="fold")
     components = result["components"]

@@ -228,7 +228,7 @@ LONG_CASES = [case for case in FIRST if case.rig in (FRAMES, LIFTED, GAINS, VERY
 @pytest.mark.parametrize(
     "case",
     [
-        pytest.param(case, id=f"{case.name}-{case.sample}", marks=[pytest.mark.long] if k % 2 or case in LONG_CASES else [])
+        pytest.param(case, id=f"{case.name}-{case.sample}", marks=[pytest.mark.long] if k % 3 or case in LONG_CASES else [])
         for k, case in enumerate(FIRST)
     ],
 )

@@ -160,7 +160,9 @@ def check(found: Found) -> None:
         assert not np.any(found.z > BEYOND_U), str(found)  # a normal law expects 6e-7 of them
 
 
-@pytest.mark.parametrize("fault", QUICK, ids=lambda fault: fault.name)
+@pytest.mark.parametrize(
+    "fault", [pytest.param(each, id=each.name, marks=[pytest.mark.long] if k else []) for k, each in enumerate(QUICK)]
+)
 def test_a_fault_that_the_campaign_shows_is_flagged_or_corrected(fault: Fault, tmp_path: Path) -> None:
     path = tmp_path / "a.journal"
     run_without_wires(plan_of(fault, *SMALLER), path)

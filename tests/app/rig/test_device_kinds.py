@@ -159,7 +159,8 @@ MORE_READINGS = (("readings = 2\n", "readings = 4\n"), ("dark_readings = 4", "da
 STEADY_LAMP = ("drift_per_hour = 0.02", "drift_per_hour = 0.0")
 
 
-@pytest.mark.parametrize("gains", ["[1e8, 1e10]", pytest.param('"automatic"', marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("gains", ["[1e8, 1e10]", '"automatic"'])
 def test_a_converter_of_twelve_bits_gives_the_values_of_the_first_make(
     write_rig: Writer, write_schedule: Writer, tmp_path: Path, gains: str
 ) -> None:

@@ -92,7 +92,8 @@ def test_calibration_corrects_a_faded_photodiode_within_its_uncertainty(
     assert float(np.sqrt(np.mean(deviations(points) ** 2))) < 1.0
     faded = points.where(points.good & (points.photodiode == FADED))
     assert float(np.mean(faded.bsdf)) / (0.3 / np.pi) == pytest.approx(1.0, abs=0.003)
-    assert float(np.median(points.u_bsdf[points.good] / points.bsdf[points.good])) < 0.004  # it was 0.0021
+    # Without angles and heights it would be 0.0021.
+    assert float(np.median(points.u_bsdf[points.good] / points.bsdf[points.good])) < 0.005
     assert np.all(points.u_bsdf[points.good] / points.bsdf[points.good] > before.u_bsdf[points.good] / before.bsdf[points.good])
     assert any("the values have been multiplied by 0:" in note for note in after.notes)
     assert any("beyond 4 u from 1: photodiodes 5" in note for note in after.notes)

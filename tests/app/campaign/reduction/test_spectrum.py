@@ -281,6 +281,7 @@ def test_of_many_fine_wavelengths_some_are_left_out() -> None:
     assert np.all(spread.max(axis=1) - spread.min(axis=1) <= 4.0 * BAND + 1e-6)
 
 
+@pytest.mark.long
 def test_a_journal_of_many_wavelengths_has_the_same_values_for_any_size_of_a_block(tmp_path: Path) -> None:
     write_long_journal(tmp_path / "a.journal", wavelengths=30, shifts=2)
     with Journal.open(tmp_path / "a.journal") as journal:

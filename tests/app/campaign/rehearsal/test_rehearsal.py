@@ -113,11 +113,14 @@ def test_the_uncertainty_of_each_direction_is_predicted(write_rig: Writer, write
     peak = (columns["zenith_deg"] == 30.0) & (columns["azimuth_deg"] == 180.0)
     # Noise is small at the peak. The components are the etalon's certificate, the monitor and the gains, together 0.0025; the
     # etalon's age and its edges, 0.001 and 0.002; 0.001 for each decade from the etalon's light to the peak's; 12 % of the
-    # field's effect on the peak of a Gaussian of 5 deg, 2 * 0.0584 / 25; and the second order of an angle unknown to 0.094 deg
-    # on each of two axes.
+    # field's effect on the peak of a Gaussian of 5 deg, 2 * 0.0584 / 25; the second order of an angle unknown to 0.094 deg
+    # on each of two axes; and two lifts of 0.1 mm, seen at 30 deg, of a spot whose light falls by 0.14 / mm^2 of the way that
+    # the sensor's tilt of 0.05 deg at 300 mm, and shifts of 0.1 mm along the arc of sensor and arc, move the discs.
     second_order = math.sqrt(2.0) * 0.094**2 * 2.0 / 25.0
     linearity = 0.001 * math.log10(math.pi * columns["bsdf_per_sr"][peak][0])
-    expected = math.hypot(0.0025, 0.001, 0.002, linearity, 0.12 * 0.00467, second_order)
+    discs_mm = math.hypot(300.0 * math.radians(0.05), 0.1, 0.1) / math.sqrt(3.0)
+    lifts = 2.0 * 0.14 * discs_mm * math.sin(math.radians(30.0)) * math.sqrt(2.0) * 0.1 / math.sqrt(3.0)
+    expected = math.hypot(0.0025, 0.001, 0.002, linearity, 0.12 * 0.00467, second_order, lifts)
     assert columns["relative_uncertainty"][peak] == pytest.approx(expected, abs=0.0004)
 
 
