@@ -12,7 +12,7 @@ from tests.system.command import CALLS, Call, goniotwin, in_one_thread, invoke, 
 @pytest.mark.parametrize(
     ("call", "again", "options", "sigmas", "minimum"),
     [
-        pytest.param(invoke, in_one_thread, ["--sigma", "0"], [0.0], 1300, id="one sigma"),
+        pytest.param(invoke, in_one_thread, ["--sigma", "0"], [0.0], 1300, id="one sigma", marks=pytest.mark.long),
         pytest.param(goniotwin, process_in_one_thread, [], [0.0, 30.0, 60.0], 8000, id="three sigmas", marks=pytest.mark.long),
     ],
 )

@@ -54,6 +54,7 @@ def disturb(plant: Plant, t: float, kind: int, choice: int) -> None:
             plant.wheel.slew(t, t + 0.1 * (choice % 10), 1.0 + choice % 3)
 
 
+@pytest.mark.long
 @settings(deadline=None)
 @given(
     st.lists(st.tuples(st.sampled_from(STEPS), st.integers(0, 9), st.integers(0, 1000)), min_size=20, max_size=60),
