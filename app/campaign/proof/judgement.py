@@ -25,7 +25,7 @@ from goniotwin.app.campaign.reduction.comparison import (
     true_bsdf,
     with_true_slopes,
 )
-from goniotwin.app.campaign.reduction.components import COVERAGE
+from goniotwin.app.campaign.reduction.components import ADDED, COVERAGE
 from goniotwin.app.campaign.reduction.effects_of_points import angles, effects_of
 from goniotwin.app.campaign.reduction.etalon import ReductionSettings
 from goniotwin.app.campaign.reduction.points import BsdfPoints, join_points
@@ -169,7 +169,7 @@ def _add_sample(
     known = np.flatnonzero(~steep)
     for part in _parts(points_of.where(known)):
         at = known[part]
-        fitted = with_true_slopes(scatterer, points_of.where(at))
+        fitted = with_true_slopes(scatterer, points_of.where(at), reduction.settings.rig)
         effects, fit = _fit(scatterer, fitted, truth_of[at], reduction.settings)
         chi_square[at], freedom[at] = fit.chi_square, fit.expected
         _add_inputs(result, fit)
@@ -210,9 +210,11 @@ def _fit(scatterer: Scatterer, points: BsdfPoints, truth: Floats, settings: Redu
     """The effects of all inputs, by the true slopes, and the shared inputs as fitted to the deviations from the truth.
 
     With the true slopes what is left of the measured ones' errors, times an angle, is no independent error; nor is the second
-    order of the fitted angles, which follows from them.
+    order of the fitted angles, which follows from them. What an input adds to a value that is for the most part noise is a
+    share of the truth: taken of the value it would follow the noise, and the fit would take noise for the input.
     """
-    effects = effects_of(points, settings)
+    share = np.where(noisy(points), truth / np.where(points.bsdf == 0.0, 1.0, points.bsdf), 1.0)
+    effects = scaled_to_truth(effects_of(points, settings), share)
     own = {name: variance for name, variance in effects.independent.items() if name not in OF_ANGLES}
     effects = replace(effects, independent=own)
     residual = relative_residuals(points, truth)
@@ -226,16 +228,26 @@ def _fit(scatterer: Scatterer, points: BsdfPoints, truth: Floats, settings: Redu
         estimate = dict(zip((each.name for each in fit.inputs), fit.estimate.tolist(), strict=True))
         diffuse, *moved = (effect_of(each, estimate) for each in by_slopes)
         along, across = (each - diffuse for each in moved)
-        fit = fit_inputs(effects, residual - _second_order(scatterer, points, truth, along, across))
+        fit = fit_inputs(effects, residual - share * _second_order(scatterer, points, along, across))
     return effects, fit
 
 
-def _second_order(scatterer: Scatterer, points: BsdfPoints, truth: Floats, along: Floats, across: Floats) -> Floats:
-    """What angles (n,), in deg, change in the values (n,) beyond the first order; relative."""
+def scaled_to_truth(effects: Effects, share: Floats) -> Effects:
+    """The effects with sensitivities to all inputs but those of ADDED times the `share` (n,) of the truth in the values."""
+    groups = [
+        each if each.name in ADDED else replace(each, sensitivity=each.sensitivity * share[:, None]) for each in effects.groups
+    ]
+    dense = []
+    for part in effects.dense:
+        added = np.array([INDEX.sub("", each.name) in ADDED for each in part.inputs], dtype=bool)
+        dense.append(replace(part, sensitivity=part.sensitivity * np.where(added, 1.0, share[:, None])))
+    return replace(effects, groups=groups, dense=dense)
+
+
+def _second_order(scatterer: Scatterer, points: BsdfPoints, along: Floats, across: Floats) -> Floats:
+    """What angles (n,), in deg, change in the values (n,) beyond the first order; relative to the truth."""
     change = moved_logarithm(scatterer, points, along, across) - moved_logarithm(scatterer, points, 0.0, 0.0)
-    noise = noisy(points)
-    share = np.where(noise, truth / np.where(points.bsdf == 0.0, 1.0, points.bsdf), 1.0)
-    change = np.where(noise, share * np.expm1(np.minimum(change, 1.0)), change)
+    change = np.where(noisy(points), np.expm1(np.minimum(change, 1.0)), change)
     return np.asarray(change - points.slope_along * along - points.slope_across * across)
 
 
@@ -307,7 +319,8 @@ def _in_plane_angles(points: BsdfPoints, effects: Effects, fit: Fit, drawn: _Dra
     slope.
     """
     own = np.sqrt(np.sum(list(effects.independent.values()), axis=0))
-    slope = np.where(points.in_plane & np.isfinite(points.slope_along), np.abs(points.slope_along), 0.0)
+    known = points.in_plane & np.isfinite(points.slope_along) & ~noisy(points)
+    slope = np.where(known, np.abs(points.slope_along), 0.0)
     k = int(np.argmax(slope / np.maximum(own, np.finfo(float).tiny)))
     if not slope[k] > 0.0:
         return None

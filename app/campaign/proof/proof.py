@@ -21,6 +21,7 @@ from goniotwin.app.campaign.planning.plan import NewPlan, make_plan
 from goniotwin.app.campaign.proof.judgement import RigResult, judge
 from goniotwin.app.campaign.proof.totals import Totals
 from goniotwin.app.campaign.proof.virtual_rigs import DrawnRigs, run_with_wires, run_without_wires
+from goniotwin.app.campaign.reduction.reduction import reduction_settings
 from goniotwin.app.campaign.schedule.file import ScheduleDescription, parse_schedule
 from goniotwin.app.errors import UserError, room_on_disk
 from goniotwin.app.formats import FormatError
@@ -28,9 +29,10 @@ from goniotwin.app.formats.file import write_file
 from goniotwin.app.rig import RigDescription, parse_rig
 from goniotwin.app.rig.described_twin import described_twin
 from goniotwin.app.rig.lock import LockFile
+from goniotwin.app.rig.model_hash import model_hash
 
 ABOUT, LOCK = "proof.json", "proof.lock"
-RESULTS = 1
+RESULTS = 2
 """Version of the results: files of another one are not counted together."""
 MOST_RIGS = 100_000
 
@@ -60,7 +62,9 @@ class Proof:
         """The virtual rigs. Raises UserError where the file describes no twin."""
         file = self.schedule.file
         described = described_twin(self.rig, file.etalon, file.samples, {}).rig
-        return DrawnRigs(described, file.etalon, certified=file.certificate is not None)
+        settings = reduction_settings(described.file, file, self.schedule.certificate, self.schedule.name)
+        level = settings.certificate.level
+        return DrawnRigs(described, file.etalon, level=level, years=settings.etalon_years)
 
     @cached_property
     def plan(self) -> NewPlan:
@@ -111,7 +115,9 @@ class Proof:
             lock.release(remove=True)
 
     def _digest(self) -> str:
-        texts = (self.schedule.text, self.schedule.certificate or "", self.rig.text)
+        model = self.drawn.rig(self.seeds[0]).model()  # with the tables of its samples
+        assert model is not None
+        texts = (self.schedule.text, self.schedule.certificate or "", self.rig.text, model_hash(model))
         return hashlib.sha256("\0".join(texts).encode()).hexdigest()
 
     def file(self, seed: int) -> Path:
@@ -119,11 +125,12 @@ class Proof:
         return self.folder / f"rig-{seed:06d}.json"
 
     def read(self, seed: int) -> RigResult | None:
-        """The result of a rig that is done; None for one that is not, or whose file is not whole."""
+        """The result of a rig that is done; None for one that is not, that failed, or whose file is not whole."""
         try:
-            return RigResult.from_dict(json.loads(self.file(seed).read_bytes()))
+            result = RigResult.from_dict(json.loads(self.file(seed).read_bytes()))
         except (OSError, ValueError, TypeError, KeyError, AttributeError):
             return None
+        return None if result.failed else result
 
     def keep(self, result: RigResult) -> None:
         """Write a result: under another name first, so that a file under its own name is whole. Raises UserError."""

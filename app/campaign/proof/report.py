@@ -32,7 +32,7 @@ def _lines(proof: Proof, totals: Totals) -> Iterator[str]:
         yield f"by {table}"
         yield from (_cell(f"  {each.label}", each) for each in totals.tables.get(table, []))
     if worst is not None:
-        yield f"worst cell: {worst.label}, {100.0 * worst.coverage:.1f} %"
+        yield f"worst cell: {worst[0]} {worst[1].label}, {100.0 * worst[1].coverage:.1f} %"
     yield f"beyond 5 u: {whole.beyond} values; a normal law gives {whole.expected_beyond:.2g}"
     yield f"variance of the fitted inputs over their u: {_number(totals.variance_shared, '.3f')}"
     if totals.inputs:

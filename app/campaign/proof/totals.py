@@ -105,10 +105,10 @@ class Totals:
         return found[0] if found else None
 
     @property
-    def worst(self) -> CellTotal | None:
-        """The cell with the least coverage, of those with enough values and without the steep ones."""
-        judged = [each for table in TABLES for each in self.tables.get(table, []) if each.values >= JUDGED_VALUES]
-        return min((each for each in judged if each.label != STEEP), key=lambda each: each.coverage, default=None)
+    def worst(self) -> tuple[str, CellTotal] | None:
+        """The cell with the least coverage, of those with enough values and without the steep ones; after its table's name."""
+        judged = [(table, each) for table in TABLES for each in self.tables.get(table, []) if each.values >= JUDGED_VALUES]
+        return min((each for each in judged if each[1].label != STEEP), key=lambda each: each[1].coverage, default=None)
 
     @property
     def variance_shared(self) -> float:
@@ -128,8 +128,8 @@ class Totals:
             "chi2_independent": _finite(whole.chi_square) if whole else None,
             "variance_shared": _finite(self.variance_shared),
             "mean_z": whole.mean if whole else None,
-            "worst_cell_percent": 100.0 * worst.coverage if worst else None,
-            "worst_cell": worst.label if worst else None,
+            "worst_cell_percent": 100.0 * worst[1].coverage if worst else None,
+            "worst_cell": f"{worst[0]}: {worst[1].label}" if worst else None,
             "beyond_5u": whole.beyond if whole else 0,
             "expected_beyond_5u": whole.expected_beyond if whole else 0.0,
             "tables": {table: [each.as_dict() for each in cells] for table, cells in self.tables.items()},

@@ -35,16 +35,15 @@ MOVE_S = 0.5
 class DrawnRigs:
     """The virtual rigs of a file: each off by what the file states as uncertain, with everything drawn from its seed.
 
-    Keys that `[twin.disturbances]` has already are kept: a fault of which the rest of the file knows nothing. `certified`: the
-    schedule has a certificate, so that the file's one does not count. Raises UserError where the file has no twin.
+    Keys that `[twin.disturbances]` has already are kept: a fault of which the rest of the file knows nothing. `etalon`: the
+    name of that sample, with the uncertainty of its level by its certificate, and the years since its calibration. Raises
+    UserError where the file has no twin.
     """
 
-    def __init__(self, rig: RigDescription, etalon: str, *, certified: bool) -> None:
+    def __init__(self, rig: RigDescription, etalon: str, *, level: float, years: float) -> None:
         self._document = tomlkit.parse(rig.text)
         stated: dict[str, Any] = {key: getattr(rig.file.uncertainty, key) for key in _common_keys()}
-        stated["etalon"] = etalon
-        if not certified:
-            stated["certificate_level"] = rig.file.etalon.relative_uncertainty
+        stated |= {"etalon": etalon, "certificate_level": level, "etalon_years": years}
         twin = _table(self._document, "twin")
         _add(_table(twin, "disturbances"), stated)
         _add(_table(twin, "electronics"), {"gain_spread": rig.file.photodiodes.gain_uncertainty})

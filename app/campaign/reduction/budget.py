@@ -76,7 +76,7 @@ class Budget:
         return {
             **result, "shared_by": each.input.shared_by, "input_u": each.input.u, "input_unit": each.input.unit,
             "distribution": each.input.distribution, "degrees_of_freedom": freedom if math.isfinite(freedom) else None,
-            "source": each.input.source,
+            "source": each.input.source, "twin": each.input.twin,
         }  # fmt: skip
 
 

@@ -12,10 +12,11 @@ import numpy as np
 
 from goniotwin.app.campaign.geometry.directions import direction_keys, is_lower
 from goniotwin.app.campaign.reduction.components import logarithmic, mostly_added
+from goniotwin.app.campaign.reduction.field_of_view import FieldOfView
 from goniotwin.app.campaign.reduction.points import PLACE, BsdfPoints
 from goniotwin.app.campaign.reduction.reduction import BsdfDataset
 from goniotwin.app.errors import UserError
-from goniotwin.app.rig import RigDescription
+from goniotwin.app.rig import RigDescription, RigFile, nominal_instrument
 from goniotwin.app.rig.samples import GaussianTable
 from goniotwin.app.simulation.paper.gaussian_cut import HIGHEST_ZENITH_DEG, WIDTHS, relative_rms_percent
 from goniotwin.arrays import Flags, Floats
@@ -68,25 +69,26 @@ def true_bsdf(scatterer: Scatterer, points: BsdfPoints) -> Floats:
     return result
 
 
-def with_true_slopes(scatterer: Scatterer, points: BsdfPoints) -> BsdfPoints:
-    """The points with the slopes of a model at their nominal directions and, where one was measured, over the wavelength.
-
-    Of a value that is for the most part noise the slope is that of the truth over the value: what an angle adds to it.
+def with_true_slopes(scatterer: Scatterer, points: BsdfPoints, rig: RigFile) -> BsdfPoints:
+    """The points with the slopes of a model at their nominal directions and, where they were measured, with its slope over the
+    wavelength and its correction of the field of view: those of the values follow their noise.
     """
     truth = true_bsdf(scatterer, points)
-    share = np.where(noisy(points), truth / np.where(points.bsdf == 0.0, 1.0, points.bsdf), 1.0)
     slopes = []
     for turn in ((SLOPE_STEP_DEG, 0.0), (0.0, SLOPE_STEP_DEG)):
         ahead, behind = (moved_logarithm(scatterer, points, *(sign * np.array(turn))) for sign in (1.0, -1.0))
-        slopes.append(share * (ahead - behind) / (2.0 * SLOPE_STEP_DEG))
+        slopes.append((ahead - behind) / (2.0 * SLOPE_STEP_DEG))
     longer, shorter = (
         true_bsdf(scatterer, replace(points, places=points.places + sign * np.eye(len(PLACE))[0] * WAVELENGTH_STEP_NM))
         for sign in (1.0, -1.0)
     )
-    over_wavelength = share * (longer - shorter) / (2.0 * WAVELENGTH_STEP_NM * np.where(truth > 0.0, truth, np.nan))
+    over_wavelength = (longer - shorter) / (2.0 * WAVELENGTH_STEP_NM * np.where(truth > 0.0, truth, np.nan))
     known = np.isfinite(points.wavelength_slope)
+    correction = FieldOfView.of(replace(points, bsdf=truth), nominal_instrument(rig)).correction
+    corrected = (points.field_correction != 0.0) & np.isfinite(correction)
     return replace(
         points, slope_along=slopes[0], slope_across=slopes[1],
+        field_correction=np.where(corrected, correction, points.field_correction),
         wavelength_slope=np.where(known, over_wavelength, points.wavelength_slope),
     )  # fmt: skip
 

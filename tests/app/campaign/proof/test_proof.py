@@ -15,11 +15,19 @@ from goniotwin.app.campaign.proof.virtual_rigs import run_with_wires, run_withou
 from goniotwin.app.campaign.reduction.reduction import reduce_journal
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.errors import UserError
+from goniotwin.app.formats import BsdfTable, registry
 from goniotwin.app.rig import read_rig
 from goniotwin.app.rig.uncertainty import UncertaintyTable
 from tests.conftest import Writer
 
 FAULT = ("[twin.samples.etalon]", "[twin.disturbances]\nsigma_zero_deg = 0.7\n\n[twin.samples.etalon]")
+
+
+TABLE = (
+    '[twin.samples.gaussian-5]\nmodel = "gaussian"\nwidth_deg = 5.0\nform = "one_over_e"\n'
+    'quantity = "luminance"\nreflectance = 0.9',
+    '[twin.samples.gaussian-5]\nmodel = "table"\nfile = "paint.ddr"',
+)
 
 
 def small_proof(write_rig: Writer, write_schedule: Writer, folder: Path, rigs: int = 2, *, wires: bool = False) -> Proof:
@@ -40,6 +48,7 @@ def test_a_rig_is_drawn_from_what_its_file_states(write_rig: Writer, write_sched
     assert model.disturbances.sigma_zero_deg == 0.7  # a fault of which [uncertainty] knows nothing
     assert model.disturbances.etalon == "etalon"
     assert model.disturbances.certificate_level == rig.file.etalon.relative_uncertainty
+    assert model.disturbances.etalon_years == 1.0  # as the reduction assumes without a date
     for each in fields(UncertaintyTable):
         if each.name != "sigma_zero_deg" and hasattr(model.disturbances, each.name):
             assert getattr(model.disturbances, each.name) == getattr(rig.file.uncertainty, each.name), each.name
@@ -131,10 +140,30 @@ def test_a_rig_without_a_result_does_not_end_the_others(
     def fail(plan: object, path: Path) -> None:
         raise UserError("the arc is in the beam")
 
-    monkeypatch.setattr("goniotwin.app.campaign.proof.proof.run_without_wires", fail)
-    totals = prove(small_proof(write_rig, write_schedule, tmp_path / "proof"), 1)
+    proof = small_proof(write_rig, write_schedule, tmp_path / "proof")
+    with monkeypatch.context() as at_first:
+        at_first.setattr("goniotwin.app.campaign.proof.proof.run_without_wires", fail)
+        totals = prove(proof, 1)
     assert totals.failed == {1: "the arc is in the beam", 2: "the arc is in the beam"}
     assert totals.as_dict()["points"] == 0
+    again = prove(proof, 1)  # a full disk, say: the same command runs them again
+    assert not again.failed
+    assert again.as_dict()["points"] > 0
+
+
+def test_another_table_of_a_sample_is_another_proof(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
+    zenith = np.linspace(0.0, 180.0, 37)
+    values = np.full((1, 1, 2, 2, zenith.size), 0.2)
+    for factor in (1.0, 1.1):
+        table = BsdfTable(np.array([0.0, 90.0]), np.array([0.0, 180.0]), zenith, factor * values)
+        registry.write_table(tmp_path / "paint.ddr", table, registry.format_named("ddr", {registry.Holds.GRID}))
+        rig = read_rig(write_rig(TABLE))
+        proof = Proof(read_schedule(write_schedule()), rig, 1, tmp_path / "proof", wires=False)
+        if factor == 1.0:
+            proof.prepare()
+        else:
+            with pytest.raises(UserError, match="results of another schedule"):
+                proof.prepare()
 
 
 def test_a_result_is_read_as_it_was_written(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:

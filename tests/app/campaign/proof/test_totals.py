@@ -62,7 +62,7 @@ def test_what_is_wrong_is_seen() -> None:
     assert reflectance.chi_square > reflectance.limits[1]
     assert reflectance.u_over_scatter < 0.7
     assert totals.worst is not None
-    assert totals.worst.label == "1e+0 to 1e-1"
+    assert totals.worst[1].label == "1e+0 to 1e-1"
     correlation, difference = totals.angles["paint"]
     assert correlation > 0.999
     assert difference == pytest.approx(0.01, rel=0.3)
