@@ -49,6 +49,8 @@ PAIR_LIMIT = 0.03
 """A pair of gains is used where its ratio is known this well, relative."""
 SIGNAL_BINS = 10
 """Bins of the volts at the higher gain, each a factor of two, for a trend of a ratio against the signal."""
+MOST_CONVERSIONS = 4096
+"""Conversions of a reading that take part in the evidence: some copies of them are in memory together."""
 CERTAIN = 5.0
 """A finding is beyond so many standard uncertainties."""
 TOLERATED = 0.5
@@ -220,7 +222,7 @@ class EvidenceSums:
             for reading in sorted(each.data.readings, key=lambda one: one.first_s):
                 if self._reducible(reading):
                     index = self._settings.gains_v_per_a.index(reading.gain_v_per_a)
-                    here[index, len(reading.counts)].append((k, before, reading))
+                    here[index, min(len(reading.counts), MOST_CONVERSIONS)].append((k, before, reading))
                     before = index
         shape = (len(rows), gains)
         volts, noise, dark, resolution, others = np.full((5, *shape, n), np.nan)
@@ -247,7 +249,7 @@ class EvidenceSums:
     def _add_readings(self, gain: int, readings: list[tuple[int, int, Reading]], block: _Block) -> None:
         """Add readings of one gain and one number, and fill in the block."""
         dark, converter = self._dark[float(self._gains[gain])], self._settings.range
-        counts = np.stack([reading.counts for _, _, reading in readings])
+        counts = np.stack([reading.counts[:MOST_CONVERSIONS] for _, _, reading in readings])
         raw = counts.astype(np.float64)
         times = np.array([middle_s(reading) for _, _, reading in readings])
         dark_counts, dark_monitor, divisor = dark.at(times)

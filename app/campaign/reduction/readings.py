@@ -24,6 +24,8 @@ from goniotwin.app.campaign.reduction.evidence import EvidenceSums, RunningEvide
 from goniotwin.app.campaign.reduction.pipeline import reduce_readings
 from goniotwin.app.campaign.reduction.points import PLACE
 from goniotwin.app.campaign.reduction.signals import (
+    COPY,
+    LATEST_S,
     check_reading,
     dark_current_loss_s,
     dark_readings_by_gain,
@@ -102,6 +104,8 @@ class DarkHistory:
 
     def row_signal(self, row: CommittedRow, signal: Signal, intervals: Sequence[DriftInterval]) -> RowSignal:
         """The signal of a row, with its flags: see `RowSignal`."""
+        if not abs(row.data.started_s) < LATEST_S:
+            raise UserError(f"row {row.row.number} began at the time {row.data.started_s:g} s: {COPY}")
         drifted = np.zeros(self._settings.count, dtype=bool)
         for drift in intervals:
             drifted |= drift.flagged_at(row.data.started_s)

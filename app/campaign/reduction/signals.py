@@ -8,6 +8,7 @@ linearly in time, which follows a drift to first order. The components are `nois
 readings, `resolution` of the converter, and for a virtual rig with ray-traced light `ray_tracing`, the Monte Carlo error.
 """
 
+import math
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -83,13 +84,17 @@ class DarkReadings:
 
 
 def check_reading(reading: Reading, settings: ConverterDescription) -> None:
-    """Raise UserError for counts without readings, or of another number of photodiodes than the rig's, and for no time."""
+    """Raise UserError for counts without readings, or of another number of photodiodes than the rig's; for a time or a current
+    of the monitor that cannot be.
+    """
     readings, channels = reading.counts.shape
     if readings < 1 or channels != settings.count:
         wrong = f"a row has counts of {readings} readings of {channels} photodiodes; the rig has {settings.count} of these"
         raise UserError(f"{wrong}: {COPY}")
     if not abs(middle_s(reading)) < LATEST_S:
         raise UserError(f"a row has readings at the time {reading.first_s:g} s: {COPY}")
+    if not math.isfinite(reading.monitor_a):
+        raise UserError(f"a row has a monitor current of {reading.monitor_a:g} A: {COPY}")
 
 
 def dark_readings_by_gain(rows: list[CommittedRow], settings: ConverterDescription) -> dict[float, DarkReadings]:
