@@ -672,6 +672,20 @@ def test_a_reading_at_no_possible_time_is_refused(tmp_path: Path, time: str) -> 
     assert "a.journal: a row has readings at the time " in done.stderr
 
 
+@pytest.mark.parametrize(
+    ("change", "wrong"),
+    [
+        ("UPDATE reading SET monitor_a = 9e999 WHERE number = 3;", "a row has a monitor current of inf A"),
+        ("UPDATE attempt SET started_s = 1e308 WHERE number = 3;", "row 3 began at the time 1e+308 s"),
+    ],
+)
+def test_a_row_of_no_possible_light_or_time_is_refused(tmp_path: Path, change: str, wrong: str) -> None:
+    path = changed_journal(tmp_path / "a.journal", change)
+    done = invoke("export", path, "--format", "csv", "--out", tmp_path / "a.csv")
+    assert done.returncode == 2
+    assert (len(done.stderr.splitlines()), wrong in done.stderr) == (1, True), done.stderr
+
+
 @pytest.mark.skipif(os.name == "nt", reason="pipes and links as files")
 def test_what_is_no_file_is_no_journal(tmp_path: Path) -> None:
     pipe, loop = tmp_path / "pipe.journal", tmp_path / "loop.journal"
