@@ -5,11 +5,13 @@ stored in the user's own cache folder. A user without a home (a service, a conta
 Without even that, each program compiles for itself. numba's own `NUMBA_CACHE_DIR` takes precedence.
 """
 
+import hashlib
 import os
 import pickle
 import stat
 import tempfile
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -29,6 +31,8 @@ def kernel(*, error_model: str = "numpy", **options: Any) -> Callable[[Function]
         if config.DISABLE_JIT:
             return function
         _compile_for_all_values(dispatcher)
+        if CACHED:
+            dispatcher._cache._cache_file._source_stamp = source_stamp(Path(function.__code__.co_filename).parent)
         _discard_unreadable(dispatcher._cache)
         result: Function = dispatcher
         return result
@@ -49,6 +53,17 @@ def _compile_for_all_values(dispatcher: Any) -> None:
         return template(tuple(map(plain, arguments)), {name: plain(each) for name, each in keywords.items()})
 
     dispatcher.get_call_template = get_call_template
+
+
+@cache
+def source_stamp(folder: Path) -> str:
+    """Digest of the sources from which the code of a kernel in this folder comes: those of the folder, and all of the optics.
+
+    numba compares the file of a kernel alone, and would go on with code that has an earlier version of a kernel that it calls.
+    """
+    sources = {*folder.glob("*.py"), *Path(__file__).parent.rglob("*.py")}
+    about = sorted((each.parent.name, each.name, each.stat().st_mtime_ns, each.stat().st_size) for each in sources)
+    return hashlib.sha256(repr(about).encode()).hexdigest()
 
 
 def _discard_unreadable(cache: Any) -> None:

@@ -8,7 +8,7 @@ from types import ModuleType
 
 import pytest
 
-from goniotwin.twin.optics.kernel import kernel
+from goniotwin.twin.optics.kernel import kernel, source_stamp
 
 SOURCE = """
 from typing import NamedTuple
@@ -36,9 +36,53 @@ def import_anew(folder: Path, name: str, factor: float, changed_s: int) -> Modul
     source = folder / f"{MODULE}.py"
     source.write_text(SOURCE.format(name=name, factor=factor), encoding="utf-8")
     os.utime(source, (changed_s, changed_s))
-    sys.modules.pop(MODULE, None)
+    return fresh_module(MODULE)
+
+
+def fresh_module(name: str) -> ModuleType:
+    """The module as another process would import it."""
+    sys.modules.pop(name, None)
     importlib.invalidate_caches()
-    return importlib.import_module(MODULE)
+    source_stamp.cache_clear()
+    return importlib.import_module(name)
+
+
+CALLED = """
+from goniotwin.twin.optics.kernel import kernel
+
+
+@kernel()
+def factor():
+    return {factor}
+"""
+CALLER = """
+from called_kernel import factor
+from goniotwin.twin.optics.kernel import kernel
+
+
+@kernel()
+def result():
+    return 2.0 * factor()
+"""
+
+
+def test_a_kernel_is_compiled_anew_where_one_that_it_calls_has_changed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:  # fmt: skip
+    """As after an update that changes one file: numba compares that of the caller alone."""
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr("numba.core.config.CACHE_DIR", str(tmp_path / "cache"))
+    called, caller = tmp_path / "called_kernel.py", tmp_path / "calling_kernel.py"
+    caller.write_text(CALLER, encoding="utf-8")
+    for factor, changed_s, misses in ((3.0, 1_000_000_000, 1), (5.0, 1_100_000_000, 1), (5.0, 1_100_000_000, 0)):
+        called.write_text(CALLED.format(factor=factor), encoding="utf-8")
+        os.utime(called, (changed_s, changed_s))
+        fresh_module("called_kernel")
+        module = fresh_module("calling_kernel")
+        assert module.result() == 2.0 * factor
+        assert sum(module.result.stats.cache_misses.values()) == misses
+    for name in ("called_kernel", "calling_kernel"):
+        sys.modules.pop(name)
 
 
 CONSTANTS = """
