@@ -146,7 +146,7 @@ def test_a_rig_without_a_result_does_not_end_the_others(
         totals = prove(proof, 1)
     assert totals.failed == {1: "the arc is in the beam", 2: "the arc is in the beam"}
     assert totals.as_dict()["points"] == 0
-    again = prove(proof, 1)  # a full disk, say: the same command runs them again
+    again = prove(proof, 1)  # as after a full disk: the same command runs them again
     assert not again.failed
     assert again.as_dict()["points"] > 0
 
