@@ -13,7 +13,8 @@ from goniotwin.app.campaign.reduction.components import shared_variance
 from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.reduction.reduction import Reduction, reduce_journal
 from goniotwin.app.campaign.schedule.refinement import StatedSymmetry
-from goniotwin.app.data.dataset import Dataset, Measured, SampleData
+from goniotwin.app.data.dataset import Dataset
+from goniotwin.app.data.values import Measured, SampleData
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats import registry
 from goniotwin.app.formats.content import (
@@ -70,19 +71,20 @@ def open_journal(path: Path, *, without_damaged: bool = False) -> Dataset:
             settings.history.read()
         date = next((each.wall_started for each in journal.sessions()), "")
     symmetry = reduction.schedule.symmetry
-    data = {
-        name: sample_of_points(points, name, symmetry, generated=reduced.simulated, measured=Measured(points, settings))
-        for name, points in reduced.samples.items()
-    }
     metadata = Metadata(
         title=reduced.name, date=date, raw_data=reduced.chain, instrument=InstrumentMetadata(name=reduced.rig.file.name)
     )
-    return Dataset(reduced.name, "journal", data, metadata, reduced.notes, reduced.findings, reduced=reduced)
+    data = {
+        name: replace(
+            sample_of_points(points, name, symmetry, generated=reduced.simulated),
+            measured=Measured(points, settings), metadata=metadata,
+        )
+        for name, points in reduced.samples.items()
+    }  # fmt: skip
+    return Dataset(reduced.name, "journal", data, reduced.notes, reduced.findings, reduced=reduced)
 
 
-def sample_of_points(
-    points: BsdfPoints, sample: str, symmetry: StatedSymmetry, *, generated: bool, measured: Measured | None = None
-) -> SampleData:
+def sample_of_points(points: BsdfPoints, sample: str, symmetry: StatedSymmetry, *, generated: bool) -> SampleData:
     """The values of reduced points, in the frame of the sample: gamma turns it, so that the light's azimuth is -gamma."""
     sign = np.where(points.back, -1.0, 1.0)  # of azimuths in the frame of a sample turned about x
     psi = round_deg(wrap_azimuth(-sign * points.gamma_deg))
@@ -103,7 +105,7 @@ def sample_of_points(
         isotropic=symmetry == "isotropic",
         generated=generated,
     )
-    return SampleData(values, round_deg(points.theta_deg), round_deg(points.phi_deg), measured=measured)
+    return SampleData(values, round_deg(points.theta_deg), round_deg(points.phi_deg))
 
 
 def flag_words(flags: dict[str, Flags]) -> Texts:
@@ -131,14 +133,16 @@ def dataset_of_file(content: BsdfFile, name: str, origin: str = "file") -> Datas
     """The dataset of a file's content; `origin` is the name of its format."""
     data = {sample: _sample_of_parts(content.of(sample)) for sample in content.samples}
     notes = tuple(dict.fromkeys([*content.comments, *(each for part in content.parts for each in part.comments)]))
-    return Dataset(name, origin, data, content.metadata, notes, file=content)
+    return Dataset(name, origin, data, notes, file=content)
 
 
 def _sample_of_parts(content: BsdfFile) -> SampleData:
     """The parts of one sample as one list of values."""
     pieces = [*map(_sample_of_table, content.tables), *map(_sample_of_scattered, content.scattered)]
     joined = _join(pieces) if pieces else _sample_of_scattered(_no_values(content.regular))
-    return replace(joined, gridded=bool(content.tables) and not content.scattered, regular=content.regular)
+    return replace(
+        joined, gridded=bool(content.tables) and not content.scattered, regular=content.regular, metadata=content.metadata
+    )
 
 
 def _sample_of_table(table: BsdfTable) -> SampleData:

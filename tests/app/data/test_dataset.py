@@ -10,8 +10,8 @@ import pytest
 import goniotwin
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.reduction.reduction import reduce_journal
-from goniotwin.app.data.dataset import COLUMNS
 from goniotwin.app.data.opening import dataset_of_file
+from goniotwin.app.data.values import COLUMNS
 from goniotwin.app.formats.content import BsdfFile, ScatteredBsdf
 from goniotwin.app.formats.table import BsdfTable
 from tests.conftest import REPOSITORY
