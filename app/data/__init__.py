@@ -1,1 +1,1 @@
-"""Data of campaigns, simulations and files: one type in memory, formats, comparison and reports."""
+"""Data for scripts and notebooks: the dataset of a journal, a file or a simulation; comparison, conversion, plots, reports."""

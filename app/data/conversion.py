@@ -14,6 +14,7 @@ import numpy as np
 
 from goniotwin.app.campaign.reduction.export import WIDEST_GAP_DEG, part_of_light, points_of, scattered_of
 from goniotwin.app.campaign.reduction.reduction import ReducedJournal
+from goniotwin.app.data.opening import with_files_beside
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats import BsdfTable, FormatError, registry
 from goniotwin.app.formats.content import CHECK, UNTRUSTED, BsdfFile, Part, RegularTable, ScatteredBsdf, flagged, nodes
@@ -116,10 +117,8 @@ def is_journal(path: Path) -> bool:
 def convert_file(source: Path, path: Path, form: Format, choice: Choice) -> Converted:
     """Convert a file of any format, with the uncertainties and the mask beside it. Raises UserError."""
     with user_errors():
-        content = registry.read_with_beside(source)
-        if (described := registry.described_table(content)) is not None:
-            raise FormatError(source, f"it has {described}, not values", "give the table itself")
-        return convert_content(content, path, form, choice)
+        found = registry.recognise(source)
+        return convert_content(with_files_beside(source, found.read(source), found), path, form, choice)
 
 
 def convert_reduced(reduced: ReducedJournal, path: Path, form: Format, choice: Choice) -> Converted:
@@ -134,7 +133,9 @@ def convert_reduced(reduced: ReducedJournal, path: Path, form: Format, choice: C
         sample = choice.sample
         if sample is None and len(reduced.samples) > 1 and Holds.SAMPLES not in form.holds:
             raise _several(path, form, tuple(reduced.samples))
-        return convert_content(scattered_of(reduced, sample), path, form, choice, WIDEST_GAP_DEG)
+        content = scattered_of(reduced, sample)
+        known = [reduced.metadata[name] for name in content.samples if name in reduced.metadata]
+        return convert_content(replace(content, metadata=known[0]) if known else content, path, form, choice, WIDEST_GAP_DEG)
 
 
 def convert_content(

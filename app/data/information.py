@@ -7,6 +7,7 @@ import numpy as np
 
 from goniotwin.app.campaign.journal.summary import campaign_summary
 from goniotwin.app.data.conversion import is_journal, shares_of, user_errors
+from goniotwin.app.data.opening import with_files_beside
 from goniotwin.app.formats import BsdfTable, registry
 from goniotwin.app.formats.content import UNTRUSTED, Part, RegularTable, ScatteredBsdf, flagged
 from goniotwin.app.formats.registry import BSDF, Holds
@@ -27,11 +28,13 @@ def information(path: Path) -> dict[str, Any]:
         if Holds.RAYS in found.holds:
             found.read(path)  # it is whole
             return {**result, "simulated": True}
-        content = registry.read_with_beside(path)
+        content = found.read(path)
+        if (described := registry.described_table(content)) is None:
+            content = with_files_beside(path, content, found)
     return {
         **result,
         "simulated": content.simulated,
-        "stands_for": registry.described_table(content),
+        "stands_for": described,
         "parts": [_of_part(part) for part in content.parts],
         "metadata": content.metadata.as_dict(),
         "comments": sum(len(each.comments) for each in (content, *content.parts)),

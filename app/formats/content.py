@@ -208,12 +208,12 @@ class BsdfFile:
 
 def nodes(table: BsdfTable) -> ScatteredBsdf:
     """The values of a grid above the horizon, in the order of its axes; those that were not measured have the flag "filled"."""
-    axes = (np.arange(table.values.shape[0]), table.psi_deg, table.sigma_deg, table.phi_deg, table.theta_deg)
-    channel, psi, sigma, phi, theta = (each.ravel() for each in np.meshgrid(*axes, indexing="ij"))
+    channel, psi, sigma, phi, theta = axes_of_nodes(table)
     polar, azimuth = zenith_and_azimuth(from_specular(sigma, theta, phi))
     above = polar <= HORIZON_DEG
-    names = np.array(table.colours or ("",) * len(axes[0]))
-    wavelengths = np.array(table.wavelengths_nm or (math.nan,) * len(axes[0]))
+    count = table.values.shape[0]
+    names = np.array(table.colours or ("",) * count)
+    wavelengths = np.array(table.wavelengths_nm or (math.nan,) * count)
     columns = {
         "sigma_deg": sigma, "psi_deg": psi, "polar_deg": np.minimum(polar, 90.0), "azimuth_deg": wrap_azimuth(azimuth + psi),
         "values": table.values.ravel(), "wavelength_nm": wavelengths[channel], "channel": names[channel],
@@ -225,3 +225,10 @@ def nodes(table: BsdfTable) -> ScatteredBsdf:
         columns["flags"] = np.where(table.known.ravel(), "", FILLED)
     found = ScatteredBsdf(**{name: each[above] for name, each in columns.items()}, sample=table.sample)
     return replace(found, isotropic=table.psi_deg.size == 1, comments=table.comments, generated=table.generated)
+
+
+def axes_of_nodes(table: BsdfTable) -> tuple[Ints, Floats, Floats, Floats, Floats]:
+    """Index of the channel, psi, sigma, phi and theta of all nodes of a grid, each (values.size,), in the order of its axes."""
+    axes = (np.arange(table.values.shape[0]), table.psi_deg, table.sigma_deg, table.phi_deg, table.theta_deg)
+    channel, psi, sigma, phi, theta = (each.ravel() for each in np.meshgrid(*axes, indexing="ij"))
+    return channel, psi, sigma, phi, theta

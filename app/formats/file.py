@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator
 from io import BufferedReader
 from pathlib import Path
 
-from goniotwin.app.errors import one_line, room_on_disk
+from goniotwin.app.errors import GoniotwinError, one_line, room_on_disk
 
 StrPath = str | os.PathLike[str]
 LONGEST_WORD = 40
@@ -29,7 +29,7 @@ NO_LINKS = frozenset({errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS
 """What a disk without hard links answers, as those of memory sticks."""
 
 
-class FormatError(ValueError):
+class FormatError(GoniotwinError, ValueError):
     """A file that cannot be read or written.
 
     The message is one printable line: the file, the line in it where known, what is wrong and what to do.

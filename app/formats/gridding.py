@@ -12,7 +12,7 @@ import numpy as np
 
 from goniotwin.app.formats.content import CHECK, FILLED, UNTRUSTED, ScatteredBsdf, flagged
 from goniotwin.app.formats.holes import Fill
-from goniotwin.app.formats.specular_grid import SpecularCut, continued, grid_of_points, resample, specular_table
+from goniotwin.app.formats.specular_grid import PolarGrid, SpecularCut, continued, grid_of_points, resample, specular_table
 from goniotwin.app.formats.table import BsdfTable
 from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.twin.optics import arc_direction, from_specular, to_specular
@@ -207,6 +207,9 @@ class _Cuts:
 
     def _on_grid(self, here: _Values, sigma_deg: float) -> SpecularCut:
         grid = grid_of_points(here.polar_deg, here.azimuth_deg, here.values, here.own, here.shared, mirrored=self._mirrored)
+        if not self._mirrored and grid.azimuth_deg[0] == 0.0:  # round the whole turn
+            columns = (np.concatenate([each, each[:, :1]], axis=1) for each in (grid.values, grid.u, grid.shared))
+            grid = PolarGrid(grid.polar_deg, np.append(grid.azimuth_deg, TURN_DEG), *columns, mirrored=False)
         return resample(grid, sigma_deg, self._phi, self.theta, widest_gap_deg=self._gap)
 
     def _between(self, here: _Values, sigma_deg: float) -> SpecularCut:

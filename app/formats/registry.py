@@ -7,7 +7,6 @@ Another package offers formats as entry points of the group `goniotwin.formats`,
 imported before a file is read or written, because the help of the commands lists the formats.
 """
 
-import itertools
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -274,31 +273,6 @@ def _is_like(found: Format, head: bytes) -> bool:
 def read(path: Path) -> "BsdfFile":
     """What a file holds, whatever its format. Raises FormatError."""
     return cast("BsdfFile", recognise(path).read(path))
-
-
-def read_with_beside(path: Path) -> "BsdfFile":
-    """What a file holds, with the uncertainties and the mask of the files that were written beside it. Raises FormatError."""
-    import numpy as np
-
-    from goniotwin.app.formats.table import BsdfTable
-
-    found = recognise(path)
-    content = cast("BsdfFile", found.read(path))
-    for about, beside in files_beside(path, found).items():
-        if not beside.is_file() or about.encode() + path.name.encode() not in read_head(beside, HEAD_BYTES):
-            continue
-        others = cast("BsdfFile", found.read(beside)).parts
-        parts = []
-        for part, other in itertools.zip_longest(content.parts, others):
-            same = type(part) is type(other) and part.values.shape == other.values.shape
-            if same and about is ABOUT_UNCERTAINTY and (part.u is None or not np.isfinite(part.u).any()):
-                parts.append(replace(part, u=other.values))
-            elif same and isinstance(part, BsdfTable) and about is ABOUT_MASK and part.known is None:
-                parts.append(replace(part, known=other.values < 0.5))
-            elif part is not None:
-                parts.append(part)
-        content = replace(content, parts=tuple(parts))
-    return content
 
 
 # ---- writing ----

@@ -66,10 +66,7 @@ class SpecularCut:
 def grid_of_points(
     polar_deg: Floats, azimuth_deg: Floats, values: Floats, u_values: Floats, u_shared: Floats, *, mirrored: bool = True
 ) -> PolarGrid:
-    """The grid of scattered points (n,), with the mean of the values of one direction; `mirrored`: see `PolarGrid`.
-
-    Without it, values at the azimuth 0 are also at 360.
-    """
+    """The grid of scattered points (n,), with the mean of the values of one direction; `mirrored`: see `PolarGrid`."""
     rows, i = np.unique(round_deg(polar_deg), return_inverse=True)
     azimuth = fold_azimuth(azimuth_deg) if mirrored else np.mod(round_deg(azimuth_deg), TURN_DEG)
     columns, j = np.unique(round_deg(azimuth), return_inverse=True)
@@ -80,9 +77,6 @@ def grid_of_points(
             table[0] = table[0].sum()
     with np.errstate(invalid="ignore"):
         means, u, common = total / count, np.sqrt(variance) / count, shared / count
-    if not mirrored and columns[0] == 0.0:
-        columns = np.append(columns, TURN_DEG)
-        means, u, common = (np.concatenate([each, each[:, :1]], axis=1) for each in (means, u, common))
     return PolarGrid(rows, columns, means, np.asarray(u), common, mirrored)
 
 
