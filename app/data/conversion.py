@@ -107,8 +107,9 @@ def user_errors() -> Iterator[None]:
 
 
 def is_journal(path: Path) -> bool:
-    """Whether a file is a database, as journals are. Raises FormatError where there is no such file."""
-    return not path.is_dir() and read_head(path, len(SQLITE)) == SQLITE
+    """Whether a file is a database, as journals are. Raises UserError where there is no such file."""
+    with user_errors():
+        return not path.is_dir() and read_head(path, len(SQLITE)) == SQLITE
 
 
 # ---- conversion ----

@@ -308,7 +308,7 @@ def check_holds(path: Path | str, found: Format, needs: Collection[Holds]) -> No
     if not missing and found.writes:
         return
     wrong = f"a {found.name} file does not hold {join_words(missing, 'and')}" if missing else f"{found.name} is only read"
-    others = [each for each in writers(*set(needs) - KINDS) if each.holds & BSDF]
+    others = [each for each in writers(*set(needs) - {Holds.GRID, Holds.POINTS}) if each.holds & BSDF]
     remedy = f"use {join_words(map(str, others))}" if others else "write it in several files"
     raise FormatError(path, wrong, remedy)
 
