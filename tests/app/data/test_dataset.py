@@ -1,6 +1,5 @@
 """The dataset of `goniotwin.open`: samples, columns and selection."""
 
-import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,21 +18,6 @@ from goniotwin.app.formats.content import BsdfFile, ScatteredBsdf
 from goniotwin.app.formats.registry import Holds
 from goniotwin.app.formats.table import BsdfTable
 from tests.app.data.made import gaussian, table
-from tests.conftest import REPOSITORY
-
-JOURNAL = REPOSITORY / "tests" / "golden" / "data" / "finished.journal"
-
-
-@pytest.fixture(scope="module")
-def journal(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("journal") / "finished.journal"
-    shutil.copy(JOURNAL, path)
-    return path
-
-
-@pytest.fixture(scope="module")
-def dataset(journal: Path) -> goniotwin.Dataset:
-    return goniotwin.open(str(journal))
 
 
 def scattered(sample: str, psi_deg: float = 0.0) -> ScatteredBsdf:
