@@ -5,76 +5,39 @@ azimuth 0 is the sample's mark. Of transmitted light the direction of observatio
 """
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
-from goniotwin.app.campaign.reduction.etalon import ReductionSettings
-from goniotwin.app.campaign.reduction.points import FLAGS, BsdfPoints
+from goniotwin.app.campaign.reduction.effects_of_points import effects_of
 from goniotwin.app.campaign.reduction.reduction import ReducedJournal
+from goniotwin.app.data import hemisphere
+from goniotwin.app.data.frames import to_dataframe, to_xarray
+from goniotwin.app.data.interpolation import WIDEST_DEG, interpolated, lights_at, nearest_directions, own_and_shared
+from goniotwin.app.data.values import (
+    Number,
+    SampleData,
+    ValueWithU,
+    is_at,
+    listed,
+    neighbours,
+    numbers,
+)
 from goniotwin.app.errors import UserError
-from goniotwin.app.formats.content import FILLED, BsdfFile, RegularTable, ScatteredBsdf, Texts
+from goniotwin.app.formats.content import BsdfFile, Texts
 from goniotwin.app.formats.metadata import Metadata
 from goniotwin.arrays import Flags, Floats, Ints
-from goniotwin.twin.optics.geometry.coordinates import TOLERANCE_DEG, TURN_DEG
+from goniotwin.twin.optics import from_specular, to_specular
+from goniotwin.twin.optics.geometry.coordinates import TOLERANCE_DEG, arc_direction, zenith_and_azimuth
 
-UNTRUSTED = frozenset({FILLED, *(name for name, flag in FLAGS.items() if flag.untrusted)})
-"""Flags of values that are not to be used as measured ones."""
-ROUND = {"psi_deg": None, "phi_deg": "theta_deg", "azimuth_deg": "polar_deg"}
-"""Columns whose values repeat after 360 deg, and the polar angle at whose pole, 0 or 180 deg, all of them are one direction."""
-EQUAL = 1.01 * TOLERANCE_DEG
-"""Numbers that differ by no more are one angle or wavelength: a rounding of the last decimal that is kept."""
-MOST_LISTED = 6
+if TYPE_CHECKING:
+    import pandas
+    import xarray
 
-Number = float | Sequence[float]
-"""One number, or several."""
-
-
-@dataclass(frozen=True, eq=False)
-class Measured:
-    """What a journal has beyond the columns: the reduced `points`, one for each value, and the settings of their reduction."""
-
-    points: BsdfPoints
-    settings: ReductionSettings
-
-
-@dataclass(frozen=True, eq=False)
-class SampleData:
-    """One sample: its `values`, with their specular coordinates (n,) in degrees.
-
-    `gridded` values are the nodes of tables. `regular` factors have no place among values in 1/sr. `measured`: of a journal.
-    """
-
-    values: ScatteredBsdf
-    theta_deg: Floats
-    phi_deg: Floats
-    gridded: bool = False
-    regular: tuple[RegularTable, ...] = ()
-    measured: Measured | None = None
-
-    def where(self, chosen: Flags | Ints) -> "SampleData":
-        """Some of the values, or all in another order."""
-        measured = self.measured
-        return replace(
-            self, values=self.values.where(chosen), theta_deg=self.theta_deg[chosen], phi_deg=self.phi_deg[chosen],
-            measured=None if measured is None else replace(measured, points=measured.points.where(chosen)),
-        )  # fmt: skip
-
-    def column(self, name: str) -> npt.NDArray[Any]:
-        """An array (n,) by its name in `COLUMNS`."""
-        if name in ("theta_deg", "phi_deg"):
-            return np.asarray(getattr(self, name))
-        return np.asarray(getattr(self.values, "values" if name == "bsdf" else name))
-
-
-COLUMNS = (
-    "wavelength_nm", "channel", "sigma_deg", "psi_deg", "theta_deg", "phi_deg", "polar_deg", "azimuth_deg", "transmitted",
-    "back", "photodiode", "bsdf", "u", "u_shared", "flags",
-)  # fmt: skip
-"""The arrays of a dataset, all of one length."""
+MOST_OF_COVARIANCE = 5000
+"""Values of a covariance matrix: it takes 200 MB."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +53,6 @@ class Dataset:
     name: str
     origin: str
     data: Mapping[str, SampleData] = field(repr=False)
-    metadata: Metadata = field(default_factory=Metadata, repr=False)
     notes: tuple[str, ...] = field(default=(), repr=False)
     findings: tuple[str, ...] = field(default=(), repr=False)
     file: BsdfFile | None = field(default=None, repr=False)
@@ -132,6 +94,11 @@ class Dataset:
     def size(self) -> int:
         """Number of values, of all samples together."""
         return sum(each.values.size for each in self.data.values())
+
+    @property
+    def metadata(self) -> Metadata:
+        """What is known about the measurement of the only sample: instrument, light, reference, operator and so on."""
+        return self.only.metadata
 
     @property
     def simulated(self) -> bool:
@@ -176,7 +143,7 @@ class Dataset:
     @property
     def good(self) -> Flags:
         """The values (n,) to be trusted: there is a number, and no flag that says otherwise."""
-        return np.isfinite(self.bsdf) & ~flagged(self.flags, UNTRUSTED)
+        return self.only.good
 
     @property
     def sigma_deg(self) -> Floats:
@@ -296,57 +263,152 @@ class Dataset:
     def _with(self, data: SampleData) -> "Dataset":
         return replace(self, data={self.sample: data})
 
+    # ---- values between the measured ones, integrals ----
 
-def flagged(flags: Texts, words: frozenset[str]) -> Flags:
-    """Whether flags (n,) have any of the words."""
-    distinct, which = np.unique(flags, return_inverse=True)
-    having = np.array([bool(words.intersection(each.split())) for each in distinct.tolist()], dtype=bool)
-    return np.asarray(having[which.ravel()]) if flags.size else np.zeros(0, dtype=bool)
+    def at(
+        self, *, theta_deg: Number | Floats | None = None, phi_deg: Number | Floats | None = None,
+        polar_deg: Number | Floats | None = None, azimuth_deg: Number | Floats | None = None, sigma_deg: float | None = None,
+        psi_deg: float | None = None, wavelength_nm: float | None = None, channel: str | None = None,
+        transmitted: bool | None = None, back: bool | None = None,
+    ) -> ValueWithU:  # fmt: skip
+        """The BSDF in any direction, interpolated between trusted values, with u: `value, u = d.at(...)`.
+
+        The direction is theta and phi, about the specular direction (phi need not be given at theta 0), or polar angle and
+        azimuth; arrays, which broadcast, give arrays, with NaN where there is no value. Incidence and wavelength may be between
+        those that are there; whatever has one value in the dataset need not be given. u has what the values share, and an
+        estimate of the interpolation's error (`app/data/interpolation.py`). Raises GoniotwinError where there are no values
+        around, further than 30 deg apart, with the nearest directions.
+        """
+        data, place = self.only, self._place()
+        lights = lights_at(
+            data, place, sigma_deg=_number("sigma_deg", sigma_deg), psi_deg=_number("psi_deg", psi_deg),
+            wavelength_nm=_number("wavelength_nm", wavelength_nm), channel=channel, transmitted=transmitted, back=back,
+        )  # fmt: skip
+        sigma = float(sum(light.sigma_deg * weight for light, weight in lights))
+        psi = lights[0][0].psi_deg
+        theta, phi = _direction(theta_deg, phi_deg, polar_deg, azimuth_deg, sigma, psi)
+        shape = _broadcast(theta, phi)
+        flat = (np.broadcast_to(each, shape).ravel() for each in (theta, phi))
+        values, u = interpolated(lights, data, *flat)
+        if shape:
+            return ValueWithU(values.reshape(shape), u.reshape(shape), "1/sr")
+        if math.isnan(values[0]):
+            polar, _ = zenith_and_azimuth(from_specular(sigma, theta, phi))
+            where = f"theta {float(theta):g}, phi {float(phi):g}"
+            if polar > 90.0 + TOLERANCE_DEG:
+                raise UserError(f"{where}: is below the horizon at sigma {sigma:g} deg; give another direction")
+            near = nearest_directions(data, [light for light, _ in lights], float(theta), float(phi))
+            raise UserError(f"{where}: {place} has no values around it, less than {WIDEST_DEG:g} deg apart on a grid; {near}")
+        return ValueWithU(float(values[0]), float(u[0]), "1/sr")
+
+    def reflectance(
+        self, *, sigma_deg: float | None = None, psi_deg: float | None = None, wavelength_nm: float | None = None,
+        channel: str | None = None, transmitted: bool | None = None, back: bool | None = None,
+    ) -> ValueWithU:  # fmt: skip
+        """The directional-hemispherical reflectance (or transmittance) at one incidence: `value, u = d.reflectance(...)`.
+
+        u is by the covariance of the values: of a journal from all inputs of its uncertainty, of a file by an assumption that
+        `about` states. A regular part of the file is included. Raises GoniotwinError where the directions do not cover the half
+        sphere, and for an incidence without values.
+        """
+        sigma = _number("sigma_deg", sigma_deg)
+        if not self.only.values.size and self.only.regular:
+            return hemisphere.only_regular(self.only, self._place(), sigma)
+        lights = lights_at(
+            self.only, self._place(), sigma_deg=sigma, psi_deg=_number("psi_deg", psi_deg), between=False,
+            wavelength_nm=_number("wavelength_nm", wavelength_nm), channel=channel, transmitted=transmitted, back=back,
+        )  # fmt: skip
+        return hemisphere.reflectance(self.only, lights[0][0], self._place())
+
+    # ---- uncertainty ----
+
+    @property
+    def components(self) -> dict[str, Floats]:
+        """The components of `u` (n,) by name, 1/sr: their squares add up to its square. Only a journal has them."""
+        measured = self.only.measured
+        if measured is None:
+            raise UserError(f"components: {self._place()} is no journal; a file has no components of the uncertainty")
+        return measured.points.budget
+
+    def covariance(self) -> Floats:
+        """The covariance (n, n) of the values, 1/sr squared; NaN where there is no value.
+
+        Of a journal it is by all inputs of the uncertainty. Of a file `u_shared` counts as common to all values, or all of u
+        where the file does not divide it. Raises GoniotwinError for more than 5,000 values.
+        """
+        if self.size > MOST_OF_COVARIANCE:
+            raise UserError(f"covariance: of {self.size} values is too large; select at most {MOST_OF_COVARIANCE}")
+        data = self.only
+        if data.measured is not None:
+            every = np.arange(self.size)
+            return effects_of(data.measured.points, data.measured.settings).covariance(every, every)
+        own, shared = own_and_shared(self.u, self.u_shared)
+        return np.asarray(np.diag(own**2) + np.outer(shared, shared))
+
+    # ---- other libraries ----
+
+    def to_dataframe(self) -> "pandas.DataFrame":
+        """A DataFrame of pandas: a row for each value, the columns of the dataset. Needs the extra `xarray`."""
+        return to_dataframe(self.only)
+
+    def to_xarray(self) -> "xarray.Dataset":
+        """A Dataset of xarray: `bsdf`, `u` and `flags`, a table over the axes of its grid, all else over `value`.
+
+        Needs the extra `xarray`.
+        """
+        attributes = {"name": self.name, "origin": self.origin, "sample": self.sample, "simulated": int(self.simulated)}
+        return to_xarray(self.only, attributes)
 
 
-def numbers(name: str, value: object) -> list[float]:
-    """The numbers of an argument. Raises UserError."""
+def _number(name: str, value: float | None) -> float | None:
+    return None if value is None else _single(name, value)
+
+
+def _single(name: str, value: object) -> float:
+    """The number of an argument. Raises UserError for several."""
+    found = numbers(name, value)
+    if len(found) > 1:
+        raise UserError(f"{name}: {value!r}: give one number")
+    return found[0]
+
+
+def _direction(
+    theta_deg: object, phi_deg: object, polar_deg: object, azimuth_deg: object, sigma_deg: float, psi_deg: float
+) -> tuple[Floats, Floats]:
+    """The specular coordinates of a direction that is given in one way or the other, scalars or arrays. Raises UserError."""
+    specular, own = (theta_deg, phi_deg), (polar_deg, azimuth_deg)
+    if all(each is None for each in own) and theta_deg is not None:
+        theta = _angles("theta_deg", theta_deg, 180.0)
+        if phi_deg is None and (theta > TOLERANCE_DEG).any():
+            raise UserError("phi_deg: is missing; give theta_deg and phi_deg")
+        return theta, _angles("phi_deg", 0.0 if phi_deg is None else phi_deg)
+    if all(each is None for each in specular) and polar_deg is not None:
+        polar = _angles("polar_deg", polar_deg, 90.0)
+        if azimuth_deg is None and (polar > TOLERANCE_DEG).any():
+            raise UserError("azimuth_deg: is missing; give polar_deg and azimuth_deg")
+        azimuth = _angles("azimuth_deg", 0.0 if azimuth_deg is None else azimuth_deg)
+        _broadcast(polar, azimuth)
+        return to_specular(sigma_deg, arc_direction(polar, azimuth - psi_deg))
+    raise UserError("at: give the direction by theta_deg and phi_deg, or by polar_deg and azimuth_deg")
+
+
+def _broadcast(one: Floats, other: Floats) -> tuple[int, ...]:
     try:
-        found = np.atleast_1d(np.asarray(value, dtype=np.float64))
+        return np.broadcast_shapes(one.shape, other.shape)
+    except ValueError:
+        raise UserError(f"at: the two angles have the shapes {one.shape} and {other.shape}, which do not fit") from None
+
+
+def _angles(name: str, value: object, most: float | None = None) -> Floats:
+    try:
+        found = np.asarray(value, dtype=np.float64)
     except (TypeError, ValueError):
-        found = np.zeros(0)
-    if isinstance(value, str | bool) or found.ndim != 1 or not found.size or not np.isfinite(found).all():
-        raise UserError(f"{name}: {value!r}: give a number, or a list of numbers")
-    return [float(each) for each in found]
-
-
-def is_at(data: SampleData, name: str, number: float) -> Flags:
-    """Whether values (n,) are at an angle or a wavelength."""
-    column = data.column(name)
-    if name not in ROUND:
-        return np.asarray(np.abs(column - number) <= EQUAL)
-    apart = np.mod(column - number, TURN_DEG)
-    chosen = np.minimum(apart, TURN_DEG - apart) <= EQUAL
-    pole = ROUND[name]
-    if pole is not None:
-        polar = data.column(pole)
-        chosen |= (polar <= EQUAL) | (polar >= 180.0 - EQUAL)
-    return np.asarray(chosen)
-
-
-def neighbours(column: npt.NDArray[Any], number: float) -> str:
-    """The nearest numbers below and above, in words."""
-    there = np.unique(np.round(column[np.isfinite(column)].astype(np.float64), 6))
-    if not there.size:
-        return "its values have none"
-    place = int(np.searchsorted(there, number))
-    near = [f"{each:.9g}" for each in there[max(place - 1, 0) : place + 1].tolist()]
-    return f"the nearest {'are' if len(near) > 1 else 'is'} {' and '.join(near)}"
-
-
-def listed(values: Floats, unit: str) -> str:
-    """Distinct numbers in words; the first and the last of many."""
-    there = np.unique(np.round(values[np.isfinite(values)], 6)).tolist()
-    if not there:
-        return ""
-    if len(there) > MOST_LISTED:
-        return f"{len(there)} from {there[0]:g} to {there[-1]:g} {unit}"
-    return f"{', '.join(f'{each:g}' for each in there)} {unit}"
+        found = np.full(1, np.nan)
+    if isinstance(value, str | bool) or not np.isfinite(found).all():
+        raise UserError(f"{name}: {value!r}: give a number, or an array of numbers")
+    if most is not None and ((found < 0.0) | (found > most)).any():
+        raise UserError(f"{name}: {value!r}: give angles from 0 to {most:g}")
+    return found
 
 
 def _named(sample: str) -> str:

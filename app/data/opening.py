@@ -13,22 +13,24 @@ from goniotwin.app.campaign.reduction.components import shared_variance
 from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.reduction.reduction import Reduction, reduce_journal
 from goniotwin.app.campaign.schedule.refinement import StatedSymmetry
-from goniotwin.app.data.dataset import Dataset, Measured, SampleData
+from goniotwin.app.data.dataset import Dataset
+from goniotwin.app.data.values import Measured, SampleData
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats import registry
 from goniotwin.app.formats.content import (
     COLUMNS,
     HORIZON_DEG,
     BsdfFile,
+    Part,
     RegularTable,
     ScatteredBsdf,
     Texts,
     axes_of_nodes,
     nodes,
+    psi_of_gamma,
 )
-from goniotwin.app.formats.file import SQLITE, StrPath, read_head
-from goniotwin.app.formats.metadata import InstrumentMetadata, Metadata
-from goniotwin.app.formats.registry import Holds
+from goniotwin.app.formats.file import SQLITE, FormatError, StrPath, read_head
+from goniotwin.app.formats.registry import Format
 from goniotwin.app.formats.table import BsdfTable
 from goniotwin.arrays import Flags, Floats
 from goniotwin.twin.optics import from_specular
@@ -54,7 +56,8 @@ def open_dataset(path: StrPath, *, without_damaged: bool = False) -> Dataset:
     file = Path(path)
     if not file.is_dir() and read_head(file, len(SQLITE)) == SQLITE:
         return open_journal(file, without_damaged=without_damaged)
-    return dataset_of_file(read_file(file), file.name)
+    found = registry.recognise(file)
+    return dataset_of_file(with_files_beside(file, found.read(file), found), file.name, found.name)
 
 
 # ---- journals ----
@@ -68,24 +71,21 @@ def open_journal(path: Path, *, without_damaged: bool = False) -> Dataset:
         settings = reduction.settings
         if settings.history is not None:
             settings.history.read()
-        date = next((each.wall_started for each in journal.sessions()), "")
     symmetry = reduction.schedule.symmetry
     data = {
-        name: sample_of_points(points, name, symmetry, generated=reduced.simulated, measured=Measured(points, settings))
+        name: replace(
+            sample_of_points(points, name, symmetry, generated=reduced.simulated),
+            measured=Measured(points, settings), metadata=reduced.metadata[name],
+        )
         for name, points in reduced.samples.items()
-    }
-    metadata = Metadata(
-        title=reduced.name, date=date, raw_data=reduced.chain, instrument=InstrumentMetadata(name=reduced.rig.file.name)
-    )
-    return Dataset(reduced.name, "journal", data, metadata, reduced.notes, reduced.findings, reduced=reduced)
+    }  # fmt: skip
+    return Dataset(reduced.name, "journal", data, reduced.notes, reduced.findings, reduced=reduced)
 
 
-def sample_of_points(
-    points: BsdfPoints, sample: str, symmetry: StatedSymmetry, *, generated: bool, measured: Measured | None = None
-) -> SampleData:
+def sample_of_points(points: BsdfPoints, sample: str, symmetry: StatedSymmetry, *, generated: bool) -> SampleData:
     """The values of reduced points, in the frame of the sample: gamma turns it, so that the light's azimuth is -gamma."""
     sign = np.where(points.back, -1.0, 1.0)  # of azimuths in the frame of a sample turned about x
-    psi = round_deg(wrap_azimuth(-sign * points.gamma_deg))
+    psi = round_deg(psi_of_gamma(points.gamma_deg, points.back))
     values = ScatteredBsdf(
         sigma_deg=round_deg(np.where(points.back, HALF_TURN_DEG - points.sigma_deg, points.sigma_deg)),
         psi_deg=psi,
@@ -103,7 +103,7 @@ def sample_of_points(
         isotropic=symmetry == "isotropic",
         generated=generated,
     )
-    return SampleData(values, round_deg(points.theta_deg), round_deg(points.phi_deg), measured=measured)
+    return SampleData(values, round_deg(points.theta_deg), round_deg(points.phi_deg))
 
 
 def flag_words(flags: dict[str, Flags]) -> Texts:
@@ -121,24 +121,58 @@ def flag_words(flags: dict[str, Flags]) -> Texts:
 # ---- files ----
 
 
-def read_file(path: Path) -> BsdfFile:
-    """The content of a file of any format. Raises FormatError."""
-    content = registry.read(path, Holds.GRID)
-    return content if isinstance(content, BsdfFile) else BsdfFile((content,))
+def with_files_beside(path: Path, content: BsdfFile, found: Format) -> BsdfFile:
+    """A file's content with the uncertainties and the mask in the files beside it, where its format has no room for them.
+
+    Raises FormatError for a file that has uncertainties or a mask in the place of values.
+    """
+    if (described := registry.described_table(content)) is not None:
+        raise FormatError(path, f"it has {described}, not values", "give the table itself")
+    parts, comments = list(content.parts), content.comments
+    for about, beside in registry.files_beside(path, found).items():
+        if not beside.is_file() or about.encode() not in read_head(beside, registry.HEAD_BYTES):
+            continue
+        others = found.read(beside).parts
+        for k, part in enumerate(parts):
+            other = next((each for each in others if _on_one_grid(part, each)), None)
+            if other is None:
+                comments = (*comments, f"{beside.name} is beside it, and has not the same grid: it is left out")
+            elif about == registry.ABOUT_UNCERTAINTY:
+                parts[k] = replace(part, u=other.values)
+            elif isinstance(part, BsdfTable):
+                parts[k] = replace(part, known=other.values == 0.0)
+    return replace(content, parts=tuple(parts), comments=comments)
+
+
+def _on_one_grid(part: Part, other: Part) -> bool:
+    """Whether two parts have their values at the same places."""
+    axes = {
+        BsdfTable: ("psi_deg", "sigma_deg", "phi_deg", "theta_deg"),
+        RegularTable: ("psi_deg", "sigma_deg"),
+        ScatteredBsdf: ("sigma_deg", "psi_deg", "polar_deg", "azimuth_deg"),
+    }[type(part)]
+    same = ("sample", "transmitted", "back", "wavelengths_nm", "colours") if type(part) is not ScatteredBsdf else ("sample",)
+    return (
+        type(part) is type(other)
+        and all(np.array_equal(getattr(part, name), getattr(other, name)) for name in axes)
+        and all(getattr(part, name) == getattr(other, name) for name in same)
+    )
 
 
 def dataset_of_file(content: BsdfFile, name: str, origin: str = "file") -> Dataset:
     """The dataset of a file's content; `origin` is the name of its format."""
     data = {sample: _sample_of_parts(content.of(sample)) for sample in content.samples}
     notes = tuple(dict.fromkeys([*content.comments, *(each for part in content.parts for each in part.comments)]))
-    return Dataset(name, origin, data, content.metadata, notes, file=content)
+    return Dataset(name, origin, data, notes, file=content)
 
 
 def _sample_of_parts(content: BsdfFile) -> SampleData:
     """The parts of one sample as one list of values."""
     pieces = [*map(_sample_of_table, content.tables), *map(_sample_of_scattered, content.scattered)]
     joined = _join(pieces) if pieces else _sample_of_scattered(_no_values(content.regular))
-    return replace(joined, gridded=bool(content.tables) and not content.scattered, regular=content.regular)
+    return replace(
+        joined, gridded=bool(content.tables) and not content.scattered, regular=content.regular, metadata=content.metadata
+    )
 
 
 def _sample_of_table(table: BsdfTable) -> SampleData:

@@ -4,7 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from goniotwin.app.data.dataset import Dataset, SampleData
+from goniotwin.app.data.dataset import Dataset
+from goniotwin.app.data.values import SampleData
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats.content import ScatteredBsdf
 from goniotwin.app.rig.samples import parse_sample

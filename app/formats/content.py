@@ -99,6 +99,14 @@ COLUMNS = tuple(
 ANGLES = ("sigma_deg", "psi_deg", "polar_deg", "azimuth_deg")
 
 
+def psi_of_gamma(gamma_deg: Floats, back: Flags) -> Floats:
+    """The azimuth of the light in the sample's frame, 0 to below 360, of the sample's rotation in the rig.
+
+    The frame of a sample that is lit on the back is turned about x.
+    """
+    return wrap_azimuth(np.where(back, gamma_deg, -gamma_deg))
+
+
 def to_specular_deg(sigma_deg: Floats, polar_deg: Floats, azimuth_deg: Floats) -> tuple[Floats, Floats]:
     """theta and phi, deg, of directions whose azimuth is counted from the light's."""
     return to_specular(sigma_deg, arc_direction(polar_deg, azimuth_deg))
@@ -170,6 +178,12 @@ class BsdfFile:
     def regular(self) -> tuple[RegularTable, ...]:
         """The regular factors among the parts."""
         return tuple(part for part in self.parts if isinstance(part, RegularTable))
+
+    def only_table(self) -> BsdfTable:
+        """The grid of a file that has nothing else, for formats that hold one. Raises ValueError."""
+        if len(self.parts) != 1 or not self.tables:
+            raise ValueError(f"it has {len(self.parts)} parts, of which {len(self.tables)} are tables; give one table")
+        return self.tables[0]
 
     def of(self, sample: str) -> "BsdfFile":
         """The parts of one sample."""

@@ -21,6 +21,7 @@ from goniotwin.twin.optics import from_specular
 from goniotwin.twin.optics.geometry.coordinates import (
     HALF_TURN_DEG,
     TOLERANCE_DEG,
+    TURN_DEG,
     fold_azimuth,
     mirror_in_plane_of_incidence,
     round_deg,
@@ -61,10 +62,13 @@ class SpecularCut:
     known: Flags
 
 
-def grid_of_points(polar_deg: Floats, azimuth_deg: Floats, values: Floats, u_values: Floats, u_shared: Floats) -> PolarGrid:
-    """The grid of scattered points (n,), mirrored in the plane of incidence, with the mean of the values of one direction."""
+def grid_of_points(
+    polar_deg: Floats, azimuth_deg: Floats, values: Floats, u_values: Floats, u_shared: Floats, *, mirrored: bool = True
+) -> PolarGrid:
+    """The grid of scattered points (n,), with the mean of the values of one direction; `mirrored`: see `PolarGrid`."""
     rows, i = np.unique(round_deg(polar_deg), return_inverse=True)
-    columns, j = np.unique(round_deg(fold_azimuth(azimuth_deg)), return_inverse=True)
+    azimuth = fold_azimuth(azimuth_deg) if mirrored else np.mod(round_deg(azimuth_deg), TURN_DEG)
+    columns, j = np.unique(round_deg(azimuth), return_inverse=True)
     count, total, variance, shared = (np.zeros((rows.size, columns.size)) for _ in range(4))
     for table, added in ((count, 1.0), (total, values), (variance, u_values**2), (shared, u_shared)):
         np.add.at(table, (i, j), added)
@@ -72,7 +76,7 @@ def grid_of_points(polar_deg: Floats, azimuth_deg: Floats, values: Floats, u_val
             table[0] = table[0].sum()
     with np.errstate(invalid="ignore"):
         means, u, common = total / count, np.sqrt(variance) / count, shared / count
-    return PolarGrid(rows, columns, means, np.asarray(u), common, mirrored=True)
+    return PolarGrid(rows, columns, means, np.asarray(u), common, mirrored)
 
 
 def resample(
@@ -253,7 +257,7 @@ def specular_table(
     u = np.where(known | (u > 0.0), u, float(u.max()) or 1.0 / np.pi)
     return BsdfTable(
         sigma_deg, phi_deg, theta_deg, values, wavelengths_nm,
-        transmitted=transmitted, generated=generated, comments=tuple(about), u=u,
+        transmitted=transmitted, generated=generated, comments=tuple(about), u=u, known=known,
     )  # fmt: skip
 
 

@@ -1,6 +1,7 @@
 """The dataset of `goniotwin.open`: samples, columns and selection."""
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -9,11 +10,15 @@ import pytest
 
 import goniotwin
 from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.reduction.export import export
 from goniotwin.app.campaign.reduction.reduction import reduce_journal
-from goniotwin.app.data.dataset import COLUMNS
 from goniotwin.app.data.opening import dataset_of_file
+from goniotwin.app.data.values import COLUMNS
+from goniotwin.app.formats import registry
 from goniotwin.app.formats.content import BsdfFile, ScatteredBsdf
+from goniotwin.app.formats.registry import Holds
 from goniotwin.app.formats.table import BsdfTable
+from tests.app.data.made import gaussian, table
 from tests.conftest import REPOSITORY
 
 JOURNAL = REPOSITORY / "tests" / "golden" / "data" / "finished.journal"
@@ -166,5 +171,40 @@ def test_files_that_are_nothing_are_refused(tmp_path: Path) -> None:
             (tmp_path / name).write_bytes(content)
         with pytest.raises(goniotwin.GoniotwinError, match=name):
             goniotwin.open(tmp_path / name)
-    with pytest.raises(goniotwin.GoniotwinError, match="folder"):
+    with pytest.raises(goniotwin.GoniotwinError, match=tmp_path.name):
         goniotwin.open(tmp_path)
+
+
+def test_uncertainties_and_mask_beside_a_table_belong_to_it(tmp_path: Path) -> None:
+    made = table(gaussian(5.0), np.array([0.0, 30.0, 90.0]), 5.0, u=0.02)
+    known = np.ones(made.values.shape, dtype=bool)
+    known[..., 3] = False
+    path = tmp_path / "a.ddr"
+    files = registry.write(path, BsdfFile((replace(made, known=known),)), registry.format_named("ddr", {Holds.GRID}))
+    assert len(files) == 3
+    d = goniotwin.open(path)
+    assert d.origin == "ddr"
+    np.testing.assert_allclose(d.u, 0.02 * d.bsdf, rtol=1e-6)
+    assert np.unique(d.theta_deg[d.flags == "filled"]).tolist() == [15.0]
+    for beside in files[1:]:
+        with pytest.raises(goniotwin.GoniotwinError, match=r"it has the .* of a\.ddr, not values"):
+            goniotwin.open(beside)
+    coarse = table(gaussian(5.0), np.array([0.0, 30.0, 90.0]), 10.0)
+    registry.format_named("ddr", {Holds.GRID}).write(path, BsdfFile((coarse,)))
+    other = goniotwin.open(path)
+    assert np.isnan(other.u).all()
+    assert any("a.u.ddr is beside it, and has not the same grid" in note for note in other.notes)
+
+
+def test_an_exported_csv_has_the_values_of_its_journal(dataset: goniotwin.Dataset, journal: Path, tmp_path: Path) -> None:
+    path = tmp_path / "points.csv"
+    with Journal.open(journal) as opened:
+        reduced = reduce_journal(opened)
+    export(reduced, None, path, registry.format_named("csv", {Holds.POINTS}))
+    d = goniotwin.open(path)
+    assert d.origin == "csv"
+    assert d.simulated
+    assert d.samples == dataset.samples
+    for name in ("bsdf", "u", "sigma_deg", "theta_deg", "phi_deg", "polar_deg", "wavelength_nm"):
+        np.testing.assert_allclose(getattr(d, name), getattr(dataset, name), rtol=1e-8, atol=2e-6, err_msg=name)
+    assert d.flags.tolist() == dataset.flags.tolist()
