@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, Literal, get_args
 import numpy as np
 
 from goniotwin.app.campaign.reduction.components import interval, mostly_added
-from goniotwin.app.data.dataset import Dataset, Number
+from goniotwin.app.data.dataset import Dataset
+from goniotwin.app.data.values import Number
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats.file import write_file
 from goniotwin.arrays import Flags, Floats, Ints

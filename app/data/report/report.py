@@ -21,10 +21,11 @@ from goniotwin.app.campaign.reduction.effects_of_points import effects_of
 from goniotwin.app.campaign.reduction.points import FLAGS
 from goniotwin.app.campaign.reduction.reduction import Reduction
 from goniotwin.app.campaign.reduction.verification import Verdict, verify_journal
-from goniotwin.app.data.dataset import Dataset, Measured
+from goniotwin.app.data.dataset import Dataset
 from goniotwin.app.data.opening import open_dataset
 from goniotwin.app.data.plotting import Kind, plot
-from goniotwin.app.errors import UserError
+from goniotwin.app.data.values import Measured
+from goniotwin.app.errors import MissingPackage, UserError
 from goniotwin.app.formats.file import write_file
 from goniotwin.app.formats.metadata import Metadata
 from goniotwin.protocols.clock import calendar_stamp
@@ -100,11 +101,11 @@ def report_html(path: Path, *, without_damaged: bool = False) -> tuple[str, dict
 
 
 def _template() -> Any:
-    """The template of the page. Raises UserError without Jinja2."""
+    """The template of the page. Raises MissingPackage without Jinja2."""
     try:
         from jinja2 import Environment, PackageLoader, StrictUndefined
     except ImportError:
-        raise UserError(MISSING) from None
+        raise MissingPackage(MISSING) from None
     environment = Environment(
         loader=PackageLoader("goniotwin.app.data", "report"), autoescape=True, undefined=StrictUndefined, trim_blocks=True,
         lstrip_blocks=True,
