@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from goniotwin.app.data.comparison import DatasetComparison, compare, theory
     from goniotwin.app.data.dataset import Dataset
     from goniotwin.app.data.opening import open_dataset as open
+    from goniotwin.app.data.plotting import plot
     from goniotwin.app.data.simulation import simulate
     from goniotwin.app.data.values import ValueWithU
     from goniotwin.app.errors import GoniotwinError
@@ -33,6 +34,7 @@ __all__ = [
     "__version__",
     "compare",
     "open",
+    "plot",
     "simulate",
     "theory",
 ]
@@ -44,6 +46,7 @@ _HOMES = {
     "ValueWithU": ("goniotwin.app.data.values", "ValueWithU"),
     "compare": ("goniotwin.app.data.comparison", "compare"),
     "open": ("goniotwin.app.data.opening", "open_dataset"),
+    "plot": ("goniotwin.app.data.plotting", "plot"),
     "simulate": ("goniotwin.app.data.simulation", "simulate"),
     "theory": ("goniotwin.app.data.comparison", "theory"),
 }

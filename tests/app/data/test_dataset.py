@@ -9,8 +9,8 @@ import pytest
 
 import goniotwin
 from goniotwin.app.campaign.journal.writing import Journal
-from goniotwin.app.campaign.reduction.export import export
 from goniotwin.app.campaign.reduction.reduction import reduce_journal
+from goniotwin.app.data.conversion import Choice, convert_reduced, format_to_write
 from goniotwin.app.data.opening import dataset_of_file
 from goniotwin.app.data.values import COLUMNS
 from goniotwin.app.formats import registry
@@ -184,7 +184,7 @@ def test_an_exported_csv_has_the_values_of_its_journal(dataset: goniotwin.Datase
     path = tmp_path / "points.csv"
     with Journal.open(journal) as opened:
         reduced = reduce_journal(opened)
-    export(reduced, None, path, registry.format_named("csv", {Holds.POINTS}))
+    convert_reduced(reduced, path, format_to_write(path), Choice())
     d = goniotwin.open(path)
     assert d.origin == "csv"
     assert d.simulated
