@@ -31,6 +31,10 @@ class UserError(GoniotwinError):
     status = 2
 
 
+class MissingPackage(UserError):
+    """A package of an extra is not installed."""
+
+
 def one_line(text: str) -> str:
     """The text as one printable line of a readable length."""
     if len(text) > LONGEST_MESSAGE:

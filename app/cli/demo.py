@@ -18,7 +18,8 @@ from goniotwin.app.campaign.running.events import State
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.cli.output import RowProgress
 from goniotwin.app.data.conversion import Choice, convert_reduced, format_to_write
-from goniotwin.app.errors import UserError
+from goniotwin.app.data.report.report import write_report
+from goniotwin.app.errors import MissingPackage, UserError
 from goniotwin.app.rig import RigDescription, read_rig
 from goniotwin.protocols.clock import RealClock
 
@@ -32,7 +33,7 @@ def run_demo(
     clock = RealClock()
     rig = read_rig(rig_path)
     schedule = read_schedule(schedule_path)
-    files = {name: out / f"quick.{name}" for name in ("journal", "ddr", "csv", "png")}
+    files = {name: out / f"quick.{name}" for name in ("journal", "ddr", "csv", "png", "html")}
     try:
         out.mkdir(parents=True, exist_ok=True)
         for file in files.values():
@@ -49,6 +50,11 @@ def run_demo(
     for name in ("ddr", "csv"):
         convert_reduced(reduced, files[name], format_to_write(files[name]), Choice(SAMPLE))
     cut_figure(reduced, SAMPLE, measured, files["png"])
+    try:
+        write_report(files["journal"], files["html"])
+    except MissingPackage as error:  # a demo without it is as good
+        del files["html"]
+        console.print(f"goniotwin: no report: {error}", markup=False)
     result = {
         "rows": len(plan.rows),
         "duration_s": seconds,

@@ -223,7 +223,7 @@ def nodes(table: BsdfTable) -> ScatteredBsdf:
     count = table.values.shape[0]
     names = np.array(table.colours or ("",) * count)
     wavelengths = np.array(table.wavelengths_nm or (math.nan,) * count)
-    columns = {
+    columns: dict[str, Any] = {
         "sigma_deg": sigma, "psi_deg": psi, "polar_deg": np.minimum(polar, 90.0), "azimuth_deg": wrap_azimuth(azimuth + psi),
         "values": table.values.ravel(), "wavelength_nm": wavelengths[channel], "channel": names[channel],
         "transmitted": np.full(sigma.size, table.transmitted), "back": np.full(sigma.size, table.back),
@@ -239,5 +239,6 @@ def nodes(table: BsdfTable) -> ScatteredBsdf:
 def axes_of_nodes(table: BsdfTable) -> tuple[Ints, Floats, Floats, Floats, Floats]:
     """Index of the channel, psi, sigma, phi and theta of all nodes of a grid, each (values.size,), in the order of its axes."""
     axes = (np.arange(table.values.shape[0]), table.psi_deg, table.sigma_deg, table.phi_deg, table.theta_deg)
-    channel, psi, sigma, phi, theta = (each.ravel() for each in np.meshgrid(*axes, indexing="ij"))
-    return channel, psi, sigma, phi, theta
+    channel, *angles = (each.ravel() for each in np.meshgrid(*axes, indexing="ij"))
+    psi, sigma, phi, theta = (each.astype(np.float64) for each in angles)
+    return channel.astype(np.int64), psi, sigma, phi, theta
