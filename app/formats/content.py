@@ -171,6 +171,12 @@ class BsdfFile:
         """The regular factors among the parts."""
         return tuple(part for part in self.parts if isinstance(part, RegularTable))
 
+    def only_table(self) -> BsdfTable:
+        """The grid of a file that has nothing else, for formats that hold one. Raises ValueError."""
+        if len(self.parts) != 1 or not self.tables:
+            raise ValueError(f"it has {len(self.parts)} parts, of which {len(self.tables)} are tables; give one table")
+        return self.tables[0]
+
     def of(self, sample: str) -> "BsdfFile":
         """The parts of one sample."""
         return replace(self, parts=tuple(part for part in self.parts if part.sample == sample))
