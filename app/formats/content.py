@@ -99,6 +99,14 @@ COLUMNS = tuple(
 ANGLES = ("sigma_deg", "psi_deg", "polar_deg", "azimuth_deg")
 
 
+def psi_of_gamma(gamma_deg: Floats, back: Flags) -> Floats:
+    """The azimuth of the light in the sample's frame, 0 to below 360, of the sample's rotation in the rig.
+
+    The frame of a sample that is lit on the back is turned about x.
+    """
+    return wrap_azimuth(np.where(back, gamma_deg, -gamma_deg))
+
+
 def to_specular_deg(sigma_deg: Floats, polar_deg: Floats, azimuth_deg: Floats) -> tuple[Floats, Floats]:
     """theta and phi, deg, of directions whose azimuth is counted from the light's."""
     return to_specular(sigma_deg, arc_direction(polar_deg, azimuth_deg))

@@ -5,6 +5,7 @@ LinearInterpolator). So the tables that they read go from sigma 0 to 90, theta 0
 """
 
 import re
+from collections.abc import Collection
 from dataclasses import replace
 from typing import TypeVar
 
@@ -16,28 +17,31 @@ from goniotwin.app.formats.table import BsdfTable
 from goniotwin.arrays import Flags, Floats, Ints
 
 COVERED = "not in the data: "
-REPEATED = re.compile(r"(sigma|theta) (\S+) repeated to (0|90|180)")
+REPEATED = re.compile(r"(psi|sigma|theta) (\S+) repeated to (0|90|180|360)")
 FINE_THETA_DEG, FINE_PHI_DEG = 0.25, 1.0
 """Widest steps of an integral over the hemisphere."""
 _Table = TypeVar("_Table", BsdfTable, RegularTable)
-_AXES = {"sigma_deg": 2, "phi_deg": 3, "theta_deg": 4}
+_AXES = {"psi_deg": 1, "sigma_deg": 2, "phi_deg": 3, "theta_deg": 4}
 
 
-def covered(table: BsdfTable, *, whole_turn: bool = False) -> BsdfTable:
-    """The table with the first and the last values repeated to sigma 0 and 90 and to theta 0 and 180, as comments then say.
+def covered(table: BsdfTable, *, whole_turn: bool = False, lists: Collection[str] = ("psi", "sigma", "theta")) -> BsdfTable:
+    """The table with values repeated, as comments then say: of psi 0 at 360, where the list goes round; the first and the last
+    of sigma and theta to 0 and 90, and to 0 and 180.
 
-    phi is as in `closed`. A table that covers these ranges is returned as it is.
+    phi is as in `closed`. A table that covers these ranges is returned as it is; so is every one of the `lists` left out.
     """
     table = closed(table, whole_turn=whole_turn)
     said = []
-    for name, end in (("sigma_deg", 90.0), ("theta_deg", 180.0)):
-        first, last = getattr(table, name)[[0, -1]]
-        word = name.removesuffix("_deg")
-        if first > 0.0:
-            table = _inserted(table, name, 0, 0.0, 0)
+    if "psi" in lists and table.psi_deg[0] == 0.0 and 180.0 < table.psi_deg[-1] < 360.0:
+        table = _inserted(table, "psi_deg", table.psi_deg.size, 360.0, 0)
+        said.append("psi 0 repeated to 360")
+    for word, end in (("sigma", 90.0), ("theta", 180.0)):
+        first, last = getattr(table, f"{word}_deg")[[0, -1]]
+        if word in lists and first > 0.0:
+            table = _inserted(table, f"{word}_deg", 0, 0.0, 0)
             said.append(f"{word} {format_number(first)} repeated to 0")
-        if last < end:
-            table = _inserted(table, name, getattr(table, name).size, end, -1)
+        if word in lists and last < end:
+            table = _inserted(table, f"{word}_deg", getattr(table, f"{word}_deg").size, end, -1)
             said.append(f"{word} {format_number(last)} repeated to {end:g}")
     return replace(table, comments=(*table.comments, f"{COVERED}{', '.join(said)}")) if said else table
 
@@ -55,7 +59,7 @@ def uncovered(table: _Table) -> _Table:
             last = end != "0"
             if angles is None or angles.size < 2 or angles[[0, -1][last]] != float(end):
                 continue
-            if format_number(angles[[1, -2][last]]) == angle:
+            if format_number(angles[0 if word == "psi" else [1, -2][last]]) == angle:
                 columns = np.arange(angles.size)[:-1] if last else np.arange(angles.size)[1:]
                 table = _taken(table, f"{word}_deg", angles[columns], columns)
     return replace(table, comments=tuple(comments))
@@ -116,7 +120,7 @@ def _inserted(table: BsdfTable, name: str, place: int, angle: float, source: int
     angles = getattr(table, name)
     columns = np.insert(np.arange(angles.size), place, source % angles.size)
     found = _taken(table, name, np.insert(angles, place, angle), columns)
-    if name == "phi_deg":  # measured there, too
+    if name in ("psi_deg", "phi_deg"):  # measured there, too
         return found
     known = np.ones(found.values.shape, dtype=np.bool_) if found.known is None else found.known.copy()
     np.moveaxis(known, _AXES[name], 0)[place] = False

@@ -253,7 +253,7 @@ def specular_table(
     u = np.where(known | (u > 0.0), u, float(u.max()) or 1.0 / np.pi)
     return BsdfTable(
         sigma_deg, phi_deg, theta_deg, values, wavelengths_nm,
-        transmitted=transmitted, generated=generated, comments=tuple(about), u=u,
+        transmitted=transmitted, generated=generated, comments=tuple(about), u=u, known=known,
     )  # fmt: skip
 
 

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from goniotwin.app.formats.content import BsdfFile
-from goniotwin.app.formats.coverage import closed, held, scattered_share
+from goniotwin.app.formats.coverage import covered, held, scattered_share, uncovered
 from goniotwin.app.formats.file import FormatError, StrPath, name_file, quote_word
 from goniotwin.app.formats.notes import HALF, noted, read_notes
 from goniotwin.app.formats.numerals import ascending_array, finite_array, format_angles, format_number
@@ -118,7 +118,7 @@ def read(path: Path) -> BsdfFile:
             back=notes.back,
             sample=notes.sample,
         )
-    return BsdfFile((part,))
+    return BsdfFile((uncovered(part),))
 
 
 def _within_turn(rotation_deg: Floats) -> Floats:
@@ -135,7 +135,7 @@ def write(path: Path, content: BsdfFile) -> None:
     if table.colours not in ((), XYZ):
         raise FormatError(path, f"it has the colours {', '.join(table.colours)}, and a .bsdf has XYZ", "use .ssdd")
     anisotropic = table.psi_deg.tolist() != [0.0]
-    table = closed(table, whole_turn=anisotropic)  # no type of symmetry says both
+    table = covered(table, whole_turn=anisotropic, lists=["psi"])  # no type of symmetry says both
     symmetry = "PlaneSymmetrical" if table.phi_deg[-1] <= 180.0 else "Asymmetrical"
     written = ZemaxBsdf(
         source="Generated" if table.generated else "Measured",

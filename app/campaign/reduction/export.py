@@ -15,10 +15,11 @@ from goniotwin.app.campaign.reduction.points import FLAGS, BsdfPoints, PointSour
 from goniotwin.app.campaign.reduction.reduction import ReducedJournal
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats import BsdfTable, FormatError, PointStream, registry
+from goniotwin.app.formats.content import BsdfFile, ScatteredBsdf, psi_of_gamma
 from goniotwin.app.formats.registry import Format, Holds
 from goniotwin.app.formats.specular_grid import SpecularCut, grid_of_points, resample, specular_table
 from goniotwin.arrays import Flags, Floats
-from goniotwin.twin.optics.geometry.coordinates import round_deg
+from goniotwin.twin.optics.geometry.coordinates import HALF_TURN_DEG, round_deg, wrap_azimuth
 
 PART_POINTS = 20_000
 """Points written in one part: as text a point takes one or two kilobytes."""
@@ -67,12 +68,15 @@ def export(
     if light is not None:
         reduced = _part_of_light(reduced, sample, path, light)
     try:
-        if Holds.POINTS in form.holds:
+        if Holds.COLUMNS in form.holds:
             stream, count = points_of(reduced, sample, path)
             form.write(path, stream)
             return Exported((path,), count)
+        if Holds.POINTS in form.holds:
+            content = scattered_of(reduced, sample)
+            return Exported(registry.write(path, content, form), sum(part.size for part in content.scattered))
         table, count = table_of(reduced, sample, path, form)
-        return Exported(registry.write_table(path, table, form), count)
+        return Exported(registry.write(path, BsdfFile((table,)), form), count)
     except FormatError as error:
         raise UserError(str(error)) from None
 
@@ -85,6 +89,37 @@ def heading(reduced: ReducedJournal) -> list[str]:
     if reduced.chain:
         lines.append(f"journal: {reduced.chain}")
     return [*lines, *reduced.light, *reduced.findings]
+
+
+def scattered_of(reduced: ReducedJournal, sample: str | None = None) -> BsdfFile:
+    """Every measured point of one sample or of all, in memory, a part each. Raises UserError."""
+    chosen: Mapping[str, PointSource] = {sample: _points(reduced, sample)} if sample is not None else reduced.samples
+    about = tuple(heading(reduced))
+    parts = []
+    for name, source in chosen.items():
+        columns = [_scattered_columns(points) for points in source.parts(PART_POINTS)]
+        joined = {key: np.concatenate([each[key] for each in columns]) for key in columns[0]}
+        isotropic = np.unique(joined["psi_deg"]).size == 1
+        parts.append(
+            ScatteredBsdf(
+                **joined, sample=name, isotropic=isotropic, generated=reduced.simulated, comments=(f"sample: {name}",)
+            )
+        )
+    return BsdfFile(tuple(parts), comments=about)
+
+
+def _scattered_columns(points: BsdfPoints) -> dict[str, np.ndarray]:
+    """The columns of scattered values, in the sample's frame; that of one lit on its back is turned about x."""
+    psi = psi_of_gamma(points.gamma_deg, points.back)
+    checks = np.where(points.mirrored, "mirrored", "")
+    return {
+        "sigma_deg": np.where(points.back, HALF_TURN_DEG - points.sigma_deg, points.sigma_deg), "psi_deg": psi,
+        "polar_deg": polar_from_zenith(points.zenith_deg),
+        "azimuth_deg": wrap_azimuth(np.where(points.back, -points.azimuth_deg, points.azimuth_deg) + psi),
+        "values": points.bsdf, "u": points.u_bsdf, "u_shared": np.sqrt(shared_variance(points.components)),
+        "wavelength_nm": points.wavelength_nm, "transmitted": points.transmitted, "back": points.back,
+        "photodiode": points.photodiode, "flags": np.char.strip(np.char.add(np.char.add(_flags(points), " "), checks)),
+    }  # fmt: skip
 
 
 def points_of(reduced: ReducedJournal, sample: str | None, path: Path) -> tuple[PointStream, int]:

@@ -44,7 +44,7 @@ def bsdf_tables(draw: st.DrawFn, *colours: str, transmitted: bool | None = None)
     if end == 360.0 and phi.size == 2:
         phi = np.array([0.0, 180.5, 360.0])
     sigma, theta = draw(angles(90.0)), draw(angles(180.0))
-    psi = draw(st.just(np.zeros(1)) | angles(360.0))
+    psi = draw(st.just(np.zeros(1)) | angles(360.0) | st.sampled_from([np.array([0.0, 120, 240]), np.array([0.0, 90])]))
     shape = count, psi.size, sigma.size, phi.size, theta.size
     numbers = st.floats(-1e6, 1e6).map(lambda number: 0.0 if abs(number) < 1e-30 else number)
     return BsdfTable(

@@ -30,14 +30,20 @@ def check(found: libbsdf.Read, table: BsdfTable, *, covers: bool) -> None:
     if covers:
         assert (found.sigma[0], found.sigma[-1], found.theta[0], found.theta[-1]) == (0, 90, 0, 180)
     assert (found.phi[0], found.phi[-1]) == (0, 360)
-    assert found.psi == pytest.approx(table.psi_deg)
+    count = table.psi_deg.size
+    assert found.psi[:count] == pytest.approx(table.psi_deg)
+    if found.psi[count:]:  # goes round
+        assert (found.psi[0], found.psi[count:]) == (0, [360])
+        np.testing.assert_array_equal(found.values[-1], found.values[0])
+    else:
+        assert not (table.psi_deg[0] == 0.0 and 180.0 < table.psi_deg[-1] < 360.0)
     rows = [[np.abs(np.array(read) - angle).argmin() for angle in angles] for read, angles in (
         (found.sigma, table.sigma_deg), (found.phi, table.phi_deg), (found.theta, table.theta_deg))]  # fmt: skip
     for read, places, angles in zip(
         (found.sigma, found.phi, found.theta), rows, (table.sigma_deg, table.phi_deg, table.theta_deg), strict=True
     ):
         np.testing.assert_allclose(np.array(read)[places], angles, rtol=1e-8)
-    nodes = found.values[np.ix_(range(len(found.psi)), *rows, range(found.values.shape[4]))]
+    nodes = found.values[np.ix_(range(count), *rows, range(found.values.shape[4]))]
     np.testing.assert_allclose(nodes, np.moveaxis(table.values, 0, -1), rtol=2e-8, atol=1e-300)
     if table.phi_deg[-1] <= 180.0:  # the mirror image
         turn = np.array(found.phi)

@@ -17,7 +17,7 @@ from goniotwin.app.campaign.reduction.points import BsdfPoints, join_points
 from goniotwin.app.campaign.reduction.reduction import BsdfDataset
 from goniotwin.app.cli.main import app
 from goniotwin.app.errors import UserError
-from goniotwin.app.formats import read_ddr, read_points_csv, read_zemax
+from goniotwin.app.formats import read_ddr, read_points_csv, read_zemax, registry
 from goniotwin.app.rig import read_rig
 from goniotwin.app.rig.samples import parse_sample
 from goniotwin.twin.optics import arc_direction, evaluate, from_specular, light_direction
@@ -120,8 +120,8 @@ def test_a_ddr_marks_simulated_data_and_continued_nodes(reduced: BsdfDataset, tm
     assert table.sigma_deg.tolist() == [0.0, 30.0, 90.0]  # repeated at the ends, because readers extrapolate
     assert table.channels == (550.0,)
     assert exported.values == 120 + 240 - 15
-    assert exported.files == (tmp_path / "a.ddr", tmp_path / "a.u.ddr")
-    assert sorted(tmp_path.iterdir()) == [*exported.files]
+    assert exported.files == (tmp_path / "a.ddr", tmp_path / "a.u.ddr", tmp_path / "a.mask.ddr")
+    assert sorted(tmp_path.iterdir()) == sorted(exported.files)
     uncertainty = read_ddr(tmp_path / "a.u.ddr")
     assert "standard uncertainties of the values in a.ddr" in uncertainty.comments[0]
     node = int(np.searchsorted(table.theta_deg, 10.0))
@@ -133,6 +133,10 @@ def test_a_ddr_marks_simulated_data_and_continued_nodes(reduced: BsdfDataset, tm
     np.testing.assert_array_equal(uncertainty.values[0, 0, [0, 2]], table.values[0, 0, [0, 2]])
     blocked = slice(*np.searchsorted(table.theta_deg, [56.5, 63.6]))
     np.testing.assert_array_equal(uncertainty.values[0, 0, 1, 0, blocked], table.values[0, 0, 1, 0, blocked])
+    mask = registry.read(tmp_path / "a.mask.ddr").only_table().values
+    np.testing.assert_allclose(mask[0, 0, [0, 2]], 1.0, rtol=1e-8)
+    np.testing.assert_allclose(mask[0, 0, 1, 0, blocked], 1.0, rtol=1e-8)
+    assert mask[0, 0, 1, 1, node] == 0.0
 
 
 def test_a_csv_has_every_point(reduced: BsdfDataset, tmp_path: Path) -> None:
@@ -318,7 +322,8 @@ def test_a_file_of_uncertainties_is_no_sample(name: str, reduced: BsdfDataset, t
     form = export_format(name)
     dark = {key: replace(points, bsdf=0.1 * points.bsdf) for key, points in reduced.samples.items()}
     path = tmp_path / f"paint, red{form.suffixes[0]}"
-    table, uncertainty = export(replace(reduced, samples=dark), None, path, form).files
+    table, uncertainty, mask = export(replace(reduced, samples=dark), None, path, form).files
     parse_sample(f"table:{table}")
-    with pytest.raises(UserError, match=r"it has the uncertainties of paint, red\.\w+, not values; give the table itself"):
-        parse_sample(f"table:{uncertainty}")
+    for beside, what in ((uncertainty, "uncertainties"), (mask, "mask")):
+        with pytest.raises(UserError, match=rf"it has the {what} of paint, red\.\w+, not values; give the table itself"):
+            parse_sample(f"table:{beside}")
