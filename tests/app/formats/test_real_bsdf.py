@@ -46,7 +46,7 @@ def test_the_black_paint_has_a_bsdf_of_3e_3_per_sr_in_the_specular_direction(fil
     table = read_zemax(next(path for path in files if path.name == "aeroglaze.bsdf"))
     assert table.incidence_deg.tolist() == [10, 30, 50, 70]
     assert table.radial_deg.tolist() == list(range(161))
-    assert table.values[0, 0, 0, 0] == 0.003198128380011332  # the first number of the file
+    assert table.values[0, 0, 0, 0, 0] == 0.003198128380011332  # the first number of the file
 
 
 def test_files_of_other_formats_in_the_folder_are_refused(files: list[Path]) -> None:
