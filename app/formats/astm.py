@@ -70,10 +70,7 @@ def _list(lines: Lines) -> ScatteredBsdf:
         raise FormatError(lines.path, wrong, "it is cut short: copy it again, or correct the count")
     if not data.size:
         raise FormatError(lines.path, "no line of numbers follows VARS", "it is cut short: copy it again")
-    # Blanks may stand around the commas, or instead of them.
-    for at in data.tolist():
-        lines.lines[at] = lines.lines[at].replace(",", " ")
-        lines.counts[at] = len(lines.lines[at].split())
+    lines.separate(data, ",")  # with blanks around them, or blanks alone
     found = lines.numbers(data, 4 + len(channels))
     angles = degrees_of(found[:, :4])
     remedy = "write radians, or correct it"

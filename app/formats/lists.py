@@ -31,22 +31,27 @@ ASSUMED_REFLECTED = "the file does not state whether the light is reflected or t
 class Lines:
     """The lines of a text, whatever their ends, with the number of words of each, `counts` (n,).
 
-    Characters of `separators` count as blanks. Methods raise FormatError; they take lines by their index, from 0.
+    Methods raise FormatError; they take lines by their index, from 0.
     """
 
-    def __init__(self, path: StrPath, separators: str = "") -> None:
+    def __init__(self, path: StrPath) -> None:
         self.path = path
         text = read_text(path, MOST_BYTES)
         if "\r" in text:
             text = text.replace("\r\n", "\n").replace("\r", "\n")
-        for each in separators:
-            text = text.replace(each, " ")
         if text.count("\n") > MOST_LINES:
             raise FormatError(path, f"has more than {MOST_LINES} lines", "divide it into several files")
         self.lines = text.rstrip("\x1a\n \t").split("\n")
         if len(longest := max(self.lines, key=len)) > LONGEST_LINE:
             raise self.error(self.lines.index(longest), "is too long for a line of this format", "correct its line ends")
         self.counts = np.fromiter((len(line.split()) for line in self.lines), np.int64, len(self.lines))
+
+    def separate(self, chosen: Ints, separators: str) -> None:
+        """Take characters that separate the numbers of some lines as blanks."""
+        blanks = str.maketrans(separators, " " * len(separators))
+        for at in chosen.tolist():
+            self.lines[at] = self.lines[at].translate(blanks)
+            self.counts[at] = len(self.lines[at].split())
 
     def error(self, index: int, wrong: str, remedy: str) -> FormatError:
         """A FormatError at a line."""
@@ -139,6 +144,41 @@ def one_sided(psi_deg: Floats, azimuth_deg: Floats) -> bool:
     """Whether all directions are on one side of the plane of incidence."""
     from_light = np.round(wrap_azimuth(azimuth_deg - psi_deg), 6)
     return bool(np.all((from_light <= 180.0) | (from_light == 360.0)) or np.all((from_light >= 180.0) | (from_light == 0.0)))
+
+
+def turned(psi_deg: Floats, azimuth_deg: Floats) -> tuple[Floats, Floats, bool]:
+    """Azimuths of the light and of the observation, and whether one azimuth of the light stands for all: it is then 0."""
+    if np.unique(psi_deg).size > 1:
+        return psi_deg, azimuth_deg, False
+    return np.zeros_like(psi_deg), wrap_azimuth(azimuth_deg - psi_deg), True
+
+
+def incidences(lines: Lines, chosen: Ints) -> tuple[Floats, Floats, Floats]:
+    """Light (n, 2), observation (n, 2) and values (n,) of lines of two numbers, each followed by lines of three.
+
+    The angles are polar and azimuth, deg: of the light within 0..90, of the observation within -90..90.
+    """
+    heads, rows = chosen[lines.counts[chosen] == 2], chosen[lines.counts[chosen] != 2]
+    if not heads.size or not rows.size or rows[0] < heads[0]:
+        at = int(rows[0]) if rows.size else len(lines.lines) - 1
+        raise lines.error(at, "no line with the two angles of the incidence precedes", "add it before the values")
+    light, found = lines.numbers(heads, 2), lines.numbers(rows, 3)
+    light[:, 0] = lines.within("the polar angle of incidence", light[:, 0], 0.0, 90.0, heads)
+    signed = lines.within("the polar angle of observation", found[:, 0], -90.0, 90.0, rows)
+    for angles, of_lines in ((light[:, 1], heads), (found[:, 1], rows)):
+        lines.within("an azimuth", angles, -360.0, 360.0, of_lines)
+    block = np.searchsorted(heads, rows) - 1
+    starts = np.searchsorted(rows, heads)
+    empty = np.flatnonzero(np.diff(starts, append=rows.size) == 0)
+    if empty.size:
+        raise lines.error(int(heads[empty[0]]), "two numbers, and no line of three follows", "add the value, or remove it")
+    # A value that lost its last number looks like an incidence, and continues the angles of the lines around it.
+    before, after = signed[starts[1:] - 1], signed[starts[1:]]
+    odd = np.flatnonzero((before <= light[1:, 0]) & (light[1:, 0] <= after))
+    if odd.size:
+        wrong = "two numbers, which continue the polar angles of the lines around: an incidence, or a line without its value"
+        raise lines.error(int(heads[1 + odd[0]]), wrong, "add the value, or order the lines of each incidence by polar angle")
+    return light[block], np.stack(observed(signed, found[:, 1]), axis=1), found[:, 2]
 
 
 def joined(parts: Sequence[ScatteredBsdf]) -> ScatteredBsdf:
