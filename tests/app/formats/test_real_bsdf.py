@@ -67,7 +67,7 @@ def test_every_number_of_freds_text_is_read(files: list[Path]) -> None:
 
 def test_freds_text_and_zemaxs_file_of_a_sample_agree(files: list[Path]) -> None:
     # Two ways to average one measurement: they are a few percent apart where both have a direction in the plane of incidence,
-    # and up to 24 % beside the peak of 70 deg. Azimuths that were counted from the light would be a factor of up to 140 off.
+    # up to 24 % beside the peak of 70 deg. Azimuths that were counted from the light would be a factor of 2 off, and up to 49.
     (found,) = fred.read(FOLDER / "AnoBlackEC1onAlum.txt").scattered
     table = read_zemax(FOLDER / "AnoBlackEC1onAlum.bsdf")
     theta, phi = found.specular()
