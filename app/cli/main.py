@@ -33,7 +33,8 @@ INTERRUPTED = 130
 UNREACHABLE = frozenset({errno.ENAMETOOLONG, errno.EACCES, errno.ELOOP, errno.ENOTDIR})
 """What the system answers to a name that no file can have, or in a folder that this user cannot enter: bad input."""
 COMMANDS = (
-    "devices", "home", "here", "check", "rehearse", "prove", "run", "runs", "verify", "budget", "closure", "export", "copy",
+    "devices", "home", "here", "check", "rehearse", "prove", "run", "runs", "verify", "budget", "closure", "export",
+    "convert", "info", "copy",
     "simulate",
     "demo", "examples", "schema", "serve", "usb", "replay", "desktop",
 )  # fmt: skip

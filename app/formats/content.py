@@ -5,6 +5,7 @@ comes from the polar angle sigma and the azimuth psi; without psi it comes from 
 """
 
 import math
+from collections.abc import Collection
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
@@ -21,6 +22,15 @@ from goniotwin.twin.optics.geometry.coordinates import TOLERANCE_DEG, arc_direct
 Texts = npt.NDArray[np.str_]
 FILLED = "filled"
 """Flag of a value that a table has where none was measured."""
+CHECK = "mirrored"
+"""Flag of a direction that was measured only to check the stated symmetry."""
+UNTRUSTED = frozenset(
+    {
+        FILLED, "shadowed", "clipped", "no-etalon", "dead", "uncertified", "drift", "module", "monitor", "scale", "hidden",
+        "no-hits",
+    }
+)  # fmt: skip
+"""Flags of values that are not to be trusted."""
 HORIZON_DEG = 90.0 + TOLERANCE_DEG
 
 
@@ -99,6 +109,20 @@ COLUMNS = tuple(
 ANGLES = ("sigma_deg", "psi_deg", "polar_deg", "azimuth_deg")
 
 
+def flagged(flags: Texts, words: Collection[str]) -> Flags:
+    """The values (n,) that have one of these flags."""
+    distinct, which = np.unique(flags, return_inverse=True)
+    return np.array([not set(words).isdisjoint(each.split()) for each in distinct.tolist()], dtype=bool)[which.ravel()]
+
+
+def psi_of_gamma(gamma_deg: Floats, back: Flags) -> Floats:
+    """The azimuth of the light in the sample's frame, 0 to below 360, of the sample's rotation in the rig.
+
+    The frame of a sample that is lit on the back is turned about x.
+    """
+    return wrap_azimuth(np.where(back, gamma_deg, -gamma_deg))
+
+
 def to_specular_deg(sigma_deg: Floats, polar_deg: Floats, azimuth_deg: Floats) -> tuple[Floats, Floats]:
     """theta and phi, deg, of directions whose azimuth is counted from the light's."""
     return to_specular(sigma_deg, arc_direction(polar_deg, azimuth_deg))
@@ -170,6 +194,12 @@ class BsdfFile:
     def regular(self) -> tuple[RegularTable, ...]:
         """The regular factors among the parts."""
         return tuple(part for part in self.parts if isinstance(part, RegularTable))
+
+    def only_table(self) -> BsdfTable:
+        """The grid of a file that has nothing else, for formats that hold one. Raises ValueError."""
+        if len(self.parts) != 1 or not self.tables:
+            raise ValueError(f"it has {len(self.parts)} parts, of which {len(self.tables)} are tables; give one table")
+        return self.tables[0]
 
     def of(self, sample: str) -> "BsdfFile":
         """The parts of one sample."""
