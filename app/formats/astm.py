@@ -161,7 +161,7 @@ def _sample(header: Iterable[str]) -> str:
 
 
 def write(path: Path, content: BsdfFile) -> None:
-    """Write the values of one sample, side and kind of light; directions without a value are left out. Raises FormatError."""
+    """Write the values of one sample, side and kind of light; not those that are missing. Raises FormatError."""
     values = one_list(path, content, TITLE)
     transmitted = refuse_mixture(path, TITLE, values.transmitted, "reflected light", "transmitted light")
     back = refuse_mixture(path, TITLE, values.back, "light on the front", "light on the back")
@@ -175,12 +175,12 @@ def write(path: Path, content: BsdfFile) -> None:
         *(["simulated"] if values.generated else []),
         "isotropic sample" if values.isotropic else "anisotropic sample",
     ]
-    left_out = values.size - measured.size
+    without = values.size - measured.size
     comments = [
         OWN_LINE + ", ".join(about),
         *([f"sample: {values.sample}"] if values.sample else []),
         "light and observed directions about the normal, rad; values in 1/sr",
-        *([f"{left_out} directions without a value are left out"] if left_out else []),
+        *([f"{without} directions without a value are not written"] if without else []),
         *content.metadata.lines(), *content.comments, *values.comments,
     ]  # fmt: skip
     head = [f"# {_safe(line)}".rstrip() for line in comment_lines(comments, ascii_only=True)]

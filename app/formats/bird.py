@@ -4,8 +4,8 @@
 
 The columns and the required fields are those of the schemas of version 1.0 (github.com/BiRD-project/BiRD_view, folder
 BRDF_JSON_schema), whose example.brdf is read; an older layout, `variables` and rows of `values`, is read too. Angles are about
-the normal, the zero of azimuth is a mark on the sample, values are 1/sr. What the schemas ask for and nobody stated is "NA", as
-the README wants; what they have no field for (all of this program's metadata, the side, flags) is in `adhoc_section` and
+the normal, the zero of azimuth is a mark on the sample, values are 1/sr. What the schemas ask for and was not stated is "NA",
+as the README wants; what they have no field for (all of this program's metadata, the side, flags) is in `adhoc_section` and
 `adhoc_variables`, so that nothing is lost. Each state of polarisation is read as a sample of its own.
 
 Three schemas ask for what they forbid (`name` in metadata; `index` and `type` of phi_r; `illumination` and `detection`): no
@@ -319,7 +319,7 @@ def _in_words(entry: Any) -> str:
 
 
 def write(path: Path, content: BsdfFile) -> None:
-    """Write the values of one sample and side; directions without a value are left out. Raises FormatError."""
+    """Write the values of one sample and side; directions without a value are not written. Raises FormatError."""
     values = one_list(path, content, f"a {TITLE}")
     if values.transmitted.any():
         raise FormatError(path, f"a {TITLE} holds reflected light, and some is transmitted", "write it in another format")
@@ -330,8 +330,8 @@ def write(path: Path, content: BsdfFile) -> None:
     if not measured.size:
         raise FormatError(path, "there is no value to write", "write values that were measured")
     columns = [f'"{name}": {column}' for name, column in _columns(path, measured)]
-    left_out = values.size - measured.size
-    notes = [f"{left_out} directions without a value are left out"] if left_out else []
+    without = values.size - measured.size
+    notes = [f"{without} directions without a value are not written"] if without else []
     digest = hashlib.sha256()
     for column in columns:
         digest.update(column.encode())
@@ -355,11 +355,10 @@ def _columns(path: StrPath, values: ScatteredBsdf) -> Iterator[tuple[str, str]]:
     notes = [f"{negative} values are below 0, as measured"] if negative else []
     notes += [f"{grazing} directions are at 90 deg"] if grazing else []
     yield "BRDF", _column("sr^-1", values.values, "; ".join(notes))
-    if np.isfinite(values.u).all():
-        yield "uBRDF", _column("sr^-1", values.u, ABOUT_U)
-    elif np.isfinite(values.u).any():
-        wrong = "some values have an uncertainty and others none, and a column has a number for each"
-        raise FormatError(path, wrong, "write the file in another format, or leave the uncertainties out")
+    unknown = np.isnan(values.u)
+    if not unknown.all():
+        note = f"; {unknown.sum()} are unknown, and are the value itself" if unknown.any() else ""
+        yield "uBRDF", _column("sr^-1", np.where(unknown, np.abs(values.values), values.u), ABOUT_U + note)
     if np.isfinite(values.wavelength_nm).all():
         yield "wavelength_i", _column("nm", values.wavelength_nm)
     elif np.isfinite(values.wavelength_nm).any():
@@ -378,7 +377,7 @@ def _numbers(numbers: Floats) -> str:
 
 
 def _own_columns(values: ScatteredBsdf) -> Iterator[str]:
-    """Columns that BiRD has no name for, where they have something to tell."""
+    """Columns that BiRD has no name for, where they differ from what is meant without them."""
     columns: Iterable[tuple[str, str, str, bool, Callable[[], str]]] = (
         ("u_shared", "part of uBRDF that neighbouring values share", "number", bool((values.u_shared != 0.0).any()),
          lambda: _numbers(values.u_shared)),

@@ -7,7 +7,7 @@
 
 Lines that begin with !! are comments. Then come polar angle and azimuth of the incidence, and lines of polar angle, azimuth and
 value in 1/sr; the direction along the normal is there for every azimuth. A file has one incidence. None states from where
-azimuths count: it follows from where the light goes, and a comment says what was found. None states that the light is
+azimuths count: it follows from where the light goes, and a comment states what was found. None states that the light is
 transmitted either, but that is what these diffusers do. No public reader was found: the layout is that of the files.
 """
 

@@ -32,7 +32,7 @@ TEXT = re.compile(r"[#!]|[A-Za-z]{2,}")
 
 
 def recognise(head: bytes) -> bool:
-    """Whether a file that begins with `head` says that it is of bsdf_data."""
+    """Whether a file that begins with `head` names its type, bsdf_data."""
     return bool(FIRST_LINE.match(head))
 
 

@@ -14,7 +14,7 @@ from goniotwin.arrays import Floats
 
 
 def angles_deg(high: int) -> st.SearchStrategy[float]:
-    """Angles with six decimals, as all angles of this program are told apart."""
+    """Angles with six decimals: those that agree to these are equal in this program."""
     return st.integers(0, high * 10**6).map(lambda each: each / 10**6)
 
 

@@ -115,7 +115,7 @@ def test_a_direction_that_was_measured_twice_is_written_twice(tmp_path: Path) ->
     astm.write(tmp_path / "a.astm", BsdfFile((twice,)))
     again = only_list(astm.read(tmp_path / "a.astm"))
     assert again.values.tolist() == [1.0, 2.0]
-    assert "1 directions without a value are left out" in again.comments
+    assert "1 directions without a value are not written" in again.comments
 
 
 @pytest.mark.parametrize(

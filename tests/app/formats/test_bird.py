@@ -38,8 +38,8 @@ ADHOC = obj(
 )  # fmt: skip
 NAMED = {"type": "object", "required": ["name"]}
 # The structure of BRDF_JSON_schema/*_v1.0.json of BiRD-project/BiRD_view: brdf, data (commit 0b2edf8), metadata (abb260b),
-# provenance, license, sample, instrumentation and software (00d7fee), adhoc_varible (0476cc0). Three lists of required names that
-# their own schemas forbid are put right: see the docstring of the codec.
+# provenance, license, sample, instrumentation and software (00d7fee), adhoc_varible (0476cc0). Three lists of required names
+# that their own schemas forbid are put right: see the docstring of the codec.
 STRUCTURE = obj(
     "", metadata=obj(
         "schema id type timestamp provenance method instrumentation software sample environment", "description comments",
@@ -151,9 +151,9 @@ def test_nothing_stated_is_na(tmp_path: Path) -> None:
 EXAMPLE: dict[str, Any] = {
     "metadata": {
         "schema": bird.SCHEMA, "id": "https://example.invalid/1", "type": "BRDF", "timestamp": "2022-01-14T12:00:00+02",
-        "provenance": {"organization": "Aalto University", "contact_person": "Somebody"},
+        "provenance": {"organization": "Aalto University", "contact_person": "A. Person"},
         "license": {"type": "BY-SA", "rights_holder": "Aalto University"}, "method": "measurement",
-        "instrumentation": {"name": "Aalto reference gonioreflectometer", "operator_name": "Somebody"},
+        "instrumentation": {"name": "Aalto reference gonioreflectometer", "operator_name": "A. Person"},
         "software": {"name": "a program"},
         "sample": {"name": "SRT1", "manufacturer": "Labsphere", "properties_symmetry": "isotropic"},
         "environment": {"temperature": {"value": 23.2, "unit": "°C"}},
@@ -244,7 +244,6 @@ def test_damaged_json_is_refused(tmp_path: Path, text: str, wanted: str) -> None
         ({"transmitted": np.array([True, False])}, "some is transmitted"),
         ({"channel": np.array(["X", "X"])}, "these values are of colours"),
         ({"back": np.array([True, False])}, "there are both"),
-        ({"u": np.array([0.1, np.nan])}, "some values have an uncertainty and others none"),
         ({"wavelength_nm": np.array([1.0, np.nan])}, "no room for grey and spectral values"),
         ({"values": np.full(2, np.nan)}, "no value to write"),
     ],
@@ -261,6 +260,15 @@ def test_values_beyond_the_schemas_limits_are_written_and_counted(tmp_path: Path
     bird.write(tmp_path / "a.brdf", BsdfFile((values,)))
     document = json.loads((tmp_path / "a.brdf").read_text())
     assert document["data"]["BRDF"]["comments"] == "1 values are below 0, as measured; 1 directions are at 90 deg"
-    assert "1 directions without a value are left out" in document["metadata"]["comments"]
+    assert "1 directions without a value are not written" in document["metadata"]["comments"]
     assert len(faults(tmp_path / "a.brdf")) == 2
     assert only_list(bird.read(tmp_path / "a.brdf")).values.tolist() == [-1e-6, 1.0]
+
+
+def test_a_value_without_uncertainty_has_its_own_size(tmp_path: Path) -> None:
+    values = ScatteredBsdf(
+        np.zeros(2), np.zeros(2), np.arange(2.0), np.zeros(2), np.array([0.5, -2.0]), np.array([0.1, np.nan])
+    )
+    bird.write(tmp_path / "a.brdf", BsdfFile((values,)))
+    column = json.loads((tmp_path / "a.brdf").read_text())["data"]["uBRDF"]
+    assert (column["values"], column["comments"]) == ([0.1, 2.0], f"{bird.ABOUT_U}; 1 are unknown, and are the value itself")
