@@ -149,6 +149,8 @@ class Format:
 _TABLE = frozenset({Holds.GRID, Holds.SIGMAS, Holds.WAVELENGTHS, Holds.COLOURS, Holds.PSI, Holds.COMMENTS})
 _FACTORS = frozenset({Holds.REGULAR, Holds.SIGMAS, Holds.WAVELENGTHS, Holds.COLOURS, Holds.COMMENTS})
 _BOTH = frozenset({Holds.REFLECTED, Holds.TRANSMITTED})
+_LIST = frozenset({Holds.POINTS, Holds.SIGMAS, Holds.PSI, Holds.REFLECTED, Holds.COMMENTS})
+_MEASURED = frozenset({Holds.POINTS, Holds.SIGMAS, Holds.SAMPLES, Holds.REFLECTED, Holds.COMMENTS})
 _CSV = frozenset(set(Holds) - {Holds.GRID, Holds.REGULAR, Holds.RAYS, Holds.METADATA})
 
 BUILT_IN = (
@@ -170,6 +172,35 @@ BUILT_IN = (
         "goniotwin.app.formats.lighttools", writes=False,
     ),
     Format("csv", "every point, with its uncertainty and flags", (".csv",), _CSV, "goniotwin.app.formats.points"),
+    Format(
+        "astm", "list in the style of ASTM E1392", (".astm",),
+        _LIST | {Holds.WAVELENGTHS, Holds.COLOURS, Holds.TRANSMITTED}, "goniotwin.app.formats.astm",
+    ),
+    Format(
+        "bird", "BiRD's universal BRDF format (JSON)", (".brdf", ".json"),
+        _LIST | {Holds.WAVELENGTHS, Holds.UNCERTAINTY, Holds.METADATA}, "goniotwin.app.formats.bird",
+    ),
+    Format(
+        "spectral_list", "list of spectral samples, Cornell's gonioreflectometer", (".brdf",),
+        _LIST | {Holds.WAVELENGTHS}, "goniotwin.app.formats.spectral_list", writes=False,
+    ),
+    Format("fred", "FRED's text of a tabulated BSDF", (), _LIST, "goniotwin.app.formats.fred", writes=False),
+    Format(
+        "eds", "engineered diffusers of VIAVI (RPC Photonics)", (),
+        (_LIST - {Holds.REFLECTED}) | {Holds.SAMPLES, Holds.TRANSMITTED}, "goniotwin.app.formats.eds",
+        writes=False, folders=True,
+    ),
+    Format(
+        "pab", "text of pab's goniophotometers, by description", (),
+        _LIST | {Holds.SAMPLES, Holds.COLOURS, Holds.TRANSMITTED, Holds.LIGHTS, Holds.SIDES}, "goniotwin.app.formats.pab",
+        writes=False, folders=True,
+    ),
+    Format("reflet", "text export of a REFLET goniophotometer", (), _MEASURED, "goniotwin.app.formats.reflet", writes=False),
+    Format("speos_rtd", "Speos export of it", (".rtd",), _MEASURED, "goniotwin.app.formats.speos_rtd", writes=False),
+    Format(
+        "reflectance_factors", "list of reflectance factors in bands", (),
+        _LIST | {Holds.WAVELENGTHS}, "goniotwin.app.formats.reflectance_factors", writes=False,
+    ),
     Format(
         "rayset", "recorded rays of the illumination", (".h5", ".hdf5"),
         frozenset({Holds.RAYS, Holds.WAVELENGTHS}), "goniotwin.app.formats.rayset",

@@ -35,12 +35,12 @@ PIECE = 1_000_000
 UTF16_MARKS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
 
-def read_text(path: StrPath) -> str:
+def read_text(path: StrPath, most: int = MOST_BYTES) -> str:
     """The text of a file in UTF-8 or, if it is not UTF-8, in Latin-1 (older programs); line ends are not changed.
 
-    Raises FormatError if the file is absent, not a regular file, unreadable, empty or not text.
+    Raises FormatError if the file is absent, not a regular file, unreadable, empty, not text, or of more bytes than `most`.
     """
-    content = read_file(path, MOST_BYTES)
+    content = read_file(path, most)
     if content.startswith(UTF16_MARKS):
         raise FormatError(path, "is UTF-16 text", "save it as plain text (ASCII or UTF-8)")
     try:
