@@ -169,7 +169,8 @@ class _Cuts:
         self, points: _Values, sigma_deg: Floats, psi_deg: Floats, mirrored: bool, widest_gap_deg: float | None
     ) -> None:
         self._points, self._sigma, self._psi = points, sigma_deg, psi_deg
-        self._mirrored, self._gap = mirrored, math.inf if widest_gap_deg is None else widest_gap_deg
+        self._mirrored, self._widest = mirrored, math.inf if widest_gap_deg is None else widest_gap_deg
+        self._gap = self._widest
         whole = HALF_TURN_DEG if mirrored else TURN_DEG
         self.phi = np.array([0.0, whole]) if _in_plane(points).all() else np.arange(0.0, whole + 1e-9, PHI_STEP_DEG)
         theta, phi = self._about_specular(points)
@@ -224,6 +225,8 @@ class _Cuts:
         else:  # at normal incidence, in the frame of another psi
             here = points.where(at_sigma)
             cut = self._of_rings(replace(here, azimuth_deg=here.azimuth_deg + self._psi[here.psi] - self._psi[psi]), sigma_deg)
+        if not cut.known.any() and math.isinf(self._widest):
+            cut = self._of_nearest(here)
         if not cut.known.any():
             raise ValueError(f"at sigma {sigma_deg:g} no node of the grid has measured directions around it")
         return cut
@@ -247,6 +250,14 @@ class _Cuts:
             values[-1], u[-1] = values[0], u[0]
         if grid.polar_deg[0] == 0.0:
             values[:, 0], u[:, 0] = grid.values[0, 0], np.hypot(grid.u, grid.shared)[0, 0]
+        return continued(self.theta, values, u)
+
+    def _of_nearest(self, here: _Values) -> SpecularCut:
+        """A few values, each at the node nearest to it."""
+        theta, phi = self._about_specular(here)
+        row, column = (np.argmin(np.abs(axis - at[:, None]), axis=1) for axis, at in ((self.phi, phi), (self.theta, theta)))
+        values, u = (np.full((self.phi.size, self.theta.size), np.nan) for _ in range(2))
+        values[row, column], u[row, column] = here.values, np.hypot(here.own, here.shared)
         return continued(self.theta, values, u)
 
     def _of_planes(self, here: _Values, sigma_deg: float) -> SpecularCut:

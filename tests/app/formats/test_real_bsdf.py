@@ -82,7 +82,7 @@ def test_freds_text_and_zemaxs_file_of_a_sample_agree(files: list[Path]) -> None
             )
         )
         if i.size and a.size and r.size:
-            ratios.append(table.values[0, i[0], a[0], r[0]] / found.values[k])
+            ratios.append(table.values[0, 0, i[0], a[0], r[0]] / found.values[k])
     assert len(ratios) > 50
     assert np.median(np.abs(np.log(ratios))) < 0.03
     assert np.max(np.abs(np.log(ratios))) < 0.25
