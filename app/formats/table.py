@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from goniotwin.app.formats.numerals import ascending_array, finite_array
-from goniotwin.arrays import Floats
+from goniotwin.arrays import Flags, Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -13,8 +13,10 @@ class BsdfTable:
     """A BSDF in 1/sr, `values` [wavelength, psi, sigma, phi, theta]; angles in degrees, each list ascending.
 
     phi ends at 180 where the other half is the mirror image in the plane of incidence. `psi_deg`, the azimuth of the light, is
-    [0] for an isotropic sample. `wavelengths_nm` is None for a grey table. `u` are the standard uncertainties of the values, if
-    known. `generated` values are simulated. Raises ValueError where these do not fit together.
+    [0] for an isotropic sample. `wavelengths_nm` is None for a grey table, and for one of `colours`, which are named instead.
+    `u` are the standard uncertainties of the values, if known, and `known` marks the values that were measured: a table has a
+    number at every node. None: all of them. `back`: lit on the back. `generated` values are simulated. Raises ValueError where
+    these do not fit together.
     """
 
     sigma_deg: Floats
@@ -27,6 +29,10 @@ class BsdfTable:
     generated: bool = False
     comments: tuple[str, ...] = ()
     u: Floats | None = None
+    colours: tuple[str, ...] = ()
+    known: Flags | None = None
+    back: bool = False
+    sample: str = ""
 
     def __post_init__(self) -> None:
         """Check the fields, and copy the arrays."""
@@ -36,8 +42,10 @@ class BsdfTable:
             keep(self, f"{name}_deg", ascending_array(name, getattr(self, f"{name}_deg"), 0.0, end))
         if self.wavelengths_nm is not None:
             keep(self, "wavelengths_nm", tuple(ascending_array("wavelengths", self.wavelengths_nm, 1e-3, 1e9).tolist()))
-        shape = (len(self.wavelengths_nm or (None,)), *(getattr(self, f"{name}_deg").size for name, _ in lists))
+        shape = (len(self.wavelengths_nm or self.colours or (None,)), *(getattr(self, f"{name}_deg").size for name, _ in lists))
         keep(self, "comments", tuple(self.comments))
         keep(self, "values", finite_array("values", self.values, shape))
+        if self.known is not None and self.known.shape != shape:
+            raise ValueError(f"known has the shape {self.known.shape}, not {shape}")
         if self.u is not None:
             keep(self, "u", finite_array("uncertainties", self.u, shape))

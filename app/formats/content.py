@@ -1,0 +1,244 @@
+"""What a file of a BSDF holds, whatever its format: grids, scattered points and regular factors, with what is known about them.
+
+The frame of all directions is the sample's: z is the normal of the lit side, and the azimuth 0 is the sample's mark. The light
+comes from the polar angle sigma and the azimuth psi; without psi it comes from azimuth 0, as on an isotropic sample.
+"""
+
+import math
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from goniotwin.app.formats.metadata import Metadata
+from goniotwin.app.formats.numerals import finite_array
+from goniotwin.app.formats.table import BsdfTable
+from goniotwin.arrays import Flags, Floats, Ints
+from goniotwin.twin.optics import from_specular, to_specular
+from goniotwin.twin.optics.geometry.coordinates import TOLERANCE_DEG, arc_direction, wrap_azimuth, zenith_and_azimuth
+
+Texts = npt.NDArray[np.str_]
+FILLED = "filled"
+"""Flag of a value that a table has where none was measured."""
+CHECK = "mirrored"
+"""Flag of a direction that was measured only to check the stated symmetry."""
+UNTRUSTED = frozenset(
+    {
+        FILLED, "shadowed", "clipped", "no-etalon", "dead", "uncertified", "drift", "module", "monitor", "scale", "hidden",
+        "no-hits",
+    }
+)  # fmt: skip
+"""Flags of values that are not to be trusted."""
+HORIZON_DEG = 90.0 + TOLERANCE_DEG
+
+
+@dataclass(frozen=True, eq=False)
+class ScatteredBsdf:
+    """Values of one sample at any directions; arrays (n,), angles in degrees.
+
+    `sigma_deg`, `psi_deg`: polar angle, 0 to 90, and azimuth of the light. `polar_deg`, `azimuth_deg`: those of the observed
+    direction; polar from the normal of its own side, 0 to 90, so that `transmitted` light has its own hemisphere. `values` in
+    1/sr, NaN where a direction was measured without a value; `u` their standard uncertainty, NaN where unknown, and `u_shared`
+    the part of it that neighbouring values share. `wavelength_nm` is NaN for grey values and for those of a colour, whose name
+    ("red", "X") is in `channel`. `flags` are words separated by a space. `back`: lit on the back; the frame is then that of the
+    sample turned about x. `photodiode` is -1 where there is none. `generated` values are simulated. Raises ValueError where
+    these do not fit together.
+    """
+
+    sigma_deg: Floats
+    psi_deg: Floats
+    polar_deg: Floats
+    azimuth_deg: Floats
+    values: Floats
+    u: Floats | None = None
+    u_shared: Floats | None = None
+    wavelength_nm: Floats | None = None
+    channel: Texts | None = None
+    transmitted: Flags | None = None
+    back: Flags | None = None
+    flags: Texts | None = None
+    photodiode: Ints | None = None
+    sample: str = ""
+    isotropic: bool = True
+    generated: bool = False
+    comments: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Fill in the optional columns, and check all of them."""
+        keep = object.__setattr__
+        n = np.asarray(self.values).size
+        defaults: dict[str, Any] = {
+            "u": math.nan, "u_shared": 0.0, "wavelength_nm": math.nan, "channel": "", "transmitted": False, "back": False,
+            "flags": "", "photodiode": -1,
+        }  # fmt: skip
+        for each in COLUMNS:
+            given = getattr(self, each)
+            column = np.full(n, defaults[each]) if given is None else np.asarray(given)
+            if column.shape != (n,):
+                raise ValueError(f"{each} has the shape {column.shape}, and there are {n} values")
+            if column.dtype.kind in "iuf" and each != "photodiode":
+                column = column.astype(np.float64)
+                if np.isinf(column).any() or (each in ANGLES and np.isnan(column).any()):
+                    raise ValueError(f"{each} has values that are not finite")
+            keep(self, each, column)
+        for each in ("sigma_deg", "polar_deg"):
+            outside = (getattr(self, each) < 0.0) | (getattr(self, each) > 90.0)
+            if outside.any():
+                raise ValueError(f"{each} goes from 0 to 90, and has {getattr(self, each)[outside][0]:g}")
+
+    @property
+    def size(self) -> int:
+        """Number of values."""
+        return int(self.values.size)
+
+    def where(self, chosen: Flags | Ints) -> "ScatteredBsdf":
+        """Some of the values, or all in another order."""
+        return replace(self, **{each: getattr(self, each)[chosen] for each in COLUMNS})
+
+    def specular(self) -> tuple[Floats, Floats]:
+        """theta (n,) and phi (n,) about the specular direction; for transmitted light about that of regular transmission."""
+        return to_specular_deg(self.sigma_deg, self.polar_deg, self.azimuth_deg - self.psi_deg)
+
+
+COLUMNS = tuple(
+    each.name for each in fields(ScatteredBsdf) if each.name not in ("sample", "isotropic", "generated", "comments")
+)
+"""The arrays of scattered values."""
+ANGLES = ("sigma_deg", "psi_deg", "polar_deg", "azimuth_deg")
+
+
+def flagged(flags: Texts, words: Collection[str]) -> Flags:
+    """The values (n,) that have one of these flags."""
+    distinct, which = np.unique(flags, return_inverse=True)
+    return np.array([not set(words).isdisjoint(each.split()) for each in distinct.tolist()], dtype=bool)[which.ravel()]
+
+
+def psi_of_gamma(gamma_deg: Floats, back: Flags) -> Floats:
+    """The azimuth of the light in the sample's frame, 0 to below 360, of the sample's rotation in the rig.
+
+    The frame of a sample that is lit on the back is turned about x.
+    """
+    return wrap_azimuth(np.where(back, gamma_deg, -gamma_deg))
+
+
+def to_specular_deg(sigma_deg: Floats, polar_deg: Floats, azimuth_deg: Floats) -> tuple[Floats, Floats]:
+    """theta and phi, deg, of directions whose azimuth is counted from the light's."""
+    return to_specular(sigma_deg, arc_direction(polar_deg, azimuth_deg))
+
+
+@dataclass(frozen=True, eq=False)
+class RegularTable:
+    """Regular reflectance, or transmittance, of one sample: `values` [channel, psi, sigma], 0 to 1, at angles in degrees.
+
+    Channels are as in `BsdfTable`; `u` are standard uncertainties, if known.
+    """
+
+    sigma_deg: Floats
+    values: Floats
+    wavelengths_nm: tuple[float, ...] | None = None
+    colours: tuple[str, ...] = ()
+    psi_deg: Floats = field(default_factory=lambda: np.zeros(1))
+    transmitted: bool = False
+    back: bool = False
+    sample: str = ""
+    u: Floats | None = None
+    generated: bool = False
+    comments: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Check the fields. Raises ValueError."""
+        channels = len(self.wavelengths_nm or self.colours or (None,))
+        shape = (channels, np.size(self.psi_deg), np.size(self.sigma_deg))
+        object.__setattr__(self, "values", finite_array("values", self.values, shape))
+        if self.u is not None:
+            object.__setattr__(self, "u", finite_array("uncertainties", self.u, shape))
+
+
+Part = BsdfTable | ScatteredBsdf | RegularTable
+
+
+@dataclass(frozen=True, eq=False)
+class BsdfFile:
+    """The content of a file: its `parts`, each of one sample, what is known about them, and comments on all of them.
+
+    A grid and a table of regular factors are of one side and of reflected or transmitted light; scattered values may be mixed.
+    """
+
+    parts: tuple[Part, ...]
+    metadata: Metadata = field(default_factory=Metadata)
+    comments: tuple[str, ...] = ()
+
+    @property
+    def simulated(self) -> bool:
+        """Whether any part is simulated."""
+        return any(part.generated for part in self.parts)
+
+    @property
+    def samples(self) -> tuple[str, ...]:
+        """The names of the samples, each once, in the order of the file."""
+        return tuple(dict.fromkeys(part.sample for part in self.parts))
+
+    @property
+    def tables(self) -> tuple[BsdfTable, ...]:
+        """The grids among the parts."""
+        return tuple(part for part in self.parts if isinstance(part, BsdfTable))
+
+    @property
+    def scattered(self) -> tuple[ScatteredBsdf, ...]:
+        """The scattered values among the parts."""
+        return tuple(part for part in self.parts if isinstance(part, ScatteredBsdf))
+
+    @property
+    def regular(self) -> tuple[RegularTable, ...]:
+        """The regular factors among the parts."""
+        return tuple(part for part in self.parts if isinstance(part, RegularTable))
+
+    def only_table(self) -> BsdfTable:
+        """The grid of a file that has nothing else, for formats that hold one. Raises ValueError."""
+        if len(self.parts) != 1 or not self.tables:
+            raise ValueError(f"it has {len(self.parts)} parts, of which {len(self.tables)} are tables; give one table")
+        return self.tables[0]
+
+    def of(self, sample: str) -> "BsdfFile":
+        """The parts of one sample."""
+        return replace(self, parts=tuple(part for part in self.parts if part.sample == sample))
+
+
+def separate(part: ScatteredBsdf) -> Iterator[ScatteredBsdf]:
+    """The values of each light and side."""
+    for transmitted in np.unique(part.transmitted):
+        for back in np.unique(part.back):
+            here = (part.transmitted == transmitted) & (part.back == back)
+            if here.any():
+                yield part if here.all() else part.where(here)
+
+
+def nodes(table: BsdfTable) -> ScatteredBsdf:
+    """The values of a grid above the horizon, in the order of its axes; those that were not measured have the flag "filled"."""
+    channel, psi, sigma, phi, theta = axes_of_nodes(table)
+    polar, azimuth = zenith_and_azimuth(from_specular(sigma, theta, phi))
+    above = polar <= HORIZON_DEG
+    count = table.values.shape[0]
+    names = np.array(table.colours or ("",) * count)
+    wavelengths = np.array(table.wavelengths_nm or (math.nan,) * count)
+    columns: dict[str, Any] = {
+        "sigma_deg": sigma, "psi_deg": psi, "polar_deg": np.minimum(polar, 90.0), "azimuth_deg": wrap_azimuth(azimuth + psi),
+        "values": table.values.ravel(), "wavelength_nm": wavelengths[channel], "channel": names[channel],
+        "transmitted": np.full(sigma.size, table.transmitted), "back": np.full(sigma.size, table.back),
+    }  # fmt: skip
+    if table.u is not None:
+        columns["u"] = table.u.ravel()
+    if table.known is not None:
+        columns["flags"] = np.where(table.known.ravel(), "", FILLED)
+    found = ScatteredBsdf(**{name: each[above] for name, each in columns.items()}, sample=table.sample)
+    return replace(found, isotropic=table.psi_deg.size == 1, comments=table.comments, generated=table.generated)
+
+
+def axes_of_nodes(table: BsdfTable) -> tuple[Ints, Floats, Floats, Floats, Floats]:
+    """Index of the channel, psi, sigma, phi and theta of all nodes of a grid, each (values.size,), in the order of its axes."""
+    axes = (np.arange(table.values.shape[0]), table.psi_deg, table.sigma_deg, table.phi_deg, table.theta_deg)
+    channel, *angles = (each.ravel() for each in np.meshgrid(*axes, indexing="ij"))
+    psi, sigma, phi, theta = (each.astype(np.float64) for each in angles)
+    return channel.astype(np.int64), psi, sigma, phi, theta
