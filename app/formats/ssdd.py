@@ -347,7 +347,7 @@ def _noted(part: Part, comments: tuple[str, ...], *, back: bool) -> Part:
 
 
 def _metadata(before: Metadata, block: dict[str, str]) -> Metadata:
-    """What a block says, where no earlier one did."""
+    """What a block states, where no earlier one did."""
     return replace(
         before,
         date=before.date or block.get("MEASUREMENT_DATE", ""),
@@ -377,7 +377,7 @@ def _scattered(
         seen = arc_direction(polar2, azimuth3) if system == SPHERICAL else _distorted(light, polar2, azimuth3)
     sigma, psi = zenith_and_azimuth(light)
     polar, azimuth = zenith_and_azimuth(seen)
-    if system != HALF_DIFFERENCE:  # as stated, which at the pole says more
+    if system != HALF_DIFFERENCE:  # as stated: at the pole that has the azimuth, too
         sigma, psi = polar0, azimuth1
     if system == SPHERICAL:
         polar, azimuth = polar2, azimuth3
@@ -472,7 +472,7 @@ def _without_entries(metadata: Metadata) -> Metadata:
 
 
 def _comments(lines: Iterable[str]) -> list[str]:
-    """Comment lines; an empty one has a space after its mark, too, as the specification says."""
+    """Comment lines; an empty one has a space after its mark, too, as the specification asks."""
     return [line if line != "#" else "# " for line in mark_comments(comment_lines(lines, ascii_only=True), "#")]
 
 

@@ -80,7 +80,7 @@ def test_an_angle_of_incidence_above_90_is_0(tmp_path: Path) -> None:
     assert set(part_of(saved(tmp_path, HEADER + block(180, 10) + "DataEnd\n")).sigma_deg) == {0.0}
 
 
-def test_zemax_and_lighttools_are_told_apart() -> None:
+def test_zemax_and_lighttools_are_distinguished() -> None:
     other = b"Source Measured\nSymmetry PlaneSymmetrical\nSpectralContent Monochrome\nScatterType BRDF\nSampleRotation 1\n0\n"
     other += b"AngleOfIncidence 1\n0\nScatterAzimuth 1\n0\nScatterRadial 1\n0\nMonochrome\nDataBegin\nTIS 1\n1\nDataEnd\n"
     ours = (HEADER + block(0, 1)).encode()

@@ -51,7 +51,7 @@ def test_a_spectral_file_is_read_and_written(tmp_path: Path) -> None:
     assert (tmp_path / "again.sdr").read_text() == SPECTRAL.replace("\n\n", "\n")
 
 
-def test_the_suffix_tells_reflected_from_transmitted_light(tmp_path: Path) -> None:
+def test_the_suffix_distinguishes_reflected_and_transmitted_light(tmp_path: Path) -> None:
     saved(tmp_path, SPECTRAL).rename(tmp_path / "a.SDT")
     assert table_of(tmp_path / "a.SDT").transmitted
 
