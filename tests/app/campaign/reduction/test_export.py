@@ -224,7 +224,7 @@ def test_the_flags_of_values_that_are_not_to_be_trusted_are_those_of_the_reducti
 def test_what_a_format_does_not_hold_is_refused_with_the_formats_that_do(reduced: BsdfDataset, tmp_path: Path) -> None:
     ((name, points),) = reduced.samples.items()
     colours = join_points([points, replace(points, places=points.places + np.array([100.0, 0.0, 0.0, 0.0, 0.0]))])
-    with pytest.raises(UserError, match=r"a zemax file does not hold several wavelengths; use ddr \(.ddr\) or csv \(.csv\)$"):
+    with pytest.raises(UserError, match=r"a zemax file does not hold several wavelengths; use ddr \(.ddr\), csv \(.csv\), .*"):
         export(replace(reduced, samples={name: colours}), None, tmp_path / "a.bsdf", "zemax")
     through = replace(points, transmitted=~points.transmitted, zenith_deg=180.0 - points.zenith_deg)
     with pytest.raises(UserError, match=r"a ddr file does not hold transmitted light; use ddt \(.ddt\), zemax"):
