@@ -106,7 +106,7 @@ def degrees_of(radians: Floats) -> Floats:
     0.872665 rad is 50.00002 deg, and means 50: an angle of few decimals that agrees with one within half a unit of the file's
     last place is taken. No angle changes by more than what its file can hold.
     """
-    with np.errstate(over="ignore"):  # a damaged number, which is refused for its size
+    with np.errstate(over="ignore", invalid="ignore"):  # a damaged number, which is refused for its size
         decimals = next((each for each in range(2, 12) if _has_decimals(radians, each)), 12)
         resolution = np.degrees(0.501 * 10.0**-decimals)
         degrees: Floats = np.degrees(radians)

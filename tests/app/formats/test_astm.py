@@ -85,7 +85,7 @@ def test_an_independent_reader_finds_what_was_written(tmp_path: Path) -> None:
 
 
 @given(values=scattered(), transmitted=st.booleans(), back=st.booleans(), generated=st.booleans())
-@settings(max_examples=60, deadline=None)
+@settings(deadline=None)
 def test_what_is_written_is_read_again(
     tmp_path_factory: pytest.TempPathFactory, values: Any, transmitted: bool, back: bool, generated: bool
 ) -> None:

@@ -90,7 +90,7 @@ def faults(path: Path) -> list[str]:
 
 
 @given(values=scattered(lowest=0.0), with_u=st.booleans(), back=st.booleans(), generated=st.booleans(), marked=st.booleans())
-@settings(max_examples=60, deadline=None)
+@settings(deadline=None)
 def test_what_is_written_has_the_public_structure_and_is_read_again(
     tmp_path_factory: pytest.TempPathFactory, values: Any, with_u: bool, back: bool, generated: bool, marked: bool
 ) -> None:

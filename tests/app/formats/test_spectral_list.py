@@ -44,7 +44,7 @@ def test_a_list_is_read_whatever_its_lines(tmp_path: Path) -> None:
 
 
 @given(values=scattered(), width=st.integers(1, 9))
-@settings(max_examples=40, deadline=None)
+@settings(deadline=None)
 def test_any_list_is_read_as_it_was_meant(tmp_path_factory: pytest.TempPathFactory, values: Any, width: int) -> None:
     values = values if np.isfinite(values.wavelength_nm).all() else values.where(values.wavelength_nm == 0.0)
     if not values.size:
