@@ -25,6 +25,7 @@ from goniotwin.app.formats.lists import (
     BEYOND_DEG,
     Lines,
     by_channel,
+    column,
     degrees_of,
     observed,
     one_list,
@@ -76,8 +77,8 @@ def _list(lines: Lines) -> ScatteredBsdf:
     remedy = "write radians, or correct it"
     sigma = lines.within("theta_i", angles[:, 0], 0.0, 90.0, data, remedy)
     out = lines.within("theta_s", angles[:, 2], -180.0, 180.0, data, remedy)
-    for name, column in (("phi_i", 1), ("phi_s", 3)):
-        lines.within(name, angles[:, column], -361.0, 361.0, data, remedy)
+    for name, at in (("phi_i", 1), ("phi_s", 3)):
+        lines.within(name, angles[:, at], -361.0, 361.0, data, remedy)
     comments, stated = _stated(header)
     polar, azimuth = observed(out, angles[:, 3])
     beyond = polar > 90.0 + BEYOND_DEG
@@ -163,8 +164,8 @@ def _sample(header: Iterable[str]) -> str:
 def write(path: Path, content: BsdfFile) -> None:
     """Write the values of one sample, side and kind of light; not those that are missing. Raises FormatError."""
     values = one_list(path, content, TITLE)
-    transmitted = refuse_mixture(path, TITLE, values.transmitted, "reflected light", "transmitted light")
-    back = refuse_mixture(path, TITLE, values.back, "light on the front", "light on the back")
+    transmitted = refuse_mixture(path, TITLE, column(values, "transmitted"), "reflected light", "transmitted light")
+    back = refuse_mixture(path, TITLE, column(values, "back"), "light on the front", "light on the back")
     measured = values.where(np.isfinite(values.values))
     if not measured.size:
         raise FormatError(path, "there is no value to write", "write values that were measured")
@@ -213,17 +214,19 @@ def _by_direction(path: StrPath, values: ScatteredBsdf) -> tuple[Floats, Floats,
 
 def _named_channels(path: StrPath, values: ScatteredBsdf) -> tuple[list[str], Ints]:
     """The names of the channels as VARS has them, and the index of each value's channel."""
-    wavelengths, of_value = np.unique(values.wavelength_nm, return_inverse=True)
-    if not (values.channel != "").any():
+    wavelengths, of_value = np.unique(column(values, "wavelength_nm"), return_inverse=True)
+    colours_there = column(values, "channel")
+    if not (colours_there != "").any():
         names = ["BSDF" if np.isnan(each) else f"{format_number(each)}nm" for each in wavelengths.tolist()]
         if len(set(names)) == len(names) and (len(names) == 1 or "BSDF" not in names):
             return names, of_value
         raise FormatError(path, f"an {TITLE} has no room for {', '.join(names[:9])} together", "write them in several files")
     for colours in (("red", "green", "blue"), ("X", "Y", "Z")):
-        of_value = np.argmax(np.array(colours)[:, None] == values.channel, axis=0)
-        if set(values.channel.tolist()) == set(colours):
+        of_value = np.argmax(np.array(colours)[:, None] == colours_there, axis=0)
+        if set(colours_there.tolist()) == set(colours):
             return [next(name for name, each in COLOURS.items() if each == colour).upper() for colour in colours], of_value
-    wrong = f"an {TITLE} has no room for the colours {', '.join(map(quote_word, np.unique(values.channel)[:9].tolist()))}"
+    known = np.unique(colours_there)[:9].tolist()
+    wrong = f"an {TITLE} has no room for the colours {', '.join(map(quote_word, known))}"
     raise FormatError(path, wrong, "write red, green and blue, or X, Y and Z, or wavelengths")
 
 

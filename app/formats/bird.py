@@ -27,7 +27,7 @@ import numpy.typing as npt
 from goniotwin.app.errors import printable
 from goniotwin.app.formats.content import BsdfFile, ScatteredBsdf
 from goniotwin.app.formats.file import FormatError, StrPath, name_file, quote_word
-from goniotwin.app.formats.lists import BEYOND_DEG, MOST_BYTES, observed, one_list, refuse_mixture
+from goniotwin.app.formats.lists import BEYOND_DEG, MOST_BYTES, column, observed, one_list, refuse_mixture
 from goniotwin.app.formats.metadata import (
     InstrumentMetadata,
     Metadata,
@@ -209,10 +209,10 @@ class _Reader:
             about = [] if "k = 1" in str(self._column("uBRDF").get("comments", "")) else ["uBRDF"]
         else:
             constant = self._column("BRDF").get("uncertainty")
-            value, unit = (constant.get(name) for name in ("value", "unit")) if isinstance(constant, dict) else (None, "")
-            if type(value) not in (float, int) or str(unit) not in (*PER_SR, "%"):
+            value, of = (_at(constant, name) for name in ("value", "unit"))
+            if type(value) not in (float, int) or of not in (*PER_SR, "%"):
                 return None, []
-            u = np.full(values.size, float(value or 0)) if unit != "%" else 0.01 * float(value or 0) * np.abs(values)
+            u = 0.01 * float(value) * np.abs(values) if of == "%" else np.full(values.size, float(value))
             about = ["the uncertainty of BRDF"]
         if (u < 0.0).any():
             raise FormatError(self.path, "uBRDF has negative values", "correct them")
@@ -321,20 +321,20 @@ def _in_words(entry: Any) -> str:
 def write(path: Path, content: BsdfFile) -> None:
     """Write the values of one sample and side; directions without a value are not written. Raises FormatError."""
     values = one_list(path, content, f"a {TITLE}")
-    if values.transmitted.any():
+    if column(values, "transmitted").any():
         raise FormatError(path, f"a {TITLE} holds reflected light, and some is transmitted", "write it in another format")
-    if (values.channel != "").any():
+    if (column(values, "channel") != "").any():
         raise FormatError(path, f"a {TITLE} holds wavelengths, and these values are of colours", "write another format")
-    back = refuse_mixture(path, f"a {TITLE}", values.back, "light on the front", "light on the back")
+    back = refuse_mixture(path, f"a {TITLE}", column(values, "back"), "light on the front", "light on the back")
     measured = values.where(np.isfinite(values.values))
     if not measured.size:
         raise FormatError(path, "there is no value to write", "write values that were measured")
-    columns = [f'"{name}": {column}' for name, column in _columns(path, measured)]
+    columns = [f'"{name}": {column_text}' for name, column_text in _columns(path, measured)]
     without = values.size - measured.size
     notes = [f"{without} directions without a value are not written"] if without else []
     digest = hashlib.sha256()
-    for column in columns:
-        digest.update(column.encode())
+    for each in columns:
+        digest.update(each.encode())
     about = _about(content, measured, notes, str(uuid.uuid5(uuid.NAMESPACE_URL, digest.hexdigest())), back)
     head = json.dumps(about, indent=1, ensure_ascii=False)
     write_text(path, _document(head, columns))
@@ -342,32 +342,32 @@ def write(path: Path, content: BsdfFile) -> None:
 
 def _document(head: str, columns: Sequence[str]) -> Iterator[str]:
     yield f'{{\n"metadata": {head},\n"data": {{\n'
-    for k, column in enumerate(columns):
-        yield column + (",\n" if k + 1 < len(columns) else "\n}\n}\n")
+    for k, each in enumerate(columns):
+        yield each + (",\n" if k + 1 < len(columns) else "\n}\n}\n")
 
 
 def _columns(path: StrPath, values: ScatteredBsdf) -> Iterator[tuple[str, str]]:
     for name, angles in (
         ("theta_i", values.sigma_deg), ("phi_i", values.psi_deg), ("theta_r", values.polar_deg), ("phi_r", values.azimuth_deg)
     ):  # fmt: skip
-        yield name, _column("deg", wrap_azimuth(round_deg(angles)) if name.startswith("phi") else angles)
+        yield name, _spelled("deg", wrap_azimuth(round_deg(angles)) if name.startswith("phi") else angles)
     negative, grazing = int((values.values < 0.0).sum()), int(((values.sigma_deg >= 90.0) | (values.polar_deg >= 90.0)).sum())
     notes = [f"{negative} values are below 0, as measured"] if negative else []
     notes += [f"{grazing} directions are at 90 deg"] if grazing else []
-    yield "BRDF", _column("sr^-1", values.values, "; ".join(notes))
-    unknown = np.isnan(values.u)
+    yield "BRDF", _spelled("sr^-1", values.values, "; ".join(notes))
+    unknown = np.isnan(column(values, "u"))
     if not unknown.all():
         note = f"; {unknown.sum()} are unknown, and are the value itself" if unknown.any() else ""
-        yield "uBRDF", _column("sr^-1", np.where(unknown, np.abs(values.values), values.u), ABOUT_U + note)
-    if np.isfinite(values.wavelength_nm).all():
-        yield "wavelength_i", _column("nm", values.wavelength_nm)
-    elif np.isfinite(values.wavelength_nm).any():
+        yield "uBRDF", _spelled("sr^-1", np.where(unknown, np.abs(values.values), column(values, "u")), ABOUT_U + note)
+    if np.isfinite(column(values, "wavelength_nm")).all():
+        yield "wavelength_i", _spelled("nm", column(values, "wavelength_nm"))
+    elif np.isfinite(column(values, "wavelength_nm")).any():
         raise FormatError(path, f"a {TITLE} has no room for grey and spectral values", "write them in two files")
     if own := ",\n".join(_own_columns(values)):
         yield "adhoc_variables", f"{{{own}}}"
 
 
-def _column(unit: str, numbers: Floats, comments: str = "") -> str:
+def _spelled(unit: str, numbers: Floats, comments: str = "") -> str:
     note = f', "comments": {json.dumps(comments)}' if comments else ""
     return f'{{"unit": "{unit}"{note}, "values": [{_numbers(numbers)}]}}'
 
@@ -379,12 +379,12 @@ def _numbers(numbers: Floats) -> str:
 def _own_columns(values: ScatteredBsdf) -> Iterator[str]:
     """Columns that BiRD has no name for, where they differ from what is meant without them."""
     columns: Iterable[tuple[str, str, str, bool, Callable[[], str]]] = (
-        ("u_shared", "part of uBRDF that neighbouring values share", "number", bool((values.u_shared != 0.0).any()),
-         lambda: _numbers(values.u_shared)),
-        ("flags", "flags of each value, words between blanks", "string", bool((values.flags != "").any()),
-         lambda: json.dumps(values.flags.tolist())[1:-1]),
-        ("photodiode", "number of the photodiode", "integer", bool((values.photodiode >= 0).any()),
-         lambda: json.dumps(values.photodiode.tolist())[1:-1]),
+        ("u_shared", "part of uBRDF that neighbouring values share", "number", bool((column(values, "u_shared") != 0.0).any()),
+         lambda: _numbers(column(values, "u_shared"))),
+        ("flags", "flags of each value, words between blanks", "string", bool((column(values, "flags") != "").any()),
+         lambda: json.dumps(column(values, "flags").tolist())[1:-1]),
+        ("photodiode", "number of the photodiode", "integer", bool((column(values, "photodiode") >= 0).any()),
+         lambda: json.dumps(column(values, "photodiode").tolist())[1:-1]),
     )  # fmt: skip
     for name, what, kind, there, spelled in columns:
         if there:

@@ -22,12 +22,12 @@ from goniotwin.app.formats.file import name_file
 from goniotwin.app.formats.lists import Lines, files_of, incidences, opposite, turned
 from goniotwin.arrays import Floats
 
-FIRST_LINE = re.compile(rb"\A(?:\xef\xbb\xbf)?\s*!!(?:[^\r\n]*[\r\n]+\s*!!)*[^\r\n]*BSDF", re.IGNORECASE)
+FIRST_LINE = re.compile(rb"\A(?:\xef\xbb\xbf)?\s*!!(?:[^\r\n]*[\r\n]\s*!!)*[^\r\n]*(?:BSDF|RPC Photonics|VIAVI)", re.IGNORECASE)
 ASSUMED_TRANSMITTED = "the file does not state whether the light is reflected or transmitted: these diffusers transmit"
 
 
 def recognise(head: bytes) -> bool:
-    """Whether a file that begins with `head` begins with comments of !!, and one of them names the BSDF."""
+    """Whether a file that begins with `head` begins with comments of !! that name the BSDF or the maker."""
     return bool(FIRST_LINE.match(head))
 
 

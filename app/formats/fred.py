@@ -26,7 +26,6 @@ from goniotwin.arrays import Floats, Ints
 from goniotwin.twin.optics.geometry.coordinates import wrap_azimuth
 
 FIRST_LINE = re.compile(rb"\A(?:\xef\xbb\xbf)?(?:\s*[#!][^\r\n]*[\r\n])*\s*type\s*[= \t]\s*bsdf_data", re.IGNORECASE)
-OPTION = re.compile(r"(\w+)\s*=\s*(\S+)")
 TEXT = re.compile(r"[#!]|[A-Za-z]{2,}")
 """A line of text begins so: a damaged number does not."""
 
@@ -68,7 +67,9 @@ def _header(lines: Lines) -> tuple[float, list[str], Ints]:
         raise FormatError(lines.path, wrong, "write one, such as: format angles=deg bsdf=value scale=1")
     at, line = formats[0]
     scale = 1.0
-    for name, value in OPTION.findall(line):
+    words = line.replace("=", " = ").split()
+    for k in (k for k, word in enumerate(words) if word == "="):
+        name, value = words[k - 1], (words[k + 1 : k + 2] or [""])[0]
         option = (name.lower(), value.lower())
         if option[0] == "scale":
             try:

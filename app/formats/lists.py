@@ -4,13 +4,14 @@ import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from goniotwin.app.formats.content import COLUMNS, BsdfFile, ScatteredBsdf, nodes
 from goniotwin.app.formats.file import FormatError, StrPath, quote_word, read_head
 from goniotwin.app.formats.numerals import NotANumber, parse_number
-from goniotwin.app.formats.table import BsdfTable
 from goniotwin.app.formats.text import read_text
 from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.twin.optics.geometry.coordinates import HALF_TURN_DEG, polar_and_azimuth, wrap_azimuth
@@ -105,12 +106,13 @@ def degrees_of(radians: Floats) -> Floats:
     0.872665 rad is 50.00002 deg, and means 50: an angle of few decimals that agrees with one within half a unit of the file's
     last place is taken. No angle changes by more than what its file can hold.
     """
-    decimals = next((each for each in range(2, 12) if _has_decimals(radians, each)), 12)
-    resolution = np.degrees(0.501 * 10.0**-decimals)
-    degrees: Floats = np.degrees(radians)
-    for places in (3, 6):
-        plain = np.round(degrees, places)
-        degrees = np.where(np.abs(degrees - plain) <= resolution, plain, degrees)
+    with np.errstate(over="ignore", invalid="ignore"):  # a damaged number, which is refused for its size
+        decimals = next((each for each in range(2, 12) if _has_decimals(radians, each)), 12)
+        resolution = np.degrees(0.501 * 10.0**-decimals)
+        degrees: Floats = np.degrees(radians)
+        for places in (3, 6):
+            plain = np.round(degrees, places)
+            degrees = np.where(np.abs(degrees - plain) <= resolution, plain, degrees)
     return degrees
 
 
@@ -130,9 +132,9 @@ def opposite(azimuth_deg: Floats) -> Floats:
     return wrap_azimuth(azimuth_deg + HALF_TURN_DEG)
 
 
-def by_channel(columns: dict[str, Floats], values: Floats, channels: Sequence[float | str]) -> dict[str, Floats]:
+def by_channel(columns: dict[str, Floats], values: Floats, channels: Sequence[float | str]) -> dict[str, Any]:
     """The columns of `ScatteredBsdf` for values (n, channels) at n directions; a channel is a wavelength or a colour's name."""
-    repeated = {name: np.tile(column, len(channels)) for name, column in columns.items()}
+    repeated: dict[str, Any] = {name: np.tile(column, len(channels)) for name, column in columns.items()}
     wavelengths = [np.nan if isinstance(each, str) else each for each in channels]
     repeated |= {"values": values.T.ravel(), "wavelength_nm": np.repeat(wavelengths, len(values))}
     if any(isinstance(each, str) and each for each in channels):
@@ -181,14 +183,20 @@ def incidences(lines: Lines, chosen: Ints) -> tuple[Floats, Floats, Floats]:
     return light[block], np.stack(observed(signed, found[:, 1]), axis=1), found[:, 2]
 
 
+def column(values: ScatteredBsdf, name: str) -> npt.NDArray[Any]:
+    """A column of scattered values, which all of them have once they are made."""
+    return np.asarray(getattr(values, name))
+
+
 def joined(parts: Sequence[ScatteredBsdf]) -> ScatteredBsdf:
     """Scattered values of one sample in one list."""
     first = parts[0]
     if len(parts) == 1:
         return first
+    columns: dict[str, Any] = {name: np.concatenate([column(part, name) for part in parts]) for name in COLUMNS}
     return replace(
         first,
-        **{name: np.concatenate([getattr(part, name) for part in parts]) for name in COLUMNS},
+        **columns,
         comments=tuple(dict.fromkeys(comment for part in parts for comment in part.comments)),
         isotropic=all(part.isotropic for part in parts),
         generated=any(part.generated for part in parts),
@@ -203,7 +211,7 @@ def one_list(path: StrPath, content: BsdfFile, name: str) -> ScatteredBsdf:
     if content.regular or not content.parts:
         what = "no regular reflectance or transmittance" if content.parts else "values, and there are none"
         raise FormatError(path, f"{name} holds {what}", "write scattered values, or a table")
-    return joined([nodes(part) if isinstance(part, BsdfTable) else part for part in (*content.tables, *content.scattered)])
+    return joined([*map(nodes, content.tables), *content.scattered])
 
 
 def refuse_mixture(path: StrPath, name: str, column: Flags, one: str, other: str) -> bool:

@@ -27,8 +27,8 @@ from goniotwin.arrays import Floats
 from goniotwin.twin.optics.geometry.coordinates import wrap_azimuth
 
 KEYWORDS = "sample_?name|format|incident_?angle|intheta|inphi|upphi|colorimetry"
-KEYWORD = re.compile(rf"#\s*({KEYWORDS})\b\s*:?\s*(.*?)\s*$", re.IGNORECASE)
-FORMAT = re.compile(rb"(?:^|[\r\n])#\s*format\s*:?\s*theta\s+phi\s+(?:[a-z]*SDF|B[RT]DF)", re.IGNORECASE)
+KEYWORD = re.compile(rf"#\s*({KEYWORDS})\b[\s:]*(.*)", re.IGNORECASE)
+FORMAT = re.compile(rb"(?:^|[\r\n])#[ \t]*format[ \t:]*theta[ \t]+phi[ \t]+(?:[a-z]*SDF|B[RT]DF)", re.IGNORECASE)
 QUANTITIES = ("BSDF", "BRDF", "BTDF", "DSF")
 XYZ = ("X", "Y", "Z")
 
@@ -76,7 +76,7 @@ class _Reader:
         if found is None:
             self.comments.append(line.lstrip("# "))
             return
-        key, value = found[1].lower().replace("_", ""), found[2]
+        key, value = found[1].lower().replace("_", ""), found[2].strip()
         take: dict[str, Callable[[], None]] = {
             "samplename": lambda: setattr(self, "sample", value.strip('"').strip()),
             "format": lambda: self._format(at, value),

@@ -23,7 +23,7 @@ from goniotwin.arrays import Floats
 from goniotwin.twin.optics.geometry.coordinates import wrap_azimuth
 
 ANGLES = ("src_z", "src_a", "view_z", "view_a")
-NAMES = re.compile(rb"(?:^|[\r\n])\s*src_z\s+src_a\s+view_z\s+view_a\s", re.IGNORECASE)
+NAMES = re.compile(rb"(?:^|[\r\n])[ \t]*src_z[ \t]+src_a[ \t]+view_z[ \t]+view_a\s", re.IGNORECASE)
 FACTOR = re.compile(r"\bBRF\b|reflectance factor", re.IGNORECASE)
 BAND = re.compile(r"([0-9.]+)(nm|um)", re.IGNORECASE)
 

@@ -29,7 +29,7 @@ from goniotwin.app.formats.numerals import NotANumber, parse_number
 from goniotwin.arrays import Floats
 
 FIRST_LINE = re.compile(rb"\A(?:\xef\xbb\xbf)?\s*Name\s*/\s*Comment\s*:", re.IGNORECASE)
-KEYWORD = re.compile(r"\s*'?([A-Za-z][^:\t]*?)\s*(?::|\t|\s{2,})\s*(.*?)\s*$")
+SEPARATOR = re.compile(r":|\t|\s\s")
 SPECULAR_PHI_DEG = -90.0
 """phi of the half plane of the specular ray, for positive theta."""
 AS_THEY_STAND = "intensities of the instrument, as they stand: neither unit nor cosine is stated"
@@ -84,9 +84,10 @@ class _Block:
         """Its values. Raises FormatError."""
         table = []
         for at in range(self.start, self.stop):
-            found = KEYWORD.match(self.lines.lines[at])
-            if found:
-                self.stated[" ".join(found[1].lower().split())] = (at, found[2])
+            line = self.lines.lines[at].lstrip().removeprefix("'")
+            if line[:1].isalpha() and (found := SEPARATOR.search(line)):
+                value = line[found.end() :].strip().removeprefix(":").strip()
+                self.stated[" ".join(line[: found.start()].lower().split())] = (at, value)
             elif self.lines.counts[at]:
                 table.append(at)
         self._refuse_unknown()
@@ -105,7 +106,7 @@ class _Block:
         comments = [" ".join(text.split()) for text in texts if text]
         return ScatteredBsdf(
             np.full(polar.size, light), np.zeros(polar.size), polar, azimuth, found_numbers[:, 1:].ravel(),
-            sample=self.stated["name / comment"][1], comments=(AS_THEY_STAND, *comments),
+            sample=self.stated.get("name / comment", (0, ""))[1], comments=(AS_THEY_STAND, *comments),
         )  # fmt: skip
 
     def _refuse_unknown(self) -> None:
@@ -135,4 +136,4 @@ class _Block:
         if not 0.0 <= count < MOST_COLUMNS or abs(count - round(count)) > 1e-3:
             wrong = f"{name} from {first:g} to {last:g} in steps of {step:g} deg is not possible"
             raise self.lines.error(self.stated[f"{name} measure step"][0], wrong, "export it again")
-        return first + step * np.arange(round(count) + 1)
+        return np.asarray(first + step * np.arange(round(count) + 1), dtype=np.float64)

@@ -45,7 +45,7 @@ def read(path: Path) -> BsdfFile:
     """Read a list: one part. Raises FormatError."""
     text = read_text(path, MOST_BYTES).replace("\r\n", "\n").replace("\r", "\n")
     comments = tuple(line for each in COMMENT.findall(text) if (line := each.strip()))
-    numbers = np.concatenate([*_numbers(path, COMMENT.sub("", text))])
+    numbers = np.concatenate([np.empty(0), *_numbers(path, COMMENT.sub("", text))])
     with name_file(path):
         return BsdfFile((_list(path, numbers, comments),))
 

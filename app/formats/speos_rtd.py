@@ -21,7 +21,7 @@ from goniotwin.arrays import Floats
 
 TITLE = "optis - anisotropic bsdf surface file v1."
 OWN_TABLE = "the export's own table, with means of measured neighbours"
-NAME = re.compile(r"\s*SampleID\s*:?\s*(.*?)\s*$", re.IGNORECASE)
+NAME = re.compile(r"\s*SampleID[\s:]*(.*)", re.IGNORECASE)
 LAST_NUMBER = re.compile(r"([0-9]+(?:\.[0-9]+)?)\s*$")
 
 
@@ -55,8 +55,8 @@ def _block(lines: Lines, start: int, stop: int) -> tuple[str, float, list[str], 
     """The sample's name, the incidence, the lines of the header, and the tables of one measurement."""
     heads = [at for at in range(start, stop) if lines.counts[at] and lines.lines[at].startswith("\t")]
     header = [at for at in range(start, heads[0] if heads else stop) if lines.counts[at]]
-    named = [found[1] for at in header if (found := NAME.match(lines.lines[at]))]
-    number = LAST_NUMBER.search(named[0]) if named else None
+    named = [found[1].strip() for at in header if (found := NAME.match(lines.lines[at]))]
+    number = LAST_NUMBER.search(named[0][-20:]) if named else None
     if number is None or not 0.0 <= float(number[1]) <= 90.0:
         wrong = f"the sample's name {quote_word(named[0] if named else '')} does not end with the incidence, 0 to 90 deg"
         raise lines.error(start, wrong, "export it again, as the instrument names it: Sample 60")

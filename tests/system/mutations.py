@@ -94,10 +94,10 @@ def mutate(name: str, path: Path, numbers: np.random.Generator) -> None:
     """Change a file: its parts, for the half of them, else its bytes."""
     for _ in range(int(numbers.integers(1, 4))):
         if numbers.random() < 0.5:
-            _change_bytes(path, numbers)
+            path.write_bytes(with_changed_bytes(path.read_bytes(), numbers))
         elif name in TEXTS:
             text = path.read_text(encoding="utf-8", errors="replace")
-            path.write_text(_with_changed_words(text, numbers), encoding="utf-8", errors="replace")
+            path.write_text(with_changed_words(text, numbers), encoding="utf-8", errors="replace")
         elif name.endswith(".journal"):
             with contextlib.suppress(sqlite3.Error, ValueError, RecursionError):
                 change_journal(path, numbers)
@@ -106,8 +106,9 @@ def mutate(name: str, path: Path, numbers: np.random.Generator) -> None:
                 _change_dataset(path, numbers)
 
 
-def _change_bytes(path: Path, numbers: np.random.Generator) -> None:
-    content = bytearray(path.read_bytes())
+def with_changed_bytes(before: bytes, numbers: np.random.Generator) -> bytes:
+    """A content with some of its bytes changed, removed, added, repeated or zero."""
+    content = bytearray(before)
     at, size = (int(each) for each in numbers.integers(0, [len(content) + 1, 200]))
     match int(numbers.integers(6)):
         case 0:
@@ -122,10 +123,11 @@ def _change_bytes(path: Path, numbers: np.random.Generator) -> None:
             del content[at:]
         case 5:
             content[at : at + size] = b"\0" * size
-    path.write_bytes(content)
+    return bytes(content)
 
 
-def _with_changed_words(text: str, numbers: np.random.Generator) -> str:
+def with_changed_words(text: str, numbers: np.random.Generator) -> str:
+    """A text with a word or a line that is extreme, or with lines in another order or repeated."""
     lines = text.split("\n")
     k, other = (int(each) for each in numbers.integers(len(lines), size=2))
     extreme = EXTREMES[int(numbers.integers(len(EXTREMES)))]
@@ -185,7 +187,7 @@ def _change_value(db: sqlite3.Connection, numbers: np.random.Generator) -> None:
     numeric = (0, -1, 1, 2, 7, 10**6, 2**31, 2**63 - 1, -(2**63), 1e300, -1e300, 1e-300, 1e20, float("inf"), 0.5)
     extreme = numeric[int(numbers.integers(len(numeric)))]
     if isinstance(value, str):
-        value = _with_changed_words(value, numbers)
+        value = with_changed_words(value, numbers)
     elif isinstance(value, int):
         value = int(extreme) if abs(extreme) < 2**63 else 3
     else:

@@ -19,17 +19,17 @@ def angles_deg(high: int) -> st.SearchStrategy[float]:
 
 
 @st.composite
-def scattered(draw: st.DrawFn, lowest: float = -1e3, **stated: Any) -> ScatteredBsdf:
+def scattered(draw: st.DrawFn, /, lowest: float = -1e3) -> Any:
     """A value of each of a few wavelengths, or of none, at each of a few directions."""
     size = draw(st.integers(1, 6))
-    wavelengths = draw(st.lists(st.integers(300, 2500), unique=True, max_size=3)) or [np.nan]
-    columns = {
+    wavelengths: list[float] = [*draw(st.lists(st.integers(300, 2500), unique=True, max_size=3))] or [np.nan]
+    columns: dict[str, Any] = {
         name: np.tile(draw(st.lists(angles_deg(high), min_size=size, max_size=size)), len(wavelengths))
         for name, high in zip(ANGLES, (90, 359, 90, 359), strict=True)
     }
     number = st.floats(lowest, 1e6).map(lambda each: float(f"{each:.9g}"))
     values = draw(st.lists(number, min_size=size * len(wavelengths), max_size=size * len(wavelengths)))
-    return ScatteredBsdf(**columns, values=np.array(values), wavelength_nm=np.repeat(wavelengths, size), **stated)
+    return ScatteredBsdf(**columns, values=np.array(values), wavelength_nm=np.repeat(wavelengths, size))
 
 
 def rows(values: ScatteredBsdf, *names: str) -> Floats:
@@ -38,7 +38,7 @@ def rows(values: ScatteredBsdf, *names: str) -> Floats:
     return found[:, np.lexsort(np.nan_to_num(found))]
 
 
-def only_list(content: BsdfFile) -> ScatteredBsdf:
+def only_list(content: BsdfFile) -> Any:
     """The only part of a content."""
     (part,) = content.parts
     assert isinstance(part, ScatteredBsdf)

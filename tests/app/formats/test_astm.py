@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -84,9 +85,9 @@ def test_an_independent_reader_finds_what_was_written(tmp_path: Path) -> None:
 
 
 @given(values=scattered(), transmitted=st.booleans(), back=st.booleans(), generated=st.booleans())
-@settings(max_examples=60, deadline=None)
+@settings(deadline=None)
 def test_what_is_written_is_read_again(
-    tmp_path_factory: pytest.TempPathFactory, values: ScatteredBsdf, transmitted: bool, back: bool, generated: bool
+    tmp_path_factory: pytest.TempPathFactory, values: Any, transmitted: bool, back: bool, generated: bool
 ) -> None:
     path = tmp_path_factory.mktemp("astm") / "a.astm"
     flags = np.full(values.size, True)
@@ -128,7 +129,7 @@ def test_a_direction_that_was_measured_twice_is_written_twice(tmp_path: Path) ->
         ({"values": np.full(3, np.nan)}, "no value to write"),
     ],
 )
-def test_what_a_list_cannot_hold_is_refused(tmp_path: Path, change: dict[str, np.ndarray], wanted: str) -> None:
+def test_what_a_list_cannot_hold_is_refused(tmp_path: Path, change: dict[str, Any], wanted: str) -> None:
     values = ScatteredBsdf(np.zeros(3), np.zeros(3), np.arange(3.0), np.zeros(3), np.arange(3.0))
     with pytest.raises(FormatError, match=wanted):
         astm.write(tmp_path / "a.astm", BsdfFile((replace(values, **change),)))

@@ -90,9 +90,9 @@ def faults(path: Path) -> list[str]:
 
 
 @given(values=scattered(lowest=0.0), with_u=st.booleans(), back=st.booleans(), generated=st.booleans(), marked=st.booleans())
-@settings(max_examples=60, deadline=None)
+@settings(deadline=None)
 def test_what_is_written_has_the_public_structure_and_is_read_again(
-    tmp_path_factory: pytest.TempPathFactory, values: ScatteredBsdf, with_u: bool, back: bool, generated: bool, marked: bool
+    tmp_path_factory: pytest.TempPathFactory, values: Any, with_u: bool, back: bool, generated: bool, marked: bool
 ) -> None:
     path = tmp_path_factory.mktemp("bird") / "a.brdf"
     values = replace(
@@ -175,7 +175,7 @@ def test_each_state_of_polarisation_is_a_sample(tmp_path: Path) -> None:
     found = bird.read(tmp_path / "a.brdf")
     assert found.samples == ("SRT1, polarisation s", "SRT1, polarisation p")
     assert [part.values.tolist() for part in found.scattered] == [[0.254, 0.267], [0.263, 0.273]]
-    assert found.scattered[0].wavelength_nm.tolist() == [550, 650]
+    assert [rows(part)[4].tolist() for part in found.scattered] == [[550, 650]] * 2
     assert found.metadata.environment == "temperature 23.2 °C"
     assert found.metadata.laboratory == "Aalto University"
 

@@ -5,6 +5,7 @@ Small files as they are laid out; the real ones are read in test_real_bsdf.py.
 
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
@@ -99,7 +100,7 @@ Reflection Spectrum\t\t\t
 TEXTS = [(fred, FRED), (eds, EDS), (pab, PAB), (reflectance_factors, FACTORS), (reflet, REFLET), (speos_rtd, RTD)]
 
 
-def read(module: ModuleType, path: Path, text: str) -> ScatteredBsdf:
+def read(module: ModuleType, path: Path, text: str) -> Any:
     path.write_bytes(text.encode())
     return only_list(module.read(path))
 
@@ -164,8 +165,8 @@ def test_freds_export_with_the_specular_ray_in_each_line_is_read(tmp_path: Path)
 
 
 @given(values=scattered())
-@settings(max_examples=40, deadline=None)
-def test_any_text_of_fred_is_read_as_it_was_meant(tmp_path_factory: pytest.TempPathFactory, values: ScatteredBsdf) -> None:
+@settings(deadline=None)
+def test_any_text_of_fred_is_read_as_it_was_meant(tmp_path_factory: pytest.TempPathFactory, values: Any) -> None:
     values = values.where(np.isnan(values.wavelength_nm) | (values.wavelength_nm == values.wavelength_nm[0]))
     values = ScatteredBsdf(*(getattr(values, each) for each in ("sigma_deg", "psi_deg", "polar_deg", "azimuth_deg", "values")))
     path = tmp_path_factory.mktemp("fred") / "a.txt"

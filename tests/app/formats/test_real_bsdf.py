@@ -109,6 +109,7 @@ def test_every_reflectance_factor_is_read(files: list[Path]) -> None:
     words = np.array([[float(word) for word in line.split()] for line in path.read_text().splitlines()[6:]])
     np.testing.assert_allclose(np.pi * found.values.reshape(11, -1).T, words[:, 4:], rtol=1e-15)
     assert found.sigma_deg[: len(words)].tolist() == words[:, 0].tolist()
+    assert found.wavelength_nm is not None
     assert (found.sample, found.wavelength_nm[0]) == ("RSG Spectralon 7, (2 inch dia) aperture in wall", 385.65)
     # 0:45 was measured first and last.
     assert np.count_nonzero((found.sigma_deg == 0.0) & (found.polar_deg == 45.0)) == 2 * 11
