@@ -191,7 +191,7 @@ def compare(
         raise UserError(f"{a.name} and {b.name} have no light and direction in common: {has}; or give them in the other order")
     notes = [
         *_notes(one, other),
-        *([f"left out, because the second has no values there: {'; '.join(left_out)}"] if left_out else []),
+        *([f"not compared, because the second has no values there: {'; '.join(left_out)}"] if left_out else []),
     ]
     return DatasetComparison(a, b, limits, tuple(found), tuple(notes))
 

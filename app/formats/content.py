@@ -5,7 +5,7 @@ comes from the polar angle sigma and the azimuth psi; without psi it comes from 
 """
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
@@ -204,6 +204,15 @@ class BsdfFile:
     def of(self, sample: str) -> "BsdfFile":
         """The parts of one sample."""
         return replace(self, parts=tuple(part for part in self.parts if part.sample == sample))
+
+
+def separate(part: ScatteredBsdf) -> Iterator[ScatteredBsdf]:
+    """The values of each light and side."""
+    for transmitted in np.unique(part.transmitted):
+        for back in np.unique(part.back):
+            here = (part.transmitted == transmitted) & (part.back == back)
+            if here.any():
+                yield part if here.all() else part.where(here)
 
 
 def nodes(table: BsdfTable) -> ScatteredBsdf:
