@@ -16,20 +16,39 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from goniotwin.app.data.comparison import DatasetComparison, compare, theory
     from goniotwin.app.data.dataset import Dataset
     from goniotwin.app.data.opening import open_dataset as open
+    from goniotwin.app.data.plotting import plot
     from goniotwin.app.data.simulation import simulate
+    from goniotwin.app.data.values import ValueWithU
     from goniotwin.app.errors import GoniotwinError
 
     __version__: str
 
-__all__ = ["Dataset", "GoniotwinError", "__version__", "open", "simulate"]
+__all__ = [
+    "Dataset",
+    "DatasetComparison",
+    "GoniotwinError",
+    "ValueWithU",
+    "__version__",
+    "compare",
+    "open",
+    "plot",
+    "simulate",
+    "theory",
+]
 
 _HOMES = {
     "Dataset": ("goniotwin.app.data.dataset", "Dataset"),
+    "DatasetComparison": ("goniotwin.app.data.comparison", "DatasetComparison"),
     "GoniotwinError": ("goniotwin.app.errors", "GoniotwinError"),
+    "ValueWithU": ("goniotwin.app.data.values", "ValueWithU"),
+    "compare": ("goniotwin.app.data.comparison", "compare"),
     "open": ("goniotwin.app.data.opening", "open_dataset"),
+    "plot": ("goniotwin.app.data.plotting", "plot"),
     "simulate": ("goniotwin.app.data.simulation", "simulate"),
+    "theory": ("goniotwin.app.data.comparison", "theory"),
 }
 
 

@@ -13,11 +13,11 @@ from goniotwin.app.campaign.campaign import run_campaign
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.reduction.comparison import Comparison, compare, cut_figure
-from goniotwin.app.campaign.reduction.export import export, export_format
 from goniotwin.app.campaign.reduction.reduction import BsdfDataset, reduce_journal
 from goniotwin.app.campaign.running.events import State
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.cli.output import RowProgress
+from goniotwin.app.data.conversion import Choice, convert_reduced, format_to_write
 from goniotwin.app.data.report.report import write_report
 from goniotwin.app.errors import MissingPackage, UserError
 from goniotwin.app.rig import RigDescription, read_rig
@@ -48,7 +48,7 @@ def run_demo(
     measured = compare(rig, SAMPLE, reduced.samples[SAMPLE])
     noise_free = compare(rig, SAMPLE, ideal.samples[SAMPLE])
     for name in ("ddr", "csv"):
-        export(reduced, SAMPLE, files[name], export_format(name))
+        convert_reduced(reduced, files[name], format_to_write(files[name]), Choice(SAMPLE))
     cut_figure(reduced, SAMPLE, measured, files["png"])
     try:
         write_report(files["journal"], files["html"])

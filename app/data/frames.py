@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from goniotwin.app.data.values import COLUMNS, SampleData
-from goniotwin.app.errors import UserError
+from goniotwin.app.errors import MissingPackage
 
 if TYPE_CHECKING:
     import pandas
@@ -19,7 +19,7 @@ ON_GRID = ("bsdf", "u", "flags")
 
 
 def to_dataframe(data: SampleData) -> "pandas.DataFrame":
-    """One row for each value, and the columns of the dataset. Raises UserError where pandas is not installed."""
+    """One row for each value, and the columns of the dataset. Raises MissingPackage where pandas is not installed."""
     pandas = _extra("pandas", "to_dataframe")
     frame: pandas.DataFrame = pandas.DataFrame({name: data.column(name) for name in COLUMNS})
     return frame
@@ -28,7 +28,7 @@ def to_dataframe(data: SampleData) -> "pandas.DataFrame":
 def to_xarray(data: SampleData, attributes: dict[str, Any]) -> "xarray.Dataset":
     """The values over the axes of their grid if they are those of one table, else over `value`, their number.
 
-    Raises UserError where xarray is not installed.
+    Raises MissingPackage where xarray is not installed.
     """
     xarray = _extra("xarray", "to_xarray")
     made = _on_grid(data, xarray) if data.gridded and _is_one_table(data) else _flat(data, xarray)
@@ -44,7 +44,7 @@ def _extra(module: str, method: str) -> Any:
     try:
         return import_module(module)
     except ImportError:
-        raise UserError(f"{method}: {module} is not installed; run pip install 'goniotwin[xarray]'") from None
+        raise MissingPackage(f"{method}: {module} is not installed; run pip install 'goniotwin[xarray]'") from None
 
 
 def _is_one_table(data: SampleData) -> bool:

@@ -7,9 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from goniotwin.app.campaign.geometry.directions import polar_from_zenith
 from goniotwin.app.campaign.journal.writing import Journal
-from goniotwin.app.campaign.reduction.components import shared_variance
+from goniotwin.app.campaign.reduction.export import scattered_points
 from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.reduction.reduction import Reduction, reduce_journal
 from goniotwin.app.campaign.schedule.refinement import StatedSymmetry
@@ -18,31 +17,25 @@ from goniotwin.app.data.values import Measured, SampleData
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats import registry
 from goniotwin.app.formats.content import (
+    ANGLES,
     COLUMNS,
     HORIZON_DEG,
     BsdfFile,
     Part,
     RegularTable,
     ScatteredBsdf,
-    Texts,
     axes_of_nodes,
     nodes,
-    psi_of_gamma,
 )
 from goniotwin.app.formats.file import SQLITE, FormatError, StrPath, read_head
 from goniotwin.app.formats.registry import Format
 from goniotwin.app.formats.table import BsdfTable
-from goniotwin.arrays import Flags, Floats
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics import from_specular
 from goniotwin.twin.optics.geometry.coordinates import (
-    HALF_TURN_DEG,
     round_deg,
-    wrap_azimuth,
     zenith_and_azimuth,
 )
-
-MIRRORED = "mirrored"
-"""Flag of a direction that was measured to check the stated symmetry."""
 
 
 def open_dataset(path: StrPath, *, without_damaged: bool = False) -> Dataset:
@@ -83,39 +76,12 @@ def open_journal(path: Path, *, without_damaged: bool = False) -> Dataset:
 
 
 def sample_of_points(points: BsdfPoints, sample: str, symmetry: StatedSymmetry, *, generated: bool) -> SampleData:
-    """The values of reduced points, in the frame of the sample: gamma turns it, so that the light's azimuth is -gamma."""
-    sign = np.where(points.back, -1.0, 1.0)  # of azimuths in the frame of a sample turned about x
-    psi = round_deg(psi_of_gamma(points.gamma_deg, points.back))
-    values = ScatteredBsdf(
-        sigma_deg=round_deg(np.where(points.back, HALF_TURN_DEG - points.sigma_deg, points.sigma_deg)),
-        psi_deg=psi,
-        polar_deg=round_deg(polar_from_zenith(points.zenith_deg)),
-        azimuth_deg=round_deg(wrap_azimuth(sign * points.azimuth_deg + psi)),
-        values=points.bsdf,
-        u=np.where(np.isfinite(points.bsdf), points.u_bsdf, np.nan),
-        u_shared=np.sqrt(shared_variance(points.components)),
-        wavelength_nm=points.wavelength_nm,
-        transmitted=points.transmitted,
-        back=points.back,
-        flags=flag_words({**points.flags, MIRRORED: points.mirrored}),
-        photodiode=points.photodiode.astype(np.int64),
-        sample=sample,
-        isotropic=symmetry == "isotropic",
-        generated=generated,
-    )
+    """The values of reduced points; equal angles are equal numbers."""
+    values = scattered_points(points, sample, generated=generated)
+    rounded = {name: round_deg(getattr(values, name)) for name in ANGLES}
+    u = np.where(np.isfinite(points.bsdf), points.u_bsdf, np.nan)
+    values = replace(values, **rounded, u=u, isotropic=symmetry == "isotropic")
     return SampleData(values, round_deg(points.theta_deg), round_deg(points.phi_deg))
-
-
-def flag_words(flags: dict[str, Flags]) -> Texts:
-    """The flags (n,) of each value as words, with a space between several."""
-    bits = np.zeros(next(iter(flags.values())).size, dtype=np.int64)
-    for k, flag in enumerate(flags.values()):
-        bits |= flag.astype(np.int64) << k
-    distinct, which = np.unique(bits, return_inverse=True)
-    words = np.array(
-        [" ".join(name for k, name in enumerate(flags) if each >> k & 1) for each in distinct.tolist()], dtype=np.str_
-    )
-    return words[which.ravel()]
 
 
 # ---- files ----

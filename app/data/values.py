@@ -9,15 +9,13 @@ import numpy as np
 import numpy.typing as npt
 
 from goniotwin.app.campaign.reduction.etalon import ReductionSettings
-from goniotwin.app.campaign.reduction.points import FLAGS, BsdfPoints
+from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.errors import UserError
-from goniotwin.app.formats.content import FILLED, RegularTable, ScatteredBsdf, Texts
+from goniotwin.app.formats.content import UNTRUSTED, RegularTable, ScatteredBsdf, flagged
 from goniotwin.app.formats.metadata import Metadata
 from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.twin.optics.geometry.coordinates import DECIMALS, TOLERANCE_DEG, TURN_DEG
 
-UNTRUSTED = frozenset({FILLED, *(name for name, flag in FLAGS.items() if flag.untrusted)})
-"""Flags of values that are not to be used as measured ones."""
 ROUND = {"psi_deg": None, "phi_deg": "theta_deg", "azimuth_deg": "polar_deg"}
 """Columns whose values repeat after 360 deg, and the polar angle at whose pole, 0 or 180 deg, all of them are one direction."""
 EQUAL = 1.01 * TOLERANCE_DEG
@@ -138,13 +136,6 @@ def light_settings(data: SampleData) -> list[LightSetting]:
         for (k, nm, back, transmitted, psi, sigma), index in zip(distinct.tolist(), np.split(order, edges), strict=True)
         if index.size
     ]
-
-
-def flagged(flags: Texts, words: frozenset[str]) -> Flags:
-    """Whether flags (n,) have any of the words."""
-    distinct, which = np.unique(flags, return_inverse=True)
-    having = np.array([bool(words.intersection(each.split())) for each in distinct.tolist()], dtype=bool)
-    return np.asarray(having[which.ravel()]) if flags.size else np.zeros(0, dtype=bool)
 
 
 def numbers(name: str, value: object) -> list[float]:

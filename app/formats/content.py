@@ -5,6 +5,7 @@ comes from the polar angle sigma and the azimuth psi; without psi it comes from 
 """
 
 import math
+from collections.abc import Collection
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
@@ -21,6 +22,15 @@ from goniotwin.twin.optics.geometry.coordinates import TOLERANCE_DEG, arc_direct
 Texts = npt.NDArray[np.str_]
 FILLED = "filled"
 """Flag of a value that a table has where none was measured."""
+CHECK = "mirrored"
+"""Flag of a direction that was measured only to check the stated symmetry."""
+UNTRUSTED = frozenset(
+    {
+        FILLED, "shadowed", "clipped", "no-etalon", "dead", "uncertified", "drift", "module", "monitor", "scale", "hidden",
+        "no-hits",
+    }
+)  # fmt: skip
+"""Flags of values that are not to be trusted."""
 HORIZON_DEG = 90.0 + TOLERANCE_DEG
 
 
@@ -97,6 +107,12 @@ COLUMNS = tuple(
 )
 """The arrays of scattered values."""
 ANGLES = ("sigma_deg", "psi_deg", "polar_deg", "azimuth_deg")
+
+
+def flagged(flags: Texts, words: Collection[str]) -> Flags:
+    """The values (n,) that have one of these flags."""
+    distinct, which = np.unique(flags, return_inverse=True)
+    return np.array([not set(words).isdisjoint(each.split()) for each in distinct.tolist()], dtype=bool)[which.ravel()]
 
 
 def psi_of_gamma(gamma_deg: Floats, back: Flags) -> Floats:

@@ -1,6 +1,5 @@
 """The dataset of `goniotwin.open`: samples, columns and selection."""
 
-import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,8 +9,8 @@ import pytest
 
 import goniotwin
 from goniotwin.app.campaign.journal.writing import Journal
-from goniotwin.app.campaign.reduction.export import export
 from goniotwin.app.campaign.reduction.reduction import reduce_journal
+from goniotwin.app.data.conversion import Choice, convert_reduced, format_to_write
 from goniotwin.app.data.opening import dataset_of_file
 from goniotwin.app.data.values import COLUMNS
 from goniotwin.app.formats import registry
@@ -19,21 +18,6 @@ from goniotwin.app.formats.content import BsdfFile, ScatteredBsdf
 from goniotwin.app.formats.registry import Holds
 from goniotwin.app.formats.table import BsdfTable
 from tests.app.data.made import gaussian, table
-from tests.conftest import REPOSITORY
-
-JOURNAL = REPOSITORY / "tests" / "golden" / "data" / "finished.journal"
-
-
-@pytest.fixture(scope="module")
-def journal(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("journal") / "finished.journal"
-    shutil.copy(JOURNAL, path)
-    return path
-
-
-@pytest.fixture(scope="module")
-def dataset(journal: Path) -> goniotwin.Dataset:
-    return goniotwin.open(str(journal))
 
 
 def scattered(sample: str, psi_deg: float = 0.0) -> ScatteredBsdf:
@@ -200,7 +184,7 @@ def test_an_exported_csv_has_the_values_of_its_journal(dataset: goniotwin.Datase
     path = tmp_path / "points.csv"
     with Journal.open(journal) as opened:
         reduced = reduce_journal(opened)
-    export(reduced, None, path, registry.format_named("csv", {Holds.POINTS}))
+    convert_reduced(reduced, path, format_to_write(path), Choice())
     d = goniotwin.open(path)
     assert d.origin == "csv"
     assert d.simulated
