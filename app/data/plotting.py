@@ -500,7 +500,7 @@ def _polar(dataset: Dataset, log: bool | None) -> "Figure":
                     "", (-math.radians(sigma), 0.82 * outer), (-math.radians(sigma), outer),
                     arrowprops={"arrowstyle": "->", "color": colour, "lw": 1.3},
                 )  # fmt: skip
-    axes.set_rlim(0.0, outer)
+    axes.set_rlim(0.0, outer or 1.0)
     if scale.log:
         decades = np.arange(0, math.floor(outer) + 1)
         axes.set_rgrids(
