@@ -52,7 +52,7 @@ class SampleData:
 
     @property
     def good(self) -> Flags:
-        """The values (n,) to be trusted: there is a number, and no flag that says otherwise."""
+        """The values (n,) to be trusted: there is a number, and no flag against it."""
         return np.isfinite(self.values.values) & ~flagged(np.asarray(self.values.flags), UNTRUSTED)
 
     def where(self, chosen: Flags | Ints) -> "SampleData":
