@@ -2,6 +2,7 @@
 
 import os
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -160,12 +161,17 @@ def _pair(first: str, second: str, samples: list[str]) -> tuple["Dataset", "Data
     if models[0]:
         if first == THEORY:
             raise UserError("theory: is the second of the two, for the sample of a virtual rig's journal")
-        b = _dataset(Path(second), of_second)
+        b = _named(Path(second), of_second)
         return theory(b, first), b
-    a = _dataset(Path(first), of_first)
+    a = _named(Path(first), of_first)
     if models[1]:
         return a, theory(a, None if second == THEORY else second)
-    return a, _dataset(Path(second), of_second)
+    return a, _named(Path(second), of_second)
+
+
+def _named(path: Path, sample: str | None) -> "Dataset":
+    """A dataset with the name of its file: two campaigns of one schedule have one name."""
+    return replace(_dataset(path, sample), name=path.name)
 
 
 def _dataset(path: Path, sample: str | None) -> "Dataset":
