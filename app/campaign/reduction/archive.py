@@ -1,0 +1,338 @@
+"""The archive of a journal: every point with all that its uncertainty is made of, tables, and what was recorded.
+
+With it the uncertainty of a value, the covariance of two values, of two samples too, and that of a reflectance are rebuilt from
+the file alone (docs/archive.md). An input's effect on a value is stored in the value's unit, for one standard uncertainty of
+the input: what has one name is one input in the whole file, so a covariance is a sum of products.
+"""
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import numpy.typing as npt
+
+from goniotwin.app.campaign.geometry.directions import polar_from_zenith
+from goniotwin.app.campaign.journal.reading import JournalReader
+from goniotwin.app.campaign.reduction.budget import FILLED, INTERPOLATION
+from goniotwin.app.campaign.reduction.budget import reflectance as reflectance_budget
+from goniotwin.app.campaign.reduction.components import shared_variance
+from goniotwin.app.campaign.reduction.effects_of_points import effects_of
+from goniotwin.app.campaign.reduction.etalon import ReductionSettings
+from goniotwin.app.campaign.reduction.export import heading, table_of
+from goniotwin.app.campaign.reduction.points import BsdfPoints, PointSource
+from goniotwin.app.campaign.reduction.reduction import ReducedJournal, Reduction, reduce_to_files
+from goniotwin.app.campaign.reduction.reflectance import integration_settings, quadrature
+from goniotwin.app.campaign.uncertainty.inputs import Input
+from goniotwin.app.errors import UserError
+from goniotwin.app.formats import archive
+from goniotwin.app.formats.content import COLUMNS, BsdfFile, ScatteredBsdf
+from goniotwin.app.formats.file import FormatError, check_writable
+from goniotwin.app.formats.metadata import InstrumentMetadata, Metadata
+from goniotwin.app.formats.registry import Format, Holds
+from goniotwin.app.formats.table import BsdfTable
+from goniotwin.twin.optics.geometry.coordinates import incidence_deg, wrap_azimuth
+
+CHUNK_POINTS = 10_000
+"""Points whose effects are in memory together: some hundred numbers each."""
+MORE = (
+    "gamma_deg", "beta_deg", "shift_deg", "zenith_deg", "theta_deg", "phi_deg", "mirrored", "signature", "slope_along",
+    "slope_across", "field_correction", "row", "etalon_row", "gain", "etalon_gain", "wavelength_slope", "band_correction",
+    "stray_contrast", "good",
+)  # fmt: skip
+"""What a point of a journal has besides the columns of scattered values."""
+LIGHTS = {"reflected": Holds.REFLECTED, "transmitted": Holds.TRANSMITTED}
+
+
+@dataclass(frozen=True)
+class Archived:
+    """The number of points in an archive, and why a sample has no table of a light."""
+
+    points: int
+    without_table: tuple[str, ...]
+
+
+def write_archive(
+    journal: JournalReader, path: Path, *, metadata: Metadata | None = None, without_damaged: bool = False
+) -> Archived:
+    """Reduce a journal and write its archive, completely or not at all. Raises UserError.
+
+    Its points are never in memory together, the values of a table are.
+    """
+    _check(path)
+    reduction = Reduction(journal, without_damaged=without_damaged)
+    folder = path.resolve().parent
+    with reduce_to_files(journal, folder, without_damaged=without_damaged) as reduced:
+        about = metadata or Metadata(
+            title=reduced.name, raw_data=reduced.chain, instrument=InstrumentMetadata(name=reduced.rig.file.name)
+        )
+        tables, missing = _tables(reduced, path)
+        count = sum(source.size for source in reduced.samples.values())
+
+        def fill(entry: h5py.Group) -> None:
+            inputs = _Inputs()
+            for k, (name, source) in enumerate(reduced.samples.items(), 1):
+                _put_points(archive.put_part(entry, f"part_{k}", _empty(reduced, name)), name, source, reduction, inputs)
+            for k, table in enumerate(tables, 1 + len(reduced.samples)):
+                archive.put_part(entry, f"part_{k}", table)
+            comments = (*heading(reduced), *(note for note in reduced.notes if note not in heading(reduced)), *missing)
+            archive.put_about(entry, BsdfFile((), about, comments))
+            entry.attrs["simulated"] = reduced.simulated
+            if reduced.samples:
+                entry.attrs["default"] = "part_1"
+            inputs.put(entry.create_group("inputs"))
+            _put_journal(entry.create_group("journal"), journal, reduction)
+
+        try:
+            archive.write_entry(path, fill)
+        except FormatError as error:
+            raise UserError(str(error)) from None
+    return Archived(count, missing)
+
+
+def _check(path: Path) -> None:
+    try:
+        check_writable(path)
+    except FormatError as error:
+        raise UserError(str(error)) from None
+
+
+def _tables(reduced: ReducedJournal, path: Path) -> tuple[list[BsdfTable], tuple[str, ...]]:
+    """The tables of all samples, and why there is none of a sample and light."""
+    tables, missing = [], []
+    for name, source in reduced.samples.items():
+        lights = {bool(each) for points in source.parts(CHUNK_POINTS) for each in np.unique(points.transmitted)}
+        for light in (each for each in LIGHTS if (each == "transmitted") in lights):
+            holds = frozenset({Holds.GRID, Holds.SIGMAS, Holds.WAVELENGTHS, LIGHTS[light]})
+            form = Format("archive", "", (".h5",), holds, "goniotwin.app.formats.archive")
+            try:
+                table, _ = table_of(reduced, name, path, form)
+            except (UserError, FormatError) as error:
+                reason = str(error).removeprefix(f"{path}: ").split(";")[0]
+                missing.append(f"no table of the {light} light of {name}: {reason}")
+            else:
+                tables.append(replace(table, sample=name))
+    return tables, tuple(missing)
+
+
+def scattered_of(name: str, points: BsdfPoints, *, generated: bool, isotropic: bool) -> ScatteredBsdf:
+    """The points of a sample in its own frame."""
+    incident = np.where(points.back, -1.0, 1.0)
+    shared = np.sqrt(np.maximum(shared_variance(points.components), 0.0))
+    flags = np.full(points.size, "", dtype=object)
+    for flag, marked in points.flags.items():
+        flags[marked] = flags[marked] + np.where(flags[marked] == "", flag, f" {flag}")
+    return ScatteredBsdf(
+        sigma_deg=np.array([incidence_deg(each) for each in points.places[:, 2].tolist()])[points.place],
+        psi_deg=wrap_azimuth(-incident * points.gamma_deg),
+        polar_deg=np.clip(polar_from_zenith(points.zenith_deg), 0.0, 90.0),
+        azimuth_deg=wrap_azimuth(incident * (points.azimuth_deg - points.gamma_deg)),
+        values=points.bsdf, u=points.u_bsdf, u_shared=shared, wavelength_nm=points.wavelength_nm,
+        transmitted=points.transmitted, back=points.back, flags=flags.astype(np.str_), photodiode=points.photodiode,
+        sample=name, isotropic=isotropic, generated=generated,
+    )  # fmt: skip
+
+
+def _empty(reduced: ReducedJournal, name: str) -> ScatteredBsdf:
+    none = np.zeros(0)
+    stated = reduced.symmetry.get(name)
+    about = () if stated is None else (f"symmetry: {stated}",)
+    return ScatteredBsdf(none, none, none, none, none, sample=name, generated=reduced.simulated, comments=about)
+
+
+class _Inputs:
+    """All inputs of an archive, each once by its name."""
+
+    def __init__(self) -> None:
+        self._known: dict[str, tuple[int, Input]] = {}
+
+    def number(self, each: Input) -> int:
+        """The number of an input."""
+        return self._known.setdefault(each.name, (len(self._known), each))[0]
+
+    def put(self, group: h5py.Group) -> None:
+        """Write names, units and sources, in the order of the numbers."""
+        group.attrs["NX_class"] = "NXcollection"
+        inputs = [each for _, each in self._known.values()]
+        for text in ("name", "unit", "distribution", "shared_by", "source"):
+            archive.put_texts(group, text, [str(getattr(each, text)) for each in inputs])
+        for number in ("u", "degrees_of_freedom"):
+            archive.put_array(group, number, np.array([getattr(each, number) for each in inputs]))
+
+
+def _put_points(
+    group: h5py.Group, name: str, source: PointSource, reduction: Reduction, inputs: _Inputs
+) -> None:  # fmt: skip
+    """Fill a part with the points of a sample, in the order of wavelength and sigma, and what their uncertainty is made of."""
+    columns: dict[str, archive.Column] = {}
+    isotropic = reduction.schedule.symmetry == "isotropic"
+    group.attrs["isotropic"] = isotropic
+    words: dict[str, dict[str, int]] = {column: {} for column in archive.WORDS}
+    for column in COLUMNS:
+        del group["values_errors" if column == "u" else column]
+    for column in archive.WORDS:
+        del group[f"{column}_words"]
+    effects = _EffectRows(group, inputs)
+    components = archive.Rows(group, "components", "<f8")
+    begin, integrals = 0, 0
+    for points in source.settings():
+        for part in points.parts(CHUNK_POINTS):
+            scattered = scattered_of(name, part, generated=bool(group.attrs["generated"]), isotropic=isotropic)
+            found: dict[str, npt.NDArray[Any]] = {each: getattr(scattered, each) for each in COLUMNS}
+            found["values_errors"] = found.pop("u")
+            for each in archive.WORDS:
+                distinct, number = archive.distinct(found[each])
+                known = words[each]
+                numbers = np.array([known.setdefault(word, len(known)) for word in distinct.tolist()], dtype=np.int32)
+                found[each] = numbers[number]
+            found |= {each: getattr(part, each) for each in MORE}
+            for each, values in found.items():
+                if each not in columns:
+                    columns[each] = archive.Column(group, each, values.dtype)
+                columns[each].add(values)
+            components.add(part.size, part.budget)
+            effects.add(part, reduction.settings)
+        for setting in integration_settings(points):
+            if _put_reflectance(group, f"reflectance_{integrals + 1}", name, begin, points, setting, reduction):
+                integrals += 1
+        begin += points.size
+    for each, known in words.items():
+        archive.put_texts(group, f"{each}_words", list(known))
+    archive.put_texts(group, "component_names", components.keys)
+    effects.put_names()
+
+
+class _EffectRows:
+    """The effects of the inputs on points, in 1/sr for one standard uncertainty of each input."""
+
+    def __init__(self, group: h5py.Group, inputs: _Inputs) -> None:
+        self._group, self._inputs = group, inputs
+        self._independent = archive.Rows(group, "independent", "<f8")
+        self._dense = archive.Rows(group, "dense", "<f4")
+        self._grouped = archive.Rows(group, "grouped", "<f4")
+        self._member = archive.Rows(group, "grouped_input", "<i4", -1)
+
+    def add(self, points: BsdfPoints, settings: ReductionSettings) -> None:
+        """Add points; those without a value have no effects."""
+        having = np.flatnonzero(np.isfinite(points.bsdf))
+        effects = effects_of(points.where(having), settings)
+        value = effects.value
+
+        def spread(values: npt.NDArray[Any], empty: float = 0.0) -> npt.NDArray[Any]:
+            found = np.full(points.size, empty, dtype=values.dtype)
+            found[having] = np.where(np.isfinite(values), values, empty)
+            return found
+
+        self._independent.add(
+            points.size,
+            {name: spread(np.sqrt(variance) * np.abs(value)) for name, variance in effects.independent.items()},
+        )
+        dense: dict[int, npt.NDArray[Any]] = {}
+        for part in effects.dense:
+            for k, each in enumerate(part.inputs):
+                number = self._inputs.number(each)
+                effect = spread(part.sensitivity[:, k] * each.u * value)
+                if number in dense or effect.any() or number in self._dense.keys:
+                    dense[number] = dense[number] + effect if number in dense else effect
+        self._dense.add(points.size, dense)
+        grouped: dict[tuple[str, int, int], npt.NDArray[Any]] = {}
+        member: dict[tuple[str, int, int], npt.NDArray[Any]] = {}
+        seen: dict[str, int] = {}
+        for group in effects.groups:
+            seen[group.name] = seen.get(group.name, 0) + 1
+            keys, place = np.unique(group.member, return_inverse=True)
+            known = [-1 if key < 0 else self._inputs.number(group.inputs[key]) for key in keys.tolist()]
+            u = np.array([0.0 if key < 0 else group.inputs[key].u for key in keys.tolist()])
+            place = place.reshape(group.member.shape)
+            for m in range(group.member.shape[1]):
+                key = (group.name, seen[group.name], m)
+                grouped[key] = spread(group.sensitivity[:, m] * u[place[:, m]] * value)
+                member[key] = spread(np.array(known, dtype=np.int32)[place[:, m]], -1)
+        self._grouped.add(points.size, grouped)
+        self._member.add(points.size, member)
+
+    def put_names(self) -> None:
+        """Write what the columns are."""
+        archive.put_texts(self._group, "independent_names", self._independent.keys)
+        archive.put_array(self._group, "dense_input", np.array(self._dense.keys, dtype=np.int32))
+        archive.put_texts(self._group, "grouped_names", [name for name, _, _ in self._grouped.keys])
+
+
+def _put_reflectance(
+    group: h5py.Group, title: str, name: str, begin: int, points: BsdfPoints, setting: Any, reduction: Reduction
+) -> bool:  # fmt: skip
+    """Write a reflectance with the weights of its values; nothing where the directions do not cover the half sphere."""
+    here = points.where(setting.index)
+    rule = quadrature(here, reduction.schedule.symmetry)
+    if not rule.hemisphere:
+        return False
+    budget = reflectance_budget(reduction, name, points, setting)
+    used = np.flatnonzero(rule.weight != 0.0)
+    own = {each.name: each.u for each in budget.components if each.name in (INTERPOLATION, FILLED)}
+    found = group.create_group(title)
+    found.attrs.update(
+        {
+            "NX_class": "NXcollection", "wavelength_nm": setting.wavelength_nm, "sigma_deg": setting.sigma_deg,
+            "gamma_deg": setting.gamma_deg, "transmitted": setting.transmitted, "value": budget.value, "u": budget.u,
+            "u_interpolation": own.get(INTERPOLATION, 0.0), "u_filled": own.get(FILLED, 0.0),
+        }
+    )  # fmt: skip
+    archive.put_array(found, "index", begin + setting.index[used])
+    archive.put_array(found, "weight", rule.weight[used])
+    return True
+
+
+def _put_journal(group: h5py.Group, journal: JournalReader, reduction: Reduction) -> None:
+    """Write the files of a campaign as they were, its rows, and the raw counts."""
+    group.attrs["NX_class"] = "NXcollection"
+    files: Mapping[str, str] = {key: journal.value(key) for key in ("name", "rig", "schedule", "versions")}
+    for key, text in files.items():
+        group[key] = text.replace("\0", "")
+    if reduction.schedule.certificate is not None:
+        group["certificate"] = journal.value("certificate").replace("\0", "")
+    rows = {each: archive.Column(group, f"row_{each}", kind) for each, kind in ROW.items()}
+    readings = {each: archive.Column(group, f"reading_{each}", kind) for each, kind in READING.items()}
+    counts, begin = archive.Column(group, "counts", "<u2"), 0
+    of_rows: list[tuple[Any, ...]] = []
+    of_readings: list[tuple[Any, ...]] = []
+    raw: list[npt.NDArray[np.uint16]] = []
+
+    def flush() -> None:
+        for columns, entries in ((rows, of_rows), (readings, of_readings)):
+            for column, values in zip(columns.values(), zip(*entries, strict=True), strict=False):
+                column.add(np.array(values, dtype=object if isinstance(values[0], str) else None))
+            entries.clear()
+        counts.add(np.concatenate([np.zeros(0, dtype=np.uint16), *raw]))
+        raw.clear()
+
+    for committed in journal.rows():
+        row, data = committed.row, committed.data
+        pose = row.pose or (math.nan,) * 4
+        wavelength = math.nan if row.wavelength_nm is None else row.wavelength_nm
+        texts = (row.kind, row.sample, row.identity, json.dumps(data.positions), " ".join(data.flags))
+        of_rows.append((row.number, *texts, wavelength, *pose, data.started_s, data.ended_s))
+        for each in data.readings:
+            about = (row.number, each.gain_v_per_a, each.first_s, each.period_s, each.monitor_a)
+            of_readings.append((*about, begin, *each.counts.shape))
+            raw.append(each.counts.ravel())
+            begin += each.counts.size
+        if len(of_rows) >= ROWS_TOGETHER:
+            flush()
+    flush()
+
+
+ROWS_TOGETHER = 1000
+ROW = {
+    "number": "<i8", "kind": archive.TEXT, "sample": archive.TEXT, "identity": archive.TEXT, "positions": archive.TEXT,
+    "flags": archive.TEXT, "wavelength_nm": "<f8", "gamma_deg": "<f8", "sigma_deg": "<f8", "beta_deg": "<f8",
+    "shift_deg": "<f8", "started_s": "<f8", "ended_s": "<f8",
+}  # fmt: skip
+READING = {
+    "row": "<i8", "gain_v_per_a": "<f8", "first_s": "<f8", "period_s": "<f8", "monitor_a": "<f8", "begin": "<i8",
+    "readings": "<i8", "photodiodes": "<i8",
+}  # fmt: skip
+"""Columns of the rows and of the readings: `begin` is the place of the first count, of readings times photodiodes."""
