@@ -18,16 +18,21 @@ LONGEST_MESSAGE = 2000
 FULL_DISK = frozenset({errno.ENOSPC, errno.EDQUOT})
 
 
-class UserError(Exception):
-    """User-facing error: one line that names the file, option or device, the fault and the remedy; no traceback.
-
-    The command ends with `status`.
-    """
-
-    status = 2
+class GoniotwinError(Exception):
+    """What a file or an argument can do wrong: one printable line that names it, the fault and the remedy."""
 
     def __str__(self) -> str:
         return one_line(super().__str__())
+
+
+class UserError(GoniotwinError):
+    """User-facing error of a command, option or device; no traceback. The command ends with `status`."""
+
+    status = 2
+
+
+class MissingPackage(UserError):
+    """A package of an extra is not installed."""
 
 
 def one_line(text: str) -> str:

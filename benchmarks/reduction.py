@@ -27,13 +27,13 @@ REDUCE = """
 import sys, time
 from pathlib import Path
 from goniotwin.app.campaign.journal.writing import Journal
-from goniotwin.app.campaign.reduction.export import export, export_format
 from goniotwin.app.campaign.reduction.reduction import reduce_to_files
+from goniotwin.app.data.conversion import Choice, convert_reduced, format_to_write
 journal, out = map(Path, sys.argv[1:])
 begin = time.process_time()
 with Journal.open(journal) as opened, reduce_to_files(opened, out.parent) as reduced:
     between = time.process_time()
-    values = export(reduced, None, out, export_format("csv")).values
+    values = convert_reduced(reduced, out, format_to_write(out), Choice()).values
 end = time.process_time()
 peak = next(line.split()[1] for line in Path("/proc/self/status").read_text().splitlines() if line.startswith("VmHWM:"))
 print(between - begin, end - begin, int(peak) * 1024, values)

@@ -58,6 +58,7 @@ def test_the_wheel_has_one_import_package_with_all_sources_and_examples(wheel: P
     wanted = {f"goniotwin/{path.as_posix()}" for path in sources}
     wanted |= {f"goniotwin/{path.name}" for path in (REPOSITORY / "package").iterdir() if path.is_file()}
     wanted |= {f"goniotwin/{path.relative_to(REPOSITORY).as_posix()}" for path in (REPOSITORY / "examples").glob("*/*.toml")}
+    wanted |= {f"goniotwin/{path.relative_to(REPOSITORY).as_posix()}" for path in (REPOSITORY / "app").rglob("*.j2")}
     assert names == wanted
 
 

@@ -1,10 +1,10 @@
-"""Commands on measured data: `goniotwin export`, `budget`, `verify`, `closure` and `copy`."""
+"""Commands on data: `goniotwin export`, `convert`, `info`, `budget`, `verify`, `closure` and `copy`."""
 
 import math
 import os
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 from rich.console import Console
@@ -29,58 +29,124 @@ FAILS_STYLE = {"fails": "red", "holds": "green", "nothing to judge": "dim"}
 app = typer.Typer()
 
 
+FormatOption = Annotated[
+    str | None,
+    typer.Option(
+        "--format", metavar="FORMAT", help="A format of the list below, by its name; else that of the file's suffix.",
+        show_default=False,
+    ),
+]  # fmt: skip
+SampleOption = Annotated[str | None, typer.Option("--sample", help="Sample, if there are several.", show_default=False)]
+LightOption = Annotated[
+    Literal["reflected", "transmitted"] | None,
+    typer.Option("--light", help="Light, if there are both and the format holds one.", show_default=False),
+]
+SideOption = Annotated[
+    Literal["front", "back"] | None,
+    typer.Option("--side", help="Lit side, if there are both; a table of one side is of the front.", show_default=False),
+]
+FillOption = Annotated[
+    Literal["hold", "neighbour", "fit", "refuse"],
+    typer.Option("--fill", help="How a table's holes are filled, where nothing was measured: docs/formats.md."),
+]
+DamagedOption = Annotated[
+    bool, typer.Option("--without-damaged", help="Leave out the rows that are damaged, instead of writing nothing.")
+]
+
+
 @app.command(cls=CommandWithFormats)
 def export(
     journal: JournalArgument,
     out: Annotated[Path, typer.Option("--out", metavar="FILE", help="File to write.", show_default=False)],
-    file_format: Annotated[
-        str, typer.Option("--format", metavar="FORMAT", help="A format of the list below, by its name.", show_default=False)
-    ],
-    sample: Annotated[
-        str | None, typer.Option("--sample", help="Sample, if the journal has several.", show_default=False)
-    ] = None,
-    light: Annotated[
-        Literal["reflected", "transmitted"] | None,
-        typer.Option("--light", help="Light, if the journal has both and the format holds one table.", show_default=False),
-    ] = None,
-    without_damaged: Annotated[
-        bool, typer.Option("--without-damaged", help="Leave out the rows that are damaged, instead of writing nothing.")
-    ] = False,
+    file_format: FormatOption = None,
+    sample: SampleOption = None,
+    light: LightOption = None,
+    side: SideOption = None,
+    fill: FillOption = "hold",
+    without_damaged: DamagedOption = False,
     as_json: Json = False,
 ) -> None:
     """Reduce a data file (journal) and write the BSDF.
 
     The journal is not changed. A .csv has every measured point, with its standard uncertainty. A table such as a .ddr is in
     specular coordinates and has no gaps: directions without a measurement are filled and listed at its top. The standard
-    uncertainties of FILE.ddr are in FILE.u.ddr, on the same grid.
+    uncertainties of FILE.ddr are in FILE.u.ddr, what was not measured is marked in FILE.mask.ddr, on the same grid.
 
     Exit status: 1 if the journal differs from what was measured, row by row or as a whole.
     """
-    from goniotwin.app.campaign.journal.writing import Journal
-    from goniotwin.app.campaign.reduction.export import check_files, export_format
-    from goniotwin.app.campaign.reduction.export import export as export_reduced
-    from goniotwin.app.campaign.reduction.reduction import reduce_to_files
+    _convert(journal, out, file_format, (sample, light, side, fill), without_damaged, as_json, of_journal=True)
 
-    form = export_format(file_format)
-    if os.path.realpath(out) == os.path.realpath(journal):
-        raise UserError(f"{out}: is the journal itself; choose another name")
-    check_files(out, form)
-    folder = Path(os.path.realpath(out)).parent
-    with Journal.open(journal) as opened, reduce_to_files(opened, folder, without_damaged=without_damaged) as reduced:
-        chain = opened.chain
-        exported = export_reduced(reduced, sample, out, form, light)
-    files = [str(file) for file in exported.files]
-    result = {
-        "file": files[0], "files": files, "format": form.name, "values": exported.values, "simulated": reduced.simulated,
-        "chain": chain.as_dict(), "damaged": sorted(chain.without_values), "findings": list(reduced.findings),
-    }  # fmt: skip
-    mark = "SIMULATED, " if reduced.simulated else ""
-    text = f"{mark}{exported.values} measured values: {', '.join(files)}\n{reduced.chain}"
-    answer(as_json, result, lambda: print(text))
-    for finding in reduced.findings:
+
+@app.command(cls=CommandWithFormats)
+def convert(
+    source: Annotated[Path, typer.Argument(metavar="IN", help="File of any format, or a journal.", show_default=False)],
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="File to write.", show_default=False)],
+    file_format: FormatOption = None,
+    sample: SampleOption = None,
+    light: LightOption = None,
+    side: SideOption = None,
+    fill: FillOption = "hold",
+    without_damaged: DamagedOption = False,
+    as_json: Json = False,
+) -> None:
+    """Convert a BSDF from one file format to another.
+
+    What the file is, is found by its content; a journal is reduced, as goniotwin export does it. What the other format does not
+    hold is refused, or said. Uncertainties, and the mask of what was not measured, go along: in OUT.u and OUT.mask of the same
+    format, where it has no room for them.
+
+    Exit status: 1 if a journal differs from what was measured, row by row or as a whole.
+    """
+    _convert(source, out, file_format, (sample, light, side, fill), without_damaged, as_json, of_journal=False)
+
+
+def _convert(
+    source: Path, out: Path, name: str | None, options: tuple[Any, ...], without_damaged: bool, as_json: bool, *,
+    of_journal: bool,
+) -> None:  # fmt: skip
+    """Convert a file or a journal, and print the result."""
+    from goniotwin.app.campaign.journal.writing import Journal
+    from goniotwin.app.campaign.reduction.reduction import reduce_to_files
+    from goniotwin.app.data.conversion import Choice, convert_file, convert_reduced, format_to_write, is_journal
+    from goniotwin.app.formats.registry import files_beside
+
+    form, choice = format_to_write(out, name), Choice(*options)
+    if os.path.realpath(source) in {os.path.realpath(each) for each in (out, *files_beside(out, form).values())}:
+        raise UserError(f"{out}: is the {'journal' if of_journal else 'file'} itself; choose another name")
+    result: dict[str, Any] = {}
+    lines: list[str] = []
+    damage, findings = "", []
+    if of_journal or is_journal(source):
+        folder = Path(os.path.realpath(out)).parent
+        with Journal.open(source) as opened, reduce_to_files(opened, folder, without_damaged=without_damaged) as reduced:
+            chain = opened.chain
+            converted = convert_reduced(reduced, out, form, choice)
+        damage, findings = chain.damage, list(reduced.findings)
+        result = {"chain": chain.as_dict(), "damaged": sorted(chain.without_values), "findings": findings}
+        lines = [reduced.chain]
+    else:
+        converted = convert_file(source, out, form, choice)
+    mark = "SIMULATED, " if converted.simulated else ""
+    lines = [f"{mark}{converted.values} measured values: {', '.join(map(str, converted.files))}", *lines]
+    if (line := converted.unmeasured_line) is not None:
+        lines.append(line)
+    answer(as_json, {**converted.as_dict(), **result}, lambda: print("\n".join(lines)))
+    for finding in (*converted.notes, *findings):
         print_warning(finding)
-    if chain.damage:
-        print_error(f"{journal}: exported without what differs from what was measured: {chain.damage}")
+    if damage:
+        print_error(f"{source}: exported without what differs from what was measured: {damage}")
+
+
+@app.command()
+def info(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="File of any format, or a journal.", show_default=False)],
+    as_json: Json = False,
+) -> None:
+    """Say what a file is: format, samples, light, directions, how complete it is, and whether it is simulated."""
+    from goniotwin.app.data.information import information, information_lines
+
+    found = information(file)
+    answer(as_json, found, lambda: print("\n".join(information_lines(found))))
 
 
 @app.command()

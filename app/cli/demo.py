@@ -13,12 +13,13 @@ from goniotwin.app.campaign.campaign import run_campaign
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.reduction.comparison import Comparison, compare, cut_figure
-from goniotwin.app.campaign.reduction.export import export, export_format
 from goniotwin.app.campaign.reduction.reduction import BsdfDataset, reduce_journal
 from goniotwin.app.campaign.running.events import State
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.cli.output import RowProgress
-from goniotwin.app.errors import UserError
+from goniotwin.app.data.conversion import Choice, convert_reduced, format_to_write
+from goniotwin.app.data.report.report import write_report
+from goniotwin.app.errors import MissingPackage, UserError
 from goniotwin.app.rig import RigDescription, read_rig
 from goniotwin.protocols.clock import RealClock
 
@@ -32,7 +33,7 @@ def run_demo(
     clock = RealClock()
     rig = read_rig(rig_path)
     schedule = read_schedule(schedule_path)
-    files = {name: out / f"quick.{name}" for name in ("journal", "ddr", "csv", "png")}
+    files = {name: out / f"quick.{name}" for name in ("journal", "ddr", "csv", "png", "html")}
     try:
         out.mkdir(parents=True, exist_ok=True)
         for file in files.values():
@@ -47,8 +48,13 @@ def run_demo(
     measured = compare(rig, SAMPLE, reduced.samples[SAMPLE])
     noise_free = compare(rig, SAMPLE, ideal.samples[SAMPLE])
     for name in ("ddr", "csv"):
-        export(reduced, SAMPLE, files[name], export_format(name))
+        convert_reduced(reduced, files[name], format_to_write(files[name]), Choice(SAMPLE))
     cut_figure(reduced, SAMPLE, measured, files["png"])
+    try:
+        write_report(files["journal"], files["html"])
+    except MissingPackage as error:  # a demo without it is as good
+        del files["html"]
+        console.print(f"goniotwin: no report: {error}", markup=False)
     result = {
         "rows": len(plan.rows),
         "duration_s": seconds,

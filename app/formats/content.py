@@ -5,6 +5,7 @@ comes from the polar angle sigma and the azimuth psi; without psi it comes from 
 """
 
 import math
+from collections.abc import Collection
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
@@ -21,6 +22,15 @@ from goniotwin.twin.optics.geometry.coordinates import TOLERANCE_DEG, arc_direct
 Texts = npt.NDArray[np.str_]
 FILLED = "filled"
 """Flag of a value that a table has where none was measured."""
+CHECK = "mirrored"
+"""Flag of a direction that was measured only to check the stated symmetry."""
+UNTRUSTED = frozenset(
+    {
+        FILLED, "shadowed", "clipped", "no-etalon", "dead", "uncertified", "drift", "module", "monitor", "scale", "hidden",
+        "no-hits",
+    }
+)  # fmt: skip
+"""Flags of values that are not to be trusted."""
 HORIZON_DEG = 90.0 + TOLERANCE_DEG
 
 
@@ -99,6 +109,20 @@ COLUMNS = tuple(
 ANGLES = ("sigma_deg", "psi_deg", "polar_deg", "azimuth_deg")
 
 
+def flagged(flags: Texts, words: Collection[str]) -> Flags:
+    """The values (n,) that have one of these flags."""
+    distinct, which = np.unique(flags, return_inverse=True)
+    return np.array([not set(words).isdisjoint(each.split()) for each in distinct.tolist()], dtype=bool)[which.ravel()]
+
+
+def psi_of_gamma(gamma_deg: Floats, back: Flags) -> Floats:
+    """The azimuth of the light in the sample's frame, 0 to below 360, of the sample's rotation in the rig.
+
+    The frame of a sample that is lit on the back is turned about x.
+    """
+    return wrap_azimuth(np.where(back, gamma_deg, -gamma_deg))
+
+
 def to_specular_deg(sigma_deg: Floats, polar_deg: Floats, azimuth_deg: Floats) -> tuple[Floats, Floats]:
     """theta and phi, deg, of directions whose azimuth is counted from the light's."""
     return to_specular(sigma_deg, arc_direction(polar_deg, azimuth_deg))
@@ -171,6 +195,12 @@ class BsdfFile:
         """The regular factors among the parts."""
         return tuple(part for part in self.parts if isinstance(part, RegularTable))
 
+    def only_table(self) -> BsdfTable:
+        """The grid of a file that has nothing else, for formats that hold one. Raises ValueError."""
+        if len(self.parts) != 1 or not self.tables:
+            raise ValueError(f"it has {len(self.parts)} parts, of which {len(self.tables)} are tables; give one table")
+        return self.tables[0]
+
     def of(self, sample: str) -> "BsdfFile":
         """The parts of one sample."""
         return replace(self, parts=tuple(part for part in self.parts if part.sample == sample))
@@ -178,12 +208,12 @@ class BsdfFile:
 
 def nodes(table: BsdfTable) -> ScatteredBsdf:
     """The values of a grid above the horizon, in the order of its axes; those that were not measured have the flag "filled"."""
-    axes = (np.arange(table.values.shape[0]), table.psi_deg, table.sigma_deg, table.phi_deg, table.theta_deg)
-    channel, psi, sigma, phi, theta = (each.ravel() for each in np.meshgrid(*axes, indexing="ij"))
+    channel, psi, sigma, phi, theta = axes_of_nodes(table)
     polar, azimuth = zenith_and_azimuth(from_specular(sigma, theta, phi))
     above = polar <= HORIZON_DEG
-    names = np.array(table.colours or ("",) * len(axes[0]))
-    wavelengths = np.array(table.wavelengths_nm or (math.nan,) * len(axes[0]))
+    count = table.values.shape[0]
+    names = np.array(table.colours or ("",) * count)
+    wavelengths = np.array(table.wavelengths_nm or (math.nan,) * count)
     columns = {
         "sigma_deg": sigma, "psi_deg": psi, "polar_deg": np.minimum(polar, 90.0), "azimuth_deg": wrap_azimuth(azimuth + psi),
         "values": table.values.ravel(), "wavelength_nm": wavelengths[channel], "channel": names[channel],
@@ -195,3 +225,10 @@ def nodes(table: BsdfTable) -> ScatteredBsdf:
         columns["flags"] = np.where(table.known.ravel(), "", FILLED)
     found = ScatteredBsdf(**{name: each[above] for name, each in columns.items()}, sample=table.sample)
     return replace(found, isotropic=table.psi_deg.size == 1, comments=table.comments, generated=table.generated)
+
+
+def axes_of_nodes(table: BsdfTable) -> tuple[Ints, Floats, Floats, Floats, Floats]:
+    """Index of the channel, psi, sigma, phi and theta of all nodes of a grid, each (values.size,), in the order of its axes."""
+    axes = (np.arange(table.values.shape[0]), table.psi_deg, table.sigma_deg, table.phi_deg, table.theta_deg)
+    channel, psi, sigma, phi, theta = (each.ravel() for each in np.meshgrid(*axes, indexing="ij"))
+    return channel, psi, sigma, phi, theta

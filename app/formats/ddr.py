@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from goniotwin.app.formats.content import BsdfFile
 from goniotwin.app.formats.file import FormatError, StrPath, name_file, quote_word
 from goniotwin.app.formats.numerals import NUMBER, ascending_array, finite_array, format_angles, format_number, format_row
 from goniotwin.app.formats.table import BsdfTable
@@ -76,10 +77,10 @@ def recognise(head: bytes) -> bool:
     return not {"typesym", "typecolormodel", "typedata"}.isdisjoint(header_words(head, ";;", BLOCKS))
 
 
-def read(path: Path) -> BsdfTable:
+def read(path: Path) -> BsdfFile:
     """Read a .ddr file, or a .ddt file, which is of transmitted light by its suffix alone. Raises FormatError."""
     table = read_ddr(path)
-    return BsdfTable(
+    bsdf_table = BsdfTable(
         sigma_deg=table.sigma_deg,
         phi_deg=table.phi_deg,
         theta_deg=table.theta_deg,
@@ -90,10 +91,12 @@ def read(path: Path) -> BsdfTable:
         generated=table.source == "Generated",
         comments=table.comments,
     )
+    return BsdfFile((bsdf_table,))
 
 
-def write(path: Path, table: BsdfTable) -> None:
+def write(path: Path, content: BsdfFile) -> None:
     """Write a .ddr or .ddt file, completely or not at all. Raises FormatError."""
+    table = content.only_table()
     symmetry = "PlaneSymmetrical" if table.phi_deg[-1] <= 180.0 else "ASymmetrical"
     written = DdrTable(
         source="Generated" if table.generated else "Measured",

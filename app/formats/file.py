@@ -10,19 +10,26 @@ from collections.abc import Iterable, Iterator
 from io import BufferedReader
 from pathlib import Path
 
-from goniotwin.app.errors import one_line, room_on_disk
+from goniotwin.app.errors import GoniotwinError, one_line, room_on_disk
 
 StrPath = str | os.PathLike[str]
 LONGEST_WORD = 40
 MOST_BYTES = 100_000_000
 """Of a file that is read as a whole: parsed, it may take several times as much."""
 SQLITE = b"SQLite format 3\0"
+BEGINNINGS = {
+    SQLITE: "a data file (journal) or another database", b"\x89HDF\r\n\x1a\n": "HDF5", b"\x89PNG": "a picture (PNG)",
+    b"\xff\xd8\xff": "a picture (JPEG)", b"%PDF": "a PDF", b"PK\x03\x04": "a ZIP archive, or a file of an office program",
+    b"\x1f\x8b": "compressed (gzip)", b"\xd0\xcf\x11\xe0": "a file of an office program", b"OPTIS": "a file of Ansys Speos",
+    b"<?xml": "XML", b"tensor_file": "a file of tensors",
+}  # fmt: skip
+"""What a file is, by its first bytes, for the message that refuses it."""
 BESIDE_DATABASE = re.compile("-(wal|shm|journal)$")
 NO_LINKS = frozenset({errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS})
 """What a disk without hard links answers, as those of memory sticks."""
 
 
-class FormatError(ValueError):
+class FormatError(GoniotwinError, ValueError):
     """A file that cannot be read or written.
 
     The message is one printable line: the file, the line in it where known, what is wrong and what to do.
@@ -43,6 +50,17 @@ class FormatError(ValueError):
 def quote_word(word: str) -> str:
     """A word of a file, quoted for a message: at most `LONGEST_WORD` characters, in ASCII, without terminal control codes."""
     return ascii(word if len(word) <= LONGEST_WORD else word[:LONGEST_WORD] + "...")
+
+
+def describe(head: bytes) -> str:
+    """In words, what a file that begins with `head` is."""
+    found = next((what for first, what in BEGINNINGS.items() if head.startswith(first)), None)
+    if found is not None or not head.strip():
+        return found or "empty"
+    if b"\0" in head:
+        return "binary data"
+    text = head.decode("utf-8", "replace").strip().splitlines()[0].strip()
+    return f"text that begins with {quote_word(text)}"
 
 
 @contextlib.contextmanager

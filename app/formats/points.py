@@ -7,17 +7,21 @@ import csv
 import io
 import itertools
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from goniotwin.app.formats.file import FormatError, StrPath, quote_word
+from goniotwin.app.formats.content import HORIZON_DEG, BsdfFile, ScatteredBsdf, psi_of_gamma
+from goniotwin.app.formats.file import FormatError, StrPath, name_file, quote_word
 from goniotwin.app.formats.numerals import NUMBER, NotANumber, format_number, parse_number
 from goniotwin.app.formats.text import CONTROL_CHARACTER, comment_lines, mark_comments, read_text, write_text
+from goniotwin.arrays import Flags, Floats
+from goniotwin.twin.optics import from_specular
+from goniotwin.twin.optics.geometry.coordinates import wrap_azimuth, zenith_and_azimuth
 
 TO_QUOTE = re.compile(r'[,"\r\n]')
 
@@ -52,9 +56,151 @@ def recognise(head: bytes) -> bool:
     return len(names) > 1 and all(re.fullmatch(r'\s*"?[A-Za-z]\w*"?\s*', name) for name in names)
 
 
-def write(path: Path, points: PointStream) -> None:
+def read(path: Path) -> BsdfFile:
+    """Read a CSV of a BSDF, by the names of its columns: sigma_deg, and bsdf_per_sr or luminance_factor.
+
+    The direction is psi_deg, polar_deg and azimuth_deg in the sample's frame, or theta_deg and phi_deg about the specular
+    direction, with gamma_deg, the rotation of the sample in the rig. What is not there is unknown; the light is reflected and
+    the side the front, if the file does not state another. Each sample is a part. Raises FormatError.
+    """
+    points = read_points_csv(path)
+    with name_file(path):
+        return _bsdf_file(path, points)
+
+
+def write(path: Path, content: BsdfFile | PointStream) -> None:
     """Write a CSV file of points, completely or not at all. Raises FormatError."""
+    points = content if isinstance(content, PointStream) else stream_of(content)
     write_points_csv(path, points.comments, points.parts)
+
+
+SIMULATED = "SIMULATED: "
+"""The beginning of a comment that marks simulated values in a CSV."""
+OPTIONAL_COLUMNS = ("channel", "photodiode")
+"""Columns that are written where they have a value."""
+
+
+def stream_of(content: BsdfFile) -> PointStream:
+    """Scattered values as the columns of a CSV; each sample has the same columns."""
+    parts = content.scattered
+    written = {name for name in OPTIONAL_COLUMNS for part in parts if (getattr(part, name) != _NONE[name]).any()}
+    comments = [
+        *([f"{SIMULATED}no value is from a real instrument"] if content.simulated else []),
+        *content.metadata.lines(),
+        "directions in the sample's frame: sigma, psi: polar angle and azimuth of the light; polar, azimuth: observation;",
+        "theta, phi: about the specular direction, phi 0 towards the normal; degrees",
+        "bsdf with its standard uncertainty u_bsdf in 1/sr, u_shared the part of it that neighbouring values share; "
+        "luminance_factor is pi times bsdf",
+        *content.comments,
+        *(comment for part in parts for comment in part.comments),
+    ]
+    return PointStream(list(dict.fromkeys(comments)), [_columns_of(part, written) for part in parts])
+
+
+_NONE: dict[str, Any] = {"channel": "", "photodiode": -1}
+
+
+def _columns_of(part: ScatteredBsdf, optional: Collection[str]) -> dict[str, NDArray[Any]]:
+    theta, phi = part.specular()
+    columns = {
+        "sample": np.full(part.size, part.sample), "wavelength_nm": part.wavelength_nm, "channel": part.channel,
+        "sigma_deg": part.sigma_deg, "psi_deg": part.psi_deg, "polar_deg": part.polar_deg, "azimuth_deg": part.azimuth_deg,
+        "theta_deg": theta, "phi_deg": phi, "photodiode": part.photodiode,
+        "bsdf_per_sr": part.values, "u_bsdf_per_sr": part.u, "u_shared_per_sr": part.u_shared,
+        "luminance_factor": np.pi * part.values, "side": np.where(part.back, "back", "front"),
+        "light": np.where(part.transmitted, "transmitted", "reflected"), "flags": part.flags,
+    }  # fmt: skip
+    return {name: np.asarray(column) for name, column in columns.items() if name not in OPTIONAL_COLUMNS or name in optional}
+
+
+def _bsdf_file(path: StrPath, points: Points) -> BsdfFile:
+    """The content of a CSV by the names of its columns. Raises FormatError and ValueError."""
+    found = _BsdfColumns(path, points)
+    values, u = found.values()
+    size = values.size
+    back = found.stated("side", "back", "side: light on the back")
+    transmitted = found.stated("light", "transmitted", "quantity: luminance factor of transmitted light")
+    sigma, psi, polar, azimuth = found.directions(back)
+    check, flags = found.texts("check", ""), found.texts("flags", "")
+    flags = np.where(check == "", flags, np.char.strip(np.char.add(np.char.add(flags, " "), check)))
+    stated = (line.removeprefix("sample: ") for line in points.comments if line.startswith("sample: "))
+    names = found.texts("sample", next(stated, ""))
+    photodiode = found.numbers("photodiode", -1.0)
+    everything = ScatteredBsdf(
+        sigma, psi, polar, azimuth, values, u, u_shared=found.numbers("u_shared_per_sr", 0.0),
+        wavelength_nm=found.numbers("wavelength_nm", np.nan), channel=found.texts("channel", ""), transmitted=transmitted,
+        back=back, flags=flags, photodiode=np.where(np.isnan(photodiode), -1.0, photodiode).astype(np.int64),
+        isotropic=np.unique(psi).size <= 1, generated=any(line.startswith(SIMULATED) for line in points.comments),
+    )  # fmt: skip
+    samples = list(dict.fromkeys(names.tolist()))
+    if not size:
+        raise FormatError(path, "it has columns and no values", "give a file with values")
+    parts = (
+        replace(everything if len(samples) == 1 else everything.where(names == name), sample=str(name)) for name in samples
+    )
+    return BsdfFile(tuple(parts), comments=points.comments)
+
+
+@dataclass(frozen=True)
+class _BsdfColumns:
+    """The columns of a CSV, with what is taken for one that is absent. All raise FormatError."""
+
+    path: StrPath
+    points: Points
+
+    @property
+    def size(self) -> int:
+        """Number of rows."""
+        return len(next(iter(self.points.columns.values())))
+
+    def has(self, *names: str) -> bool:
+        """Whether all of these columns are there."""
+        return all(name in self.points.columns for name in names)
+
+    def numbers(self, name: str, default: float | None = None, *, empty: bool = True) -> Floats:
+        """A column of numbers, NaN for an empty field unless it may not be `empty`."""
+        column = self.points.columns.get(name)
+        if column is None:
+            if default is None:
+                raise FormatError(self.path, f"the column {name} is missing", "give a CSV of a BSDF, as goniotwin writes it")
+            return np.full(self.size, default)
+        if column.dtype.kind != "f" and self.size:
+            raise FormatError(self.path, f"the column {name} has a field that is not a number", "correct it")
+        if not empty and np.isnan(column).any():
+            raise FormatError(self.path, f"the column {name} has an empty field", "give every row a direction")
+        return np.asarray(column, dtype=np.float64)
+
+    def texts(self, name: str, default: str) -> NDArray[np.str_]:
+        """A column of texts. One whose fields are all empty is read as numbers, and so is one of names such as 12."""
+        column = self.points.columns.get(name)
+        if column is None:
+            return np.full(self.size, default)
+        if column.dtype.kind == "f":
+            return np.array(["" if each != each else format_number(each) for each in column.tolist()], dtype=np.str_)
+        return np.asarray(column, dtype=np.str_)
+
+    def stated(self, name: str, word: str, comment: str) -> Flags:
+        """The rows with this word in a column; without the column all of them, where a comment begins with `comment`."""
+        if name in self.points.columns:
+            return np.asarray(self.texts(name, "") == word)
+        return np.full(self.size, any(line.startswith(comment) for line in self.points.comments))
+
+    def values(self) -> tuple[Floats, Floats]:
+        """The BSDF with its standard uncertainty, 1/sr."""
+        if self.has("bsdf_per_sr") or not self.has("luminance_factor"):
+            return self.numbers("bsdf_per_sr"), self.numbers("u_bsdf_per_sr", np.nan)
+        return self.numbers("luminance_factor") / np.pi, self.numbers("standard_error", np.nan) / np.pi
+
+    def directions(self, back: Flags) -> tuple[Floats, Floats, Floats, Floats]:
+        """sigma, psi, polar angle and azimuth in the sample's frame."""
+        sigma = self.numbers("sigma_deg", empty=False)
+        sigma = np.where(back & (sigma > 90.0), 180.0 - sigma, sigma)  # of the rig, whose mirror unit turns to the back
+        if self.has("psi_deg", "polar_deg", "azimuth_deg"):
+            return sigma, *(self.numbers(name, empty=False) for name in ("psi_deg", "polar_deg", "azimuth_deg"))
+        theta, phi = self.numbers("theta_deg", empty=False), self.numbers("phi_deg", empty=False)
+        psi = psi_of_gamma(self.numbers("gamma_deg", 0.0, empty=False), back)
+        polar, azimuth = zenith_and_azimuth(from_specular(sigma, theta, phi))
+        return sigma, psi, np.where(polar > HORIZON_DEG, polar, np.minimum(polar, 90.0)), wrap_azimuth(azimuth + psi)
 
 
 def write_points_csv(
@@ -159,7 +305,3 @@ def _column(fields: Sequence[str]) -> NDArray[Any]:
         return np.array([np.nan if field == "" else parse_number(field) for field in fields], dtype=np.float64)
     except NotANumber:
         return np.array(fields, dtype=np.str_)
-
-
-read = read_points_csv
-"""The reader of the registry."""

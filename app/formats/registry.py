@@ -1,6 +1,8 @@
 """Registry of file formats: what each is called, how a file of it is recognised, and what it can hold.
 
 A file is recognised by its content first, then by its suffix. A format is one module, its codec, and one line in `BUILT_IN`.
+What is exchanged is a `BsdfFile`, in 1/sr and degrees, or a `Rayset`. Uncertainties, and the mask of what was not measured, go
+to files of the same grid beside the one that has no room for them.
 Another package offers formats as entry points of the group `goniotwin.formats`, each a `Format` or a tuple of them. No codec is
 imported before a file is read or written, because the help of the commands lists the formats.
 """
@@ -16,50 +18,53 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, cast
 
 from goniotwin.app.errors import UserError
-from goniotwin.app.formats.file import FormatError, check_writable, read_head
+from goniotwin.app.formats.file import FormatError, check_writable, describe, read_head
 
 if TYPE_CHECKING:
-    from goniotwin.app.formats.table import BsdfTable
+    from goniotwin.app.formats.content import BsdfFile, Part
 
 GROUP = "goniotwin.formats"
 HEAD_BYTES = 1 << 20
 """A file is recognised by so many bytes: comments at the top of a table can be long."""
 ABOUT_UNCERTAINTY = "standard uncertainties of the values in "
-"""A comment of every file of uncertainties begins with this; the name of the table follows."""
+ABOUT_MASK = "mask of the values that were not measured in "
+"""A comment of every file of uncertainties, or of a mask, begins with this; the name of the table follows."""
 
 
 class Holds(StrEnum):
-    """What a file of a format can hold. The first three are the kinds of content; a format has exactly one of them."""
+    """What a file of a format can hold. The first four are the kinds of content; a format has at least one of them."""
 
     GRID = "a grid on specular coordinates"
     POINTS = "scattered points"
+    REGULAR = "regular reflectance or transmittance"
     RAYS = "rays of a light source"
     COLUMNS = "columns of any names"
+    SAMPLES = "several samples"
     SIGMAS = "several sigmas"
     WAVELENGTHS = "several wavelengths"
+    COLOURS = "colours instead of wavelengths"
     PSI = "several azimuths of the light (psi)"
     REFLECTED = "reflected light"
     TRANSMITTED = "transmitted light"
+    LIGHTS = "reflected and transmitted light in one file"
     SIDES = "both sides of the sample"
     UNCERTAINTY = "the uncertainty of each value"
+    MASK = "the mask of what was not measured"
     FLAGS = "flags of each value"
+    METADATA = "metadata in fields of their own"
     COMMENTS = "comments"
 
 
-CONTENT = {
-    Holds.GRID: ("goniotwin.app.formats.table", "BsdfTable"),
-    Holds.POINTS: ("goniotwin.app.formats.points", "Points"),
-    Holds.RAYS: ("goniotwin.twin.optics.illumination.rayset", "Rayset"),
-}
-"""Module and class of each kind of content, as a codec returns it."""
-KINDS = frozenset(CONTENT)
+BSDF = frozenset({Holds.GRID, Holds.POINTS, Holds.REGULAR})
+"""The kinds of content of a `BsdfFile`."""
+KINDS = BSDF | {Holds.RAYS}
 
 
 class Codec(Protocol):
     """Reader and writer of a format; a module with these functions is one.
 
-    The content is a `BsdfTable` (GRID), `Points` (POINTS; written as a `PointStream`) or a `Rayset` (RAYS). Whatever else a
-    codec of another package raises is reported as its fault.
+    The content is a `BsdfFile`, or a `Rayset` (RAYS); a format of COLUMNS writes a `PointStream`, too. A codec
+    that only reads needs no `write`. Whatever else a codec of another package raises is reported as its fault.
     """
 
     def recognise(self, head: bytes) -> bool:
@@ -76,8 +81,9 @@ class Codec(Protocol):
 class Format:
     """A file format. `name` is one word, as in `export --format NAME`; `title` is one line for lists.
 
-    `suffixes` are in lower case, with the dot. `codec` may be the name of its module. Raises ValueError for a name, suffix or
-    content that is not possible.
+    `suffixes` are in lower case, with the dot; a file of a format without any is found by its content alone. `codec` may be the
+    name of its module. With `folders`, a folder of files is one table: its reader takes the folder, too, and the first of its
+    files is recognised. Raises ValueError for a name, suffix or content that is not possible.
     """
 
     name: str
@@ -87,16 +93,20 @@ class Format:
     codec: Codec | str
     reads: bool = True
     writes: bool = True
+    folders: bool = False
 
     def __post_init__(self) -> None:
         """Check the fields."""
-        if not self.name.isidentifier() or len(KINDS & self.holds) != 1:
-            raise ValueError(f"format {self.name!r}: give one word as its name, and one of {', '.join(sorted(KINDS))}")
-        if not self.suffixes or not all(each.startswith(".") and each == each.lower() for each in self.suffixes):
+        if not self.name.isidentifier() or not KINDS & self.holds or (Holds.RAYS in self.holds and BSDF & self.holds):
+            kinds = join_words(each for each in Holds if each in BSDF)
+            raise ValueError(f"format {self.name!r}: give one word as its name, and what it holds: {kinds}; or {Holds.RAYS}")
+        if (self.writes and not self.suffixes) or not all(
+            each.startswith(".") and each == each.lower() for each in self.suffixes
+        ):
             raise ValueError(f"format {self.name!r}: suffixes are in lower case and begin with a dot, not {self.suffixes}")
 
     def __str__(self) -> str:
-        return f"{self.name} ({', '.join(self.suffixes)})"
+        return f"{self.name} ({', '.join(self.suffixes)})" if self.suffixes else self.name
 
     def load(self) -> Codec:
         """The codec; its module is imported now. Raises FormatError if that fails, whatever the module raises."""
@@ -110,9 +120,11 @@ class Format:
         """The content of a file, see `Codec`. Raises FormatError."""
         with self._faults_named(path):
             content = self.load().read(path)
-            module, name = next(CONTENT[kind] for kind in CONTENT if kind in self.holds)
-            if not isinstance(content, getattr(import_module(module), name)):
-                raise TypeError(f"it read a {type(content).__name__}, not {name}")
+            if Holds.RAYS not in self.holds:
+                from goniotwin.app.formats.content import BsdfFile
+
+                if not isinstance(content, BsdfFile):
+                    raise TypeError(f"it read a {type(content).__name__}, not BsdfFile")
             return content
 
     def write(self, path: Path, content: Any) -> None:
@@ -135,7 +147,7 @@ class Format:
 
 
 _TABLE = frozenset({Holds.GRID, Holds.SIGMAS, Holds.WAVELENGTHS, Holds.PSI, Holds.COMMENTS})
-_CSV = frozenset(set(Holds) - {Holds.GRID, Holds.RAYS, Holds.PSI})
+_CSV = frozenset(set(Holds) - {Holds.GRID, Holds.REGULAR, Holds.RAYS, Holds.METADATA})
 
 BUILT_IN = (
     Format("ddr", "Lumicept table of a BRDF", (".ddr",), _TABLE | {Holds.REFLECTED}, "goniotwin.app.formats.ddr"),
@@ -216,23 +228,38 @@ def _unknown(place: Path | str, wrong: str, remedy: str) -> FormatError:
 # ---- reading ----
 
 
-def recognise(path: Path, kind: Holds) -> Format:
-    """The format of a file with this kind of content, by the file's content first, then by its suffix. Raises FormatError."""
-    head, suffix = read_head(path, HEAD_BYTES), path.suffix.lower()
-    alike = [each for each in formats() if each.reads and _is_like(each, head)]
-    named = [each for each in formats() if each.reads and suffix in each.suffixes]
+def recognise(path: Path, kinds: Collection[Holds] = BSDF) -> Format:
+    """The format of a file with one of these kinds of content, by its content first, then by its suffix. Raises FormatError.
+
+    A damaged file, whose content is of no format, is of the first format with its suffix, whose reader names the fault.
+    """
+    folder = path.is_dir()
+    head, suffix = read_head(_first_file(path) if folder else path, HEAD_BYTES), path.suffix.lower()
+    possible = [each for each in formats() if each.reads and (each.folders or not folder)]
+    alike = [each for each in possible if _is_like(each, head)]
+    named = [each for each in possible if suffix in each.suffixes]
+    wanted = f"give {join_words(str(each) for each in formats() if each.reads and each.holds.intersection(kinds))}"
     if not (alike or named):
-        wanted = join_words(map(str, readers(kind)))
-        raise _unknown(path, "neither its content nor its suffix is of a known format", f"give {wanted}")
-    found = [each for each in named if each in alike] or alike or named
-    found = [each for each in found if kind in each.holds] or found[:1]
-    if kind not in found[0].holds:
-        wrong = f"it is a {found[0].name} file, which does not hold {kind}"
-        raise _unknown(path, wrong, f"give {join_words(map(str, readers(kind)))}")
-    if len(found) > 1 and found[0] not in named:
+        raise _unknown(path, f"is {describe(head)}: neither its content nor its suffix is of a known format", wanted)
+    found = [each for each in named if each in alike] or alike or named[:1]
+    found = [each for each in found if each.holds.intersection(kinds)] or found[:1]
+    if not found[0].holds.intersection(kinds):
+        wrong = f"it is a {found[0].name} file, which does not hold {join_words(each for each in Holds if each in kinds)}"
+        raise _unknown(path, wrong, wanted)
+    if len(found) > 1:
         wrong = f"its content is that of {join_words(map(str, found))}, and only the suffix distinguishes them"
         raise FormatError(path, wrong, "rename the file")
     return found[0]
+
+
+def _first_file(folder: Path) -> Path:
+    """The first file of a folder by its name. Raises FormatError."""
+    try:
+        return next(each for each in sorted(folder.iterdir()) if each.is_file() and not each.name.startswith("."))
+    except (OSError, StopIteration):
+        raise FormatError(
+            folder, "is a folder without files that can be read", "give a file, or a folder of one table"
+        ) from None
 
 
 def _is_like(found: Format, head: bytes) -> bool:
@@ -243,9 +270,9 @@ def _is_like(found: Format, head: bytes) -> bool:
         return False
 
 
-def read(path: Path, kind: Holds) -> Any:
-    """The content of a file, see `Codec`. Raises FormatError."""
-    return recognise(path, kind).read(path)
+def read(path: Path) -> "BsdfFile":
+    """What a file holds, whatever its format. Raises FormatError."""
+    return cast("BsdfFile", recognise(path).read(path))
 
 
 # ---- writing ----
@@ -261,16 +288,18 @@ def format_named(name: str, kinds: Collection[Holds]) -> Format:
 
 
 def format_for(path: Path, kinds: Collection[Holds], needs: Collection[Holds] = ()) -> Format:
-    """The format to write a file in, by its suffix: one of these kinds that holds all of `needs`. Raises FormatError."""
+    """The format to write a file in: the first with its suffix that holds one of these kinds. Raises FormatError.
+
+    It has to hold all of `needs`.
+    """
     possible = [each for each in formats() if each.writes and each.holds.intersection(kinds)]
     named = [each for each in possible if path.suffix.lower() in each.suffixes]
     if not named:
         other = next((each for each in formats() if path.suffix.lower() in each.suffixes), None)
         wrong = "the format is unknown" if other is None else f"a {other.name} file is not written here"
         raise _unknown(path, wrong, f"give a name that ends with {join_words(suffixes(possible))}")
-    found = next((each for each in named if each.holds.issuperset(needs)), named[0])
-    check_holds(path, found, needs)
-    return found
+    check_holds(path, named[0], needs)
+    return named[0]
 
 
 def check_holds(path: Path | str, found: Format, needs: Collection[Holds]) -> None:
@@ -279,21 +308,45 @@ def check_holds(path: Path | str, found: Format, needs: Collection[Holds]) -> No
     if not missing and found.writes:
         return
     wrong = f"a {found.name} file does not hold {join_words(missing, 'and')}" if missing else f"{found.name} is only read"
-    others = writers(*set(needs) - KINDS)
-    points_and_tables = [each for each in others if Holds.RAYS not in each.holds]
-    remedy = f"use {join_words(map(str, points_and_tables))}" if points_and_tables else "write it in several files"
+    others = [each for each in writers(*set(needs) - KINDS) if each.holds & BSDF]
+    remedy = f"use {join_words(map(str, others))}" if others else "write it in several files"
     raise FormatError(path, wrong, remedy)
 
 
-def table_needs(table: "BsdfTable") -> frozenset[Holds]:
-    """What a format has to hold for a table; its uncertainties may go to a second file."""
-    several = {
-        Holds.SIGMAS: table.sigma_deg.size,
-        Holds.WAVELENGTHS: len(table.wavelengths_nm or (0.0,)),
-        Holds.PSI: table.psi_deg.size,
-    }
-    light = Holds.TRANSMITTED if table.transmitted else Holds.REFLECTED
-    return frozenset({Holds.GRID, light, *(each for each, count in several.items() if count > 1)})
+def content_needs(content: "BsdfFile") -> frozenset[Holds]:
+    """What a format has to hold for a content; its uncertainties and its mask may go to files beside it."""
+    needs, sides = set[Holds](), set[bool]()
+    for part in content.parts:
+        of_part, back = _part_needs(part)
+        needs |= of_part
+        sides |= back
+    if needs.issuperset({Holds.REFLECTED, Holds.TRANSMITTED}):
+        needs.add(Holds.LIGHTS)
+    if len(sides) > 1:
+        needs.add(Holds.SIDES)
+    if len(content.samples) > 1:
+        needs.add(Holds.SAMPLES)
+    return frozenset(needs)
+
+
+def _part_needs(part: "Part") -> tuple[set[Holds], set[bool]]:
+    """What a format has to hold for a part, and whether it is lit on the back."""
+    import numpy as np
+
+    from goniotwin.app.formats.content import RegularTable, ScatteredBsdf
+
+    if isinstance(part, ScatteredBsdf):
+        channels = np.unique(part.wavelength_nm[np.isfinite(part.wavelength_nm)]).size
+        kind, colours = Holds.POINTS, bool((part.channel != "").any())
+        psi = 1 if part.isotropic else np.unique(part.psi_deg).size
+        sigmas, lights, sides = np.unique(part.sigma_deg).size, set(part.transmitted.tolist()), set(part.back.tolist())
+    else:
+        kind = Holds.REGULAR if isinstance(part, RegularTable) else Holds.GRID
+        channels, colours = len(part.wavelengths_nm or (0.0,)), bool(part.colours)
+        sigmas, psi, lights, sides = part.sigma_deg.size, part.psi_deg.size, {part.transmitted}, {part.back}
+    several = {Holds.SIGMAS: sigmas, Holds.WAVELENGTHS: channels, Holds.PSI: psi, Holds.COLOURS: 2 * colours}
+    of_light = {Holds.TRANSMITTED if transmitted else Holds.REFLECTED for transmitted in lights}
+    return {kind, *of_light, *(each for each, count in several.items() if count > 1)}, sides
 
 
 def uncertainty_path(path: Path) -> Path:
@@ -301,46 +354,90 @@ def uncertainty_path(path: Path) -> Path:
     return path.with_suffix(f".u{path.suffix}")
 
 
-def described_table(table: "BsdfTable") -> str | None:
-    """The name of the table whose uncertainties this one has in the place of values; None for a table of values."""
-    marked = (line.partition(ABOUT_UNCERTAINTY)[2] for line in table.comments if line.startswith(ABOUT_UNCERTAINTY))
-    return next((rest.partition(", in the place of ")[0] for rest in marked), None)
+def mask_path(path: Path) -> Path:
+    """The mask beside a table that cannot hold it: NAME.mask.ddr beside NAME.ddr."""
+    return path.with_suffix(f".mask{path.suffix}")
 
 
-def check_files(path: Path, found: Format) -> tuple[Path, ...]:
-    """The files of a result with uncertainties: one, or a table and that of its uncertainties.
+def described_table(content: "BsdfFile") -> str | None:
+    """The table whose uncertainties or mask a content has in the place of values, as in "the mask of NAME"; None for values."""
+    for line in (line for comments in (content, *content.parts) for line in comments.comments):
+        for about, what in ((ABOUT_UNCERTAINTY, "the uncertainties"), (ABOUT_MASK, "the mask")):
+            if line.startswith(about):
+                return f"{what} of {line.removeprefix(about).partition(', in the place of ')[0]}"
+    return None
 
-    Raises FormatError, before anything is written, for a codec that cannot be loaded, a file that cannot be written, or another
-    file in the place of the uncertainties.
+
+def files_beside(path: Path, found: Format) -> dict[str, Path]:
+    """The files that a result in a format may have beside it, by the comment that marks them."""
+    beside = {}
+    if found.holds & BSDF and Holds.UNCERTAINTY not in found.holds:
+        beside[ABOUT_UNCERTAINTY] = uncertainty_path(path)
+    if Holds.GRID in found.holds and Holds.MASK not in found.holds:
+        beside[ABOUT_MASK] = mask_path(path)
+    return beside
+
+
+def check_files(path: Path, found: Format) -> None:
+    """Check the files of a result, so that a long computation does not end without it.
+
+    Raises FormatError for a codec that cannot be loaded, a file that cannot be written, or another file in the place of the
+    uncertainties or of the mask.
     """
     found.load()
     check_writable(path)
-    if Holds.GRID not in found.holds or Holds.UNCERTAINTY in found.holds:
-        return (path,)
-    beside = uncertainty_path(path)
-    check_writable(beside)
-    if beside.exists() and ABOUT_UNCERTAINTY.encode() not in read_head(beside, HEAD_BYTES):
-        wrong = f"the uncertainties go to {beside}, and another file is there"
-        raise FormatError(path, wrong, "choose another name, or move that file")
-    return path, beside
+    for about, beside in files_beside(path, found).items():
+        check_writable(beside)
+        if beside.exists() and about.encode() not in read_head(beside, HEAD_BYTES):
+            what = "uncertainties go" if about is ABOUT_UNCERTAINTY else "mask goes"
+            wrong = f"the {what} to {beside}, and another file is there"
+            raise FormatError(path, wrong, "choose another name, or move that file")
 
 
-def write_table(path: Path, table: "BsdfTable", found: Format) -> tuple[Path, ...]:
-    """Write a table; its uncertainties go to a second file of the same grid if the format cannot hold them.
+def write(path: Path, content: "BsdfFile", found: Format) -> tuple[Path, ...]:
+    """Write a file; what it cannot hold of uncertainties and mask goes to files of the same grid beside it.
 
-    Returns the files. Raises FormatError.
+    Returns the files. Raises FormatError, before anything is written, for what the format does not hold.
     """
-    check_holds(path, found, table_needs(table))
-    if table.u is None:
-        found.write(path, table)
-        return (path,)
-    files = check_files(path, found)
-    if len(files) == 1:
-        found.write(path, table)
-        return files
-    beside = files[1]
-    about = f"{ABOUT_UNCERTAINTY}{path.name}, in the place of the values: same unit, same grid"
-    found.write(beside, replace(table, values=table.u, u=None, comments=(about, *table.comments)))
-    note = f"standard uncertainties of the values: in {beside.name}, on the same grid"
-    found.write(path, replace(table, u=None, comments=(*table.comments, note)))
-    return files
+    check_holds(path, found, content_needs(content))
+    check_files(path, found)
+    files, notes = [path], []
+    for about, beside in files_beside(path, found).items():
+        mark = f"{about}{path.name}, in the place of the values: same unit, same grid"
+        mark += "; 0 where measured, 1 where not" if about is ABOUT_MASK else ""
+        parts = tuple(made for part in content.parts if (made := _beside(part, about, mark)) is not None)
+        if not parts:
+            beside.unlink(missing_ok=True)  # of an earlier result
+            continue
+        found.write(beside, replace(content, parts=parts))
+        files.append(beside)
+        what = "standard uncertainties of the values" if about is ABOUT_UNCERTAINTY else "mask of what was not measured"
+        notes.append(f"{what}: in {beside.name}, on the same grid")
+    found.write(path, replace(content, parts=tuple(_with_notes(part, notes) for part in content.parts)))
+    return tuple(files)
+
+
+def _beside(part: "Part", about: str, mark: str) -> "Part | None":
+    """A part with its uncertainties, or its mask, in the place of the values; None where it has none."""
+    import numpy as np
+
+    from goniotwin.app.formats.content import ScatteredBsdf
+    from goniotwin.app.formats.table import BsdfTable
+
+    comments = (mark, *part.comments)
+    if about is ABOUT_MASK:
+        if not isinstance(part, BsdfTable) or part.known is None or part.known.all():
+            return None
+        return replace(part, values=np.where(part.known, 0.0, 1.0), u=None, known=None, comments=comments)
+    if part.u is None:
+        return None
+    if isinstance(part, ScatteredBsdf):
+        if np.isnan(part.u).all():
+            return None
+        u = np.where(np.isnan(part.u), np.abs(part.values), part.u)  # of such a value nothing is known
+        return replace(part, values=u, u=None, u_shared=None, comments=comments)
+    return replace(part, values=part.u, u=None, comments=comments)
+
+
+def _with_notes(part: "Part", notes: list[str]) -> "Part":
+    return replace(part, comments=(*part.comments, *notes)) if notes else part

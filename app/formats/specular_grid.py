@@ -15,12 +15,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from goniotwin.app.formats.holes import ABOUT_FILL, Fill, fill_holes, refuse_holes, unmeasured_share
 from goniotwin.app.formats.table import BsdfTable
 from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.twin.optics import from_specular
 from goniotwin.twin.optics.geometry.coordinates import (
     HALF_TURN_DEG,
     TOLERANCE_DEG,
+    TURN_DEG,
     fold_azimuth,
     mirror_in_plane_of_incidence,
     round_deg,
@@ -61,10 +63,13 @@ class SpecularCut:
     known: Flags
 
 
-def grid_of_points(polar_deg: Floats, azimuth_deg: Floats, values: Floats, u_values: Floats, u_shared: Floats) -> PolarGrid:
-    """The grid of scattered points (n,), mirrored in the plane of incidence, with the mean of the values of one direction."""
+def grid_of_points(
+    polar_deg: Floats, azimuth_deg: Floats, values: Floats, u_values: Floats, u_shared: Floats, *, mirrored: bool = True
+) -> PolarGrid:
+    """The grid of scattered points (n,), with the mean of the values of one direction; `mirrored`: see `PolarGrid`."""
     rows, i = np.unique(round_deg(polar_deg), return_inverse=True)
-    columns, j = np.unique(round_deg(fold_azimuth(azimuth_deg)), return_inverse=True)
+    azimuth = fold_azimuth(azimuth_deg) if mirrored else np.mod(round_deg(azimuth_deg), TURN_DEG)
+    columns, j = np.unique(round_deg(azimuth), return_inverse=True)
     count, total, variance, shared = (np.zeros((rows.size, columns.size)) for _ in range(4))
     for table, added in ((count, 1.0), (total, values), (variance, u_values**2), (shared, u_shared)):
         np.add.at(table, (i, j), added)
@@ -72,7 +77,7 @@ def grid_of_points(polar_deg: Floats, azimuth_deg: Floats, values: Floats, u_val
             table[0] = table[0].sum()
     with np.errstate(invalid="ignore"):
         means, u, common = total / count, np.sqrt(variance) / count, shared / count
-    return PolarGrid(rows, columns, means, np.asarray(u), common, mirrored=True)
+    return PolarGrid(rows, columns, means, np.asarray(u), common, mirrored)
 
 
 def resample(
@@ -102,7 +107,12 @@ def resample(
     values, u = np.array(rows_found).swapaxes(0, 1)
     apart = np.where(pole, 0.0, np.sin(np.radians(polar)) * _gap(grid.azimuth_deg, azimuth))
     values[np.maximum(apart, _gap(grid.polar_deg, polar)) > widest_gap_deg + TOLERANCE_DEG] = np.nan
-    known = np.isfinite(values)
+    return continued(theta_deg, values, u)
+
+
+def continued(theta_deg: Floats, values: Floats, u: Floats) -> SpecularCut:
+    """The cut of values (phi, theta), NaN where not known, continued along theta as `resample` says."""
+    values, known = values.copy(), np.isfinite(values)
     u = np.where(np.isfinite(u), u, np.abs(values))
     rows = known.any(axis=1)
     for table in (values, u):
@@ -231,18 +241,31 @@ def _gap(axis: Floats, at: Floats) -> Floats:
 def specular_table(
     sigma_deg: Floats, phi_deg: Floats, theta_deg: Floats, cuts: Sequence[Sequence[SpecularCut]],
     wavelengths_nm: tuple[float, ...] | None, *, transmitted: bool, generated: bool, comments: Sequence[str], done: str,
+    psi_deg: Floats | None = None, colours: tuple[str, ...] = (), back: bool = False, sample: str = "", fill: Fill = "hold",
 ) -> BsdfTable:  # fmt: skip
-    """The table of cuts by wavelength and sigma, with comments on the nodes that are not known; values in 1/sr.
+    """The table of cuts by channel, psi (the faster) and sigma; values in 1/sr.
 
-    The first and the last sigma are repeated to 0 and 90 deg, because readers extrapolate. `done` is "measured" or "simulated".
-    Where nothing is known, and all values around are exactly 0, the uncertainty is the largest of the table, or that of a table
-    without any: the BSDF of an ideal diffuser.
+    Nodes that are not known are filled, see `holes`; comments list them, and say which share of the light is in them. The first
+    and the last sigma are repeated to 0 and 90 deg, because readers extrapolate. `done` is "measured" or "simulated". Where
+    nothing is known, and all values around are exactly 0, the uncertainty is the largest of the table, or that of a table
+    without any: the BSDF of an ideal diffuser. Raises ValueError for holes that are to be refused.
     """
+    psi = np.zeros(1) if psi_deg is None else psi_deg
     values, u, known = (
-        np.array([[getattr(cut, name) for cut in of_wavelength] for of_wavelength in cuts])[:, None]
-        for name in ("values", "u", "known")
+        np.array([[getattr(cut, name) for cut in of_light] for of_light in cuts]) for name in ("values", "u", "known")
     )
-    about = [*comments, *_continued_nodes(sigma_deg, phi_deg, theta_deg, known[:, 0], wavelengths_nm, done)]
+    values, u, known = (each.reshape(-1, psi.size, *each.shape[1:]) for each in (values, u, known))
+    if fill == "refuse":
+        refuse_holes(sigma_deg, phi_deg, theta_deg, values, known)
+    values = fill_holes(theta_deg, sigma_deg, values, known, fill)
+    u = np.where(known, u, np.maximum(u, np.abs(values)))
+    channels = colours if wavelengths_nm is None else tuple(f"{wavelength:g} nm" for wavelength in wavelengths_nm)
+    shares = unmeasured_share(sigma_deg, phi_deg, theta_deg, values, known)
+    about = [
+        *comments,
+        *share_lines(shares, sigma_deg, channels, psi, done),
+        *_continued_nodes(sigma_deg, phi_deg, theta_deg, known, channels, psi, done, fill),
+    ]
     for missing, at, end in ((sigma_deg[0] > 0.0, 0, 0.0), (sigma_deg[-1] < 90.0, -1, 90.0)):
         if missing:
             place = sigma_deg.size if at else 0
@@ -252,31 +275,48 @@ def specular_table(
             known = np.insert(known, place, False, axis=2)
     u = np.where(known | (u > 0.0), u, float(u.max()) or 1.0 / np.pi)
     return BsdfTable(
-        sigma_deg, phi_deg, theta_deg, values, wavelengths_nm,
-        transmitted=transmitted, generated=generated, comments=tuple(about), u=u,
+        sigma_deg, phi_deg, theta_deg, values, wavelengths_nm, psi, transmitted=transmitted, generated=generated,
+        comments=tuple(about), u=u, known=known, colours=colours, back=back, sample=sample,
     )  # fmt: skip
 
 
+def share_lines(shares: Floats, sigma_deg: Floats, channels: Sequence[str], psi_deg: Floats, done: str) -> list[str]:
+    """Comments on the share of the light [channel, psi, sigma] that was not measured."""
+    return [
+        f"share of the light that was not {done}: {_light(channels, psi_deg, c, p)}"
+        + ", ".join(f"{100.0 * share:.3g} % at sigma {sigma:g}" for sigma, share in zip(sigma_deg, shares[c, p], strict=True))
+        for c, p in np.ndindex(*shares.shape[:2])
+    ]
+
+
+def _light(channels: Sequence[str], psi_deg: Floats, channel: int, psi: int) -> str:
+    """The channel and psi, for the beginning of a comment, where a table has several."""
+    words = [channels[channel]] if len(channels) > 1 else []
+    words += [f"psi {psi_deg[psi]:g}"] if psi_deg.size > 1 else []
+    return "".join(f"{word}, " for word in words)
+
+
 def _continued_nodes(
-    sigma_deg: Floats, phi_deg: Floats, theta_deg: Floats, known: Flags, wavelengths_nm: tuple[float, ...] | None, done: str
-) -> list[str]:
-    """Comments on the nodes of (wavelength, sigma, phi, theta) that are not known; for each wavelength, if they differ."""
+    sigma_deg: Floats, phi_deg: Floats, theta_deg: Floats, known: Flags, channels: Sequence[str], psi_deg: Floats, done: str,
+    fill: Fill,
+) -> list[str]:  # fmt: skip
+    """Comments on the nodes of (channel, psi, sigma, phi, theta) that are not known; for each channel, if they differ."""
     lines = [
         f"{done} at sigma {', '.join(f'{sigma:g}' for sigma in sigma_deg)} deg only; the first and the last table are repeated "
         "to sigma 0 and 90",
         f"nodes without {done} values around them (blocked by the mirror unit, beyond the last polar angle, below the horizon) "
         "are",
-        "interpolated along theta, or have the value of the nearest, or, in a row without any, the mean of the other rows;",
+        *ABOUT_FILL[fill],
         "the standard uncertainty of these and of the repeated values is at least the value itself, and at least that of the "
         "values they continue; in degrees:",
     ]
-    alike = bool((known == known[:1]).all())
-    titles = [""] if wavelengths_nm is None or alike else [f"{wavelength:g} nm, " for wavelength in wavelengths_nm]
+    if bool((known == known[:1]).all()):
+        known, channels = known[:1], channels[:1]
     gaps = [
-        f"{title}sigma {sigma:g}, phi {phi:g}: theta {theta_deg[start]:g} to {theta_deg[stop - 1]:g}"
-        for title, at_wavelength in zip(titles, known, strict=False)
-        for sigma, at_sigma in zip(sigma_deg, at_wavelength, strict=True)
-        for phi, row in zip(phi_deg, at_sigma, strict=True)
+        f"{_light(channels, psi_deg, c, p)}sigma {sigma_deg[s]:g}, phi {phi:g}: theta {theta_deg[start]:g} to "
+        f"{theta_deg[stop - 1]:g}"
+        for c, p, s in np.ndindex(*known.shape[:3])
+        for phi, row in zip(phi_deg, known[c, p, s], strict=True)
         for start, stop in np.flatnonzero(np.diff(~row, prepend=False, append=False)).reshape(-1, 2)
     ]
     more = [f"and {len(gaps) - MAX_LISTED_RANGES} more such ranges"] if len(gaps) > MAX_LISTED_RANGES else []

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from goniotwin.app.formats.content import BsdfFile
 from goniotwin.app.formats.file import FormatError, StrPath, name_file, quote_word
 from goniotwin.app.formats.numerals import ascending_array, finite_array, format_angles, format_number, format_row
 from goniotwin.app.formats.table import BsdfTable
@@ -72,13 +73,13 @@ def recognise(head: bytes) -> bool:
     return {"spectralcontent", "scattertype"} <= header_words(head, "#", ("databegin",))
 
 
-def read(path: Path) -> BsdfTable:
+def read(path: Path) -> BsdfFile:
     """Read a .bsdf file with one sample rotation. Raises FormatError."""
     table = read_zemax(path)
     if (count := table.sample_rotation_deg.size) != 1:
         wrong = f"it has {count} sample rotations, and the format does not state which way the sample is turned"
         raise FormatError(path, wrong, "give a table with one of them, or a .ddr of four dimensions")
-    return BsdfTable(
+    bsdf_table = BsdfTable(
         sigma_deg=table.incidence_deg,
         phi_deg=table.azimuth_deg,
         theta_deg=table.radial_deg,
@@ -87,10 +88,12 @@ def read(path: Path) -> BsdfTable:
         generated=table.source.lower() == "generated",
         comments=table.comments,
     )
+    return BsdfFile((bsdf_table,))
 
 
-def write(path: Path, table: BsdfTable) -> None:
+def write(path: Path, content: BsdfFile) -> None:
     """Write a .bsdf file of one wavelength, which is in its comments, completely or not at all. Raises FormatError."""
+    table = content.only_table()
     wavelength = [] if table.wavelengths_nm is None else [f"wavelength: {format_number(table.wavelengths_nm[0])} nm"]
     mirrored = bool(table.phi_deg[-1] <= 180.0)
     written = ZemaxBsdf(

@@ -241,10 +241,10 @@ def sample_scatterer(sample: FormulaTable | MeasuredTable | SumTable, folder: Pa
         return sample.scatterer()
     path = folder / sample.file
     try:
-        table: BsdfTable = registry.read(path, Holds.GRID)
-        if (described := registry.described_table(table)) is not None:
-            raise FormatError(path, f"it has the uncertainties of {described}, not values", "give the table itself")
-        return _measured_sample(table, path.name, sample)
+        content = registry.read(path)
+        if (described := registry.described_table(content)) is not None:
+            raise FormatError(path, f"it has {described}, not values", "give the table itself")
+        return _measured_sample(content.only_table(), path.name, sample)
     except FormatError as error:
         raise UserError(f"{place}: {error}") from None
     except ValueError as error:

@@ -16,13 +16,14 @@ from matplotlib.figure import Figure
 
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats import BsdfTable, FormatError, PointStream, registry
+from goniotwin.app.formats.content import BsdfFile, Part, ScatteredBsdf
 from goniotwin.app.formats.file import write_file
 from goniotwin.app.formats.registry import Format, Holds
 from goniotwin.app.formats.specular_grid import SpecularCut, specular_table
 from goniotwin.app.simulation.simulate import Simulation, Task
-from goniotwin.twin.optics import to_specular
+from goniotwin.twin.optics import from_specular, to_specular
 from goniotwin.twin.optics.bsdf.models import GAUSSIAN
-from goniotwin.twin.optics.geometry.coordinates import mirror_in_plane_of_incidence, mirror_in_sample_plane
+from goniotwin.twin.optics.geometry.coordinates import mirror_in_plane_of_incidence, mirror_in_sample_plane, zenith_and_azimuth
 
 KINDS = (Holds.GRID, Holds.POINTS)
 """A simulation is written as a table of the output grid, or as points of all detectors."""
@@ -50,9 +51,7 @@ def check_file_names(paths: list[Path], tables: list[Path], transmitted: bool) -
     reflecting = [each for each in found.values() if Holds.TRANSMITTED not in each.holds]
     transmitting = [each for each in found.values() if Holds.REFLECTED not in each.holds]
     written = [os.path.realpath(path) for path in paths]
-    written += [
-        os.path.realpath(registry.uncertainty_path(path)) for path in paths if Holds.UNCERTAINTY not in found[path].holds
-    ]
+    written += [os.path.realpath(beside) for path in paths for beside in registry.files_beside(path, found[path]).values()]
     for path in paths:
         _check_folder(path)
         try:
@@ -98,13 +97,28 @@ def _format(path: Path, needs: Collection[Holds] = ()) -> Format:
 def write_simulation(simulation: Simulation, path: Path) -> tuple[Path, ...]:
     """Write one file, in the format of its suffix, and the uncertainties of a table beside it. Raises UserError."""
     found = _format(path)
-    if Holds.POINTS in found.holds:
+    if Holds.COLUMNS in found.holds:
         write_content(path, Holds.POINTS, PointStream(_heading(simulation, every_detector=True), [_columns(simulation)]))
         return (path,)
+    part: Part = scattered(simulation) if Holds.POINTS in found.holds else bsdf_table(simulation)
     try:
-        return registry.write_table(path, bsdf_table(simulation), found)
+        return registry.write(path, BsdfFile((part,)), found)
     except FormatError as error:
         raise UserError(str(error)) from None
+
+
+def scattered(simulation: Simulation) -> ScatteredBsdf:
+    """The BSDF at every detector, with its standard error, 1/sr; azimuths from the light's."""
+    columns = _columns(simulation)
+    polar, azimuth = zenith_and_azimuth(from_specular(columns["sigma_deg"], columns["theta_deg"], columns["phi_deg"]))
+    size = polar.size
+    return ScatteredBsdf(
+        sigma_deg=columns["sigma_deg"], psi_deg=np.zeros(size), polar_deg=np.minimum(polar, 90.0), azimuth_deg=azimuth,
+        values=columns["luminance_factor"] / np.pi, u=columns["standard_error"] / np.pi, flags=columns["flags"],
+        wavelength_nm=columns["wavelength_nm"], transmitted=np.full(size, simulation.task.transmitted),
+        back=np.full(size, simulation.task.back), sample=simulation.task.sample.name, generated=True,
+        comments=tuple(_heading(simulation, every_detector=False)),
+    )  # fmt: skip
 
 
 def bsdf_table(simulation: Simulation) -> BsdfTable:

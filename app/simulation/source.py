@@ -59,7 +59,7 @@ def read_source(path: Path, unit: IlluminationUnit, instrument: Instrument) -> S
     """
     x, y, z = (float(each) for each in pupil(instrument)[0])
     try:
-        rayset: Rayset = registry.read(path, Holds.RAYS)
+        rayset: Rayset = registry.recognise(path, {Holds.RAYS}).read(path)
     except FormatError as error:
         raise UserError(f"--source: {error}") from None
     try:

@@ -10,6 +10,7 @@ import pytest
 from goniotwin.app.cli.main import app
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats import BsdfTable, FormatError, PointStream, read_ddr, registry
+from goniotwin.app.formats.content import BsdfFile
 from goniotwin.app.formats.file import read_file, write_file
 from goniotwin.app.formats.registry import Format, Holds
 from goniotwin.app.rig import read_rig
@@ -29,23 +30,25 @@ class MyTable:
     def recognise(self, head: bytes) -> bool:
         return head.startswith(MARK)
 
-    def read(self, path: Path) -> BsdfTable:
+    def read(self, path: Path) -> BsdfFile:
         content = read_file(path)
         if not content.startswith(MARK):
             raise FormatError(path, "is not such a table", "give another file")
         found: dict[str, Any] = json.loads(content.removeprefix(MARK))
-        return BsdfTable(**found | {name: np.array(found[name]) for name in (*AXES, "values", "u")})
+        return BsdfFile((BsdfTable(**found | {name: np.array(found[name]) for name in (*AXES, "values", "u", "known")}),))
 
-    def write(self, path: Path, table: BsdfTable) -> None:
+    def write(self, path: Path, content: BsdfFile) -> None:
+        table = content.only_table()
         assert table.u is not None
-        lists = {name: getattr(table, name).tolist() for name in (*AXES, "values", "u")}
+        lists = {name: getattr(table, name).tolist() for name in (*AXES, "values", "u", "known")}
         words = {name: getattr(table, name) for name in ("wavelengths_nm", "transmitted", "generated", "comments")}
         write_file(path, MARK + json.dumps({**lists, **words}).encode())
 
 
 MY_TABLE = Format(
     "my", "a table of the test", (".my",),
-    frozenset({Holds.GRID, Holds.SIGMAS, Holds.WAVELENGTHS, Holds.REFLECTED, Holds.TRANSMITTED, Holds.UNCERTAINTY}), MyTable(),
+    frozenset({Holds.GRID, Holds.SIGMAS, Holds.WAVELENGTHS, Holds.REFLECTED, Holds.TRANSMITTED, Holds.UNCERTAINTY,
+               Holds.MASK}), MyTable(),
 )  # fmt: skip
 
 
@@ -74,7 +77,7 @@ def simulated(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> Path:
 
 
 def test_simulate_writes_the_format_and_reads_it(simulated: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
-    table: BsdfTable = registry.read(simulated, Holds.GRID)
+    table = registry.read(simulated).only_table()
     assert table.generated
     assert table.u is not None
     assert np.all(table.u[0, 0, 1, :, 0] < 0.01 * table.values[0, 0, 1, :, 0])
@@ -109,11 +112,11 @@ def test_rehearse_takes_it_and_export_writes_it(
     assert result["state"] == "done"
     exported = run(capsys, "export", journal, "--format", "my", "--out", tmp_path / "measured.my")
     assert exported["files"] == [str(tmp_path / "measured.my")]
-    measured: BsdfTable = registry.read(tmp_path / "measured.my", Holds.GRID)
+    measured = registry.read(tmp_path / "measured.my").only_table()
     assert measured.wavelengths_nm == (550.0,)
     assert measured.sigma_deg.tolist() == [0.0, 30.0, 90.0]
     # The lobe of the file was measured: at its peak as high as the file has it.
-    given: BsdfTable = registry.read(simulated, Holds.GRID)
+    given = registry.read(simulated).only_table()
     assert measured.values[0, 0, 1].max() == pytest.approx(given.values[0, 0, 1, 0, 0], rel=0.05)
 
 
@@ -134,7 +137,7 @@ class MyPoints:
 def test_a_format_of_points_gets_every_point_in_parts(
     capsys: pytest.CaptureFixture[str], write_schedule: Writer, tmp_path: Path
 ) -> None:
-    holds = frozenset({Holds.POINTS, Holds.SIGMAS, Holds.REFLECTED, Holds.WAVELENGTHS})
+    holds = frozenset({Holds.POINTS, Holds.COLUMNS, Holds.SIGMAS, Holds.REFLECTED, Holds.WAVELENGTHS})
     registry.register(Format("dots", "points of the test", (".dots",), holds, MyPoints(), reads=False))
     journal = tmp_path / "a.journal"
     run(capsys, "run", write_schedule(), "--rig", RIG, "--out", journal)

@@ -135,7 +135,7 @@ def check_committed(path: Path, committed: dict[int, str]) -> None:
 
 def _context() -> Any:
     context = multiprocessing.get_context("forkserver")
-    modules = ["cli", "campaign.campaign", "campaign.reduction.export", "campaign.journal.summary"]
+    modules = ["cli", "campaign.campaign", "data.conversion", "campaign.journal.summary"]
     context.set_forkserver_preload([*(f"goniotwin.app.{name}" for name in modules), "tests.system.preloaded", __name__])
     return context
 

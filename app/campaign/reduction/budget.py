@@ -8,6 +8,7 @@ from typing import Any, Literal
 import numpy as np
 
 from goniotwin.app.campaign.reduction.effects_of_points import effects_of
+from goniotwin.app.campaign.reduction.etalon import ReductionSettings
 from goniotwin.app.campaign.reduction.points import BsdfPoints, join_points
 from goniotwin.app.campaign.reduction.reduction import Reduction
 from goniotwin.app.campaign.reduction.reflectance import (
@@ -151,16 +152,16 @@ def budget_of_reflectance(reduction: Reduction, place: Mapping[str, str | float]
         )
     if not settings:
         raise UserError("--at: no direction has a trusted value there")
-    return reflectance(reduction, name, points, settings[0])
+    return reflectance(reduction.settings, name, points, settings[0])
 
 
-def reflectance(reduction: Reduction, name: str, points: BsdfPoints, setting: Setting) -> Budget:
+def reflectance(settings: ReductionSettings, name: str, points: BsdfPoints, setting: Setting) -> Budget:
     """The reflectance (or transmittance) of one setting of a sample's points, with its budget.
 
     Raises UserError where the measured directions do not cover the half sphere.
     """
     here = points.where(setting.index)
-    rule = quadrature(here, reduction.schedule.symmetry)
+    rule = quadrature(here, settings.schedule.symmetry)
     if not rule.hemisphere:
         raise UserError(
             f"{name}, {setting}: the measured directions do not cover the half sphere, so there is no reflectance; they may be "
@@ -169,7 +170,7 @@ def reflectance(reduction: Reduction, name: str, points: BsdfPoints, setting: Se
     value = np.where(rule.weight != 0.0, here.bsdf, 0.0)
     of_filled = float(np.sum((rule.obstructed + rule.extrapolated) * np.abs(value)))
     components = [
-        *components_of_sum(here, rule.weight, reduction.settings),
+        *components_of_sum(here, rule.weight, settings),
         Component(INTERPOLATION, rule.interpolation_error(here.bsdf), 1.0, None),
         # What stands for a direction without a value is between nothing and twice as much: rectangular.
         Component(FILLED, of_filled / math.sqrt(3.0), 1.0, None),

@@ -23,6 +23,8 @@ SLOPE_DECIMALS = 3
 """No slope is taken between directions closer than a thousandth of a degree: noise over so short a way is no steepness."""
 PLACE = ("wavelength_nm", "gamma_deg", "sigma_deg", "beta_deg", "shift_deg")
 """Wavelength and pose of a row: the columns of `BsdfPoints.places`."""
+UNLIT = frozenset({"noise", "resolution", "dark", "crosstalk"})
+"""Components of a value that are there without light from the sample: the noise floor."""
 CHANCE = 1e-6
 """Probability that the largest of all differences exceeds its limit, where the uncertainties are right."""
 DEVIATIONS = 5.0
@@ -315,6 +317,8 @@ class Tally:
     `under_range` counts good points that are lost in their noise, `without_slope` and `without_band` those above it whose
     slope over wavelength, or effect of the band, is unknown; `flagged` all points by their first flag. `trusted` are the
     photodiodes of good values above their noise; `signature_subtracted` is true if the signature was subtracted anywhere.
+    `gains` are the indices of the gains of good values, and `noise` the medians, one for each block of points, of the standard
+    uncertainty in 1/sr that values at the block's highest gain have of what is there without light.
     """
 
     directions: int = 0
@@ -326,6 +330,13 @@ class Tally:
     signature_subtracted: bool = False
     without_slope: int = 0
     without_band: int = 0
+    gains: set[int] = field(default_factory=set)
+    noise: list[float] = field(default_factory=list)
+
+    @property
+    def noise_floor(self) -> float | None:
+        """Median over the blocks of `noise`, 1/sr; None without a good value."""
+        return float(np.median(self.noise)) if self.noise else None
 
     def add(self, points: BsdfPoints) -> None:
         """Count more points."""
@@ -338,6 +349,12 @@ class Tally:
         self.without_band += int((good & above_noise & np.isnan(points.band_correction)).sum())
         self.transmitted |= bool(points.transmitted.any())
         self.signature_subtracted |= bool(np.isfinite(points.signature).any())
+        if good.any():
+            gain = np.where(good, points.gain, -1)
+            self.gains.update(np.unique(gain[good]).tolist())
+            dim = gain == gain.max()
+            variance = total_variance({name: each[dim] for name, each in points.components.items() if name in UNLIT})
+            self.noise.append(float(np.median(np.sqrt(variance))))
         left = np.ones(points.bsdf.size, dtype=bool)
         for name in REASON_ORDER:
             here = left & points.flag(name)

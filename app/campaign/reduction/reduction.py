@@ -26,6 +26,7 @@ from goniotwin.app.campaign.reduction.etalon import (
     reference_keys,
 )
 from goniotwin.app.campaign.reduction.evidence import SignalEvidence
+from goniotwin.app.campaign.reduction.metadata import journal_metadata
 from goniotwin.app.campaign.reduction.overlaps import Overlaps
 from goniotwin.app.campaign.reduction.pipeline import finish_points, reduce_rows
 from goniotwin.app.campaign.reduction.point_file import PointFile
@@ -48,6 +49,7 @@ from goniotwin.app.campaign.row import NO_SAMPLE
 from goniotwin.app.campaign.schedule.certificate import constant_certificate, parse_certificate
 from goniotwin.app.campaign.schedule.file import ScheduleFile, parse_schedule
 from goniotwin.app.errors import UserError
+from goniotwin.app.formats.metadata import Metadata
 from goniotwin.app.rig import RigDescription, RigFile, parse_rig
 from goniotwin.arrays import Ints
 from goniotwin.protocols.clock import calendar_stamp
@@ -69,7 +71,7 @@ class ReducedJournal:
     symmetry, for schedules that ask for it. `notes` are remarks on the reduction, for the reader of the values; `findings` are
     those of them that state what is wrong with the instrument. `unchecked` are, by the mounted sample, the photodiodes that its
     drift checks do not cover. `chain` states the journal's checksums, `light` the polarisation of the light: these notes belong
-    to every file of values.
+    to every file of values. `metadata` are those of each sample, for archives and reports.
     """
 
     name: str
@@ -83,6 +85,7 @@ class ReducedJournal:
     chain: str = ""
     light: tuple[str, ...] = ()
     findings: tuple[str, ...] = ()
+    metadata: Mapping[str, Metadata] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -290,6 +293,14 @@ class Reduction:
             lines.append(f"polarisation: not in u of {', '.join(unstated)} (the schedule states no diattenuation)")
         return lines
 
+    def metadata(self, sample: str, tally: Tally) -> Metadata:
+        """The metadata of a sample's values, from the tally of all of its blocks."""
+        sigmas = np.unique(self._measurements.row_table(sample)["sigma_deg"])
+        return journal_metadata(
+            self.journal, self.settings, sample, tally, polarisation=light_words(self.rig.file.light, sigmas),
+            drift=[str(each) for each in self.drift_intervals], findings=self.findings,
+        )  # fmt: skip
+
     def unchecked(self, tallies: Mapping[str, Tally]) -> dict[str, tuple[int, ...]]:
         """By the mounted sample, the photodiodes that its drift checks do not cover, from the tallies of all blocks."""
         trusted = {name: tally.trusted for name, tally in tallies.items()}
@@ -402,6 +413,7 @@ def _reduce(reduction: Reduction, keep: Keep) -> ReducedJournal:
     return ReducedJournal(
         journal.value("name"), reduction.rig, journal.simulated, {}, overlaps, tuple(notes), symmetry,
         reduction.unchecked(tallies), journal.chain.statement, tuple(reduction.light(tallies)), tuple(reduction.findings),
+        {name: reduction.metadata(name, tally) for name, tally in tallies.items()},
     )  # fmt: skip
 
 

@@ -8,6 +8,7 @@ what these add is stated apart.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -49,6 +50,22 @@ class Quadrature:
         return abs(float(np.sum((self.weight - self.coarse)[used] * value[used]))) / RICHARDSON
 
 
+class MeasuredRings(Protocol):
+    """Directions of values (n,), and which of the values count."""
+
+    @property
+    def zenith_deg(self) -> Floats:
+        """Angle from the normal of the front."""
+
+    @property
+    def azimuth_deg(self) -> Floats:
+        """Azimuth from the half plane of the light."""
+
+    @property
+    def good(self) -> Flags:
+        """The trusted values."""
+
+
 @dataclass(frozen=True)
 class Setting:
     """What one reflectance is of: values `index` with one wavelength, sigma, gamma and light."""
@@ -75,7 +92,7 @@ def integration_settings(points: BsdfPoints) -> Iterator[Setting]:
             yield Setting(wavelength, sigma, gamma, bool(transmitted), index)
 
 
-def quadrature(points: BsdfPoints, symmetry: StatedSymmetry) -> Quadrature:
+def quadrature(points: MeasuredRings, symmetry: StatedSymmetry) -> Quadrature:
     """The weights of points of one setting; an isotropic sample has the same values on both sides of the plane of incidence."""
     polar = round_deg(polar_from_zenith(points.zenith_deg))
     folded = symmetry == "isotropic"
@@ -87,7 +104,7 @@ def quadrature(points: BsdfPoints, symmetry: StatedSymmetry) -> Quadrature:
     all_rings, _ = _ring_weights(rings)
     inside, beyond = np.zeros(rings.size), np.zeros(rings.size)
     inside[with_value], beyond[with_value] = _ring_weights(rings[with_value])
-    weight, obstructed, extrapolated = (np.zeros(points.size) for _ in range(3))
+    weight, obstructed, extrapolated = (np.zeros(polar.size) for _ in range(3))
     widest = 0.0
     for k in np.flatnonzero(with_value).tolist():
         here = np.flatnonzero(ring == k)

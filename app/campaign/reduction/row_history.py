@@ -23,6 +23,10 @@ class RowHistory:
     def __init__(self, journal: JournalReader) -> None:
         self._journal = journal
 
+    def read(self) -> None:
+        """Read all of it now, so that the journal can be closed."""
+        _ = self._read, self._lights
+
     def mounted(self, rows: Ints) -> tuple[list[str], Ints]:
         """The mountings in which rows were measured, and for each row (n,) which of these: `paint#2` is the sample's second."""
         names, table, _ = self._read

@@ -102,7 +102,7 @@ class _Sample:
             if rule.hemisphere:
                 parts = (rule.weight, rule.obstructed, rule.extrapolated)
                 self._parts.append([float(np.sum(part * value)) for part in parts])
-                self._energies.append(reflectance(self._reduction, self._name, points, setting))
+                self._energies.append(reflectance(self._reduction.settings, self._name, points, setting))
 
     def _reciprocity(self) -> Verdict:
         name = f"reciprocity of {self._name}"

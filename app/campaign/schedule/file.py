@@ -19,6 +19,7 @@ from pydantic import (
 from goniotwin.app.campaign.row import NO_SAMPLE
 from goniotwin.app.campaign.schedule.certificate import CertificateTable, read_certificate
 from goniotwin.app.campaign.schedule.grids import Grid, grid_values, refuse_duplicates
+from goniotwin.app.campaign.schedule.metadata import MetadataTable
 from goniotwin.app.campaign.schedule.refinement import NearSpecularTable, OverlapTable, StatedSymmetry, SymmetryCheckTable
 from goniotwin.app.toml_file import TomlTable, parse_toml, read_toml, validate_table
 
@@ -157,7 +158,8 @@ class ScheduleFile(TomlTable):
     older than `dark_every_s`. `averaging` takes more readings in faint light. `warm_up` waits for the lamp. `drift` measures
     one pose again and again. `stop` ends a run before its last row. `faults` is what happens to a row where a device fails.
     `certificate` is the etalon's. `diattenuation` is, by sample, how far the values for light of the sample's s and of its p
-    are apart, over their sum: with it the polarisation of the light is in the uncertainty.
+    are apart, over their sum: with it the polarisation of the light is in the uncertainty. `metadata` is what a person states
+    about the campaign, for reports and archives.
     """
 
     name: Name
@@ -190,6 +192,7 @@ class ScheduleFile(TomlTable):
     faults: FaultsTable | None = None
     certificate: CertificateTable | None = None
     diattenuation: dict[Name, Annotated[float, Field(ge=0.0, le=1.0)]] = {}
+    metadata: MetadataTable = MetadataTable()
 
     @field_validator("sigma_deg")
     @classmethod
@@ -208,8 +211,9 @@ class ScheduleFile(TomlTable):
             raise ValueError(
                 f"samples: the etalon {self.etalon!r} is among the samples; it is always measured, so remove it there"
             )
-        if unknown := sorted(set(self.diattenuation) - set(self.samples)):
-            raise ValueError(f"diattenuation: {unknown[0]!r} is not among the samples; name one of them, or remove it")
+        for key, named in (("diattenuation", {*self.diattenuation}), ("metadata.samples", {*self.metadata.samples})):
+            if unknown := sorted(named - {*self.samples}):
+                raise ValueError(f"{key}: {unknown[0]!r} is not among the samples; name one of them, or remove it")
         if NO_SAMPLE in (self.etalon, *self.samples):
             raise ValueError(f"{NO_SAMPLE!r} is the name of the empty sample unit; give the sample another name")
         return self

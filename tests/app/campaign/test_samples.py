@@ -18,6 +18,7 @@ from goniotwin.app.campaign.reduction.reduction import BsdfDataset, Reduction, r
 from goniotwin.app.campaign.reduction.reflectance import components_of_sum, integration_settings, quadrature
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.formats import BsdfTable
+from goniotwin.app.formats.content import BsdfFile
 from goniotwin.app.formats.ddr import write as write_ddr
 from goniotwin.app.rig import read_rig
 from goniotwin.arrays import Floats
@@ -75,7 +76,7 @@ def write_turned(path: Path) -> None:
         seen *= np.where(seen[..., 2:] > 0.0, 1.0, [1.0, 1.0, -1.0])
         for n, azimuth in enumerate(psi.tolist()):  # a sample turned by gamma sees the light at -gamma
             values[0, n, k] = evaluate(BROAD, light_direction(incidence), seen, gamma_deg=-azimuth)
-    write_ddr(path, BsdfTable(sigma, phi, theta, values, None, psi, generated=True))
+    write_ddr(path, BsdfFile((BsdfTable(sigma, phi, theta, values, None, psi, generated=True),)))
 
 
 def usable(points: BsdfPoints) -> BsdfPoints:

@@ -12,7 +12,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from goniotwin.app.formats import BsdfTable, FormatError, Points, PointStream, registry
+from goniotwin.app.formats import BsdfTable, FormatError, PointStream, registry
+from goniotwin.app.formats.content import BsdfFile
 from goniotwin.app.formats.registry import BUILT_IN, KINDS, Format, Holds
 from tests.conftest import REPOSITORY
 
@@ -23,6 +24,14 @@ AXES = np.array([0.0, 60.0, 90.0]), np.array([0.0, 90.0, 180.0]), np.array([0.0,
 def table(**changes: Any) -> BsdfTable:
     values = np.linspace(0.1, 0.3, 27).reshape(1, 1, 3, 3, 3)
     return replace(BsdfTable(*AXES, values, comments=("a note",)), **changes)
+
+
+def content(**changes: Any) -> BsdfFile:
+    return BsdfFile((table(**changes),))
+
+
+def read_table(path: Path) -> BsdfTable:
+    return registry.read(path).only_table()
 
 
 @pytest.fixture
@@ -39,41 +48,78 @@ def clean() -> Iterator[None]:
 @pytest.mark.parametrize("suffix", ["", ".txt", ".bsdf", ".ddr", ".csv", ".h5"])
 def test_a_table_is_read_by_its_content_whatever_its_suffix(suffix: str, tmp_path: Path) -> None:
     path = tmp_path / f"table{suffix}"
-    ZEMAX.load().write(path, table())
-    np.testing.assert_allclose(registry.read(path, Holds.GRID).values, table().values, rtol=1e-8)
+    ZEMAX.load().write(path, content())
+    np.testing.assert_allclose(read_table(path).values, table().values, rtol=1e-8)
 
 
 def test_the_suffix_distinguishes_reflected_and_transmitted_light(tmp_path: Path) -> None:
     for each in (DDR, DDT):
         path = tmp_path / f"table{each.suffixes[0].upper()}"
-        each.load().write(path, table())
-        assert registry.recognise(path, Holds.GRID) is each
-        assert registry.read(path, Holds.GRID).transmitted == (each is DDT)
+        each.load().write(path, content())
+        assert registry.recognise(path) is each
+        assert read_table(path).transmitted == (each is DDT)
     lost = path.rename(tmp_path / "table.bsdf")
     with pytest.raises(FormatError, match=r"its content is that of ddr \(\.ddr\) or ddt \(\.ddt\), .* rename the file"):
-        registry.read(lost, Holds.GRID)
+        registry.read(lost)
 
 
 def test_a_file_of_another_kind_is_refused_with_what_it_is(tmp_path: Path) -> None:
     path = tmp_path / "table.ddr"
     CSV.load().write(path, PointStream(["a comment"], [{"theta_deg": [1.0, 2.0], "flags": ["", "dead"]}]))
     with pytest.raises(FormatError, match=r"it is a csv file, which does not hold a grid .*; give ddr \(\.ddr\), ddt"):
-        registry.read(path, Holds.GRID)
+        registry.recognise(path, {Holds.GRID})
     with pytest.raises(FormatError, match=r"does not hold rays of a light source; give rayset \(\.h5, \.hdf5\)"):
-        registry.read(path, Holds.RAYS)
-    points: Points = registry.read(path, Holds.POINTS)
-    assert points.columns["flags"].tolist() == ["", "dead"]
+        registry.recognise(path, {Holds.RAYS})
+    with pytest.raises(FormatError, match=r"table\.ddr: the column bsdf_per_sr is missing; give a CSV of a BSDF"):
+        registry.read(path)
+
+
+@pytest.mark.parametrize(
+    ("head", "what"),
+    [
+        (b"1 2 3\n4 5 6\n", "text that begins with '1 2 3'"), (b"\x89PNG\r\n", r"a picture \(PNG\)"), (b"", "empty"),
+        (b"\x00\x01", "binary data"), (b"SQLite format 3\0", r"a data file \(journal\) or another database"),
+    ],
+)  # fmt: skip
+def test_an_unknown_file_is_refused_with_what_it_is_and_what_can_be_read(head: bytes, what: str, tmp_path: Path) -> None:
     unknown = tmp_path / "a.xyz"
-    unknown.write_text("1 2 3\n", encoding="utf-8")
-    with pytest.raises(FormatError, match="neither its content nor its suffix is of a known format; give ddr"):
-        registry.read(unknown, Holds.GRID)
+    unknown.write_bytes(head)
+    with pytest.raises(FormatError, match=f"is {what}: neither its content nor its suffix is of a known format; give ddr"):
+        registry.read(unknown)
+
+
+def test_a_folder_is_a_table_of_a_format_that_has_such(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    class Cuts:
+        """One file an incidence."""
+
+        def recognise(self, head: bytes) -> bool:
+            return head.startswith(b"!!cut")
+
+        def read(self, path: Path) -> BsdfFile:
+            return content(comments=tuple(sorted(each.name for each in path.iterdir())))
+
+        def write(self, path: Path, content: BsdfFile) -> None:
+            raise NotImplementedError
+
+    cuts = Format("cuts", "a cut an incidence", (".cut",), frozenset({Holds.GRID}), Cuts(), writes=False, folders=True)
+    monkeypatch.setattr(registry, "_registered", [cuts])
+    folder = tmp_path / "cuts"
+    folder.mkdir()
+    with pytest.raises(FormatError, match="is a folder without files"):
+        registry.read(folder)
+    for name in ("30", "0"):
+        (folder / name).write_bytes(b"!!cut")
+    assert read_table(folder).comments == ("0", "30")
+    monkeypatch.setattr(registry, "_registered", [])
+    with pytest.raises(FormatError, match=r"is text that begins with '!!cut': neither"):
+        registry.read(folder)
 
 
 def test_a_damaged_file_is_read_by_its_suffix_and_refused_with_its_fault(tmp_path: Path) -> None:
     path = tmp_path / "a.ddr"
     path.write_text("Sorce Measured\n", encoding="utf-8")
     with pytest.raises(FormatError, match=r"line 1: 'Sorce' is not a keyword of a \.ddr file; did you mean Source"):
-        registry.read(path, Holds.GRID)
+        registry.read(path)
 
 
 def test_long_comments_at_the_top_do_not_hide_the_content(tmp_path: Path) -> None:
@@ -82,7 +128,7 @@ def test_long_comments_at_the_top_do_not_hide_the_content(tmp_path: Path) -> Non
         if each is CSV:
             each.load().write(path, PointStream(comments, [{"a": [1.0], "b": [2.0]}]))
         else:
-            each.load().write(path, table(comments=comments))
+            each.load().write(path, content(comments=comments))
         with path.open("rb") as file:
             head = file.read(registry.HEAD_BYTES)
         assert [found.name for found in BUILT_IN if found.load().recognise(head)] == {
@@ -125,13 +171,14 @@ def test_a_table_is_read_as_it_was_written(
     )
     folder = tmp_path_factory.mktemp("tables")
     for each in registry.writers(Holds.GRID):
-        if not registry.table_needs(written) <= each.holds:
+        given = BsdfFile((written,))
+        if not registry.content_needs(given) <= each.holds:
             with pytest.raises(FormatError, match=f"a {each.name} file does not hold"):
-                registry.write_table(folder / "a", written, each)
+                registry.write(folder / "a", given, each)
             continue
         path = folder / f"a{each.suffixes[0]}"
-        assert registry.write_table(path, written, each) == (path,)
-        found: BsdfTable = registry.read(path, Holds.GRID)
+        assert registry.write(path, given, each) == (path,)
+        found = read_table(path)
         for name in ("sigma_deg", "phi_deg", "theta_deg", "psi_deg"):
             np.testing.assert_allclose(getattr(found, name), getattr(written, name), rtol=1e-8)
         np.testing.assert_allclose(found.values, written.values, rtol=1e-8)
@@ -139,24 +186,34 @@ def test_a_table_is_read_as_it_was_written(
         assert found.wavelengths_nm == (wavelengths if Holds.WAVELENGTHS in each.holds else None)
 
 
-def test_uncertainties_are_in_a_second_file_of_the_same_grid(tmp_path: Path) -> None:
-    given = table(u=0.1 * table().values)
+def test_uncertainties_and_mask_are_in_files_of_the_same_grid_beside(tmp_path: Path) -> None:
+    known = np.ones((1, 1, 3, 3, 3), dtype=bool)
+    known[0, 0, 1, 2] = False
+    given = content(u=0.1 * table().values, known=known)
     for each in (DDR, ZEMAX):
         path = tmp_path / f"my.paint{each.suffixes[0]}"
-        files = registry.write_table(path, given, each)
-        assert files == (path, tmp_path / f"my.paint.u{each.suffixes[0]}")
-        values, u = (registry.read(file, Holds.GRID) for file in files)
+        files = registry.write(path, given, each)
+        assert files == tuple(tmp_path / f"my.paint{word}{each.suffixes[0]}" for word in ("", ".u", ".mask"))
+        values, u, mask = (read_table(file) for file in files)
         np.testing.assert_allclose(u.values, 0.1 * values.values, rtol=1e-8)
-        for name in ("sigma_deg", "phi_deg", "theta_deg"):
-            assert np.array_equal(getattr(u, name), getattr(values, name))
-        assert any(f"in my.paint.u{each.suffixes[0]}" in line for line in values.comments)
+        np.testing.assert_allclose(mask.values, np.where(known, 0.0, 1.0), rtol=1e-8)
+        for beside, what in ((u, "the uncertainties"), (mask, "the mask")):
+            assert registry.described_table(BsdfFile((beside,))) == f"{what} of my.paint{each.suffixes[0]}"
+            for name in ("sigma_deg", "phi_deg", "theta_deg"):
+                assert np.array_equal(getattr(beside, name), getattr(values, name))
+        for word in ("u", "mask"):
+            assert any(f"in my.paint.{word}{each.suffixes[0]}" in line for line in values.comments)
+        # Of a later result without them the old ones would be wrong.
+        assert registry.write(path, content(), each) == (path,)
+        assert not files[1].exists()
+        assert not files[2].exists()
 
 
 def test_the_total_scatter_of_a_lambertian_table_is_its_reflectance(tmp_path: Path) -> None:
     axes = np.array([0.0, 30.0, 60.0]), np.arange(0.0, 181.0, 2.0), np.arange(0.0, 181.0, 1.0)
     flat = BsdfTable(*axes, np.full((1, 1, 3, 91, 181), 0.5 / np.pi))
     path = tmp_path / "a.bsdf"
-    ZEMAX.load().write(path, flat)
+    ZEMAX.load().write(path, BsdfFile((flat,)))
     found = [float(each) for each in re.findall(r"TIS\s+(\S+)", path.read_text(encoding="utf-8"))]
     np.testing.assert_allclose(found, 0.5, rtol=1e-3)  # of the trapezoidal rule
 
@@ -184,14 +241,14 @@ def test_an_impossible_format_is_refused() -> None:
         registry.register(replace(DDR, title="another"))
 
 
-def test_the_page_on_formats_has_what_each_format_holds() -> None:
+def test_the_page_on_formats_has_a_row_for_each_format() -> None:
     text = (REPOSITORY / "docs" / "formats.md").read_text(encoding="utf-8")
-    table = text[text.index("\n|") :].strip().partition("\n\n")[0]
-    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines()]
-    heading, body = rows[0], {row[0]: row[1:] for row in rows[2:]}
-    assert heading[1:] == [each.name for each in BUILT_IN]
-    assert body.pop("suffix") == [", ".join(each.suffixes) for each in BUILT_IN]
-    assert body == {str(holds): ["yes" if holds in each.holds else "" for each in BUILT_IN] for holds in Holds}
+    for each in BUILT_IN:
+        done = " and ".join(word for word, does in (("read", each.reads), ("written", each.writes)) if does)
+        holds = ", ".join(found.name.lower() for found in Holds if found in each.holds)
+        assert f"\n| `{each.name}` | {', '.join(each.suffixes) or 'any'} | {done} | {holds} |\n" in text
+    for found in Holds:
+        assert f"\n| {found.name.lower()} | {found} |\n" in text
 
 
 # ---- formats of other packages ----
@@ -239,8 +296,8 @@ def test_the_content_decides_between_formats_that_share_a_suffix(tmp_path: Path,
         def recognise(self, head: bytes) -> bool:
             return head.startswith(b"tensor_file")
 
-        def read(self, path: Path) -> BsdfTable:
-            return table(comments=("other",))
+        def read(self, path: Path) -> BsdfFile:
+            return content(comments=("other",))
 
         def write(self, path: Path, content: Any) -> None:
             raise NotImplementedError
@@ -249,9 +306,9 @@ def test_the_content_decides_between_formats_that_share_a_suffix(tmp_path: Path,
     monkeypatch.setattr(registry, "_registered", [other])
     path = tmp_path / "a.bsdf"
     path.write_bytes(b"tensor_file\0\1\0")
-    assert registry.read(path, Holds.GRID).comments == ("other",)
-    ZEMAX.load().write(path, table())
-    assert registry.read(path, Holds.GRID).comments != ("other",)
+    assert read_table(path).comments == ("other",)
+    ZEMAX.load().write(path, content())
+    assert read_table(path).comments != ("other",)
     assert registry.format_for(path, {Holds.GRID}) is ZEMAX
     with pytest.raises(FormatError, match="other is only read; use ddr"):
         registry.check_holds(path, other, {Holds.GRID})
@@ -261,14 +318,14 @@ def test_a_format_that_cannot_be_loaded_stops_no_other(tmp_path: Path, monkeypat
     lost = Format("lost", "a table without its module", (".lost",), frozenset({Holds.GRID}), "no_such_package.tables")
     monkeypatch.setattr(registry, "_registered", [lost])
     path = tmp_path / "a.txt"
-    ZEMAX.load().write(path, table())
-    assert registry.recognise(path, Holds.GRID) is ZEMAX
+    ZEMAX.load().write(path, content())
+    assert registry.recognise(path) is ZEMAX
     path = tmp_path / "a.lost"
     path.write_text("1 2 3", encoding="utf-8")
     with pytest.raises(
         FormatError, match=r"format 'lost': its codec cannot be loaded \(No module .*; correct its installation"
     ):
-        registry.read(path, Holds.GRID)
+        registry.read(path)
 
 
 @pytest.mark.parametrize(
@@ -287,8 +344,8 @@ def test_a_codec_with_a_fault_of_its_own_stops_no_other(
     faulty = Format("faulty", "a format of the test", (".faulty",), frozenset({Holds.GRID}), "faulty_codec")
     monkeypatch.setattr(registry, "_registered", [faulty])
     path = tmp_path / "a.txt"
-    ZEMAX.load().write(path, table())
-    assert registry.recognise(path, Holds.GRID) is ZEMAX
+    ZEMAX.load().write(path, content())
+    assert registry.recognise(path) is ZEMAX
     for ask in (faulty.load, lambda: registry.check_files(tmp_path / "b.faulty", faulty)):
         with pytest.raises(FormatError, match=f"format 'faulty': its codec cannot be loaded .*{fault}"):
             ask()
@@ -312,16 +369,14 @@ def test_a_codec_that_fails_is_named_and_no_file_is_blamed(tmp_path: Path, monke
     )
     monkeypatch.setattr(registry, "_registered", [faulty])
     path = tmp_path / "a.ddr"
-    DDR.load().write(path, table())
-    assert registry.recognise(path, Holds.GRID) is DDR
+    DDR.load().write(path, content())
+    assert registry.recognise(path) is DDR
     own = path.rename(tmp_path / "a.faulty")
     own.write_text("1 2 3", encoding="utf-8")
-    with pytest.raises(
-        FormatError, match=r"the codec of the format faulty failed \(TypeError: it read a dict, not BsdfTable\)"
-    ):
-        registry.read(own, Holds.GRID)
-    for written in (table(), table(u=table().values)):
+    with pytest.raises(FormatError, match=r"the codec of the format faulty failed \(TypeError: it read a dict, not BsdfFile\)"):
+        registry.read(own)
+    for written in (content(), content(u=table().values)):
         with pytest.raises(
             FormatError, match=r"b\..*faulty: the codec of the format faulty failed \(KeyError: 'abc'\); correct"
         ):
-            registry.write_table(tmp_path / "b.faulty", written, faulty)
+            registry.write(tmp_path / "b.faulty", written, faulty)

@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from goniotwin.app.formats import FormatError, ZemaxBsdf, read_zemax, registry, write_zemax
-from goniotwin.app.formats.registry import Holds
 
 # One rotation, two incidences, azimuths 0 and 180, radials 0, 10, 90: the smallest file with every list.
 GOOD = """\
@@ -124,7 +123,7 @@ def test_a_sample_of_several_rotations_is_refused_with_the_reason(tmp_path: Path
     with pytest.raises(
         FormatError, match=r"2 sample rotations, .* does not state which way .*; give .* a .ddr of four dimensions"
     ):
-        registry.read(path, Holds.GRID)
+        registry.read(path)
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ import pytest
 
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats import BsdfTable
+from goniotwin.app.formats.content import BsdfFile
 from goniotwin.app.formats.ddr import write as write_ddr
 from goniotwin.app.formats.zemax import ZemaxBsdf, write_zemax
 from goniotwin.app.rig import read_rig
@@ -79,7 +80,7 @@ def ddr(path: Path, psi_deg: list[float], wavelengths_nm: tuple[float, ...] | No
     psi, count = np.array(psi_deg), 1 if wavelengths_nm is None else len(wavelengths_nm)
     values = 1e-3 * psi[:, None, None, None] * np.arange(1.0, count + 1.0)[:, None, None, None, None]
     sigma, phi, theta = np.array([0.0, 80.0]), np.array([0.0, 360.0]), np.array([0.0, 170.0])
-    write_ddr(path, BsdfTable(sigma, phi, theta, values * np.ones((1, 1, 2, 2, 2)), wavelengths_nm, psi))
+    write_ddr(path, BsdfFile((BsdfTable(sigma, phi, theta, values * np.ones((1, 1, 2, 2, 2)), wavelengths_nm, psi),)))
 
 
 @pytest.mark.parametrize(

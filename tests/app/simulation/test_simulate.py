@@ -116,7 +116,8 @@ def test_a_ddr_is_a_sample_of_a_rig_file_with_the_same_values(some: Simulation, 
 
 
 def test_the_uncertainties_of_a_ddr_are_the_standard_errors(some: Simulation, tmp_path: Path) -> None:
-    assert write_simulation(some, tmp_path / "a.ddr") == (tmp_path / "a.ddr", tmp_path / "a.u.ddr")
+    names = ("a.ddr", "a.u.ddr", "a.mask.ddr")
+    assert write_simulation(some, tmp_path / "a.ddr") == tuple(tmp_path / name for name in names)
     table, u = read_ddr(tmp_path / "a.ddr"), read_ddr(tmp_path / "a.u.ddr")
     known = some.known[0]
     assert np.all(u.values[0, 0, :-1][~known] == table.values[0, 0, :-1][~known])

@@ -69,7 +69,7 @@ def scattered_points(
         directions = arc_direction(points["theta_deg"], points["phi_deg"] - psi)
     else:
         directions = from_specular(sigma, points["theta_deg"], points["phi_deg"])
-    theta = _theta_list(to_specular(sigma, directions)[0], 90.0 + float(sigma.max()))
+    theta = theta_list(to_specular(sigma, directions)[0], 90.0 + float(sigma.max()))
     phi = np.arange(0.0, (180.0 if mirrored else 360.0) + 0.5 * STEP_DEG, STEP_DEG)
     sigmas, psis = np.unique(sigma), np.unique(psi)
     table = np.empty((psis.size, sigmas.size, phi.size, theta.size))
@@ -87,7 +87,7 @@ def scattered_points(
                 np.concatenate([value, value[off]]),
             )
         nodes = from_specular(sigmas[m], theta, phi[:, None])
-        resampled = _resample(_raise_to_horizon(nodes.reshape(-1, 3)), known, value, math.radians(2.0 * gap_deg))
+        resampled = plane_through_points(_raise_to_horizon(nodes.reshape(-1, 3)), known, value, math.radians(2.0 * gap_deg))
         distance = np.where(nodes[..., 2] > 0.0, np.degrees(resampled[:, 1]).reshape(nodes.shape[:-1]), 0.0)
         if distance.max() > gap_deg:
             j, k = np.unravel_index(int(np.argmax(distance)), distance.shape)
@@ -129,7 +129,7 @@ def _refuse_duplicates(indices: Ints, directions: Floats, place: str) -> None:
         raise ValueError(f"points {pair}, at {place}, have the same direction: give their mean once")
 
 
-def _theta_list(theta_deg: Floats, last_deg: float) -> Floats:
+def theta_list(theta_deg: Floats, last_deg: float) -> Floats:
     """Angles for the resampling: those of the points, or their quantiles, and enough between and beyond."""
     own = np.unique(np.round(theta_deg, 2))
     if own.size > THETA_LIST:
@@ -176,7 +176,7 @@ def _plane(x: Floats, y: Floats, values: Floats, count: int) -> float:
 
 
 @kernel()
-def _resample(nodes: Floats, points: Floats, values: Floats, reach: float) -> Floats:
+def plane_through_points(nodes: Floats, points: Floats, values: Floats, reach: float) -> Floats:
     """Value at each node (m, 3), and the angle in rad to the nearest of the points (n, 3)."""
     result = np.empty((nodes.shape[0], 2))
     best, x, y, v = np.empty(SECTORS), np.empty(SECTORS), np.empty(SECTORS), np.empty(SECTORS)

@@ -9,18 +9,23 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from goniotwin.app.campaign.reduction import export as export_module
 from goniotwin.app.campaign.reduction.components import interval, mostly_added
-from goniotwin.app.campaign.reduction.export import export, export_format, regrid
+from goniotwin.app.campaign.reduction.export import WIDEST_GAP_DEG, scattered_points
 from goniotwin.app.campaign.reduction.overlaps import overlaps
-from goniotwin.app.campaign.reduction.points import BsdfPoints, join_points
+from goniotwin.app.campaign.reduction.points import FLAGS, BsdfPoints, join_points
 from goniotwin.app.campaign.reduction.reduction import BsdfDataset
 from goniotwin.app.cli.main import app
+from goniotwin.app.data import conversion
+from goniotwin.app.data.conversion import format_to_write
 from goniotwin.app.errors import UserError
-from goniotwin.app.formats import read_ddr, read_points_csv, read_zemax
+from goniotwin.app.formats import read_ddr, read_points_csv, read_zemax, registry
+from goniotwin.app.formats.content import FILLED, UNTRUSTED
+from goniotwin.app.formats.gridding import grid_table
+from goniotwin.app.formats.specular_grid import SpecularCut
 from goniotwin.app.rig import read_rig
 from goniotwin.app.rig.samples import parse_sample
 from goniotwin.twin.optics import arc_direction, evaluate, from_specular, light_direction
+from tests.app.campaign.reduction.exporting import export
 from tests.app.campaign.reduction.made_points import made_points
 from tests.conftest import RIG, Writer
 
@@ -38,11 +43,20 @@ def smooth(zenith: np.ndarray, azimuth: np.ndarray) -> np.ndarray:
     return np.asarray(2.0 - np.cos(polar) - np.sin(polar) * np.cos(np.radians(azimuth)))
 
 
+def regrid(points: BsdfPoints) -> tuple[tuple[np.ndarray, np.ndarray], SpecularCut]:
+    """phi and theta of the table of points at one sigma, and the cut there."""
+    table = grid_table(scattered_points(points, "paper", generated=False), widest_gap_deg=WIDEST_GAP_DEG)
+    at = table.sigma_deg.tolist().index(points.sigma_deg[0])
+    assert table.u is not None
+    assert table.known is not None
+    return (table.phi_deg, table.theta_deg), SpecularCut(*(each[0, 0, at] for each in (table.values, table.u, table.known)))
+
+
 @settings(deadline=None)
 @given(st.floats(0.0, 80.0), st.integers(0, 36), st.floats(0.0, 80.0))
 def test_the_grid_reproduces_the_measured_bsdf(sigma: float, column: int, theta: float) -> None:
     points = points_of(sigma, np.arange(0.0, 90.1, 2.5)[:, None], np.arange(0.0, 180.1, 3.0)[None, :])
-    (_, phi_deg, theta_deg), (cut,) = regrid(points)
+    (phi_deg, theta_deg), cut = regrid(points)
     node = int(np.argmin(np.abs(theta_deg - theta)))
     direction = from_specular(sigma, theta_deg[node], phi_deg[column])
     zenith = math.degrees(math.acos(min(1.0, max(-1.0, float(direction[2])))))
@@ -55,7 +69,7 @@ def test_the_grid_reproduces_the_measured_bsdf(sigma: float, column: int, theta:
 
 
 def test_measurements_in_the_plane_of_incidence_give_two_columns() -> None:
-    (_, phi_deg, theta_deg), (cut,) = regrid(points_of(30.0, np.arange(0.0, 89.6, 0.5)[:, None], np.array([[0.0, 180.0]])))
+    (phi_deg, theta_deg), cut = regrid(points_of(30.0, np.arange(0.0, 89.6, 0.5)[:, None], np.array([[0.0, 180.0]])))
     assert phi_deg.tolist() == [0.0, 180.0]
     assert theta_deg[1] == 0.5
     assert cut.known[1].sum() == 120  # from the specular direction at 30 deg to 89.5 deg, in half degrees
@@ -64,7 +78,7 @@ def test_measurements_in_the_plane_of_incidence_give_two_columns() -> None:
 
 def test_there_is_no_interpolation_between_distant_azimuths() -> None:
     points = points_of(30.0, np.arange(0.0, 89.6, 0.5)[:, None], np.array([0.0, 90.0, 180.0])[None, :])
-    (_, phi_deg, theta_deg), (cut,) = regrid(points)
+    (phi_deg, theta_deg), cut = regrid(points)
     sideways = cut.known[phi_deg == 90.0][0]
     assert not sideways[theta_deg > 1.0][:50].any()
     assert cut.known[0, theta_deg <= 119.0].all()  # in the plane of incidence nothing changes
@@ -73,7 +87,7 @@ def test_there_is_no_interpolation_between_distant_azimuths() -> None:
 def test_blocked_nodes_are_not_marked_as_measured() -> None:
     zenith, azimuth = np.arange(0.0, 89.6, 0.5)[:, None], np.array([0.0, 180.0])[None, :]
     blocked = np.broadcast_to(zenith <= 3.5, (zenith.size, 2))
-    (_, _, theta_deg), (cut,) = regrid(points_of(0.0, zenith, azimuth, blocked))
+    (_, theta_deg), cut = regrid(points_of(0.0, zenith, azimuth, blocked))
     assert not cut.known[:, theta_deg <= 3.5].any()
     assert np.isfinite(cut.values).all()
     assert np.array_equal(cut.u[~cut.known], cut.values[~cut.known])  # nothing is known of them
@@ -84,7 +98,7 @@ def test_between_directions_noise_is_averaged_and_the_certificate_is_not() -> No
     points = points_of(30.0, np.arange(0.0, 89.6, 1.0)[:, None], np.arange(0.0, 180.1, 1.0)[None, :])
     for name, largest, smallest in (("noise", 0.011, 0.002), ("certificate", 0.0101, 0.0099)):
         each = replace(points, components={name: np.full(points.bsdf.size, 0.01**2)})
-        (_, phi_deg, _), (cut,) = regrid(each)
+        (phi_deg, _), cut = regrid(each)
         sideways = cut.u[phi_deg == 90.0][0, 5:30]  # no node of these is a measured direction
         assert np.all((sideways > smallest) & (sideways < largest)), name
         assert (sideways.min() < 0.008) == (name == "noise")
@@ -93,7 +107,7 @@ def test_between_directions_noise_is_averaged_and_the_certificate_is_not() -> No
 @pytest.mark.parametrize("name", ["certificate", "field", "calibration", "monitor", "gain", "signature", "dark", "further"])
 def test_interpolation_averages_no_error_that_neighbouring_directions_share(name: str) -> None:
     points = points_of(30.0, np.arange(0.0, 89.6, 1.0)[:, None], np.arange(0.0, 180.1, 1.0)[None, :])
-    (_, _, _), (cut,) = regrid(replace(points, components={name: (0.02 * points.bsdf) ** 2}))
+    _, cut = regrid(replace(points, components={name: (0.02 * points.bsdf) ** 2}))
     np.testing.assert_allclose(cut.u[cut.known], 0.02 * cut.values[cut.known], rtol=1e-9)
 
 
@@ -112,7 +126,7 @@ def reduced() -> BsdfDataset:
 
 
 def test_a_ddr_marks_simulated_data_and_continued_nodes(reduced: BsdfDataset, tmp_path: Path) -> None:
-    exported = export(reduced, None, tmp_path / "a.ddr", export_format("ddr"))
+    exported = export(reduced, None, tmp_path / "a.ddr", "ddr")
     table = read_ddr(tmp_path / "a.ddr")
     text = "\n".join(table.comments)
     assert "SIMULATED" in text
@@ -120,8 +134,8 @@ def test_a_ddr_marks_simulated_data_and_continued_nodes(reduced: BsdfDataset, tm
     assert table.sigma_deg.tolist() == [0.0, 30.0, 90.0]  # repeated at the ends, because readers extrapolate
     assert table.channels == (550.0,)
     assert exported.values == 120 + 240 - 15
-    assert exported.files == (tmp_path / "a.ddr", tmp_path / "a.u.ddr")
-    assert sorted(tmp_path.iterdir()) == [*exported.files]
+    assert exported.files == (tmp_path / "a.ddr", tmp_path / "a.u.ddr", tmp_path / "a.mask.ddr")
+    assert sorted(tmp_path.iterdir()) == sorted(exported.files)
     uncertainty = read_ddr(tmp_path / "a.u.ddr")
     assert "standard uncertainties of the values in a.ddr" in uncertainty.comments[0]
     node = int(np.searchsorted(table.theta_deg, 10.0))
@@ -133,10 +147,14 @@ def test_a_ddr_marks_simulated_data_and_continued_nodes(reduced: BsdfDataset, tm
     np.testing.assert_array_equal(uncertainty.values[0, 0, [0, 2]], table.values[0, 0, [0, 2]])
     blocked = slice(*np.searchsorted(table.theta_deg, [56.5, 63.6]))
     np.testing.assert_array_equal(uncertainty.values[0, 0, 1, 0, blocked], table.values[0, 0, 1, 0, blocked])
+    mask = registry.read(tmp_path / "a.mask.ddr").only_table().values
+    np.testing.assert_allclose(mask[0, 0, [0, 2]], 1.0, rtol=1e-8)
+    np.testing.assert_allclose(mask[0, 0, 1, 0, blocked], 1.0, rtol=1e-8)
+    assert mask[0, 0, 1, 1, node] == 0.0
 
 
 def test_a_csv_has_every_point(reduced: BsdfDataset, tmp_path: Path) -> None:
-    assert export(reduced, None, tmp_path / "a.csv", export_format("csv")).values == 360
+    assert export(reduced, None, tmp_path / "a.csv", "csv").values == 360
     points = read_points_csv(tmp_path / "a.csv")
     assert any("SIMULATED" in comment for comment in points.comments)
     assert len(points.columns["bsdf_per_sr"]) == 360
@@ -145,7 +163,7 @@ def test_a_csv_has_every_point(reduced: BsdfDataset, tmp_path: Path) -> None:
 
 def test_a_csv_states_the_rule_of_the_intervals(reduced: BsdfDataset, tmp_path: Path) -> None:
     """By it a reader gets those of `interval`."""
-    export(reduced, None, tmp_path / "a.csv", export_format("csv"))
+    export(reduced, None, tmp_path / "a.csv", "csv")
     (rule,) = (each for each in read_points_csv(tmp_path / "a.csv").comments if "interval" in each)
     threshold = float(rule.partition("above ")[2].partition(" %")[0]) / 100.0
     added = rule.partition("all components but ")[2].partition(")")[0].split(", ")
@@ -161,7 +179,7 @@ def test_a_csv_has_the_fields_component_and_a_flag_where_it_is_unknown(reduced: 
     known = points.zenith_deg > 20.0
     partly_known = replace(points, components={**points.components, "field": np.full(360, 0.002**2)})
     partly_known = partly_known.flagged({"field": ~known & points.good})
-    export(replace(reduced, samples={name: partly_known}), None, tmp_path / "a.csv", export_format("csv"))
+    export(replace(reduced, samples={name: partly_known}), None, tmp_path / "a.csv", "csv")
     table = read_points_csv(tmp_path / "a.csv")
     assert np.array_equal(table.columns["u_field_per_sr"], partly_known.u_field, equal_nan=True)
     flagged = np.array(["field" in flags.split() for flags in table.columns["flags"]])
@@ -172,7 +190,7 @@ def test_a_csv_has_the_fields_component_and_a_flag_where_it_is_unknown(reduced: 
 def test_the_uncertainty_is_never_zero_where_nothing_was_measured(reduced: BsdfDataset, tmp_path: Path) -> None:
     ((name, points),) = reduced.samples.items()
     dark = replace(points, bsdf=np.where(points.zenith_deg > 20.0, 0.0, points.bsdf))  # also around the blocked directions
-    export(replace(reduced, samples={name: dark}), None, tmp_path / "a.ddr", export_format("ddr"))
+    export(replace(reduced, samples={name: dark}), None, tmp_path / "a.ddr", "ddr")
     table, uncertainty = read_ddr(tmp_path / "a.ddr"), read_ddr(tmp_path / "a.u.ddr")
     blocked = slice(*np.searchsorted(table.theta_deg, [56.5, 63.6]))
     for at in (0, 1, 2):  # repeated at sigma 0 and 90, continued at sigma 30
@@ -184,35 +202,57 @@ def test_the_uncertainty_is_never_zero_where_nothing_was_measured(reduced: BsdfD
 def test_an_unknown_sample_is_refused_by_name(reduced: BsdfDataset, tmp_path: Path) -> None:
     for name in ("csv", "ddr"):
         with pytest.raises(UserError, match="no measured sample 'satin'"):
-            export(reduced, "satin", tmp_path / "a", export_format(name))
+            export(reduced, "satin", tmp_path / "a", name)
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("name", ["ies", "rayset"])
-def test_an_unknown_format_is_refused_with_those_that_hold_a_bsdf(name: str) -> None:
-    with pytest.raises(UserError, match=f"format '{name}': there is no such format .*; give ddr, ddt, zemax or csv$"):
-        export_format(name)
+def test_an_unknown_format_is_refused_with_those_that_hold_a_bsdf(name: str, tmp_path: Path) -> None:
+    with pytest.raises(UserError, match=f"format '{name}': there is no such format .*; give ddr, ddt, zemax"):
+        format_to_write(tmp_path / "a.ddr", name)
+
+
+def test_a_bsdf_file_is_of_zemax_unless_a_format_is_named(tmp_path: Path) -> None:
+    assert format_to_write(tmp_path / "a.bsdf").name == "zemax"
+    assert format_to_write(tmp_path / "a.bsdf", "csv").name == "csv"
+
+
+def test_the_flags_of_values_that_are_not_to_be_trusted_are_those_of_the_reduction() -> None:
+    assert {name for name, flag in FLAGS.items() if flag.untrusted} | {FILLED, "hidden", "no-hits"} == UNTRUSTED
 
 
 def test_what_a_format_does_not_hold_is_refused_with_the_formats_that_do(reduced: BsdfDataset, tmp_path: Path) -> None:
     ((name, points),) = reduced.samples.items()
     colours = join_points([points, replace(points, places=points.places + np.array([100.0, 0.0, 0.0, 0.0, 0.0]))])
     with pytest.raises(UserError, match=r"a zemax file does not hold several wavelengths; use ddr \(.ddr\) or csv \(.csv\)$"):
-        export(replace(reduced, samples={name: colours}), None, tmp_path / "a.bsdf", export_format("zemax"))
+        export(replace(reduced, samples={name: colours}), None, tmp_path / "a.bsdf", "zemax")
     through = replace(points, transmitted=~points.transmitted, zenith_deg=180.0 - points.zenith_deg)
     with pytest.raises(UserError, match=r"a ddr file does not hold transmitted light; use ddt \(.ddt\), zemax"):
-        export(replace(reduced, samples={name: through}), None, tmp_path / "a.ddr", export_format("ddr"))
+        export(replace(reduced, samples={name: through}), None, tmp_path / "a.ddr", "ddr")
     turned = join_points([points, replace(points, places=points.places + np.array([0.0, 90.0, 0.0, 0.0, 0.0]))])
-    with pytest.raises(UserError, match=r"several gamma, .*; use csv \(.csv\)$"):
-        export(replace(reduced, samples={name: turned}), None, tmp_path / "a.ddr", export_format("ddr"))
+    with pytest.raises(UserError, match=r"zemax file does not hold several azimuths of the light \(psi\); use ddr \(.ddr\)"):
+        export(replace(reduced, samples={name: turned}), None, tmp_path / "a.bsdf", "zemax")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_sample_measured_at_several_gamma_is_a_table_of_four_dimensions(reduced: BsdfDataset, tmp_path: Path) -> None:
+    """The light's azimuth in the sample's frame is minus gamma: a quarter turn of the sample is psi 270."""
+    ((name, points),) = reduced.samples.items()
+    turned = replace(points, places=points.places + np.array([0.0, 90.0, 0.0, 0.0, 0.0]), bsdf=0.5 * points.bsdf)
+    both = replace(reduced, samples={name: join_points([points, turned])})
+    export(both, None, tmp_path / "a.ddr", "ddr")
+    export(reduced, None, tmp_path / "b.ddr", "ddr")
+    found, one = read_ddr(tmp_path / "a.ddr"), read_ddr(tmp_path / "b.ddr")
+    assert found.psi_deg.tolist() == [0.0, 270.0]
+    np.testing.assert_allclose(found.values[:, 0], one.values[:, 0], rtol=1e-8)
+    np.testing.assert_allclose(found.values[:, 1], 0.5 * one.values[:, 0], rtol=1e-8)
 
 
 def test_transmitted_light_is_a_table_about_the_straight_direction(reduced: BsdfDataset, tmp_path: Path) -> None:
     ((name, points),) = reduced.samples.items()
     through = replace(points, transmitted=~points.transmitted, zenith_deg=180.0 - points.zenith_deg)
-    export(reduced, name, tmp_path / "a.ddr", export_format("ddr"))
-    export(replace(reduced, samples={name: through}), name, tmp_path / "a.ddt", export_format("ddt"))
+    export(reduced, name, tmp_path / "a.ddr", "ddr")
+    export(replace(reduced, samples={name: through}), name, tmp_path / "a.ddt", "ddt")
     np.testing.assert_array_equal(read_ddr(tmp_path / "a.ddt").values, read_ddr(tmp_path / "a.ddr").values)
 
 
@@ -220,8 +260,8 @@ def test_light_is_chosen_where_a_format_holds_either(reduced: BsdfDataset, tmp_p
     ((name, points),) = reduced.samples.items()
     through = replace(points, transmitted=~points.transmitted, zenith_deg=180.0 - points.zenith_deg, bsdf=0.5 * points.bsdf)
     both = replace(reduced, samples={name: join_points([points, through])})
-    path, form = tmp_path / "a.bsdf", export_format("zemax")
-    with pytest.raises(UserError, match=r"has reflected and transmitted light, .*; choose it with --light"):
+    path, form = tmp_path / "a.bsdf", "zemax"
+    with pytest.raises(UserError, match=r"there is reflected and transmitted light, .*; choose it with --light"):
         export(both, None, path, form)
     assert list(tmp_path.iterdir()) == []
     export(both, None, path, form, "reflected")
@@ -230,10 +270,10 @@ def test_light_is_chosen_where_a_format_holds_either(reduced: BsdfDataset, tmp_p
     btdf = read_zemax(path)
     assert (brdf.scatter_type, btdf.scatter_type) == ("BRDF", "BTDF")
     np.testing.assert_allclose(btdf.values, 0.5 * brdf.values, rtol=1e-8)
-    assert export(both, None, tmp_path / "a.csv", export_format("csv"), "transmitted").values == 360
+    assert export(both, None, tmp_path / "a.csv", "csv", "transmitted").values == 360
     assert set(read_points_csv(tmp_path / "a.csv").columns["light"].tolist()) == {"transmitted"}
     with pytest.raises(UserError, match=r"a ddr file does not hold transmitted light; use ddt"):
-        export(both, None, tmp_path / "a.ddr", export_format("ddr"), "transmitted")
+        export(both, None, tmp_path / "a.ddr", "ddr", "transmitted")
     with pytest.raises(UserError, match=r"no transmitted light of any sample has been measured; leave --light out"):
         export(reduced, None, path, form, "transmitted")
 
@@ -244,12 +284,12 @@ def test_what_a_format_does_not_hold_is_refused_before_anything_is_resampled(
     ((name, points),) = reduced.samples.items()
     colours = join_points([points, replace(points, places=points.places + np.array([100.0, 0.0, 0.0, 0.0, 0.0]))])
 
-    def resampled(_: BsdfPoints) -> None:
+    def resampled(*_: object, **__: object) -> None:
         raise AssertionError("the table was made before it was refused")
 
-    monkeypatch.setattr(export_module, "regrid", resampled)
+    monkeypatch.setattr(conversion, "grid_table", resampled)
     with pytest.raises(UserError, match="a zemax file does not hold several wavelengths"):
-        export(replace(reduced, samples={name: colours}), None, tmp_path / "a.bsdf", export_format("zemax"))
+        export(replace(reduced, samples={name: colours}), None, tmp_path / "a.bsdf", "zemax")
 
 
 def test_a_file_that_cannot_be_written_is_refused_before_the_reduction(tmp_path: Path) -> None:
@@ -266,7 +306,7 @@ def test_an_exported_table_is_a_sample_also_where_noise_is_below_zero(
 ) -> None:
     ((name, points),) = reduced.samples.items()
     noise = replace(points, bsdf=np.where(points.zenith_deg > 80.0, -0.001, points.bsdf))
-    export(replace(reduced, samples={name: noise}), None, tmp_path / "a.ddr", export_format("ddr"))
+    export(replace(reduced, samples={name: noise}), None, tmp_path / "a.ddr", "ddr")
     assert read_ddr(tmp_path / "a.ddr").values.min() < 0.0
     text = '[twin.samples.paper]\nmodel = "table"\nfile = "a.ddr"\n\n[twin.samples.etalon]'
     model = read_rig(write_rig(("[twin.samples.etalon]", text))).model()
@@ -275,7 +315,7 @@ def test_an_exported_table_is_a_sample_also_where_noise_is_below_zero(
     found = evaluate(model.samples["paper"], light_direction(30.0), observers, 550.0)
     np.testing.assert_allclose(found, [float(smooth(np.array(40.0), np.array(180.0))), 0.0], rtol=1e-7)
     far_below = replace(points, bsdf=np.where(points.zenith_deg > 80.0, -0.5, points.bsdf))
-    export(replace(reduced, samples={name: far_below}), None, tmp_path / "a.ddr", export_format("ddr"))
+    export(replace(reduced, samples={name: far_below}), None, tmp_path / "a.ddr", "ddr")
     with pytest.raises(UserError, match=r"twin.samples.paper: .*a\.ddr: at 550 nm: values has -0.5.* at sigma 0"):
         read_rig(write_rig(("[twin.samples.etalon]", text))).model()
 
@@ -285,7 +325,7 @@ def test_a_journal_is_not_overwritten(reduced: BsdfDataset, tmp_path: Path) -> N
     journal.write_bytes(b"SQLite format 3\0 and more")
     for path in (journal, tmp_path / "a.ddr"):
         with pytest.raises(UserError, match=r"a\.u\.ddr: is a data file \(journal\) .*, and is not overwritten; choose"):
-            export(reduced, None, path, export_format("ddr"))
+            export(reduced, None, path, "ddr")
     assert journal.read_bytes() == b"SQLite format 3\0 and more"
     assert not (tmp_path / "a.ddr").exists()
 
@@ -306,19 +346,19 @@ def test_a_refused_export_leaves_every_file_as_it_was(reduced: BsdfDataset, tmp_
         (tmp_path / "b.ddr", r"b\.ddr: the uncertainties go to .*b\.u\.ddr, and another file is there; choose another name"),
     ):  # fmt: skip
         with pytest.raises(UserError, match=wrong):
-            export(reduced, None, path, export_format("ddr"))
+            export(reduced, None, path, "ddr")
         assert sorted(tmp_path.iterdir()) == before
     assert (beside.read_text(encoding="utf-8"), latest.read_bytes()) == ("notes of the user", b"rows")
     for _ in range(2):  # what an export wrote is replaced by the next one
-        assert export(reduced, None, tmp_path / "c.ddr", export_format("ddr")).files[1] == tmp_path / "c.u.ddr"
+        assert export(reduced, None, tmp_path / "c.ddr", "ddr").files[1] == tmp_path / "c.u.ddr"
 
 
 @pytest.mark.parametrize("name", ["ddr", pytest.param("zemax", marks=pytest.mark.long)])
 def test_a_file_of_uncertainties_is_no_sample(name: str, reduced: BsdfDataset, tmp_path: Path) -> None:
-    form = export_format(name)
     dark = {key: replace(points, bsdf=0.1 * points.bsdf) for key, points in reduced.samples.items()}
-    path = tmp_path / f"paint, red{form.suffixes[0]}"
-    table, uncertainty = export(replace(reduced, samples=dark), None, path, form).files
+    path = tmp_path / f"paint, red.{name}"
+    table, uncertainty, mask = export(replace(reduced, samples=dark), None, path, name).files
     parse_sample(f"table:{table}")
-    with pytest.raises(UserError, match=r"it has the uncertainties of paint, red\.\w+, not values; give the table itself"):
-        parse_sample(f"table:{uncertainty}")
+    for beside, what in ((uncertainty, "uncertainties"), (mask, "mask")):
+        with pytest.raises(UserError, match=rf"it has the {what} of paint, red\.\w+, not values; give the table itself"):
+            parse_sample(f"table:{beside}")

@@ -10,7 +10,6 @@ import pytest
 from goniotwin.app.campaign.campaign import run_campaign
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import make_plan
-from goniotwin.app.campaign.reduction.export import export, export_format
 from goniotwin.app.campaign.reduction.overlaps import CalibrationFactors, OverlapPairs, fit_factors, overlaps
 from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.reduction.reduction import BsdfDataset, check_journal, reduce_journal
@@ -20,6 +19,7 @@ from goniotwin.app.formats import read_points_csv
 from goniotwin.app.rig import OpenRig, read_rig
 from tests.app.campaign.campaign_bench import remove_checksums, run_plan
 from tests.app.campaign.reduction import grey_campaign
+from tests.app.campaign.reduction.exporting import export
 from tests.app.campaign.reduction.test_export import points_of
 from tests.conftest import SMALL, Writer
 
@@ -101,7 +101,7 @@ def test_calibration_corrects_a_faded_photodiode_within_its_uncertainty(
     assert checks is not None
     assert any("values have been multiplied by 0.99" in line for line in checks.lines)
     assert checks.as_dict()["overlaps"]["grey"]["calibration"]["significant"] == [FADED]
-    export(after, None, tmp_path / "a.csv", export_format("csv"))
+    export(after, None, tmp_path / "a.csv", "csv")
     assert any("have been multiplied by" in each for each in read_points_csv(tmp_path / "a.csv").comments)
 
 

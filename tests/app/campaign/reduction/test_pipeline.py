@@ -11,7 +11,6 @@ from goniotwin.app.campaign.reduction import pipeline
 from goniotwin.app.campaign.reduction.components import Signal
 from goniotwin.app.campaign.reduction.drift_checks import compare_signals
 from goniotwin.app.campaign.reduction.etalon import ArcRows, ReductionSettings
-from goniotwin.app.campaign.reduction.export import export, export_format
 from goniotwin.app.campaign.rehearsal.forecast import forecast
 from goniotwin.app.campaign.running.events import Event, RowCommitted, RowStarted
 from goniotwin.app.campaign.schedule.file import parse_schedule
@@ -19,6 +18,7 @@ from goniotwin.app.desktop.model.live_scan import LiveScan
 from goniotwin.app.formats import read_points_csv
 from goniotwin.app.rig import read_rig
 from tests.app.campaign.campaign_bench import run_plan
+from tests.app.campaign.reduction.exporting import export
 from tests.app.campaign.reduction.grey_campaign import GLASS, reduced
 from tests.conftest import RIG, SMALL, Change, Writer, changed
 
@@ -102,7 +102,7 @@ def test_a_contribution_of_one_function_and_one_line_is_in_everything_that_has_u
     assert points.u_bsdf[good] == pytest.approx(expected[good], rel=1e-6)
     assert (points.u_bsdf > 1.5 * before.u_bsdf)[good].any()
 
-    export(dataset, None, tmp_path / "a.csv", export_format("csv"))
+    export(dataset, None, tmp_path / "a.csv", "csv")
     assert read_points_csv(tmp_path / "a.csv").columns["u_bsdf_per_sr"] == pytest.approx(points.u_bsdf, rel=1e-8, nan_ok=True)
     assert forecast(path).spread["gaussian-5"]["p50"] > spread_before["gaussian-5"]["p50"]
 

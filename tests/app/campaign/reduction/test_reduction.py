@@ -14,7 +14,6 @@ from goniotwin.app.campaign.geometry.arcs import arc_views
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.reduction.comparison import compare, cut_figure, theoretical_bsdf
-from goniotwin.app.campaign.reduction.export import export, export_format
 from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.reduction.reduction import BsdfDataset, reduce_journal
 from goniotwin.app.campaign.running.events import Event, RowCommitted, State
@@ -24,6 +23,7 @@ from goniotwin.app.rig import OpenRig, read_rig
 from goniotwin.app.rig.uncertainty import UncertaintyTable
 from goniotwin.twin.optics import from_specular
 from tests.app.campaign.campaign_bench import QUIET, run_plan
+from tests.app.campaign.reduction.exporting import export
 from tests.app.campaign.reduction.grey_campaign import GLASS, grey_plan, reduced
 from tests.conftest import RIG, SCHEDULE, SMALL, Writer
 
@@ -275,7 +275,7 @@ def test_reflection_and_transmission_of_both_sides_are_right(write_rig: Writer, 
             assert here.bsdf.size > 25
             assert np.abs((here.bsdf - share / np.pi) / here.u_bsdf).max() < 3.0, (back, transmitted)
     assert any("transmitted light is scaled" in note for note in dataset.notes)
-    export(dataset, "glass", tmp_path / "a.csv", export_format("csv"))
+    export(dataset, "glass", tmp_path / "a.csv", "csv")
     text = (tmp_path / "a.csv").read_text()
     assert "back" in text
     assert "transmitted" in text

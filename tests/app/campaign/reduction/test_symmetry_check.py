@@ -12,7 +12,6 @@ from typer.testing import CliRunner
 from goniotwin.app.campaign.campaign import run_campaign
 from goniotwin.app.campaign.journal.writing import Journal, copy_journal
 from goniotwin.app.campaign.planning.plan import make_plan
-from goniotwin.app.campaign.reduction.export import export, export_format
 from goniotwin.app.campaign.reduction.points import steepness
 from goniotwin.app.campaign.reduction.reduction import BsdfDataset, reduce_journal
 from goniotwin.app.campaign.reduction.symmetry import SymmetryResult
@@ -24,6 +23,7 @@ from goniotwin.app.formats import read_ddr, read_points_csv
 from goniotwin.app.rig import RigDescription, read_rig
 from goniotwin.twin.optics import Scatterer, table_sample
 from tests.app.campaign.campaign_bench import remove_checksums
+from tests.app.campaign.reduction.exporting import export
 from tests.app.campaign.reduction.test_export import points_of
 from tests.conftest import RIG, SMALL, Change, Writer, changed
 
@@ -158,9 +158,9 @@ def test_the_exported_table_has_no_mirrored_rows_and_the_csv_marks_them(
     checked: tuple[Path, BsdfDataset], tmp_path: Path
 ) -> None:
     found = checked[1]
-    export(found, None, tmp_path / "a.ddr", export_format("ddr"))  # a .ddr file has one gamma
+    export(found, None, tmp_path / "a.ddr", "ddr")  # a .ddr file has one gamma
     assert any("symmetry: the stated symmetry (isotropic) holds" in each for each in read_ddr(tmp_path / "a.ddr").comments)
-    export(found, None, tmp_path / "a.csv", export_format("csv"))
+    export(found, None, tmp_path / "a.csv", "csv")
     table = read_points_csv(tmp_path / "a.csv")
     mirrored = table.columns["check"] == "mirrored"
     assert int(mirrored.sum()) == 4 * 18

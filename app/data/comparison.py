@@ -1,0 +1,440 @@
+"""Comparison of two datasets, light by light: relative RMS (paper, formula 5), deviations in their uncertainty, chi-square.
+
+    RMS = sqrt(mean over i of ((A_i - B_i) / (0.5 (A_i + B_i)))^2)
+
+The directions i are those of A; where B has no value in one of them it is interpolated (interpolation.py). A direction that A
+has several times counts once, with the mean. The range of i is part of the result: the paper does not state its own. z is the
+deviation over its combined standard uncertainty, with the covariance of the two values if both are of one journal. Of a value
+of a journal whose u is above 15 % and mostly of shares of the value, the deviation is that of the logarithm (`INTERVAL_RULE`).
+Chi-square has the covariance of all values of a light: a common error of the scale, which moves all z together, counts once.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from goniotwin.app.campaign.geometry.directions import in_plane_of_incidence
+from goniotwin.app.campaign.reduction.comparison import noisy, true_bsdf
+from goniotwin.app.campaign.reduction.components import logarithmic
+from goniotwin.app.campaign.reduction.effects_of_points import effects_of
+from goniotwin.app.campaign.reduction.points import join_points
+from goniotwin.app.campaign.uncertainty.effects import Effects
+from goniotwin.app.data.dataset import Dataset
+from goniotwin.app.data.interpolation import interpolated
+from goniotwin.app.data.opening import open_dataset
+from goniotwin.app.data.values import EQUAL, LightSetting, SampleData, light_settings
+from goniotwin.app.errors import UserError
+from goniotwin.app.formats.file import StrPath
+from goniotwin.app.rig.samples import parse_sample
+from goniotwin.app.simulation.paper.gaussian_cut import HIGHEST_ZENITH_DEG, relative_rms_percent
+from goniotwin.arrays import Flags, Floats, Ints
+from goniotwin.twin.optics import Scatterer, arc_direction, evaluate, light_direction
+from goniotwin.twin.optics.geometry.coordinates import (
+    DECIMALS,
+    TOLERANCE_DEG,
+    TURN_DEG,
+    mirror_in_sample_plane,
+    round_deg,
+    turn_about_x,
+)
+
+LEAST_SHARE = 0.01
+"""Share of the largest value below which formula 5 does not count a direction, unless another one is asked for."""
+MOST_OF_CHI_SQUARE = 500
+"""Directions of one light of which chi-square is computed; of more every second, third and so on."""
+LEAST_EIGENVALUE = 1e-10
+
+
+@dataclass(frozen=True)
+class Range:
+    """The directions of formula 5: theta and the polar angle of observation to so many degrees, in the plane of incidence
+    alone or not, and the mean of both values not less than a share of the largest one in this light.
+    """
+
+    theta_deg: float = 180.0
+    polar_deg: float = HIGHEST_ZENITH_DEG
+    least_share: float = LEAST_SHARE
+    in_plane: bool = False
+
+    def __str__(self) -> str:
+        parts = ["in the plane of incidence"] if self.in_plane else []
+        parts += [f"theta to {self.theta_deg:g} deg"] if self.theta_deg < 180.0 else []
+        parts += [f"polar angle to {self.polar_deg:g} deg"]
+        parts += [f"values from {100.0 * self.least_share:g} % of the largest"] if self.least_share else []
+        return ", ".join(parts)
+
+
+@dataclass(frozen=True, eq=False)
+class LightComparison:
+    """Two BSDFs at the directions (n,) of one light: `first` and `second` in 1/sr with their standard uncertainties.
+
+    `z` is their difference, first less second, in its standard uncertainty; NaN where none is known. `index` are the values of
+    the first dataset. `in_range` are the directions of formula 5, and `count` their number, each direction once;
+    `relative_rms_percent` is formula 5, NaN without any. `chi_square` is of `degrees` directions; NaN where the covariance is
+    not known.
+    """
+
+    light: LightSetting
+    index: Ints
+    theta_deg: Floats
+    phi_deg: Floats
+    polar_deg: Floats
+    azimuth_deg: Floats
+    first: Floats
+    u_first: Floats
+    second: Floats
+    u_second: Floats
+    z: Floats
+    in_range: Flags
+    relative_rms_percent: float
+    count: int
+    chi_square: float
+    degrees: int
+
+    @property
+    def share_within_2(self) -> float:
+        """Share of the directions in range with |z| of 2 or less; NaN where no z is known."""
+        known = self.in_range & np.isfinite(self.z)
+        return float(np.mean(np.abs(self.z[known]) <= 2.0)) if known.any() else math.nan
+
+    @property
+    def largest_z(self) -> float:
+        """The largest |z| in range; NaN where none is known."""
+        known = self.in_range & np.isfinite(self.z)
+        return float(np.abs(self.z[known]).max()) if known.any() else math.nan
+
+    def as_dict(self) -> dict[str, Any]:
+        """The figures for JSON; None for those that are not known."""
+        light = self.light
+        numbers = {
+            "relative_rms_percent": self.relative_rms_percent, "largest_abs_z": self.largest_z,
+            "share_within_2_u": self.share_within_2, "chi_square": self.chi_square,
+        }  # fmt: skip
+        return {
+            "wavelength_nm": None if math.isnan(light.wavelength_nm) else light.wavelength_nm, "channel": light.channel,
+            "sigma_deg": light.sigma_deg, "psi_deg": light.psi_deg, "transmitted": light.transmitted, "back": light.back,
+            "directions": self.count, "compared": int(np.isfinite(self.second).sum()),
+            **{name: each if math.isfinite(each) else None for name, each in numbers.items()},
+            "degrees_of_freedom": self.degrees,
+        }  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class DatasetComparison:
+    """The comparison of two datasets, light by light. `notes` are what it assumes and what it leaves out."""
+
+    first: Dataset
+    second: Dataset
+    range: Range
+    lights: tuple[LightComparison, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def relative_rms_percent(self) -> float:
+        """Formula 5 over the directions of all lights together."""
+        squares = [each.count * each.relative_rms_percent**2 for each in self.lights if each.count]
+        count = sum(each.count for each in self.lights)
+        return math.sqrt(math.fsum(squares) / count) if count else math.nan
+
+    @property
+    def simulated(self) -> bool:
+        """Whether any of the two is simulated."""
+        return self.first.simulated or self.second.simulated
+
+    def as_dict(self) -> dict[str, Any]:
+        """The comparison for JSON."""
+        total = self.relative_rms_percent
+        return {
+            "first": {"name": self.first.name, "sample": self.first.sample, "simulated": self.first.simulated},
+            "second": {"name": self.second.name, "sample": self.second.sample, "simulated": self.second.simulated},
+            "formula_5": {"percent": total if math.isfinite(total) else None, "range_of_i": str(self.range)},
+            "lights": [each.as_dict() for each in self.lights],
+            "notes": list(self.notes),
+        }
+
+    def __str__(self) -> str:
+        lines = [f"relative RMS (formula 5) {self.relative_rms_percent:.3g} %: {self.range}"]
+        lines += [
+            f"{each.light}: {each.relative_rms_percent:.3g} % over {each.count} directions, largest |z| {each.largest_z:.3g}, "
+            f"chi-square {each.chi_square:.4g} of {each.degrees}"
+            for each in self.lights
+        ]
+        return "\n".join([*lines, *self.notes])
+
+
+def compare(
+    first: Dataset | StrPath, second: Dataset | StrPath, *, theta_deg: float = 180.0, polar_deg: float = HIGHEST_ZENITH_DEG,
+    least_share: float = LEAST_SHARE, in_plane: bool = False,
+) -> DatasetComparison:  # fmt: skip
+    """Compare two datasets, or files, of one sample each: formula 5, z, chi-square; at the directions of the first.
+
+    `theta_deg`, `polar_deg`, `least_share` and `in_plane` are the range of formula 5, see `Range`; the paper's figure 13 is
+    theta to twice the width of the lobe, in the plane of incidence. Raises GoniotwinError for what cannot be opened, for
+    several samples, and where the two have no light or no direction in common.
+    """
+    a, b = (each if isinstance(each, Dataset) else open_dataset(each) for each in (first, second))
+    limits = _range(theta_deg, polar_deg, least_share, in_plane)
+    one, other = a.only, b.only
+    found, left_out = [], []
+    grey = _one_channel(one) and _one_channel(other)
+    for light in light_settings(one):
+        matching = _matching(light, other, grey=grey)
+        if matching and (result := _compare_light(one, light, other, matching, limits)) is not None:
+            found.append(result)
+        else:
+            left_out.append(str(light))
+    if not found:
+        has = f"the first has {'; '.join(left_out[:4])}"
+        raise UserError(f"{a.name} and {b.name} have no light and direction in common: {has}; or give them in the other order")
+    notes = [
+        *_notes(one, other),
+        *([f"left out, because the second has no values there: {'; '.join(left_out)}"] if left_out else []),
+    ]
+    return DatasetComparison(a, b, limits, tuple(found), tuple(notes))
+
+
+def theory(dataset: Dataset | StrPath, sample: str | None = None) -> Dataset:
+    """The known BSDF of a model at the directions of a dataset, exact: u is 0.
+
+    `sample` is a model as in `goniotwin simulate --sample`; without it, it is that of the virtual rig with which the journal
+    was measured. Raises GoniotwinError for a dataset of a real rig or of a file, and for a text that is no model.
+    """
+    like = dataset if isinstance(dataset, Dataset) else open_dataset(dataset)
+    data = like.only
+    if sample is not None:
+        if not isinstance(sample, str):
+            raise UserError(f"sample: {sample!r} is not a text; give a model such as 'gaussian:width_deg=5'")
+        truth = _model_values(parse_sample(sample), data)
+        name = sample
+    else:
+        model = None if like.reduced is None else like.reduced.rig.model()
+        if model is None or data.measured is None or like.sample not in model.samples:
+            raise UserError(
+                f"{like.name}: its sample is not one of a virtual rig; give the model, theory(d, 'gaussian:width_deg=5')"
+            )
+        truth = true_bsdf(model.samples[like.sample], data.measured.points)
+        name = f"{like.sample} of the virtual rig"
+    values = replace(
+        data.values, values=truth, u=np.zeros(truth.size), u_shared=np.zeros(truth.size), flags=np.full(truth.size, ""),
+        generated=True,
+    )  # fmt: skip
+    made = replace(data, values=values, regular=(), measured=None)
+    return Dataset(f"theory: {name}", "theory", {like.sample: made}, ("a model's BSDF, without an instrument",))
+
+
+def _model_values(scatterer: Scatterer, data: SampleData) -> Floats:
+    """The BSDF (n,) of a model at the values' lights and directions."""
+    values = data.values
+    result = np.empty(values.size)
+    for light in light_settings(data):
+        index = light.index
+        nm = None if math.isnan(light.wavelength_nm) else light.wavelength_nm
+        directions = arc_direction(values.polar_deg[index], values.azimuth_deg[index] - light.psi_deg)
+        lamp = light_direction(light.sigma_deg)
+        if light.transmitted:
+            directions = mirror_in_sample_plane(directions)
+        if light.back:  # the frame of the values is that of the sample turned about x
+            directions, lamp = turn_about_x(directions), turn_about_x(lamp)
+        gamma = light.psi_deg if light.back else -light.psi_deg
+        result[index] = evaluate(scatterer, np.broadcast_to(lamp, directions.shape), directions, nm, gamma)
+    return result
+
+
+def _range(theta_deg: object, polar_deg: object, least_share: object, in_plane: object) -> Range:
+    for name, value, most in (
+        ("theta_deg", theta_deg, 180.0),
+        ("polar_deg", polar_deg, 90.0),
+        ("least_share", least_share, 1.0),
+    ):
+        if isinstance(value, bool) or not isinstance(value, int | float | np.number) or not 0.0 <= float(value) <= most:
+            raise UserError(f"{name}: {value!r}: give a number from 0 to {most:g}")
+    if not isinstance(in_plane, bool):
+        raise UserError(f"in_plane: {in_plane!r}: give True or False")
+    return Range(float(theta_deg), float(polar_deg), float(least_share), in_plane)  # type: ignore[arg-type]
+
+
+def _one_channel(data: SampleData) -> bool:
+    return len({(each.channel, str(each.wavelength_nm)) for each in light_settings(data)}) == 1
+
+
+def _matching(light: LightSetting, other: SampleData, *, grey: bool) -> list[tuple[LightSetting, float]]:
+    """The lights of the other dataset that are this one, or the two incidences around it, with weights; none if it has none.
+
+    `grey`: both have one channel, which are the same if one of them has no wavelength.
+    """
+    lights = [each for each in light_settings(other) if (each.transmitted, each.back) == (light.transmitted, light.back)]
+    if not (grey and any(math.isnan(each.wavelength_nm) for each in [light, *lights])):
+        lights = [each for each in lights if each.channel == light.channel and _equal(each.wavelength_nm, light.wavelength_nm)]
+    psis = {each.psi_deg for each in lights}
+    if len(psis) > 1 or not other.values.isotropic:
+        lights = [each for each in lights if abs(each.psi_deg - light.psi_deg) <= EQUAL]
+    lights.sort(key=lambda each: each.sigma_deg)
+    if exact := [each for each in lights if abs(each.sigma_deg - light.sigma_deg) <= EQUAL]:
+        return [(exact[0], 1.0)]
+    below = [each for each in lights if each.sigma_deg < light.sigma_deg]
+    above = [each for each in lights if each.sigma_deg > light.sigma_deg]
+    if not below or not above:
+        return []
+    share = (light.sigma_deg - below[-1].sigma_deg) / (above[0].sigma_deg - below[-1].sigma_deg)
+    return [(below[-1], 1.0 - share), (above[0], share)]
+
+
+def _equal(one: float, other: float) -> bool:
+    return abs(one - other) <= EQUAL or (math.isnan(one) and math.isnan(other))
+
+
+def _compare_light(
+    one: SampleData, light: LightSetting, other: SampleData, matching: list[tuple[LightSetting, float]], limits: Range
+) -> LightComparison | None:
+    """The comparison in one light; None where no direction has two values."""
+    index = light.index[one.good[light.index]]
+    theta, phi = one.theta_deg[index], one.phi_deg[index]
+    there = _direct(other, matching, theta, phi)
+    second, u_second = other.values.values[there], np.asarray(other.values.u)[there]
+    if (absent := there < 0).any():
+        second[absent], u_second[absent] = interpolated(matching, other, theta[absent], phi[absent])
+    known = np.isfinite(second)
+    index, theta, phi, there = (each[known] for each in (index, theta, phi, there))
+    second, u_second = second[known], u_second[known]
+    if not index.size:
+        return None
+    values = one.values
+    first, u_first = values.values[index], np.asarray(values.u)[index]
+    polar, azimuth = values.polar_deg[index], values.azimuth_deg[index]
+    chosen = (theta <= limits.theta_deg + TOLERANCE_DEG) & (polar <= limits.polar_deg + TOLERANCE_DEG)
+    if limits.in_plane:
+        chosen &= in_plane_of_incidence(polar, azimuth - light.psi_deg)
+    mean = 0.5 * (first + second)
+    chosen &= (mean >= limits.least_share * np.max(mean, initial=0.0)) & (mean > 0.0)
+    once_first, once_second = _direction_means(theta[chosen], phi[chosen], first[chosen], second[chosen])
+    z = _deviations((one, index, first, u_first), (other, there, second, u_second))
+    chi_square, degrees = _chi_square((one, index, first, u_first), (other, there, second, u_second), chosen)
+    return LightComparison(
+        light, index, theta, phi, polar, azimuth, first, u_first, second, u_second, z, chosen,
+        relative_rms_percent(once_first, once_second), once_first.size, chi_square, degrees,
+    )  # fmt: skip
+
+
+def _direction_means(theta: Floats, phi: Floats, *values: Floats) -> list[Floats]:
+    """Means of `values` over those of one direction; at theta 0 all phi are one."""
+    keys = round_deg(np.stack([theta, np.where(theta <= EQUAL, 0.0, phi)], axis=1))
+    _, which, counts = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
+    return [np.bincount(which.ravel(), weights=each, minlength=counts.size) / counts for each in values]
+
+
+def _direct(data: SampleData, matching: list[tuple[LightSetting, float]], theta: Floats, phi: Floats) -> Ints:
+    """The trusted value (n,) that a dataset has in each direction, the first of several; -1 where it has none."""
+    if len(matching) > 1:
+        return np.full(theta.size, -1, dtype=np.int64)
+    index = matching[0][0].index[data.good[matching[0][0].index]]
+    places: dict[Any, int] = {}
+    for key, k in zip(_keys(data.theta_deg[index], data.phi_deg[index]), index.tolist(), strict=True):
+        places.setdefault(key, k)
+    return np.array([places.get(key, -1) for key in _keys(theta, phi)], dtype=np.int64)
+
+
+def _keys(theta: Floats, phi: Floats) -> Iterator[tuple[float, ...]]:
+    """Directions that are equal to five decimals have equal keys."""
+    keys = np.round(np.stack([theta, np.where(theta <= EQUAL, 0.0, phi)], axis=1), DECIMALS - 1)
+    return map(tuple, np.where(keys == TURN_DEG, 0.0, keys).tolist())
+
+
+Values = tuple[SampleData, Ints, Floats, Floats]
+"""Values (n,) in 1/sr with their u, and which values of a sample they are; -1 for one that is interpolated."""
+
+
+def _of_one_journal(one: SampleData, other: SampleData) -> bool:
+    """Whether two samples have errors in common, because they are of one journal."""
+    return one.measured is not None and other.measured is not None and one.measured.settings is other.measured.settings
+
+
+def _joined(one: SampleData, index: Ints, other: SampleData, there: Ints) -> Effects:
+    """The effects of all inputs of a journal on values of two samples, first those of one, then those of the other."""
+    assert one.measured is not None
+    assert other.measured is not None
+    points = [one.measured.points.where(index), other.measured.points.where(there)]
+    return effects_of(join_points(points), one.measured.settings)
+
+
+def _deviations(first: Values, second: Values) -> Floats:
+    """z (n,) by the rule of intervals; an uncertainty that is not known counts as 0, and z is NaN where none is known."""
+    (one, index, a, u_a), (other, there, b, u_b) = first, second
+    variance = np.nan_to_num(u_a) ** 2 + np.nan_to_num(u_b) ** 2
+    if _of_one_journal(one, other):
+        both = np.flatnonzero(there >= 0)
+        pairs = np.arange(both.size)
+        common = _joined(one, index[both], other, there[both]).paired_covariance(pairs, both.size + pairs)
+        variance[both] -= 2.0 * common
+    known = (np.isfinite(u_a) | np.isfinite(u_b)) & (variance > 0.0)
+    u = np.sqrt(np.where(known, variance, np.nan))
+    z = (a - b) / u
+    if one.measured is not None:
+        chosen = logarithmic(a, u, noisy(one.measured.points.where(index))) & (b > 0.0)
+        ratio = np.where(chosen, a, 1.0) / np.where(chosen, b, 1.0)
+        z = np.where(chosen, np.log(ratio) * a / u, z)
+    return np.asarray(z)
+
+
+def _chi_square(first: Values, second: Values, chosen: Flags) -> tuple[float, int]:
+    """Chi-square of the directions in range by the covariance, and their number; NaN and 0 where the covariance is not known.
+
+    Two samples of one journal have the covariance with each other; else those of both add.
+    """
+    (one, index, a, _), (other, there, b, u_b) = first, second
+    together = _of_one_journal(one, other)
+    at = np.flatnonzero(chosen & (there >= 0) if together else chosen)
+    at = at[:: max(1, math.ceil(at.size / MOST_OF_CHI_SQUARE))]
+    if not at.size:
+        return math.nan, 0
+    if together:
+        n, every = at.size, np.arange(2 * at.size)
+        both = _joined(one, index[at], other, there[at]).covariance(every, every)
+        covariance: Floats | None = both[:n, :n] + both[n:, n:] - both[:n, n:] - both[n:, :n]
+    else:
+        of_first = _covariance(one, index[at])
+        of_second = _covariance(other, there[at]) if (there[at] >= 0).all() else _no_covariance(u_b[at])
+        covariance = None if of_first is None or of_second is None else of_first + of_second
+    return (math.nan, 0) if covariance is None else _quadratic(covariance, (a - b)[at])
+
+
+def _covariance(data: SampleData, index: Ints) -> Floats | None:
+    """The covariance of some values of a dataset, 1/sr squared; None where it is not known.
+
+    A file states it by `u_shared`, which is common to all of them.
+    """
+    if data.measured is not None:
+        every = np.arange(index.size)
+        return effects_of(data.measured.points.where(index), data.measured.settings).covariance(every, every)
+    u, u_shared = np.asarray(data.values.u)[index], np.asarray(data.values.u_shared)[index]
+    if np.isnan(u).any() or not (u_shared > 0.0).any():
+        return _no_covariance(u)
+    return np.diag(np.maximum(u**2 - u_shared**2, 0.0)) + np.outer(u_shared, u_shared)
+
+
+def _no_covariance(u: Floats) -> Floats | None:
+    """That of exact values; None, unknown, for others."""
+    return np.zeros((u.size, u.size)) if (u == 0.0).all() else None
+
+
+def _quadratic(covariance: Floats, difference: Floats) -> tuple[float, int]:
+    """d C^-1 d and the rank of C: combinations of values that have no uncertainty of their own do not count."""
+    scale = np.sqrt(np.diag(covariance))
+    if not (scale > 0.0).all():
+        return math.nan, 0
+    eigenvalues, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    kept = eigenvalues > LEAST_EIGENVALUE * eigenvalues[-1]
+    along = vectors[:, kept].T @ (difference / scale)
+    return float(np.sum(along**2 / eigenvalues[kept])), int(kept.sum())
+
+
+def _notes(one: SampleData, other: SampleData) -> Iterator[str]:
+    for title, data in (("first", one), ("second", other)):
+        if np.isnan(np.asarray(data.values.u)[data.good]).any():
+            yield f"u of the {title} is not known for all values: z has that of the other alone"
+        elif _covariance(data, np.arange(min(data.values.size, 2))) is None:
+            yield f"what the values of the {title} share of their u is not known: there is no chi-square"
+    if _of_one_journal(one, other):
+        yield "both are of one journal: z and chi-square have the covariance of the two"

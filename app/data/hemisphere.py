@@ -1,0 +1,232 @@
+"""Directional-hemispherical reflectance (or transmittance) of a sample's values, with its uncertainty.
+
+Of a journal it is that of `goniotwin budget --reflectance`, with the covariance of the values. Of a file the covariance is not
+known: what a value shares with its neighbours (`u_shared`) is taken as shared by all values, the rest as independent; where
+the file does not divide u, all of it counts as shared, so that u is at most too large.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from goniotwin.app.campaign.reduction.budget import Budget
+from goniotwin.app.campaign.reduction.budget import reflectance as measured_reflectance
+from goniotwin.app.campaign.reduction.reflectance import LEAST_POLAR_DEG, Setting, quadrature
+from goniotwin.app.data.interpolation import RECTANGULAR, own_and_shared
+from goniotwin.app.data.values import EQUAL, LightSetting, Measured, SampleData, ValueWithU, neighbours
+from goniotwin.app.errors import UserError
+from goniotwin.app.formats.content import RegularTable
+from goniotwin.arrays import Flags, Floats
+from goniotwin.twin.optics import from_specular
+from goniotwin.twin.optics.geometry.coordinates import HALF_TURN_DEG, TOLERANCE_DEG, TURN_DEG, round_deg
+
+STEP_DEG = 1.0
+"""Cells of a grid are divided to this width for the integral of the cosine."""
+NODES, NODE_WEIGHTS = np.polynomial.legendre.leggauss(3)
+MOST_BEYOND = math.cos(math.radians(LEAST_POLAR_DEG)) ** 2
+"""Share of the half sphere's projected solid angle that may be beyond the last theta of a grid."""
+
+
+@dataclass(frozen=True, eq=False)
+class Rings:
+    """Directions of values for `quadrature`; the azimuth is counted from the light's."""
+
+    zenith_deg: Floats
+    azimuth_deg: Floats
+    good: Flags
+
+
+def reflectance(data: SampleData, light: LightSetting, place: str) -> ValueWithU:
+    """The reflectance (or transmittance) in one light. Raises UserError where the directions do not cover the half sphere."""
+    if data.measured is not None:
+        found = _of_journal(data.measured, light, place)
+        return ValueWithU(
+            found.value, found.u, "1", (f"covariance: of all inputs of the journal's values; {found.title}", *found.about)
+        )
+    result = _of_grid(data, light, place) if data.gridded else _of_rings(data, light, place)
+    for part in data.regular:
+        if part.transmitted == light.transmitted and part.back == light.back:
+            result = _with_regular(result, part, light, place)
+    return result
+
+
+def regular_factor(part: RegularTable, light: LightSetting, place: str) -> tuple[float, float]:
+    """The regular factor and its standard uncertainty at a light, linear between incidences. Raises UserError."""
+    names = part.colours or tuple(part.wavelengths_nm or (math.nan,))
+    channel = [k for k, each in enumerate(names) if _is_channel(each, light)]
+    psi = np.flatnonzero(np.abs(part.psi_deg - light.psi_deg) <= EQUAL) if part.psi_deg.size > 1 else np.zeros(1, dtype=int)
+    sigma = part.sigma_deg
+    if not channel or not psi.size or not sigma[0] - EQUAL <= light.sigma_deg <= sigma[-1] + EQUAL:
+        raise UserError(f"{place} has no regular factor at {light}; {neighbours(sigma, light.sigma_deg)} deg")
+    row = part.values[channel[0], psi[0]]
+    u = np.full(sigma.size, np.nan) if part.u is None else part.u[channel[0], psi[0]]
+    return float(np.interp(light.sigma_deg, sigma, row)), float(np.interp(light.sigma_deg, sigma, u))
+
+
+def _is_channel(name: str | float, light: LightSetting) -> bool:
+    if isinstance(name, str):
+        return name == light.channel
+    return math.isnan(name) or math.isnan(light.wavelength_nm) or abs(name - light.wavelength_nm) <= EQUAL
+
+
+def _of_journal(measured: Measured, light: LightSetting, place: str) -> Budget:
+    points, k = measured.points, int(light.index[0])
+    setting = Setting(
+        float(points.wavelength_nm[k]), float(points.sigma_deg[k]), float(points.gamma_deg[k]), light.transmitted, light.index
+    )
+    return measured_reflectance(measured.settings, place, points, setting)
+
+
+def _of_rings(data: SampleData, light: LightSetting, place: str) -> ValueWithU:
+    values, index = data.values, light.index
+    rings = Rings(values.polar_deg[index], values.azimuth_deg[index] - values.psi_deg[index], data.good[index])
+    rule = quadrature(rings, "isotropic" if values.isotropic else "anisotropic")
+    if not rule.hemisphere:
+        raise UserError(
+            f"{place}, {light}: the directions do not cover the half sphere on rings of one polar angle, so there is no "
+            "reflectance"
+        )
+    bsdf = np.where(rule.weight != 0.0, values.values[index], 0.0)
+    filled = float(np.sum((rule.obstructed + rule.extrapolated) * np.abs(bsdf)))
+    return _sum(data, light, rule.weight, [rule.interpolation_error(values.values[index]), filled / RECTANGULAR], filled)
+
+
+def _of_grid(data: SampleData, light: LightSetting, place: str) -> ValueWithU:
+    """Of the nodes of a table, linear between them; a node without a value has that of the nearest in its row."""
+    index = light.index
+    theta, column = np.unique(data.theta_deg[index], return_inverse=True)
+    phi, row = np.unique(data.phi_deg[index], return_inverse=True)
+    mirrored = bool(data.phi_deg.max() <= HALF_TURN_DEG + TOLERANCE_DEG)
+    known = np.isfinite(data.values.values[index])
+    node = np.full((phi.size, theta.size), -1)
+    node[row[known], column[known]] = np.flatnonzero(known)
+    for each in node:  # below the horizon a table has no value
+        if (each >= 0).any():
+            there = np.flatnonzero(each >= 0)
+            each[:] = each[there[np.argmin(np.abs(theta[:, None] - theta[there]), axis=1)]]
+    whole = node[(node >= 0).all(axis=1)]
+    if whole.shape != node.shape or theta[0] > EQUAL:
+        raise UserError(f"{place}, {light}: the table does not begin at theta 0 in all half planes, so there is no reflectance")
+    fine, beyond = grid_weights(theta, phi, light.sigma_deg, mirrored=mirrored)
+    if beyond > MOST_BEYOND:
+        raise UserError(
+            f"{place}, {light}: the table ends at theta {theta[-1]:g} deg, and {100.0 * beyond:.0f} % of the half sphere is "
+            "beyond it, so there is no reflectance"
+        )
+    coarse = np.zeros(fine.shape)
+    keep = np.unique([*range(0, theta.size, 2), theta.size - 1])
+    coarse[:, keep] = grid_weights(theta[keep], phi, light.sigma_deg, mirrored=mirrored)[0]
+    weight = np.bincount(node.ravel(), weights=fine.ravel(), minlength=index.size)
+    values = data.values.values[index]
+    of_coarse = float(np.sum(coarse * values[node]))
+    total = float(np.sum(fine * values[node]))
+    outside = beyond * math.pi * float(np.mean(np.abs(values[node[:, -1]])))
+    not_measured = ~data.good[index]
+    filled = outside + float(np.sum(np.abs((weight * values)[not_measured])))
+    return _sum(data, light, weight, [abs(total - of_coarse) / 3.0, filled / RECTANGULAR], filled)
+
+
+def grid_weights(theta_deg: Floats, phi_deg: Floats, sigma_deg: float, *, mirrored: bool) -> tuple[Floats, float]:
+    """Integrals (phi, theta) in sr over the half sphere, with the cosine, of functions that are 1 at one node of a grid.
+
+    They are linear in theta and phi. Second: the share of the half sphere that is beyond the last theta; its weight is that of
+    the last node.
+    """
+    at, d_theta, by_theta = _divided(np.append(theta_deg, HALF_TURN_DEG) if theta_deg[-1] < HALF_TURN_DEG else theta_deg)
+    beyond = at > theta_deg[-1]
+    if theta_deg[-1] < HALF_TURN_DEG:  # held beyond the last node
+        by_theta[:, -2] += by_theta[:, -1]
+        by_theta = by_theta[:, :-1]
+    if phi_deg.size == 1:
+        around, d_phi, by_phi = _divided(np.array([0.0, TURN_DEG]))
+        by_phi = by_phi.sum(axis=1, keepdims=True)
+    elif mirrored:
+        ends = [*([0.0] if phi_deg[0] > 0.0 else []), *phi_deg, *([HALF_TURN_DEG] if phi_deg[-1] < HALF_TURN_DEG else [])]
+        around, d_phi, by_phi = _divided(np.array(ends))
+        if phi_deg[0] > 0.0:
+            by_phi[:, 1] += by_phi[:, 0]
+            by_phi = by_phi[:, 1:]
+        if phi_deg[-1] < HALF_TURN_DEG:
+            by_phi[:, -2] += by_phi[:, -1]
+            by_phi = by_phi[:, :-1]
+        d_phi = 2.0 * d_phi
+    else:
+        around, d_phi, by_phi = _divided(np.append(phi_deg, phi_deg[0] + TURN_DEG))
+        by_phi[:, 0] += by_phi[:, -1]
+        by_phi = by_phi[:, :-1]
+    cosine = np.maximum(from_specular(sigma_deg, at[None, :], around[:, None])[..., 2], 0.0)
+    solid = cosine * np.sin(np.radians(at)) * d_theta * d_phi[:, None]
+    return by_phi.T @ solid @ by_theta, float(solid[:, beyond].sum() / math.pi)
+
+
+def _divided(nodes_deg: Floats) -> tuple[Floats, Floats, Floats]:
+    """Places (m,) within the cells of nodes (n,), deg, their widths in rad, and linear weights (m, n) of the nodes there."""
+    places, widths, rows = [], [], []
+    for k, (start, end) in enumerate(zip(nodes_deg[:-1].tolist(), nodes_deg[1:].tolist(), strict=True)):
+        parts = max(math.ceil((end - start) / STEP_DEG), 1)
+        centres = (np.arange(parts)[:, None] + 0.5 + 0.5 * NODES).ravel() / parts
+        weight = np.zeros((centres.size, nodes_deg.size))
+        weight[:, k], weight[:, k + 1] = 1.0 - centres, centres
+        places.append(start + (end - start) * centres)
+        widths.append(np.tile(NODE_WEIGHTS, parts) * math.radians(end - start) / (2.0 * parts))
+        rows.append(weight)
+    return np.concatenate(places), np.concatenate(widths), np.concatenate(rows)
+
+
+def _sum(data: SampleData, light: LightSetting, weight: Floats, errors: list[float], filled: float) -> ValueWithU:
+    """The weighted sum of the values of a light, with `errors` besides those of the values; `filled` is of none of them."""
+    used = weight != 0.0
+    values = data.values.values[light.index][used]
+    u, of_all = (np.asarray(each)[light.index][used] for each in (data.values.u, data.values.u_shared))
+    total = float(np.sum(weight[used] * values))
+    own, shared = own_and_shared(u, of_all)
+    variance = float(np.sum((weight[used] * own) ** 2) + np.sum(weight[used] * shared) ** 2)
+    return ValueWithU(
+        total, math.sqrt(variance + math.fsum(each**2 for each in errors)), "1", tuple(_about(u, of_all, total, filled))
+    )
+
+
+def _about(u: Floats, u_shared: Floats, total: float, filled: float) -> Iterator[str]:
+    if np.isnan(u).any():
+        yield "u is not known: the file has no uncertainty for some of the values"
+    elif (u_shared > 0.0).any():
+        yield "covariance assumed: u_shared is common to all values, the rest of u is independent"
+    else:
+        yield "covariance assumed: u is common to all values, so that u is at most too large"
+    if filled and total:
+        yield f"{100.0 * abs(filled / total):.2f} % of it is of directions without a measured value"
+
+
+def _with_regular(found: ValueWithU, part: RegularTable, light: LightSetting, place: str) -> ValueWithU:
+    factor, u = regular_factor(part, light, place)
+    about = f"{factor:.6g} of it is the regular part{'' if math.isfinite(u) else ', whose u is not known'}"
+    total = math.hypot(found.u, 0.0 if math.isnan(u) else u)
+    return ValueWithU(found.value + factor, total, found.unit, (*found.about, about))
+
+
+def only_regular(data: SampleData, place: str, sigma_deg: float | None) -> ValueWithU:
+    """The regular factor of a sample that has no values in 1/sr. Raises UserError."""
+    if len(data.regular) != 1:
+        raise UserError(
+            f"{place} has {len(data.regular)} tables of regular factors and no values in 1/sr, so there is no one reflectance"
+        )
+    part = data.regular[0]
+    if sigma_deg is None:
+        raise UserError(f"sigma_deg: is missing; {place} has {', '.join(f'{each:g}' for each in part.sigma_deg[:8].tolist())}")
+    if len(part.wavelengths_nm or part.colours or (None,)) > 1:
+        raise UserError(
+            f"{place} has regular factors of several wavelengths or colours and no values in 1/sr: take them from d.file"
+        )
+    light = LightSetting(
+        math.nan,
+        (part.colours or ("",))[0],
+        float(round_deg(sigma_deg)),
+        0.0,
+        part.transmitted,
+        part.back,
+        np.zeros(0, dtype=np.int64),
+    )
+    factor, u = regular_factor(part, light, place)
+    return ValueWithU(factor, u, "1", ("the regular part alone: the file has no values in 1/sr",))

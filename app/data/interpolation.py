@@ -1,0 +1,298 @@
+"""Interpolation of a sample's values to any direction, with the uncertainty; and what it needs: values on a grid of directions.
+
+In one light the values are on rings of one polar angle (an arc measures these), or on a grid about the specular direction
+(tables have this). Between them is the monotone cubic of `specular_grid`, the one of all tables. Where finer rings or half
+planes were measured near a lobe alone, a half plane that has no value at a ring gets one from its own neighbours, else from
+those of the ring. Between two incidences at fixed theta and phi, and between two wavelengths, the interpolation is linear.
+
+The uncertainty is that of the values, what they share included, and an estimate of the interpolation's own error: the monotone
+cubic is between the given values, as a linear interpolation is, and the difference of the two, over the polar angle and over
+the azimuth, is the half-width of a rectangular distribution. Between two incidences or wavelengths it is that of a parabola
+whose vertex is at one of them.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from goniotwin.app.data.values import EQUAL, LightSetting, SampleData, light_settings, neighbours
+from goniotwin.app.errors import UserError
+from goniotwin.app.formats.specular_grid import PolarGrid, grid_of_points, interpolate
+from goniotwin.arrays import Floats, Ints
+from goniotwin.twin.optics import from_specular
+from goniotwin.twin.optics.geometry.coordinates import (
+    HALF_TURN_DEG,
+    TOLERANCE_DEG,
+    TURN_DEG,
+    fold_azimuth,
+    round_deg,
+    wrap_azimuth,
+    zenith_and_azimuth,
+)
+
+WIDEST_DEG = 30.0
+"""There is no interpolation between directions that are further apart."""
+LEAST_FILLED = 0.05
+"""Least share of the nodes of a grid that have values: with less the directions are on no grid."""
+MOST_NODES = 4_000_000
+RECTANGULAR = math.sqrt(3.0)
+"""A half-width over this is the standard uncertainty of a rectangular distribution."""
+Frame = Literal["rings", "specular"]
+
+
+@dataclass(frozen=True, eq=False)
+class DirectionGrid:
+    """Values of one light on a grid of polar angle and azimuth from the light's ("rings"), or theta and phi ("specular")."""
+
+    frame: Frame
+    grid: PolarGrid
+
+
+def direction_grid(data: SampleData, light: LightSetting) -> DirectionGrid | None:
+    """The trusted values of one light on a grid; None where there are none, or their directions are on no grid."""
+    index = light.index[data.good[light.index]]
+    if not index.size:
+        return None
+    values = data.values
+    own, shared = own_and_shared(np.asarray(values.u)[index], np.asarray(values.u_shared)[index])
+    rings = values.polar_deg[index], values.azimuth_deg[index] - values.psi_deg[index]
+    specular = data.theta_deg[index], data.phi_deg[index]
+    frames: Sequence[tuple[Frame, tuple[Floats, Floats], bool]] = (
+        ("rings", rings, values.isotropic),
+        # A table to phi 180 has the other half as the mirror image.
+        (
+            "specular",
+            specular,
+            (data.gridded or values.isotropic) and bool(data.phi_deg.max() <= HALF_TURN_DEG + TOLERANCE_DEG),
+        ),
+    )
+    for frame, (polar, azimuth), mirrored in frames[::-1] if data.gridded else frames:
+        if _is_grid(polar, azimuth, mirrored):
+            grid = grid_of_points(polar, azimuth, values.values[index], own, shared, mirrored=mirrored)
+            return DirectionGrid(frame, _completed(grid))
+    return None
+
+
+def own_and_shared(u: Floats, u_shared: Floats) -> tuple[Floats, Floats]:
+    """Standard uncertainties (n,): of each value alone, and shared by neighbours; all of it is shared where that is unknown."""
+    shared = np.where(np.isfinite(u_shared) & (u_shared > 0.0), np.minimum(u_shared, u), u)
+    return np.sqrt(np.maximum(u**2 - shared**2, 0.0)), shared
+
+
+def _is_grid(polar: Floats, azimuth: Floats, mirrored: bool) -> bool:
+    """Whether directions (n,) are on a grid: its nodes are few, and enough of them have a value."""
+    rows, row = np.unique(round_deg(polar), return_inverse=True)
+    folded = fold_azimuth(azimuth) if mirrored else wrap_azimuth(round_deg(azimuth))
+    columns, column = np.unique(round_deg(folded), return_inverse=True)
+    nodes = rows.size * columns.size
+    return nodes <= MOST_NODES and np.unique(row * columns.size + column).size >= LEAST_FILLED * nodes
+
+
+def _completed(grid: PolarGrid) -> PolarGrid:
+    """The grid with values between its own where a ring or a half plane has none; closed over 360 deg."""
+    values, u, shared = (each.copy() for each in (grid.values, grid.u, grid.shared))
+    for k in np.flatnonzero(np.isnan(values).any(axis=0)).tolist():
+        found = _along(grid.polar_deg, values[:, k], u[:, k], shared[:, k])
+        values[:, k], u[:, k], shared[:, k] = found
+    turns = (0.0,) if grid.mirrored else (-TURN_DEG, 0.0, TURN_DEG)
+    around = np.concatenate([grid.azimuth_deg + turn for turn in turns])
+    here = slice(0, grid.azimuth_deg.size) if grid.mirrored else slice(grid.azimuth_deg.size, 2 * grid.azimuth_deg.size)
+    for k in np.flatnonzero(np.isnan(values).any(axis=1)).tolist():
+        row = (np.tile(each[k], len(turns)) for each in (values, u, shared))
+        sine = float(np.sin(np.radians(grid.polar_deg[k])))
+        values[k], u[k], shared[k] = (each[here] for each in _along(around, *row, scale=sine))
+    azimuth = grid.azimuth_deg
+    if not grid.mirrored and azimuth.size > 1:
+        # Two half planes more on each side, so that the interpolation goes on over 360 deg.
+        azimuth = np.concatenate([azimuth[-2:] - TURN_DEG, azimuth, azimuth[:2] + TURN_DEG])
+        values, u, shared = (np.concatenate([each[:, -2:], each, each[:, :2]], axis=1) for each in (values, u, shared))
+    return replace(grid, azimuth_deg=azimuth, values=values, u=u, shared=shared)
+
+
+def _along(axis: Floats, values: Floats, u: Floats, shared: Floats, scale: float = 1.0) -> tuple[Floats, Floats, Floats]:
+    """Values (n,) on one axis with those that are missing, NaN, between others no further apart than `WIDEST_DEG` / `scale`.
+
+    Second and third: their uncertainties, own and shared. What is interpolated shares all of its uncertainty.
+    """
+    missing = np.isnan(values)
+    known = np.flatnonzero(~missing)
+    if known.size < 2 or not missing.any():
+        return values, u, shared
+    line = PolarGrid(axis[known], np.zeros(1), values[known, None], u[known, None], shared[known, None], mirrored=False)
+    at, azimuth = axis[missing], np.zeros(int(missing.sum()))
+    if axis[known[0]] == 0.0:
+        # The first node is no pole here; no node before it counts.
+        line = replace(line, polar_deg=line.polar_deg + 1.0)
+        at = at + 1.0
+    found, u_found = interpolate(line, at, azimuth)
+    error = np.abs(found - _linear(line, at, azimuth)) / RECTANGULAR
+    apart = scale * _step(line.polar_deg, at)
+    found = np.where(apart > WIDEST_DEG + TOLERANCE_DEG, np.nan, found)
+    values, u, shared = values.copy(), u.copy(), shared.copy()
+    values[missing], u[missing], shared[missing] = found, 0.0, np.hypot(u_found, error)
+    return values, u, shared
+
+
+def _step(axis: Floats, at: Floats) -> Floats:
+    """Distance of the two nodes around places (n,); 0 on a node, infinite beyond the axis."""
+    if axis.size == 1:
+        return np.where(np.abs(at - axis[0]) <= EQUAL, 0.0, np.inf)
+    index, place = _cell(axis, at)
+    inside = (at >= axis[0] - EQUAL) & (at <= axis[-1] + EQUAL)
+    return np.where(inside, np.where((place > 0.0) & (place < 1.0), axis[index + 1] - axis[index], 0.0), np.inf)
+
+
+def _cell(axis: Floats, at: Floats) -> tuple[Ints, Floats]:
+    """The node before each place (n,), and the position between it and the next one, 0 to 1."""
+    index = np.clip(np.searchsorted(axis, at, side="right") - 1, 0, axis.size - 2)
+    place = np.clip((at - axis[index]) / (axis[index + 1] - axis[index]), 0.0, 1.0)
+    place = np.where(place < 1e-6, 0.0, np.where(place > 1.0 - 1e-6, 1.0, place))
+    return index, place
+
+
+def _linear(grid: PolarGrid, polar: Floats, azimuth: Floats) -> Floats:
+    """Values (n,) by a linear interpolation over polar angle and azimuth."""
+
+    def nodes(axis: Floats, at: Floats) -> list[tuple[Ints, Floats]]:
+        if axis.size == 1:
+            return [(np.zeros(at.size, dtype=np.int64), np.ones(at.size))]
+        index, place = _cell(axis, at)
+        return [(index, 1.0 - place), (index + 1, place)]
+
+    total = np.zeros(polar.size)
+    for row, by_row in nodes(grid.polar_deg, polar):
+        for column, by_column in nodes(grid.azimuth_deg, azimuth):
+            weight = by_row * by_column
+            total += np.where(weight == 0.0, 0.0, weight * grid.values[row, column])
+    return total
+
+
+def values_on_grid(found: DirectionGrid, sigma_deg: float, theta_deg: Floats, phi_deg: Floats) -> tuple[Floats, Floats]:
+    """Values (n,) in 1/sr and standard uncertainties at specular coordinates (n,).
+
+    NaN where no values are around, and below the horizon.
+    """
+    grid = found.grid
+    polar, azimuth = zenith_and_azimuth(from_specular(sigma_deg, theta_deg, phi_deg))
+    above = polar <= 90.0 + TOLERANCE_DEG
+    if found.frame == "specular":
+        polar, azimuth = round_deg(theta_deg), round_deg(phi_deg)
+    polar, azimuth = round_deg(polar), round_deg(fold_azimuth(azimuth) if grid.mirrored else wrap_azimuth(azimuth))
+    one = grid.azimuth_deg.size == 1 and found.frame == "specular"  # a table of one phi is the same at all
+    anywhere = (polar <= TOLERANCE_DEG) | one  # at the pole any azimuth is the same direction
+    azimuth = np.where(anywhere, grid.azimuth_deg[0], azimuth)
+    apart = np.where(anywhere, 0.0, _step(grid.azimuth_deg, azimuth))
+    with np.errstate(invalid="ignore"):
+        apart = np.where(apart == 0.0, 0.0, apart * np.sin(np.radians(polar)))
+    near = above & (np.maximum(apart, _step(grid.polar_deg, polar)) <= WIDEST_DEG + TOLERANCE_DEG)
+    values, u = np.full(polar.size, np.nan), np.full(polar.size, np.nan)
+    if near.any():
+        values[near], u_values = interpolate(grid, polar[near], azimuth[near])
+        u[near] = np.hypot(u_values, _error(grid, polar[near], azimuth[near], values[near]) / RECTANGULAR)
+    return values, u
+
+
+def _error(grid: PolarGrid, polar: Floats, azimuth: Floats, values: Floats) -> Floats:
+    """Differences (n,) of interpolated values from linear ones: over the polar angle, and over the azimuth, added."""
+    half = values
+    if grid.polar_deg.size > 1:
+        index, place = _cell(grid.polar_deg, polar)
+        before, after = (interpolate(grid, grid.polar_deg[k], azimuth)[0] for k in (index, index + 1))
+        half = np.where(place < 1.0, (1.0 - place) * before, 0.0) + np.where(place > 0.0, place * after, 0.0)
+    return np.asarray(np.abs(values - half) + np.abs(half - _linear(grid, polar, azimuth)))
+
+
+def interpolated(
+    lights: Sequence[tuple[LightSetting, float]], data: SampleData, theta_deg: Floats, phi_deg: Floats
+) -> tuple[Floats, Floats]:
+    """Values (n,) and standard uncertainties at specular coordinates (n,), from one light or several with weights.
+
+    NaN where no values are around.
+    """
+    total, u_total = np.zeros(theta_deg.size), np.zeros(theta_deg.size)
+    error = np.zeros(theta_deg.size)
+    known: list[Floats] = []
+    for light, weight in lights:
+        grid = direction_grid(data, light)
+        none = np.full(theta_deg.size, np.nan)
+        values, u = (none, none) if grid is None else values_on_grid(grid, light.sigma_deg, theta_deg, phi_deg)
+        total += weight * values
+        u_total += weight * u
+        known.append(values)
+    for (_, weight), values in zip(lights, known, strict=True):
+        # Two lights with the weights w and 1 - w: f w (1 - w) of the difference from their mean, in each of them.
+        error = np.maximum(error, weight * np.abs(values - total))
+    return total, np.hypot(u_total, error / RECTANGULAR)
+
+
+def lights_at(
+    data: SampleData, place: str, *, sigma_deg: float | None, psi_deg: float | None, wavelength_nm: float | None,
+    channel: str | None, transmitted: bool | None, back: bool | None, between: bool = True,
+) -> list[tuple[LightSetting, float]]:  # fmt: skip
+    """The light that is asked for, or those around it with their weights; what only one value is measured at need not be given.
+
+    Without `between` it has to be one that is there. Raises UserError, with what is there.
+    """
+    lights = light_settings(data)
+    if not lights:
+        raise UserError(f"{place} has no values")
+    for name, wanted in (("channel", channel), ("transmitted", transmitted), ("back", back)):
+        there = sorted({getattr(each, name) for each in lights})
+        if wanted is None and len(there) > 1:
+            raise UserError(f"{name}: is missing; {place} has {' and '.join(map(repr, there))}")
+        if wanted is not None and wanted not in there:
+            raise UserError(f"{name} {wanted!r}: {place} has no such values; it has {', '.join(map(repr, there))}")
+        lights = [each for each in lights if wanted is None or getattr(each, name) == wanted]
+    lights = [light for light, _ in _around(lights, "psi_deg", psi_deg, place, between=False)]
+    found: list[tuple[LightSetting, float]] = []
+    by_sigma = {light.sigma_deg: weight for light, weight in _around(lights, "sigma_deg", sigma_deg, place, between=between)}
+    for sigma, weight in by_sigma.items():
+        here = [each for each in lights if each.sigma_deg == sigma]
+        found += [
+            (light, weight * share) for light, share in _around(here, "wavelength_nm", wavelength_nm, place, between=between)
+        ]
+    return found
+
+
+def _around(
+    lights: Sequence[LightSetting], name: str, wanted: float | None, place: str, *, between: bool
+) -> list[tuple[LightSetting, float]]:
+    """Lights at a number, or at the two numbers around it, with weights; all lights at one number have its weight."""
+    column = np.array([getattr(each, name) for each in lights])
+    there = np.unique(column)
+    if wanted is None or np.isnan(there).all():
+        if there.size > 1:
+            raise UserError(f"{name}: is missing; {place} has {', '.join(f'{each:g}' for each in there[:8].tolist())}")
+        if wanted is not None:
+            raise UserError(f"{name} {wanted:g}: {place} has values without a wavelength; leave it out")
+        return [(each, 1.0) for each in lights]
+    apart = np.abs(there - wanted)
+    if name == "psi_deg":
+        apart = np.minimum(np.mod(apart, TURN_DEG), TURN_DEG - np.mod(apart, TURN_DEG))
+    if apart.min() <= EQUAL:
+        weights = {float(there[int(np.argmin(apart))]): 1.0}
+    elif not between or not there[0] < wanted < there[-1]:
+        raise UserError(f"{name} {wanted:g}: {place} has no values there; {neighbours(column, wanted)}")
+    else:
+        k = int(np.searchsorted(there, wanted))
+        share = float((wanted - there[k - 1]) / (there[k] - there[k - 1]))
+        weights = {float(there[k - 1]): 1.0 - share, float(there[k]): share}
+    return [(each, weights[getattr(each, name)]) for each in lights if getattr(each, name) in weights]
+
+
+def nearest_directions(
+    data: SampleData, lights: Sequence[LightSetting], theta_deg: float, phi_deg: float, count: int = 2
+) -> str:
+    """The trusted directions nearest to one, in words."""
+    index = np.concatenate([each.index for each in lights])
+    index = index[data.good[index]]
+    if not index.size:
+        return "there is no trusted value in this light"
+    wanted = from_specular(0.0, theta_deg, phi_deg)
+    apart = np.linalg.norm(from_specular(0.0, data.theta_deg[index], data.phi_deg[index]) - wanted, axis=1)
+    near = index[np.argsort(apart, kind="stable")[: 8 * count]].tolist()
+    found = dict.fromkeys(f"theta {data.theta_deg[k]:.4g}, phi {data.phi_deg[k]:.4g}" for k in near)
+    return f"the nearest directions with a value are {' and '.join(list(found)[:count])}"

@@ -1,0 +1,1 @@
+"""The report of a campaign: one HTML file with all that belongs to its values."""

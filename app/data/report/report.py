@@ -1,0 +1,300 @@
+"""The report of a journal: what was measured, on what, how, with which uncertainty; plots, checks, faults, metadata, digest.
+
+One HTML file that needs no other. All texts of the journal are escaped: a journal may be of unknown origin.
+"""
+
+import base64
+import io
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.reduction.closure import ClosureReport, signed
+from goniotwin.app.campaign.reduction.components import COVERAGE as INTERVAL_U
+from goniotwin.app.campaign.reduction.components import INTERVAL_RULE
+from goniotwin.app.campaign.reduction.effects_of_points import effects_of
+from goniotwin.app.campaign.reduction.points import FLAGS
+from goniotwin.app.campaign.reduction.reduction import Reduction
+from goniotwin.app.campaign.reduction.verification import Verdict, verify_journal
+from goniotwin.app.data.dataset import Dataset
+from goniotwin.app.data.opening import open_dataset
+from goniotwin.app.data.plotting import Kind, plot
+from goniotwin.app.data.values import Measured
+from goniotwin.app.errors import MissingPackage, UserError
+from goniotwin.app.formats.file import write_file
+from goniotwin.app.formats.metadata import Metadata
+from goniotwin.protocols.clock import calendar_stamp
+
+TEMPLATE = "report.html.j2"
+MISSING = "a report needs Jinja2, which is not installed; install it: pip install 'goniotwin[report]'"
+CAPTIONS: dict[Kind, str] = {
+    "cuts": "The plane of incidence. Bands: two standard uncertainties.",
+    "hemisphere": "All directions. The radius is the polar angle; star: the light, cross: the specular direction.",
+    "polar": "The plane of incidence as a polar diagram.",
+    "spectrum": "Some directions over the wavelength.",
+}
+EVENTS = {
+    "fault": "faults", "answer": "answers of the operator", "order": "safety orders", "stop": "stops", "drift": "drift",
+    "warm-up": "warm-up", "encoder": "encoders", "sleep": "sleep of the computer", "listener": "listeners",
+}  # fmt: skip
+"""Kinds of events that a report has, with their headings."""
+MOST_EVENTS, MOST_LIGHTS, LEAST_SHARE = 30, 24, 0.005
+DIFFUSE_DEG = 30.0
+"""Aspecular angle of the second value with a budget."""
+
+
+@dataclass(frozen=True)
+class _Line:
+    """A line of a budget: name, u in percent of the value, its share of u squared, what shares it and where it is from."""
+
+    name: str
+    percent: float
+    share: float
+    shared_by: str = ""
+    source: str = ""
+
+
+def write_report(journal: Path, out: Path, *, without_damaged: bool = False) -> dict[str, Any]:
+    """Write the report of a journal; returns what it states, in short. Raises UserError, and FormatError for `out`."""
+    html, result = report_html(journal, without_damaged=without_damaged)
+    write_file(out, html.encode())
+    return {"file": str(out), **result}
+
+
+def report_html(path: Path, *, without_damaged: bool = False) -> tuple[str, dict[str, Any]]:
+    """The report of a journal as HTML, and what it states in short, for JSON. Raises UserError."""
+    template = _template()
+    dataset = open_dataset(path, without_damaged=without_damaged)
+    if dataset.reduced is None:
+        raise UserError(f"{path}: is not a journal, and a report is one of a campaign; for a file use goniotwin plot")
+    with Journal.open(path) as journal:
+        reduction = Reduction(journal, without_damaged=without_damaged)
+        verdicts = verify_journal(reduction)
+        closure = reduction.closure()
+        sessions = journal.sessions()
+        done, planned = journal.row_counts()
+        events = [(title, found) for kind, title in EVENTS.items() if (found := journal.event_texts(kind))]
+        schedule, chain, seconds = journal.value("schedule"), journal.chain, journal.seconds
+    rig = dataset.reduced.rig
+    metadata = dataset.reduced.metadata
+    first = next(iter(metadata.values()), Metadata(title=dataset.name))
+    html = template.render(
+        title=first.title, name=dataset.name, simulated=dataset.simulated, seed=rig.seed if dataset.simulated else None,
+        written=calendar_stamp(), metadata=list(_groups(first)), date=first.date, method=first.method, geometry=first.geometry,
+        summary=_summary(dataset, verdicts), samples=[_sample(dataset[name], metadata[name]) for name in dataset],
+        verdicts=verdicts, reflectances=_reflectances(verdicts), closure=_closure(closure), rule=INTERVAL_RULE,
+        interval_u=INTERVAL_U, notes=dataset.notes, findings=dataset.findings,
+        events=[(title, found[:MOST_EVENTS], max(0, len(found) - MOST_EVENTS)) for title, found in events],
+        sessions=sessions, rows=(done, planned), seconds=seconds, chain=chain, schedule=schedule,
+    )  # fmt: skip
+    failed = [each.name for each in verdicts if each.verdict == "fails"]
+    result = {
+        "journal": str(path), "simulated": dataset.simulated, "samples": list(dataset.samples), "fails": failed,
+        "findings": list(dataset.findings), "chain": chain.as_dict(), "damaged": sorted(chain.without_values),
+    }  # fmt: skip
+    return html, result
+
+
+def _template() -> Any:
+    """The template of the page. Raises MissingPackage without Jinja2."""
+    try:
+        from jinja2 import Environment, PackageLoader, StrictUndefined
+    except ImportError:
+        raise MissingPackage(MISSING) from None
+    environment = Environment(
+        loader=PackageLoader("goniotwin.app.data", "report"), autoescape=True, undefined=StrictUndefined, trim_blocks=True,
+        lstrip_blocks=True,
+    )  # fmt: skip
+    environment.filters.update(number=_number, percent=_percent, duration=_duration, signed=signed)
+    return environment.get_template(TEMPLATE)
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None or not math.isfinite(value) else f"{value:.4g}"
+
+
+def _percent(value: float | None) -> str:
+    return "" if value is None or not math.isfinite(value) else f"{100.0 * value:.3g} %"
+
+
+def _duration(seconds: float) -> str:
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours} h {minutes:02d} min" if hours else f"{minutes} min {rest:02d} s"
+
+
+def _groups(metadata: Metadata) -> Iterator[tuple[str, list[tuple[str, str]]]]:
+    """The metadata that are common to all samples, as headings with lines."""
+    general: list[tuple[str, str]] = []
+    groups: list[tuple[str, list[tuple[str, str]]]] = []
+    for name, value in metadata.as_dict().items():
+        if name == "sample":
+            continue
+        if isinstance(value, dict):
+            groups.append((name, [(_words(key), _text(each)) for key, each in value.items() if key != "findings"]))
+        else:
+            general.append((_words(name), _text(value)))
+    return iter([("campaign", general), *groups])
+
+
+def _words(key: str) -> str:
+    """A key as words with its unit: `arc_radius_mm` is `arc radius, mm`."""
+    units = {"per_sr": "1/sr", "v_per_a": "V/A", "mm": "mm", "nm": "nm", "deg": "deg", "sr": "sr"}
+    for unit, text in units.items():
+        if key.endswith(f"_{unit}"):
+            return f"{key.removesuffix(f'_{unit}').replace('_', ' ')}, {text}"
+    return key.replace("_", " ")
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, list):
+        return ", ".join(map(_text, value))
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def _summary(dataset: Dataset, verdicts: list[Verdict]) -> list[tuple[str, str]]:
+    """The first lines of the report: what came out."""
+    count = {word: sum(each.verdict == word for each in verdicts) for word in ("holds", "fails")}
+    checks = f"{count['holds']} hold, {count['fails']} fail, {len(verdicts) - sum(count.values())} without anything to judge"
+    values = []
+    for name in dataset:
+        here = dataset[name]
+        relative = _relative(here)
+        u = f", relative u {100.0 * float(np.median(relative)):.2g} % in the median" if relative.size else ""
+        values.append(f"{name}: {here.size} values, {int(here.good.sum())} of them trusted{u}")
+    return [*(("values", each) for each in values), ("checks", checks)]
+
+
+def _relative(dataset: Dataset) -> np.ndarray:
+    """Relative standard uncertainties of the values that are trusted and above their noise."""
+    clear = _clear(dataset)
+    return np.asarray(dataset.u[clear] / dataset.bsdf[clear])
+
+
+def _clear(dataset: Dataset) -> np.ndarray:
+    lost = np.char.find(dataset.flags, "under-range") >= 0
+    return np.asarray(dataset.good & ~lost & (dataset.bsdf > 0.0) & np.isfinite(dataset.u))
+
+
+def _sample(dataset: Dataset, metadata: Metadata) -> dict[str, Any]:
+    """One sample's part of the report."""
+    words = np.char.split(dataset.flags)
+    counts = {name: sum(name in each for each in words.tolist()) for name in FLAGS} if dataset.flags.any() else {}
+    return {
+        "name": dataset.sample,
+        "about": [(_words(key), value) for key, value in metadata.as_dict().get("sample", {}).items()],
+        "plots": list(_plots(dataset)),
+        "lights": list(_lights(dataset)),
+        "flags": [(name, FLAGS[name].meaning, count, FLAGS[name].untrusted) for name, count in counts.items() if count],
+        "shares": _mean_shares(dataset),
+        "budgets": list(_budgets(dataset)),
+        "findings": metadata.quality.findings,
+    }
+
+
+def _plots(dataset: Dataset) -> Iterator[tuple[str, str, str]]:
+    """The pictures: kind, caption, and the picture itself as a data URI."""
+    for kind, caption in CAPTIONS.items():
+        try:
+            figure = plot(dataset, kind)
+        except UserError:  # nothing to draw: one wavelength, no value
+            continue
+        buffer = io.BytesIO()
+        if kind == "hemisphere":  # its colours are pixels anyway
+            figure.savefig(buffer, format="png", dpi=160)
+            form = "image/png"
+        else:
+            figure.savefig(buffer, format="svg", metadata={"Date": None})
+            form = "image/svg+xml"
+        yield kind, caption, f"data:{form};base64,{base64.b64encode(buffer.getvalue()).decode()}"
+
+
+def _lights(dataset: Dataset) -> Iterator[dict[str, Any]]:
+    """By the light: number of values and relative uncertainties; of many wavelengths by sigma alone."""
+    nm = np.nan_to_num(dataset.wavelength_nm, nan=0.0)
+    columns = [dataset.transmitted.astype(float), dataset.back.astype(float), nm, dataset.sigma_deg]
+    keys = np.round(np.stack(columns, axis=1), 6)
+    if len(np.unique(keys, axis=0)) > MOST_LIGHTS:
+        keys[:, 2] = 0.0
+    places, which = np.unique(keys, axis=0, return_inverse=True)
+    for k, (transmitted, back, wavelength, sigma) in enumerate(places.tolist()):
+        here = dataset.where(which.ravel() == k)
+        relative = _relative(here)
+        low, middle, high = np.quantile(relative, [0.05, 0.5, 0.95]).tolist() if relative.size else [math.nan] * 3
+        yield {
+            "light": f"{'transmitted' if transmitted else 'reflected'}{', lit on the back' if back else ''}",
+            "wavelength": f"{wavelength:g} nm" if wavelength else "all", "sigma": sigma, "values": here.size,
+            "trusted": int(here.good.sum()), "above_noise": relative.size, "low": low, "middle": middle, "high": high,
+            "largest": float(np.max(here.bsdf[here.good], initial=0.0)),
+        }  # fmt: skip
+
+
+def _mean_shares(dataset: Dataset) -> list[_Line]:
+    """The mean share of each component in the square of u, over the values above their noise, the largest first."""
+    measured = dataset.only.measured
+    clear = _clear(dataset)
+    if measured is None or not clear.any():
+        return []
+    components = measured.points.components
+    total = np.sum([each[clear] for each in components.values()], axis=0)
+    shares = {name: float(np.mean(each[clear] / total)) for name, each in components.items()}
+    relative = {name: float(np.median(np.sqrt(each[clear]) / dataset.bsdf[clear])) for name, each in components.items()}
+    ordered = sorted(shares, key=lambda name: -shares[name])
+    return [_Line(name, relative[name], shares[name]) for name in ordered if shares[name] >= LEAST_SHARE]
+
+
+def _budgets(dataset: Dataset) -> Iterator[dict[str, Any]]:
+    """The budgets of two values at the middle sigma and wavelength: the largest, and one beside the lobe."""
+    measured = dataset.only.measured
+    clear = np.flatnonzero(_clear(dataset))
+    if measured is None or not clear.size:
+        return
+    for column in (dataset.wavelength_nm, dataset.sigma_deg):
+        there = np.unique(column[clear])
+        clear = clear[column[clear] == there[there.size // 2]]
+    largest = int(clear[np.argmax(dataset.bsdf[clear])])
+    beside = int(clear[np.argmin(np.abs(dataset.theta_deg[clear] - DIFFUSE_DEG))])
+    for k in dict.fromkeys((largest, beside)):
+        yield _budget(dataset, measured, k)
+
+
+def _budget(dataset: Dataset, measured: Measured, k: int) -> dict[str, Any]:
+    found = effects_of(measured.points.where(np.array([k])), measured.settings).budget(0)
+    value, u = float(dataset.bsdf[k]), math.sqrt(math.fsum(each.u**2 for each in found))
+    lines = [
+        _Line(each.name, abs(each.u / value), each.u**2 / u**2, *(("no other value", "") if each.input is None else
+              (each.input.shared_by, each.input.source)))
+        for each in found
+    ]  # fmt: skip
+    shown = [each for each in lines if each.share >= LEAST_SHARE]
+    place = (
+        f"{dataset.wavelength_nm[k]:g} nm, sigma {dataset.sigma_deg[k]:g}, theta {dataset.theta_deg[k]:.4g}, "
+        f"phi {dataset.phi_deg[k]:.4g} deg, photodiode {dataset.photodiode[k]}"
+    )
+    rest = math.sqrt(max(1.0 - math.fsum(each.share for each in shown), 0.0))
+    return {
+        "place": place, "value": value, "u": u, "relative": u / value, "lines": shown, "more": len(lines) - len(shown),
+        "rest": rest,
+    }  # fmt: skip
+
+
+def _reflectances(verdicts: list[Verdict]) -> list[dict[str, Any]]:
+    """The directional-hemispherical reflectances that the check of energy has computed."""
+    return [each for verdict in verdicts for each in verdict.figures.get("reflectances", [])]
+
+
+def _closure(report: ClosureReport) -> dict[str, Any]:
+    lines = [
+        {
+            "sigma": each.beam.scan.at_deg, "wavelength": each.wavelength_nm, "certified": each.certified,
+            "absolute": each.absolute, "ratio": each.ratio, "u": each.u, "z": each.z, "word": each.word,
+        }
+        for each in report.closures
+    ]  # fmt: skip
+    field = "" if report.field is None else str(report.field)
+    return {"verdict": report.verdict, "lines": lines, "field": field, "missing": [*report.not_planned, *report.missing]}

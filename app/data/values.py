@@ -1,0 +1,183 @@
+"""Values of one sample: columns of one length, with what belongs to them; and the choice of some of them."""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from goniotwin.app.campaign.reduction.etalon import ReductionSettings
+from goniotwin.app.campaign.reduction.points import BsdfPoints
+from goniotwin.app.errors import UserError
+from goniotwin.app.formats.content import UNTRUSTED, RegularTable, ScatteredBsdf, flagged
+from goniotwin.app.formats.metadata import Metadata
+from goniotwin.arrays import Flags, Floats, Ints
+from goniotwin.twin.optics.geometry.coordinates import DECIMALS, TOLERANCE_DEG, TURN_DEG
+
+ROUND = {"psi_deg": None, "phi_deg": "theta_deg", "azimuth_deg": "polar_deg"}
+"""Columns whose values repeat after 360 deg, and the polar angle at whose pole, 0 or 180 deg, all of them are one direction."""
+EQUAL = 1.01 * TOLERANCE_DEG
+"""Numbers that differ by no more are one angle or wavelength: a rounding of the last decimal that is kept."""
+MOST_LISTED = 6
+
+Number = float | Sequence[float]
+"""One number, or several."""
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """What a journal has beyond the columns: the reduced `points`, one for each value, and the settings of their reduction."""
+
+    points: BsdfPoints
+    settings: ReductionSettings
+
+
+@dataclass(frozen=True, eq=False)
+class SampleData:
+    """One sample: its `values`, with their specular coordinates (n,) in degrees.
+
+    `gridded` values are the nodes of tables. `regular` factors have no place among values in 1/sr. `measured`: of a journal.
+    `metadata`: what is known about the measurement.
+    """
+
+    values: ScatteredBsdf
+    theta_deg: Floats
+    phi_deg: Floats
+    gridded: bool = False
+    regular: tuple[RegularTable, ...] = ()
+    measured: Measured | None = None
+    metadata: Metadata = field(default_factory=Metadata)
+
+    @property
+    def good(self) -> Flags:
+        """The values (n,) to be trusted: there is a number, and no flag that says otherwise."""
+        return np.isfinite(self.values.values) & ~flagged(np.asarray(self.values.flags), UNTRUSTED)
+
+    def where(self, chosen: Flags | Ints) -> "SampleData":
+        """Some of the values, or all in another order."""
+        measured = self.measured
+        return replace(
+            self, values=self.values.where(chosen), theta_deg=self.theta_deg[chosen], phi_deg=self.phi_deg[chosen],
+            measured=None if measured is None else replace(measured, points=measured.points.where(chosen)),
+        )  # fmt: skip
+
+    def column(self, name: str) -> npt.NDArray[Any]:
+        """An array (n,) by its name in `COLUMNS`."""
+        if name in ("theta_deg", "phi_deg"):
+            return np.asarray(getattr(self, name))
+        return np.asarray(getattr(self.values, "values" if name == "bsdf" else name))
+
+
+COLUMNS = (
+    "wavelength_nm", "channel", "sigma_deg", "psi_deg", "theta_deg", "phi_deg", "polar_deg", "azimuth_deg", "transmitted",
+    "back", "photodiode", "bsdf", "u", "u_shared", "flags",
+)  # fmt: skip
+"""The arrays of a dataset, all of one length."""
+
+
+@dataclass(frozen=True, eq=False)
+class LightSetting:
+    """The light of some values, `index`: its wavelength (NaN: grey, or the colour `channel`), direction, side, and the side
+    that it leaves the sample on.
+    """
+
+    wavelength_nm: float
+    channel: str
+    sigma_deg: float
+    psi_deg: float
+    transmitted: bool
+    back: bool
+    index: Ints
+
+    def __str__(self) -> str:
+        channel = self.channel or ("" if math.isnan(self.wavelength_nm) else f"{self.wavelength_nm:g} nm")
+        psi = f", psi {self.psi_deg:g}" if self.psi_deg else ""
+        words = [*([channel] if channel else []), f"sigma {self.sigma_deg:g}{psi} deg"]
+        words += [*(["transmitted"] if self.transmitted else []), *(["lit on the back"] if self.back else [])]
+        return ", ".join(words)
+
+
+@dataclass(frozen=True)
+class ValueWithU:
+    """A value with its standard uncertainty `u`, both in `unit`; `value, u = result` takes them apart.
+
+    Of several directions they are arrays. `about` are remarks: what the value is of, and what u assumes.
+    """
+
+    value: Any
+    u: Any
+    unit: str
+    about: tuple[str, ...] = ()
+
+    def __iter__(self) -> Iterator[Any]:
+        yield self.value
+        yield self.u
+
+    def __str__(self) -> str:
+        if np.ndim(self.value):
+            return repr(self)
+        return f"{self.value:.6g}{'' if self.unit == '1' else f' {self.unit}'}, u {self.u:.2g}"
+
+
+def light_settings(data: SampleData) -> list[LightSetting]:
+    """The lights of a sample's values, in the order of channel, wavelength, sides, psi and sigma."""
+    values = data.values
+    wavelength = np.nan_to_num(np.asarray(values.wavelength_nm), nan=-1.0)
+    channels, channel = np.unique(np.asarray(values.channel), return_inverse=True)
+    columns = (channel.ravel(), wavelength, values.back, values.transmitted, values.psi_deg, values.sigma_deg)
+    keys = np.round(np.stack([np.asarray(each, dtype=np.float64) for each in columns], axis=1), DECIMALS)
+    distinct, which = np.unique(keys, axis=0, return_inverse=True)
+    order = np.argsort(which.ravel(), kind="stable")
+    edges = np.searchsorted(which.ravel()[order], np.arange(1, len(distinct)))
+    return [
+        LightSetting(math.nan if nm < 0.0 else nm, str(channels[int(k)]), sigma, psi, bool(transmitted), bool(back), index)
+        for (k, nm, back, transmitted, psi, sigma), index in zip(distinct.tolist(), np.split(order, edges), strict=True)
+        if index.size
+    ]
+
+
+def numbers(name: str, value: object) -> list[float]:
+    """The numbers of an argument. Raises UserError."""
+    try:
+        found = np.atleast_1d(np.asarray(value, dtype=np.float64))
+    except (TypeError, ValueError):
+        found = np.zeros(0)
+    if isinstance(value, str | bool) or found.ndim != 1 or not found.size or not np.isfinite(found).all():
+        raise UserError(f"{name}: {value!r}: give a number, or a list of numbers")
+    return [float(each) for each in found]
+
+
+def is_at(data: SampleData, name: str, number: float) -> Flags:
+    """Whether values (n,) are at an angle or a wavelength."""
+    column = data.column(name)
+    if name not in ROUND:
+        return np.asarray(np.abs(column - number) <= EQUAL)
+    apart = np.mod(column - number, TURN_DEG)
+    chosen = np.minimum(apart, TURN_DEG - apart) <= EQUAL
+    pole = ROUND[name]
+    if pole is not None:
+        polar = data.column(pole)
+        chosen |= (polar <= EQUAL) | (polar >= 180.0 - EQUAL)
+    return np.asarray(chosen)
+
+
+def neighbours(column: npt.NDArray[Any], number: float) -> str:
+    """The nearest numbers below and above, in words."""
+    there = np.unique(np.round(column[np.isfinite(column)].astype(np.float64), DECIMALS))
+    if not there.size:
+        return "its values have none"
+    place = int(np.searchsorted(there, number))
+    near = [f"{each:.9g}" for each in there[max(place - 1, 0) : place + 1].tolist()]
+    return f"the nearest {'are' if len(near) > 1 else 'is'} {' and '.join(near)}"
+
+
+def listed(values: Floats, unit: str) -> str:
+    """Distinct numbers in words; the first and the last of many."""
+    there = np.unique(np.round(values[np.isfinite(values)], DECIMALS)).tolist()
+    if not there:
+        return ""
+    if len(there) > MOST_LISTED:
+        return f"{len(there)} from {there[0]:g} to {there[-1]:g} {unit}"
+    return f"{', '.join(f'{each:g}' for each in there)} {unit}"

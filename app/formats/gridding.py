@@ -1,0 +1,232 @@
+"""Scattered values onto the grid of a table: the one interpolation of `specular_grid`, whoever measured them.
+
+Values whose directions are a grid of polar angles and azimuths, as a goniophotometer has them, are interpolated in it. Others,
+as of an adaptive measurement, get at each node the plane through the values around it (`plane_through_points` of the optics).
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from goniotwin.app.formats.content import CHECK, FILLED, UNTRUSTED, ScatteredBsdf, flagged
+from goniotwin.app.formats.holes import Fill
+from goniotwin.app.formats.specular_grid import PolarGrid, SpecularCut, continued, grid_of_points, resample, specular_table
+from goniotwin.app.formats.table import BsdfTable
+from goniotwin.arrays import Flags, Floats, Ints
+from goniotwin.twin.optics import arc_direction, from_specular, to_specular
+from goniotwin.twin.optics.bsdf.point_samples import plane_through_points, theta_list
+from goniotwin.twin.optics.geometry.coordinates import (
+    HALF_TURN_DEG,
+    TURN_DEG,
+    fold_azimuth,
+    mirror_in_plane_of_incidence,
+    round_deg,
+)
+
+FINEST_DEG = 0.1
+PHI_STEP_DEG = 5.0
+NEAR_DEG = 3.0
+"""Between directions no further apart than this there is always interpolation."""
+LEAST_FILLED = 0.3
+"""Share of the nodes of a grid that has values; below it, the directions are not on a grid."""
+MOST_SIGMAS = 46
+"""Incidences of a table. Values at more of them, as at random, are put to the nearest of so many, about their own specular
+direction."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Values:
+    """Trusted values (n,) with the indices of their channel, psi and sigma; azimuths are from the light's.
+
+    The errors of `own` are independent, `shared` is what values share; both are standard uncertainties.
+    """
+
+    channel: Ints
+    psi: Ints
+    sigma: Ints
+    sigma_deg: Floats
+    polar_deg: Floats
+    azimuth_deg: Floats
+    values: Floats
+    own: Floats
+    shared: Floats
+
+    def where(self, chosen: Flags) -> "_Values":
+        """Some of the values."""
+        return _Values(*(getattr(self, name)[chosen] for name in self.__dataclass_fields__))
+
+
+def grid_table(
+    values: ScatteredBsdf,
+    *,
+    fill: Fill = "hold",
+    widest_gap_deg: float | None = None,
+    comments: Sequence[str] = (),
+    done: str = "measured",
+) -> BsdfTable:
+    """The table of the scattered values of one sample, side and light; `comments` come first in its own.
+
+    Values that are not to be trusted, or were measured only to check a symmetry, are left out. theta goes from 0 to 180 in the
+    finest step of the polar angles; phi is 0 and 180 where only the plane of incidence was measured. What is isotropic is taken
+    as symmetric about the plane of incidence. With `widest_gap_deg` directions are on a grid, and there is no interpolation
+    between any that are further apart; without it both follows from the values. Raises ValueError, in words, for values of
+    which there is no table.
+    """
+    if (others := flagged(values.flags, {CHECK, FILLED})).any():
+        values = values.where(~others)
+    names, channel, wavelengths, colours = _channels(values)
+    psi, psi_index = _psi(values)
+    sigma, sigma_index = _sigma(values)
+    trusted = np.isfinite(values.values) & ~flagged(values.flags, UNTRUSTED)
+    _refuse_absent(names, channel, sigma, sigma_index, psi, psi_index, trusted)
+    u = np.where(np.isfinite(values.u), values.u, np.abs(values.values))  # nothing is known of such a value
+    shared = np.minimum(values.u_shared, u)
+    points = _Values(
+        channel, psi_index, sigma_index, values.sigma_deg, values.polar_deg, values.azimuth_deg - values.psi_deg, values.values,
+        np.sqrt(np.maximum(u**2 - shared**2, 0.0)), shared,
+    ).where(trusted)  # fmt: skip
+    mirrored = psi.size == 1 or _is_half(points)
+    if psi.size > 1 and mirrored and not _in_plane(points).all():
+        comments = [*comments, "the azimuths of one half were measured; the other half is taken as their mirror image"]
+    whole = HALF_TURN_DEG if mirrored else TURN_DEG
+    phi = np.array([0.0, whole]) if _in_plane(points).all() else np.arange(0.0, whole + 1e-9, PHI_STEP_DEG)
+    cut = _Cuts(points, sigma, phi, mirrored, widest_gap_deg)
+    cuts = [[cut(c, p, s) for s in range(sigma.size)] for c in range(len(names)) for p in range(psi.size)]
+    table = specular_table(
+        sigma, phi, cut.theta, cuts, wavelengths, psi_deg=psi, colours=colours, transmitted=bool(values.transmitted[0]),
+        back=bool(values.back[0]), generated=values.generated, sample=values.sample, comments=comments,
+        done=done, fill=fill,
+    )  # fmt: skip
+    return table if np.isfinite(values.u).any() else replace(table, u=None)
+
+
+def _channels(values: ScatteredBsdf) -> tuple[tuple[str, ...], Ints, tuple[float, ...] | None, tuple[str, ...]]:
+    """The channels in words, the index of each value's, and the wavelengths or the colours of a table."""
+    if (values.channel != "").any():
+        colours = tuple(dict.fromkeys(values.channel.tolist()))
+        order = {name: k for k, name in enumerate(colours)}
+        return colours, np.array([order[name] for name in values.channel.tolist()]), None, colours
+    grey = np.isnan(values.wavelength_nm)
+    if grey.any() and not grey.all():
+        raise ValueError("some of its values have a wavelength, and some have none")
+    if grey.all():
+        return ("",), np.zeros(values.size, dtype=np.int64), None, ()
+    wavelengths, index = np.unique(values.wavelength_nm, return_inverse=True)
+    return tuple(f"{each:g} nm" for each in wavelengths), index, tuple(wavelengths.tolist()), ()
+
+
+def _psi(values: ScatteredBsdf) -> tuple[Floats, Ints]:
+    """The azimuths of the light, 0 alone for an isotropic sample, and the index of each value's."""
+    psi, index = np.unique(np.mod(round_deg(values.psi_deg), TURN_DEG), return_inverse=True)
+    return (np.zeros(1), np.zeros(values.size, dtype=np.int64)) if values.isotropic or psi.size == 1 else (psi, index)
+
+
+def _sigma(values: ScatteredBsdf) -> tuple[Floats, Ints]:
+    """The incidences, and the index of each value's."""
+    _, first, index = np.unique(round_deg(values.sigma_deg), return_index=True, return_inverse=True)
+    sigma = values.sigma_deg[first]
+    if sigma.size > MOST_SIGMAS:
+        sigma = np.linspace(sigma[0], sigma[-1], MOST_SIGMAS)
+        index = np.rint((values.sigma_deg - sigma[0]) / (sigma[1] - sigma[0])).astype(np.int64)
+    return sigma, index
+
+
+def _refuse_absent(
+    names: Sequence[str], channel: Ints, sigma_deg: Floats, sigma: Ints, psi_deg: Floats, psi: Ints, trusted: Flags
+) -> None:
+    """Raise ValueError for a set of channel, sigma and psi without a value; at normal incidence one psi is enough."""
+    if not trusted.any():
+        raise ValueError("no direction has a value")
+    some = np.zeros((len(names), psi_deg.size, sigma_deg.size), dtype=bool)
+    some[channel[trusted], psi[trusted], sigma[trusted]] = True
+    normal = round_deg(sigma_deg) == 0.0
+    some[:, :, normal] |= some[:, :, normal].any(axis=1, keepdims=True)
+    for c, p, s in np.argwhere(~some).tolist():
+        at = f"at {names[c]}, " if len(names) > 1 else "at "
+        at += f"psi {psi_deg[p]:g}, " if psi_deg.size > 1 else ""
+        raise ValueError(f"{at}sigma {sigma_deg[s]:g} no direction has a value")
+
+
+def _in_plane(points: _Values) -> Flags:
+    """The values in the plane of incidence."""
+    azimuth = round_deg(fold_azimuth(points.azimuth_deg))
+    return np.asarray((azimuth == 0.0) | (azimuth == HALF_TURN_DEG) | (round_deg(points.polar_deg) == 0.0))
+
+
+def _is_half(points: _Values) -> bool:
+    """Whether all values are on one side of the plane of incidence."""
+    side = np.sign(np.sin(np.radians(points.azimuth_deg[~_in_plane(points)])))
+    return np.unique(side).size <= 1
+
+
+class _Cuts:
+    """The cut at each channel, psi and sigma of a table, over its lists of phi and `theta`."""
+
+    def __init__(
+        self, points: _Values, sigma_deg: Floats, phi_deg: Floats, mirrored: bool, widest_gap_deg: float | None
+    ) -> None:
+        self._points, self._sigma, self._phi, self._mirrored = points, sigma_deg, phi_deg, mirrored
+        self._gridded = widest_gap_deg is not None or self._is_gridded()
+        if self._gridded:
+            polar = np.diff(np.unique(round_deg(points.polar_deg)))
+            azimuth = np.diff(np.unique(round_deg(fold_azimuth(points.azimuth_deg))))
+            usual = [float(np.quantile(steps, 0.95)) for steps in (polar, azimuth) if steps.size]
+            self._gap = max(NEAR_DEG, *usual, 0.0) if widest_gap_deg is None else widest_gap_deg
+            step = max(FINEST_DEG, float(polar.min())) if polar.size else PHI_STEP_DEG
+            self.theta = np.linspace(0.0, HALF_TURN_DEG, 1 + math.ceil(HALF_TURN_DEG / step - 1e-6))
+        else:
+            sets = np.unique(np.stack([points.channel, points.psi, points.sigma]), axis=1).shape[1]
+            spacing = math.degrees(math.sqrt((1.0 if mirrored else 2.0) * math.pi * sets / points.values.size))
+            self._gap = max(NEAR_DEG, 2.0 * spacing)
+            self.theta = theta_list(self._specular(points, points.sigma_deg)[0], HALF_TURN_DEG)
+
+    def _is_gridded(self) -> bool:
+        """Whether the directions of the largest set are on a grid of polar angles and azimuths."""
+        key = np.ravel_multi_index(
+            (self._points.channel, self._points.psi, self._points.sigma),
+            tuple(int(each.max()) + 1 for each in (self._points.channel, self._points.psi, self._points.sigma)),
+        )
+        here = self._points.where(key == np.bincount(key).argmax())
+        polar, azimuth = round_deg(here.polar_deg), round_deg(fold_azimuth(here.azimuth_deg))
+        places = np.unique(np.stack([polar, azimuth]), axis=1).shape[1]
+        return bool(places >= LEAST_FILLED * np.unique(polar).size * np.unique(azimuth).size)
+
+    def __call__(self, channel: int, psi: int, sigma: int) -> SpecularCut:
+        """One cut. Raises ValueError where no node has values around it."""
+        points, sigma_deg = self._points, float(self._sigma[sigma])
+        chosen = (points.channel == channel) & (points.sigma == sigma)
+        if round_deg(sigma_deg) > 0.0 or (chosen & (points.psi == psi)).any():
+            chosen &= points.psi == psi
+        here = points.where(chosen)
+        cut = self._on_grid(here, sigma_deg) if self._gridded else self._between(here, sigma_deg)
+        if not cut.known.any():
+            raise ValueError(f"at sigma {sigma_deg:g} no node of the grid has measured directions around it")
+        return cut
+
+    def _on_grid(self, here: _Values, sigma_deg: float) -> SpecularCut:
+        grid = grid_of_points(here.polar_deg, here.azimuth_deg, here.values, here.own, here.shared, mirrored=self._mirrored)
+        if not self._mirrored and grid.azimuth_deg[0] == 0.0:  # round the whole turn
+            columns = (np.concatenate([each, each[:, :1]], axis=1) for each in (grid.values, grid.u, grid.shared))
+            grid = PolarGrid(grid.polar_deg, np.append(grid.azimuth_deg, TURN_DEG), *columns, mirrored=False)
+        return resample(grid, sigma_deg, self._phi, self.theta, widest_gap_deg=self._gap)
+
+    def _between(self, here: _Values, sigma_deg: float) -> SpecularCut:
+        theta, phi = self._specular(here, here.sigma_deg)
+        directions, values, u = from_specular(sigma_deg, theta, phi), here.values, np.hypot(here.own, here.shared)
+        if self._mirrored:
+            off = np.abs(directions[:, 1]) > 1e-9
+            directions = np.concatenate([directions, mirror_in_plane_of_incidence(directions[off])])
+            values, u = np.concatenate([values, values[off]]), np.concatenate([u, u[off]])
+        nodes = from_specular(sigma_deg, self.theta, self._phi[:, None])
+        reach = math.radians(2.0 * self._gap)
+        found, of_u = (plane_through_points(nodes.reshape(-1, 3), directions, each, reach) for each in (values, u))
+        apart = np.degrees(found[:, 1]).reshape(nodes.shape[:-1])
+        unknown = (apart > self._gap) | (nodes[..., 2] < 0.0)
+        at_nodes, u_at_nodes = (np.where(unknown, np.nan, each[:, 0].reshape(unknown.shape)) for each in (found, of_u))
+        return continued(self.theta, at_nodes, u_at_nodes)
+
+    @staticmethod
+    def _specular(points: _Values, sigma_deg: Floats) -> tuple[Floats, Floats]:
+        return to_specular(sigma_deg, arc_direction(points.polar_deg, points.azimuth_deg))
