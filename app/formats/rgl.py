@@ -17,7 +17,7 @@ import itertools
 import math
 import struct
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -75,7 +75,13 @@ def recognise(head: bytes) -> bool:
 def write(path: Path, content: BsdfFile) -> None:
     """Write the table of a file. Raises FormatError for what the format does not hold."""
     table = _writable(path, content)
-    samples = _Samples(table)
+    write_table(path, replace(table, comments=(*content.comments, *table.comments)))
+
+
+def write_table(path: Path, table: BsdfTable, most_nodes: int = MOST_NODES) -> None:
+    """Write a table; with fewer nodes than it asks for, the file is smaller and less exact. Raises FormatError."""
+    table = _writable(path, BsdfFile((table,)))
+    samples = _Samples(table, most_nodes)
     side = samples.side()
     sigmas = samples.sigmas(side)
     wavelengths = table.wavelengths_nm or (GREY_NM,)
@@ -85,7 +91,6 @@ def write(path: Path, content: BsdfFile) -> None:
         "SIMULATED" if table.generated else "",
         f"half vectors {side} x {side} at {sigmas.size} incidences; linear between them, a value of at least "
         f"{100.0 * LOWEST:g} % of the peak is off by up to {100.0 * samples.worst(side, sigmas):.2g} %",
-        *content.comments,
         *table.comments,
     ]
     description = "\n".join(line for line in lines if line).encode() or b" "
@@ -192,8 +197,8 @@ class _Samples:
     `psi_deg` are the azimuths of the light that are written: 0 alone, or from -180 to 180.
     """
 
-    def __init__(self, table: BsdfTable) -> None:
-        self.table = table
+    def __init__(self, table: BsdfTable, most_nodes: int = MOST_NODES) -> None:
+        self.table, self._most = table, most_nodes
         values, phi, psi = table.values, table.phi_deg, table.psi_deg
         if phi.size > 1 and phi[0] == 0.0 and 180.0 < phi[-1] < TURN_DEG:
             values, phi = np.concatenate([values, values[:, :, :, :1]], axis=3), np.append(phi, TURN_DEG)
@@ -279,12 +284,12 @@ class _Samples:
     def side(self) -> int:
         """The least of SIDES at which the interpolation between half vectors is within TOLERANCE, if there is room for it."""
         slices = self.table.values.shape[0] * self.psi_deg.size * self.table.sigma_deg.size
-        possible = [each for each in SIDES if slices * each**2 <= MOST_NODES] or [SIDES[0]]
+        possible = [each for each in SIDES if slices * each**2 <= self._most] or [SIDES[0]]
         return next((each for each in possible if self._worst_between_half_vectors(each) <= TOLERANCE), possible[-1])
 
     def sigmas(self, side: int) -> Floats:
         """The sigmas of the table, and others between them where the interpolation needs them, if there is room for them."""
-        most = MOST_NODES // (self.table.values.shape[0] * self.psi_deg.size * side**2)
+        most = self._most // (self.table.values.shape[0] * self.psi_deg.size * side**2)
         found = self.table.sigma_deg.tolist()
         split = [(-self._worst_between_sigmas(a, b), a, b) for a, b in itertools.pairwise(found)]
         heapq.heapify(split)

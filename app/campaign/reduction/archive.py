@@ -5,10 +5,11 @@ the file alone (docs/archive.md). An input's effect on a value is stored in the 
 the input: what has one name is one input in the whole file, so a covariance is a sum of products.
 """
 
+import itertools
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,26 +17,23 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
-from goniotwin.app.campaign.geometry.directions import polar_from_zenith
 from goniotwin.app.campaign.journal.reading import JournalReader
 from goniotwin.app.campaign.reduction.budget import FILLED, INTERPOLATION
 from goniotwin.app.campaign.reduction.budget import reflectance as reflectance_budget
-from goniotwin.app.campaign.reduction.components import shared_variance
 from goniotwin.app.campaign.reduction.effects_of_points import effects_of
 from goniotwin.app.campaign.reduction.etalon import ReductionSettings
-from goniotwin.app.campaign.reduction.export import heading, table_of
+from goniotwin.app.campaign.reduction.export import WIDEST_GAP_DEG, heading, scattered_of, scattered_points
 from goniotwin.app.campaign.reduction.points import BsdfPoints, PointSource
-from goniotwin.app.campaign.reduction.reduction import ReducedJournal, Reduction, reduce_to_files
-from goniotwin.app.campaign.reduction.reflectance import integration_settings, quadrature
+from goniotwin.app.campaign.reduction.reduction import ReducedJournal, Reduction
+from goniotwin.app.campaign.reduction.reflectance import Setting, integration_settings, quadrature
 from goniotwin.app.campaign.uncertainty.inputs import Input
-from goniotwin.app.errors import UserError
 from goniotwin.app.formats import archive
 from goniotwin.app.formats.content import COLUMNS, BsdfFile, ScatteredBsdf
-from goniotwin.app.formats.file import FormatError, check_writable
-from goniotwin.app.formats.metadata import InstrumentMetadata, Metadata
-from goniotwin.app.formats.registry import Format, Holds
+from goniotwin.app.formats.file import check_writable
+from goniotwin.app.formats.gridding import grid_table
+from goniotwin.app.formats.holes import Fill
+from goniotwin.app.formats.metadata import Metadata
 from goniotwin.app.formats.table import BsdfTable
-from goniotwin.twin.optics.geometry.coordinates import incidence_deg, wrap_azimuth
 
 CHUNK_POINTS = 10_000
 """Points whose effects are in memory together: some hundred numbers each."""
@@ -45,102 +43,65 @@ MORE = (
     "stray_contrast", "good",
 )  # fmt: skip
 """What a point of a journal has besides the columns of scattered values."""
-LIGHTS = {"reflected": Holds.REFLECTED, "transmitted": Holds.TRANSMITTED}
 
 
 @dataclass(frozen=True)
 class Archived:
-    """The number of points in an archive, and why a sample has no table of a light."""
+    """The number of measured values in an archive, its tables, and why there is none of a sample's light."""
 
-    points: int
+    values: int
+    tables: tuple[BsdfTable, ...]
     without_table: tuple[str, ...]
 
 
 def write_archive(
-    journal: JournalReader, path: Path, *, metadata: Metadata | None = None, without_damaged: bool = False
+    journal: JournalReader, reduced: ReducedJournal, path: Path, *, fill: Fill = "hold", without_damaged: bool = False
 ) -> Archived:
-    """Reduce a journal and write its archive, completely or not at all. Raises UserError.
+    """Write the archive of a journal and its reduction, completely or not at all. Raises UserError and FormatError.
 
-    Its points are never in memory together, the values of a table are.
+    Points with what their uncertainty is made of are in memory in parts; the scattered values of one sample are as a whole.
     """
-    _check(path)
+    check_writable(path)
     reduction = Reduction(journal, without_damaged=without_damaged)
-    folder = path.resolve().parent
-    with reduce_to_files(journal, folder, without_damaged=without_damaged) as reduced:
-        about = metadata or Metadata(
-            title=reduced.name, raw_data=reduced.chain, instrument=InstrumentMetadata(name=reduced.rig.file.name)
-        )
-        tables, missing = _tables(reduced, path)
-        count = sum(source.size for source in reduced.samples.values())
-
-        def fill(entry: h5py.Group) -> None:
-            inputs = _Inputs()
-            for k, (name, source) in enumerate(reduced.samples.items(), 1):
-                _put_points(archive.put_part(entry, f"part_{k}", _empty(reduced, name)), name, source, reduction, inputs)
-            for k, table in enumerate(tables, 1 + len(reduced.samples)):
-                archive.put_part(entry, f"part_{k}", table)
-            comments = (*heading(reduced), *(note for note in reduced.notes if note not in heading(reduced)), *missing)
-            archive.put_about(entry, BsdfFile((), about, comments))
-            entry.attrs["simulated"] = reduced.simulated
-            if reduced.samples:
-                entry.attrs["default"] = "part_1"
-            inputs.put(entry.create_group("inputs"))
-            _put_journal(entry.create_group("journal"), journal, reduction)
-
-        try:
-            archive.write_entry(path, fill)
-        except FormatError as error:
-            raise UserError(str(error)) from None
-    return Archived(count, missing)
-
-
-def _check(path: Path) -> None:
-    try:
-        check_writable(path)
-    except FormatError as error:
-        raise UserError(str(error)) from None
-
-
-def _tables(reduced: ReducedJournal, path: Path) -> tuple[list[BsdfTable], tuple[str, ...]]:
-    """The tables of all samples, and why there is none of a sample and light."""
-    tables, missing = [], []
+    tables, missing, good = [], [], 0
     for name, source in reduced.samples.items():
-        lights = {bool(each) for points in source.parts(CHUNK_POINTS) for each in np.unique(points.transmitted)}
-        for light in (each for each in LIGHTS if (each == "transmitted") in lights):
-            holds = frozenset({Holds.GRID, Holds.SIGMAS, Holds.WAVELENGTHS, LIGHTS[light]})
-            form = Format("archive", "", (".h5",), holds, "goniotwin.app.formats.archive")
-            try:
-                table, _ = table_of(reduced, name, path, form)
-            except (UserError, FormatError) as error:
-                reason = str(error).removeprefix(f"{path}: ").split(";")[0]
-                missing.append(f"no table of the {light} light of {name}: {reason}")
-            else:
-                tables.append(replace(table, sample=name))
-    return tables, tuple(missing)
+        good += sum(int(points.good.sum()) for points in source.parts(CHUNK_POINTS))
+        for part in scattered_of(reduced, name).scattered:
+            for light, side in itertools.product((False, True), repeat=2):
+                chosen = part.where((part.transmitted == light) & (part.back == side))
+                if not chosen.size:
+                    continue
+                about = (*heading(reduced), *part.comments)
+                try:
+                    found = grid_table(chosen, fill=fill, widest_gap_deg=WIDEST_GAP_DEG, comments=about)
+                except ValueError as error:
+                    what = f"{'transmitted' if light else 'reflected'} light of {name}, {'back' if side else 'front'}"
+                    missing.append(f"no table of the {what}: {error}")
+                else:
+                    tables.append(found)
 
+    def put(entry: h5py.Group) -> None:
+        inputs = _Inputs()
+        for k, (name, source) in enumerate(reduced.samples.items(), 1):
+            group = archive.put_part(entry, f"part_{k}", _empty(reduced, name))
+            group["metadata"] = json.dumps(reduced.metadata[name].as_dict(), ensure_ascii=False)
+            _put_points(group, name, source, reduction, inputs)
+        for k, table in enumerate(tables, 1 + len(reduced.samples)):
+            archive.put_part(entry, f"part_{k}", table)
+        comments = dict.fromkeys([*heading(reduced), *reduced.notes, *missing])
+        about = next(iter(reduced.metadata.values()), Metadata(title=reduced.name))
+        archive.put_about(entry, BsdfFile((), about, tuple(comments)))
+        entry.attrs.update({"simulated": reduced.simulated, "default": "part_1"})
+        inputs.put(entry.create_group("inputs"))
+        _put_journal(entry.create_group("journal"), journal, reduction)
 
-def scattered_of(name: str, points: BsdfPoints, *, generated: bool, isotropic: bool) -> ScatteredBsdf:
-    """The points of a sample in its own frame."""
-    incident = np.where(points.back, -1.0, 1.0)
-    shared = np.sqrt(np.maximum(shared_variance(points.components), 0.0))
-    flags = np.full(points.size, "", dtype=object)
-    for flag, marked in points.flags.items():
-        flags[marked] = flags[marked] + np.where(flags[marked] == "", flag, f" {flag}")
-    return ScatteredBsdf(
-        sigma_deg=np.array([incidence_deg(each) for each in points.places[:, 2].tolist()])[points.place],
-        psi_deg=wrap_azimuth(-incident * points.gamma_deg),
-        polar_deg=np.clip(polar_from_zenith(points.zenith_deg), 0.0, 90.0),
-        azimuth_deg=wrap_azimuth(incident * (points.azimuth_deg - points.gamma_deg)),
-        values=points.bsdf, u=points.u_bsdf, u_shared=shared, wavelength_nm=points.wavelength_nm,
-        transmitted=points.transmitted, back=points.back, flags=flags.astype(np.str_), photodiode=points.photodiode,
-        sample=name, isotropic=isotropic, generated=generated,
-    )  # fmt: skip
+    archive.write_entry(path, put)
+    return Archived(good, tuple(tables), tuple(missing))
 
 
 def _empty(reduced: ReducedJournal, name: str) -> ScatteredBsdf:
     none = np.zeros(0)
-    stated = reduced.symmetry.get(name)
-    about = () if stated is None else (f"symmetry: {stated}",)
+    about = (f"symmetry: {reduced.symmetry[name]}",) if name in reduced.symmetry else ()
     return ScatteredBsdf(none, none, none, none, none, sample=name, generated=reduced.simulated, comments=about)
 
 
@@ -169,8 +130,6 @@ def _put_points(
 ) -> None:  # fmt: skip
     """Fill a part with the points of a sample, in the order of wavelength and sigma, and what their uncertainty is made of."""
     columns: dict[str, archive.Column] = {}
-    isotropic = reduction.schedule.symmetry == "isotropic"
-    group.attrs["isotropic"] = isotropic
     words: dict[str, dict[str, int]] = {column: {} for column in archive.WORDS}
     for column in COLUMNS:
         del group["values_errors" if column == "u" else column]
@@ -178,10 +137,11 @@ def _put_points(
         del group[f"{column}_words"]
     effects = _EffectRows(group, inputs)
     components = archive.Rows(group, "components", "<f8")
-    begin, integrals = 0, 0
+    begin, integrals, azimuths = 0, 0, set[float]()
     for points in source.settings():
         for part in points.parts(CHUNK_POINTS):
-            scattered = scattered_of(name, part, generated=bool(group.attrs["generated"]), isotropic=isotropic)
+            scattered = scattered_points(part, name, generated=bool(group.attrs["generated"]))
+            azimuths.update(np.unique(scattered.psi_deg[~part.mirrored]).tolist())
             found: dict[str, npt.NDArray[Any]] = {each: getattr(scattered, each) for each in COLUMNS}
             found["values_errors"] = found.pop("u")
             for each in archive.WORDS:
@@ -197,12 +157,13 @@ def _put_points(
             components.add(part.size, part.budget)
             effects.add(part, reduction.settings)
         for setting in integration_settings(points):
-            if _put_reflectance(group, f"reflectance_{integrals + 1}", name, begin, points, setting, reduction):
+            if _put_reflectance(group, f"reflectance_{integrals + 1}", name, begin, points, setting, reduction.settings):
                 integrals += 1
         begin += points.size
     for each, known in words.items():
         archive.put_texts(group, f"{each}_words", list(known))
     archive.put_texts(group, "component_names", components.keys)
+    group.attrs["isotropic"] = len(azimuths) <= 1
     effects.put_names()
 
 
@@ -263,14 +224,15 @@ class _EffectRows:
 
 
 def _put_reflectance(
-    group: h5py.Group, title: str, name: str, begin: int, points: BsdfPoints, setting: Any, reduction: Reduction
+    group: h5py.Group, title: str, name: str, begin: int, points: BsdfPoints, setting: Setting,
+    settings: ReductionSettings,
 ) -> bool:  # fmt: skip
     """Write a reflectance with the weights of its values; nothing where the directions do not cover the half sphere."""
     here = points.where(setting.index)
-    rule = quadrature(here, reduction.schedule.symmetry)
+    rule = quadrature(here, settings.schedule.symmetry)
     if not rule.hemisphere:
         return False
-    budget = reflectance_budget(reduction, name, points, setting)
+    budget = reflectance_budget(settings, name, points, setting)
     used = np.flatnonzero(rule.weight != 0.0)
     own = {each.name: each.u for each in budget.components if each.name in (INTERPOLATION, FILLED)}
     found = group.create_group(title)

@@ -1,5 +1,6 @@
 """The archive of a journal: uncertainties and covariances rebuilt from the file by h5py and numpy alone."""
 
+import json
 from pathlib import Path
 
 import h5py
@@ -9,13 +10,14 @@ import pytest
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.proof.virtual_rigs import run_without_wires
-from goniotwin.app.campaign.reduction.archive import scattered_of, write_archive
+from goniotwin.app.campaign.reduction.archive import write_archive
 from goniotwin.app.campaign.reduction.budget import budget_of_reflectance, budget_of_value
 from goniotwin.app.campaign.reduction.effects_of_points import effects_of
+from goniotwin.app.campaign.reduction.export import scattered_points
 from goniotwin.app.campaign.reduction.reduction import Reduction, reduce_journal
 from goniotwin.app.campaign.schedule.file import parse_schedule
-from goniotwin.app.errors import UserError
-from goniotwin.app.formats import BsdfTable, archive
+from goniotwin.app.cli.main import app
+from goniotwin.app.formats import BsdfTable, FormatError, archive
 from goniotwin.app.formats.content import ScatteredBsdf
 from goniotwin.app.rig import parse_rig
 from goniotwin.arrays import Floats
@@ -33,7 +35,7 @@ def archived(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     plan = parse_schedule(changed(SMALL, HALF_SPHERE), "small.toml")
     run_without_wires(make_plan(plan, parse_rig(changed(RIG.read_text(), (PAINT,)), RIG.parent, "rig.toml")), journal)
     with Journal.open(journal) as opened:
-        write_archive(opened, path)
+        write_archive(opened, reduce_journal(opened), path)
     return journal, path
 
 
@@ -94,7 +96,7 @@ def test_the_covariance_of_two_values_is_rebuilt(archived: tuple[Path, Path]) ->
         (name, points), *_ = reduce_journal(journal).samples.items()
         good = points.where(points.good)
         expected = effects_of(good, reduction.settings).covariance(np.arange(0, good.size, 9), np.arange(0, good.size, 9))
-        keys = place(scattered_of(name, good, generated=True, isotropic=True))
+        keys = place(scattered_points(good, name, generated=True))
     with h5py.File(archived[1]) as file:
         part = file["entry/part_1"]
         columns = [part[each][()] for each in ("wavelength_nm", "sigma_deg", "polar_deg", "azimuth_deg", "transmitted")]
@@ -140,13 +142,14 @@ def test_what_was_recorded_is_in_it(tmp_path: Path) -> None:
     journal, path = tmp_path / "finished.journal", tmp_path / "finished.h5"
     journal.write_bytes(GOLDEN.read_bytes())
     with Journal.open(journal) as opened:
-        done = write_archive(opened, path)
-        rows, texts = list(opened.rows()), {each: opened.value(each) for each in ("schedule", "rig")}
         reduced = reduce_journal(opened)
+        done = write_archive(opened, reduced, path)
+        rows, texts = list(opened.rows()), {each: opened.value(each) for each in ("schedule", "rig")}
     content = archive.read(path)
     (scattered,), (table,) = content.scattered, content.tables
     assert content.simulated
-    assert (done.points, done.without_table) == (scattered.size, ())
+    assert (done.values, done.without_table) == (np.isfinite(scattered.values).sum(), ())
+    assert content.metadata == reduced.metadata[scattered.sample]
     assert isinstance(table, BsdfTable)
     points = reduced.samples[scattered.sample]
     assert (
@@ -166,9 +169,21 @@ def test_what_was_recorded_is_in_it(tmp_path: Path) -> None:
             assert recorded["reading_row"][k] == number
 
 
-def test_a_journal_without_the_etalon_leaves_no_file(tmp_path: Path) -> None:
+def test_a_folder_that_is_missing_is_named_first(tmp_path: Path) -> None:
     journal = tmp_path / "finished.journal"
     journal.write_bytes(GOLDEN.read_bytes())
-    with Journal.open(journal) as opened, pytest.raises(UserError, match="there is no folder"):
-        write_archive(opened, tmp_path / "no" / "finished.h5")
+    with Journal.open(journal) as opened, pytest.raises(FormatError, match="there is no folder"):
+        write_archive(opened, reduce_journal(opened), tmp_path / "no" / "finished.h5")
     assert list(tmp_path.iterdir()) == [journal]
+
+
+def test_export_writes_the_archive(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    journal, path = tmp_path / "finished.journal", tmp_path / "finished.h5"
+    journal.write_bytes(GOLDEN.read_bytes())
+    app(["export", str(journal), "--out", str(path), "--format", "archive", "--json"], standalone_mode=False)
+    result = json.loads(capsys.readouterr().out)
+    with h5py.File(path) as file:
+        assert (result["format"], result["values"]) == ("archive", int(np.sum(file["entry/part_1/good"][()])))
+        assert file["entry/journal/counts"].size
+    app(["convert", str(path), str(tmp_path / "again.csv")], standalone_mode=False)
+    assert (tmp_path / "again.csv").is_file()
