@@ -199,7 +199,9 @@ class _Samples:
 
     def __init__(self, table: BsdfTable, most_nodes: int = MOST_NODES) -> None:
         self.table, self._most = table, most_nodes
-        values, phi, psi = table.values, table.phi_deg, table.psi_deg
+        phi, psi = table.phi_deg, table.psi_deg
+        # The tail of a lobe can be so small that its slopes overflow.
+        values = np.where(np.abs(table.values) < 1e-30 * np.abs(table.values).max(), 0.0, table.values)
         if phi.size > 1 and phi[0] == 0.0 and 180.0 < phi[-1] < TURN_DEG:
             values, phi = np.concatenate([values, values[:, :, :, :1]], axis=3), np.append(phi, TURN_DEG)
         self.psi_deg = np.zeros(1)
