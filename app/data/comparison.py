@@ -297,7 +297,7 @@ def _compare_light(
     if (absent := there < 0).any():
         second[absent], u_second[absent] = interpolated(matching, other, theta[absent], phi[absent])
     known = np.isfinite(second)
-    index, theta, phi, there = (each[known] for each in (index, theta, phi, there))
+    index, there, theta, phi = index[known], there[known], theta[known], phi[known]
     second, u_second = second[known], u_second[known]
     if not index.size:
         return None

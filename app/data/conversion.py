@@ -19,7 +19,17 @@ from goniotwin.app.campaign.reduction.reduction import ReducedJournal
 from goniotwin.app.data.opening import with_files_beside
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats import BsdfTable, FormatError, registry
-from goniotwin.app.formats.content import CHECK, UNTRUSTED, BsdfFile, Part, RegularTable, ScatteredBsdf, flagged, nodes
+from goniotwin.app.formats.content import (
+    CHECK,
+    UNTRUSTED,
+    BsdfFile,
+    Part,
+    RegularTable,
+    ScatteredBsdf,
+    flagged,
+    nodes,
+    separate,
+)
 from goniotwin.app.formats.file import SQLITE, read_head
 from goniotwin.app.formats.gridding import grid_table
 from goniotwin.app.formats.holes import FILLS, Fill, fill_holes, refuse_holes, unmeasured_share
@@ -109,8 +119,9 @@ def user_errors() -> Iterator[None]:
 
 
 def is_journal(path: Path) -> bool:
-    """Whether a file is a database, as journals are. Raises FormatError where there is no such file."""
-    return not path.is_dir() and read_head(path, len(SQLITE)) == SQLITE
+    """Whether a file is a database, as journals are. Raises UserError where there is no such file."""
+    with user_errors():
+        return not path.is_dir() and read_head(path, len(SQLITE)) == SQLITE
 
 
 # ---- conversion ----
@@ -283,7 +294,7 @@ def _gridded(
             parts.append(part)
         if not isinstance(part, ScatteredBsdf) or (both and content.tables):
             continue
-        for one in _single(part):
+        for one in separate(part):
             if not both:
                 needs = registry.content_needs(BsdfFile((one,))) - {Holds.POINTS} | {Holds.GRID, Holds.SIGMAS}
                 registry.check_holds(path, form, needs)
@@ -299,15 +310,6 @@ def _gridded(
 
 def _of_points() -> str:
     return registry.join_words(map(str, registry.writers(Holds.POINTS)))
-
-
-def _single(part: ScatteredBsdf) -> Iterator[ScatteredBsdf]:
-    """The values of each light and side."""
-    for transmitted in np.unique(part.transmitted):
-        for back in np.unique(part.back):
-            here = (part.transmitted == transmitted) & (part.back == back)
-            if here.any():
-                yield part if here.all() else part.where(here)
 
 
 def _table(part: ScatteredBsdf, comments: tuple[str, ...], fill: Fill, widest_gap_deg: float | None) -> BsdfTable:

@@ -7,7 +7,7 @@ azimuth 0 is the sample's mark. Of transmitted light the direction of observatio
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -204,7 +204,7 @@ class Dataset:
 
     def where(self, chosen: Flags | Ints) -> "Dataset":
         """The values that a mask (n,) or a list of indices chooses."""
-        index = np.asarray(chosen)
+        index: Any = np.asarray(chosen)
         if index.ndim != 1 or index.dtype.kind not in "bi" or (index.dtype.kind == "b" and index.size != self.size):
             raise UserError(f"where: give a mask of {self.size} flags, or indices")
         try:

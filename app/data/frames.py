@@ -20,8 +20,7 @@ ON_GRID = ("bsdf", "u", "flags")
 
 def to_dataframe(data: SampleData) -> "pandas.DataFrame":
     """One row for each value, and the columns of the dataset. Raises MissingPackage where pandas is not installed."""
-    pandas = _extra("pandas", "to_dataframe")
-    frame: pandas.DataFrame = pandas.DataFrame({name: data.column(name) for name in COLUMNS})
+    frame: pandas.DataFrame = _extra("pandas", "to_dataframe").DataFrame({name: data.column(name) for name in COLUMNS})
     return frame
 
 
@@ -30,8 +29,8 @@ def to_xarray(data: SampleData, attributes: dict[str, Any]) -> "xarray.Dataset":
 
     Raises MissingPackage where xarray is not installed.
     """
-    xarray = _extra("xarray", "to_xarray")
-    made = _on_grid(data, xarray) if data.gridded and _is_one_table(data) else _flat(data, xarray)
+    library = _extra("xarray", "to_xarray")
+    made = _on_grid(data, library) if data.gridded and _is_one_table(data) else _flat(data, library)
     for name, each in made.variables.items():
         unit = UNITS.get(str(name), "deg" if str(name).endswith("_deg") else "")
         if unit:
@@ -49,13 +48,12 @@ def _extra(module: str, method: str) -> Any:
 
 def _is_one_table(data: SampleData) -> bool:
     """Whether values are of one light and one side, each node once."""
-    values = data.values
-    one = np.unique(values.transmitted).size == 1 and np.unique(values.back).size == 1
+    one = all(np.unique(data.column(name)).size == 1 for name in ("transmitted", "back"))
     keys = np.stack([np.unique(data.column(name), return_inverse=True)[1].ravel() for name in AXES], axis=1)
-    return bool(one and len(np.unique(keys, axis=0)) == values.size)
+    return bool(one and len(np.unique(keys, axis=0)) == data.values.size)
 
 
-def _on_grid(data: SampleData, xarray: Any) -> Any:
+def _on_grid(data: SampleData, library: Any) -> Any:
     axes, places = {}, []
     for name in AXES:
         nodes, place = np.unique(data.column(name), return_inverse=True)
@@ -70,11 +68,11 @@ def _on_grid(data: SampleData, xarray: Any) -> Any:
         grid = np.full(shape, "" if column.dtype.kind == "U" else np.nan, dtype=column.dtype)
         grid[tuple(places)] = column  # below the horizon a table has no value
         variables[name] = (tuple(axes), grid)
-    transmitted, back = bool(data.values.transmitted[0]), bool(data.values.back[0])  # type: ignore[index]
-    return xarray.Dataset(variables, coords={**axes, "transmitted": transmitted, "back": back})
+    sides = {name: bool(data.column(name)[0]) for name in ("transmitted", "back")}
+    return library.Dataset(variables, coords={**axes, **sides})
 
 
-def _flat(data: SampleData, xarray: Any) -> Any:
+def _flat(data: SampleData, library: Any) -> Any:
     columns = {name: ("value", data.column(name)) for name in COLUMNS}
     variables = {name: columns.pop(name) for name in (*ON_GRID, "u_shared")}
-    return xarray.Dataset(variables, coords=columns)
+    return library.Dataset(variables, coords=columns)

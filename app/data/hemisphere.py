@@ -54,7 +54,7 @@ def reflectance(data: SampleData, light: LightSetting, place: str) -> ValueWithU
 
 def regular_factor(part: RegularTable, light: LightSetting, place: str) -> tuple[float, float]:
     """The regular factor and its standard uncertainty at a light, linear between incidences. Raises UserError."""
-    names = part.colours or tuple(part.wavelengths_nm or (math.nan,))
+    names: tuple[str | float, ...] = part.colours or part.wavelengths_nm or (math.nan,)
     channel = [k for k, each in enumerate(names) if _is_channel(each, light)]
     psi = np.flatnonzero(np.abs(part.psi_deg - light.psi_deg) <= EQUAL) if part.psi_deg.size > 1 else np.zeros(1, dtype=int)
     sigma = part.sigma_deg
@@ -118,7 +118,7 @@ def _of_grid(data: SampleData, light: LightSetting, place: str) -> ValueWithU:
     coarse = np.zeros(fine.shape)
     keep = np.unique([*range(0, theta.size, 2), theta.size - 1])
     coarse[:, keep] = grid_weights(theta[keep], phi, light.sigma_deg, mirrored=mirrored)[0]
-    weight = np.bincount(node.ravel(), weights=fine.ravel(), minlength=index.size)
+    weight: Floats = np.bincount(node.ravel(), weights=fine.ravel(), minlength=index.size).astype(np.float64)
     values = data.values.values[index]
     of_coarse = float(np.sum(coarse * values[node]))
     total = float(np.sum(fine * values[node]))

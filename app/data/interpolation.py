@@ -101,9 +101,9 @@ def _completed(grid: PolarGrid) -> PolarGrid:
     around = np.concatenate([grid.azimuth_deg + turn for turn in turns])
     here = slice(0, grid.azimuth_deg.size) if grid.mirrored else slice(grid.azimuth_deg.size, 2 * grid.azimuth_deg.size)
     for k in np.flatnonzero(np.isnan(values).any(axis=1)).tolist():
-        row = (np.tile(each[k], len(turns)) for each in (values, u, shared))
+        row, u_row, shared_row = (np.tile(each[k], len(turns)) for each in (values, u, shared))
         sine = float(np.sin(np.radians(grid.polar_deg[k])))
-        values[k], u[k], shared[k] = (each[here] for each in _along(around, *row, scale=sine))
+        values[k], u[k], shared[k] = (each[here] for each in _along(around, row, u_row, shared_row, scale=sine))
     azimuth = grid.azimuth_deg
     if not grid.mirrored and azimuth.size > 1:
         # Two half planes more on each side, so that the interpolation goes on over 360 deg.

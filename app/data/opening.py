@@ -4,6 +4,7 @@ import os
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -78,7 +79,7 @@ def open_journal(path: Path, *, without_damaged: bool = False) -> Dataset:
 def sample_of_points(points: BsdfPoints, sample: str, symmetry: StatedSymmetry, *, generated: bool) -> SampleData:
     """The values of reduced points; equal angles are equal numbers."""
     values = scattered_points(points, sample, generated=generated)
-    rounded = {name: round_deg(getattr(values, name)) for name in ANGLES}
+    rounded: dict[str, Any] = {name: round_deg(getattr(values, name)) for name in ANGLES}
     u = np.where(np.isfinite(points.bsdf), points.u_bsdf, np.nan)
     values = replace(values, **rounded, u=u, isotropic=symmetry == "isotropic")
     return SampleData(values, round_deg(points.theta_deg), round_deg(points.phi_deg))
@@ -164,7 +165,7 @@ def _no_values(regular: Iterable[RegularTable]) -> ScatteredBsdf:
 def _join(pieces: Sequence[SampleData]) -> SampleData:
     if len(pieces) == 1:
         return pieces[0]
-    columns = {name: np.concatenate([getattr(each.values, name) for each in pieces]) for name in COLUMNS}
+    columns: dict[str, Any] = {name: np.concatenate([getattr(each.values, name) for each in pieces]) for name in COLUMNS}
     values = replace(
         pieces[0].values, **columns, isotropic=all(each.values.isotropic for each in pieces),
         generated=any(each.values.generated for each in pieces),

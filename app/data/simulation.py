@@ -1,6 +1,7 @@
 """Simulation for scripts and notebooks: the arguments are checked, and the result is a dataset."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -51,7 +52,7 @@ def dataset_of_simulation(simulation: Simulation) -> Dataset:
     name = simulation.task.sample.name
     waves = [np.nan] if simulation.wavelengths_nm is None else simulation.wavelengths_nm.tolist()
     columns = [_columns(simulation.task, at, row, nm) for row, nm in enumerate(waves) for at in simulation.at]
-    joined = {each: np.concatenate([part[each] for part in columns]) for each in columns[0]}
+    joined: dict[str, Any] = {each: np.concatenate([part[each] for part in columns]) for each in columns[0]}
     theta, phi = joined.pop("theta_deg"), joined.pop("phi_deg")
     mirrored = simulation.at[0].detectors.mirrored
     values = ScatteredBsdf(**joined, sample=name, isotropic=mirrored, generated=True)

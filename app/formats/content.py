@@ -5,7 +5,7 @@ comes from the polar angle sigma and the azimuth psi; without psi it comes from 
 """
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
@@ -206,6 +206,15 @@ class BsdfFile:
         return replace(self, parts=tuple(part for part in self.parts if part.sample == sample))
 
 
+def separate(part: ScatteredBsdf) -> Iterator[ScatteredBsdf]:
+    """The values of each light and side."""
+    for transmitted in np.unique(part.transmitted):
+        for back in np.unique(part.back):
+            here = (part.transmitted == transmitted) & (part.back == back)
+            if here.any():
+                yield part if here.all() else part.where(here)
+
+
 def nodes(table: BsdfTable) -> ScatteredBsdf:
     """The values of a grid above the horizon, in the order of its axes; those that were not measured have the flag "filled"."""
     channel, psi, sigma, phi, theta = axes_of_nodes(table)
@@ -214,7 +223,7 @@ def nodes(table: BsdfTable) -> ScatteredBsdf:
     count = table.values.shape[0]
     names = np.array(table.colours or ("",) * count)
     wavelengths = np.array(table.wavelengths_nm or (math.nan,) * count)
-    columns = {
+    columns: dict[str, Any] = {
         "sigma_deg": sigma, "psi_deg": psi, "polar_deg": np.minimum(polar, 90.0), "azimuth_deg": wrap_azimuth(azimuth + psi),
         "values": table.values.ravel(), "wavelength_nm": wavelengths[channel], "channel": names[channel],
         "transmitted": np.full(sigma.size, table.transmitted), "back": np.full(sigma.size, table.back),
@@ -230,5 +239,6 @@ def nodes(table: BsdfTable) -> ScatteredBsdf:
 def axes_of_nodes(table: BsdfTable) -> tuple[Ints, Floats, Floats, Floats, Floats]:
     """Index of the channel, psi, sigma, phi and theta of all nodes of a grid, each (values.size,), in the order of its axes."""
     axes = (np.arange(table.values.shape[0]), table.psi_deg, table.sigma_deg, table.phi_deg, table.theta_deg)
-    channel, psi, sigma, phi, theta = (each.ravel() for each in np.meshgrid(*axes, indexing="ij"))
-    return channel, psi, sigma, phi, theta
+    channel, *angles = (each.ravel() for each in np.meshgrid(*axes, indexing="ij"))
+    psi, sigma, phi, theta = (each.astype(np.float64) for each in angles)
+    return channel.astype(np.int64), psi, sigma, phi, theta

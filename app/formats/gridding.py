@@ -1,7 +1,8 @@
 """Scattered values onto the grid of a table: the one interpolation of `specular_grid`, whoever measured them.
 
-Values whose directions are a grid of polar angles and azimuths, as a goniophotometer has them, are interpolated in it. Others,
-as of an adaptive measurement, get at each node the plane through the values around it (`plane_through_points` of the optics).
+Values whose directions are a grid of polar angles and azimuths, as a goniophotometer has them, are interpolated in it. Those
+that are the nodes of a table stay where they are. Others, as of an adaptive measurement, get at each node the plane through the
+values around it (`plane_through_points` of the optics).
 """
 
 import math
@@ -31,6 +32,8 @@ NEAR_DEG = 3.0
 """Between directions no further apart than this there is always interpolation."""
 LEAST_FILLED = 0.3
 """Share of the nodes of a grid that has values; below it, the directions are not on a grid."""
+THETA_DECIMALS, PHI_DECIMALS = 4, 3
+"""Of the nodes of a table, whose directions are in a file with nine digits: near theta 0, phi has few of them."""
 MOST_SIGMAS = 46
 """Incidences of a table. Values at more of them, as at random, are put to the nearest of so many, about their own specular
 direction."""
@@ -90,12 +93,10 @@ def grid_table(
     mirrored = psi.size == 1 or _is_half(points)
     if psi.size > 1 and mirrored and not _in_plane(points).all():
         comments = [*comments, "the azimuths of one half were measured; the other half is taken as their mirror image"]
-    whole = HALF_TURN_DEG if mirrored else TURN_DEG
-    phi = np.array([0.0, whole]) if _in_plane(points).all() else np.arange(0.0, whole + 1e-9, PHI_STEP_DEG)
-    cut = _Cuts(points, sigma, phi, mirrored, widest_gap_deg)
+    cut = _Cuts(points, sigma, psi, mirrored, widest_gap_deg)
     cuts = [[cut(c, p, s) for s in range(sigma.size)] for c in range(len(names)) for p in range(psi.size)]
     table = specular_table(
-        sigma, phi, cut.theta, cuts, wavelengths, psi_deg=psi, colours=colours, transmitted=bool(values.transmitted[0]),
+        sigma, cut.phi, cut.theta, cuts, wavelengths, psi_deg=psi, colours=colours, transmitted=bool(values.transmitted[0]),
         back=bool(values.back[0]), generated=values.generated, sample=values.sample, comments=comments,
         done=done, fill=fill,
     )  # fmt: skip
@@ -162,71 +163,104 @@ def _is_half(points: _Values) -> bool:
 
 
 class _Cuts:
-    """The cut at each channel, psi and sigma of a table, over its lists of phi and `theta`."""
+    """The cut at each channel, psi and sigma of a table, over its lists `phi` and `theta`."""
 
     def __init__(
-        self, points: _Values, sigma_deg: Floats, phi_deg: Floats, mirrored: bool, widest_gap_deg: float | None
+        self, points: _Values, sigma_deg: Floats, psi_deg: Floats, mirrored: bool, widest_gap_deg: float | None
     ) -> None:
-        self._points, self._sigma, self._phi, self._mirrored = points, sigma_deg, phi_deg, mirrored
-        self._gridded = widest_gap_deg is not None or self._is_gridded()
-        if self._gridded:
+        self._points, self._sigma, self._psi = points, sigma_deg, psi_deg
+        self._mirrored, self._gap = mirrored, math.inf if widest_gap_deg is None else widest_gap_deg
+        whole = HALF_TURN_DEG if mirrored else TURN_DEG
+        self.phi = np.array([0.0, whole]) if _in_plane(points).all() else np.arange(0.0, whole + 1e-9, PHI_STEP_DEG)
+        theta, phi = self._about_specular(points)
+        rings = self._filled(round_deg(points.polar_deg), round_deg(fold_azimuth(points.azimuth_deg)))
+        about_specular = 0.0 if widest_gap_deg is not None else self._filled(theta, phi)
+        if widest_gap_deg is not None or rings >= max(LEAST_FILLED, about_specular):
+            self._cut = self._of_rings
             polar = np.diff(np.unique(round_deg(points.polar_deg)))
             azimuth = np.diff(np.unique(round_deg(fold_azimuth(points.azimuth_deg))))
             usual = [float(np.quantile(steps, 0.95)) for steps in (polar, azimuth) if steps.size]
             self._gap = max(NEAR_DEG, *usual, 0.0) if widest_gap_deg is None else widest_gap_deg
             step = max(FINEST_DEG, float(polar.min())) if polar.size else PHI_STEP_DEG
             self.theta = np.linspace(0.0, HALF_TURN_DEG, 1 + math.ceil(HALF_TURN_DEG / step - 1e-6))
+        elif about_specular >= LEAST_FILLED:
+            self._cut = self._of_nodes
+            self.theta = np.unique([0.0, *theta, HALF_TURN_DEG])
+            self.phi = np.unique([0.0, *phi, whole])
         else:
+            self._cut = self._of_planes
             sets = np.unique(np.stack([points.channel, points.psi, points.sigma]), axis=1).shape[1]
             spacing = math.degrees(math.sqrt((1.0 if mirrored else 2.0) * math.pi * sets / points.values.size))
             self._gap = max(NEAR_DEG, 2.0 * spacing)
-            self.theta = theta_list(self._specular(points, points.sigma_deg)[0], HALF_TURN_DEG)
+            self.theta = theta_list(theta, HALF_TURN_DEG)
 
-    def _is_gridded(self) -> bool:
-        """Whether the directions of the largest set are on a grid of polar angles and azimuths."""
-        key = np.ravel_multi_index(
-            (self._points.channel, self._points.psi, self._points.sigma),
-            tuple(int(each.max()) + 1 for each in (self._points.channel, self._points.psi, self._points.sigma)),
-        )
-        here = self._points.where(key == np.bincount(key).argmax())
-        polar, azimuth = round_deg(here.polar_deg), round_deg(fold_azimuth(here.azimuth_deg))
-        places = np.unique(np.stack([polar, azimuth]), axis=1).shape[1]
-        return bool(places >= LEAST_FILLED * np.unique(polar).size * np.unique(azimuth).size)
+    def _filled(self, row_deg: Floats, column_deg: Floats) -> float:
+        """The least share of the nodes (row, column) that have a value, of the sets of channel, psi and sigma."""
+        points = self._points
+        _, which = np.unique(np.stack([points.channel, points.psi, points.sigma]), axis=1, return_inverse=True)
+        order = np.argsort(which.ravel(), kind="stable")
+        shares = []
+        for here in np.split(order, np.flatnonzero(np.diff(which.ravel()[order])) + 1):
+            rows, columns = row_deg[here], column_deg[here]
+            off_pole = rows > 0.0
+            places = np.unique(np.stack([rows[off_pole], columns[off_pole]]), axis=1).shape[1]
+            nodes = np.unique(rows[off_pole]).size * np.unique(columns[off_pole]).size
+            shares.append(places / nodes if nodes else 1.0)
+        return min(shares)
+
+    def _about_specular(self, points: _Values) -> tuple[Floats, Floats]:
+        """theta and phi, rounded so that equal ones are equal numbers."""
+        theta, phi = to_specular(points.sigma_deg, arc_direction(points.polar_deg, points.azimuth_deg))
+        phi = np.round(phi, PHI_DECIMALS)
+        return np.round(theta, THETA_DECIMALS), fold_azimuth(phi) if self._mirrored else np.mod(phi, TURN_DEG)
 
     def __call__(self, channel: int, psi: int, sigma: int) -> SpecularCut:
         """One cut. Raises ValueError where no node has values around it."""
         points, sigma_deg = self._points, float(self._sigma[sigma])
-        chosen = (points.channel == channel) & (points.sigma == sigma)
-        if round_deg(sigma_deg) > 0.0 or (chosen & (points.psi == psi)).any():
-            chosen &= points.psi == psi
-        here = points.where(chosen)
-        cut = self._on_grid(here, sigma_deg) if self._gridded else self._between(here, sigma_deg)
+        at_sigma = (points.channel == channel) & (points.sigma == sigma)
+        here = points.where(at_sigma & (points.psi == psi))
+        if here.values.size:
+            cut = self._cut(here, sigma_deg)
+        else:  # at normal incidence, in the frame of another psi
+            here = points.where(at_sigma)
+            cut = self._of_rings(replace(here, azimuth_deg=here.azimuth_deg + self._psi[here.psi] - self._psi[psi]), sigma_deg)
         if not cut.known.any():
             raise ValueError(f"at sigma {sigma_deg:g} no node of the grid has measured directions around it")
         return cut
 
-    def _on_grid(self, here: _Values, sigma_deg: float) -> SpecularCut:
+    def _of_rings(self, here: _Values, sigma_deg: float) -> SpecularCut:
+        """Values at polar angles and azimuths, interpolated."""
         grid = grid_of_points(here.polar_deg, here.azimuth_deg, here.values, here.own, here.shared, mirrored=self._mirrored)
         if not self._mirrored and grid.azimuth_deg[0] == 0.0:  # round the whole turn
             columns = (np.concatenate([each, each[:, :1]], axis=1) for each in (grid.values, grid.u, grid.shared))
             grid = PolarGrid(grid.polar_deg, np.append(grid.azimuth_deg, TURN_DEG), *columns, mirrored=False)
-        return resample(grid, sigma_deg, self._phi, self.theta, widest_gap_deg=self._gap)
+        return resample(grid, sigma_deg, self.phi, self.theta, widest_gap_deg=self._gap)
 
-    def _between(self, here: _Values, sigma_deg: float) -> SpecularCut:
-        theta, phi = self._specular(here, here.sigma_deg)
+    def _of_nodes(self, here: _Values, _sigma_deg: float) -> SpecularCut:
+        """Values that are the nodes of a table."""
+        theta, phi = self._about_specular(here)
+        grid = grid_of_points(theta, phi, here.values, here.own, here.shared, mirrored=self._mirrored)
+        values, u = (np.full((self.phi.size, self.theta.size), np.nan) for _ in range(2))
+        at = np.ix_(np.searchsorted(self.phi, grid.azimuth_deg), np.searchsorted(self.theta, grid.polar_deg))
+        values[at], u[at] = grid.values.T, np.hypot(grid.u, grid.shared).T
+        if not self._mirrored:
+            values[-1], u[-1] = values[0], u[0]
+        if grid.polar_deg[0] == 0.0:
+            values[:, 0], u[:, 0] = grid.values[0, 0], np.hypot(grid.u, grid.shared)[0, 0]
+        return continued(self.theta, values, u)
+
+    def _of_planes(self, here: _Values, sigma_deg: float) -> SpecularCut:
+        """Values anywhere, by the planes through those around."""
+        theta, phi = to_specular(here.sigma_deg, arc_direction(here.polar_deg, here.azimuth_deg))
         directions, values, u = from_specular(sigma_deg, theta, phi), here.values, np.hypot(here.own, here.shared)
         if self._mirrored:
             off = np.abs(directions[:, 1]) > 1e-9
             directions = np.concatenate([directions, mirror_in_plane_of_incidence(directions[off])])
             values, u = np.concatenate([values, values[off]]), np.concatenate([u, u[off]])
-        nodes = from_specular(sigma_deg, self.theta, self._phi[:, None])
-        reach = math.radians(2.0 * self._gap)
-        found, of_u = (plane_through_points(nodes.reshape(-1, 3), directions, each, reach) for each in (values, u))
-        apart = np.degrees(found[:, 1]).reshape(nodes.shape[:-1])
-        unknown = (apart > self._gap) | (nodes[..., 2] < 0.0)
+        nodes = from_specular(sigma_deg, self.theta, self.phi[:, None])
+        found, of_u = (
+            plane_through_points(nodes.reshape(-1, 3), directions, each, math.radians(2.0 * self._gap)) for each in (values, u)
+        )
+        unknown = (np.degrees(found[:, 1]).reshape(nodes.shape[:-1]) > self._gap) | (nodes[..., 2] < 0.0)
         at_nodes, u_at_nodes = (np.where(unknown, np.nan, each[:, 0].reshape(unknown.shape)) for each in (found, of_u))
         return continued(self.theta, at_nodes, u_at_nodes)
-
-    @staticmethod
-    def _specular(points: _Values, sigma_deg: Floats) -> tuple[Floats, Floats]:
-        return to_specular(sigma_deg, arc_direction(points.polar_deg, points.azimuth_deg))

@@ -146,17 +146,61 @@ class Format:
             raise FormatError(path, wrong, "correct its installation, or use another format") from error
 
 
-_TABLE = frozenset({Holds.GRID, Holds.SIGMAS, Holds.WAVELENGTHS, Holds.PSI, Holds.COMMENTS})
+_TABLE = frozenset({Holds.GRID, Holds.SIGMAS, Holds.WAVELENGTHS, Holds.COLOURS, Holds.PSI, Holds.COMMENTS})
+_FACTORS = frozenset({Holds.REGULAR, Holds.SIGMAS, Holds.WAVELENGTHS, Holds.COLOURS, Holds.COMMENTS})
+_BOTH = frozenset({Holds.REFLECTED, Holds.TRANSMITTED})
+_LIST = frozenset({Holds.POINTS, Holds.SIGMAS, Holds.PSI, Holds.REFLECTED, Holds.COMMENTS})
+_MEASURED = frozenset({Holds.POINTS, Holds.SIGMAS, Holds.SAMPLES, Holds.REFLECTED, Holds.COMMENTS})
 _CSV = frozenset(set(Holds) - {Holds.GRID, Holds.REGULAR, Holds.RAYS, Holds.METADATA})
 
 BUILT_IN = (
     Format("ddr", "Lumicept table of a BRDF", (".ddr",), _TABLE | {Holds.REFLECTED}, "goniotwin.app.formats.ddr"),
     Format("ddt", "Lumicept table of a BTDF", (".ddt",), _TABLE | {Holds.TRANSMITTED}, "goniotwin.app.formats.ddr"),
+    Format("sdr", "Lumicept regular reflectance", (".sdr",), _FACTORS | {Holds.REFLECTED}, "goniotwin.app.formats.sdr"),
+    Format("sdt", "Lumicept regular transmittance", (".sdt",), _FACTORS | {Holds.TRANSMITTED}, "goniotwin.app.formats.sdr"),
     Format(
-        "zemax", "Zemax tabular BRDF or BTDF, Monochrome", (".bsdf",),
-        (_TABLE - {Holds.WAVELENGTHS, Holds.PSI}) | {Holds.REFLECTED, Holds.TRANSMITTED}, "goniotwin.app.formats.zemax",
+        "ssdd", "BRDF, BTDF and regular factors of a sample", (".ssdd",),
+        _TABLE | _FACTORS | _BOTH | {Holds.LIGHTS, Holds.METADATA}, "goniotwin.app.formats.ssdd",
+    ),
+    Format(
+        "zemax", "Zemax tabular BRDF or BTDF, Monochrome or XYZ", (".bsdf",), (_TABLE - {Holds.WAVELENGTHS}) | _BOTH,
+        "goniotwin.app.formats.zemax",
+    ),
+    Format(
+        "lighttools", "LightTools tabular BSDF, by libbsdf's convention", (".bsdf",),
+        (_FACTORS - {Holds.REGULAR}) | _BOTH | {Holds.POINTS, Holds.LIGHTS, Holds.SIDES},
+        "goniotwin.app.formats.lighttools", writes=False,
     ),
     Format("csv", "every point, with its uncertainty and flags", (".csv",), _CSV, "goniotwin.app.formats.points"),
+    Format(
+        "astm", "list in the style of ASTM E1392", (".astm",),
+        _LIST | {Holds.WAVELENGTHS, Holds.COLOURS, Holds.TRANSMITTED}, "goniotwin.app.formats.astm",
+    ),
+    Format(
+        "bird", "BiRD's universal BRDF format (JSON)", (".brdf", ".json"),
+        _LIST | {Holds.WAVELENGTHS, Holds.UNCERTAINTY, Holds.METADATA}, "goniotwin.app.formats.bird",
+    ),
+    Format(
+        "spectral_list", "list of spectral samples, Cornell's gonioreflectometer", (".brdf",),
+        _LIST | {Holds.WAVELENGTHS}, "goniotwin.app.formats.spectral_list", writes=False,
+    ),
+    Format("fred", "FRED's text of a tabulated BSDF", (), _LIST, "goniotwin.app.formats.fred", writes=False),
+    Format(
+        "eds", "engineered diffusers of VIAVI (RPC Photonics)", (),
+        (_LIST - {Holds.REFLECTED}) | {Holds.SAMPLES, Holds.TRANSMITTED}, "goniotwin.app.formats.eds",
+        writes=False, folders=True,
+    ),
+    Format(
+        "pab", "text of pab's goniophotometers, by description", (),
+        _LIST | {Holds.SAMPLES, Holds.COLOURS, Holds.TRANSMITTED, Holds.LIGHTS, Holds.SIDES}, "goniotwin.app.formats.pab",
+        writes=False, folders=True,
+    ),
+    Format("reflet", "text export of a REFLET goniophotometer", (), _MEASURED, "goniotwin.app.formats.reflet", writes=False),
+    Format("speos_rtd", "Speos export of it", (".rtd",), _MEASURED, "goniotwin.app.formats.speos_rtd", writes=False),
+    Format(
+        "reflectance_factors", "list of reflectance factors in bands", (),
+        _LIST | {Holds.WAVELENGTHS}, "goniotwin.app.formats.reflectance_factors", writes=False,
+    ),
     Format(
         "rgl", "tensor file for Mitsuba 3, as of the RGL", (".bsdf",),
         _TABLE | {Holds.REFLECTED}, "goniotwin.app.formats.rgl",
@@ -320,7 +364,9 @@ def check_holds(path: Path | str, found: Format, needs: Collection[Holds]) -> No
     if not missing and found.writes:
         return
     wrong = f"a {found.name} file does not hold {join_words(missing, 'and')}" if missing else f"{found.name} is only read"
-    others = [each for each in writers(*set(needs) - KINDS) if each.holds & BSDF]
+    scattered = {Holds.GRID, Holds.POINTS}  # one can be made of the other
+    kinds = BSDF if Holds.REGULAR in needs else scattered
+    others = [each for each in writers(*set(needs) - scattered) if each.holds & kinds]
     remedy = f"use {join_words(map(str, others))}" if others else "write it in several files"
     raise FormatError(path, wrong, remedy)
 

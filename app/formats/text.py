@@ -6,6 +6,7 @@ begins a comment, which ends with the line.
 
 import codecs
 import itertools
+import math
 import re
 import unicodedata
 from array import array
@@ -27,15 +28,19 @@ MOST_COMMENTS = 500_000
 """Lines of comments of a table, which stay in memory."""
 HEADER_WORDS = 5000
 """The keywords of a table are among so many words: a list of angles can be long."""
+OTHER_CHARACTER = {missing: re.compile(rf"[^0-9eE+\-.\s{'nNaA' * missing}]") for missing in (False, True)}
+"""What no number has, and neither has "nan" where values may be missing: of a keyword, a comment, another spelling."""
+PIECE = 1_000_000
+"""Characters of a long list of numbers that are parsed at a time, to bound memory."""
 UTF16_MARKS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
 
-def read_text(path: StrPath) -> str:
+def read_text(path: StrPath, most: int = MOST_BYTES) -> str:
     """The text of a file in UTF-8 or, if it is not UTF-8, in Latin-1 (older programs); line ends are not changed.
 
-    Raises FormatError if the file is absent, not a regular file, unreadable, empty or not text.
+    Raises FormatError if the file is absent, not a regular file, unreadable, empty, not text, or of more bytes than `most`.
     """
-    content = read_file(path, MOST_BYTES)
+    content = read_file(path, most)
     if content.startswith(UTF16_MARKS):
         raise FormatError(path, "is UTF-16 text", "save it as plain text (ASCII or UTF-8)")
     try:
@@ -117,7 +122,9 @@ class Words:
         """All comments, including those at the top."""
         text = read_text(path)
         self._text = text.replace("\r\n", "\n").replace("\r", "\n") if "\r" in text else text
-        self._parts = re.finditer(rf"(?P<mark>{re.escape(comment_mark)})[^\n]*|\S+", self._text)
+        self._mark = comment_mark
+        self._pattern = re.compile(rf"(?P<mark>{re.escape(comment_mark)})[^\n]*|\S+")
+        self._parts = self._pattern.finditer(self._text)
         self._end = 0
         """Where in the text the word that comes next ends."""
         self._next: str | None = None
@@ -205,15 +212,21 @@ class Words:
             raise self.error(wrong, "correct the count or the list", start)
         return np.array(angles)
 
-    def block(self, name: str, rows: int, per_row: int, ends: Collection[str]) -> Floats:
-        """Take numbers (rows, per_row) up to one of the words in `ends` (lower case), which is not taken."""
+    def block(self, name: str, rows: int, per_row: int, ends: Collection[str], *, missing: bool = False) -> Floats:
+        """Take numbers (rows, per_row) up to one of the words in `ends` (lower case), which is not taken.
+
+        A number may be "nan" where values may be `missing`.
+        """
+        plain = self._plain_numbers(rows * per_row, ends, missing)
+        if plain is not None:
+            return plain.reshape(rows, per_row)
         numbers = array("d")
         count, line, in_line, odd, surplus = 0, self._next_line, 0, None, None
         while (word := self.peek()) is not None and word not in ends:
             if self._next_line != line:
                 odd = odd or (line if in_line != per_row else None)
                 line, in_line = self._next_line, 0
-            number = self.number(name)
+            number = self._missing() if missing and word == "nan" else self.number(name)
             count, in_line = count + 1, in_line + 1
             if count <= rows * per_row:
                 numbers.append(number)
@@ -225,3 +238,47 @@ class Words:
             wrong = f"{name} has too {size} numbers: {count}, not {rows} rows of {per_row}"
             raise self.error(wrong, "correct this line, or the counts at the top", odd)
         return np.array(numbers).reshape(rows, per_row)
+
+    def _missing(self) -> float:
+        self.take("a value")
+        return math.nan
+
+    def _plain_numbers(self, count: int, ends: Collection[str], missing: bool) -> Floats | None:
+        """Take `count` numbers in large pieces, with the comments between them, up to a word in `ends`.
+
+        None, with nothing taken, where anything else is among them: word by word, the fault gets its line.
+        """
+        text, pattern = self._text, OTHER_CHARACTER[missing]
+        before = self.line, self._next, self._next_line, self._end, len(self.comments), len(self.top_comments)
+        if self._next is None or 2 * count > len(text) - self._end + len(self._next) + 1:
+            return None
+        values, done = np.empty(count), 0
+        while self._next is not None and self._next.lower() not in ends:
+            start = self._end - len(self._next)
+            stop = start + min(PIECE, 100 + 30 * (count - done))
+            other = pattern.search(text, start, stop)
+            if other is not None or stop < len(text):  # back to the start of a word
+                stop = min(stop, len(text)) if other is None else other.start()
+                while stop > start and not text[stop - 1].isspace():
+                    stop -= 1
+            piece = text[start:stop].rstrip()
+            words = piece.split()
+            try:
+                numbers = np.array(list(map(float, words)))
+            except ValueError:
+                break
+            if not words or done + len(words) > count or np.isinf(numbers).any():
+                break
+            values[done : done + len(words)] = numbers
+            done += len(words)
+            self.line, self._end = self._next_line + piece.count("\n"), start + len(piece)
+            self._next_line = self.line
+            self._parts = self._pattern.finditer(text, self._end)
+            self._load()
+        else:
+            if done == count:
+                return values
+        self.line, self._next, self._next_line, self._end, comments, top = before
+        del self.comments[comments:], self.top_comments[top:]
+        self._parts = self._pattern.finditer(text, self._end)
+        return None

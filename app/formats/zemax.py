@@ -1,25 +1,36 @@
-"""Zemax (Radiant) tabular .bsdf files with SpectralContent Monochrome.
+"""Zemax (Radiant) tabular .bsdf files, Monochrome or XYZ, of one sample rotation or several.
 
 The geometry is that of .ddr: ScatterRadial is the angle from the specular direction, ScatterAzimuth the azimuth about it,
-zero in the plane of incidence towards the normal. Values are BSDF in 1/sr (no factor pi).
+zero in the plane of incidence towards the normal. Values are BSDF in 1/sr (no factor pi). The lines of the file are those of
+Radiant's description (http://www.zemax.com/kb/articles/229/3, table 1). libbsdf (https://github.com/KimuraRyo/libbsdf:
+src/Reader/ZemaxBsdfReader.cpp) reads a sample rotation as the azimuth of the light, here psi, without a change of sign; the
+description does not state which way the sample is turned. Of the spellings of the description it takes `Asymmetrical` and
+`ASymmetrical4D`, which are written. "NaN" is a node without a value: the files of a real instrument have it below the horizon
+(https://github.com/ua-loft/bsdf-tools, data/processed/zemax/test.bsdf).
 """
 
 import difflib
-from collections.abc import Callable
+import itertools
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from goniotwin.app.formats.content import BsdfFile
+from goniotwin.app.formats.coverage import covered, held, scattered_share, uncovered
 from goniotwin.app.formats.file import FormatError, StrPath, name_file, quote_word
-from goniotwin.app.formats.numerals import ascending_array, finite_array, format_angles, format_number, format_row
+from goniotwin.app.formats.notes import HALF, noted, read_notes
+from goniotwin.app.formats.numerals import ascending_array, finite_array, format_angles, format_number
 from goniotwin.app.formats.table import BsdfTable
 from goniotwin.app.formats.text import Words, comment_lines, header_words, mark_comments, write_text
-from goniotwin.arrays import Floats
-from goniotwin.twin.optics import from_specular
+from goniotwin.arrays import Flags, Floats
+from goniotwin.twin.optics.geometry.coordinates import round_deg
 
-SYMMETRIES = ("PlaneSymmetrical", "ASymmetrical", "ASymmetrical4D")
+SYMMETRIES = ("PlaneSymmetrical", "Asymmetrical", "ASymmetrical4D")
+CHANNELS = {"Monochrome": ("Monochrome",), "XYZ": ("TristimulusX", "TristimulusY", "TristimulusZ")}
+"""The keywords of the data of each SpectralContent."""
+XYZ = ("X", "Y", "Z")
 LISTS = ("sample_rotation_deg", "incidence_deg", "azimuth_deg", "radial_deg")
 SCATTER_TYPES = ("BRDF", "BTDF")
 LIMITS_DEG = {
@@ -35,8 +46,9 @@ HEADER = ("Source", "Symmetry", "SpectralContent", "ScatterType", *LIMITS_DEG)
 class ZemaxBsdf:
     """A BSDF in specular coordinates. Angles in degrees, each list ascending.
 
-    `values` has the axes [rotation, incidence, azimuth, radial], in 1/sr; `tis` [rotation, incidence] is the total integrated
-    scatter stated in the file. `source` is a word such as "Measured". Raises ValueError where these do not fit together.
+    `values` has the axes [channel, rotation, incidence, azimuth, radial], in 1/sr, with one channel, or three for X, Y and Z;
+    `tis` [channel, rotation, incidence] is the total integrated scatter stated in the file. `known` marks the values that the
+    file has, None: all of them. `source` is a word such as "Measured". Raises ValueError where these do not fit together.
     """
 
     source: str
@@ -49,6 +61,7 @@ class ZemaxBsdf:
     values: Floats
     tis: Floats
     comments: tuple[str, ...] = ()
+    known: Flags | None = None
 
     def __post_init__(self) -> None:
         """Check the fields, and copy the arrays."""
@@ -62,7 +75,8 @@ class ZemaxBsdf:
         if self.symmetry == "PlaneSymmetrical" and self.azimuth_deg[-1] > 180:
             wrong = f"ScatterAzimuth goes to {self.azimuth_deg[-1]:g} deg, but PlaneSymmetrical has 0 to 180 only"
             raise ValueError(f"{wrong}; write ASymmetrical, or end the list at 180")
-        blocks = (self.sample_rotation_deg.size, self.incidence_deg.size)
+        channels = 3 if np.shape(self.values)[:1] == (3,) else 1
+        blocks = (channels, self.sample_rotation_deg.size, self.incidence_deg.size)
         keep(self, "values", finite_array("values", self.values, (*blocks, self.azimuth_deg.size, self.radial_deg.size)))
         keep(self, "tis", finite_array("tis", self.tis, blocks))
         keep(self, "comments", tuple(self.comments))
@@ -74,54 +88,72 @@ def recognise(head: bytes) -> bool:
 
 
 def read(path: Path) -> BsdfFile:
-    """Read a .bsdf file with one sample rotation. Raises FormatError."""
+    """Read a .bsdf file; sample rotations are psi. Raises FormatError."""
     table = read_zemax(path)
-    if (count := table.sample_rotation_deg.size) != 1:
-        wrong = f"it has {count} sample rotations, and the format does not state which way the sample is turned"
-        raise FormatError(path, wrong, "give a table with one of them, or a .ddr of four dimensions")
-    bsdf_table = BsdfTable(
-        sigma_deg=table.incidence_deg,
-        phi_deg=table.azimuth_deg,
-        theta_deg=table.radial_deg,
-        values=table.values[None],
-        transmitted=table.scatter_type == "BTDF",
-        generated=table.source.lower() == "generated",
-        comments=table.comments,
-    )
-    return BsdfFile((bsdf_table,))
+    notes = read_notes(table.comments)
+    comments = list(notes.comments)
+    if table.symmetry != "PlaneSymmetrical" and table.azimuth_deg[-1] <= 180.0:
+        comments.append(HALF)
+    values, known, psi = table.values, table.known, np.zeros(1)
+    if table.sample_rotation_deg.size > 1 or table.symmetry == "ASymmetrical4D":
+        comments.append("psi is the sample rotation of the file; the format does not state which way the sample is turned")
+        psi, order = np.unique(round_deg(_within_turn(table.sample_rotation_deg)), return_index=True)
+        if psi.size < table.sample_rotation_deg.size:
+            wrong = "two sample rotations are the same azimuth of the light"
+            raise FormatError(path, wrong, "leave one of them out")
+        values, known = values[:, order], None if known is None else known[:, order]
+    with name_file(path):
+        part = BsdfTable(
+            sigma_deg=table.incidence_deg,
+            phi_deg=table.azimuth_deg,
+            theta_deg=table.radial_deg,
+            values=values,
+            wavelengths_nm=None if len(values) == 3 else notes.wavelengths_nm,
+            psi_deg=psi,
+            transmitted=table.scatter_type == "BTDF",
+            generated=table.source.lower() == "generated",
+            comments=tuple(comments),
+            colours=XYZ if len(values) == 3 else (),
+            known=known,
+            back=notes.back,
+            sample=notes.sample,
+        )
+    return BsdfFile((uncovered(part),))
+
+
+def _within_turn(rotation_deg: Floats) -> Floats:
+    """Rotations in 0 to 360; a list from 0 to 360 keeps its end."""
+    return np.where(rotation_deg < 0.0, rotation_deg + 360.0, rotation_deg)
 
 
 def write(path: Path, content: BsdfFile) -> None:
-    """Write a .bsdf file of one wavelength, which is in its comments, completely or not at all. Raises FormatError."""
-    table = content.only_table()
-    wavelength = [] if table.wavelengths_nm is None else [f"wavelength: {format_number(table.wavelengths_nm[0])} nm"]
-    mirrored = bool(table.phi_deg[-1] <= 180.0)
+    """Write the one table of a file as .bsdf, completely or not at all; a wavelength is in its comments. Raises FormatError."""
+    with name_file(path, "write its parts in files of their own"):
+        table = content.only_table()
+    if (count := len(table.wavelengths_nm or ())) > 1:
+        raise FormatError(path, f"it has {count} wavelengths, and a .bsdf has one", "write each in a file of its own")
+    if table.colours not in ((), XYZ):
+        raise FormatError(path, f"it has the colours {', '.join(table.colours)}, and a .bsdf has XYZ", "use .ssdd")
+    anisotropic = table.psi_deg.tolist() != [0.0]
+    table = covered(table, whole_turn=anisotropic, lists=["psi"])  # no type of symmetry says both
+    symmetry = "PlaneSymmetrical" if table.phi_deg[-1] <= 180.0 else "Asymmetrical"
     written = ZemaxBsdf(
         source="Generated" if table.generated else "Measured",
-        symmetry="PlaneSymmetrical" if mirrored else "ASymmetrical",
+        symmetry="ASymmetrical4D" if anisotropic else symmetry,
         scatter_type="BTDF" if table.transmitted else "BRDF",
-        sample_rotation_deg=np.zeros(1),
+        sample_rotation_deg=table.psi_deg,
         incidence_deg=table.sigma_deg,
         azimuth_deg=table.phi_deg,
         radial_deg=table.theta_deg,
-        values=table.values[0],
-        tis=_total_scatter(table)[None] * (2.0 if mirrored else 1.0),
-        comments=(*wavelength, *table.comments),
+        values=table.values,
+        tis=scattered_share(table),
+        comments=(*content.metadata.lines(), *content.comments, *noted(table, wavelength=True)),
     )
     write_zemax(path, written)
 
 
-def _total_scatter(table: BsdfTable) -> Floats:
-    """Share of the light (sigma,) that is scattered within the list of phi, by the trapezoidal rule."""
-    angles = np.meshgrid(table.sigma_deg, table.phi_deg, table.theta_deg, indexing="ij")
-    cosine = np.maximum(from_specular(angles[0], angles[2], angles[1])[..., 2], 0.0)
-    along_theta = np.trapezoid(table.values[0, 0] * cosine * np.sin(np.radians(angles[2])), np.radians(table.theta_deg), axis=2)
-    total: Floats = np.trapezoid(along_theta, np.radians(table.phi_deg), axis=1)
-    return total
-
-
 def read_zemax(path: StrPath) -> ZemaxBsdf:
-    """Read a .bsdf file with SpectralContent Monochrome. Raises FormatError for anything else."""
+    """Read a .bsdf file. Raises FormatError for anything else."""
     with name_file(path):
         return _Reader(Words(path, "#")).table()
 
@@ -138,15 +170,21 @@ class _Reader:
     def table(self) -> ZemaxBsdf:
         self._header()
         rotation, incidence, azimuth, radial = (self.angles_of[name] for name in LIMITS_DEG)
+        names = CHANNELS[self.word_of["SpectralContent"]]
         values = []
         tis: list[float] = []
-        for turn in rotation:
-            for angle in incidence:
-                name = f"BSDF at rotation {turn:g}, incidence {angle:g} deg"
-                self._next_block(len(tis), rotation.size * incidence.size)
-                tis.append(self.words.number("TIS"))
-                values.append(self.words.block(name, azimuth.size, radial.size, {"tis", "dataend"}))
-        self._end(len(tis))
+        for name in names:
+            self.words.expect(name)
+            if name == names[0] or self.words.peek() == "databegin":
+                self.words.expect("DataBegin")
+            values += self._blocks(tis)
+            if name == names[-1] or not (self.words.peek() or "").startswith("tristimulus"):
+                self._end(rotation.size * incidence.size)
+        if self.words.peek() is not None:
+            word = self.words.take("the end")
+            raise self.words.error(f"{quote_word(word)} follows DataEnd", "remove everything after DataEnd")
+        blocks = (len(names), rotation.size, incidence.size)
+        filled, known = held(np.array(values).reshape(*blocks, azimuth.size, radial.size))
         return ZemaxBsdf(
             source=self.word_of["Source"],
             symmetry=self.word_of["Symmetry"],
@@ -155,16 +193,27 @@ class _Reader:
             incidence_deg=incidence,
             azimuth_deg=azimuth,
             radial_deg=radial,
-            values=np.array(values).reshape(rotation.size, incidence.size, azimuth.size, radial.size),
-            tis=np.array(tis).reshape(rotation.size, incidence.size),
+            values=filled,
+            tis=np.array(tis).reshape(blocks),
             comments=tuple(self.words.comments),
+            known=None if known.all() else known,
         )
 
+    def _blocks(self, tis: list[float]) -> list[Floats]:
+        rotation, incidence, azimuth, radial = (self.angles_of[name] for name in LIMITS_DEG)
+        values: list[Floats] = []
+        ends = {"tis", "dataend", *map(str.lower, CHANNELS["XYZ"])}
+        for turn in rotation:
+            for angle in incidence:
+                name = f"BSDF at rotation {turn:g}, incidence {angle:g} deg"
+                self._next_block(len(values), rotation.size * incidence.size)
+                tis.append(self.words.number("TIS"))
+                values.append(self.words.block(name, azimuth.size, radial.size, ends, missing=True))
+        return values
+
     def _header(self) -> None:
-        while self.words.peek() not in ("monochrome", "databegin", None):
+        while self.words.peek() not in ("monochrome", *map(str.lower, CHANNELS["XYZ"]), "databegin", None):
             word = self.words.take("a keyword")
-            if word.lower().startswith("tristimulus"):
-                raise self.words.error(f"{quote_word(word)}: tristimulus data are not supported", "export it as Monochrome")
             if word.lower() not in self.keywords:
                 near = difflib.get_close_matches(word, HEADER, 1)
                 remedy = f"did you mean {near[0]}?" if near else "remove it, or make it a comment with #"
@@ -177,8 +226,6 @@ class _Reader:
         if missing:
             wrong = f"{', '.join(missing)} {'is' if len(missing) == 1 else 'are'} missing"
             raise FormatError(self.words.path, wrong, "add it before the data")
-        self.words.expect("Monochrome")
-        self.words.expect("DataBegin")
 
     def _angles(self, name: str) -> None:
         low, high = LIMITS_DEG[name]
@@ -192,11 +239,9 @@ class _Reader:
         if name == "Source":
             self.word_of[name] = value
             return
-        known = {"Symmetry": SYMMETRIES, "ScatterType": SCATTER_TYPES, "SpectralContent": ("Monochrome",)}[name]
+        known = {"Symmetry": SYMMETRIES, "ScatterType": SCATTER_TYPES, "SpectralContent": tuple(CHANNELS)}[name]
         spelled = {word.lower(): word for word in known}.get(value.replace(" ", "").lower())
         if spelled is None:
-            if name == "SpectralContent" and value.lower() == "xyz":
-                raise self.words.error("SpectralContent XYZ (tristimulus) is not supported", "export it as Monochrome")
             raise self.words.error(f"{name} {quote_word(value)} is not known", f"write {' or '.join(known)}")
         self.word_of[name] = spelled
 
@@ -213,9 +258,6 @@ class _Reader:
             wrong = f"more blocks of data than the {blocks} of SampleRotation and AngleOfIncidence"
             raise self.words.error(wrong, "remove blocks, or correct the lists")
         self.words.expect("DataEnd")
-        if self.words.peek() is not None:
-            word = self.words.take("the end")
-            raise self.words.error(f"{quote_word(word)} follows DataEnd", "remove everything after DataEnd")
 
 
 def write_zemax(path: StrPath, table: ZemaxBsdf) -> None:
@@ -223,20 +265,24 @@ def write_zemax(path: StrPath, table: ZemaxBsdf) -> None:
     source = comment_lines([table.source], ascii_only=True)
     if len(source) != 1 or source[0].split() != table.source.split() or not source[0].strip() or "#" in source[0]:
         raise FormatError(path, f"the source {quote_word(table.source)} cannot be written", "write it in plain words")
+    content = "XYZ" if len(table.values) == 3 else "Monochrome"
     lines = [
         *mark_comments(comment_lines(table.comments, ascii_only=True), "#"),
         f"Source\t{source[0].strip()}",
         f"Symmetry\t{table.symmetry}",
-        "SpectralContent\tMonochrome",
+        f"SpectralContent\t{content}",
         f"ScatterType\t{table.scatter_type}",
     ]
     for name, field in zip(LIMITS_DEG, LISTS, strict=True):
         angles: Floats = getattr(table, field)
         lines += [f"{name}\t{angles.size}", format_angles(path, name, angles, "\t")]
-    lines += ["", "Monochrome", "DataBegin"]
-    for rotation in range(table.sample_rotation_deg.size):
-        for incidence in range(table.incidence_deg.size):
-            lines.append(f"TIS\t{format_number(table.tis[rotation, incidence])}")
-            lines += [format_row(values, "\t") for values in table.values[rotation, incidence].tolist()]
-    lines.append("DataEnd")
-    write_text(path, "\n".join(lines) + "\n")
+    write_text(path, itertools.chain(["\n".join(lines) + "\n\n"], _data(table, CHANNELS[content])))
+
+
+def _data(table: ZemaxBsdf, names: tuple[str, ...]) -> Iterator[str]:
+    block = ("\t".join(["%.9g"] * table.radial_deg.size) + "\n") * table.azimuth_deg.size
+    for name, tis, values in zip(names, table.tis, table.values, strict=True):
+        yield f"{name}\nDataBegin\n"
+        for share, of_incidence in zip(tis.ravel(), values.reshape(-1, *values.shape[2:]), strict=True):
+            yield f"TIS\t{format_number(share)}\n{block % tuple(of_incidence.ravel().tolist())}"
+        yield "DataEnd\n"

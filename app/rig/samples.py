@@ -13,6 +13,7 @@ the table of a rig file, so that both have the same keys, bounds and error messa
 """
 
 import inspect
+import math
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -23,8 +24,11 @@ from pydantic import Field, model_validator
 
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats import BsdfTable, FormatError, registry
-from goniotwin.app.formats.registry import Holds
+from goniotwin.app.formats.content import BsdfFile, separate
+from goniotwin.app.formats.content import RegularTable as RegularFactors
+from goniotwin.app.formats.gridding import grid_table
 from goniotwin.app.toml_file import TomlTable, validate_table
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics import (
     Scatterer,
     anisotropic_gaussian,
@@ -176,17 +180,21 @@ class RegularTable(FormulaTable):
 
 
 class MeasuredTable(TomlTable):
-    """A table on specular coordinates, of a `file` in any format of the registry; its path is relative to the rig file.
+    """The values of a `file` in any format of the registry; its path is relative to the rig file.
 
-    It acts on light from the `side`. A BTDF transmits. "zemax" is an older name of the `model`. A table with several azimuths
-    of the light is anisotropic, and goes on beyond them by its `symmetry`: "none" repeats it after 360 deg, "half_turn" after
-    180. With "mirror" it has 0 to 180 deg and with "orthotropic" 0 to 90, and the rest is its mirror image.
+    It acts on light from the `side`; what the file has of its back acts on the opposite one. A BTDF transmits. "zemax" is an
+    older name of the `model`. Values with several azimuths of the light are anisotropic, and go on beyond them by their
+    `symmetry`: "none" repeats them after 360 deg, "half_turn" after 180. With "mirror" there are 0 to 180 deg and with
+    "orthotropic" 0 to 90, and the rest is the mirror image. `sample` chooses one of several in the file, `fill` how holes are
+    filled: see docs/formats.md.
     """
 
     model: Literal["table", "zemax"]
     file: str
     side: Side = default_of(table_sample, "side")
     symmetry: Symmetry = default_of(table_sample, "symmetry")
+    sample: str | None = None
+    fill: Literal["hold", "neighbour", "fit", "refuse"] = "hold"
 
 
 LobeTable = Annotated[
@@ -219,10 +227,15 @@ MODELS: dict[str, type[FormulaTable] | type[MeasuredTable]] = {
 """Models that a text can have."""
 # A plus that separates models, not one in a number (1e+1) or in a file name.
 PLUS = re.compile(rf"\+(?=\s*(?:[A-Za-z_-]+\s*:|(?:{'|'.join(MODELS)})\s*(?:\+|$)))")
-# The side after a file name, which may itself contain commas.
-FILE_SIDE = re.compile(r",\s*side\s*=\s*(\w*)\s*$")
+# Keys after a file name, which may itself contain commas.
+FILE_KEY = re.compile(r",\s*(side|sample|fill)\s*=\s*([^,]*?)\s*$")
 FILE_ONLY_KEYS = ("model", "sigma_deg", "wavelengths_nm", "factors")
 """Keys of a rig file that have no form in one line of text: the model itself, and those whose values are lists."""
+LUMINANCE = {
+    "red": 0.2126, "green": 0.7152, "blue": 0.0722, "r": 0.2126, "g": 0.7152, "b": 0.0722, "x": 0.0, "y": 1.0, "z": 0.0,
+    "trisx": 0.0, "trisy": 1.0, "trisz": 0.0, "tristimulusx": 0.0, "tristimulusy": 1.0, "tristimulusz": 0.0,
+}  # fmt: skip
+"""Share of a colour in the luminance: of the primaries of ITU-R BT.709, and of CIE tristimulus values."""
 HIGHEST_ALBEDO = 1.001
 HIGHEST_MEASURED_ALBEDO = 1.5
 """A measured table may be wrong by much, and can be simulated; above this limit it is not a reflectance at all."""
@@ -244,7 +257,7 @@ def sample_scatterer(sample: FormulaTable | MeasuredTable | SumTable, folder: Pa
         content = registry.read(path)
         if (described := registry.described_table(content)) is not None:
             raise FormatError(path, f"it has {described}, not values", "give the table itself")
-        return _measured_sample(content.only_table(), path.name, sample)
+        return _file_sample(content, path, sample)
     except FormatError as error:
         raise UserError(f"{place}: {error}") from None
     except ValueError as error:
@@ -296,7 +309,7 @@ def _model_entries(part: str) -> dict[str, Any]:
     name, colon, rest = (word.strip() for word in part.partition(":"))
     place = f"--sample {name or part!r}"
     if name not in MODELS:
-        tables = ", ".join(registry.suffixes(registry.readers(Holds.GRID)))
+        tables = ", ".join(registry.suffixes(each for each in registry.readers() if each.holds & registry.BSDF))
         known = (
             "gaussian:width_deg=5, lambertian:reflectance=0.9, regular:reflectance=0.04, wide-tailed:width_deg=2, "
             "anisotropic-gaussian:along_deg=3,across_deg=12, ward:alpha_x=0.1,alpha_y=0.3, table:FILE"
@@ -305,9 +318,11 @@ def _model_entries(part: str) -> dict[str, Any]:
     if name == "table":
         if not rest:
             raise UserError(f"{place}: has no file; write table:FILE")
-        side = FILE_SIDE.search(rest)
-        file = rest if side is None else rest[: side.start()].strip()
-        return {"model": name, "file": file, **({} if side is None else {"side": side[1]})}
+        given: dict[str, Any] = {}
+        while (found := FILE_KEY.search(rest)) is not None and found[1] not in given:
+            given[found[1]] = found[2]
+            rest = rest[: found.start()].strip()
+        return {"model": name, "file": rest, **given}
     keys = [key for key in MODELS[name].model_fields if key not in FILE_ONLY_KEYS]
     if colon and not rest:
         raise UserError(f"{place}: nothing follows the colon; keys are {', '.join(keys)}")
@@ -333,17 +348,61 @@ def _value(text: str) -> bool | float | str:
         return text
 
 
-def _measured_sample(table: BsdfTable, name: str, sample: MeasuredTable) -> Scatterer:
+def _file_sample(content: BsdfFile, path: Path, sample: MeasuredTable) -> Scatterer:
+    """The sample of a file: all of its lobes. Raises FormatError, and ValueError for values that no sample has."""
+    if sample.sample is not None:
+        content = content.of(sample.sample)
+    if len(content.samples) != 1:
+        known = registry.join_words(registry.read(path).samples)
+        wrong = f"there is no sample {sample.sample!r} in it" if sample.sample is not None else "it has several samples"
+        raise FormatError(path, wrong, f"choose one with the key sample: {known}")
+    tables = list(content.tables)
+    # Of an archive the table is made of the values, and may be filled in another way.
+    for part in content.scattered if not tables else ():
+        tables += [grid_table(each, fill=sample.fill) for each in separate(part)]
+    lobes = [_table_sample(table, path.name, sample) for table in tables]
+    lobes += [each for part in content.regular for each in _regular_lobes(part, sample)]
+    return lobes[0] if len(lobes) == 1 else sum_samples(*lobes, name=path.name)
+
+
+def _side(sample: MeasuredTable, back: bool) -> Side:
+    """The side of the light, for values of the front or of the back of a file."""
+    opposite: dict[Side, Side] = {"front": "back", "back": "front", "both": "both"}
+    return opposite[sample.side] if back else sample.side
+
+
+def _grey(part: BsdfTable | RegularFactors) -> Floats:
+    """The values of a part of colours as one channel: their luminance, or their mean where that is not known."""
+    weights = [LUMINANCE.get(name.lower(), math.nan) for name in part.colours]
+    if np.isnan(weights).any():
+        weights = [1.0 / len(weights)] * len(weights)
+    grey: Floats = np.tensordot(weights, part.values, 1)[None]
+    return grey
+
+
+def _table_sample(table: BsdfTable, name: str, sample: MeasuredTable) -> Scatterer:
     """The sample of a table, with 0 in place of noise below zero. Raises ValueError for values that no sample has."""
-    noise = (table.values < 0.0) & (table.values >= -NOISE * np.max(table.values))
-    values = np.where(noise, 0.0, table.values)
+    values = _grey(table) if table.colours else table.values
+    noise = (values < 0.0) & (values >= -NOISE * np.max(values))
+    values = np.where(noise, 0.0, values)
     psi = table.psi_deg if table.psi_deg.size > 1 else None
     if psi is None:
         values = values[:, 0]
-    axes, acts = (table.sigma_deg, table.phi_deg, table.theta_deg), (sample.symmetry, sample.side, table.transmitted)
+    axes = (table.sigma_deg, table.phi_deg, table.theta_deg)
+    acts = (sample.symmetry, _side(sample, table.back), table.transmitted)
     if table.wavelengths_nm is None:
         return table_sample(*axes, values[0], name, psi, *acts)
     return spectral_table(table.wavelengths_nm, *axes, values, name, psi, *acts)
+
+
+def _regular_lobes(part: RegularFactors, sample: MeasuredTable) -> list[Scatterer]:
+    """The regular lobes of a part, one a wavelength, linear between them; the mean of several azimuths of the light."""
+    values = (_grey(part) if part.colours else part.values).mean(axis=1)
+    acts = (part.transmitted, _side(sample, part.back), part.sigma_deg)
+    lobes = [(k, regular(shares, *acts)) for k, shares in enumerate(values) if shares.any()]
+    if part.wavelengths_nm is None or len(part.wavelengths_nm) == 1:
+        return [lobe for _, lobe in lobes]
+    return [apply_spectrum(part.wavelengths_nm, np.eye(len(part.wavelengths_nm))[k], lobe) for k, lobe in lobes]
 
 
 def _check_albedo(sample: Scatterer, limit: float) -> None:

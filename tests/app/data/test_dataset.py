@@ -24,7 +24,7 @@ def scattered(sample: str, psi_deg: float = 0.0) -> ScatteredBsdf:
     """Values of one light on three rings."""
     polar, azimuth = (each.ravel() for each in np.meshgrid([0.0, 20.0, 40.0], [0.0, 90.0, 180.0, 270.0], indexing="ij"))
     n = polar.size
-    return ScatteredBsdf(np.full(n, 30.0), np.full(n, psi_deg), polar, azimuth, 1.0 + np.arange(n), sample=sample)
+    return ScatteredBsdf(np.full(n, 30.0), np.full(n, psi_deg), polar, azimuth, np.arange(1.0, n + 1.0), sample=sample)
 
 
 def test_a_journal_has_the_values_of_its_reduction(dataset: goniotwin.Dataset, journal: Path) -> None:

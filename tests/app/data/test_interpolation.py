@@ -152,7 +152,7 @@ def test_lights_that_are_not_clear_have_to_be_given() -> None:
         with pytest.raises(goniotwin.GoniotwinError, match=missing):
             d.at(theta_deg=10, phi_deg=0)
         expected = 0.5 / math.pi if other is through else 1.0 / math.pi
-        assert d.at(theta_deg=10, phi_deg=0, **argument).value == pytest.approx(expected)  # type: ignore[arg-type]
+        assert d.at(theta_deg=10, phi_deg=0, **argument).value == pytest.approx(expected)
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from goniotwin.app.formats import DdrTable, FormatError, bsdf, read_ddr, write_ddr
+from goniotwin.app.formats import BsdfTable, DdrTable, FormatError, bsdf, read_ddr, write_ddr
+from goniotwin.app.formats.content import BsdfFile, ScatteredBsdf
+from goniotwin.app.formats.ddr import RGB, read, recognise, write
+from goniotwin.twin.optics import from_specular
+from goniotwin.twin.optics.geometry.coordinates import arc_direction
+from tests.app.formats.tables import bsdf_tables
 
 SPECTRAL = """\
 ;; our own comment, wl 1 and sigma in it
@@ -155,12 +160,23 @@ def test_kbdf_multiplies_the_values_sigma_fastest(tmp_path: Path) -> None:
     [
         SPECTRAL.replace("\n", "\r\n"),
         SPECTRAL.replace("TypeSym PlaneSymmetrical\n", ""),
+        SPECTRAL.replace("Source Measured\n", ""),
+        SPECTRAL.replace("phi 3\n", "sigmat 0 90\nphi 3\n"),
         SPECTRAL.replace("TypeData Luminance Absolute\n", ""),
         SPECTRAL.replace(" kbdf\n  1.0 1.0\n", ""),
         SPECTRAL.upper(),
         "\n".join(line for line in SPECTRAL.splitlines() if not line.startswith(";;")).replace("\n", " "),
     ],
-    ids=["CRLF", "default symmetry", "default data", "no kbdf", "upper case", "one line"],
+    ids=[
+        "CRLF",
+        "default symmetry",
+        "no source",
+        "axis in the specular direction",
+        "default data",
+        "no kbdf",
+        "upper case",
+        "one line",
+    ],
 )
 def test_variants_that_other_readers_accept_are_read(tmp_path: Path, text: str) -> None:
     np.testing.assert_allclose(read_ddr(saved(tmp_path, text)).values, spectral_table().values, rtol=5e-9)
@@ -187,17 +203,20 @@ def test_variants_that_other_readers_accept_are_read(tmp_path: Path, text: str) 
         ("spectral 2", "spectral 1", "line 26: 'wl' follows the last of the 1 blocks of TypeColorModel"),
         ("spectral 2", "spectral", "line 6: 'TypeData' is not a possible number of wavelengths"),
         ("spectral 2", "BW", "line 13: expected bw, found 'wl'"),
-        ("spectral 2", "RGB", "line 5: TypeColorModel 'RGB' is not supported"),
+        ("spectral 2", "RGB", "line 13: expected red, found 'wl'"),
+        ("spectral 2", "XYZ", "line 5: TypeColorModel 'XYZ' is not supported"),
         ("TypeColorModel spectral 2\n", "", "TypeColorModel is missing"),
         ("wl 650", "wl 450", "line 26: wl 450 does not ascend"),
-        ("Luminance Absolute", "Luminance Relative", "line 6: TypeData 'Relative' is not supported"),
-        ("Luminance Absolute", "Intensity Absolute", "line 6: TypeData 'Intensity' is not supported"),
-        ("PlaneSymmetrical", "AxiSymmetrical", "line 4: TypeSym 'AxiSymmetrical' is not supported"),
+        ("Luminance Absolute", "Luminance Percent", "line 6: TypeData 'Percent' is not supported"),
+        ("Luminance Absolute", "Radiance Absolute", "line 6: TypeData 'Radiance' is not supported"),
+        ("PlaneSymmetrical", "AxiSymmetrical", "TypeSym AxiSymmetrical with 3 phi is not supported: its meaning is not public"),
+        ("PlaneSymmetrical", "DirSymmetrical", "line 4: TypeSym 'DirSymmetrical' is not supported"),
         ("PlaneSymmetrical", "Symmetric", "line 4: TypeSym 'Symmetric' is not supported"),
         ("Source Measured", "Source Guessed", "line 3: Source 'Guessed' is not supported"),
-        ("Source Measured\n", "", "Source is missing"),
         ("phi 3\n", "phy 3\n", "line 9: 'phy' is not a keyword of a .ddr file; did you mean phi?"),
-        ("phi 3\n", "sigmat 0 90\nphi 3\n", "line 9: sigmat (a refracted axis) is not supported"),
+        ("phi 3\n", "sigmat 0\nphi 3\n", "line 9: sigmat has too few numbers: 1, not 1 rows of 2"),
+        ("phi 3\n", "sigmat 0 91\nphi 3\n", "sigmat has numbers outside 0 to 90"),
+        ("sigma 2\n", "sigmat 0 90\nsigma 2\n", "line 7: sigmat comes before sigma"),
         ("phi 3\n", "psi 2\n0 90\nphi 3\n", "psi is [0] unless the symmetry is ASymmetrical 4D"),
         ("phi 3\n", "sigma 1\n0\nphi 3\n", "line 9: sigma is given twice"),
         (";; our", "our", "line 1: 'our' is not a keyword of a .ddr file"),
@@ -348,4 +367,144 @@ def test_a_table_that_cannot_be_written_raises_a_format_error(tmp_path: Path) ->
         write_ddr(tmp_path / "absent" / "out.ddr", spectral_table())
     with pytest.raises(FormatError, match="sigma has two angles that are both written 30"):
         write_ddr(tmp_path / "out.ddr", replace(spectral_table(), sigma_deg=np.array([30, 30 + 1e-12])))
+    assert list(tmp_path.iterdir()) == []
+
+
+# ---- what other programs write: by libbsdf's DdrReader.cpp ----
+
+COLOURED = """\
+TypeColorModel RGB
+TypeSym PlaneSymmetrical
+sigma 1 0
+phi 2 0 180
+theta 2 0 90
+red def 1 2 3 4 enddef
+gre def 5 6 7 8 enddef
+blu def 9 10 11 12 enddef
+"""
+
+
+@pytest.mark.parametrize(
+    "text",
+    [COLOURED, COLOURED.replace("TypeColorModel RGB\n", ""), COLOURED.replace("gre ", "green ").replace("blu ", "Blue ")],
+    ids=["RGB", "without TypeColorModel", "long words"],
+)
+def test_three_colours_are_read(tmp_path: Path, text: str) -> None:
+    table = read(saved(tmp_path, text)).only_table()
+    assert (table.colours, table.wavelengths_nm) == (RGB, None)
+    np.testing.assert_allclose(np.pi * table.values.ravel(), np.arange(1.0, 13.0), rtol=1e-15)
+    path = tmp_path / "again.ddr"
+    write(path, BsdfFile((table,)))
+    assert [line for line in path.read_text().splitlines() if line in ("red", "gre", "blu")] == ["red", "gre", "blu"]
+    np.testing.assert_allclose(read(path).only_table().values, table.values, rtol=5e-9)
+
+
+def test_colours_in_another_order_are_refused(tmp_path: Path) -> None:
+    assert "line 6: expected red, found 'blu'" in refusal(saved(tmp_path, COLOURED.replace("red ", "blu ")))
+    grey = COLOURED.replace("TypeColorModel RGB\n", "").replace("red ", "bw ")
+    assert "line 5: TypeColorModel is missing, which means RGB; expected red, found 'bw'" in refusal(saved(tmp_path, grey))
+
+
+def of_type(data: str, phi: str, values: str, kbdf: str = "", sigma: str = "2 0 60") -> str:
+    lists = f"sigma {sigma}\nphi {phi}\ntheta 3 0 90 180\n"
+    return f"TypeSym ASymmetrical\nTypeColorModel BW\nTypeData {data}\n{lists}bw {kbdf} def {values} enddef\n"
+
+
+def test_relative_values_are_scaled_to_the_reflectance_kbdf(tmp_path: Path) -> None:
+    """A diffuser of any scale has the BSDF kbdf / pi; a lobe has the integral that is its reflectance."""
+    constant = of_type("Luminance Relative", "3 0 180 360", "7 " * 9 + "0.2 " * 9, "kbdf 0.8 0.5")
+    table = read(saved(tmp_path, constant)).only_table()
+    np.testing.assert_allclose(table.values[0, 0, 0], 0.8 / np.pi, rtol=1e-4)
+    np.testing.assert_allclose(table.values[0, 0, 1], 0.5 / np.pi, rtol=1e-4)
+    assert "TypeData Luminance Relative of the file, as luminance factors" in table.comments
+    # f = c (1 - t) with t = theta / 90 deg: the integral is 2 pi c int (1 - t) sin(theta) cos(theta) dtheta.
+    lobe = of_type("Luminance Relative", "3 0 180 360", "5 0 0 " * 3 + "1 1 1 " * 3, "kbdf 1 1")
+    steps = (np.arange(200_000) + 0.5) / 200_000
+    integral = np.pi**2 * np.mean((1.0 - steps) * np.sin(np.pi * steps / 2) * np.cos(np.pi * steps / 2))
+    assert read(saved(tmp_path, lobe)).only_table().values[0, 0, 0, 0, 0] == pytest.approx(1.0 / integral, rel=1e-4)
+    unscaled = read(saved(tmp_path, of_type("Luminance Relative", "1 0", "1 1 1 2 2 2"))).only_table()
+    np.testing.assert_allclose(np.pi * unscaled.values[0, 0, :, 0, 0], [1.0, 2.0])
+    assert "no kbdf: the scale of the values is not known" in unscaled.comments
+    dark = of_type("Luminance Relative", "1 0", "1 1 1 0 0 0", "kbdf 1 1")
+    assert "the relative values at sigma 60 have no positive sum" in refusal(saved(tmp_path, dark))
+    assert read(saved(tmp_path, dark.replace("kbdf 1 1", "kbdf 1 0"))).only_table().values[0, 0, 1].max() == 0.0
+
+
+def test_an_intensity_is_divided_by_the_cosine_and_not_by_pi(tmp_path: Path) -> None:
+    text = of_type("Intensity Absolute", "3 0 180 360", "0.5 9 9 " * 3 + "0.5 9 9 " * 3, "kbdf 2 4")
+    table = read(saved(tmp_path, text)).only_table()
+    assert table.values[0, 0, 0, 0].tolist() == pytest.approx([1.0, 1.0, 1.0])  # the rest is at the horizon, or below it
+    assert table.values[0, 0, 1, 0, 0] == pytest.approx(4.0 * 0.5 / np.cos(np.radians(60.0)))
+    # theta 90 towards the normal is 30 deg beyond it: the cosine is cos(30 deg).
+    assert table.values[0, 0, 1, 0, 1] == pytest.approx(4.0 * 9.0 / np.cos(np.radians(30.0)))
+    assert any("at the horizon and below it" in line for line in table.comments)
+    # A constant BSDF up to 80 deg has the reflectance pi f sin(80 deg)^2.
+    relative = of_type("Intensity Relative", "1 0", f"4 2 {4.0 * np.cos(np.radians(80.0))}", "kbdf 0.3", "1 0")
+    table = read(saved(tmp_path, relative.replace("theta 3 0 90 180", "theta 3 0 60 80"))).only_table()
+    np.testing.assert_allclose(table.values, 0.3 / (np.pi * np.sin(np.radians(80.0)) ** 2), rtol=1e-4)
+
+
+def test_one_row_of_an_axisymmetrical_lobe_is_all_of_it(tmp_path: Path) -> None:
+    text = of_type("Luminance Absolute", "1 0", "3 2 1 6 5 4").replace("TypeSym ASymmetrical", "TypeSym AxiSymmetrical")
+    table = read(saved(tmp_path, text)).only_table()
+    assert table.phi_deg.tolist() == [0, 180]
+    np.testing.assert_allclose(np.pi * table.values[0, 0, 0], [[3, 2, 1], [3, 2, 1]])
+
+
+def test_a_refracted_axis_gives_values_at_their_directions(tmp_path: Path) -> None:
+    """theta = 0 is at sigmat; the rest turns with it, as in libbsdf's SpecularCoordinateSystem with an offset."""
+    lists = "TypeSym PlaneSymmetrical\nTypeColorModel BW\nsigma 2 0 60\nsigmat 0 35.26\nphi 3 0 90 180\ntheta 2 0 20\n"
+    numbers = " ".join(map(str, range(1, 13)))
+    path = tmp_path / "a.ddt"
+    path.write_text(f"{lists}bw def {numbers} enddef\n")
+    (part,) = read(path).parts
+    assert isinstance(part, ScatteredBsdf)
+    assert part.transmitted.all()
+    assert part.isotropic
+    assert part.size == 2 * 4 * 2  # phi 270 is the mirror image of 90
+    found = arc_direction(part.polar_deg, part.azimuth_deg)
+    expected = {
+        (0.0, 1): (0.0, 0.0, 0.0),
+        (60.0, 7): (35.26, 0.0, 0.0),
+        (60.0, 8): (35.26, 20.0, 0.0),
+        (60.0, 12): (35.26, 20.0, 180.0),
+    }
+    for (sigma, value), angles in expected.items():
+        at = np.flatnonzero((part.sigma_deg == sigma) & np.isclose(np.pi * part.values, value))
+        np.testing.assert_allclose(found[at], np.broadcast_to(from_specular(*angles), found[at].shape), atol=1e-12)
+    sides = found[np.isclose(np.pi * part.values, 10.0)]
+    np.testing.assert_allclose(sides[0], sides[1] * [1.0, -1.0, 1.0], atol=1e-12)
+    assert any("0, 35.26 deg, one for each sigma" in line for line in part.comments)
+    path.write_text(f"{lists.replace('sigmat 0 35.26', 'sigmat 0 60')}bw def {numbers} enddef\n")
+    assert isinstance(read(path).parts[0], BsdfTable)
+
+
+# ---- parts of a file ----
+
+
+@settings(deadline=None)
+@given(table=bsdf_tables("rgb"))
+def test_a_table_is_read_as_it_was_written(folder: Path, table: BsdfTable) -> None:
+    path = folder / ("part.ddt" if table.transmitted else "part.ddr")
+    write(path, BsdfFile((table,)))
+    again = read(path).only_table()
+    assert recognise(path.read_bytes())
+    for name in ("transmitted", "generated", "colours", "back", "sample", "wavelengths_nm"):
+        assert getattr(again, name) == getattr(table, name)
+    for name in ("psi_deg", "sigma_deg", "theta_deg"):
+        np.testing.assert_allclose(getattr(again, name), getattr(table, name), rtol=1e-9)
+    unfolded = table.phi_deg[-1] <= 180.0 and table.psi_deg.tolist() != [0.0]
+    assert again.phi_deg[-1] == (360.0 if unfolded else table.phi_deg[-1])
+    np.testing.assert_allclose(again.values[..., : table.phi_deg.size, :], table.values, rtol=1e-8, atol=1e-300)
+    first = path.read_bytes()
+    write(path, BsdfFile((again,)))
+    assert path.read_bytes() == first
+
+
+def test_parts_that_one_table_cannot_hold_are_refused(tmp_path: Path) -> None:
+    axes = np.array([0.0, 90]), np.array([0.0, 180]), np.array([0.0, 90])
+    table = BsdfTable(*axes, np.zeros((3, 1, 2, 2, 2)), colours=("X", "Y", "Z"))
+    for parts, message in (((table,), "has the colours X, Y, Z, and a .ddr has RGB; use .ssdd"), ((table, table), "2 parts")):
+        with pytest.raises(FormatError, match=message):
+            write(tmp_path / "a.ddr", BsdfFile(parts))
     assert list(tmp_path.iterdir()) == []

@@ -9,7 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from goniotwin.app.formats import FormatError, ZemaxBsdf, read_zemax, registry, write_zemax
+from goniotwin.app.formats import BsdfTable, FormatError, ZemaxBsdf, read_zemax, write_zemax
+from goniotwin.app.formats.content import BsdfFile
+from goniotwin.app.formats.zemax import read, write
 
 # One rotation, two incidences, azimuths 0 and 180, radials 0, 10, 90: the smallest file with every list.
 GOOD = """\
@@ -38,7 +40,7 @@ TIS\t0.03
 1.5e-3\t0.25\t-1e-6
 DataEnd
 """
-VALUES = [[[[0.3, 0.2, 0.1], [0.3, 0.25, 0.1]], [[1.5e-3, 0.2, 0], [1.5e-3, 0.25, -1e-6]]]]
+VALUES = [[[[[0.3, 0.2, 0.1], [0.3, 0.25, 0.1]], [[1.5e-3, 0.2, 0], [1.5e-3, 0.25, -1e-6]]]]]
 
 
 def good(tmp_path: Path, text: str = GOOD) -> Path:
@@ -64,7 +66,7 @@ def test_all_fields_of_a_file_are_read(tmp_path: Path) -> None:
     assert table.azimuth_deg.tolist() == [0, 180]
     assert table.radial_deg.tolist() == [0, 10, 90]
     assert table.values.tolist() == VALUES
-    assert table.tis.tolist() == [[0.02, 0.03]]
+    assert table.tis.tolist() == [[[0.02, 0.03]]]
     assert table.comments == ("black paint", "   second line")
 
 
@@ -100,7 +102,7 @@ def test_comments_in_an_older_alphabet_are_read(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("spelling", ["ASymmetrical", "Asymmetrical"])
 def test_both_spellings_of_asymmetrical_are_read(tmp_path: Path, spelling: str) -> None:
-    assert read_zemax(good(tmp_path, GOOD.replace("PlaneSymmetrical", spelling))).symmetry == "ASymmetrical"
+    assert read_zemax(good(tmp_path, GOOD.replace("PlaneSymmetrical", spelling))).symmetry == "Asymmetrical"
 
 
 @pytest.mark.parametrize("word", ["ASymmetrical4D", "ASymmetrical 4D"])
@@ -111,19 +113,124 @@ def test_sample_rotations_are_the_first_dimension(tmp_path: Path, word: str) -> 
     blocks = data.removesuffix("DataEnd\n")
     table = read_zemax(good(tmp_path, f"{head}DataBegin\n{blocks}{blocks.replace('0.3', '0.7')}DataEnd\n"))
     assert table.symmetry == "ASymmetrical4D"
-    assert table.values.shape == (2, 2, 2, 3)
-    assert table.values[:, 0, 0, 0].tolist() == [0.3, 0.7]
-    assert table.tis.shape == (2, 2)
+    assert table.values.shape == (1, 2, 2, 2, 3)
+    assert table.values[0, :, 0, 0, 0].tolist() == [0.3, 0.7]
+    assert table.tis.shape == (1, 2, 2)
 
 
-def test_a_sample_of_several_rotations_is_refused_with_the_reason(tmp_path: Path) -> None:
-    head, data = GOOD.replace("SampleRotation\t1\n0", "SampleRotation 2\n0 90").split("DataBegin\n")
+def rotated(rotations: str, count: int, word: str = "ASymmetrical4D") -> str:
+    head, data = GOOD.replace("SampleRotation\t1\n0", f"SampleRotation {count}\n{rotations}").split("DataBegin\n")
     blocks = data.removesuffix("DataEnd\n")
-    path = good(tmp_path, f"{head}DataBegin\n{blocks}{blocks}DataEnd\n")
-    with pytest.raises(
-        FormatError, match=r"2 sample rotations, .* does not state which way .*; give .* a .ddr of four dimensions"
+    turned = "".join(blocks.replace("0.3", f"0.{3 + n}") for n in range(count))
+    return f"{head.replace('PlaneSymmetrical', word)}DataBegin\n{turned}DataEnd\n"
+
+
+def test_sample_rotations_are_psi_and_a_comment_says_so(tmp_path: Path) -> None:
+    """As libbsdf takes them: inPhi is the sample rotation (ZemaxBsdfReader.cpp)."""
+    table = read(good(tmp_path, rotated("0 90", 2))).only_table()
+    assert table.psi_deg.tolist() == [0, 90]
+    assert table.values[0, :, 0, 0, 0].tolist() == [0.3, 0.4]
+    assert any("does not state which way the sample is turned" in line for line in table.comments)
+    negative = read(good(tmp_path, rotated("-90 0 90", 3))).only_table()
+    assert negative.psi_deg.tolist() == [0, 90, 270]
+    assert negative.values[0, :, 0, 0, 0].tolist() == [0.4, 0.5, 0.3]
+    round_turn = read(good(tmp_path, rotated("0 180 360", 3))).only_table()  # IMX455.bsdf of ua-loft/bsdf-tools
+    assert round_turn.psi_deg.tolist() == [0, 180, 360]
+    with pytest.raises(FormatError, match="two sample rotations are the same azimuth of the light; leave one"):
+        read(good(tmp_path, rotated("-90 270", 2)))
+    assert read(good(tmp_path, rotated("90", 1, "PlaneSymmetrical"))).only_table().psi_deg.tolist() == [0]
+    assert read(good(tmp_path, rotated("90", 1))).only_table().psi_deg.tolist() == [90]
+
+
+def test_nodes_without_a_value_are_held_and_marked(tmp_path: Path) -> None:
+    """As below the horizon in data/processed/zemax/test.bsdf of https://github.com/ua-loft/bsdf-tools."""
+    text = GOOD.replace("0.3\t0.25\t0.1", "0.3\tNaN\tNaN").replace("1.5e-3\t0.25\t-1e-6", "NaN\tnan\tNaN")
+    table = read(good(tmp_path, text)).only_table()
+    assert table.values[0, 0, :, 1].tolist() == [[0.3, 0.3, 0.3], [0.0, 0.0, 0.0]]
+    assert table.known is not None
+    assert table.known[0, 0, :, 1].tolist() == [[True, False, False], [False, False, False]]
+    assert table.known.sum() == 7
+    odd = text.replace("0.3\tNaN\tNaN", "0.3\tNaN\tNaN\tNaN")
+    with pytest.raises(FormatError, match=r"line 20: .* has too many numbers: 7"):
+        read(good(tmp_path, odd))
+
+
+XYZ = GOOD.replace("SpectralContent\tMonochrome", "SpectralContent\tXYZ").replace("\nMonochrome\n", "\nTristimulusX\n")
+DATA = GOOD[GOOD.index("DataBegin") :]
+
+
+@pytest.mark.parametrize("between", ["DataEnd\n", ""])
+def test_three_tristimulus_values_are_colours(tmp_path: Path, between: str) -> None:
+    first = XYZ.removesuffix("DataEnd\n") + between
+    second = DATA.replace("0.3\t", "0.6\t").removesuffix("DataEnd\n") + between
+    third = DATA.replace("0.3\t", "0.9\t")
+    if not between:
+        second, third = second.removeprefix("DataBegin\n"), third.removeprefix("DataBegin\n")
+    path = good(tmp_path, f"{first}TristimulusY\n{second}TristimulusZ\n{third}")
+    content = read(path)
+    table = content.only_table()
+    assert table.colours == ("X", "Y", "Z")
+    assert table.values[:, 0, 0, 0, 0].tolist() == [0.3, 0.6, 0.9]
+    write(tmp_path / "again.bsdf", content)
+    again = read(tmp_path / "again.bsdf").only_table()
+    assert again.colours == table.colours
+    np.testing.assert_allclose(again.values, table.values, rtol=5e-9)
+    text = path.read_text()
+    for old, new, message in (
+        ("TristimulusZ", "TristimulusY", "expected TristimulusZ, found 'TristimulusY'"),
+        (f"TristimulusZ\n{third}", "", "the file ends before"),
     ):
-        registry.read(path)
+        assert message in refusal(good(tmp_path, text.replace(old, new)))
+
+
+# libbsdf's ZemaxBsdfReader.cpp takes these words in exactly this spelling, and nothing else.
+LIBBSDF_SYMMETRIES = ("PlaneSymmetrical", "Asymmetrical", "ASymmetrical4D")
+
+
+@pytest.mark.parametrize(
+    ("phi", "psi", "symmetry", "last"),
+    [
+        ([0, 90, 180], [0], "PlaneSymmetrical", 180),
+        ([0, 90, 360], [0], "Asymmetrical", 360),
+        ([0, 90, 270], [0], "Asymmetrical", 360),
+        ([0, 90, 170], [0], "Asymmetrical", 360),
+        ([0, 90, 360], [0, 45], "ASymmetrical4D", 360),
+        ([0, 90, 180], [0, 45], "ASymmetrical4D", 360),
+    ],
+)
+def test_a_table_is_written_in_words_that_a_public_reader_takes(
+    tmp_path: Path, phi: list[float], psi: list[float], symmetry: str, last: float
+) -> None:
+    axes = np.array([0.0, 40]), np.array(phi, dtype=float), np.array([0.0, 10, 90])
+    shape = (1, len(psi), 2, len(phi), 3)
+    values = np.arange(np.prod(shape), dtype=float).reshape(shape)
+    table = BsdfTable(*axes, values, (550.0,), psi_deg=np.array(psi), sample="paint 3", back=True, comments=("a note",))
+    path = tmp_path / "a.bsdf"
+    write(path, BsdfFile((table,)))
+    words = dict(line.split("\t")[:2] for line in path.read_text().splitlines() if line[:1].isalpha() and "\t" in line)
+    assert words["Symmetry"] == symmetry
+    assert words["Symmetry"] in LIBBSDF_SYMMETRIES
+    assert words["SampleRotation"] == str(len(psi))
+    again = read(path).only_table()
+    assert again.phi_deg[-1] == last
+    np.testing.assert_allclose(again.values[..., : len(phi), :], values, rtol=5e-9)
+    np.testing.assert_allclose(again.values[..., -1, :], values[..., -1 if last == phi[-1] else 0, :], rtol=5e-9)
+    assert (again.sample, again.back, again.wavelengths_nm) == ("paint 3", True, (550.0,))
+    assert "a note" in again.comments
+
+
+def test_what_the_format_cannot_hold_is_refused(tmp_path: Path) -> None:
+    axes = np.array([0.0, 40]), np.array([0.0, 180]), np.array([0.0, 90])
+    spectral = BsdfTable(*axes, np.zeros((2, 1, 2, 2, 2)), (450.0, 550.0))
+    coloured = BsdfTable(*axes, np.zeros((3, 1, 2, 2, 2)), colours=("red", "green", "blue"))
+    for parts, message in (
+        ((spectral,), "it has 2 wavelengths, and a .bsdf has one"),
+        ((coloured,), "it has the colours red, green, blue, and a .bsdf has XYZ"),
+        ((spectral, spectral), "it has 2 parts"),
+    ):
+        with pytest.raises(FormatError, match=message):
+            write(tmp_path / "a.bsdf", BsdfFile(parts))
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize(
@@ -160,7 +267,6 @@ def test_a_sample_of_several_rotations_is_refused_with_the_reason(tmp_path: Path
             "0.3\t0,25\t0.1",
             "line 20: BSDF at rotation 0, incidence 10 deg: '0,25' has a decimal comma",
         ),
-        ("0.3\t0.25\t0.1", "0.3\tNaN\t0.1", "line 20: BSDF at rotation 0, incidence 10 deg: 'NaN' is not finite"),
         ("0.3\t0.25\t0.1", "0.3\t-inf\t0.1", "'-inf' is not finite"),
         ("0.3\t0.25\t0.1", "0.3\t1e999\t0.1", "'1e999' is larger than a 64-bit float"),
         ("0.3\t0.25\t0.1", "0.3\t1_0\t0.1", "'1_0' is not a number"),
@@ -170,12 +276,8 @@ def test_a_sample_of_several_rotations_is_refused_with_the_reason(tmp_path: Path
         ("DataEnd", "TIS 1\n1 1 1\n1 1 1\nDataEnd", "line 24: more blocks of data than the 2"),
         ("DataEnd\n", "", "line 23: the file ends before DataEnd"),
         ("DataEnd", "DataEnd\nDataBegin", "line 25: 'DataBegin' follows DataEnd"),
-        ("Monochrome\nDataBegin", "TristimulusX\nDataBegin", "tristimulus data are not supported"),
-        (
-            "SpectralContent\tMonochrome",
-            "SpectralContent\tXYZ",
-            "line 5: SpectralContent XYZ (tristimulus) is not supported",
-        ),
+        ("Monochrome\nDataBegin", "TristimulusX\nDataBegin", "line 16: expected Monochrome, found 'TristimulusX'"),
+        ("SpectralContent\tMonochrome", "SpectralContent\tXYZ", "line 16: expected TristimulusX, found 'Monochrome'"),
         ("Monochrome\nDataBegin", "DataBegin", "line 16: expected Monochrome, found 'DataBegin'"),
         ("PlaneSymmetrical", "Round", "line 4: Symmetry 'Round' is not known"),
         ("BRDF", "BSSRDF", "line 6: ScatterType 'BSSRDF' is not known; write BRDF or BTDF"),
@@ -257,18 +359,18 @@ def angle_lists(end: float) -> st.SearchStrategy[list[float]]:
 @st.composite
 def tables(draw: st.DrawFn) -> ZemaxBsdf:
     lists = [np.array(draw(angle_lists(end))) for end in (360, 90, 180, 180)]
-    shape = tuple(angles.size for angles in lists)
+    shape = (draw(st.sampled_from([1, 3])), *(angles.size for angles in lists))
     numbers = st.floats(-1e9, 1e9)
     return ZemaxBsdf(
         source=draw(st.sampled_from(["Measured", "Generated", "a b"])),
-        symmetry=draw(st.sampled_from(["PlaneSymmetrical", "ASymmetrical", "ASymmetrical4D"])),
+        symmetry=draw(st.sampled_from(LIBBSDF_SYMMETRIES)),
         scatter_type=draw(st.sampled_from(["BRDF", "BTDF"])),
         sample_rotation_deg=lists[0],
         incidence_deg=lists[1],
         azimuth_deg=lists[2],
         radial_deg=lists[3],
         values=draw(arrays(np.float64, shape, elements=numbers)),
-        tis=draw(arrays(np.float64, shape[:2], elements=numbers)),
+        tis=draw(arrays(np.float64, shape[:3], elements=numbers)),
         comments=tuple(draw(st.lists(st.text(max_size=20), max_size=3))),
     )
 
@@ -294,9 +396,9 @@ def test_reading_returns_the_written_table_to_nine_digits(folder: Path, table: Z
 def test_an_inconsistent_table_is_refused(tmp_path: Path) -> None:
     table = read_zemax(good(tmp_path))
     with pytest.raises(ValueError, match="shape"):
-        replace(table, values=np.zeros((1, 2, 2, 4)))
+        replace(table, values=np.zeros((1, 1, 2, 2, 4)))
     with pytest.raises(ValueError, match="not finite"):
-        replace(table, values=np.full((1, 2, 2, 3), np.nan))
+        replace(table, values=np.full((1, 1, 2, 2, 3), np.nan))
     with pytest.raises(ValueError, match="ascend"):
         replace(table, radial_deg=np.array([0.0, 10, 10]))
     with pytest.raises(ValueError, match="symmetry"):

@@ -116,7 +116,7 @@ def zemax(folder: Path, scatter_type: str) -> None:
     write_zemax(
         folder / "measured.bsdf",
         ZemaxBsdf("Measured", "PlaneSymmetrical", scatter_type, np.array([0.0]), np.array([0.0, 60.0]), np.array([0.0, 180.0]),
-                  angles, np.full((1, 2, 2, 2), 0.2), np.zeros((1, 2))),
+                  angles, np.full((1, 1, 2, 2, 2), 0.2), np.zeros((1, 1, 2))),
     )  # fmt: skip
 
 

@@ -117,7 +117,7 @@ def test_a_measured_table_gives_the_values_of_its_file(tmp_path: Path) -> None:
     zemax, ddr = tmp_path / "paint+1.bsdf", tmp_path / "paint.ddr"
     write_zemax(
         zemax,
-        ZemaxBsdf("Measured", "PlaneSymmetrical", "BRDF", np.zeros(1), SIGMA, PHI, THETA, VALUES, np.ones((1, 2))),
+        ZemaxBsdf("Measured", "PlaneSymmetrical", "BRDF", np.zeros(1), SIGMA, PHI, THETA, VALUES[None], np.ones((1, 1, 2))),
     )
     write_ddr(ddr, DdrTable("Measured", "PlaneSymmetrical", np.zeros(1), SIGMA, PHI, THETA, (None,), np.pi * VALUES[None]))
     # Linear in theta, the same at every sigma and phi.

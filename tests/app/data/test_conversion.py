@@ -1,0 +1,170 @@
+"""Conversion between formats: what goes along, what is chosen, what is left out and said; and its commands."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from goniotwin.app.cli.main import app
+from goniotwin.app.data.conversion import Choice, Converted, convert_content, convert_file, format_to_write
+from goniotwin.app.errors import GoniotwinError, UserError
+from goniotwin.app.formats import registry
+from goniotwin.app.formats.content import BsdfFile, RegularTable, ScatteredBsdf, nodes
+from goniotwin.app.formats.table import BsdfTable
+
+SIGMA, PHI, THETA = np.array([0.0, 30.0, 60.0, 90.0]), np.arange(0.0, 181.0, 10.0), np.arange(0.0, 181.0, 2.0)
+
+
+def table(**changes: Any) -> BsdfTable:
+    """A lobe of 10 deg, of which the peak at normal incidence and all of the last sigma were not measured."""
+    values = np.broadcast_to(np.exp(-((THETA / 10.0) ** 2)), (1, 1, SIGMA.size, PHI.size, THETA.size))
+    known = np.ones(values.shape, dtype=bool)
+    known[:, :, 0, :, THETA < 5.0] = known[:, :, -1] = False
+    held = np.where(known | (SIGMA > 0.0)[:, None, None], values, np.exp(-0.36))
+    given = BsdfTable(SIGMA, PHI, THETA, held, (550.0,), u=0.02 * held, known=known, sample="paint", comments=("a note",))
+    return replace(given, **changes)
+
+
+def convert(content: BsdfFile, path: Path, name: str | None = None, **choice: Any) -> Converted:
+    return convert_content(content, path, format_to_write(path, name), Choice(**choice))
+
+
+def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> dict[str, Any]:
+    """The JSON object that a command prints."""
+    capsys.readouterr()
+    assert not app([*map(str, arguments), "--json"], standalone_mode=False)
+    result: dict[str, Any] = json.loads(capsys.readouterr().out)
+    return result
+
+
+def test_uncertainties_and_mask_go_from_file_to_file(tmp_path: Path) -> None:
+    first = convert(BsdfFile((table(),)), tmp_path / "a.ddr")
+    assert [each.name for each in first.files] == ["a.ddr", "a.u.ddr", "a.mask.ddr"]
+    second = convert_file(tmp_path / "a.ddr", tmp_path / "b.bsdf", format_to_write(tmp_path / "b.bsdf"), Choice())
+    assert [each.name for each in second.files] == ["b.bsdf", "b.u.bsdf", "b.mask.bsdf"]
+    values, u, mask = (registry.read(each).only_table().values for each in second.files)
+    np.testing.assert_allclose(values, table().values, rtol=1e-8)
+    np.testing.assert_allclose(u, table().u, rtol=1e-8)
+    np.testing.assert_array_equal(mask > 0.5, ~np.asarray(table().known))
+    third = convert_file(tmp_path / "b.bsdf", tmp_path / "c.csv", format_to_write(tmp_path / "c.csv"), Choice())
+    (points,) = registry.read(tmp_path / "c.csv").scattered
+    expected = nodes(table())
+    assert third.values == int(np.count_nonzero(table().known))
+    np.testing.assert_allclose(points.values, expected.values, rtol=1e-8)
+    np.testing.assert_allclose(points.u, expected.u, rtol=1e-8)
+    np.testing.assert_array_equal(points.flags, expected.flags)
+    np.testing.assert_allclose(points.polar_deg, expected.polar_deg, atol=1e-6)
+    back = convert_file(tmp_path / "c.csv", tmp_path / "d.ddr", format_to_write(tmp_path / "d.ddr"), Choice(fill="fit"))
+    found = registry.read(tmp_path / "d.ddr").only_table()
+    assert found.sigma_deg.tolist() == [0.0, 30.0, 60.0, 90.0]  # the last one repeated again
+    assert found.values[0, 0, 0, 0, 0] == pytest.approx(1.0, rel=0.01)  # the peak, not the stump
+    assert {round(share.sigma_deg) for share in back.shares} == {0, 30, 60}
+
+
+def test_the_share_that_was_not_measured_is_told_and_is_in_the_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    convert(BsdfFile((nodes(table()),)), tmp_path / "a.csv")
+    result = run(capsys, "convert", tmp_path / "a.csv", tmp_path / "a.ddr")
+    shares = {each["sigma_deg"]: each["share"] for each in result["not_measured"]}
+    # Of a stump of exp(-0.36) up to 5 deg, in a lobe of 10 deg.
+    hidden, rest = 0.5 * np.exp(-0.36) * 0.25, 0.5 * np.exp(-0.25)
+    assert shares[0.0] == pytest.approx(hidden / (hidden + rest), rel=0.1)
+    assert shares[30.0] < 0.001
+    (line,) = (line for line in registry.read(tmp_path / "a.ddr").only_table().comments if "share of the light" in line)
+    assert f"{100.0 * shares[0.0]:.3g} % at sigma 0" in line
+    app(["convert", str(tmp_path / "a.csv"), str(tmp_path / "b.ddr"), "--fill", "neighbour"], standalone_mode=False)
+    assert "of the light at sigma 0, the most of 3 incidences; filled by neighbour" in capsys.readouterr().out
+    with pytest.raises(UserError, match=r"c\.ddr: paint: at sigma 0 .* % of the light was not measured"):
+        app(["convert", str(tmp_path / "a.csv"), str(tmp_path / "c.ddr"), "--fill", "refuse"], standalone_mode=False)
+    assert not (tmp_path / "c.ddr").exists()
+
+
+def test_a_sample_is_chosen_where_a_format_holds_one(tmp_path: Path) -> None:
+    two = BsdfFile((table(), table(sample="glass", values=0.5 * table().values)))
+    with pytest.raises(UserError, match=r"a ddr file has one sample, and there are: paint, glass; choose one with --sample"):
+        convert(two, tmp_path / "a.ddr")
+    with pytest.raises(UserError, match="there is no sample 'wood'; it has: paint, glass"):
+        convert(two, tmp_path / "a.ddr", sample="wood")
+    convert(two, tmp_path / "a.ddr", sample="glass")
+    np.testing.assert_allclose(registry.read(tmp_path / "a.ddr").only_table().values, 0.5 * table().values, rtol=1e-8)
+    convert(two, tmp_path / "a.csv")
+    assert registry.read(tmp_path / "a.csv").samples == ("paint", "glass")
+
+
+def test_light_and_side_are_chosen_where_a_format_holds_one(tmp_path: Path) -> None:
+    sides = [nodes(table(back=back, transmitted=through)) for back in (False, True) for through in (False, True)]
+    mixed = [replace(each, values=np.full(each.size, 1.0 + k)) for k, each in enumerate(sides)]
+    content = BsdfFile(tuple(mixed))
+    with pytest.raises(UserError, match=r"there is reflected and transmitted light, .* zemax file .*; choose it with --light"):
+        convert(content, tmp_path / "a.bsdf")
+    for light, side, value in (("transmitted", "front", 2.0), ("reflected", "back", 3.0), ("transmitted", "back", 4.0)):
+        convert(content, tmp_path / "a.bsdf", light=light, side=side)
+        found = registry.read(tmp_path / "a.bsdf").only_table()
+        assert (found.transmitted, found.values.max()) == (light == "transmitted", pytest.approx(value))
+    told = convert(content, tmp_path / "a.ddt")  # which holds transmitted light, of one side
+    assert told.notes == ("the values of the back are left out; --side back writes them",)
+    assert registry.read(tmp_path / "a.ddt").only_table().values.max() == pytest.approx(2.0)
+    front = BsdfFile((mixed[0],))
+    for choice, wrong in (({"light": "transmitted"}, "no transmitted light"), ({"side": "back"}, "with light on the back")):
+        with pytest.raises(UserError, match=wrong):
+            convert(front, tmp_path / "b.bsdf", **choice)
+
+
+def test_a_regular_part_is_left_out_of_a_table_and_said(tmp_path: Path) -> None:
+    regular = RegularTable(np.array([0.0, 60.0]), np.full((1, 1, 2), 0.04), (550.0,), sample="paint")
+    told = convert(BsdfFile((table(), regular)), tmp_path / "a.ddr")
+    assert told.notes == ("the regular part is left out: it is in a file of its own",)
+    assert told.notes[0] in registry.read(tmp_path / "a.ddr").only_table().comments
+    with pytest.raises(GoniotwinError, match=r"does not hold regular reflectance or transmittance"):
+        convert(BsdfFile((regular,)), tmp_path / "b.csv")
+
+
+def test_a_file_is_not_converted_to_itself_nor_to_one_beside_it(tmp_path: Path) -> None:
+    convert(BsdfFile((table(),)), tmp_path / "a.ddr")
+    before = (tmp_path / "a.u.ddr").read_bytes()
+    for source, out in (("a.ddr", "a.ddr"), ("a.u.ddr", "a.ddr")):
+        with pytest.raises(UserError, match="is the file itself; choose another name"):
+            app(["convert", str(tmp_path / source), str(tmp_path / out)], standalone_mode=False)
+    with pytest.raises(UserError, match=r"a\.u\.ddr: it has the uncertainties of a\.ddr, not values; give the table itself"):
+        app(["convert", str(tmp_path / "a.u.ddr"), str(tmp_path / "b.ddr")], standalone_mode=False)
+    assert (tmp_path / "a.u.ddr").read_bytes() == before
+
+
+def test_a_folder_a_missing_file_and_an_unknown_format_are_one_line(tmp_path: Path) -> None:
+    for source, out, wrong in (
+        (tmp_path, "a.ddr", "is a folder without files that can be read"), (tmp_path / "no", "a.ddr", "there is no such file"),
+        (tmp_path / "no", "a.xyz", r"the format is unknown; give a name that ends with \.ddr"),
+        (tmp_path / "no", "sub/a.ddr", "there is no folder"),
+    ):  # fmt: skip
+        with pytest.raises(UserError, match=wrong):
+            app(["convert", str(source), str(tmp_path / out)], standalone_mode=False)
+
+
+def test_info_says_what_a_file_is_and_how_complete(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    convert(BsdfFile((table(generated=True),)), tmp_path / "a.ddr")
+    found = run(capsys, "info", tmp_path / "a.ddr")
+    assert (found["format"], found["simulated"], found["stands_for"]) == ("ddr", True, None)
+    (part,) = found["parts"]
+    known = np.asarray(table().known)
+    assert (part["values"], part["measured"], part["with_uncertainty"]) == (known.size, np.count_nonzero(known), known.size)
+    assert part["sigma_deg"] == SIGMA.tolist()
+    assert part["not_measured"][0]["share"] > 0.1
+    assert run(capsys, "info", tmp_path / "a.mask.ddr")["stands_for"] == "the mask of a.ddr"
+    app(["info", str(tmp_path / "a.ddr")], standalone_mode=False)
+    text = capsys.readouterr().out
+    assert "SIMULATED, ddr, Lumicept table of a BRDF" in text
+    assert "not measured: at most" in text
+
+
+def test_info_counts_flags_and_lists_wavelengths(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    four = [np.full(4, value) for value in (30.0, 0.0, 40.0, 180.0)]
+    points = ScatteredBsdf(
+        *four, np.array([1.0, np.nan, 2.0, 3.0]), wavelength_nm=np.array([450.0, 450.0, 550.0, 550.0]),
+        flags=np.array(["", "dead", "drift steep", ""]), sample="paint",
+    )  # fmt: skip
+    convert(BsdfFile((points,)), tmp_path / "a.csv")
+    (part,) = run(capsys, "info", tmp_path / "a.csv")["parts"]
+    assert part["flags"] == {"dead": 1, "drift": 1, "steep": 1}
+    assert (part["measured"], part["wavelengths_nm"]) == (2, [450.0, 550.0])
