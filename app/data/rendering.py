@@ -38,7 +38,8 @@ CORNER_SIGMA_DEG = 30.0
 FIGURE_SIGMAS_DEG = (0.0, 15.0, 30.0, 45.0, 60.0, 75.0)
 DIFFERENCE = 0.05
 """The difference, as a share of the brightest white, at which its colours end."""
-WHITE_PERCENTILE = 99.0
+WHITE_PERCENTILE = 95.0
+"""Of the light of all pixels: the light source itself, three hundredths of the picture, is brighter than white."""
 
 
 @dataclass(frozen=True, eq=False)
