@@ -70,7 +70,8 @@ def export(
 
     The journal is not changed. A .csv has every measured point, with its standard uncertainty. A table such as a .ddr is in
     specular coordinates and has no gaps: directions without a measurement are filled and listed at its top. The standard
-    uncertainties of FILE.ddr are in FILE.u.ddr, what was not measured is marked in FILE.mask.ddr, on the same grid.
+    uncertainties of FILE.ddr are in FILE.u.ddr, what was not measured is marked in FILE.mask.ddr, on the same grid. An archive
+    (.h5) has everything: points, tables, covariance, schedule, rig and raw counts.
 
     Exit status: 1 if the journal differs from what was measured, row by row or as a whole.
     """
@@ -107,7 +108,14 @@ def _convert(
     """Convert a file or a journal, and print the result."""
     from goniotwin.app.campaign.journal.writing import Journal
     from goniotwin.app.campaign.reduction.reduction import reduce_to_files
-    from goniotwin.app.data.conversion import Choice, convert_file, convert_reduced, format_to_write, is_journal
+    from goniotwin.app.data.conversion import (
+        Choice,
+        archive_journal,
+        convert_file,
+        convert_reduced,
+        format_to_write,
+        is_journal,
+    )
     from goniotwin.app.formats.registry import files_beside
 
     form, choice = format_to_write(out, name), Choice(*options)
@@ -120,7 +128,10 @@ def _convert(
         folder = Path(os.path.realpath(out)).parent
         with Journal.open(source) as opened, reduce_to_files(opened, folder, without_damaged=without_damaged) as reduced:
             chain = opened.chain
-            converted = convert_reduced(reduced, out, form, choice)
+            if form.name == "archive" and options[:3] == (None, None, None):
+                converted = archive_journal(opened, reduced, out, choice, without_damaged=without_damaged)
+            else:
+                converted = convert_reduced(reduced, out, form, choice)
         damage, findings = chain.damage, list(reduced.findings)
         result = {"chain": chain.as_dict(), "damaged": sorted(chain.without_values), "findings": findings}
         lines = [reduced.chain]

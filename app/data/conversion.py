@@ -12,6 +12,8 @@ from typing import Any, Literal
 
 import numpy as np
 
+from goniotwin.app.campaign.journal.reading import JournalReader
+from goniotwin.app.campaign.reduction.archive import write_archive
 from goniotwin.app.campaign.reduction.export import WIDEST_GAP_DEG, part_of_light, points_of, scattered_of
 from goniotwin.app.campaign.reduction.reduction import ReducedJournal
 from goniotwin.app.data.opening import with_files_beside
@@ -147,6 +149,16 @@ def convert_reduced(reduced: ReducedJournal, path: Path, form: Format, choice: C
         content = scattered_of(reduced, sample)
         known = [reduced.metadata[name] for name in content.samples if name in reduced.metadata]
         return convert_content(replace(content, metadata=known[0]) if known else content, path, form, choice, WIDEST_GAP_DEG)
+
+
+def archive_journal(
+    journal: JournalReader, reduced: ReducedJournal, path: Path, choice: Choice, *, without_damaged: bool = False
+) -> Converted:
+    """Write the archive of a journal, with all that its uncertainties are made of and what was recorded. Raises UserError."""
+    with user_errors():
+        done = write_archive(journal, reduced, path, fill=choice.fill, without_damaged=without_damaged)
+    shares = tuple(share for table in done.tables for share in shares_of(table))
+    return Converted((path,), "archive", done.values, reduced.simulated, choice.fill, shares, done.without_table)
 
 
 def convert_content(

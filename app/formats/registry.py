@@ -202,6 +202,18 @@ BUILT_IN = (
         _LIST | {Holds.WAVELENGTHS}, "goniotwin.app.formats.reflectance_factors", writes=False,
     ),
     Format(
+        "rgl", "tensor file for Mitsuba 3, as of the RGL", (".bsdf",),
+        _TABLE | {Holds.REFLECTED}, "goniotwin.app.formats.rgl",
+    ),
+    Format(
+        "merl", "MERL's binary files", (".binary",), frozenset({Holds.GRID, Holds.SIGMAS, Holds.COLOURS, Holds.REFLECTED}),
+        "goniotwin.app.formats.merl", writes=False,
+    ),
+    Format(
+        "archive", "HDF5 archive; of a journal with all that its uncertainties are made of", (".h5", ".hdf5", ".nxs"),
+        frozenset(set(Holds) - {Holds.RAYS, Holds.COLUMNS}), "goniotwin.app.formats.archive",
+    ),
+    Format(
         "rayset", "recorded rays of the illumination", (".h5", ".hdf5"),
         frozenset({Holds.RAYS, Holds.WAVELENGTHS}), "goniotwin.app.formats.rayset",
     ),

@@ -1,0 +1,61 @@
+"""The command `goniotwin render`: a sphere with a BSDF in a box, by Mitsuba 3, and figure 14 of the paper."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from goniotwin.app.cli.output import Json, answer, print_note
+from goniotwin.app.errors import UserError
+
+app = typer.Typer()
+
+
+@app.command()
+def render(
+    first: Annotated[
+        Path | None, typer.Argument(metavar="A", help="File of a table, of any format.", show_default=False)
+    ] = None,
+    second: Annotated[Path | None, typer.Argument(metavar="B", help="File of another table.", show_default=False)] = None,
+    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="Picture to write, .png.")] = Path("render.png"),
+    figure14: Annotated[
+        bool, typer.Option("--figure14", help="Instead of A and B: the paper's Gaussians, and as the prototype measures them.")
+    ] = False,
+    size: Annotated[int, typer.Option("--size", min=8, max=2048, help="Pixels of a side of each picture.")] = 128,
+    rays: Annotated[int, typer.Option("--rays", min=1, max=65536, help="Paths of each pixel.")] = 64,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the random numbers, the same for both.")] = 1,
+    as_json: Json = False,
+) -> None:
+    """Render a sphere with the BSDF of A, with that of B, and their difference.
+
+    The sphere is in a box with walls of a checkerboard, under a rectangular light. With --figure14 there are four columns:
+    Gaussians of 2, 5, 15 and 30 deg by formula 6 above, as the virtual prototype with the worst combination of its deviations
+    measures them below. Needs Mitsuba 3: pip install 'goniotwin[render]'.
+    """
+    if figure14 != (first is None and second is None) or (first is None) != (second is None):
+        raise UserError("render: give two files, or --figure14 alone")
+    if out.suffix.lower() != ".png":
+        raise UserError(f"{out}: a picture is a PNG; give a name that ends with .png")
+    from goniotwin.app.data import rendering
+    from goniotwin.app.formats.file import check_writable
+    from goniotwin.app.simulation.files import write_figure
+
+    with rendering.user_errors():
+        check_writable(out)
+    rendering.load_mitsuba()
+    if first is None or second is None:
+        pairs = rendering.figure14(print_note, size, rays, seed)
+        names = ("theory", "measured")
+    else:
+        tables = [rendering.read_table(path) for path in (first, second)]
+        pairs = [rendering.render_pair(*tables, f"{first.stem}, {second.stem}", size, rays, seed)]
+        names = (first.name, second.name)
+    write_figure(rendering.picture(pairs, names), out, 150)
+    result = {"file": str(out), "variant": rendering.VARIANT, "pairs": [pair.as_dict() for pair in pairs]}
+
+    def show() -> None:
+        print(out)
+        for each in result["pairs"]:
+            print(f"{each['title']}: the difference is {each['rms_percent_of_white']:.2g} % of white (RMS)")
+
+    answer(as_json, result, show)

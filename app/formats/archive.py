@@ -1,0 +1,301 @@
+"""The archive: HDF5 in the manner of NeXus, after one line of text. docs/archive.md describes its layout.
+
+It holds every content, with metadata and uncertainties, and what a journal's writer adds (app/campaign/reduction/archive.py).
+Each part is a group NXdata with the signal `values` and `values_errors` beside it. The line of text has the SHA-256 of the HDF5
+content, which is checked first, as that of a rayset: the HDF5 library can crash on a damaged file. NeXus:
+https://manual.nexusformat.org/classes/base_classes/NXdata.html.
+"""
+
+import hashlib
+import itertools
+import json
+import math
+import re
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import numpy.typing as npt
+
+from goniotwin.app.errors import room_on_disk
+from goniotwin.app.formats.content import COLUMNS, BsdfFile, Part, RegularTable, ScatteredBsdf
+from goniotwin.app.formats.file import FormatError, StrPath, check_writable, name_file, open_file, quote_word, write_file
+from goniotwin.app.formats.metadata import metadata_from_dict
+from goniotwin.app.formats.table import BsdfTable
+
+FORMAT = "goniotwin archive"
+VERSION = 1
+BLOCK = 512
+"""Bytes of the user block: the HDF5 library looks for its signature after it."""
+HEADING = "goniotwin archive; HDF5 from byte 512 on, of which sha256="
+HEADING_PATTERN = re.compile(re.escape(HEADING).encode() + rb"([0-9a-f]{64})\n *\n")
+MOST_BYTES = 4_000_000_000
+MOST_VALUES = 20_000_000
+"""Values of all parts together that are read."""
+MOST_PARTS = 10_000
+COPY_AGAIN = "write the archive again, or copy the file again"
+CHUNK_BYTES = 1 << 20
+PACKED = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
+WORDS = ("channel", "flags")
+"""Columns of texts: stored as numbers of words, whose list is in NAME_words."""
+UNITS = {
+    "values": "1/sr", "values_errors": "1/sr", "u_shared": "1/sr", "sigma_deg": "deg", "psi_deg": "deg", "polar_deg": "deg",
+    "azimuth_deg": "deg", "phi_deg": "deg", "theta_deg": "deg", "wavelength_nm": "nm", "wavelengths_nm": "nm",
+}  # fmt: skip
+TEXT = h5py.string_dtype()
+
+
+def recognise(head: bytes) -> bool:
+    """Whether a file that begins with `head` is an archive."""
+    return head.startswith(HEADING.encode())
+
+
+# ---- writing ----
+
+
+def write(path: Path, content: BsdfFile) -> None:
+    """Write a content with all of its parts, completely or not at all. Raises FormatError."""
+
+    def fill(entry: h5py.Group) -> None:
+        for k, part in enumerate(content.parts, 1):
+            put_part(entry, f"part_{k}", part)
+        put_about(entry, content)
+
+    write_entry(path, fill)
+
+
+def write_entry(path: StrPath, fill: Callable[[h5py.Group], None]) -> None:
+    """Write an archive whose group `entry` is filled by a function, completely or not at all. Raises FormatError."""
+    check_writable(path)
+    try:
+        with tempfile.NamedTemporaryFile(dir=Path(path).resolve().parent, prefix=".", suffix=".tmp") as spare:
+            with h5py.File(spare.name, "w", userblock_size=BLOCK) as file:
+                file.attrs.update({"NX_class": "NXroot", "default": "entry", "format": FORMAT, "version": VERSION})
+                entry = file.create_group("entry")
+                entry.attrs["NX_class"] = "NXentry"
+                fill(entry)
+            spare.seek(BLOCK)
+            heading = f"{HEADING}{hashlib.file_digest(spare, 'sha256').hexdigest()}\n".encode()
+            spare.seek(BLOCK)
+            rest = iter(lambda: spare.read(CHUNK_BYTES), b"")
+            write_file(path, itertools.chain([heading.ljust(BLOCK - 1) + b"\n"], rest))
+    except OSError as error:
+        wrong = f"cannot be written ({error.strerror or error})"
+        raise FormatError(path, wrong, room_on_disk(error) or "check the folder and its permissions") from error
+
+
+def put_about(entry: h5py.Group, content: BsdfFile) -> None:
+    """Write metadata and comments of a content, and name the part that a viewer shows."""
+    entry.attrs["simulated"] = content.simulated
+    if content.metadata.title:
+        entry["title"] = content.metadata.title
+    if content.metadata.date:
+        entry["start_time"] = content.metadata.date
+    entry["metadata"] = json.dumps(content.metadata.as_dict(), ensure_ascii=False)
+    put_texts(entry, "comments", content.comments)
+    if content.parts:
+        entry.attrs["default"] = "part_1"
+
+
+def put_texts(group: h5py.Group, name: str, texts: Sequence[str]) -> None:
+    """Write a list of texts (n,)."""
+    safe = [each.replace("\0", "") for each in texts]
+    group.create_dataset(name, data=np.array(safe, dtype=object), dtype=TEXT, shape=(len(safe),))
+
+
+def put_array(group: h5py.Group, name: str, values: npt.NDArray[Any]) -> None:
+    """Write an array, packed where it is large."""
+    given = group.create_dataset(name, data=values, **(PACKED if values.size > BLOCK else {}))
+    if name in UNITS:
+        given.attrs["units"] = UNITS[name]
+
+
+def put_part(entry: h5py.Group, name: str, part: Part) -> h5py.Group:
+    """Write a part as a group of this name."""
+    group = entry.create_group(name)
+    group.attrs.update({"NX_class": "NXdata", "signal": "values", "sample": part.sample, "generated": part.generated})
+    if isinstance(part, ScatteredBsdf):
+        group.attrs.update({"kind": "scattered", "isotropic": part.isotropic, "axes": ["."]})
+        for column in COLUMNS:
+            stored = "values_errors" if column == "u" else column
+            if column in WORDS:
+                put_words(group, column, getattr(part, column))
+            else:
+                put_array(group, stored, getattr(part, column))
+    else:
+        regular = isinstance(part, RegularTable)
+        angles = ("psi", "sigma") if regular else ("psi", "sigma", "phi", "theta")
+        channel = "wavelengths_nm" if part.wavelengths_nm is not None else "colours" if part.colours else "."
+        group.attrs.update({"kind": "regular" if regular else "table", "transmitted": part.transmitted, "back": part.back})
+        group.attrs["axes"] = [channel, *(f"{each}_deg" for each in angles)]
+        if part.wavelengths_nm is not None:
+            put_array(group, "wavelengths_nm", np.array(part.wavelengths_nm))
+        if part.colours:
+            put_texts(group, "colours", part.colours)
+        for each in angles:
+            put_array(group, f"{each}_deg", np.asarray(getattr(part, f"{each}_deg"), dtype=np.float64))
+        put_array(group, "values", part.values)
+        if part.u is not None:
+            put_array(group, "values_errors", part.u)
+        if isinstance(part, BsdfTable) and part.known is not None:
+            put_array(group, "known", part.known)
+        if regular:
+            for each in ("values", "values_errors"):
+                if each in group:
+                    group[each].attrs["units"] = "1"
+    put_texts(group, "comments", part.comments)
+    return group
+
+
+def put_words(group: h5py.Group, name: str, texts: npt.NDArray[np.str_]) -> None:
+    """Write texts (n,) as numbers (n,) of the words in NAME_words."""
+    words, number = (texts[:1], np.zeros(texts.size)) if texts.size and (texts == texts[0]).all() else distinct(texts)
+    put_texts(group, f"{name}_words", words.tolist())
+    put_array(group, name, number.astype(np.int32))
+
+
+def distinct(texts: npt.NDArray[np.str_]) -> tuple[npt.NDArray[np.str_], npt.NDArray[Any]]:
+    """The different texts, and the number of each."""
+    words, number = np.unique(texts, return_inverse=True)
+    return words, number.ravel()
+
+
+class Rows:
+    """A dataset (n, columns) that grows in both: a part of the rows at a time, and columns with names as they are found."""
+
+    def __init__(self, group: h5py.Group, name: str, kind: str, empty: float = 0.0) -> None:
+        self._data = group.create_dataset(
+            name, (0, 0), kind, maxshape=(None, None), chunks=(4096, 4), fillvalue=empty, **PACKED
+        )
+        self._columns: dict[Any, int] = {}
+
+    def column(self, key: Any) -> int:
+        """The place of a column, a new one for a new key."""
+        return self._columns.setdefault(key, len(self._columns))
+
+    @property
+    def keys(self) -> list[Any]:
+        """The keys of the columns, in their order."""
+        return list(self._columns)
+
+    def add(self, count: int, found: Mapping[Any, npt.NDArray[Any]]) -> None:
+        """Add rows: a column (count,) by its key; the others are empty there."""
+        places = {self.column(key): each for key, each in found.items()}
+        begin = self._data.shape[0]
+        self._data.resize((begin + count, len(self._columns)))
+        if places:
+            block = np.full((count, len(self._columns)), self._data.fillvalue, dtype=self._data.dtype)
+            for place, each in places.items():
+                block[:, place] = each
+            self._data[begin:] = block
+
+
+class Column:
+    """A dataset (n,) that grows."""
+
+    def __init__(self, group: h5py.Group, name: str, kind: Any) -> None:
+        self._data = group.create_dataset(name, (0,), kind, maxshape=(None,), chunks=(16384,), **PACKED)
+        if name in UNITS:
+            self._data.attrs["units"] = UNITS[name]
+
+    def add(self, values: npt.NDArray[Any]) -> None:
+        """Add values (k,)."""
+        begin = self._data.shape[0]
+        self._data.resize((begin + len(values),))
+        self._data[begin:] = values
+
+
+# ---- reading ----
+
+
+def read(path: StrPath) -> BsdfFile:
+    """Read the parts of an archive, with metadata and comments.
+
+    Raises FormatError for another kind of file, and for a file that changed after it was written.
+    """
+    with open_file(path, MOST_BYTES) as content:
+        heading = HEADING_PATTERN.fullmatch(content.read(BLOCK))
+        if heading is None:
+            raise FormatError(path, "is not an archive of goniotwin", "give an archive that was written by goniotwin")
+        if hashlib.file_digest(content, "sha256").hexdigest().encode() != heading[1]:
+            raise FormatError(path, "is damaged: its content does not match the sha256 in its first line", COPY_AGAIN)
+        try:
+            with name_file(path, COPY_AGAIN), h5py.File(content, "r") as file:
+                return _content(path, file)
+        except (OSError, KeyError, RuntimeError, TypeError, AttributeError) as error:
+            raise FormatError(path, "cannot be read as an archive", COPY_AGAIN) from error
+
+
+def _content(path: StrPath, file: h5py.File) -> BsdfFile:
+    if file.attrs.get("format") != FORMAT:
+        raise FormatError(path, "is not an archive of goniotwin", "give an archive that was written by goniotwin")
+    if (version := int(file.attrs["version"])) != VERSION:
+        wrong = f"is an archive of version {version}, not {VERSION}"
+        raise FormatError(path, wrong, "read it with the program that wrote it")
+    entry = file["entry"]
+    names = [name for name in entry if re.fullmatch(r"part_[0-9]{1,6}", name)]
+    if len(names) > MOST_PARTS:
+        raise FormatError(path, f"has {len(names)} parts", "divide it into several files")
+    names.sort(key=lambda name: int(name[5:]))
+    size = sum(int(entry[name]["values"].size) for name in names)
+    if size > MOST_VALUES:
+        raise FormatError(path, f"has {size} values, more than {MOST_VALUES}", "divide it into several files")
+    metadata = metadata_from_dict(json.loads(_texts(entry, "metadata")[0]))
+    return BsdfFile(tuple(_part(path, entry[name]) for name in names), metadata, _texts(entry, "comments"))
+
+
+def _part(path: StrPath, group: h5py.Group) -> Part:
+    kind, sample, generated = (group.attrs[name] for name in ("kind", "sample", "generated"))
+    about: dict[str, Any] = {"sample": str(sample), "generated": bool(generated), "comments": _texts(group, "comments")}
+    if kind == "scattered":
+        columns = {column: _column(group, column) for column in COLUMNS}
+        return ScatteredBsdf(**columns, isotropic=bool(group.attrs["isotropic"]), **about)
+    if kind not in ("table", "regular"):
+        raise FormatError(path, f"has a part of the kind {quote_word(str(kind))}", "read it with the program that wrote it")
+    about |= {"transmitted": bool(group.attrs["transmitted"]), "back": bool(group.attrs["back"])}
+    if "wavelengths_nm" in group:
+        about["wavelengths_nm"] = tuple(_numbers(group, "wavelengths_nm").tolist())
+    about |= {"colours": _texts(group, "colours") if "colours" in group else ()}
+    if "values_errors" in group:
+        about["u"] = _numbers(group, "values_errors")
+    if kind == "regular":
+        return RegularTable(
+            _numbers(group, "sigma_deg"), _numbers(group, "values"), psi_deg=_numbers(group, "psi_deg"), **about
+        )
+    if "known" in group:
+        about["known"] = _numbers(group, "known", "b").astype(bool)
+    angles = (_numbers(group, f"{each}_deg") for each in ("sigma", "phi", "theta"))
+    return BsdfTable(*angles, _numbers(group, "values"), psi_deg=_numbers(group, "psi_deg"), **about)
+
+
+def _column(group: h5py.Group, column: str) -> npt.NDArray[Any]:
+    if column in WORDS:
+        words = np.array(_texts(group, f"{column}_words"), dtype=np.str_)
+        number = _numbers(group, column, "i")
+        if number.size and (number.min() < 0 or number.max() >= words.size):
+            raise ValueError(f"{column} has a number without a word")
+        return words[number] if words.size else np.full(number.size, "", dtype=np.str_)
+    kind = "b" if column in ("transmitted", "back") else "i" if column == "photodiode" else "f"
+    return _numbers(group, "values_errors" if column == "u" else column, kind)
+
+
+def _numbers(group: h5py.Group, name: str, kind: str = "f") -> npt.NDArray[Any]:
+    """An array of floats (f), whole numbers (i) or flags (b). Raises KeyError, and ValueError for another type or size."""
+    data = group[name]
+    if data.dtype.kind not in {"f": "f", "i": "iu", "b": "b"}[kind] or math.prod(data.shape) > MOST_VALUES:
+        raise ValueError(f"{group.name}/{name} has {data.dtype} {data.shape}")
+    if data.size and not data.id.get_storage_size():
+        raise ValueError(f"{group.name}/{name} has no values in the file")
+    return np.asarray(data[()])
+
+
+def _texts(group: h5py.Group, name: str) -> tuple[str, ...]:
+    data = group[name].asstr()[()]
+    return (str(data),) if isinstance(data, str) else tuple(str(each) for each in _listed(data))
+
+
+def _listed(data: npt.NDArray[Any]) -> Iterator[Any]:
+    yield from data.ravel().tolist()

@@ -1,0 +1,189 @@
+"""The archive of a journal: uncertainties and covariances rebuilt from the file by h5py and numpy alone."""
+
+import json
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.planning.plan import make_plan
+from goniotwin.app.campaign.proof.virtual_rigs import run_without_wires
+from goniotwin.app.campaign.reduction.archive import write_archive
+from goniotwin.app.campaign.reduction.budget import budget_of_reflectance, budget_of_value
+from goniotwin.app.campaign.reduction.effects_of_points import effects_of
+from goniotwin.app.campaign.reduction.export import scattered_points
+from goniotwin.app.campaign.reduction.reduction import Reduction, reduce_journal
+from goniotwin.app.campaign.schedule.file import parse_schedule
+from goniotwin.app.cli.main import app
+from goniotwin.app.formats import BsdfTable, FormatError, archive
+from goniotwin.app.formats.content import ScatteredBsdf
+from goniotwin.app.rig import parse_rig
+from goniotwin.arrays import Floats
+from tests.app.campaign.reduction.test_verification import HALF_SPHERE, PAINT
+from tests.conftest import RIG, SMALL, changed
+
+GOLDEN = Path(__file__).parents[3] / "golden" / "data" / "finished.journal"
+
+
+@pytest.fixture(scope="module")
+def archived(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """A journal with the directions of a half sphere, and its archive."""
+    folder = tmp_path_factory.mktemp("archive")
+    journal, path = folder / "half-sphere.journal", folder / "half-sphere.h5"
+    plan = parse_schedule(changed(SMALL, HALF_SPHERE), "small.toml")
+    run_without_wires(make_plan(plan, parse_rig(changed(RIG.read_text(), (PAINT,)), RIG.parent, "rig.toml")), journal)
+    with Journal.open(journal) as opened:
+        write_archive(opened, reduce_journal(opened), path)
+    return journal, path
+
+
+# What docs/archive.md says, with h5py and numpy alone.
+
+
+def effects(part: h5py.Group, weight: Floats) -> tuple[Floats, float]:
+    """The effects (inputs,) of all inputs on a weighted sum of values, and the variance that no other value shares."""
+    total = np.zeros(1 + max(part["dense_input"][()].max(), part["grouped_input"][()].max()))
+    np.add.at(total, part["dense_input"][()], weight @ part["dense"][()])
+    member, grouped = part["grouped_input"][()], weight[:, None] * part["grouped"][()]
+    np.add.at(total, member[member >= 0], grouped[member >= 0])
+    return total, float(np.sum((weight[:, None] * part["independent"][()]) ** 2))
+
+
+def unit(count: int, index: int) -> Floats:
+    found = np.zeros(count)
+    found[index] = 1.0
+    return found
+
+
+def test_the_uncertainty_of_every_value_is_rebuilt(archived: tuple[Path, Path]) -> None:
+    with h5py.File(archived[1]) as file:
+        part = file["entry/part_1"]
+        values, u = part["values"][()], part["values_errors"][()]
+        assert part.attrs["NX_class"] == "NXdata"
+        some = np.flatnonzero(np.isfinite(values))
+        assert some.size > 80
+        for k in some[::7].tolist():
+            shared, alone = effects(part, unit(values.size, k))
+            assert np.sum(shared**2) + alone == pytest.approx(u[k] ** 2, rel=1e-5)
+        assert np.sum(part["components"][()][some] ** 2, axis=1) == pytest.approx(u[some] ** 2, rel=1e-12)
+
+
+def test_a_value_has_the_budget_that_the_program_gives(archived: tuple[Path, Path]) -> None:
+    with Journal.open(archived[0]) as journal:
+        found = budget_of_value(Reduction(journal), {"sigma": 30.0, "zenith": 40.0, "azimuth": 45.0})
+    with h5py.File(archived[1]) as file:
+        part, inputs = file["entry/part_1"], file["entry/inputs"]
+        columns = {each: part[each][()] for each in ("sigma_deg", "wavelength_nm", "polar_deg", "azimuth_deg", "transmitted")}
+        (k,) = np.flatnonzero(
+            (columns["sigma_deg"] == 30.0) & (np.abs(columns["polar_deg"] - 40.0) < 1e-6)
+            & (np.abs(columns["azimuth_deg"] - 45.0) < 1e-6) & ~columns["transmitted"]
+        )  # fmt: skip
+        assert part["values"][k] == found.value
+        assert part["values_errors"][k] == pytest.approx(found.u, rel=1e-9)
+        shared, _ = effects(part, unit(part["values"].size, k))
+        names = inputs["name"].asstr()[()].tolist()
+        for each in found.components:
+            if each.input is not None and each.u > 1e-9 * found.u:
+                assert abs(shared[names.index(each.name)]) == pytest.approx(each.u, rel=1e-5)
+        assert {"sigma_zero", "certificate[level]"} <= set(names)
+
+
+def test_the_covariance_of_two_values_is_rebuilt(archived: tuple[Path, Path]) -> None:
+    with Journal.open(archived[0]) as journal:
+        reduction = Reduction(journal)
+        (name, points), *_ = reduce_journal(journal).samples.items()
+        good = points.where(points.good)
+        expected = effects_of(good, reduction.settings).covariance(np.arange(0, good.size, 9), np.arange(0, good.size, 9))
+        keys = place(scattered_points(good, name, generated=True))
+    with h5py.File(archived[1]) as file:
+        part = file["entry/part_1"]
+        columns = [part[each][()] for each in ("wavelength_nm", "sigma_deg", "polar_deg", "azimuth_deg", "transmitted")]
+        here = {tuple(each): k for k, each in enumerate(np.round(np.stack(columns, axis=1), 6).tolist())}
+        chosen = [here[tuple(each)] for each in keys[::9].tolist()]
+        found = [effects(part, unit(part["values"].size, k)) for k in chosen]
+    rebuilt = np.array([[float(one @ other) for other, _ in found] for one, _ in found])
+    rebuilt += np.diag([alone for _, alone in found])
+    u = np.sqrt(np.diag(expected))
+    assert np.abs(rebuilt - expected).max() > 0.0  # in 32 bits
+    np.testing.assert_allclose(rebuilt / np.outer(u, u), expected / np.outer(u, u), atol=1e-5)
+    assert (np.abs(expected / np.outer(u, u))[~np.eye(u.size, dtype=bool)] > 0.1).any()
+
+
+def place(points: ScatteredBsdf) -> Floats:
+    columns = (points.wavelength_nm, points.sigma_deg, points.polar_deg, points.azimuth_deg, points.transmitted)
+    return np.round(np.stack(columns, axis=1).astype(np.float64), 6)
+
+
+def test_the_uncertainty_of_a_reflectance_is_rebuilt(archived: tuple[Path, Path]) -> None:
+    with Journal.open(archived[0]) as journal:
+        expected = budget_of_reflectance(Reduction(journal), {"sigma": 30.0})
+    with h5py.File(archived[1]) as file:
+        part = file["entry/part_1"]
+        wanted = {"sigma_deg": 30.0, "wavelength_nm": 550.0, "transmitted": False}
+        (title,) = [
+            name
+            for name in part
+            if name.startswith("reflectance_") and all(part[name].attrs[k] == v for k, v in wanted.items())
+        ]
+        integral = part[title]
+        weight = np.zeros(part["values"].size)
+        weight[integral["index"][()]] = integral["weight"][()]
+        value = np.sum(np.where(weight != 0.0, weight * part["values"][()], 0.0))
+        shared, alone = effects(part, weight)
+        own = integral.attrs["u_interpolation"] ** 2 + integral.attrs["u_filled"] ** 2
+        assert value == pytest.approx(expected.value, rel=1e-12)
+        assert integral.attrs["u"] == pytest.approx(expected.u, rel=1e-12)
+        assert np.sqrt(np.sum(shared**2) + alone + own) == pytest.approx(expected.u, rel=1e-5)
+
+
+def test_what_was_recorded_is_in_it(tmp_path: Path) -> None:
+    journal, path = tmp_path / "finished.journal", tmp_path / "finished.h5"
+    journal.write_bytes(GOLDEN.read_bytes())
+    with Journal.open(journal) as opened:
+        reduced = reduce_journal(opened)
+        done = write_archive(opened, reduced, path)
+        rows, texts = list(opened.rows()), {each: opened.value(each) for each in ("schedule", "rig")}
+    content = archive.read(path)
+    (scattered,), (table,) = content.scattered, content.tables
+    assert content.simulated
+    assert (done.values, done.without_table) == (np.isfinite(scattered.values).sum(), ())
+    assert content.metadata == reduced.metadata[scattered.sample]
+    assert isinstance(table, BsdfTable)
+    points = reduced.samples[scattered.sample]
+    assert (
+        np.sort(scattered.values[np.isfinite(scattered.values)]).tolist()
+        == np.sort(points.bsdf[np.isfinite(points.bsdf)]).tolist()
+    )
+    assert {word for each in scattered.flags.tolist() for word in each.split()} <= set(points.flags)
+    with h5py.File(path) as file:
+        recorded = file["entry/journal"]
+        assert {each: recorded[each].asstr()[()] for each in texts} == texts
+        assert recorded["row_number"][()].tolist() == [each.row.number for each in rows]
+        readings = [(each.row.number, one) for each in rows for one in each.data.readings]
+        for k, (number, reading) in enumerate(readings):
+            begin, shape = recorded["reading_begin"][k], (recorded["reading_readings"][k], recorded["reading_photodiodes"][k])
+            raw = recorded["counts"][begin : begin + shape[0] * shape[1]].reshape(shape)
+            assert np.array_equal(raw, reading.counts)
+            assert recorded["reading_row"][k] == number
+
+
+def test_a_folder_that_is_missing_is_named_first(tmp_path: Path) -> None:
+    journal = tmp_path / "finished.journal"
+    journal.write_bytes(GOLDEN.read_bytes())
+    with Journal.open(journal) as opened, pytest.raises(FormatError, match="there is no folder"):
+        write_archive(opened, reduce_journal(opened), tmp_path / "no" / "finished.h5")
+    assert list(tmp_path.iterdir()) == [journal]
+
+
+def test_export_writes_the_archive(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    journal, path = tmp_path / "finished.journal", tmp_path / "finished.h5"
+    journal.write_bytes(GOLDEN.read_bytes())
+    app(["export", str(journal), "--out", str(path), "--format", "archive", "--json"], standalone_mode=False)
+    result = json.loads(capsys.readouterr().out)
+    with h5py.File(path) as file:
+        assert (result["format"], result["values"]) == ("archive", int(np.sum(file["entry/part_1/good"][()])))
+        assert file["entry/journal/counts"].size
+    app(["convert", str(path), str(tmp_path / "again.csv")], standalone_mode=False)
+    assert (tmp_path / "again.csv").is_file()
