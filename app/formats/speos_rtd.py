@@ -22,6 +22,7 @@ from goniotwin.arrays import Floats
 TITLE = "optis - anisotropic bsdf surface file v1."
 OWN_TABLE = "the export's own table, with means of measured neighbours"
 NAME = re.compile(r"\s*SampleID[\s:]*(.*)", re.IGNORECASE)
+MOST_TABLES = 1000
 LAST_NUMBER = re.compile(r"([0-9]+(?:\.[0-9]+)?)\s*$")
 
 
@@ -61,8 +62,9 @@ def _block(lines: Lines, start: int, stop: int) -> tuple[str, float, list[str], 
         wrong = f"the sample's name {quote_word(named[0] if named else '')} does not end with the incidence, 0 to 90 deg"
         raise lines.error(start, wrong, "export it again, as the instrument names it: Sample 60")
     _refuse_unknown(lines, header)
-    if not heads:
-        raise lines.error(start, "no table follows the header", "it is cut short: export it again")
+    if not heads or len(heads) > MOST_TABLES:
+        wrong = f"more than {MOST_TABLES} tables follow the header" if heads else "no table follows the header"
+        raise lines.error(start, wrong, "it is cut short or damaged: export it again")
     texts = [" ".join(lines.lines[at].split()) for at in header]
     ends = [*heads[1:], stop]
     return named[0], float(number[1]), texts, [_table(lines, head, end) for head, end in zip(heads, ends, strict=True)]
