@@ -184,7 +184,8 @@ def curve(dataset: Dataset, x: Floats) -> Curve:
     gaps = np.flatnonzero(apart > max(4.0 * typical, GAP_DEG))
     breaks = np.union1d(lost, 0.5 * (at[gaps] + at[gaps + 1]))
     places = np.searchsorted(at, breaks)
-    return Curve(np.insert(at, places, breaks), *(np.insert(each, places, np.nan) for each in (y, low, high)), lost)
+    y, low, high = (np.insert(each, places, np.nan) for each in (y, low, high))
+    return Curve(np.insert(at, places, breaks), y, low, high, lost)
 
 
 def draw_curve(
@@ -467,7 +468,7 @@ def _draw_surface(
     if found is None:
         axes.scatter(x[trusted], y[trusted], c=placed[trusted], s=9.0, norm=norm, cmap=colours, lw=0, zorder=2)
         return
-    at = np.where(trusted, placed, norm.vmin)[order]
+    at = np.where(trusted, placed, norm.vmin or 0.0)[order]
     axes.tripcolor(found, at, shading="gouraud", norm=norm, cmap=colours, rasterized=True, zorder=2)
 
 
@@ -604,7 +605,8 @@ def _pictured(lights: Sequence["LightComparison"]) -> list["LightComparison"]:
 
 def _spread(count: int, most: int) -> list[int]:
     """Indices below `count`; of more than `most` so many, evenly spread."""
-    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.int64)).tolist()
+    chosen: list[int] = np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.int64)).tolist()
+    return chosen
 
 
 def _plane(light: "LightComparison") -> Flags:
@@ -651,7 +653,8 @@ def _draw_profiles(axes: "Axes", found: "DatasetComparison", light: "LightCompar
         typical = float(np.median(apart[apart > 0.0])) if (apart > 0.0).any() else math.inf
         gaps = np.flatnonzero(apart > max(4.0 * typical, GAP_DEG)) + 1
         name = f"{('first', 'second')[k]}: {dataset.name}{f', {dataset.sample}' if dataset.sample else ''}"
-        drawn = Curve(*(np.insert(each, gaps, np.nan) for each in (x, y, y - margin, y + margin)), np.zeros(0))
+        at, middle, low, high = (np.insert(each, gaps, np.nan) for each in (x, y, y - margin, y + margin))
+        drawn = Curve(at, middle, low, high, np.zeros(0))
         draw_curve(axes, drawn, scale, COLOURS[k], MARKERS[k], name, broad=k == 0)
     set_scale(axes, scale)
     rms = f"{light.relative_rms_percent:.3g} % over {light.count} directions"

@@ -60,7 +60,7 @@ def test_a_cut_has_the_values_and_a_band_of_two_standard_uncertainties() -> None
     x, y = (np.asarray(each, dtype=float) for each in axes.lines[0].get_data())
     assert x.tolist() == [*np.arange(-85.0, 1.0, 5.0), *np.zeros(12), *np.arange(5.0, 86.0, 5.0)]
     np.testing.assert_allclose(y, 0.6 / math.pi)
-    band = axes.collections[0].get_paths()[0].vertices
+    band = np.asarray(axes.collections[0].get_paths()[0].vertices, dtype=float)
     assert np.min(band[:, 1]) == pytest.approx(0.98 * 0.6 / math.pi)
     assert np.max(band[:, 1]) == pytest.approx(1.02 * 0.6 / math.pi)
 
@@ -149,7 +149,7 @@ def test_a_comparison_has_both_profiles_and_a_map_of_z() -> None:
     assert levels == pytest.approx([0.60 / math.pi, 0.63 / math.pi])
     (surface,) = [each for each in z_map.collections if each.get_array() is not None]
     expected = -0.03 / math.hypot(0.006, 0.0063)
-    np.testing.assert_allclose(surface.get_array(), expected)
+    np.testing.assert_allclose(np.asarray(surface.get_array(), dtype=float), expected)
     assert "formula 5: 4.88 %" in texts(figure)
 
 
