@@ -34,6 +34,11 @@ UNTRUSTED = frozenset(
 HORIZON_DEG = 90.0 + TOLERANCE_DEG
 
 
+def _unstated() -> Any:
+    """The default of an optional column, whose values `ScatteredBsdf` fills in."""
+    return np.zeros(0)
+
+
 @dataclass(frozen=True, eq=False)
 class ScatteredBsdf:
     """Values of one sample at any directions; arrays (n,), angles in degrees.
@@ -52,14 +57,14 @@ class ScatteredBsdf:
     polar_deg: Floats
     azimuth_deg: Floats
     values: Floats
-    u: Floats | None = None
-    u_shared: Floats | None = None
-    wavelength_nm: Floats | None = None
-    channel: Texts | None = None
-    transmitted: Flags | None = None
-    back: Flags | None = None
-    flags: Texts | None = None
-    photodiode: Ints | None = None
+    u: Floats = field(default_factory=_unstated)
+    u_shared: Floats = field(default_factory=_unstated)
+    wavelength_nm: Floats = field(default_factory=_unstated)
+    channel: Texts = field(default_factory=_unstated)
+    transmitted: Flags = field(default_factory=_unstated)
+    back: Flags = field(default_factory=_unstated)
+    flags: Texts = field(default_factory=_unstated)
+    photodiode: Ints = field(default_factory=_unstated)
     sample: str = ""
     isotropic: bool = True
     generated: bool = False
@@ -75,7 +80,7 @@ class ScatteredBsdf:
         }  # fmt: skip
         for each in COLUMNS:
             given = getattr(self, each)
-            column = np.full(n, defaults[each]) if given is None else np.asarray(given)
+            column = np.full(n, defaults[each]) if each in defaults and np.size(given) == 0 else np.asarray(given)
             if column.shape != (n,):
                 raise ValueError(f"{each} has the shape {column.shape}, and there are {n} values")
             if column.dtype.kind in "iuf" and each != "photodiode":
