@@ -67,6 +67,7 @@ def test_mitsuba_agrees_with_our_interpolation_down_to_a_hundredth_of_the_peak(w
             found += 1
 
 
+@pytest.mark.long
 def test_mitsuba_reads_values_azimuths_and_wavelengths(tmp_path: Path) -> None:
     """An anisotropic material of two wavelengths: the lobe is where psi and phi, counter-clockwise, put it."""
     sigma, phi, theta = np.array([29.0, 30.0]), np.arange(0.0, 361.0, 15.0), np.arange(0.0, 181.0, 3.0)
