@@ -103,13 +103,20 @@ def test_mitsuba_draws_directions_without_bias(tmp_path: Path) -> None:
     """Mean of value over density of drawn directions: the reflectance, here of a diffuser of 0.8, within four of its errors."""
     rgl.write(
         tmp_path / "white.bsdf",
-        BsdfFile((BsdfTable([30.0], [0.0, 180.0], [0.0, 180.0], np.full((1, 1, 1, 2, 2), 0.8 / math.pi)),)),
+        BsdfFile(
+            (
+                BsdfTable(
+                    np.array([30.0]), np.array([0.0, 180.0]), np.array([0.0, 180.0]), np.full((1, 1, 1, 2, 2), 0.8 / math.pi)
+                ),
+            )
+        ),
     )
     measured(tmp_path / "white.bsdf")
     import mitsuba as mi
 
-    plugin = mi.load_dict({"type": "measured", "filename": str(tmp_path / "white.bsdf")})
-    at, context, random = mi.SurfaceInteraction3f(), mi.BSDFContext(), np.random.default_rng(1)
+    plugin: Any = mi.load_dict({"type": "measured", "filename": str(tmp_path / "white.bsdf")})
+    at: Any = mi.SurfaceInteraction3f()
+    context, random = mi.BSDFContext(), np.random.default_rng(1)
     at.wi, at.wavelengths = mi.Vector3f(0.5, 0.0, math.sqrt(0.75)), [rgl.GREY_NM] * 4
     weights = [np.array(plugin.sample(context, at, 0.5, mi.Point2f(*random.random(2).tolist()))[1])[0] for _ in range(1000)]
     assert np.mean(weights) == pytest.approx(0.8, abs=4.0 * float(np.std(weights)) / math.sqrt(len(weights)))
