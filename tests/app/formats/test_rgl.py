@@ -168,8 +168,9 @@ def test_a_warp_and_a_jacobian_are_read_as_mitsuba_reads_them(tmp_path: Path) ->
     assert read.known is not None
     for k, sigma in enumerate(read.sigma_deg.tolist()):
         for j, i in random.integers([0, 5], [read.phi_deg.size, 120], (40, 2)).tolist():
-            if read.known[0, 0, k, j, i]:
-                out = from_specular(sigma, read.theta_deg[i], read.phi_deg[j])
+            out = from_specular(sigma, read.theta_deg[i], read.phi_deg[j])
+            # In the plane of incidence rounding decides between the first and the last row, which differ in this made-up file.
+            if read.known[0, 0, k, j, i] and abs(out[1]) > 1e-6:
                 expected = [brdf(light_direction(sigma), out, nm) for nm in (400.0, 600.0)]
                 # Mitsuba computes in 32 bits: a step of its random numbers is 1e-4 of such a rough grid.
                 np.testing.assert_allclose(read.values[:, 0, k, j, i], expected, rtol=2e-3)
