@@ -152,7 +152,7 @@ def test_a_table_is_read_as_it_was_written(tmp_path: Path, width_deg: float, pea
 def test_a_warp_and_a_jacobian_are_read_as_mitsuba_reads_them(tmp_path: Path) -> None:
     """A file like those of the RGL: a warp that changes over half vector and sigma, ndf and sigma with a shape."""
     random = np.random.default_rng(5)
-    theta_i, side = np.radians([0.0, 25.0, 70.0]), 9
+    theta_i, side = np.radians([5.0, 25.0, 70.0]), 9  # at normal incidence the azimuth of the light is none
     small: dict[str, Any] = {
         "description": np.frombuffer(b"made up", np.uint8), "theta_i": theta_i.astype("<f4"), "phi_i": np.zeros(1, "<f4"),
         "wavelengths": np.array([400.0, 600.0], "<f4"), "ndf": random.uniform(1.0, 4.0, (1, 7)).repeat(3, 0).astype("<f4"),
