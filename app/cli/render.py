@@ -1,7 +1,7 @@
 """The command `goniotwin render`: a sphere with a BSDF in a box, by Mitsuba 3, and figure 14 of the paper."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -37,21 +37,22 @@ def render(
     if out.suffix.lower() != ".png":
         raise UserError(f"{out}: a picture is a PNG; give a name that ends with .png")
     from goniotwin.app.data import rendering
+    from goniotwin.app.data.conversion import user_errors
     from goniotwin.app.formats.file import check_writable
     from goniotwin.app.simulation.files import write_figure
 
-    with rendering.user_errors():
+    with user_errors():
         check_writable(out)
     rendering.load_mitsuba()
     if first is None or second is None:
         pairs = rendering.figure14(print_note, size, rays, seed)
         names = ("theory", "measured")
     else:
-        tables = [rendering.read_table(path) for path in (first, second)]
-        pairs = [rendering.render_pair(*tables, f"{first.stem}, {second.stem}", size, rays, seed)]
+        one, other = (rendering.read_table(path) for path in (first, second))
+        pairs = [rendering.render_pair(one, other, f"{first.stem}, {second.stem}", size, rays, seed)]
         names = (first.name, second.name)
     write_figure(rendering.picture(pairs, names), out, 150)
-    result = {"file": str(out), "variant": rendering.VARIANT, "pairs": [pair.as_dict() for pair in pairs]}
+    result: dict[str, Any] = {"file": str(out), "variant": rendering.VARIANT, "pairs": [pair.as_dict() for pair in pairs]}
 
     def show() -> None:
         print(out)

@@ -251,7 +251,7 @@ def _part(path: StrPath, group: h5py.Group) -> Part:
     kind, sample, generated = (group.attrs[name] for name in ("kind", "sample", "generated"))
     about: dict[str, Any] = {"sample": str(sample), "generated": bool(generated), "comments": _texts(group, "comments")}
     if kind == "scattered":
-        columns = {column: _column(group, column) for column in COLUMNS}
+        columns: dict[str, Any] = {column: _column(group, column) for column in COLUMNS}
         return ScatteredBsdf(**columns, isotropic=bool(group.attrs["isotropic"]), **about)
     if kind not in ("table", "regular"):
         raise FormatError(path, f"has a part of the kind {quote_word(str(kind))}", "read it with the program that wrote it")
@@ -267,8 +267,8 @@ def _part(path: StrPath, group: h5py.Group) -> Part:
         )
     if "known" in group:
         about["known"] = _numbers(group, "known", "b").astype(bool)
-    angles = (_numbers(group, f"{each}_deg") for each in ("sigma", "phi", "theta"))
-    return BsdfTable(*angles, _numbers(group, "values"), psi_deg=_numbers(group, "psi_deg"), **about)
+    about |= {f"{each}_deg": _numbers(group, f"{each}_deg") for each in ("psi", "sigma", "phi", "theta")}
+    return BsdfTable(values=_numbers(group, "values"), **about)
 
 
 def _column(group: h5py.Group, column: str) -> npt.NDArray[Any]:

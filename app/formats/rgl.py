@@ -425,11 +425,11 @@ def _fields(path: StrPath) -> dict[str, npt.NDArray[np.generic]]:
                 raise FormatError(path, f"the field {quote_word(name)} goes beyond the end of the file", COPY_AGAIN)
             places[name] = (offset, TYPES[kind], shape)
         found: dict[str, npt.NDArray[np.generic]] = {}
-        for name, (offset, kind, shape) in places.items():
-            content.seek(offset)
-            raw = content.read(math.prod(shape) * np.dtype(kind).itemsize) if name in FIELDS else b""
+        for name, (offset, form, shape) in places.items():
             if name in FIELDS:
-                found[name] = np.frombuffer(raw, dtype=kind).reshape(shape)
+                content.seek(offset)
+                raw = content.read(math.prod(shape) * np.dtype(form).itemsize)
+                found[name] = np.frombuffer(raw, dtype=form).reshape(shape)
         return found
 
 
@@ -545,7 +545,7 @@ def _cut(
         cos, sin = math.cos(phi_i), math.sin(phi_i)
         turn = np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
         out, light = out @ turn, light @ turn
-    above = out[:, 2] > LEAST_COSINE
+    above: Flags = np.asarray(out[:, 2] > LEAST_COSINE)
     if material.repeats >= 2:  # as Mitsuba turns or mirrors both directions to where the file has them
         y = -1.0 if light[1] >= 0.0 else 1.0
         x = y if material.repeats == 2 else (-1.0 if light[0] >= 0.0 else 1.0)
@@ -564,7 +564,7 @@ def _cut(
         at_light = np.array([[math.sqrt(math.radians(sigma_deg) * 2.0 / math.pi), (azimuth + math.pi) / (2.0 * math.pi)]])
         found *= _bilinear(material.ndf[None], u) / (4.0 * _bilinear(material.sigma[None], at_light))
     values = (found / np.maximum(out[:, 2], LEAST_COSINE)).reshape(-1, phi_deg.size, theta_deg.size)
-    known = above.reshape(phi_deg.size, theta_deg.size)
+    known: Flags = np.asarray(above).reshape(phi_deg.size, theta_deg.size)
     for j in range(phi_deg.size):
         if known[j].any() and not known[j].all():
             for channel in values:

@@ -68,7 +68,7 @@ def write_archive(
         good += sum(int(points.good.sum()) for points in source.parts(CHUNK_POINTS))
         for part in scattered_of(reduced, name).scattered:
             for light, side in itertools.product((False, True), repeat=2):
-                chosen = part.where((part.transmitted == light) & (part.back == side))
+                chosen = part.where(np.asarray((part.transmitted == light) & (part.back == side)))
                 if not chosen.size:
                     continue
                 about = (*heading(reduced), *part.comments)

@@ -19,7 +19,7 @@ SIZE = 12
 
 def diffuser(reflectance: float, **more: Any) -> BsdfTable:
     values = np.full((1, 1, 2, 2, 3), reflectance / math.pi)
-    return BsdfTable([0.0, 90.0], [0.0, 180.0], [0.0, 90.0, 180.0], values, **more)
+    return BsdfTable(np.array([0.0, 90.0]), np.array([0.0, 180.0]), np.array([0.0, 90.0, 180.0]), values, **more)
 
 
 def with_mitsuba() -> None:

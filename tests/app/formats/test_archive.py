@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from goniotwin.app.formats import BsdfTable, FormatError, archive
-from goniotwin.app.formats.content import BsdfFile, Part, RegularTable, ScatteredBsdf
+from goniotwin.app.formats.content import ANGLES, BsdfFile, Part, RegularTable, ScatteredBsdf
 from goniotwin.app.formats.metadata import Metadata, QualityMetadata, SampleMetadata
 
 FINITE = st.floats(-1e6, 1e6)
@@ -34,11 +34,13 @@ def parts(draw: st.DrawFn) -> Part:
     kind = draw(st.sampled_from(["table", "scattered", "regular"]))
     if kind == "scattered":
         n = draw(st.integers(0, 6))
-        columns = {each: draw(arrays(np.float64, n, elements=st.floats(0.0, 90.0))) for each in ("sigma_deg", "polar_deg")}
+        columns: dict[str, Any] = {
+            each: draw(arrays(np.float64, n, elements=st.floats(0.0, 90.0))) for each in ("sigma_deg", "polar_deg")
+        }
         columns |= {each: draw(arrays(np.float64, n, elements=st.floats(0.0, 360.0))) for each in ("psi_deg", "azimuth_deg")}
         values = draw(arrays(np.float64, n, elements=FINITE | st.just(np.nan)))
         words = np.array(draw(st.lists(TEXT, min_size=n, max_size=n)), dtype=np.str_)
-        more = {each: draw(arrays(np.bool_, n)) for each in ("transmitted", "back")}
+        more: dict[str, Any] = {each: draw(arrays(np.bool_, n)) for each in ("transmitted", "back")}
         return ScatteredBsdf(
             **columns, values=values, u=np.abs(values), flags=words, channel=words[::-1], **more,
             photodiode=draw(arrays(np.int64, n, elements=st.integers(-1, 40))), isotropic=draw(st.booleans()), **about,
@@ -175,7 +177,7 @@ def test_a_million_values_are_read_as_they_were_written(tmp_path: Path) -> None:
     n = 1_000_000
     random = np.random.default_rng(1)
     many = ScatteredBsdf(
-        *random.uniform(0.0, 90.0, (4, n)), random.normal(size=n), u=random.normal(size=n),
+        **{each: random.uniform(0.0, 90.0, n) for each in ANGLES}, values=random.normal(size=n), u=random.normal(size=n),
         flags=np.array(["", "drift", "drift steep"])[random.integers(0, 3, n)],
     )  # fmt: skip
     archive.write(tmp_path / "many.h5", BsdfFile((many,)))

@@ -171,6 +171,8 @@ def test_a_table_is_read_as_it_was_written(
     )
     folder = tmp_path_factory.mktemp("tables")
     for each in registry.writers(Holds.GRID):
+        if each.name == "rgl":  # it resamples; test_rgl.py
+            continue
         given = BsdfFile((written,))
         if not registry.content_needs(given) <= each.holds:
             with pytest.raises(FormatError, match=f"a {each.name} file does not hold"):

@@ -67,6 +67,7 @@ def test_mitsuba_agrees_with_our_interpolation_down_to_a_hundredth_of_the_peak(w
             found += 1
 
 
+@pytest.mark.long
 def test_mitsuba_reads_values_azimuths_and_wavelengths(tmp_path: Path) -> None:
     """An anisotropic material of two wavelengths: the lobe is where psi and phi, counter-clockwise, put it."""
     sigma, phi, theta = np.array([29.0, 30.0]), np.arange(0.0, 361.0, 15.0), np.arange(0.0, 181.0, 3.0)
@@ -102,13 +103,20 @@ def test_mitsuba_draws_directions_without_bias(tmp_path: Path) -> None:
     """Mean of value over density of drawn directions: the reflectance, here of a diffuser of 0.8, within four of its errors."""
     rgl.write(
         tmp_path / "white.bsdf",
-        BsdfFile((BsdfTable([30.0], [0.0, 180.0], [0.0, 180.0], np.full((1, 1, 1, 2, 2), 0.8 / math.pi)),)),
+        BsdfFile(
+            (
+                BsdfTable(
+                    np.array([30.0]), np.array([0.0, 180.0]), np.array([0.0, 180.0]), np.full((1, 1, 1, 2, 2), 0.8 / math.pi)
+                ),
+            )
+        ),
     )
     measured(tmp_path / "white.bsdf")
     import mitsuba as mi
 
-    plugin = mi.load_dict({"type": "measured", "filename": str(tmp_path / "white.bsdf")})
-    at, context, random = mi.SurfaceInteraction3f(), mi.BSDFContext(), np.random.default_rng(1)
+    plugin: Any = mi.load_dict({"type": "measured", "filename": str(tmp_path / "white.bsdf")})
+    at: Any = mi.SurfaceInteraction3f()
+    context, random = mi.BSDFContext(), np.random.default_rng(1)
     at.wi, at.wavelengths = mi.Vector3f(0.5, 0.0, math.sqrt(0.75)), [rgl.GREY_NM] * 4
     weights = [np.array(plugin.sample(context, at, 0.5, mi.Point2f(*random.random(2).tolist()))[1])[0] for _ in range(1000)]
     assert np.mean(weights) == pytest.approx(0.8, abs=4.0 * float(np.std(weights)) / math.sqrt(len(weights)))
@@ -144,7 +152,7 @@ def test_a_table_is_read_as_it_was_written(tmp_path: Path, width_deg: float, pea
 def test_a_warp_and_a_jacobian_are_read_as_mitsuba_reads_them(tmp_path: Path) -> None:
     """A file like those of the RGL: a warp that changes over half vector and sigma, ndf and sigma with a shape."""
     random = np.random.default_rng(5)
-    theta_i, side = np.radians([0.0, 25.0, 70.0]), 9
+    theta_i, side = np.radians([5.0, 25.0, 70.0]), 9  # at normal incidence the azimuth of the light is none
     small: dict[str, Any] = {
         "description": np.frombuffer(b"made up", np.uint8), "theta_i": theta_i.astype("<f4"), "phi_i": np.zeros(1, "<f4"),
         "wavelengths": np.array([400.0, 600.0], "<f4"), "ndf": random.uniform(1.0, 4.0, (1, 7)).repeat(3, 0).astype("<f4"),
@@ -160,8 +168,9 @@ def test_a_warp_and_a_jacobian_are_read_as_mitsuba_reads_them(tmp_path: Path) ->
     assert read.known is not None
     for k, sigma in enumerate(read.sigma_deg.tolist()):
         for j, i in random.integers([0, 5], [read.phi_deg.size, 120], (40, 2)).tolist():
-            if read.known[0, 0, k, j, i]:
-                out = from_specular(sigma, read.theta_deg[i], read.phi_deg[j])
+            out = from_specular(sigma, read.theta_deg[i], read.phi_deg[j])
+            # In the plane of incidence rounding decides between the first and the last row, which differ in this made-up file.
+            if read.known[0, 0, k, j, i] and abs(out[1]) > 1e-6:
                 expected = [brdf(light_direction(sigma), out, nm) for nm in (400.0, 600.0)]
                 # Mitsuba computes in 32 bits: a step of its random numbers is 1e-4 of such a rough grid.
                 np.testing.assert_allclose(read.values[:, 0, k, j, i], expected, rtol=2e-3)

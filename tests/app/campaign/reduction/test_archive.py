@@ -39,7 +39,7 @@ def archived(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return journal, path
 
 
-# What docs/archive.md says, with h5py and numpy alone.
+# The rule of docs/archive.md, with h5py and numpy alone.
 
 
 def effects(part: h5py.Group, weight: Floats) -> tuple[Floats, float]:
