@@ -1,6 +1,7 @@
 """Commands that show data: `goniotwin plot`, `compare` and `report`."""
 
 import os
+import re
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -18,6 +19,10 @@ ScaleOption = Annotated[
     typer.Option("--log/--linear", help="Scale of the values.", show_default="by their range"),
 ]
 Dpi = Annotated[int, typer.Option("--dpi", min=50, max=1200, help="Pixels an inch, of a PNG.")]
+
+THEORY = "theory"
+MODEL = re.compile(r"[a-z-]+(:|$)")
+"""The beginning of a model's text, as `simulate --sample` takes it; THEORY is one too."""
 
 app = typer.Typer()
 
@@ -59,6 +64,58 @@ def plot(
 
 
 @app.command()
+def compare(
+    first: Annotated[
+        str, typer.Argument(metavar="A", help="Journal, file, or model such as gaussian:width_deg=5.", show_default=False)
+    ],
+    second: Annotated[
+        str, typer.Argument(metavar="B", help="The same, or theory: the known sample of A's virtual rig.", show_default=False)
+    ],
+    sample: Annotated[
+        list[str] | None,
+        typer.Option("--sample", help="Sample, if there are several; twice for one of A and one of B.", show_default=False),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="FILE", help="Picture to write: .png or .svg.", show_default=False)
+    ] = None,
+    theta: Annotated[float, typer.Option("--theta", min=0.0, max=180.0, help="Largest theta in formula 5, deg.")] = 180.0,
+    polar: Annotated[float, typer.Option("--polar", min=0.0, max=90.0, help="Largest polar angle in formula 5, deg.")] = 85.0,
+    least_share: Annotated[
+        float, typer.Option("--least-share", min=0.0, max=1.0, help="Least value in formula 5, of the largest one.")
+    ] = 0.01,
+    in_plane: Annotated[bool, typer.Option("--in-plane", help="Formula 5 in the plane of incidence alone.")] = False,
+    log: ScaleOption = None,
+    dpi: Dpi = 150,
+    as_json: Json = False,
+) -> None:
+    """Compare two BSDFs: measured, simulated, theoretical, or of any two files.
+
+    The paper's formula 5 (relative RMS) with its range of directions, the deviations z in their uncertainty, and chi-square,
+    light by light, in the directions of A; where B has no value there it is interpolated. A model is evaluated in the
+    directions of the other; "theory" is that of the virtual rig with which A was measured. The picture has profiles with bands,
+    and maps of z.
+    """
+    from goniotwin.app.data.comparison import compare as compare_datasets
+    from goniotwin.app.data.plotting import check_picture, plot_comparison, save_figure
+
+    if out is not None:
+        check_picture(out)
+    a, b = _pair(first, second, sample or [])
+    found = compare_datasets(a, b, theta_deg=theta, polar_deg=polar, least_share=least_share, in_plane=in_plane)
+    result = {**found.as_dict(), "file": None if out is None else str(out), "simulated": found.simulated}
+    if out is not None:
+        save_figure(plot_comparison(found, log=log), out, dpi)
+
+    def show() -> None:
+        mark = "SIMULATED: " if found.simulated else ""
+        print(f"{mark}{found.first.name} and {found.second.name}\n{found}")
+        if out is not None:
+            print(out)
+
+    answer(as_json, result, show)
+
+
+@app.command()
 def report(
     journal: Annotated[Path, typer.Argument(metavar="JOURNAL", help="Data file (journal) of a campaign.", show_default=False)],
     out: Annotated[
@@ -88,6 +145,27 @@ def report(
         print_warning(f"checks that fail: {', '.join(result['fails'])}")
     if result["damaged"]:
         print_error(f"{journal}: the report is without what differs from what was measured")
+
+
+def _pair(first: str, second: str, samples: list[str]) -> tuple["Dataset", "Dataset"]:
+    """Two datasets, of which one may be a model: a text that is no file. Raises UserError."""
+    from goniotwin.app.data.comparison import theory
+
+    if len(samples) > 2:
+        raise UserError("--sample: may be given twice, for one sample of A and one of B")
+    of_first, of_second = (samples * 2)[:2] if samples else (None, None)
+    models = [MODEL.match(each) is not None and not Path(each).exists() for each in (first, second)]
+    if all(models):
+        raise UserError(f"{first} and {second}: one of them has to be a journal or a file, whose directions are compared")
+    if models[0]:
+        if first == THEORY:
+            raise UserError("theory: is the second of the two, for the sample of a virtual rig's journal")
+        b = _dataset(Path(second), of_second)
+        return theory(b, first), b
+    a = _dataset(Path(first), of_first)
+    if models[1]:
+        return a, theory(a, None if second == THEORY else second)
+    return a, _dataset(Path(second), of_second)
 
 
 def _dataset(path: Path, sample: str | None) -> "Dataset":

@@ -25,7 +25,7 @@ from goniotwin.app.campaign.uncertainty.effects import Effects
 from goniotwin.app.data.dataset import Dataset
 from goniotwin.app.data.interpolation import interpolated
 from goniotwin.app.data.opening import open_dataset
-from goniotwin.app.data.values import EQUAL, LightSetting, SampleData, light_settings
+from goniotwin.app.data.values import EQUAL, LightSetting, SampleData
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats.file import StrPath
 from goniotwin.app.rig.samples import parse_sample
@@ -180,7 +180,7 @@ def compare(
     one, other = a.only, b.only
     found, left_out = [], []
     grey = _one_channel(one) and _one_channel(other)
-    for light in light_settings(one):
+    for light in one.lights:
         matching = _matching(light, other, grey=grey)
         if matching and (result := _compare_light(one, light, other, matching, limits)) is not None:
             found.append(result)
@@ -191,7 +191,7 @@ def compare(
         raise UserError(f"{a.name} and {b.name} have no light and direction in common: {has}; or give them in the other order")
     notes = [
         *_notes(one, other),
-        *([f"left out, because the second has no values there: {'; '.join(left_out)}"] if left_out else []),
+        *([f"not compared, because the second has no values there: {'; '.join(left_out)}"] if left_out else []),
     ]
     return DatasetComparison(a, b, limits, tuple(found), tuple(notes))
 
@@ -229,7 +229,7 @@ def _model_values(scatterer: Scatterer, data: SampleData) -> Floats:
     """The BSDF (n,) of a model at the values' lights and directions."""
     values = data.values
     result = np.empty(values.size)
-    for light in light_settings(data):
+    for light in data.lights:
         index = light.index
         nm = None if math.isnan(light.wavelength_nm) else light.wavelength_nm
         directions = arc_direction(values.polar_deg[index], values.azimuth_deg[index] - light.psi_deg)
@@ -257,7 +257,7 @@ def _range(theta_deg: object, polar_deg: object, least_share: object, in_plane: 
 
 
 def _one_channel(data: SampleData) -> bool:
-    return len({(each.channel, str(each.wavelength_nm)) for each in light_settings(data)}) == 1
+    return len({(each.channel, str(each.wavelength_nm)) for each in data.lights}) == 1
 
 
 def _matching(light: LightSetting, other: SampleData, *, grey: bool) -> list[tuple[LightSetting, float]]:
@@ -265,7 +265,7 @@ def _matching(light: LightSetting, other: SampleData, *, grey: bool) -> list[tup
 
     `grey`: both have one channel, which are the same if one of them has no wavelength.
     """
-    lights = [each for each in light_settings(other) if (each.transmitted, each.back) == (light.transmitted, light.back)]
+    lights = [each for each in other.lights if (each.transmitted, each.back) == (light.transmitted, light.back)]
     if not (grey and any(math.isnan(each.wavelength_nm) for each in [light, *lights])):
         lights = [each for each in lights if each.channel == light.channel and _equal(each.wavelength_nm, light.wavelength_nm)]
     psis = {each.psi_deg for each in lights}

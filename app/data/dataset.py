@@ -142,7 +142,7 @@ class Dataset:
 
     @property
     def good(self) -> Flags:
-        """The values (n,) to be trusted: there is a number, and no flag that says otherwise."""
+        """The values (n,) to be trusted: there is a number, and no flag against it."""
         return self.only.good
 
     @property

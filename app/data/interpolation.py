@@ -18,7 +18,7 @@ from typing import Literal
 
 import numpy as np
 
-from goniotwin.app.data.values import EQUAL, LightSetting, SampleData, light_settings, neighbours
+from goniotwin.app.data.values import EQUAL, LightSetting, SampleData, neighbours
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats.specular_grid import PolarGrid, grid_of_points, interpolate
 from goniotwin.arrays import Floats, Ints
@@ -52,7 +52,17 @@ class DirectionGrid:
 
 
 def direction_grid(data: SampleData, light: LightSetting) -> DirectionGrid | None:
-    """The trusted values of one light on a grid; None where there are none, or their directions are on no grid."""
+    """The trusted values of one light on a grid; None where there are none, or their directions are on no grid.
+
+    A grid is made once, so that values can be asked for one by one.
+    """
+    if light not in data.grids:
+        data.grids[light] = _direction_grid(data, light)
+    found: DirectionGrid | None = data.grids[light]
+    return found
+
+
+def _direction_grid(data: SampleData, light: LightSetting) -> DirectionGrid | None:
     index = light.index[data.good[light.index]]
     if not index.size:
         return None
@@ -236,7 +246,7 @@ def lights_at(
 
     Without `between` it has to be one that is there. Raises UserError, with what is there.
     """
-    lights = light_settings(data)
+    lights: Sequence[LightSetting] = data.lights
     if not lights:
         raise UserError(f"{place} has no values")
     for name, wanted in (("channel", channel), ("transmitted", transmitted), ("back", back)):

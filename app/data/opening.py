@@ -103,7 +103,7 @@ def with_files_beside(path: Path, content: BsdfFile, found: Format) -> BsdfFile:
         for k, part in enumerate(parts):
             other = next((each for each in others if _on_one_grid(part, each)), None)
             if other is None:
-                comments = (*comments, f"{beside.name} is beside it, and has not the same grid: it is left out")
+                comments = (*comments, f"{beside.name} is beside it, and has not the same grid: it is not used")
             elif about == registry.ABOUT_UNCERTAINTY:
                 parts[k] = replace(part, u=other.values)
             elif isinstance(part, BsdfTable):

@@ -36,6 +36,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from matplotlib.projections.polar import PolarAxes
 
+    from goniotwin.app.data.comparison import DatasetComparison, LightComparison
+
 Kind = Literal["cuts", "hemisphere", "polar", "spectrum"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#a66f00", "#4d4d4d")
@@ -54,9 +56,14 @@ NEAR_PLANE_DEG = 1.0
 """Directions so near to the plane of incidence make a cut where none is in it."""
 WIDEST_DEG, GAPS = 12.0, 1.5
 """A map has no colour between directions further apart than so many degrees, and than so many times most neighbours are."""
+GAP_DEG = 6.0
+"""A curve ends where its neighbours are further apart than this and than four times most of them are."""
 MOST_DOTS = 2000
 SHOWN_THETA_DEG = (0.0, 10.0, 30.0, 60.0)
 """Of a spectrum the directions nearest to these aspecular angles are shown."""
+MOST_COMPARED = 4
+LARGEST_Z = 4.0
+"""z at the ends of a map's colours."""
 DPI = 150
 SUFFIXES = (".png", ".svg")
 
@@ -174,19 +181,23 @@ def curve(dataset: Dataset, x: Floats) -> Curve:
     lost = np.setdiff1d(round_deg(x[~good]), round_deg(at))
     apart = np.diff(at)
     typical = float(np.median(apart[apart > 0.0])) if (apart > 0.0).any() else math.inf
-    gaps = np.flatnonzero(apart > max(4.0 * typical, WIDEST_DEG))
+    gaps = np.flatnonzero(apart > max(4.0 * typical, GAP_DEG))
     breaks = np.union1d(lost, 0.5 * (at[gaps] + at[gaps + 1]))
     places = np.searchsorted(at, breaks)
     return Curve(np.insert(at, places, breaks), *(np.insert(each, places, np.nan) for each in (y, low, high)), lost)
 
 
-def draw_curve(axes: "Axes", found: Curve, scale: Scale, colour: str, marker: str, label: str) -> None:
-    """Draw a curve with its band on rectangular axes."""
+def draw_curve(
+    axes: "Axes", found: Curve, scale: Scale, colour: str, marker: str, label: str, *, broad: bool = False
+) -> None:  # fmt: skip
+    """Draw a curve with its band on rectangular axes; a `broad` one is seen beneath another."""
     dense = np.isfinite(found.y).sum() > 60
     lost = found.lost_in_noise if scale.log else np.zeros(found.y.size, dtype=bool)
     axes.fill_between(found.x, scale.placed(found.lower), scale.placed(found.upper), color=colour, alpha=0.25, lw=0, zorder=1.5)
     clear = np.where(lost, np.nan, scale.placed(found.y))
-    axes.plot(found.x, clear, color=colour, lw=1.3, marker="" if dense else marker, ms=3.0, label=label, zorder=2.5)
+    marker = "" if dense or broad else marker
+    width, alpha = (4.0, 0.55) if broad else (1.3, 1.0)
+    axes.plot(found.x, clear, color=colour, lw=width, alpha=alpha, marker=marker, ms=3.0, label=label, zorder=2.5)
     dots = lost & ~scale.below(found.y)
     axes.plot(found.x[dots], found.y[dots], ".", color=colour, ms=2.5, zorder=2.5)
     below = scale.below(found.y)
@@ -333,7 +344,7 @@ def _cuts(dataset: Dataset, log: bool | None) -> "Figure":
 def _legend(axes: "Axes", title: str) -> None:
     """The names of the curves above the axes, where they hide nothing."""
     axes.legend(
-        loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=4, frameon=False, fontsize=9, title=title, title_fontsize=9,
+        loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, frameon=False, fontsize=9, title=title, title_fontsize=9,
         alignment="left", borderaxespad=0.2,
     )  # fmt: skip
 
@@ -357,14 +368,16 @@ def _hemisphere(dataset: Dataset, log: bool | None) -> "Figure":
         for back, transmitted, here in _sides(dataset)
         for sigma in np.unique(here.sigma_deg[here.good]).tolist()
     ]
-    shown = [maps[k] for k in np.unique(np.linspace(0, len(maps) - 1, min(len(maps), MOST_MAPS)).round().astype(np.int64))]
+    shown = [maps[k] for k in _spread(len(maps), MOST_MAPS)]
     columns = min(3, len(shown))
     rows = math.ceil(len(shown) / columns)
     figure = new_figure(1.2 + 3.4 * columns, 0.9 + 3.6 * rows)
     panels = figure.subplots(rows, columns, squeeze=False).ravel().tolist()
     norm = _norm(scale, dataset.bsdf[good])
     for axes, (back, transmitted, sigma, here) in zip(panels, shown, strict=False):
-        _draw_map(axes, here, sigma, here.bsdf, scale.placed(here.bsdf), norm, "viridis")
+        around = here.azimuth_deg - here.psi_deg
+        at = Directions.of(sigma, here.polar_deg, around, here.only.values.isotropic)
+        _draw_map(axes, at, here.good, scale.placed(here.bsdf), norm, "viridis")
         axes.set_title(f"sigma {sigma:g} deg{', transmitted' if transmitted else ''}{', back' if back else ''}", fontsize=10)
     for axes in panels[len(shown) :]:
         axes.set_axis_off()
@@ -386,19 +399,33 @@ def _colour_bar(figure: "Figure", panels: Sequence["Axes"], norm: "Normalize", c
     figure.colorbar(ScalarMappable(norm, colours), ax=list(panels), label=label, extend=extend, shrink=0.8, aspect=30)
 
 
+@dataclass(frozen=True)
+class Directions:
+    """Directions (n,) of one light for a map: polar angle, azimuth from the light's; whether the other half is its image."""
+
+    sigma_deg: float
+    polar_deg: Floats
+    around_deg: Floats
+    mirrored: bool
+
+    @classmethod
+    def of(cls, sigma: float, polar_deg: Floats, around_deg: Floats, isotropic: bool) -> "Directions":
+        """Of an isotropic sample the half that was not measured is drawn as the image of the other."""
+        wrapped = np.mod(around_deg, TURN_DEG)
+        return cls(sigma, polar_deg, around_deg, isotropic and bool((np.abs(fold_azimuth(wrapped) - wrapped) < 1e-6).all()))
+
+
 def _draw_map(
-    axes: "Axes", here: Dataset, sigma: float, values: Floats, placed: Floats, norm: "Normalize", colours: str
+    axes: "Axes", at: Directions, trusted: Flags, placed: Floats, norm: "Normalize", colours: str
 ) -> None:  # fmt: skip
     """Draw values (n,) at their directions: the polar angle is the radius, the light comes from the left."""
     from matplotlib.patheffects import withStroke
 
-    trusted = here.good & np.isfinite(values)
-    around = np.radians(here.azimuth_deg - here.psi_deg - SPECULAR_AZIMUTH_DEG)
-    mirrored = here.only.values.isotropic and bool((fold_azimuth(here.azimuth_deg) == np.mod(here.azimuth_deg, TURN_DEG)).all())
-    x, y = here.polar_deg * np.cos(around), here.polar_deg * np.sin(around)
-    index: Ints = np.arange(here.size)
-    both = np.concatenate([index, index]) if mirrored else index
-    px, py = (np.concatenate([x, x]), np.concatenate([y, -y])) if mirrored else (x, y)
+    around = np.radians(at.around_deg - SPECULAR_AZIMUTH_DEG)
+    x, y = at.polar_deg * np.cos(around), at.polar_deg * np.sin(around)
+    index: Ints = np.arange(x.size)
+    both = np.concatenate([index, index]) if at.mirrored else index
+    px, py = (np.concatenate([x, x]), np.concatenate([y, -y])) if at.mirrored else (x, y)
     _draw_surface(axes, px, py, placed[both], trusted[both], norm, colours)
     if index.size <= MOST_DOTS:
         axes.plot(x[trusted], y[trusted], ".", ms=1.0, color="black", alpha=0.35, mew=0, zorder=3)
@@ -409,8 +436,8 @@ def _draw_map(
         axes.plot(radius * np.cos(turn), radius * np.sin(turn), color="0.3" if radius == 90.0 else "0.7", lw=0.7, zorder=4)
         text = axes.text(0.0, -radius, f"{radius:g}", fontsize=7, ha="center", va="bottom", color="black", zorder=5)
         text.set_path_effects([withStroke(linewidth=1.8, foreground="white")])
-    axes.plot([-sigma], [0.0], marker="*", ms=9, mfc="#ffd400", mec="black", mew=0.6, zorder=6)
-    axes.plot([sigma], [0.0], marker="+", ms=9, color="#d55e00", mew=1.4, zorder=6)
+    axes.plot([-at.sigma_deg], [0.0], marker="*", ms=9, mfc="#ffd400", mec="black", mew=0.6, zorder=6)
+    axes.plot([at.sigma_deg], [0.0], marker="+", ms=9, color="#d55e00", mew=1.4, zorder=6)
     axes.set_xlim(-96.0, 96.0)
     axes.set_ylim(-96.0, 96.0)
     axes.set_aspect("equal")
@@ -473,7 +500,7 @@ def _polar(dataset: Dataset, log: bool | None) -> "Figure":
                     "", (-math.radians(sigma), 0.82 * outer), (-math.radians(sigma), outer),
                     arrowprops={"arrowstyle": "->", "color": colour, "lw": 1.3},
                 )  # fmt: skip
-    axes.set_rlim(0.0, outer)
+    axes.set_rlim(0.0, outer or 1.0)
     if scale.log:
         decades = np.arange(0, math.floor(outer) + 1)
         axes.set_rgrids(
@@ -503,7 +530,7 @@ def _spectrum(dataset: Dataset, log: bool | None) -> "Figure":
         here = side.where(np.abs(side.sigma_deg - sigma) < 1e-5)
         scale = scale_of(here.bsdf[here.good], here.u[here.good], log)
         for k, chosen in enumerate(_directions(here)):
-            label = f"theta {chosen.theta_deg[0]:g}, phi {chosen.phi_deg[0]:g} deg"
+            label = f"theta {chosen.theta_deg[0]:.3g}, phi {chosen.phi_deg[0]:.3g} deg"
             draw_curve(axes, curve(chosen, chosen.wavelength_nm), scale, COLOURS[k], MARKERS[k], label)
         set_scale(axes, scale)
         axes.set_ylabel(quantity(transmitted, back))
@@ -524,3 +551,124 @@ def _directions(dataset: Dataset) -> Iterator[Dataset]:
     for each in taken:
         here = dataset.where((which.ravel() == each) & dataset.good)
         yield here.where(np.unique(here.wavelength_nm, return_index=True)[1])
+
+
+# ---- comparisons ----
+
+
+def plot_comparison(found: "DatasetComparison", *, log: bool | None = None) -> "Figure":
+    """Draw a comparison: profiles of both in the plane of incidence, with bands, and maps of z for some of its lights.
+
+    Where no uncertainty is known, the maps have the relative deviation. Where all directions are in the plane of incidence, z
+    is drawn over the angle.
+    """
+    lights = _pictured(found.lights)
+    flat = all(_plane(each).all() for each in lights)
+    height = 5.6 if flat else 6.6
+    figure = new_figure(1.0 + 3.9 * max(len(lights), 2), height)
+    grid = figure.subplots(
+        2, len(lights), squeeze=False, height_ratios=(1.0, 0.6 if flat else 1.1), sharex="col" if flat else False
+    )
+    known = any(np.isfinite(each.z).any() for each in lights)
+    shades, label = _deviation_scale(lights, known)
+    for k, each in enumerate(lights):
+        _draw_profiles(grid[0, k], found, each, log)
+        deviation = each.z if known else _relative_deviation(each)
+        if flat:
+            _draw_deviations(grid[1, k], each, deviation, label if k == 0 else "", known)
+            continue
+        isotropic = found.first.only.values.isotropic
+        at = Directions.of(each.light.sigma_deg, each.polar_deg, each.azimuth_deg - each.light.psi_deg, isotropic)
+        _draw_map(grid[1, k], at, np.isfinite(deviation), np.nan_to_num(deviation), shades, "RdBu_r")
+    if not flat:
+        _colour_bar(figure, grid[1].tolist(), shades, "RdBu_r", label, "both")
+    handles, labels = grid[0, 0].get_legend_handles_labels()
+    names = f"bands: k = 2; formula 5: {found.relative_rms_percent:.3g} % ({found.range})"
+    figure.legend(
+        handles, labels, loc="outside upper left", ncols=2, frameon=False, fontsize=9, title=names, title_fontsize=9,
+        alignment="left",
+    )  # fmt: skip
+    if found.simulated:
+        figure.text(0.99, 0.99, SIMULATED, ha="right", va="top", color=SIMULATED_COLOUR, weight="bold", fontsize=11)
+    return figure
+
+
+def _pictured(lights: Sequence["LightComparison"]) -> list["LightComparison"]:
+    """Some lights of the middle wavelength; those with few directions, as of a check of the symmetry, are not drawn."""
+    waves = sorted({each.light.wavelength_nm for each in lights if not math.isnan(each.light.wavelength_nm)})
+    middle = [each for each in lights if not waves or each.light.wavelength_nm == waves[len(waves) // 2]]
+    most = max(each.index.size for each in middle)
+    kept = [each for each in middle if 2 * each.index.size >= most]
+    return [kept[k] for k in _spread(len(kept), MOST_COMPARED)]
+
+
+def _spread(count: int, most: int) -> list[int]:
+    """Indices below `count`; of more than `most` so many, evenly spread."""
+    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.int64)).tolist()
+
+
+def _plane(light: "LightComparison") -> Flags:
+    """The directions (n,) in the plane of incidence."""
+    around = np.radians(light.azimuth_deg - light.light.psi_deg)
+    return np.asarray(np.abs(np.sin(np.radians(light.polar_deg)) * np.sin(around)) < 1e-6)
+
+
+def _signed(light: "LightComparison") -> Floats:
+    return signed_polar(light.polar_deg, light.azimuth_deg - light.light.psi_deg, SPECULAR_AZIMUTH_DEG)
+
+
+def _relative_deviation(light: "LightComparison") -> Floats:
+    """Difference over mean (n,), percent; NaN where the mean is not above zero."""
+    mean = 0.5 * (light.first + light.second)
+    return 100.0 * (light.first - light.second) / np.where(mean > 0.0, mean, np.nan)
+
+
+def _deviation_scale(lights: Sequence["LightComparison"], known: bool) -> tuple["Normalize", str]:
+    """The colours of z, or of relative deviations: white is none, and the ends are so many u or percent."""
+    from matplotlib.colors import Normalize
+
+    if known:
+        return Normalize(-LARGEST_Z, LARGEST_Z), "z: first less second, in u"
+    sizes = np.concatenate([np.abs(_relative_deviation(each)[each.in_range]) for each in lights])
+    sizes = sizes[np.isfinite(sizes)]
+    most = float(np.quantile(sizes, 0.98)) if sizes.size else 1.0
+    return Normalize(-most or -1.0, most or 1.0), "first less second over their mean, %"
+
+
+def _draw_profiles(axes: "Axes", found: "DatasetComparison", light: "LightComparison", log: bool | None) -> None:
+    """The values of both over the signed polar angle, where there are any in the plane of incidence; else over theta."""
+    plane = _plane(light)
+    here = np.flatnonzero(plane if plane.any() else np.ones(plane.size, dtype=bool))
+    x = _signed(light)[here] if plane.any() else light.theta_deg[here]
+    order = np.argsort(x, kind="stable")
+    here, x = here[order], x[order]
+    both = np.concatenate([light.first[here], light.second[here]])
+    scale = scale_of(both, np.concatenate([light.u_first[here], light.u_second[here]]), log)
+    pairs = ((found.first, light.first, light.u_first), (found.second, light.second, light.u_second))
+    for k, (dataset, values, u) in enumerate(pairs):
+        y, margin = values[here], COVERAGE * u[here]
+        apart = np.diff(x)
+        typical = float(np.median(apart[apart > 0.0])) if (apart > 0.0).any() else math.inf
+        gaps = np.flatnonzero(apart > max(4.0 * typical, GAP_DEG)) + 1
+        name = f"{('first', 'second')[k]}: {dataset.name}{f', {dataset.sample}' if dataset.sample else ''}"
+        drawn = Curve(*(np.insert(each, gaps, np.nan) for each in (x, y, y - margin, y + margin)), np.zeros(0))
+        draw_curve(axes, drawn, scale, COLOURS[k], MARKERS[k], name, broad=k == 0)
+    set_scale(axes, scale)
+    rms = f"{light.relative_rms_percent:.3g} % over {light.count} directions"
+    axes.set_title(f"{light.light}\nformula 5: {rms}", fontsize=9, loc="left")
+    axes.set_ylabel(quantity(light.light.transmitted, light.light.back))
+    axes.set_xlabel("polar angle in the plane of incidence, deg" if plane.any() else "theta, deg")
+    tidy(axes)
+
+
+def _draw_deviations(axes: "Axes", light: "LightComparison", deviation: Floats, label: str, known: bool) -> None:
+    """Deviations over the signed polar angle; those outside the range of formula 5 are paler."""
+    x = _signed(light)
+    axes.axhline(0.0, color="0.5", lw=0.8)
+    if known:
+        axes.axhspan(-COVERAGE, COVERAGE, color="0.92", lw=0, zorder=0)
+    for chosen, shade in ((~light.in_range, "0.65"), (light.in_range, COLOURS[0])):
+        axes.plot(x[chosen], deviation[chosen], ".", ms=3.5, color=shade)
+    axes.set_ylabel(label)
+    axes.set_xlabel("polar angle in the plane of incidence, deg")
+    tidy(axes)

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -35,11 +36,33 @@ class Measured:
 
 
 @dataclass(frozen=True, eq=False)
+class LightSetting:
+    """The light of some values, `index`: its wavelength (NaN: grey, or the colour `channel`), direction, side, and the side
+    that it leaves the sample on.
+    """
+
+    wavelength_nm: float
+    channel: str
+    sigma_deg: float
+    psi_deg: float
+    transmitted: bool
+    back: bool
+    index: Ints
+
+    def __str__(self) -> str:
+        channel = self.channel or ("" if math.isnan(self.wavelength_nm) else f"{self.wavelength_nm:g} nm")
+        psi = f", psi {self.psi_deg:g}" if self.psi_deg else ""
+        words = [*([channel] if channel else []), f"sigma {self.sigma_deg:g}{psi} deg"]
+        words += [*(["transmitted"] if self.transmitted else []), *(["lit on the back"] if self.back else [])]
+        return ", ".join(words)
+
+
+@dataclass(frozen=True, eq=False)
 class SampleData:
     """One sample: its `values`, with their specular coordinates (n,) in degrees.
 
     `gridded` values are the nodes of tables. `regular` factors have no place among values in 1/sr. `measured`: of a journal.
-    `metadata`: what is known about the measurement.
+    `metadata`: what is known about the measurement. `grids` are those that the interpolation has made so far, by light.
     """
 
     values: ScatteredBsdf
@@ -49,11 +72,35 @@ class SampleData:
     regular: tuple[RegularTable, ...] = ()
     measured: Measured | None = None
     metadata: Metadata = field(default_factory=Metadata)
+    grids: dict[LightSetting, Any] = field(default_factory=dict, init=False)
 
-    @property
+    @cached_property
     def good(self) -> Flags:
-        """The values (n,) to be trusted: there is a number, and no flag that says otherwise."""
+        """The values (n,) to be trusted: there is a number, and no flag against it."""
         return np.isfinite(self.values.values) & ~flagged(np.asarray(self.values.flags), UNTRUSTED)
+
+    @cached_property
+    def lights(self) -> tuple[LightSetting, ...]:
+        """The lights of the values, in the order of channel, wavelength, sides, psi and sigma."""
+        keys, tables = np.zeros(self.values.size, dtype=np.int64), []
+        for name in ("channel", "wavelength_nm", "back", "transmitted", "psi_deg", "sigma_deg"):
+            column = self.column(name)
+            column = np.round(column, DECIMALS) if column.dtype.kind == "f" else column
+            there, which = np.unique(column, return_inverse=True)
+            keys = keys * there.size + which.ravel()
+            tables.append(there.tolist())
+        distinct, place = np.unique(keys, return_inverse=True)
+        order = np.argsort(place.ravel(), kind="stable")
+        edges = np.searchsorted(place.ravel()[order], np.arange(1, distinct.size))
+        found = []
+        for key, index in zip(distinct.tolist(), np.split(order, edges), strict=False):
+            at = []
+            for table in reversed(tables):
+                key, k = divmod(key, len(table))
+                at.append(table[k])
+            sigma, psi, transmitted, back, nm, channel = at
+            found.append(LightSetting(nm, channel, sigma, psi, transmitted, back, index))
+        return tuple(found)
 
     def where(self, chosen: Flags | Ints) -> "SampleData":
         """Some of the values, or all in another order."""
@@ -77,28 +124,6 @@ COLUMNS = (
 """The arrays of a dataset, all of one length."""
 
 
-@dataclass(frozen=True, eq=False)
-class LightSetting:
-    """The light of some values, `index`: its wavelength (NaN: grey, or the colour `channel`), direction, side, and the side
-    that it leaves the sample on.
-    """
-
-    wavelength_nm: float
-    channel: str
-    sigma_deg: float
-    psi_deg: float
-    transmitted: bool
-    back: bool
-    index: Ints
-
-    def __str__(self) -> str:
-        channel = self.channel or ("" if math.isnan(self.wavelength_nm) else f"{self.wavelength_nm:g} nm")
-        psi = f", psi {self.psi_deg:g}" if self.psi_deg else ""
-        words = [*([channel] if channel else []), f"sigma {self.sigma_deg:g}{psi} deg"]
-        words += [*(["transmitted"] if self.transmitted else []), *(["lit on the back"] if self.back else [])]
-        return ", ".join(words)
-
-
 @dataclass(frozen=True)
 class ValueWithU:
     """A value with its standard uncertainty `u`, both in `unit`; `value, u = result` takes them apart.
@@ -119,23 +144,6 @@ class ValueWithU:
         if np.ndim(self.value):
             return repr(self)
         return f"{self.value:.6g}{'' if self.unit == '1' else f' {self.unit}'}, u {self.u:.2g}"
-
-
-def light_settings(data: SampleData) -> list[LightSetting]:
-    """The lights of a sample's values, in the order of channel, wavelength, sides, psi and sigma."""
-    values = data.values
-    wavelength = np.nan_to_num(np.asarray(values.wavelength_nm), nan=-1.0)
-    channels, channel = np.unique(np.asarray(values.channel), return_inverse=True)
-    columns = (channel.ravel(), wavelength, values.back, values.transmitted, values.psi_deg, values.sigma_deg)
-    keys = np.round(np.stack([np.asarray(each, dtype=np.float64) for each in columns], axis=1), DECIMALS)
-    distinct, which = np.unique(keys, axis=0, return_inverse=True)
-    order = np.argsort(which.ravel(), kind="stable")
-    edges = np.searchsorted(which.ravel()[order], np.arange(1, len(distinct)))
-    return [
-        LightSetting(math.nan if nm < 0.0 else nm, str(channels[int(k)]), sigma, psi, bool(transmitted), bool(back), index)
-        for (k, nm, back, transmitted, psi, sigma), index in zip(distinct.tolist(), np.split(order, edges), strict=True)
-        if index.size
-    ]
 
 
 def numbers(name: str, value: object) -> list[float]:

@@ -229,7 +229,7 @@ def _lights(dataset: Dataset) -> Iterator[dict[str, Any]]:
         yield {
             "light": f"{'transmitted' if transmitted else 'reflected'}{', lit on the back' if back else ''}",
             "wavelength": f"{wavelength:g} nm" if wavelength else "all", "sigma": sigma, "values": here.size,
-            "trusted": int(here.good.sum()), "clear": relative.size, "low": low, "middle": middle, "high": high,
+            "trusted": int(here.good.sum()), "above_noise": relative.size, "low": low, "middle": middle, "high": high,
             "largest": float(np.max(here.bsdf[here.good], initial=0.0)),
         }  # fmt: skip
 

@@ -86,7 +86,7 @@ def test_a_diffuser_has_its_reflectance_at_any_incidence(kind: str, sigma_deg: f
     )
     found = dataset_of(part).reflectance(sigma_deg=sigma_deg)
     assert found.value == pytest.approx(0.7, rel=2e-3)
-    # u is common to all values: that the file does not say more is stated.
+    # u is taken as common to all values, with a remark.
     assert found.u == pytest.approx(0.007, rel=0.15)
     assert any("u is common to all values" in each for each in found.about)
 
@@ -112,7 +112,7 @@ def test_what_values_share_counts_once_the_rest_averages_out() -> None:
     assert any("u is not known" in each for each in unknown.about)
 
 
-def test_what_was_not_measured_is_told_and_in_u() -> None:
+def test_what_was_not_measured_is_in_u_with_a_remark() -> None:
     made = table(lambertian(0.7), np.array([0.0]), 5.0, u=0.001)
     known = np.ones(made.values.shape, dtype=bool)
     known[..., :6] = False

@@ -70,7 +70,7 @@ def test_a_turned_sample_has_both_halves_of_the_azimuths() -> None:
     assert worst(both) < 0.01
 
 
-def test_one_half_of_a_turned_sample_is_mirrored_and_said() -> None:
+def test_one_half_of_a_turned_sample_is_mirrored_and_named() -> None:
     half = joined(rings(0.0, isotropic=False, whole=False), rings(90.0, isotropic=False, whole=False))
     table = grid_table(half)
     assert table.phi_deg[-1] == 180.0

@@ -1,0 +1,161 @@
+"""Pictures: what is drawn where, on logarithmic scales too; each kind from a journal and from made values."""
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from matplotlib.image import imread
+
+import goniotwin
+from goniotwin.app.data.comparison import compare
+from goniotwin.app.data.dataset import Dataset
+from goniotwin.app.data.opening import dataset_of_file
+from goniotwin.app.data.plotting import KINDS, SIMULATED, curve, plot, plot_comparison, save_figure, scale_of
+from goniotwin.app.formats.content import BsdfFile, ScatteredBsdf
+from tests.app.data.made import gaussian, lambertian, rings
+
+RINGS, ROUND = np.arange(0.0, 86.0, 5.0), np.arange(0.0, 181.0, 15.0)
+
+
+def made(*parts: ScatteredBsdf) -> Dataset:
+    return dataset_of_file(BsdfFile(parts), "made")
+
+
+def two_wavelengths(**changes: Any) -> Dataset:
+    one = rings(lambertian(0.6), 30.0, RINGS, ROUND, u=0.01)
+    return made(*(replace(one, wavelength_nm=np.full(one.size, nm), **changes) for nm in (450.0, 600.0)))
+
+
+def texts(figure: Figure) -> str:
+    found = [each.get_text() for each in figure.texts]
+    for axes in figure.axes:
+        legend = axes.get_legend()
+        found += [axes.get_ylabel(), axes.get_title(), axes.get_title(loc="left")]
+        found += [] if legend is None else [legend.get_title().get_text(), *(each.get_text() for each in legend.get_texts())]
+    return "\n".join(found)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_kind_is_a_picture_of_something(kind: Any, tmp_path: Path) -> None:
+    for suffix in ("png", "svg"):
+        save_figure(plot(two_wavelengths(), kind), tmp_path / f"a.{suffix}", 60)
+    pixels = imread(tmp_path / "a.png")
+    assert pixels[..., :3].std() > 0.02
+    assert b"<svg" in (tmp_path / "a.svg").read_bytes()[:1000]
+    assert [each.name for each in sorted(tmp_path.iterdir())] == ["a.png", "a.svg"]
+
+
+def test_the_same_values_give_the_same_file(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        save_figure(plot(two_wavelengths()), tmp_path / f"{name}.svg")
+    assert (tmp_path / "a.svg").read_bytes() == (tmp_path / "b.svg").read_bytes()
+
+
+def test_a_cut_has_the_values_and_a_band_of_two_standard_uncertainties() -> None:
+    (axes,) = plot(made(rings(lambertian(0.6), 30.0, RINGS, ROUND, u=0.01))).axes
+    x, y = (np.asarray(each, dtype=float) for each in axes.lines[0].get_data())
+    assert x.tolist() == [*np.arange(-85.0, 1.0, 5.0), *np.zeros(12), *np.arange(5.0, 86.0, 5.0)]
+    np.testing.assert_allclose(y, 0.6 / math.pi)
+    band = axes.collections[0].get_paths()[0].vertices
+    assert np.min(band[:, 1]) == pytest.approx(0.98 * 0.6 / math.pi)
+    assert np.max(band[:, 1]) == pytest.approx(1.02 * 0.6 / math.pi)
+
+
+def test_a_logarithmic_scale_has_zeros_and_negative_values_at_its_edge_and_the_curve_does_not_vanish() -> None:
+    lobe = rings(gaussian(8.0), 30.0, RINGS, np.array([0.0, 180.0]), u=0.01)
+    noise = np.where(lobe.values < 1e-4, np.where(np.arange(lobe.size) % 2, -2e-4, 0.0), lobe.values)
+    dataset = made(replace(lobe, values=noise, u=np.full(lobe.size, 1e-4)))
+    figure = plot(dataset, log=True)
+    (axes,) = figure.axes
+    assert axes.get_yscale() == "log"
+    low, high = axes.get_ylim()
+    assert 1e-6 < low <= 1.001e-3
+    assert high > 1.0
+    marks = [line for line in axes.lines if line.get_marker() == "v"]
+    assert sum(np.size(line.get_xdata()) for line in marks) == int((noise <= 0.0).sum())
+    assert all(np.all(np.asarray(line.get_ydata()) == low) for line in marks)
+    drawn = np.asarray(axes.lines[0].get_ydata(), dtype=float)
+    assert np.nanmax(drawn) == noise.max()
+    assert np.nanmin(drawn) >= low
+    assert f"{int((noise <= 0.0).sum())} of them not above 0" in texts(figure)
+
+
+@pytest.mark.parametrize("values", [np.zeros(36), np.full(36, -1.0)])
+@pytest.mark.parametrize("kind", ["cuts", "hemisphere", "polar"])
+def test_values_that_are_all_zero_or_negative_are_drawn_on_a_linear_scale(kind: Any, values: np.ndarray) -> None:
+    flat = rings(lambertian(0.6), 30.0, RINGS, np.array([0.0, 180.0]))
+    figure = plot(made(replace(flat, values=values)), kind, log=True)
+    assert figure.axes[0].get_yscale() != "log"
+
+
+def test_the_scale_is_logarithmic_where_the_values_span_decades() -> None:
+    no_u = np.full(50, np.nan)
+    assert not scale_of(np.linspace(0.1, 1.0, 50), no_u, None).log
+    found = scale_of(np.geomspace(1e-12, 1.0, 50), no_u, None)
+    assert (found.log, found.floor) == (True, 1e-7)
+    assert scale_of(np.geomspace(1e-6, 1.0, 50), np.full(50, 3e-3), None).floor == 1e-3
+
+
+def test_a_curve_has_gaps_where_no_value_is_trusted_and_where_directions_are_far_apart() -> None:
+    one = rings(lambertian(0.6), 30.0, np.array([5.0, 10.0, 15.0, 20.0, 60.0, 65.0]), np.array([180.0]))
+    dataset = made(replace(one, flags=np.array(["", "", "shadowed", "", "", ""])))
+    found = curve(dataset, dataset.polar_deg)
+    assert found.x.tolist() == [5.0, 10.0, 15.0, 20.0, 40.0, 60.0, 65.0]
+    assert np.isnan(found.y).tolist() == [False, False, True, False, True, False, False]
+    assert found.untrusted.tolist() == [15.0]
+
+
+def test_simulated_values_are_marked_in_every_picture() -> None:
+    for kind in KINDS:
+        assert SIMULATED in texts(plot(two_wavelengths(generated=True), kind))
+        assert SIMULATED not in texts(plot(two_wavelengths(), kind))
+
+
+def test_the_picture_of_a_journal_is_of_its_sample_and_wavelength(dataset: Dataset) -> None:
+    figure = plot(dataset)
+    assert f"{dataset.name}, {dataset.sample}; 550 nm" in texts(figure)
+    assert "bands: k = 2" in texts(figure)
+    assert "sigma 30 deg" in texts(figure)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"kind": "lobe"}, "kind: 'lobe': give one of 'cuts', 'hemisphere', 'polar', 'spectrum'"),
+        ({"sigma_deg": 31.0}, "sigma_deg 31: made has no values there; the nearest is 30"),
+        ({"kind": "spectrum", "wavelength_nm": 450.0}, "needs values at two wavelengths at least, and it has only 450 nm"),
+    ],
+)
+def test_what_cannot_be_drawn_is_refused(arguments: dict[str, Any], message: str) -> None:
+    with pytest.raises(goniotwin.GoniotwinError, match=message):
+        plot(two_wavelengths(), **arguments)
+
+
+def test_directions_beside_the_plane_of_incidence_make_no_cut() -> None:
+    with pytest.raises(goniotwin.GoniotwinError, match="no trusted value is within 1 deg of the plane of incidence"):
+        plot(made(rings(lambertian(0.6), 30.0, np.array([30.0, 60.0]), np.array([90.0]))))
+
+
+def test_a_comparison_has_both_profiles_and_a_map_of_z() -> None:
+    one, other = (made(rings(lambertian(r), 30.0, RINGS, ROUND, u=0.01)) for r in (0.60, 0.63))
+    found = compare(one, other)
+    figure = plot_comparison(found)
+    profile, z_map = figure.axes[0], figure.axes[1]
+    levels = [np.nanmedian(np.asarray(line.get_ydata(), dtype=float)) for line in profile.lines[::2]]
+    assert levels == pytest.approx([0.60 / math.pi, 0.63 / math.pi])
+    (surface,) = [each for each in z_map.collections if each.get_array() is not None]
+    expected = -0.03 / math.hypot(0.006, 0.0063)
+    np.testing.assert_allclose(surface.get_array(), expected)
+    assert "formula 5: 4.88 %" in texts(figure)
+
+
+def test_a_comparison_without_uncertainties_has_the_relative_deviation() -> None:
+    one, other = (made(rings(lambertian(r), 30.0, RINGS, np.array([0.0, 180.0]))) for r in (0.60, 0.63))
+    figure = plot_comparison(compare(one, other))
+    below = figure.axes[1]
+    assert below.get_ylabel() == "first less second over their mean, %"
+    np.testing.assert_allclose(np.concatenate([line.get_ydata() for line in below.lines[1:]]), -100.0 * 0.03 / 0.615)

@@ -1,0 +1,123 @@
+"""The report: what it states of a journal, that it needs no other file, and that texts of a journal are texts."""
+
+import builtins
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.planning.plan import make_plan
+from goniotwin.app.campaign.proof.virtual_rigs import run_without_wires
+from goniotwin.app.campaign.reduction.reduction import Reduction
+from goniotwin.app.campaign.reduction.verification import verify_journal
+from goniotwin.app.campaign.schedule.file import read_schedule
+from goniotwin.app.data.report.report import report_html, write_report
+from goniotwin.app.errors import GoniotwinError
+from goniotwin.app.rig import read_rig
+from tests.conftest import SMALL, Writer
+
+HOSTILE = '<script>alert("1")</script>'
+
+
+class Page(HTMLParser):
+    """The text of a page, its tags, and the addresses that it names."""
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.tags: list[str] = []
+        self.addresses: list[str] = []
+        self.alternatives: list[str] = []
+        self._parts: list[str] = []
+        self._open: list[str] = []
+        self.feed(html)
+        self.close()
+        assert not self._open, f"not closed: {self._open}"
+
+    def handle_starttag(self, tag: str, attrs: Any) -> None:
+        self.tags.append(tag)
+        named = dict(attrs)
+        self.addresses += [named[key] for key in ("src", "href") if key in named]
+        self.alternatives += [named["alt"]] if "alt" in named else []
+        if tag not in ("meta", "img", "br"):
+            self._open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self._open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if "style" not in self._open:
+            self._parts.append(data)
+
+    @property
+    def text(self) -> str:
+        return " ".join(" ".join(self._parts).split())
+
+
+@pytest.fixture
+def journal(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> Path:
+    """A campaign of a spectrum, with metadata that would act in a page."""
+    metadata = (
+        f"[metadata]\ntitle = 'A test of {HOSTILE}'\noperator = 'A. Person'\n[metadata.samples.gaussian-5]\nmaker = 'a & b'\n"
+    )
+    schedule = write_schedule(("wavelength_nm = [550]", "wavelength_nm = [550, 600]"), text=SMALL + metadata)
+    path = tmp_path / "a.journal"
+    run_without_wires(make_plan(read_schedule(schedule), read_rig(write_rig())), path)
+    return path
+
+
+def test_a_report_states_what_is_known_and_needs_no_other_file(journal: Path, tmp_path: Path) -> None:
+    result = write_report(journal, tmp_path / "a.html")
+    html = (tmp_path / "a.html").read_text(encoding="utf-8")
+    page = Page(html)
+    assert all(each.startswith("data:image/") for each in page.addresses)
+    assert not re.search(r"url\(|@import|https?://(?!www\.w3\.org)", html)
+    assert {"script", "link", "iframe"}.isdisjoint(page.tags)
+    assert f"A test of {HOSTILE}" in page.text
+    assert "A. Person" in page.text
+    assert "a & b" in page.text
+    assert page.text.count("SIMULATED: measured on a virtual rig (seed 1)") == 1
+    assert page.alternatives == [f"{kind} of gaussian-5, simulated" for kind in ("cuts", "hemisphere", "polar", "spectrum")]
+    with Journal.open(journal) as opened:
+        assert opened.chain.tip in page.text
+        for verdict in verify_journal(Reduction(opened)):
+            assert " ".join(f"{verdict.name} {verdict.verdict} {verdict.text}".split()) in page.text
+    assert "the schedule has no scan of the open beam" in page.text
+    for word in (
+        "noise floor, 1/sr",
+        "field of view, deg",
+        "certificate[level]",
+        "[etalon] relative_uncertainty",
+        "dark_readings = 4",
+    ):
+        assert word in page.text
+    assert (result["simulated"], result["samples"]) == (True, ["gaussian-5"])
+
+
+def test_a_report_of_a_real_rig_is_not_marked(journal: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("goniotwin.app.campaign.journal.reading.JournalReader.simulated", False)
+    html, result = report_html(journal)
+    assert "SIMULATED" not in html
+    assert result["simulated"] is False
+
+
+def test_a_report_without_jinja_names_the_command_that_installs_it(journal: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = builtins.__import__
+
+    def without(name: str, *rest: Any) -> Any:
+        if name == "jinja2":
+            raise ImportError(name)
+        return found(name, *rest)
+
+    monkeypatch.setattr(builtins, "__import__", without)
+    with pytest.raises(GoniotwinError, match=r"pip install 'goniotwin\[report\]'"):
+        report_html(journal)
+
+
+def test_a_file_that_is_no_journal_has_no_report(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("sample,sigma_deg\n", encoding="utf-8")
+    with pytest.raises(GoniotwinError, match=r"a\.csv: "):
+        report_html(path)
