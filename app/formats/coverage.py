@@ -25,29 +25,29 @@ _AXES = {"psi_deg": 1, "sigma_deg": 2, "phi_deg": 3, "theta_deg": 4}
 
 
 def covered(table: BsdfTable, *, whole_turn: bool = False, lists: Collection[str] = ("psi", "sigma", "theta")) -> BsdfTable:
-    """The table with values repeated, as comments then say: of psi 0 at 360, where the list goes round; the first and the last
-    of sigma and theta to 0 and 90, and to 0 and 180.
+    """The table with values repeated, as comments then state: of psi 0 at 360, where the list goes round; the first and the
+    last of sigma and theta to 0 and 90, and to 0 and 180.
 
-    phi is as in `closed`. A table that covers these ranges is returned as it is; so is every one of the `lists` left out.
+    phi is as in `closed`. A table that covers these ranges is returned as it is; only `lists` are looked at.
     """
     table = closed(table, whole_turn=whole_turn)
-    said = []
+    added = []
     if "psi" in lists and table.psi_deg[0] == 0.0 and 180.0 < table.psi_deg[-1] < 360.0:
         table = _inserted(table, "psi_deg", table.psi_deg.size, 360.0, 0)
-        said.append("psi 0 repeated to 360")
+        added.append("psi 0 repeated to 360")
     for word, end in (("sigma", 90.0), ("theta", 180.0)):
         first, last = getattr(table, f"{word}_deg")[[0, -1]]
         if word in lists and first > 0.0:
             table = _inserted(table, f"{word}_deg", 0, 0.0, 0)
-            said.append(f"{word} {format_number(first)} repeated to 0")
+            added.append(f"{word} {format_number(first)} repeated to 0")
         if word in lists and last < end:
             table = _inserted(table, f"{word}_deg", getattr(table, f"{word}_deg").size, end, -1)
-            said.append(f"{word} {format_number(last)} repeated to {end:g}")
-    return replace(table, comments=(*table.comments, f"{COVERED}{', '.join(said)}")) if said else table
+            added.append(f"{word} {format_number(last)} repeated to {end:g}")
+    return replace(table, comments=(*table.comments, f"{COVERED}{', '.join(added)}")) if added else table
 
 
 def uncovered(table: _Table) -> _Table:
-    """The table of a file without what `covered` or `covered_regular` has added, as its comments say."""
+    """The table of a file without what `covered` or `covered_regular` has added, as its comments state."""
     comments = []
     for line in table.comments:
         steps = line.removeprefix(COVERED).split(", ") if line.startswith(COVERED) else []
@@ -90,22 +90,22 @@ def held(values: Floats) -> tuple[Floats, Flags]:
     before = np.maximum.accumulate(np.where(known, places, -1), axis=-1)
     first = np.argmax(known, axis=-1)[..., None]
     found = np.take_along_axis(values, np.where(before >= 0, before, first), axis=-1)
-    return np.where(known.any(axis=-1)[..., None], found, 0.0), known
+    return np.where(known.any(axis=-1, keepdims=True), found, 0.0), known
 
 
 def covered_regular(table: RegularTable) -> RegularTable:
     """The same for regular factors: sigma from 0 to 90."""
-    sigma, said = table.sigma_deg, []
+    sigma, added = table.sigma_deg, []
     columns = list(range(sigma.size))
     if sigma[0] > 0.0:
-        columns, said = [0, *columns], [f"sigma {format_number(sigma[0])} repeated to 0"]
+        columns, added = [0, *columns], [f"sigma {format_number(sigma[0])} repeated to 0"]
     if sigma[-1] < 90.0:
-        columns, said = [*columns, sigma.size - 1], [*said, f"sigma {format_number(sigma[-1])} repeated to 90"]
-    if not said:
+        columns, added = [*columns, sigma.size - 1], [*added, f"sigma {format_number(sigma[-1])} repeated to 90"]
+    if not added:
         return table
     angles = np.unique([0.0, *sigma, 90.0])
     u = None if table.u is None else table.u[:, :, columns]
-    comments = (*table.comments, f"{COVERED}{', '.join(said)}")
+    comments = (*table.comments, f"{COVERED}{', '.join(added)}")
     return replace(table, sigma_deg=angles, values=table.values[:, :, columns], u=u, comments=comments)
 
 

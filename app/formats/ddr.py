@@ -45,7 +45,7 @@ SPELLINGS = {"red": ("red",), "green": ("gre", "green"), "blue": ("blu", "blue")
 BLOCKS = ("bw", "wl", "red", "gre", "green", "blu", "blue")
 IN_BLOCK = {*BLOCKS, "kbdf", "def", "enddef"}
 LEAST_COSINE = 1e-6
-"""An intensity further down is of a direction at the horizon, and says nothing."""
+"""An intensity further down is of a direction at the horizon, and has no meaning."""
 Channel = float | str | None
 """A wavelength in nm, the name of a colour, or None for a grey table."""
 
@@ -163,7 +163,7 @@ def write(path: Path, content: BsdfFile) -> None:
     if table.colours not in ((), RGB):
         raise FormatError(path, f"it has the colours {', '.join(table.colours)}, and a .ddr has RGB", "use .ssdd")
     anisotropic = table.psi_deg.tolist() != [0.0]
-    table = covered(table, whole_turn=anisotropic)  # no type of symmetry says both
+    table = covered(table, whole_turn=anisotropic)  # no type of symmetry states both
     symmetry = "PlaneSymmetrical" if table.phi_deg[-1] <= 180.0 else "ASymmetrical"
     written = DdrTable(
         source="Generated" if table.generated else "Measured",

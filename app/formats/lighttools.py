@@ -5,7 +5,7 @@ A header (`Symmetry`, `SpectralContent`, `ScatterAzimuth` and `ScatterRadial` wi
 for each azimuth; `DataEnd`. Azimuth and radial are ordinary spherical angles about the normal, values BSDF in 1/sr.
 
 The description of the vendor is not public. These facts are those of libbsdf (https://github.com/KimuraRyo/libbsdf:
-src/Reader/LightToolsBsdfReader.cpp), and a comment of what is read says so: the light comes from azimuth 90 of the file, an AOI
+src/Reader/LightToolsBsdfReader.cpp), as a comment of what is read states: the light comes from azimuth 90 of the file, an AOI
 above 90 is 0, and plane-symmetric data of half the azimuths have their mirror image in the plane of incidence.
 """
 

@@ -124,7 +124,7 @@ def _lines(entries: dict[str, Any], group: str = "") -> list[str]:
 
 
 def metadata_from_dict(entries: dict[str, Any]) -> Metadata:
-    """The metadata of an archive; what has another name or type is left out."""
+    """The metadata of an archive; what has another name or type is not taken."""
     return _from_dict(Metadata, entries)
 
 

@@ -14,14 +14,12 @@ SAMPLE = "sample: "
 BACK = "side: back (the frame is that of the sample turned about x)"
 WAVELENGTH, NANOMETRES = "wavelength: ", " nm"
 
-HALF = (
-    "the file has half of the azimuths and does not say that it is plane-symmetric; the other half is taken as the mirror image"
-)
+HALF = "the file has half of the azimuths and does not state a symmetry; the other half is taken as the mirror image"
 
 
 @dataclass(frozen=True)
 class Notes:
-    """What comments say, and the `comments` that say nothing of this."""
+    """What comments state, and the other `comments`."""
 
     sample: str
     back: bool
@@ -40,7 +38,7 @@ def noted(part: BsdfTable | RegularTable, *, wavelength: bool = False) -> tuple[
 
 
 def read_notes(comments: Iterable[str]) -> Notes:
-    """What the comments at the top of a file say. A file of another program may have such a line by chance: of several, the
+    """What the comments at the top of a file state. A file of another program may have such a line by chance: of several, the
     first counts."""
     sample, back, wavelengths_nm, rest = "", False, None, []
     for line in comments:

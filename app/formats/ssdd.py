@@ -122,10 +122,7 @@ class _Reader:
             if quantity in parts:
                 raise self.error(f"there are two blocks of {quote_word(quantity)}", "write them in two files")
             comments, self.comments = tuple(self.comments), []
-            part = self._part(block)
-            back = np.ones(part.size, dtype=np.bool_) if isinstance(part, ScatteredBsdf) else True
-            part = replace(part, comments=(*comments, *part.comments), **({"back": back} if notes.back else {}))
-            parts[quantity] = part if isinstance(part, ScatteredBsdf) else uncovered(part)
+            parts[quantity] = _noted(self._part(block), comments, back=notes.back)
             metadata = _metadata(metadata, block)
             entry = self._entry()
         if not parts:
@@ -339,8 +336,18 @@ class _Reader:
         return values.reshape(rows, per_row)
 
 
+def _noted(part: Part, comments: tuple[str, ...], *, back: bool) -> Part:
+    """A part with the comments before its block, on the side that the file is of."""
+    comments = (*comments, *part.comments)
+    if isinstance(part, ScatteredBsdf):
+        return replace(part, comments=comments, back=np.full(part.size, back))
+    if isinstance(part, RegularTable):
+        return uncovered(replace(part, comments=comments, back=back))
+    return uncovered(replace(part, comments=comments, back=back))
+
+
 def _metadata(before: Metadata, block: dict[str, str]) -> Metadata:
-    """What a block says, where no earlier one did."""
+    """What a block states, where no earlier one did."""
     return replace(
         before,
         date=before.date or block.get("MEASUREMENT_DATE", ""),
@@ -370,7 +377,7 @@ def _scattered(
         seen = arc_direction(polar2, azimuth3) if system == SPHERICAL else _distorted(light, polar2, azimuth3)
     sigma, psi = zenith_and_azimuth(light)
     polar, azimuth = zenith_and_azimuth(seen)
-    if system != HALF_DIFFERENCE:  # as stated, which at the pole says more
+    if system != HALF_DIFFERENCE:  # as stated: at the pole that has the azimuth, too
         sigma, psi = polar0, azimuth1
     if system == SPHERICAL:
         polar, azimuth = polar2, azimuth3
@@ -379,14 +386,12 @@ def _scattered(
     above = (sigma <= 90.0 + TOLERANCE_DEG) & (polar <= 90.0 + TOLERANCE_DEG)
     channels = values.shape[-1]
     data = values.reshape(-1, channels)[above]
-    columns = {
-        "sigma_deg": np.minimum(sigma, 90.0), "psi_deg": wrap_azimuth(psi), "polar_deg": np.minimum(polar, 90.0),
-        "azimuth_deg": wrap_azimuth(azimuth),
-    }  # fmt: skip
-    repeated = {name: np.tile(each[above], channels) for name, each in columns.items()}
     count = int(above.sum())
     return ScatteredBsdf(
-        **repeated,
+        sigma_deg=np.tile(np.minimum(sigma, 90.0)[above], channels),
+        psi_deg=np.tile(wrap_azimuth(psi)[above], channels),
+        polar_deg=np.tile(np.minimum(polar, 90.0)[above], channels),
+        azimuth_deg=np.tile(wrap_azimuth(azimuth)[above], channels),
         values=data.T.ravel(),
         wavelength_nm=np.repeat(np.array(wavelengths or (math.nan,) * channels), count),
         channel=np.repeat(np.array(colours or ("",) * channels), count),
@@ -467,7 +472,7 @@ def _without_entries(metadata: Metadata) -> Metadata:
 
 
 def _comments(lines: Iterable[str]) -> list[str]:
-    """Comment lines; an empty one has a space after its mark, too, as the specification says."""
+    """Comment lines; an empty one has a space after its mark, too, as the specification asks."""
     return [line if line != "#" else "# " for line in mark_comments(comment_lines(lines, ascii_only=True), "#")]
 
 

@@ -253,7 +253,7 @@ class Words:
         if self._next is None or 2 * count > len(text) - self._end + len(self._next) + 1:
             return None
         values, done = np.empty(count), 0
-        while self._next is not None and self._next.lower() not in ends:
+        while (word := self.peek()) is not None and word not in ends:
             start = self._end - len(self._next)
             stop = start + min(PIECE, 100 + 30 * (count - done))
             other = pattern.search(text, start, stop)

@@ -135,7 +135,7 @@ def write(path: Path, content: BsdfFile) -> None:
     if table.colours not in ((), XYZ):
         raise FormatError(path, f"it has the colours {', '.join(table.colours)}, and a .bsdf has XYZ", "use .ssdd")
     anisotropic = table.psi_deg.tolist() != [0.0]
-    table = covered(table, whole_turn=anisotropic, lists=["psi"])  # no type of symmetry says both
+    table = covered(table, whole_turn=anisotropic, lists=["psi"])  # no type of symmetry states both
     symmetry = "PlaneSymmetrical" if table.phi_deg[-1] <= 180.0 else "Asymmetrical"
     written = ZemaxBsdf(
         source="Generated" if table.generated else "Measured",

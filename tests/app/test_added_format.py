@@ -158,11 +158,11 @@ def test_the_help_of_the_commands_lists_it(capsys: pytest.CaptureFixture[str]) -
 
 
 def test_an_error_offers_it(tmp_path: Path) -> None:
-    with pytest.raises(UserError, match=r"ends with \.ddr, \.ddt, \.ssdd, \.bsdf, \.csv or \.my"):
+    with pytest.raises(UserError, match=r"ends with \.ddr, \.ddt, .* or \.my"):
         app(["simulate", "--sample", "lambertian", "--out", str(tmp_path / "a.txt")], standalone_mode=False)
-    with pytest.raises(UserError, match=r"there is no such format .*; give ddr, ddt, zemax, csv or my"):
+    with pytest.raises(UserError, match=r"there is no such format .*; give ddr, ddt, .* or my"):
         app(["export", str(SCHEDULE), "--format", "his", "--out", str(tmp_path / "a")], standalone_mode=False)
-    with pytest.raises(UserError, match=r"table:FILE \(\.ddr, \.ddt, \.bsdf, .*\.my\)"):
+    with pytest.raises(UserError, match=r"table:FILE \(\.ddr, \.ddt, .*\.bsdf, .*\.my\)"):
         parse_sample("phong")
     with pytest.raises(UserError, match=r"a zemax file does not hold several wavelengths; use .* my \(\.my\)"):
         app(

@@ -64,7 +64,9 @@ def test_uncertainties_and_mask_go_from_file_to_file(tmp_path: Path) -> None:
     assert {round(share.sigma_deg) for share in back.shares} == {0, 30, 60}
 
 
-def test_the_share_that_was_not_measured_is_reported_and_is_in_the_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_share_that_was_not_measured_is_reported_and_is_in_the_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     convert(BsdfFile((nodes(table()),)), tmp_path / "a.csv")
     result = run(capsys, "convert", tmp_path / "a.csv", tmp_path / "a.ddr")
     shares = {each["sigma_deg"]: each["share"] for each in result["not_measured"]}

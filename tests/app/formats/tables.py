@@ -64,13 +64,3 @@ def regular_tables(draw: st.DrawFn, *colours: str, isotropic: bool, transmitted:
         sigma, values, wavelengths, names, psi, transmitted, back=draw(st.booleans()), generated=draw(st.booleans()),
         sample=draw(st.sampled_from(["", "paint 3"])), comments=tuple(draw(COMMENTS)),
     )  # fmt: skip
-
-
-def interpolated(table: BsdfTable, psi: int, sigma: float, phi: float, theta: float) -> Floats:
-    """A plain linear interpolation (channel,) at one psi, held outside sigma and theta, mirrored or round in phi."""
-    values = table.values[:, psi]
-    if table.phi_deg[-1] <= 180.0:
-        phi = min(phi, 360.0 - phi)
-    for axis, nodes, at in ((3, table.theta_deg, theta), (2, table.phi_deg, phi), (1, table.sigma_deg, sigma)):
-        values = np.apply_along_axis(lambda row, nodes=nodes, at=at: np.interp(at, nodes, row), axis, values)
-    return np.asarray(values)

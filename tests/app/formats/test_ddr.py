@@ -459,7 +459,7 @@ def test_a_refracted_axis_gives_values_at_their_directions(tmp_path: Path) -> No
     path.write_text(f"{lists}bw def {numbers} enddef\n")
     (part,) = read(path).parts
     assert isinstance(part, ScatteredBsdf)
-    assert part.transmitted.all()
+    assert np.all(np.asarray(part.transmitted))
     assert part.isotropic
     assert part.size == 2 * 4 * 2  # phi 270 is the mirror image of 90
     found = arc_direction(part.polar_deg, part.azimuth_deg)

@@ -45,9 +45,9 @@ def test_every_block_is_read_with_its_side_and_light(tmp_path: Path) -> None:
     part = part_of(saved(tmp_path, HEADER + blocks + "DataEnd\n"))
     assert part.size == 4 * 8
     assert part.sigma_deg.tolist() == [0.0] * 8 + [30.0] * 24
-    assert part.back.tolist() == [False] * 16 + [True] * 8 + [False] * 8
-    assert part.transmitted.tolist() == [False] * 24 + [True] * 8
-    assert set(part.wavelength_nm) == {550.0}
+    assert np.asarray(part.back).tolist() == [False] * 16 + [True] * 8 + [False] * 8
+    assert np.asarray(part.transmitted).tolist() == [False] * 24 + [True] * 8
+    assert set(np.asarray(part.wavelength_nm).tolist()) == {550.0}
     assert part.values[8:16].tolist() == [20, 21, 20, 22, 20, 23, 20, 24]
     assert part.polar_deg[8:16].tolist() == [0, 60] * 4
     assert any("libbsdf's convention" in line for line in part.comments)
@@ -72,7 +72,7 @@ def test_half_the_azimuths_of_plane_symmetric_data_have_a_mirror_image(tmp_path:
 def test_tristimulus_values_are_colours(tmp_path: Path) -> None:
     blocks = "".join(block(15, 10 * n, more=f"TristimulusValue Tris{axis}\n") for n, axis in enumerate("XYZ", 1))
     part = part_of(saved(tmp_path, HEADER.replace("Monochrome", "XYZ") + blocks + "DataEnd\n"))
-    assert part.channel.tolist() == ["X"] * 8 + ["Y"] * 8 + ["Z"] * 8
+    assert np.asarray(part.channel).tolist() == ["X"] * 8 + ["Y"] * 8 + ["Z"] * 8
     assert part.values[[0, 8, 16]].tolist() == [10, 20, 30]
 
 
@@ -80,7 +80,7 @@ def test_an_angle_of_incidence_above_90_is_0(tmp_path: Path) -> None:
     assert set(part_of(saved(tmp_path, HEADER + block(180, 10) + "DataEnd\n")).sigma_deg) == {0.0}
 
 
-def test_zemax_and_lighttools_are_told_apart() -> None:
+def test_zemax_and_lighttools_are_distinguished() -> None:
     other = b"Source Measured\nSymmetry PlaneSymmetrical\nSpectralContent Monochrome\nScatterType BRDF\nSampleRotation 1\n0\n"
     other += b"AngleOfIncidence 1\n0\nScatterAzimuth 1\n0\nScatterRadial 1\n0\nMonochrome\nDataBegin\nTIS 1\n1\nDataEnd\n"
     ours = (HEADER + block(0, 1)).encode()
@@ -141,5 +141,5 @@ def test_the_values_of_any_blocks_are_read(folder: Path, stated: list[tuple[floa
     part = part_of(saved(folder, text))
     np.testing.assert_allclose(part.values[::8], [each[3] for each in stated])
     assert part.sigma_deg[::8].tolist() == [each[0] for each in stated]
-    assert part.back[::8].tolist() == [each[1] == "Back" for each in stated]
-    assert part.transmitted[::8].tolist() == [each[2] == "BTDF" for each in stated]
+    assert np.asarray(part.back)[::8].tolist() == [each[1] == "Back" for each in stated]
+    assert np.asarray(part.transmitted)[::8].tolist() == [each[2] == "BTDF" for each in stated]

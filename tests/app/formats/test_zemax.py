@@ -125,7 +125,7 @@ def rotated(rotations: str, count: int, word: str = "ASymmetrical4D") -> str:
     return f"{head.replace('PlaneSymmetrical', word)}DataBegin\n{turned}DataEnd\n"
 
 
-def test_sample_rotations_are_psi_and_a_comment_says_so(tmp_path: Path) -> None:
+def test_sample_rotations_are_psi_and_a_comment_states_it(tmp_path: Path) -> None:
     """As libbsdf takes them: inPhi is the sample rotation (ZemaxBsdfReader.cpp)."""
     table = read(good(tmp_path, rotated("0 90", 2))).only_table()
     assert table.psi_deg.tolist() == [0, 90]
