@@ -129,13 +129,13 @@ def test_a_wavelength_without_a_sigma_is_refused() -> None:
 
 def test_one_direction_at_an_incidence_is_at_the_node_nearest_to_it() -> None:
     """As in a list of the reflectance at 0 deg, with the light at several angles."""
-    sigma = np.array([10.0, 20.0, 30.0])
+    sigma = np.array([12.0, 22.0, 33.0])
     values = replace(at(sigma, np.zeros(3), np.zeros(3)), values=np.array([1.0, 2.0, 3.0]))
     table = grid_table(values)
     assert table.known is not None
     assert table.known.sum() == 3
     np.testing.assert_array_equal(table.values[0, 0, 1:4].min(axis=(1, 2)), [1.0, 2.0, 3.0])
-    with pytest.raises(ValueError, match=r"at sigma 10 no node of the grid has measured directions around it"):
+    with pytest.raises(ValueError, match=r"at sigma 12 no node of the grid has measured directions around it"):
         grid_table(values, widest_gap_deg=3.0)
 
 
