@@ -1,7 +1,7 @@
 """Conversion of what a file or a journal holds to what another format holds: one code for `convert` and `export`.
 
 A format may hold one sample, one kind of light, or one side: where there are several, one is chosen. A table is made of
-scattered values where the format holds no others, and scattered values are the nodes of a table. Nothing is omitted without a note.
+scattered values where the format holds no others, and scattered values are the nodes of a table. What is omitted has a note.
 """
 
 from collections.abc import Collection, Iterator
