@@ -93,7 +93,7 @@ def convert(
     """Convert a BSDF from one file format to another.
 
     What the file is, is found by its content; a journal is reduced, as goniotwin export does it. What the other format does not
-    hold is refused, or said. Uncertainties, and the mask of what was not measured, go along: in OUT.u and OUT.mask of the same
+    hold is refused, or named. Uncertainties, and the mask of what was not measured, go along: in OUT.u and OUT.mask of the same
     format, where it has no room for them.
 
     Exit status: 1 if a journal differs from what was measured, row by row or as a whole.
@@ -153,7 +153,10 @@ def info(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="File of any format, or a journal.", show_default=False)],
     as_json: Json = False,
 ) -> None:
-    """Say what a file is: format, samples, light, directions, how complete it is, and whether it is simulated."""
+    """State what a file is.
+
+    Its format, samples, light and directions, how complete it is, and whether it is simulated.
+    """
     from goniotwin.app.data.information import information, information_lines
 
     found = information(file)

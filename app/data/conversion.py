@@ -1,7 +1,7 @@
 """Conversion of what a file or a journal holds to what another format holds: one code for `convert` and `export`.
 
 A format may hold one sample, one kind of light, or one side: where there are several, one is chosen. A table is made of
-scattered values where the format holds no others, and scattered values are the nodes of a table. Nothing is left out unsaid.
+scattered values where the format holds no others, and scattered values are the nodes of a table. What is omitted has a note.
 """
 
 from collections.abc import Collection, Iterator
@@ -62,7 +62,7 @@ class Share:
 
 @dataclass(frozen=True)
 class Converted:
-    """The files that were written, the number of measured values in them, and what was left out or is not measured."""
+    """The files that were written, the number of measured values in them, and what was omitted or is not measured."""
 
     files: tuple[Path, ...]
     format: str
@@ -235,7 +235,7 @@ def _of_side(content: BsdfFile, path: Path, form: Format, side: Side | None, not
             raise UserError(f"{path}: nothing was measured with light on the {side}; leave --side out")
         return chosen
     if len(sides) > 1 and Holds.SIDES not in form.holds:
-        notes.append("the values of the back are left out; --side back writes them")
+        notes.append("the values of the back are omitted; --side back writes them")
         return _parts(content, "back", False)
     return content
 
@@ -262,10 +262,10 @@ def _of_kind(content: BsdfFile, path: Path, form: Format, notes: list[str]) -> B
         if not content.regular:
             raise UserError(f"{path}: a {form.name} file holds {Holds.REGULAR}, which is not there; use another format")
         if others:
-            notes.append("the scattered part is left out: it is in a file of its own")
+            notes.append("the scattered part is omitted: it is in a file of its own")
         return replace(content, parts=content.regular)
     if content.regular and Holds.REGULAR not in form.holds and others:
-        notes.append("the regular part is left out: it is in a file of its own")
+        notes.append("the regular part is omitted: it is in a file of its own")
         return replace(content, parts=others)
     return content
 
@@ -336,16 +336,16 @@ def _refilled(table: BsdfTable, path: Path, fill: Fill) -> BsdfTable:
 
 
 def _as_points(content: BsdfFile, form: Format, notes: list[str]) -> BsdfFile:
-    """Scattered values instead of tables; without flags those that are not to be trusted are left out."""
+    """Scattered values instead of tables; without flags those that are not to be trusted are omitted."""
     parts: list[Part] = [nodes(part) if isinstance(part, BsdfTable) else part for part in content.parts]
     if Holds.FLAGS in form.holds:
         return replace(content, parts=tuple(parts))
-    left_out = 0
+    omitted = 0
     for k, part in enumerate(parts):
         if isinstance(part, ScatteredBsdf):
             kept = np.isfinite(part.values) & ~flagged(part.flags, UNTRUSTED)
-            left_out += int(np.count_nonzero(~kept))
+            omitted += int(np.count_nonzero(~kept))
             parts[k] = part if kept.all() else part.where(kept)
-    if left_out:
-        notes.append(f"{left_out} directions without a trusted value are left out")
+    if omitted:
+        notes.append(f"{omitted} directions without a trusted value are omitted")
     return replace(content, parts=tuple(parts))

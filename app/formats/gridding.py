@@ -1,4 +1,4 @@
-"""Scattered values onto the grid of a table: the one interpolation of `specular_grid`, whoever measured them.
+"""Scattered values onto the grid of a table: the one interpolation of `specular_grid`, for all measurements.
 
 Values whose directions are a grid of polar angles and azimuths, as a goniophotometer has them, are interpolated in it. Those
 that are the nodes of a table stay where they are. Others, as of an adaptive measurement, get at each node the plane through the
@@ -71,7 +71,7 @@ def grid_table(
 ) -> BsdfTable:
     """The table of the scattered values of one sample, side and light; `comments` come first in its own.
 
-    Values that are not to be trusted, or were measured only to check a symmetry, are left out. theta goes from 0 to 180 in the
+    Values that are not to be trusted, or were measured only to check a symmetry, are omitted. theta goes from 0 to 180 in the
     finest step of the polar angles; phi is 0 and 180 where only the plane of incidence was measured. What is isotropic is taken
     as symmetric about the plane of incidence. With `widest_gap_deg` directions are on a grid, and there is no interpolation
     between any that are further apart; without it both follows from the values. Raises ValueError, in words, for values of

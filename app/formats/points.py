@@ -76,6 +76,8 @@ def write(path: Path, content: BsdfFile | PointStream) -> None:
 
 SIMULATED = "SIMULATED: "
 """The beginning of a comment that marks simulated values in a CSV."""
+PART_ROWS = 50_000
+"""Rows that are written at once."""
 OPTIONAL_COLUMNS = ("channel", "photodiode")
 """Columns that are written where they have a value."""
 
@@ -94,10 +96,18 @@ def stream_of(content: BsdfFile) -> PointStream:
         *content.comments,
         *(comment for part in parts for comment in part.comments),
     ]
-    return PointStream(list(dict.fromkeys(comments)), [_columns_of(part, written) for part in parts])
+    return PointStream(
+        list(dict.fromkeys(comments)), (_columns_of(piece, written) for part in parts for piece in _pieces(part))
+    )
 
 
 _NONE: dict[str, Any] = {"channel": "", "photodiode": -1}
+
+
+def _pieces(part: ScatteredBsdf) -> Iterator[ScatteredBsdf]:
+    """The values in parts: as text they take a kilobyte each."""
+    begins = range(0, max(part.size, 1), PART_ROWS)
+    return (part.where(np.arange(begin, min(begin + PART_ROWS, part.size))) for begin in begins)
 
 
 def _columns_of(part: ScatteredBsdf, optional: Collection[str]) -> dict[str, NDArray[Any]]:
@@ -223,7 +233,8 @@ def _lines(path: StrPath, parts: Iterable[Mapping[str, ArrayLike]]) -> Iterator[
         if names and tuple(columns) != names:
             raise FormatError(path, f"one part has the columns {', '.join(columns)}", f"give {', '.join(names)} in each")
         rows = _rows(path, columns)
-        yield "".join(f"{_line(row)}\n" for row in (rows if names else itertools.chain([tuple(columns)], rows)))
+        heading = [] if names else [tuple(map(_quoted, columns))]
+        yield "".join(f"{_line(row)}\n" for row in itertools.chain(heading, rows))
         names = tuple(columns)
 
 
@@ -239,10 +250,12 @@ def _rows(path: StrPath, columns: Mapping[str, ArrayLike]) -> Iterator[tuple[str
 
 
 def _line(row: tuple[str, ...]) -> str:
+    return ",".join(row) if row != ("",) else '""'  # a reader skips an empty line
+
+
+def _quoted(field: str) -> str:
     # Not csv.writer: with a plain line feed as line end it does not quote a carriage return in a field.
-    if row == ("",):
-        return '""'  # a reader skips an empty line
-    return ",".join('"' + field.replace('"', '""') + '"' if TO_QUOTE.search(field) else field for field in row)
+    return '"' + field.replace('"', '""') + '"' if TO_QUOTE.search(field) else field
 
 
 def _fields(path: StrPath, name: str, column: NDArray[Any]) -> list[str]:
@@ -255,12 +268,14 @@ def _fields(path: StrPath, name: str, column: NDArray[Any]) -> list[str]:
     if column.dtype.kind == "f":
         if np.isinf(column).any():
             raise FormatError(path, f"column {quote_word(name)} has an infinite value", "write NaN for a missing value")
-        return ["" if value != value else format_number(value) for value in column.astype(np.float64).tolist()]
+        return ["" if value != value else f"{value:.9g}" for value in column.astype(np.float64).tolist()]
     if column.dtype.kind == "U":
-        for value in column:
+        distinct, which = np.unique(column, return_inverse=True)
+        for value in distinct:
             if _unwritable(value):
                 raise FormatError(path, f"column {quote_word(name)} has the text {quote_word(value)}", "write plain text")
-        return [str(value) for value in column]
+        texts = [_quoted(str(value)) for value in distinct]
+        return [texts[k] for k in which.tolist()]
     raise FormatError(path, f"column {quote_word(name)} is of the type {column.dtype}", "give numbers or strings")
 
 

@@ -111,7 +111,7 @@ def resample(
 
 
 def continued(theta_deg: Floats, values: Floats, u: Floats) -> SpecularCut:
-    """The cut of values (phi, theta), NaN where not known, continued along theta as `resample` says."""
+    """The cut of values (phi, theta), NaN where not known, continued along theta as `resample` states."""
     values, known = values.copy(), np.isfinite(values)
     u = np.where(np.isfinite(u), u, np.abs(values))
     rows = known.any(axis=1)
@@ -245,7 +245,7 @@ def specular_table(
 ) -> BsdfTable:  # fmt: skip
     """The table of cuts by channel, psi (the faster) and sigma; values in 1/sr.
 
-    Nodes that are not known are filled, see `holes`; comments list them, and say which share of the light is in them. The first
+    Nodes that are not known are filled, see `holes`; comments list them, and the share of the light that is in them. The first
     and the last sigma are repeated to 0 and 90 deg, because readers extrapolate. `done` is "measured" or "simulated". Where
     nothing is known, and all values around are exactly 0, the uncertainty is the largest of the table, or that of a table
     without any: the BSDF of an ideal diffuser. Raises ValueError for holes that are to be refused.

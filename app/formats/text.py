@@ -101,7 +101,12 @@ def mark_comments(lines: Iterable[str], mark: str) -> list[str]:
 
 
 def header_words(head: bytes, mark: str, stop: Collection[str] = ()) -> set[str]:
-    """The first `HEADER_WORDS` words, in lower case, of a text that begins with `head`, up to a word in `stop`; no comments."""
+    """The first `HEADER_WORDS` words, in lower case, of a text that begins with `head`, up to a word in `stop`; no comments.
+
+    None of a text that begins with the comment of another format: its comments may have any words.
+    """
+    if mark != "#" and head.lstrip().startswith(b"#"):
+        return set()
     words = (
         word
         for line in head.decode("latin-1").splitlines()

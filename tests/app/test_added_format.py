@@ -162,7 +162,7 @@ def test_an_error_offers_it(tmp_path: Path) -> None:
         app(["simulate", "--sample", "lambertian", "--out", str(tmp_path / "a.txt")], standalone_mode=False)
     with pytest.raises(UserError, match=r"there is no such format .*; give ddr, ddt, .* or my"):
         app(["export", str(SCHEDULE), "--format", "his", "--out", str(tmp_path / "a")], standalone_mode=False)
-    with pytest.raises(UserError, match=r"table:FILE \(\.ddr, \.ddt, .*\.my\)"):
+    with pytest.raises(UserError, match=r"table:FILE \(\.ddr, \.ddt, .*\.bsdf, .*\.my\)"):
         parse_sample("phong")
     with pytest.raises(UserError, match=r"a zemax file does not hold several wavelengths; use .* my \(\.my\)"):
         app(

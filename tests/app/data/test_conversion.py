@@ -1,4 +1,4 @@
-"""Conversion between formats: what goes along, what is chosen, what is left out and said; and its commands."""
+"""Conversion between formats: what goes along, what is chosen, what is omitted and named; and its commands."""
 
 import json
 from dataclasses import replace
@@ -64,7 +64,9 @@ def test_uncertainties_and_mask_go_from_file_to_file(tmp_path: Path) -> None:
     assert {round(share.sigma_deg) for share in back.shares} == {0, 30, 60}
 
 
-def test_the_share_that_was_not_measured_is_told_and_is_in_the_file(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_share_that_was_not_measured_is_reported_and_is_in_the_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     convert(BsdfFile((nodes(table()),)), tmp_path / "a.csv")
     result = run(capsys, "convert", tmp_path / "a.csv", tmp_path / "a.ddr")
     shares = {each["sigma_deg"]: each["share"] for each in result["not_measured"]}
@@ -103,8 +105,8 @@ def test_light_and_side_are_chosen_where_a_format_holds_one(tmp_path: Path) -> N
         convert(content, tmp_path / "a.bsdf", light=light, side=side)
         found = registry.read(tmp_path / "a.bsdf").only_table()
         assert (found.transmitted, found.values.max()) == (light == "transmitted", pytest.approx(value))
-    told = convert(content, tmp_path / "a.ddt")  # which holds transmitted light, of one side
-    assert told.notes == ("the values of the back are left out; --side back writes them",)
+    done = convert(content, tmp_path / "a.ddt")  # which holds transmitted light, of one side
+    assert done.notes == ("the values of the back are omitted; --side back writes them",)
     assert registry.read(tmp_path / "a.ddt").only_table().values.max() == pytest.approx(2.0)
     front = BsdfFile((mixed[0],))
     for choice, wrong in (({"light": "transmitted"}, "no transmitted light"), ({"side": "back"}, "with light on the back")):
@@ -112,11 +114,11 @@ def test_light_and_side_are_chosen_where_a_format_holds_one(tmp_path: Path) -> N
             convert(front, tmp_path / "b.bsdf", **choice)
 
 
-def test_a_regular_part_is_left_out_of_a_table_and_said(tmp_path: Path) -> None:
+def test_a_regular_part_is_omitted_of_a_table_and_named(tmp_path: Path) -> None:
     regular = RegularTable(np.array([0.0, 60.0]), np.full((1, 1, 2), 0.04), (550.0,), sample="paint")
-    told = convert(BsdfFile((table(), regular)), tmp_path / "a.ddr")
-    assert told.notes == ("the regular part is left out: it is in a file of its own",)
-    assert told.notes[0] in registry.read(tmp_path / "a.ddr").only_table().comments
+    done = convert(BsdfFile((table(), regular)), tmp_path / "a.ddr")
+    assert done.notes == ("the regular part is omitted: it is in a file of its own",)
+    assert done.notes[0] in registry.read(tmp_path / "a.ddr").only_table().comments
     with pytest.raises(GoniotwinError, match=r"does not hold regular reflectance or transmittance"):
         convert(BsdfFile((regular,)), tmp_path / "b.csv")
 
@@ -142,7 +144,7 @@ def test_a_folder_a_missing_file_and_an_unknown_format_are_one_line(tmp_path: Pa
             app(["convert", str(source), str(tmp_path / out)], standalone_mode=False)
 
 
-def test_info_says_what_a_file_is_and_how_complete(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_info_states_what_a_file_is_and_how_complete(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     convert(BsdfFile((table(generated=True),)), tmp_path / "a.ddr")
     found = run(capsys, "info", tmp_path / "a.ddr")
     assert (found["format"], found["simulated"], found["stands_for"]) == ("ddr", True, None)

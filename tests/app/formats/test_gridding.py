@@ -70,7 +70,7 @@ def test_a_turned_sample_has_both_halves_of_the_azimuths() -> None:
     assert worst(both) < 0.01
 
 
-def test_one_half_of_a_turned_sample_is_mirrored_and_said() -> None:
+def test_one_half_of_a_turned_sample_is_mirrored_and_named() -> None:
     half = joined(rings(0.0, isotropic=False, whole=False), rings(90.0, isotropic=False, whole=False))
     table = grid_table(half)
     assert table.phi_deg[-1] == 180.0
@@ -129,13 +129,13 @@ def test_a_wavelength_without_a_sigma_is_refused() -> None:
 
 def test_one_direction_at_an_incidence_is_at_the_node_nearest_to_it() -> None:
     """As in a list of the reflectance at 0 deg, with the light at several angles."""
-    sigma = np.array([10.0, 20.0, 30.0])
+    sigma = np.array([12.0, 22.0, 33.0])
     values = replace(at(sigma, np.zeros(3), np.zeros(3)), values=np.array([1.0, 2.0, 3.0]))
     table = grid_table(values)
     assert table.known is not None
     assert table.known.sum() == 3
     np.testing.assert_array_equal(table.values[0, 0, 1:4].min(axis=(1, 2)), [1.0, 2.0, 3.0])
-    with pytest.raises(ValueError, match=r"at sigma 10 no node of the grid has measured directions around it"):
+    with pytest.raises(ValueError, match=r"at sigma 12 no node of the grid has measured directions around it"):
         grid_table(values, widest_gap_deg=3.0)
 
 

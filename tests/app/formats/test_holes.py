@@ -1,4 +1,4 @@
-"""Holes of a table: what each way of filling makes of a hidden peak, and which share of the light is told."""
+"""Holes of a table: what each way of filling makes of a hidden peak, and which share of the light is reported."""
 
 from typing import Any
 
