@@ -34,9 +34,8 @@ UNTRUSTED = frozenset(
 HORIZON_DEG = 90.0 + TOLERANCE_DEG
 
 
-def _unstated() -> Any:
-    """The default of an optional column, whose values `ScatteredBsdf` fills in."""
-    return np.zeros(0)
+UNSTATED: Any = np.zeros(0)
+"""An optional column of `ScatteredBsdf` that is not known: its values are filled in."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,14 +56,14 @@ class ScatteredBsdf:
     polar_deg: Floats
     azimuth_deg: Floats
     values: Floats
-    u: Floats = field(default_factory=_unstated)
-    u_shared: Floats = field(default_factory=_unstated)
-    wavelength_nm: Floats = field(default_factory=_unstated)
-    channel: Texts = field(default_factory=_unstated)
-    transmitted: Flags = field(default_factory=_unstated)
-    back: Flags = field(default_factory=_unstated)
-    flags: Texts = field(default_factory=_unstated)
-    photodiode: Ints = field(default_factory=_unstated)
+    u: Floats = field(default_factory=lambda: UNSTATED)
+    u_shared: Floats = field(default_factory=lambda: UNSTATED)
+    wavelength_nm: Floats = field(default_factory=lambda: UNSTATED)
+    channel: Texts = field(default_factory=lambda: UNSTATED)
+    transmitted: Flags = field(default_factory=lambda: UNSTATED)
+    back: Flags = field(default_factory=lambda: UNSTATED)
+    flags: Texts = field(default_factory=lambda: UNSTATED)
+    photodiode: Ints = field(default_factory=lambda: UNSTATED)
     sample: str = ""
     isotropic: bool = True
     generated: bool = False

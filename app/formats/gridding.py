@@ -6,7 +6,7 @@ values around it (`plane_through_points` of the optics).
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -172,6 +172,7 @@ class _Cuts:
         self._mirrored, self._widest = mirrored, math.inf if widest_gap_deg is None else widest_gap_deg
         self._gap = self._widest
         whole = HALF_TURN_DEG if mirrored else TURN_DEG
+        self._cut: Callable[[_Values, float], SpecularCut]
         self.phi = np.array([0.0, whole]) if _in_plane(points).all() else np.arange(0.0, whole + 1e-9, PHI_STEP_DEG)
         theta, phi = self._about_specular(points)
         rings = self._filled(round_deg(points.polar_deg), round_deg(fold_azimuth(points.azimuth_deg)))
@@ -235,8 +236,8 @@ class _Cuts:
         """Values at polar angles and azimuths, interpolated."""
         grid = grid_of_points(here.polar_deg, here.azimuth_deg, here.values, here.own, here.shared, mirrored=self._mirrored)
         if not self._mirrored and grid.azimuth_deg[0] == 0.0:  # round the whole turn
-            columns = (np.concatenate([each, each[:, :1]], axis=1) for each in (grid.values, grid.u, grid.shared))
-            grid = PolarGrid(grid.polar_deg, np.append(grid.azimuth_deg, TURN_DEG), *columns, mirrored=False)
+            values, u, shared = (np.concatenate([each, each[:, :1]], axis=1) for each in (grid.values, grid.u, grid.shared))
+            grid = PolarGrid(grid.polar_deg, np.append(grid.azimuth_deg, TURN_DEG), values, u, shared, mirrored=False)
         return resample(grid, sigma_deg, self.phi, self.theta, widest_gap_deg=self._gap)
 
     def _of_nodes(self, here: _Values, _sigma_deg: float) -> SpecularCut:

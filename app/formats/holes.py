@@ -42,7 +42,7 @@ ABOUT_FILL["refuse"] = ABOUT_FILL["hold"]
 
 def fill_holes(theta_deg: Floats, sigma_deg: Floats, values: Floats, known: Flags, fill: Fill) -> Floats:
     """The values [channel, psi, sigma, phi, theta], filled where they are not `known`; given are those of the way "hold"."""
-    filled = values.copy()
+    filled: Floats = values.copy()
     if fill in ("hold", "refuse"):
         return filled
     for c, p, s in np.argwhere(~known.all(axis=(3, 4))).tolist():
@@ -65,7 +65,8 @@ def _of_neighbours(values: Floats, known: Flags) -> Floats:
         own, others = float(values[0][rim].sum()), float(other[rim].sum())
         filled[usable] = other[usable] * (own / others if own > 0.0 and others > 0.0 else 1.0)
         missing &= ~usable
-    return filled
+    result: Floats = filled
+    return result
 
 
 def _around(marked: Flags) -> Flags:

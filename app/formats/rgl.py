@@ -569,7 +569,7 @@ def _cut(
         if known[j].any() and not known[j].all():
             for channel in values:
                 channel[j, ~known[j]] = np.interp(theta_deg[~known[j]], theta_deg[known[j]], channel[j, known[j]])
-    return np.where(known.any(axis=1)[:, None], values, 0.0), known
+    return np.where(np.asarray(known.any(axis=1))[:, None], values, 0.0), known
 
 
 def _azimuth_place(phi_i: Floats, azimuth: float) -> tuple[int, float]:

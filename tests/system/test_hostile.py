@@ -36,6 +36,7 @@ from goniotwin.app.campaign.reduction import readings, reduction
 from goniotwin.app.campaign.reduction.pipeline import reduce_readings
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.cli.main import command
+from goniotwin.app.data.conversion import Choice, convert_reduced, format_to_write
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import AXES, RigDescription, open_rig, read_rig
 from goniotwin.app.rig.last_rig import remember_rig
@@ -867,9 +868,9 @@ def test_the_memory_of_an_export_grows_by_less_than_a_kilobyte_per_row_and_each_
         rows.append(write_long_journal(path, wavelengths, 1, "repeats = 2\n"))
         reduced = 0
         tracemalloc.start()
-        form = exporting.export_format("csv")
+        form = format_to_write(tmp_path / "a.csv")
         with Journal.open(path) as journal, reduction.reduce_to_files(journal, tmp_path) as found:
-            exporting.export(found, None, tmp_path / "a.csv", form)
+            convert_reduced(found, tmp_path / "a.csv", form, Choice())
         memory.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
         reads.append(reduced)

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from goniotwin.app.formats import BsdfTable, FormatError, archive
-from goniotwin.app.formats.content import ANGLES, BsdfFile, Part, RegularTable, ScatteredBsdf
+from goniotwin.app.formats.content import BsdfFile, Part, RegularTable, ScatteredBsdf
 from goniotwin.app.formats.metadata import Metadata, QualityMetadata, SampleMetadata
 
 FINITE = st.floats(-1e6, 1e6)
@@ -177,7 +177,7 @@ def test_a_million_values_are_read_as_they_were_written(tmp_path: Path) -> None:
     n = 1_000_000
     random = np.random.default_rng(1)
     many = ScatteredBsdf(
-        **{each: random.uniform(0.0, 90.0, n) for each in ANGLES}, values=random.normal(size=n), u=random.normal(size=n),
+        random.uniform(0.0, 90.0, n), random.uniform(0.0, 90.0, n), random.uniform(0.0, 90.0, n), random.uniform(0.0, 90.0, n), values=random.normal(size=n), u=random.normal(size=n),
         flags=np.array(["", "drift", "drift steep"])[random.integers(0, 3, n)],
     )  # fmt: skip
     archive.write(tmp_path / "many.h5", BsdfFile((many,)))

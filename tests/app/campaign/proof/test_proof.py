@@ -16,6 +16,7 @@ from goniotwin.app.campaign.reduction.reduction import reduce_journal
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats import BsdfTable, registry
+from goniotwin.app.formats.content import BsdfFile
 from goniotwin.app.rig import read_rig
 from goniotwin.app.rig.uncertainty import UncertaintyTable
 from tests.conftest import Writer
@@ -156,7 +157,7 @@ def test_another_table_of_a_sample_is_another_proof(write_rig: Writer, write_sch
     values = np.full((1, 1, 2, 2, zenith.size), 0.2)
     for factor in (1.0, 1.1):
         table = BsdfTable(np.array([0.0, 90.0]), np.array([0.0, 180.0]), zenith, factor * values)
-        registry.write_table(tmp_path / "paint.ddr", table, registry.format_named("ddr", {registry.Holds.GRID}))
+        registry.write(tmp_path / "paint.ddr", BsdfFile((table,)), registry.format_named("ddr", {registry.Holds.GRID}))
         rig = read_rig(write_rig(TABLE))
         proof = Proof(read_schedule(write_schedule()), rig, 1, tmp_path / "proof", wires=False)
         if factor == 1.0:

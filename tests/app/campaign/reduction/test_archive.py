@@ -82,7 +82,7 @@ def test_a_value_has_the_budget_that_the_program_gives(archived: tuple[Path, Pat
         )  # fmt: skip
         assert part["values"][k] == found.value
         assert part["values_errors"][k] == pytest.approx(found.u, rel=1e-9)
-        shared, _ = effects(part, unit(part["values"].size, k))
+        shared, _ = effects(part, unit(part["values"].size, int(k)))
         names = inputs["name"].asstr()[()].tolist()
         for each in found.components:
             if each.input is not None and each.u > 1e-9 * found.u:
@@ -102,7 +102,7 @@ def test_the_covariance_of_two_values_is_rebuilt(archived: tuple[Path, Path]) ->
         columns = [part[each][()] for each in ("wavelength_nm", "sigma_deg", "polar_deg", "azimuth_deg", "transmitted")]
         here = {tuple(each): k for k, each in enumerate(np.round(np.stack(columns, axis=1), 6).tolist())}
         chosen = [here[tuple(each)] for each in keys[::9].tolist()]
-        found = [effects(part, unit(part["values"].size, k)) for k in chosen]
+        found = [effects(part, unit(part["values"].size, int(k))) for k in chosen]
     rebuilt = np.array([[float(one @ other) for other, _ in found] for one, _ in found])
     rebuilt += np.diag([alone for _, alone in found])
     u = np.sqrt(np.diag(expected))
@@ -113,7 +113,7 @@ def test_the_covariance_of_two_values_is_rebuilt(archived: tuple[Path, Path]) ->
 
 def place(points: ScatteredBsdf) -> Floats:
     columns = (points.wavelength_nm, points.sigma_deg, points.polar_deg, points.azimuth_deg, points.transmitted)
-    return np.round(np.stack(columns, axis=1).astype(np.float64), 6)
+    return np.asarray(np.round(np.stack(columns, axis=1).astype(np.float64), 6), dtype=np.float64)
 
 
 def test_the_uncertainty_of_a_reflectance_is_rebuilt(archived: tuple[Path, Path]) -> None:
