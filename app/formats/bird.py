@@ -25,7 +25,7 @@ import numpy as np
 import numpy.typing as npt
 
 from goniotwin.app.errors import printable
-from goniotwin.app.formats.content import UNSTATED, BsdfFile, ScatteredBsdf
+from goniotwin.app.formats.content import ABSENT, BsdfFile, ScatteredBsdf
 from goniotwin.app.formats.file import FormatError, StrPath, name_file, quote_word
 from goniotwin.app.formats.lists import BEYOND_DEG, MOST_BYTES, column, observed, one_list, refuse_mixture
 from goniotwin.app.formats.metadata import (
@@ -197,7 +197,7 @@ class _Reader:
         if len(found) == 2 and not np.allclose(found[0], found[1]):
             wrong = "wavelength_r is not wavelength_i: light of another wavelength is no part of a BRDF here"
             raise FormatError(self.path, wrong, "leave fluorescence out")
-        return round_deg(found[0]) if found else UNSTATED
+        return round_deg(found[0]) if found else ABSENT
 
     def _u(self, values: Floats) -> tuple[Floats, list[str]]:
         """Standard uncertainties, and a comment on what is not stated about them."""
@@ -211,7 +211,7 @@ class _Reader:
             constant = self._column("BRDF").get("uncertainty")
             value, of = (_at(constant, name) for name in ("value", "unit"))
             if type(value) not in (float, int) or of not in (*PER_SR, "%"):
-                return UNSTATED, []
+                return ABSENT, []
             u = 0.01 * float(value) * np.abs(values) if of == "%" else np.full(values.size, float(value))
             about = ["the uncertainty of BRDF"]
         if (u < 0.0).any():

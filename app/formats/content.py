@@ -20,6 +20,8 @@ from goniotwin.twin.optics import from_specular, to_specular
 from goniotwin.twin.optics.geometry.coordinates import TOLERANCE_DEG, arc_direction, wrap_azimuth, zenith_and_azimuth
 
 Texts = npt.NDArray[np.str_]
+ABSENT: Any = None
+"""A column that is not given; it is filled in when the values are made, so that it is an array for whatever reads it."""
 FILLED = "filled"
 """Flag of a value that a table has where none was measured."""
 CHECK = "mirrored"
@@ -32,10 +34,6 @@ UNTRUSTED = frozenset(
 )  # fmt: skip
 """Flags of values that are not to be trusted."""
 HORIZON_DEG = 90.0 + TOLERANCE_DEG
-
-
-UNSTATED: Any = np.zeros(0)
-"""An optional column of `ScatteredBsdf` that is not known: its values are filled in."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,14 +54,14 @@ class ScatteredBsdf:
     polar_deg: Floats
     azimuth_deg: Floats
     values: Floats
-    u: Floats = field(default_factory=lambda: UNSTATED)
-    u_shared: Floats = field(default_factory=lambda: UNSTATED)
-    wavelength_nm: Floats = field(default_factory=lambda: UNSTATED)
-    channel: Texts = field(default_factory=lambda: UNSTATED)
-    transmitted: Flags = field(default_factory=lambda: UNSTATED)
-    back: Flags = field(default_factory=lambda: UNSTATED)
-    flags: Texts = field(default_factory=lambda: UNSTATED)
-    photodiode: Ints = field(default_factory=lambda: UNSTATED)
+    u: Floats = ABSENT
+    u_shared: Floats = ABSENT
+    wavelength_nm: Floats = ABSENT
+    channel: Texts = ABSENT
+    transmitted: Flags = ABSENT
+    back: Flags = ABSENT
+    flags: Texts = ABSENT
+    photodiode: Ints = ABSENT
     sample: str = ""
     isotropic: bool = True
     generated: bool = False
@@ -79,7 +77,7 @@ class ScatteredBsdf:
         }  # fmt: skip
         for each in COLUMNS:
             given = getattr(self, each)
-            column = np.full(n, defaults[each]) if each in defaults and np.size(given) == 0 else np.asarray(given)
+            column = np.full(n, defaults[each]) if given is None else np.asarray(given)
             if column.shape != (n,):
                 raise ValueError(f"{each} has the shape {column.shape}, and there are {n} values")
             if column.dtype.kind in "iuf" and each != "photodiode":

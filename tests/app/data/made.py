@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from goniotwin.app.formats.content import UNSTATED, ScatteredBsdf
+from goniotwin.app.formats.content import ABSENT, ScatteredBsdf
 from goniotwin.app.formats.table import BsdfTable
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics import arc_direction, to_specular
@@ -42,5 +42,5 @@ def rings(
     values = bsdf(theta, phi)
     n = values.size
     return ScatteredBsdf(
-        np.full(n, sigma_deg), np.zeros(n), polar, azimuth, values, u=UNSTATED if u is None else u * values, isotropic=isotropic
+        np.full(n, sigma_deg), np.zeros(n), polar, azimuth, values, u=ABSENT if u is None else u * values, isotropic=isotropic
     )

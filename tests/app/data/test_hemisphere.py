@@ -20,7 +20,7 @@ from goniotwin.app.campaign.reduction.reduction import Reduction
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.data.hemisphere import grid_weights
 from goniotwin.app.data.opening import dataset_of_file
-from goniotwin.app.formats.content import UNSTATED, BsdfFile, RegularTable
+from goniotwin.app.formats.content import ABSENT, BsdfFile, RegularTable
 from goniotwin.app.formats.table import BsdfTable
 from goniotwin.app.rig import read_rig
 from tests.app.data.made import gaussian, lambertian, rings, table
@@ -107,7 +107,7 @@ def test_what_values_share_counts_once_the_rest_averages_out() -> None:
     shared = dataset_of(replace(part, u_shared=0.3 * np.asarray(part.u))).reflectance()
     assert 0.0021 < shared.u < 0.0030
     assert any("the rest of u is independent" in each for each in shared.about)
-    unknown = dataset_of(replace(part, u=UNSTATED)).reflectance()
+    unknown = dataset_of(replace(part, u=ABSENT)).reflectance()
     assert math.isnan(unknown.u)
     assert any("u is not known" in each for each in unknown.about)
 
