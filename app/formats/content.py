@@ -20,6 +20,8 @@ from goniotwin.twin.optics import from_specular, to_specular
 from goniotwin.twin.optics.geometry.coordinates import TOLERANCE_DEG, arc_direction, wrap_azimuth, zenith_and_azimuth
 
 Texts = npt.NDArray[np.str_]
+ABSENT: Any = None
+"""A column that is not given; it is filled in when the values are made, so that it is an array for whatever reads it."""
 FILLED = "filled"
 """Flag of a value that a table has where none was measured."""
 CHECK = "mirrored"
@@ -52,14 +54,14 @@ class ScatteredBsdf:
     polar_deg: Floats
     azimuth_deg: Floats
     values: Floats
-    u: Floats | None = None
-    u_shared: Floats | None = None
-    wavelength_nm: Floats | None = None
-    channel: Texts | None = None
-    transmitted: Flags | None = None
-    back: Flags | None = None
-    flags: Texts | None = None
-    photodiode: Ints | None = None
+    u: Floats = ABSENT
+    u_shared: Floats = ABSENT
+    wavelength_nm: Floats = ABSENT
+    channel: Texts = ABSENT
+    transmitted: Flags = ABSENT
+    back: Flags = ABSENT
+    flags: Texts = ABSENT
+    photodiode: Ints = ABSENT
     sample: str = ""
     isotropic: bool = True
     generated: bool = False

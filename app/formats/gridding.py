@@ -6,7 +6,7 @@ values around it (`plane_through_points` of the optics).
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -177,7 +177,7 @@ class _Cuts:
         rings = self._filled(round_deg(points.polar_deg), round_deg(fold_azimuth(points.azimuth_deg)))
         about_specular = 0.0 if widest_gap_deg is not None else self._filled(theta, phi)
         if widest_gap_deg is not None or rings >= max(LEAST_FILLED, about_specular):
-            self._cut = self._of_rings
+            self._cut: Callable[[_Values, float], SpecularCut] = self._of_rings
             polar = np.diff(np.unique(round_deg(points.polar_deg)))
             azimuth = np.diff(np.unique(round_deg(fold_azimuth(points.azimuth_deg))))
             usual = [float(np.quantile(steps, 0.95)) for steps in (polar, azimuth) if steps.size]
@@ -235,8 +235,8 @@ class _Cuts:
         """Values at polar angles and azimuths, interpolated."""
         grid = grid_of_points(here.polar_deg, here.azimuth_deg, here.values, here.own, here.shared, mirrored=self._mirrored)
         if not self._mirrored and grid.azimuth_deg[0] == 0.0:  # round the whole turn
-            columns = (np.concatenate([each, each[:, :1]], axis=1) for each in (grid.values, grid.u, grid.shared))
-            grid = PolarGrid(grid.polar_deg, np.append(grid.azimuth_deg, TURN_DEG), *columns, mirrored=False)
+            at_nodes, u, shared = (np.concatenate([each, each[:, :1]], axis=1) for each in (grid.values, grid.u, grid.shared))
+            grid = PolarGrid(grid.polar_deg, np.append(grid.azimuth_deg, TURN_DEG), at_nodes, u, shared, mirrored=False)
         return resample(grid, sigma_deg, self.phi, self.theta, widest_gap_deg=self._gap)
 
     def _of_nodes(self, here: _Values, _sigma_deg: float) -> SpecularCut:

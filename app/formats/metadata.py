@@ -125,7 +125,8 @@ def _lines(entries: dict[str, Any], group: str = "") -> list[str]:
 
 def metadata_from_dict(entries: dict[str, Any]) -> Metadata:
     """The metadata of an archive; what has another name or type is not taken."""
-    return _from_dict(Metadata, entries)
+    found: Metadata = _from_dict(Metadata, entries)
+    return found
 
 
 def _from_dict(cls: type[Any], entries: dict[str, Any]) -> Any:

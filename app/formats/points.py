@@ -206,7 +206,8 @@ class _BsdfColumns:
         sigma = self.numbers("sigma_deg", empty=False)
         sigma = np.where(back & (sigma > 90.0), 180.0 - sigma, sigma)  # of the rig, whose mirror unit turns to the back
         if self.has("psi_deg", "polar_deg", "azimuth_deg"):
-            return sigma, *(self.numbers(name, empty=False) for name in ("psi_deg", "polar_deg", "azimuth_deg"))
+            psi, polar, azimuth = (self.numbers(name, empty=False) for name in ("psi_deg", "polar_deg", "azimuth_deg"))
+            return sigma, psi, polar, azimuth
         theta, phi = self.numbers("theta_deg", empty=False), self.numbers("phi_deg", empty=False)
         psi = psi_of_gamma(self.numbers("gamma_deg", 0.0, empty=False), back)
         polar, azimuth = zenith_and_azimuth(from_specular(sigma, theta, phi))

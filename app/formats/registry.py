@@ -467,7 +467,7 @@ def _beside(part: "Part", about: str, mark: str) -> "Part | None":
     """A part with its uncertainties, or its mask, in the place of the values; None where it has none."""
     import numpy as np
 
-    from goniotwin.app.formats.content import ScatteredBsdf
+    from goniotwin.app.formats.content import ABSENT, ScatteredBsdf
     from goniotwin.app.formats.table import BsdfTable
 
     comments = (mark, *part.comments)
@@ -481,7 +481,7 @@ def _beside(part: "Part", about: str, mark: str) -> "Part | None":
         if np.isnan(part.u).all():
             return None
         u = np.where(np.isnan(part.u), np.abs(part.values), part.u)  # of such a value nothing is known
-        return replace(part, values=u, u=None, u_shared=None, comments=comments)
+        return replace(part, values=u, u=ABSENT, u_shared=ABSENT, comments=comments)
     return replace(part, values=part.u, u=None, comments=comments)
 
 

@@ -48,6 +48,7 @@ from goniotwin.mocks.faulty_line import FaultyLine
 from goniotwin.protocols import usbip
 from goniotwin.protocols.clock import Clock, RealClock, VirtualClock
 from goniotwin.protocols.tmcl import Command, CommandFrame
+from tests.app.campaign.reduction.exporting import export
 from tests.app.campaign.reduction.long_journal import write_long_journal
 from tests.conftest import REPOSITORY, RIG, SMALL, RigOpener, Writer, changed
 from tests.drivers.endless_wires import QUICK, WIRES, EndlessServer, FloodedPort, check_calls, check_flood, check_stops
@@ -853,9 +854,8 @@ def test_the_memory_of_an_export_grows_by_less_than_a_kilobyte_per_row_and_each_
         rows.append(write_long_journal(path, wavelengths, 1, "repeats = 2\n"))
         reduced = 0
         tracemalloc.start()
-        form = exporting.export_format("csv")
         with Journal.open(path) as journal, reduction.reduce_to_files(journal, tmp_path) as found:
-            exporting.export(found, None, tmp_path / "a.csv", form)
+            export(found, None, tmp_path / "a.csv", "csv")
         memory.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
         reads.append(reduced)

@@ -47,12 +47,12 @@ def test_uncertainties_and_mask_go_from_file_to_file(tmp_path: Path) -> None:
     assert [each.name for each in second.files] == ["b.bsdf", "b.u.bsdf", "b.mask.bsdf"]
     values, u, mask = (registry.read(each).only_table().values for each in second.files)
     np.testing.assert_allclose(values, table().values, rtol=1e-8)
-    np.testing.assert_allclose(u, table().u, rtol=1e-8)
+    np.testing.assert_allclose(u, np.asarray(table().u), rtol=1e-8)
     np.testing.assert_array_equal(mask > 0.5, ~np.asarray(table().known))
     third = convert_file(tmp_path / "b.bsdf", tmp_path / "c.csv", format_to_write(tmp_path / "c.csv"), Choice())
     (points,) = registry.read(tmp_path / "c.csv").scattered
     expected = nodes(table())
-    assert third.values == int(np.count_nonzero(table().known))
+    assert third.values == int(np.count_nonzero(np.asarray(table().known)))
     np.testing.assert_allclose(points.values, expected.values, rtol=1e-8)
     np.testing.assert_allclose(points.u, expected.u, rtol=1e-8)
     np.testing.assert_array_equal(points.flags, expected.flags)
@@ -161,10 +161,10 @@ def test_info_states_what_a_file_is_and_how_complete(tmp_path: Path, capsys: pyt
 
 
 def test_info_counts_flags_and_lists_wavelengths(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    four = [np.full(4, value) for value in (30.0, 0.0, 40.0, 180.0)]
+    sigma, psi, polar, azimuth = (np.full(4, value) for value in (30.0, 0.0, 40.0, 180.0))
     points = ScatteredBsdf(
-        *four, np.array([1.0, np.nan, 2.0, 3.0]), wavelength_nm=np.array([450.0, 450.0, 550.0, 550.0]),
-        flags=np.array(["", "dead", "drift steep", ""]), sample="paint",
+        sigma, psi, polar, azimuth, np.array([1.0, np.nan, 2.0, 3.0]),
+        wavelength_nm=np.array([450.0, 450.0, 550.0, 550.0]), flags=np.array(["", "dead", "drift steep", ""]), sample="paint",
     )  # fmt: skip
     convert(BsdfFile((points,)), tmp_path / "a.csv")
     (part,) = run(capsys, "info", tmp_path / "a.csv")["parts"]

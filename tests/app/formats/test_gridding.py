@@ -1,6 +1,7 @@
 """Scattered values onto a grid: directions in any order, off any grid, of a turned sample, and at several wavelengths."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -33,11 +34,11 @@ def rings(psi: float = 0.0, isotropic: bool = True, step_deg: float = 5.0, whole
 
 def joined(*parts: ScatteredBsdf) -> ScatteredBsdf:
     names = ("sigma_deg", "psi_deg", "polar_deg", "azimuth_deg", "values", "u", "wavelength_nm", "flags")
-    columns = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
+    columns: dict[str, Any] = {name: np.concatenate([getattr(part, name) for part in parts]) for name in names}
     return ScatteredBsdf(**columns, isotropic=parts[0].isotropic)
 
 
-def worst(values: ScatteredBsdf, **options: float) -> float:
+def worst(values: ScatteredBsdf, **options: Any) -> float:
     """The largest deviation of a table's known nodes, well above the horizon, from the lobe; of a peak of 1."""
     table = grid_table(values, **options)
     assert table.known is not None
