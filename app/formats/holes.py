@@ -65,7 +65,7 @@ def _of_neighbours(values: Floats, known: Flags) -> Floats:
         own, others = float(values[0][rim].sum()), float(other[rim].sum())
         filled[usable] = other[usable] * (own / others if own > 0.0 and others > 0.0 else 1.0)
         missing &= ~usable
-    return filled
+    return np.asarray(filled)
 
 
 def _around(marked: Flags) -> Flags:
