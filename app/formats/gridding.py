@@ -178,7 +178,7 @@ class _Cuts:
         rings = self._filled(round_deg(points.polar_deg), round_deg(fold_azimuth(points.azimuth_deg)))
         about_specular = 0.0 if widest_gap_deg is not None else self._filled(theta, phi)
         if widest_gap_deg is not None or rings >= max(LEAST_FILLED, about_specular):
-            self._cut = self._of_rings
+            self._cut: Callable[[_Values, float], SpecularCut] = self._of_rings
             polar = np.diff(np.unique(round_deg(points.polar_deg)))
             azimuth = np.diff(np.unique(round_deg(fold_azimuth(points.azimuth_deg))))
             usual = [float(np.quantile(steps, 0.95)) for steps in (polar, azimuth) if steps.size]

@@ -76,7 +76,7 @@ def _around(marked: Flags) -> Flags:
     near[:, :-1] |= marked[:, 1:]
     near[1:] |= marked[:-1]
     near[:-1] |= marked[1:]
-    return near & ~marked
+    return np.asarray(near & ~marked)
 
 
 def _fitted(theta_deg: Floats, values: Floats, known: Flags) -> Floats:
