@@ -26,7 +26,7 @@ def render(
     seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the random numbers, the same for both.")] = 1,
     as_json: Json = False,
 ) -> None:
-    """Render a sphere with the BSDF of A, with that of B, and their difference.
+    """Render a sphere with either of two BSDFs, and the difference.
 
     The sphere is in a box with walls of a checkerboard, under a rectangular light. With --figure14 there are four columns:
     Gaussians of 2, 5, 15 and 30 deg by formula 6 above, as the virtual prototype with the worst combination of its deviations

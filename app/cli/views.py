@@ -89,10 +89,10 @@ def compare(
     dpi: Dpi = 150,
     as_json: Json = False,
 ) -> None:
-    """Compare two BSDFs: measured, simulated, theoretical, or of any two files.
+    """Compare two BSDFs: measured, simulated, or theoretical.
 
     The paper's formula 5 (relative RMS) with its range of directions, the deviations z in their uncertainty, and chi-square,
-    light by light, in the directions of A; where B has no value there it is interpolated. A model is evaluated in the
+    light by light, in the directions of A (of any two files); where B has no value there it is interpolated. A model is evaluated in the
     directions of the other; "theory" is that of the virtual rig with which A was measured. The picture has profiles with bands,
     and maps of z.
     """
@@ -127,7 +127,9 @@ def report(
     ] = False,
     as_json: Json = False,
 ) -> None:
-    """Write the report of a campaign: one HTML file that needs no other, to be read or printed.
+    """Write the report of a campaign, one HTML file.
+
+    It needs no other file, and can be read and printed.
 
     What was measured, on what, how, and with which uncertainty and budget; plots; the checks of goniotwin verify and closure;
     faults and flags; the metadata; the digest of the raw data. The journal is not changed.

@@ -172,7 +172,6 @@ class _Cuts:
         self._mirrored, self._widest = mirrored, math.inf if widest_gap_deg is None else widest_gap_deg
         self._gap = self._widest
         whole = HALF_TURN_DEG if mirrored else TURN_DEG
-        self._cut: Callable[[_Values, float], SpecularCut]
         self.phi = np.array([0.0, whole]) if _in_plane(points).all() else np.arange(0.0, whole + 1e-9, PHI_STEP_DEG)
         theta, phi = self._about_specular(points)
         rings = self._filled(round_deg(points.polar_deg), round_deg(fold_azimuth(points.azimuth_deg)))

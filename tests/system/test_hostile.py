@@ -49,7 +49,6 @@ from goniotwin.mocks.faulty_line import FaultyLine
 from goniotwin.protocols import usbip
 from goniotwin.protocols.clock import Clock, RealClock, VirtualClock
 from goniotwin.protocols.tmcl import Command, CommandFrame
-from tests.app.campaign.reduction.exporting import export
 from tests.app.campaign.reduction.long_journal import write_long_journal
 from tests.conftest import REPOSITORY, RIG, SMALL, RigOpener, Writer, changed
 from tests.drivers.endless_wires import QUICK, WIRES, EndlessServer, FloodedPort, check_calls, check_flood, check_stops

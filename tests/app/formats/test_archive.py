@@ -176,8 +176,9 @@ def test_a_folder_that_is_missing_is_named(tmp_path: Path) -> None:
 def test_a_million_values_are_read_as_they_were_written(tmp_path: Path) -> None:
     n = 1_000_000
     random = np.random.default_rng(1)
+    sigma, psi, polar, azimuth = random.uniform(0.0, 90.0, (4, n))
     many = ScatteredBsdf(
-        random.uniform(0.0, 90.0, n), random.uniform(0.0, 90.0, n), random.uniform(0.0, 90.0, n), random.uniform(0.0, 90.0, n), values=random.normal(size=n), u=random.normal(size=n),
+        sigma, psi, polar, azimuth, random.normal(size=n), random.normal(size=n),
         flags=np.array(["", "drift", "drift steep"])[random.integers(0, 3, n)],
     )  # fmt: skip
     archive.write(tmp_path / "many.h5", BsdfFile((many,)))

@@ -29,7 +29,8 @@ READ_ONLY = {
     "AOI 30\nPOI 0\nSide Front\nWavelength 550\nScatterType BRDF\nTIS 0.5\n1 2\n3 4\nDataEnd\n",
 }  # fmt: skip
 """A small file of each format that is not written."""
-READERS = [each for each in BUILT_IN if each.reads]
+READERS = [each for each in BUILT_IN if each.reads and each.name != "merl"]
+"""A file of MERL has 35 MB: test_merl.py has its damaged ones."""
 
 
 def original(found: Format, folder: Path) -> bytes:
