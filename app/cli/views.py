@@ -92,9 +92,9 @@ def compare(
     """Compare two BSDFs: measured, simulated, or theoretical.
 
     The paper's formula 5 (relative RMS) with its range of directions, the deviations z in their uncertainty, and chi-square,
-    light by light, in the directions of A (of any two files); where B has no value there it is interpolated. A model is evaluated in the
-    directions of the other; "theory" is that of the virtual rig with which A was measured. The picture has profiles with bands,
-    and maps of z.
+    light by light, in the directions of A; where B has no value there it is interpolated. A and B are journals, files of any
+    format, or models. A model is evaluated in the directions of the other; "theory" is that of the virtual rig with which A was
+    measured. The picture has profiles with bands, and maps of z.
     """
     from goniotwin.app.data.comparison import compare as compare_datasets
     from goniotwin.app.data.plotting import check_picture, plot_comparison, save_figure
