@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import goniotwin
@@ -62,6 +62,7 @@ def test_a_journal_has_that_of_its_budget_with_the_journal_closed(
         d.reflectance(sigma_deg=31)
 
 
+@settings(max_examples=25)
 @given(st.floats(0.0, 80.0), st.booleans(), st.booleans())
 def test_the_weights_of_a_grid_add_up_to_the_half_sphere(sigma_deg: float, mirrored: bool, one: bool) -> None:
     theta = np.array([0.0, 1.0, 3.0, 10.0, 40.0, 90.0, 180.0])

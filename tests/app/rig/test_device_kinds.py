@@ -183,6 +183,7 @@ def test_a_converter_of_twelve_bits_gives_the_values_of_the_first_make(
     assert not daq.flag("clipped").any()
 
 
+@pytest.mark.long
 def test_what_is_beyond_the_range_of_twelve_bits_is_flagged(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
     plan = make_plan(read_schedule(write_schedule(*MORE_READINGS, ("[1e8, 1e10]", "[1e10]"))), read_rig(write_rig(*DAQ)))
     settings = plan.rig.file.photodiodes
