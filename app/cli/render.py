@@ -46,16 +46,22 @@ def render(
     rendering.load_mitsuba()
     if first is None or second is None:
         pairs = rendering.figure14(print_note, size, rays, seed)
-        names = ("theory", "measured")
+        names = ("theory", "measured (SIMULATED)")
     else:
         one, other = (rendering.read_table(path) for path in (first, second))
         pairs = [rendering.render_pair(one, other, f"{first.stem}, {second.stem}", size, rays, seed)]
-        names = (first.name, second.name)
+        marks = (" (SIMULATED)" if table.generated else "" for table in (one, other))
+        names = (f"{first.name}{next(marks)}", f"{second.name}{next(marks)}")
     write_figure(rendering.picture(pairs, names), out, 150)
-    result: dict[str, Any] = {"file": str(out), "variant": rendering.VARIANT, "pairs": [pair.as_dict() for pair in pairs]}
+    result: dict[str, Any] = {
+        "file": str(out),
+        "variant": rendering.VARIANT,
+        "of": list(names),
+        "pairs": [pair.as_dict() for pair in pairs],
+    }
 
     def show() -> None:
-        print(out)
+        print(f"{out}: {names[0]}, {names[1]}")
         for each in result["pairs"]:
             print(f"{each['title']}: the difference is {each['rms_percent_of_white']:.2g} % of white (RMS)")
 

@@ -169,6 +169,8 @@ def convert_content(
     `widest_gap_deg`: see `gridding.grid_table`.
     """
     notes: list[str] = []
+    if not form.holds.issuperset({Holds.GRID, Holds.POINTS}):
+        content = content.of_tables() if Holds.GRID in form.holds else content.of_points()
     chosen = _of_sample(content, path, form, choice.sample)
     chosen = _of_side(chosen, path, form, choice.side, notes)
     chosen = _of_light(chosen, path, form, choice.light)

@@ -135,6 +135,7 @@ def dataset_of_file(content: BsdfFile, name: str, origin: str = "file") -> Datas
 
 def _sample_of_parts(content: BsdfFile) -> SampleData:
     """The parts of one sample as one list of values."""
+    content = content.of_points()
     pieces = [*map(_sample_of_table, content.tables), *map(_sample_of_scattered, content.scattered)]
     joined = _join(pieces) if pieces else _sample_of_scattered(_no_values(content.regular))
     return replace(

@@ -207,6 +207,27 @@ class BsdfFile:
         """The parts of one sample."""
         return replace(self, parts=tuple(part for part in self.parts if part.sample == sample))
 
+    def of_points(self) -> "BsdfFile":
+        """Without the tables of samples whose scattered values are there: an archive has both, and one is made of the other."""
+        own = {part.sample for part in self.scattered}
+        return replace(
+            self, parts=tuple(each for each in self.parts if not (isinstance(each, BsdfTable) and each.sample in own))
+        )
+
+    def of_tables(self) -> "BsdfFile":
+        """Without the scattered values of which there is a table, by sample, light and side."""
+        tabled = {(each.sample, each.transmitted, each.back) for each in self.tables}
+        parts: list[Part] = []
+        for each in self.parts:
+            if isinstance(each, ScatteredBsdf) and tabled:
+                alone = (
+                    one for one in separate(each) if (each.sample, bool(one.transmitted[0]), bool(one.back[0])) not in tabled
+                )
+                parts += alone
+            else:
+                parts.append(each)
+        return replace(self, parts=tuple(parts))
+
 
 def separate(part: ScatteredBsdf) -> Iterator[ScatteredBsdf]:
     """The values of each light and side."""

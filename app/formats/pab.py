@@ -28,7 +28,7 @@ from goniotwin.twin.optics.geometry.coordinates import wrap_azimuth
 
 KEYWORDS = "sample_?name|format|incident_?angle|intheta|inphi|upphi|colorimetry"
 KEYWORD = re.compile(rf"#\s*({KEYWORDS})\b[\s:]*(.*)", re.IGNORECASE)
-FORMAT = re.compile(rb"(?:^|[\r\n])#[ \t]*format[ \t:]*theta[ \t]+phi[ \t]+(?:[a-z]*SDF|B[RT]DF)", re.IGNORECASE)
+FORMAT = re.compile(rb"(?:^|[\r\n])#[ \t]*format[ \t:]*theta[ \t]+phi[ \t]+(?:BSDF|B[RT]DF|DSF)", re.IGNORECASE)
 QUANTITIES = ("BSDF", "BRDF", "BTDF", "DSF")
 XYZ = ("X", "Y", "Z")
 

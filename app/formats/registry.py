@@ -83,7 +83,8 @@ class Format:
 
     `suffixes` are in lower case, with the dot; a file of a format without any is found by its content alone. `codec` may be the
     name of its module. With `folders`, a folder of files is one table: its reader takes the folder, too, and the first of its
-    files is recognised. Raises ValueError for a name, suffix or content that is not possible.
+    files is recognised. One that `resamples` has a grid of its own in each file, so that no uncertainties and no mask of the
+    same grid can be beside it. Raises ValueError for a name, suffix or content that is not possible.
     """
 
     name: str
@@ -94,6 +95,7 @@ class Format:
     reads: bool = True
     writes: bool = True
     folders: bool = False
+    resamples: bool = False
 
     def __post_init__(self) -> None:
         """Check the fields."""
@@ -203,7 +205,7 @@ BUILT_IN = (
     ),
     Format(
         "rgl", "tensor file for Mitsuba 3, as of the RGL", (".bsdf",),
-        _TABLE | {Holds.REFLECTED}, "goniotwin.app.formats.rgl",
+        _TABLE | {Holds.REFLECTED}, "goniotwin.app.formats.rgl", resamples=True,
     ),
     Format(
         "merl", "MERL's binary files", (".binary",), frozenset({Holds.GRID, Holds.SIGMAS, Holds.COLOURS, Holds.REFLECTED}),
@@ -428,7 +430,9 @@ def described_table(content: "BsdfFile") -> str | None:
 
 def files_beside(path: Path, found: Format) -> dict[str, Path]:
     """The files that a result in a format may have beside it, by the comment that marks them."""
-    beside = {}
+    beside: dict[str, Path] = {}
+    if found.resamples:
+        return beside
     if found.holds & BSDF and Holds.UNCERTAINTY not in found.holds:
         beside[ABOUT_UNCERTAINTY] = uncertainty_path(path)
     if Holds.GRID in found.holds and Holds.MASK not in found.holds:

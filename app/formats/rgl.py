@@ -387,8 +387,9 @@ def read(path: StrPath) -> BsdfFile:
     The incidences are those of the file. theta is as dense as the grid of the file, phi every 5 deg.
     """
     fields = _fields(path)
-    material, wavelengths, description = _material(path, fields)
-    with name_file(path, COPY_AGAIN):
+    # An overflow becomes inf, which the table refuses.
+    with name_file(path, COPY_AGAIN), np.errstate(over="ignore", invalid="ignore", divide="ignore", under="ignore"):
+        material, wavelengths, description = _material(path, fields)
         return BsdfFile((_table(path, material, wavelengths, description),))
 
 

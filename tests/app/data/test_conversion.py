@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import goniotwin
 from goniotwin.app.cli.main import app
 from goniotwin.app.data.conversion import Choice, Converted, convert_content, convert_file, format_to_write
 from goniotwin.app.errors import GoniotwinError, UserError
@@ -170,3 +171,21 @@ def test_info_counts_flags_and_lists_wavelengths(tmp_path: Path, capsys: pytest.
     (part,) = run(capsys, "info", tmp_path / "a.csv")["parts"]
     assert part["flags"] == {"dead": 1, "drift": 1, "steep": 1}
     assert (part["measured"], part["wavelengths_nm"]) == (2, [450.0, 550.0])
+
+
+def test_of_an_archive_each_value_counts_once(tmp_path: Path) -> None:
+    """It has a sample's values and the table made of them: a list has the ones, a table the other, a dataset the values."""
+    grid = table()
+    values = replace(nodes(grid), comments=())
+    content = BsdfFile((values, grid))
+    assert content.of_points().parts == (values,)
+    assert content.of_tables().parts == (grid,)
+    through = replace(values, transmitted=np.ones(values.size, dtype=bool))
+    assert len(BsdfFile((through, grid)).of_tables().parts) == 2  # light of which there is no table
+    path = tmp_path / "a.h5"
+    registry.write(path, content, registry.format_named("archive", {registry.Holds.GRID}))
+    assert goniotwin.open(path).size == values.size
+    listed = convert_file(path, tmp_path / "a.csv", format_to_write(tmp_path / "a.csv"), Choice())
+    assert registry.read(listed.files[0]).scattered[0].size == values.size
+    made = convert_file(path, tmp_path / "a.ddr", format_to_write(tmp_path / "a.ddr"), Choice())
+    np.testing.assert_allclose(registry.read(made.files[0]).only_table().values, grid.values, rtol=1e-8)

@@ -240,7 +240,9 @@ def test_pab_has_both_sides_in_one_system(tmp_path: Path) -> None:
 
 
 def test_pab_has_cosines_and_colours(tmp_path: Path) -> None:
-    with_cosine = read(pab, tmp_path / "a.txt", PAB.replace("BSDF", "DSF").replace("150 10", "120 10"))
+    text = PAB.replace("BSDF", "DSF").replace("150 10", "120 10")
+    assert pab.recognise(text.encode())
+    with_cosine = read(pab, tmp_path / "a.txt", text)
     np.testing.assert_allclose(with_cosine.values, [0.25 / np.cos(np.radians(15)), 1.0])
     text = PAB.replace("#upphi 90", "#colorimetry: CIE-XYZ").replace("0.25", "0.2 0.3 0.4").replace("0.5", "1 2 3")
     colours = read(pab, tmp_path / "b.txt", text)
