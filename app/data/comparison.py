@@ -244,6 +244,7 @@ def _model_values(scatterer: Scatterer, data: SampleData) -> Floats:
 
 
 def _range(theta_deg: object, polar_deg: object, least_share: object, in_plane: object) -> Range:
+    limits: list[float] = []
     for name, value, most in (
         ("theta_deg", theta_deg, 180.0),
         ("polar_deg", polar_deg, 90.0),
@@ -251,9 +252,11 @@ def _range(theta_deg: object, polar_deg: object, least_share: object, in_plane: 
     ):
         if isinstance(value, bool) or not isinstance(value, int | float | np.number) or not 0.0 <= float(value) <= most:
             raise UserError(f"{name}: {value!r}: give a number from 0 to {most:g}")
+        limits.append(float(value))
     if not isinstance(in_plane, bool):
         raise UserError(f"in_plane: {in_plane!r}: give True or False")
-    return Range(float(theta_deg), float(polar_deg), float(least_share), in_plane)  # type: ignore[arg-type]
+    theta, polar, least = limits
+    return Range(theta, polar, least, in_plane)
 
 
 def _one_channel(data: SampleData) -> bool:

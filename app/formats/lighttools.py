@@ -126,7 +126,7 @@ class _Reader:
                 low, high = (-360.0, 360.0) if name == "ScatterAzimuth" else (0.0, 90.0)
                 self.angles_of[name] = self.words.angles(name, high, low)
             elif name in ("Symmetry", "SpectralContent"):
-                self.word_of[name] = self._one_of(name, SYMMETRIES if name == "Symmetry" else CONTENTS)
+                self.word_of[name] = self.words.one_of(name, SYMMETRIES if name == "Symmetry" else CONTENTS)
             else:
                 self.word_of[name] = self.words.take_line(f"the value of {name}")
         self.words.take("DataBegin")
@@ -134,13 +134,6 @@ class _Reader:
         if missing:
             wrong = f"{', '.join(missing)} {'is' if len(missing) == 1 else 'are'} missing"
             raise FormatError(self.words.path, wrong, "add it before the data")
-
-    def _one_of(self, name: str, known: tuple[str, ...]) -> str:
-        word = self.words.take(f"the value of {name}")
-        spelled = {each.lower(): each for each in known}.get(word.lower())
-        if spelled is None:
-            raise self.words.error(f"{name} {quote_word(word)} is not known", f"write {' or '.join(known)}")
-        return spelled
 
     def _block(self, before: list[tuple[_Block, Floats]]) -> tuple[_Block, Floats]:
         block = _Block()
@@ -172,11 +165,11 @@ class _Reader:
         elif name == "POI":
             block.poi = self.words.number(name)
         elif name == "Side":
-            block.side = self._one_of(name, ("Front", "Back"))
+            block.side = self.words.one_of(name, ("Front", "Back"))
         elif name == "Wavelength":
             nanometres = self.words.number(name)
             block.wavelength_nm = nanometres if nanometres > 0.0 else math.nan
         elif name == "ScatterType":
-            block.scatter_type = self._one_of(name, ("BRDF", "BTDF"))
+            block.scatter_type = self.words.one_of(name, ("BRDF", "BTDF"))
         else:
-            block.tristimulus = self._one_of(name, TRISTIMULUS)
+            block.tristimulus = self.words.one_of(name, TRISTIMULUS)

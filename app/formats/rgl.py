@@ -463,7 +463,7 @@ def _material(
         raise FormatError(path, wrong, COPY_AGAIN)
     if min(*values.shape[3:], *warp.shape[2:], *fields["ndf"].shape, *fields["sigma"].shape) < 2:
         raise FormatError(path, "a grid has fewer than two rows or columns", COPY_AGAIN)
-    if (warp < 0).any() or (fields["sigma"] <= 0).any():  # type: ignore[operator]
+    if (np.asarray(warp, dtype=np.float64) < 0.0).any() or (np.asarray(fields["sigma"], dtype=np.float64) <= 0.0).any():
         raise FormatError(path, "vndf or sigma has negative values", COPY_AGAIN)
     angles = [np.asarray(each, dtype=np.float64) for each in (theta, phi)]
     if any(np.any(np.diff(each) <= 0.0) for each in angles) or angles[0][0] < 0.0 or angles[0][-1] > 0.5 * math.pi + 1e-6:

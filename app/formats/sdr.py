@@ -122,17 +122,10 @@ class _Reader:
             if name == "sigma":
                 sigma = self.words.angles(name, 90.0)
             elif name == "Source":
-                self.source = self._one_of(name, SOURCES)
+                self.source = self.words.one_of(name, SOURCES)
             else:
-                self.model = self._one_of(name, ("BW", "RGB", "spectral"))
+                self.model = self.words.one_of(name, ("BW", "RGB", "spectral"))
                 self.count = self.words.count("wavelengths") if self.model == "spectral" else 1 if self.model == "BW" else 3
         if sigma is None:
             raise FormatError(self.words.path, "sigma is missing", "add it before the data")
         return sigma
-
-    def _one_of(self, name: str, known: tuple[str, ...]) -> str:
-        word = self.words.take(f"the value of {name}")
-        spelled = {each.lower(): each for each in known}.get(word.lower())
-        if spelled is None:
-            raise self.words.error(f"{name} {quote_word(word)} is not known", f"write {' or '.join(known)}")
-        return spelled

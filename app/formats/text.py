@@ -181,6 +181,14 @@ class Words:
             words.append(self.take(wanted))
         return " ".join(words)
 
+    def one_of(self, name: str, known: Collection[str]) -> str:
+        """Take the value of a keyword, one of these; upper and lower case are equal."""
+        word = self.take(f"the value of {name}")
+        spelled = {each.lower(): each for each in known}.get(word.lower())
+        if spelled is None:
+            raise self.error(f"{name} {quote_word(word)} is not known", f"write {' or '.join(known)}")
+        return spelled
+
     def count(self, of: str) -> int:
         """Take a whole number above 0."""
         word = self.take(f"the number of {of}")

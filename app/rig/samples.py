@@ -27,6 +27,7 @@ from goniotwin.app.formats import BsdfTable, FormatError, registry
 from goniotwin.app.formats.content import BsdfFile, separate
 from goniotwin.app.formats.content import RegularTable as RegularFactors
 from goniotwin.app.formats.gridding import grid_table
+from goniotwin.app.formats.holes import Fill
 from goniotwin.app.toml_file import TomlTable, validate_table
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics import (
@@ -194,7 +195,7 @@ class MeasuredTable(TomlTable):
     side: Side = default_of(table_sample, "side")
     symmetry: Symmetry = default_of(table_sample, "symmetry")
     sample: str | None = None
-    fill: Literal["hold", "neighbour", "fit", "refuse"] = "hold"
+    fill: Fill = "hold"
 
 
 LobeTable = Annotated[
@@ -356,9 +357,9 @@ def _file_sample(content: BsdfFile, path: Path, sample: MeasuredTable) -> Scatte
         known = registry.join_words(registry.read(path).samples)
         wrong = f"there is no sample {sample.sample!r} in it" if sample.sample is not None else "it has several samples"
         raise FormatError(path, wrong, f"choose one with the key sample: {known}")
+    content = content.of_tables()
     tables = list(content.tables)
-    # Of an archive the table is made of the values, and may be filled in another way.
-    for part in content.scattered if not tables else ():
+    for part in content.scattered:
         tables += [grid_table(each, fill=sample.fill) for each in separate(part)]
     lobes = [_table_sample(table, path.name, sample) for table in tables]
     lobes += [each for part in content.regular for each in _regular_lobes(part, sample)]
