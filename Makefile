@@ -18,12 +18,17 @@ test: $(READY)
 	@QT_QPA_PLATFORM=offscreen $(BIN)/python -c "import PySide6.QtWidgets" 2>/dev/null || { \
 	  echo "The tests of the window need Qt's system libraries. On Debian and Ubuntu:"; \
 	  echo "  sudo apt-get install -y libegl1 libgl1 libxkbcommon0 libdbus-1-3 libfontconfig1 libglib2.0-0"; exit 1; }
-	@echo "ruff, mypy and lint-imports on one core, kernels and tests compiled on the other"; \
+	@$(BIN)/ruff check . && $(BIN)/ruff format --check .
+	@# The types take a minute of one core: at low priority, in what the tests leave.
+	@echo "mypy and lint-imports run beside the tests; first the kernels are compiled, on both cores"; \
+	{ nice -n 15 $(BIN)/mypy && PYTHONPATH=$(VENV)/links $(BIN)/lint-imports; } >$(VENV)/types.log 2>&1 & checks=$$!; \
 	$(BIN)/python -m tests.kernels forward >$(VENV)/kernels.log 2>&1 & kernels=$$!; \
-	{ $(BIN)/ruff check . && $(BIN)/ruff format --check . && $(BIN)/mypy && PYTHONPATH=$(VENV)/links $(BIN)/lint-imports && $(BIN)/python -m tests.kernels fast; } \
-	  || { kill $$kernels 2>/dev/null; exit 1; }; \
-	wait $$kernels || { cat $(VENV)/kernels.log; exit 1; }
-	$(PYTEST) -n 4 -m "not long"
+	trap 'kill $$checks $$kernels 2>/dev/null' EXIT; trap 'exit 130' INT TERM; \
+	$(BIN)/python -m tests.kernels fast || exit 1; \
+	wait $$kernels || { cat $(VENV)/kernels.log; exit 1; }; \
+	$(PYTEST) -n 4 -m "not long"; tests=$$?; \
+	wait $$checks; types=$$?; cat $(VENV)/types.log; \
+	test $$tests -eq 0 && test $$types -eq 0
 
 # The slow proofs, in full; run before a change of what they prove is called done.
 test-long: $(READY)

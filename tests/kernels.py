@@ -2,8 +2,8 @@
 
     python -m tests.kernels [fast] [forward]
 
-What the product does with its optics and its planner, each once and as small as it can be, fills numba's cache. `forward`
-takes about as long as mypy and `fast` after it (see the Makefile). What is missing here is compiled by the first test that
+What the product does with its optics and its planner, each once and as small as it can be, fills numba's cache. `forward` and
+`fast` are compiled at the same time (see the Makefile). What is missing here is compiled by the first test that
 needs it: that costs time and nothing else.
 """
 
