@@ -18,13 +18,10 @@ from goniotwin.app.data.interpolation import RECTANGULAR, own_and_shared
 from goniotwin.app.data.values import EQUAL, LightSetting, Measured, SampleData, ValueWithU, neighbours
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats.content import RegularTable
+from goniotwin.app.formats.coverage import share_weights
 from goniotwin.arrays import Flags, Floats
-from goniotwin.twin.optics import from_specular
 from goniotwin.twin.optics.geometry.coordinates import HALF_TURN_DEG, TOLERANCE_DEG, TURN_DEG, round_deg
 
-STEP_DEG = 1.0
-"""Cells of a grid are divided to this width for the integral of the cosine."""
-NODES, NODE_WEIGHTS = np.polynomial.legendre.leggauss(3)
 MOST_BEYOND = math.cos(math.radians(LEAST_POLAR_DEG)) ** 2
 """Share of the half sphere's projected solid angle that may be beyond the last theta of a grid."""
 
@@ -134,45 +131,14 @@ def grid_weights(theta_deg: Floats, phi_deg: Floats, sigma_deg: float, *, mirror
     They are linear in theta and phi. Second: the share of the half sphere that is beyond the last theta; its weight is that of
     the last node.
     """
-    at, d_theta, by_theta = _divided(np.append(theta_deg, HALF_TURN_DEG) if theta_deg[-1] < HALF_TURN_DEG else theta_deg)
-    beyond = at > theta_deg[-1]
-    if theta_deg[-1] < HALF_TURN_DEG:  # held beyond the last node
-        by_theta[:, -2] += by_theta[:, -1]
-        by_theta = by_theta[:, :-1]
-    if phi_deg.size == 1:
-        around, d_phi, by_phi = _divided(np.array([0.0, TURN_DEG]))
-        by_phi = by_phi.sum(axis=1, keepdims=True)
-    elif mirrored:
-        ends = [*([0.0] if phi_deg[0] > 0.0 else []), *phi_deg, *([HALF_TURN_DEG] if phi_deg[-1] < HALF_TURN_DEG else [])]
-        around, d_phi, by_phi = _divided(np.array(ends))
-        if phi_deg[0] > 0.0:
-            by_phi[:, 1] += by_phi[:, 0]
-            by_phi = by_phi[:, 1:]
-        if phi_deg[-1] < HALF_TURN_DEG:
-            by_phi[:, -2] += by_phi[:, -1]
-            by_phi = by_phi[:, :-1]
-        d_phi = 2.0 * d_phi
-    else:
-        around, d_phi, by_phi = _divided(np.append(phi_deg, phi_deg[0] + TURN_DEG))
-        by_phi[:, 0] += by_phi[:, -1]
-        by_phi = by_phi[:, :-1]
-    cosine = np.maximum(from_specular(sigma_deg, at[None, :], around[:, None])[..., 2], 0.0)
-    solid = cosine * np.sin(np.radians(at)) * d_theta * d_phi[:, None]
-    return by_phi.T @ solid @ by_theta, float(solid[:, beyond].sum() / math.pi)
-
-
-def _divided(nodes_deg: Floats) -> tuple[Floats, Floats, Floats]:
-    """Places (m,) within the cells of nodes (n,), deg, their widths in rad, and linear weights (m, n) of the nodes there."""
-    places, widths, rows = [], [], []
-    for k, (start, end) in enumerate(zip(nodes_deg[:-1].tolist(), nodes_deg[1:].tolist(), strict=True)):
-        parts = max(math.ceil((end - start) / STEP_DEG), 1)
-        centres = (np.arange(parts)[:, None] + 0.5 + 0.5 * NODES).ravel() / parts
-        weight = np.zeros((centres.size, nodes_deg.size))
-        weight[:, k], weight[:, k + 1] = 1.0 - centres, centres
-        places.append(start + (end - start) * centres)
-        widths.append(np.tile(NODE_WEIGHTS, parts) * math.radians(end - start) / (2.0 * parts))
-        rows.append(weight)
-    return np.concatenate(places), np.concatenate(widths), np.concatenate(rows)
+    turn = HALF_TURN_DEG if mirrored or phi_deg.size == 1 else TURN_DEG
+    weights = share_weights(sigma_deg, phi_deg, theta_deg, turn)
+    if theta_deg[-1] >= HALF_TURN_DEG:
+        return weights, 0.0
+    beyond = 1.0 - float(weights.sum()) / math.pi
+    weights = share_weights(sigma_deg, phi_deg, np.append(theta_deg, HALF_TURN_DEG), turn)
+    weights[:, -2] += weights[:, -1]
+    return weights[:, :-1], beyond
 
 
 def _sum(data: SampleData, light: LightSetting, weight: Floats, errors: list[float], filled: float) -> ValueWithU:

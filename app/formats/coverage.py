@@ -145,12 +145,13 @@ def scattered_share(table: BsdfTable) -> Floats:
     return shares
 
 
-def share_weights(axis_deg: float, phi_deg: Floats, theta_deg: Floats) -> Floats:
+def share_weights(axis_deg: float, phi_deg: Floats, theta_deg: Floats, turn_deg: float | None = None) -> Floats:
     """Weights (phi, theta) of the values in their integral times the cosine of the observed direction, over the solid angle.
 
-    `axis_deg` is the polar angle of the specular direction. phi ends at 180 where the other half is the mirror image.
+    `axis_deg` is the polar angle of the specular direction. Where the other half is the mirror image, the turn is 180 deg;
+    without `turn_deg` that is where phi ends at 180.
     """
-    turn = 180.0 if phi_deg[-1] <= 180.0 else 360.0
+    turn = turn_deg or (180.0 if phi_deg[-1] <= 180.0 else 360.0)
     phi_edges = np.radians(np.linspace(0.0, turn, round(turn / FINE_PHI_DEG) + 1))
     steps = np.maximum(np.ceil(np.diff(theta_deg, prepend=0.0) / FINE_THETA_DEG).astype(int), 0)
     pieces = [np.linspace(a, b, n, endpoint=False) for a, b, n in zip([0.0, *theta_deg], theta_deg, steps, strict=False)]
