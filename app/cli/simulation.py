@@ -84,6 +84,15 @@ def simulate(
         str | None,
         typer.Option("--phi", metavar="LIST", help="Output grid: about the specular direction, deg.", show_default=False),
     ] = None,
+    psi: Annotated[
+        str | None,
+        typer.Option(
+            "--psi",
+            metavar="LIST",
+            show_default=False,
+            help="Azimuths of the light in the frame of an anisotropic sample, deg; default: those of its table, or every 15.",
+        ),
+    ] = None,
     rig: Rig = None,
     no_obstruction: Annotated[bool, typer.Option("--no-obstruction", help="Without the shadow of the mirrors.")] = False,
     transmitted: Annotated[bool, typer.Option("--transmitted", help="Detect on the side that is not lit.")] = False,
@@ -108,6 +117,9 @@ def simulate(
     detectors are 0.5 deg apart near the specular direction and up to 5 deg elsewhere. Directions that the mirrors block have
     no value; the comments of a table list them. The standard errors of FILE.ddr are in FILE.u.ddr, on the same grid.
 
+    An anisotropic sample has a table for each psi. What a sample reflects like a mirror is no spike in the files if one of them
+    has room for it (FILE.sdr, .sdt, .ssdd, .h5): give --out FILE.ddr --out FILE.sdr.
+
     Both estimators count light that was scattered once, by the sample; with --stray all light that arrives.
     """
     if context.invoked_subcommand is not None:
@@ -124,7 +136,7 @@ def simulate(
     from goniotwin.app.rig.samples import parse_sample, table_files
     from goniotwin.app.simulation.detectors import parse_list
     from goniotwin.app.simulation.estimate import EstimatorSettings
-    from goniotwin.app.simulation.files import check_file_names, check_formats, summary, write_simulation
+    from goniotwin.app.simulation.files import check_file_names, summary, task_of_files, write_simulation
     from goniotwin.app.simulation.simulate import WAVELENGTH_LIMITS_NM, Task
     from goniotwin.app.simulation.simulate import simulate as simulate_task
 
@@ -149,8 +161,9 @@ def simulate(
         azimuth_deg=parse(azimuth, "--azimuth", 0.0, 360.0),
         theta_deg=parse(theta, "--theta", 0.0, 180.0),
         phi_deg=parse(phi, "--phi", 0.0, 360.0),
+        psi_deg=parse(psi, "--psi", 0.0, 360.0),
     )
-    check_formats(task, out)
+    task = task_of_files(task, out)
     with ShareProgress(Console(stderr=True), "simulating") as progress:
         simulation = simulate_task(task, progress)
     files = [file for path in out for file in write_simulation(simulation, path)]
@@ -326,9 +339,18 @@ def _read_source(
     return read_source(path, unit, instrument)
 
 
+def _share(regular: dict[str, Any]) -> str:
+    """The share of the light, or its range over the wavelengths, in words."""
+    shares = regular["share"] if isinstance(regular["share"], list) else [regular["share"]]
+    ends = dict.fromkeys(f"{each:.4g}" for each in (min(shares), max(shares)))
+    return " to ".join(ends)
+
+
 def _print_summary(result: dict[str, Any]) -> None:
     """Print the result of a simulation as text."""
     with_or_without = "with" if result["stray"] else "without"
+    if len(result["psi"]) > 1:
+        print(f"anisotropic: {len(result['psi'])} azimuths of the light, psi {result['psi'][0]:g} to {result['psi'][-1]:g}")
     light = f"{'transmitted' if result['transmitted'] else 'reflected'} light, the {result['side']} lit"
     print(f"SIMULATED, {result['values']} values: {', '.join(result['files'])}")
     print(f"{light}, {with_or_without} stray light")
@@ -339,7 +361,16 @@ def _print_summary(result: dict[str, Any]) -> None:
         factor = peak["largest_luminance_factor"]
         place = "blocked or between the detectors" if factor is None else f"luminance factor up to {factor:.4g} here"
         within = f"within {peak['seen_within_deg']:.2f} deg of theta 0"
-        print(f"regular component at sigma {peak['sigma']:g}: {peak['share']:.4g} of the light {within}, {place}")
+        print(f"regular component at sigma {peak['sigma']:g}: {_share(peak)} of the light {within}, {place}")
+    if result["regular"]:
+        print(
+            "the table or the points contain what the detectors see of it; a second --out FILE.sdr (.sdt, .ssdd) takes it apart"
+        )
+    if result["regular_apart"]:
+        shares = "; ".join(f"{_share(each)} of the light at sigma {each['sigma']:g}" for each in result["regular_apart"])
+        print(f"regular component, apart: {shares}")
+    for note in result["notes"]:
+        print(note)
     for key, words in (("hidden_directions", "blocked by the mirrors"), ("directions_without_hits", "without a path")):
         counts = ", ".join(f"{count} at sigma {each}" for each, count in result[key].items() if count)
         if counts:
