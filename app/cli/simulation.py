@@ -56,6 +56,15 @@ def simulate(
             help="The suffix names a format of the list below: a table, or the points of all detectors; may be repeated.",
         ),
     ] = None,
+    form: Annotated[
+        str | None,
+        typer.Option(
+            "--format",
+            metavar="NAME",
+            show_default=False,
+            help="Format of the files whose suffix several formats have: rgl for FILE.bsdf, which is zemax otherwise.",
+        ),
+    ] = None,
     estimator: Annotated[Literal["fast", "forward"], typer.Option("--estimator", help="Ray-tracing method.")] = "fast",
     rays: Annotated[
         int | None, typer.Option("--rays", help="fast: rays for each detector; default 7.", show_default=False)
@@ -153,7 +162,7 @@ def simulate(
         estimator=EstimatorSettings(estimator, rays, paths, error, seed),
         wavelengths_nm=wavelengths,
         back=side == "back",
-        transmitted=check_file_names(out, read, transmitted),
+        transmitted=check_file_names(out, read, transmitted, form),
         stray=with_stray,
         frames=frames,
         source=_read_source(source, wavelengths, interval, bandwidth, instrument),
@@ -163,10 +172,10 @@ def simulate(
         phi_deg=parse(phi, "--phi", 0.0, 360.0),
         psi_deg=parse(psi, "--psi", 0.0, 360.0),
     )
-    task = task_of_files(task, out)
+    task = task_of_files(task, out, form)
     with ShareProgress(Console(stderr=True), "simulating") as progress:
         simulation = simulate_task(task, progress)
-    files = [file for path in out for file in write_simulation(simulation, path)]
+    files = [file for path in out for file in write_simulation(simulation, path, form)]
     result = summary(simulation, files)
     answer(as_json, result, lambda: _print_summary(result))
 
@@ -349,10 +358,12 @@ def _share(regular: dict[str, Any]) -> str:
 def _print_summary(result: dict[str, Any]) -> None:
     """Print the result of a simulation as text."""
     with_or_without = "with" if result["stray"] else "without"
-    if len(result["psi"]) > 1:
-        print(f"anisotropic: {len(result['psi'])} azimuths of the light, psi {result['psi'][0]:g} to {result['psi'][-1]:g}")
+    if psi := result["psi"]:
+        several = f"{len(psi)} azimuths of the light, psi {psi[0]:g} to {psi[-1]:g}"
+        print(f"anisotropic: {several if len(psi) > 1 else f'psi {psi[0]:g} alone, which a table states for every psi'}")
     light = f"{'transmitted' if result['transmitted'] else 'reflected'} light, the {result['side']} lit"
-    print(f"SIMULATED, {result['values']} values: {', '.join(result['files'])}")
+    values = f"{result['values']} values" if result["detectors"] else "the regular component alone"
+    print(f"SIMULATED, {values}: {', '.join(result['files'])}")
     print(f"{light}, {with_or_without} stray light")
     if result["median_relative_standard_error_percent"] is not None:
         median, largest = (result[f"{name}_relative_standard_error_percent"] for name in ("median", "largest"))
@@ -363,9 +374,7 @@ def _print_summary(result: dict[str, Any]) -> None:
         within = f"within {peak['seen_within_deg']:.2f} deg of theta 0"
         print(f"regular component at sigma {peak['sigma']:g}: {_share(peak)} of the light {within}, {place}")
     if result["regular"]:
-        print(
-            "the table or the points contain what the detectors see of it; a second --out FILE.sdr (.sdt, .ssdd) takes it apart"
-        )
+        print("the values contain what the detectors see of it; a second --out FILE.sdr (.sdt, .ssdd) takes it apart")
     if result["regular_apart"]:
         shares = "; ".join(f"{_share(each)} of the light at sigma {each['sigma']:g}" for each in result["regular_apart"])
         print(f"regular component, apart: {shares}")

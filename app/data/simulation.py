@@ -8,7 +8,7 @@ import numpy as np
 from goniotwin.app.data.dataset import Dataset
 from goniotwin.app.data.opening import dataset_of_file
 from goniotwin.app.errors import UserError
-from goniotwin.app.formats.content import BsdfFile
+from goniotwin.app.formats.content import BsdfFile, Part
 from goniotwin.app.rig.samples import parse_sample
 from goniotwin.app.simulation.files import assumptions, scattered
 from goniotwin.app.simulation.simulate import WAVELENGTH_LIMITS_NM, Simulation, Task
@@ -25,12 +25,12 @@ def simulate(
     """Simulate the BSDF of a sample as the instrument measures it, by the fast estimator (paper, figure 7).
 
     `sample` is a model as in `goniotwin simulate --sample`; `sigma_deg` are angles of incidence in degrees, from 0 to less
-    than 90, ascending; `wavelengths_nm` in nanometres, from 200 to 2500, ascending, or None for grey values. `psi_deg` are azimuths
-    of the light in the frame of an anisotropic sample, from 0 to less than 360, ascending; None is those of its table, or every
-    15 deg. With `back` the light is on the back of the sample; with `transmitted` the detectors are on the other side of it than
-    the light. With `regular_apart` what the sample reflects like a mirror is not in the values, but a regular factor of its own.
-    The values are those of the virtual detectors, `u` their standard errors. Raises GoniotwinError for a model or a grid that cannot be
-    simulated.
+    than 90, ascending; `wavelengths_nm` in nanometres, from 200 to 2500, ascending, or None for grey values. `psi_deg` are
+    azimuths of the light in the frame of an anisotropic sample, from 0 to less than 360, ascending; None is those of its table,
+    or every 15 deg. With `back` the light is on the back of the sample; with `transmitted` the detectors are on the other side
+    of it than the light. The values are those of the virtual detectors, `u` their standard errors. They contain what the
+    detectors see of a regular component (a mirror's); with `regular_apart` it is a regular factor of its own. Raises
+    GoniotwinError for a model or a grid that cannot be simulated.
     """
     if not isinstance(sample, str):
         raise UserError(f"sample: {sample!r} is not a text; give a model such as 'gaussian:width_deg=5'")
@@ -41,17 +41,15 @@ def simulate(
     psi = None if psi_deg is None else _ascending("psi_deg", psi_deg, 0.0, 360.0)
     task = Task(
         parse_sample(sample), sigmas, wavelengths_nm=wavelengths, back=back, transmitted=transmitted, psi_deg=psi,
-        regular_apart=regular_apart,
+        regular="apart" if regular_apart else "seen",
     )  # fmt: skip
     return dataset_of_simulation(simulate_task(task))
 
 
 def dataset_of_simulation(simulation: Simulation) -> Dataset:
     """The values of all detectors of a simulation, and the regular component that is taken apart."""
-    parts = [
-        *([scattered(simulation)] if simulation.at else []),
-        *([simulation.regular] if simulation.regular is not None else []),
-    ]
+    parts: list[Part] = [scattered(simulation)] if simulation.at else []
+    parts += [] if simulation.regular is None else [simulation.regular]
     notes = tuple(assumptions(simulation))
     content = BsdfFile(tuple(replace(each, comments=notes) for each in parts))
     return dataset_of_file(content, simulation.task.sample.name, "simulation")

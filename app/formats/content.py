@@ -33,6 +33,8 @@ UNTRUSTED = frozenset(
     }
 )  # fmt: skip
 """Flags of values that are not to be trusted."""
+ISOTROPIC = "taken as isotropic: both sides of the plane of incidence are one, and every azimuth of the light"
+"""Comment where the values of an isotropic sample are folded."""
 HORIZON_DEG = 90.0 + TOLERANCE_DEG
 
 

@@ -19,7 +19,6 @@ from goniotwin.app.errors import UserError
 from goniotwin.app.formats import BsdfTable, FormatError, PointStream, registry
 from goniotwin.app.formats.content import BsdfFile, Part, RegularTable, ScatteredBsdf
 from goniotwin.app.formats.file import write_file
-from goniotwin.app.formats.metadata import Metadata, SampleMetadata
 from goniotwin.app.formats.registry import Format, Holds
 from goniotwin.app.formats.specular_grid import SpecularCut, specular_table
 from goniotwin.app.simulation.simulate import SigmaResult, Simulation, Task, check_task
@@ -34,7 +33,7 @@ from goniotwin.twin.optics.geometry.coordinates import (
 
 KINDS = registry.BSDF
 """A simulation is written as a table of the output grid, as points of all detectors, or as the regular component alone."""
-SCATTERED_LEFT_OUT = "the scattered part is left out: it is in a file of its own (.ddr, .csv)"
+SCATTERED_LEFT_OUT = "the scattered part is left out: a table or points (--out FILE.ddr, .ddt or .csv) have it"
 
 
 def check_suffix(path: Path, kind: Holds, *others: str) -> None:
@@ -50,12 +49,15 @@ def _check_folder(path: Path) -> None:
         raise UserError(f"{path}: there is no folder {path.parent}; make it, or choose another name")
 
 
-def check_file_names(paths: list[Path], tables: list[Path], transmitted: bool) -> bool:
+def check_file_names(paths: list[Path], tables: list[Path], transmitted: bool, name: str | None = None) -> bool:
     """Whether the files are of transmitted light: with `transmitted`, or if the format of one holds no other.
 
-    `tables` are the files that the sample is read from. Raises UserError for a name that cannot be written.
+    `tables` are the files that the sample is read from, `name` is the format of the files that have one of its suffixes. Raises
+    UserError for a name that cannot be written.
     """
-    found = {path: _format(path) for path in paths}
+    found = {path: _format(path, name=name) for path in paths}
+    if name is not None and name not in {form.name for form in found.values()}:
+        raise UserError(f"--format: no --out has a suffix of {name}: {registry.join_words(_named(name).suffixes)}")
     reflecting = [each for each in found.values() if Holds.TRANSMITTED not in each.holds]
     transmitting = [each for each in found.values() if Holds.REFLECTED not in each.holds]
     written = [os.path.realpath(path) for path in paths]
@@ -77,7 +79,7 @@ def check_file_names(paths: list[Path], tables: list[Path], transmitted: bool) -
     return transmitted or bool(transmitting)
 
 
-def task_of_files(task: Task, paths: list[Path]) -> Task:
+def task_of_files(task: Task, paths: list[Path], name: str | None = None) -> Task:
     """The task whose result the files hold: one that has room for the regular component takes it apart, for all of the files.
 
     Raises UserError, before a long computation, if a file cannot hold the result, or there is nothing for it.
@@ -88,8 +90,10 @@ def task_of_files(task: Task, paths: list[Path]) -> Task:
     needs = {Holds.TRANSMITTED if task.transmitted else Holds.REFLECTED}
     needs |= {Holds.SIGMAS} if task.sigma_deg.size > 1 else set()
     needs |= {Holds.WAVELENGTHS} if several else set()
-    found = [(path, _format(path, needs)) for path in paths]
-    task = replace(task, regular_apart=task.has_regular and any(Holds.REGULAR in form.holds for _, form in found))
+    found = [(path, _format(path, needs, name)) for path in paths]
+    if task.has_regular and any(Holds.REGULAR in form.holds for _, form in found):
+        alone = not any(form.holds & {Holds.GRID, Holds.POINTS} for _, form in found)
+        task = replace(task, regular="alone" if alone else "apart")
     check_task(task)
     for path, form in found:
         if not form.holds & {Holds.GRID, Holds.POINTS}:
@@ -102,7 +106,7 @@ def task_of_files(task: Task, paths: list[Path]) -> Task:
             wrong = "the sample has nothing but a regular component, which goes to the other file"
             raise UserError(f"{path}: {wrong}; leave this one out, or simulate it alone")
         elif task.psis_deg.size > 1:
-            _format(path, {Holds.PSI})
+            _format(path, {Holds.PSI}, name)
     return task
 
 
@@ -114,16 +118,30 @@ def write_content(path: Path, kind: Holds, content: Any) -> None:
         raise UserError(str(error)) from None
 
 
-def _format(path: Path, needs: Collection[Holds] = ()) -> Format:
+def _format(path: Path, needs: Collection[Holds] = (), name: str | None = None) -> Format:
+    """The format of a file: the one of this name if it has the suffix, else the first that has it."""
     try:
+        if name is not None and path.suffix.lower() in (found := _named(name)).suffixes:
+            registry.check_holds(path, found, needs)
+            return found
         return registry.format_for(path, KINDS, needs)
     except FormatError as error:
         raise UserError(str(error)) from None
 
 
-def write_simulation(simulation: Simulation, path: Path) -> tuple[Path, ...]:
-    """Write one file, in the format of its suffix, and the uncertainties of a table beside it. Raises UserError."""
-    found = _format(path)
+def _named(name: str) -> Format:
+    try:
+        return registry.format_named(name, KINDS)
+    except FormatError as error:
+        raise UserError(str(error)) from None
+
+
+def write_simulation(simulation: Simulation, path: Path, name: str | None = None) -> tuple[Path, ...]:
+    """Write one file, in the format of its suffix or of this name, and the uncertainties of a table beside it.
+
+    Raises UserError.
+    """
+    found = _format(path, name=name)
     if Holds.COLUMNS in found.holds:
         write_content(path, Holds.POINTS, PointStream(_heading(simulation, every_detector=True), [_columns(simulation)]))
         return (path,)
@@ -144,7 +162,7 @@ def _content(simulation: Simulation, found: Format) -> BsdfFile:
         about = _heading(simulation, every_detector=False)
         alone = simulation.task.has_scattered and not found.holds & {Holds.GRID, Holds.POINTS}
         parts.append(replace(simulation.regular, comments=(*about, *([SCATTERED_LEFT_OUT] if alone else []))))
-    return BsdfFile(tuple(parts), Metadata(sample=SampleMetadata(identifier=simulation.task.sample.name)))
+    return BsdfFile(tuple(parts))
 
 
 def scattered(simulation: Simulation) -> ScatteredBsdf:
@@ -191,7 +209,7 @@ def summary(simulation: Simulation, paths: list[Path]) -> dict[str, Any]:
         "sigma": task.sigma_deg.tolist(),
         "side": "back" if task.back else "front",
         "transmitted": task.transmitted,
-        "psi": task.psis_deg.tolist(),
+        "psi": task.psis_deg.tolist() if task.period_deg else [],
         "stray": task.stray,
         "regular": [each.regular.as_dict() for each in first if each.regular is not None],
         "regular_apart": _regular_shares(simulation.regular),
@@ -309,8 +327,8 @@ def _regular_lines(simulation: Simulation) -> list[str]:
     direction = "straight through" if simulation.task.transmitted else "in the mirror direction"
     if simulation.regular is not None:
         return [
-            f"regular component: {fraction} of the light leaves {direction}, theta = 0; it is no part of the values in 1/sr, and is "
-            "given as the sample's own regular factor against sigma, without rays (.sdr, .sdt, .ssdd, archive)"
+            f"regular component: {fraction} of the light leaves {direction}, theta = 0; it is no part of the values in 1/sr",
+            "regular component: in .sdr, .sdt, .ssdd and archives, as the sample's own factor against sigma, without rays",
         ]
     lines = [
         f"regular component: {fraction} of the light leaves {direction}, theta = 0; its luminance factor is not a property of "
@@ -384,7 +402,7 @@ def _heading(simulation: Simulation, every_detector: bool) -> list[str]:
     effort += f", seed {task.estimator.seed}" if task.estimator.kind == "forward" or task.stray else ""
     lines = [
         "SIMULATED: computed with the virtual prototype; nothing in this file is measured",
-        f"sample: {task.sample.name}",
+        *([f"sample: {task.sample.name}"] if every_detector else []),  # a part has the name itself
         f"estimator: {task.estimator.kind}, {', '.join(sorted({str(ratio.count) for ratio in ratios}))} {effort}",
         *assumptions(simulation),
     ]

@@ -4,15 +4,15 @@ The regular component of a sample (a mirror, a clear sheet) has no finite BSDF, 
 luminance factor is that of the pupil's image, and depends on beam, aperture and field. A table contains what its own detectors
 see of it, or the component is taken apart: its share of the light at each incidence.
 
-What an anisotropic sample scatters depends on psi, the azimuth of the light in its own frame. There is a table for each psi, with the
-sample unit turned by gamma, as in a campaign.
+What an anisotropic sample scatters depends on psi, the azimuth of the light in its own frame. There is a table for each psi,
+with the sample unit turned by gamma, as in a campaign.
 """
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -48,8 +48,8 @@ class Task:
     detectors, both or neither; the default is fine near the specular direction of each sigma. `theta_deg` and `phi_deg` are
     the output grid. With `stray` the light of the `frames`, and light that was scattered more than once, counts. A `source`
     replaces the uniform exit pupil. `psi_deg` (p,), 0 to less than 360, ascending, are azimuths of the light in the frame of an
-    anisotropic sample; by default those of its tables, and steps of 15 deg for formulas. With `regular_apart` the regular
-    component is not in the values.
+    anisotropic sample; by default those of its tables, and steps of 15 deg for formulas. The `regular` component is in the
+    values as "seen" by the detectors, or "apart" from them; "alone" there are no others.
     """
 
     sample: Scatterer
@@ -67,7 +67,7 @@ class Task:
     theta_deg: Floats | None = None
     phi_deg: Floats | None = None
     psi_deg: Floats | None = None
-    regular_apart: bool = False
+    regular: Literal["seen", "apart", "alone"] = "seen"
 
     @property
     def lower(self) -> bool:
@@ -92,8 +92,8 @@ class Task:
 
     @property
     def scatters(self) -> bool:
-        """Whether there are values at detectors: not of a regular component alone that is taken apart."""
-        return not self.regular_apart or self.has_scattered
+        """Whether there are values at detectors: not of a regular component alone."""
+        return self.regular == "seen" or (self.regular == "apart" and self.has_scattered)
 
     @property
     def counted_lobes(self) -> list[Lobe]:
@@ -134,8 +134,8 @@ class RegularPeak:
     """The regular component at one sigma.
 
     The `fractions` of the light, one for each wavelength, leave in the direction `polar_deg`, `azimuth_deg` of the rig's frame;
-    detectors within `half_angle_deg` of it see a part of it. `largest_factor` is the largest luminance factor of a detector, None where the
-    mirror unit blocks all of them, or none is near enough.
+    detectors within `half_angle_deg` of it see a part of it. `largest_factor` is the largest luminance factor of a detector,
+    None where the mirror unit blocks all of them, or none is near enough.
     """
 
     sigma_deg: float
@@ -189,8 +189,8 @@ class SigmaResult:
 class Simulation:
     """Luminance factors on the output grid, with their standard errors.
 
-    `at` are the results by sigma and psi (the faster); `cuts` are by wavelength and psi (the faster), then by sigma: with one psi
-    (w, s). There are none of a regular component alone. `regular` is that component, where it is taken apart.
+    `at` are the results by sigma and psi (the faster); `cuts` are by wavelength and psi (the faster), then by sigma. There are
+    none of a regular component alone. `regular` is that component, where it is taken apart.
     """
 
     task: Task
@@ -221,7 +221,7 @@ def simulate(task: Task, report: ReportProgress = lambda _fraction, _step: None)
         wavelengths = np.array(own)
     mirrored = _is_mirrored(task)
     phi, theta = output_phi(task.phi_deg, mirrored), output_theta(task.theta_deg)
-    regular = _regular_table(task, wavelengths) if task.regular_apart and task.has_regular else None
+    regular = _regular_table(task, wavelengths) if task.regular != "seen" and task.has_regular else None
     if not task.scatters:
         report(1.0, "done")
         return Simulation(task, wavelengths, (), phi, theta, (), regular)
@@ -275,7 +275,7 @@ def _simulate_sigma(
     directions, unit_deg = detectors.directions(task.lower), opposite_sigma_deg(sigma) if task.back else sigma
     setup = MeasurementSetup(
         task.instrument, unit_deg, directions, wavelengths, task.transmitted, task.stray, task.frames,
-        None if task.source is None else task.source.rays, float(psi_of_gamma(psi, task.back)), regular=not task.regular_apart,
+        None if task.source is None else task.source.rays, float(psi_of_gamma(psi, task.back)), regular=task.regular == "seen",
     )  # fmt: skip
     ratio = estimate_ratio(setup, task.sample, task.estimator, report)
     obstructed = np.zeros(directions.shape[0], dtype=bool)
@@ -288,7 +288,7 @@ def _simulate_sigma(
         raise UserError(f"{wrong}; give other detectors, or more --paths")
     fractions = regular_fractions(task.sample, sigma, task.back, task.transmitted, wavelengths)
     peak = None
-    if fractions.any() and not task.regular_apart:
+    if fractions.any() and task.regular == "seen":
         peak = regular_peak(task.instrument, sigma, fractions, task.lower, directions, ratio.factor)
     return SigmaResult(sigma, detectors, directions, ratio, obstructed, peak, psi, setup.gamma_deg)
 
@@ -346,7 +346,7 @@ def check_task(task: Task) -> None:
             raise UserError("--psi: this sample is isotropic; leave it out")
         if not (task.psi_deg[0] >= 0.0 and task.psi_deg[-1] < TURN_DEG):
             raise UserError(f"--psi: {task.psi_deg[-1]:g} is out of range; give 0 to less than 360")
-    if task.regular_apart and task.stray and task.estimator.kind == "forward":
+    if task.regular == "apart" and task.stray and task.estimator.kind == "forward":
         raise UserError("--stray: the forward estimator cannot take the regular component apart; give --estimator fast")
 
 

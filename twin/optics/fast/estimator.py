@@ -65,8 +65,12 @@ def spectral_throughput(
 
 
 def throughputs_of(
-    instrument: Instrument, pose: Pose, scatterers: Sequence[Scatterer], rays: int | None = None, wavelengths_nm: Floats | None = None
-) -> list[Floats]:  # fmt: skip
+    instrument: Instrument,
+    pose: Pose,
+    scatterers: Sequence[Scatterer],
+    rays: int | None = None,
+    wavelengths_nm: Floats | None = None,
+) -> list[Floats]:
     """Throughputs (w, n) of several samples from one set of rays; without wavelengths (1, n)."""
     (sums,) = lobe_throughputs(instrument, [pose], [lobe for each in scatterers for lobe in each.lobes], rays)
     wavelengths = [None] if wavelengths_nm is None else wavelengths_nm.tolist()
