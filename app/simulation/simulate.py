@@ -324,6 +324,11 @@ def regular_peak(
 
 def check_task(task: Task) -> None:
     """Raise UserError for a task that is not possible."""
+    if task.psi_deg is not None:
+        if task.period_deg == 0.0:
+            raise UserError("--psi: this sample is isotropic; leave it out")
+        if not (task.psi_deg[0] >= 0.0 and task.psi_deg[-1] < TURN_DEG):
+            raise UserError(f"--psi: {task.psi_deg[-1]:g} is out of range; give 0 to less than 360")
     if (task.polar_deg is None) != (task.azimuth_deg is None):
         raise UserError("--polar and --azimuth: give both, or neither")
     if task.polar_deg is not None and task.azimuth_deg is not None:
@@ -341,11 +346,6 @@ def check_task(task: Task) -> None:
         if any(lobe.incident == (-1 if task.back else 1) for lobe in task.sample.lobes):
             raise UserError(f"{wrong}; write a {registry.writers(Holds.GRID, other)[0].suffixes[0]} file instead")
         raise UserError(f"{wrong}; give its models side={side} or side=both, or light its {opposite} with --side {opposite}")
-    if task.psi_deg is not None:
-        if task.period_deg == 0.0:
-            raise UserError("--psi: this sample is isotropic; leave it out")
-        if not (task.psi_deg[0] >= 0.0 and task.psi_deg[-1] < TURN_DEG):
-            raise UserError(f"--psi: {task.psi_deg[-1]:g} is out of range; give 0 to less than 360")
     if task.regular == "apart" and task.stray and task.estimator.kind == "forward":
         raise UserError("--stray: the forward estimator cannot take the regular component apart; give --estimator fast")
 
