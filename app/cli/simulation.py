@@ -56,6 +56,15 @@ def simulate(
             help="The suffix names a format of the list below: a table, or the points of all detectors; may be repeated.",
         ),
     ] = None,
+    form: Annotated[
+        str | None,
+        typer.Option(
+            "--format",
+            metavar="NAME",
+            show_default=False,
+            help="Format of the files whose suffix several formats have: rgl for FILE.bsdf, which is zemax otherwise.",
+        ),
+    ] = None,
     estimator: Annotated[Literal["fast", "forward"], typer.Option("--estimator", help="Ray-tracing method.")] = "fast",
     rays: Annotated[
         int | None, typer.Option("--rays", help="fast: rays for each detector; default 7.", show_default=False)
@@ -84,6 +93,15 @@ def simulate(
         str | None,
         typer.Option("--phi", metavar="LIST", help="Output grid: about the specular direction, deg.", show_default=False),
     ] = None,
+    psi: Annotated[
+        str | None,
+        typer.Option(
+            "--psi",
+            metavar="LIST",
+            show_default=False,
+            help="Azimuths of the light in the frame of an anisotropic sample, deg; default: those of its table, or every 15.",
+        ),
+    ] = None,
     rig: Rig = None,
     no_obstruction: Annotated[bool, typer.Option("--no-obstruction", help="Without the shadow of the mirrors.")] = False,
     transmitted: Annotated[bool, typer.Option("--transmitted", help="Detect on the side that is not lit.")] = False,
@@ -108,6 +126,9 @@ def simulate(
     detectors are 0.5 deg apart near the specular direction and up to 5 deg elsewhere. Directions that the mirrors block have
     no value; the comments of a table list them. The standard errors of FILE.ddr are in FILE.u.ddr, on the same grid.
 
+    An anisotropic sample has a table for each psi. What a sample reflects like a mirror is no spike in the files if one of them
+    has room for it (FILE.sdr, .sdt, .ssdd, .h5): give --out FILE.ddr --out FILE.sdr.
+
     Both estimators count light that was scattered once, by the sample; with --stray all light that arrives.
     """
     if context.invoked_subcommand is not None:
@@ -124,7 +145,7 @@ def simulate(
     from goniotwin.app.rig.samples import parse_sample, table_files
     from goniotwin.app.simulation.detectors import parse_list
     from goniotwin.app.simulation.estimate import EstimatorSettings
-    from goniotwin.app.simulation.files import check_file_names, check_formats, summary, write_simulation
+    from goniotwin.app.simulation.files import check_file_names, summary, task_of_files, write_simulation
     from goniotwin.app.simulation.simulate import WAVELENGTH_LIMITS_NM, Task
     from goniotwin.app.simulation.simulate import simulate as simulate_task
 
@@ -141,7 +162,7 @@ def simulate(
         estimator=EstimatorSettings(estimator, rays, paths, error, seed),
         wavelengths_nm=wavelengths,
         back=side == "back",
-        transmitted=check_file_names(out, read, transmitted),
+        transmitted=check_file_names(out, read, transmitted, form),
         stray=with_stray,
         frames=frames,
         source=_read_source(source, wavelengths, interval, bandwidth, instrument),
@@ -149,11 +170,12 @@ def simulate(
         azimuth_deg=parse(azimuth, "--azimuth", 0.0, 360.0),
         theta_deg=parse(theta, "--theta", 0.0, 180.0),
         phi_deg=parse(phi, "--phi", 0.0, 360.0),
+        psi_deg=parse(psi, "--psi", 0.0, 360.0),
     )
-    check_formats(task, out)
+    task = task_of_files(task, out, form)
     with ShareProgress(Console(stderr=True), "simulating") as progress:
         simulation = simulate_task(task, progress)
-    files = [file for path in out for file in write_simulation(simulation, path)]
+    files = [file for path in out for file in write_simulation(simulation, path, form)]
     result = summary(simulation, files)
     answer(as_json, result, lambda: _print_summary(result))
 
@@ -326,11 +348,22 @@ def _read_source(
     return read_source(path, unit, instrument)
 
 
+def _share(regular: dict[str, Any]) -> str:
+    """The share of the light, or its range over the wavelengths, in words."""
+    shares = regular["share"] if isinstance(regular["share"], list) else [regular["share"]]
+    ends = dict.fromkeys(f"{each:.4g}" for each in (min(shares), max(shares)))
+    return " to ".join(ends)
+
+
 def _print_summary(result: dict[str, Any]) -> None:
     """Print the result of a simulation as text."""
     with_or_without = "with" if result["stray"] else "without"
+    if psi := result["psi"]:
+        several = f"{len(psi)} azimuths of the light, psi {psi[0]:g} to {psi[-1]:g}"
+        print(f"anisotropic: {several if len(psi) > 1 else f'psi {psi[0]:g} alone, which a table states for every psi'}")
     light = f"{'transmitted' if result['transmitted'] else 'reflected'} light, the {result['side']} lit"
-    print(f"SIMULATED, {result['values']} values: {', '.join(result['files'])}")
+    values = f"{result['values']} values" if result["detectors"] else "the regular component alone"
+    print(f"SIMULATED, {values}: {', '.join(result['files'])}")
     print(f"{light}, {with_or_without} stray light")
     if result["median_relative_standard_error_percent"] is not None:
         median, largest = (result[f"{name}_relative_standard_error_percent"] for name in ("median", "largest"))
@@ -339,7 +372,14 @@ def _print_summary(result: dict[str, Any]) -> None:
         factor = peak["largest_luminance_factor"]
         place = "blocked or between the detectors" if factor is None else f"luminance factor up to {factor:.4g} here"
         within = f"within {peak['seen_within_deg']:.2f} deg of theta 0"
-        print(f"regular component at sigma {peak['sigma']:g}: {peak['share']:.4g} of the light {within}, {place}")
+        print(f"regular component at sigma {peak['sigma']:g}: {_share(peak)} of the light {within}, {place}")
+    if result["regular"]:
+        print("the values contain what the detectors see of it; a second --out FILE.sdr (.sdt, .ssdd) takes it apart")
+    if result["regular_apart"]:
+        shares = "; ".join(f"{_share(each)} of the light at sigma {each['sigma']:g}" for each in result["regular_apart"])
+        print(f"regular component, apart: {shares}")
+    for note in result["notes"]:
+        print(note)
     for key, words in (("hidden_directions", "blocked by the mirrors"), ("directions_without_hits", "without a path")):
         counts = ", ".join(f"{count} at sigma {each}" for each, count in result[key].items() if count)
         if counts:

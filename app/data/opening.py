@@ -12,7 +12,6 @@ from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.reduction.export import scattered_points
 from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.reduction.reduction import Reduction, reduce_journal
-from goniotwin.app.campaign.schedule.refinement import StatedSymmetry
 from goniotwin.app.data.dataset import Dataset
 from goniotwin.app.data.values import Measured, SampleData
 from goniotwin.app.errors import UserError
@@ -21,6 +20,7 @@ from goniotwin.app.formats.content import (
     ANGLES,
     COLUMNS,
     HORIZON_DEG,
+    ISOTROPIC,
     BsdfFile,
     Part,
     RegularTable,
@@ -65,23 +65,23 @@ def open_journal(path: Path, *, without_damaged: bool = False) -> Dataset:
         settings = reduction.settings
         if settings.history is not None:
             settings.history.read()
-    symmetry = reduction.schedule.symmetry
     data = {
         name: replace(
-            sample_of_points(points, name, symmetry, generated=reduced.simulated),
+            sample_of_points(points, name, isotropic=reduced.isotropic, generated=reduced.simulated),
             measured=Measured(points, settings), metadata=reduced.metadata[name],
         )
         for name, points in reduced.samples.items()
     }  # fmt: skip
-    return Dataset(reduced.name, "journal", data, reduced.notes, reduced.findings, reduced=reduced)
+    notes = (*reduced.notes, *([ISOTROPIC] if reduced.isotropic else []))
+    return Dataset(reduced.name, "journal", data, notes, reduced.findings, reduced=reduced)
 
 
-def sample_of_points(points: BsdfPoints, sample: str, symmetry: StatedSymmetry, *, generated: bool) -> SampleData:
+def sample_of_points(points: BsdfPoints, sample: str, *, isotropic: bool, generated: bool) -> SampleData:
     """The values of reduced points; equal angles are equal numbers."""
-    values = scattered_points(points, sample, generated=generated)
+    values = scattered_points(points, sample, isotropic=isotropic, generated=generated)
     rounded: dict[str, Any] = {name: round_deg(getattr(values, name)) for name in ANGLES}
     u = np.where(np.isfinite(points.bsdf), points.u_bsdf, np.nan)
-    values = replace(values, **rounded, u=u, isotropic=symmetry == "isotropic")
+    values = replace(values, **rounded, u=u)
     return SampleData(values, round_deg(points.theta_deg), round_deg(points.phi_deg))
 
 

@@ -1,41 +1,36 @@
 """Simulation for scripts and notebooks: the arguments are checked, and the result is a dataset."""
 
 from collections.abc import Sequence
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 
 from goniotwin.app.data.dataset import Dataset
-from goniotwin.app.data.values import SampleData
+from goniotwin.app.data.opening import dataset_of_file
 from goniotwin.app.errors import UserError
-from goniotwin.app.formats.content import ScatteredBsdf
+from goniotwin.app.formats.content import BsdfFile, Part
 from goniotwin.app.rig.samples import parse_sample
-from goniotwin.app.simulation.files import assumptions
-from goniotwin.app.simulation.simulate import WAVELENGTH_LIMITS_NM, SigmaResult, Simulation, Task
+from goniotwin.app.simulation.files import assumptions, scattered
+from goniotwin.app.simulation.simulate import WAVELENGTH_LIMITS_NM, Simulation, Task
 from goniotwin.app.simulation.simulate import simulate as simulate_task
 from goniotwin.arrays import Floats
-from goniotwin.twin.optics import to_specular
-from goniotwin.twin.optics.geometry.coordinates import (
-    mirror_in_plane_of_incidence,
-    mirror_in_sample_plane,
-    round_deg,
-    wrap_azimuth,
-)
 
 SIGMA_LIMITS_DEG = (0.0, 90.0)
 
 
 def simulate(
     sample: str, sigma_deg: Sequence[float] = (0.0, 30.0, 60.0), *, wavelengths_nm: Sequence[float] | None = None,
-    back: bool = False, transmitted: bool = False,
+    psi_deg: Sequence[float] | None = None, back: bool = False, transmitted: bool = False, regular_apart: bool = False,
 ) -> Dataset:  # fmt: skip
     """Simulate the BSDF of a sample as the instrument measures it, by the fast estimator (paper, figure 7).
 
     `sample` is a model as in `goniotwin simulate --sample`; `sigma_deg` are angles of incidence in degrees, from 0 to less
-    than 90, ascending; `wavelengths_nm` in nanometres, from 200 to 2500, ascending, or None for grey values. With `back` the
-    light is on the back of the sample; with `transmitted` the detectors are on the other side of it than the light. The values
-    are those of the virtual detectors, `u` their standard errors. Raises GoniotwinError for a model or a grid that cannot be
-    simulated.
+    than 90, ascending; `wavelengths_nm` in nanometres, from 200 to 2500, ascending, or None for grey values. `psi_deg` are
+    azimuths of the light in the frame of an anisotropic sample, from 0 to less than 360, ascending; None is those of its table,
+    or every 15 deg. With `back` the light is on the back of the sample; with `transmitted` the detectors are on the other side
+    of it than the light. The values are those of the virtual detectors, `u` their standard errors. They contain what the
+    detectors see of a regular component (a mirror's); with `regular_apart` it is a regular factor of its own. Raises
+    GoniotwinError for a model or a grid that cannot be simulated.
     """
     if not isinstance(sample, str):
         raise UserError(f"sample: {sample!r} is not a text; give a model such as 'gaussian:width_deg=5'")
@@ -43,42 +38,21 @@ def simulate(
     wavelengths = None if wavelengths_nm is None else _ascending("wavelengths_nm", wavelengths_nm, *WAVELENGTH_LIMITS_NM)
     if sigmas[-1] == SIGMA_LIMITS_DEG[1]:
         raise UserError(f"sigma_deg: {sigmas[-1]:g}: give angles below 90 deg")
-    task = Task(parse_sample(sample), sigmas, wavelengths_nm=wavelengths, back=back, transmitted=transmitted)
+    psi = None if psi_deg is None else _ascending("psi_deg", psi_deg, 0.0, 360.0)
+    task = Task(
+        parse_sample(sample), sigmas, wavelengths_nm=wavelengths, back=back, transmitted=transmitted, psi_deg=psi,
+        regular="apart" if regular_apart else "seen",
+    )  # fmt: skip
     return dataset_of_simulation(simulate_task(task))
 
 
 def dataset_of_simulation(simulation: Simulation) -> Dataset:
-    """The values of all detectors of a simulation."""
-    name = simulation.task.sample.name
-    waves = [np.nan] if simulation.wavelengths_nm is None else simulation.wavelengths_nm.tolist()
-    columns = [_columns(simulation.task, at, row, nm) for row, nm in enumerate(waves) for at in simulation.at]
-    joined: dict[str, Any] = {each: np.concatenate([part[each] for part in columns]) for each in columns[0]}
-    theta, phi = joined.pop("theta_deg"), joined.pop("phi_deg")
-    mirrored = simulation.at[0].detectors.mirrored
-    values = ScatteredBsdf(**joined, sample=name, isotropic=mirrored, generated=True)
-    return Dataset(name, "simulation", {name: SampleData(values, theta, phi)}, notes=tuple(assumptions(simulation)))
-
-
-def _columns(task: Task, at: SigmaResult, row: int, wavelength_nm: float) -> dict[str, Floats]:
-    """The columns of one sigma and one wavelength, in the frame of the sample with its lit side in front."""
-    directions = mirror_in_plane_of_incidence(at.directions) if task.back else at.directions
-    theta, phi = to_specular(at.sigma_deg, mirror_in_sample_plane(directions) if task.lower else directions)
-    count = at.obstructed.size
-    azimuth = np.tile(at.detectors.azimuth_deg, at.detectors.polar_deg.size)
-    return {
-        "sigma_deg": np.full(count, at.sigma_deg),
-        "psi_deg": np.zeros(count),
-        "polar_deg": round_deg(np.repeat(at.detectors.polar_deg, at.detectors.azimuth_deg.size)),
-        "azimuth_deg": round_deg(wrap_azimuth(-azimuth if task.back else azimuth)),
-        "theta_deg": round_deg(theta),
-        "phi_deg": round_deg(phi),
-        "values": at.ratio.factor[row] / np.pi,
-        "u": np.where(np.isfinite(at.ratio.standard_error[row]), at.ratio.standard_error[row], np.nan) / np.pi,
-        "wavelength_nm": np.full(count, wavelength_nm),
-        "transmitted": np.full(count, task.transmitted),
-        "back": np.full(count, task.back),
-        "flags": np.where(at.obstructed, "hidden", np.where(at.missed, "no-hits", "")),
-    }
+    """The values of all detectors of a simulation, and the regular component that is taken apart."""
+    parts: list[Part] = [scattered(simulation)] if simulation.at else []
+    parts += [] if simulation.regular is None else [simulation.regular]
+    notes = tuple(assumptions(simulation))
+    content = BsdfFile(tuple(replace(each, comments=notes) for each in parts))
+    return dataset_of_file(content, simulation.task.sample.name, "simulation")
 
 
 def _ascending(name: str, values: Sequence[float], lowest: float, highest: float) -> Floats:

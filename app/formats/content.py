@@ -33,6 +33,8 @@ UNTRUSTED = frozenset(
     }
 )  # fmt: skip
 """Flags of values that are not to be trusted."""
+ISOTROPIC = "taken as isotropic: both sides of the plane of incidence are one, and every azimuth of the light"
+"""Comment where the values of an isotropic sample are folded."""
 HORIZON_DEG = 90.0 + TOLERANCE_DEG
 
 
@@ -117,8 +119,8 @@ def flagged(flags: Texts, words: Collection[str]) -> Flags:
     return np.array([not set(words).isdisjoint(each.split()) for each in distinct.tolist()], dtype=bool)[which.ravel()]
 
 
-def psi_of_gamma(gamma_deg: Floats, back: Flags) -> Floats:
-    """The azimuth of the light in the sample's frame, 0 to below 360, of the sample's rotation in the rig.
+def psi_of_gamma(gamma_deg: Floats | float, back: Flags | bool) -> Floats:
+    """The azimuth of the light in the sample's frame, 0 to below 360, of the sample's rotation in the rig; its own inverse.
 
     The frame of a sample that is lit on the back is turned about x.
     """

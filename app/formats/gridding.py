@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from goniotwin.app.formats.content import CHECK, FILLED, UNTRUSTED, ScatteredBsdf, flagged
+from goniotwin.app.formats.content import CHECK, FILLED, ISOTROPIC, UNTRUSTED, ScatteredBsdf, flagged
 from goniotwin.app.formats.holes import Fill
 from goniotwin.app.formats.specular_grid import PolarGrid, SpecularCut, continued, grid_of_points, resample, specular_table
 from goniotwin.app.formats.table import BsdfTable
@@ -90,9 +90,15 @@ def grid_table(
         channel, psi_index, sigma_index, values.sigma_deg, values.polar_deg, values.azimuth_deg - values.psi_deg, values.values,
         np.sqrt(np.maximum(u**2 - shared**2, 0.0)), shared,
     ).where(trusted)  # fmt: skip
-    mirrored = psi.size == 1 or _is_half(points)
-    if psi.size > 1 and mirrored and not _in_plane(points).all():
+    half = _is_half(points)
+    mirrored = values.isotropic or half
+    if values.isotropic and not half:
+        comments = [*comments, ISOTROPIC]
+    elif not values.isotropic and half and not _in_plane(points).all():
         comments = [*comments, "the azimuths of one half were measured; the other half is taken as their mirror image"]
+    if not values.isotropic and psi.size == 1:
+        at = f"{float(np.mod(values.psi_deg[0], TURN_DEG)):.9g}"
+        comments = [*comments, f"measured at psi {at} alone, of a sample that is not isotropic: taken the same at every psi"]
     cut = _Cuts(points, sigma, psi, mirrored, widest_gap_deg)
     cuts = [[cut(c, p, s) for s in range(sigma.size)] for c in range(len(names)) for p in range(psi.size)]
     table = specular_table(

@@ -20,13 +20,13 @@ from goniotwin.twin.optics import (
     Scatterer,
     forward_throughput,
     lambertian,
-    spectral_throughput,
     stray_map,
     stray_throughput,
-    throughput,
+    without_regular,
 )
 from goniotwin.twin.optics.bsdf.analytic_samples import Side
-from goniotwin.twin.optics.fast.lobe_sums import FINE_RULE, TABLE_KINDS
+from goniotwin.twin.optics.fast.estimator import throughputs_of
+from goniotwin.twin.optics.fast.lobe_sums import FINE_RULE, TABLE_KINDS, Pose
 from goniotwin.twin.optics.geometry.coordinates import incidence_deg, is_lit_from_behind
 from goniotwin.twin.optics.geometry.scene import scene_at
 
@@ -87,7 +87,8 @@ class MeasurementSetup:
     `sigma_deg` is the angle of the mirror unit; above 90 deg the light is on the back of the sample. The detectors are in
     `directions` (n, 3) of the rig; `wavelengths_nm` is (w,), or None for a grey table (w = 1). With `stray` the light of the
     frames, and light that was scattered more than once, counts. A `source` of rays replaces the uniform exit pupil; only the
-    forward estimator has it.
+    forward estimator has it. `gamma_deg` turns the sample unit. Without the `regular` component of a sample only its light that
+    is scattered once more counts, as stray light.
     """
 
     instrument: Instrument
@@ -98,6 +99,8 @@ class MeasurementSetup:
     stray: bool = False
     frames: SampleFrames = field(default_factory=SampleFrames)
     source: RaySource | None = None
+    gamma_deg: float = 0.0
+    regular: bool = True
 
     @property
     def back(self) -> bool:
@@ -157,9 +160,9 @@ def estimate_ratio(
     setup: MeasurementSetup, sample: Scatterer, settings: EstimatorSettings, report: ReportFraction = lambda _: None
 ) -> Ratio:
     """Estimate the throughputs of etalon and sample, and their ratio (paper, figure 7). Raises UserError."""
-    pair = sample, setup.etalon
     if settings.kind == "fast":
-        return _fast_ratio(setup, pair, settings, report)
+        return _fast_ratio(setup, (sample, setup.etalon), settings, report)
+    pair = sample if setup.regular else without_regular(sample), setup.etalon
     wavelengths = setup.wavelengths_nm
     if wavelengths is None:
         return _forward_ratio(setup, pair, None, settings, report)
@@ -187,9 +190,8 @@ def _fast_ratio(
 
     def throughputs(rays: int | None, stream: int = 0) -> tuple[Floats, Floats]:
         paths = STRAY_PATHS * max(1, (rays or 0) // CHECK_RAYS)
-        seed = settings.seed * 2**20 + stream
         try:
-            flux = [_throughput(setup, each, rays, paths, (seed + k) % 2**64) for k, each in enumerate(pair)]
+            flux = _throughputs(setup, pair, rays, paths, settings.seed * 2**20 + stream)
         except ValueError as error:
             raise UserError(f"--estimator fast: {error}") from None
         return flux[0], flux[1]
@@ -214,23 +216,32 @@ def _fast_ratio(
             raise UserError(f"{wrong}; give a larger error")
 
 
-def _throughput(setup: MeasurementSetup, scatterer: Scatterer, rays: int | None, paths: int, seed: int) -> Floats:
-    """Throughput (w, n) in m^2 sr, with stray light if the setup has it."""
-    instrument, sigma, directions, wavelengths = setup.instrument, setup.sigma_deg, setup.directions, setup.wavelengths_nm
-    if wavelengths is None:
-        flux = throughput(instrument, sigma, directions, scatterer, rays)[None]
-    else:
-        flux = spectral_throughput(instrument, sigma, directions, scatterer, wavelengths, rays)
+def _throughputs(
+    setup: MeasurementSetup, pair: tuple[Scatterer, Scatterer], rays: int | None, paths: int, seed: int
+) -> list[Floats]:
+    """Throughputs (w, n) in m^2 sr of sample and etalon, with the same rays; with stray light if the setup has it."""
+    pose = Pose(setup.sigma_deg, setup.directions, setup.gamma_deg)
+    seen = (pair[0] if setup.regular else without_regular(pair[0]), pair[1])
+    flux = throughputs_of(setup.instrument, pose, seen, rays, setup.wavelengths_nm)
     if not setup.stray:
         return flux
-    # A grey sample in a grey instrument has one map for all wavelengths.
+    return [
+        each + _stray_throughput(setup, scatterer, paths, (seed + k) % 2**64)
+        for k, (each, scatterer) in enumerate(zip(flux, pair, strict=True))
+    ]
+
+
+def _stray_throughput(setup: MeasurementSetup, scatterer: Scatterer, paths: int, seed: int) -> Floats:
+    """Stray throughput (w, n) or (1, n) in m^2 sr: a grey sample in a grey instrument has one map for all wavelengths."""
+    instrument, wavelengths = setup.instrument, setup.wavelengths_nm
     grey = wavelengths is None or (scatterer.spectrum is None and instrument.grey)
     maps = [
-        stray_map(instrument, sigma, scatterer, paths, seed, wavelength_nm=each, sample_frames=setup.frames)
+        stray_map(
+            instrument, setup.sigma_deg, scatterer, paths, seed, setup.gamma_deg, wavelength_nm=each, sample_frames=setup.frames
+        )
         for each in ([None] if grey or wavelengths is None else wavelengths.tolist())
     ]
-    total: Floats = flux + np.array([stray_throughput(each, directions, instrument) for each in maps])
-    return total
+    return np.array([stray_throughput(each, setup.directions, instrument) for each in maps])
 
 
 def _default_rays(setup: MeasurementSetup, sample: Scatterer) -> int:
@@ -267,7 +278,7 @@ def _forward_ratio(
             seed = settings.seed * 2**20 + 2 * batch + k
             try:
                 result = forward_throughput(
-                    setup.instrument, setup.sigma_deg, setup.directions, each, size, seed % 2**64,
+                    setup.instrument, setup.sigma_deg, setup.directions, each, size, seed % 2**64, setup.gamma_deg,
                     wavelength_nm=wavelength_nm, source=setup.source, sample_frames=setup.frames,
                 )  # fmt: skip
             except ValueError as error:

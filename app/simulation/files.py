@@ -7,6 +7,7 @@ import io
 import math
 import os
 from collections.abc import Collection
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,17 +17,23 @@ from matplotlib.figure import Figure
 
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats import BsdfTable, FormatError, PointStream, registry
-from goniotwin.app.formats.content import BsdfFile, Part, ScatteredBsdf
+from goniotwin.app.formats.content import BsdfFile, Part, RegularTable, ScatteredBsdf
 from goniotwin.app.formats.file import write_file
 from goniotwin.app.formats.registry import Format, Holds
 from goniotwin.app.formats.specular_grid import SpecularCut, specular_table
-from goniotwin.app.simulation.simulate import Simulation, Task
-from goniotwin.twin.optics import from_specular, to_specular
+from goniotwin.app.simulation.simulate import SigmaResult, Simulation, Task, check_task
+from goniotwin.twin.optics import to_specular
 from goniotwin.twin.optics.bsdf.models import GAUSSIAN
-from goniotwin.twin.optics.geometry.coordinates import mirror_in_plane_of_incidence, mirror_in_sample_plane, zenith_and_azimuth
+from goniotwin.twin.optics.geometry.coordinates import (
+    mirror_in_plane_of_incidence,
+    mirror_in_sample_plane,
+    round_deg,
+    wrap_azimuth,
+)
 
-KINDS = (Holds.GRID, Holds.POINTS)
-"""A simulation is written as a table of the output grid, or as points of all detectors."""
+KINDS = registry.BSDF
+"""A simulation is written as a table of the output grid, as points of all detectors, or as the regular component alone."""
+SCATTERED_LEFT_OUT = "the scattered part is left out: a table or points (--out FILE.ddr, .ddt or .csv) have it"
 
 
 def check_suffix(path: Path, kind: Holds, *others: str) -> None:
@@ -42,12 +49,15 @@ def _check_folder(path: Path) -> None:
         raise UserError(f"{path}: there is no folder {path.parent}; make it, or choose another name")
 
 
-def check_file_names(paths: list[Path], tables: list[Path], transmitted: bool) -> bool:
+def check_file_names(paths: list[Path], tables: list[Path], transmitted: bool, name: str | None = None) -> bool:
     """Whether the files are of transmitted light: with `transmitted`, or if the format of one holds no other.
 
-    `tables` are the files that the sample is read from. Raises UserError for a name that cannot be written.
+    `tables` are the files that the sample is read from, `name` is the format of the files that have one of its suffixes. Raises
+    UserError for a name that cannot be written.
     """
-    found = {path: _format(path) for path in paths}
+    found = {path: _format(path, name=name) for path in paths}
+    if name is not None and name not in {form.name for form in found.values()}:
+        raise UserError(f"--format: no --out has a suffix of {name}: {registry.join_words(_named(name).suffixes)}")
     reflecting = [each for each in found.values() if Holds.TRANSMITTED not in each.holds]
     transmitting = [each for each in found.values() if Holds.REFLECTED not in each.holds]
     written = [os.path.realpath(path) for path in paths]
@@ -69,14 +79,35 @@ def check_file_names(paths: list[Path], tables: list[Path], transmitted: bool) -
     return transmitted or bool(transmitting)
 
 
-def check_formats(task: Task, paths: list[Path]) -> None:
-    """Raise UserError, before a long computation, if a file cannot hold the result of a task."""
+def task_of_files(task: Task, paths: list[Path], name: str | None = None) -> Task:
+    """The task whose result the files hold: one that has room for the regular component takes it apart, for all of the files.
+
+    Raises UserError, before a long computation, if a file cannot hold the result, or there is nothing for it.
+    """
     spectrum = task.sample.spectrum
     given = task.wavelengths_nm if task.wavelengths_nm is not None or spectrum is None else spectrum.wavelengths_nm
     several = given is not None and given.size > 1 and task.source is None
-    light = Holds.TRANSMITTED if task.transmitted else Holds.REFLECTED
-    for path in paths:
-        _format(path, {light, Holds.SIGMAS, *([Holds.WAVELENGTHS] if several else [])})
+    needs = {Holds.TRANSMITTED if task.transmitted else Holds.REFLECTED}
+    needs |= {Holds.SIGMAS} if task.sigma_deg.size > 1 else set()
+    needs |= {Holds.WAVELENGTHS} if several else set()
+    found = [(path, _format(path, needs, name)) for path in paths]
+    if task.has_regular and any(Holds.REGULAR in form.holds for _, form in found):
+        alone = not any(form.holds & {Holds.GRID, Holds.POINTS} for _, form in found)
+        task = replace(task, regular="alone" if alone else "apart")
+    check_task(task)
+    for path, form in found:
+        if not form.holds & {Holds.GRID, Holds.POINTS}:
+            if not task.has_regular:
+                wrong = f"a {form.name} file holds {Holds.REGULAR}, and {task.sample.name!r} has none here"
+                raise UserError(
+                    f"{path}: {wrong}; give a table or points (.ddr, .csv), or a sample with +regular:reflectance=0.04"
+                )
+        elif not task.scatters and Holds.REGULAR not in form.holds:
+            wrong = "the sample has nothing but a regular component, which goes to the other file"
+            raise UserError(f"{path}: {wrong}; leave this one out, or simulate it alone")
+        elif task.psis_deg.size > 1:
+            _format(path, {Holds.PSI}, name)
+    return task
 
 
 def write_content(path: Path, kind: Holds, content: Any) -> None:
@@ -87,58 +118,90 @@ def write_content(path: Path, kind: Holds, content: Any) -> None:
         raise UserError(str(error)) from None
 
 
-def _format(path: Path, needs: Collection[Holds] = ()) -> Format:
+def _format(path: Path, needs: Collection[Holds] = (), name: str | None = None) -> Format:
+    """The format of a file: the one of this name if it has the suffix, else the first that has it."""
     try:
+        if name is not None and path.suffix.lower() in (found := _named(name)).suffixes:
+            registry.check_holds(path, found, needs)
+            return found
         return registry.format_for(path, KINDS, needs)
     except FormatError as error:
         raise UserError(str(error)) from None
 
 
-def write_simulation(simulation: Simulation, path: Path) -> tuple[Path, ...]:
-    """Write one file, in the format of its suffix, and the uncertainties of a table beside it. Raises UserError."""
-    found = _format(path)
-    if Holds.COLUMNS in found.holds:
-        write_content(path, Holds.POINTS, PointStream(_heading(simulation, every_detector=True), [_columns(simulation)]))
-        return (path,)
-    part: Part = scattered(simulation) if Holds.POINTS in found.holds else bsdf_table(simulation)
+def _named(name: str) -> Format:
     try:
-        return registry.write(path, BsdfFile((part,)), found)
+        return registry.format_named(name, KINDS)
     except FormatError as error:
         raise UserError(str(error)) from None
 
 
+def write_simulation(simulation: Simulation, path: Path, name: str | None = None) -> tuple[Path, ...]:
+    """Write one file, in the format of its suffix or of this name, and the uncertainties of a table beside it.
+
+    Raises UserError.
+    """
+    found = _format(path, name=name)
+    if Holds.COLUMNS in found.holds:
+        write_content(path, Holds.POINTS, PointStream(_heading(simulation, every_detector=True), [_columns(simulation)]))
+        return (path,)
+    try:
+        return registry.write(path, _content(simulation, found), found)
+    except FormatError as error:
+        raise UserError(str(error)) from None
+
+
+def _content(simulation: Simulation, found: Format) -> BsdfFile:
+    """What a format holds of a simulation: the table or the points, and the regular component where it is taken apart."""
+    parts: list[Part] = []
+    if simulation.at and Holds.GRID in found.holds:
+        parts.append(bsdf_table(simulation))
+    if simulation.at and Holds.POINTS in found.holds:
+        parts.append(scattered(simulation))
+    if simulation.regular is not None and Holds.REGULAR in found.holds:
+        about = _heading(simulation, every_detector=False)
+        alone = simulation.task.has_scattered and not found.holds & {Holds.GRID, Holds.POINTS}
+        parts.append(replace(simulation.regular, comments=(*about, *([SCATTERED_LEFT_OUT] if alone else []))))
+    return BsdfFile(tuple(parts))
+
+
 def scattered(simulation: Simulation) -> ScatteredBsdf:
-    """The BSDF at every detector, with its standard error, 1/sr; azimuths from the light's."""
+    """The BSDF at every detector, with its standard error, 1/sr; in the frame of the sample with its lit side in front."""
+    task = simulation.task
     columns = _columns(simulation)
-    polar, azimuth = zenith_and_azimuth(from_specular(columns["sigma_deg"], columns["theta_deg"], columns["phi_deg"]))
-    size = polar.size
+    psi = np.concatenate([np.full(at.ratio.factor.size, at.psi_deg) for at in simulation.at])
+    size = psi.size
+    azimuth = -columns["azimuth_deg"] if task.back else columns["azimuth_deg"]
+    error = columns["standard_error"]
     return ScatteredBsdf(
-        sigma_deg=columns["sigma_deg"], psi_deg=np.zeros(size), polar_deg=np.minimum(polar, 90.0), azimuth_deg=azimuth,
-        values=columns["luminance_factor"] / np.pi, u=columns["standard_error"] / np.pi, flags=columns["flags"],
-        wavelength_nm=columns["wavelength_nm"], transmitted=np.full(size, simulation.task.transmitted),
-        back=np.full(size, simulation.task.back), sample=simulation.task.sample.name, generated=True,
+        sigma_deg=columns["sigma_deg"], psi_deg=psi, polar_deg=round_deg(columns["polar_deg"]),
+        azimuth_deg=round_deg(wrap_azimuth(azimuth + psi)),
+        values=columns["luminance_factor"] / np.pi, u=np.where(np.isfinite(error), error, np.nan) / np.pi,
+        flags=columns["flags"], wavelength_nm=columns["wavelength_nm"], transmitted=np.full(size, task.transmitted),
+        back=np.full(size, task.back), sample=task.sample.name, isotropic=simulation.at[0].detectors.mirrored, generated=True,
         comments=tuple(_heading(simulation, every_detector=False)),
     )  # fmt: skip
 
 
 def bsdf_table(simulation: Simulation) -> BsdfTable:
     """The output grid over the full ranges that readers expect, with the standard errors as uncertainties; 1/sr."""
+    task = simulation.task
     cuts = [[SpecularCut(cut.values / np.pi, cut.u / np.pi, cut.known) for cut in each] for each in simulation.cuts]
     return specular_table(
-        simulation.task.sigma_deg, simulation.phi_deg, simulation.theta_deg, cuts,
+        task.sigma_deg, simulation.phi_deg, simulation.theta_deg, cuts,
         None if simulation.wavelengths_nm is None else tuple(simulation.wavelengths_nm.tolist()),
-        transmitted=simulation.task.transmitted, generated=True, comments=_heading(simulation, every_detector=False),
-        done="simulated",
+        transmitted=task.transmitted, generated=True, comments=_heading(simulation, every_detector=False), done="simulated",
+        psi_deg=task.psis_deg if task.psis_deg.size > 1 else None, back=task.back, sample=task.sample.name,
     )  # fmt: skip
 
 
 def summary(simulation: Simulation, paths: list[Path]) -> dict[str, Any]:
     """The result for JSON. Errors are in percent, over the values of at least a hundredth of the largest."""
     task, kind = simulation.task, simulation.task.estimator.kind
-    relative = np.concatenate([each.ratio.relative_error for each in simulation.at])
+    relative = np.concatenate([np.empty(0), *(each.ratio.relative_error for each in simulation.at)])
     counts = {f"{each.sigma_deg:g}": each.ratio.count for each in simulation.at}
     unit = "rays" if kind == "fast" else "paths"
-    rows = 1 if simulation.wavelengths_nm is None else int(simulation.wavelengths_nm.size)
+    first = [each for each in simulation.at if each.psi_deg == task.psis_deg[0]]
     return {
         "file": str(paths[0]),
         "files": [str(path) for path in paths],
@@ -146,21 +209,27 @@ def summary(simulation: Simulation, paths: list[Path]) -> dict[str, Any]:
         "sigma": task.sigma_deg.tolist(),
         "side": "back" if task.back else "front",
         "transmitted": task.transmitted,
+        "psi": task.psis_deg.tolist() if task.period_deg else [],
         "stray": task.stray,
-        "regular": [each.regular.as_dict() for each in simulation.at if each.regular is not None],
+        "regular": [each.regular.as_dict() for each in first if each.regular is not None],
+        "regular_apart": _regular_shares(simulation.regular),
+        "notes": _notes(simulation, paths),
         "source": None if task.source is None else task.source.as_dict(),
         "wavelengths_nm": None if simulation.wavelengths_nm is None else simulation.wavelengths_nm.tolist(),
         "estimator": kind,
-        unit: max(counts.values()),
+        unit: max(counts.values(), default=0),
         f"{unit}_by_sigma": counts,
         **({"seed": task.estimator.seed} if kind == "forward" or task.stray else {}),
         "values": sum(int(np.isfinite(each.ratio.factor).sum()) for each in simulation.at),
-        "detectors": {f"{each.sigma_deg:g}": int(each.obstructed.size) * rows for each in simulation.at},
+        "detectors": {f"{each.sigma_deg:g}": each.ratio.factor.size * task.psis_deg.size for each in first},
         "largest_relative_standard_error_percent": 100.0 * float(relative.max()) if relative.size else None,
         "median_relative_standard_error_percent": 100.0 * float(np.median(relative)) if relative.size else None,
         "obstruction": task.instrument.obstruction,
-        "hidden_directions": {f"{each.sigma_deg:g}": int(each.obstructed.sum()) for each in simulation.at},
-        "directions_without_hits": {f"{each.sigma_deg:g}": int(each.missed.sum()) for each in simulation.at},
+        "hidden_directions": {f"{each.sigma_deg:g}": int(each.obstructed.sum()) for each in first},
+        "directions_without_hits": {
+            f"{each.sigma_deg:g}": sum(int(one.missed.sum()) for one in simulation.at if one.sigma_deg == each.sigma_deg)
+            for each in first
+        },
         "nodes": int(simulation.table.size),
         "continued_nodes": int(simulation.table.size - simulation.known.sum()),
         "assumptions": assumptions(simulation),
@@ -185,6 +254,7 @@ def assumptions(simulation: Simulation) -> list[str]:
         f"quantity: luminance factor of {reflected} light (pi times the BSDF), relative to an ideal diffuser",
         *_gaussian_lines(task),
         f"side: {_side(task)}",
+        *_psi_lines(task),
         *_regular_lines(simulation),
         *_refraction_lines(task),
         f"stray light: {_stray(task)}",
@@ -209,13 +279,57 @@ def _side(task: Task) -> str:
     return f"light on the back, the mirror unit at 180 deg - sigma, {arc}; sigma is the incidence on the back, {turned}"
 
 
+def _psi_lines(task: Task) -> list[str]:
+    """How the light was turned about an anisotropic sample."""
+    if task.period_deg == 0.0:
+        return []
+    psi = ", ".join(f"{each:g}" for each in task.psis_deg)
+    if task.psis_deg.size == 1:
+        return [f"psi: the sample is anisotropic, and simulated at psi {psi} deg alone: a table states it for every psi"]
+    return [f"psi: azimuths {psi} deg of the light in the frame of the anisotropic sample"]
+
+
+def _regular_shares(regular: RegularTable | None) -> list[dict[str, Any]]:
+    """The regular component that is taken apart, for JSON."""
+    if regular is None:
+        return []
+    shares = regular.values[:, 0].T.tolist()
+    return [
+        {"sigma": sigma, "share": each[0] if len(each) == 1 else each}
+        for sigma, each in zip(regular.sigma_deg.tolist(), shares, strict=True)
+    ]
+
+
+def _notes(simulation: Simulation, paths: list[Path]) -> list[str]:
+    """What a file leaves out of a sample with a regular component that is taken apart, one line each."""
+    if simulation.regular is None:
+        return []
+    beside = {each for path in paths for each in registry.files_beside(path, _format(path)).values()}
+    holding = [path for path in paths if path not in beside and Holds.REGULAR in _format(path).holds]
+    notes = []
+    for path in paths:
+        if path not in beside and path not in holding:
+            notes.append(f"{path}: without the regular component, which is in {registry.join_words(map(str, holding), 'and')}")
+        elif path not in beside and simulation.task.has_scattered and not _format(path).holds & {Holds.GRID, Holds.POINTS}:
+            notes.append(f"{path}: {SCATTERED_LEFT_OUT}")
+    return notes
+
+
 def _regular_lines(simulation: Simulation) -> list[str]:
     peaks = [each.regular for each in simulation.at if each.regular is not None]
-    if not peaks:
+    fractions = [each for peak in peaks for each in peak.fractions]
+    if simulation.regular is not None:
+        fractions = simulation.regular.values.ravel().tolist()
+    if not fractions:
         return []
-    lowest, highest = (f"{pick(peak.fraction for peak in peaks):g}" for pick in (min, max))
+    lowest, highest = (f"{pick(fractions):g}" for pick in (min, max))
     fraction = lowest if lowest == highest else f"{lowest} to {highest}"
     direction = "straight through" if simulation.task.transmitted else "in the mirror direction"
+    if simulation.regular is not None:
+        return [
+            f"regular component: {fraction} of the light leaves {direction}, theta = 0; it is no part of the values in 1/sr",
+            "regular component: in .sdr, .sdt, .ssdd and archives, as the sample's own factor against sigma, without rays",
+        ]
     lines = [
         f"regular component: {fraction} of the light leaves {direction}, theta = 0; its luminance factor is not a property of "
         "the sample, it depends on beam, spot, aperture and field",
@@ -288,7 +402,7 @@ def _heading(simulation: Simulation, every_detector: bool) -> list[str]:
     effort += f", seed {task.estimator.seed}" if task.estimator.kind == "forward" or task.stray else ""
     lines = [
         "SIMULATED: computed with the virtual prototype; nothing in this file is measured",
-        f"sample: {task.sample.name}",
+        *([f"sample: {task.sample.name}"] if every_detector else []),  # a part has the name itself
         f"estimator: {task.estimator.kind}, {', '.join(sorted({str(ratio.count) for ratio in ratios}))} {effort}",
         *assumptions(simulation),
     ]
@@ -302,12 +416,11 @@ def _heading(simulation: Simulation, every_detector: bool) -> list[str]:
 
 
 def _columns(simulation: Simulation) -> dict[str, npt.NDArray[Any]]:
-    blocks = [_block(simulation, k, row) for k in range(len(simulation.at)) for row in range(simulation.table.shape[0])]
+    blocks = [_block(simulation, at, row) for at in simulation.at for row in range(at.ratio.factor.shape[0])]
     return {name: np.concatenate([block[name] for block in blocks]) for name in blocks[0]}
 
 
-def _block(simulation: Simulation, k: int, row: int) -> dict[str, npt.NDArray[Any]]:
-    at = simulation.at[k]
+def _block(simulation: Simulation, at: SigmaResult, row: int) -> dict[str, npt.NDArray[Any]]:
     count = at.obstructed.size
     # In the frame of the sample with its lit side in front; directions of transmitted light are mirrored in its plane.
     directions = mirror_in_plane_of_incidence(at.directions) if simulation.task.back else at.directions
@@ -316,6 +429,8 @@ def _block(simulation: Simulation, k: int, row: int) -> dict[str, npt.NDArray[An
     return {
         "wavelength_nm": np.full(count, wavelength),
         "sigma_deg": np.full(count, at.sigma_deg),
+        # The turn of the sample unit, as in the CSV of a journal.
+        **({"gamma_deg": np.full(count, at.gamma_deg)} if simulation.task.period_deg else {}),
         "polar_deg": np.repeat(at.detectors.polar_deg, at.detectors.azimuth_deg.size),
         "azimuth_deg": np.tile(at.detectors.azimuth_deg, at.detectors.polar_deg.size),
         "theta_deg": theta,

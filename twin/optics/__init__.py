@@ -18,6 +18,7 @@ from goniotwin.twin.optics.bsdf.scatterer import (
     evaluate,
     lobe_shares,
     sum_samples,
+    without_regular,
 )
 from goniotwin.twin.optics.bsdf.table_samples import spectral_table, table_sample
 from goniotwin.twin.optics.fast.estimator import luminance_factor, luminance_factors, spectral_throughput, throughput
@@ -99,5 +100,6 @@ __all__ = [
     "visible_fraction",
     "ward",
     "wide_tailed",
+    "without_regular",
     "xenon_spectrum",
 ]

@@ -102,7 +102,8 @@ def write_archive(
 def _empty(reduced: ReducedJournal, name: str) -> ScatteredBsdf:
     none = np.zeros(0)
     about = (f"symmetry: {reduced.symmetry[name]}",) if name in reduced.symmetry else ()
-    return ScatteredBsdf(none, none, none, none, none, sample=name, generated=reduced.simulated, comments=about)
+    stated = {"isotropic": reduced.isotropic, "generated": reduced.simulated}
+    return ScatteredBsdf(none, none, none, none, none, sample=name, comments=about, **stated)
 
 
 class _Inputs:
@@ -137,11 +138,11 @@ def _put_points(
         del group[f"{column}_words"]
     effects = _EffectRows(group, inputs)
     components = archive.Rows(group, "components", "<f8")
-    begin, integrals, azimuths = 0, 0, set[float]()
+    begin, integrals = 0, 0
     for points in source.settings():
         for part in points.parts(CHUNK_POINTS):
-            scattered = scattered_points(part, name, generated=bool(group.attrs["generated"]))
-            azimuths.update(np.unique(scattered.psi_deg[~part.mirrored]).tolist())
+            stated = {each: bool(group.attrs[each]) for each in ("isotropic", "generated")}
+            scattered = scattered_points(part, name, **stated)
             found: dict[str, npt.NDArray[Any]] = {each: getattr(scattered, each) for each in COLUMNS}
             found["values_errors"] = found.pop("u")
             for each in archive.WORDS:
@@ -163,7 +164,6 @@ def _put_points(
     for each, known in words.items():
         archive.put_texts(group, f"{each}_words", list(known))
     archive.put_texts(group, "component_names", components.keys)
-    group.attrs["isotropic"] = len(azimuths) <= 1
     effects.put_names()
 
 

@@ -12,7 +12,7 @@ from goniotwin.app.campaign.reduction.points import BITS, FLAGS, BsdfPoints, Poi
 from goniotwin.app.campaign.reduction.reduction import ReducedJournal
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats import PointStream
-from goniotwin.app.formats.content import CHECK, BsdfFile, ScatteredBsdf, Texts, flagged, psi_of_gamma
+from goniotwin.app.formats.content import CHECK, BsdfFile, ScatteredBsdf, Texts, psi_of_gamma
 from goniotwin.app.formats.metadata import Metadata
 from goniotwin.arrays import Flags
 from goniotwin.twin.optics.geometry.coordinates import HALF_TURN_DEG, wrap_azimuth
@@ -34,10 +34,7 @@ def heading(reduced: ReducedJournal) -> list[str]:
 
 
 def scattered_of(reduced: ReducedJournal, sample: str | None = None, metadata: Metadata | None = None) -> BsdfFile:
-    """Every measured point of one sample or of all, in memory, a part each; raises UserError for none.
-
-    A sample that was measured at one gamma only counts as isotropic.
-    """
+    """Every measured point of one sample or of all, in memory, a part each; raises UserError for none."""
     chosen: Mapping[str, PointSource] = {sample: _points(reduced, sample)} if sample is not None else reduced.samples
     if not chosen:
         raise UserError("no sample has been measured yet, so there is nothing to write")
@@ -46,22 +43,16 @@ def scattered_of(reduced: ReducedJournal, sample: str | None = None, metadata: M
         columns = [_scattered_columns(points) for points in source.parts(PART_POINTS)]
         joined = {key: np.concatenate([each[key] for each in columns]) for key in columns[0]}
         symmetry = [f"symmetry: {reduced.symmetry[name]}"] if name in reduced.symmetry else []
-        parts.append(_scattered(joined, name, reduced.simulated, (f"sample: {name}", *symmetry)))
+        about = (f"sample: {name}", *symmetry)
+        parts.append(
+            ScatteredBsdf(**joined, sample=name, isotropic=reduced.isotropic, generated=reduced.simulated, comments=about)
+        )
     return BsdfFile(tuple(parts), metadata or Metadata(title=reduced.name), tuple(heading(reduced)))
 
 
-def scattered_points(points: BsdfPoints, sample: str, *, generated: bool) -> ScatteredBsdf:
-    """Reduced points in the frame of the sample; one that was measured at one gamma only counts as isotropic."""
-    return _scattered(_scattered_columns(points), sample, generated)
-
-
-def _scattered(
-    columns: dict[str, np.ndarray], sample: str, generated: bool, comments: tuple[str, ...] = ()
-) -> ScatteredBsdf:  # fmt: skip
-    own = columns["psi_deg"][~flagged(columns["flags"], {CHECK})]
-    return ScatteredBsdf(
-        **columns, sample=sample, isotropic=np.unique(own).size <= 1, generated=generated, comments=comments
-    )  # fmt: skip
+def scattered_points(points: BsdfPoints, sample: str, *, isotropic: bool, generated: bool) -> ScatteredBsdf:
+    """Reduced points in the frame of the sample; `isotropic` as the schedule states it."""
+    return ScatteredBsdf(**_scattered_columns(points), sample=sample, isotropic=isotropic, generated=generated)
 
 
 def _scattered_columns(points: BsdfPoints) -> dict[str, np.ndarray]:

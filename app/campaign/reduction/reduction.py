@@ -71,7 +71,8 @@ class ReducedJournal:
     symmetry, for schedules that ask for it. `notes` are remarks on the reduction, for the reader of the values; `findings` are
     those of them that state what is wrong with the instrument. `unchecked` are, by the mounted sample, the photodiodes that its
     drift checks do not cover. `chain` states the journal's checksums, `light` the polarisation of the light: these notes belong
-    to every file of values. `metadata` are those of each sample, for archives and reports.
+    to every file of values. `metadata` are those of each sample, for archives and reports. `isotropic`: the schedule states so;
+    this alone decides, however many gammas were measured.
     """
 
     name: str
@@ -86,6 +87,7 @@ class ReducedJournal:
     light: tuple[str, ...] = ()
     findings: tuple[str, ...] = ()
     metadata: Mapping[str, Metadata] = field(default_factory=dict)
+    isotropic: bool = True
 
 
 @dataclass(frozen=True)
@@ -414,6 +416,7 @@ def _reduce(reduction: Reduction, keep: Keep) -> ReducedJournal:
         journal.value("name"), reduction.rig, journal.simulated, {}, overlaps, tuple(notes), symmetry,
         reduction.unchecked(tallies), journal.chain.statement, tuple(reduction.light(tallies)), tuple(reduction.findings),
         {name: reduction.metadata(name, tally) for name, tally in tallies.items()},
+        reduction.schedule.symmetry == "isotropic",
     )  # fmt: skip
 
 

@@ -6,10 +6,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from goniotwin.app.data.simulation import dataset_of_simulation
+from goniotwin.app.errors import UserError
+from goniotwin.app.formats import registry
 from goniotwin.app.rig.samples import parse_sample
-from goniotwin.app.simulation.files import assumptions, summary
+from goniotwin.app.simulation.files import assumptions, summary, task_of_files, write_simulation
 from goniotwin.app.simulation.simulate import Simulation, Task, regular_half_angle_deg, simulate
-from goniotwin.twin.optics import Instrument, lambertian, regular, specular_direction, throughput
+from goniotwin.twin.optics import Instrument, apply_spectrum, lambertian, regular, specular_direction, throughput
+from tests.sizes import few_check_rays
 
 pytestmark = pytest.mark.usefixtures("quick_errors")
 OPEN = Instrument(obstruction=False)
@@ -78,3 +82,84 @@ def test_a_refracted_lobe_has_the_direction_of_snells_law() -> None:
     brightest = at.directions[np.argmax(at.ratio.factor[0])]
     assert np.degrees(np.arccos(-brightest[2])) == pytest.approx(axis, abs=1e-6)
     assert any(f"polar angles {axis:.2f} at sigma 30" in line for line in assumptions(refracted))
+
+
+PAINT = "lambertian:reflectance=0.5+regular:reflectance=0.04"
+
+
+@pytest.fixture(scope="module")
+def apart() -> Simulation:
+    with few_check_rays():
+        return simulate_sample(PAINT, (30.0,), regular="apart", wavelengths_nm=np.array([450.0, 650.0]))
+
+
+def test_apart_it_is_no_spike_in_the_values_but_a_factor(apart: Simulation) -> None:
+    np.testing.assert_allclose(apart.table[apart.known], 0.5, rtol=1e-9)
+    assert apart.regular is not None
+    assert apart.regular.values.tolist() == [[[0.04]], [[0.04]]]
+    result = summary(apart, [Path("a.ddr"), Path("a.sdr")])
+    assert result["regular"] == []
+    assert result["regular_apart"] == [{"sigma": 30.0, "share": [0.04, 0.04]}]
+    assert any("it is no part of the values" in line for line in result["assumptions"])
+    dataset = dataset_of_simulation(apart)
+    assert dataset.only.regular[0].values.tolist() == apart.regular.values.tolist()
+
+
+def test_every_file_has_what_it_can_hold_and_what_is_left_out_is_said(apart: Simulation, tmp_path: Path) -> None:
+    paths = [tmp_path / f"a{suffix}" for suffix in (".ddr", ".sdr", ".ssdd", ".csv", ".h5")]
+    for path in paths:
+        write_simulation(apart, path)
+    kinds = {path.suffix: [type(part).__name__ for part in registry.recognise(path).read(path).parts] for path in paths}
+    assert kinds == {
+        ".ddr": ["BsdfTable"], ".sdr": ["RegularTable"], ".ssdd": ["BsdfTable", "RegularTable"], ".csv": ["ScatteredBsdf"],
+        ".h5": ["BsdfTable", "ScatteredBsdf", "RegularTable"],
+    }  # fmt: skip
+    (factors,) = registry.read(tmp_path / "a.sdr").regular
+    assert (factors.values.tolist(), factors.generated) == ([[[0.04]], [[0.04]]], True)
+    notes = summary(apart, paths)["notes"]
+    assert [note.split(": ", 1)[0] for note in notes] == [str(tmp_path / name) for name in ("a.ddr", "a.sdr", "a.csv")]
+    assert "without the regular component, which is in" in notes[0]
+    assert "the scattered part is left out" in notes[1]
+    # The file is the same sample again.
+    again = simulate_sample(f"table:{tmp_path / 'a.ssdd'}", regular="alone")
+    assert again.regular is not None
+    assert again.regular.values.tolist() == [[[0.04]], [[0.04]]]
+
+
+@pytest.mark.parametrize(
+    ("names", "regular"),
+    [(["a.ddr", "a.csv"], "seen"), (["a.ddr", "a.sdr"], "apart"), (["a.h5"], "apart"), (["a.sdr"], "alone")],
+)
+def test_the_files_decide_whether_it_is_apart(names: list[str], regular: str, tmp_path: Path) -> None:
+    found = task_of_files(Task(parse_sample(PAINT), np.array([30.0])), [tmp_path / name for name in names])
+    assert found.regular == regular
+    assert task_of_files(Task(parse_sample("lambertian"), np.array([30.0])), [tmp_path / "a.h5"]).regular == "seen"
+
+
+def test_alone_it_takes_no_rays(tmp_path: Path) -> None:
+    mirror = simulate_sample("regular:reflectance=0.9,side=back", (0.0, 30.0), regular="alone", back=True)
+    assert mirror.at == ()
+    assert summary(mirror, [tmp_path / "a.sdr"])["notes"] == []
+    write_simulation(mirror, tmp_path / "a.sdr")
+    (part,) = registry.read(tmp_path / "a.sdr").regular
+    assert (part.values.ravel().tolist(), part.back) == ([0.9, 0.9], True)
+
+
+@pytest.mark.parametrize(
+    ("sample", "names", "message"),
+    [
+        ("lambertian", ["a.sdr"], r"holds regular reflectance or transmittance, and 'lambertian' has none here"),
+        ("lambertian+regular:side=back", ["a.sdr"], r"has none here"),
+        ("regular", ["a.sdr", "a.ddr"], r"a\.ddr: the sample has nothing but a regular component"),
+    ],
+)
+def test_a_file_for_which_there_is_nothing_is_refused(sample: str, names: list[str], message: str, tmp_path: Path) -> None:
+    with pytest.raises(UserError, match=message):
+        task_of_files(Task(parse_sample(sample), np.array([30.0])), [tmp_path / name for name in names])
+
+
+def test_its_share_follows_the_spectrum() -> None:
+    sample = apply_spectrum([450.0, 650.0], [1.0, 0.5], regular(0.04))
+    found = simulate(Task(sample, np.array([30.0]), regular="alone"))
+    assert found.regular is not None
+    np.testing.assert_allclose(found.regular.values[:, 0, 0], [0.04, 0.02])

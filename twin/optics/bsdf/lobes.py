@@ -91,6 +91,13 @@ class Lobe:
             return bool(self.params[5] == (0.0 if self.kind == ELLIPTIC else self.params[1]))
         return bool(self.psi_deg.size <= 1 and self.phi_deg[-1] <= 180.0)
 
+    @property
+    def period_deg(self) -> float:
+        """Smallest turn of the sample about its normal after which the lobe is the same, deg; 0 for an isotropic lobe."""
+        if self.kind in (ELLIPTIC, WARD):
+            return 0.0 if self.mirrored else 180.0
+        return float(self.params[0]) if self.kind == ANISOTROPIC else 0.0
+
     def albedo(self, sigma_deg: float, azimuth_deg: float = 0.0) -> float:
         """Share of the light at canonical sigma (0 to < 90) and azimuth that the lobe scatters, by quadrature.
 

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics.bsdf.lobes import ALBEDO_SIGMA_DEG, Lobe, freeze, rotate_about_z
-from goniotwin.twin.optics.bsdf.models import evaluate_all, to_canonical
+from goniotwin.twin.optics.bsdf.models import REGULAR, evaluate_all, to_canonical
 from goniotwin.twin.optics.bsdf.sampling import scatter_all
 from goniotwin.twin.optics.geometry.coordinates import HALF_TURN_DEG, is_lit_from_behind
 
@@ -232,6 +232,15 @@ def sum_samples(*scatterers: Scatterer, name: str | None = None) -> Scatterer:
     wavelengths = np.unique(np.concatenate(spectra))
     weights = np.concatenate([each.weights(wavelengths) for each in scatterers])
     return Scatterer(title, lobes, SpectralWeights(wavelengths, weights))
+
+
+def without_regular(scatterer: Scatterer) -> Scatterer:
+    """The sample without its regular component. Raises ValueError where it has nothing else."""
+    kept = [k for k, lobe in enumerate(scatterer.lobes) if lobe.kind != REGULAR]
+    spectrum = scatterer.spectrum
+    if spectrum is not None:
+        spectrum = SpectralWeights(spectrum.wavelengths_nm, spectrum.weights[kept])
+    return replace(scatterer, lobes=tuple(scatterer.lobes[k] for k in kept), spectrum=spectrum)
 
 
 def apply_spectrum(

@@ -61,9 +61,26 @@ def spectral_throughput(
 ) -> Floats:
     """Throughput (w, n) in m^2 sr at wavelengths (w,), from one set of rays: there is no fluorescence (paper, 3.2)."""
     wavelengths = np.atleast_1d(np.asarray(wavelengths_nm, dtype=np.float64))
-    (sums,) = lobe_throughputs(instrument, [Pose(sigma_deg, directions, gamma_deg)], scatterer.lobes, rays)
-    mirrors = np.array([sums.mirrors(instrument, float(each)) for each in wavelengths])
-    return np.asarray(mirrors[:, None] * (scatterer.weights(wavelengths).T @ sums.lobes))
+    return throughputs_of(instrument, Pose(sigma_deg, directions, gamma_deg), [scatterer], rays, wavelengths)[0]
+
+
+def throughputs_of(
+    instrument: Instrument,
+    pose: Pose,
+    scatterers: Sequence[Scatterer],
+    rays: int | None = None,
+    wavelengths_nm: Floats | None = None,
+) -> list[Floats]:
+    """Throughputs (w, n) of several samples from one set of rays; without wavelengths (1, n)."""
+    (sums,) = lobe_throughputs(instrument, [pose], [lobe for each in scatterers for lobe in each.lobes], rays)
+    wavelengths = [None] if wavelengths_nm is None else wavelengths_nm.tolist()
+    mirrors = np.array([sums.mirrors(instrument, each) for each in wavelengths])
+    first, found = 0, []
+    for each in scatterers:
+        rows, first = sums.lobes[first : first + len(each.lobes)], first + len(each.lobes)
+        weights = each.weights(None)[None] if wavelengths_nm is None else each.weights(wavelengths_nm).T
+        found.append(np.asarray(mirrors[:, None] * (weights @ rows)))
+    return found
 
 
 def luminance_factor(

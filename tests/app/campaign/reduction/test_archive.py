@@ -96,7 +96,7 @@ def test_the_covariance_of_two_values_is_rebuilt(archived: tuple[Path, Path]) ->
         (name, points), *_ = reduce_journal(journal).samples.items()
         good = points.where(points.good)
         expected = effects_of(good, reduction.settings).covariance(np.arange(0, good.size, 9), np.arange(0, good.size, 9))
-        keys = place(scattered_points(good, name, generated=True))
+        keys = place(scattered_points(good, name, isotropic=True, generated=True))
     with h5py.File(archived[1]) as file:
         part = file["entry/part_1"]
         columns = [part[each][()] for each in ("wavelength_nm", "sigma_deg", "polar_deg", "azimuth_deg", "transmitted")]

@@ -10,16 +10,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from goniotwin.app.campaign.reduction.components import interval, mostly_added
-from goniotwin.app.campaign.reduction.export import WIDEST_GAP_DEG, scattered_points
+from goniotwin.app.campaign.reduction.export import WIDEST_GAP_DEG, scattered_of, scattered_points
 from goniotwin.app.campaign.reduction.overlaps import overlaps
 from goniotwin.app.campaign.reduction.points import FLAGS, BsdfPoints, join_points
 from goniotwin.app.campaign.reduction.reduction import BsdfDataset
 from goniotwin.app.cli.main import app
 from goniotwin.app.data import conversion
 from goniotwin.app.data.conversion import format_to_write
+from goniotwin.app.data.opening import sample_of_points
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats import read_ddr, read_points_csv, read_zemax, registry
-from goniotwin.app.formats.content import FILLED, UNTRUSTED
+from goniotwin.app.formats.content import FILLED, ISOTROPIC, UNTRUSTED
 from goniotwin.app.formats.gridding import grid_table
 from goniotwin.app.formats.specular_grid import SpecularCut
 from goniotwin.app.rig import read_rig
@@ -45,7 +46,7 @@ def smooth(zenith: np.ndarray, azimuth: np.ndarray) -> np.ndarray:
 
 def regrid(points: BsdfPoints) -> tuple[tuple[np.ndarray, np.ndarray], SpecularCut]:
     """phi and theta of the table of points at one sigma, and the cut there."""
-    table = grid_table(scattered_points(points, "paper", generated=False), widest_gap_deg=WIDEST_GAP_DEG)
+    table = grid_table(scattered_points(points, "paper", isotropic=True, generated=False), widest_gap_deg=WIDEST_GAP_DEG)
     at = table.sigma_deg.tolist().index(points.sigma_deg[0])
     assert table.u is not None
     assert table.known is not None
@@ -238,13 +239,27 @@ def test_a_sample_measured_at_several_gamma_is_a_table_of_four_dimensions(reduce
     """The light's azimuth in the sample's frame is minus gamma: a quarter turn of the sample is psi 270."""
     ((name, points),) = reduced.samples.items()
     turned = replace(points, places=points.places + np.array([0.0, 90.0, 0.0, 0.0, 0.0]), bsdf=0.5 * points.bsdf)
-    both = replace(reduced, samples={name: join_points([points, turned])})
+    both = replace(reduced, samples={name: join_points([points, turned])}, isotropic=False)
     export(both, None, tmp_path / "a.ddr", "ddr")
     export(reduced, None, tmp_path / "b.ddr", "ddr")
     found, one = (registry.read(tmp_path / file).only_table() for file in ("a.ddr", "b.ddr"))
     assert found.psi_deg.tolist() == [0.0, 270.0]
     np.testing.assert_allclose(found.values[:, 0, :, :2], one.values[:, 0], rtol=1e-8)
     np.testing.assert_allclose(found.values[:, 1, :, :2], 0.5 * one.values[:, 0], rtol=1e-8)
+
+
+def test_the_statement_of_the_schedule_decides_on_symmetry_however_many_gammas_there_are(reduced: BsdfDataset) -> None:
+    """At one gamma, too: what `export` writes and `open` gives is folded only where the schedule states an isotropic sample."""
+    zenith, azimuth = (each.ravel() for each in np.meshgrid(np.arange(0.0, 10.0, 3.0), np.arange(0.0, 360.0, 15.0)))
+    values = 1.0 + 0.1 * np.sin(np.radians(zenith)) * np.sin(np.radians(azimuth))
+    points = made_points(0.0, zenith, azimuth, values, 0.01)
+    for isotropic in (True, False):
+        (part,) = scattered_of(replace(reduced, samples={"a": points}, isotropic=isotropic)).scattered
+        table = grid_table(part, widest_gap_deg=WIDEST_GAP_DEG)
+        assert table.phi_deg[-1] == (180.0 if isotropic else 360.0)
+        assert (ISOTROPIC in table.comments) == isotropic
+        assert any("not isotropic: taken the same at every psi" in line for line in table.comments) == (not isotropic)
+        assert sample_of_points(points, "a", isotropic=isotropic, generated=True).values.isotropic == isotropic
 
 
 def test_transmitted_light_is_a_table_about_the_straight_direction(reduced: BsdfDataset, tmp_path: Path) -> None:
