@@ -14,7 +14,7 @@ import numpy as np
 
 from goniotwin.app.campaign.journal.reading import JournalReader
 from goniotwin.app.campaign.reduction.archive import write_archive
-from goniotwin.app.campaign.reduction.export import WIDEST_GAP_DEG, part_of_light, points_of, scattered_of
+from goniotwin.app.campaign.reduction.export import part_of_light, points_of, scattered_of
 from goniotwin.app.campaign.reduction.reduction import ReducedJournal
 from goniotwin.app.data.opening import with_files_beside
 from goniotwin.app.errors import UserError
@@ -148,7 +148,7 @@ def convert_reduced(reduced: ReducedJournal, path: Path, form: Format, choice: C
             raise _several(path, form, tuple(reduced.samples))
         content = scattered_of(reduced, sample)
         known = [reduced.metadata[name] for name in content.samples if name in reduced.metadata]
-        return convert_content(replace(content, metadata=known[0]) if known else content, path, form, choice, WIDEST_GAP_DEG)
+        return convert_content(replace(content, metadata=known[0]) if known else content, path, form, choice)
 
 
 def archive_journal(
@@ -161,23 +161,18 @@ def archive_journal(
     return Converted((path,), "archive", done.values, reduced.simulated, choice.fill, shares, done.without_table)
 
 
-def convert_content(
-    content: BsdfFile, path: Path, form: Format, choice: Choice, widest_gap_deg: float | None = None
-) -> Converted:
-    """Write what a format holds of a content. Raises UserError and FormatError, in words, where that is not possible.
-
-    `widest_gap_deg`: see `gridding.grid_table`.
-    """
+def convert_content(content: BsdfFile, path: Path, form: Format, choice: Choice) -> Converted:
+    """Write what a format holds of a content. Raises UserError and FormatError, in words, where that is not possible."""
     notes: list[str] = []
     if not form.holds.issuperset({Holds.GRID, Holds.POINTS}):
-        content = content.of_tables() if Holds.GRID in form.holds else content.of_points()
+        content = content.of_points()
     chosen = _of_sample(content, path, form, choice.sample)
     chosen = _of_side(chosen, path, form, choice.side, notes)
     chosen = _of_light(chosen, path, form, choice.light)
     chosen = _of_kind(chosen, path, form, notes)
     measured = sum(_measured(part, UNTRUSTED if Holds.POINTS in form.holds else {*UNTRUSTED, CHECK}) for part in chosen.parts)
     if Holds.GRID in form.holds:
-        chosen = _gridded(chosen, path, form, choice.fill, widest_gap_deg)
+        chosen = _gridded(chosen, path, form, choice.fill)
     else:
         chosen = _as_points(chosen, form, notes)
     shares = tuple(share for table in chosen.tables for share in shares_of(table))
@@ -280,9 +275,7 @@ def _measured(part: Part, without: Collection[str]) -> int:
     return int(part.values.size if known is None else np.count_nonzero(known))
 
 
-def _gridded(
-    content: BsdfFile, path: Path, form: Format, fill: Fill, widest_gap_deg: float | None
-) -> BsdfFile:  # fmt: skip
+def _gridded(content: BsdfFile, path: Path, form: Format, fill: Fill) -> BsdfFile:
     """Tables instead of scattered values, or beside them in a format that holds both; and holes filled.
 
     A table has the comments on the whole file, too.
@@ -301,7 +294,7 @@ def _gridded(
                 needs = registry.content_needs(BsdfFile((one,))) - {Holds.POINTS} | {Holds.GRID, Holds.SIGMAS}
                 registry.check_holds(path, form, needs)
             try:
-                parts.append(_table(one, content.comments, fill, widest_gap_deg))
+                parts.append(grid_table(one, fill=fill, comments=(*content.comments, *one.comments)))
             except ValueError as error:
                 if both:  # the values themselves are there
                     continue
@@ -312,13 +305,6 @@ def _gridded(
 
 def _of_points() -> str:
     return registry.join_words(map(str, registry.writers(Holds.POINTS)))
-
-
-def _table(part: ScatteredBsdf, comments: tuple[str, ...], fill: Fill, widest_gap_deg: float | None) -> BsdfTable:
-    about = [*comments, *part.comments]
-    if widest_gap_deg is not None:
-        about.append(f"nodes between measured directions more than {widest_gap_deg:g} deg apart count as not measured")
-    return grid_table(part, fill=fill, widest_gap_deg=widest_gap_deg, comments=about)
 
 
 def _refilled(table: BsdfTable, path: Path, fill: Fill) -> BsdfTable:

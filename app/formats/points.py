@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from goniotwin.app.formats.content import HORIZON_DEG, BsdfFile, ScatteredBsdf, psi_of_gamma
+from goniotwin.app.formats.content import HORIZON_DEG, BsdfFile, ScatteredBsdf, has_one_psi, psi_of_gamma
 from goniotwin.app.formats.file import FormatError, StrPath, name_file, quote_word
 from goniotwin.app.formats.numerals import NUMBER, NotANumber, format_number, parse_number
 from goniotwin.app.formats.text import CONTROL_CHARACTER, comment_lines, mark_comments, read_text, write_text
@@ -140,14 +140,15 @@ def _bsdf_file(path: StrPath, points: Points) -> BsdfFile:
         sigma, psi, polar, azimuth, values, u, u_shared=found.numbers("u_shared_per_sr", 0.0),
         wavelength_nm=found.numbers("wavelength_nm", np.nan), channel=found.texts("channel", ""), transmitted=transmitted,
         back=back, flags=flags, photodiode=np.where(np.isnan(photodiode), -1.0, photodiode).astype(np.int64),
-        isotropic=np.unique(psi).size <= 1, generated=any(line.startswith(SIMULATED) for line in points.comments),
+        generated=any(line.startswith(SIMULATED) for line in points.comments),
     )  # fmt: skip
     samples = list(dict.fromkeys(names.tolist()))
     if not size:
         raise FormatError(path, "it has columns and no values", "give a file with values")
-    parts = (
-        replace(everything if len(samples) == 1 else everything.where(names == name), sample=str(name)) for name in samples
-    )
+    parts = []
+    for name in samples:
+        part = everything if len(samples) == 1 else everything.where(names == name)
+        parts.append(replace(part, sample=str(name), isotropic=has_one_psi(part.psi_deg, part.flags)))
     return BsdfFile(tuple(parts), comments=points.comments)
 
 

@@ -357,7 +357,7 @@ def _file_sample(content: BsdfFile, path: Path, sample: MeasuredTable) -> Scatte
         known = registry.join_words(registry.read(path).samples)
         wrong = f"there is no sample {sample.sample!r} in it" if sample.sample is not None else "it has several samples"
         raise FormatError(path, wrong, f"choose one with the key sample: {known}")
-    content = content.of_tables()
+    content = content.of_points()
     tables = list(content.tables)
     for part in content.scattered:
         tables += [grid_table(each, fill=sample.fill) for each in separate(part)]

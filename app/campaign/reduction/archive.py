@@ -28,7 +28,7 @@ from goniotwin.app.campaign.reduction.reduction import ReducedJournal, Reduction
 from goniotwin.app.campaign.reduction.reflectance import Setting, integration_settings, quadrature
 from goniotwin.app.campaign.uncertainty.inputs import Input
 from goniotwin.app.formats import archive
-from goniotwin.app.formats.content import COLUMNS, BsdfFile, ScatteredBsdf
+from goniotwin.app.formats.content import COLUMNS, BsdfFile, ScatteredBsdf, gap_line
 from goniotwin.app.formats.file import check_writable
 from goniotwin.app.formats.gridding import grid_table
 from goniotwin.app.formats.holes import Fill
@@ -73,7 +73,7 @@ def write_archive(
                     continue
                 about = (*heading(reduced), *part.comments)
                 try:
-                    found = grid_table(chosen, fill=fill, widest_gap_deg=WIDEST_GAP_DEG, comments=about)
+                    found = grid_table(chosen, fill=fill, comments=about)
                 except ValueError as error:
                     what = f"{'transmitted' if light else 'reflected'} light of {name}, {'back' if side else 'front'}"
                     missing.append(f"no table of the {what}: {error}")
@@ -101,7 +101,7 @@ def write_archive(
 
 def _empty(reduced: ReducedJournal, name: str) -> ScatteredBsdf:
     none = np.zeros(0)
-    about = (f"symmetry: {reduced.symmetry[name]}",) if name in reduced.symmetry else ()
+    about = (gap_line(WIDEST_GAP_DEG), *([f"symmetry: {reduced.symmetry[name]}"] if name in reduced.symmetry else []))
     return ScatteredBsdf(none, none, none, none, none, sample=name, generated=reduced.simulated, comments=about)
 
 

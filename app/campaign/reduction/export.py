@@ -12,7 +12,7 @@ from goniotwin.app.campaign.reduction.points import BITS, FLAGS, BsdfPoints, Poi
 from goniotwin.app.campaign.reduction.reduction import ReducedJournal
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats import PointStream
-from goniotwin.app.formats.content import CHECK, BsdfFile, ScatteredBsdf, Texts, flagged, psi_of_gamma
+from goniotwin.app.formats.content import CHECK, BsdfFile, ScatteredBsdf, Texts, gap_line, has_one_psi, psi_of_gamma
 from goniotwin.app.formats.metadata import Metadata
 from goniotwin.arrays import Flags
 from goniotwin.twin.optics.geometry.coordinates import HALF_TURN_DEG, wrap_azimuth
@@ -58,9 +58,9 @@ def scattered_points(points: BsdfPoints, sample: str, *, generated: bool) -> Sca
 def _scattered(
     columns: dict[str, np.ndarray], sample: str, generated: bool, comments: tuple[str, ...] = ()
 ) -> ScatteredBsdf:  # fmt: skip
-    own = columns["psi_deg"][~flagged(columns["flags"], {CHECK})]
     return ScatteredBsdf(
-        **columns, sample=sample, isotropic=np.unique(own).size <= 1, generated=generated, comments=comments
+        **columns, sample=sample, isotropic=has_one_psi(columns["psi_deg"], columns["flags"]), generated=generated, comments=comments,
+        widest_gap_deg=WIDEST_GAP_DEG,
     )  # fmt: skip
 
 
@@ -88,6 +88,7 @@ def points_of(reduced: ReducedJournal, sample: str | None, path: Path) -> tuple[
         "sigma: incidence; theta, phi: observation about the specular direction, phi 0 towards the normal; degrees",
         "bsdf with its standard uncertainty u_bsdf in 1/sr; luminance_factor is pi times bsdf",
         "side: the lit side, front or back; light: reflected or transmitted",
+        gap_line(WIDEST_GAP_DEG),
         "check: mirrored, for a direction measured only to check the stated symmetry",
         "signature_share: the instrument signature's share of the signal, already subtracted; empty where not measured",
         INTERVAL_RULE,

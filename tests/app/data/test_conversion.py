@@ -14,6 +14,7 @@ from goniotwin.app.data.conversion import Choice, Converted, convert_content, co
 from goniotwin.app.errors import GoniotwinError, UserError
 from goniotwin.app.formats import registry
 from goniotwin.app.formats.content import BsdfFile, RegularTable, ScatteredBsdf, nodes
+from goniotwin.app.formats.gridding import grid_table
 from goniotwin.app.formats.table import BsdfTable
 
 SIGMA, PHI, THETA = np.array([0.0, 30.0, 60.0, 90.0]), np.arange(0.0, 181.0, 10.0), np.arange(0.0, 181.0, 2.0)
@@ -174,18 +175,17 @@ def test_info_counts_flags_and_lists_wavelengths(tmp_path: Path, capsys: pytest.
 
 
 def test_of_an_archive_each_value_counts_once(tmp_path: Path) -> None:
-    """It has a sample's values and the table made of them: a list has the ones, a table the other, a dataset the values."""
+    """It has a sample's values and the table made of them: all but a copy is made of the values."""
     grid = table()
     values = replace(nodes(grid), comments=())
     content = BsdfFile((values, grid))
     assert content.of_points().parts == (values,)
-    assert content.of_tables().parts == (grid,)
     through = replace(values, transmitted=np.ones(values.size, dtype=bool))
-    assert len(BsdfFile((through, grid)).of_tables().parts) == 2  # light of which there is no table
+    assert len(BsdfFile((through, grid)).of_points().parts) == 2  # light of which there are no values
     path = tmp_path / "a.h5"
     registry.write(path, content, registry.format_named("archive", {registry.Holds.GRID}))
     assert goniotwin.open(path).size == values.size
     listed = convert_file(path, tmp_path / "a.csv", format_to_write(tmp_path / "a.csv"), Choice())
     assert registry.read(listed.files[0]).scattered[0].size == values.size
     made = convert_file(path, tmp_path / "a.ddr", format_to_write(tmp_path / "a.ddr"), Choice())
-    np.testing.assert_allclose(registry.read(made.files[0]).only_table().values, grid.values, rtol=1e-8)
+    np.testing.assert_allclose(registry.read(made.files[0]).only_table().values, grid_table(values).values, rtol=1e-8)

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from goniotwin.app.campaign.reduction.components import interval, mostly_added
-from goniotwin.app.campaign.reduction.export import WIDEST_GAP_DEG, scattered_points
+from goniotwin.app.campaign.reduction.export import scattered_points
 from goniotwin.app.campaign.reduction.overlaps import overlaps
 from goniotwin.app.campaign.reduction.points import FLAGS, BsdfPoints, join_points
 from goniotwin.app.campaign.reduction.reduction import BsdfDataset
@@ -45,7 +45,7 @@ def smooth(zenith: np.ndarray, azimuth: np.ndarray) -> np.ndarray:
 
 def regrid(points: BsdfPoints) -> tuple[tuple[np.ndarray, np.ndarray], SpecularCut]:
     """phi and theta of the table of points at one sigma, and the cut there."""
-    table = grid_table(scattered_points(points, "paper", generated=False), widest_gap_deg=WIDEST_GAP_DEG)
+    table = grid_table(scattered_points(points, "paper", generated=False))
     at = table.sigma_deg.tolist().index(points.sigma_deg[0])
     assert table.u is not None
     assert table.known is not None
