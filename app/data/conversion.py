@@ -5,7 +5,7 @@ scattered values where the format holds no others, and scattered values are the 
 """
 
 import os
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -35,6 +35,7 @@ from goniotwin.app.formats.content import (
 from goniotwin.app.formats.file import SQLITE, read_head
 from goniotwin.app.formats.gridding import grid_table
 from goniotwin.app.formats.holes import FILLS, Fill, fill_holes, refuse_holes, unmeasured_share
+from goniotwin.app.formats.metadata import common_metadata
 from goniotwin.app.formats.numerals import NotANumber, format_number, parse_number
 from goniotwin.app.formats.registry import Format, Holds
 from goniotwin.arrays import Floats
@@ -171,8 +172,10 @@ def convert_reduced(reduced: ReducedJournal, path: Path, form: Format, choice: C
         if sample is None and len(reduced.samples) > 1 and Holds.SAMPLES not in form.holds:
             raise _several(path, form, tuple(reduced.samples))
         content = scattered_of(reduced, sample)
-        known = [reduced.metadata[name] for name in content.samples if name in reduced.metadata]
-        return convert_content(replace(content, metadata=known[0]) if known else content, path, form, choice)
+        known = {name: reduced.metadata[name] for name in content.samples if name in reduced.metadata}
+        if known:
+            content = replace(content, metadata=common_metadata(known.values()), of_samples=known)
+        return convert_content(content, path, form, choice)
 
 
 def _columns(reduced: ReducedJournal, path: Path, form: Format, choice: Choice) -> Converted:
@@ -281,18 +284,22 @@ def shares_of(table: BsdfTable) -> Iterator[Share]:
 
 
 def _several(path: Path, form: Format, samples: tuple[str, ...]) -> UserError:
-    known = ", ".join(name or "one without a name" for name in samples)
-    return UserError(f"{path}: a {form.name} file has one sample, and there are: {known}; choose one with --sample")
+    wrong = f"a {form.name} file has one sample, and there are: {_names(samples)}"
+    return UserError(f"{path}: {wrong}; choose one with --sample")
+
+
+def _names(samples: Iterable[str]) -> str:
+    return ", ".join(repr(name) if "," in name else name or "one without a name" for name in samples)
 
 
 def _of_sample(content: BsdfFile, path: Path, form: Format, sample: str | None) -> BsdfFile:
     if sample is not None:
         if sample not in content.samples:
-            raise UserError(f"{path}: there is no sample {sample!r}; it has: {', '.join(content.samples)}")
+            raise UserError(f"{path}: there is no sample {sample!r}; there are: {_names(content.samples)}")
         return content.of(sample)
     if len(content.samples) > 1 and Holds.SAMPLES not in form.holds:
         raise _several(path, form, content.samples)
-    return content
+    return content.of(content.samples[0]) if len(content.samples) == 1 else content
 
 
 def _parts(content: BsdfFile, attribute: str, wanted: bool) -> BsdfFile:

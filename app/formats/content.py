@@ -6,7 +6,7 @@ comes from the polar angle sigma and the azimuth psi; without psi it comes from 
 
 import math
 import re
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
@@ -175,12 +175,14 @@ Part = BsdfTable | ScatteredBsdf | RegularTable
 class BsdfFile:
     """The content of a file: its `parts`, each of one sample, what is known about them, and comments on all of them.
 
+    `of_samples` are the metadata of each sample where they are known one by one; `metadata` those of all.
     A grid and a table of regular factors are of one side and of reflected or transmitted light; scattered values may be mixed.
     """
 
     parts: tuple[Part, ...]
     metadata: Metadata = field(default_factory=Metadata)
     comments: tuple[str, ...] = ()
+    of_samples: Mapping[str, Metadata] = field(default_factory=dict)
 
     @property
     def simulated(self) -> bool:
@@ -214,8 +216,11 @@ class BsdfFile:
         return self.tables[0]
 
     def of(self, sample: str) -> "BsdfFile":
-        """The parts of one sample."""
-        return replace(self, parts=tuple(part for part in self.parts if part.sample == sample))
+        """The parts of one sample, with its metadata."""
+        metadata = self.of_samples.get(sample, self.metadata)
+        return replace(
+            self, parts=tuple(part for part in self.parts if part.sample == sample), metadata=metadata, of_samples={}
+        )
 
     def of_points(self) -> "BsdfFile":
         """Without the tables of which the scattered values are there, by sample, light and side: an archive has both, and the

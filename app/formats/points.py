@@ -89,6 +89,12 @@ def stream_of(content: BsdfFile) -> PointStream:
     comments = [
         *([f"{SIMULATED}no value is from a real instrument"] if content.simulated else []),
         *content.metadata.lines(),
+        *(
+            f"{name}: {line}"
+            for name, metadata in content.of_samples.items()
+            for line in metadata.lines()
+            if line not in content.metadata.lines()
+        ),
         "directions in the sample's frame: sigma, psi: polar angle and azimuth of the light; polar, azimuth: observation;",
         "theta, phi: about the specular direction, phi 0 towards the normal; degrees",
         "bsdf with its standard uncertainty u_bsdf in 1/sr, u_shared the part of it that neighbouring values share; "

@@ -32,7 +32,7 @@ from goniotwin.app.formats.content import COLUMNS, BsdfFile, ScatteredBsdf, gap_
 from goniotwin.app.formats.file import check_writable
 from goniotwin.app.formats.gridding import grid_table
 from goniotwin.app.formats.holes import Fill
-from goniotwin.app.formats.metadata import Metadata
+from goniotwin.app.formats.metadata import Metadata, common_metadata
 from goniotwin.app.formats.table import BsdfTable
 
 CHUNK_POINTS = 10_000
@@ -89,7 +89,7 @@ def write_archive(
         for k, table in enumerate(tables, 1 + len(reduced.samples)):
             archive.put_part(entry, f"part_{k}", table)
         comments = dict.fromkeys([*heading(reduced), *reduced.notes, *missing])
-        about = next(iter(reduced.metadata.values()), Metadata(title=reduced.name))
+        about = common_metadata(reduced.metadata.values()) if reduced.metadata else Metadata(title=reduced.name)
         archive.put_about(entry, BsdfFile((), about, tuple(comments)))
         entry.attrs.update({"simulated": reduced.simulated, "default": "part_1"})
         inputs.put(entry.create_group("inputs"))

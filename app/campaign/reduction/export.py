@@ -156,7 +156,7 @@ def _some(reduced: ReducedJournal, sample: str | None, takes: Callable[[BsdfPoin
 def _points(reduced: ReducedJournal, sample: str) -> PointSource:
     """The points of a sample. Raises UserError for an unknown name."""
     if sample not in reduced.samples:
-        known = ", ".join(reduced.samples) or "none"
+        known = ", ".join(map(repr, reduced.samples)) or "none"
         raise UserError(f"the journal has no measured sample {sample!r}; it has: {known}")
     return reduced.samples[sample]
 
