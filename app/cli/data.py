@@ -12,7 +12,6 @@ from rich.table import Table
 from rich.text import Text
 
 from goniotwin.app.cli.output import CommandWithFormats, Json, answer, print_error, print_warning
-from goniotwin.app.errors import UserError
 
 if TYPE_CHECKING:  # the reduction loads numpy, which a command's help does not need
     from goniotwin.app.campaign.reduction.budget import Budget
@@ -45,6 +44,12 @@ SideOption = Annotated[
     Literal["front", "back"] | None,
     typer.Option("--side", help="Lit side, if there are both; a table of one side is of the front.", show_default=False),
 ]
+WavelengthOption = Annotated[
+    str | None,
+    typer.Option(
+        "--wavelength", metavar="NM|all", help="One wavelength; with all, a file of each: NAME.550nm.bsdf.", show_default=False
+    ),
+]
 FillOption = Annotated[
     Literal["hold", "neighbour", "fit", "refuse"],
     typer.Option("--fill", help="How a table's holes are filled, where nothing was measured: docs/formats.md."),
@@ -62,6 +67,7 @@ def export(
     sample: SampleOption = None,
     light: LightOption = None,
     side: SideOption = None,
+    wavelength: WavelengthOption = None,
     fill: FillOption = "hold",
     without_damaged: DamagedOption = False,
     as_json: Json = False,
@@ -75,7 +81,7 @@ def export(
 
     Exit status: 1 if the journal differs from what was measured, row by row or as a whole.
     """
-    _convert(journal, out, file_format, (sample, light, side, fill), without_damaged, as_json, of_journal=True)
+    _convert(journal, out, file_format, (sample, light, side, wavelength, fill), without_damaged, as_json, of_journal=True)
 
 
 @app.command(cls=CommandWithFormats)
@@ -86,6 +92,7 @@ def convert(
     sample: SampleOption = None,
     light: LightOption = None,
     side: SideOption = None,
+    wavelength: WavelengthOption = None,
     fill: FillOption = "hold",
     without_damaged: DamagedOption = False,
     as_json: Json = False,
@@ -98,7 +105,7 @@ def convert(
 
     Exit status: 1 if a journal differs from what was measured, row by row or as a whole.
     """
-    _convert(source, out, file_format, (sample, light, side, fill), without_damaged, as_json, of_journal=False)
+    _convert(source, out, file_format, (sample, light, side, wavelength, fill), without_damaged, as_json, of_journal=False)
 
 
 def _convert(
@@ -115,12 +122,13 @@ def _convert(
         convert_reduced,
         format_to_write,
         is_journal,
+        parse_wavelength,
+        refuse_itself,
     )
-    from goniotwin.app.formats.registry import files_beside
 
-    form, choice = format_to_write(out, name), Choice(*options)
-    if os.path.realpath(source) in {os.path.realpath(each) for each in (out, *files_beside(out, form).values())}:
-        raise UserError(f"{out}: is the {'journal' if of_journal else 'file'} itself; choose another name")
+    *others, wavelength, fill = options
+    form, choice = format_to_write(out, name), Choice(*others, parse_wavelength(wavelength), fill)
+    refuse_itself(source, out, form)
     result: dict[str, Any] = {}
     lines: list[str] = []
     damage, findings = "", []
@@ -128,7 +136,7 @@ def _convert(
         folder = Path(os.path.realpath(out)).parent
         with Journal.open(source) as opened, reduce_to_files(opened, folder, without_damaged=without_damaged) as reduced:
             chain = opened.chain
-            if form.name == "archive" and options[:3] == (None, None, None):
+            if form.name == "archive" and choice.everything:
                 converted = archive_journal(opened, reduced, out, choice, without_damaged=without_damaged)
             else:
                 converted = convert_reduced(reduced, out, form, choice)

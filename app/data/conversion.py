@@ -4,7 +4,8 @@ A format may hold one sample, one kind of light, or one side: where there are se
 scattered values where the format holds no others, and scattered values are the nodes of a table. What is omitted has a note.
 """
 
-from collections.abc import Collection, Iterator
+import os
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,9 +15,10 @@ import numpy as np
 
 from goniotwin.app.campaign.journal.reading import JournalReader
 from goniotwin.app.campaign.reduction.archive import write_archive
-from goniotwin.app.campaign.reduction.export import WIDEST_GAP_DEG, part_of_light, points_of, scattered_of
+from goniotwin.app.campaign.reduction.export import part_of_light, part_of_wavelength, points_of, scattered_of, wavelengths_of
 from goniotwin.app.campaign.reduction.reduction import ReducedJournal
 from goniotwin.app.data.opening import with_files_beside
+from goniotwin.app.data.values import EQUAL, listed, neighbours
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats import BsdfTable, FormatError, registry
 from goniotwin.app.formats.content import (
@@ -33,7 +35,10 @@ from goniotwin.app.formats.content import (
 from goniotwin.app.formats.file import SQLITE, read_head
 from goniotwin.app.formats.gridding import grid_table
 from goniotwin.app.formats.holes import FILLS, Fill, fill_holes, refuse_holes, unmeasured_share
+from goniotwin.app.formats.metadata import common_metadata
+from goniotwin.app.formats.numerals import NotANumber, format_number, parse_number
 from goniotwin.app.formats.registry import Format, Holds
+from goniotwin.arrays import Floats
 
 Light = Literal["reflected", "transmitted"]
 Side = Literal["front", "back"]
@@ -41,12 +46,31 @@ Side = Literal["front", "back"]
 
 @dataclass(frozen=True)
 class Choice:
-    """What of several samples, lights and sides is written, and how holes are filled. None: all, or the only one."""
+    """What of several samples, lights, sides and wavelengths is written, and how holes are filled. None: all, or the only one.
+
+    `wavelength_nm` "all": each wavelength in a file of its own.
+    """
 
     sample: str | None = None
     light: Light | None = None
     side: Side | None = None
+    wavelength_nm: float | Literal["all"] | None = None
     fill: Fill = "hold"
+
+    @property
+    def everything(self) -> bool:
+        """Whether nothing is left out."""
+        return (self.sample, self.light, self.side, self.wavelength_nm) == (None, None, None, None)
+
+
+def parse_wavelength(text: str | None) -> float | Literal["all"] | None:
+    """The choice of a wavelength in words: a number of nm, or "all". Raises UserError."""
+    if text is None or text == "all":
+        return text  # type: ignore[return-value]
+    try:
+        return parse_number(text.strip().removesuffix("nm").strip())
+    except NotANumber:
+        raise UserError(f"--wavelength {text!r}: give one wavelength in nm, such as 550, or all") from None
 
 
 @dataclass(frozen=True)
@@ -131,7 +155,7 @@ def convert_file(source: Path, path: Path, form: Format, choice: Choice) -> Conv
     """Convert a file of any format, with the uncertainties and the mask beside it. Raises UserError."""
     with user_errors():
         found = registry.recognise(source)
-        return convert_content(with_files_beside(source, found.read(source), found), path, form, choice)
+        return convert_content(with_files_beside(source, found.read(source), found), path, form, choice, source)
 
 
 def convert_reduced(reduced: ReducedJournal, path: Path, form: Format, choice: Choice) -> Converted:
@@ -140,15 +164,37 @@ def convert_reduced(reduced: ReducedJournal, path: Path, form: Format, choice: C
         reduced = part_of_light(reduced, choice.sample, path, choice.light)
     with user_errors():
         if Holds.COLUMNS in form.holds and choice.side is None:
-            stream, count = points_of(reduced, choice.sample, path)
-            form.write(path, stream)
-            return Converted((path,), form.name, count, reduced.simulated, choice.fill)
+            return _columns(reduced, path, form, choice)
+        if isinstance(choice.wavelength_nm, float):
+            _check_wavelength(path, wavelengths_of(reduced, choice.sample), choice.wavelength_nm)
+            reduced = part_of_wavelength(reduced, choice.sample, choice.wavelength_nm)
         sample = choice.sample
         if sample is None and len(reduced.samples) > 1 and Holds.SAMPLES not in form.holds:
             raise _several(path, form, tuple(reduced.samples))
         content = scattered_of(reduced, sample)
-        known = [reduced.metadata[name] for name in content.samples if name in reduced.metadata]
-        return convert_content(replace(content, metadata=known[0]) if known else content, path, form, choice, WIDEST_GAP_DEG)
+        known = {name: reduced.metadata[name] for name in content.samples if name in reduced.metadata}
+        if known:
+            content = replace(content, metadata=common_metadata(known.values()), of_samples=known)
+        return convert_content(content, path, form, choice)
+
+
+def _columns(reduced: ReducedJournal, path: Path, form: Format, choice: Choice) -> Converted:
+    """Write every column of every point, or of those of a wavelength; or a file for each wavelength."""
+    if choice.wavelength_nm is None:
+        stream, count = points_of(reduced, choice.sample, path)
+        form.write(path, stream)
+        return Converted((path,), form.name, count, reduced.simulated, choice.fill)
+    there = wavelengths_of(reduced, choice.sample)
+    every = replace(choice, wavelength_nm=None)
+    if choice.wavelength_nm != "all":
+        _check_wavelength(path, there, choice.wavelength_nm)
+        return _columns(part_of_wavelength(reduced, choice.sample, choice.wavelength_nm), path, form, every)
+    return _together(
+        [
+            _columns(part_of_wavelength(reduced, choice.sample, nm), wavelength_path(path, nm), form, every)
+            for nm in there.tolist()
+        ]
+    )
 
 
 def archive_journal(
@@ -162,28 +208,69 @@ def archive_journal(
 
 
 def convert_content(
-    content: BsdfFile, path: Path, form: Format, choice: Choice, widest_gap_deg: float | None = None
-) -> Converted:
+    content: BsdfFile, path: Path, form: Format, choice: Choice, source: Path | None = None
+) -> Converted:  # fmt: skip
     """Write what a format holds of a content. Raises UserError and FormatError, in words, where that is not possible.
 
-    `widest_gap_deg`: see `gridding.grid_table`.
+    `source` is a file that must not be overwritten.
     """
     notes: list[str] = []
     if not form.holds.issuperset({Holds.GRID, Holds.POINTS}):
-        content = content.of_tables() if Holds.GRID in form.holds else content.of_points()
+        content = content.of_points()
     chosen = _of_sample(content, path, form, choice.sample)
     chosen = _of_side(chosen, path, form, choice.side, notes)
     chosen = _of_light(chosen, path, form, choice.light)
     chosen = _of_kind(chosen, path, form, notes)
+    if choice.wavelength_nm != "all":
+        return _write(_of_wavelength(chosen, path, form, choice.wavelength_nm), path, form, choice, notes)
+    if not (there := wavelengths_nm(chosen)).size:
+        raise UserError(f"{path}: its values have no wavelength; leave --wavelength out")
+    files = [wavelength_path(path, nm) for nm in there.tolist()]
+    for each in files:
+        refuse_itself(source, each, form)
+    return _together(
+        [
+            _write(_of_wavelength(chosen, each, form, nm), each, form, choice, [*notes])
+            for nm, each in zip(there.tolist(), files, strict=True)
+        ]
+    )
+
+
+def _write(chosen: BsdfFile, path: Path, form: Format, choice: Choice, notes: list[str]) -> Converted:
+    """Write what was chosen of a content."""
     measured = sum(_measured(part, UNTRUSTED if Holds.POINTS in form.holds else {*UNTRUSTED, CHECK}) for part in chosen.parts)
     if Holds.GRID in form.holds:
-        chosen = _gridded(chosen, path, form, choice.fill, widest_gap_deg)
+        chosen = _gridded(chosen, path, form, choice.fill)
     else:
         chosen = _as_points(chosen, form, notes)
     shares = tuple(share for table in chosen.tables for share in shares_of(table))
     parts = tuple(replace(part, comments=(*part.comments, *notes)) for part in chosen.parts)
     files = registry.write(path, replace(chosen, parts=parts), form)
     return Converted(files, form.name, measured, chosen.simulated, choice.fill, shares, tuple(notes))
+
+
+def refuse_itself(source: Path | None, path: Path, form: Format) -> None:
+    """Raise UserError where a result, or a file beside it, would replace the file that it is made of."""
+    if source is not None and os.path.realpath(source) in {
+        os.path.realpath(each) for each in (path, *registry.files_beside(path, form).values())
+    }:
+        raise UserError(f"{path}: is the {'journal' if is_journal(source) else 'file'} itself; choose another name")
+
+
+def wavelength_path(path: Path, wavelength_nm: float) -> Path:
+    """The file of one wavelength, where each has its own: NAME.550nm.bsdf for NAME.bsdf."""
+    return path.with_suffix(f".{format_number(wavelength_nm)}nm{path.suffix}")
+
+
+def _together(results: Sequence[Converted]) -> Converted:
+    """The result of several files."""
+    return replace(
+        results[0],
+        files=tuple(file for each in results for file in each.files),
+        values=sum(each.values for each in results),
+        shares=tuple(share for each in results for share in each.shares),
+        notes=tuple(dict.fromkeys(note for each in results for note in each.notes)),
+    )
 
 
 def shares_of(table: BsdfTable) -> Iterator[Share]:
@@ -197,18 +284,22 @@ def shares_of(table: BsdfTable) -> Iterator[Share]:
 
 
 def _several(path: Path, form: Format, samples: tuple[str, ...]) -> UserError:
-    known = ", ".join(name or "one without a name" for name in samples)
-    return UserError(f"{path}: a {form.name} file has one sample, and there are: {known}; choose one with --sample")
+    wrong = f"a {form.name} file has one sample, and there are: {_names(samples)}"
+    return UserError(f"{path}: {wrong}; choose one with --sample")
+
+
+def _names(samples: Iterable[str]) -> str:
+    return ", ".join(repr(name) if "," in name else name or "one without a name" for name in samples)
 
 
 def _of_sample(content: BsdfFile, path: Path, form: Format, sample: str | None) -> BsdfFile:
     if sample is not None:
         if sample not in content.samples:
-            raise UserError(f"{path}: there is no sample {sample!r}; it has: {', '.join(content.samples)}")
+            raise UserError(f"{path}: there is no sample {sample!r}; there are: {_names(content.samples)}")
         return content.of(sample)
     if len(content.samples) > 1 and Holds.SAMPLES not in form.holds:
         raise _several(path, form, content.samples)
-    return content
+    return content.of(content.samples[0]) if len(content.samples) == 1 else content
 
 
 def _parts(content: BsdfFile, attribute: str, wanted: bool) -> BsdfFile:
@@ -257,6 +348,44 @@ def _of_light(content: BsdfFile, path: Path, form: Format, light: Light | None) 
     return content
 
 
+def wavelengths_nm(content: BsdfFile) -> Floats:
+    """The wavelengths of a content, ascending; none for grey values and colours."""
+    found = [
+        part.wavelength_nm if isinstance(part, ScatteredBsdf) else np.array(part.wavelengths_nm or (), dtype=np.float64)
+        for part in content.parts
+    ]
+    every = np.concatenate([np.zeros(0), *found])
+    return np.unique(every[np.isfinite(every)])
+
+
+def _check_wavelength(path: Path, there: Floats, wavelength_nm: float) -> None:
+    if not (np.abs(there - wavelength_nm) <= EQUAL).any():
+        has = f"there are {listed(there, 'nm')}; {neighbours(there, wavelength_nm)}" if there.size else "its values have none"
+        raise UserError(f"{path}: there is no wavelength {wavelength_nm:g} nm: {has}")
+
+
+def _of_wavelength(content: BsdfFile, path: Path, form: Format, wavelength_nm: float | None) -> BsdfFile:
+    there = wavelengths_nm(content)
+    if wavelength_nm is None:
+        if there.size > 1 and Holds.WAVELENGTHS not in form.holds:
+            wrong = f"a {form.name} file has one wavelength, and there are {listed(there, 'nm')}"
+            raise UserError(f"{path}: {wrong}; choose one with --wavelength, or write a file of each with --wavelength all")
+        return content
+    _check_wavelength(path, there, wavelength_nm)
+    kept: list[Part] = []
+    for part in content.parts:
+        if isinstance(part, ScatteredBsdf):
+            chosen = part.where(np.abs(part.wavelength_nm - wavelength_nm) <= EQUAL)
+            kept += [chosen] if chosen.size else []
+            continue
+        at = np.flatnonzero(np.abs(np.array(part.wavelengths_nm or ()) - wavelength_nm) <= EQUAL)
+        if at.size:
+            arrays = {each: getattr(part, each, None) for each in ("values", "u", "known")}
+            taken = {each: array[at] for each, array in arrays.items() if array is not None}
+            kept.append(replace(part, wavelengths_nm=(np.array(part.wavelengths_nm)[at[0]].item(),), **taken))
+    return replace(content, parts=tuple(kept))
+
+
 def _of_kind(content: BsdfFile, path: Path, form: Format, notes: list[str]) -> BsdfFile:
     """Without regular factors where the format does not hold them, and with nothing else where it holds only these."""
     others = tuple(part for part in content.parts if not isinstance(part, RegularTable))
@@ -280,9 +409,7 @@ def _measured(part: Part, without: Collection[str]) -> int:
     return int(part.values.size if known is None else np.count_nonzero(known))
 
 
-def _gridded(
-    content: BsdfFile, path: Path, form: Format, fill: Fill, widest_gap_deg: float | None
-) -> BsdfFile:  # fmt: skip
+def _gridded(content: BsdfFile, path: Path, form: Format, fill: Fill) -> BsdfFile:
     """Tables instead of scattered values, or beside them in a format that holds both; and holes filled.
 
     A table has the comments on the whole file, too.
@@ -301,7 +428,7 @@ def _gridded(
                 needs = registry.content_needs(BsdfFile((one,))) - {Holds.POINTS} | {Holds.GRID, Holds.SIGMAS}
                 registry.check_holds(path, form, needs)
             try:
-                parts.append(_table(one, content.comments, fill, widest_gap_deg))
+                parts.append(grid_table(one, fill=fill, comments=(*content.comments, *one.comments)))
             except ValueError as error:
                 if both:  # the values themselves are there
                     continue
@@ -312,13 +439,6 @@ def _gridded(
 
 def _of_points() -> str:
     return registry.join_words(map(str, registry.writers(Holds.POINTS)))
-
-
-def _table(part: ScatteredBsdf, comments: tuple[str, ...], fill: Fill, widest_gap_deg: float | None) -> BsdfTable:
-    about = [*comments, *part.comments]
-    if widest_gap_deg is not None:
-        about.append(f"nodes between measured directions more than {widest_gap_deg:g} deg apart count as not measured")
-    return grid_table(part, fill=fill, widest_gap_deg=widest_gap_deg, comments=about)
 
 
 def _refilled(table: BsdfTable, path: Path, fill: Fill) -> BsdfTable:

@@ -1,21 +1,30 @@
 """What a file is, of what, how complete, and whether it is simulated: for `goniotwin info`."""
 
+from collections import Counter
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from goniotwin.app.campaign.journal.summary import campaign_summary
+from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.reduction.polarisation import light_words
+from goniotwin.app.campaign.schedule.file import parse_schedule
+from goniotwin.app.campaign.schedule.grids import grid_values
 from goniotwin.app.data.conversion import is_journal, shares_of, user_errors
 from goniotwin.app.data.opening import with_files_beside
 from goniotwin.app.formats import BsdfTable, registry
 from goniotwin.app.formats.content import UNTRUSTED, Part, RegularTable, ScatteredBsdf, flagged
 from goniotwin.app.formats.registry import BSDF, Holds
+from goniotwin.app.rig import parse_rig
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics.geometry.coordinates import round_deg
 
 MOST_LISTED = 12
 """Angles or wavelengths that are listed one by one."""
+FEW = 4
+"""Incidences for which the polarisation of the light is listed; of more, for the first and the last."""
 
 
 def information(path: Path) -> dict[str, Any]:
@@ -36,13 +45,36 @@ def information(path: Path) -> dict[str, Any]:
         "simulated": content.simulated,
         "stands_for": described,
         "parts": [_of_part(part) for part in content.parts],
-        "metadata": content.metadata.as_dict(),
+        "metadata": (content.of(content.samples[0]) if len(content.samples) == 1 else content).metadata.as_dict(),
+        "metadata_of_samples": {name: each.as_dict() for name, each in content.of_samples.items()},
         "comments": sum(len(each.comments) for each in (content, *content.parts)),
     }
 
 
 def _of_journal(path: Path) -> dict[str, Any]:
-    return campaign_summary(path).as_dict()
+    summary = campaign_summary(path)
+    with Journal.open(path) as journal:
+        schedule = parse_schedule(journal.value("schedule"), f"{path} (schedule)").file
+        rig = parse_rig(journal.value("rig"), Path(), f"{path} (rig)")
+        done = journal.committed_numbers()
+        rows = [row for row in journal.planned_rows() if row.kind == "measure"]
+    sigma = np.array(sorted(grid_values(schedule.sigma_deg)))
+    planned, measured = Counter(row.sample for row in rows), Counter(row.sample for row in rows if row.number in done)
+    return {
+        **summary.as_dict(),
+        "damage": summary.damage,
+        "samples": [
+            {"sample": name, "rows": measured[name], "planned": planned[name]} for name in schedule.samples if planned[name]
+        ],
+        "etalon": schedule.etalon,
+        "light": ["reflected", "transmitted"] if schedule.light == "both" else [schedule.light],
+        "side": ["front", "back"] if schedule.side == "both" else [schedule.side],
+        "symmetry": schedule.symmetry,
+        "polarisation": light_words(rig.file.light, sigma if sigma.size <= FEW else sigma[[0, -1]]),
+        "sigma_deg": _listed(sigma),
+        "gamma_deg": _listed(np.array(grid_values(schedule.gamma_deg))),
+        "wavelengths_nm": _listed(np.array(grid_values(schedule.wavelength_nm))),
+    }
 
 
 def _of_part(part: Part) -> dict[str, Any]:
@@ -109,12 +141,28 @@ def information_lines(found: dict[str, Any]) -> list[str]:
     if found["format"] == "journal":
         left = f", {found['skipped']} skipped" if found["skipped"] else ""
         lines.append(f"campaign {found['name']}: {found['state']}, {found['rows']} of {found['planned']} rows measured{left}")
-        return lines
+        return [*lines, *_journal_lines(found)]
     if found.get("stands_for"):
         lines.append(f"it has {found['stands_for']}, not values")
     for part in found.get("parts", ()):
         lines += _part_lines(part)
-    return [*lines, *_metadata_lines(found.get("metadata", {}))]
+    common = _metadata_lines(found.get("metadata", {}))
+    lines += common
+    for name, entries in found.get("metadata_of_samples", {}).items():
+        if own := [line for line in _metadata_lines(entries) if line not in common]:
+            lines += [f"{name}:", *own]
+    return lines
+
+
+def _journal_lines(found: dict[str, Any]) -> Iterator[str]:
+    light = f"{' and '.join(found['light'])} light on the {' and '.join(found['side'])}"
+    for each in found["samples"]:
+        yield f"{each['sample']}: {light}, stated as {found['symmetry']}, {each['rows']} of {each['planned']} rows measured"
+    for name, unit in (("sigma_deg", "deg"), ("gamma_deg", "deg"), ("wavelengths_nm", "nm")):
+        yield f"  {name.rpartition('_')[0]}: {_text(found[name])} {unit}"
+    yield f"  {found['polarisation']}"
+    if found["damage"]:
+        yield f"differs from what was measured: {found['damage']}"
 
 
 def _part_lines(part: dict[str, Any]) -> list[str]:

@@ -61,7 +61,9 @@ def write(path: Path, content: BsdfFile) -> None:
 
     def fill(entry: h5py.Group) -> None:
         for k, part in enumerate(content.parts, 1):
-            put_part(entry, f"part_{k}", part)
+            group = put_part(entry, f"part_{k}", part)
+            if part.sample in content.of_samples:
+                group["metadata"] = json.dumps(content.of_samples[part.sample].as_dict(), ensure_ascii=False)
         put_about(entry, content)
 
     write_entry(path, fill)
@@ -244,7 +246,12 @@ def _content(path: StrPath, file: h5py.File) -> BsdfFile:
     if size > MOST_VALUES:
         raise FormatError(path, f"has {size} values, more than {MOST_VALUES}", "divide it into several files")
     metadata = metadata_from_dict(json.loads(_texts(entry, "metadata")[0]))
-    return BsdfFile(tuple(_part(path, entry[name]) for name in names), metadata, _texts(entry, "comments"))
+    of_samples = {
+        str(entry[name].attrs["sample"]): metadata_from_dict(json.loads(_texts(entry[name], "metadata")[0]))
+        for name in names
+        if "metadata" in entry[name]
+    }
+    return BsdfFile(tuple(_part(path, entry[name]) for name in names), metadata, _texts(entry, "comments"), of_samples)
 
 
 def _part(path: StrPath, group: h5py.Group) -> Part:

@@ -5,7 +5,8 @@ comes from the polar angle sigma and the azimuth psi; without psi it comes from 
 """
 
 import math
-from collections.abc import Collection, Iterator
+import re
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
@@ -47,8 +48,9 @@ class ScatteredBsdf:
     1/sr, NaN where a direction was measured without a value; `u` their standard uncertainty, NaN where unknown, and `u_shared`
     the part of it that neighbouring values share. `wavelength_nm` is NaN for grey values and for those of a colour, whose name
     ("red", "X") is in `channel`. `flags` are words separated by a space. `back`: lit on the back; the frame is then that of the
-    sample turned about x. `photodiode` is -1 where there is none. `generated` values are simulated. Raises ValueError where
-    these do not fit together.
+    sample turned about x. `photodiode` is -1 where there is none. `generated` values are simulated. `widest_gap_deg`: a table of
+    them has holes between directions further apart; None: how far follows from the values. Raises ValueError where these do not
+    fit together.
     """
 
     sigma_deg: Floats
@@ -68,6 +70,7 @@ class ScatteredBsdf:
     isotropic: bool = True
     generated: bool = False
     comments: tuple[str, ...] = ()
+    widest_gap_deg: float | None = None
 
     def __post_init__(self) -> None:
         """Fill in the optional columns, and check all of them."""
@@ -107,7 +110,9 @@ class ScatteredBsdf:
 
 
 COLUMNS = tuple(
-    each.name for each in fields(ScatteredBsdf) if each.name not in ("sample", "isotropic", "generated", "comments")
+    each.name
+    for each in fields(ScatteredBsdf)
+    if each.name not in ("sample", "isotropic", "generated", "comments", "widest_gap_deg")
 )
 """The arrays of scattered values."""
 ANGLES = ("sigma_deg", "psi_deg", "polar_deg", "azimuth_deg")
@@ -117,6 +122,11 @@ def flagged(flags: Texts, words: Collection[str]) -> Flags:
     """The values (n,) that have one of these flags."""
     distinct, which = np.unique(flags, return_inverse=True)
     return np.array([not set(words).isdisjoint(each.split()) for each in distinct.tolist()], dtype=bool)[which.ravel()]
+
+
+def has_one_psi(psi_deg: Floats, flags: Texts) -> bool:
+    """Whether values that were not measured only to check a symmetry have one azimuth of the light: they count as isotropic."""
+    return bool(np.unique(psi_deg[~flagged(flags, {CHECK})]).size <= 1)
 
 
 def psi_of_gamma(gamma_deg: Floats | float, back: Flags | bool) -> Floats:
@@ -167,12 +177,14 @@ Part = BsdfTable | ScatteredBsdf | RegularTable
 class BsdfFile:
     """The content of a file: its `parts`, each of one sample, what is known about them, and comments on all of them.
 
+    `of_samples` are the metadata of each sample where they are known one by one; `metadata` those of all.
     A grid and a table of regular factors are of one side and of reflected or transmitted light; scattered values may be mixed.
     """
 
     parts: tuple[Part, ...]
     metadata: Metadata = field(default_factory=Metadata)
     comments: tuple[str, ...] = ()
+    of_samples: Mapping[str, Metadata] = field(default_factory=dict)
 
     @property
     def simulated(self) -> bool:
@@ -206,29 +218,56 @@ class BsdfFile:
         return self.tables[0]
 
     def of(self, sample: str) -> "BsdfFile":
-        """The parts of one sample."""
-        return replace(self, parts=tuple(part for part in self.parts if part.sample == sample))
-
-    def of_points(self) -> "BsdfFile":
-        """Without the tables of samples whose scattered values are there: an archive has both, and one is made of the other."""
-        own = {part.sample for part in self.scattered}
+        """The parts of one sample, with its metadata."""
+        metadata = self.of_samples.get(sample, self.metadata)
         return replace(
-            self, parts=tuple(each for each in self.parts if not (isinstance(each, BsdfTable) and each.sample in own))
+            self, parts=tuple(part for part in self.parts if part.sample == sample), metadata=metadata, of_samples={}
         )
 
-    def of_tables(self) -> "BsdfFile":
-        """Without the scattered values of which there is a table, by sample, light and side."""
-        tabled = {(each.sample, each.transmitted, each.back) for each in self.tables}
-        parts: list[Part] = []
-        for each in self.parts:
-            if isinstance(each, ScatteredBsdf) and tabled:
-                alone = (
-                    one for one in separate(each) if (each.sample, bool(one.transmitted[0]), bool(one.back[0])) not in tabled
-                )
-                parts += alone
-            else:
-                parts.append(each)
-        return replace(self, parts=tuple(parts))
+    def of_points(self) -> "BsdfFile":
+        """Without the tables of which the scattered values are there, by sample, light and side: an archive has both, and the
+        tables are made of the others."""
+        own = {(each.sample, bool(one.transmitted[0]), bool(one.back[0])) for each in self.scattered for one in separate(each)}
+        kept = (
+            each for each in self.parts
+            if not (isinstance(each, BsdfTable) and (each.sample, each.transmitted, each.back) in own)
+        )  # fmt: skip
+        return replace(self, parts=tuple(kept))
+
+
+ABOUT_GAP = "a table of these points has holes between directions more than "
+GAP = re.compile(re.escape(ABOUT_GAP) + r"([0-9]{1,3}(?:\.[0-9]{1,6})?) deg apart")
+
+
+def gap_line(widest_gap_deg: float) -> str:
+    """The comment by which scattered values keep their `widest_gap_deg` in a file."""
+    return f"{ABOUT_GAP}{widest_gap_deg:g} deg apart"
+
+
+def write_gaps(content: BsdfFile) -> BsdfFile:
+    """The content of a file to write: with a comment for the `widest_gap_deg` of scattered values."""
+    return replace(
+        content,
+        parts=tuple(
+            replace(each, comments=(*each.comments, gap_line(each.widest_gap_deg)))
+            if isinstance(each, ScatteredBsdf) and each.widest_gap_deg is not None
+            else each
+            for each in content.parts
+        ),
+    )
+
+
+def read_gaps(content: BsdfFile) -> BsdfFile:
+    """The content of a file that was read: with the `widest_gap_deg` that its comments state, and without these."""
+    parts: list[Part] = []
+    for each in content.parts:
+        stated = [found[1] for line in (*each.comments, *content.comments) if (found := GAP.fullmatch(line))]
+        if isinstance(each, ScatteredBsdf) and stated:
+            rest = tuple(line for line in each.comments if not GAP.fullmatch(line))
+            parts.append(replace(each, widest_gap_deg=float(stated[0]), comments=rest))
+        else:
+            parts.append(each)
+    return replace(content, parts=tuple(parts), comments=tuple(line for line in content.comments if not GAP.fullmatch(line)))
 
 
 def separate(part: ScatteredBsdf) -> Iterator[ScatteredBsdf]:

@@ -65,7 +65,6 @@ def grid_table(
     values: ScatteredBsdf,
     *,
     fill: Fill = "hold",
-    widest_gap_deg: float | None = None,
     comments: Sequence[str] = (),
     done: str = "measured",
 ) -> BsdfTable:
@@ -73,7 +72,7 @@ def grid_table(
 
     Values that are not to be trusted, or were measured only to check a symmetry, are omitted. theta goes from 0 to 180 in the
     finest step of the polar angles; phi is 0 and 180 where only the plane of incidence was measured. What is isotropic is taken
-    as symmetric about the plane of incidence. With `widest_gap_deg` directions are on a grid, and there is no interpolation
+    as symmetric about the plane of incidence. With a `widest_gap_deg` directions are on a grid, and there is no interpolation
     between any that are further apart; without it both follows from the values. Raises ValueError, in words, for values of
     which there is no table.
     """
@@ -99,6 +98,9 @@ def grid_table(
     if not values.isotropic and psi.size == 1:
         at = f"{float(np.mod(values.psi_deg[0], TURN_DEG)):.9g}"
         comments = [*comments, f"measured at psi {at} alone, of a sample that is not isotropic: taken the same at every psi"]
+    if (widest_gap_deg := values.widest_gap_deg) is not None:
+        between = f"nodes between measured directions more than {widest_gap_deg:g} deg apart count as not measured"
+        comments = [*comments, between]
     cut = _Cuts(points, sigma, psi, mirrored, widest_gap_deg)
     cuts = [[cut(c, p, s) for s in range(sigma.size)] for c in range(len(names)) for p in range(psi.size)]
     table = specular_table(

@@ -4,6 +4,7 @@ The names follow BiRD (https://github.com/BiRD-project) and ASTM E2387, section 
 an empty text, None or an empty list: not stated.
 """
 
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
@@ -121,6 +122,20 @@ def _lines(entries: dict[str, Any], group: str = "") -> list[str]:
             )
             found.append(f"{group}{name.replace('_', ' ')}: {text}")
     return found
+
+
+def common_metadata(found: Iterable[Metadata]) -> Metadata:
+    """What all of these state alike."""
+    first, *others = [each.as_dict() for each in found] or [{}]
+    for each in others:
+        first = _alike(first, each)
+    return metadata_from_dict(first)
+
+
+def _alike(one: dict[str, Any], other: dict[str, Any]) -> dict[str, Any]:
+    both = {name: (each, other[name]) for name, each in one.items() if name in other}
+    inner = {name: _alike(*pair) if isinstance(pair[0], dict) else pair[0] for name, pair in both.items()}
+    return {name: each for name, each in inner.items() if isinstance(each, dict) or each == other[name]}
 
 
 def metadata_from_dict(entries: dict[str, Any]) -> Metadata:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from goniotwin.app.formats.content import HORIZON_DEG, BsdfFile, ScatteredBsdf, psi_of_gamma
+from goniotwin.app.formats.content import HORIZON_DEG, BsdfFile, ScatteredBsdf, has_one_psi, psi_of_gamma
 from goniotwin.app.formats.file import FormatError, StrPath, name_file, quote_word
 from goniotwin.app.formats.numerals import NUMBER, NotANumber, format_number, parse_number
 from goniotwin.app.formats.text import CONTROL_CHARACTER, comment_lines, mark_comments, read_text, write_text
@@ -76,6 +76,8 @@ def write(path: Path, content: BsdfFile | PointStream) -> None:
 
 SIMULATED = "SIMULATED: "
 """The beginning of a comment that marks simulated values in a CSV."""
+SYMMETRY_LINES = {True: "the sample is taken as isotropic", False: "the sample is not taken as isotropic"}
+"""Comments that keep what was stated; without one, values with light at one azimuth count as isotropic."""
 PART_ROWS = 50_000
 """Rows that are written at once."""
 OPTIONAL_COLUMNS = ("channel", "photodiode")
@@ -85,14 +87,22 @@ OPTIONAL_COLUMNS = ("channel", "photodiode")
 def stream_of(content: BsdfFile) -> PointStream:
     """Scattered values as the columns of a CSV; each sample has the same columns."""
     parts = content.scattered
+    symmetries = {part.isotropic for part in parts}
     written = {name for name in OPTIONAL_COLUMNS for part in parts if (getattr(part, name) != _NONE[name]).any()}
     comments = [
         *([f"{SIMULATED}no value is from a real instrument"] if content.simulated else []),
         *content.metadata.lines(),
+        *(
+            f"{name}: {line}"
+            for name, metadata in content.of_samples.items()
+            for line in metadata.lines()
+            if line not in content.metadata.lines()
+        ),
         "directions in the sample's frame: sigma, psi: polar angle and azimuth of the light; polar, azimuth: observation;",
         "theta, phi: about the specular direction, phi 0 towards the normal; degrees",
         "bsdf with its standard uncertainty u_bsdf in 1/sr, u_shared the part of it that neighbouring values share; "
         "luminance_factor is pi times bsdf",
+        *(SYMMETRY_LINES[each] for each in symmetries if len(symmetries) == 1),
         *content.comments,
         *(comment for part in parts for comment in part.comments),
     ]
@@ -140,15 +150,19 @@ def _bsdf_file(path: StrPath, points: Points) -> BsdfFile:
         sigma, psi, polar, azimuth, values, u, u_shared=found.numbers("u_shared_per_sr", 0.0),
         wavelength_nm=found.numbers("wavelength_nm", np.nan), channel=found.texts("channel", ""), transmitted=transmitted,
         back=back, flags=flags, photodiode=np.where(np.isnan(photodiode), -1.0, photodiode).astype(np.int64),
-        isotropic=np.unique(psi).size <= 1, generated=any(line.startswith(SIMULATED) for line in points.comments),
+        generated=any(line.startswith(SIMULATED) for line in points.comments),
     )  # fmt: skip
     samples = list(dict.fromkeys(names.tolist()))
     if not size:
         raise FormatError(path, "it has columns and no values", "give a file with values")
-    parts = (
-        replace(everything if len(samples) == 1 else everything.where(names == name), sample=str(name)) for name in samples
-    )
-    return BsdfFile(tuple(parts), comments=points.comments)
+    symmetries = {isotropic for isotropic, line in SYMMETRY_LINES.items() if line in points.comments}
+    parts = []
+    for name in samples:
+        part = everything if len(samples) == 1 else everything.where(names == name)
+        isotropic = True in symmetries if symmetries else has_one_psi(part.psi_deg, part.flags)
+        parts.append(replace(part, sample=str(name), isotropic=isotropic))
+    comments = tuple(line for line in points.comments if line not in SYMMETRY_LINES.values())
+    return BsdfFile(tuple(parts), comments=comments)
 
 
 @dataclass(frozen=True)

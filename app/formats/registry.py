@@ -123,10 +123,11 @@ class Format:
         with self._faults_named(path):
             content = self.load().read(path)
             if Holds.RAYS not in self.holds:
-                from goniotwin.app.formats.content import BsdfFile
+                from goniotwin.app.formats.content import BsdfFile, read_gaps
 
                 if not isinstance(content, BsdfFile):
                     raise TypeError(f"it read a {type(content).__name__}, not BsdfFile")
+                return read_gaps(content)
             return content
 
     def write(self, path: Path, content: Any) -> None:
@@ -461,8 +462,11 @@ def write(path: Path, content: "BsdfFile", found: Format) -> tuple[Path, ...]:
 
     Returns the files. Raises FormatError, before anything is written, for what the format does not hold.
     """
+    from goniotwin.app.formats.content import write_gaps
+
     check_holds(path, found, content_needs(content))
     check_files(path, found)
+    content = write_gaps(content)
     files, notes = [path], []
     for about, beside in files_beside(path, found).items():
         mark = f"{about}{path.name}, in the place of the values: same unit, same grid"

@@ -228,8 +228,8 @@ MODELS: dict[str, type[FormulaTable] | type[MeasuredTable]] = {
 """Models that a text can have."""
 # A plus that separates models, not one in a number (1e+1) or in a file name.
 PLUS = re.compile(rf"\+(?=\s*(?:[A-Za-z_-]+\s*:|(?:{'|'.join(MODELS)})\s*(?:\+|$)))")
-# Keys after a file name, which may itself contain commas.
-FILE_KEY = re.compile(r",\s*(side|sample|fill)\s*=\s*([^,]*?)\s*$")
+# Keys after a file name. It may itself contain commas, and so may the name of a sample.
+FILE_KEY = re.compile(r",\s*(side|sample|fill)\s*=")
 FILE_ONLY_KEYS = ("model", "sigma_deg", "wavelengths_nm", "factors")
 """Keys of a rig file that have no form in one line of text: the model itself, and those whose values are lists."""
 LUMINANCE = {
@@ -293,7 +293,7 @@ def table_files(text: str) -> list[Path]:
 
 
 def _lobe(entries: dict[str, Any]) -> Scatterer:
-    place = f"--sample {entries['model']}"
+    place = f"sample {entries['model']}"
     try:
         table = validate_table(MODELS[entries["model"]], entries, place)
     except UserError as error:
@@ -308,22 +308,21 @@ def _entries(text: str) -> list[dict[str, Any]]:
 
 def _model_entries(part: str) -> dict[str, Any]:
     name, colon, rest = (word.strip() for word in part.partition(":"))
-    place = f"--sample {name or part!r}"
+    place = f"sample {name or part!r}"
     if name not in MODELS:
         tables = ", ".join(registry.suffixes(each for each in registry.readers() if each.holds & registry.BSDF))
         known = (
             "gaussian:width_deg=5, lambertian:reflectance=0.9, regular:reflectance=0.04, wide-tailed:width_deg=2, "
             "anisotropic-gaussian:along_deg=3,across_deg=12, ward:alpha_x=0.1,alpha_y=0.3, table:FILE"
         )
-        raise UserError(f"--sample: there is no model {name!r}; give {known} ({tables}), and sums of them with +")
+        raise UserError(f"sample: there is no model {name!r}; give {known} ({tables}), and sums of them with +")
     if name == "table":
         if not rest:
             raise UserError(f"{place}: has no file; write table:FILE")
-        given: dict[str, Any] = {}
-        while (found := FILE_KEY.search(rest)) is not None and found[1] not in given:
-            given[found[1]] = found[2]
-            rest = rest[: found.start()].strip()
-        return {"model": name, "file": rest, **given}
+        file, *given = (word.strip() for word in FILE_KEY.split(rest))
+        if twice := [key for key in given[::2] if given[::2].count(key) > 1]:
+            raise UserError(f"{place}: {twice[0]} is given twice; remove one of them")
+        return {"model": name, "file": file, **dict(zip(given[::2], given[1::2], strict=True))}
     keys = [key for key in MODELS[name].model_fields if key not in FILE_ONLY_KEYS]
     if colon and not rest:
         raise UserError(f"{place}: nothing follows the colon; keys are {', '.join(keys)}")
@@ -357,7 +356,7 @@ def _file_sample(content: BsdfFile, path: Path, sample: MeasuredTable) -> Scatte
         known = registry.join_words(registry.read(path).samples)
         wrong = f"there is no sample {sample.sample!r} in it" if sample.sample is not None else "it has several samples"
         raise FormatError(path, wrong, f"choose one with the key sample: {known}")
-    content = content.of_tables()
+    content = content.of_points()
     tables = list(content.tables)
     for part in content.scattered:
         tables += [grid_table(each, fill=sample.fill) for each in separate(part)]
@@ -420,6 +419,6 @@ def _check_albedo(sample: Scatterer, limit: float) -> None:
     highest = float(np.max(albedos @ weights))
     if highest > limit:
         raise UserError(
-            f"--sample {sample.name!r}: returns {highest:.3g} times the light that it receives at normal incidence; lower its "
+            f"sample {sample.name!r}: returns {highest:.3g} times the light that it receives at normal incidence; lower its "
             "reflectances (the default of a gaussian is 0.9), or check the quantity and the unit of a table"
         )

@@ -28,11 +28,11 @@ from goniotwin.app.campaign.reduction.reduction import ReducedJournal, Reduction
 from goniotwin.app.campaign.reduction.reflectance import Setting, integration_settings, quadrature
 from goniotwin.app.campaign.uncertainty.inputs import Input
 from goniotwin.app.formats import archive
-from goniotwin.app.formats.content import COLUMNS, BsdfFile, ScatteredBsdf
+from goniotwin.app.formats.content import COLUMNS, BsdfFile, ScatteredBsdf, gap_line
 from goniotwin.app.formats.file import check_writable
 from goniotwin.app.formats.gridding import grid_table
 from goniotwin.app.formats.holes import Fill
-from goniotwin.app.formats.metadata import Metadata
+from goniotwin.app.formats.metadata import Metadata, common_metadata
 from goniotwin.app.formats.table import BsdfTable
 
 CHUNK_POINTS = 10_000
@@ -73,7 +73,7 @@ def write_archive(
                     continue
                 about = (*heading(reduced), *part.comments)
                 try:
-                    found = grid_table(chosen, fill=fill, widest_gap_deg=WIDEST_GAP_DEG, comments=about)
+                    found = grid_table(chosen, fill=fill, comments=about)
                 except ValueError as error:
                     what = f"{'transmitted' if light else 'reflected'} light of {name}, {'back' if side else 'front'}"
                     missing.append(f"no table of the {what}: {error}")
@@ -89,7 +89,7 @@ def write_archive(
         for k, table in enumerate(tables, 1 + len(reduced.samples)):
             archive.put_part(entry, f"part_{k}", table)
         comments = dict.fromkeys([*heading(reduced), *reduced.notes, *missing])
-        about = next(iter(reduced.metadata.values()), Metadata(title=reduced.name))
+        about = common_metadata(reduced.metadata.values()) if reduced.metadata else Metadata(title=reduced.name)
         archive.put_about(entry, BsdfFile((), about, tuple(comments)))
         entry.attrs.update({"simulated": reduced.simulated, "default": "part_1"})
         inputs.put(entry.create_group("inputs"))
@@ -101,7 +101,7 @@ def write_archive(
 
 def _empty(reduced: ReducedJournal, name: str) -> ScatteredBsdf:
     none = np.zeros(0)
-    about = (f"symmetry: {reduced.symmetry[name]}",) if name in reduced.symmetry else ()
+    about = (gap_line(WIDEST_GAP_DEG), *([f"symmetry: {reduced.symmetry[name]}"] if name in reduced.symmetry else []))
     stated = {"isotropic": reduced.isotropic, "generated": reduced.simulated}
     return ScatteredBsdf(none, none, none, none, none, sample=name, comments=about, **stated)
 

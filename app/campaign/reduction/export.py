@@ -1,6 +1,6 @@
 """What a reduced journal gives to files: all columns of its points in parts, or its scattered values in memory."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,10 +12,11 @@ from goniotwin.app.campaign.reduction.points import BITS, FLAGS, BsdfPoints, Poi
 from goniotwin.app.campaign.reduction.reduction import ReducedJournal
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats import PointStream
-from goniotwin.app.formats.content import CHECK, BsdfFile, ScatteredBsdf, Texts, psi_of_gamma
+from goniotwin.app.formats.content import CHECK, BsdfFile, ScatteredBsdf, Texts, gap_line, psi_of_gamma
 from goniotwin.app.formats.metadata import Metadata
-from goniotwin.arrays import Flags
-from goniotwin.twin.optics.geometry.coordinates import HALF_TURN_DEG, wrap_azimuth
+from goniotwin.app.formats.points import SYMMETRY_LINES
+from goniotwin.arrays import Flags, Floats
+from goniotwin.twin.optics.geometry.coordinates import HALF_TURN_DEG, TOLERANCE_DEG, wrap_azimuth
 
 PART_POINTS = 20_000
 """Points written in one part: as text a point takes one or two kilobytes."""
@@ -44,15 +45,21 @@ def scattered_of(reduced: ReducedJournal, sample: str | None = None, metadata: M
         joined = {key: np.concatenate([each[key] for each in columns]) for key in columns[0]}
         symmetry = [f"symmetry: {reduced.symmetry[name]}"] if name in reduced.symmetry else []
         about = (f"sample: {name}", *symmetry)
-        parts.append(
-            ScatteredBsdf(**joined, sample=name, isotropic=reduced.isotropic, generated=reduced.simulated, comments=about)
-        )
+        parts.append(_scattered(joined, name, reduced.isotropic, reduced.simulated, about))
     return BsdfFile(tuple(parts), metadata or Metadata(title=reduced.name), tuple(heading(reduced)))
 
 
 def scattered_points(points: BsdfPoints, sample: str, *, isotropic: bool, generated: bool) -> ScatteredBsdf:
     """Reduced points in the frame of the sample; `isotropic` as the schedule states it."""
-    return ScatteredBsdf(**_scattered_columns(points), sample=sample, isotropic=isotropic, generated=generated)
+    return _scattered(_scattered_columns(points), sample, isotropic, generated)
+
+
+def _scattered(
+    columns: dict[str, np.ndarray], sample: str, isotropic: bool, generated: bool, comments: tuple[str, ...] = ()
+) -> ScatteredBsdf:  # fmt: skip
+    return ScatteredBsdf(
+        **columns, sample=sample, isotropic=isotropic, generated=generated, comments=comments, widest_gap_deg=WIDEST_GAP_DEG
+    )
 
 
 def _scattered_columns(points: BsdfPoints) -> dict[str, np.ndarray]:
@@ -79,6 +86,8 @@ def points_of(reduced: ReducedJournal, sample: str | None, path: Path) -> tuple[
         "sigma: incidence; theta, phi: observation about the specular direction, phi 0 towards the normal; degrees",
         "bsdf with its standard uncertainty u_bsdf in 1/sr; luminance_factor is pi times bsdf",
         "side: the lit side, front or back; light: reflected or transmitted",
+        gap_line(WIDEST_GAP_DEG),
+        SYMMETRY_LINES[reduced.isotropic],
         "check: mirrored, for a direction measured only to check the stated symmetry",
         "signature_share: the instrument signature's share of the signal, already subtracted; empty where not measured",
         INTERVAL_RULE,
@@ -93,11 +102,11 @@ def points_of(reduced: ReducedJournal, sample: str | None, path: Path) -> tuple[
 
 
 @dataclass(frozen=True)
-class _PartOfLight:
-    """The points of a source that are of reflected light, or of transmitted light."""
+class _SomePoints:
+    """Those points of a source that a choice takes."""
 
     source: PointSource
-    transmitted: bool
+    takes: Callable[[BsdfPoints], Flags]
 
     @property
     def size(self) -> int:
@@ -113,26 +122,40 @@ class _PartOfLight:
         return self._chosen(self.source.settings(wavelength_nm))
 
     def _chosen(self, parts: Iterator[BsdfPoints]) -> Iterator[BsdfPoints]:
-        return (chosen for points in parts if (chosen := points.where(self._is_chosen(points))).size)
-
-    def _is_chosen(self, points: BsdfPoints) -> Flags:
-        return np.asarray(points.transmitted == self.transmitted)
+        return (chosen for points in parts if (chosen := points.where(self.takes(points))).size)
 
 
 def part_of_light(reduced: ReducedJournal, sample: str | None, path: Path, light: str) -> ReducedJournal:
     """The samples that were measured in this light, with its points alone. Raises UserError for none."""
-    asked: Mapping[str, PointSource] = reduced.samples if sample is None else {sample: _points(reduced, sample)}
-    of_light = {name: _PartOfLight(source, light == "transmitted") for name, source in asked.items()}
-    kept = {name: source for name, source in of_light.items() if source.size}
-    if not kept:
+    part = _some(reduced, sample, lambda points: np.asarray(points.transmitted == (light == "transmitted")))
+    if not part.samples:
         raise UserError(f"{path}: no {light} light of {sample or 'any sample'} has been measured; leave --light out")
-    return ReducedJournal(**{**vars(reduced), "samples": kept})
+    return part
+
+
+def part_of_wavelength(reduced: ReducedJournal, sample: str | None, wavelength_nm: float) -> ReducedJournal:
+    """The samples that were measured at this wavelength, with its points alone."""
+    return _some(reduced, sample, lambda points: np.asarray(np.abs(points.wavelength_nm - wavelength_nm) <= TOLERANCE_DEG))
+
+
+def wavelengths_of(reduced: ReducedJournal, sample: str | None) -> Floats:
+    """The wavelengths at which one sample, or any, was measured, ascending."""
+    chosen = reduced.samples.values() if sample is None else [_points(reduced, sample)]
+    found = [np.unique(points.wavelength_nm) for source in chosen for points in source.parts(PART_POINTS)]
+    return np.unique(np.concatenate([np.zeros(0), *found]))
+
+
+def _some(reduced: ReducedJournal, sample: str | None, takes: Callable[[BsdfPoints], Flags]) -> ReducedJournal:
+    """The points of one sample, or of all, that a choice takes, without samples that have none."""
+    asked: Mapping[str, PointSource] = reduced.samples if sample is None else {sample: _points(reduced, sample)}
+    chosen = {name: _SomePoints(source, takes) for name, source in asked.items()}
+    return ReducedJournal(**{**vars(reduced), "samples": {name: source for name, source in chosen.items() if source.size}})
 
 
 def _points(reduced: ReducedJournal, sample: str) -> PointSource:
     """The points of a sample. Raises UserError for an unknown name."""
     if sample not in reduced.samples:
-        known = ", ".join(reduced.samples) or "none"
+        known = ", ".join(map(repr, reduced.samples)) or "none"
         raise UserError(f"the journal has no measured sample {sample!r}; it has: {known}")
     return reduced.samples[sample]
 

@@ -10,10 +10,12 @@ import pytest
 
 import goniotwin
 from goniotwin.app.cli.main import app
-from goniotwin.app.data.conversion import Choice, Converted, convert_content, convert_file, format_to_write
+from goniotwin.app.data.conversion import Choice, Converted, convert_content, convert_file, format_to_write, parse_wavelength
 from goniotwin.app.errors import GoniotwinError, UserError
 from goniotwin.app.formats import registry
 from goniotwin.app.formats.content import BsdfFile, RegularTable, ScatteredBsdf, nodes
+from goniotwin.app.formats.gridding import grid_table
+from goniotwin.app.formats.metadata import Metadata, QualityMetadata, SampleMetadata, common_metadata
 from goniotwin.app.formats.table import BsdfTable
 
 SIGMA, PHI, THETA = np.array([0.0, 30.0, 60.0, 90.0]), np.arange(0.0, 181.0, 10.0), np.arange(0.0, 181.0, 2.0)
@@ -88,7 +90,7 @@ def test_a_sample_is_chosen_where_a_format_holds_one(tmp_path: Path) -> None:
     two = BsdfFile((table(), table(sample="glass", values=0.5 * table().values)))
     with pytest.raises(UserError, match=r"a ddr file has one sample, and there are: paint, glass; choose one with --sample"):
         convert(two, tmp_path / "a.ddr")
-    with pytest.raises(UserError, match="there is no sample 'wood'; it has: paint, glass"):
+    with pytest.raises(UserError, match="there is no sample 'wood'; there are: paint, glass"):
         convert(two, tmp_path / "a.ddr", sample="wood")
     convert(two, tmp_path / "a.ddr", sample="glass")
     np.testing.assert_allclose(registry.read(tmp_path / "a.ddr").only_table().values, 0.5 * table().values, rtol=1e-8)
@@ -174,18 +176,104 @@ def test_info_counts_flags_and_lists_wavelengths(tmp_path: Path, capsys: pytest.
 
 
 def test_of_an_archive_each_value_counts_once(tmp_path: Path) -> None:
-    """It has a sample's values and the table made of them: a list has the ones, a table the other, a dataset the values."""
+    """It has a sample's values and the table made of them: all but a copy is made of the values."""
     grid = table()
     values = replace(nodes(grid), comments=())
     content = BsdfFile((values, grid))
     assert content.of_points().parts == (values,)
-    assert content.of_tables().parts == (grid,)
     through = replace(values, transmitted=np.ones(values.size, dtype=bool))
-    assert len(BsdfFile((through, grid)).of_tables().parts) == 2  # light of which there is no table
+    assert len(BsdfFile((through, grid)).of_points().parts) == 2  # light of which there are no values
     path = tmp_path / "a.h5"
     registry.write(path, content, registry.format_named("archive", {registry.Holds.GRID}))
     assert goniotwin.open(path).size == values.size
     listed = convert_file(path, tmp_path / "a.csv", format_to_write(tmp_path / "a.csv"), Choice())
     assert registry.read(listed.files[0]).scattered[0].size == values.size
     made = convert_file(path, tmp_path / "a.ddr", format_to_write(tmp_path / "a.ddr"), Choice())
-    np.testing.assert_allclose(registry.read(made.files[0]).only_table().values, grid.values, rtol=1e-8)
+    np.testing.assert_allclose(registry.read(made.files[0]).only_table().values, grid_table(values).values, rtol=1e-8)
+
+
+def spectral() -> BsdfTable:
+    """Three wavelengths, 1 to 3 times the same values, at few directions."""
+    values = np.array([1.0, 2.0, 3.0])[:, None, None, None, None] * np.ones((1, 1, 2, 2, 3))
+    axes = (np.array([0.0, 90.0]), np.array([0.0, 180.0]), np.array([0.0, 90.0, 180.0]))
+    return BsdfTable(*axes, values, (450.0, 550.0, 632.8), u=0.1 * values)
+
+
+def test_one_wavelength_is_chosen_or_each_has_a_file(tmp_path: Path) -> None:
+    regular = RegularTable(np.zeros(1), np.full((3, 1, 1), 0.04), (450.0, 550.0, 632.8))
+    content, out = BsdfFile((spectral(), nodes(spectral()), regular)), tmp_path / "a.bsdf"
+    with pytest.raises(
+        UserError, match=r"a zemax file has one wavelength, and there are 450, 550, 632.8 nm; .* --wavelength all"
+    ):
+        convert(content, out)
+    with pytest.raises(UserError, match=r"no wavelength 600 nm: there are 450, 550, 632.8 nm; the nearest are 550 and 632.8"):
+        convert(content, out, wavelength_nm=600.0)
+    with pytest.raises(UserError, match=r"its values have no wavelength; leave --wavelength out"):
+        convert(BsdfFile((table(wavelengths_nm=None),)), out, wavelength_nm="all")
+    assert not list(tmp_path.iterdir())
+    convert(BsdfFile((spectral(),)), out, wavelength_nm=550.0)
+    found = registry.read(out).only_table()
+    assert (found.wavelengths_nm, found.values.max()) == ((550.0,), pytest.approx(2.0))
+    done = convert(BsdfFile((spectral(),)), out, wavelength_nm="all")
+    names = [f"a.{nm}nm.{u}bsdf" for nm in ("450", "550", "632.8") for u in ("", "u.")]
+    assert [each.name for each in done.files] == names
+    assert registry.read(done.files[5]).only_table().values.max() == pytest.approx(0.3)
+    assert done.values == spectral().values.size
+    whole = convert(content, tmp_path / "b.h5", wavelength_nm=632.8)
+    assert [part.values.max() for part in registry.read(whole.files[0]).parts] == [3.0, 3.0, 0.04]
+    with pytest.raises(UserError, match=r"a.550nm.bsdf: is the file itself"):
+        convert_file(done.files[2], out, format_to_write(out), Choice(wavelength_nm="all"))
+
+
+@pytest.mark.parametrize("text", ["blue", "", "450,550", "nan"])
+def test_a_wavelength_is_a_number_or_all(text: str) -> None:
+    assert [parse_wavelength(each) for each in (None, "all", "550", " 632.8 nm")] == [None, "all", 550.0, 632.8]
+    with pytest.raises(UserError, match=r"^--wavelength '.*': give one wavelength in nm, such as 550, or all$"):
+        parse_wavelength(text)
+
+
+def test_of_a_journal_one_wavelength_has_every_column(
+    journal: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (whole, one, every) = (
+        Path(run(capsys, "export", journal, "--out", tmp_path / name, *options)["file"])
+        for name, options in (("a.csv", ()), ("b.csv", ("--wavelength", 550)), ("c.csv", ("--wavelength", "all")))
+    )
+    assert every.name == "c.550nm.csv"
+    assert whole.read_bytes() == one.read_bytes() == every.read_bytes()
+    with pytest.raises(UserError, match=r"d.csv: there is no wavelength 551 nm: there are 550 nm; the nearest is 550"):
+        app(["export", str(journal), "--out", str(tmp_path / "d.csv"), "--wavelength", "551"], standalone_mode=False)
+
+
+def test_each_sample_keeps_its_metadata(tmp_path: Path) -> None:
+    about = {
+        name: Metadata(operator="M. Lind", sample=SampleMetadata(identifier=name), quality=QualityMetadata(repeats=k))
+        for k, name in enumerate(("paint", "glass"))
+    }
+    content = BsdfFile((table(), table(sample="glass")), common_metadata(about.values()), of_samples=about)
+    assert content.metadata == Metadata(operator="M. Lind")
+    convert(content, tmp_path / "a.h5")
+    dataset = goniotwin.open(tmp_path / "a.h5")
+    assert {name: dataset[name].metadata for name in dataset} == about
+    convert_file(tmp_path / "a.h5", tmp_path / "b.ssdd", format_to_write(tmp_path / "b.ssdd"), Choice(sample="glass"))
+    assert registry.read(tmp_path / "b.ssdd").metadata.sample.identifier == "glass"
+    convert(content, tmp_path / "a.csv")
+    lines = registry.read(tmp_path / "a.csv").comments
+    assert {"operator: M. Lind", "paint: sample identifier: paint", "glass: sample identifier: glass"} <= set(lines)
+
+
+def test_info_states_of_what_a_journal_is_and_how_complete(journal: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    found = run(capsys, "info", journal)
+    assert found["samples"] == [{"sample": "gaussian-5", "rows": 3, "planned": 3}]
+    assert (found["rows"], found["planned"], found["simulated"], found["damage"]) == (12, 12, True, "")
+    assert (found["sigma_deg"], found["wavelengths_nm"], found["light"], found["side"]) == (
+        [30],
+        [550],
+        ["reflected"],
+        ["front"],
+    )
+    app(["info", str(journal)], standalone_mode=False)
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[2] == "gaussian-5: reflected light on the front, stated as isotropic, 3 of 3 rows measured"
+    assert {"  sigma: 30 deg", "  wavelengths: 550 nm"} <= set(lines)
+    assert "linearly polarised" in lines[-1]

@@ -55,7 +55,7 @@ def test_steps_as_wide_as_most_are_interpolated_and_wider_gaps_are_holes() -> No
     coarse = rings(step_deg=10.0)
     assert worst(coarse) < 0.02
     with pytest.raises(ValueError, match=r"no node of the grid has measured directions around it"):
-        grid_table(at(np.array([40.0]), np.array([[10.0], [70.0]]), np.array([20.0, 160.0])), widest_gap_deg=3.0)
+        grid_table(replace(at(np.array([40.0]), np.array([[10.0], [70.0]]), np.array([20.0, 160.0])), widest_gap_deg=3.0))
     away = np.abs(coarse.polar_deg - 40.0) > 15.0
     table = grid_table(coarse.where(away))
     assert table.known is not None
@@ -137,7 +137,7 @@ def test_one_direction_at_an_incidence_is_at_the_node_nearest_to_it() -> None:
     assert table.known.sum() == 3
     np.testing.assert_array_equal(table.values[0, 0, 1:4].min(axis=(1, 2)), [1.0, 2.0, 3.0])
     with pytest.raises(ValueError, match=r"at sigma 12 no node of the grid has measured directions around it"):
-        grid_table(values, widest_gap_deg=3.0)
+        grid_table(replace(values, widest_gap_deg=3.0))
 
 
 def test_values_without_an_uncertainty_make_a_table_without_one() -> None:

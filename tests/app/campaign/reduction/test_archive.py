@@ -17,7 +17,7 @@ from goniotwin.app.campaign.reduction.export import scattered_points
 from goniotwin.app.campaign.reduction.reduction import Reduction, reduce_journal
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.cli.main import app
-from goniotwin.app.formats import BsdfTable, FormatError, archive
+from goniotwin.app.formats import BsdfTable, FormatError, archive, registry
 from goniotwin.app.formats.content import ScatteredBsdf
 from goniotwin.app.rig import parse_rig
 from goniotwin.arrays import Floats
@@ -187,3 +187,26 @@ def test_export_writes_the_archive(tmp_path: Path, capsys: pytest.CaptureFixture
         assert file["entry/journal/counts"].size
     app(["convert", str(path), str(tmp_path / "again.csv")], standalone_mode=False)
     assert (tmp_path / "again.csv").is_file()
+
+
+def test_a_table_is_the_same_by_every_way(
+    archived: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Of the journal, of its CSV and of its archive: the rule of the widest gap goes along, whatever the filling."""
+    journal, archive_file = archived
+    app(["export", str(journal), "--out", str(tmp_path / "points.csv")], standalone_mode=False)
+    found = []
+    for source in (journal, tmp_path / "points.csv", archive_file):
+        out = tmp_path / f"{source.suffix[1:]}.ddr"
+        capsys.readouterr()
+        app(["convert", str(source), str(out), "--fill", "fit", "--json"], standalone_mode=False)
+        result = json.loads(capsys.readouterr().out)
+        (share,) = result["not_measured"]
+        found.append(
+            (result["values"], share["share"], *(registry.read(Path(each)).only_table().values for each in result["files"]))
+        )
+    for other in found[1:]:
+        assert other[0] == found[0][0]
+        assert other[1] == pytest.approx(found[0][1], rel=1e-7)
+        np.testing.assert_allclose(other[2], found[0][2], rtol=1e-7, atol=1e-9)
+        np.testing.assert_array_equal(other[4], found[0][4])

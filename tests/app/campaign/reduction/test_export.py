@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from goniotwin.app.campaign.reduction.components import interval, mostly_added
-from goniotwin.app.campaign.reduction.export import WIDEST_GAP_DEG, scattered_of, scattered_points
+from goniotwin.app.campaign.reduction.export import scattered_of, scattered_points
 from goniotwin.app.campaign.reduction.overlaps import overlaps
 from goniotwin.app.campaign.reduction.points import FLAGS, BsdfPoints, join_points
 from goniotwin.app.campaign.reduction.reduction import BsdfDataset
@@ -46,7 +46,7 @@ def smooth(zenith: np.ndarray, azimuth: np.ndarray) -> np.ndarray:
 
 def regrid(points: BsdfPoints) -> tuple[tuple[np.ndarray, np.ndarray], SpecularCut]:
     """phi and theta of the table of points at one sigma, and the cut there."""
-    table = grid_table(scattered_points(points, "paper", isotropic=True, generated=False), widest_gap_deg=WIDEST_GAP_DEG)
+    table = grid_table(scattered_points(points, "paper", isotropic=True, generated=False))
     at = table.sigma_deg.tolist().index(points.sigma_deg[0])
     assert table.u is not None
     assert table.known is not None
@@ -255,7 +255,7 @@ def test_the_statement_of_the_schedule_decides_on_symmetry_however_many_gammas_t
     points = made_points(0.0, zenith, azimuth, values, 0.01)
     for isotropic in (True, False):
         (part,) = scattered_of(replace(reduced, samples={"a": points}, isotropic=isotropic)).scattered
-        table = grid_table(part, widest_gap_deg=WIDEST_GAP_DEG)
+        table = grid_table(part)
         assert table.phi_deg[-1] == (180.0 if isotropic else 360.0)
         assert (ISOTROPIC in table.comments) == isotropic
         assert any("not isotropic: taken the same at every psi" in line for line in table.comments) == (not isotropic)
