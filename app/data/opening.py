@@ -50,10 +50,17 @@ def open_dataset(path: StrPath, *, without_damaged: bool = False) -> Dataset:
         raise UserError(f"open: {quoted(path)} is not a path; give the name of a journal or of a file")
     without_damaged = bool(flag("without_damaged", without_damaged))
     file = Path(path)
-    if not os.path.isdir(file) and read_head(file, len(SQLITE)) == SQLITE:
+    if not _is_folder(file) and read_head(file, len(SQLITE)) == SQLITE:
         return open_journal(file, without_damaged=without_damaged)
     found = registry.recognise(file)
     return dataset_of_file(with_files_beside(file, found.read(file), found), file.name, found.name)
+
+
+def _is_folder(path: Path) -> bool:
+    try:
+        return path.is_dir()
+    except OSError:  # a name that is too long
+        return False
 
 
 # ---- journals ----

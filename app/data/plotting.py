@@ -36,6 +36,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.colors import Normalize
     from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
     from matplotlib.projections.polar import PolarAxes
 
     from goniotwin.app.data.comparison import DatasetComparison, LightComparison
@@ -59,7 +60,7 @@ NEAR_PLANE_DEG = 1.0
 WIDEST_DEG, GAPS = 12.0, 1.5
 """A map has no colour between directions further apart than so many degrees, and than so many times most neighbours are."""
 GAP_DEG, WIDEST_GAP_DEG = 6.0, 30.0
-"""A curve ends where its neighbours are further apart than the first and than four times most of them are, or than the second."""
+"""A curve ends where neighbours are further apart than the first and than four times most of them are, or than the second."""
 MOST_MARKED = 60
 """Values of a curve that each have a mark."""
 LETTERS_AN_INCH, MOST_LETTERS = 12.0, 100
@@ -526,7 +527,7 @@ def _polar(dataset: Dataset, log: bool | None) -> "Figure":
     axes.set_theta_zero_location("N")
     axes.set_theta_direction(-1)
     outer = 1.08 * float(scale.radius(np.array([scale.top]))[0]) or 1.0
-    named: set[str] = set()
+    named: dict[tuple[bool, float], Line2D] = {}
     for back, transmitted, _ in _sides(plane):
         for k, sigma in enumerate(shown.tolist()):
             at = (np.abs(plane.sigma_deg - sigma) < 1e-5) & (plane.back == back) & (plane.transmitted == transmitted)
@@ -537,18 +538,15 @@ def _polar(dataset: Dataset, log: bool | None) -> "Figure":
             clear = np.where(found.lost_in_noise & scale.log, np.nan, found.y)
             lower, upper, middle = (scale.radius(each) for each in (found.lower, found.upper, clear))
             axes.fill_between(angle, lower, upper, color=colour, alpha=0.25, lw=0)
-            label = f"sigma {sigma:g} deg{' on the back' if back else ''}"
             few = np.isfinite(found.y).sum() <= MOST_MARKED
-            axes.plot(
-                angle, middle, "--" if back else "-", color=colour, lw=1.4, marker="." if few else "", ms=4.0,
-                label=None if label in named else label,
-            )  # fmt: skip
-            if not any(each.startswith(f"sigma {sigma:g} deg") for each in named):
+            style, dot = "--" if back else "-", "." if few else ""
+            (line,) = axes.plot(angle, middle, style, color=colour, lw=1.4, marker=dot, ms=4.0)
+            if not {(False, sigma), (True, sigma)} & set(named):
                 axes.annotate(
                     "", (-math.radians(sigma), 0.82 * outer), (-math.radians(sigma), outer),
                     arrowprops={"arrowstyle": "->", "color": colour, "lw": 1.3},
                 )  # fmt: skip
-            named.add(label)
+            named.setdefault((back, sigma), line)
     axes.set_rlim(0.0, outer)
     _label_rings(axes, scale, outer)
     if through:
@@ -564,7 +562,11 @@ def _polar(dataset: Dataset, log: bool | None) -> "Figure":
     below = "transmitted light below; " if through else ""
     title = f"BSDF, 1/sr; {below}arrows: the light; {about_curves([plane], scale, some, below='below the scale')}"
     title = fill(title, MOST_LETTERS)
-    figure.legend(loc="lower left", frameon=False, fontsize=9, ncols=4, title=title, title_fontsize=8.5, alignment="left")
+    names = [f"sigma {sigma:g} deg{' on the back' if back else ''}" for back, sigma in sorted(named)]
+    lines = [named[each] for each in sorted(named)]
+    figure.legend(
+        lines, names, loc="lower left", frameon=False, fontsize=9, ncols=4, title=title, title_fontsize=8.5, alignment="left"
+    )
     return finish(figure, dataset)
 
 
