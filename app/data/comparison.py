@@ -309,7 +309,8 @@ def _nothing_in_common(one: SampleData, other: SampleData, *, grey: bool) -> str
         if any(light.index.size > 1 and direction_grid(other, light) is None for light in other.lights)
         else "the second has no trusted values around those of the first"
     )
-    return f"no direction in common: {why}; give them in the other order"
+    swapped = any(direction_grid(one, light) is not None for light in one.lights)
+    return f"no direction in common: {why}{'; give them in the other order' if swapped else ''}"
 
 
 def _listed(data: SampleData) -> str:
