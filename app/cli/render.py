@@ -63,6 +63,8 @@ def render(
     def show() -> None:
         print(f"{out}: {names[0]}, {names[1]}")
         for each in result["pairs"]:
-            print(f"{each['title']}: the difference is {each['rms_percent_of_white']:.2g} % of white (RMS)")
+            one, other = ("not known" if value is None else f"{value:.3f}" for value in each["reflectances"])
+            difference = f"the difference is {each['rms_percent_of_white']:.2g} % of white (RMS)"
+            print(f"{each['title']}: {difference}; reflectances at the first sigma: {one}, {other}")
 
     answer(as_json, result, show)

@@ -10,7 +10,7 @@ Chi-square has the covariance of all values of a light: a common error of the sc
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -23,9 +23,9 @@ from goniotwin.app.campaign.reduction.effects_of_points import effects_of
 from goniotwin.app.campaign.reduction.points import join_points
 from goniotwin.app.campaign.uncertainty.effects import Effects
 from goniotwin.app.data.dataset import Dataset
-from goniotwin.app.data.interpolation import interpolated
+from goniotwin.app.data.interpolation import direction_grid, interpolated
 from goniotwin.app.data.opening import open_dataset
-from goniotwin.app.data.values import EQUAL, LightSetting, SampleData
+from goniotwin.app.data.values import EQUAL, LightSetting, SampleData, as_numbers, flag, quoted, with_names
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats.file import StrPath
 from goniotwin.app.rig.samples import parse_sample
@@ -46,6 +46,8 @@ LEAST_SHARE = 0.01
 MOST_OF_CHI_SQUARE = 500
 """Directions of one light of which chi-square is computed; of more every second, third and so on."""
 LEAST_EIGENVALUE = 1e-10
+MOST_LISTED = 4
+"""Lights that a message names."""
 
 
 @dataclass(frozen=True)
@@ -106,6 +108,18 @@ class LightComparison:
         known = self.in_range & np.isfinite(self.z)
         return float(np.abs(self.z[known]).max()) if known.any() else math.nan
 
+    @property
+    def formula_5(self) -> str:
+        """Formula 5 and its number of directions in words."""
+        if not self.count:
+            return "no direction in range"
+        return f"{self.relative_rms_percent:.3g} % over {self.count} direction{'s' if self.count > 1 else ''}"
+
+    def __str__(self) -> str:
+        z = f", largest |z| {self.largest_z:.3g}" if math.isfinite(self.largest_z) else ""
+        chi_square = f", chi-square {self.chi_square:.4g} of {self.degrees}" if math.isfinite(self.chi_square) else ""
+        return f"{self.light}: {self.formula_5}{z}{chi_square}"
+
     def as_dict(self) -> dict[str, Any]:
         """The figures for JSON; None for those that are not known."""
         light = self.light
@@ -156,15 +170,13 @@ class DatasetComparison:
         }
 
     def __str__(self) -> str:
-        lines = [f"relative RMS (formula 5) {self.relative_rms_percent:.3g} %: {self.range}"]
-        lines += [
-            f"{each.light}: {each.relative_rms_percent:.3g} % over {each.count} directions, largest |z| {each.largest_z:.3g}, "
-            f"chi-square {each.chi_square:.4g} of {each.degrees}"
-            for each in self.lights
-        ]
+        total = self.relative_rms_percent
+        value = f"{total:.3g} %" if math.isfinite(total) else "has no direction"
+        lines = [f"relative RMS (formula 5) {value}: {self.range}", *map(str, self.lights)]
         return "\n".join([*lines, *self.notes])
 
 
+@with_names
 def compare(
     first: Dataset | StrPath, second: Dataset | StrPath, *, theta_deg: float = 180.0, polar_deg: float = HIGHEST_ZENITH_DEG,
     least_share: float = LEAST_SHARE, in_plane: bool = False,
@@ -181,21 +193,21 @@ def compare(
     found, left_out = [], []
     grey = _one_channel(one) and _one_channel(other)
     for light in one.lights:
-        matching = _matching(light, other, grey=grey)
+        matching = _matching(light, other, grey=grey, free=one.values.isotropic)
         if matching and (result := _compare_light(one, light, other, matching, limits)) is not None:
             found.append(result)
         else:
             left_out.append(str(light))
     if not found:
-        has = f"the first has {'; '.join(left_out[:4])}"
-        raise UserError(f"{a.name} and {b.name} have no light and direction in common: {has}; or give them in the other order")
+        raise UserError(f"{a.name} and {b.name}: {_nothing_in_common(one, other, grey=grey)}")
     notes = [
-        *_notes(one, other),
+        *_notes(one, other, found),
         *([f"not compared, because the second has no values there: {'; '.join(left_out)}"] if left_out else []),
     ]
     return DatasetComparison(a, b, limits, tuple(found), tuple(notes))
 
 
+@with_names
 def theory(dataset: Dataset | StrPath, sample: str | None = None) -> Dataset:
     """The known BSDF of a model at the directions of a dataset, exact: u is 0.
 
@@ -206,14 +218,14 @@ def theory(dataset: Dataset | StrPath, sample: str | None = None) -> Dataset:
     data = like.only
     if sample is not None:
         if not isinstance(sample, str):
-            raise UserError(f"sample: {sample!r} is not a text; give a model such as 'gaussian:width_deg=5'")
+            raise UserError(f"sample: {quoted(sample)} is not a text; give a model such as 'gaussian:width_deg=5'")
         truth = _model_values(parse_sample(sample), data)
         name = sample
     else:
         model = None if like.reduced is None else like.reduced.rig.model()
         if model is None or data.measured is None or like.sample not in model.samples:
             raise UserError(
-                f"{like.name}: its sample is not one of a virtual rig; give the model, theory(d, 'gaussian:width_deg=5')"
+                f"{like.name}: its sample is not one of a virtual rig; give its model, such as gaussian:width_deg=5"
             )
         truth = true_bsdf(model.samples[like.sample], data.measured.points)
         name = f"{like.sample} of the virtual rig"
@@ -250,30 +262,30 @@ def _range(theta_deg: object, polar_deg: object, least_share: object, in_plane: 
         ("polar_deg", polar_deg, 90.0),
         ("least_share", least_share, 1.0),
     ):
-        if isinstance(value, bool) or not isinstance(value, int | float | np.number) or not 0.0 <= float(value) <= most:
-            raise UserError(f"{name}: {value!r}: give a number from 0 to {most:g}")
-        limits.append(float(value))
-    if not isinstance(in_plane, bool):
-        raise UserError(f"in_plane: {in_plane!r}: give True or False")
+        number = as_numbers(value)
+        if number is None or number.ndim or not 0.0 <= number <= most:
+            raise UserError(f"{name}: {quoted(value)}: give a number from 0 to {most:g}")
+        limits.append(float(number))
     theta, polar, least = limits
-    return Range(theta, polar, least, in_plane)
+    return Range(theta, polar, least, bool(flag("in_plane", in_plane)))
 
 
 def _one_channel(data: SampleData) -> bool:
     return len({(each.channel, str(each.wavelength_nm)) for each in data.lights}) == 1
 
 
-def _matching(light: LightSetting, other: SampleData, *, grey: bool) -> list[tuple[LightSetting, float]]:
+def _matching(light: LightSetting, other: SampleData, *, grey: bool, free: bool = False) -> list[tuple[LightSetting, float]]:
     """The lights of the other dataset that are this one, or the two incidences around it, with weights; none if it has none.
 
-    `grey`: both have one channel, which are the same if one of them has no wavelength.
+    `grey`: both have one channel, which are the same if one of them has no wavelength. `free`: the azimuth of the light does
+    not count, because this one's sample is isotropic.
     """
     lights = [each for each in other.lights if (each.transmitted, each.back) == (light.transmitted, light.back)]
     if not (grey and any(math.isnan(each.wavelength_nm) for each in [light, *lights])):
         lights = [each for each in lights if each.channel == light.channel and _equal(each.wavelength_nm, light.wavelength_nm)]
     psis = {each.psi_deg for each in lights}
-    if len(psis) > 1 or not other.values.isotropic:
-        lights = [each for each in lights if abs(each.psi_deg - light.psi_deg) <= EQUAL]
+    if len(psis) > 1 or not (other.values.isotropic or free):
+        lights = [each for each in lights if _turn_apart(each.psi_deg, light.psi_deg) <= EQUAL]
     lights.sort(key=lambda each: each.sigma_deg)
     if exact := [each for each in lights if abs(each.sigma_deg - light.sigma_deg) <= EQUAL]:
         return [(exact[0], 1.0)]
@@ -283,6 +295,33 @@ def _matching(light: LightSetting, other: SampleData, *, grey: bool) -> list[tup
         return []
     share = (light.sigma_deg - below[-1].sigma_deg) / (above[0].sigma_deg - below[-1].sigma_deg)
     return [(below[-1], 1.0 - share), (above[0], share)]
+
+
+def _nothing_in_common(one: SampleData, other: SampleData, *, grey: bool) -> str:
+    """Why two samples cannot be compared: no light of the first is one of the second, or no direction."""
+    if not any(_matching(light, other, grey=grey, free=one.values.isotropic) for light in one.lights):
+        has = " and ".join(f"the {title} has {_listed(data)}" for title, data in (("first", one), ("second", other)))
+        swapped = any(_matching(light, one, grey=grey, free=other.values.isotropic) for light in other.lights)
+        remedy = "give them in the other order" if swapped else "wavelength, side and azimuth of the light have to be equal"
+        return f"no light of the first is one of the second, or between two of its incidences: {has}; {remedy}"
+    why = (
+        "the directions of the second are on no grid, so there is no interpolation between them"
+        if any(light.index.size > 1 and direction_grid(other, light) is None for light in other.lights)
+        else "the second has no trusted values around those of the first"
+    )
+    swapped = any(direction_grid(one, light) is not None for light in one.lights)
+    return f"no direction in common: {why}{'; give them in the other order' if swapped else ''}"
+
+
+def _listed(data: SampleData) -> str:
+    lights = [str(each) for each in data.lights]
+    more = f"; and {len(lights) - MOST_LISTED} more" if len(lights) > MOST_LISTED else ""
+    return f"{'; '.join(lights[:MOST_LISTED]) or 'no values'}{more}"
+
+
+def _turn_apart(one: float, other: float) -> float:
+    apart = math.fmod(abs(one - other), TURN_DEG)
+    return min(apart, TURN_DEG - apart)
 
 
 def _equal(one: float, other: float) -> bool:
@@ -433,11 +472,25 @@ def _quadratic(covariance: Floats, difference: Floats) -> tuple[float, int]:
     return float(np.sum(along**2 / eigenvalues[kept])), int(kept.sum())
 
 
-def _notes(one: SampleData, other: SampleData) -> Iterator[str]:
-    for title, data in (("first", one), ("second", other)):
-        if np.isnan(np.asarray(data.values.u)[data.good]).any():
-            yield f"u of the {title} is not known for all values: z has that of the other alone"
+def _notes(one: SampleData, other: SampleData, found: Sequence[LightComparison]) -> Iterator[str]:
+    """What is not known of the uncertainties, in words that do not contradict each other."""
+    both = (("first", "second", one), ("second", "first", other))
+    absent = {title: np.isnan(np.asarray(data.values.u)[data.good]) for title, _, data in both}
+    if all(each.all() for each in absent.values()):
+        yield "neither of the two has uncertainties: there is no z and no chi-square"
+        return
+    no_chi_square = any(math.isnan(each.chi_square) for each in found if each.count)
+    reasons, shares = [], []
+    for title, rest, data in both:
+        if absent[title].any():
+            has = "has no uncertainties" if absent[title].all() else "has no uncertainty of some values"
+            yield f"the {title} {has}: z is there in that of the {rest} alone"
+            reasons.append(f"the {title} {has}")
         elif _covariance(data, np.arange(min(data.values.size, 2))) is None:
-            yield f"what the values of the {title} share of their u is not known: there is no chi-square"
+            shares.append(f"the {title}")
+    if shares:
+        reasons.append(f"what values of {' and '.join(shares)} share of their u is not known")
+    if no_chi_square:
+        yield f"there is no chi-square where the covariance is not known: {'; '.join(reasons) or 'of interpolated values'}"
     if _of_one_journal(one, other):
         yield "both are of one journal: z and chi-square have the covariance of the two"

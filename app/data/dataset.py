@@ -5,7 +5,7 @@ azimuth 0 is the sample's mark. Of transmitted light the direction of observatio
 """
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -15,15 +15,26 @@ from goniotwin.app.campaign.reduction.effects_of_points import effects_of
 from goniotwin.app.campaign.reduction.reduction import ReducedJournal
 from goniotwin.app.data import hemisphere
 from goniotwin.app.data.frames import to_dataframe, to_xarray
-from goniotwin.app.data.interpolation import WIDEST_DEG, interpolated, lights_at, nearest_directions, own_and_shared
+from goniotwin.app.data.interpolation import (
+    WIDEST_DEG,
+    direction_grid,
+    interpolated,
+    lights_at,
+    nearest_directions,
+    own_and_shared,
+)
 from goniotwin.app.data.values import (
     Number,
     SampleData,
     ValueWithU,
+    as_numbers,
+    flag,
     is_at,
     listed,
     neighbours,
     numbers,
+    quoted,
+    with_names,
 )
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats.content import BsdfFile, Texts
@@ -67,15 +78,23 @@ class Dataset:
 
     def __getitem__(self, sample: str) -> "Dataset":
         """The dataset of one sample."""
-        if sample not in self.data:
-            raise UserError(f"{self.name}: there is no sample {sample!r}; it has {self._listed_samples()}")
+        if sample not in self:
+            raise UserError(f"{self.name}: there is no sample {quoted(sample)}; it has {self._listed_samples()}")
         return replace(self, data={sample: self.data[sample]})
 
     def __iter__(self) -> Iterator[str]:
         return iter(self.data)
 
     def __contains__(self, sample: object) -> bool:
-        return sample in self.data
+        return isinstance(sample, str) and sample in self.data
+
+    def __len__(self) -> int:
+        """Number of values, of all samples together."""
+        return self.size
+
+    def __bool__(self) -> bool:
+        """Always true: a dataset of regular factors alone has no values in 1/sr."""
+        return True
 
     @property
     def sample(self) -> str:
@@ -202,16 +221,24 @@ class Dataset:
 
     # ---- selection ----
 
-    def where(self, chosen: Flags | Ints) -> "Dataset":
+    @with_names
+    def where(self, chosen: Flags | Ints | Sequence[bool] | Sequence[int]) -> "Dataset":
         """The values that a mask (n,) or a list of indices chooses."""
-        index: Any = np.asarray(chosen)
-        if index.ndim != 1 or index.dtype.kind not in "bi" or (index.dtype.kind == "b" and index.size != self.size):
+        data = self.only
+        try:
+            index: Any = np.asarray(chosen)
+        except Exception:  # noqa: BLE001  (an object of any class may raise anything)
+            index = np.zeros(())
+        if isinstance(chosen, Sequence) and not isinstance(chosen, str | bytes) and not len(chosen):
+            index = np.zeros(0, dtype=np.int64)
+        if index.ndim != 1 or index.dtype.kind not in "biu" or (index.dtype.kind == "b" and index.size != self.size):
             raise UserError(f"where: give a mask of {self.size} flags, or indices")
         try:
-            return self._with(self.only.where(index))
+            return self._with(data.where(index))
         except IndexError:
             raise UserError(f"where: an index is not below {self.size}") from None
 
+    @with_names
     def select(
         self, *, wavelength_nm: Number | None = None, channel: str | None = None, sigma_deg: Number | None = None,
         psi_deg: Number | None = None, theta_deg: Number | None = None, phi_deg: Number | None = None,
@@ -233,7 +260,7 @@ class Dataset:
         for name, value in wanted.items():
             if value is not None:
                 data = data.where(self._chosen(data, name, value, before))
-                before += f" {'with' if not before else 'and'} {name} {value!r}"
+                before += f" {'with' if not before else 'and'} {name} {quoted(value)}"
         return self._with(data)
 
     def _chosen(self, data: SampleData, name: str, value: object, before: str) -> Flags:
@@ -242,7 +269,8 @@ class Dataset:
         if name in ("transmitted", "back", "channel"):
             wrong = not isinstance(value, str if name == "channel" else bool | np.bool_)
             if wrong:
-                raise UserError(f"{name}: {value!r}: give {'the name of a colour' if name == 'channel' else 'True or False'}")
+                what = "the name of a colour" if name == "channel" else "True or False"
+                raise UserError(f"{name}: {quoted(value)}: give {what}")
             chosen = np.asarray(column == value)
             if not chosen.any():
                 has = ", ".join(repr(each) for each in np.unique(column).tolist()) or "no values"
@@ -265,9 +293,10 @@ class Dataset:
 
     # ---- values between the measured ones, integrals ----
 
+    @with_names
     def at(
-        self, *, theta_deg: Number | Floats | None = None, phi_deg: Number | Floats | None = None,
-        polar_deg: Number | Floats | None = None, azimuth_deg: Number | Floats | None = None, sigma_deg: float | None = None,
+        self, *, theta_deg: Number | None = None, phi_deg: Number | None = None,
+        polar_deg: Number | None = None, azimuth_deg: Number | None = None, sigma_deg: float | None = None,
         psi_deg: float | None = None, wavelength_nm: float | None = None, channel: str | None = None,
         transmitted: bool | None = None, back: bool | None = None,
     ) -> ValueWithU:  # fmt: skip
@@ -282,7 +311,8 @@ class Dataset:
         data, place = self.only, self._place()
         lights = lights_at(
             data, place, sigma_deg=_number("sigma_deg", sigma_deg), psi_deg=_number("psi_deg", psi_deg),
-            wavelength_nm=_number("wavelength_nm", wavelength_nm), channel=channel, transmitted=transmitted, back=back,
+            wavelength_nm=_number("wavelength_nm", wavelength_nm), channel=_channel(channel),
+            transmitted=flag("transmitted", transmitted), back=flag("back", back),
         )  # fmt: skip
         sigma = float(sum(light.sigma_deg * weight for light, weight in lights))
         psi = lights[0][0].psi_deg
@@ -298,9 +328,13 @@ class Dataset:
             if polar > 90.0 + TOLERANCE_DEG:
                 raise UserError(f"{where}: is below the horizon at sigma {sigma:g} deg; give another direction")
             near = nearest_directions(data, [light for light, _ in lights], float(theta), float(phi))
+            if all(direction_grid(data, light) is None for light, _ in lights):
+                why = "its directions are neither on rings nor on a grid, so there is no interpolation between them"
+                raise UserError(f"{where}: {place}: {why}; {near}: take the values themselves with select or where")
             raise UserError(f"{where}: {place} has no values around it, less than {WIDEST_DEG:g} deg apart on a grid; {near}")
         return ValueWithU(float(values[0]), float(u[0]), "1/sr")
 
+    @with_names
     def reflectance(
         self, *, sigma_deg: float | None = None, psi_deg: float | None = None, wavelength_nm: float | None = None,
         channel: str | None = None, transmitted: bool | None = None, back: bool | None = None,
@@ -316,7 +350,8 @@ class Dataset:
             return hemisphere.only_regular(self.only, self._place(), sigma)
         lights = lights_at(
             self.only, self._place(), sigma_deg=sigma, psi_deg=_number("psi_deg", psi_deg), between=False,
-            wavelength_nm=_number("wavelength_nm", wavelength_nm), channel=channel, transmitted=transmitted, back=back,
+            wavelength_nm=_number("wavelength_nm", wavelength_nm), channel=_channel(channel),
+            transmitted=flag("transmitted", transmitted), back=flag("back", back),
         )  # fmt: skip
         return hemisphere.reflectance(self.only, lights[0][0], self._place())
 
@@ -368,8 +403,14 @@ def _single(name: str, value: object) -> float:
     """The number of an argument. Raises UserError for several."""
     found = numbers(name, value)
     if len(found) > 1:
-        raise UserError(f"{name}: {value!r}: give one number")
+        raise UserError(f"{name}: {quoted(value)}: give one number")
     return found[0]
+
+
+def _channel(value: object) -> str | None:
+    if value is None or isinstance(value, str):
+        return value
+    raise UserError(f"channel: {quoted(value)}: give the name of a colour")
 
 
 def _direction(
@@ -400,14 +441,11 @@ def _broadcast(one: Floats, other: Floats) -> tuple[int, ...]:
 
 
 def _angles(name: str, value: object, most: float | None = None) -> Floats:
-    try:
-        found = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError):
-        found = np.full(1, np.nan)
-    if isinstance(value, str | bool) or not np.isfinite(found).all():
-        raise UserError(f"{name}: {value!r}: give a number, or an array of numbers")
+    found = as_numbers(value)
+    if found is None:
+        raise UserError(f"{name}: {quoted(value)}: give a number, or an array of numbers")
     if most is not None and ((found < 0.0) | (found > most)).any():
-        raise UserError(f"{name}: {value!r}: give angles from 0 to {most:g}")
+        raise UserError(f"{name}: {quoted(value)}: give angles from 0 to {most:g}")
     return found
 
 

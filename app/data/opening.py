@@ -11,9 +11,9 @@ import numpy as np
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.reduction.export import scattered_points
 from goniotwin.app.campaign.reduction.points import BsdfPoints
-from goniotwin.app.campaign.reduction.reduction import Reduction, reduce_journal
+from goniotwin.app.campaign.reduction.reduction import Reduction, reduce_to_memory
 from goniotwin.app.data.dataset import Dataset
-from goniotwin.app.data.values import Measured, SampleData
+from goniotwin.app.data.values import Measured, SampleData, flag, quoted, with_names
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats import registry
 from goniotwin.app.formats.content import (
@@ -39,6 +39,7 @@ from goniotwin.twin.optics.geometry.coordinates import (
 )
 
 
+@with_names
 def open_dataset(path: StrPath, *, without_damaged: bool = False) -> Dataset:
     """Open a journal, or any file that can be read, as a dataset in memory; nothing stays open.
 
@@ -46,12 +47,20 @@ def open_dataset(path: StrPath, *, without_damaged: bool = False) -> Dataset:
     then have no values. Raises GoniotwinError for whatever a path or a file can have wrong.
     """
     if not isinstance(path, str | os.PathLike):
-        raise UserError(f"open: {path!r} is not a path; give the name of a journal or of a file")
+        raise UserError(f"open: {quoted(path)} is not a path; give the name of a journal or of a file")
+    without_damaged = bool(flag("without_damaged", without_damaged))
     file = Path(path)
-    if not file.is_dir() and read_head(file, len(SQLITE)) == SQLITE:
+    if not _is_folder(file) and read_head(file, len(SQLITE)) == SQLITE:
         return open_journal(file, without_damaged=without_damaged)
     found = registry.recognise(file)
     return dataset_of_file(with_files_beside(file, found.read(file), found), file.name, found.name)
+
+
+def _is_folder(path: Path) -> bool:
+    try:
+        return path.is_dir()
+    except OSError:  # a name that is too long
+        return False
 
 
 # ---- journals ----
@@ -60,11 +69,15 @@ def open_dataset(path: StrPath, *, without_damaged: bool = False) -> Dataset:
 def open_journal(path: Path, *, without_damaged: bool = False) -> Dataset:
     """The dataset of a journal, as far as it goes. Raises UserError."""
     with Journal.open(path) as journal:
-        reduction = Reduction(journal, without_damaged=without_damaged)
-        reduced = reduce_journal(journal, without_damaged=without_damaged)
-        settings = reduction.settings
-        if settings.history is not None:
-            settings.history.read()
+        return dataset_of_reduction(Reduction(journal, without_damaged=without_damaged))
+
+
+def dataset_of_reduction(reduction: Reduction) -> Dataset:
+    """The dataset of a journal that is open; the journal may be closed afterwards. Raises UserError."""
+    reduced = reduce_to_memory(reduction)
+    settings = reduction.settings
+    if settings.history is not None:
+        settings.history.read()
     data = {
         name: replace(
             sample_of_points(points, name, isotropic=reduced.isotropic, generated=reduced.simulated),

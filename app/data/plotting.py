@@ -11,15 +11,17 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from textwrap import fill
 from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
 from goniotwin.app.campaign.reduction.components import interval, mostly_added
 from goniotwin.app.data.dataset import Dataset
-from goniotwin.app.data.values import Number
+from goniotwin.app.data.opening import open_dataset
+from goniotwin.app.data.values import Number, flag, quoted, with_names
 from goniotwin.app.errors import UserError
-from goniotwin.app.formats.file import write_file
+from goniotwin.app.formats.file import StrPath, write_file
 from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.twin.optics.geometry.coordinates import (
     HALF_TURN_DEG,
@@ -34,6 +36,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.colors import Normalize
     from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
     from matplotlib.projections.polar import PolarAxes
 
     from goniotwin.app.data.comparison import DatasetComparison, LightComparison
@@ -56,31 +59,42 @@ NEAR_PLANE_DEG = 1.0
 """Directions so near to the plane of incidence make a cut where none is in it."""
 WIDEST_DEG, GAPS = 12.0, 1.5
 """A map has no colour between directions further apart than so many degrees, and than so many times most neighbours are."""
-GAP_DEG = 6.0
-"""A curve ends where its neighbours are further apart than this and than four times most of them are."""
+GAP_DEG, WIDEST_GAP_DEG = 6.0, 30.0
+"""A curve ends where neighbours are further apart than the first and than four times most of them are, or than the second."""
+MOST_MARKED = 60
+"""Values of a curve that each have a mark."""
+LETTERS_AN_INCH, MOST_LETTERS = 12.0, 100
+"""Of a title, and of a line above a legend."""
 MOST_DOTS = 2000
+MOST_RINGS = 5
+"""Labelled circles of a polar diagram."""
 SHOWN_THETA_DEG = (0.0, 10.0, 30.0, 60.0)
 """Of a spectrum the directions nearest to these aspecular angles are shown."""
 MOST_COMPARED = 4
+LEAST_WIDTH_DEG = 10.0
+"""Of a profile's axis."""
 LARGEST_Z = 4.0
 """z at the ends of a map's colours."""
 DPI = 150
 SUFFIXES = (".png", ".svg")
 
 
+@with_names
 def plot(
-    dataset: Dataset, kind: Kind = "cuts", *, sigma_deg: Number | None = None, psi_deg: Number | None = None,
+    dataset: Dataset | StrPath, kind: Kind = "cuts", *, sigma_deg: Number | None = None, psi_deg: Number | None = None,
     wavelength_nm: Number | None = None, log: bool | None = None,
 ) -> "Figure":  # fmt: skip
-    """Draw the values of one sample; returns the matplotlib figure, which is not shown anywhere yet.
+    """Draw the values of one sample, of a dataset or a file; returns the matplotlib figure, which is not shown anywhere yet.
 
     "cuts": the plane of incidence at each sigma. "hemisphere": a map of all directions at each sigma. "polar": the plane of
     incidence as a polar diagram. "spectrum": some directions over the wavelength. Bands are the values with two standard
     uncertainties. `sigma_deg`, `psi_deg` and `wavelength_nm` choose among the values; without them all sigmas are drawn (of
     many some), the first psi, and the middle wavelength or the green colour. `log` chooses the scale. Raises GoniotwinError.
     """
-    if kind not in KINDS:
-        raise UserError(f"kind: {kind!r}: give one of {', '.join(map(repr, KINDS))}")
+    if not isinstance(kind, str) or kind not in KINDS:
+        raise UserError(f"kind: {quoted(kind)}: give one of {', '.join(map(repr, KINDS))}")
+    log = flag("log", log)
+    dataset = dataset if isinstance(dataset, Dataset) else open_dataset(dataset)
     chosen = dataset.select(sigma_deg=sigma_deg, psi_deg=psi_deg, wavelength_nm=wavelength_nm)
     if not chosen.good.any():
         raise UserError(f"{dataset.name}: there is no trusted value to draw")
@@ -172,27 +186,32 @@ def band(dataset: Dataset, coverage: float = COVERAGE) -> tuple[Floats, Floats]:
         return interval(dataset.bsdf, dataset.u, added, coverage)
 
 
-def curve(dataset: Dataset, x: Floats) -> Curve:
+def curve(dataset: Dataset, x: Floats, widest: float = WIDEST_GAP_DEG) -> Curve:
     """The values over `x` (n,): a gap where there is none to be trusted, and where neighbours are far apart."""
     good = dataset.good
     lower, upper = band(dataset)
     order = np.argsort(x[good], kind="stable")
     at, y, low, high = (each[good][order] for each in (x, dataset.bsdf, lower, upper))
     lost = np.setdiff1d(round_deg(x[~good]), round_deg(at))
-    apart = np.diff(at)
-    typical = float(np.median(apart[apart > 0.0])) if (apart > 0.0).any() else math.inf
-    gaps = np.flatnonzero(apart > max(4.0 * typical, GAP_DEG))
+    gaps = _gaps(at, widest)
     breaks = np.union1d(lost, 0.5 * (at[gaps] + at[gaps + 1]))
     places = np.searchsorted(at, breaks)
     y, low, high = (np.insert(each, places, np.nan) for each in (y, low, high))
     return Curve(np.insert(at, places, breaks), y, low, high, lost)
 
 
+def _gaps(x: Floats, widest: float = WIDEST_GAP_DEG) -> Ints:
+    """The places k of ascending `x` (n,) with a gap between k and k + 1."""
+    apart = np.diff(x)
+    typical = float(np.median(apart[apart > 0.0])) if (apart > 0.0).any() else math.inf
+    return np.flatnonzero(apart > min(max(4.0 * typical, GAP_DEG), widest))
+
+
 def draw_curve(
     axes: "Axes", found: Curve, scale: Scale, colour: str, marker: str, label: str, *, broad: bool = False
 ) -> None:  # fmt: skip
     """Draw a curve with its band on rectangular axes; a `broad` one is seen beneath another."""
-    dense = np.isfinite(found.y).sum() > 60
+    dense = np.isfinite(found.y).sum() > MOST_MARKED
     lost = found.lost_in_noise if scale.log else np.zeros(found.y.size, dtype=bool)
     axes.fill_between(found.x, scale.placed(found.lower), scale.placed(found.upper), color=colour, alpha=0.25, lw=0, zorder=1.5)
     clear = np.where(lost, np.nan, scale.placed(found.y))
@@ -277,13 +296,27 @@ def new_figure(width: float, height: float) -> "Figure":
 
 def finish(figure: "Figure", dataset: Dataset, about: str = "") -> "Figure":
     """The figure with its title, and the mark of simulated values."""
-    channel = _channel_words(dataset)
+    psi = np.unique(dataset.psi_deg)
+    more = [_channel_words(dataset), f"psi {psi[0]:g} deg" if psi.size == 1 and psi[0] else "", about]
+    after = "".join(f"; {each}" for each in more if each)
     sample = f", {dataset.sample}" if dataset.sample and dataset.sample != dataset.name else ""
-    parts = [f"{dataset.name}{sample}", *([channel] if channel else []), *([about] if about else [])]
-    figure.suptitle("; ".join(parts), x=0.01, ha="left", fontsize=11)
-    if dataset.simulated:
-        figure.text(0.99, 0.99, SIMULATED, ha="right", va="top", color=SIMULATED_COLOUR, weight="bold", fontsize=11)
+    width = LETTERS_AN_INCH * (figure.get_figwidth() - (1.4 if dataset.simulated else 0.2))
+    title = f"{shortened(f'{dataset.name}{sample}', round(width) - len(after))}{after}"
+    figure.suptitle(title, x=0.01, ha="left", fontsize=10.5)
+    mark(figure, dataset.simulated)
     return figure
+
+
+def mark(figure: "Figure", simulated: bool) -> None:
+    """The mark of simulated values, at the upper right."""
+    if simulated:
+        figure.text(0.99, 0.99, SIMULATED, ha="right", va="top", color=SIMULATED_COLOUR, weight="bold", fontsize=11)
+
+
+def shortened(text: str, letters: int) -> str:
+    """A text of at most so many letters, but 20: its beginning and its end."""
+    most = max(letters, 20)
+    return text if len(text) <= most else f"{text[: most // 2 - 2]} ... {text[3 - (most - most // 2) :]}"
 
 
 def _channel_words(dataset: Dataset) -> str:
@@ -312,8 +345,9 @@ def set_scale(axes: "Axes", scale: Scale) -> None:
     if scale.log:
         axes.set_yscale("log")
         axes.set_ylim(scale.floor, 10.0 ** math.ceil(math.log10(1.05 * scale.top)))
-    elif axes.get_ylim()[0] > 0.0:
-        axes.set_ylim(0.0, max(axes.get_ylim()[1], 1.08 * scale.top))
+    else:
+        low, high = axes.get_ylim()
+        axes.set_ylim(min(low, 0.0), max(high, 1.08 * scale.top))
 
 
 def _cuts(dataset: Dataset, log: bool | None) -> "Figure":
@@ -330,6 +364,7 @@ def _cuts(dataset: Dataset, log: bool | None) -> "Figure":
             colour = COLOURS[k % len(COLOURS)]
             draw_curve(axes, curve(plane.where(at), x[at]), scale, colour, MARKERS[k % len(MARKERS)], f"sigma {sigma:g} deg")
             axes.axvline(sigma, color=colour, lw=0.8, ls=":", zorder=1)
+        drawn = plane.where(np.isin(round_deg(plane.sigma_deg), shown))
         set_scale(axes, scale)
         axes.set_ylabel(quantity(transmitted, back))
         direct = "direction straight through" if transmitted else "specular direction"
@@ -338,26 +373,26 @@ def _cuts(dataset: Dataset, log: bool | None) -> "Figure":
         axes.set_xticks(range(-90, 91, 15))
         tidy(axes)
         some = f" ({shown.size} of {there.size} incidences)" if shown.size < there.size else ""
-        _legend(axes, _about(plane, scale, some))
+        _legend(axes, about_curves([drawn], scale, some))
     return finish(figure, dataset)
 
 
 def _legend(axes: "Axes", title: str) -> None:
     """The names of the curves above the axes, where they hide nothing."""
     axes.legend(
-        loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, frameon=False, fontsize=9, title=title, title_fontsize=9,
+        loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, frameon=False, fontsize=9, title=fill(title, MOST_LETTERS),
+        title_fontsize=9,
         alignment="left", borderaxespad=0.2,
     )  # fmt: skip
 
 
-def _about(dataset: Dataset, scale: Scale, more: str = "") -> str:
-    """What bands and marks are, for the top of a legend."""
-    good = dataset.good
-    parts = [f"{'bands: k = 2' if np.isfinite(dataset.u[good]).any() else 'no uncertainties'}{more}"]
-    low = scale.below(dataset.bsdf[good])
-    if low.any():
-        negative = int((dataset.bsdf[good] <= 0.0).sum())
-        parts.append(f"{int(low.sum())} of {low.size} values are below the scale (triangles), {negative} of them not above 0")
+def about_curves(drawn: Sequence[Dataset], scale: Scale, more: str = "", *, below: str = "below the scale (triangles)") -> str:
+    """What bands and marks are, for the top of a legend; of the values that are drawn."""
+    values, u = (np.concatenate([getattr(each, name)[each.good] for each in drawn]) for name in ("bsdf", "u"))
+    parts = [f"{'bands: k = 2' if np.isfinite(u).any() else 'no uncertainties'}{more}"]
+    if low := int(scale.below(values).sum()):
+        negative = int((values <= 0.0).sum())
+        parts.append(f"{low} of {values.size} values are {below}{f', {negative} of them not above 0' if negative else ''}")
     return "; ".join(parts)
 
 
@@ -397,7 +432,8 @@ def _norm(scale: Scale, values: Floats) -> "Normalize":
 def _colour_bar(figure: "Figure", panels: Sequence["Axes"], norm: "Normalize", colours: str, label: str, extend: str) -> None:
     from matplotlib.cm import ScalarMappable
 
-    figure.colorbar(ScalarMappable(norm, colours), ax=list(panels), label=label, extend=extend, shrink=0.8, aspect=30)
+    bar = ScalarMappable(norm, colours)
+    figure.colorbar(bar, ax=list(panels), label=label, extend=extend, shrink=0.8, aspect=30, panchor=False)
 
 
 @dataclass(frozen=True)
@@ -466,7 +502,10 @@ def _draw_surface(
         else:
             found.set_mask(hidden)
     if found is None:
-        axes.scatter(x[trusted], y[trusted], c=placed[trusted], s=9.0, norm=norm, cmap=colours, lw=0, zorder=2)
+        size, edge = (9.0, 0.0) if x.size > MOST_MARKED else (30.0, 0.5)
+        axes.scatter(
+            x[trusted], y[trusted], c=placed[trusted], s=size, norm=norm, cmap=colours, lw=edge, edgecolors="0.3", zorder=2
+        )  # fmt: skip
         return
     at = np.where(trusted, placed, norm.vmin or 0.0)[order]
     axes.tripcolor(found, at, shading="gouraud", norm=norm, cmap=colours, rasterized=True, zorder=2)
@@ -474,15 +513,21 @@ def _draw_surface(
 
 def _polar(dataset: Dataset, log: bool | None) -> "Figure":
     plane, x = _in_plane(dataset)
+    there = np.unique(round_deg(plane.sigma_deg[plane.good]))
+    shown = _some(there, MOST_CURVES)
+    chosen = np.isin(round_deg(plane.sigma_deg), shown)
+    plane, x = plane.where(chosen), x[chosen]
     good = plane.good
     scale = scale_of(plane.bsdf[good], plane.u[good], log)
     through = bool((plane.transmitted & good).any())
-    figure = new_figure(7.5, 7.0 if through else 4.9)
-    axes: PolarAxes = figure.add_subplot(projection="polar")  # type: ignore[assignment]
+    figure = new_figure(7.5, 8.0 if through else 4.9)
+    figure.set_layout_engine("none")  # it would leave the room of a whole disc to a half one
+    place = (0.12, 0.14, 0.76, 0.7125) if through else (0.1, -0.07, 0.8, 1.2245)
+    axes: PolarAxes = figure.add_axes(place, projection="polar")  # type: ignore[assignment]
     axes.set_theta_zero_location("N")
     axes.set_theta_direction(-1)
-    shown = _some(plane.sigma_deg[good], MOST_CURVES)
-    outer = float(scale.radius(np.array([scale.top]))[0]) * 1.08
+    outer = 1.08 * float(scale.radius(np.array([scale.top]))[0]) or 1.0
+    named: dict[tuple[bool, float], Line2D] = {}
     for back, transmitted, _ in _sides(plane):
         for k, sigma in enumerate(shown.tolist()):
             at = (np.abs(plane.sigma_deg - sigma) < 1e-5) & (plane.back == back) & (plane.transmitted == transmitted)
@@ -493,28 +538,51 @@ def _polar(dataset: Dataset, log: bool | None) -> "Figure":
             clear = np.where(found.lost_in_noise & scale.log, np.nan, found.y)
             lower, upper, middle = (scale.radius(each) for each in (found.lower, found.upper, clear))
             axes.fill_between(angle, lower, upper, color=colour, alpha=0.25, lw=0)
-            style = "--" if back else "-"
-            label = f"sigma {sigma:g} deg{' on the back' if back else ''}" if not transmitted or not through else None
-            axes.plot(angle, middle, style, color=colour, lw=1.4, label=label)
-            if not transmitted:
+            few = np.isfinite(found.y).sum() <= MOST_MARKED
+            style, dot = "--" if back else "-", "." if few else ""
+            (line,) = axes.plot(angle, middle, style, color=colour, lw=1.4, marker=dot, ms=4.0)
+            if not {(False, sigma), (True, sigma)} & set(named):
                 axes.annotate(
                     "", (-math.radians(sigma), 0.82 * outer), (-math.radians(sigma), outer),
                     arrowprops={"arrowstyle": "->", "color": colour, "lw": 1.3},
                 )  # fmt: skip
-    axes.set_rlim(0.0, outer or 1.0)
-    if scale.log:
-        decades = np.arange(0, math.floor(outer) + 1)
-        axes.set_rgrids(
-            decades.tolist(), [f"$10^{{{k + round(math.log10(scale.floor))}}}$" for k in decades.tolist()], angle=88
-        )
-    if not through:
+            named.setdefault((back, sigma), line)
+    axes.set_rlim(0.0, outer)
+    _label_rings(axes, scale, outer)
+    if through:
+        around = np.arange(0, 360, 30)
+        own = np.where(around <= 90, around, np.where(around < 270, 180 - around, around - 360))
+        axes.set_thetagrids(around.tolist(), [f"{each}°" for each in own.tolist()])
+    else:
         axes.set_thetamin(-90.0)
         axes.set_thetamax(90.0)
     axes.grid(color="0.85", lw=0.6)
     axes.tick_params(labelsize=8)
-    title = f"BSDF, 1/sr; arrows: the light; {_about(plane, scale).replace(' (triangles)', '')}"
-    figure.legend(loc="outside lower left", frameon=False, fontsize=9, ncols=4, title=title, title_fontsize=9, alignment="left")
+    some = f" ({shown.size} of {there.size} incidences)" if shown.size < there.size else ""
+    below = "transmitted light below; " if through else ""
+    title = f"BSDF, 1/sr; {below}arrows: the light; {about_curves([plane], scale, some, below='below the scale')}"
+    title = fill(title, MOST_LETTERS)
+    names = [f"sigma {sigma:g} deg{' on the back' if back else ''}" for back, sigma in sorted(named)]
+    lines = [named[each] for each in sorted(named)]
+    figure.legend(
+        lines, names, loc="lower left", frameon=False, fontsize=9, ncols=4, title=title, title_fontsize=8.5, alignment="left"
+    )
     return finish(figure, dataset)
+
+
+def _label_rings(axes: "PolarAxes", scale: Scale, outer: float) -> None:
+    """Some labels of the circles of a polar diagram, so few that they are apart."""
+    from matplotlib.ticker import MaxNLocator
+
+    axes.set_rlabel_position(88)
+    if not scale.log:
+        axes.yaxis.set_major_locator(MaxNLocator(MOST_RINGS, min_n_ticks=2))
+        return
+    decades = np.arange(0, math.floor(outer) + 1)
+    first = round(math.log10(scale.floor))
+    step = math.ceil(decades.size / MOST_RINGS)
+    names = [f"$10^{{{k + first}}}$" if (decades[-1] - k) % step == 0 else "" for k in decades.tolist()]
+    axes.set_rgrids(decades.tolist(), names)
 
 
 def _spectrum(dataset: Dataset, log: bool | None) -> "Figure":
@@ -530,14 +598,15 @@ def _spectrum(dataset: Dataset, log: bool | None) -> "Figure":
         sigma = float(sigmas[sigmas.size // 2])
         here = side.where(np.abs(side.sigma_deg - sigma) < 1e-5)
         scale = scale_of(here.bsdf[here.good], here.u[here.good], log)
-        for k, chosen in enumerate(_directions(here)):
+        drawn = list(_directions(here))
+        for k, chosen in enumerate(drawn):
             label = f"theta {chosen.theta_deg[0]:.3g}, phi {chosen.phi_deg[0]:.3g} deg"
-            draw_curve(axes, curve(chosen, chosen.wavelength_nm), scale, COLOURS[k], MARKERS[k], label)
+            draw_curve(axes, curve(chosen, chosen.wavelength_nm, math.inf), scale, COLOURS[k], MARKERS[k], label)
         set_scale(axes, scale)
         axes.set_ylabel(quantity(transmitted, back))
         axes.set_xlabel("wavelength, nm")
         tidy(axes)
-        _legend(axes, f"sigma {sigma:g} deg; {_about(here, scale)}")
+        _legend(axes, f"sigma {sigma:g} deg; {about_curves(drawn, scale)}")
     return finish(figure, dataset)
 
 
@@ -565,17 +634,21 @@ def plot_comparison(found: "DatasetComparison", *, log: bool | None = None) -> "
     """
     lights = _pictured(found.lights)
     flat = all(_plane(each).all() for each in lights)
-    height = 5.6 if flat else 6.6
-    figure = new_figure(1.0 + 3.9 * max(len(lights), 2), height)
-    grid = figure.subplots(
-        2, len(lights), squeeze=False, height_ratios=(1.0, 0.6 if flat else 1.1), sharex="col" if flat else False
-    )
+    beside = len(lights) == 1 and not flat
+    figure = new_figure(1.0 + 3.9 * max(len(lights), 2), 4.4 if beside else 5.6 if flat else 6.6)
+    if beside:
+        grid = figure.subplots(1, 2, squeeze=False, width_ratios=(1.25, 1.0)).T
+    else:
+        grid = figure.subplots(
+            2, len(lights), squeeze=False, height_ratios=(1.0, 0.6 if flat else 1.1), sharex="col" if flat else False
+        )
     known = any(np.isfinite(each.z).any() for each in lights)
     shades, label = _deviation_scale(lights, known)
     for k, each in enumerate(lights):
         _draw_profiles(grid[0, k], found, each, log)
         deviation = each.z if known else _relative_deviation(each)
         if flat:
+            grid[0, k].set_xlabel("")
             _draw_deviations(grid[1, k], each, deviation, label if k == 0 else "", known)
             continue
         isotropic = found.first.only.values.isotropic
@@ -584,13 +657,16 @@ def plot_comparison(found: "DatasetComparison", *, log: bool | None = None) -> "
     if not flat:
         _colour_bar(figure, grid[1].tolist(), shades, "RdBu_r", label, "both")
     handles, labels = grid[0, 0].get_legend_handles_labels()
-    names = f"bands: k = 2; formula 5: {found.relative_rms_percent:.3g} % ({found.range})"
+    total = f"{found.relative_rms_percent:.3g} %" if any(each.count for each in found.lights) else "no direction"
+    names = f"bands: k = 2; formula 5: {total} ({found.range})"
+    width = round(LETTERS_AN_INCH * figure.get_figwidth() - (24 if found.simulated else 9))
+    short = [shortened(each, width) for each in labels]
+    beside_each_other = sum(map(len, short)) + 12 < width
     figure.legend(
-        handles, labels, loc="outside upper left", ncols=2, frameon=False, fontsize=9, title=names, title_fontsize=9,
-        alignment="left",
+        handles, short, loc="outside upper left", ncols=2 if beside_each_other else 1, frameon=False, fontsize=9,
+        title=fill(names, round(1.1 * width)), title_fontsize=9, alignment="left",
     )  # fmt: skip
-    if found.simulated:
-        figure.text(0.99, 0.99, SIMULATED, ha="right", va="top", color=SIMULATED_COLOUR, weight="bold", fontsize=11)
+    mark(figure, found.simulated)
     return figure
 
 
@@ -599,7 +675,7 @@ def _pictured(lights: Sequence["LightComparison"]) -> list["LightComparison"]:
     waves = sorted({each.light.wavelength_nm for each in lights if not math.isnan(each.light.wavelength_nm)})
     middle = [each for each in lights if not waves or each.light.wavelength_nm == waves[len(waves) // 2]]
     most = max(each.index.size for each in middle)
-    kept = [each for each in middle if 2 * each.index.size >= most]
+    kept = [each for each in middle if 4 * each.index.size >= most]
     return [kept[k] for k in _spread(len(kept), MOST_COMPARED)]
 
 
@@ -649,16 +725,18 @@ def _draw_profiles(axes: "Axes", found: "DatasetComparison", light: "LightCompar
     pairs = ((found.first, light.first, light.u_first), (found.second, light.second, light.u_second))
     for k, (dataset, values, u) in enumerate(pairs):
         y, margin = values[here], COVERAGE * u[here]
-        apart = np.diff(x)
-        typical = float(np.median(apart[apart > 0.0])) if (apart > 0.0).any() else math.inf
-        gaps = np.flatnonzero(apart > max(4.0 * typical, GAP_DEG)) + 1
+        gaps = _gaps(x) + 1
         name = f"{('first', 'second')[k]}: {dataset.name}{f', {dataset.sample}' if dataset.sample else ''}"
         at, middle, low, high = (np.insert(each, gaps, np.nan) for each in (x, y, y - margin, y + margin))
-        drawn = Curve(at, middle, low, high, np.zeros(0))
-        draw_curve(axes, drawn, scale, COLOURS[k], MARKERS[k], name, broad=k == 0)
+        if plane.any():
+            drawn = Curve(at, middle, low, high, np.zeros(0))
+            draw_curve(axes, drawn, scale, COLOURS[k], MARKERS[k], name, broad=k == 0)
+        else:  # at one theta there are values of several phi
+            axes.plot(x, scale.placed(y), ".", ms=(5.0, 3.0)[k], color=COLOURS[k], label=name)
     set_scale(axes, scale)
-    rms = f"{light.relative_rms_percent:.3g} % over {light.count} directions"
-    axes.set_title(f"{light.light}\nformula 5: {rms}", fontsize=9, loc="left")
+    axes.set_title(f"{light.light}\nformula 5: {light.formula_5}", fontsize=9, loc="left")
+    if np.ptp(x) < LEAST_WIDTH_DEG:
+        axes.set_xlim(float(x.mean()) - 0.5 * LEAST_WIDTH_DEG, float(x.mean()) + 0.5 * LEAST_WIDTH_DEG)
     axes.set_ylabel(quantity(light.light.transmitted, light.light.back))
     axes.set_xlabel("polar angle in the plane of incidence, deg" if plane.any() else "theta, deg")
     tidy(axes)
@@ -672,6 +750,6 @@ def _draw_deviations(axes: "Axes", light: "LightComparison", deviation: Floats, 
         axes.axhspan(-COVERAGE, COVERAGE, color="0.92", lw=0, zorder=0)
     for chosen, shade in ((~light.in_range, "0.65"), (light.in_range, COLOURS[0])):
         axes.plot(x[chosen], deviation[chosen], ".", ms=3.5, color=shade)
-    axes.set_ylabel(label)
+    axes.set_title(label, fontsize=9, loc="left")
     axes.set_xlabel("polar angle in the plane of incidence, deg")
     tidy(axes)

@@ -10,15 +10,18 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from goniotwin.app.data.conversion import user_errors
+from goniotwin.app.data.opening import dataset_of_file
 from goniotwin.app.errors import MissingPackage, UserError
 from goniotwin.app.formats import BsdfTable, registry
 from goniotwin.app.formats.content import BsdfFile
+from goniotwin.app.formats.file import SQLITE, read_head
 from goniotwin.app.formats.rgl import write_table
 from goniotwin.app.simulation.files import bsdf_table
 from goniotwin.app.simulation.paper.explanation import WIDTHS_DEG
@@ -44,11 +47,15 @@ WHITE_PERCENTILE = 95.0
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """Two pictures (rows, columns, 3) of linear light in the same unit; `white` is what is shown as white."""
+    """Two pictures (rows, columns, 3) of linear light in the same unit; `white` is what is shown as white.
+
+    `reflectances` are those of the two tables at the first incidence of each; None where a table has not the half sphere.
+    """
 
     title: str
     first: Floats
     second: Floats
+    reflectances: tuple[float | None, float | None] = (None, None)
 
     @property
     def white(self) -> float:
@@ -68,6 +75,7 @@ class Pair:
             "mean_percent_of_white": float(found.mean()),
             "rms_percent_of_white": float(np.sqrt(np.mean(found**2))),
             "largest_percent_of_white": float(np.abs(found).max()),
+            "reflectances": list(self.reflectances),
         }
 
 
@@ -84,12 +92,26 @@ def load_mitsuba() -> Any:
 def read_table(path: Path) -> BsdfTable:
     """The one table of reflected light on the front in a file of any format. Raises UserError."""
     with user_errors():
+        if not path.is_dir() and read_head(path, len(SQLITE)) == SQLITE:
+            raise UserError(f"{path}: is a journal; make a table of it: goniotwin convert {quote(str(path))} OUT.ddr")
         content: BsdfFile = registry.read(path)
     found = [table for table in content.tables if not (table.transmitted or table.back)]
-    if len(found) != 1:
-        there = f"{len(found)} tables of reflected light on its front"
-        raise UserError(f"{path}: has {there}; make one of it: goniotwin convert {path} OUT.ddr")
-    return found[0]
+    if len(found) == 1:
+        return found[0]
+    points = [each for each in content.scattered if (~(each.transmitted | each.back)).any()]  # type: ignore[operator]
+    if not found and not points:
+        raise UserError(f"{path}: has no values in 1/sr of light that its front reflects, and a picture is of these")
+    samples = {each.sample for each in (*found, *points)}
+    if len(found) > 1 and len(samples) < len(found):
+        raise UserError(f"{path}: has {len(found)} tables of light that its front reflects, and a picture is of one")
+    options = [
+        *([f"--sample {quote(min(samples))}"] if len(content.samples) > 1 else []),
+        *(["--light reflected"] if any(np.any(each.transmitted) for each in content.parts) else []),
+        *(["--side front"] if any(np.any(each.back) for each in content.parts) else []),
+    ]
+    what = f"has {len(found)} tables" if found else "has points and no table"
+    command = " ".join(["goniotwin convert", quote(str(path)), "OUT.ddr", *options])
+    raise UserError(f"{path}: {what} of light that its front reflects; make one: {command}")
 
 
 def render(table: BsdfTable, size: int = SIZE, rays: int = RAYS, seed: int = SEED) -> Floats:
@@ -153,7 +175,17 @@ def render_pair(
     first: BsdfTable, second: BsdfTable, title: str, size: int = SIZE, rays: int = RAYS, seed: int = SEED
 ) -> Pair:  # fmt: skip
     """Two pictures with the same random numbers. Raises UserError."""
-    return Pair(title, *(render(table, size, rays, seed) for table in (first, second)))
+    one, other = (render(table, size, rays, seed) for table in (first, second))
+    return Pair(title, one, other, (reflectance(first), reflectance(second)))
+
+
+def reflectance(table: BsdfTable) -> float | None:
+    """The reflectance at the first incidence of a table; None where it has not the half sphere, or several wavelengths."""
+    try:
+        found = dataset_of_file(BsdfFile((table,)), "table").reflectance(sigma_deg=float(table.sigma_deg[0]))
+    except UserError:
+        return None
+    return float(found.value)
 
 
 # ---- figure 14 ----

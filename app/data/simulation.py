@@ -7,6 +7,7 @@ import numpy as np
 
 from goniotwin.app.data.dataset import Dataset
 from goniotwin.app.data.opening import dataset_of_file
+from goniotwin.app.data.values import as_numbers, flag, quoted, with_names
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats.content import BsdfFile, Part
 from goniotwin.app.rig.samples import parse_sample
@@ -18,6 +19,7 @@ from goniotwin.arrays import Floats
 SIGMA_LIMITS_DEG = (0.0, 90.0)
 
 
+@with_names
 def simulate(
     sample: str, sigma_deg: Sequence[float] = (0.0, 30.0, 60.0), *, wavelengths_nm: Sequence[float] | None = None,
     psi_deg: Sequence[float] | None = None, back: bool = False, transmitted: bool = False, regular_apart: bool = False,
@@ -33,16 +35,17 @@ def simulate(
     GoniotwinError for a model or a grid that cannot be simulated.
     """
     if not isinstance(sample, str):
-        raise UserError(f"sample: {sample!r} is not a text; give a model such as 'gaussian:width_deg=5'")
+        raise UserError(f"sample: {quoted(sample)} is not a text; give a model such as 'gaussian:width_deg=5'")
     sigmas = _ascending("sigma_deg", sigma_deg, *SIGMA_LIMITS_DEG)
     wavelengths = None if wavelengths_nm is None else _ascending("wavelengths_nm", wavelengths_nm, *WAVELENGTH_LIMITS_NM)
     if sigmas[-1] == SIGMA_LIMITS_DEG[1]:
         raise UserError(f"sigma_deg: {sigmas[-1]:g}: give angles below 90 deg")
     psi = None if psi_deg is None else _ascending("psi_deg", psi_deg, 0.0, 360.0)
+    sides = {name: bool(flag(name, value)) for name, value in (("back", back), ("transmitted", transmitted))}
+    apart = flag("regular_apart", regular_apart)
     task = Task(
-        parse_sample(sample), sigmas, wavelengths_nm=wavelengths, back=back, transmitted=transmitted, psi_deg=psi,
-        regular="apart" if regular_apart else "seen",
-    )  # fmt: skip
+        parse_sample(sample), sigmas, wavelengths_nm=wavelengths, psi_deg=psi, regular="apart" if apart else "seen", **sides
+    )
     return dataset_of_simulation(simulate_task(task))
 
 
@@ -57,10 +60,9 @@ def dataset_of_simulation(simulation: Simulation) -> Dataset:
 
 def _ascending(name: str, values: Sequence[float], lowest: float, highest: float) -> Floats:
     """An argument as an array. Raises UserError for anything but ascending numbers within the limits."""
-    try:
-        array = np.asarray(values, dtype=float)
-    except (TypeError, ValueError):
-        array = np.zeros(0)
-    if array.ndim != 1 or not array.size or not ((array >= lowest) & (array <= highest)).all() or (np.diff(array) <= 0.0).any():
-        raise UserError(f"{name}: {values!r}: give a list of numbers from {lowest:g} to {highest:g}, ascending")
+    array = as_numbers(values)
+    if array is None or array.ndim != 1 or not array.size or array.min() < lowest or array.max() > highest:
+        array = None
+    if array is None or (np.diff(array) <= 0.0).any():
+        raise UserError(f"{name}: {quoted(values)}: give a list of numbers from {lowest:g} to {highest:g}, ascending")
     return array

@@ -1,10 +1,12 @@
 """Values of one sample: columns of one length, with what belongs to them; and the choice of some of them."""
 
 import math
-from collections.abc import Iterator, Sequence
+import warnings
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
-from typing import Any
+from functools import cached_property, wraps
+from inspect import signature
+from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -23,8 +25,10 @@ EQUAL = 1.01 * TOLERANCE_DEG
 """Numbers that differ by no more are one angle or wavelength: a rounding of the last decimal that is kept."""
 MOST_LISTED = 6
 
-Number = float | Sequence[float]
+Number = float | Sequence[float] | Floats
 """One number, or several."""
+P = ParamSpec("P")
+R = TypeVar("R")
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,15 +150,59 @@ class ValueWithU:
         return f"{self.value:.6g}{'' if self.unit == '1' else f' {self.unit}'}, u {self.u:.2g}"
 
 
+def with_names(function: Callable[P, R]) -> Callable[P, R]:
+    """A public function whose call with other arguments than its own is a UserError, which names those that it has."""
+
+    @wraps(function)
+    def called(*arguments: P.args, **named: P.kwargs) -> R:
+        try:
+            return function(*arguments, **named)
+        except TypeError:
+            own = signature(function)
+            try:
+                own.bind(*arguments, **named)
+            except TypeError as error:
+                names = ", ".join(name for name in own.parameters if name != "self")
+                what = str(error).replace("got an unexpected keyword argument", "there is no argument")
+                raise UserError(f"{function.__name__.removesuffix('_dataset')}: {what}; it takes {names}") from None
+            raise
+
+    return called
+
+
+def as_numbers(value: object) -> Floats | None:
+    """An argument as an array of floating-point numbers; None if it is none, or has a number that is not finite."""
+    if isinstance(value, str | bytes | bool):
+        return None
+    try:
+        with warnings.catch_warnings(action="error"):
+            found = np.asarray(value, dtype=np.float64)
+    except Exception:  # noqa: BLE001  (an object of any class may raise anything)
+        return None
+    return found if np.isfinite(found).all() else None
+
+
 def numbers(name: str, value: object) -> list[float]:
     """The numbers of an argument. Raises UserError."""
+    found = as_numbers(value)
+    if found is None or found.ndim > 1 or not found.size:
+        raise UserError(f"{name}: {quoted(value)}: give a number, or a list of numbers")
+    return [float(each) for each in np.atleast_1d(found)]
+
+
+def quoted(value: object) -> str:
+    """An argument in a message; of one that has no text its class."""
     try:
-        found = np.atleast_1d(np.asarray(value, dtype=np.float64))
-    except (TypeError, ValueError):
-        found = np.zeros(0)
-    if isinstance(value, str | bool) or found.ndim != 1 or not found.size or not np.isfinite(found).all():
-        raise UserError(f"{name}: {value!r}: give a number, or a list of numbers")
-    return [float(each) for each in found]
+        return repr(value)
+    except Exception:  # noqa: BLE001  (an object of any class may raise anything)
+        return f"a {type(value).__name__}"
+
+
+def flag(name: str, value: object) -> bool | None:
+    """An argument that is True, False or None. Raises UserError."""
+    if value is None or isinstance(value, bool | np.bool_):
+        return None if value is None else bool(value)
+    raise UserError(f"{name}: {quoted(value)}: give True or False")
 
 
 def is_at(data: SampleData, name: str, number: float) -> Flags:

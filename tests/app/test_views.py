@@ -38,19 +38,19 @@ def ddr(tmp_path: Path) -> Path:
 
 def test_plot_writes_a_picture_of_a_journal_and_of_a_file(ddr: Path, tmp_path: Path) -> None:
     out = tmp_path / "a.png"
-    assert json_of("plot", JOURNAL, "--out", out) == {
+    assert json_of("plot", JOURNAL, "--out", out, "--dpi", 50) == {
         "file": str(out), "kind": "cuts", "sample": "gaussian-5", "simulated": True,
     }  # fmt: skip
     assert out.read_bytes().startswith(b"\x89PNG")
     out = tmp_path / "a.svg"
-    done = invoke("plot", ddr, "--out", out, "--kind", "hemisphere", "--sigma", 30, "--log")
-    assert (done.exit_code, done.stdout) == (0, f"hemisphere: {out}\n")
+    done = invoke("plot", ddr, "--out", out, "--kind", "polar", "--sigma", 30, "--log")
+    assert (done.exit_code, done.stdout) == (0, f"polar: {out}\n")
     assert "sigma 30 deg" in out.read_text(encoding="utf-8")
 
 
 def test_compare_gives_formula_5_with_its_range_and_a_picture(tmp_path: Path) -> None:
     out = tmp_path / "a.png"
-    found = json_of("compare", JOURNAL, "theory", "--theta", 10, "--in-plane", "--out", out)
+    found = json_of("compare", JOURNAL, "theory", "--theta", 10, "--in-plane", "--out", out, "--dpi", 50)
     assert found["formula_5"]["range_of_i"].startswith("in the plane of incidence, theta to 10 deg, polar angle to 85 deg")
     assert found["formula_5"]["percent"] < 2.0
     assert [each["sigma_deg"] for each in found["lights"]] == [30.0]
@@ -64,6 +64,8 @@ def test_a_model_is_compared_in_the_directions_of_the_other(ddr: Path) -> None:
     other = json_of("compare", "gaussian:width_deg=15,peak=1", ddr)
     assert one["formula_5"]["percent"] == pytest.approx(other["formula_5"]["percent"])
     assert one["formula_5"]["percent"] < 1e-3
+    refused = str(invoke("compare", ddr, "theory").exception)
+    assert refused == "made.ddr: its sample is not one of a virtual rig; give its model, such as gaussian:width_deg=5"
 
 
 @pytest.mark.parametrize(
@@ -90,7 +92,8 @@ def test_what_cannot_be_shown_is_refused_in_one_line(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_report_is_beside_its_journal_unless_another_place_is_given(tmp_path: Path) -> None:
+def test_a_report_is_beside_its_journal_unless_another_place_is_given(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("goniotwin.app.data.report.report._plots", lambda _: iter(()))  # most of the time
     path = tmp_path / "finished.journal"
     path.write_bytes(JOURNAL.read_bytes())
     found = json_of("report", path)

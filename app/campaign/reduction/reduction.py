@@ -365,13 +365,19 @@ def reduction_settings(
 
 def reduce_journal(journal: JournalReader, *, without_damaged: bool = False) -> BsdfDataset:
     """Reduce all samples of a journal; the campaign may be unfinished. Raises UserError as Reduction does."""
+    return reduce_to_memory(Reduction(journal, without_damaged=without_damaged))
+
+
+def reduce_to_memory(reduction: Reduction) -> BsdfDataset:
+    """Reduce all samples of a journal that is already known. Raises UserError."""
     blocks: dict[str, list[tuple[Ints, BsdfPoints]]] = {}
-    reduction = Reduction(journal, without_damaged=without_damaged)
     reduced = _reduce(reduction, lambda name, rank, points: blocks.setdefault(name, []).append((rank, points)))
     samples = {}
-    for name, found in blocks.items():
-        in_time = np.argsort(np.concatenate([rank for rank, _ in found]), kind="stable")
-        samples[name] = join_points([points for _, points in found]).where(in_time)
+    for name in list(blocks):
+        ranks, points = map(list, zip(*blocks.pop(name), strict=True))
+        joined = join_points(points)
+        del points  # of a long journal there is memory for two of these, not for three
+        samples[name] = joined.where(np.argsort(np.concatenate(ranks), kind="stable"))
     return BsdfDataset(**{**vars(reduced), "samples": samples})
 
 

@@ -22,11 +22,11 @@ from goniotwin.app.campaign.reduction.points import FLAGS
 from goniotwin.app.campaign.reduction.reduction import Reduction
 from goniotwin.app.campaign.reduction.verification import Verdict, verify_journal
 from goniotwin.app.data.dataset import Dataset
-from goniotwin.app.data.opening import open_dataset
+from goniotwin.app.data.opening import dataset_of_reduction
 from goniotwin.app.data.plotting import Kind, plot
 from goniotwin.app.data.values import Measured
 from goniotwin.app.errors import MissingPackage, UserError
-from goniotwin.app.formats.file import write_file
+from goniotwin.app.formats.file import SQLITE, read_head, write_file
 from goniotwin.app.formats.metadata import Metadata
 from goniotwin.protocols.clock import calendar_stamp
 
@@ -43,7 +43,7 @@ EVENTS = {
     "warm-up": "warm-up", "encoder": "encoders", "sleep": "sleep of the computer", "listener": "listeners",
 }  # fmt: skip
 """Kinds of events that a report has, with their headings."""
-MOST_EVENTS, MOST_LIGHTS, LEAST_SHARE = 30, 24, 0.005
+MOST_EVENTS, MOST_LIGHTS, MOST_LISTED, LEAST_SHARE = 30, 24, 24, 0.005
 DIFFUSE_DEG = 30.0
 """Aspecular angle of the second value with a budget."""
 
@@ -69,19 +69,19 @@ def write_report(journal: Path, out: Path, *, without_damaged: bool = False) -> 
 def report_html(path: Path, *, without_damaged: bool = False) -> tuple[str, dict[str, Any]]:
     """The report of a journal as HTML, and what it states in short, for JSON. Raises UserError."""
     template = _template()
-    dataset = open_dataset(path, without_damaged=without_damaged)
-    if dataset.reduced is None:
+    if read_head(path, len(SQLITE)) != SQLITE:
         raise UserError(f"{path}: is not a journal, and a report is one of a campaign; for a file use goniotwin plot")
     with Journal.open(path) as journal:
         reduction = Reduction(journal, without_damaged=without_damaged)
+        dataset = dataset_of_reduction(reduction)
         verdicts = verify_journal(reduction)
         closure = reduction.closure()
         sessions = journal.sessions()
         done, planned = journal.row_counts()
         events = [(title, found) for kind, title in EVENTS.items() if (found := journal.event_texts(kind))]
         schedule, chain, seconds = journal.value("schedule"), journal.chain, journal.seconds
-    rig = dataset.reduced.rig
-    metadata = dataset.reduced.metadata
+    rig = reduction.rig
+    metadata = {name: dataset[name].metadata for name in dataset}
     first = next(iter(metadata.values()), Metadata(title=dataset.name))
     html = template.render(
         title=first.title, name=dataset.name, simulated=dataset.simulated, seed=rig.seed if dataset.simulated else None,
@@ -153,8 +153,10 @@ def _words(key: str) -> str:
 
 def _text(value: Any) -> str:
     if isinstance(value, list):
+        if len(value) > MOST_LISTED and all(isinstance(each, int | float) for each in value):
+            return f"{len(value)} from {_text(min(value))} to {_text(max(value))}"
         return ", ".join(map(_text, value))
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
+    return f"{value:.5g}" if isinstance(value, float) else str(value)
 
 
 def _summary(dataset: Dataset, verdicts: list[Verdict]) -> list[tuple[str, str]]:
@@ -165,7 +167,8 @@ def _summary(dataset: Dataset, verdicts: list[Verdict]) -> list[tuple[str, str]]
     for name in dataset:
         here = dataset[name]
         relative = _relative(here)
-        u = f", relative u {100.0 * float(np.median(relative)):.2g} % in the median" if relative.size else ""
+        share = f", {relative.size} above their noise with a median relative u of" if relative.size else ""
+        u = f"{share} {100.0 * float(np.median(relative)):.2g} %" if relative.size else ", none of these above its noise"
         values.append(f"{name}: {here.size} values, {int(here.good.sum())} of them trusted{u}")
     return [*(("values", each) for each in values), ("checks", checks)]
 
@@ -183,8 +186,9 @@ def _clear(dataset: Dataset) -> np.ndarray:
 
 def _sample(dataset: Dataset, metadata: Metadata) -> dict[str, Any]:
     """One sample's part of the report."""
-    words = np.char.split(dataset.flags)
-    counts = {name: sum(name in each for each in words.tolist()) for name in FLAGS} if dataset.flags.any() else {}
+    texts, numbers = np.unique(dataset.flags, return_counts=True)
+    words = [(each.split(), count) for each, count in zip(texts.tolist(), numbers.tolist(), strict=True)]
+    counts = {name: sum(count for each, count in words if name in each) for name in FLAGS}
     return {
         "name": dataset.sample,
         "about": [(_words(key), value) for key, value in metadata.as_dict().get("sample", {}).items()],

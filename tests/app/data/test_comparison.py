@@ -39,7 +39,9 @@ def test_formula_5_is_that_of_the_paper() -> None:
     assert [each.count for each in result.lights] == [2]
     assert np.isnan(result.lights[0].z).all()
     assert math.isnan(result.lights[0].chi_square)
-    assert len([note for note in result.notes if "is not known" in note]) == 2
+    assert result.notes == ("neither of the two has uncertainties: there is no z and no chi-square",)
+    assert "nan" not in str(result)
+    assert str(result).splitlines()[1] == "sigma 0 deg: 70.7 % over 2 directions"
 
 
 def test_a_journal_against_its_theory_is_the_comparison_of_the_virtual_rig(dataset: goniotwin.Dataset) -> None:
@@ -96,7 +98,7 @@ def test_a_table_is_compared_between_its_nodes_and_incidences() -> None:
     assert math.isnan(result.lights[0].chi_square)
     assert any("share of their u is not known" in note for note in result.notes)
     assert np.isfinite(result.lights[0].z).all()
-    with pytest.raises(goniotwin.GoniotwinError, match="sigma 90 deg; or give them in the other order"):
+    with pytest.raises(goniotwin.GoniotwinError, match=r"sigma 90 deg and the second has .* in the other order"):
         goniotwin.compare(dataset_of(of_table), dataset_of(measured))  # of one incidence that the table does not have
 
 
@@ -108,15 +110,60 @@ def test_what_the_second_does_not_have_is_left_out_in_words() -> None:
     assert [each.light.sigma_deg for each in result.lights] == [0.0]
     assert any("sigma 30 deg" in note for note in result.notes)
     assert "sigma 0 deg" in str(result)
-    with pytest.raises(goniotwin.GoniotwinError, match="no light and direction in common: the first has sigma 30 deg"):
+    with pytest.raises(goniotwin.GoniotwinError, match="the first has sigma 30 deg and the second has sigma 0 deg"):
         goniotwin.compare(dataset_of(at(30.0)), dataset_of(at(0.0)))
+
+
+def test_the_notes_on_uncertainties_do_not_contradict_each_other() -> None:
+    part = rings(lambertian(1.0), 30.0, np.array([10.0, 20.0]), np.array([0.0, 180.0]), u=0.01)
+    none = replace(part, u=np.full(part.size, np.nan))
+    some = replace(part, u=np.where(np.arange(part.size) == 0, np.nan, np.asarray(part.u)))
+    unknown = "there is no chi-square where the covariance is not known: "
+    assert goniotwin.compare(dataset_of(part), dataset_of(none)).notes == (
+        "the second has no uncertainties: z is there in that of the first alone",
+        f"{unknown}the second has no uncertainties; what values of the first share of their u is not known",
+    )
+    assert goniotwin.compare(dataset_of(some), dataset_of(part)).notes[0] == (
+        "the first has no uncertainty of some values: z is there in that of the second alone"
+    )
+    both = goniotwin.compare(dataset_of(part), dataset_of(part))
+    assert both.notes == (f"{unknown}what values of the first and the second share of their u is not known",)
+    negative = goniotwin.compare(dataset_of(scaled(part, -1.0)), dataset_of(scaled(part, -1.0)))
+    assert str(negative).startswith("relative RMS (formula 5) has no direction: ")
+    assert "sigma 30 deg: no direction in range, largest" not in str(negative)
+
+
+def test_the_azimuth_of_the_light_repeats_and_does_not_count_for_an_isotropic_sample() -> None:
+    part = rings(lambertian(1.0), 30.0, np.array([10.0, 20.0]), np.array([0.0, 180.0]), u=0.01, isotropic=False)
+    for psi in (360.0, -360.0):
+        turned = replace(part, psi_deg=np.full(part.size, psi))
+        assert goniotwin.compare(dataset_of(part), dataset_of(turned)).lights[0].count > 0
+    opposite = replace(part, psi_deg=np.full(part.size, 180.0), azimuth_deg=part.azimuth_deg + 180.0)
+    with pytest.raises(goniotwin.GoniotwinError, match="wavelength, side and azimuth of the light have to be equal"):
+        goniotwin.compare(dataset_of(part), dataset_of(opposite))
+    assert goniotwin.compare(dataset_of(replace(part, isotropic=True)), dataset_of(opposite)).lights[0].count > 0
+    in_another_order = part.where(np.arange(part.size)[::-1])
+    assert goniotwin.compare(dataset_of(part), dataset_of(in_another_order)).relative_rms_percent == 0.0
+
+
+def test_directions_on_no_grid_are_not_those_between_which_another_is_compared() -> None:
+    rng = np.random.default_rng(5)
+    n = 40
+    polar, azimuth = rng.uniform(0.0, 80.0, n), rng.uniform(0.0, 360.0, n)
+    scattered = dataset_of(ScatteredBsdf(np.full(n, 30.0), np.zeros(n), polar, azimuth, np.ones(n), isotropic=True))
+    of_rings = dataset_of(rings(lambertian(1.0), 30.0, POLAR, AZIMUTH))
+    assert goniotwin.compare(scattered, of_rings).lights[0].count > 0
+    with pytest.raises(goniotwin.GoniotwinError, match=r"of the second are on no grid.*; give them in the other order"):
+        goniotwin.compare(of_rings, scattered)
+    with pytest.raises(goniotwin.GoniotwinError, match=r"neither on rings nor on a grid.* with select or where"):
+        scattered.at(theta_deg=12.0, phi_deg=40.0)
 
 
 def test_wavelengths_have_to_be_the_same_unless_one_has_none() -> None:
     part = rings(lambertian(1.0), 0.0, POLAR, AZIMUTH, u=0.01)
     green, red = (replace(part, wavelength_nm=np.full(part.size, nm)) for nm in (550.0, 650.0))
     assert goniotwin.compare(dataset_of(green), dataset_of(part)).lights[0].count > 0
-    with pytest.raises(goniotwin.GoniotwinError, match="no light and direction in common: the first has 550 nm"):
+    with pytest.raises(goniotwin.GoniotwinError, match="the first has 550 nm, sigma 0 deg and the second has 650 nm"):
         goniotwin.compare(dataset_of(green), dataset_of(red))
     two = goniotwin.compare(dataset_of(green, red), dataset_of(red, green))
     assert [each.light.wavelength_nm for each in two.lights] == [550.0, 650.0]

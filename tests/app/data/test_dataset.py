@@ -127,12 +127,41 @@ def test_azimuths_repeat_after_a_turn() -> None:
     [
         {"sigma_deg": "30"}, {"sigma_deg": float("nan")}, {"sigma_deg": []}, {"sigma_deg": [[30.0]]}, {"sigma_deg": True},
         {"sigma_deg": object()}, {"channel": 3}, {"channel": "red"}, {"transmitted": 1}, {"back": "no"}, {"photodiode": 1e6},
-        {"wavelength_nm": 1.0},
+        {"wavelength_nm": 1.0}, {"sigma_deg": 10**400}, {"sigma_deg": 1j}, {"sigma": 30}, {"transmitted": [True]},
     ],
 )  # fmt: skip
 def test_what_cannot_be_selected_is_refused(dataset: goniotwin.Dataset, arguments: dict[str, Any]) -> None:
     with pytest.raises(goniotwin.GoniotwinError, match=next(iter(arguments))):
         dataset.select(**arguments)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda d: d.select(sigma=30), r"select: there is no argument 'sigma'; it takes wavelength_nm, channel, sigma_deg, .*"),
+        (lambda d: d.select(30), "select: too many positional arguments; it takes"),
+        (lambda d: d.at(theta=3), "at: there is no argument 'theta'"),
+        (lambda d: d.reflectance(angle=3), "reflectance: there is no argument 'angle'"),
+        (lambda d: d.where(), "where: missing a required argument: 'chosen'"),
+        (lambda _: goniotwin.open(), "open: missing a required argument: 'path'"),
+        (lambda _: goniotwin.open("a" * 5000), "aaa"),
+        (lambda d: goniotwin.plot(d, colour="red"), "plot: there is no argument 'colour'"),
+        (lambda d: goniotwin.compare(d, d, in_plane="no"), "in_plane: 'no': give True or False"),
+        (lambda d: goniotwin.theory(d, model="x"), "theory: there is no argument 'model'"),
+        (lambda _: goniotwin.simulate("lambertian", sigma=[3]), "simulate: there is no argument 'sigma'"),
+        (lambda d: d[["gaussian-5"]], r"there is no sample \['gaussian-5'\]"),
+        (lambda d: d.at(theta_deg=3, transmitted="no"), "transmitted: 'no': give True or False"),
+    ],
+)
+def test_a_call_with_other_arguments_names_those_that_there_are(dataset: goniotwin.Dataset, call: Any, message: str) -> None:
+    with pytest.raises(goniotwin.GoniotwinError, match=message):
+        call(dataset)
+
+
+def test_the_length_is_the_number_of_values(dataset: goniotwin.Dataset) -> None:
+    assert len(dataset) == dataset.size == dataset.bsdf.size
+    assert len(dataset.where([])) == 0
+    assert dataset.where([])  # without values it is still a dataset
 
 
 def test_a_mask_or_indices_choose_values(dataset: goniotwin.Dataset) -> None:

@@ -41,8 +41,9 @@ def texts(figure: Figure) -> str:
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_kind_is_a_picture_of_something(kind: Any, tmp_path: Path) -> None:
+    figure = plot(two_wavelengths(), kind)
     for suffix in ("png", "svg"):
-        save_figure(plot(two_wavelengths(), kind), tmp_path / f"a.{suffix}", 60)
+        save_figure(figure, tmp_path / f"a.{suffix}", 60)
     pixels = imread(tmp_path / "a.png")
     assert pixels[..., :3].std() > 0.02
     assert b"<svg" in (tmp_path / "a.svg").read_bytes()[:1000]
@@ -50,8 +51,8 @@ def test_every_kind_is_a_picture_of_something(kind: Any, tmp_path: Path) -> None
 
 
 def test_the_same_values_give_the_same_file(tmp_path: Path) -> None:
-    for name in ("a", "b"):
-        save_figure(plot(two_wavelengths()), tmp_path / f"{name}.svg")
+    for name in ("a", "b"):  # without the search for a layout, which takes most of the time
+        save_figure(plot(two_wavelengths(), "polar"), tmp_path / f"{name}.svg")
     assert (tmp_path / "a.svg").read_bytes() == (tmp_path / "b.svg").read_bytes()
 
 
@@ -82,6 +83,7 @@ def test_a_logarithmic_scale_has_zeros_and_negative_values_at_its_edge_and_the_c
     assert np.nanmax(drawn) == noise.max()
     assert np.nanmin(drawn) >= low
     assert f"{int((noise <= 0.0).sum())} of them not above 0" in texts(figure)
+    assert "0 of them not above 0" not in texts(plot(made(lobe), log=True))
 
 
 @pytest.mark.parametrize("values", [np.zeros(36), np.full(36, -1.0)])
@@ -113,6 +115,41 @@ def test_simulated_values_are_marked_in_every_picture() -> None:
     for kind in KINDS:
         assert SIMULATED in texts(plot(two_wavelengths(generated=True), kind))
         assert SIMULATED not in texts(plot(two_wavelengths(), kind))
+
+
+@pytest.mark.parametrize("reflected", [False, True])
+def test_a_polar_diagram_of_transmitted_light_has_its_legend_and_one_arrow_of_each_light(reflected: bool) -> None:
+    through = [
+        replace(rings(lambertian(0.3), sigma, RINGS, np.array([0.0, 180.0])), transmitted=np.ones(36, dtype=bool))
+        for sigma in (0.0, 40.0)
+    ]
+    one_side = [rings(lambertian(0.6), 40.0, RINGS, np.array([0.0, 180.0]))] if reflected else []
+    figure = plot(made(*through, *one_side), "polar")
+    (axes,) = figure.axes
+    (legend,) = figure.legends
+    assert [each.get_text() for each in legend.get_texts()] == ["sigma 0 deg", "sigma 40 deg"]
+    arrows = [each for each in axes.texts if getattr(each, "arrow_patch", None) is not None]
+    assert sorted(round(math.degrees(each.xy[0])) for each in arrows) == [-40, 0]  # type: ignore[attr-defined]
+    lines = [np.degrees(np.asarray(line.get_xdata(), dtype=float)) for line in axes.lines]
+    assert [each.min() >= 90.0 for each in lines] == [False] * reflected + [True, True]  # transmitted light is below
+
+
+def test_labels_of_a_polar_diagram_are_few() -> None:
+    for log, wide in ((False, 5.0), (True, 8.0)):
+        figure = plot(made(rings(gaussian(wide), 30.0, RINGS, np.array([0.0, 180.0]))), "polar", log=log)
+        figure.draw_without_rendering()
+        labels = [each.get_text() for each in figure.axes[0].yaxis.get_ticklabels()]
+        assert 2 <= len([each for each in labels if each]) <= 6
+
+
+def test_a_long_name_is_shortened_to_the_picture_and_the_azimuth_of_the_light_is_said() -> None:
+    part = two_wavelengths().only.values
+    turned = replace(part, psi_deg=np.full(part.size, 90.0), isotropic=False)
+    figure = plot(replace(made(turned), name="x" * 300 + ".csv"), "hemisphere", wavelength_nm=450.0)
+    title = figure.get_suptitle()
+    assert len(title) < 100
+    assert title.startswith("xxx")
+    assert title.endswith(".csv; 450 nm; psi 90 deg")
 
 
 def test_the_picture_of_a_journal_is_of_its_sample_and_wavelength(dataset: Dataset) -> None:
@@ -157,5 +194,5 @@ def test_a_comparison_without_uncertainties_has_the_relative_deviation() -> None
     one, other = (made(rings(lambertian(r), 30.0, RINGS, np.array([0.0, 180.0]))) for r in (0.60, 0.63))
     figure = plot_comparison(compare(one, other))
     below = figure.axes[1]
-    assert below.get_ylabel() == "first less second over their mean, %"
+    assert below.get_title(loc="left") == "first less second over their mean, %"
     np.testing.assert_allclose(np.concatenate([line.get_ydata() for line in below.lines[1:]]), -100.0 * 0.03 / 0.615)

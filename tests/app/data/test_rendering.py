@@ -2,6 +2,8 @@
 
 import json
 import math
+import shlex
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +15,8 @@ from goniotwin.app.data import rendering
 from goniotwin.app.errors import MissingPackage, UserError
 from goniotwin.app.formats import BsdfTable, registry
 from goniotwin.app.formats.content import BsdfFile
+from tests.app.data.made import lambertian, rings
+from tests.conftest import REPOSITORY
 
 SIZE = 12
 
@@ -52,8 +56,25 @@ def test_what_cannot_be_drawn_is_refused(arguments: list[str], words: str) -> No
 def test_a_file_without_reflected_light_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "clear.ddt"
     registry.write(path, BsdfFile((diffuser(0.5, transmitted=True),)), registry.format_for(path, registry.BSDF))
-    with pytest.raises(UserError, match=r"has 0 tables of reflected light on its front; make one of it: goniotwin convert"):
+    with pytest.raises(UserError, match=r"has no values in 1/sr of light that its front reflects"):
         rendering.read_table(path)
+
+
+def test_the_command_that_a_refusal_names_makes_the_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    points = rings(lambertian(0.5), 30.0, np.arange(0.0, 86.0, 5.0), np.arange(0.0, 181.0, 30.0))
+    through = replace(points, transmitted=np.ones(points.size, dtype=bool))
+    parts = tuple(replace(each, sample=name) for name in ("a b", "c") for each in (points, through))
+    path = Path("all.csv")
+    registry.write(path, BsdfFile(parts), registry.format_for(path, registry.BSDF))
+    with pytest.raises(UserError, match=r"has points and no table of light that its front reflects; make one: ") as refused:
+        rendering.read_table(path)
+    command = str(refused.value).partition("make one: goniotwin ")[2]
+    assert command == "convert all.csv OUT.ddr --sample 'a b' --light reflected"
+    app(shlex.split(command), standalone_mode=False)
+    assert rendering.reflectance(rendering.read_table(Path("OUT.ddr"))) == pytest.approx(0.5, rel=0.02)
+    with pytest.raises(UserError, match=r"is a journal; make a table of it: goniotwin convert"):
+        rendering.read_table(REPOSITORY / "tests" / "golden" / "data" / "finished.journal")
 
 
 @pytest.mark.long

@@ -13,11 +13,11 @@ from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.proof.virtual_rigs import run_without_wires
 from goniotwin.app.campaign.reduction.reduction import Reduction
 from goniotwin.app.campaign.reduction.verification import verify_journal
-from goniotwin.app.campaign.schedule.file import read_schedule
-from goniotwin.app.data.report.report import report_html, write_report
+from goniotwin.app.campaign.schedule.file import parse_schedule
+from goniotwin.app.data.report.report import _text, report_html, write_report
 from goniotwin.app.errors import GoniotwinError
 from goniotwin.app.rig import read_rig
-from tests.conftest import SMALL, Writer
+from tests.conftest import RIG, SMALL, changed
 
 HOSTILE = '<script>alert("1")</script>'
 
@@ -56,16 +56,24 @@ class Page(HTMLParser):
         return " ".join(" ".join(self._parts).split())
 
 
-@pytest.fixture
-def journal(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> Path:
+@pytest.fixture(scope="session")
+def journal(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A campaign of a spectrum, with metadata that would act in a page."""
     metadata = (
         f"[metadata]\ntitle = 'A test of {HOSTILE}'\noperator = 'A. Person'\n[metadata.samples.gaussian-5]\nmaker = 'a & b'\n"
     )
-    schedule = write_schedule(("wavelength_nm = [550]", "wavelength_nm = [550, 600]"), text=SMALL + metadata)
-    path = tmp_path / "a.journal"
-    run_without_wires(make_plan(read_schedule(schedule), read_rig(write_rig())), path)
+    text = changed(
+        SMALL + metadata, (("wavelength_nm = [550]", "wavelength_nm = [550, 600]"), ("readings = 2", "readings = 1"))
+    )
+    path = tmp_path_factory.mktemp("report") / "a.journal"
+    run_without_wires(make_plan(parse_schedule(text, "schedule.toml"), read_rig(RIG)), path)
     return path
+
+
+@pytest.fixture
+def without_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Reports have no pictures, which are most of their time."""
+    monkeypatch.setattr("goniotwin.app.data.report.report._plots", lambda _: iter(()))
 
 
 def test_a_report_states_what_is_known_and_needs_no_other_file(journal: Path, tmp_path: Path) -> None:
@@ -77,6 +85,9 @@ def test_a_report_states_what_is_known_and_needs_no_other_file(journal: Path, tm
     assert {"script", "link", "iframe"}.isdisjoint(page.tags)
     assert f"A test of {HOSTILE}" in page.text
     assert "A. Person" in page.text
+    assert re.search(
+        r"values gaussian-5: \d+ values, \d+ of them trusted, \d+ above their noise with a median relative u of", page.text
+    )
     assert "a & b" in page.text
     assert page.text.count("SIMULATED: measured on a virtual rig (seed 1)") == 1
     assert page.alternatives == [f"{kind} of gaussian-5, simulated" for kind in ("cuts", "hemisphere", "polar", "spectrum")]
@@ -96,6 +107,7 @@ def test_a_report_states_what_is_known_and_needs_no_other_file(journal: Path, tm
     assert (result["simulated"], result["samples"]) == (True, ["gaussian-5"])
 
 
+@pytest.mark.usefixtures("without_pictures")
 def test_a_report_of_a_real_rig_is_not_marked(journal: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("goniotwin.app.campaign.journal.reading.JournalReader.simulated", False)
     html, result = report_html(journal)
@@ -114,6 +126,11 @@ def test_a_report_without_jinja_names_the_command_that_installs_it(journal: Path
     monkeypatch.setattr(builtins, "__import__", without)
     with pytest.raises(GoniotwinError, match=r"pip install 'goniotwin\[report\]'"):
         report_html(journal)
+
+
+def test_many_numbers_are_the_first_and_the_last() -> None:
+    assert _text([500.0 + 0.05 * k for k in range(500)]) == "500 from 500 to 524.95"
+    assert _text([400.0, 550.5]) == "400, 550.5"
 
 
 def test_a_file_that_is_no_journal_has_no_report(tmp_path: Path) -> None:
