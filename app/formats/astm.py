@@ -3,7 +3,7 @@
     (any lines)
     NUM_POINTS 2
     VARS theta_i,phi_i,theta_s,phi_s,450nm,550nm
-    0.523598776,0.000000000,0.523598776,3.141592654,0.31,0.32
+    0.52359877560,0.00000000000,0.52359877560,3.14159265359,0.31,0.32
 
 Angles are radians about the normal, values are 1/sr, in no order. The standard itself (ASTM E1392-96, withdrawn) was not
 seen: this is the layout of Cornell's measurements, as the public reader of libbsdf has it (AstmReader.cpp, commit 232971f):
@@ -240,8 +240,8 @@ def _rows(angles: Floats, table: Floats) -> Iterator[str]:
 
 
 def _texts(angles: Floats) -> list[str]:
-    """Each angle in rad with nine decimals; most are there many times."""
+    """Each angle in rad; most are there many times. With eleven decimals pi / 2 is not above itself, as it is with nine."""
     known, of_known = np.unique(angles, return_inverse=True)
-    spelled = np.array([f"{each:.9f}" for each in known.tolist()], dtype=object)
+    spelled = np.array([f"{each:.11f}" for each in known.tolist()], dtype=object)
     found: list[str] = spelled[of_known].tolist()
     return found

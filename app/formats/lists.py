@@ -211,7 +211,7 @@ def one_list(path: StrPath, content: BsdfFile, name: str) -> ScatteredBsdf:
     if content.regular or not content.parts:
         what = "no regular reflectance or transmittance" if content.parts else "values, and there are none"
         raise FormatError(path, f"{name} holds {what}", "write scattered values, or a table")
-    return joined([*map(nodes, content.tables), *content.scattered])
+    return joined([*(nodes(table, once=True) for table in content.tables), *content.scattered])
 
 
 def refuse_mixture(path: StrPath, name: str, column: Flags, one: str, other: str) -> bool:

@@ -39,6 +39,7 @@ LIMITS_DEG = {
     "ScatterAzimuth": (0.0, 360.0),
     "ScatterRadial": (0.0, 180.0),
 }
+SHARE_ERROR = 1e-4
 HEADER = ("Source", "Symmetry", "SpectralContent", "ScatterType", *LIMITS_DEG)
 
 
@@ -146,10 +147,16 @@ def write(path: Path, content: BsdfFile) -> None:
         azimuth_deg=table.phi_deg,
         radial_deg=table.theta_deg,
         values=table.values,
-        tis=scattered_share(table),
+        tis=_tis(table),
         comments=(*content.metadata.lines(), *content.comments, *noted(table, wavelength=True)),
     )
     write_zemax(path, written)
+
+
+def _tis(table: BsdfTable) -> Floats:
+    """Scattered shares; 1 where they are above it by no more than their integrals are wrong."""
+    shares = scattered_share(table)
+    return np.where((shares > 1.0) & (shares < 1.0 + SHARE_ERROR), 1.0, shares)
 
 
 def read_zemax(path: StrPath) -> ZemaxBsdf:
