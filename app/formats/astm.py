@@ -41,7 +41,9 @@ OWN_LINE = "goniotwin list of a "
 VARS = re.compile(rb"(?:^|[\r\n])[ \t]*VARS[ \t,]+\"?theta_i", re.IGNORECASE)
 KEYWORD = re.compile(r"[ \t]*(NUM_POINTS|VARS)(?![^\s,:=])[\s,:=]*(.*)", re.IGNORECASE)
 VARIABLES = (("theta_i",), ("phi_i",), ("theta_s", "theta_r", "theta_o"), ("phi_s", "phi_r", "phi_o"))
-COLOURS = {"r": "red", "g": "green", "b": "blue", "x": "X", "y": "Y", "z": "Z"}
+COLOURS = {
+    "r": "red", "g": "green", "b": "blue", "x": "X", "y": "Y", "z": "Z", "red": "red", "green": "green", "blue": "blue",
+}  # fmt: skip
 
 WAVELENGTH = re.compile(r"([0-9.]+)[ \t]*nm", re.IGNORECASE)
 ROWS_AT_ONCE = 1 << 16
@@ -138,8 +140,9 @@ def _channels(lines: Lines, names: Sequence[str], at: int) -> list[float | str]:
         if len(set(wavelengths)) != len(wavelengths) or min(wavelengths) <= 0.0:
             raise lines.error(at, "VARS has a wavelength of 0, or one twice", "correct the names")
         return list(wavelengths)
-    if [name.lower() for name in rest] in (["r", "g", "b"], ["x", "y", "z"]):
-        return [COLOURS[name.lower()] for name in rest]
+    colours = [COLOURS.get(name.lower(), "") for name in rest]
+    if colours in (["red", "green", "blue"], ["X", "Y", "Z"]):
+        return list(colours)
     if len(rest) == 1 and not spectral[0]:
         return [""]
     wrong = f"the columns {', '.join(map(quote_word, rest[:9]))} are not known"

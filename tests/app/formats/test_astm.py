@@ -68,6 +68,12 @@ def test_line_ends_and_separators_may_differ(tmp_path: Path, ends: str) -> None:
     assert (found.values.tolist(), found.wavelength_nm.tolist()) == ([7.0], [550.0])
 
 
+def test_colours_may_be_named_in_full(tmp_path: Path) -> None:
+    path = tmp_path / "paint.astm"
+    path.write_text(CORNELL.replace("R,G,B", "Red,Green,Blue"))
+    assert only_list(astm.read(path)).channel.tolist() == ["red"] * 2 + ["green"] * 2 + ["blue"] * 2
+
+
 def test_an_independent_reader_finds_what_was_written(tmp_path: Path) -> None:
     path = tmp_path / "a.astm"
     values = ScatteredBsdf(
@@ -113,7 +119,9 @@ def test_a_table_is_written_as_its_nodes(tmp_path: Path) -> None:
 
 def test_a_table_has_each_direction_once_and_no_polar_angle_above_a_right_one(tmp_path: Path) -> None:
     """A strict reader refuses 1.570796327, which is above pi / 2, and libbsdf leaves out what is "Already defined"."""
-    sigma, phi, theta, psi = (np.array(each) for each in ([0.0, 90.0], [0.0, 90.0, 360.0], [0.0, 30.0, 180.0], [0.0, 90.0, 360.0]))
+    sigma, phi, theta, psi = (
+        np.array(each) for each in ([0.0, 90.0], [0.0, 90.0, 360.0], [0.0, 30.0, 180.0], [0.0, 90.0, 360.0])
+    )
     values = np.full((2, 3, 2, 3, 3), 0.3)
     values[1, 0, 0, 1, 0] = 0.4  # another value at theta 0: both are there
     table = BsdfTable(sigma, phi, theta, values, (450.0, 550.0), psi, known=np.full(values.shape, True))
