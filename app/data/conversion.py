@@ -459,7 +459,8 @@ def _refilled(table: BsdfTable, path: Path, fill: Fill) -> BsdfTable:
 
 def _as_points(content: BsdfFile, form: Format, notes: list[str]) -> BsdfFile:
     """Scattered values instead of tables; without flags those that are not to be trusted are omitted."""
-    parts: list[Part] = [nodes(part) if isinstance(part, BsdfTable) else part for part in content.parts]
+    once = Holds.FLAGS not in form.holds
+    parts: list[Part] = [nodes(part, once=once) if isinstance(part, BsdfTable) else part for part in content.parts]
     if Holds.FLAGS in form.holds:
         return replace(content, parts=tuple(parts))
     omitted = 0

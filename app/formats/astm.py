@@ -3,7 +3,7 @@
     (any lines)
     NUM_POINTS 2
     VARS theta_i,phi_i,theta_s,phi_s,450nm,550nm
-    0.523598776,0.000000000,0.523598776,3.141592654,0.31,0.32
+    0.52359877560,0.00000000000,0.52359877560,3.14159265359,0.31,0.32
 
 Angles are radians about the normal, values are 1/sr, in no order. The standard itself (ASTM E1392-96, withdrawn) was not
 seen: this is the layout of Cornell's measurements, as the public reader of libbsdf has it (AstmReader.cpp, commit 232971f):
@@ -41,7 +41,9 @@ OWN_LINE = "goniotwin list of a "
 VARS = re.compile(rb"(?:^|[\r\n])[ \t]*VARS[ \t,]+\"?theta_i", re.IGNORECASE)
 KEYWORD = re.compile(r"[ \t]*(NUM_POINTS|VARS)(?![^\s,:=])[\s,:=]*(.*)", re.IGNORECASE)
 VARIABLES = (("theta_i",), ("phi_i",), ("theta_s", "theta_r", "theta_o"), ("phi_s", "phi_r", "phi_o"))
-COLOURS = {"r": "red", "g": "green", "b": "blue", "x": "X", "y": "Y", "z": "Z"}
+COLOURS = {
+    "r": "red", "g": "green", "b": "blue", "x": "X", "y": "Y", "z": "Z", "red": "red", "green": "green", "blue": "blue",
+}  # fmt: skip
 
 WAVELENGTH = re.compile(r"([0-9.]+)[ \t]*nm", re.IGNORECASE)
 ROWS_AT_ONCE = 1 << 16
@@ -138,8 +140,9 @@ def _channels(lines: Lines, names: Sequence[str], at: int) -> list[float | str]:
         if len(set(wavelengths)) != len(wavelengths) or min(wavelengths) <= 0.0:
             raise lines.error(at, "VARS has a wavelength of 0, or one twice", "correct the names")
         return list(wavelengths)
-    if [name.lower() for name in rest] in (["r", "g", "b"], ["x", "y", "z"]):
-        return [COLOURS[name.lower()] for name in rest]
+    colours = [COLOURS.get(name.lower(), "") for name in rest]
+    if colours in (["red", "green", "blue"], ["X", "Y", "Z"]):
+        return list(colours)
     if len(rest) == 1 and not spectral[0]:
         return [""]
     wrong = f"the columns {', '.join(map(quote_word, rest[:9]))} are not known"
@@ -240,8 +243,8 @@ def _rows(angles: Floats, table: Floats) -> Iterator[str]:
 
 
 def _texts(angles: Floats) -> list[str]:
-    """Each angle in rad with nine decimals; most are there many times."""
+    """Each angle in rad; most are there many times. With eleven decimals pi / 2 is not above itself, as it is with nine."""
     known, of_known = np.unique(angles, return_inverse=True)
-    spelled = np.array([f"{each:.9f}" for each in known.tolist()], dtype=object)
+    spelled = np.array([f"{each:.11f}" for each in known.tolist()], dtype=object)
     found: list[str] = spelled[of_known].tolist()
     return found

@@ -37,6 +37,8 @@ UNTRUSTED = frozenset(
 ISOTROPIC = "taken as isotropic: both sides of the plane of incidence are one, and every azimuth of the light"
 """Comment where the values of an isotropic sample are folded."""
 HORIZON_DEG = 90.0 + TOLERANCE_DEG
+SAME = 1e-9
+"""Relative difference of values that a text with nine digits does not tell apart."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -279,11 +281,16 @@ def separate(part: ScatteredBsdf) -> Iterator[ScatteredBsdf]:
                 yield part if here.all() else part.where(here)
 
 
-def nodes(table: BsdfTable) -> ScatteredBsdf:
-    """The values of a grid above the horizon, in the order of its axes; those that were not measured have the flag "filled"."""
+def nodes(table: BsdfTable, *, once: bool = False) -> ScatteredBsdf:
+    """The values of a grid above the horizon, in the order of its axes; those that were not measured have the flag "filled".
+
+    With `once` a direction that several nodes have, with one value, is there once.
+    """
     channel, psi, sigma, phi, theta = axes_of_nodes(table)
     polar, azimuth = zenith_and_azimuth(from_specular(sigma, theta, phi))
     above = polar <= HORIZON_DEG
+    if once:
+        above &= ~_again(table).ravel()
     count = table.values.shape[0]
     names = np.array(table.colours or ("",) * count)
     wavelengths = np.array(table.wavelengths_nm or (math.nan,) * count)
@@ -298,6 +305,25 @@ def nodes(table: BsdfTable) -> ScatteredBsdf:
         columns["flags"] = np.where(table.known.ravel(), "", FILLED)
     found = ScatteredBsdf(**{name: each[above] for name, each in columns.items()}, sample=table.sample)
     return replace(found, isotropic=table.psi_deg.size == 1, comments=table.comments, generated=table.generated)
+
+
+def _again(table: BsdfTable) -> Flags:
+    """The nodes whose direction an earlier one has with the same value: theta 0 or 180 at any phi, phi 360, and psi 360."""
+    again = np.zeros(table.values.shape, dtype=np.bool_)
+    pairs: list[tuple[tuple[slice | int, ...], tuple[slice | int, ...]]] = []
+    rest = (slice(None),) * 2
+    for place, pole in ((0, 0.0), (-1, 180.0)):
+        if table.theta_deg[place] == pole:
+            pairs.append(((*rest, slice(None), slice(1, None), place), (*rest, slice(None), slice(0, 1), place)))
+    if table.phi_deg[0] == 0.0 and table.phi_deg[-1] == 360.0:
+        pairs.append(((*rest, slice(None), -1), (*rest, slice(None), 0)))
+    if table.psi_deg[0] == 0.0 and table.psi_deg[-1] == 360.0:
+        pairs.append(((slice(None), -1), (slice(None), 0)))
+    arrays = [each for each in (table.values, table.u, table.known) if each is not None]
+    for later, first in pairs:
+        same = [np.isclose(each[later], each[first], rtol=SAME, atol=0.0) for each in arrays]
+        again[later] |= np.logical_and.reduce(same).all(axis=0)
+    return again
 
 
 def axes_of_nodes(table: BsdfTable) -> tuple[Ints, Floats, Floats, Floats, Floats]:

@@ -21,7 +21,8 @@ BEGINNINGS = {
     SQLITE: "a data file (journal) or another database", b"\x89HDF\r\n\x1a\n": "HDF5", b"\x89PNG": "a picture (PNG)",
     b"\xff\xd8\xff": "a picture (JPEG)", b"%PDF": "a PDF", b"PK\x03\x04": "a ZIP archive, or a file of an office program",
     b"\x1f\x8b": "compressed (gzip)", b"\xd0\xcf\x11\xe0": "a file of an office program", b"OPTIS": "a file of Ansys Speos",
-    b"<?xml": "XML", b"tensor_file": "a file of tensors",
+    b"<?xml": "XML", b"<!DOCTYPE": "a page of the web (HTML)", b"<html": "a page of the web (HTML)",
+    b"version https://git-lfs": "a pointer to a file that was not fetched (Git LFS)", b"tensor_file": "a file of tensors",
 }  # fmt: skip
 """What a file is, by its first bytes, for the message that refuses it."""
 BESIDE_DATABASE = re.compile("-(wal|shm|journal)$")
@@ -52,9 +53,14 @@ def quote_word(word: str) -> str:
     return ascii(word if len(word) <= LONGEST_WORD else word[:LONGEST_WORD] + "...")
 
 
+def begins_as(head: bytes) -> str | None:
+    """In words, what a file that begins with `head` is by its first bytes alone."""
+    return next((what for first, what in BEGINNINGS.items() if head.startswith(first)), None)
+
+
 def describe(head: bytes) -> str:
     """In words, what a file that begins with `head` is."""
-    found = next((what for first, what in BEGINNINGS.items() if head.startswith(first)), None)
+    found = begins_as(head)
     if found is not None or not head.strip():
         return found or "empty"
     if b"\0" in head:

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from goniotwin.app.formats.content import COLUMNS, BsdfFile, ScatteredBsdf, nodes
 from goniotwin.app.formats.file import FormatError, StrPath, quote_word, read_head
-from goniotwin.app.formats.numerals import NotANumber, parse_number
+from goniotwin.app.formats.numerals import MISSING, NotANumber, parse_number
 from goniotwin.app.formats.text import read_text
 from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.twin.optics.geometry.coordinates import HALF_TURN_DEG, polar_and_azimuth, wrap_azimuth
@@ -42,7 +42,7 @@ class Lines:
             text = text.replace("\r\n", "\n").replace("\r", "\n")
         if text.count("\n") > MOST_LINES:
             raise FormatError(path, f"has more than {MOST_LINES} lines", "divide it into several files")
-        self.lines = text.rstrip("\x1a\n \t").split("\n")
+        self.lines = text.rstrip("\n \t").split("\n")
         if len(longest := max(self.lines, key=len)) > LONGEST_LINE:
             raise self.error(self.lines.index(longest), "is too long for a line of this format", "correct its line ends")
         self.counts = np.fromiter((len(line.split()) for line in self.lines), np.int64, len(self.lines))
@@ -59,7 +59,7 @@ class Lines:
         return FormatError(self.path, wrong, remedy, index + 1)
 
     def numbers(self, chosen: Ints, per_line: int, *, missing: bool = False) -> Floats:
-        """The numbers (lines, per_line) of some lines. A number that is spelled nan is NaN, if it may be `missing`."""
+        """The numbers (lines, per_line) of some lines. One that is spelled as nan is NaN, if it may be `missing`."""
         odd = np.flatnonzero(self.counts[chosen] != per_line)
         if odd.size:
             at = int(chosen[odd[0]])
@@ -83,7 +83,7 @@ class Lines:
 
     def _number(self, word: str, index: int, missing: bool) -> float:
         try:
-            return np.nan if missing and word.lower() == "nan" else parse_number(word)
+            return np.nan if missing and MISSING.fullmatch(word) else parse_number(word)
         except NotANumber as error:
             raise self.error(index, error.wrong, error.remedy) from None
 
@@ -175,9 +175,12 @@ def incidences(lines: Lines, chosen: Ints) -> tuple[Floats, Floats, Floats]:
     if empty.size:
         raise lines.error(int(heads[empty[0]]), "two numbers, and no line of three follows", "add the value, or remove it")
     # A value that lost its last number looks like an incidence, and continues the angles of the lines around it.
+    # Where all blocks are alike and do so, such as those of the specular direction alone, they are what they look like.
     before, after = signed[starts[1:] - 1], signed[starts[1:]]
-    odd = np.flatnonzero((before <= light[1:, 0]) & (light[1:, 0] <= after))
-    if odd.size:
+    sense = -1.0 if np.sign(np.diff(signed)[np.diff(block) == 0]).sum() < 0.0 else 1.0  # angles may descend
+    odd = np.flatnonzero((sense * before <= sense * light[1:, 0]) & (sense * light[1:, 0] <= sense * after))
+    alike = odd.size > 1 and odd.size == before.size and np.unique(np.diff(starts, append=rows.size)).size == 1
+    if odd.size and not alike:
         wrong = "two numbers, which continue the polar angles of the lines around: an incidence, or a line without its value"
         raise lines.error(int(heads[1 + odd[0]]), wrong, "add the value, or order the lines of each incidence by polar angle")
     return light[block], np.stack(observed(signed, found[:, 1]), axis=1), found[:, 2]
@@ -211,7 +214,7 @@ def one_list(path: StrPath, content: BsdfFile, name: str) -> ScatteredBsdf:
     if content.regular or not content.parts:
         what = "no regular reflectance or transmittance" if content.parts else "values, and there are none"
         raise FormatError(path, f"{name} holds {what}", "write scattered values, or a table")
-    return joined([*map(nodes, content.tables), *content.scattered])
+    return joined([*(nodes(table, once=True) for table in content.tables), *content.scattered])
 
 
 def refuse_mixture(path: StrPath, name: str, column: Flags, one: str, other: str) -> bool:

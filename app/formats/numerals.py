@@ -14,7 +14,9 @@ from goniotwin.arrays import Floats
 NUMBER = re.compile(r"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 COUNT = re.compile(r"[0-9]{1,9}")
 DECIMAL_COMMA = re.compile(r"[+-]?[0-9]*,[0-9]+(?:[eE][+-]?[0-9]+)?")
-NO_VALUE = re.compile(r"[+-]?(?:nan|inf|infinity|1\.#\w+)", re.IGNORECASE)
+MISSING = re.compile(r"[+-]?(?:nan(?:\(\w*\))?|1\.#(?:qnan|snan|ind)0*)", re.IGNORECASE)
+"""A value that is not a number, as programs spell it: nan, -nan(ind), 1.#QNAN, -1.#IND."""
+NO_VALUE = re.compile(r"[+-]?(?:nan(?:\(\w*\))?|inf|infinity|1\.#\w+)", re.IGNORECASE)
 
 
 class NotANumber(Exception):

@@ -18,12 +18,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, cast
 
 from goniotwin.app.errors import UserError
-from goniotwin.app.formats.file import FormatError, check_writable, describe, read_head
+from goniotwin.app.formats.file import FormatError, begins_as, check_writable, describe, read_head
 
 if TYPE_CHECKING:
     from goniotwin.app.formats.content import BsdfFile, Part
 
 GROUP = "goniotwin.formats"
+HDF5, TENSORS = b"\x89HDF\r\n\x1a\n", b"tensor_file"
+"""What the binary formats begin with: the reader of a damaged one names its fault."""
 HEAD_BYTES = 1 << 20
 """A file is recognised by so many bytes: comments at the top of a table can be long."""
 ABOUT_UNCERTAINTY = "standard uncertainties of the values in "
@@ -298,8 +300,11 @@ def recognise(path: Path, kinds: Collection[Holds] = BSDF) -> Format:
     alike = [each for each in possible if _is_like(each, head)]
     named = [each for each in possible if suffix in each.suffixes]
     wanted = f"give {join_words(str(each) for each in formats() if each.reads and each.holds.intersection(kinds))}"
+    if not alike and begins_as(head) not in (None, begins_as(HDF5), begins_as(TENSORS)):
+        named = []  # a picture, a page of the web: of no format, whatever its suffix
     if not (alike or named):
-        raise _unknown(path, f"is {describe(head)}: neither its content nor its suffix is of a known format", wanted)
+        of_none = "its content is of no" if suffix in suffixes(possible) else "neither its content nor its suffix is of a"
+        raise _unknown(path, f"is {describe(head)}: {of_none} known format", wanted)
     found = [each for each in named if each in alike] or alike or named[:1]
     found = [each for each in found if each.holds.intersection(kinds)] or found[:1]
     if not found[0].holds.intersection(kinds):

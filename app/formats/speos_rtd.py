@@ -19,6 +19,7 @@ from goniotwin.app.formats.lists import Lines, numbered, observed
 from goniotwin.app.formats.reflet import AS_THEY_STAND, directions
 from goniotwin.arrays import Floats
 
+FIRST_WORD = b"optis"
 TITLE = "optis - anisotropic bsdf surface file v1."
 OWN_TABLE = "the export's own table, with means of measured neighbours"
 NAME = re.compile(r"\s*SampleID[\s:]*(.*)", re.IGNORECASE)
@@ -27,8 +28,8 @@ LAST_NUMBER = re.compile(r"([0-9]+(?:\.[0-9]+)?)\s*$")
 
 
 def recognise(head: bytes) -> bool:
-    """Whether a file that begins with `head` begins with the title of these exports."""
-    return head.lstrip(b"\xef\xbb\xbf \t\r\n").lower().startswith(TITLE.encode())
+    """Whether a file that begins with `head` begins as all files of Speos do; other versions are refused by name."""
+    return head.lstrip(b"\xef\xbb\xbf \t\r\n").lower().startswith(FIRST_WORD)
 
 
 def read(path: Path) -> BsdfFile:
@@ -36,7 +37,9 @@ def read(path: Path) -> BsdfFile:
     lines = Lines(path)
     starts = [at for at, line in enumerate(lines.lines) if line.lower().lstrip().startswith(TITLE)]
     if not starts:
-        raise FormatError(path, "it does not begin with the title of an export of version 1", "export it again")
+        title = next((line.strip() for line in lines.lines if line.strip()), "")
+        wrong = f"it begins with {quote_word(title)}, and of Speos only exports of anisotropic BSDF, version 1, are read"
+        raise FormatError(path, wrong, "convert it to the tabular .bsdf of Zemax")
     with name_file(path):
         blocks = [_block(lines, start, stop) for start, stop in zip(starts, [*starts[1:], len(lines.lines)], strict=True)]
         names = numbered(block[0] for block in blocks)

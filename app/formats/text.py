@@ -16,7 +16,7 @@ import numpy as np
 
 from goniotwin.app.errors import printable
 from goniotwin.app.formats.file import FormatError, StrPath, quote_word, read_file, write_file
-from goniotwin.app.formats.numerals import COUNT, NUMBER, NotANumber, parse_number
+from goniotwin.app.formats.numerals import COUNT, MISSING, NUMBER, NotANumber, parse_number
 from goniotwin.arrays import Floats
 
 # C0 control characters other than tab, line ends, vertical tab, form feed and DOS's end-of-file mark.
@@ -36,9 +36,10 @@ UTF16_MARKS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
 
 def read_text(path: StrPath, most: int = MOST_BYTES) -> str:
-    """The text of a file in UTF-8 or, if it is not UTF-8, in Latin-1 (older programs); line ends are not changed.
+    """The text of a file in UTF-8 or, if it is not UTF-8, in Latin-1 (older programs), without DOS's mark of the end.
 
-    Raises FormatError if the file is absent, not a regular file, unreadable, empty, not text, or of more bytes than `most`.
+    Line ends are not changed. Raises FormatError if the file is absent, not a regular file, unreadable, empty, not text, or of
+    more bytes than `most`.
     """
     content = read_file(path, most)
     if content.startswith(UTF16_MARKS):
@@ -50,6 +51,7 @@ def read_text(path: StrPath, most: int = MOST_BYTES) -> str:
     if found := CONTROL_CHARACTER.search(text):
         line = 1 + len(LINE_END.findall(text, 0, found.start()))
         raise FormatError(path, "contains binary data, not text", "give a text file of this format", line)
+    text = text.rstrip("\x1a")
     if not text.strip():
         raise FormatError(path, "is empty", "export or copy it again")
     return text
@@ -228,7 +230,7 @@ class Words:
     def block(self, name: str, rows: int, per_row: int, ends: Collection[str], *, missing: bool = False) -> Floats:
         """Take numbers (rows, per_row) up to one of the words in `ends` (lower case), which is not taken.
 
-        A number may be "nan" where values may be `missing`.
+        A number may be spelled as nan where values may be `missing`.
         """
         plain = self._plain_numbers(rows * per_row, ends, missing)
         if plain is not None:
@@ -239,7 +241,7 @@ class Words:
             if self._next_line != line:
                 odd = odd or (line if in_line != per_row else None)
                 line, in_line = self._next_line, 0
-            number = self._missing() if missing and word == "nan" else self.number(name)
+            number = self._missing() if missing and MISSING.fullmatch(word) else self.number(name)
             count, in_line = count + 1, in_line + 1
             if count <= rows * per_row:
                 numbers.append(number)

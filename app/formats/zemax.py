@@ -11,6 +11,7 @@ description does not state which way the sample is turned. Of the spellings of t
 
 import difflib
 import itertools
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,7 +22,7 @@ from goniotwin.app.formats.content import BsdfFile
 from goniotwin.app.formats.coverage import covered, held, scattered_share, uncovered
 from goniotwin.app.formats.file import FormatError, StrPath, name_file, quote_word
 from goniotwin.app.formats.notes import HALF, noted, read_notes
-from goniotwin.app.formats.numerals import ascending_array, finite_array, format_angles, format_number
+from goniotwin.app.formats.numerals import MISSING, ascending_array, finite_array, format_angles, format_number
 from goniotwin.app.formats.table import BsdfTable
 from goniotwin.app.formats.text import Words, comment_lines, header_words, mark_comments, write_text
 from goniotwin.arrays import Flags, Floats
@@ -39,6 +40,9 @@ LIMITS_DEG = {
     "ScatterAzimuth": (0.0, 360.0),
     "ScatterRadial": (0.0, 180.0),
 }
+SHARE_ERROR = 1e-4
+NOT_STATED = ("n/a", "none")
+"""What scripts write as TIS where they have computed none (ua-loft/bsdf-tools, from_max)."""
 HEADER = ("Source", "Symmetry", "SpectralContent", "ScatterType", *LIMITS_DEG)
 
 
@@ -47,7 +51,8 @@ class ZemaxBsdf:
     """A BSDF in specular coordinates. Angles in degrees, each list ascending.
 
     `values` has the axes [channel, rotation, incidence, azimuth, radial], in 1/sr, with one channel, or three for X, Y and Z;
-    `tis` [channel, rotation, incidence] is the total integrated scatter stated in the file. `known` marks the values that the
+    `tis` [channel, rotation, incidence] is the total integrated scatter stated in the file, NaN where
+    it has none. `known` marks the values that the
     file has, None: all of them. `source` is a word such as "Measured". Raises ValueError where these do not fit together.
     """
 
@@ -78,8 +83,14 @@ class ZemaxBsdf:
         channels = 3 if np.shape(self.values)[:1] == (3,) else 1
         blocks = (channels, self.sample_rotation_deg.size, self.incidence_deg.size)
         keep(self, "values", finite_array("values", self.values, (*blocks, self.azimuth_deg.size, self.radial_deg.size)))
-        keep(self, "tis", finite_array("tis", self.tis, blocks))
+        keep(self, "tis", _shares(self.tis, blocks))
         keep(self, "comments", tuple(self.comments))
+
+
+def _shares(tis: Floats, shape: tuple[int, ...]) -> Floats:
+    """A copy of the scattered shares; they may be NaN. Raises ValueError for others."""
+    stated = ~np.isnan(np.asarray(tis, dtype=np.float64))
+    return np.where(stated, finite_array("tis", np.where(stated, tis, 0.0), shape), np.nan)
 
 
 def recognise(head: bytes) -> bool:
@@ -146,10 +157,16 @@ def write(path: Path, content: BsdfFile) -> None:
         azimuth_deg=table.phi_deg,
         radial_deg=table.theta_deg,
         values=table.values,
-        tis=scattered_share(table),
+        tis=_tis(table),
         comments=(*content.metadata.lines(), *content.comments, *noted(table, wavelength=True)),
     )
     write_zemax(path, written)
+
+
+def _tis(table: BsdfTable) -> Floats:
+    """Scattered shares; 1 where they are above it by no more than their integrals are wrong."""
+    shares = scattered_share(table)
+    return np.where((shares > 1.0) & (shares < 1.0 + SHARE_ERROR), 1.0, shares)
 
 
 def read_zemax(path: StrPath) -> ZemaxBsdf:
@@ -207,9 +224,17 @@ class _Reader:
             for angle in incidence:
                 name = f"BSDF at rotation {turn:g}, incidence {angle:g} deg"
                 self._next_block(len(values), rotation.size * incidence.size)
-                tis.append(self.words.number("TIS"))
+                tis.append(self._share())
                 values.append(self.words.block(name, azimuth.size, radial.size, ends, missing=True))
         return values
+
+    def _share(self) -> float:
+        """The scattered share of a block; NaN where a file has none."""
+        word = self.words.peek() or ""
+        if word in NOT_STATED or MISSING.fullmatch(word):
+            self.words.take("TIS")
+            return math.nan
+        return self.words.number("TIS")
 
     def _header(self) -> None:
         while self.words.peek() not in ("monochrome", *map(str.lower, CHANNELS["XYZ"]), "databegin", None):
@@ -265,6 +290,8 @@ def write_zemax(path: StrPath, table: ZemaxBsdf) -> None:
     source = comment_lines([table.source], ascii_only=True)
     if len(source) != 1 or source[0].split() != table.source.split() or not source[0].strip() or "#" in source[0]:
         raise FormatError(path, f"the source {quote_word(table.source)} cannot be written", "write it in plain words")
+    if np.isnan(table.tis).any():
+        raise FormatError(path, "the total integrated scatter (tis) of some blocks is not known", "compute it")
     content = "XYZ" if len(table.values) == 3 else "Monochrome"
     lines = [
         *mark_comments(comment_lines(table.comments, ascii_only=True), "#"),

@@ -68,6 +68,12 @@ def test_line_ends_and_separators_may_differ(tmp_path: Path, ends: str) -> None:
     assert (found.values.tolist(), found.wavelength_nm.tolist()) == ([7.0], [550.0])
 
 
+def test_colours_may_be_named_in_full(tmp_path: Path) -> None:
+    path = tmp_path / "paint.astm"
+    path.write_text(CORNELL.replace("R,G,B", "Red,Green,Blue"))
+    assert only_list(astm.read(path)).channel.tolist() == ["red"] * 2 + ["green"] * 2 + ["blue"] * 2
+
+
 def test_an_independent_reader_finds_what_was_written(tmp_path: Path) -> None:
     path = tmp_path / "a.astm"
     values = ScatteredBsdf(
@@ -109,6 +115,24 @@ def test_a_table_is_written_as_its_nodes(tmp_path: Path) -> None:
     astm.write(tmp_path / "a.astm", BsdfFile((table,)))
     again = only_list(astm.read(tmp_path / "a.astm"))
     assert again.size == 7, "the node beyond the horizon (sigma 60, theta 40, phi 180) is not there"
+
+
+def test_a_table_has_each_direction_once_and_no_polar_angle_above_a_right_one(tmp_path: Path) -> None:
+    """A strict reader refuses 1.570796327, which is above pi / 2, and libbsdf leaves out what is "Already defined"."""
+    sigma, phi, theta, psi = (
+        np.array(each) for each in ([0.0, 90.0], [0.0, 90.0, 360.0], [0.0, 30.0, 180.0], [0.0, 90.0, 360.0])
+    )
+    values = np.full((2, 3, 2, 3, 3), 0.3)
+    values[1, 0, 0, 1, 0] = 0.4  # another value at theta 0: both are there
+    table = BsdfTable(sigma, phi, theta, values, (450.0, 550.0), psi, known=np.full(values.shape, True))
+    path = tmp_path / "a.astm"
+    astm.write(path, BsdfFile((table,)))
+    found = as_libbsdf_reads(path)[1]
+    assert found[:, [0, 2]].max() <= math.pi / 2
+    directions, counts = np.unique(found[:, :4].astype(np.float32), axis=0, return_counts=True)
+    assert directions[counts > 1].tolist() == [[0.0, 0.0, 0.0, 0.0]]
+    assert counts.max() == 2
+    np.testing.assert_array_equal(np.unique(only_list(astm.read(path)).sigma_deg), sigma)
 
 
 def test_a_direction_that_was_measured_twice_is_written_twice(tmp_path: Path) -> None:

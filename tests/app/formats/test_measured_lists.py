@@ -151,6 +151,17 @@ def test_fred_has_factors_in_plane_scans_and_several_azimuths(tmp_path: Path) ->
     assert "a scan" in found.comments
 
 
+def test_fred_may_descend_or_have_the_specular_direction_alone(tmp_path: Path) -> None:
+    head = FRED[: FRED.index("10\t0")]
+    downward = "10 0\n80 0 1\n40 0 2\n0 0 3\n30 0\n80 0 4\n40 0 5\n0 0 6\n"
+    assert read(fred, tmp_path / "a.txt", head + downward).sigma_deg.tolist() == [10.0] * 3 + [30.0] * 3
+    assert "line 5: two numbers, which continue" in refusal(
+        fred.read, tmp_path / "a.txt", head + downward.replace("40 0 2", "40 0")
+    )
+    specular = "10 0\n10 0 1\n20 0\n20 0 2\n30 0\n30 0 3\n"
+    assert read(fred, tmp_path / "a.txt", head + specular).polar_deg.tolist() == [10.0, 20.0, 30.0]
+
+
 def test_freds_export_with_the_specular_ray_in_each_line_is_read(tmp_path: Path) -> None:
     # data/raw/_imported/Z306_from_FRED_20260811 (ua-loft/bsdf-tools), shortened.
     text = FRED[: FRED.index("10\t0")] + (
@@ -324,7 +335,12 @@ def test_the_speos_export_has_the_measured_table_and_its_own(tmp_path: Path) -> 
         (reflet, "Phi measure step :\t10", "Phi measure step :\t1e-9", "line 11: phi from -90 to -80 in steps of 1e-09"),
         (speos_rtd, "Sample 60", "paint", "line 1: the sample's name 'paint' does not end with the incidence"),
         (speos_rtd, "1\t0\t\t", "0\t1\t\t", "line 4: '0 1' is not the mark of light that is reflected only"),
-        (speos_rtd, "v1.0", "v8.0", "it does not begin with the title of an export of version 1"),
+        (
+            speos_rtd,
+            "v1.0",
+            "v8.0",
+            "it begins with 'OPTIS - Anisotropic BSDF surface file v8...', and of Speos only exports of",
+        ),
         (speos_rtd, "-28943.84\t\n", "\t\n", "line 15: 2 numbers in a line of 3"),
         (speos_rtd, "\t-90\t-80\t\n", "\t-80\t-90\t\n", "line 14: theta or phi of the table do not ascend"),
         (speos_rtd, RTD[RTD.index("\t-90") :], "", "line 1: no table follows the header"),

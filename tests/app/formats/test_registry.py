@@ -88,6 +88,19 @@ def test_an_unknown_file_is_refused_with_what_it_is_and_what_can_be_read(head: b
         registry.read(unknown)
 
 
+@pytest.mark.parametrize(
+    ("head", "what"), [(b"<?xml version='1.0'?>", "XML"), (b"<!DOCTYPE html>", r"a page of the web \(HTML\)")]
+)
+def test_what_is_of_no_format_is_refused_as_what_it_is_whatever_its_suffix(head: bytes, what: str, tmp_path: Path) -> None:
+    unknown = tmp_path / "a.bsdf"
+    unknown.write_bytes(head)
+    with pytest.raises(FormatError, match=f"is {what}: its content is of no known format; give ddr"):
+        registry.read(unknown)
+    unknown.write_bytes(b"OPTIS - brdf surface file v8.0\n")  # as Ansys describes it: Structure of BRDF files, row 1
+    with pytest.raises(FormatError, match=r"it begins with 'OPTIS - brdf surface file v8\.0', and of Speos only"):
+        registry.read(unknown.rename(tmp_path / "a.brdf"))
+
+
 def test_a_folder_is_a_table_of_a_format_that_has_such(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     class Cuts:
         """One file an incidence."""

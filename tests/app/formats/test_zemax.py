@@ -142,6 +142,30 @@ def test_sample_rotations_are_psi_and_a_comment_states_it(tmp_path: Path) -> Non
     assert read(good(tmp_path, rotated("90", 1))).only_table().psi_deg.tolist() == [90]
 
 
+@pytest.mark.parametrize("word", ["NaN", "-nan(ind)", "1.#QNAN", "-1.#IND"])
+def test_a_missing_value_is_spelled_as_programs_do(tmp_path: Path, word: str) -> None:
+    table = read_zemax(good(tmp_path, GOOD.replace("0.25\t0.1\n", f"0.25\t{word}\n") + "\x1a"))  # with DOS's mark of the end
+    assert table.known is not None
+    assert np.count_nonzero(~table.known) == 1
+    assert "'inf' is not finite" in refusal(good(tmp_path, GOOD.replace("0.25\t0.1\n", "0.25\tinf\n")))
+
+
+@pytest.mark.parametrize("word", ["N/A", "nan"])
+def test_a_share_that_was_not_computed_is_not_known(tmp_path: Path, word: str) -> None:
+    table = read_zemax(good(tmp_path, GOOD.replace("TIS\t0.02", f"TIS\t{word}")))
+    np.testing.assert_array_equal(table.tis, [[[np.nan, 0.03]]])
+    assert table.values.tolist() == VALUES
+    with pytest.raises(FormatError, match="of some blocks is not known; compute it"):
+        write_zemax(tmp_path / "again.bsdf", table)
+
+
+def test_the_share_of_an_ideal_diffuser_is_not_above_1(tmp_path: Path) -> None:
+    sigma, phi, theta = np.array([0.0, 90.0]), np.array([0.0, 90.0, 180.0]), np.array([0.0, 60.0, 180.0])
+    white = BsdfTable(sigma, phi, theta, np.full((1, 1, 2, 3, 3), 1.0 / np.pi))
+    write(tmp_path / "white.bsdf", BsdfFile((white,)))
+    assert read_zemax(tmp_path / "white.bsdf").tis.tolist() == [[[1.0, 1.0]]]
+
+
 def test_nodes_without_a_value_are_held_and_marked(tmp_path: Path) -> None:
     """As below the horizon in data/processed/zemax/test.bsdf of https://github.com/ua-loft/bsdf-tools."""
     text = GOOD.replace("0.3\t0.25\t0.1", "0.3\tNaN\tNaN").replace("1.5e-3\t0.25\t-1e-6", "NaN\tnan\tNaN")
