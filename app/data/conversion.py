@@ -245,7 +245,7 @@ def _write(chosen: BsdfFile, path: Path, form: Format, choice: Choice, notes: li
         chosen = _as_points(chosen, form, notes)
     shares = tuple(share for table in chosen.tables for share in shares_of(table))
     parts = tuple(replace(part, comments=(*part.comments, *notes)) for part in chosen.parts)
-    files = registry.write(path, replace(chosen, parts=parts), form)
+    files = registry.write(path, replace(chosen, parts=parts), form, notes)
     return Converted(files, form.name, measured, chosen.simulated, choice.fill, shares, tuple(notes))
 
 

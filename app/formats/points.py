@@ -4,7 +4,6 @@ A missing number is an empty field, never a number. The file is UTF-8, with a de
 """
 
 import csv
-import io
 import itertools
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
@@ -17,12 +16,17 @@ from numpy.typing import ArrayLike, NDArray
 
 from goniotwin.app.formats.content import HORIZON_DEG, BsdfFile, ScatteredBsdf, has_one_psi, psi_of_gamma
 from goniotwin.app.formats.file import FormatError, StrPath, name_file, quote_word
-from goniotwin.app.formats.numerals import NUMBER, NotANumber, format_number, parse_number
-from goniotwin.app.formats.text import CONTROL_CHARACTER, comment_lines, mark_comments, read_text, write_text
+from goniotwin.app.formats.numerals import format_number
+from goniotwin.app.formats.text import CONTROL_CHARACTER, LINE_END, comment_lines, mark_comments, read_text, write_text
 from goniotwin.arrays import Flags, Floats
 from goniotwin.twin.optics import from_specular
 from goniotwin.twin.optics.geometry.coordinates import wrap_azimuth, zenith_and_azimuth
 
+MOST_BYTES = 250_000_000
+"""Bytes of a file: those of two million points."""
+MOST_TEXT_BYTES = 400_000_000
+"""Bytes of a column of texts, each of which takes as many as the longest."""
+NO_NUMBER = re.compile(r"[^0-9eE+\-.,]")
 TO_QUOTE = re.compile(r'[,"\r\n]')
 
 
@@ -300,38 +304,90 @@ def _unwritable(text: str) -> bool:
 
 def read_points_csv(path: StrPath) -> Points:
     """Read a CSV file of points, with comments only at the top. Raises FormatError."""
-    text = io.StringIO(read_text(path), newline="")
+    text = read_text(path, MOST_BYTES)
+    lines = _lines_of(text)
     comments = []
     start = 0
-    while (line := text.readline()).startswith("#"):
+    while (line := next(lines, "")).startswith("#"):
         comments.append(line[1:].removeprefix(" ").rstrip())
         start += len(line)
-    text.seek(start)
-    reader = csv.reader(text, strict=True)
-    names: list[str] = []
-    rows: list[list[str]] = []
+    as_text: set[int] = set()
+    names, columns = _columns(path, text, start, len(comments), as_text)
+    if columns is None:  # with all of the columns known that are texts further down
+        names, columns = _columns(path, text, start, len(comments), as_text)
+    assert columns is not None
+    return Points(tuple(comments), dict(zip(names, columns, strict=True)))
+
+
+def _lines_of(text: str, start: int = 0) -> Iterator[str]:
+    """The lines of a text from a place on, with their ends. Not by StringIO, which takes four bytes a character."""
+    for end in LINE_END.finditer(text, start):
+        yield text[start : end.end()]
+        start = end.end()
+    if start < len(text):
+        yield text[start:]
+
+
+def _columns(
+    path: StrPath, text: str, start: int, line: int, as_text: set[int]
+) -> tuple[list[str], list[NDArray[Any]] | None]:  # fmt: skip
+    """The names and columns of a text from a place, after so many lines, in blocks of rows: as lists, all would take gigabytes.
+
+    `as_text` are the columns that are not of numbers; it gets others that are found. None instead of columns where one of
+    these had numbers in earlier blocks: then all has to be read again.
+    """
+    reader = csv.reader(_lines_of(text, start), strict=True)
+    blocks: list[list[NDArray[Any]]] = []
+    again = False
     try:
-        for fields in reader:
-            if not names:
-                names = fields
-            elif fields and len(fields) != len(names):
-                wrong = f"{len(fields)} fields, but the header has {len(names)}"
-                raise FormatError(path, wrong, "correct this line", len(comments) + reader.line_num)
-            elif fields:
-                rows.append(fields)
+        names = next((fields for fields in reader if fields), [])
+        if not names or len(set(names)) != len(names) or not all(name.strip() for name in names):
+            wrong = "in the header a column has no name, or two have the same"
+            raise FormatError(path, wrong, "give each column its own name", line + 1)
+        while rows := _rows_of(path, reader, len(names), line):
+            block = []
+            for k, fields in enumerate(zip(*rows, strict=True)):
+                numbers = None if k in as_text else _numbers(fields)
+                if numbers is None and k not in as_text:
+                    as_text.add(k)
+                    again = again or bool(blocks)
+                block.append(np.array(fields, dtype=np.str_) if numbers is None else numbers)
+            if not again:
+                blocks.append(block)
     except csv.Error as error:
-        raise FormatError(path, f"not CSV: {error}", "correct this line", len(comments) + reader.line_num) from error
-    if not names or len(set(names)) != len(names) or not all(name.strip() for name in names):
-        wrong = "in the header a column has no name, or two have the same"
-        raise FormatError(path, wrong, "give each column its own name", len(comments) + 1)
-    columns = zip(*rows, strict=True) if rows else ((),) * len(names)
-    return Points(tuple(comments), {name: _column(column) for name, column in zip(names, columns, strict=True)})
+        raise FormatError(path, f"not CSV: {error}", "correct this line", line + reader.line_num) from error
+    if again:
+        return names, None
+    if not blocks:
+        return names, [np.zeros(0)] * len(names)
+    count = sum(block[0].size for block in blocks)
+    for name, parts in zip(names, zip(*blocks, strict=True), strict=True):
+        if (width := max(part.dtype.itemsize for part in parts)) * count > MOST_TEXT_BYTES:
+            wrong = f"the column {quote_word(name)} has a text of {width // 4} characters, among {count} rows"
+            raise FormatError(path, wrong, "shorten it")
+    return names, [np.concatenate(parts) for parts in zip(*blocks, strict=True)]
 
 
-def _column(fields: Sequence[str]) -> NDArray[Any]:
-    if not all(field == "" or NUMBER.fullmatch(field) for field in fields):
-        return np.array(fields, dtype=np.str_)
+def _rows_of(path: StrPath, reader: Any, width: int, line: int) -> list[list[str]]:
+    """The next rows of a CSV; none at its end. Raises FormatError, csv.Error."""
+    rows: list[list[str]] = []
+    for fields in reader:
+        if fields and len(fields) != width:
+            wrong = f"{len(fields)} fields, but the header has {width}"
+            raise FormatError(path, wrong, "correct this line", line + reader.line_num)
+        if fields:
+            rows.append(fields)
+        if len(rows) == PART_ROWS:
+            break
+    return rows
+
+
+def _numbers(fields: Sequence[str]) -> Floats | None:
+    """Fields as numbers, NaN where one is empty; None if any is anything else."""
+    if NO_NUMBER.search(",".join(fields)):
+        return None
     try:
-        return np.array([np.nan if field == "" else parse_number(field) for field in fields], dtype=np.float64)
-    except NotANumber:
-        return np.array(fields, dtype=np.str_)
+        found = np.array([float(field) if field else np.nan for field in fields])
+    except ValueError:
+        return None
+    return None if np.isinf(found).any() else found

@@ -7,7 +7,7 @@ Another package offers formats as entry points of the group `goniotwin.formats`,
 imported before a file is read or written, because the help of the commands lists the formats.
 """
 
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -75,8 +75,8 @@ class Codec(Protocol):
     def read(self, path: Path) -> Any:
         """Read a file. Raises FormatError."""
 
-    def write(self, path: Path, content: Any) -> None:
-        """Write a file completely or not at all. Raises FormatError."""
+    def write(self, path: Path, content: Any) -> Sequence[str] | None:
+        """Write a file completely or not at all; returns what is to be told of it, if anything. Raises FormatError."""
 
 
 @dataclass(frozen=True)
@@ -132,10 +132,10 @@ class Format:
                 return read_gaps(content)
             return content
 
-    def write(self, path: Path, content: Any) -> None:
+    def write(self, path: Path, content: Any) -> Sequence[str]:
         """Write a file, see `Codec`. Raises FormatError."""
         with self._faults_named(path):
-            self.load().write(path, content)
+            return self.load().write(path, content) or ()
 
     @contextmanager
     def _faults_named(self, path: Path) -> Iterator[None]:
@@ -462,10 +462,11 @@ def check_files(path: Path, found: Format) -> None:
             raise FormatError(path, wrong, "choose another name, or move that file")
 
 
-def write(path: Path, content: "BsdfFile", found: Format) -> tuple[Path, ...]:
+def write(path: Path, content: "BsdfFile", found: Format, told: list[str] | None = None) -> tuple[Path, ...]:
     """Write a file; what it cannot hold of uncertainties and mask goes to files of the same grid beside it.
 
-    Returns the files. Raises FormatError, before anything is written, for what the format does not hold.
+    Returns the files; `told` gets what the format tells of them. Raises FormatError, before anything is written, for what the
+    format does not hold.
     """
     from goniotwin.app.formats.content import write_gaps
 
@@ -484,7 +485,9 @@ def write(path: Path, content: "BsdfFile", found: Format) -> tuple[Path, ...]:
         files.append(beside)
         what = "standard uncertainties of the values" if about is ABOUT_UNCERTAINTY else "mask of what was not measured"
         notes.append(f"{what}: in {beside.name}, on the same grid")
-    found.write(path, replace(content, parts=tuple(_with_notes(part, notes) for part in content.parts)))
+    written = found.write(path, replace(content, parts=tuple(_with_notes(part, notes) for part in content.parts)))
+    if told is not None:
+        told += written
     return tuple(files)
 
 

@@ -8,15 +8,16 @@ include/mitsuba/core/distr_2d.h, the files of https://rgl.epfl.ch/materials.
 
 A table is written without a warp (vndf 1), with ndf = 4 and sigma = 1, so that `spectra` is f cos(theta_o) alone. Rows, columns
 and incidences are as many as it takes for the linear interpolation of a reader to follow the narrowest lobe. Below the horizon
-the values go on smoothly, with a negative cosine, because readers interpolate across it. `luminance` is by what a path tracer
-draws directions. A file is read as Mitsuba reads it, onto specular coordinates.
+the values go on smoothly, with a negative cosine, because readers interpolate across it. The deviation of the file from the
+table is measured at random directions, and stated in the file; so is what the table's own steps leave open. `luminance` is by
+what a path tracer draws directions. A file is read as Mitsuba reads it, onto specular coordinates.
 """
 
 import heapq
 import itertools
 import math
 import struct
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -44,16 +45,20 @@ MOST_VALUES = 12_000_000
 SIDES = (64, 96, 128, 192, 256, 384, 512)
 """Rows and columns of the half vector, of which the first that suffices is written."""
 MOST_NODES = 28_000_000
-"""Values that are written, four bytes each."""
+"""Values that are written, four bytes each; of an anisotropic table half of them, if that is enough for its own incidences."""
 TOLERANCE = 0.003
 """Relative deviation of a reader's linear interpolation, down to LOWEST of the largest value at a sigma."""
 LOWEST = 0.01
 FINEST_SIGMA_DEG = 0.7
-WIDEST_PSI_DEG = 15.0
+WIDEST_PSI_DEG = 10.0
+ANISOTROPIC_TOLERANCE, ANISOTROPIC_PART = 0.01, 0.99
+"""Of an anisotropic table, whose nodes go to azimuths of the light, too: a wider tolerance, in this part of the directions."""
 HIGHEST_SIDE_DEG, HIGHEST_PROBED_DEG = 60.0, 75.0
 """Rows and columns are chosen for sigmas up to the first, incidences up to the second: beyond, half vectors crowd."""
 PROBED = 128
 """Rows and columns that are probed, of as many as there are."""
+PROBED_LIGHTS, PROBED_AT_EACH = 48, 200
+"""Random directions at which the deviation is measured that a file states: lights, and half vectors or nodes at each."""
 GREY_NM = 550.0
 """The wavelength of a grey table: a file has at least one, whose values hold for all others."""
 GREY = "grey; the wavelength has no meaning"
@@ -72,25 +77,32 @@ def recognise(head: bytes) -> bool:
 # ---- writing ----
 
 
-def write(path: Path, content: BsdfFile) -> None:
-    """Write the table of a file. Raises FormatError for what the format does not hold."""
+def write(path: Path, content: BsdfFile) -> list[str]:
+    """Write the table of a file. Raises FormatError for what the format does not hold.
+
+    Returns by how much what is read from the file is off, in words.
+    """
     table = _writable(path, content)
-    write_table(path, replace(table, comments=(*content.comments, *table.comments)))
+    return write_table(path, replace(table, comments=(*content.comments, *table.comments)))
 
 
-def write_table(path: Path, table: BsdfTable, most_nodes: int = MOST_NODES) -> None:
-    """Write a table; with fewer nodes than it asks for, the file is smaller and less exact. Raises FormatError."""
+def write_table(path: Path, table: BsdfTable, most_nodes: int = MOST_NODES) -> list[str]:
+    """Write a table; with fewer nodes than it asks for, the file is smaller and less exact. Raises FormatError.
+
+    Returns by how much what is read from the file is off, in words.
+    """
     table = _writable(path, BsdfFile((table,)))
     samples = _Samples(table, most_nodes)
-    side = samples.side()
-    sigmas = samples.sigmas(side)
+    side, sigmas = samples.grid()
     wavelengths = table.wavelengths_nm or (GREY_NM,)
+    notes = [*_words("the file is off from the table by up to", samples.deviation(side, sigmas))]
+    notes += _words("between its own nodes the table itself is known to about", samples.steps())
     lines = [
         f"sample: {table.sample}" if table.sample else "",
         GREY if table.wavelengths_nm is None else "",
         "SIMULATED" if table.generated else "",
-        f"half vectors {side} x {side} at {sigmas.size} incidences; linear between them, a value of at least "
-        f"{100.0 * LOWEST:g} % of the peak is off by up to {100.0 * samples.worst(side, sigmas):.2g} %",
+        f"half vectors {side} x {side} at {sigmas.size} incidences and {samples.psi_deg.size} azimuths of the light",
+        *notes,
         *table.comments,
     ]
     description = "\n".join(line for line in lines if line).encode() or b" "
@@ -111,6 +123,16 @@ def write_table(path: Path, table: BsdfTable, most_nodes: int = MOST_NODES) -> N
     shapes["spectra"] = ("<f4", (psi.size, sigmas.size, len(wavelengths), side, side))
     shapes["luminance"] = ("<f4", (psi.size, sigmas.size, side, side))
     write_file(path, _parts(shapes, small, samples, sigmas, side))
+    return notes
+
+
+def _words(what: str, deviations: Floats) -> list[str]:
+    """Relative deviations (n,) in a line; none where there are none."""
+    if not deviations.size:
+        return []
+    usual, most = (float(f"{100.0 * each:.2g}") for each in (np.quantile(deviations, 0.95), deviations.max()))
+    where = f"where the value is at least {100.0 * LOWEST:g} % of the peak"
+    return [f"{what} {usual:g} % in 95 of 100 directions, {most:g} % at most, {where}"]
 
 
 def _writable(path: Path, content: BsdfFile) -> BsdfTable:
@@ -132,7 +154,7 @@ def _writable(path: Path, content: BsdfFile) -> BsdfTable:
         if outer > 1.5 * inner:
             wrong = f"its azimuths of the light, {table.psi_deg[0]:g} to {table.psi_deg[-1]:g} deg, are not a whole turn"
             raise FormatError(path, wrong, "write a table with all of them; an rgl file here has no symmetry")
-    psi = 1 if table.psi_deg.size == 1 else table.psi_deg.size + math.ceil(TURN_DEG / WIDEST_PSI_DEG)
+    psi = 1 if table.psi_deg.size == 1 else _azimuths_to_write(table.psi_deg).size
     if table.values.shape[0] * psi * table.sigma_deg.size * SIDES[0] ** 2 > MOST_NODES:
         wrong = f"the {table.values.shape[0]} wavelengths at {table.sigma_deg.size} sigmas are too many for an rgl file"
         raise FormatError(path, wrong, "write fewer wavelengths")
@@ -171,17 +193,49 @@ def _parts(
 
 def _density(values: Floats, psi_deg: float, sigma_deg: float, side: int) -> Floats:
     """What a path tracer draws (side, side): the light over u and v, and some everywhere, so that no direction is missed."""
-    u, theta_m, phi_m = _half_angles(side)
+    u, v = _square(side)
+    theta_m, phi_m = _half_angles(u, v)
     towards = _vectors(theta_m, phi_m - math.radians(psi_deg)) @ light_direction(sigma_deg)
     wide = np.maximum(towards, 0.0) * np.sin(theta_m) * u
     found: Floats = np.maximum(values, 0.0) * wide
     return np.asarray(found + 0.05 * max(float(found.mean()), 1e-12) * (1.0 + wide))
 
 
-def _half_angles(side: int) -> tuple[Floats, Floats, Floats]:
-    """u (side,), theta_m (side,) and phi_m (side, 1) of the half vectors, in rad."""
-    u = np.linspace(0.0, 1.0, side)
-    return u, 0.5 * np.pi * u**2, (2.0 * np.linspace(0.0, 1.0, side)[:, None] - 1.0) * np.pi
+def _square(side: int) -> tuple[Floats, Floats]:
+    """u (side,) and v (side, 1) of the nodes."""
+    return np.linspace(0.0, 1.0, side), np.linspace(0.0, 1.0, side)[:, None]
+
+
+def _half_angles(u: Floats, v: Floats) -> tuple[Floats, Floats]:
+    """theta_m and phi_m of half vectors, in rad."""
+    return 0.5 * np.pi * u**2, (2.0 * v - 1.0) * np.pi
+
+
+def _missed(axis: Floats, values: Floats, at: Ints) -> Floats:
+    """A quarter of the differences (channel, m) of values (channel, m, nodes), at the node of each, from the line between those
+    before and after it; at an end of the axis, of the next node's. 0 where there are fewer than three."""
+    if axis.size < 3:
+        return np.zeros(values.shape[:2])
+    here = np.clip(at, 1, axis.size - 2)
+    share = (axis[here] - axis[here - 1]) / (axis[here + 1] - axis[here - 1])
+    before, own, after = (np.take_along_axis(values, (here + step)[None, :, None], axis=2)[..., 0] for step in (-1, 0, 1))
+    return np.asarray(0.25 * np.abs(own - (1.0 - share) * before - share * after))
+
+
+def _around(axis: Floats, at: float) -> list[tuple[float, float]]:
+    """The two nodes of an axis around a place, or the one at it, with their weights."""
+    (k,), (share,) = _place(axis, np.array([at]))
+    return [(float(axis[k + m]), float(weight)) for m, weight in ((0, 1.0 - share), (1, share)) if weight > 0.0]
+
+
+def _without_bend(exact: Floats, bend: Floats) -> Floats:
+    """Nodes for a reader that interpolates linearly, of exact values and their second differences.
+
+    Between nodes such a reader is off by an eighth of the second differences. With half of that subtracted at the nodes it is
+    off by as much there, with the other sign, and nowhere by more.
+    """
+    most = 0.1 * np.abs(exact)
+    return np.asarray(exact - np.clip(bend / 16.0, -most, most))
 
 
 def _vectors(theta: Floats, phi: Floats) -> Floats:
@@ -191,14 +245,31 @@ def _vectors(theta: Floats, phi: Floats) -> Floats:
     return np.stack([x, y, np.broadcast_to(np.cos(theta), x.shape)], axis=-1)
 
 
+def _whole_turn(psi_deg: Floats) -> Floats:
+    """Azimuths of the light, with the first again at the end of the turn."""
+    return psi_deg if psi_deg[-1] - psi_deg[0] == TURN_DEG else np.append(psi_deg, psi_deg[0] + TURN_DEG)
+
+
+def _azimuths_to_write(psi_deg: Floats) -> Floats:
+    """Those of the table and others between them, from -180 to 180."""
+    pairs = itertools.pairwise(_whole_turn(psi_deg).tolist())
+    parts = [np.linspace(a, b, math.ceil((b - a) / WIDEST_PSI_DEG), endpoint=False) for a, b in pairs]
+    turned = wrap_azimuth(np.concatenate(parts) + 180.0) - 180.0
+    return np.unique(np.round(np.concatenate([[-180.0], turned, [180.0]]), 9))
+
+
 class _Samples:
-    """A table, evaluated at half vectors as a sample of the twin is: linear in psi, phi and theta, a monotone cubic in sigma.
+    """A table, evaluated at half vectors as a sample of the twin is: linear in phi and theta, a monotone cubic in sigma.
+
+    Between azimuths of the light it is another interpolation: a lobe of brushed metal stays at its half vectors while the light
+    turns, and one that is linear in psi at a theta and a phi shows it twice.
 
     `psi_deg` are the azimuths of the light that are written: 0 alone, or from -180 to 180.
     """
 
     def __init__(self, table: BsdfTable, most_nodes: int = MOST_NODES) -> None:
-        self.table, self._most = table, most_nodes
+        self.table, self._most = table, most_nodes if table.psi_deg.size == 1 else most_nodes // 2
+        self._tolerance, self._part = (TOLERANCE, 1.0) if table.psi_deg.size == 1 else (ANISOTROPIC_TOLERANCE, ANISOTROPIC_PART)
         phi, psi = table.phi_deg, table.psi_deg
         # The tail of a lobe can be so small that its slopes overflow.
         values = np.where(np.abs(table.values) < 1e-30 * np.abs(table.values).max(), 0.0, table.values)
@@ -207,10 +278,10 @@ class _Samples:
         self.psi_deg = np.zeros(1)
         if psi.size > 1:
             if psi[-1] - psi[0] < TURN_DEG:
-                values, psi = np.concatenate([values, values[:, :1]], axis=1), np.append(psi, psi[0] + TURN_DEG)
-            turned = wrap_azimuth(psi + 180.0) - 180.0
-            steps = np.linspace(-180.0, 180.0, 1 + math.ceil(TURN_DEG / WIDEST_PSI_DEG))
-            self.psi_deg = np.unique(np.concatenate([turned, steps]))
+                values = np.concatenate([values, values[:, :1]], axis=1)
+            psi = _whole_turn(psi)
+            self.psi_deg = _azimuths_to_write(psi)
+            values = np.concatenate([values, np.abs(values[:, :-1]).mean(axis=1, keepdims=True)], axis=1)
         self._phi, self._psi, self._values = phi, psi, values
         self._slopes = np.stack([[slopes(table.sigma_deg, block) for block in channel] for channel in values])
         # Three channels show what the others need.
@@ -222,56 +293,78 @@ class _Samples:
         """Whether the half vectors on both sides of the plane of incidence have the same values."""
         return self._psi.size == 1 and bool(self._phi[-1] <= 180.0)
 
-    def cut(self, psi_deg: float, sigma_deg: float) -> Floats:
-        """The table (channel, phi, theta) at one azimuth and one sigma of the light."""
-        if self._psi.size == 1:
-            return self._at_sigma(0, sigma_deg)
-        (n,), (share,) = _place(self._psi, np.array([self._psi[0] + (psi_deg - self._psi[0]) % TURN_DEG]))
-        return np.asarray((1.0 - share) * self._at_sigma(n, sigma_deg) + share * self._at_sigma(n + 1, sigma_deg))
-
-    def _at_sigma(self, psi: int, sigma_deg: float) -> Floats:
-        axis = self.table.sigma_deg
+    def _at_sigma(self, psi: int, sigma_deg: float, channels: Sequence[int]) -> Floats:
+        """Values (channel, phi, theta) at an azimuth of the table; at the last of `_values`, their mean over all azimuths."""
+        axis, chosen = self.table.sigma_deg, list(channels)
         (k,), (a,) = _place(axis, np.array([sigma_deg]))
-        near, slope_near = self._values[:, psi, k], self._slopes[:, psi, k]
+        near, slope_near = self._values[chosen, psi, k], self._slopes[chosen, psi, k]
         if a == 0.0:
             return np.asarray(near)
-        far, slope_far, step, rest = self._values[:, psi, k + 1], self._slopes[:, psi, k + 1], axis[k + 1] - axis[k], 1.0 - a
+        far, slope_far = self._values[chosen, psi, k + 1], self._slopes[chosen, psi, k + 1]
+        step, rest = axis[k + 1] - axis[k], 1.0 - a
         total = rest**2 * (1.0 + 2.0 * a) * near + a**2 * (3.0 - 2.0 * a) * far
         return np.asarray(total + step * a * rest**2 * slope_near - step * a**2 * rest * slope_far)
 
     def at(
-        self, psi_deg: float, sigma_deg: float, theta_m: Floats, phi_m: Floats, channels: list[int] | None = None
+        self, psi_deg: float, sigma_deg: float, theta_m: Floats, phi_m: Floats, channels: Sequence[int] | None = None
     ) -> tuple[Floats, Flags]:
         """f cos(theta_o) (channel, ...) at half vectors, and whether (...) the observed direction is well above the horizon.
 
-        The azimuth of the half vectors is counted from the light's, or that of the sample for an anisotropic one; rad.
+        The azimuth of the half vectors is counted from the light's, or that of the sample for an anisotropic one; rad. What an
+        anisotropic sample has of its own stays at a half vector while the light turns; what it has of an isotropic one, the
+        mean over all azimuths, turns with the light. So the ratio of the two is linear between azimuths, at the half vector.
         """
+        wanted = range(self.table.values.shape[0]) if channels is None else channels
+        if self._psi.size == 1:
+            around = [(0, 1.0)]
+        else:
+            (n,), (share,) = _place(self._psi, np.array([self._psi[0] + (psi_deg - self._psi[0]) % TURN_DEG]))
+            around = [(each, weight) for each, weight in ((int(n), 1.0 - share), (int(n) + 1, share)) if weight > 0.0]
+        return self._of_azimuths(around, psi_deg, sigma_deg, theta_m, phi_m, wanted)
+
+    def _of_azimuths(
+        self, around: Sequence[tuple[int, float]], psi_deg: float, sigma_deg: float, theta_m: Floats, phi_m: Floats,
+        channels: Sequence[int],
+    ) -> tuple[Floats, Flags]:  # fmt: skip
+        """As `at`, from azimuths of the table with their weights."""
+        out, place = self._directions(psi_deg, sigma_deg, theta_m, phi_m)
+        if len(around) == 1:
+            found = self._looked_up(self._at_sigma(around[0][0], sigma_deg, channels), place)
+        else:
+            mean, found = self._at_sigma(-1, sigma_deg, channels), np.zeros(())
+            for n, weight in around:
+                cut = self._at_sigma(n, sigma_deg, channels)
+                both = self._looked_up(
+                    np.concatenate([cut, mean]), self._directions(float(self._psi[n]), sigma_deg, theta_m, phi_m)[1]
+                )
+                own, of_mean = np.split(both, 2)
+                found = found + weight * np.divide(own, of_mean, out=np.zeros_like(own), where=of_mean > 0.0)
+            found = found * self._looked_up(mean, place)
+        return found * out[..., 2], np.asarray(out[..., 2] > NEAR_HORIZON)
+
+    def _directions(self, psi_deg: float, sigma_deg: float, theta_m: Floats, phi_m: Floats) -> tuple[Floats, Floats]:
+        """The observed directions (..., 3) of half vectors, the light at azimuth 0; and their theta and phi (2, ...), deg."""
         half = _vectors(theta_m, phi_m - math.radians(psi_deg))
-        shape = half.shape[:-1]
-        half = half.reshape(-1, 3)
         light = light_direction(sigma_deg)
-        out = 2.0 * (half @ light)[:, None] * half - light
-        theta, phi = to_specular(sigma_deg, out)
+        out = 2.0 * (half @ light)[..., None] * half - light
+        return out, np.stack(to_specular(sigma_deg, out))
+
+    def _looked_up(self, cut: Floats, place: Floats) -> Floats:
+        """Cuts (channel, phi, theta) at theta and phi (2, ...)."""
+        theta, phi = place
         if self._phi[-1] <= 180.0:
             phi = np.minimum(phi, TURN_DEG - phi)
-        cut = self.cut(psi_deg, sigma_deg)
-        cut = cut if channels is None else cut[channels]
         (j, b), (k, c) = _place(self._phi, phi), _place(self.table.theta_deg, theta)
         rows, columns = cut.shape[1:]
         flat = cut.reshape(cut.shape[0], rows * columns)
         j, j1, k1 = j * columns, np.minimum(j + 1, rows - 1) * columns, np.minimum(k + 1, columns - 1)
         near = (1.0 - c) * flat[:, j + k] + c * flat[:, j + k1]
         far = (1.0 - c) * flat[:, j1 + k] + c * flat[:, j1 + k1]
-        values = ((1.0 - b) * near + b * far) * out[:, 2]
-        return values.reshape(-1, *shape), (out[:, 2] > NEAR_HORIZON).reshape(shape)
+        return np.asarray((1.0 - b) * near + b * far)
 
     def nodes(self, psi_deg: float, sigma_deg: float, side: int, channels: list[int] | None = None) -> Floats:
-        """f cos(theta_o) (channel, side, side) on the grid of the half vector, for a reader that interpolates linearly.
-
-        Between nodes such a reader is off by an eighth of the second differences. With half of that subtracted at the nodes it
-        is off by as much there, with the other sign, and nowhere by more.
-        """
-        _, theta_m, phi_m = _half_angles(side)
+        """f cos(theta_o) (channel, side, side) on the grid of the half vector, for a reader that interpolates linearly."""
+        theta_m, phi_m = _half_angles(*_square(side))
         if self._mirrored:
             half, _ = self.at(psi_deg, sigma_deg, theta_m, phi_m[: (side + 1) // 2], channels)
             exact = np.concatenate([half, half[:, side // 2 - 1 :: -1]], axis=1)
@@ -280,34 +373,107 @@ class _Samples:
         bend = np.zeros_like(exact)
         bend[:, :, 1:-1] = np.diff(exact, n=2, axis=2)
         bend[:, 1:-1] += np.diff(exact, n=2, axis=1)
-        most = 0.1 * np.abs(exact)
-        return np.asarray(exact - np.clip(bend / 16.0, -most, most))
+        return _without_bend(exact, bend)
 
-    def side(self) -> int:
-        """The least of SIDES at which the interpolation between half vectors is within TOLERANCE, if there is room for it."""
-        slices = self.table.values.shape[0] * self.psi_deg.size * self.table.sigma_deg.size
-        possible = [each for each in SIDES if slices * each**2 <= self._most] or [SIDES[0]]
-        return next((each for each in possible if self._worst_between_half_vectors(each) <= TOLERANCE), possible[-1])
+    def grid(self) -> tuple[int, Floats]:
+        """Rows and columns of the half vector, and the sigmas: those of the table, and others between them.
 
-    def sigmas(self, side: int) -> Floats:
-        """The sigmas of the table, and others between them where the interpolation needs them, if there is room for them."""
-        most = self._most // (self.table.values.shape[0] * self.psi_deg.size * side**2)
+        The least of SIDES that suffices, with as many sigmas; where there is no room for both, those that are off by the least.
+        """
+        slices = self.table.values.shape[0] * self.psi_deg.size
+        sides = [each for each in SIDES if slices * self.table.sigma_deg.size * each**2 <= self._most] or [SIDES[0]]
+        best, least = (sides[0], self.table.sigma_deg), math.inf
+        for side in sides:
+            of_half_vectors = self._worst_between_half_vectors(side)
+            sigmas, of_sigmas = self._sigmas(self._most // (slices * side**2))
+            if of_half_vectors + of_sigmas < least:
+                best, least = (side, sigmas), of_half_vectors + of_sigmas
+            if max(of_half_vectors, of_sigmas) <= self._tolerance:
+                break
+        return best
+
+    def _sigmas(self, most: int) -> tuple[Floats, float]:
+        """At most so many sigmas, one after another where the interpolation needs it most; and how much it is still off."""
         found = self.table.sigma_deg.tolist()
         split = [(-self._worst_between_sigmas(a, b), a, b) for a, b in itertools.pairwise(found)]
         heapq.heapify(split)
-        while split and len(found) < most and -split[0][0] > TOLERANCE:
-            _, first, last = heapq.heappop(split)
-            if last - first > FINEST_SIGMA_DEG:
-                middle = 0.5 * (first + last)
-                found.append(middle)
-                for a, b in ((first, middle), (middle, last)):
-                    heapq.heappush(split, (-self._worst_between_sigmas(a, b), a, b))
-        return np.array(sorted(found))
+        worst = 0.0
+        while split and -split[0][0] > self._tolerance:
+            off, first, last = heapq.heappop(split)
+            if len(found) >= most or last - first <= FINEST_SIGMA_DEG:
+                worst = max(worst, -off)
+                continue
+            middle = 0.5 * (first + last)
+            found.append(middle)
+            for a, b in ((first, middle), (middle, last)):
+                heapq.heappush(split, (-self._worst_between_sigmas(a, b), a, b))
+        return np.array(sorted(found)), max(worst, -split[0][0] if split else 0.0)
 
-    def worst(self, side: int, sigmas: Floats) -> float:
-        """The largest relative deviation that was found, of half vectors and of sigmas together."""
-        between = (self._worst_between_sigmas(a, b) for a, b in itertools.pairwise(sigmas.tolist()))
-        return self._worst_between_half_vectors(side) + max(between, default=0.0)
+    def deviation(self, side: int, sigmas: Floats) -> Floats:
+        """Relative deviations (n,) of the file, as it is read, from the table at random directions, light up to 75 deg."""
+        random = np.random.default_rng(1)
+        highest, found = min(float(sigmas[-1]), HIGHEST_PROBED_DEG), []
+        for at in random.random((PROBED_LIGHTS, 2)).tolist():
+            sigma = float(sigmas[0]) + at[0] * max(highest - float(sigmas[0]), 0.0)
+            psi = float(self.psi_deg[0]) + at[1] * float(self.psi_deg[-1] - self.psi_deg[0])
+            v, u = random.random((2, PROBED_AT_EACH, 1, 1))
+            exact, above = self.at(psi, sigma, *_half_angles(u, v), self._probed)
+            found.append(_deviations(self._read(psi, sigma, side, sigmas, u, v), exact, above))
+        return np.concatenate(found)
+
+    def _read(self, psi_deg: float, sigma_deg: float, side: int, sigmas: Floats, u: Floats, v: Floats) -> Floats:
+        """f cos(theta_o) (channel, n, 1, 1), as a reader has it, at places u and v (n, 1, 1) of the half vector."""
+        (column, a), (row, b) = (_place(np.arange(side, dtype=np.float64), each * (side - 1)) for each in (u, v))
+        # The four nodes of the cell and those around them.
+        x, y = column + np.arange(-1, 3), row + np.arange(-1, 3)[:, None]
+        theta_m, phi_m = _half_angles(*(np.clip(each, 0, side - 1) / (side - 1) for each in (x, y)))
+        between = [(each[..., 1:-1] > 0) & (each[..., 1:-1] < side - 1) for each in (x, y.swapaxes(1, 2))]
+        weights = np.concatenate([1.0 - b, b], axis=1) * np.concatenate([1.0 - a, a], axis=2)
+        total = np.zeros(())
+        for psi, of_psi in _around(self.psi_deg, psi_deg):
+            for sigma, of_sigma in _around(sigmas, sigma_deg):
+                exact, _ = self.at(psi, sigma, theta_m, phi_m, self._probed)
+                bend = np.where(between[0], np.diff(exact[..., 1:-1, :], n=2, axis=-1), 0.0)
+                bend += np.where(between[1].swapaxes(1, 2), np.diff(exact[..., 1:-1], n=2, axis=-2), 0.0)
+                nodes = _without_bend(exact[..., 1:-1, 1:-1], bend)
+                total = total + of_psi * of_sigma * (weights * nodes).sum(axis=(2, 3))
+        return total[..., None, None]
+
+    def steps(self) -> Floats:
+        """Relative deviations (n,) that the interpolation between the table's own nodes may have, at nodes at random.
+
+        The deviation of a value from an interpolation without it, of twice the step, is four times that between two nodes. It
+        is computed for each axis; their squares are added up.
+        """
+        random, table, found = np.random.default_rng(1), self.table, []
+        lit = np.flatnonzero(table.sigma_deg <= HIGHEST_PROBED_DEG)
+        turns = max(self._psi.size - 1, 1)
+        for _ in range(PROBED_LIGHTS if lit.size else 0):
+            n, s = int(random.integers(turns)), int(random.choice(lit))
+            sigma, psi, block = float(table.sigma_deg[s]), float(self._psi[n]), self._values[self._probed, n]
+            j, k = random.integers([[self._phi.size], [table.theta_deg.size]], size=(2, PROBED_AT_EACH))
+            exact, total = block[:, s, j, k], np.zeros((len(self._probed), PROBED_AT_EACH))
+            for axis, values, at in (
+                (table.sigma_deg, block[:, :, j, k].swapaxes(1, 2), np.full(j.size, s)),
+                (self._phi, block[:, s, :, k].swapaxes(0, 1), j),
+                (table.theta_deg, block[:, s, j], k),
+            ):
+                total = np.hypot(total, _missed(axis, values, at))
+            out = from_specular(sigma, table.theta_deg[k], self._phi[j])
+            if turns > 1:
+                half = out + light_direction(sigma)
+                theta_m = np.arctan2(np.hypot(half[:, 0], half[:, 1]), half[:, 2])
+                before, after = (n - 1) % turns, n + 1
+                apart = [(psi - self._psi[before]) % TURN_DEG, float(self._psi[after]) - psi]
+                around = [(before, apart[1] / sum(apart)), (after, apart[0] / sum(apart))]
+                phi_m = np.arctan2(half[:, 1], half[:, 0])[:, None] + math.radians(psi)
+                without, _ = self._of_azimuths(around, psi, sigma, theta_m[:, None], phi_m, self._probed)
+                total = np.hypot(total, 0.25 * (exact - without[..., 0] / np.maximum(out[:, 2], NEAR_HORIZON)))
+            counted = (out[:, 2] > NEAR_HORIZON) & (exact >= LOWEST * block[:, s].max(axis=(1, 2))[:, None]) & (exact > 0.0)
+            if table.known is not None:
+                counted &= table.known[self._probed, n % table.psi_deg.size, s][:, j % table.phi_deg.size, k]
+            found.append(total[counted] / exact[counted])
+        return np.concatenate(found) if found else np.zeros(0)
 
     def _worst_between_half_vectors(self, side: int) -> float:
         """The largest relative deviation in the middle between four nodes, at some of the table's sigmas."""
@@ -315,12 +481,12 @@ class _Samples:
         u = np.linspace(0.0, 1.0, side)
         middle = 0.5 * (u[1:] + u[:-1])
         rows = side // 2 if self._mirrored else side
-        theta_m, phi_m = 0.5 * np.pi * middle**2, (2.0 * middle[:, None] - 1.0) * np.pi
+        theta_m, phi_m = _half_angles(middle, middle[:, None])
         psi, worst = float(self.psi_deg[self.psi_deg.size // 2]), 0.0
         for sigma in {probed[0], probed[len(probed) // 2], probed[-1]}:
             nodes = self.nodes(psi, sigma, side, self._probed)[:, :rows]
             read = 0.25 * (nodes[:, 1:, 1:] + nodes[:, 1:, :-1] + nodes[:, :-1, 1:] + nodes[:, :-1, :-1])
-            worst = max(worst, _deviation(read, *self._at_probe(sigma, theta_m, phi_m, rows - 1)))
+            worst = max(worst, self._of_most(_deviations(read, *self._at_probe(sigma, theta_m, phi_m, rows - 1))))
         return worst
 
     def _worst_between_sigmas(self, first: float, last: float) -> float:
@@ -331,20 +497,24 @@ class _Samples:
         for sigma in (first, middle, last):
             if sigma not in self._at_probes:
                 rows = PROBED // 2 if self._mirrored else PROBED
-                self._at_probes[sigma] = self._at_probe(sigma, *_half_angles(PROBED)[1:], rows)
+                self._at_probes[sigma] = self._at_probe(sigma, *_half_angles(*_square(PROBED)), rows)
         read = 0.5 * (self._at_probes[first][0] + self._at_probes[last][0])
-        return _deviation(read, *self._at_probes[middle])
+        return self._of_most(_deviations(read, *self._at_probes[middle]))
+
+    def _of_most(self, deviations: Floats) -> float:
+        """The largest deviation (n,) in the part of the directions that counts; 0 where there are none."""
+        return float(np.quantile(deviations, self._part)) if deviations.size else 0.0
 
     def _at_probe(self, sigma_deg: float, theta_m: Floats, phi_m: Floats, rows: int) -> tuple[Floats, Flags]:
         """As `at`, of some channels at the middle azimuth of the light, for the first rows."""
         return self.at(float(self.psi_deg[self.psi_deg.size // 2]), sigma_deg, theta_m, phi_m[:rows], self._probed)
 
 
-def _deviation(read: Floats, exact: Floats, above: Flags) -> float:
-    """The largest relative deviation (channel, ...) above the horizon, of values of at least LOWEST of the largest."""
+def _deviations(read: Floats, exact: Floats, above: Flags) -> Floats:
+    """Relative deviations (n,) above the horizon, of values (channel, ...) of at least LOWEST of the largest."""
     highest = np.abs(exact).max(axis=tuple(range(1, exact.ndim)), keepdims=True)
     counted = above & (exact >= LOWEST * highest) & (highest > 0.0)
-    return float(np.max(np.abs(read - exact)[counted] / exact[counted], initial=0.0))
+    return np.asarray(np.abs(read - exact)[counted] / exact[counted])
 
 
 def _place(axis: Floats, at: Floats) -> tuple[Ints, Floats]:

@@ -92,11 +92,64 @@ def test_mitsuba_reads_values_azimuths_and_wavelengths(tmp_path: Path) -> None:
         assert brdf(light, out, wavelength_nm) == pytest.approx(factor * expected, rel=0.003)
     (read,) = rgl.read(tmp_path / "turned.bsdf").tables
     assert read.wavelengths_nm == (450.0, 650.0)
-    assert read.psi_deg.tolist() == np.arange(0.0, 360.0, 15.0).tolist()
+    assert read.psi_deg.tolist() == np.arange(0.0, 360.0, 10.0).tolist()
     k, j = int(np.argmin(np.abs(read.theta_deg - 30.0))), int(np.searchsorted(read.phi_deg, 90.0))
-    at_60 = read.values[:, 4, read.sigma_deg.tolist().index(30.0), j, k]
+    at_60 = read.values[:, 6, read.sigma_deg.tolist().index(30.0), j, k]
     expected = 1.3 + 0.2 * math.sin(math.radians(read.theta_deg[k]))
     np.testing.assert_allclose(at_60, [expected, 2.0 * expected], rtol=0.003)
+
+
+def brushed(light: Floats, out: Floats) -> Floats:
+    """Brushed metal: a lobe over the half vector that is 2.5 times as wide along x as along y, and a diffuse part."""
+    half = light + out
+    half = half / np.linalg.norm(half, axis=-1, keepdims=True)
+    return np.asarray(0.1 + 2.0 * np.exp(-((half[..., 0] / 0.5) ** 2 + (half[..., 1] / 0.2) ** 2) / half[..., 2] ** 2))
+
+
+def brushed_table() -> BsdfTable:
+    """Of one sigma, at azimuths of the light in steps of 30 deg."""
+    psi, phi, theta = np.arange(0.0, 360.0, 30.0), np.arange(0.0, 361.0, 10.0), np.arange(0.0, 181.0, 5.0)
+    out = np.maximum(from_specular(40.0, theta, phi[:, None]), [-1.0, -1.0, 0.0])
+    turns = [np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]) for c, s in zip(*arc(psi), strict=True)]
+    values = np.stack([brushed(turn @ light_direction(40.0), out @ turn.T) for turn in turns])
+    return BsdfTable(np.array([40.0]), phi, theta, values[None, :, None], psi_deg=psi)
+
+
+def half_angles(light: Floats, out: Floats) -> tuple[Floats, Floats]:
+    """theta_m and phi_m, in the sample's frame."""
+    half = light + out
+    return np.arctan2(np.hypot(half[..., 0], half[..., 1]), half[..., 2]), np.arctan2(half[..., 1], half[..., 0])
+
+
+def test_between_azimuths_of_the_light_a_lobe_stays_at_its_half_vectors() -> None:
+    """Linear in psi at a theta and a phi, values between the azimuths would be off by up to 70 %."""
+    samples = rgl._Samples(brushed_table())
+    light = turned(15.0, light_direction(40.0))
+    out = from_specular(0.0, np.linspace(0.0, 75.0, 30)[:, None], np.linspace(0.0, 350.0, 36))
+    found, _ = samples.at(15.0, 40.0, *half_angles(light, out), [0])
+    off = np.abs(found[0] / out[..., 2] / brushed(light, out) - 1.0)
+    assert np.quantile(off, 0.95) < 0.06
+    # What the steps of 5, 10 and 30 deg leave open is estimated from the table alone.
+    assert np.quantile(samples.steps(), 0.95) == pytest.approx(np.quantile(off, 0.95), rel=0.3)
+
+
+@pytest.mark.long
+def test_mitsuba_confirms_the_deviation_that_a_file_states(tmp_path: Path) -> None:
+    table = brushed_table()
+    told = rgl.write(tmp_path / "brushed.bsdf", BsdfFile((table,)))
+    assert set(told) <= set(rgl.read(tmp_path / "brushed.bsdf").tables[0].comments)
+    brdf, samples, random = measured(tmp_path / "brushed.bsdf"), rgl._Samples(table), np.random.default_rng(2)
+    off = []
+    for psi, polar, azimuth in random.uniform([0.0, 0.0, 0.0], [360.0, 75.0, 360.0], (1000, 3)).tolist():
+        light, out = turned(psi, light_direction(40.0)), from_specular(0.0, polar, azimuth)
+        exact, _ = samples.at(psi, 40.0, *(each[None] for each in half_angles(light, out[None])))
+        off.append(abs(brdf(light, out) * float(out[2]) / float(exact.item()) - 1.0))
+    (stated,) = (float(line.split(" up to ")[1].split()[0]) for line in told if " up to " in line)
+    assert 100.0 * np.quantile(off, 0.95) == pytest.approx(stated, rel=0.5)
+
+
+def arc(azimuth_deg: Floats) -> tuple[Floats, Floats]:
+    return np.cos(np.radians(azimuth_deg)), np.sin(np.radians(azimuth_deg))
 
 
 def test_mitsuba_draws_directions_without_bias(tmp_path: Path) -> None:
