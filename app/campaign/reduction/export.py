@@ -52,7 +52,8 @@ def scattered_of(reduced: ReducedJournal, sample: str | None = None, metadata: M
 
 def scattered_points(points: BsdfPoints, sample: str, *, isotropic: bool, generated: bool) -> ScatteredBsdf:
     """Reduced points in the frame of the sample; `isotropic` as the schedule states it."""
-    return ScatteredBsdf(**_scattered_columns(points), sample=sample, isotropic=isotropic, generated=generated)
+    columns = _scattered_columns(points)
+    return ScatteredBsdf(**columns, sample=sample, isotropic=isotropic, generated=generated, comments=())
 
 
 def _scattered_columns(points: BsdfPoints) -> dict[str, np.ndarray]:
