@@ -33,7 +33,7 @@ from goniotwin.twin.optics.geometry.coordinates import (
 
 KINDS = registry.BSDF
 """A simulation is written as a table of the output grid, as points of all detectors, or as the regular component alone."""
-SCATTERED_LEFT_OUT = "the scattered part is left out: a table or points (--out FILE.ddr, .ddt or .csv) have it"
+SCATTERED_OMITTED = "the scattered part is omitted: a table or points (--out FILE.ddr, .ddt or .csv) have it"
 
 
 def check_suffix(path: Path, kind: Holds, *others: str) -> None:
@@ -160,7 +160,7 @@ def _content(simulation: Simulation, found: Format) -> BsdfFile:
     if simulation.regular is not None and Holds.REGULAR in found.holds:
         about = _heading(simulation, every_detector=False)
         alone = simulation.task.has_scattered and not found.holds & {Holds.GRID, Holds.POINTS}
-        parts.append(replace(simulation.regular, comments=(*about, *([SCATTERED_LEFT_OUT] if alone else []))))
+        parts.append(replace(simulation.regular, comments=(*about, *([SCATTERED_OMITTED] if alone else []))))
     return BsdfFile(tuple(parts))
 
 
@@ -308,7 +308,7 @@ def _notes(simulation: Simulation, paths: list[Path]) -> list[str]:
         if path not in beside and path not in holding:
             notes.append(f"{path}: without the regular component, which is in {registry.join_words(map(str, holding), 'and')}")
         elif path not in beside and simulation.task.has_scattered and not _format(path).holds & {Holds.GRID, Holds.POINTS}:
-            notes.append(f"{path}: {SCATTERED_LEFT_OUT}")
+            notes.append(f"{path}: {SCATTERED_OMITTED}")
     return notes
 
 
