@@ -33,7 +33,7 @@ from goniotwin.twin.optics.geometry.coordinates import (
 
 KINDS = registry.BSDF
 """A simulation is written as a table of the output grid, as points of all detectors, or as the regular component alone."""
-SCATTERED_LEFT_OUT = "the scattered part is left out: a table or points (--out FILE.ddr, .ddt or .csv) have it"
+SCATTERED_OMITTED = "the scattered part is omitted: a table or points (--out FILE.ddr, .ddt or .csv) have it"
 
 
 def check_suffix(path: Path, kind: Holds, *others: str) -> None:
@@ -87,9 +87,8 @@ def task_of_files(task: Task, paths: list[Path], name: str | None = None) -> Tas
     spectrum = task.sample.spectrum
     given = task.wavelengths_nm if task.wavelengths_nm is not None or spectrum is None else spectrum.wavelengths_nm
     several = given is not None and given.size > 1 and task.source is None
-    needs = {Holds.TRANSMITTED if task.transmitted else Holds.REFLECTED}
-    needs |= {Holds.SIGMAS} if task.sigma_deg.size > 1 else set()
-    needs |= {Holds.WAVELENGTHS} if several else set()
+    light = Holds.TRANSMITTED if task.transmitted else Holds.REFLECTED
+    needs = {light, Holds.SIGMAS, *([Holds.WAVELENGTHS] if several else [])}
     found = [(path, _format(path, needs, name)) for path in paths]
     if task.has_regular and any(Holds.REGULAR in form.holds for _, form in found):
         alone = not any(form.holds & {Holds.GRID, Holds.POINTS} for _, form in found)
@@ -161,7 +160,7 @@ def _content(simulation: Simulation, found: Format) -> BsdfFile:
     if simulation.regular is not None and Holds.REGULAR in found.holds:
         about = _heading(simulation, every_detector=False)
         alone = simulation.task.has_scattered and not found.holds & {Holds.GRID, Holds.POINTS}
-        parts.append(replace(simulation.regular, comments=(*about, *([SCATTERED_LEFT_OUT] if alone else []))))
+        parts.append(replace(simulation.regular, comments=(*about, *([SCATTERED_OMITTED] if alone else []))))
     return BsdfFile(tuple(parts))
 
 
@@ -169,14 +168,12 @@ def scattered(simulation: Simulation) -> ScatteredBsdf:
     """The BSDF at every detector, with its standard error, 1/sr; in the frame of the sample with its lit side in front."""
     task = simulation.task
     columns = _columns(simulation)
-    psi = np.concatenate([np.full(at.ratio.factor.size, at.psi_deg) for at in simulation.at])
-    size = psi.size
-    azimuth = -columns["azimuth_deg"] if task.back else columns["azimuth_deg"]
+    size = columns["sigma_deg"].size
     error = columns["standard_error"]
     return ScatteredBsdf(
-        sigma_deg=columns["sigma_deg"], psi_deg=psi, polar_deg=round_deg(columns["polar_deg"]),
-        azimuth_deg=round_deg(wrap_azimuth(azimuth + psi)),
-        values=columns["luminance_factor"] / np.pi, u=np.where(np.isfinite(error), error, np.nan) / np.pi,
+        sigma_deg=columns["sigma_deg"], psi_deg=columns.get("psi_deg", np.zeros(size)), polar_deg=columns["polar_deg"],
+        azimuth_deg=columns["azimuth_deg"], values=columns["luminance_factor"] / np.pi,
+        u=np.where(np.isfinite(error), error, np.nan) / np.pi,
         flags=columns["flags"], wavelength_nm=columns["wavelength_nm"], transmitted=np.full(size, task.transmitted),
         back=np.full(size, task.back), sample=task.sample.name, isotropic=simulation.at[0].detectors.mirrored, generated=True,
         comments=tuple(_heading(simulation, every_detector=False)),
@@ -311,7 +308,7 @@ def _notes(simulation: Simulation, paths: list[Path]) -> list[str]:
         if path not in beside and path not in holding:
             notes.append(f"{path}: without the regular component, which is in {registry.join_words(map(str, holding), 'and')}")
         elif path not in beside and simulation.task.has_scattered and not _format(path).holds & {Holds.GRID, Holds.POINTS}:
-            notes.append(f"{path}: {SCATTERED_LEFT_OUT}")
+            notes.append(f"{path}: {SCATTERED_OMITTED}")
     return notes
 
 
@@ -408,7 +405,8 @@ def _heading(simulation: Simulation, every_detector: bool) -> list[str]:
     ]
     if every_detector:
         lines += [
-            "one row per detector: polar and azimuth in the rig's frame; theta, phi about the specular direction, deg",
+            "one row per detector: polar and azimuth in the frame of the sample with its lit side in front, deg",
+            "the light is at the azimuth psi, 0 of an isotropic sample; theta, phi are about the specular direction, deg",
             "standard_error is that of luminance_factor",
             "flags: hidden (blocked by the mirror unit, also in part), no-hits (no path arrived at the detector)",
         ]
@@ -426,13 +424,13 @@ def _block(simulation: Simulation, at: SigmaResult, row: int) -> dict[str, npt.N
     directions = mirror_in_plane_of_incidence(at.directions) if simulation.task.back else at.directions
     theta, phi = to_specular(at.sigma_deg, mirror_in_sample_plane(directions) if simulation.task.lower else directions)
     wavelength = np.nan if simulation.wavelengths_nm is None else simulation.wavelengths_nm[row]
+    azimuth = np.tile(at.detectors.azimuth_deg, at.detectors.polar_deg.size)
     return {
         "wavelength_nm": np.full(count, wavelength),
         "sigma_deg": np.full(count, at.sigma_deg),
-        # The turn of the sample unit, as in the CSV of a journal.
-        **({"gamma_deg": np.full(count, at.gamma_deg)} if simulation.task.period_deg else {}),
-        "polar_deg": np.repeat(at.detectors.polar_deg, at.detectors.azimuth_deg.size),
-        "azimuth_deg": np.tile(at.detectors.azimuth_deg, at.detectors.polar_deg.size),
+        **({"psi_deg": np.full(count, at.psi_deg)} if simulation.task.period_deg else {}),
+        "polar_deg": round_deg(np.repeat(at.detectors.polar_deg, at.detectors.azimuth_deg.size)),
+        "azimuth_deg": round_deg(wrap_azimuth((-azimuth if simulation.task.back else azimuth) + at.psi_deg)),
         "theta_deg": theta,
         "phi_deg": phi,
         "sample_m2sr": at.ratio.sample_m2sr[row],

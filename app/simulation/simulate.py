@@ -173,7 +173,6 @@ class SigmaResult:
     obstructed: Flags
     regular: RegularPeak | None = None
     psi_deg: float = 0.0
-    gamma_deg: float = 0.0
 
     @property
     def missed(self) -> Flags:
@@ -244,8 +243,7 @@ def simulate(task: Task, report: ReportProgress = lambda _fraction, _step: None)
                 result = _simulate_sigma(task, sigma, psi, wavelengths, mirrored, report_part)
                 grids = map(result.detectors.grid, result.ratio.factor, result.ratio.standard_error)
                 same = result, [resample(grid, sigma, phi, theta, back=task.back) for grid in grids]
-            gamma = float(psi_of_gamma(psi, task.back))
-            of_sigma[float(round_deg(np.array(psi)))] = replace(same[0], psi_deg=psi, gamma_deg=gamma), same[1]
+            of_sigma[float(round_deg(np.array(psi)))] = replace(same[0], psi_deg=psi), same[1]
         at += [result for result, _ in of_sigma.values()]
         cuts.append([cut for row in zip(*(found for _, found in of_sigma.values()), strict=True) for cut in row])
     report(1.0, "done")
@@ -290,7 +288,7 @@ def _simulate_sigma(
     peak = None
     if fractions.any() and task.regular == "seen":
         peak = regular_peak(task.instrument, sigma, fractions, task.lower, directions, ratio.factor)
-    return SigmaResult(sigma, detectors, directions, ratio, obstructed, peak, psi, setup.gamma_deg)
+    return SigmaResult(sigma, detectors, directions, ratio, obstructed, peak, psi)
 
 
 def regular_fractions(

@@ -102,8 +102,9 @@ def write_archive(
 def _empty(reduced: ReducedJournal, name: str) -> ScatteredBsdf:
     none = np.zeros(0)
     about = (gap_line(WIDEST_GAP_DEG), *([f"symmetry: {reduced.symmetry[name]}"] if name in reduced.symmetry else []))
-    stated = {"isotropic": reduced.isotropic, "generated": reduced.simulated}
-    return ScatteredBsdf(none, none, none, none, none, sample=name, comments=about, **stated)
+    return ScatteredBsdf(
+        none, none, none, none, none, sample=name, isotropic=reduced.isotropic, generated=reduced.simulated, comments=about
+    )  # fmt: skip
 
 
 class _Inputs:

@@ -105,7 +105,7 @@ def test_apart_it_is_no_spike_in_the_values_but_a_factor(apart: Simulation) -> N
     assert dataset.only.regular[0].values.tolist() == apart.regular.values.tolist()
 
 
-def test_every_file_has_what_it_can_hold_and_what_is_left_out_is_said(apart: Simulation, tmp_path: Path) -> None:
+def test_every_file_has_what_it_can_hold_and_what_is_omitted_is_stated(apart: Simulation, tmp_path: Path) -> None:
     paths = [tmp_path / f"a{suffix}" for suffix in (".ddr", ".sdr", ".ssdd", ".csv", ".h5")]
     for path in paths:
         write_simulation(apart, path)
@@ -119,7 +119,7 @@ def test_every_file_has_what_it_can_hold_and_what_is_left_out_is_said(apart: Sim
     notes = summary(apart, paths)["notes"]
     assert [note.split(": ", 1)[0] for note in notes] == [str(tmp_path / name) for name in ("a.ddr", "a.sdr", "a.csv")]
     assert "without the regular component, which is in" in notes[0]
-    assert "the scattered part is left out" in notes[1]
+    assert "the scattered part is omitted" in notes[1]
     # The file is the same sample again.
     again = simulate_sample(f"table:{tmp_path / 'a.ssdd'}", regular="alone")
     assert again.regular is not None

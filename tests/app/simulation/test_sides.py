@@ -82,7 +82,8 @@ def test_a_detector_measures_the_bsdf_in_its_direction(
     grid = {"polar_deg": np.arange(5.0, 80.0, 15.0), "azimuth_deg": np.arange(0.0, 361.0, 45.0)}
     write_simulation(simulate_sheet(sheet, back, transmitted, sigmas, **grid), out)
     columns = read_points_csv(out).columns
-    directions = arc_direction(columns["polar_deg"], columns["azimuth_deg"], back != transmitted)
+    azimuth = columns["azimuth_deg"] * (-1.0 if back else 1.0)  # the sample that is lit on the back is turned about x
+    directions = arc_direction(columns["polar_deg"], azimuth, back != transmitted)
     for sigma in sigmas:
         here = columns["sigma_deg"] == sigma
         light = light_direction(180.0 - sigma if back else sigma)
