@@ -35,7 +35,7 @@ UNTRUSTED = frozenset(
 """Flags of values that are not to be trusted."""
 HORIZON_DEG = 90.0 + TOLERANCE_DEG
 SAME = 1e-9
-"""Relative difference of values that a text with nine digits does not tell apart."""
+"""Relative difference of values that are equal in a text of nine digits."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -78,7 +78,7 @@ def test_one_half_of_a_turned_sample_is_mirrored_and_named() -> None:
     assert any("the other half is taken as their mirror image" in line for line in table.comments)
 
 
-def test_unlike_halves_of_what_is_taken_as_symmetric_are_told() -> None:
+def test_unlike_halves_of_what_is_taken_as_symmetric_are_stated() -> None:
     """A sample without symmetry at one rotation, as IMX455_stageRotation210.txt (ua-loft/bsdf-tools), is taken as isotropic."""
     values = rings(step_deg=20.0)
     assert any(line.startswith("the sample is taken as symmetric") for line in grid_table(values).comments)
