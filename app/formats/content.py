@@ -38,7 +38,7 @@ ISOTROPIC = "taken as isotropic: both sides of the plane of incidence are one, a
 """Comment where the values of an isotropic sample are folded."""
 HORIZON_DEG = 90.0 + TOLERANCE_DEG
 SAME = 1e-9
-"""Relative difference of values that a text with nine digits does not tell apart."""
+"""Relative difference of values that are equal in a text of nine digits."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,6 +30,8 @@ FINEST_DEG = 0.1
 PHI_STEP_DEG = 5.0
 NEAR_DEG = 3.0
 """Between directions no further apart than this there is always interpolation."""
+UNLIKE = 0.05
+"""Mirror images that differ by more, as a share of the largest value of their light, are no noise: a comment states it."""
 LEAST_FILLED = 0.3
 """Share of the nodes of a grid that has values; below it, the directions are not on a grid."""
 THETA_DECIMALS, PHI_DECIMALS = 4, 3
@@ -101,6 +103,9 @@ def grid_table(
     if (widest_gap_deg := values.widest_gap_deg) is not None:
         between = f"nodes between measured directions more than {widest_gap_deg:g} deg apart count as not measured"
         comments = [*comments, between]
+    if mirrored and (unlike := _unlike_halves(points)) > UNLIKE:
+        alike = "the sample is taken as symmetric about the plane of incidence: values are means of mirror images"
+        comments = [*comments, f"{alike}, which differ by up to {unlike:.2g} of the largest value of their light"]
     cut = _Cuts(points, sigma, psi, mirrored, widest_gap_deg)
     cuts = [[cut(c, p, s) for s in range(sigma.size)] for c in range(len(names)) for p in range(psi.size)]
     table = specular_table(
@@ -109,6 +114,23 @@ def grid_table(
         done=done, fill=fill,
     )  # fmt: skip
     return table if np.isfinite(values.u).any() else replace(table, u=None)
+
+
+def _unlike_halves(points: _Values) -> float:
+    """The largest difference between values and those at their mirror images, as a share of the largest value of that light."""
+    azimuth = np.mod(points.azimuth_deg, TURN_DEG)
+    light = points.channel * (points.sigma.max() + 1) + points.sigma
+    place = np.rint(np.stack([points.polar_deg, fold_azimuth(azimuth)]) * 1e3).astype(np.int64)  # of 0.001 deg
+    first, index = np.unique((light * 90_001 + place[0]) * 180_001 + place[1], return_index=True, return_inverse=True)[1:]
+    means = []
+    for side in ((azimuth > 0.0) & (azimuth < HALF_TURN_DEG), azimuth > HALF_TURN_DEG):
+        count, total = (np.bincount(index[side], weight, first.size) for weight in (None, points.values[side]))
+        means.append(np.divide(total, count, out=np.full(first.size, np.nan), where=count > 0))
+    largest = np.zeros(int(light.max()) + 1)
+    np.maximum.at(largest, light, np.abs(points.values))
+    unlike = np.abs(means[0] - means[1])
+    compared = np.isfinite(unlike) & (largest[light[first]] > 0.0)
+    return float(np.max(unlike[compared] / largest[light[first]][compared], initial=0.0))
 
 
 def _channels(values: ScatteredBsdf) -> tuple[tuple[str, ...], Ints, tuple[float, ...] | None, tuple[str, ...]]:

@@ -78,6 +78,15 @@ def test_one_half_of_a_turned_sample_is_mirrored_and_named() -> None:
     assert any("the other half is taken as their mirror image" in line for line in table.comments)
 
 
+def test_unlike_halves_of_what_is_taken_as_symmetric_are_stated() -> None:
+    """A sample without symmetry at one rotation, as IMX455_stageRotation210.txt (ua-loft/bsdf-tools), is taken as isotropic."""
+    values = rings(step_deg=20.0)
+    assert any(line.startswith("the sample is taken as symmetric") for line in grid_table(values).comments)
+    image = lobe(replace(values, azimuth_deg=360.0 - values.azimuth_deg))
+    same = replace(values, values=0.5 * (values.values + image))
+    assert not any("taken as symmetric" in line for line in grid_table(same).comments)
+
+
 def test_at_normal_incidence_one_psi_is_enough() -> None:
     first, second = rings(0.0, isotropic=False), rings(90.0, isotropic=False)
     both = joined(first, second.where(second.sigma_deg > 0.0))
