@@ -19,7 +19,6 @@ from goniotwin.app.data.values import EQUAL, LightSetting, Measured, SampleData,
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats.content import RegularTable
 from goniotwin.arrays import Flags, Floats
-from goniotwin.twin.optics import from_specular
 from goniotwin.twin.optics.geometry.coordinates import HALF_TURN_DEG, TOLERANCE_DEG, TURN_DEG, round_deg
 
 STEP_DEG = 1.0
@@ -156,8 +155,10 @@ def grid_weights(theta_deg: Floats, phi_deg: Floats, sigma_deg: float, *, mirror
         around, d_phi, by_phi = _divided(np.append(phi_deg, phi_deg[0] + TURN_DEG))
         by_phi[:, 0] += by_phi[:, -1]
         by_phi = by_phi[:, :-1]
-    cosine = np.maximum(from_specular(sigma_deg, at[None, :], around[:, None])[..., 2], 0.0)
-    solid = cosine * np.sin(np.radians(at)) * d_theta * d_phi[:, None]
+    sigma, polar = math.radians(sigma_deg), np.radians(at)
+    # The z of `from_specular`, without the other two components: of a fine grid they are most of the time.
+    cosine = math.cos(sigma) * np.cos(polar) + math.sin(sigma) * np.cos(np.radians(around))[:, None] * np.sin(polar)
+    solid = np.maximum(cosine, 0.0) * (np.sin(polar) * d_theta) * d_phi[:, None]
     return by_phi.T @ solid @ by_theta, float(solid[:, beyond].sum() / math.pi)
 
 
