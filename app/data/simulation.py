@@ -44,8 +44,8 @@ def simulate(
     wavelengths = None if wavelengths_nm is None else _ascending("wavelengths_nm", wavelengths_nm, *WAVELENGTH_LIMITS_NM)
     if sigmas[-1] == SIGMA_LIMITS_DEG[1]:
         raise UserError(f"sigma_deg: {sigmas[-1]:g}: give angles below 90 deg")
-    sides = {name: bool(flag(name, value)) for name, value in (("back", back), ("transmitted", transmitted))}
-    task = Task(parse_sample(sample), sigmas, wavelengths_nm=wavelengths, **sides)
+    back, transmitted = bool(flag("back", back)), bool(flag("transmitted", transmitted))
+    task = Task(parse_sample(sample), sigmas, wavelengths_nm=wavelengths, back=back, transmitted=transmitted)
     return dataset_of_simulation(simulate_task(task))
 
 
