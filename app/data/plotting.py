@@ -91,7 +91,8 @@ def plot(
     uncertainties. `sigma_deg`, `psi_deg` and `wavelength_nm` choose among the values; without them all sigmas are drawn (of
     many some), the first psi, and the middle wavelength or the green colour. `log` chooses the scale. Raises GoniotwinError.
     """
-    if not isinstance(kind, str) or kind not in KINDS:
+    given: object = kind
+    if not isinstance(given, str) or given not in KINDS:
         raise UserError(f"kind: {quoted(kind)}: give one of {', '.join(map(repr, KINDS))}")
     log = flag("log", log)
     dataset = dataset if isinstance(dataset, Dataset) else open_dataset(dataset)

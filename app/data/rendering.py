@@ -98,10 +98,10 @@ def read_table(path: Path) -> BsdfTable:
     found = [table for table in content.tables if not (table.transmitted or table.back)]
     if len(found) == 1:
         return found[0]
-    points = [each for each in content.scattered if (~(each.transmitted | each.back)).any()]  # type: ignore[operator]
+    points = [each for each in content.scattered if not np.logical_or(each.transmitted, each.back).all()]
     if not found and not points:
         raise UserError(f"{path}: has no values in 1/sr of light that its front reflects, and a picture is of these")
-    samples = {each.sample for each in (*found, *points)}
+    samples = {*(each.sample for each in found), *(each.sample for each in points)}
     if len(found) > 1 and len(samples) < len(found):
         raise UserError(f"{path}: has {len(found)} tables of light that its front reflects, and a picture is of one")
     options = [

@@ -41,11 +41,11 @@ def simulate(
     if sigmas[-1] == SIGMA_LIMITS_DEG[1]:
         raise UserError(f"sigma_deg: {sigmas[-1]:g}: give angles below 90 deg")
     psi = None if psi_deg is None else _ascending("psi_deg", psi_deg, 0.0, 360.0)
-    sides = {name: bool(flag(name, value)) for name, value in (("back", back), ("transmitted", transmitted))}
-    apart = flag("regular_apart", regular_apart)
+    back, transmitted = bool(flag("back", back)), bool(flag("transmitted", transmitted))
     task = Task(
-        parse_sample(sample), sigmas, wavelengths_nm=wavelengths, psi_deg=psi, regular="apart" if apart else "seen", **sides
-    )
+        parse_sample(sample), sigmas, wavelengths_nm=wavelengths, back=back, transmitted=transmitted, psi_deg=psi,
+        regular="apart" if flag("regular_apart", regular_apart) else "seen",
+    )  # fmt: skip
     return dataset_of_simulation(simulate_task(task))
 
 

@@ -108,6 +108,8 @@ class SampleData:
 
     def where(self, chosen: Flags | Ints) -> "SampleData":
         """Some of the values, or all in another order."""
+        if chosen.dtype == bool and chosen.all():  # a long journal is not copied
+            return self
         measured = self.measured
         return replace(
             self, values=self.values.where(chosen), theta_deg=self.theta_deg[chosen], phi_deg=self.phi_deg[chosen],

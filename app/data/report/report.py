@@ -6,10 +6,10 @@ One HTML file that needs no other. All texts of the journal are escaped: a journ
 import base64
 import io
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -30,6 +30,7 @@ from goniotwin.app.formats.file import SQLITE, read_head, write_file
 from goniotwin.app.formats.metadata import Metadata
 from goniotwin.protocols.clock import calendar_stamp
 
+T = TypeVar("T")
 TEMPLATE = "report.html.j2"
 MISSING = "a report needs Jinja2, which is not installed; install it: pip install 'goniotwin[report]'"
 CAPTIONS: dict[Kind, str] = {
@@ -83,11 +84,13 @@ def report_html(path: Path, *, without_damaged: bool = False) -> tuple[str, dict
     rig = reduction.rig
     metadata = {name: dataset[name].metadata for name in dataset}
     first = next(iter(metadata.values()), Metadata(title=dataset.name))
+    reflectances = _reflectances(verdicts)
     html = template.render(
         title=first.title, name=dataset.name, simulated=dataset.simulated, seed=rig.seed if dataset.simulated else None,
         written=calendar_stamp(), metadata=list(_groups(first)), date=first.date, method=first.method, geometry=first.geometry,
         summary=_summary(dataset, verdicts), samples=[_sample(dataset[name], metadata[name]) for name in dataset],
-        verdicts=verdicts, reflectances=_reflectances(verdicts), closure=_closure(closure), rule=INTERVAL_RULE,
+        verdicts=verdicts, reflectances=_spread(reflectances, MOST_LIGHTS), all_reflectances=len(reflectances),
+        closure=_closure(closure), rule=INTERVAL_RULE,
         interval_u=INTERVAL_U, notes=dataset.notes, findings=dataset.findings,
         events=[(title, found[:MOST_EVENTS], max(0, len(found) - MOST_EVENTS)) for title, found in events],
         sessions=sessions, rows=(done, planned), seconds=seconds, chain=chain, schedule=schedule,
@@ -290,6 +293,13 @@ def _budget(dataset: Dataset, measured: Measured, k: int) -> dict[str, Any]:
 def _reflectances(verdicts: list[Verdict]) -> list[dict[str, Any]]:
     """The directional-hemispherical reflectances that the check of energy has computed."""
     return [each for verdict in verdicts for each in verdict.figures.get("reflectances", [])]
+
+
+def _spread(every: Sequence[T], most: int) -> Sequence[T]:
+    """All of a list, or of a long one so many, evenly spread, with the first and the last."""
+    if len(every) <= most:
+        return every
+    return [every[k] for k in np.linspace(0, len(every) - 1, most).round().astype(int)]
 
 
 def _closure(report: ClosureReport) -> dict[str, Any]:

@@ -23,6 +23,7 @@ from goniotwin.app.data.opening import dataset_of_file
 from goniotwin.app.formats.content import ABSENT, BsdfFile, RegularTable
 from goniotwin.app.formats.table import BsdfTable
 from goniotwin.app.rig import read_rig
+from goniotwin.twin.optics import from_specular
 from tests.app.data.made import gaussian, lambertian, rings, table
 from tests.conftest import Writer
 
@@ -74,6 +75,17 @@ def test_the_weights_of_a_grid_add_up_to_the_half_sphere(sigma_deg: float, mirro
     held, share = grid_weights(theta[:4], phi, sigma_deg, mirrored=mirrored)
     assert held.sum() == pytest.approx(math.pi, rel=2e-3)
     assert 0.9 < share < 1.0
+
+
+def test_the_weights_of_a_grid_have_the_cosine_at_each_direction() -> None:
+    theta, phi = np.arange(0.5, 180.0, 1.0), np.arange(1.0, 180.0, 2.0)
+    t, p = np.meshgrid(theta, phi)
+    towards_the_normal = 1.0 + np.cos(np.radians(p))
+    cosine = np.maximum(from_specular(60.0, t, p)[..., 2], 0.0)
+    expected = 2.0 * np.sum(towards_the_normal * cosine * np.sin(np.radians(t))) * math.radians(1.0) * math.radians(2.0)
+    at, around = np.array([0.0, 180.0]), np.arange(0.0, 181.0, 10.0)
+    weights, _ = grid_weights(at, around, 60.0, mirrored=True)
+    assert np.sum(weights * (1.0 + np.cos(np.radians(around)))[:, None]) == pytest.approx(expected, rel=4e-3)
 
 
 @pytest.mark.parametrize("sigma_deg", [0.0, 60.0])

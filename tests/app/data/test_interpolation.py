@@ -129,7 +129,7 @@ def test_scattered_directions_are_on_no_grid() -> None:
     rng = np.random.default_rng(1)
     n = 200
     part = ScatteredBsdf(np.zeros(n), np.zeros(n), rng.uniform(0.0, 80.0, n), rng.uniform(0.0, 360.0, n), np.ones(n))
-    with pytest.raises(goniotwin.GoniotwinError, match="on a grid; the nearest directions"):
+    with pytest.raises(goniotwin.GoniotwinError, match=r"on rings nor on a grid, .*; the nearest directions"):
         dataset(part).at(theta_deg=10, phi_deg=50)
 
 

@@ -142,7 +142,7 @@ def test_labels_of_a_polar_diagram_are_few() -> None:
         assert 2 <= len([each for each in labels if each]) <= 6
 
 
-def test_a_long_name_is_shortened_to_the_picture_and_the_azimuth_of_the_light_is_said() -> None:
+def test_a_title_has_a_long_name_in_short_and_the_azimuth_of_the_light() -> None:
     part = two_wavelengths().only.values
     turned = replace(part, psi_deg=np.full(part.size, 90.0), isotropic=False)
     figure = plot(replace(made(turned), name="x" * 300 + ".csv"), "hemisphere", wavelength_nm=450.0)

@@ -133,6 +133,17 @@ def test_many_numbers_are_the_first_and_the_last() -> None:
     assert _text([400.0, 550.5]) == "400, 550.5"
 
 
+@pytest.mark.usefixtures("without_pictures")
+def test_of_many_reflectances_some_are_listed(journal: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    many = [{"of": f"reflectance {k}", "value": 0.5, "u": 0.01} for k in range(1000)]
+    monkeypatch.setattr("goniotwin.app.data.report.report._reflectances", lambda _: many)
+    page = Page(report_html(journal)[0])
+    assert 20 < page.text.count("reflectance ") < 40
+    assert "reflectance 0 0.5000" in page.text
+    assert "reflectance 999 0.5000" in page.text
+    assert "24 of 1000; all are in goniotwin verify JOURNAL --json" in page.text
+
+
 def test_a_file_that_is_no_journal_has_no_report(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     path.write_text("sample,sigma_deg\n", encoding="utf-8")
