@@ -59,7 +59,7 @@ class Choice:
 
     @property
     def everything(self) -> bool:
-        """Whether nothing is left out."""
+        """Whether no choice is made."""
         return (self.sample, self.light, self.side, self.wavelength_nm) == (None, None, None, None)
 
 
@@ -369,7 +369,10 @@ def _of_wavelength(content: BsdfFile, path: Path, form: Format, wavelength_nm: f
     if wavelength_nm is None:
         if there.size > 1 and Holds.WAVELENGTHS not in form.holds:
             wrong = f"a {form.name} file has one wavelength, and there are {listed(there, 'nm')}"
-            raise UserError(f"{path}: {wrong}; choose one with --wavelength, or write a file of each with --wavelength all")
+            others = registry.others(registry.content_needs(content))
+            raise UserError(
+                f"{path}: {wrong}; choose one with --wavelength, write a file of each with --wavelength all, or use {others}"
+            )
         return content
     _check_wavelength(path, there, wavelength_nm)
     kept: list[Part] = []
@@ -391,7 +394,8 @@ def _of_kind(content: BsdfFile, path: Path, form: Format, notes: list[str]) -> B
     others = tuple(part for part in content.parts if not isinstance(part, RegularTable))
     if not form.holds & {Holds.GRID, Holds.POINTS}:
         if not content.regular:
-            raise UserError(f"{path}: a {form.name} file holds {Holds.REGULAR}, which is not there; use another format")
+            wrong = f"a {form.name} file holds {Holds.REGULAR}, which is not there"
+            raise UserError(f"{path}: {wrong}; use {registry.others(registry.content_needs(content))}")
         if others:
             notes.append("the scattered part is omitted: it is in a file of its own")
         return replace(content, parts=content.regular)

@@ -6,7 +6,7 @@ comes from the polar angle sigma and the azimuth psi; without psi it comes from 
 
 import math
 import re
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
@@ -46,9 +46,9 @@ class ScatteredBsdf:
     1/sr, NaN where a direction was measured without a value; `u` their standard uncertainty, NaN where unknown, and `u_shared`
     the part of it that neighbouring values share. `wavelength_nm` is NaN for grey values and for those of a colour, whose name
     ("red", "X") is in `channel`. `flags` are words separated by a space. `back`: lit on the back; the frame is then that of the
-    sample turned about x. `photodiode` is -1 where there is none. `generated` values are simulated. `widest_gap_deg`: a table of
-    them has holes between directions further apart; None: how far follows from the values. Raises ValueError where these do not
-    fit together.
+    sample turned about x. `photodiode` is -1 where there is none. `generated` values are simulated. `widest_gap_deg`: a table
+    of them has holes between directions further apart; None: how far follows from the values. Raises ValueError where these do
+    not fit together.
     """
 
     sigma_deg: Floats
@@ -189,6 +189,16 @@ class BsdfFile:
         """Whether any part is simulated."""
         return any(part.generated for part in self.parts)
 
+    def heading(self, comments: Iterable[str]) -> list[str]:
+        """The lines at the top of a text file: metadata, comments on the file, and those of its parts.
+
+        What the metadata state is omitted from the comments, but for the name of the sample, which readers take from there.
+        """
+        stated = self.metadata.texts()
+        rest = (*self.comments, *comments)
+        kept = [line for line in rest if line.startswith("sample: ") or stated.isdisjoint({line, line.partition(": ")[2]})]
+        return [*self.metadata.lines(), *kept]
+
     @property
     def samples(self) -> tuple[str, ...]:
         """The names of the samples, each once, in the order of the file."""
@@ -225,9 +235,7 @@ class BsdfFile:
     def of_points(self) -> "BsdfFile":
         """Without the tables of which the scattered values are there, by sample, light and side: an archive has both, and the
         tables are made of the others."""
-        own = {
-            (each.sample, bool(one.transmitted[0]), bool(one.back[0])) for each in self.scattered for one in separate(each)
-        }
+        own = {(each.sample, bool(one.transmitted[0]), bool(one.back[0])) for each in self.scattered for one in separate(each)}
         kept = (
             each for each in self.parts
             if not (isinstance(each, BsdfTable) and (each.sample, each.transmitted, each.back) in own)
@@ -267,9 +275,7 @@ def read_gaps(content: BsdfFile) -> BsdfFile:
             parts.append(replace(each, widest_gap_deg=float(stated[0]), comments=rest))
         else:
             parts.append(each)
-    return replace(
-        content, parts=tuple(parts), comments=tuple(line for line in content.comments if not GAP.fullmatch(line))
-    )
+    return replace(content, parts=tuple(parts), comments=tuple(line for line in content.comments if not GAP.fullmatch(line)))
 
 
 def separate(part: ScatteredBsdf) -> Iterator[ScatteredBsdf]:

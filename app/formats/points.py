@@ -88,7 +88,6 @@ def stream_of(content: BsdfFile) -> PointStream:
     written = {name for name in OPTIONAL_COLUMNS for part in parts if (getattr(part, name) != _NONE[name]).any()}
     comments = [
         *([f"{SIMULATED}no value is from a real instrument"] if content.simulated else []),
-        *content.metadata.lines(),
         *(
             f"{name}: {line}"
             for name, metadata in content.of_samples.items()
@@ -99,8 +98,7 @@ def stream_of(content: BsdfFile) -> PointStream:
         "theta, phi: about the specular direction, phi 0 towards the normal; degrees",
         "bsdf with its standard uncertainty u_bsdf in 1/sr, u_shared the part of it that neighbouring values share; "
         "luminance_factor is pi times bsdf",
-        *content.comments,
-        *(comment for part in parts for comment in part.comments),
+        *content.heading(comment for part in parts for comment in part.comments),
     ]
     return PointStream(
         list(dict.fromkeys(comments)), (_columns_of(piece, written) for part in parts for piece in _pieces(part))

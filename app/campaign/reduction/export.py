@@ -45,8 +45,8 @@ def scattered_of(reduced: ReducedJournal, sample: str | None = None, metadata: M
     for name, source in chosen.items():
         columns = [_scattered_columns(points) for points in source.parts(PART_POINTS)]
         joined = {key: np.concatenate([each[key] for each in columns]) for key in columns[0]}
-        symmetry = [f"symmetry: {reduced.symmetry[name]}"] if name in reduced.symmetry else []
-        parts.append(_scattered(joined, name, reduced.simulated, (f"sample: {name}", *symmetry)))
+        symmetry = (f"symmetry: {reduced.symmetry[name]}",) if name in reduced.symmetry else ()
+        parts.append(_scattered(joined, name, reduced.simulated, symmetry))
     return BsdfFile(tuple(parts), metadata or Metadata(title=reduced.name), tuple(heading(reduced)))
 
 
@@ -59,8 +59,8 @@ def _scattered(
     columns: dict[str, np.ndarray], sample: str, generated: bool, comments: tuple[str, ...] = ()
 ) -> ScatteredBsdf:  # fmt: skip
     return ScatteredBsdf(
-        **columns, sample=sample, isotropic=has_one_psi(columns["psi_deg"], columns["flags"]), generated=generated, comments=comments,
-        widest_gap_deg=WIDEST_GAP_DEG,
+        **columns, sample=sample, isotropic=has_one_psi(columns["psi_deg"], columns["flags"]), generated=generated,
+        comments=comments, widest_gap_deg=WIDEST_GAP_DEG,
     )  # fmt: skip
 
 

@@ -1,6 +1,7 @@
 """Conversion between formats: what goes along, what is chosen, what is omitted and named; and its commands."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -202,7 +203,9 @@ def spectral() -> BsdfTable:
 def test_one_wavelength_is_chosen_or_each_has_a_file(tmp_path: Path) -> None:
     regular = RegularTable(np.zeros(1), np.full((3, 1, 1), 0.04), (450.0, 550.0, 632.8))
     content, out = BsdfFile((spectral(), nodes(spectral()), regular)), tmp_path / "a.bsdf"
-    with pytest.raises(UserError, match=r"a zemax file has one wavelength, and there are 450, 550, 632.8 nm; .* --wavelength all"):
+    with pytest.raises(
+        UserError, match=r"a zemax file has one wavelength, and there are 450, 550, 632.8 nm; .* --wavelength all"
+    ):
         convert(content, out)
     with pytest.raises(UserError, match=r"no wavelength 600 nm: there are 450, 550, 632.8 nm; the nearest are 550 and 632.8"):
         convert(content, out, wavelength_nm=600.0)
@@ -230,7 +233,9 @@ def test_a_wavelength_is_a_number_or_all(text: str) -> None:
         parse_wavelength(text)
 
 
-def test_of_a_journal_one_wavelength_has_every_column(journal: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_of_a_journal_one_wavelength_has_every_column(
+    journal: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     (whole, one, every) = (
         Path(run(capsys, "export", journal, "--out", tmp_path / name, *options)["file"])
         for name, options in (("a.csv", ()), ("b.csv", ("--wavelength", 550)), ("c.csv", ("--wavelength", "all")))
@@ -262,9 +267,48 @@ def test_info_states_of_what_a_journal_is_and_how_complete(journal: Path, capsys
     found = run(capsys, "info", journal)
     assert found["samples"] == [{"sample": "gaussian-5", "rows": 3, "planned": 3}]
     assert (found["rows"], found["planned"], found["simulated"], found["damage"]) == (12, 12, True, "")
-    assert (found["sigma_deg"], found["wavelengths_nm"], found["light"], found["side"]) == ([30], [550], ["reflected"], ["front"])
+    assert (found["sigma_deg"], found["wavelengths_nm"], found["light"], found["side"]) == (
+        [30],
+        [550],
+        ["reflected"],
+        ["front"],
+    )
     app(["info", str(journal)], standalone_mode=False)
     lines = capsys.readouterr().out.splitlines()
     assert lines[2] == "gaussian-5: reflected light on the front, stated as isotropic, 3 of 3 rows measured"
     assert {"  sigma: 30 deg", "  wavelengths: 550 nm"} <= set(lines)
     assert "linearly polarised" in lines[-1]
+
+
+def test_a_result_has_not_the_name_of_a_file_beside_another(tmp_path: Path) -> None:
+    for name, what in (("a.u.ddr", "uncertainties"), ("a.mask.ddr", "mask")):
+        with pytest.raises(UserError, match=rf"{name}: the {what} of a.ddr would have this name; choose another one"):
+            format_to_write(tmp_path / name)
+    assert format_to_write(tmp_path / "a.u.csv").name == "csv"  # which has a column for it
+
+
+@pytest.mark.parametrize(
+    ("colours", "refusing", "holding"),
+    [(("red", "green", "blue"), ".bsdf", ".ddr"), (("X", "Y", "Z"), ".ddr", ".bsdf"), (("L", "M", "S"), ".ddr", ".csv")],
+)
+def test_a_refusal_of_colours_names_formats_that_hold_them(
+    colours: tuple[str, ...], refusing: str, holding: str, tmp_path: Path
+) -> None:
+    known = np.ones((3, 1, 2, 2, 3), dtype=bool)
+    known[..., 2] = False
+    content = BsdfFile((replace(spectral(), wavelengths_nm=None, colours=colours, known=known),))
+    with pytest.raises(GoniotwinError) as caught:
+        convert(content, tmp_path / f"a{refusing}")
+    assert f"a{refusing}: a " in str(caught.value)  # not the mask beside it
+    named = re.findall(r"(\w+) \((\.\w+)", str(caught.value).partition("; use ")[2])
+    assert holding in [suffix for _, suffix in named]
+    for name, suffix in named:
+        convert(content, tmp_path / f"b{suffix}", name)
+
+
+def test_no_comment_repeats_what_the_metadata_state(journal: Path, tmp_path: Path) -> None:
+    app(["export", str(journal), "--out", str(tmp_path / "a.ddr")], standalone_mode=False)
+    texts = [line.removeprefix(";; ").rpartition(": ")[2] for line in (tmp_path / "a.ddr").read_text().splitlines()]
+    for stated in ("the light at the sample", "no checksums", "virtual goniophotometer"):
+        assert sum(text.startswith(stated) for text in texts) <= 1
+    assert (tmp_path / "a.ddr").read_text().count(";; sample: gaussian-5") == 1

@@ -189,7 +189,9 @@ def test_export_writes_the_archive(tmp_path: Path, capsys: pytest.CaptureFixture
     assert (tmp_path / "again.csv").is_file()
 
 
-def test_a_table_is_the_same_by_every_way(archived: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_table_is_the_same_by_every_way(
+    archived: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Of the journal, of its CSV and of its archive: the rule of the widest gap goes along, whatever the filling."""
     journal, archive_file = archived
     app(["export", str(journal), "--out", str(tmp_path / "points.csv")], standalone_mode=False)
@@ -200,7 +202,9 @@ def test_a_table_is_the_same_by_every_way(archived: tuple[Path, Path], tmp_path:
         app(["convert", str(source), str(out), "--fill", "fit", "--json"], standalone_mode=False)
         result = json.loads(capsys.readouterr().out)
         (share,) = result["not_measured"]
-        found.append((result["values"], share["share"], *(registry.read(Path(each)).only_table().values for each in result["files"])))
+        found.append(
+            (result["values"], share["share"], *(registry.read(Path(each)).only_table().values for each in result["files"]))
+        )
     for other in found[1:]:
         assert other[0] == found[0][0]
         assert other[1] == pytest.approx(found[0][1], rel=1e-7)
