@@ -127,8 +127,8 @@ def _convert(
         refuse_itself,
     )
 
-    *others, wavelength, fill = options
-    form, choice = format_to_write(out, name), Choice(*others, parse_wavelength(wavelength), fill)
+    sample, light, side, wavelength, fill = options
+    form, choice = format_to_write(out, name), Choice(sample, light, side, parse_wavelength(wavelength), fill)
     refuse_itself(source, out, form)
     result: dict[str, Any] = {}
     lines: list[str] = []
