@@ -458,15 +458,15 @@ def _refilled(table: BsdfTable, path: Path, fill: Fill) -> BsdfTable:
         except ValueError as error:
             raise UserError(f"{path}: {error}; choose another --fill") from None
     values = fill_holes(table.theta_deg, table.sigma_deg, table.values, table.known, fill)
-    some = np.flatnonzero(table.known.any(axis=(0, 1, 3, 4)))
-    for s, nearest in ((0, some[0]), (-1, some[-1])) if some.size else ():
+    measured = np.flatnonzero(table.known.any(axis=(0, 1, 3, 4)))
+    for s, nearest in ((0, measured[0]), (-1, measured[-1])) if measured.size else ():
         if np.array_equal(table.values[:, :, s], table.values[:, :, nearest]):  # repeated, because readers extrapolate
             values[:, :, s] = values[:, :, nearest]
-    shares = unmeasured_share(*axes, values, table.known)[:, :, some]
+    shares = unmeasured_share(*axes, values, table.known)[:, :, measured]
     names = table.colours or tuple(f"{each:g} nm" for each in table.wavelengths_nm or ()) or ("",)
     comments = (
         *(line for line in table.comments if not line.startswith(ABOUT_SHARE)),
-        *share_lines(shares, axes[0][some], names, table.psi_deg, "measured"),
+        *share_lines(shares, axes[0][measured], names, table.psi_deg, "measured"),
         f"holes filled again by {fill}",
     )
     u = None if table.u is None else np.where(table.known, table.u, np.maximum(table.u, np.abs(values)))
