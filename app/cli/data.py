@@ -12,6 +12,7 @@ from rich.table import Table
 from rich.text import Text
 
 from goniotwin.app.cli.output import CommandWithFormats, Json, answer, print_error, print_warning
+from goniotwin.app.formats.fills import Fill
 
 if TYPE_CHECKING:  # the reduction loads numpy, which a command's help does not need
     from goniotwin.app.campaign.reduction.budget import Budget
@@ -51,7 +52,7 @@ WavelengthOption = Annotated[
     ),
 ]
 FillOption = Annotated[
-    Literal["hold", "neighbour", "fit", "refuse"],
+    Fill,
     typer.Option("--fill", help="How a table's holes are filled, where nothing was measured: docs/formats.md."),
 ]
 DamagedOption = Annotated[
@@ -126,8 +127,8 @@ def _convert(
         refuse_itself,
     )
 
-    *others, wavelength, fill = options
-    form, choice = format_to_write(out, name), Choice(*others, parse_wavelength(wavelength), fill)
+    sample, light, side, wavelength, fill = options
+    form, choice = format_to_write(out, name), Choice(sample, light, side, parse_wavelength(wavelength), fill)
     refuse_itself(source, out, form)
     result: dict[str, Any] = {}
     lines: list[str] = []

@@ -139,6 +139,8 @@ def report(
     file = journal.with_suffix(".html") if out is None else out
     if os.path.realpath(file) == os.path.realpath(journal):
         raise UserError(f"{file}: is the journal itself; choose another name with --out")
+    if file.suffix.lower() not in (".html", ".htm"):
+        raise UserError(f"{file}: a report is an HTML file; give a name that ends with .html")
     result = write_report(journal, file, without_damaged=without_damaged)
     mark = "SIMULATED, " if result["simulated"] else ""
     answer(as_json, result, lambda: print(f"{mark}report: {file}"))

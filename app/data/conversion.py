@@ -38,6 +38,7 @@ from goniotwin.app.formats.holes import FILLS, Fill, fill_holes, refuse_holes, u
 from goniotwin.app.formats.metadata import common_metadata
 from goniotwin.app.formats.numerals import NotANumber, format_number, parse_number
 from goniotwin.app.formats.registry import Format, Holds
+from goniotwin.app.formats.specular_grid import ABOUT_SHARE, share_lines
 from goniotwin.arrays import Floats
 
 Light = Literal["reflected", "transmitted"]
@@ -59,7 +60,7 @@ class Choice:
 
     @property
     def everything(self) -> bool:
-        """Whether nothing is left out."""
+        """Whether no choice is made."""
         return (self.sample, self.light, self.side, self.wavelength_nm) == (None, None, None, None)
 
 
@@ -369,7 +370,10 @@ def _of_wavelength(content: BsdfFile, path: Path, form: Format, wavelength_nm: f
     if wavelength_nm is None:
         if there.size > 1 and Holds.WAVELENGTHS not in form.holds:
             wrong = f"a {form.name} file has one wavelength, and there are {listed(there, 'nm')}"
-            raise UserError(f"{path}: {wrong}; choose one with --wavelength, or write a file of each with --wavelength all")
+            others = registry.others(registry.content_needs(content))
+            raise UserError(
+                f"{path}: {wrong}; choose one with --wavelength, write a file of each with --wavelength all, or use {others}"
+            )
         return content
     _check_wavelength(path, there, wavelength_nm)
     kept: list[Part] = []
@@ -391,7 +395,8 @@ def _of_kind(content: BsdfFile, path: Path, form: Format, notes: list[str]) -> B
     others = tuple(part for part in content.parts if not isinstance(part, RegularTable))
     if not form.holds & {Holds.GRID, Holds.POINTS}:
         if not content.regular:
-            raise UserError(f"{path}: a {form.name} file holds {Holds.REGULAR}, which is not there; use another format")
+            wrong = f"a {form.name} file holds {Holds.REGULAR}, which is not there"
+            raise UserError(f"{path}: {wrong}; use {registry.others(registry.content_needs(content))}")
         if others:
             notes.append("the scattered part is omitted: it is in a file of its own")
         return replace(content, parts=content.regular)
@@ -453,8 +458,19 @@ def _refilled(table: BsdfTable, path: Path, fill: Fill) -> BsdfTable:
         except ValueError as error:
             raise UserError(f"{path}: {error}; choose another --fill") from None
     values = fill_holes(table.theta_deg, table.sigma_deg, table.values, table.known, fill)
+    measured = np.flatnonzero(table.known.any(axis=(0, 1, 3, 4)))
+    for s, nearest in ((0, measured[0]), (-1, measured[-1])) if measured.size else ():
+        if np.array_equal(table.values[:, :, s], table.values[:, :, nearest]):  # repeated, because readers extrapolate
+            values[:, :, s] = values[:, :, nearest]
+    shares = unmeasured_share(*axes, values, table.known)[:, :, measured]
+    names = table.colours or tuple(f"{each:g} nm" for each in table.wavelengths_nm or ()) or ("",)
+    comments = (
+        *(line for line in table.comments if not line.startswith(ABOUT_SHARE)),
+        *share_lines(shares, axes[0][measured], names, table.psi_deg, "measured"),
+        f"holes filled again by {fill}",
+    )
     u = None if table.u is None else np.where(table.known, table.u, np.maximum(table.u, np.abs(values)))
-    return replace(table, values=values, u=u, comments=(*table.comments, f"holes filled again by {fill}"))
+    return replace(table, values=values, u=u, comments=comments)
 
 
 def _as_points(content: BsdfFile, form: Format, notes: list[str]) -> BsdfFile:

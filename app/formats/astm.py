@@ -185,7 +185,7 @@ def write(path: Path, content: BsdfFile) -> None:
         *([f"sample: {values.sample}"] if values.sample else []),
         "light and observed directions about the normal, rad; values in 1/sr",
         *([f"{without} directions without a value are not written"] if without else []),
-        *content.metadata.lines(), *content.comments, *values.comments,
+        *content.heading(values.comments),
     ]  # fmt: skip
     head = [f"# {_safe(line)}".rstrip() for line in comment_lines(comments, ascii_only=True)]
     head += [f"NUM_POINTS {table.shape[1]}", f"VARS theta_i,phi_i,theta_s,phi_s,{','.join(channels)}\n"]

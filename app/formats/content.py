@@ -6,7 +6,7 @@ comes from the polar angle sigma and the azimuth psi; without psi it comes from 
 
 import math
 import re
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
@@ -50,9 +50,9 @@ class ScatteredBsdf:
     1/sr, NaN where a direction was measured without a value; `u` their standard uncertainty, NaN where unknown, and `u_shared`
     the part of it that neighbouring values share. `wavelength_nm` is NaN for grey values and for those of a colour, whose name
     ("red", "X") is in `channel`. `flags` are words separated by a space. `back`: lit on the back; the frame is then that of the
-    sample turned about x. `photodiode` is -1 where there is none. `generated` values are simulated. `widest_gap_deg`: a table of
-    them has holes between directions further apart; None: how far follows from the values. Raises ValueError where these do not
-    fit together.
+    sample turned about x. `photodiode` is -1 where there is none. `generated` values are simulated. `widest_gap_deg`: a table
+    of them has holes between directions further apart; None: how far follows from the values. Raises ValueError where these do
+    not fit together.
     """
 
     sigma_deg: Floats
@@ -192,6 +192,16 @@ class BsdfFile:
     def simulated(self) -> bool:
         """Whether any part is simulated."""
         return any(part.generated for part in self.parts)
+
+    def heading(self, comments: Iterable[str]) -> list[str]:
+        """The lines at the top of a text file: metadata, comments on the file, and those of its parts.
+
+        What the metadata state is omitted from the comments, but for the name of the sample, which readers take from there.
+        """
+        stated = self.metadata.texts()
+        rest = (*self.comments, *comments)
+        kept = [line for line in rest if line.startswith("sample: ") or stated.isdisjoint({line, line.partition(": ")[2]})]
+        return [*self.metadata.lines(), *kept]
 
     @property
     def samples(self) -> tuple[str, ...]:

@@ -174,7 +174,7 @@ def write(path: Path, content: BsdfFile) -> None:
         theta_deg=table.theta_deg,
         channels=table.wavelengths_nm or table.colours or (None,),
         values=np.pi * table.values,
-        comments=(*content.metadata.lines(), *content.comments, *noted(table)),
+        comments=tuple(content.heading(noted(table))),
     )
     write_ddr(path, written)
 

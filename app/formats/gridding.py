@@ -28,6 +28,8 @@ from goniotwin.twin.optics.geometry.coordinates import (
 
 FINEST_DEG = 0.1
 PHI_STEP_DEG = 5.0
+USUAL = {name: k for k, name in enumerate(("red", "green", "blue", "X", "Y", "Z"))}
+"""The order of colours in tables; others are in that of the values."""
 NEAR_DEG = 3.0
 """Between directions no further apart than this there is always interpolation."""
 UNLIKE = 0.05
@@ -136,7 +138,7 @@ def _unlike_halves(points: _Values) -> float:
 def _channels(values: ScatteredBsdf) -> tuple[tuple[str, ...], Ints, tuple[float, ...] | None, tuple[str, ...]]:
     """The channels in words, the index of each value's, and the wavelengths or the colours of a table."""
     if (values.channel != "").any():
-        colours = tuple(dict.fromkeys(values.channel.tolist()))
+        colours = tuple(sorted(dict.fromkeys(values.channel.tolist()), key=lambda name: USUAL.get(name, len(USUAL))))
         order = {name: k for k, name in enumerate(colours)}
         return colours, np.array([order[name] for name in values.channel.tolist()]), None, colours
     grey = np.isnan(values.wavelength_nm)

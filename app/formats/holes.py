@@ -12,16 +12,15 @@ Whatever the way, the uncertainty of a filled value is at least the value itself
 """
 
 import math
-from typing import Literal, get_args
 
 import numpy as np
 
+from goniotwin.app.formats.fills import FILLS as FILLS
+from goniotwin.app.formats.fills import Fill as Fill
 from goniotwin.arrays import Flags, Floats
 from goniotwin.twin.optics import from_specular
 from goniotwin.twin.optics.geometry.coordinates import TOLERANCE_DEG, zenith_and_azimuth
 
-Fill = Literal["hold", "neighbour", "fit", "refuse"]
-FILLS: tuple[Fill, ...] = get_args(Fill)
 FEWEST = 4
 """Values around a peak that a lobe is fitted to."""
 ABOUT_FILL: dict[Fill, tuple[str, ...]] = {

@@ -4,7 +4,7 @@ The names follow BiRD (https://github.com/BiRD-project) and ASTM E2387, section 
 an empty text, None or an empty list: not stated.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
@@ -103,12 +103,24 @@ class Metadata:
         """What is stated, one line each, for comments at the top of a text file."""
         return list(_lines(self.as_dict()))
 
+    def texts(self) -> set[str]:
+        """The texts that are stated, without their names."""
+        return set(_texts(self.as_dict()))
+
 
 def _stated(entries: dict[str, Any]) -> dict[str, Any]:
     inner = {name: _stated(each) if isinstance(each, dict) else each for name, each in entries.items()}
     return {
         name: list(each) if isinstance(each, tuple) else each for name, each in inner.items() if each not in ("", None, (), {})
     }
+
+
+def _texts(entries: Any) -> Iterator[str]:
+    if isinstance(entries, dict | list):
+        for each in entries.values() if isinstance(entries, dict) else entries:
+            yield from _texts(each)
+    elif isinstance(entries, str):
+        yield entries
 
 
 def _lines(entries: dict[str, Any], group: str = "") -> list[str]:

@@ -95,7 +95,6 @@ def stream_of(content: BsdfFile) -> PointStream:
     written = {name for name in OPTIONAL_COLUMNS for part in parts if (getattr(part, name) != _NONE[name]).any()}
     comments = [
         *([f"{SIMULATED}no value is from a real instrument"] if content.simulated else []),
-        *content.metadata.lines(),
         *(
             f"{name}: {line}"
             for name, metadata in content.of_samples.items()
@@ -107,8 +106,7 @@ def stream_of(content: BsdfFile) -> PointStream:
         "bsdf with its standard uncertainty u_bsdf in 1/sr, u_shared the part of it that neighbouring values share; "
         "luminance_factor is pi times bsdf",
         *(SYMMETRY_LINES[each] for each in symmetries if len(symmetries) == 1),
-        *content.comments,
-        *(comment for part in parts for comment in part.comments),
+        *content.heading(comment for part in parts for comment in part.comments),
     ]
     return PointStream(
         list(dict.fromkeys(comments)), (_columns_of(piece, written) for part in parts for piece in _pieces(part))

@@ -44,7 +44,9 @@ class Holds(StrEnum):
     SAMPLES = "several samples"
     SIGMAS = "several sigmas"
     WAVELENGTHS = "several wavelengths"
-    COLOURS = "colours instead of wavelengths"
+    RGB = "red, green and blue"
+    XYZ = "tristimulus values X, Y and Z"
+    COLOURS = "colours of any names"
     PSI = "several azimuths of the light (psi)"
     REFLECTED = "reflected light"
     TRANSMITTED = "transmitted light"
@@ -60,6 +62,8 @@ class Holds(StrEnum):
 BSDF = frozenset({Holds.GRID, Holds.POINTS, Holds.REGULAR})
 """The kinds of content of a `BsdfFile`."""
 KINDS = BSDF | {Holds.RAYS}
+PRIMARIES = {frozenset({"red", "green", "blue"}): Holds.RGB, frozenset({"X", "Y", "Z"}): Holds.XYZ}
+"""Colours that formats have keywords for."""
 
 
 class Codec(Protocol):
@@ -108,6 +112,8 @@ class Format:
             each.startswith(".") and each == each.lower() for each in self.suffixes
         ):
             raise ValueError(f"format {self.name!r}: suffixes are in lower case and begin with a dot, not {self.suffixes}")
+        if Holds.COLOURS in self.holds:
+            object.__setattr__(self, "holds", self.holds | {Holds.RGB, Holds.XYZ})
 
     def __str__(self) -> str:
         return f"{self.name} ({', '.join(self.suffixes)})" if self.suffixes else self.name
@@ -151,35 +157,36 @@ class Format:
             raise FormatError(path, wrong, "correct its installation, or use another format") from error
 
 
-_TABLE = frozenset({Holds.GRID, Holds.SIGMAS, Holds.WAVELENGTHS, Holds.COLOURS, Holds.PSI, Holds.COMMENTS})
-_FACTORS = frozenset({Holds.REGULAR, Holds.SIGMAS, Holds.WAVELENGTHS, Holds.COLOURS, Holds.COMMENTS})
+_TABLE = frozenset({Holds.GRID, Holds.SIGMAS, Holds.WAVELENGTHS, Holds.PSI, Holds.COMMENTS})
+_LUMICEPT = _TABLE | {Holds.RGB}
+_FACTORS = frozenset({Holds.REGULAR, Holds.SIGMAS, Holds.WAVELENGTHS, Holds.RGB, Holds.COMMENTS})
 _BOTH = frozenset({Holds.REFLECTED, Holds.TRANSMITTED})
 _LIST = frozenset({Holds.POINTS, Holds.SIGMAS, Holds.PSI, Holds.REFLECTED, Holds.COMMENTS})
 _MEASURED = frozenset({Holds.POINTS, Holds.SIGMAS, Holds.SAMPLES, Holds.REFLECTED, Holds.COMMENTS})
 _CSV = frozenset(set(Holds) - {Holds.GRID, Holds.REGULAR, Holds.RAYS, Holds.METADATA})
 
 BUILT_IN = (
-    Format("ddr", "Lumicept table of a BRDF", (".ddr",), _TABLE | {Holds.REFLECTED}, "goniotwin.app.formats.ddr"),
-    Format("ddt", "Lumicept table of a BTDF", (".ddt",), _TABLE | {Holds.TRANSMITTED}, "goniotwin.app.formats.ddr"),
+    Format("ddr", "Lumicept table of a BRDF", (".ddr",), _LUMICEPT | {Holds.REFLECTED}, "goniotwin.app.formats.ddr"),
+    Format("ddt", "Lumicept table of a BTDF", (".ddt",), _LUMICEPT | {Holds.TRANSMITTED}, "goniotwin.app.formats.ddr"),
     Format("sdr", "Lumicept regular reflectance", (".sdr",), _FACTORS | {Holds.REFLECTED}, "goniotwin.app.formats.sdr"),
     Format("sdt", "Lumicept regular transmittance", (".sdt",), _FACTORS | {Holds.TRANSMITTED}, "goniotwin.app.formats.sdr"),
     Format(
         "ssdd", "BRDF, BTDF and regular factors of a sample", (".ssdd",),
-        _TABLE | _FACTORS | _BOTH | {Holds.LIGHTS, Holds.METADATA}, "goniotwin.app.formats.ssdd",
+        _TABLE | _FACTORS | _BOTH | {Holds.XYZ, Holds.LIGHTS, Holds.METADATA}, "goniotwin.app.formats.ssdd",
     ),
     Format(
-        "zemax", "Zemax tabular BRDF or BTDF, Monochrome or XYZ", (".bsdf",), (_TABLE - {Holds.WAVELENGTHS}) | _BOTH,
-        "goniotwin.app.formats.zemax",
+        "zemax", "Zemax tabular BRDF or BTDF, Monochrome or XYZ", (".bsdf",),
+        (_TABLE - {Holds.WAVELENGTHS}) | _BOTH | {Holds.XYZ}, "goniotwin.app.formats.zemax",
     ),
     Format(
         "lighttools", "LightTools tabular BSDF, by libbsdf's convention", (".bsdf",),
-        (_FACTORS - {Holds.REGULAR}) | _BOTH | {Holds.POINTS, Holds.LIGHTS, Holds.SIDES},
+        (_LIST - {Holds.PSI}) | _BOTH | {Holds.WAVELENGTHS, Holds.XYZ, Holds.LIGHTS, Holds.SIDES},
         "goniotwin.app.formats.lighttools", writes=False,
     ),
     Format("csv", "every point, with its uncertainty and flags", (".csv",), _CSV, "goniotwin.app.formats.points"),
     Format(
         "astm", "list in the style of ASTM E1392", (".astm",),
-        _LIST | {Holds.WAVELENGTHS, Holds.COLOURS, Holds.TRANSMITTED}, "goniotwin.app.formats.astm",
+        _LIST | {Holds.WAVELENGTHS, Holds.RGB, Holds.XYZ, Holds.TRANSMITTED}, "goniotwin.app.formats.astm",
     ),
     Format(
         "bird", "BiRD's universal BRDF format (JSON)", (".brdf", ".json"),
@@ -197,7 +204,7 @@ BUILT_IN = (
     ),
     Format(
         "pab", "text of pab's goniophotometers, by description", (),
-        _LIST | {Holds.SAMPLES, Holds.COLOURS, Holds.TRANSMITTED, Holds.LIGHTS, Holds.SIDES}, "goniotwin.app.formats.pab",
+        _LIST | {Holds.SAMPLES, Holds.XYZ, Holds.TRANSMITTED, Holds.LIGHTS, Holds.SIDES}, "goniotwin.app.formats.pab",
         writes=False, folders=True,
     ),
     Format("reflet", "text export of a REFLET goniophotometer", (), _MEASURED, "goniotwin.app.formats.reflet", writes=False),
@@ -211,7 +218,7 @@ BUILT_IN = (
         _TABLE | {Holds.REFLECTED}, "goniotwin.app.formats.rgl", resamples=True,
     ),
     Format(
-        "merl", "MERL's binary files", (".binary",), frozenset({Holds.GRID, Holds.SIGMAS, Holds.COLOURS, Holds.REFLECTED}),
+        "merl", "MERL's binary files", (".binary",), frozenset({Holds.GRID, Holds.SIGMAS, Holds.RGB, Holds.REFLECTED}),
         "goniotwin.app.formats.merl", writes=False,
     ),
     Format(
@@ -372,11 +379,16 @@ def check_holds(path: Path | str, found: Format, needs: Collection[Holds]) -> No
     if not missing and found.writes:
         return
     wrong = f"a {found.name} file does not hold {join_words(missing, 'and')}" if missing else f"{found.name} is only read"
-    scattered = {Holds.GRID, Holds.POINTS}  # one can be made of the other
+    found_others = others(needs)
+    raise FormatError(path, wrong, f"use {found_others}" if found_others else "write it in several files")
+
+
+def others(needs: Collection[Holds]) -> str:
+    """The formats that hold all of these, in words; a grid can be made of points, and points of a grid."""
+    scattered = {Holds.GRID, Holds.POINTS}
     kinds = BSDF if Holds.REGULAR in needs else scattered
-    others = [each for each in writers(*set(needs) - scattered) if each.holds & kinds]
-    remedy = f"use {join_words(map(str, others))}" if others else "write it in several files"
-    raise FormatError(path, wrong, remedy)
+    found = [str(each) for each in writers(*set(needs) - scattered) if each.holds & kinds]
+    return join_words(found) if found else ""
 
 
 def content_needs(content: "BsdfFile") -> frozenset[Holds]:
@@ -403,16 +415,17 @@ def _part_needs(part: "Part") -> tuple[set[Holds], set[bool]]:
 
     if isinstance(part, ScatteredBsdf):
         channels = np.unique(part.wavelength_nm[np.isfinite(part.wavelength_nm)]).size
-        kind, colours = Holds.POINTS, bool((part.channel != "").any())
+        kind, colours = Holds.POINTS, set(np.unique(part.channel).tolist()) - {""}
         psi = 1 if part.isotropic else np.unique(part.psi_deg).size
         sigmas, lights, sides = np.unique(part.sigma_deg).size, set(part.transmitted.tolist()), set(part.back.tolist())
     else:
         kind = Holds.REGULAR if isinstance(part, RegularTable) else Holds.GRID
-        channels, colours = len(part.wavelengths_nm or (0.0,)), bool(part.colours)
+        channels, colours = len(part.wavelengths_nm or (0.0,)), set(part.colours)
         sigmas, psi, lights, sides = part.sigma_deg.size, part.psi_deg.size, {part.transmitted}, {part.back}
-    several = {Holds.SIGMAS: sigmas, Holds.WAVELENGTHS: channels, Holds.PSI: psi, Holds.COLOURS: 2 * colours}
+    several = {Holds.SIGMAS: sigmas, Holds.WAVELENGTHS: channels, Holds.PSI: psi}
+    of_colours = {PRIMARIES.get(frozenset(colours), Holds.COLOURS)} if colours else set[Holds]()
     of_light = {Holds.TRANSMITTED if transmitted else Holds.REFLECTED for transmitted in lights}
-    return {kind, *of_light, *(each for each, count in several.items() if count > 1)}, sides
+    return {kind, *of_light, *of_colours, *(each for each, count in several.items() if count > 1)}, sides
 
 
 def uncertainty_path(path: Path) -> Path:
@@ -454,6 +467,11 @@ def check_files(path: Path, found: Format) -> None:
     """
     found.load()
     check_writable(path)
+    table = path.with_name(f"{Path(path.stem).stem}{path.suffix}")
+    for about, beside in files_beside(table, found).items():
+        if beside == path:
+            what = "uncertainties" if about is ABOUT_UNCERTAINTY else "mask"
+            raise FormatError(path, f"the {what} of {table.name} would have this name", "choose another one")
     for about, beside in files_beside(path, found).items():
         check_writable(beside)
         if beside.exists() and about.encode() not in read_head(beside, HEAD_BYTES):
@@ -481,7 +499,10 @@ def write(path: Path, content: "BsdfFile", found: Format, told: list[str] | None
         if not parts:
             beside.unlink(missing_ok=True)  # of an earlier result
             continue
-        found.write(beside, replace(content, parts=parts))
+        try:
+            found.write(beside, replace(content, parts=parts))
+        except FormatError as error:  # of what the table itself has
+            raise FormatError(path if error.path == str(beside) else error.path, error.wrong, error.remedy) from None
         files.append(beside)
         what = "standard uncertainties of the values" if about is ABOUT_UNCERTAINTY else "mask of what was not measured"
         notes.append(f"{what}: in {beside.name}, on the same grid")

@@ -53,7 +53,7 @@ def write(path: Path, content: BsdfFile) -> None:
         raise FormatError(path, f"it has the colours {', '.join(table.colours)}, and a .sdr has RGB", "use .ssdd")
     table = covered_regular(table)
     model = f"spectral {len(table.wavelengths_nm)}" if table.wavelengths_nm else "RGB" if table.colours else "BW"
-    comments = comment_lines((*content.metadata.lines(), *content.comments, *noted(table)), ascii_only=True)
+    comments = comment_lines(content.heading(noted(table)), ascii_only=True)
     lines = [
         *mark_comments(comments, ";;"),
         f"Source {'Generated' if table.generated else 'Measured'}",

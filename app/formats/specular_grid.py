@@ -30,6 +30,7 @@ from goniotwin.twin.optics.geometry.coordinates import (
     zenith_and_azimuth,
 )
 
+ABOUT_SHARE = "share of the light that was not "
 MAX_LISTED_RANGES = 2000
 """Ranges listed in the comments of a table."""
 
@@ -283,7 +284,7 @@ def specular_table(
 def share_lines(shares: Floats, sigma_deg: Floats, channels: Sequence[str], psi_deg: Floats, done: str) -> list[str]:
     """Comments on the share of the light [channel, psi, sigma] that was not measured."""
     return [
-        f"share of the light that was not {done}: {_light(channels, psi_deg, c, p)}"
+        f"{ABOUT_SHARE}{done}: {_light(channels, psi_deg, c, p)}"
         + ", ".join(f"{100.0 * share:.3g} % at sigma {sigma:g}" for sigma, share in zip(sigma_deg, shares[c, p], strict=True))
         for c, p in np.ndindex(*shares.shape[:2])
     ]

@@ -158,7 +158,7 @@ def write(path: Path, content: BsdfFile) -> None:
         radial_deg=table.theta_deg,
         values=table.values,
         tis=_tis(table),
-        comments=(*content.metadata.lines(), *content.comments, *noted(table, wavelength=True)),
+        comments=tuple(content.heading(noted(table, wavelength=True))),
     )
     write_zemax(path, written)
 

@@ -43,9 +43,8 @@ def scattered_of(reduced: ReducedJournal, sample: str | None = None, metadata: M
     for name, source in chosen.items():
         columns = [_scattered_columns(points) for points in source.parts(PART_POINTS)]
         joined = {key: np.concatenate([each[key] for each in columns]) for key in columns[0]}
-        symmetry = [f"symmetry: {reduced.symmetry[name]}"] if name in reduced.symmetry else []
-        about = (f"sample: {name}", *symmetry)
-        parts.append(_scattered(joined, name, reduced.isotropic, reduced.simulated, about))
+        symmetry = (f"symmetry: {reduced.symmetry[name]}",) if name in reduced.symmetry else ()
+        parts.append(_scattered(joined, name, reduced.isotropic, reduced.simulated, symmetry))
     return BsdfFile(tuple(parts), metadata or Metadata(title=reduced.name), tuple(heading(reduced)))
 
 

@@ -16,6 +16,7 @@ import numpy.typing as npt
 
 from goniotwin.app.campaign.geometry.directions import in_plane_of_incidence, polar_from_zenith, scan_plane_deg
 from goniotwin.app.campaign.reduction.components import COMMON, Components, standard_uncertainty, total_variance
+from goniotwin.app.formats import content
 from goniotwin.arrays import Flags, Floats, Indices, Ints
 from goniotwin.twin.optics.geometry.coordinates import aspecular_deg, round_deg, signed_polar
 
@@ -34,58 +35,57 @@ Marks = npt.NDArray[np.uint16]
 
 @dataclass(frozen=True)
 class Flag:
-    """A flag of a point: its `meaning` for the header of a file, and whether a value with it is `untrusted`.
+    """A flag of a point: its `meaning` for the header of a file; `content.UNTRUSTED` has those that take the trust away.
 
     `reason` and `remedy` are those of a missing value, for a warning; empty where a flag takes no value away.
     """
 
     meaning: str
-    untrusted: bool
     reason: str = ""
     remedy: str = ""
 
 
 FLAGS: dict[str, Flag] = {
     # Wholly or in part, at the sample or at the etalon that scales it. A value from the remaining light may be there.
-    "shadowed": Flag("blocked by the mirror unit", True, "blocked by the mirror unit", "choose other angles"),
+    "shadowed": Flag("blocked by the mirror unit", "blocked by the mirror unit", "choose other angles"),
     # For sample, etalon or signature.
-    "clipped": Flag("saturated at every gain", True, "saturated at every gain", "add a lower gain"),
+    "clipped": Flag("saturated at every gain", "saturated at every gain", "add a lower gain"),
     "no-etalon": Flag(
-        "etalon signal too low", True, "without a signal of the etalon",
+        "etalon signal too low", "without a signal of the etalon",
         "choose one that scatters to the side that the photodiodes look at",
     ),
     # No signal of the etalon where there should be one; or the photodiode has lost its dark current.
-    "dead": Flag("the photodiode", True, "of dead photodiodes", "repair them"),
+    "dead": Flag("the photodiode", "of dead photodiodes", "repair them"),
     "uncertified": Flag(
-        "not covered by the etalon's certificate", True, "not covered by the etalon's certificate",
+        "not covered by the etalon's certificate", "not covered by the etalon's certificate",
         "choose an etalon with a certificate that covers them",
     ),
     # Between drift checks one of which was beyond its limit. The value is there, and may be wrong.
-    "drift": Flag("beyond its limit", True, "flagged for drift", "see the drift checks"),
+    "drift": Flag("beyond its limit", "flagged for drift", "see the drift checks"),
     # In a test of all rows: a ratio of two gains, or the first reading against the later ones. Of all channels of a module.
     "module": Flag(
-        "the module of the photodiode: settling or linearity, see the notes", True, "of modules that did not pass their tests",
+        "the module of the photodiode: settling or linearity, see the notes", "of modules that did not pass their tests",
         "see the notes on the modules",
     ),
-    "monitor": Flag("the monitor was at the end of its range", True, "measured with the monitor at the end of its range",
+    "monitor": Flag("the monitor was at the end of its range", "measured with the monitor at the end of its range",
                     "set a wider range of the monitor in the rig file"),
     # By the scan of the open beam. All values that the etalon scales have it.
     "scale": Flag(
-        "the etalon and the scan of the open beam do not agree, see the notes", True,
+        "the etalon and the scan of the open beam do not agree, see the notes",
         "of an etalon that does not agree with the scan of the open beam", "see goniotwin closure",
     ),
     # Or in the uncertainty of the signature: the value is right, but its relative uncertainty is large.
-    "under-range": Flag("lost in its noise", False),
-    "field": Flag("the effect of the field of view cannot be estimated: it is neither corrected nor in u_bsdf", False),
+    "under-range": Flag("lost in its noise"),
+    "field": Flag("the effect of the field of view cannot be estimated: it is neither corrected nor in u_bsdf"),
     # A good value with a warning: a slope is what turns an error of an angle into one of the value.
     "steep": Flag(
         "the slope of the lobe along or across the arc, or of the spectrum, is not resolved by the measured directions or "
-        "wavelengths nearby: u_bsdf may be too small", False,
+        "wavelengths nearby: u_bsdf may be too small",
     ),
 }  # fmt: skip
 """The flags of a point by their names in files. Where a point has no value, a flag gives the reason."""
 BITS = {name: np.uint16(1 << k) for k, name in enumerate(FLAGS)}
-UNTRUSTED = np.uint16(sum(int(BITS[name]) for name, flag in FLAGS.items() if flag.untrusted))
+UNTRUSTED = np.uint16(sum(int(BITS[name]) for name in FLAGS if name in content.UNTRUSTED))
 REASON_ORDER = ("shadowed", "uncertified", "no-etalon", "clipped", "dead", "module", "monitor", "drift", "scale")
 """Flags by which a tally counts a point: the first one that it has."""
 

@@ -26,6 +26,7 @@ from goniotwin.app.data.opening import dataset_of_reduction
 from goniotwin.app.data.plotting import Kind, plot
 from goniotwin.app.data.values import Measured
 from goniotwin.app.errors import MissingPackage, UserError
+from goniotwin.app.formats.content import UNTRUSTED
 from goniotwin.app.formats.file import SQLITE, read_head, write_file
 from goniotwin.app.formats.metadata import Metadata
 from goniotwin.protocols.clock import calendar_stamp
@@ -197,7 +198,7 @@ def _sample(dataset: Dataset, metadata: Metadata) -> dict[str, Any]:
         "about": [(_words(key), value) for key, value in metadata.as_dict().get("sample", {}).items()],
         "plots": list(_plots(dataset)),
         "lights": list(_lights(dataset)),
-        "flags": [(name, FLAGS[name].meaning, count, FLAGS[name].untrusted) for name, count in counts.items() if count],
+        "flags": [(name, FLAGS[name].meaning, count, name in UNTRUSTED) for name, count in counts.items() if count],
         "shares": _mean_shares(dataset),
         "budgets": list(_budgets(dataset)),
         "findings": metadata.quality.findings,

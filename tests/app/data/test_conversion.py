@@ -1,6 +1,7 @@
 """Conversion between formats: what goes along, what is chosen, what is omitted and named; and its commands."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -277,3 +278,37 @@ def test_info_states_of_what_a_journal_is_and_how_complete(journal: Path, capsys
     assert lines[2] == "gaussian-5: reflected light on the front, stated as isotropic, 3 of 3 rows measured"
     assert {"  sigma: 30 deg", "  wavelengths: 550 nm"} <= set(lines)
     assert "linearly polarised" in lines[-1]
+
+
+def test_a_result_has_not_the_name_of_a_file_beside_another(tmp_path: Path) -> None:
+    for name, what in (("a.u.ddr", "uncertainties"), ("a.mask.ddr", "mask")):
+        with pytest.raises(UserError, match=rf"{name}: the {what} of a.ddr would have this name; choose another one"):
+            format_to_write(tmp_path / name)
+    assert format_to_write(tmp_path / "a.u.csv").name == "csv"  # which has a column for it
+
+
+@pytest.mark.parametrize(
+    ("colours", "refusing", "holding"),
+    [(("red", "green", "blue"), ".bsdf", ".ddr"), (("X", "Y", "Z"), ".ddr", ".bsdf"), (("L", "M", "S"), ".ddr", ".csv")],
+)
+def test_a_refusal_of_colours_names_formats_that_hold_them(
+    colours: tuple[str, ...], refusing: str, holding: str, tmp_path: Path
+) -> None:
+    known = np.ones((3, 1, 2, 2, 3), dtype=bool)
+    known[..., 2] = False
+    content = BsdfFile((replace(spectral(), wavelengths_nm=None, colours=colours, known=known),))
+    with pytest.raises(GoniotwinError) as caught:
+        convert(content, tmp_path / f"a{refusing}")
+    assert f"a{refusing}: a " in str(caught.value)  # not the mask beside it
+    named = re.findall(r"(\w+) \((\.\w+)", str(caught.value).partition("; use ")[2])
+    assert holding in [suffix for _, suffix in named]
+    for name, suffix in named:
+        convert(content, tmp_path / f"b{suffix}", name)
+
+
+def test_no_comment_repeats_what_the_metadata_state(journal: Path, tmp_path: Path) -> None:
+    app(["export", str(journal), "--out", str(tmp_path / "a.ddr")], standalone_mode=False)
+    texts = [line.removeprefix(";; ").rpartition(": ")[2] for line in (tmp_path / "a.ddr").read_text().splitlines()]
+    for stated in ("the light at the sample", "no checksums", "virtual goniophotometer"):
+        assert sum(text.startswith(stated) for text in texts) <= 1
+    assert (tmp_path / "a.ddr").read_text().count(";; sample: gaussian-5") == 1

@@ -218,15 +218,16 @@ def test_a_bsdf_file_is_of_zemax_unless_a_format_is_named(tmp_path: Path) -> Non
     assert format_to_write(tmp_path / "a.bsdf", "csv").name == "csv"
 
 
-def test_the_flags_of_values_that_are_not_to_be_trusted_are_those_of_the_reduction() -> None:
-    assert {name for name, flag in FLAGS.items() if flag.untrusted} | {FILLED, "hidden", "no-hits"} == UNTRUSTED
+def test_each_flag_that_takes_the_trust_away_is_one_that_values_have() -> None:
+    assert {*FLAGS, FILLED, "hidden", "no-hits"} >= UNTRUSTED
 
 
 def test_what_a_format_does_not_hold_is_refused_with_the_formats_that_do(reduced: BsdfDataset, tmp_path: Path) -> None:
     ((name, points),) = reduced.samples.items()
     colours = join_points([points, replace(points, places=points.places + np.array([100.0, 0.0, 0.0, 0.0, 0.0]))])
     with pytest.raises(
-        UserError, match=r"zemax file does not hold several wavelengths; use ddr \(.ddr\), ssdd .* csv \(.csv\)"
+        UserError,
+        match=r"zemax file has one wavelength, .* 650 nm; .* all, or use ddr \(.ddr\), ssdd .* csv \(.csv\)",
     ):
         export(replace(reduced, samples={name: colours}), None, tmp_path / "a.bsdf", "zemax")
     through = replace(points, transmitted=~points.transmitted, zenith_deg=180.0 - points.zenith_deg)
@@ -302,7 +303,7 @@ def test_what_a_format_does_not_hold_is_refused_before_anything_is_resampled(
         raise AssertionError("the table was made before it was refused")
 
     monkeypatch.setattr(conversion, "grid_table", resampled)
-    with pytest.raises(UserError, match="a zemax file does not hold several wavelengths"):
+    with pytest.raises(UserError, match="a zemax file has one wavelength"):
         export(replace(reduced, samples={name: colours}), None, tmp_path / "a.bsdf", "zemax")
 
 
