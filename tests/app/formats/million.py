@@ -1,4 +1,4 @@
-"""A million values of each format: `python -m tests.app.formats.million FORMAT VALUES` prints what writing and reading takes."""
+"""A million values of each format: `python -m tests.app.formats.million FORMAT VALUES` prints what writing and reading take."""
 
 import json
 import math
