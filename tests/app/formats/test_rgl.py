@@ -142,7 +142,8 @@ def test_mitsuba_confirms_the_deviation_that_a_file_states(tmp_path: Path) -> No
     off = []
     for psi, polar, azimuth in random.uniform([0.0, 0.0, 0.0], [360.0, 75.0, 360.0], (1000, 3)).tolist():
         light, out = turned(psi, light_direction(40.0)), from_specular(0.0, polar, azimuth)
-        exact, _ = samples.at(psi, 40.0, *(each[None] for each in half_angles(light, out[None])))
+        theta_m, phi_m = half_angles(light, out[None])
+        exact, _ = samples.at(psi, 40.0, theta_m[None], phi_m[None])
         off.append(abs(brdf(light, out) * float(out[2]) / float(exact.item()) - 1.0))
     (stated,) = (float(line.split(" up to ")[1].split()[0]) for line in told if " up to " in line)
     assert 100.0 * np.quantile(off, 0.95) == pytest.approx(stated, rel=0.5)
