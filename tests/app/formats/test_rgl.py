@@ -136,8 +136,8 @@ def test_between_azimuths_of_the_light_a_lobe_stays_at_its_half_vectors() -> Non
 @pytest.mark.long
 def test_mitsuba_confirms_the_deviation_that_a_file_states(tmp_path: Path) -> None:
     table = brushed_table()
-    told = rgl.write(tmp_path / "brushed.bsdf", BsdfFile((table,)))
-    assert set(told) <= set(rgl.read(tmp_path / "brushed.bsdf").tables[0].comments)
+    notes = rgl.write(tmp_path / "brushed.bsdf", BsdfFile((table,)))
+    assert set(notes) <= set(rgl.read(tmp_path / "brushed.bsdf").tables[0].comments)
     brdf, samples, random = measured(tmp_path / "brushed.bsdf"), rgl._Samples(table), np.random.default_rng(2)
     off = []
     for psi, polar, azimuth in random.uniform([0.0, 0.0, 0.0], [360.0, 75.0, 360.0], (1000, 3)).tolist():
@@ -145,7 +145,7 @@ def test_mitsuba_confirms_the_deviation_that_a_file_states(tmp_path: Path) -> No
         theta_m, phi_m = half_angles(light, out[None])
         exact, _ = samples.at(psi, 40.0, theta_m[None], phi_m[None])
         off.append(abs(brdf(light, out) * float(out[2]) / float(exact.item()) - 1.0))
-    (stated,) = (float(line.split(" up to ")[1].split()[0]) for line in told if " up to " in line)
+    (stated,) = (float(line.split(" up to ")[1].split()[0]) for line in notes if " up to " in line)
     assert 100.0 * np.quantile(off, 0.95) == pytest.approx(stated, rel=0.5)
 
 
