@@ -11,8 +11,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from goniotwin.app.data.conversion import Choice, convert_content
 from goniotwin.app.formats import BsdfTable, FormatError, rgl
 from goniotwin.app.formats.content import BsdfFile, RegularTable, nodes
+from goniotwin.app.formats.registry import BSDF, format_named
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics import evaluate, from_specular, light_direction, table_sample
 
@@ -131,6 +133,14 @@ def test_between_azimuths_of_the_light_a_lobe_stays_at_its_half_vectors() -> Non
     assert np.quantile(off, 0.95) < 0.06
     # What the steps of 5, 10 and 30 deg leave open is estimated from the table alone.
     assert np.quantile(samples.steps(), 0.95) == pytest.approx(np.quantile(off, 0.95), rel=0.3)
+
+
+def test_a_conversion_reports_by_how_much_the_file_is_off(tmp_path: Path) -> None:
+    done = convert_content(BsdfFile((constant(1.0),)), tmp_path / "white.bsdf", format_named("rgl", BSDF), Choice())
+    assert [note.split(" up to ")[0].split(" about ")[0] for note in done.notes] == [
+        "the file is off from the table by",
+        "between its own nodes the table itself is known to",
+    ]
 
 
 @pytest.mark.long
