@@ -20,7 +20,7 @@ import numpy as np
 
 from goniotwin.app.data.values import EQUAL, LightSetting, SampleData, neighbours
 from goniotwin.app.errors import UserError
-from goniotwin.app.formats.specular_grid import PolarGrid, grid_of_points, interpolate
+from goniotwin.app.formats.specular_grid import PolarGrid, count_nodes, grid_of_points, interpolate
 from goniotwin.arrays import Floats, Ints
 from goniotwin.twin.optics import from_specular
 from goniotwin.twin.optics.geometry.coordinates import (
@@ -35,8 +35,8 @@ from goniotwin.twin.optics.geometry.coordinates import (
 
 WIDEST_DEG = 30.0
 """There is no interpolation between directions that are further apart."""
-LEAST_FILLED = 0.05
-"""Least share of the nodes of a grid that have values: with less the directions are on no grid."""
+LEAST_COMPLETED = 0.05
+"""Least share of a grid's nodes that have values (`count_nodes`): less than for a table, because the others are completed."""
 MOST_NODES = 4_000_000
 RECTANGULAR = math.sqrt(3.0)
 """A half-width over this is the standard uncertainty of a rectangular distribution."""
@@ -94,11 +94,9 @@ def own_and_shared(u: Floats, u_shared: Floats) -> tuple[Floats, Floats]:
 
 def _is_grid(polar: Floats, azimuth: Floats, mirrored: bool) -> bool:
     """Whether directions (n,) are on a grid: its nodes are few, and enough of them have a value."""
-    rows, row = np.unique(round_deg(polar), return_inverse=True)
     folded = fold_azimuth(azimuth) if mirrored else wrap_azimuth(round_deg(azimuth))
-    columns, column = np.unique(round_deg(folded), return_inverse=True)
-    nodes = rows.size * columns.size
-    return nodes <= MOST_NODES and np.unique(row * columns.size + column).size >= LEAST_FILLED * nodes
+    nodes, filled = count_nodes(round_deg(polar), round_deg(folded))
+    return nodes <= MOST_NODES and filled >= LEAST_COMPLETED * nodes
 
 
 def _completed(grid: PolarGrid) -> PolarGrid:

@@ -38,12 +38,23 @@ def covered(table: BsdfTable, *, whole_turn: bool = False, lists: Collection[str
     for word, end in (("sigma", 90.0), ("theta", 180.0)):
         first, last = getattr(table, f"{word}_deg")[[0, -1]]
         if word in lists and first > 0.0:
-            table = _inserted(table, f"{word}_deg", 0, 0.0, 0)
+            table = repeated(table, f"{word}_deg", 0.0)
             added.append(f"{word} {format_number(first)} repeated to 0")
         if word in lists and last < end:
-            table = _inserted(table, f"{word}_deg", getattr(table, f"{word}_deg").size, end, -1)
+            table = repeated(table, f"{word}_deg", end)
             added.append(f"{word} {format_number(last)} repeated to {end:g}")
     return replace(table, comments=(*table.comments, f"{COVERED}{', '.join(added)}")) if added else table
+
+
+def repeated(table: BsdfTable, name: str, end_deg: float) -> BsdfTable:
+    """The table with the values at the first or the last angle of a list at `end_deg`, too, if that is beyond it.
+
+    They count as not measured.
+    """
+    angles = getattr(table, name)
+    if angles[0] <= end_deg <= angles[-1]:
+        return table
+    return _inserted(table, name, 0, end_deg, 0) if end_deg < angles[0] else _inserted(table, name, angles.size, end_deg, -1)
 
 
 def uncovered(table: _Table) -> _Table:

@@ -13,7 +13,15 @@ import numpy as np
 
 from goniotwin.app.formats.content import CHECK, FILLED, ISOTROPIC, UNTRUSTED, ScatteredBsdf, flagged
 from goniotwin.app.formats.holes import Fill
-from goniotwin.app.formats.specular_grid import PolarGrid, SpecularCut, continued, grid_of_points, resample, specular_table
+from goniotwin.app.formats.specular_grid import (
+    PolarGrid,
+    SpecularCut,
+    continued,
+    count_nodes,
+    grid_of_points,
+    resample,
+    specular_table,
+)
 from goniotwin.app.formats.table import BsdfTable
 from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.twin.optics import arc_direction, from_specular, to_specular
@@ -35,7 +43,7 @@ NEAR_DEG = 3.0
 UNLIKE = 0.05
 """Mirror images that differ by more, as a share of the largest value of their light, are no noise: a comment states it."""
 LEAST_FILLED = 0.3
-"""Share of the nodes of a grid that has values; below it, the directions are not on a grid."""
+"""Share of the nodes that have values (`count_nodes`) of directions that are on a grid of which a table is made as they are."""
 THETA_DECIMALS, PHI_DECIMALS = 4, 3
 """Of the nodes of a table, whose directions are in a file with nine digits: near theta 0, phi has few of them."""
 MOST_SIGMAS = 46
@@ -234,11 +242,8 @@ class _Cuts:
         order = np.argsort(which.ravel(), kind="stable")
         shares = []
         for here in np.split(order, np.flatnonzero(np.diff(which.ravel()[order])) + 1):
-            rows, columns = row_deg[here], column_deg[here]
-            off_pole = rows > 0.0
-            places = np.unique(np.stack([rows[off_pole], columns[off_pole]]), axis=1).shape[1]
-            nodes = np.unique(rows[off_pole]).size * np.unique(columns[off_pole]).size
-            shares.append(places / nodes if nodes else 1.0)
+            nodes, filled = count_nodes(row_deg[here], column_deg[here])
+            shares.append(filled / nodes if nodes else 1.0)
         return min(shares)
 
     def _about_specular(self, points: _Values) -> tuple[Floats, Floats]:

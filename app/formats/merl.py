@@ -3,7 +3,9 @@
 Three 32-bit counts, 90, 90 and 180, then doubles: the red plane, green, blue, each [theta_h, theta_d, phi_d]. theta_h is
 90 (i / 90)^2 deg at the index i, theta_d and phi_d are in steps of 1 deg; phi_d ends before 180 by reciprocity. A number times
 1/1500, 1.15/1500 and 1.66/1500 is the BRDF in 1/sr; a negative one is a direction without a value. Source: the database's own
-reader, BRDFRead.cpp, which takes the cell's number as it is; here values are linear between the cells.
+reader, BRDFRead.cpp, which takes the cell's number as it is; here values are linear between the cells, as at their lower edge.
+(Public readers that give a cell an angle differ: its lower edge, or its middle, half a cell on.) Those that interpret negative
+numbers, as dj_brdf, take all three colours as 0 where one is negative; here each colour has its own mask.
 
 Only read: no independent program reads this format without the same source.
 """

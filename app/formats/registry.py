@@ -80,7 +80,7 @@ class Codec(Protocol):
         """Read a file. Raises FormatError."""
 
     def write(self, path: Path, content: Any) -> Sequence[str] | None:
-        """Write a file completely or not at all; returns what is to be told of it, if anything. Raises FormatError."""
+        """Write a file completely or not at all; returns what is to be reported about it, if anything. Raises FormatError."""
 
 
 @dataclass(frozen=True)
@@ -480,10 +480,10 @@ def check_files(path: Path, found: Format) -> None:
             raise FormatError(path, wrong, "choose another name, or move that file")
 
 
-def write(path: Path, content: "BsdfFile", found: Format, told: list[str] | None = None) -> tuple[Path, ...]:
+def write(path: Path, content: "BsdfFile", found: Format, reported: list[str] | None = None) -> tuple[Path, ...]:
     """Write a file; what it cannot hold of uncertainties and mask goes to files of the same grid beside it.
 
-    Returns the files; `told` gets what the format tells of them. Raises FormatError, before anything is written, for what the
+    Returns the files; `reported` gets what the codec reports. Raises FormatError, before anything is written, for what the
     format does not hold.
     """
     from goniotwin.app.formats.content import write_gaps
@@ -507,8 +507,8 @@ def write(path: Path, content: "BsdfFile", found: Format, told: list[str] | None
         what = "standard uncertainties of the values" if about is ABOUT_UNCERTAINTY else "mask of what was not measured"
         notes.append(f"{what}: in {beside.name}, on the same grid")
     written = found.write(path, replace(content, parts=tuple(_with_notes(part, notes) for part in content.parts)))
-    if told is not None:
-        told += written
+    if reported is not None:
+        reported += written
     return tuple(files)
 
 

@@ -11,10 +11,11 @@ formula 16 with a correlation of 1 for those that values share).
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from goniotwin.app.formats.coverage import repeated
 from goniotwin.app.formats.holes import ABOUT_FILL, Fill, fill_holes, refuse_holes, unmeasured_share
 from goniotwin.app.formats.table import BsdfTable
 from goniotwin.arrays import Flags, Floats, Ints
@@ -79,6 +80,17 @@ def grid_of_points(
     with np.errstate(invalid="ignore"):
         means, u, common = total / count, np.sqrt(variance) / count, shared / count
     return PolarGrid(rows, columns, means, np.asarray(u), common, mirrored)
+
+
+def count_nodes(polar_deg: Floats, azimuth_deg: Floats) -> tuple[int, int]:
+    """How many nodes the rings and half planes of directions (n,) have, without the pole, and how many of them have a value.
+
+    The angles are rounded and folded. Of a grid most nodes have one, of directions at random few.
+    """
+    off_pole = polar_deg > 0.0
+    rows, row = np.unique(polar_deg[off_pole], return_inverse=True)
+    columns, column = np.unique(azimuth_deg[off_pole], return_inverse=True)
+    return rows.size * columns.size, np.unique(row.ravel() * columns.size + column.ravel()).size
 
 
 def resample(
@@ -259,7 +271,6 @@ def specular_table(
     if fill == "refuse":
         refuse_holes(sigma_deg, phi_deg, theta_deg, values, known)
     values = fill_holes(theta_deg, sigma_deg, values, known, fill)
-    u = np.where(known, u, np.maximum(u, np.abs(values)))
     channels = colours if wavelengths_nm is None else tuple(f"{wavelength:g} nm" for wavelength in wavelengths_nm)
     shares = unmeasured_share(sigma_deg, phi_deg, theta_deg, values, known)
     about = [
@@ -267,18 +278,16 @@ def specular_table(
         *share_lines(shares, sigma_deg, channels, psi, done),
         *_continued_nodes(sigma_deg, phi_deg, theta_deg, known, channels, psi, done, fill),
     ]
-    for missing, at, end in ((sigma_deg[0] > 0.0, 0, 0.0), (sigma_deg[-1] < 90.0, -1, 90.0)):
-        if missing:
-            place = sigma_deg.size if at else 0
-            sigma_deg = np.insert(sigma_deg, place, end)
-            edge = np.maximum(u[:, :, at], np.abs(values[:, :, at]))
-            values, u = np.insert(values, place, values[:, :, at], axis=2), np.insert(u, place, edge, axis=2)
-            known = np.insert(known, place, False, axis=2)
-    u = np.where(known | (u > 0.0), u, float(u.max()) or 1.0 / np.pi)
-    return BsdfTable(
+    table = BsdfTable(
         sigma_deg, phi_deg, theta_deg, values, wavelengths_nm, psi, transmitted=transmitted, generated=generated,
         comments=tuple(about), u=u, known=known, colours=colours, back=back, sample=sample,
     )  # fmt: skip
+    for end in (0.0, 90.0):
+        table = repeated(table, "sigma_deg", end)
+    assert table.known is not None
+    assert table.u is not None
+    u = np.where(table.known, table.u, np.maximum(table.u, np.abs(table.values)))
+    return replace(table, u=np.where(table.known | (u > 0.0), u, float(u.max()) or 1.0 / np.pi))
 
 
 def share_lines(shares: Floats, sigma_deg: Floats, channels: Sequence[str], psi_deg: Floats, done: str) -> list[str]:

@@ -8,6 +8,7 @@ import pytest
 
 from goniotwin.app.formats.content import ScatteredBsdf, nodes
 from goniotwin.app.formats.gridding import grid_table
+from goniotwin.app.formats.table import BsdfTable
 from goniotwin.twin.optics import arc_direction, from_specular, to_specular
 
 
@@ -38,9 +39,9 @@ def joined(*parts: ScatteredBsdf) -> ScatteredBsdf:
     return ScatteredBsdf(**columns, isotropic=parts[0].isotropic)
 
 
-def worst(values: ScatteredBsdf, **options: Any) -> float:
+def worst(values: ScatteredBsdf, table: BsdfTable | None = None) -> float:
     """The largest deviation of a table's known nodes, well above the horizon, from the lobe; of a peak of 1."""
-    table = grid_table(values, **options)
+    table = grid_table(values) if table is None else table
     assert table.known is not None
     known = nodes(replace(table, values=np.where(table.known, table.values, 0.0)))
     known = known.where((known.flags == "") & (known.polar_deg < 70.0))
@@ -66,9 +67,10 @@ def test_steps_as_wide_as_most_are_interpolated_and_wider_gaps_are_holes() -> No
 
 def test_a_turned_sample_has_both_halves_of_the_azimuths() -> None:
     both = joined(rings(0.0, isotropic=False), rings(90.0, isotropic=False))
-    assert grid_table(both).psi_deg.tolist() == [0.0, 90.0]
-    assert grid_table(both).phi_deg[-1] == 360.0
-    assert worst(both) < 0.01
+    table = grid_table(both)
+    assert table.psi_deg.tolist() == [0.0, 90.0]
+    assert table.phi_deg[-1] == 360.0
+    assert worst(both, table) < 0.01
 
 
 def test_one_half_of_a_turned_sample_is_mirrored_and_named() -> None:
@@ -99,16 +101,15 @@ def test_at_normal_incidence_one_psi_is_enough() -> None:
 
 def test_random_directions_get_the_plane_through_those_around() -> None:
     generator = np.random.default_rng(3)
-    n = 4000
+    n = 2500
     polar = np.degrees(np.arccos(1.0 - generator.random(n) * (1.0 - np.cos(np.radians(85.0)))))
     azimuth = 360.0 * generator.random(n)
-    scattered = joined(*(at(np.array([sigma]), polar, azimuth) for sigma in (0.0, 40.0)))
-    assert worst(scattered) < 0.1
+    assert worst(at(np.array([40.0]), polar, azimuth)) < 0.1
 
 
 def test_many_incidences_are_put_together_about_their_own_specular_direction() -> None:
     generator = np.random.default_rng(4)
-    n = 6000
+    n = 3000
     sigma = 60.0 * generator.random(n)
     theta, phi = 40.0 * np.sqrt(generator.random(n)), 360.0 * generator.random(n)
     directions = from_specular(sigma, theta, phi)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from benchmarks.formats import FORMATS, VALUES, measure_apart
+from tests.app.formats.million import FORMATS, VALUES, measure_apart
 
 MOST_MB = 1000.0
 

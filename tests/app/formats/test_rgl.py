@@ -11,8 +11,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from goniotwin.app.data.conversion import Choice, convert_content
 from goniotwin.app.formats import BsdfTable, FormatError, rgl
 from goniotwin.app.formats.content import BsdfFile, RegularTable, nodes
+from goniotwin.app.formats.registry import BSDF, format_named
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics import evaluate, from_specular, light_direction, table_sample
 
@@ -133,18 +135,27 @@ def test_between_azimuths_of_the_light_a_lobe_stays_at_its_half_vectors() -> Non
     assert np.quantile(samples.steps(), 0.95) == pytest.approx(np.quantile(off, 0.95), rel=0.3)
 
 
+def test_a_conversion_reports_by_how_much_the_file_is_off(tmp_path: Path) -> None:
+    done = convert_content(BsdfFile((constant(1.0),)), tmp_path / "white.bsdf", format_named("rgl", BSDF), Choice())
+    assert [note.split(" up to ")[0].split(" about ")[0] for note in done.notes] == [
+        "the file is off from the table by",
+        "between its own nodes the table itself is known to",
+    ]
+
+
 @pytest.mark.long
 def test_mitsuba_confirms_the_deviation_that_a_file_states(tmp_path: Path) -> None:
     table = brushed_table()
-    told = rgl.write(tmp_path / "brushed.bsdf", BsdfFile((table,)))
-    assert set(told) <= set(rgl.read(tmp_path / "brushed.bsdf").tables[0].comments)
+    notes = rgl.write(tmp_path / "brushed.bsdf", BsdfFile((table,)))
+    assert set(notes) <= set(rgl.read(tmp_path / "brushed.bsdf").tables[0].comments)
     brdf, samples, random = measured(tmp_path / "brushed.bsdf"), rgl._Samples(table), np.random.default_rng(2)
     off = []
     for psi, polar, azimuth in random.uniform([0.0, 0.0, 0.0], [360.0, 75.0, 360.0], (1000, 3)).tolist():
         light, out = turned(psi, light_direction(40.0)), from_specular(0.0, polar, azimuth)
-        exact, _ = samples.at(psi, 40.0, *(each[None] for each in half_angles(light, out[None])))
+        theta_m, phi_m = half_angles(light, out[None])
+        exact, _ = samples.at(psi, 40.0, theta_m[None], phi_m[None])
         off.append(abs(brdf(light, out) * float(out[2]) / float(exact.item()) - 1.0))
-    (stated,) = (float(line.split(" up to ")[1].split()[0]) for line in told if " up to " in line)
+    (stated,) = (float(line.split(" up to ")[1].split()[0]) for line in notes if " up to " in line)
     assert 100.0 * np.quantile(off, 0.95) == pytest.approx(stated, rel=0.5)
 
 
