@@ -92,6 +92,7 @@ def points_of(reduced: ReducedJournal, sample: str | None, path: Path) -> tuple[
         INTERVAL_RULE,
         "field_correction: what the correction of the finite field of view has added to the logarithm of bsdf",
         "u_field_per_sr: what is left of the field of view in u_bsdf; empty where it cannot be estimated",
+        "u_shared_per_sr: the part of u_bsdf that neighbouring values share",
         f"flags: {', '.join(f'{name} ({flag.meaning})' for name, flag in FLAGS.items())}",
         *(note for note in reduced.notes if note not in (*reduced.light, *reduced.findings)),
         *(f"overlaps of {name}: {each}" for name, each in reduced.overlaps.items() if name in chosen and each.pairs),
@@ -174,6 +175,7 @@ def _columns(name: str, points: BsdfPoints) -> dict[str, np.ndarray]:
     columns["signature_share"] = points.signature
     columns["field_correction"] = points.field_correction
     columns["u_field_per_sr"] = points.u_field
+    columns["u_shared_per_sr"] = np.sqrt(shared_variance(points.components))
     columns["flags"] = _flags(points)
     return columns
 

@@ -210,3 +210,5 @@ def test_a_table_is_the_same_by_every_way(
         assert other[1] == pytest.approx(found[0][1], rel=1e-7)
         np.testing.assert_allclose(other[2], found[0][2], rtol=1e-7, atol=1e-9)
         np.testing.assert_array_equal(other[4], found[0][4])
+    for other in found[1:3]:  # the points know what neighbouring values share
+        np.testing.assert_allclose(other[3], found[0][3], rtol=1e-6, atol=1e-9)
