@@ -26,7 +26,7 @@ test: $(READY)
 	trap 'kill $$checks $$kernels 2>/dev/null' EXIT; trap 'exit 130' INT TERM; \
 	$(BIN)/python -m tests.kernels fast || exit 1; \
 	wait $$kernels || { cat $(VENV)/kernels.log; exit 1; }; \
-	$(PYTEST) -n 4 -m "not long"; tests=$$?; \
+	$(PYTEST) -n 3 -m "not long"; tests=$$?; \
 	wait $$checks; types=$$?; cat $(VENV)/types.log; \
 	test $$tests -eq 0 && test $$types -eq 0
 

@@ -1,6 +1,6 @@
 """What many tests need: the example files, changed where a test wants, and virtual rigs with their drivers.
 
-Four workers share the tests (`make test`) on two cores: one of them mostly waits, and others at times. Those marked
+Three workers share the tests (`make test`) on two cores: one of them mostly waits, and others at times. Those marked
 `endpoint` open real pseudo-terminals and sockets and wait in real time, so that two of them at once would make each other late.
 They hold a lock from setup to teardown, and come first, so that one worker has them all while the others have everything else.
 A fixture that takes seconds has the scope of the session: the tests of one module can run in pieces on several workers.

@@ -285,7 +285,7 @@ def shares_of(table: BsdfTable) -> Iterator[Share]:
 
 
 def _several(path: Path, form: Format, samples: tuple[str, ...]) -> UserError:
-    wrong = f"a {form.name} file has one sample, and there are: {_names(samples)}"
+    wrong = f"the format {form.name} has one sample, and there are: {_names(samples)}"
     return UserError(f"{path}: {wrong}; choose one with --sample")
 
 
@@ -369,7 +369,7 @@ def _of_wavelength(content: BsdfFile, path: Path, form: Format, wavelength_nm: f
     there = wavelengths_nm(content)
     if wavelength_nm is None:
         if there.size > 1 and Holds.WAVELENGTHS not in form.holds:
-            wrong = f"a {form.name} file has one wavelength, and there are {listed(there, 'nm')}"
+            wrong = f"the format {form.name} has one wavelength, and there are {listed(there, 'nm')}"
             others = registry.others(registry.content_needs(content))
             raise UserError(
                 f"{path}: {wrong}; choose one with --wavelength, write a file of each with --wavelength all, or use {others}"
@@ -395,13 +395,13 @@ def _of_kind(content: BsdfFile, path: Path, form: Format, notes: list[str]) -> B
     others = tuple(part for part in content.parts if not isinstance(part, RegularTable))
     if not form.holds & {Holds.GRID, Holds.POINTS}:
         if not content.regular:
-            wrong = f"a {form.name} file holds {Holds.REGULAR}, which is not there"
+            wrong = f"the format {form.name} holds {Holds.REGULAR}, which is not there"
             raise UserError(f"{path}: {wrong}; use {registry.others(registry.content_needs(content))}")
         if others:
-            notes.append("the scattered part is omitted: it is in a file of its own")
+            notes.append(f"the scattered part is omitted: the format {form.name} has no room for it")
         return replace(content, parts=content.regular)
     if content.regular and Holds.REGULAR not in form.holds and others:
-        notes.append("the regular part is omitted: it is in a file of its own")
+        notes.append(f"the regular part is omitted: the format {form.name} has no room for it; .sdr, .ssdd and .h5 have")
         return replace(content, parts=others)
     return content
 

@@ -367,7 +367,7 @@ def format_for(path: Path, kinds: Collection[Holds], needs: Collection[Holds] = 
     named = [each for each in possible if path.suffix.lower() in each.suffixes]
     if not named:
         other = next((each for each in formats() if path.suffix.lower() in each.suffixes), None)
-        wrong = "the format is unknown" if other is None else f"a {other.name} file is not written here"
+        wrong = "the format is unknown" if other is None else f"the format {other.name} is not written here"
         raise _unknown(path, wrong, f"give a name that ends with {join_words(suffixes(possible))}")
     check_holds(path, named[0], needs)
     return named[0]
@@ -378,7 +378,7 @@ def check_holds(path: Path | str, found: Format, needs: Collection[Holds]) -> No
     missing = [each for each in Holds if each in needs and each not in found.holds]
     if not missing and found.writes:
         return
-    wrong = f"a {found.name} file does not hold {join_words(missing, 'and')}" if missing else f"{found.name} is only read"
+    wrong = f"the format {found.name} does not hold {join_words(missing, 'and')}" if missing else f"{found.name} is only read"
     found_others = others(needs)
     raise FormatError(path, wrong, f"use {found_others}" if found_others else "write it in several files")
 

@@ -97,7 +97,7 @@ def task_of_files(task: Task, paths: list[Path], name: str | None = None) -> Tas
     for path, form in found:
         if not form.holds & {Holds.GRID, Holds.POINTS}:
             if not task.has_regular:
-                wrong = f"a {form.name} file holds {Holds.REGULAR}, and {task.sample.name!r} has none here"
+                wrong = f"the format {form.name} holds {Holds.REGULAR}, and {task.sample.name!r} has none here"
                 raise UserError(
                     f"{path}: {wrong}; give a table or points (.ddr, .csv), or a sample with +regular:reflectance=0.04"
                 )

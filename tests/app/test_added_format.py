@@ -164,7 +164,7 @@ def test_an_error_offers_it(tmp_path: Path) -> None:
         app(["export", str(SCHEDULE), "--format", "his", "--out", str(tmp_path / "a")], standalone_mode=False)
     with pytest.raises(UserError, match=r"table:FILE \(\.ddr, \.ddt, .*\.bsdf, .*\.my\)"):
         parse_sample("phong")
-    with pytest.raises(UserError, match=r"a zemax file does not hold several wavelengths; use .* my \(\.my\)"):
+    with pytest.raises(UserError, match=r"the format zemax does not hold several wavelengths; use .* my \(\.my\)"):
         app(
             ["simulate", "--sample", "lambertian", "--wavelength", "450,650", "--out", str(tmp_path / "a.bsdf")],
             standalone_mode=False,

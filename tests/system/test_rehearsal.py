@@ -51,7 +51,7 @@ def test_wrong_samples_are_refused(write_schedule: Writer, options: list[str], m
     [
         (["--points", "absent/x.csv"], "--points absent/x.csv: there is no folder"),
         (["--points", "."], "--points .: is a folder"),
-        (["--points", "x.ddr"], "--points x.ddr: a ddr file is not written here; give a name that ends with .csv"),
+        (["--points", "x.ddr"], "--points x.ddr: the format ddr is not written here; give a name that ends with .csv"),
         (["--out", "absent/x.journal"], "--out absent/x.journal: there is no folder"),
         (["--out", "rig.toml"], "--out rig.toml: exists"),
         (["--points", "same", "--out", "./same"], "--points same: is the journal of --out"),

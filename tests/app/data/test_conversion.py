@@ -89,7 +89,7 @@ def test_the_share_that_was_not_measured_is_reported_and_is_in_the_file(
 
 def test_a_sample_is_chosen_where_a_format_holds_one(tmp_path: Path) -> None:
     two = BsdfFile((table(), table(sample="glass", values=0.5 * table().values)))
-    with pytest.raises(UserError, match=r"a ddr file has one sample, and there are: paint, glass; choose one with --sample"):
+    with pytest.raises(UserError, match=r"the format ddr has one sample, and there are: paint, glass; choose one with --sample"):
         convert(two, tmp_path / "a.ddr")
     with pytest.raises(UserError, match="there is no sample 'wood'; there are: paint, glass"):
         convert(two, tmp_path / "a.ddr", sample="wood")
@@ -121,7 +121,7 @@ def test_light_and_side_are_chosen_where_a_format_holds_one(tmp_path: Path) -> N
 def test_a_regular_part_is_omitted_of_a_table_and_named(tmp_path: Path) -> None:
     regular = RegularTable(np.array([0.0, 60.0]), np.full((1, 1, 2), 0.04), (550.0,), sample="paint")
     done = convert(BsdfFile((table(), regular)), tmp_path / "a.ddr")
-    assert done.notes == ("the regular part is omitted: it is in a file of its own",)
+    assert done.notes == ("the regular part is omitted: the format ddr has no room for it; .sdr, .ssdd and .h5 have",)
     assert done.notes[0] in registry.read(tmp_path / "a.ddr").only_table().comments
     with pytest.raises(GoniotwinError, match=r"does not hold regular reflectance or transmittance"):
         convert(BsdfFile((regular,)), tmp_path / "b.csv")
@@ -204,7 +204,7 @@ def test_one_wavelength_is_chosen_or_each_has_a_file(tmp_path: Path) -> None:
     regular = RegularTable(np.zeros(1), np.full((3, 1, 1), 0.04), (450.0, 550.0, 632.8))
     content, out = BsdfFile((spectral(), nodes(spectral()), regular)), tmp_path / "a.bsdf"
     with pytest.raises(
-        UserError, match=r"a zemax file has one wavelength, and there are 450, 550, 632.8 nm; .* --wavelength all"
+        UserError, match=r"the format zemax has one wavelength, and there are 450, 550, 632.8 nm; .* --wavelength all"
     ):
         convert(content, out)
     with pytest.raises(UserError, match=r"no wavelength 600 nm: there are 450, 550, 632.8 nm; the nearest are 550 and 632.8"):

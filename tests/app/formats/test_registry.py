@@ -242,7 +242,7 @@ def test_a_file_name_gives_the_format_and_a_refusal_names_the_others(tmp_path: P
         registry.format_for(tmp_path / "a.txt", {Holds.GRID, Holds.POINTS})
     assert registry.format_for(tmp_path / "a.h5", {Holds.GRID}).name == "archive"
     with pytest.raises(
-        FormatError, match=r"a zemax file does not hold several wavelengths; use ddr \(\.ddr\), ddt .* csv \(\.csv\)"
+        FormatError, match=r"the format zemax does not hold several wavelengths; use ddr \(\.ddr\), ddt .* csv \(\.csv\)"
     ):
         registry.format_for(tmp_path / "a.bsdf", {Holds.GRID}, {Holds.WAVELENGTHS})
 

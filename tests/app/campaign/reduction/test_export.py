@@ -231,7 +231,7 @@ def test_what_a_format_does_not_hold_is_refused_with_the_formats_that_do(reduced
     ):
         export(replace(reduced, samples={name: colours}), None, tmp_path / "a.bsdf", "zemax")
     through = replace(points, transmitted=~points.transmitted, zenith_deg=180.0 - points.zenith_deg)
-    with pytest.raises(UserError, match=r"a ddr file does not hold transmitted light; use ddt \(.ddt\), ssdd .*, zemax"):
+    with pytest.raises(UserError, match=r"the format ddr does not hold transmitted light; use ddt \(.ddt\), ssdd .*, zemax"):
         export(replace(reduced, samples={name: through}), None, tmp_path / "a.ddr", "ddr")
     assert list(tmp_path.iterdir()) == []
 
@@ -287,7 +287,7 @@ def test_light_is_chosen_where_a_format_holds_either(reduced: BsdfDataset, tmp_p
     np.testing.assert_allclose(btdf.values, 0.5 * brdf.values, rtol=1e-8)
     assert export(both, None, tmp_path / "a.csv", "csv", "transmitted").values == 360
     assert set(read_points_csv(tmp_path / "a.csv").columns["light"].tolist()) == {"transmitted"}
-    with pytest.raises(UserError, match=r"a ddr file does not hold transmitted light; use ddt"):
+    with pytest.raises(UserError, match=r"the format ddr does not hold transmitted light; use ddt"):
         export(both, None, tmp_path / "a.ddr", "ddr", "transmitted")
     with pytest.raises(UserError, match=r"no transmitted light of any sample has been measured; leave --light out"):
         export(reduced, None, path, form, "transmitted")
@@ -303,7 +303,7 @@ def test_what_a_format_does_not_hold_is_refused_before_anything_is_resampled(
         raise AssertionError("the table was made before it was refused")
 
     monkeypatch.setattr(conversion, "grid_table", resampled)
-    with pytest.raises(UserError, match="a zemax file has one wavelength"):
+    with pytest.raises(UserError, match="the format zemax has one wavelength"):
         export(replace(reduced, samples={name: colours}), None, tmp_path / "a.bsdf", "zemax")
 
 
