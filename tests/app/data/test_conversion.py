@@ -89,7 +89,9 @@ def test_the_share_that_was_not_measured_is_reported_and_is_in_the_file(
 
 def test_a_sample_is_chosen_where_a_format_holds_one(tmp_path: Path) -> None:
     two = BsdfFile((table(), table(sample="glass", values=0.5 * table().values)))
-    with pytest.raises(UserError, match=r"the format ddr has one sample, and there are: paint, glass; choose one with --sample"):
+    with pytest.raises(
+        UserError, match=r"the format ddr has one sample, and there are: paint, glass; choose one with --sample"
+    ):
         convert(two, tmp_path / "a.ddr")
     with pytest.raises(UserError, match="there is no sample 'wood'; there are: paint, glass"):
         convert(two, tmp_path / "a.ddr", sample="wood")
@@ -299,7 +301,7 @@ def test_a_refusal_of_colours_names_formats_that_hold_them(
     content = BsdfFile((replace(spectral(), wavelengths_nm=None, colours=colours, known=known),))
     with pytest.raises(GoniotwinError) as caught:
         convert(content, tmp_path / f"a{refusing}")
-    assert f"a{refusing}: a " in str(caught.value)  # not the mask beside it
+    assert f"a{refusing}: the format " in str(caught.value)  # not the mask beside it
     named = re.findall(r"(\w+) \((\.\w+)", str(caught.value).partition("; use ")[2])
     assert holding in [suffix for _, suffix in named]
     for name, suffix in named:

@@ -188,7 +188,7 @@ def test_a_table_is_read_as_it_was_written(
             continue
         given = BsdfFile((written,))
         if not registry.content_needs(given) <= each.holds:
-            with pytest.raises(FormatError, match=f"a {each.name} file does not hold"):
+            with pytest.raises(FormatError, match=f"the format {each.name} does not hold"):
                 registry.write(folder / "a", given, each)
             continue
         path = folder / f"a{each.suffixes[0]}"

@@ -227,7 +227,7 @@ def test_what_a_format_does_not_hold_is_refused_with_the_formats_that_do(reduced
     colours = join_points([points, replace(points, places=points.places + np.array([100.0, 0.0, 0.0, 0.0, 0.0]))])
     with pytest.raises(
         UserError,
-        match=r"zemax file has one wavelength, .* 650 nm; .* all, or use ddr \(.ddr\), ssdd .* csv \(.csv\)",
+        match=r"the format zemax has one wavelength, .* 650 nm; .* all, or use ddr \(.ddr\), ssdd .* csv \(.csv\)",
     ):
         export(replace(reduced, samples={name: colours}), None, tmp_path / "a.bsdf", "zemax")
     through = replace(points, transmitted=~points.transmitted, zenith_deg=180.0 - points.zenith_deg)
