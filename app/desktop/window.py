@@ -7,7 +7,7 @@ from PySide6.QtGui import QCloseEvent, QKeyEvent
 from PySide6.QtWidgets import QFileDialog, QMainWindow
 
 from goniotwin.app.campaign.running.events import SafetyOrder
-from goniotwin.app.campaign.running.operator import EFFECTS, Answer
+from goniotwin.app.campaign.running.question import EFFECTS, Answer
 from goniotwin.app.desktop.event_loop import GarbageCollector
 from goniotwin.app.desktop.events.question import Choice, QuestionBox
 from goniotwin.app.desktop.model.messages import QuestionAsked
