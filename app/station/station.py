@@ -275,9 +275,7 @@ class Station:
             raise CommandRefused(
                 f"{axis} has soft limits of {limits.lower_deg:g} to {limits.upper_deg:g} deg, and {angle_deg:g} deg is outside"
             )
-        self._begin(
-            "set_position", f"setting the position of {axis}", lambda: opened.rig.axes[axis].set_position(angle_deg)
-        )
+        self._begin("set_position", f"setting the position of {axis}", lambda: opened.rig.axes[axis].set_position(angle_deg))
 
     def wavelength(self, nm: float) -> None:
         """Set the wavelength."""
@@ -434,6 +432,7 @@ class Station:
         except Exception as fault:  # noqa: BLE001  (of any library: reported, and the station goes on without the rig)
             self.close_rig(f"the rig was closed after a fault: {type(fault).__name__}: {fault}")
             return
+        self._report_positions()
         if self._bench is not None and self._bench.settings != self.snapshot.bench:
             self._publish(self._bench.settings)
         if self.snapshot.activity or error:
@@ -454,6 +453,14 @@ class Station:
                     action()
                 except DeviceError as error:
                     self._note_fault(error)
+
+    def _report_positions(self) -> None:
+        """Report the positions at the end of a task: a client that has waited for it has them then."""
+        if self._opened is not None:
+            try:
+                self._poll_axes()
+            except DeviceError as fault:
+                self._note_fault(fault)
 
     def _poll_axes(self) -> None:
         """Report the positions of the axes. After a failure no more are read until their controller is connected again."""
