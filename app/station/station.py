@@ -110,8 +110,8 @@ class RunRecord:
 class Station:
     """One rig and what is done with it.
 
-    `board` has its state and takes listeners. `clock` is that of the rig; without it a virtual rig has one at `speed`, which the
-    command of that name changes, and any other rig real time.
+    `board` has its state and takes listeners. `clock` is that of the rig; without it a virtual rig has one at `speed`, which
+    the command of that name changes, and any other rig real time.
     """
 
     def __init__(self, speed: float = 1.0, clock: Clock | None = None) -> None:
@@ -432,7 +432,8 @@ class Station:
         except Exception as fault:  # noqa: BLE001  (of any library: reported, and the station goes on without the rig)
             self.close_rig(f"the rig was closed after a fault: {type(fault).__name__}: {fault}")
             return
-        self._report_positions()
+        if self.snapshot.activity:
+            self._report_positions()
         if self._bench is not None and self._bench.settings != self.snapshot.bench:
             self._publish(self._bench.settings)
         if self.snapshot.activity or error:
