@@ -28,7 +28,7 @@ from goniotwin.app.errors import UserError, one_line
 if TYPE_CHECKING:  # the planner loads numpy, which a command's help does not need
     from goniotwin.app.campaign.journal.summary import CampaignSummary
     from goniotwin.app.campaign.planning.plan import NewPlan
-    from goniotwin.app.campaign.running.operator import Answer, Question
+    from goniotwin.app.campaign.running.question import Answer, Question
 
 Schedule = Annotated[Path, typer.Argument(metavar="SCHEDULE.toml", help="Schedule file.", show_default=False)]
 STATE_STYLES = {"done": "green", "running": "cyan", "failed": "red", "killed": "red", "stopped": "yellow", "empty": "dim"}
@@ -360,7 +360,7 @@ def _ask_rig(text: str) -> bool:
 
 def _ask_operator(question: "Question") -> "Answer":
     """Print a question and read the beginning of an answer. Enter alone is no answer. Raises UserError without a terminal."""
-    from goniotwin.app.campaign.running.operator import EFFECTS, Answer
+    from goniotwin.app.campaign.running.question import EFFECTS, Answer
 
     # A pause would last for ever, because a terminal has no Resume; waiting is what a question does by itself.
     answers = [each for each in question.answers if each not in (Answer.PAUSE, Answer.WAIT)]

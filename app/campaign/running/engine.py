@@ -27,7 +27,8 @@ from goniotwin.app.campaign.running.events import (
     close_shutter_order,
     cut_power_order,
 )
-from goniotwin.app.campaign.running.operator import Answer, Operator
+from goniotwin.app.campaign.running.operator import Operator
+from goniotwin.app.campaign.running.question import Answer
 from goniotwin.app.campaign.running.recovery import POLICY_TEXT, FaultPolicies, Recovery
 from goniotwin.app.campaign.running.rows import RowExecutor
 from goniotwin.app.campaign.running.sleep import NoSleepWatch, SleepWatch, StayAwake, watch_for

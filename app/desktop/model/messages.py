@@ -5,7 +5,7 @@ from pathlib import Path
 
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.running.events import Event, State
-from goniotwin.app.campaign.running.operator import Question
+from goniotwin.app.campaign.running.question import Question
 from goniotwin.app.rig import RigDescription
 
 

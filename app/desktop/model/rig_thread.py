@@ -27,7 +27,7 @@ from goniotwin.app.campaign.running.events import (
     StateChanged,
     cut_power_order,
 )
-from goniotwin.app.campaign.running.operator import Answer, Question
+from goniotwin.app.campaign.running.question import Answer, Question
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.desktop.model.messages import (
     DeviceFault,
