@@ -105,7 +105,7 @@ def desktop(
     out: Annotated[
         Path | None, typer.Option("--out", metavar="DIR", help="Folder for data files (journals).", show_default=False)
     ] = None,
-    speed: Annotated[float, typer.Option(min=0.1, max=1000.0, help="Simulation speed of a virtual rig.")] = 1.0,
+    speed: Annotated[float, typer.Option(min=0.1, max=1000.0, help="Simulation speed of a virtual rig.")] = 20.0,
 ) -> None:
     """Open the window."""
     try:

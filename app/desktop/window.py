@@ -1,55 +1,141 @@
-"""The main window: passes on what the operator does, asks questions, and closes in order."""
+"""The main window: passes on what the operator does, asks questions, and closes in order.
 
+It shows itself first. Then the engine and the plots are imported, in a thread; `complete` connects them.
+"""
+
+import contextlib
+import threading
+from importlib import import_module
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from PySide6.QtCore import Qt, Slot
-from PySide6.QtGui import QCloseEvent, QKeyEvent
-from PySide6.QtWidgets import QFileDialog, QMainWindow
+from PySide6.QtCore import QEvent, Qt, QUrl, Signal, Slot
+from PySide6.QtGui import QCloseEvent, QDesktopServices, QKeyEvent
+from PySide6.QtWidgets import QFileDialog, QMainWindow, QMessageBox
 
-from goniotwin.app.campaign.running.events import SafetyOrder
 from goniotwin.app.campaign.running.question import EFFECTS, Answer
 from goniotwin.app.desktop.event_loop import GarbageCollector
 from goniotwin.app.desktop.events.question import Choice, QuestionBox
-from goniotwin.app.desktop.model.messages import QuestionAsked
-from goniotwin.app.desktop.model.rig_thread import RigThread
-from goniotwin.app.desktop.presenter import Presenter
-from goniotwin.app.desktop.theme import Theme
+from goniotwin.app.desktop.menu import Menus, about_text, keys_text
+from goniotwin.app.desktop.remembered import Remembered
+from goniotwin.app.desktop.run.screen import RunScreen
+from goniotwin.app.desktop.theme import Scheme, Theme
 from goniotwin.app.desktop.view import MainView
+
+if TYPE_CHECKING:
+    from goniotwin.app.campaign.running.events import SafetyOrder
+    from goniotwin.app.desktop.model.messages import QuestionAsked
+    from goniotwin.app.desktop.model.rig_thread import RigThread
+    from goniotwin.app.desktop.presenter import Presenter
 
 KEEP_RUNNING, STOP_AND_CLOSE = "Keep running", "Stop and close"
 KEEP_OPEN, ACKNOWLEDGE = "Keep open", "Acknowledge"
+WIDTH, HEIGHT = 1180, 760
+"""Size of the first start in logical pixels, on a screen that has it."""
+DESKTOP = "goniotwin.app.desktop"
+LATER = (f"{DESKTOP}.presenter", f"{DESKTOP}.model.rig_thread", f"{DESKTOP}.run.live_plot", "qtawesome")
+"""Modules that are imported after the window has been shown."""
 
 
 class MainWindow(QMainWindow):
     """One rig, one schedule, one run at a time. Journals are written to `folder`."""
 
-    def __init__(self, theme: Theme, rig: Path, schedule: Path | None, folder: Path, speed: float = 1.0) -> None:
+    presenter: "Presenter"
+    rig_thread: "RigThread"
+    imported = Signal()
+
+    def __init__(
+        self,
+        theme: Theme,
+        rig: Path,
+        schedule: Path | None,
+        folder: Path,
+        speed: float = 1.0,
+        remembered: Remembered | None = None,
+    ) -> None:
         super().__init__()
         self.theme = theme
         self.question: QuestionBox | None = None
         self.close_question: QuestionBox | None = None
         self._asked = 0
+        self._first = rig, schedule, speed
         self._folder = folder
+        self._remembered = remembered or Remembered()
+        self._complete = False
         self._closing = False
         self._unattended = False
         self._closed = False
-        self.view = MainView(theme.colours, folder, speed)
-        self.setCentralWidget(self.view)
-        self.resize(1180, 760)
-        self.presenter = Presenter(self.view, rig, self)
-        self._connect()
         self._collector = GarbageCollector(self)
         self._collector.start()
+        self._import = threading.Thread(target=self._import_later, name="imports")
+        self.view = MainView(theme.colours, folder, speed)
+        self.setCentralWidget(self.view)
+        self.menus = Menus(self, self.view, self._remembered)
+        self.setWindowTitle("goniotwin")
+        self._set_enabled(False)
+        self._restore_layout()
+        self.theme.changed.connect(self._recolour)
+        self.imported.connect(self.complete, Qt.ConnectionType.QueuedConnection)
+
+    # The start.
+
+    def event(self, event: QEvent) -> bool:
+        """Import the rest when the window has been painted; Qt calls it."""
+        handled = super().event(event)
+        if event.type() == QEvent.Type.Paint and not self._complete and self._import.ident is None:
+            self._import.start()
+        return handled
+
+    def _import_later(self) -> None:
+        try:
+            for name in LATER:
+                import_module(name)
+        finally:
+            with contextlib.suppress(RuntimeError):  # the window is gone
+                self.imported.emit()
+
+    @Slot()
+    def complete(self) -> None:
+        """Make what takes long to load, and open the rig. A second call does nothing."""
+        if self._complete or self._closed:
+            return
+        from goniotwin.app.desktop.model.rig_thread import RigThread
+        from goniotwin.app.desktop.presenter import Presenter
+
+        self._complete = True
+        rig, schedule, speed = self._first
+        self.view.complete()
+        self.presenter = Presenter(self.view, rig, self)
+        self._connect()
         self.rig_thread = RigThread(self.presenter.message_received.emit, speed)
         self._open_rig(rig)
         if schedule is not None:
-            self.rig_thread.load(schedule)
+            self._open_schedule(schedule)
+
+    def _restore_layout(self) -> None:
+        remembered = self._remembered
+        available = self.screen().availableGeometry()
+        self.resize(min(WIDTH, available.width()), min(HEIGHT, available.height()))
+        if (geometry := remembered.layout("window")) is not None:
+            self.restoreGeometry(geometry)
+        if (state := remembered.layout("run")) is not None:
+            self.view.screen(RunScreen).splitter.restoreState(state)
+        titles = [each.title for each in self.view.screens]
+        if (shown := remembered.text("screen")) in titles:
+            self.view.show_screen(titles.index(shown))
+        self.view.navigation.buttons[self.view.shown_screen].setFocus()
+
+    def _remember_layout(self) -> None:
+        self._remembered.set_layout("window", self.saveGeometry())
+        self._remembered.set_layout("run", self.view.screen(RunScreen).splitter.saveState())
+        self._remembered.set_text("screen", self.view.screens[self.view.shown_screen].title)
 
     def _connect(self) -> None:
-        self.theme.changed.connect(self._recolour)
         self.presenter.changed.connect(self._refresh)
         self.presenter.question_asked.connect(self._ask)
         self.presenter.run_ended.connect(self._after_run)
+        for screen in self.view.screens:
+            self.presenter.message_shown.connect(screen.show_message)
         run, rig, schedule = self.view.run, self.view.rig, self.view.schedule
         run.start.connect(self._start)
         run.pause.connect(self._pause)
@@ -63,13 +149,29 @@ class MainWindow(QMainWindow):
         rig.person.toggled.connect(self._set_person)
         schedule.open.connect(self._choose_schedule)
         schedule.choose_folder.connect(self._choose_folder)
+        menus = self.menus
+        menus.recent_chosen.connect(self._open_recent)
+        menus.folder_wanted.connect(self._show_folder)
+        menus.scheme_chosen.connect(self._choose_scheme)
+        menus.help_wanted.connect(self._show_keys)
+        menus.about_wanted.connect(self._show_about)
+
+    def _set_enabled(self, enabled: bool) -> None:
+        """Enable what opens files and changes the set-up; the controls of the run have permissions of their own."""
+        run = self.view.run
+        for button in (*self.view.rig.buttons, self.view.rig.person, *self.view.schedule.buttons):
+            button.setEnabled(enabled)
+        if not self._complete:
+            for control in (run.start_button, run.pause_button, run.stop_button):
+                control.setEnabled(False)
+        self.menus.refresh()
 
     @Slot()
     def _refresh(self) -> None:
         permissions = self.presenter.permissions
         self.view.run.set_permissions(permissions)
-        for button in (*self.view.rig.buttons, self.view.rig.person, *self.view.schedule.buttons):
-            button.setEnabled(permissions.open)
+        self.menus.set_pause(permissions.resume)
+        self._set_enabled(permissions.open)
         self.setWindowTitle(self.presenter.title)
 
     @Slot()
@@ -82,6 +184,7 @@ class MainWindow(QMainWindow):
     def _start(self) -> None:
         if self.presenter.plan is not None:
             self._keep_open()
+            self.view.show_screen(self.view.screens.index(self.view.screen(RunScreen)))
             self.presenter.show_starting()
             self.rig_thread.start(self.presenter.plan, self._folder)
 
@@ -108,7 +211,7 @@ class MainWindow(QMainWindow):
         self.rig_thread.set_person(person)
 
     @Slot(object)
-    def _acknowledge(self, order: SafetyOrder) -> None:
+    def _acknowledge(self, order: "SafetyOrder") -> None:
         self.presenter.acknowledge(order)
         self.rig_thread.acknowledge(order)
         if self._closing and not self.presenter.busy:
@@ -124,7 +227,7 @@ class MainWindow(QMainWindow):
     # The questions.
 
     @Slot(object)
-    def _ask(self, asked: QuestionAsked) -> None:
+    def _ask(self, asked: "QuestionAsked") -> None:
         self._dismiss_question()
         question, self._asked = asked.question, asked.number
         choices = [Choice(each, EFFECTS[each], each is Answer.STOP, each is question.default) for each in question.answers]
@@ -186,6 +289,7 @@ class MainWindow(QMainWindow):
         self._open_rig(self.presenter.rig_path)
 
     def _open_rig(self, path: Path) -> None:
+        self._remembered.add_recent("rig", path)
         self.presenter.show_opening(path)
         self.rig_thread.open(path)
 
@@ -195,27 +299,72 @@ class MainWindow(QMainWindow):
         folder = Path(plan.schedule.name).parent if plan else self.presenter.rig_path.parent
         name, _ = QFileDialog.getOpenFileName(self, "Open a schedule file", str(folder), "Schedule files (*.toml)")
         if name:
-            self.rig_thread.load(Path(name))
+            self._open_schedule(Path(name))
+
+    def _open_schedule(self, path: Path) -> None:
+        self._remembered.add_recent("schedule", path)
+        self.rig_thread.load(path)
+
+    @Slot(str, object)
+    def _open_recent(self, kind: str, path: Path) -> None:
+        if kind == "rig":
+            self._open_rig(path)
+        else:
+            self._open_schedule(path)
 
     @Slot()
     def _choose_folder(self) -> None:
         name = QFileDialog.getExistingDirectory(self, "Folder for data files (journals)", str(self._folder))
         if name:
             self._folder = Path(name)
+            self._remembered.set_folder(self._folder)
             self.view.schedule.set_folder(self._folder)
+
+    @Slot()
+    def _show_folder(self) -> None:
+        if self._folder.is_dir():
+            QDesktopServices.openUrl(QUrl.fromLocalFile(str(self._folder.absolute())))
+        else:
+            self.view.show_status(f"There is no folder {self._folder} yet; the first run creates it.")
+
+    # The window itself.
+
+    @Slot(object)
+    def _choose_scheme(self, scheme: Scheme | None) -> None:
+        self._remembered.set_text("scheme", scheme or "")
+        self.theme.force(scheme)
+
+    @Slot()
+    def _show_keys(self) -> None:
+        self._show_text("Keys and screens", keys_text(self.view))
+
+    @Slot()
+    def _show_about(self) -> None:
+        self._show_text("About goniotwin", about_text())
+
+    def _show_text(self, title: str, text: str) -> None:
+        """Show a text in a window of its own, which blocks nothing."""
+        box = QMessageBox(QMessageBox.Icon.NoIcon, title, text, QMessageBox.StandardButton.Close, self)
+        box.setAccessibleName(title)
+        box.setTextFormat(Qt.TextFormat.RichText)
+        box.setTextInteractionFlags(Qt.TextInteractionFlag.TextBrowserInteraction)
+        box.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        box.setModal(False)
+        box.show()
 
     # The end.
 
     def closeEvent(self, event: QCloseEvent) -> None:
         """Ask during a run, and wait for the acknowledgement of every safety order; then close the rig and end its thread."""
+        self._remember_layout()
         orders = [] if self._unattended or self._closed else self.view.orders.orders
         self._dismiss_close_question()
-        if orders and not self.presenter.busy:
+        if orders and not self._busy:
             event.ignore()
             self._closing = True
             self._ask_acknowledgement(orders[0])
             return
-        if self.presenter.busy and not self._closed:
+        if self._busy and not self._closed:
             event.ignore()
             choices = [
                 Choice(KEEP_RUNNING, "The window stays open.", default=True),
@@ -227,7 +376,17 @@ class MainWindow(QMainWindow):
         self.shut_down()
         event.accept()
 
-    def _ask_acknowledgement(self, order: SafetyOrder) -> None:
+    @property
+    def _busy(self) -> bool:
+        """Whether a run is in progress."""
+        return self._complete and self.presenter.busy
+
+    @property
+    def open_orders(self) -> "list[SafetyOrder]":
+        """The safety orders that are not acknowledged; complete after `shut_down`."""
+        return self.rig_thread.open_orders if self._complete else []
+
+    def _ask_acknowledgement(self, order: "SafetyOrder") -> None:
         choices = [
             Choice(KEEP_OPEN, "The window stays open, with the order at its top.", default=True),
             Choice(ACKNOWLEDGE, "It is done, or seen to. The journal records it. Then the window closes.", stops=True),
@@ -248,7 +407,7 @@ class MainWindow(QMainWindow):
         self._stop_and_close()
 
     def _stop_and_close(self) -> None:
-        if not self.presenter.busy:
+        if not self._busy:
             self.close()
             return
         self._dismiss_close_question()
@@ -269,6 +428,9 @@ class MainWindow(QMainWindow):
         """End the rig's thread; a run is stopped first. Nothing is moved. A second call does nothing."""
         if not self._closed:
             self._closed = True
-            self.presenter.close()
-            self.rig_thread.close()
+            if self._import.ident is not None:
+                self._import.join()
+            if self._complete:
+                self.presenter.close()
+                self.rig_thread.close()
             self._collector.stop()

@@ -43,6 +43,7 @@ def open_window(qapp: QApplication, write_schedule: Writer, journals: Path) -> I
         window = MainWindow(Theme(qapp), rig, schedule or write_schedule(), journals, speed)
         windows.append(window)
         window.show()
+        window.complete()
         return window
 
     yield opened
