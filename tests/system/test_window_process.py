@@ -118,7 +118,7 @@ def stop_and_check(journal: Path) -> None:
     client.wait_for(lambda: client.snapshot.done > before)
     client.client.do("stop")
     client.wait_for(lambda: client.snapshot.state is State.IDLE)
-    until(lambda: not Path(f"{journal}-wal").exists())
+    until(lambda: campaign_summary(journal).state != "running")
     client.client.close()
     campaign = campaign_summary(journal)
     assert (campaign.state, campaign.sessions) == ("stopped", 1)
