@@ -1,49 +1,113 @@
-"""The contents of the window: all panels and their places, the banner of a simulated rig, the lines of text at the bottom."""
+"""The contents of the window: the screens with their navigation, and what is always in sight around them.
 
-from itertools import pairwise
+Always in sight are the banner of a simulated rig, safety orders, an open question, devices and axes at the top; progress,
+status, Start, Pause and Stop at the bottom. Between them each screen has the same room; it scrolls where it needs more.
+"""
+
 from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
 
-from PySide6.QtCore import Qt, Slot
-from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QScrollArea, QSplitter, QVBoxLayout, QWidget
+from PySide6.QtCore import Qt, Signal, Slot
+from PySide6.QtGui import QResizeEvent
+from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QScrollArea, QStackedWidget, QVBoxLayout, QWidget
 
-from goniotwin.app.desktop.events.panels import EventLog, OrdersPanel, QuestionBar
-from goniotwin.app.desktop.rig.panels import AxesPanel, DevicesPanel
-from goniotwin.app.desktop.run.live_plot import ScanPlot
+from goniotwin.app.desktop.events.panels import NoticeBar, OrdersPanel, QuestionBar
+from goniotwin.app.desktop.events.screen import EventsScreen
+from goniotwin.app.desktop.navigation import Navigation
+from goniotwin.app.desktop.rig.screen import RigScreen
+from goniotwin.app.desktop.rig.strip import RigStrip
 from goniotwin.app.desktop.run.panel import RunPanel
-from goniotwin.app.desktop.setup.panels import RigPanel, SchedulePanel
+from goniotwin.app.desktop.run.screen import RunScreen
+from goniotwin.app.desktop.screen import Screen
+from goniotwin.app.desktop.setup.screen import SetupScreen
 from goniotwin.app.desktop.theme import Colours
 
-LEFT_WIDTH = 330
-PLOT_HEIGHT, LOG_HEIGHT = 360, 190
-"""Heights of plot and log at the start."""
+if TYPE_CHECKING:  # pyqtgraph is loaded after the window has been shown
+    from goniotwin.app.desktop.run.live_plot import ScanPlot
+
+SCREENS: tuple[type[Screen], ...] = (
+    RigScreen,
+    SetupScreen,
+    RunScreen,
+    EventsScreen,
+)
+"""The screens in the order of the navigation. A new one is a line here."""
+FIRST = RunScreen
+"""The screen of the first start."""
+NARROW, LOW = 800, 450
+"""Width and height in logical pixels below which the window does without some texts. A screen of 1280 x 800 has 640 x 400 of
+them at 200 %.
+"""
+AnyScreen = TypeVar("AnyScreen", bound=Screen)
 
 
 class MainView(QWidget):
     """The contents of the window. It only shows."""
 
+    screen_shown = Signal(int)
+    """The number of the screen that is shown from now on."""
+
     def __init__(self, colours: Colours, folder: Path, speed: float) -> None:
         super().__init__()
         self._colours = colours
         self._status_is_error = False
+        self._low = False
         self._banner = QLabel()
         self._banner.setAlignment(Qt.AlignmentFlag.AlignCenter)
         self.orders = OrdersPanel(colours)
         self.question = QuestionBar(colours)
-        self.log = EventLog(colours)
-        self.rig = RigPanel()
-        self.devices = DevicesPanel(colours)
-        self.axes = AxesPanel()
-        self.schedule = SchedulePanel(folder)
+        self.notice = NoticeBar(colours)
+        self.strip = RigStrip(colours)
+        self.navigation = Navigation(SCREENS, colours)
+        self.screens = tuple(each(colours) for each in SCREENS)
+        self._stack = QStackedWidget()
         self.run = RunPanel(speed, colours)
-        self.plot = ScanPlot(colours)
         self._status = _text_label("Status")
         self._saved = _text_label("Journal")
-        self._plot_error = _text_label("Error of the plot")
+        rig, setup = self.screen(RigScreen), self.screen(SetupScreen)
+        self.log = self.screen(EventsScreen)
+        self.rig, self.devices, self.axes, self.schedule = rig.rig, rig.devices, rig.axes, setup.schedule
+        self.schedule.set_folder(folder)
+        self.screen(RunScreen).set_events(self.log.model)
+        self.navigation.chosen.connect(self.show_screen)
+        self.log.serious_changed.connect(self._mark_events)
+        self.devices.shown.connect(self.strip.set_devices)
+        self.devices.shown.connect(self._mark_rig)
+        self.axes.positions_shown.connect(self.strip.set_positions)
+        self.axes.targets_shown.connect(self.strip.set_targets)
         self._lay_out()
         self.set_colours(colours)
         self.set_simulated(False, None)
-        self.set_plot_error("")
         self.set_saved("")
+        self.show_status("Starting …")
+        self.show_screen(SCREENS.index(FIRST))
+
+    def screen(self, kind: type[AnyScreen]) -> AnyScreen:
+        """The screen of a class."""
+        return next(each for each in self.screens if isinstance(each, kind))
+
+    @property
+    def shown_screen(self) -> int:
+        """The number of the screen that is shown."""
+        return self._stack.currentIndex()
+
+    @Slot(int)
+    def show_screen(self, number: int) -> None:
+        """Show a screen by its number, from 0."""
+        self._stack.setCurrentIndex(number)
+        self.navigation.show_chosen(number)
+        self.screen_shown.emit(number)
+
+    def complete(self) -> None:
+        """Make what takes long to load: icons and plots. Called once, after the window has been shown."""
+        self.navigation.load_icons()
+        for each in self.screens:
+            each.complete()
+
+    @property
+    def plot(self) -> "ScanPlot":
+        """The plot of the run screen; not before `complete`."""
+        return self.screen(RunScreen).plot
 
     @property
     def status(self) -> str:
@@ -63,7 +127,7 @@ class MainView(QWidget):
     @property
     def plot_error(self) -> str:
         """The error of the plot; empty without one."""
-        return self._plot_error.text()
+        return self.screen(RunScreen).error
 
     def show_status(self, text: str, *, error: bool = False) -> None:
         """Show the status line."""
@@ -80,85 +144,71 @@ class MainView(QWidget):
     def set_saved(self, text: str) -> None:
         """Show the line with the path of the journal."""
         self._saved.setText(text)
-        self._saved.setVisible(bool(text))
+        self._status.setToolTip(text)
+        self._show_saved()
 
     @Slot(str)
     def set_plot_error(self, text: str) -> None:
         """Show an error of the plot; hide it if empty."""
-        self._plot_error.setText(text)
-        self._plot_error.setVisible(bool(text))
+        self.screen(RunScreen).show_error(text)
 
     def set_colours(self, colours: Colours) -> None:
         """Take the colours of a scheme."""
         self._colours = colours
         self._banner.setStyleSheet(
-            f"background: {colours.simulated}; color: {colours.on_simulated}; font-weight: bold; padding: 4px"
+            f"background: {colours.simulated}; color: {colours.on_simulated}; font-weight: bold; padding: 3px"
         )
-        self.orders.set_colours(colours)
-        self.question.set_colours(colours)
-        self.log.set_colours(colours)
-        self.devices.set_colours(colours)
-        self.run.set_colours(colours)
-        self.plot.set_colours(colours)
+        for each in (self.orders, self.question, self.notice, self.strip, self.navigation, self.run, *self.screens):
+            each.set_colours(colours)
         self._colour_texts()
 
     def _colour_texts(self) -> None:
         self._status.setStyleSheet(f"color: {self._colours.bad}; font-weight: bold" if self._status_is_error else "")
-        self._plot_error.setStyleSheet(f"color: {self._colours.bad}")
         self._saved.setStyleSheet(f"color: {self._colours.dim}")
 
+    @Slot(int)
+    def _mark_events(self, serious: int) -> None:
+        self.navigation.set_mark(SCREENS.index(EventsScreen), f"✗ {serious}" if serious else "")
+
+    @Slot(object)
+    def _mark_rig(self, devices: dict[str, object]) -> None:
+        failed = [each for each in devices.values() if not getattr(each, "connected", True)]
+        self.navigation.set_mark(SCREENS.index(RigScreen), f"✗ {len(failed)}" if failed else "")
+
+    def resizeEvent(self, event: QResizeEvent) -> None:
+        """Do without titles in a small window; Qt calls it."""
+        super().resizeEvent(event)
+        self.navigation.set_compact(self.width() < NARROW)
+        self.run.set_compact(self.width() < NARROW)
+        self._low = self.height() < LOW
+        self._show_saved()
+
+    def _show_saved(self) -> None:
+        self._saved.setVisible(bool(self._saved.text()) and not self._low)
+
     def _lay_out(self) -> None:
-        left = QWidget()
-        column = QVBoxLayout(left)
-        column.setContentsMargins(0, 0, 4, 0)
-        for panel in (self.rig, self.schedule, self.axes, self.devices):
-            column.addWidget(panel)
-        column.addStretch(1)
-        scroll = QScrollArea()
-        scroll.setWidget(left)
-        scroll.setWidgetResizable(True)
-        scroll.setFrameShape(QFrame.Shape.NoFrame)
-        scroll.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
-        scroll.setFixedWidth(LEFT_WIDTH)
-        scroll.setFocusPolicy(Qt.FocusPolicy.NoFocus)
-        right = QVBoxLayout()
-        right.setSpacing(6)
-        middle = QSplitter(Qt.Orientation.Vertical)
-        middle.addWidget(self.plot)
-        middle.addWidget(self.log)
-        self.plot.setMinimumHeight(220)
-        self.log.setMinimumHeight(90)
-        middle.setSizes([PLOT_HEIGHT, LOG_HEIGHT])
-        middle.setStretchFactor(0, 2)
-        middle.setStretchFactor(1, 1)
-        middle.setChildrenCollapsible(False)
-        right.addWidget(middle, 1)
-        for each in (self._plot_error, self.run, self._status, self._saved):
-            right.addWidget(each)
-        body = QHBoxLayout()
-        body.setContentsMargins(10, 6, 10, 8)
-        body.setSpacing(10)
-        body.addWidget(scroll)
-        body.addLayout(right, 1)
-        whole = QVBoxLayout(self)
+        for each in self.screens:
+            scroll = QScrollArea()
+            scroll.setWidget(each)
+            scroll.setWidgetResizable(True)
+            scroll.setFrameShape(QFrame.Shape.NoFrame)
+            scroll.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+            self._stack.addWidget(scroll)
+        self._stack.setContentsMargins(10, 6, 10, 0)
+        middle = QHBoxLayout()
+        middle.setSpacing(0)
+        middle.addWidget(self.navigation)
+        middle.addWidget(self._stack, 1)
+        self.run.lines.addWidget(self._status)
+        self.run.lines.addWidget(self._saved)
+        self.run.lines.addStretch(1)
+        whole = QVBoxLayout(self)  # Tab follows the order in which the parts are added here
         whole.setContentsMargins(0, 0, 0, 0)
         whole.setSpacing(0)
-        whole.addWidget(self._banner)
-        whole.addWidget(self.orders)
-        whole.addWidget(self.question)
-        whole.addLayout(body, 1)
-        self.setMinimumSize(880, 560)
-        self._order_tabs()
-
-    def _order_tabs(self) -> None:
-        """Set the tab order to that of the work: set-up first. Stop is not in it: it has keys of its own."""
-        order = [
-            self.rig.open_button, self.rig.again_button, self.rig.person,
-            self.schedule.open_button, self.schedule.folder_button,
-            self.run.start_button, self.run.pause_button, self.run.speeds,
-        ]  # fmt: skip
-        for first, second in pairwise(order):
-            QWidget.setTabOrder(first, second)
+        for each in (self._banner, self.orders, self.question, self.notice, self.strip):
+            whole.addWidget(each)
+        whole.addLayout(middle, 1)
+        whole.addWidget(self.run)
 
 
 def _text_label(name: str) -> QLabel:
@@ -166,5 +216,6 @@ def _text_label(name: str) -> QLabel:
     label = QLabel()
     label.setWordWrap(True)
     label.setAccessibleName(name)
+    label.setTextFormat(Qt.TextFormat.PlainText)
     label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
     return label

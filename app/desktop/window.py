@@ -1,55 +1,146 @@
-"""The main window: passes on what the operator does, asks questions, and closes in order."""
+"""The main window: passes on what the operator does, asks questions, and closes in order.
 
+It shows itself first. Then what makes plans and plots is imported, in a thread; `complete` attaches to the rig's station, or
+starts one. The window may be closed during a campaign, which goes on in the station.
+"""
+
+import contextlib
+import os
+import threading
+from importlib import import_module
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from PySide6.QtCore import Qt, Slot
-from PySide6.QtGui import QCloseEvent, QKeyEvent
-from PySide6.QtWidgets import QFileDialog, QMainWindow
+from PySide6.QtCore import QEvent, Qt, QUrl, Signal, Slot
+from PySide6.QtGui import QCloseEvent, QDesktopServices, QKeyEvent
+from PySide6.QtWidgets import QFileDialog, QMainWindow, QMessageBox
 
-from goniotwin.app.campaign.running.events import SafetyOrder
-from goniotwin.app.campaign.running.operator import EFFECTS, Answer
+from goniotwin.app.campaign.running.question import EFFECTS, Answer
 from goniotwin.app.desktop.event_loop import GarbageCollector
 from goniotwin.app.desktop.events.question import Choice, QuestionBox
-from goniotwin.app.desktop.model.messages import QuestionAsked
-from goniotwin.app.desktop.model.rig_thread import RigThread
-from goniotwin.app.desktop.presenter import Presenter
-from goniotwin.app.desktop.theme import Theme
+from goniotwin.app.desktop.menu import Menus, about_text, keys_text
+from goniotwin.app.desktop.remembered import Remembered
+from goniotwin.app.desktop.run.screen import RunScreen
+from goniotwin.app.desktop.theme import Scheme, Theme
 from goniotwin.app.desktop.view import MainView
 
-KEEP_RUNNING, STOP_AND_CLOSE = "Keep running", "Stop and close"
+if TYPE_CHECKING:
+    from goniotwin.app.campaign.running.events import SafetyOrder
+    from goniotwin.app.desktop.model.connection import Connection, Stations
+    from goniotwin.app.desktop.presenter import Presenter
+    from goniotwin.app.station.messages import QuestionAsked
+
+KEEP_MEASURING, STOP_AND_CLOSE = "Keep measuring", "Stop and close"
 KEEP_OPEN, ACKNOWLEDGE = "Keep open", "Acknowledge"
+WIDTH, HEIGHT = 1180, 760
+"""Size of the first start in logical pixels, on a screen that has it."""
+DESKTOP = "goniotwin.app.desktop"
+LATER = (f"{DESKTOP}.presenter", f"{DESKTOP}.model.connection", f"{DESKTOP}.run.live_plot", "qtawesome")
+"""Modules that are imported after the window has been shown."""
 
 
 class MainWindow(QMainWindow):
     """One rig, one schedule, one run at a time. Journals are written to `folder`."""
 
-    def __init__(self, theme: Theme, rig: Path, schedule: Path | None, folder: Path, speed: float = 1.0) -> None:
+    presenter: "Presenter"
+    connection: "Connection"
+    imported = Signal()
+
+    def __init__(
+        self,
+        theme: Theme,
+        rig: Path,
+        schedule: Path | None,
+        folder: Path,
+        speed: float = 1.0,
+        remembered: Remembered | None = None,
+        stations: "Stations | None" = None,
+    ) -> None:
         super().__init__()
         self.theme = theme
         self.question: QuestionBox | None = None
         self.close_question: QuestionBox | None = None
         self._asked = 0
+        self._first = rig, schedule, speed
         self._folder = folder
+        self._remembered = remembered or Remembered()
+        self._stations = stations
+        self._complete = False
         self._closing = False
         self._unattended = False
         self._closed = False
-        self.view = MainView(theme.colours, folder, speed)
-        self.setCentralWidget(self.view)
-        self.resize(1180, 760)
-        self.presenter = Presenter(self.view, rig, self)
-        self._connect()
         self._collector = GarbageCollector(self)
         self._collector.start()
-        self.rig_thread = RigThread(self.presenter.message_received.emit, speed)
+        self._import = threading.Thread(target=self._import_later, name="imports")
+        self.view = MainView(theme.colours, folder, speed)
+        self.setCentralWidget(self.view)
+        self.menus = Menus(self, self.view, self._remembered)
+        self.setWindowTitle("goniotwin")
+        self._set_enabled(False)
+        self._restore_layout()
+        self.theme.changed.connect(self._recolour)
+        self.imported.connect(self.complete, Qt.ConnectionType.QueuedConnection)
+
+    # The start.
+
+    def event(self, event: QEvent) -> bool:
+        """Import the rest when the window has been painted; Qt calls it."""
+        handled = super().event(event)
+        if event.type() == QEvent.Type.Paint and not self._complete and self._import.ident is None:
+            self._import.start()
+        return handled
+
+    def _import_later(self) -> None:
+        try:
+            for name in LATER:
+                import_module(name)
+        finally:
+            with contextlib.suppress(RuntimeError):  # the window is gone
+                self.imported.emit()
+
+    @Slot()
+    def complete(self) -> None:
+        """Make what takes long to load, and attach to the station. A second call does nothing."""
+        if self._complete or self._closed:
+            return
+        from goniotwin.app.desktop.model.connection import Connection
+        from goniotwin.app.desktop.presenter import Presenter
+
+        self._complete = True
+        rig, schedule, speed = self._first
+        self.view.complete()
+        self.presenter = Presenter(self.view, rig, self)
+        self._connect()
+        self.connection = Connection(self.presenter.message_received.emit, speed, self._stations, f"window {os.getpid()}")
         self._open_rig(rig)
         if schedule is not None:
-            self.rig_thread.load(schedule)
+            self._open_schedule(schedule)
+
+    def _restore_layout(self) -> None:
+        remembered = self._remembered
+        available = self.screen().availableGeometry()
+        self.resize(min(WIDTH, available.width()), min(HEIGHT, available.height()))
+        if (geometry := remembered.layout("window")) is not None:
+            self.restoreGeometry(geometry)
+        if (state := remembered.layout("run")) is not None:
+            self.view.screen(RunScreen).splitter.restoreState(state)
+        titles = [each.title for each in self.view.screens]
+        if (shown := remembered.text("screen")) in titles:
+            self.view.show_screen(titles.index(shown))
+        self.view.navigation.buttons[self.view.shown_screen].setFocus()
+
+    def _remember_layout(self) -> None:
+        self._remembered.set_layout("window", self.saveGeometry())
+        self._remembered.set_layout("run", self.view.screen(RunScreen).splitter.saveState())
+        self._remembered.set_text("screen", self.view.screens[self.view.shown_screen].title)
 
     def _connect(self) -> None:
-        self.theme.changed.connect(self._recolour)
         self.presenter.changed.connect(self._refresh)
         self.presenter.question_asked.connect(self._ask)
+        self.presenter.question_closed.connect(self._dismiss_question)
         self.presenter.run_ended.connect(self._after_run)
+        for screen in self.view.screens:
+            self.presenter.message_shown.connect(screen.show_message)
         run, rig, schedule = self.view.run, self.view.rig, self.view.schedule
         run.start.connect(self._start)
         run.pause.connect(self._pause)
@@ -58,18 +149,35 @@ class MainWindow(QMainWindow):
         run.speed_chosen.connect(self._set_speed)
         self.view.orders.acknowledged.connect(self._acknowledge)
         self.view.question.show_question.connect(self._show_question)
+        self.view.notice.pressed.connect(self._act_on_notice)
         rig.open.connect(self._choose_rig)
         rig.connect_again.connect(self._connect_again)
         rig.person.toggled.connect(self._set_person)
         schedule.open.connect(self._choose_schedule)
         schedule.choose_folder.connect(self._choose_folder)
+        menus = self.menus
+        menus.recent_chosen.connect(self._open_recent)
+        menus.folder_wanted.connect(self._show_folder)
+        menus.scheme_chosen.connect(self._choose_scheme)
+        menus.help_wanted.connect(self._show_keys)
+        menus.about_wanted.connect(self._show_about)
+
+    def _set_enabled(self, enabled: bool) -> None:
+        """Enable what opens files and changes the set-up; the controls of the run have permissions of their own."""
+        run = self.view.run
+        for button in (*self.view.rig.buttons, self.view.rig.person, *self.view.schedule.buttons):
+            button.setEnabled(enabled)
+        if not self._complete:
+            for control in (run.start_button, run.pause_button, run.stop_button):
+                control.setEnabled(False)
+        self.menus.refresh()
 
     @Slot()
     def _refresh(self) -> None:
         permissions = self.presenter.permissions
         self.view.run.set_permissions(permissions)
-        for button in (*self.view.rig.buttons, self.view.rig.person, *self.view.schedule.buttons):
-            button.setEnabled(permissions.open)
+        self.menus.set_pause(permissions.resume)
+        self._set_enabled(permissions.open)
         self.setWindowTitle(self.presenter.title)
 
     @Slot()
@@ -82,37 +190,49 @@ class MainWindow(QMainWindow):
     def _start(self) -> None:
         if self.presenter.plan is not None:
             self._keep_open()
+            self.view.show_screen(self.view.screens.index(self.view.screen(RunScreen)))
             self.presenter.show_starting()
-            self.rig_thread.start(self.presenter.plan, self._folder)
+            self.connection.start(self.presenter.plan, self._folder)
 
     @Slot()
     def _pause(self) -> None:
-        self.rig_thread.pause()
+        self.connection.pause()
 
     @Slot()
     def _resume(self) -> None:
-        self.rig_thread.resume()
+        self.connection.resume()
 
     @Slot()
     def _stop(self) -> None:
-        self.rig_thread.stop()
-        if not self.presenter.busy:
-            self.view.show_status("Stop was sent to all axes.")
+        self.connection.stop()
+        self.view.show_status("Stop sent to all axes.")
 
     @Slot(float)
     def _set_speed(self, speed: float) -> None:
-        self.rig_thread.set_speed(speed)
+        self.connection.set_speed(speed)
 
     @Slot(bool)
     def _set_person(self, person: bool) -> None:
-        self.rig_thread.set_person(person)
+        self.connection.set_person(person)
 
     @Slot(object)
-    def _acknowledge(self, order: SafetyOrder) -> None:
+    def _acknowledge(self, order: "SafetyOrder") -> None:
         self.presenter.acknowledge(order)
-        self.rig_thread.acknowledge(order)
+        self.connection.acknowledge(order)
         if self._closing and not self.presenter.busy:
             self.close()
+
+    @Slot(str)
+    def _act_on_notice(self, action: str) -> None:
+        """Do what the button of the notice offers: operate from here, connect again, or resume what a station has left."""
+        if action == "operate":
+            self.connection.operate()
+        elif action == "connect":
+            self._connect_again()
+        elif action == "resume" and self.presenter.journal is not None:
+            self.presenter.show_opening(self.presenter.rig_path)
+            self.presenter.show_starting()
+            self.connection.resume_journal(self.presenter.journal)
 
     @Slot()
     def _after_run(self) -> None:
@@ -124,7 +244,7 @@ class MainWindow(QMainWindow):
     # The questions.
 
     @Slot(object)
-    def _ask(self, asked: QuestionAsked) -> None:
+    def _ask(self, asked: "QuestionAsked") -> None:
         self._dismiss_question()
         question, self._asked = asked.question, asked.number
         choices = [Choice(each, EFFECTS[each], each is Answer.STOP, each is question.default) for each in question.answers]
@@ -143,7 +263,7 @@ class MainWindow(QMainWindow):
         if answer is Answer.STOP:
             self._stop()
         else:
-            self.rig_thread.answer(self._asked, answer)
+            self.connection.answer(self._asked, answer)
 
     @Slot()
     def _show_question(self) -> None:
@@ -155,6 +275,7 @@ class MainWindow(QMainWindow):
         box.escape_released.connect(self.view.run.release_hold)
         return box
 
+    @Slot()
     def _dismiss_question(self) -> None:
         if self.question is not None:
             self.question.dismiss()
@@ -186,8 +307,9 @@ class MainWindow(QMainWindow):
         self._open_rig(self.presenter.rig_path)
 
     def _open_rig(self, path: Path) -> None:
+        self._remembered.add_recent("rig", path)
         self.presenter.show_opening(path)
-        self.rig_thread.open(path)
+        self.connection.open(path)
 
     @Slot()
     def _choose_schedule(self) -> None:
@@ -195,31 +317,77 @@ class MainWindow(QMainWindow):
         folder = Path(plan.schedule.name).parent if plan else self.presenter.rig_path.parent
         name, _ = QFileDialog.getOpenFileName(self, "Open a schedule file", str(folder), "Schedule files (*.toml)")
         if name:
-            self.rig_thread.load(Path(name))
+            self._open_schedule(Path(name))
+
+    def _open_schedule(self, path: Path) -> None:
+        self._remembered.add_recent("schedule", path)
+        self.connection.load(path)
+
+    @Slot(str, object)
+    def _open_recent(self, kind: str, path: Path) -> None:
+        if kind == "rig":
+            self._open_rig(path)
+        else:
+            self._open_schedule(path)
 
     @Slot()
     def _choose_folder(self) -> None:
         name = QFileDialog.getExistingDirectory(self, "Folder for data files (journals)", str(self._folder))
         if name:
             self._folder = Path(name)
+            self._remembered.set_folder(self._folder)
             self.view.schedule.set_folder(self._folder)
+
+    @Slot()
+    def _show_folder(self) -> None:
+        if self._folder.is_dir():
+            QDesktopServices.openUrl(QUrl.fromLocalFile(str(self._folder.absolute())))
+        else:
+            self.view.show_status(f"There is no folder {self._folder} yet; the first run creates it.")
+
+    # The window itself.
+
+    @Slot(object)
+    def _choose_scheme(self, scheme: Scheme | None) -> None:
+        self._remembered.set_text("scheme", scheme or "")
+        self.theme.force(scheme)
+
+    @Slot()
+    def _show_keys(self) -> None:
+        self._show_text("Keys and screens", keys_text(self.view))
+
+    @Slot()
+    def _show_about(self) -> None:
+        self._show_text("About goniotwin", about_text())
+
+    def _show_text(self, title: str, text: str) -> None:
+        """Show a text in a window of its own, which blocks nothing."""
+        box = QMessageBox(QMessageBox.Icon.NoIcon, title, text, QMessageBox.StandardButton.Close, self)
+        box.setAccessibleName(title)
+        box.setTextFormat(Qt.TextFormat.RichText)
+        box.setTextInteractionFlags(Qt.TextInteractionFlag.TextBrowserInteraction)
+        box.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        box.setModal(False)
+        box.show()
 
     # The end.
 
     def closeEvent(self, event: QCloseEvent) -> None:
-        """Ask during a run, and wait for the acknowledgement of every safety order; then close the rig and end its thread."""
+        """Ask during a run, which may go on, and wait for the acknowledgement of every safety order; then leave the station."""
+        self._remember_layout()
         orders = [] if self._unattended or self._closed else self.view.orders.orders
         self._dismiss_close_question()
-        if orders and not self.presenter.busy:
+        if orders and not self._busy:
             event.ignore()
             self._closing = True
             self._ask_acknowledgement(orders[0])
             return
-        if self.presenter.busy and not self._closed:
+        if self._busy and not self._closed and not self._unattended:
             event.ignore()
             choices = [
-                Choice(KEEP_RUNNING, "The window stays open.", default=True),
+                Choice(KEEP_MEASURING, "The window closes, the run goes on. The next window shows it again.", default=True),
                 Choice(STOP_AND_CLOSE, f"{EFFECTS[Answer.STOP]} Then the window closes.", stops=True),
+                Choice(KEEP_OPEN, "The window stays open."),
             ]
             self.close_question = self._question_box("Close the window?", "A run is in progress.", choices)
             self.close_question.chosen.connect(self._answer_close)
@@ -227,7 +395,17 @@ class MainWindow(QMainWindow):
         self.shut_down()
         event.accept()
 
-    def _ask_acknowledgement(self, order: SafetyOrder) -> None:
+    @property
+    def _busy(self) -> bool:
+        """Whether a run is in progress."""
+        return self._complete and self.presenter.busy
+
+    @property
+    def open_orders(self) -> "list[SafetyOrder]":
+        """The safety orders that are not acknowledged."""
+        return self.connection.open_orders if self._complete else []
+
+    def _ask_acknowledgement(self, order: "SafetyOrder") -> None:
         choices = [
             Choice(KEEP_OPEN, "The window stays open, with the order at its top.", default=True),
             Choice(ACKNOWLEDGE, "It is done, or seen to. The journal records it. Then the window closes.", stops=True),
@@ -242,13 +420,13 @@ class MainWindow(QMainWindow):
         self._dismiss_close_question()
 
     @Slot()
-    def stop_and_close(self) -> None:
-        """Stop a run in order, then close, without a question: after a signal, perhaps without a person at the window."""
+    def close_unattended(self) -> None:
+        """Close without a question: after a signal, perhaps without a person at the window. A run goes on in its station."""
         self._unattended = True
-        self._stop_and_close()
+        self.close()
 
     def _stop_and_close(self) -> None:
-        if not self.presenter.busy:
+        if not self._busy:
             self.close()
             return
         self._dismiss_close_question()
@@ -260,15 +438,21 @@ class MainWindow(QMainWindow):
         self._dismiss_close_question()
         if label == STOP_AND_CLOSE:
             self._stop_and_close()
+        elif label == KEEP_MEASURING:
+            self._unattended = True
+            self.close()
         elif label == ACKNOWLEDGE:
             self.view.orders.acknowledge(self.view.orders.orders[0])
         else:
             self._closing = False
 
     def shut_down(self) -> None:
-        """End the rig's thread; a run is stopped first. Nothing is moved. A second call does nothing."""
+        """Leave the station, which goes on; nothing is moved. A second call does nothing."""
         if not self._closed:
             self._closed = True
-            self.presenter.close()
-            self.rig_thread.close()
+            if self._import.ident is not None:
+                self._import.join()
+            if self._complete:
+                self.presenter.close()
+                self.connection.close()
             self._collector.stop()

@@ -2,8 +2,21 @@
 
 from collections import deque
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-from PySide6.QtCore import QDateTime, Qt, QTimer, Signal, Slot
+from PySide6.QtCore import (
+    QAbstractItemModel,
+    QAbstractTableModel,
+    QDateTime,
+    QModelIndex,
+    QObject,
+    QPersistentModelIndex,
+    QSortFilterProxyModel,
+    Qt,
+    QTimer,
+    Signal,
+    Slot,
+)
 from PySide6.QtGui import QColor, QResizeEvent
 from PySide6.QtWidgets import (
     QAbstractItemView,
@@ -12,14 +25,20 @@ from PySide6.QtWidgets import (
     QHeaderView,
     QLabel,
     QPushButton,
-    QTableWidget,
-    QTableWidgetItem,
+    QTableView,
     QVBoxLayout,
     QWidget,
 )
 
-from goniotwin.app.campaign.running.events import SafetyOrder
 from goniotwin.app.desktop.theme import Colours
+
+if TYPE_CHECKING:  # the window shows itself before the engine is loaded
+    from goniotwin.app.campaign.running.events import SafetyOrder
+
+Index = QModelIndex | QPersistentModelIndex
+Role = Qt.ItemDataRole
+NOWHERE = QModelIndex()
+SERIOUS = Role.UserRole
 
 COLUMNS = ("time", "what", "where", "consequence")
 MAX_ENTRIES = 2000
@@ -36,13 +55,106 @@ class LogEntry:
     serious: bool = False
 
 
-class EventTable(QTableWidget):
-    """A table whose columns share the width."""
+class EventModel(QAbstractTableModel):
+    """The events, the latest first: the time of the calendar, what happened, where, and the consequence."""
 
-    def __init__(self) -> None:
-        super().__init__(0, len(COLUMNS))
+    def __init__(self, parent: QObject, colours: Colours) -> None:
+        super().__init__(parent)
+        self._colours = colours
+        self._entries: deque[tuple[QDateTime, LogEntry]] = deque()
+
+    @property
+    def entries(self) -> list[LogEntry]:
+        """The entries, the latest first."""
+        return [entry for _, entry in self._entries]
+
+    @property
+    def serious(self) -> int:
+        """The number of entries that a person should look at."""
+        return sum(entry.serious for _, entry in self._entries)
+
+    def add(self, entry: LogEntry) -> None:
+        """Add an entry, now."""
+        if len(self._entries) == MAX_ENTRIES:
+            self.beginRemoveRows(QModelIndex(), MAX_ENTRIES - 1, MAX_ENTRIES - 1)
+            self._entries.pop()
+            self.endRemoveRows()
+        self.beginInsertRows(QModelIndex(), 0, 0)
+        self._entries.appendleft((QDateTime.currentDateTime(), entry))
+        self.endInsertRows()
+
+    def set_colours(self, colours: Colours) -> None:
+        """Take the colours of a scheme."""
+        self._colours = colours
+        self.dataChanged.emit(self.index(0, 0), self.index(max(len(self._entries) - 1, 0), len(COLUMNS) - 1))
+
+    def rowCount(self, parent: Index = NOWHERE) -> int:
+        """The number of entries; Qt calls it."""
+        return 0 if parent.isValid() else len(self._entries)
+
+    def columnCount(self, parent: Index = NOWHERE) -> int:
+        """The number of columns; Qt calls it."""
+        return 0 if parent.isValid() else len(COLUMNS)
+
+    def headerData(self, section: int, orientation: Qt.Orientation, role: int = Role.DisplayRole) -> object:
+        """The names of the columns; Qt calls it."""
+        shown = orientation == Qt.Orientation.Horizontal and role == Role.DisplayRole
+        return COLUMNS[section] if shown else None
+
+    def data(self, index: Index, role: int = Role.DisplayRole) -> object:
+        """A text, tool tip or colour of an entry, and for SERIOUS whether to look at it; Qt calls it."""
+        time, entry = self._entries[index.row()]
+        column = index.column()
+        if role == SERIOUS:
+            return entry.serious
+        if role == Role.ForegroundRole:
+            return QColor(self._colours.bad if entry.serious else self._colours.text)
+        if role == Role.TextAlignmentRole:
+            return Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignTop
+        if role == Role.ToolTipRole and column == 0:
+            return time.toString(Qt.DateFormat.ISODate)
+        if role in (Role.DisplayRole, Role.ToolTipRole):
+            mark = "✗ " if entry.serious else ""
+            return (time.toString("HH:mm:ss"), mark + entry.what, entry.where, entry.consequence)[column]
+        return None
+
+
+class SeriousOnly(QSortFilterProxyModel):
+    """The entries that a person should look at, or all of them."""
+
+    only = False
+
+    def set_only(self, only: bool) -> None:
+        """Show only those that a person should look at."""
+        self.only = only
+        self.invalidate()
+
+    def filterAcceptsRow(self, row: int, parent: Index) -> bool:
+        """Whether a row is shown; Qt calls it."""
+        return not self.only or bool(self.sourceModel().index(row, 0, parent).data(SERIOUS))
+
+
+class EventTable(QTableView):
+    """A table of events whose columns share the width."""
+
+    def __init__(self, model: QAbstractItemModel, name: str) -> None:
+        super().__init__()
+        self.setModel(model)
+        self.setAccessibleName(name)
+        self.verticalHeader().hide()
+        self.setWordWrap(True)
+        self.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
+        self.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
+        self.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        self.setVerticalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOn)  # else the width follows the heights
+        self.setTabKeyNavigation(False)
+        header = self.horizontalHeader()
+        header.setHighlightSections(False)
+        header.setDefaultAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter)
+        header.setSectionResizeMode(QHeaderView.ResizeMode.Fixed)
         self._fit = QTimer(self, interval=0, singleShot=True)
         self._fit.timeout.connect(self.resizeRowsToContents)
+        model.rowsInserted.connect(self._fit_new)
 
     def resizeEvent(self, event: QResizeEvent) -> None:
         """Share the width among the columns; Qt calls it."""
@@ -53,77 +165,13 @@ class EventTable(QTableWidget):
             self.setColumnWidth(column, width)
         self._fit.start()
 
-
-class EventLog(QWidget):
-    """The events, the latest first: the time of the calendar, what happened, where, and the consequence."""
-
-    def __init__(self, colours: Colours) -> None:
-        super().__init__()
-        self._colours = colours
-        self._entries: deque[LogEntry] = deque()
-        self._heading = QLabel()
-        self._table = EventTable()
-        self._table.setObjectName("events")
-        self._table.setAccessibleName("Events")
-        self._table.setHorizontalHeaderLabels(COLUMNS)
-        self._table.verticalHeader().hide()
-        self._table.setWordWrap(True)
-        self._table.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
-        self._table.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
-        self._table.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
-        self._table.setVerticalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOn)  # else the width follows the heights
-        self._table.setTabKeyNavigation(False)
-        header = self._table.horizontalHeader()
-        header.setHighlightSections(False)
-        header.setDefaultAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter)
-        header.setSectionResizeMode(QHeaderView.ResizeMode.Fixed)
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        layout.setSpacing(2)
-        layout.addWidget(self._heading)
-        layout.addWidget(self._table)
-        self._show_heading()
-
-    @property
-    def entries(self) -> list[LogEntry]:
-        """The entries, the latest first."""
-        return list(self._entries)
-
-    def add(self, entry: LogEntry) -> None:
-        """Add an entry, now."""
-        now = QDateTime.currentDateTime()
-        if len(self._entries) == MAX_ENTRIES:
-            self._entries.pop()
-            self._table.removeRow(MAX_ENTRIES - 1)
-        self._entries.appendleft(entry)
-        self._table.insertRow(0)
-        mark = "✗ " if entry.serious else ""
-        texts = (now.toString("HH:mm:ss"), mark + entry.what, entry.where, entry.consequence)
-        for column, text in enumerate(texts):
-            item = QTableWidgetItem(text)
-            item.setToolTip(now.toString(Qt.DateFormat.ISODate) if column == 0 else text)
-            item.setTextAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignTop)
-            item.setForeground(self._colour(entry))
-            self._table.setItem(0, column, item)
-        self._table.resizeRowToContents(0)
-        self._show_heading()
-
-    def set_colours(self, colours: Colours) -> None:
-        """Take the colours of a scheme."""
-        self._colours = colours
-        for row, entry in enumerate(self._entries):
-            for column in range(len(COLUMNS)):
-                item = self._table.item(row, column)
-                assert item is not None
-                item.setForeground(self._colour(entry))
-
-    def _colour(self, entry: LogEntry) -> QColor:
-        return QColor(self._colours.bad if entry.serious else self._colours.text)
-
-    def _show_heading(self) -> None:
-        serious = sum(entry.serious for entry in self._entries)
-        look = f" · {serious} to look at (✗)" if serious else ""
-        self._heading.setText(f"<b>Events</b>, the latest first{look}")
+    @Slot(QModelIndex, int, int)
+    def _fit_new(self, _parent: Index, first: int, last: int) -> None:
+        """Fit the heights of new rows; all of them, where many come at once."""
+        if last > first:
+            self._fit.start()
+        else:
+            self.resizeRowToContents(first)
 
 
 class OrdersPanel(QWidget):
@@ -141,11 +189,11 @@ class OrdersPanel(QWidget):
         self.hide()
 
     @property
-    def orders(self) -> list[SafetyOrder]:
+    def orders(self) -> "list[SafetyOrder]":
         """The orders, in the order in which they were given."""
         return list(self._rows)
 
-    def add(self, order: SafetyOrder) -> None:
+    def add(self, order: "SafetyOrder") -> None:
         """Show an order; one that is shown already is not shown twice."""
         if order in self._rows:
             return
@@ -164,14 +212,19 @@ class OrdersPanel(QWidget):
             row.set_colours(colours)
 
     @Slot(object)
-    def acknowledge(self, order: SafetyOrder) -> None:
+    def acknowledge(self, order: "SafetyOrder") -> None:
         """Remove an order, and report that it is acknowledged."""
+        if self.remove(order):
+            self.acknowledged.emit(order)
+
+    def remove(self, order: "SafetyOrder") -> bool:
+        """Remove an order; return whether it was shown."""
         row = self._rows.pop(order, None)
         if row is not None:
             row.hide()
             row.deleteLater()
             self.setVisible(bool(self._rows))
-            self.acknowledged.emit(order)
+        return row is not None
 
 
 class OrderRow(QFrame):
@@ -179,7 +232,7 @@ class OrderRow(QFrame):
 
     acknowledged = Signal(object)
 
-    def __init__(self, order: SafetyOrder) -> None:
+    def __init__(self, order: "SafetyOrder") -> None:
         super().__init__()
         self._order = order
         text = QLabel(f"SAFETY: {order.order}")
@@ -219,6 +272,55 @@ class OrderRow(QFrame):
     @Slot()
     def _acknowledge(self) -> None:
         self.acknowledged.emit(self._order)
+
+
+class NoticeBar(QFrame):
+    """A line about the station, with a button for what can be done about it: `action` is its name, empty without a notice."""
+
+    pressed = Signal(str)
+
+    def __init__(self, colours: Colours) -> None:
+        super().__init__()
+        self.action = ""
+        self._text = QLabel()
+        self._text.setWordWrap(True)
+        self._text.setAccessibleName("Notice")
+        self.button = QPushButton()
+        self.button.clicked.connect(self._press)
+        layout = QHBoxLayout(self)
+        layout.setContentsMargins(12, 4, 12, 4)
+        layout.addWidget(self._text, 1)
+        layout.addWidget(self.button)
+        self.set_colours(colours)
+        self.clear()
+
+    @property
+    def text(self) -> str:
+        """The line; empty without a notice."""
+        return "" if self.isHidden() else self._text.text()
+
+    def show_notice(self, text: str, label: str, action: str) -> None:
+        """Show a notice, with the label of its button; the button has the focus where no other control has it."""
+        self.action = action
+        self._text.setText(text)
+        self.button.setText(label)
+        self.button.setAccessibleName(f"{label.replace('&', '')}. {text}")
+        self.show()
+
+    def clear(self) -> None:
+        """Show no notice."""
+        self.action = ""
+        self.hide()
+
+    def set_colours(self, colours: Colours) -> None:
+        """Take the colours of a scheme."""
+        self.setStyleSheet(
+            f"NoticeBar {{ background: {colours.accent}; }} QLabel {{ color: {colours.on_accent}; font-weight: bold }}"
+        )
+
+    @Slot()
+    def _press(self) -> None:
+        self.pressed.emit(self.action)
 
 
 class QuestionBar(QFrame):

@@ -1,19 +1,60 @@
-"""The panels of the instrument: devices and axes. They only show."""
+"""The panels of the instrument: rig file, devices and axes. They only show."""
 
-from PySide6.QtCore import Qt
-from PySide6.QtWidgets import QGridLayout, QGroupBox, QLabel, QWidget
+from pathlib import Path
+from typing import TYPE_CHECKING
 
-from goniotwin.app.desktop.model.messages import DeviceStatus
+from PySide6.QtCore import Qt, Signal
+from PySide6.QtWidgets import QCheckBox, QGridLayout, QGroupBox, QHBoxLayout, QLabel, QPushButton, QVBoxLayout, QWidget
+
 from goniotwin.app.desktop.theme import Colours
-from goniotwin.app.rig import AXES
-from goniotwin.app.rig.kinds import ROLES
+
+if TYPE_CHECKING:  # the window shows itself before the engine is loaded
+    from goniotwin.app.station.messages import DeviceStatus, RigOpened
 
 GREEK = {"gamma": "γ", "sigma": "σ", "beta": "β", "shift": "Δ"}
+"""The letter of each axis, in the order of a pose."""
+DEVICES = ("axes", "monochromator", "photodiodes", "monitor")
+"""The devices that a rig usually has."""
 NO_VALUE = "–"
+
+
+class RigPanel(QGroupBox):
+    """The open rig."""
+
+    open = Signal()
+    connect_again = Signal()
+
+    def __init__(self) -> None:
+        super().__init__("Rig file")
+        self.setAccessibleName("Rig file")
+        self._name = heading("no rig")
+        self._name.setAccessibleName("Rig")
+        self._path = path_label()
+        self.open_button = QPushButton("&Open rig…")
+        self.open_button.setAccessibleName("Open a rig file")
+        self.again_button = QPushButton("&Connect again")
+        self.again_button.setAccessibleName("Connect the rig's devices again")
+        self.open_button.clicked.connect(self.open)
+        self.again_button.clicked.connect(self.connect_again)
+        self.buttons = (self.open_button, self.again_button)
+        self.person = QCheckBox("A person is the op&erator")
+        self.person.setToolTip("Questions about mounting and faults, as on a real rig; from the next run on")
+        self.person.setAccessibleName("A person is the operator")
+        fill(self, [self._name, self._path], self.buttons).addWidget(self.person)
+        self.person.hide()
+
+    def set_rig(self, rig: "RigOpened | None", path: Path) -> None:
+        """Show the open rig, or that the one of a file is not open. At a real rig a person always is the operator."""
+        self.person.setVisible(rig is not None and rig.simulated)
+        self._name.setText(rig.name if rig else f"no rig: {path.name}")
+        show_path(self._path, path)
 
 
 class DevicesPanel(QGroupBox):
     """Each device: whether it is connected, its identity, or the reason why it does not respond."""
+
+    shown = Signal(object)
+    """The statuses, whenever they are set."""
 
     def __init__(self, colours: Colours) -> None:
         super().__init__("Devices")
@@ -31,13 +72,14 @@ class DevicesPanel(QGroupBox):
         """The text of a device."""
         return f"{self._marks[device].text()}: {self._texts[device].text()}"
 
-    def set_devices(self, devices: dict[str, DeviceStatus]) -> None:
+    def set_devices(self, devices: "dict[str, DeviceStatus]") -> None:
         """Show the status of each device; without a rig, those that a rig usually has."""
         self._statuses = dict(devices)
-        names = list(devices) or list(ROLES)
+        names = list(devices) or list(DEVICES)
         if names != list(self._marks):
             self._make_rows(names)
         self._show()
+        self.shown.emit(self._statuses)
 
     def _make_rows(self, devices: list[str]) -> None:
         while (item := self._grid.takeAt(0)) is not None:
@@ -81,6 +123,10 @@ class DevicesPanel(QGroupBox):
 class AxesPanel(QGroupBox):
     """The position and the target of each axis."""
 
+    positions_shown = Signal(object)
+    targets_shown = Signal(object)
+    """What was set last, whenever it is set."""
+
     def __init__(self) -> None:
         super().__init__("Axes")
         self.setAccessibleName("Axes")
@@ -91,7 +137,7 @@ class AxesPanel(QGroupBox):
         grid.setHorizontalSpacing(18)
         grid.addWidget(_right("position"), 0, 1)
         grid.addWidget(_right("target"), 0, 2)
-        for at, axis in enumerate(AXES, start=1):
+        for at, axis in enumerate(GREEK, start=1):
             position, target = _right(NO_VALUE), _right(NO_VALUE)
             font = position.font()
             font.setPointSizeF(1.25 * font.pointSizeF())
@@ -112,15 +158,17 @@ class AxesPanel(QGroupBox):
     def set_positions(self, degrees: dict[str, float]) -> None:
         """Show the positions, deg; without a value an axis has a dash."""
         for axis, label in self._positions.items():
-            label.setText(_angle(degrees.get(axis)))
+            label.setText(angle_text(degrees.get(axis)))
             label.setAccessibleName(f"{axis} position {label.text()}")
+        self.positions_shown.emit(degrees)
 
     def set_targets(self, pose: tuple[float, ...] | None) -> None:
         """Show the targets of a pose, deg; None while no axis is sent anywhere."""
-        for axis, value in zip(AXES, pose or (None,) * len(AXES), strict=True):
+        for axis, value in zip(GREEK, pose or (None,) * len(GREEK), strict=True):
             label = self._targets[axis]
-            label.setText(_angle(value))
+            label.setText(angle_text(value))
             label.setAccessibleName(f"{axis} target {label.text()}")
+        self.targets_shown.emit(pose)
 
 
 def heading(text: str, parent: QWidget | None = None) -> QLabel:
@@ -133,7 +181,39 @@ def heading(text: str, parent: QWidget | None = None) -> QLabel:
     return label
 
 
-def _angle(degrees: float | None) -> str:
+def path_label() -> QLabel:
+    """A label for a path, that wraps."""
+    label = QLabel()
+    label.setWordWrap(True)
+    label.setTextFormat(Qt.TextFormat.PlainText)
+    label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+    return label
+
+
+def show_path(label: QLabel, path: Path, before: str = "") -> None:
+    """Show a path, with a text before it."""
+    # A path has no spaces to wrap at; an invisible one after each separator allows a line break.
+    text = str(path).replace("/", "/\u200b").replace("\\", "\\\u200b")
+    label.setText(f"{before}{text}")
+    label.setToolTip(str(path))
+    label.setAccessibleName(f"{before}{path}")
+
+
+def fill(box: QGroupBox, labels: list[QLabel], buttons: tuple[QPushButton, ...]) -> QVBoxLayout:
+    """Lay out labels, and buttons in a row below them."""
+    layout = QVBoxLayout(box)
+    layout.setSpacing(6)
+    for label in labels:
+        layout.addWidget(label)
+    row = QHBoxLayout()
+    for button in buttons:
+        row.addWidget(button)
+    layout.addLayout(row)
+    return layout
+
+
+def angle_text(degrees: float | None) -> str:
+    """An angle in degrees with two digits after the point; a dash without one."""
     if degrees is None:
         return NO_VALUE
     # Noise about zero would otherwise show -0.00.

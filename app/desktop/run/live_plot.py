@@ -4,10 +4,13 @@ A logarithmic axis has no place for values that are not positive, and pyqtgraph 
 the logarithm is taken here, and values below the detection limit are marks of their own at the lower edge.
 """
 
+import math
+from itertools import pairwise
+
 import numpy as np
 import pyqtgraph as pg
 from PySide6.QtCore import QObject, Qt, QTimer, Signal, Slot
-from PySide6.QtGui import QColor
+from PySide6.QtGui import QColor, QResizeEvent
 from PySide6.QtWidgets import QLabel, QVBoxLayout, QWidget
 
 from goniotwin.app.campaign.planning.plan import Plan
@@ -21,31 +24,70 @@ from goniotwin.arrays import Flags, Floats
 REDRAW_MS = 100
 """Shortest time between two repaints, at any rate of rows."""
 POINT_SIZE = 7
-PIXELS_OF_ALL, PIXELS_OF_SOME = 350.0, 60.0
-"""Heights of a decade above which the texts of all its ticks, and those of 2 and 5, have room."""
-
+LOW = 190
+"""Height in logical pixels below which the text of the plot is left out; it is the plot's tool tip too."""
+PIXELS_OF_VALUE, PIXELS_OF_LINE = 17.0, 5.0
+"""Least distance of two texts at the axis of the values, and of two of its ticks."""
+DIGITS: tuple[tuple[int, ...], ...] = (tuple(range(1, 10)), (1, 2, 3, 5, 7), (1, 2, 5), (1, 3), (1,))
+"""Ticks within a decade, from many to few."""
 ANGLE_STEPS_DEG = (90.0, 30.0, 10.0, 5.0, 1.0, 0.5, 0.1, 0.05, 0.01)
 """Each is a multiple of the next."""
 PIXELS_OF_ANGLE, PIXELS_OF_TICK = 38.0, 8.0
 """Widths of a step above which it has room for its text, and for a tick."""
 
 
+def log_ticks(low: float, high: float, pixels: float, least: float) -> list[float]:
+    """The logarithms of round values between two logarithms, no two closer than `least` of the `pixels` between these.
+
+    A decade has the values 1 to 9, or some of them; where a decade has no room, every second, third and so on has one. Less
+    than a decade has values at even distances where the digits would leave fewer than three.
+    """
+    span = max(high - low, 1e-9)
+    room = least * span / max(pixels, 1.0)
+    for digits in DIGITS:
+        logs = [math.log10(each) for each in (*digits, 10)]
+        if min(after - before for before, after in pairwise(logs)) >= room:
+            decades = range(math.floor(low), math.ceil(high) + 1)
+            found = [decade + each for decade in decades for each in logs[:-1] if low <= decade + each <= high]
+            return found if len(found) >= 3 or span >= 1.0 else _even_ticks(low, high, room) or found
+    step = math.ceil(room)
+    return [float(each) for each in range(math.floor(low), math.ceil(high) + 1) if each % step == 0 and low <= each <= high]
+
+
+def _even_ticks(low: float, high: float, room: float) -> list[float]:
+    """The logarithms of values at even distances, within a decade; empty where fewer than two have room."""
+    bottom, top = 10.0**low, 10.0**high
+    step = top * (1.0 - 10.0**-room)  # the distance of logarithms is least at the top
+    scale = 10.0 ** math.floor(math.log10(step))
+    step = scale * next((each for each in (1, 2, 5) if each * scale >= step), 10)
+    numbers = range(math.ceil(bottom / step - 1e-9), math.floor(top / step + 1e-9) + 1)
+    return [math.log10(each * step) for each in numbers] if len(numbers) >= 2 else []
+
+
 class LogAxis(pg.AxisItem):
     """The axis of logarithms, with the values themselves at its ticks: 0.01, 0.05, 100."""
 
     def __init__(self) -> None:
-        super().__init__("left")
-        self.setLogMode(y=True)
+        super().__init__("left", maxTextLevel=0)
         self.enableAutoSIPrefix(False)
         self.setWidth(64)
 
-    def logTickStrings(self, values: list[float], scale: float, spacing: float) -> list[str]:
-        """The texts of the ticks, as many as there is room for: all, those of 1, 2 and 5, or of 1 (pyqtgraph calls it)."""
+    def tickValues(self, minVal: float, maxVal: float, size: float) -> list[tuple[float, list[float]]]:
+        """The ticks with a text, and those between them; each with a distance (pyqtgraph calls it)."""
+        low, high = sorted((minVal, maxVal))
+        texts = log_ticks(low, high, size, PIXELS_OF_VALUE)
+        between = [each for each in log_ticks(low, high, size, PIXELS_OF_LINE) if each not in texts]
+        return [(1.0, texts), (0.1, between)]
+
+    def tickStrings(self, values: list[float], scale: float, spacing: float) -> list[str]:
+        """The values of logarithms, as short as they differ (pyqtgraph calls it)."""
         del scale, spacing
-        decade = self.size().height() / max(self.range[1] - self.range[0], 1e-9)
-        digits = "123456789" if decade > PIXELS_OF_ALL else "125" if decade > PIXELS_OF_SOME else "1"
-        texts = [f"{10.0**value:.2g}" if value < 2.0 else f"{10.0**value:.0f}" for value in values]
-        return [text if f"{10.0**value:.0e}"[0] in digits else "" for value, text in zip(values, texts, strict=True)]
+        return [_value_text(10.0**each) for each in values]
+
+
+def _value_text(value: float) -> str:
+    exponent = math.floor(math.log10(value) + 1e-9)
+    return f"{value:.3g}" if -4 <= exponent <= 5 else f"{value / 10.0**exponent:.3g}e{exponent}"
 
 
 class AngleAxis(pg.AxisItem):
@@ -97,6 +139,11 @@ class ScanPlot(QWidget):
         self.set_colours(colours)
         self.clear("")
 
+    def resizeEvent(self, event: QResizeEvent) -> None:
+        """Leave the room to the plot where there is little; Qt calls it."""
+        super().resizeEvent(event)
+        self._note.setVisible(self.height() >= LOW)
+
     @property
     def summary(self) -> str:
         """The content of the plot as text."""
@@ -128,7 +175,7 @@ class ScanPlot(QWidget):
         self._plot.setYRange(-4.0, 0.0)
         self._plot.enableAutoRange(axis="y")
         self._label()
-        self._note.setText("The scan in progress is plotted here.")
+        self._write("The scan in progress is plotted here.")
 
     def show_scan(self, scan: ScanData) -> None:
         """Show the points of a scan so far."""
@@ -160,7 +207,7 @@ class ScanPlot(QWidget):
             self._plot.setXRange(*scan.range_deg, padding=0.02)
             self._plot.enableAutoRange(axis="y")
             self._label()
-        self._note.setText(_note_text(scan, kinds, int(below.sum())))
+        self._write(_note_text(scan, kinds, int(below.sum())))
 
     def set_colours(self, colours: Colours) -> None:
         """Take the colours of a scheme."""
@@ -176,6 +223,11 @@ class ScanPlot(QWidget):
         self._bars.setData(pen=pg.mkPen(colours.points, width=1))
         self._show_blocked(self._scan.blocked_deg if self._scan else ())
         self._label()
+
+    def _write(self, text: str) -> None:
+        self._note.setText(text)
+        self._view.setToolTip(text)
+        self._view.setAccessibleDescription(text)
 
     def _show_blocked(self, intervals: tuple[tuple[float, float], ...]) -> None:
         for each in self._regions:

@@ -1,8 +1,11 @@
 """The controls of a run: Start, Pause, Stop; its progress, the time left and the simulation speed."""
 
+from typing import TYPE_CHECKING
+
 from PySide6.QtCore import Qt, QTimer, Signal, Slot
 from PySide6.QtGui import QGuiApplication, QKeySequence, QShortcut
 from PySide6.QtWidgets import (
+    QBoxLayout,
     QComboBox,
     QHBoxLayout,
     QLabel,
@@ -14,10 +17,13 @@ from PySide6.QtWidgets import (
 )
 
 from goniotwin.app.campaign.wording import rounded_duration_text
-from goniotwin.app.desktop.model.permissions import Permissions
 from goniotwin.app.desktop.theme import Colours
 
-SPEEDS = (1.0, 10.0, 60.0)
+if TYPE_CHECKING:  # the window shows itself before the engine is loaded
+    from goniotwin.app.desktop.model.permissions import Permissions
+
+START_KEY, PAUSE_KEY = "Ctrl+R", "Ctrl+P"
+SPEEDS = (1.0, 10.0, 20.0, 60.0)
 STOP_KEY = "Ctrl+."
 """Stops at once. Enter and Space never stop, so that a key pressed by accident ends no run."""
 HOLD_KEY = "Esc"
@@ -26,7 +32,7 @@ HOLD_MS = 1000
 
 
 class RunPanel(QWidget):
-    """The controls of a run. The window connects their signals."""
+    """The controls of a run. The window connects their signals. `lines` is the place for lines of text below the progress."""
 
     start = Signal()
     pause = Signal()
@@ -39,9 +45,9 @@ class RunPanel(QWidget):
         self._resumes = False
         self._speed = speed
         self._left_s: float | None = None
-        self.start_button = _button("&Start", "Start the run", "Ctrl+R")
-        self.pause_button = _button("&Pause", "Pause the run", "Ctrl+P")
-        self.stop_button = _button("STOP", "Stop all axes and the run", "")
+        self.start_button = _button("&Start", "Start the run")
+        self.pause_button = _button("&Pause", "Pause the run")
+        self.stop_button = _button("STOP", "Stop all axes and the run")
         self.stop_button.setToolTip(f"All axes come to rest and the run ends (hold {HOLD_KEY} for a second, or {STOP_KEY})")
         self.stop_button.setSizePolicy(QSizePolicy.Policy.Fixed, QSizePolicy.Policy.Expanding)
         self.stop_button.setFocusPolicy(Qt.FocusPolicy.NoFocus)
@@ -50,7 +56,7 @@ class RunPanel(QWidget):
         self._hold = QTimer(self, interval=HOLD_MS, singleShot=True)
         self.progress = QProgressBar()
         self.progress.setAccessibleName("Rows done")
-        self.progress.setMinimumWidth(160)
+        self.progress.setMinimumWidth(120)
         self.left = QLabel()
         self.left.setAccessibleName("Time left")
         self.speeds = QComboBox()
@@ -59,8 +65,12 @@ class RunPanel(QWidget):
         for each in sorted({*SPEEDS, speed}):
             self.speeds.addItem(f"{each:g}×", each)
         self.speeds.setCurrentIndex(self.speeds.findData(speed))
-        self._speed_label = QLabel("Simulation speed")
+        self._speed_label = QLabel("Simu&lation speed")
         self._speed_label.setBuddy(self.speeds)
+        self.lines = QVBoxLayout()
+        self._bar = QBoxLayout(QBoxLayout.Direction.TopToBottom)
+        self._virtual = True
+        self._compact = True  # the window grows from its least size
         self._lay_out()
         self.start_button.clicked.connect(self.start)
         self.stop_button.clicked.connect(self.stop)
@@ -74,19 +84,20 @@ class RunPanel(QWidget):
         assert isinstance(application, QGuiApplication)
         application.applicationStateChanged.connect(self.release_hold)  # another program may get the release
         self.release_hold()
+        self._show_speeds()
         self.set_colours(colours)
         self.set_progress(0, 0, None)
 
-    def set_permissions(self, permissions: Permissions) -> None:
+    def set_permissions(self, permissions: "Permissions") -> None:
         """Enable the permitted controls; the tool tip of Start has the reason why it is disabled."""
         self.start_button.setEnabled(not permissions.no_start)
-        self.start_button.setToolTip(
-            f"Disabled: {permissions.no_start}" if permissions.no_start else "Measure the schedule, into a new journal (Ctrl+R)"
-        )
+        refused = f"Disabled: {permissions.no_start}" if permissions.no_start else ""
+        self.start_button.setToolTip(refused or f"Measure the schedule, into a new journal ({START_KEY})")
         self.pause_button.setEnabled(permissions.pause or permissions.resume)
         self._resumes = permissions.resume
-        self.pause_button.setText("&Resume" if permissions.resume else "&Pause")
-        self.pause_button.setShortcut("Ctrl+P")  # setText removes it
+        self.pause_button.setText("Res&ume" if permissions.resume else "&Pause")
+        what = "Continue with the next row" if self._resumes else "Pause after this row"
+        self.pause_button.setToolTip(f"{what} ({PAUSE_KEY})")
         self.pause_button.setAccessibleName("Resume the run" if permissions.resume else "Pause the run")
         self.stop_button.setEnabled(permissions.stop)
 
@@ -110,12 +121,34 @@ class RunPanel(QWidget):
         self._left_s = left_s
         self._show_left()
 
+    def show_speed(self, speed: float) -> None:
+        """Show the simulation speed of the station, which another client may have set."""
+        self.speeds.blockSignals(True)
+        if self.speeds.findData(speed) < 0:
+            self.speeds.addItem(f"{speed:g}×", speed)
+        self.speeds.setCurrentIndex(self.speeds.findData(speed))
+        self.speeds.blockSignals(False)
+        if self._virtual:
+            self._speed = speed
+        self._show_left()
+
     def set_virtual(self, virtual: bool) -> None:
         """Show the simulation speed for a virtual rig, and hide it for a real one."""
-        self._speed_label.setVisible(virtual)
-        self.speeds.setVisible(virtual)
+        self._virtual = virtual
+        self._show_speeds()
         self._speed = float(self.speeds.currentData()) if virtual else 1.0
         self._show_left()
+
+    def set_compact(self, compact: bool) -> None:
+        """Take less width: the time left below the progress, the simulation speed without its name."""
+        if compact != self._compact:
+            self._compact = compact
+            self._bar.setDirection(QBoxLayout.Direction.TopToBottom if compact else QBoxLayout.Direction.LeftToRight)
+            self._show_speeds()
+
+    def _show_speeds(self) -> None:
+        self._speed_label.setVisible(self._virtual and not self._compact)
+        self.speeds.setVisible(self._virtual)
 
     def set_colours(self, colours: Colours) -> None:
         """Take the colours of a scheme. No other control looks like Stop."""
@@ -128,28 +161,35 @@ class RunPanel(QWidget):
         )
 
     def _lay_out(self) -> None:
-        buttons = QHBoxLayout()
-        for each in (self.start_button, self.pause_button):
-            each.setMinimumWidth(96)
-            buttons.addWidget(each)
-        buttons.addStretch(1)
-        buttons.addWidget(self._speed_label)
-        buttons.addWidget(self.speeds)
-        bar = QHBoxLayout()
+        bar = self._bar
+        bar.setSpacing(4)
         bar.addWidget(self.progress, 1)
         bar.addWidget(self.left)
-        rows = QVBoxLayout()
-        rows.setSpacing(8)
-        rows.addLayout(bar)
-        rows.addLayout(buttons)
-        layout = QHBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        layout.addLayout(rows, 1)
-        layout.addSpacing(8)
+        texts = QVBoxLayout()
+        texts.setSpacing(4)
+        texts.addLayout(bar)
+        texts.addLayout(self.lines, 1)
+        buttons = QHBoxLayout()
+        for each in (self.start_button, self.pause_button):
+            each.setMinimumWidth(76)
+            each.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
+            buttons.addWidget(each)
+        speed = QHBoxLayout()
+        speed.addWidget(self._speed_label)
+        speed.addWidget(self.speeds)
+        controls = QVBoxLayout()
+        controls.setSpacing(4)
+        controls.addLayout(buttons, 1)
+        controls.addLayout(speed)
         stop = QVBoxLayout()
         stop.setSpacing(2)
         stop.addWidget(self.stop_button)
         stop.addWidget(self._stop_keys)
+        layout = QHBoxLayout(self)
+        layout.setContentsMargins(12, 6, 10, 8)
+        layout.setSpacing(14)
+        layout.addLayout(texts, 1)
+        layout.addLayout(controls)
         layout.addLayout(stop)
 
     def _show_left(self) -> None:
@@ -183,10 +223,8 @@ class RunPanel(QWidget):
         self.speed_chosen.emit(self._speed)
 
 
-def _button(text: str, name: str, shortcut: str) -> QPushButton:
+def _button(text: str, name: str) -> QPushButton:
     button = QPushButton(text)
     button.setAccessibleName(name)
     button.setAutoDefault(False)
-    if shortcut:
-        button.setShortcut(shortcut)
     return button

@@ -23,7 +23,7 @@ from goniotwin.app.campaign.running.events import (
     State,
     StateChanged,
 )
-from goniotwin.app.campaign.running.operator import Answer
+from goniotwin.app.campaign.running.question import Answer
 from goniotwin.app.campaign.running.rows import CLOSING_S
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.errors import UserError

@@ -20,7 +20,8 @@ from goniotwin.app.campaign.running.events import (
     State,
     StateChanged,
 )
-from goniotwin.app.campaign.running.operator import Answer, HumanOperator
+from goniotwin.app.campaign.running.operator import HumanOperator
+from goniotwin.app.campaign.running.question import Answer
 from goniotwin.app.campaign.running.recovery import FaultPolicies, fault_kind
 from goniotwin.app.campaign.running.stop import Stopped
 from goniotwin.app.campaign.schedule.file import read_schedule

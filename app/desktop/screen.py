@@ -1,0 +1,38 @@
+"""A screen of the window: a page of its own, with a title and an icon in the navigation."""
+
+from typing import ClassVar
+
+from PySide6.QtCore import Slot
+from PySide6.QtWidgets import QWidget
+
+from goniotwin.app.desktop.theme import Colours
+
+
+class Screen(QWidget):
+    """A screen. A new one is a folder with a subclass, and a line in `SCREENS` of the view.
+
+    `title` is its name, `icon` that of an icon of the Material Design Icons (qtawesome). The mnemonics of its controls differ
+    from those of the menus and of the controls of a run, which are always there.
+
+    The window shows itself before a rig is there: a module of a screen imports neither the engine nor the plots; what needs
+    them is imported and made by `complete`.
+    """
+
+    title: ClassVar[str]
+    icon: ClassVar[str]
+
+    def __init__(self, colours: Colours) -> None:
+        super().__init__()
+        self._colours = colours
+        self.setAccessibleName(f"Screen {self.title}")
+
+    def complete(self) -> None:
+        """Make what takes long to load. Called once, after the window has been shown and before the first message."""
+
+    def set_colours(self, colours: Colours) -> None:
+        """Take the colours of a scheme."""
+        self._colours = colours
+
+    @Slot(object)
+    def show_message(self, message: object) -> None:
+        """Show a message of the rig (`model.messages`). Called for each one, in the window's thread."""

@@ -1,0 +1,95 @@
+"""The place of a station: its lock and its connection file, from the start of its server to the end."""
+
+import contextlib
+import hashlib
+import os
+import socket
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+from goniotwin.app.rig import OpenRig, RigDescription
+from goniotwin.app.rig.addresses import device_names
+from goniotwin.app.rig.lock import LockFile
+from goniotwin.app.station.connection_file import Connection, connection_folder, read_connection, write_connection
+from goniotwin.app.station.messages import Message, RunBegun
+from goniotwin.app.station.server import StationServer
+from goniotwin.app.station.station import Station
+from goniotwin.own_files import make_own_folder
+from goniotwin.protocols.channel import PROTOCOL
+from goniotwin.protocols.clock import calendar_stamp
+
+
+def connection_path(rig: RigDescription) -> Path:
+    """The connection file of the station that has a rig: of its devices; of a virtual rig in the station, of its rig file."""
+    if rig.file.in_process:
+        places = [str(Path(rig.name).resolve())]
+    else:
+        places = sorted({name for address in rig.file.addresses for name in device_names(address)})
+    return connection_folder() / f"{hashlib.sha256(repr(places).encode()).hexdigest()[:32]}.json"
+
+
+@contextlib.contextmanager
+def serving(station: Station, rig: RigDescription) -> Iterator[StationServer]:
+    """Serve a station, whose rig is open, to clients that find it by its file.
+
+    The devices of a rig have locks of their own; for a virtual rig in this process there is one beside the file. Raises
+    RigInUse where another station has it.
+    """
+    path = connection_path(rig)
+    make_own_folder(path.parent)
+    locks = []
+    if rig.file.in_process:
+        locks.append(LockFile(path.with_suffix(".lock"), rig.name, f"station of {rig.file.name} ({rig.name})", 0o600))
+    server = StationServer(station)
+    about = Connection(
+        PROTOCOL, os.getpid(), socket.gethostname(), server.port, server.token, str(Path(rig.name).absolute()), "",
+        calendar_stamp(),
+    )  # fmt: skip
+
+    def write(_number: int, message: Message) -> None:
+        nonlocal about
+        if isinstance(message, RunBegun):
+            about = replace(about, journal=str(message.journal))
+            with contextlib.suppress(OSError):  # a full disk: the file leads to the station as before
+                write_connection(path, about)
+
+    try:
+        server.start()
+        write_connection(path, about)
+        station.board.subscribe(write)
+        yield server
+    finally:
+        station.board.unsubscribe(write)
+        server.stop()
+        found = read_connection(path)
+        if found is not None and found.pid == about.pid:
+            path.unlink(missing_ok=True)
+        for lock in locks:
+            lock.release(remove=True)
+
+
+@contextlib.contextmanager
+def hosted_run(speed: float) -> Iterator["HostedRun"]:
+    """The host of one run of this program, which others can attach to from the opening of its rig to the end."""
+    with contextlib.ExitStack() as stack:
+        yield HostedRun(speed, stack)
+
+
+class HostedRun(Station):
+    """A station whose rig and engine belong to a run of this program (`campaign.RunHost`)."""
+
+    def __init__(self, speed: float, stack: contextlib.ExitStack) -> None:
+        super().__init__(speed)
+        self._stack = stack
+        self.server: StationServer | None = None
+
+    def adopt(self, opened: OpenRig, rig: RigDescription) -> None:
+        """Hold the rig, and serve."""
+        super().adopt(opened, rig)
+        self.server = self._stack.enter_context(serving(self, rig))
+
+    @property
+    def clients(self) -> list[str]:
+        """The clients that are attached."""
+        return self.server.clients if self.server is not None else []
