@@ -23,7 +23,7 @@ NO_READING = "No reading yet."
 
 
 class SignalBars(QWidget):
-    """Photocurrents over the polar angles of the photodiodes, logarithmic: the upper arc at the left, the lower at the right."""
+    """Photocurrents over the polar angles of the photodiodes, logarithmic: upper arc at the left, lower at the right."""
 
     def __init__(self, colours: Colours) -> None:
         super().__init__()
@@ -126,11 +126,6 @@ class SignalBars(QWidget):
         half = max(0.5 * BAR_DEG * place.width() / (FULL_TURN_SHOWN_DEG + 4.0), 1.5)
         top = place.bottom() - min(max(level, 0.0), 1.0) * place.height()
         if bar.state == "dark":
-            mark = [
-                QPointF(x - MARK, place.bottom() - 7.0),
-                QPointF(x + MARK, place.bottom() - 7.0),
-                QPointF(x, place.bottom() - 1.0),
-            ]
             painter.setPen(QPen(QColor(colours.dim), 1.2))
             painter.setBrush(Qt.BrushStyle.NoBrush)
             painter.drawPolygon(_triangle(x, place.bottom() - 1.0))
