@@ -23,6 +23,8 @@ class Navigation(QFrame):
         self._screens = screens
         self._colours = colours
         self._has_icons = False
+        self._compact = True  # the window grows from its least size
+        self._marks = [""] * len(screens)
         self._group = QButtonGroup(self)
         self.buttons: list[QToolButton] = []
         column = QVBoxLayout(self)
@@ -30,7 +32,6 @@ class Navigation(QFrame):
         column.setSpacing(0)
         for number, screen in enumerate(screens):
             button = QToolButton()
-            button.setText(f" {number + 1}  {screen.title}")
             button.setCheckable(True)
             button.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextBesideIcon)
             button.setIconSize(QSize(SIZE, SIZE))
@@ -50,12 +51,24 @@ class Navigation(QFrame):
     @Slot(int)
     def show_chosen(self, number: int) -> None:
         """Show which screen is chosen."""
+        had_focus = any(button.hasFocus() for button in self.buttons)
         self.buttons[number].setChecked(True)
+        if had_focus:
+            self.buttons[number].setFocus()
+
+    def set_compact(self, compact: bool) -> None:
+        """Show the numbers and marks of the screens without their titles, in a narrow window."""
+        if compact != self._compact:
+            self._compact = compact
+            for number, mark in enumerate(self._marks):
+                self.set_mark(number, mark)
 
     def set_mark(self, number: int, mark: str) -> None:
         """Show a mark behind the title of a screen that should be looked at (such as ✗ 2); none if empty."""
+        self._marks[number] = mark
         title = self._screens[number].title
-        self.buttons[number].setText(f" {number + 1}  {title}" + (f"  {mark}" if mark else ""))
+        parts = [f" {number + 1}", *([] if self._compact else [title]), *([mark] if mark else [])]
+        self.buttons[number].setText("  ".join(parts))
         self.buttons[number].setAccessibleName(f"Screen {title}" + (f", to look at: {mark}" if mark else ""))
 
     def load_icons(self) -> None:

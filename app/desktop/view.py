@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 from PySide6.QtCore import Qt, Signal, Slot
+from PySide6.QtGui import QResizeEvent
 from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QScrollArea, QStackedWidget, QVBoxLayout, QWidget
 
 from goniotwin.app.desktop.events.panels import OrdersPanel, QuestionBar
@@ -33,6 +34,10 @@ SCREENS: tuple[type[Screen], ...] = (
 """The screens in the order of the navigation. A new one is a line here."""
 FIRST = RunScreen
 """The screen of the first start."""
+NARROW, LOW = 800, 450
+"""Width and height in logical pixels below which the window does without some texts. A screen of 1280 x 800 has 640 x 400 of
+them at 200 %.
+"""
 AnyScreen = TypeVar("AnyScreen", bound=Screen)
 
 
@@ -46,6 +51,7 @@ class MainView(QWidget):
         super().__init__()
         self._colours = colours
         self._status_is_error = False
+        self._low = False
         self._banner = QLabel()
         self._banner.setAlignment(Qt.AlignmentFlag.AlignCenter)
         self.orders = OrdersPanel(colours)
@@ -137,8 +143,8 @@ class MainView(QWidget):
     def set_saved(self, text: str) -> None:
         """Show the line with the path of the journal."""
         self._saved.setText(text)
-        self._saved.setToolTip(text)
-        self._saved.setVisible(bool(text))
+        self._status.setToolTip(text)
+        self._show_saved()
 
     @Slot(str)
     def set_plot_error(self, text: str) -> None:
@@ -167,6 +173,17 @@ class MainView(QWidget):
     def _mark_rig(self, devices: dict[str, object]) -> None:
         failed = [each for each in devices.values() if not getattr(each, "connected", True)]
         self.navigation.set_mark(SCREENS.index(RigScreen), f"✗ {len(failed)}" if failed else "")
+
+    def resizeEvent(self, event: QResizeEvent) -> None:
+        """Do without titles in a small window; Qt calls it."""
+        super().resizeEvent(event)
+        self.navigation.set_compact(self.width() < NARROW)
+        self.run.set_compact(self.width() < NARROW)
+        self._low = self.height() < LOW
+        self._show_saved()
+
+    def _show_saved(self) -> None:
+        self._saved.setVisible(bool(self._saved.text()) and not self._low)
 
     def _lay_out(self) -> None:
         for each in self.screens:

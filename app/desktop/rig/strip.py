@@ -12,8 +12,8 @@ from goniotwin.app.desktop.theme import Colours
 if TYPE_CHECKING:  # as in the panels
     from goniotwin.app.desktop.model.messages import DeviceStatus
 
-WIDE = 1000
-"""Width of the strip in logical pixels from which on the targets have room."""
+NARROW, WIDE = 800, 1000
+"""Widths of the strip in logical pixels from which on each device has room, and the targets too."""
 
 
 class RigStrip(QFrame):
@@ -51,6 +51,9 @@ class RigStrip(QFrame):
                 mark, colour, state = "✗", self._colours.bad, "not responding"
             marks.append(f"<span style='color:{colour}'><b>{mark}</b></span>&nbsp;{device.capitalize()}")
             said.append(f"{device} {state}")
+        connected = [status.connected for status in devices.values()]
+        if self.width() < NARROW and all(connected):  # one mark stands for all
+            marks = [marks[0].rpartition("&nbsp;")[0] + f"&nbsp;{len(said)} devices"]
         self._devices.setText("&nbsp;&nbsp;&nbsp;".join(marks))
         self._devices.setAccessibleName(f"Devices: {', '.join(said)}")
 
@@ -74,8 +77,9 @@ class RigStrip(QFrame):
         self._show()
 
     def resizeEvent(self, event: QResizeEvent) -> None:
-        """Leave out the targets where there is no room; Qt calls it."""
+        """Leave out what has no room; Qt calls it."""
         super().resizeEvent(event)
+        self.set_devices(self._statuses)
         self._show()
 
     def _show(self) -> None:

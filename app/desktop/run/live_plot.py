@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 import pyqtgraph as pg
 from PySide6.QtCore import QObject, Qt, QTimer, Signal, Slot
-from PySide6.QtGui import QColor
+from PySide6.QtGui import QColor, QResizeEvent
 from PySide6.QtWidgets import QLabel, QVBoxLayout, QWidget
 
 from goniotwin.app.campaign.planning.plan import Plan
@@ -24,6 +24,8 @@ from goniotwin.arrays import Flags, Floats
 REDRAW_MS = 100
 """Shortest time between two repaints, at any rate of rows."""
 POINT_SIZE = 7
+LOW = 190
+"""Height in logical pixels below which the text of the plot is left out; it is the plot's tool tip too."""
 PIXELS_OF_VALUE, PIXELS_OF_LINE = 17.0, 5.0
 """Least distance of two texts at the axis of the values, and of two of its ticks."""
 DIGITS: tuple[tuple[int, ...], ...] = (tuple(range(1, 10)), (1, 2, 3, 5, 7), (1, 2, 5), (1, 3), (1,))
@@ -137,6 +139,11 @@ class ScanPlot(QWidget):
         self.set_colours(colours)
         self.clear("")
 
+    def resizeEvent(self, event: QResizeEvent) -> None:
+        """Leave the room to the plot where there is little; Qt calls it."""
+        super().resizeEvent(event)
+        self._note.setVisible(self.height() >= LOW)
+
     @property
     def summary(self) -> str:
         """The content of the plot as text."""
@@ -168,7 +175,7 @@ class ScanPlot(QWidget):
         self._plot.setYRange(-4.0, 0.0)
         self._plot.enableAutoRange(axis="y")
         self._label()
-        self._note.setText("The scan in progress is plotted here.")
+        self._write("The scan in progress is plotted here.")
 
     def show_scan(self, scan: ScanData) -> None:
         """Show the points of a scan so far."""
@@ -200,7 +207,7 @@ class ScanPlot(QWidget):
             self._plot.setXRange(*scan.range_deg, padding=0.02)
             self._plot.enableAutoRange(axis="y")
             self._label()
-        self._note.setText(_note_text(scan, kinds, int(below.sum())))
+        self._write(_note_text(scan, kinds, int(below.sum())))
 
     def set_colours(self, colours: Colours) -> None:
         """Take the colours of a scheme."""
@@ -216,6 +223,11 @@ class ScanPlot(QWidget):
         self._bars.setData(pen=pg.mkPen(colours.points, width=1))
         self._show_blocked(self._scan.blocked_deg if self._scan else ())
         self._label()
+
+    def _write(self, text: str) -> None:
+        self._note.setText(text)
+        self._view.setToolTip(text)
+        self._view.setAccessibleDescription(text)
 
     def _show_blocked(self, intervals: tuple[tuple[float, float], ...]) -> None:
         for each in self._regions:

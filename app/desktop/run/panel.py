@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 from PySide6.QtCore import Qt, QTimer, Signal, Slot
 from PySide6.QtGui import QGuiApplication, QKeySequence, QShortcut
 from PySide6.QtWidgets import (
+    QBoxLayout,
     QComboBox,
     QHBoxLayout,
     QLabel,
@@ -55,7 +56,7 @@ class RunPanel(QWidget):
         self._hold = QTimer(self, interval=HOLD_MS, singleShot=True)
         self.progress = QProgressBar()
         self.progress.setAccessibleName("Rows done")
-        self.progress.setMinimumWidth(160)
+        self.progress.setMinimumWidth(120)
         self.left = QLabel()
         self.left.setAccessibleName("Time left")
         self.speeds = QComboBox()
@@ -67,6 +68,9 @@ class RunPanel(QWidget):
         self._speed_label = QLabel("Simu&lation speed")
         self._speed_label.setBuddy(self.speeds)
         self.lines = QVBoxLayout()
+        self._bar = QBoxLayout(QBoxLayout.Direction.TopToBottom)
+        self._virtual = True
+        self._compact = True  # the window grows from its least size
         self._lay_out()
         self.start_button.clicked.connect(self.start)
         self.stop_button.clicked.connect(self.stop)
@@ -80,6 +84,7 @@ class RunPanel(QWidget):
         assert isinstance(application, QGuiApplication)
         application.applicationStateChanged.connect(self.release_hold)  # another program may get the release
         self.release_hold()
+        self._show_speeds()
         self.set_colours(colours)
         self.set_progress(0, 0, None)
 
@@ -118,10 +123,21 @@ class RunPanel(QWidget):
 
     def set_virtual(self, virtual: bool) -> None:
         """Show the simulation speed for a virtual rig, and hide it for a real one."""
-        self._speed_label.setVisible(virtual)
-        self.speeds.setVisible(virtual)
+        self._virtual = virtual
+        self._show_speeds()
         self._speed = float(self.speeds.currentData()) if virtual else 1.0
         self._show_left()
+
+    def set_compact(self, compact: bool) -> None:
+        """Take less width: the time left below the progress, the simulation speed without its name."""
+        if compact != self._compact:
+            self._compact = compact
+            self._bar.setDirection(QBoxLayout.Direction.TopToBottom if compact else QBoxLayout.Direction.LeftToRight)
+            self._show_speeds()
+
+    def _show_speeds(self) -> None:
+        self._speed_label.setVisible(self._virtual and not self._compact)
+        self.speeds.setVisible(self._virtual)
 
     def set_colours(self, colours: Colours) -> None:
         """Take the colours of a scheme. No other control looks like Stop."""
@@ -134,7 +150,8 @@ class RunPanel(QWidget):
         )
 
     def _lay_out(self) -> None:
-        bar = QHBoxLayout()
+        bar = self._bar
+        bar.setSpacing(4)
         bar.addWidget(self.progress, 1)
         bar.addWidget(self.left)
         texts = QVBoxLayout()
@@ -143,7 +160,7 @@ class RunPanel(QWidget):
         texts.addLayout(self.lines, 1)
         buttons = QHBoxLayout()
         for each in (self.start_button, self.pause_button):
-            each.setMinimumWidth(84)
+            each.setMinimumWidth(76)
             each.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
             buttons.addWidget(each)
         speed = QHBoxLayout()

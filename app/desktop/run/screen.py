@@ -3,6 +3,7 @@
 from typing import TYPE_CHECKING
 
 from PySide6.QtCore import Qt
+from PySide6.QtGui import QResizeEvent
 from PySide6.QtWidgets import QLabel, QSplitter, QVBoxLayout, QWidget
 
 from goniotwin.app.desktop.events.panels import EventModel, EventTable
@@ -14,7 +15,9 @@ if TYPE_CHECKING:  # pyqtgraph is loaded after the window has been shown
 
 PLOT_HEIGHT, EVENTS_HEIGHT = 400, 130
 """Heights of plot and events at the start."""
-LEAST_PLOT, LEAST_EVENTS = 170, 60
+LEAST_PLOT, LEAST_EVENTS = 140, 60
+LOW = 280
+"""Height in logical pixels below which the events give their room to the plot."""
 
 
 class RunScreen(Screen):
@@ -26,6 +29,7 @@ class RunScreen(Screen):
     def __init__(self, colours: Colours) -> None:
         super().__init__(colours)
         self._plot: ScanPlot | None = None
+        self._events: EventTable | None = None
         self._error = QLabel()
         self._error.setWordWrap(True)
         self._error.setAccessibleName("Error of the plot")
@@ -45,12 +49,18 @@ class RunScreen(Screen):
 
     def set_events(self, model: EventModel) -> None:
         """Show the events of a log below the plot."""
-        table = EventTable(model, "Latest events")
-        table.setMinimumHeight(LEAST_EVENTS)
-        self.splitter.addWidget(table)
+        self._events = EventTable(model, "Latest events")
+        self._events.setMinimumHeight(LEAST_EVENTS)
+        self.splitter.addWidget(self._events)
         self.splitter.setStretchFactor(0, 3)
         self.splitter.setStretchFactor(1, 1)
         self.splitter.setSizes([PLOT_HEIGHT, EVENTS_HEIGHT])
+
+    def resizeEvent(self, event: QResizeEvent) -> None:
+        """Leave the room to the plot where there is little; Qt calls it."""
+        super().resizeEvent(event)
+        if self._events is not None:
+            self._events.setVisible(self.height() >= LOW)
 
     def complete(self) -> None:
         """Make the plot."""

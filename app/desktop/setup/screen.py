@@ -5,10 +5,21 @@ from typing import TYPE_CHECKING
 
 from PySide6.QtCore import Qt, Signal, Slot
 from PySide6.QtGui import QFontDatabase
-from PySide6.QtWidgets import QGridLayout, QGroupBox, QHBoxLayout, QLabel, QPlainTextEdit, QPushButton, QVBoxLayout
+from PySide6.QtWidgets import (
+    QFrame,
+    QGridLayout,
+    QGroupBox,
+    QHBoxLayout,
+    QLabel,
+    QPlainTextEdit,
+    QPushButton,
+    QScrollArea,
+    QVBoxLayout,
+    QWidget,
+)
 
 from goniotwin.app.campaign.wording import rounded_duration_text
-from goniotwin.app.desktop.rig.panels import fill, heading, path_label, show_path
+from goniotwin.app.desktop.rig.panels import GREEK, fill, heading, path_label, show_path
 from goniotwin.app.desktop.screen import Screen
 from goniotwin.app.desktop.theme import Colours
 
@@ -103,14 +114,22 @@ class SetupScreen(Screen):
         self._text.setFont(QFontDatabase.systemFont(QFontDatabase.SystemFont.FixedFont))
         self._text.setTabChangesFocus(True)
         self._text.setPlaceholderText("The text of the schedule is shown here.")
-        left = QVBoxLayout()
+        column = QWidget()
+        left = QVBoxLayout(column)
+        left.setContentsMargins(0, 0, 6, 0)
         left.addWidget(self.schedule)
         left.addWidget(self._content)
         left.addStretch(1)
         layout = QHBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
         layout.setSpacing(12)
-        layout.addLayout(left, 1)
+        scroll = QScrollArea()
+        scroll.setWidget(column)
+        scroll.setWidgetResizable(True)
+        scroll.setFrameShape(QFrame.Shape.NoFrame)
+        scroll.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        scroll.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        layout.addWidget(scroll, 1)
         layout.addWidget(self._text, 1)
         self.schedule.plan_shown.connect(self._show_plan)
         self._show_plan(None)
@@ -132,23 +151,21 @@ def plan_contents(plan: "Plan") -> list[tuple[str, str]]:
 
     file = plan.schedule.file
     gains = file.gains_v_per_a
+    grids = (("sigma", file.sigma_deg), ("gamma", file.gamma_deg), ("beta", file.beta_deg), ("shift", file.shift_deg))
     named = (
         ("Samples", ", ".join(file.samples)),
         ("Reference standard", file.etalon),
         ("Light", f"{file.light}, {file.side} side lit"),
-        ("σ", f"{values_text(grid_values(file.sigma_deg))} °"),
-        ("γ", f"{values_text(grid_values(file.gamma_deg))} °"),
-        ("β", f"{values_text(grid_values(file.beta_deg))} °"),
-        ("Δ", f"{values_text(grid_values(file.shift_deg))} °"),
-        ("Wavelength", f"{values_text(grid_values(file.wavelength_nm))} nm"),
-        ("Gains", gains if isinstance(gains, str) else f"{', '.join(f'{each:g}' for each in gains)} V/A"),
+        *((GREEK[axis], values_text(grid_values(grid), "°")) for axis, grid in grids),
+        ("Wavelength", values_text(grid_values(file.wavelength_nm), " nm")),
+        ("Gains", gains if isinstance(gains, str) else ", ".join(f"{each:g}".replace("e+0", "e") for each in gains) + " V/A"),
         ("Dark readings", f"every {rounded_duration_text(file.dark_every_s)}"),
     )
-    return [(name, text) for name, text in named if text != "0 °"]
+    return list(named)
 
 
-def values_text(values: tuple[float, ...]) -> str:
-    """Values of a grid: a few one by one, more as their number and range."""
+def values_text(values: tuple[float, ...], unit: str) -> str:
+    """Values of a grid with their unit: a few one by one, more as their range and number."""
     if len(values) <= FEW:
-        return ", ".join(f"{each:g}" for each in values)
-    return f"{min(values):g} to {max(values):g}, {len(values)} values"
+        return ", ".join(f"{each:g}" for each in values) + unit
+    return f"{min(values):g} to {max(values):g}{unit}, {len(values)} values"

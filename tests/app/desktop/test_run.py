@@ -210,7 +210,12 @@ def test_after_a_signal_the_open_orders_are_the_last_lines(
 ) -> None:
     def step() -> None:
         for window in qapp.topLevelWidgets():
-            if isinstance(window, MainWindow) and window.isVisible() and hasattr(window, "presenter") and window.presenter.rig is not None:
+            if (
+                isinstance(window, MainWindow)
+                and window.isVisible()
+                and hasattr(window, "presenter")
+                and window.presenter.rig is not None
+            ):
                 window.rig_thread.stop()
                 if window.view.orders.orders:
                     timer.stop()
