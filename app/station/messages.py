@@ -293,18 +293,18 @@ def advance(before: Snapshot, message: Message) -> Snapshot:
 
 
 def encode(message: Message | Snapshot) -> dict[str, Any]:
-    """A message as a JSON object, with its kind; long texts are cut."""
+    """A message as a JSON object, with its type; long texts are cut."""
     content: dict[str, Any] = _adapter(type(message)).dump_python(message, mode="json")
-    return {"kind": type(message).__name__, **_cut(content)}
+    return {"type": type(message).__name__, **_cut(content)}
 
 
 def decode(content: dict[str, Any]) -> Message | Snapshot | None:
-    """The message of a JSON object; None for a kind of a later version. Raises ValueError for content that it cannot have."""
-    kind = KINDS.get(content.get("kind", ""))
+    """The message of a JSON object; None for a type of a later version. Raises ValueError for content that it cannot have."""
+    kind = KINDS.get(content.get("type", ""))
     if kind is None:
         return None
     try:
-        message: Message | Snapshot = _adapter(kind).validate_python({k: v for k, v in content.items() if k != "kind"})
+        message: Message | Snapshot = _adapter(kind).validate_python({k: v for k, v in content.items() if k != "type"})
     except ValidationError as error:
         raise ValueError(f"{kind.__name__}: {error.errors()[0]['msg']}") from None
     return message

@@ -485,10 +485,11 @@ def test_every_event_survives_the_channel_and_leads_to_the_same_state(
 
 
 def test_an_event_of_a_later_version_is_none_and_a_wrong_one_is_an_error() -> None:
-    assert decode({"kind": "Coffee"}) is None
+    assert decode({"type": "Coffee"}) is None
     with pytest.raises(ValueError, match="Positions"):
-        decode({"kind": "Positions", "degrees": "all"})
+        decode({"type": "Positions", "degrees": "all"})
     long = EventLogged("fault", "x" * 100_000)
     assert len(str(encode(long))) < 3000
+    assert decode(encode(EventLogged("fault", "what"))) == EventLogged("fault", "what")
     assert decode(encode(SafetyOrder("a", "b"))) == SafetyOrder("a", "b")
 
