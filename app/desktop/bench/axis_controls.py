@@ -116,11 +116,12 @@ class AxisControls(QWidget):
     def __init__(self, axis: str, colours: Colours) -> None:
         super().__init__()
         self.axis = axis
+        self._unreferenced = ""
         self._colours = colours
         self._settings: AxisDescription | None = None
         self._position: float | None = None
         self._sent: float | None = None
-        self._moving_to: float | None = None
+        self._entered = False
         self._step = 1.0
         name = QLabel(f"<b>{GREEK[axis]}</b> {axis}")
         self.position = QLabel()
@@ -129,7 +130,7 @@ class AxisControls(QWidget):
         font.setPointSizeF(1.15 * font.pointSizeF())
         self.position.setFont(font)
         self.position.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
-        self.position.setMinimumWidth(self.position.fontMetrics().horizontalAdvance("−000.00°"))
+        self.position.setMinimumWidth(self.position.fontMetrics().horizontalAdvance("✗ −000.00°"))
         self.bar = LimitsBar(colours)
         self.down, self.up = _button("−", f"Jog {axis} down"), _button("+", f"Jog {axis} up")
         for jog in (self.down, self.up):
@@ -167,24 +168,40 @@ class AxisControls(QWidget):
         self.home.clicked.connect(self._home)
         self.set_button.clicked.connect(self._set)
         self.target.lineEdit().returnPressed.connect(self._go_by_key)
-        self.target.valueChanged.connect(self._show)
+        self.target.valueChanged.connect(self._note_entry)
         self.set_position(None)
 
     def set_settings(self, settings: "AxisDescription | None") -> None:
         """Take the table of the axis in the rig file."""
-        self._settings, self._sent = settings, None
+        self._settings, self._sent, self._entered = settings, None, False
         self.bar.set_limits(None if settings is None else (settings.lower_deg, settings.upper_deg))
         self._show()
 
     def set_position(self, degrees: float | None) -> None:
         """Show the position."""
-        first = self._position is None and degrees is not None
+        first = self._position is None and degrees is not None and not self._entered
         self._position = degrees
-        self.position.setText(angle_text(degrees))
-        self.position.setAccessibleName(f"{self.axis} position {self.position.text()}")
-        if first and degrees is not None and not self.target.hasFocus():
+        self._show_position()
+        if first and degrees is not None:  # an angle that a person has entered stays
             self.target.setValue(round(degrees, 2) + 0.0)
+            self._entered = False
         self._show()
+
+    def set_unreferenced(self, reason: str) -> None:
+        """Show that the axis is unreferenced, and why; empty if it is referenced."""
+        self._unreferenced = reason
+        self._show_position()
+
+    def _show_position(self) -> None:
+        text = angle_text(self._position)
+        if self._unreferenced:
+            self.position.setText(f"✗ {text}")
+            self.position.setToolTip(f"{self.axis} is unreferenced: {self._unreferenced}; home it, or set its position")
+        else:
+            self.position.setText(text)
+            self.position.setToolTip(f"Position of {self.axis}")
+        self.position.setAccessibleName(f"{self.axis} {'unreferenced, ' if self._unreferenced else ''}position {text}")
+        self.position.setStyleSheet(f"color: {self._colours.bad}" if self._unreferenced else "")
 
     def set_step(self, degrees: float) -> None:
         """Take the step of a jog."""
@@ -212,6 +229,7 @@ class AxisControls(QWidget):
         """Take the colours of a scheme."""
         self._colours = colours
         self.bar.set_colours(colours)
+        self._show_position()
 
     @property
     def _base(self) -> float | None:
@@ -224,6 +242,11 @@ class AxisControls(QWidget):
         wanted = self.target.value()
         there = self._position is not None and abs(wanted - self._position) < ARRIVED_DEG
         self.bar.set_angles(self._position, None if there or self._position is None else wanted)
+
+    @Slot()
+    def _note_entry(self) -> None:
+        self._entered = True
+        self._show()
 
     @Slot()
     def _jog_down(self) -> None:

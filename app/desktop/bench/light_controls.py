@@ -72,27 +72,22 @@ class LightControls(QGroupBox):
         self.set_settings(None, None, None, None, False)
 
     def _lay_out(self) -> None:
-        wavelength, shutter = _row(self.wavelength, self.set_wavelength_button), _row(self._shutter_now, self.shutter)
         grid = QGridLayout(self)
         grid.setContentsMargins(8, 4, 8, 6)
-        grid.setHorizontalSpacing(6)
+        grid.setHorizontalSpacing(10)
         grid.setVerticalSpacing(3)
-        grid.setColumnStretch(1, 3)
-        grid.setColumnStretch(3, 2)
-        grid.addWidget(QLabel("λ"), 0, 0)
-        grid.addLayout(wavelength, 0, 1)
-        grid.addWidget(QLabel("Gain"), 0, 2)
-        grid.addWidget(self.gain, 0, 3)
-        grid.addWidget(QLabel("Shutter"), 1, 0)
-        grid.addLayout(shutter, 1, 1)
-        grid.addWidget(self.sample_label, 1, 2)
-        grid.addWidget(self.sample, 1, 3)
+        grid.setColumnStretch(0, 1)
+        grid.setColumnStretch(1, 1)
+        grid.addLayout(_row(QLabel("λ"), self.wavelength, self.set_wavelength_button), 0, 0)
+        grid.addLayout(_row(QLabel("Shutter"), self._shutter_now, self.shutter), 0, 1)
+        grid.addLayout(_row(QLabel("Gain"), self.gain), 1, 0)
+        grid.addLayout(_row(self.sample_label, self.sample), 1, 1)
         readings = QHBoxLayout()
         readings.setSpacing(4)
         for each in (self.read, self.readings, self.dark, self.live):
             readings.addWidget(each)
         readings.addStretch(1)
-        grid.addLayout(readings, 2, 0, 1, 4)
+        grid.addLayout(readings, 2, 0, 1, 2)
 
     # What is known.
 
@@ -189,11 +184,14 @@ class LightControls(QGroupBox):
         self.command.emit("live", {"on": on})
 
 
-def _row(first: QWidget, second: QWidget) -> QHBoxLayout:
+def _row(first: QWidget, second: QWidget, *others: QWidget) -> QHBoxLayout:
+    """Widgets beside each other; the second has the room that is left."""
     row = QHBoxLayout()
     row.setSpacing(4)
-    row.addWidget(first, 1)
-    row.addWidget(second)
+    row.addWidget(first)
+    row.addWidget(second, 1)
+    for each in others:
+        row.addWidget(each)
     return row
 
 

@@ -22,8 +22,8 @@ if TYPE_CHECKING:  # the window shows itself before the engine and the optics ar
 STEPS_DEG = (0.01, 0.1, 0.5, 1.0, 5.0, 10.0, 30.0)
 FIRST_STEP = 3
 SET_POSITION, CANCEL = "Set position", "Cancel"
-CONTROLS_WIDTH = 316
-READY = "Nothing moves on its own."
+CONTROLS_WIDTH = 332
+READY = "Ready. Nothing moves before a command."
 
 
 class BenchScreen(Screen):
@@ -186,7 +186,9 @@ class BenchScreen(Screen):
             bench = station.bench
             self.light.set_settings(bench.wavelength_nm, bench.shutter_open, bench.gain_v_per_a, bench.sample, live=bench.live)
             self.instrument.set_shutter(bench.shutter_open)
-        for controls in self.axes.values():
+        unreferenced = station.unreferenced if station is not None else {}
+        for name, controls in self.axes.items():
+            controls.set_unreferenced(unreferenced.get(name, ""))
             controls.set_refusals(refusals["move"], refusals["home"], refusals["set_position"])
         self.light.set_refusals(refusals)
         self._show_status()
