@@ -133,4 +133,3 @@ class StationClient:
                 future.set_result(line)
             else:
                 future.set_exception(Refused(str(line.get("error", "refused"))))
-

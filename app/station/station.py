@@ -111,8 +111,8 @@ class RunRecord:
 class Station:
     """One rig and what is done with it.
 
-    `board` has its state and takes listeners. `clock` is that of the rig; without it a virtual rig has one at `speed`, which the
-    command of that name changes, and any other rig real time.
+    `board` has its state and takes listeners. `clock` is that of the rig; without it a virtual rig has one at `speed`, which
+    the command of that name changes, and any other rig real time.
     """
 
     def __init__(self, speed: float = 1.0, clock: Clock | None = None) -> None:
@@ -276,9 +276,7 @@ class Station:
             raise CommandRefused(
                 f"{axis} has soft limits of {limits.lower_deg:g} to {limits.upper_deg:g} deg, and {angle_deg:g} deg is outside"
             )
-        self._begin(
-            "set_position", f"setting the position of {axis}", lambda: opened.rig.axes[axis].set_position(angle_deg)
-        )
+        self._begin("set_position", f"setting the position of {axis}", lambda: opened.rig.axes[axis].set_position(angle_deg))
 
     def wavelength(self, nm: float) -> None:
         """Set the wavelength."""
@@ -435,6 +433,8 @@ class Station:
         except Exception as fault:  # noqa: BLE001  (of any library: reported, and the station goes on without the rig)
             self.close_rig(f"the rig was closed after a fault: {type(fault).__name__}: {fault}")
             return
+        if self.snapshot.activity:
+            self._report_positions()
         if self._bench is not None and self._bench.settings != self.snapshot.bench:
             self._publish(self._bench.settings)
         self._report_references()
@@ -465,6 +465,14 @@ class Station:
         unreferenced = {name: axis.unreferenced_reason for name, axis in opened.rig.axes.items() if axis.unreferenced_reason}
         if unreferenced != self.snapshot.unreferenced:
             self._publish(ReferencesChanged(unreferenced))
+
+    def _report_positions(self) -> None:
+        """Report the positions at the end of a task: a client that has waited for it has them then."""
+        if self._opened is not None:
+            try:
+                self._poll_axes()
+            except DeviceError as fault:
+                self._note_fault(fault)
 
     def _poll_axes(self) -> None:
         """Report the positions of the axes. After a failure no more are read until their controller is connected again."""

@@ -503,4 +503,3 @@ def test_an_event_of_a_later_version_is_none_and_a_wrong_one_is_an_error() -> No
     assert len(str(encode(long))) < 3000
     assert decode(encode(EventLogged("fault", "what"))) == EventLogged("fault", "what")
     assert decode(encode(SafetyOrder("a", "b"))) == SafetyOrder("a", "b")
-
