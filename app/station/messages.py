@@ -198,8 +198,8 @@ class OperatorChanged:
 
 Message = (
     StateChanged | RowStarted | Positions | EventLogged | SafetyOrder | RigOpened | RigClosed | DeviceChanged | DevicesAnswered
-    | ReferencesChanged | ActivityChanged | BenchChanged | BenchReading | RunBegun | RowSaved | RunEnded | RunRefused | QuestionAsked
-    | QuestionClosed | OrderAcknowledged | SpeedChanged | OperatorChanged
+    | ReferencesChanged | ActivityChanged | BenchChanged | BenchReading | RunBegun | RowSaved | RunEnded | RunRefused
+    | QuestionAsked | QuestionClosed | OrderAcknowledged | SpeedChanged | OperatorChanged
 )  # fmt: skip
 NEWEST_ONLY = (Positions, BenchReading, DevicesAnswered)
 """Of these a client needs only the newest."""

@@ -200,20 +200,19 @@ def _certificate(facts: Facts) -> Check:
     name = "Certificate"
     if facts.expires is None:
         if facts.calibrated is None:
-            found = "the reference standard has no date of calibration and no last day"
-            return Check(
-                name, Outcome.LOOK, found, "add calibrated to [etalon] of the rig file, or [certificate] to the schedule"
-            )
+            found = "the reference standard has no day of calibration and no last day"
+            remedy = "add `calibrated` to [etalon] of the rig file, or [certificate] to the schedule"
+            return Check(name, Outcome.LOOK, found, remedy)
         age = (facts.today - facts.calibrated).days
-        return Check(name, Outcome.GOOD, f"calibrated on {facts.calibrated}, {age} days ago; no last day is stated")
+        return Check(name, Outcome.GOOD, f"calibrated on {facts.calibrated}, {_days(age)} ago; no last day is stated")
     left = (facts.expires - facts.today).days
     which = f"{facts.certificate} " if facts.certificate else ""
     if left < 0:
-        found = f"{which}expired on {facts.expires}, {-left} days ago"
+        found = f"{which}expired on {facts.expires}, {_days(-left)} ago"
         if facts.accepted_by:
             return Check(name, Outcome.LOOK, f"{found}; accepted by {facts.accepted_by}", "have it calibrated again")
         return Check(name, Outcome.BAD, found, "have it calibrated again, or name who accepts it in [certificate]")
-    found = f"{which}valid until {facts.expires}, {left} days"
+    found = f"{which}valid until {facts.expires}, {_days(left)} from now"
     return Check(name, Outcome.LOOK if left < SOON_DAYS else Outcome.GOOD, found, "have it renewed" if left < SOON_DAYS else "")
 
 
@@ -231,6 +230,10 @@ def _disk(facts: Facts) -> Check:
     if facts.free_bytes < max(LOW_BYTES, 10 * needed):
         return Check(name, Outcome.LOOK, found, "free some room soon")
     return Check(name, Outcome.GOOD, found)
+
+
+def _days(count: int) -> str:
+    return f"{count} day{'' if count == 1 else 's'}"
 
 
 def _size(count: int) -> str:
