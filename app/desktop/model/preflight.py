@@ -153,9 +153,7 @@ def _lamp(facts: Facts) -> Check:
     accepted = WARM_PERCENT if facts.warm_percent is None else facts.warm_percent
     trace = facts.monitor
     if trace is None or not trace.times_s:
-        return Check(
-            name, Outcome.UNKNOWN, "the monitor was not read with light", "open the shutter and read Live on the bench"
-        )
+        return Check(name, Outcome.UNKNOWN, "monitor not read with light yet", "on the bench open the shutter and read Live")
     slope = trace.slope()
     if slope is None:
         return Check(name, Outcome.UNKNOWN, "too few readings of the monitor for its change", "read Live for a minute or more")
@@ -167,20 +165,20 @@ def _lamp(facts: Facts) -> Check:
     if trace.is_steady(0.01 * accepted):
         return Check(name, Outcome.GOOD, found)
     if abs(change) > accepted:
-        return Check(name, Outcome.LOOK, found, "wait for the lamp; a [warm_up] table in the schedule waits by itself")
-    return Check(name, Outcome.LOOK, found, "read Live for longer: its uncertainty is too high to be sure")
+        return Check(name, Outcome.LOOK, found, "wait; a [warm_up] table in the schedule waits by itself")
+    return Check(name, Outcome.LOOK, found, "read Live for longer: the uncertainty is too high")
 
 
 def _dark(facts: Facts) -> Check:
     name = "Dark reading"
     oldest = DARK_S if facts.dark_every_s is None else facts.dark_every_s
     if facts.dark_age_s is None:
-        return Check(name, Outcome.UNKNOWN, "none taken yet", "a run begins with one; on the bench press Dark reading")
+        return Check(name, Outcome.UNKNOWN, "none taken yet", "a run begins with one")
     found = f"{rounded_duration_text(facts.dark_age_s)} old, renewed after {rounded_duration_text(oldest)}"
     if facts.speed != 1.0:
         found += f" (simulated time, at {facts.speed:g}x)"
     if facts.dark_age_s > oldest:
-        return Check(name, Outcome.LOOK, found, "a run begins with a new one; on the bench press Dark reading")
+        return Check(name, Outcome.LOOK, found, "a run begins with a new one")
     return Check(name, Outcome.GOOD, found)
 
 
@@ -191,7 +189,7 @@ def _drift(facts: Facts) -> Check:
         return Check(name, outcome, facts.drift, "find the cause before the next run" if facts.drift_beyond else "")
     if facts.drift_planned is False:
         return Check(
-            name, Outcome.LOOK, "the schedule has no drift checks", "add a [drift] table to find a change of the instrument"
+            name, Outcome.LOOK, "the schedule has no drift checks", "a [drift] table would find a change of the instrument"
         )
     return Check(name, Outcome.UNKNOWN, "no drift check yet")
 
@@ -200,11 +198,11 @@ def _certificate(facts: Facts) -> Check:
     name = "Certificate"
     if facts.expires is None:
         if facts.calibrated is None:
-            found = "the reference standard has no day of calibration and no last day"
-            remedy = "add `calibrated` to [etalon] of the rig file, or [certificate] to the schedule"
+            found = "no date of calibration and no expiry date"
+            remedy = "add calibrated to [etalon] in the rig file, or [certificate] to the schedule"
             return Check(name, Outcome.LOOK, found, remedy)
         age = (facts.today - facts.calibrated).days
-        return Check(name, Outcome.GOOD, f"calibrated on {facts.calibrated}, {_days(age)} ago; no last day is stated")
+        return Check(name, Outcome.GOOD, f"calibrated on {facts.calibrated}, {_days(age)} ago, without an expiry date")
     left = (facts.expires - facts.today).days
     which = f"{facts.certificate} " if facts.certificate else ""
     if left < 0:
