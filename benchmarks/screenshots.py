@@ -94,7 +94,7 @@ class Pictures:
         application = QApplication.instance()
         assert isinstance(application, QApplication)
         self._application = application
-        self.window = MainWindow(Theme(application), examples.RIG, examples.SCHEDULE, journals, SPEED)
+        self.window = MainWindow(Theme(application), examples.FIRST_RIG, examples.FIRST_SCHEDULE, journals, SPEED)
         self.faults: list[str] = []
 
     def take(self) -> None:

@@ -51,9 +51,12 @@ class RigStrip(QFrame):
                 mark, colour, state = "✗", self._colours.bad, "not responding"
             marks.append(f"<span style='color:{colour}'><b>{mark}</b></span>&nbsp;{device.capitalize()}")
             said.append(f"{device} {state}")
-        connected = [status.connected for status in devices.values()]
-        if self.width() < NARROW and all(connected):  # one mark stands for all
-            marks = [marks[0].rpartition("&nbsp;")[0] + f"&nbsp;{len(said)} devices"]
+        failed = [mark for mark in marks if "✗" in mark]
+        if self.width() < NARROW and len(failed) != 1:  # one mark stands for all
+            mark = (failed or marks)[0].rpartition("&nbsp;")[0]
+            marks = [f"{mark}&nbsp;{len(failed) or len(marks)} devices"]
+        elif self.width() < NARROW:
+            marks = failed
         self._devices.setText("&nbsp;&nbsp;&nbsp;".join(marks))
         self._devices.setAccessibleName(f"Devices: {', '.join(said)}")
 
