@@ -11,6 +11,7 @@ from PySide6.QtCore import Qt, Signal, Slot
 from PySide6.QtGui import QResizeEvent
 from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QScrollArea, QStackedWidget, QVBoxLayout, QWidget
 
+from goniotwin.app.desktop.bench.screen import BenchScreen
 from goniotwin.app.desktop.events.panels import OrdersPanel, QuestionBar
 from goniotwin.app.desktop.events.screen import EventsScreen
 from goniotwin.app.desktop.navigation import Navigation
@@ -27,6 +28,7 @@ if TYPE_CHECKING:  # pyqtgraph is loaded after the window has been shown
 
 SCREENS: tuple[type[Screen], ...] = (
     RigScreen,
+    BenchScreen,
     SetupScreen,
     RunScreen,
     EventsScreen,

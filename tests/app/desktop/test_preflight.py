@@ -50,7 +50,7 @@ def test_nothing_is_known_and_nothing_is_called_good() -> None:
         ("Limits", {"positions_deg": {"sigma": -3.0}}, "bad", "sigma is at −3.00°, outside 0 to 180°", "soft limits"),
         ("Limits", {"positions_deg": {"sigma": 180.01}}, "good", "within", ""),
         ("Limits", {"positions_deg": {}}, "unknown", "no positions", ""),
-        ("Lamp", {"monitor": trace(3.0)}, "look", "+2.96 % in 10 min", "wait for the lamp"),
+        ("Lamp", {"monitor": trace(3.0)}, "look", "+2.96 % in 10 min", "wait"),
         ("Lamp", {"monitor": trace(3.0), "warm_percent": 4.0}, "good", "accepted 4 %", ""),
         ("Lamp", {"monitor": trace(0.1, readings=5)}, "unknown", "too few", "a minute"),
         ("Lamp", {"monitor": trace(0.0, readings=9, noise=0.01)}, "look", "(u ", "read Live for longer"),
