@@ -139,7 +139,8 @@ class AxisControls(QWidget):
         self.target.setRange(-FARTHEST_DEG, FARTHEST_DEG)
         self.target.setDecimals(2)
         self.target.setSuffix("°")
-        self.target.setAccessibleName(f"Angle for {axis}, degrees")
+        for each in (self.target, self.target.lineEdit()):
+            each.setAccessibleName(f"Angle for {axis}, degrees")
         self.target.setKeyboardTracking(True)
         self.target.setMinimumWidth(self.target.fontMetrics().horizontalAdvance("−000.00°") + 34)
         self.go = _button("Go", f"Move {axis} to the angle in the field")

@@ -35,7 +35,8 @@ class LightControls(QGroupBox):
         self.wavelength.setDecimals(1)
         self.wavelength.setSuffix(" nm")
         self.wavelength.setValue(550.0)
-        self.wavelength.setAccessibleName("Wavelength, nanometres")
+        for field in (self.wavelength, self.wavelength.lineEdit()):
+            field.setAccessibleName("Wavelength, nanometres")
         self.set_wavelength_button = _button("Set", "Set the wavelength")
         self._wavelength_now = QLabel()
         self.shutter = _button("Open", "Open the shutter")
@@ -52,7 +53,8 @@ class LightControls(QGroupBox):
         self.readings.setRange(1, MOST_READINGS)
         self.readings.setValue(4)
         self.readings.setPrefix("× ")
-        self.readings.setAccessibleName("Number of conversions in a reading")
+        for number in (self.readings, self.readings.lineEdit()):
+            number.setAccessibleName("Number of conversions in a reading")
         self.readings.setToolTip("Conversions that one reading is the mean of")
         self.read = _button("Read", "Read all photodiodes once")
         self.dark = _button("Dark reading", "Take a dark reading now")
