@@ -25,7 +25,8 @@ MOST_WAITING = 2000
 """Lines that wait for a client. At 100 rows a second, a window that paints for ten seconds is still there."""
 DROPPED = "it did not read what was sent"
 MOST_DROPPED = 100
-EVERYBODYS = ("stop", "operate")
+EVERYBODYS = ("stop", "operate", "acknowledge")
+"""Commands of clients that only watch too."""
 Line = dict[str, Any] | tuple[int, Message]
 """An object to send, or an event with its number."""
 METHODS = {"continue": "resume_journal"}
@@ -211,9 +212,9 @@ class StationServer:
             self._station.operate(client)
             return
         with self._station.board.deciding() as snapshot:
-            if snapshot.operator not in ("", client):
+            if name not in EVERYBODYS and snapshot.operator not in ("", client):
                 raise CommandRefused(f"{snapshot.operator} operates this rig; choose Operate from here first")
-            if not snapshot.operator:
+            if name not in EVERYBODYS and not snapshot.operator:
                 self._station.operate(client)
         self._commands[name](**arguments)
 
