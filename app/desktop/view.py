@@ -69,6 +69,8 @@ class MainView(QWidget):
         rig, setup = self.screen(RigScreen), self.screen(SetupScreen)
         self.log = self.screen(EventsScreen)
         self.rig, self.devices, self.axes, self.schedule = rig.rig, rig.devices, rig.axes, setup.schedule
+        self.schedule.plan_shown.connect(rig.set_plan)
+        self.schedule.folder_shown.connect(rig.set_folder)
         self.schedule.set_folder(folder)
         self.screen(RunScreen).set_events(self.log.model)
         self.navigation.chosen.connect(self.show_screen)

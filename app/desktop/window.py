@@ -141,6 +141,7 @@ class MainWindow(QMainWindow):
         self.presenter.run_ended.connect(self._after_run)
         for screen in self.view.screens:
             self.presenter.message_shown.connect(screen.show_message)
+            screen.command.connect(self._command)
         run, rig, schedule = self.view.run, self.view.rig, self.view.schedule
         run.start.connect(self._start)
         run.pause.connect(self._pause)
@@ -178,7 +179,13 @@ class MainWindow(QMainWindow):
         self.view.run.set_permissions(permissions)
         self.menus.set_pause(permissions.resume)
         self._set_enabled(permissions.open)
+        for screen in self.view.screens:
+            screen.set_refusals(permissions.refusals)
         self.setWindowTitle(self.presenter.title)
+
+    @Slot(str, object)
+    def _command(self, command: str, arguments: dict[str, object]) -> None:
+        self.connection.command(command, **arguments)
 
     @Slot()
     def _recolour(self) -> None:
@@ -455,4 +462,6 @@ class MainWindow(QMainWindow):
             if self._complete:
                 self.presenter.close()
                 self.connection.close()
+            for screen in self.view.screens:
+                screen.shut_down()
             self._collector.stop()

@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from PySide6.QtCore import Qt, Signal, Slot
+from PySide6.QtCore import Qt, Slot
 from PySide6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QVBoxLayout
 
 from goniotwin.app.desktop.bench.axis_controls import AxisControls
@@ -23,20 +23,22 @@ STEPS_DEG = (0.01, 0.1, 0.5, 1.0, 5.0, 10.0, 30.0)
 FIRST_STEP = 3
 SET_POSITION, CANCEL = "Set position", "Cancel"
 CONTROLS_WIDTH = 332
+COMMANDS = ("move", "home", "set_position", "wavelength", "shutter", "gain", "mount", "read", "live")
+NO_RIG = "no rig is open"
 READY = "Ready. Nothing moves before a command."
 
 
 class BenchScreen(Screen):
-    """Controls at the left, pictures at the right. `command` has a command of the station and its arguments, by name."""
+    """Controls at the left, pictures at the right."""
 
     title = "Bench"
     icon = "axis-arrow"
-    command = Signal(str, object)
 
     def __init__(self, colours: Colours) -> None:
         super().__init__(colours)
         self._station: Snapshot | None = None
         self._readings: BenchReadings | None = None
+        self._refusals = dict.fromkeys(COMMANDS, NO_RIG)
         self._error = ""
         self.question: QuestionBox | None = None
         self.axes = {axis: AxisControls(axis, colours) for axis in ("sigma", "beta", "shift", "gamma")}
@@ -114,22 +116,50 @@ class BenchScreen(Screen):
         self.bars.set_bars(None)
         self.trend.set_trace(None)
         self.reading_text.setText("")
+        if rig is not None and self._station is not None:
+            self._take(self._station)
         self._show()
 
     @Slot(object)
     def show_message(self, message: object) -> None:
-        """Show an event of the station, or the snapshot of one that is new."""
+        """Show an event of the station, or what the window knows of it."""
+        from goniotwin.app.desktop.model.messages import (
+            Attached,
+            CommandRefused,
+            NotAttached,
+            RigRead,
+            StationLost,
+            StopReport,
+        )
         from goniotwin.app.station import messages
 
-        before = self._station or messages.Snapshot()
-        if isinstance(message, messages.Snapshot):
-            self._station = message
-            self._show_positions(message.positions)
-            if message.reading is not None:
-                self._show_reading(message.reading)
-        elif isinstance(message, messages.Message):
-            self._station = messages.advance(before, message)
-            self._show_event(message)
+        match message:
+            case RigRead(rig):
+                self.set_rig(rig)
+            case Attached(_name, snapshot):
+                self._error = ""
+                self._take(snapshot)
+            case NotAttached() | StationLost():
+                self.set_rig(None)
+                self._take(messages.Snapshot())
+            case CommandRefused(command, reason) if command in COMMANDS:
+                self.show_refusal(reason)
+            case StopReport(confirmed=True) if self._station is not None and not self._station.busy:
+                self.show_refusal("stopped")
+            case _ if isinstance(message, messages.Message):
+                self._station = messages.advance(self._station or messages.Snapshot(), message)
+                self._show_event(message)
+        self._show()
+
+    def _take(self, snapshot: "Snapshot") -> None:
+        self._station = snapshot
+        self._show_positions(snapshot.positions)
+        if snapshot.reading is not None:
+            self._show_reading(snapshot.reading)
+
+    def set_refusals(self, refusals: dict[str, str]) -> None:
+        """Disable what the station refuses now, and say why."""
+        self._refusals = refusals
         self._show()
 
     def show_refusal(self, reason: str) -> None:
@@ -176,15 +206,10 @@ class BenchScreen(Screen):
         self.instrument.set_levels({bar.channel: bars.level(bar) for bar in bars.bars}, saturated)
 
     def _show(self) -> None:
-        station = self._station
-        if station is None:
-            refusals = dict.fromkeys(("move", "home", "set_position", *_LIGHT), "no rig is open")
-        else:
-            from goniotwin.app.station.permissions import allowed
-
-            refusals = allowed(station)
+        station, refusals = self._station, self._refusals
+        if station is not None:
             bench = station.bench
-            self.light.set_settings(bench.wavelength_nm, bench.shutter_open, bench.gain_v_per_a, bench.sample, live=bench.live)
+            self.light.set_settings(bench.wavelength_nm, bench.shutter_open, bench.gain_v_per_a, bench.sample, bench.live)
             self.instrument.set_shutter(bench.shutter_open)
         unreferenced = station.unreferenced if station is not None else {}
         for name, controls in self.axes.items():
@@ -255,6 +280,3 @@ class BenchScreen(Screen):
     def shut_down(self) -> None:
         """End the thread of the instrument view."""
         self.instrument.shut_down()
-
-
-_LIGHT = ("wavelength", "shutter", "gain", "mount", "read", "live")

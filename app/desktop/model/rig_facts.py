@@ -49,7 +49,7 @@ class RigFacts:
         """Take the plan of the run that is prepared."""
         self._plan = plan
 
-    def set_folder(self, folder: Path) -> None:
+    def set_folder(self, folder: Path | None) -> None:
         """Take the folder of data files."""
         self._folder = folder
 

@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from PySide6.QtCore import QEvent, QObject, QTimer, Signal, Slot
+from PySide6.QtCore import QEvent, QObject, QTimer, Slot
 from PySide6.QtGui import QShowEvent
 from PySide6.QtWidgets import QHBoxLayout, QVBoxLayout, QWidget
 
@@ -25,15 +25,16 @@ HIGH = 520
 
 
 class RigScreen(Screen):
-    """Rig file, devices and axes at the left, the preflight list at the right. `command` is one of the station."""
+    """Rig file, devices and axes at the left, the preflight list at the right."""
 
     title = "Rig"
     icon = "connection"
-    command = Signal(str, object)
 
     def __init__(self, colours: Colours) -> None:
         super().__init__(colours)
         self._facts: RigFacts | None = None
+        self._plan: Plan | None = None
+        self._folder: Path | None = None
         self.rig = RigPanel()
         self.devices = DevicesPanel(colours)
         self.axes = AxesPanel()
@@ -61,6 +62,8 @@ class RigScreen(Screen):
         from goniotwin.app.desktop.model.rig_facts import RigFacts
 
         self._facts = RigFacts()
+        self._facts.set_plan(self._plan)
+        self._facts.set_folder(self._folder)
         self._timer.start()
         self._look()
 
@@ -82,31 +85,47 @@ class RigScreen(Screen):
         })  # fmt: skip
         self._look()
 
+    @Slot(object)
     def set_plan(self, plan: "Plan | None") -> None:
         """Take the plan of the run that is prepared."""
-        self.facts.set_plan(plan)
-        self._look()
+        self._plan = plan
+        if self._facts is not None:
+            self._facts.set_plan(plan)
+            self._look()
 
+    @Slot(object)
     def set_folder(self, folder: "Path") -> None:
         """Take the folder of data files."""
-        self.facts.set_folder(folder)
-        self._look()
+        self._folder = folder
+        if self._facts is not None:
+            self._facts.set_folder(folder)
+            self._look()
 
     @Slot(object)
     def show_message(self, message: object) -> None:
-        """Show an event of the station, or the snapshot of one that is new."""
+        """Show an event of the station, or what the window knows of it."""
+        from goniotwin.app.desktop.model.messages import Attached, NotAttached, RigRead, StationLost
         from goniotwin.app.station import messages
-        from goniotwin.app.station.permissions import allowed
 
-        if not isinstance(message, messages.Message | messages.Snapshot):
-            return
-        before = self.facts.station
-        self.facts.take(message)
-        now = self.facts.station
-        if now.rig is not before.rig:
-            self.devices.set_devices(now.rig.devices if now.rig is not None else {})  # type: ignore[arg-type]
+        before = self.facts.station.rig
+        match message:
+            case RigRead(rig):
+                self.set_rig(rig)
+            case Attached(_name, snapshot):
+                self.facts.take(snapshot)
+            case NotAttached() | StationLost():
+                self.set_rig(None)
+                self.facts.take(messages.Snapshot())
+            case _ if isinstance(message, messages.Message):
+                self.facts.take(message)
+        now = self.facts.station.rig
+        if now is not before:
+            self.devices.set_devices(now.devices if now is not None else {})
         self.devices.set_errors(self.facts.last_errors)
-        self.devices.set_refusal(allowed(now)["connect"])
+
+    def set_refusals(self, refusals: dict[str, str]) -> None:
+        """Disable what the station refuses now, and say why."""
+        self.devices.set_refusal(refusals["connect"])
 
     @Slot()
     def _look(self) -> None:

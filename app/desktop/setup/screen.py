@@ -36,7 +36,8 @@ class SchedulePanel(QGroupBox):
     open = Signal()
     choose_folder = Signal()
     plan_shown = Signal(object)
-    """The plan, whenever it is set."""
+    folder_shown = Signal(object)
+    """The plan and the folder, whenever they are set."""
 
     def __init__(self) -> None:
         super().__init__("Schedule file")
@@ -70,6 +71,7 @@ class SchedulePanel(QGroupBox):
     def set_folder(self, folder: Path) -> None:
         """Show the folder of data files."""
         show_path(self._folder, folder, "Data files (journals) in ")
+        self.folder_shown.emit(folder)
 
 
 class ContentPanel(QGroupBox):

@@ -17,7 +17,8 @@ from goniotwin.app.desktop.rig.panels import answered_text
 from goniotwin.app.desktop.rig.screen import RigScreen
 from goniotwin.app.desktop.theme import DARK, LIGHT
 from goniotwin.app.rig import read_rig
-from goniotwin.app.station.messages import DeviceChanged, DeviceStatus, Message, SpeedChanged
+from goniotwin.app.station.messages import DeviceChanged, DeviceStatus, Message, Snapshot, SpeedChanged, advance
+from goniotwin.app.station.permissions import allowed
 from goniotwin.app.station.station import CommandRefused, Station
 from goniotwin.protocols.clock import VirtualClock
 from tests.app.campaign.campaign_bench import QUIET
@@ -34,6 +35,7 @@ class Desk:
         self.bench, self.rig = BenchScreen(LIGHT), RigScreen(LIGHT)
         self.events: list[Message] = []
         self.commands: list[tuple[str, dict[str, object]]] = []
+        self.state = Snapshot()
         self.station = Station(clock=VirtualClock())
         description = read_rig(rig)
         for screen in (self.bench, self.rig):
@@ -48,8 +50,14 @@ class Desk:
 
     def _note(self, _number: int, message: Message) -> None:
         self.events.append(message)
+        self.show(message)
+
+    def show(self, message: Message) -> None:
+        """Show an event in both screens, and what is refused from then on."""
+        self.state = advance(self.state, message)
         for screen in (self.bench, self.rig):
             screen.show_message(message)
+            screen.set_refusals(allowed(self.state))
 
     def _command(self, command: str, arguments: object) -> None:
         given = cast(dict[str, object], arguments)
@@ -183,8 +191,7 @@ def test_live_readings_go_on_until_they_are_switched_off(desk: Desk) -> None:
 
 
 def test_during_a_run_the_bench_only_shows(desk: Desk) -> None:
-    for screen in (desk.bench, desk.rig):
-        screen.show_message(StateChanged(State.RUNNING))
+    desk.show(StateChanged(State.RUNNING))
     sigma, light = desk.bench.axes["sigma"], desk.bench.light
     for control in (sigma.go, sigma.up, sigma.set_button, light.read, light.shutter, light.live, light.gain):
         assert not control.isEnabled()
@@ -223,8 +230,7 @@ def test_the_rig_screen_knows_devices_answers_and_errors(desk: Desk) -> None:
     assert "TMCM-6214" in text
     assert "answered" in text
     lost = "monitor: READ?: no reply; check the cable"
-    for screen in (desk.bench, desk.rig):
-        screen.show_message(DeviceChanged("monitor", DeviceStatus(False, lost, "2026-11-23T01:00:00+00:00"), lost))
+    desk.show(DeviceChanged("monitor", DeviceStatus(False, lost, "2026-11-23T01:00:00+00:00"), lost))
     text = desk.rig.devices.text("monitor")
     assert "✗ not responding" in text
     assert "last answered" in text
