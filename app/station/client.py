@@ -112,6 +112,7 @@ class StationClient:
             while (line := self._channel.receive()) is not None:
                 self._take(line)
         self.ended = True
+        self._channel.close()
         for number in list(self._waiting):
             if (waiting := self._waiting.pop(number, None)) is not None:
                 waiting[0].set_exception(NoStation("the station has ended"))

@@ -11,7 +11,7 @@ import queue
 import sqlite3
 import threading
 from collections.abc import Callable
-from concurrent.futures import Future
+from concurrent.futures import Future, wait
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -52,6 +52,8 @@ LOST_S = 0.5
 """Real time without any reply after which a stop counts as lost."""
 RECORDED = " (rig)"
 """End of the name of a rig that was read from a journal (`recorded_rig`)."""
+ANSWER_S = 2.0
+"""Longest time that a window which is closed waits for answers."""
 END_S = 30.0
 """Longest time in which a station gives its rig back."""
 
@@ -113,6 +115,7 @@ class Connection:
         self._plan: Plan | None = None
         self._person = False
         self._closing = False
+        self._pending: list[Future[dict[str, Any]]] = []
         self._wall = RealClock()
         self._tasks: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         self._rows: queue.SimpleQueue[RunBegun | RowSaved | RunEnded | None] = queue.SimpleQueue()
@@ -213,11 +216,14 @@ class Connection:
         if client is None:
             self._send(CommandRefused(command, NO_RIG))
             return
-        client.send(command, **arguments).add_done_callback(lambda future: self._report_refusal(command, future))
+        future = client.send(command, **arguments)
+        self._pending = [each for each in self._pending if not each.done()] + [future]
+        future.add_done_callback(lambda future: self._report_refusal(command, future))
 
     def close(self) -> None:
         """Leave the station, which goes on, and end the threads; return when they have ended."""
         self._closing = True
+        wait(self._pending, ANSWER_S)  # an acknowledgement is in the journal before the window is closed
         self._tasks.put(None)
         self._threads[0].join()
         session = self._session
@@ -255,10 +261,8 @@ class Connection:
             if client is None:
                 client = self._stations.start(rig, self._speed, self._name, session.on_event, session.on_end)
         except (UserError, TimeoutError) as error:
-            silent = (
-                f"the station of {rig} does not answer; end its process, or wait" if isinstance(error, TimeoutError) else ""
-            )
-            self._send(NotAttached(silent or str(error)))
+            silent = isinstance(error, TimeoutError)
+            self._send(NotAttached(f"{rig}: its station does not answer; wait, or end its process" if silent else str(error)))
             self._send(PlanRefused(NO_RIG))
             return
         session.client = client

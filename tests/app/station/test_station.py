@@ -233,7 +233,7 @@ def test_what_a_run_permits(bench: StationBench, write_schedule: Writer, tmp_pat
     bench.reactions.append(note)
     bench.station.start(write_schedule(), tmp_path)
     bench.work()
-    permitted = command in ("stop", "operate", "disconnect", "pause", "finish_cut", "speed")
+    permitted = command in ("stop", "operate", "pause", "finish_cut", "speed")
     assert (found["now"][command] == "") == permitted
 
 
