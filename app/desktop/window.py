@@ -119,7 +119,7 @@ class MainWindow(QMainWindow):
         if (geometry := remembered.layout("window")) is not None:
             self.restoreGeometry(geometry)
         if (state := remembered.layout("run")) is not None:
-            self.view.screen(RunScreen).splitter.restoreState(state)
+            self.view.screen_of(RunScreen).splitter.restoreState(state)
         titles = [each.title for each in self.view.screens]
         if (shown := remembered.text("screen")) in titles:
             self.view.show_screen(titles.index(shown))
@@ -127,7 +127,7 @@ class MainWindow(QMainWindow):
 
     def _remember_layout(self) -> None:
         self._remembered.set_layout("window", self.saveGeometry())
-        self._remembered.set_layout("run", self.view.screen(RunScreen).splitter.saveState())
+        self._remembered.set_layout("run", self.view.screen_of(RunScreen).splitter.saveState())
         self._remembered.set_text("screen", self.view.screens[self.view.shown_screen].title)
 
     def _connect(self) -> None:
@@ -184,7 +184,7 @@ class MainWindow(QMainWindow):
     def _start(self) -> None:
         if self.presenter.plan is not None:
             self._keep_open()
-            self.view.show_screen(self.view.screens.index(self.view.screen(RunScreen)))
+            self.view.show_screen(self.view.screens.index(self.view.screen_of(RunScreen)))
             self.presenter.show_starting()
             self.rig_thread.start(self.presenter.plan, self._folder)
 

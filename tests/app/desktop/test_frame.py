@@ -212,7 +212,7 @@ def test_a_screen_is_added_by_a_line(qtbot: QtBot, open_window: WindowOpener, mo
     assert "Bench" in window.view.navigation.buttons[number].text()
     qtbot.keyClick(window, Qt.Key(Qt.Key.Key_1.value + number), Qt.KeyboardModifier.ControlModifier)
     assert window.view.shown_screen == number
-    qtbot.waitUntil(lambda: bool(window.view.screen(BenchScreen).messages), timeout=READY_MS)
+    qtbot.waitUntil(lambda: bool(window.view.screen_of(BenchScreen).messages), timeout=READY_MS)
 
 
 def test_the_letter_and_the_key_of_start_and_pause(qtbot: QtBot, open_window: WindowOpener) -> None:
@@ -296,20 +296,20 @@ def test_a_recent_schedule_is_opened_from_the_menu(
     (action,) = menu.actions()
     assert SCHEDULE.name in action.text()
     action.trigger()
-    qtbot.waitUntil(lambda: 'name = "quick"' in window.view.screen(SetupScreen).text, timeout=READY_MS)
+    qtbot.waitUntil(lambda: 'name = "quick"' in window.view.screen_of(SetupScreen).text, timeout=READY_MS)
 
 
 def test_the_set_up_shows_what_a_schedule_measures(frame: MainWindow) -> None:
     plan = make_plan(read_schedule(examples.FIRST_SCHEDULE), read_rig(examples.FIRST_RIG))
     frame.view.schedule.set_plan(plan)
-    names = [each.accessibleName() for each in frame.view.screen(SetupScreen).findChildren(QLabel)]
+    names = [each.accessibleName() for each in frame.view.screen_of(SetupScreen).findChildren(QLabel)]
     for name in ("Samples: satin", "σ: 30, 60°", "β: 0 to 350°, 36 values", "Wavelength: 550 nm", "Gains: 1e8, 1e10 V/A"):
         assert name in names
     assert plan.seconds / 20.0 < 120.0  # the first campaign, at the simulation speed of the start
 
 
 def test_the_events_to_look_at_are_counted_and_can_be_shown_alone(frame: MainWindow) -> None:
-    screen = frame.view.screen(EventsScreen)
+    screen = frame.view.screen_of(EventsScreen)
     for number in range(5):
         screen.add(LogEntry(f"event {number}", serious=number % 2 == 1))
     assert "✗ 2" in frame.view.navigation.buttons[view.SCREENS.index(EventsScreen)].text()
