@@ -16,72 +16,20 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from PySide6.QtCore import QRect
-from PySide6.QtWidgets import (
-    QAbstractButton,
-    QAbstractItemView,
-    QAbstractSlider,
-    QApplication,
-    QComboBox,
-    QHeaderView,
-    QLabel,
-    QLineEdit,
-    QMenuBar,
-    QPlainTextEdit,
-    QProgressBar,
-    QScrollBar,
-    QWidget,
-)
+from PySide6.QtWidgets import QApplication
 
 from goniotwin import examples
 from goniotwin.app.desktop import MainWindow, Theme
 from goniotwin.app.desktop.theme import Scheme
+from tests.app.desktop.screen_faults import SCREEN, faults
 
 SCALES = (100, 125, 150, 200)
-SCREEN = 1280, 800
 SCHEMES: tuple[Scheme, ...] = ("light", "dark")
 SPEED = 60.0
 """Simulation speed of the run that is shown."""
 SHARE = 0.6
 """Part of the rows that are measured in the picture of a run."""
 LONGEST_S = 300.0
-CONTROLS = (
-    QAbstractButton, QComboBox, QProgressBar, QAbstractItemView, QPlainTextEdit, QLineEdit, QAbstractSlider, QMenuBar,
-)  # fmt: skip
-PARTS = (QScrollBar, QHeaderView)
-OWNERS = (QComboBox, QAbstractItemView)
-"""Controls that belong to others, and these others."""
-
-
-def controls(window: QWidget) -> list[QWidget]:
-    """The controls of a window that are shown, without those that are parts of others."""
-    found = [each for kind in CONTROLS for each in window.findChildren(kind) if each.isVisible() and each.window() is window]
-    return [each for each in found if not isinstance(each, PARTS) and not isinstance(each.parent(), OWNERS)]
-
-
-def faults(window: QWidget, percent: int) -> list[str]:
-    """The controls of a window that are not whole on its screen, and the texts that are cut off; one line each."""
-    lines = []
-    if window.width() > SCREEN[0] * 100 // percent or window.height() > SCREEN[1] * 100 // percent:
-        lines.append(f"the window needs {window.width()} x {window.height()} logical pixels")
-    for each in controls(window):
-        if _hidden_part(window, each):
-            lines.append(f"{type(each).__name__} {each.accessibleName()!r} is not whole in the window")
-    for label in window.findChildren(QLabel):
-        if label.isVisible() and label.window() is window and label.text() and _cut_off(label):
-            lines.append(f"text cut off: {label.text()[:60]!r}")
-    return lines
-
-
-def _hidden_part(window: QWidget, control: QWidget) -> bool:
-    place = QRect(control.mapTo(window, control.rect().topLeft()), control.size())
-    return not window.rect().contains(place) or control.visibleRegion().boundingRect() != control.rect()
-
-
-def _cut_off(label: QLabel) -> bool:
-    if label.wordWrap():
-        return label.heightForWidth(label.width()) > label.height()
-    return label.sizeHint().width() > label.width()
 
 
 class Pictures:

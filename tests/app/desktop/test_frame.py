@@ -18,7 +18,6 @@ from PySide6.QtWidgets import QAbstractButton, QAbstractItemView, QApplication, 
 from pytestqt.qtbot import QtBot
 
 import goniotwin
-from benchmarks.screenshots import controls, faults
 from goniotwin import examples
 from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.running.events import SafetyOrder
@@ -37,6 +36,7 @@ from goniotwin.app.desktop.theme import Colours
 from goniotwin.app.rig import AXES, read_rig
 from goniotwin.app.rig.kinds import ROLES
 from tests.app.desktop.conftest import READY_MS, WindowOpener, ready
+from tests.app.desktop.screen_faults import SCREEN, controls, faults
 from tests.conftest import REPOSITORY, RIG, SCHEDULE, Writer
 
 FrameMaker = Callable[..., MainWindow]
@@ -163,7 +163,7 @@ def test_the_first_focus_is_on_the_screen_that_is_shown(qtbot: QtBot, frame: Mai
 @pytest.mark.parametrize("percent", [100, 150, 200])
 def test_every_control_is_on_the_screen(qtbot: QtBot, frame: MainWindow, percent: int) -> None:
     """1280 x 800 pixels at a scale factor; with the longest texts, an order and a question."""
-    frame.resize(1280 * 100 // percent, 800 * 100 // percent)
+    frame.resize(*(side * 100 // percent for side in SCREEN))
     frame.view.set_simulated(True, 1)
     frame.view.run.set_progress(1000, 2000, 12345.0)
     frame.view.show_status("Paused, with the shutter closed. Resume continues with the next row.")
@@ -177,7 +177,7 @@ def test_every_control_is_on_the_screen(qtbot: QtBot, frame: MainWindow, percent
     frame.view.orders.add(SafetyOrder("Cut the motors' power", "the stop is not confirmed; sigma: MST: nothing"))
     frame.view.question.set_question("Mount gaussian-5")
     QApplication.processEvents()
-    assert frame.height() <= 800 * 100 // percent
+    assert frame.height() <= SCREEN[1] * 100 // percent
     stop = frame.view.run.stop_button
     assert stop.visibleRegion().boundingRect() == stop.rect()
 
@@ -323,8 +323,8 @@ def test_the_events_to_look_at_are_counted_and_can_be_shown_alone(frame: MainWin
 def test_a_device_that_does_not_respond_is_marked_at_the_navigation_and_in_the_strip(frame: MainWindow) -> None:
     frame.view.devices.set_devices({each: DeviceStatus(each != "monitor", "") for each in DEVICES})
     assert "✗ 1" in frame.view.navigation.buttons[0].text()
-    (said,) = [each.accessibleName() for each in frame.view.strip.findChildren(QLabel) if "Devices" in each.accessibleName()]
-    assert "monitor not responding" in said
+    (stated,) = [each.accessibleName() for each in frame.view.strip.findChildren(QLabel) if "Devices" in each.accessibleName()]
+    assert "monitor not responding" in stated
 
 
 def test_the_panels_have_the_axes_and_devices_of_a_rig() -> None:
