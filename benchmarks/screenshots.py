@@ -3,8 +3,8 @@
     python -m benchmarks.screenshots DIR [--scale 100 125 150 200] [--scheme light dark]
 
 The window fills a screen of 1280 x 800 pixels at each scale factor, in a process of its own. It is shown before a run, in a run
-of the virtual rig, with a safety order and an open question, and after the run. A control that is not whole on the screen, or
-a text that is cut off, is printed, and the exit status is then 1.
+of the virtual rig, with a safety order and an open question, and after the run; then the windows beside it. A control that is
+not whole on the screen, or a text that is cut off, is printed, and the exit status is then 1.
 """
 
 import argparse
@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from PySide6.QtWidgets import QApplication
+from PySide6.QtWidgets import QApplication, QMessageBox, QWidget
 
 from goniotwin import examples
 from goniotwin.app.desktop import MainWindow, Theme
@@ -61,6 +61,7 @@ class Pictures:
         window.view.run.pause_button.click()
         self._wait(lambda: not window.presenter.busy and "Saved in" in window.view.saved)
         self._picture("done-run")
+        self._dialogs()
         window.shut_down()
 
     def _with_order(self) -> None:
@@ -74,6 +75,25 @@ class Pictures:
         view.question.set_question("")
         view.orders.acknowledge(order)
 
+    def _dialogs(self) -> None:
+        """The windows beside the main one."""
+        from goniotwin.app.campaign.running.question import EFFECTS, Answer
+        from goniotwin.app.desktop.events.question import Choice, QuestionBox
+
+        window = self.window
+        answers = (Answer.RETRY, Answer.SKIP, Answer.PAUSE, Answer.STOP)
+        choices = [Choice(each, EFFECTS[each], each is Answer.STOP) for each in answers]
+        text = "row 12: monitor: no reply to READ?; fix the fault, then press Retry."
+        question = QuestionBox(window, "Device fault", text, choices)
+        self._picture("dialog-question", question)
+        question.dismiss()
+        for action in ("help_wanted", "about_wanted"):
+            getattr(window.menus, action).emit()
+            box = next(each for each in window.findChildren(QMessageBox) if each.isVisible())
+            self._picture(f"dialog-{action.partition('_')[0]}", box)
+            box.close()
+            self._settle()
+
     def _each_screen(self, state: str) -> None:
         view = self.window.view
         shown = view.shown_screen
@@ -82,13 +102,14 @@ class Pictures:
             self._picture(f"{state}-{screen.title.lower()}")
         view.show_screen(shown)
 
-    def _picture(self, name: str) -> None:
+    def _picture(self, name: str, shown: QWidget | None = None) -> None:
+        shown = shown or self.window
         for scheme in self._schemes:
             self.window.theme.force(scheme)
             self._settle()
             file = f"{name}-{scheme}-{self._percent}.png"
-            self.window.grab().save(str(self._folder / file))
-            self.faults += [f"{file}: {line}" for line in faults(self.window, self._percent)]
+            shown.grab().save(str(self._folder / file))
+            self.faults += [f"{file}: {line}" for line in faults(shown, self._percent)]
 
     def _settle(self) -> None:
         for _ in range(3):

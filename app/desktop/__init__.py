@@ -19,13 +19,11 @@ from goniotwin.app.desktop.window import MainWindow
 
 __all__ = ["MainWindow", "Theme", "run_desktop"]
 
-START_SPEED = 20.0
-"""Simulation speed at which a virtual rig starts: the campaign of the examples takes a minute."""
 STOPPED = 130
 """Exit status after Ctrl-C: 128 + SIGINT, as of a shell."""
 
 
-def run_desktop(rig_path: Path, schedule_path: Path | None, out: Path | None = None, speed: float = START_SPEED) -> int:
+def run_desktop(rig_path: Path, schedule_path: Path | None, out: Path | None = None, speed: float = 1.0) -> int:
     """Open the window with a rig and, if given, a schedule; return the exit status when it is closed.
 
     Journals are written to the folder `out`, by default that of the last start, or `goniotwin` in the user's home.

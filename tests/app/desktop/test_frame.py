@@ -299,6 +299,24 @@ def test_a_recent_schedule_is_opened_from_the_menu(
     qtbot.waitUntil(lambda: 'name = "quick"' in window.view.screen_of(SetupScreen).text, timeout=READY_MS)
 
 
+def test_the_files_of_the_first_start_are_no_recent_ones(frame: MainWindow, tmp_path: Path) -> None:
+    frame._remembered = remembered = Remembered(tmp_path / "window.ini")
+    frame._remember("rig", examples.FIRST_RIG)
+    frame._remember("schedule", examples.FIRST_SCHEDULE)
+    frame._remember("schedule", SCHEDULE)
+    assert (remembered.recent("rig"), remembered.recent("schedule")) == ([], [SCHEDULE])
+    assert frame._last_folder("schedule", RIG) == SCHEDULE.parent
+    assert frame._last_folder("rig", RIG) == RIG.parent
+
+
+def test_a_part_that_cannot_be_loaded_is_shown(qtbot: QtBot, make_frame: FrameMaker, monkeypatch: pytest.MonkeyPatch) -> None:
+    window = make_frame()
+    monkeypatch.setitem(sys.modules, "goniotwin.app.desktop.presenter", None)
+    shown(qtbot, window)
+    qtbot.waitUntil(lambda: "goniotwin.app.desktop.presenter" in window.view.status, timeout=READY_MS)
+    assert window.close()
+
+
 def test_the_set_up_shows_what_a_schedule_measures(frame: MainWindow) -> None:
     plan = make_plan(read_schedule(examples.FIRST_SCHEDULE), read_rig(examples.FIRST_RIG))
     frame.view.schedule.set_plan(plan)
