@@ -18,7 +18,6 @@ from PySide6.QtWidgets import QAbstractButton, QAbstractItemView, QApplication, 
 from pytestqt.qtbot import QtBot
 
 import goniotwin
-from benchmarks.screenshots import controls, faults
 from goniotwin import examples
 from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.running.events import SafetyOrder
@@ -37,6 +36,7 @@ from goniotwin.app.rig import AXES, read_rig
 from goniotwin.app.rig.kinds import ROLES
 from goniotwin.app.station.messages import DeviceStatus
 from tests.app.desktop.conftest import READY_MS, WindowOpener, ready
+from tests.app.desktop.screen_faults import SCREEN, controls, faults
 from tests.conftest import REPOSITORY, RIG, SCHEDULE, Writer
 
 FrameMaker = Callable[..., MainWindow]
@@ -163,7 +163,7 @@ def test_the_first_focus_is_on_the_screen_that_is_shown(qtbot: QtBot, frame: Mai
 @pytest.mark.parametrize("percent", [100, 150, 200])
 def test_every_control_is_on_the_screen(qtbot: QtBot, frame: MainWindow, percent: int) -> None:
     """1280 x 800 pixels at a scale factor; with the longest texts, an order and a question."""
-    frame.resize(1280 * 100 // percent, 800 * 100 // percent)
+    frame.resize(*(side * 100 // percent for side in SCREEN))
     frame.view.set_simulated(True, 1)
     frame.view.run.set_progress(1000, 2000, 12345.0)
     frame.view.show_status("Paused, with the shutter closed. Resume continues with the next row.")
@@ -177,7 +177,7 @@ def test_every_control_is_on_the_screen(qtbot: QtBot, frame: MainWindow, percent
     frame.view.orders.add(SafetyOrder("Cut the motors' power", "the stop is not confirmed; sigma: MST: nothing"))
     frame.view.question.set_question("Mount gaussian-5")
     QApplication.processEvents()
-    assert frame.height() <= 800 * 100 // percent
+    assert frame.height() <= SCREEN[1] * 100 // percent
     stop = frame.view.run.stop_button
     assert stop.visibleRegion().boundingRect() == stop.rect()
 
@@ -212,7 +212,7 @@ def test_a_screen_is_added_by_a_line(qtbot: QtBot, open_window: WindowOpener, mo
     assert "Bench" in window.view.navigation.buttons[number].text()
     qtbot.keyClick(window, Qt.Key(Qt.Key.Key_1.value + number), Qt.KeyboardModifier.ControlModifier)
     assert window.view.shown_screen == number
-    qtbot.waitUntil(lambda: bool(window.view.screen(BenchScreen).messages), timeout=READY_MS)
+    qtbot.waitUntil(lambda: bool(window.view.screen_of(BenchScreen).messages), timeout=READY_MS)
 
 
 def test_the_letter_and_the_key_of_start_and_pause(qtbot: QtBot, open_window: WindowOpener) -> None:
@@ -296,20 +296,38 @@ def test_a_recent_schedule_is_opened_from_the_menu(
     (action,) = menu.actions()
     assert SCHEDULE.name in action.text()
     action.trigger()
-    qtbot.waitUntil(lambda: 'name = "quick"' in window.view.screen(SetupScreen).text, timeout=READY_MS)
+    qtbot.waitUntil(lambda: 'name = "quick"' in window.view.screen_of(SetupScreen).text, timeout=READY_MS)
+
+
+def test_the_files_of_the_first_start_are_no_recent_ones(frame: MainWindow, tmp_path: Path) -> None:
+    frame._remembered = remembered = Remembered(tmp_path / "window.ini")
+    frame._remember("rig", examples.FIRST_RIG)
+    frame._remember("schedule", examples.FIRST_SCHEDULE)
+    frame._remember("schedule", SCHEDULE)
+    assert (remembered.recent("rig"), remembered.recent("schedule")) == ([], [SCHEDULE])
+    assert frame._last_folder("schedule", RIG) == SCHEDULE.parent
+    assert frame._last_folder("rig", RIG) == RIG.parent
+
+
+def test_a_part_that_cannot_be_loaded_is_shown(qtbot: QtBot, make_frame: FrameMaker, monkeypatch: pytest.MonkeyPatch) -> None:
+    window = make_frame()
+    monkeypatch.setitem(sys.modules, "goniotwin.app.desktop.presenter", None)
+    shown(qtbot, window)
+    qtbot.waitUntil(lambda: "goniotwin.app.desktop.presenter" in window.view.status, timeout=READY_MS)
+    assert window.close()
 
 
 def test_the_set_up_shows_what_a_schedule_measures(frame: MainWindow) -> None:
     plan = make_plan(read_schedule(examples.FIRST_SCHEDULE), read_rig(examples.FIRST_RIG))
     frame.view.schedule.set_plan(plan)
-    names = [each.accessibleName() for each in frame.view.screen(SetupScreen).findChildren(QLabel)]
+    names = [each.accessibleName() for each in frame.view.screen_of(SetupScreen).findChildren(QLabel)]
     for name in ("Samples: satin", "σ: 30, 60°", "β: 0 to 350°, 36 values", "Wavelength: 550 nm", "Gains: 1e8, 1e10 V/A"):
         assert name in names
     assert plan.seconds / 20.0 < 120.0  # the first campaign, at the simulation speed of the start
 
 
 def test_the_events_to_look_at_are_counted_and_can_be_shown_alone(frame: MainWindow) -> None:
-    screen = frame.view.screen(EventsScreen)
+    screen = frame.view.screen_of(EventsScreen)
     for number in range(5):
         screen.add(LogEntry(f"event {number}", serious=number % 2 == 1))
     assert "✗ 2" in frame.view.navigation.buttons[view.SCREENS.index(EventsScreen)].text()
@@ -323,8 +341,8 @@ def test_the_events_to_look_at_are_counted_and_can_be_shown_alone(frame: MainWin
 def test_a_device_that_does_not_respond_is_marked_at_the_navigation_and_in_the_strip(frame: MainWindow) -> None:
     frame.view.devices.set_devices({each: DeviceStatus(each != "monitor", "") for each in DEVICES})
     assert "✗ 1" in frame.view.navigation.buttons[0].text()
-    (said,) = [each.accessibleName() for each in frame.view.strip.findChildren(QLabel) if "Devices" in each.accessibleName()]
-    assert "monitor not responding" in said
+    (stated,) = [each.accessibleName() for each in frame.view.strip.findChildren(QLabel) if "Devices" in each.accessibleName()]
+    assert "monitor not responding" in stated
 
 
 def test_the_panels_have_the_axes_and_devices_of_a_rig() -> None:
