@@ -3,8 +3,8 @@
     python -m benchmarks.screenshots DIR [--scale 100 125 150 200] [--scheme light dark]
 
 The window fills a screen of 1280 x 800 pixels at each scale factor, in a process of its own. It is shown before a run, in a run
-of the virtual rig, with a safety order and an open question, and after the run. A control that is not whole on the screen, or
-a text that is cut off, is printed, and the exit status is then 1.
+of the virtual rig, with a safety order and an open question, and after the run; then the windows beside it. A control that is
+not whole on the screen, or a text that is cut off, is printed, and the exit status is then 1.
 """
 
 import argparse
@@ -16,72 +16,20 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from PySide6.QtCore import QRect
-from PySide6.QtWidgets import (
-    QAbstractButton,
-    QAbstractItemView,
-    QAbstractSlider,
-    QApplication,
-    QComboBox,
-    QHeaderView,
-    QLabel,
-    QLineEdit,
-    QMenuBar,
-    QPlainTextEdit,
-    QProgressBar,
-    QScrollBar,
-    QWidget,
-)
+from PySide6.QtWidgets import QApplication, QMessageBox, QWidget
 
 from goniotwin import examples
 from goniotwin.app.desktop import MainWindow, Theme
 from goniotwin.app.desktop.theme import Scheme
+from tests.app.desktop.screen_faults import SCREEN, faults
 
 SCALES = (100, 125, 150, 200)
-SCREEN = 1280, 800
 SCHEMES: tuple[Scheme, ...] = ("light", "dark")
 SPEED = 60.0
 """Simulation speed of the run that is shown."""
 SHARE = 0.6
 """Part of the rows that are measured in the picture of a run."""
 LONGEST_S = 300.0
-CONTROLS = (
-    QAbstractButton, QComboBox, QProgressBar, QAbstractItemView, QPlainTextEdit, QLineEdit, QAbstractSlider, QMenuBar,
-)  # fmt: skip
-PARTS = (QScrollBar, QHeaderView)
-OWNERS = (QComboBox, QAbstractItemView)
-"""Controls that belong to others, and these others."""
-
-
-def controls(window: QWidget) -> list[QWidget]:
-    """The controls of a window that are shown, without those that are parts of others."""
-    found = [each for kind in CONTROLS for each in window.findChildren(kind) if each.isVisible() and each.window() is window]
-    return [each for each in found if not isinstance(each, PARTS) and not isinstance(each.parent(), OWNERS)]
-
-
-def faults(window: QWidget, percent: int) -> list[str]:
-    """The controls of a window that are not whole on its screen, and the texts that are cut off; one line each."""
-    lines = []
-    if window.width() > SCREEN[0] * 100 // percent or window.height() > SCREEN[1] * 100 // percent:
-        lines.append(f"the window needs {window.width()} x {window.height()} logical pixels")
-    for each in controls(window):
-        if _hidden_part(window, each):
-            lines.append(f"{type(each).__name__} {each.accessibleName()!r} is not whole in the window")
-    for label in window.findChildren(QLabel):
-        if label.isVisible() and label.window() is window and label.text() and _cut_off(label):
-            lines.append(f"text cut off: {label.text()[:60]!r}")
-    return lines
-
-
-def _hidden_part(window: QWidget, control: QWidget) -> bool:
-    place = QRect(control.mapTo(window, control.rect().topLeft()), control.size())
-    return not window.rect().contains(place) or control.visibleRegion().boundingRect() != control.rect()
-
-
-def _cut_off(label: QLabel) -> bool:
-    if label.wordWrap():
-        return label.heightForWidth(label.width()) > label.height()
-    return label.sizeHint().width() > label.width()
 
 
 class Pictures:
@@ -94,7 +42,7 @@ class Pictures:
         application = QApplication.instance()
         assert isinstance(application, QApplication)
         self._application = application
-        self.window = MainWindow(Theme(application), examples.RIG, examples.SCHEDULE, journals, SPEED)
+        self.window = MainWindow(Theme(application), examples.FIRST_RIG, examples.FIRST_SCHEDULE, journals, SPEED)
         self.faults: list[str] = []
 
     def take(self) -> None:
@@ -113,6 +61,7 @@ class Pictures:
         window.view.run.pause_button.click()
         self._wait(lambda: not window.presenter.busy and "Saved in" in window.view.saved)
         self._picture("done-run")
+        self._dialogs()
         window.shut_down()
 
     def _with_order(self) -> None:
@@ -126,6 +75,25 @@ class Pictures:
         view.question.set_question("")
         view.orders.acknowledge(order)
 
+    def _dialogs(self) -> None:
+        """The windows beside the main one."""
+        from goniotwin.app.campaign.running.question import EFFECTS, Answer
+        from goniotwin.app.desktop.events.question import Choice, QuestionBox
+
+        window = self.window
+        answers = (Answer.RETRY, Answer.SKIP, Answer.PAUSE, Answer.STOP)
+        choices = [Choice(each, EFFECTS[each], each is Answer.STOP) for each in answers]
+        text = "row 12: monitor: no reply to READ?; fix the fault, then press Retry."
+        question = QuestionBox(window, "Device fault", text, choices)
+        self._picture("dialog-question", question)
+        question.dismiss()
+        for action in ("help_wanted", "about_wanted"):
+            getattr(window.menus, action).emit()
+            box = next(each for each in window.findChildren(QMessageBox) if each.isVisible())
+            self._picture(f"dialog-{action.partition('_')[0]}", box)
+            box.close()
+            self._settle()
+
     def _each_screen(self, state: str) -> None:
         view = self.window.view
         shown = view.shown_screen
@@ -134,13 +102,14 @@ class Pictures:
             self._picture(f"{state}-{screen.title.lower()}")
         view.show_screen(shown)
 
-    def _picture(self, name: str) -> None:
+    def _picture(self, name: str, shown: QWidget | None = None) -> None:
+        shown = shown or self.window
         for scheme in self._schemes:
             self.window.theme.force(scheme)
             self._settle()
             file = f"{name}-{scheme}-{self._percent}.png"
-            self.window.grab().save(str(self._folder / file))
-            self.faults += [f"{file}: {line}" for line in faults(self.window, self._percent)]
+            shown.grab().save(str(self._folder / file))
+            self.faults += [f"{file}: {line}" for line in faults(shown, self._percent)]
 
     def _settle(self) -> None:
         for _ in range(3):

@@ -90,18 +90,18 @@ def start(
 ) -> None:
     """Open the window if there is no command."""
     if context.invoked_subcommand is None:
-        desktop(examples.RIG, examples.SCHEDULE)
+        desktop(examples.FIRST_RIG, examples.FIRST_SCHEDULE)
 
 
 @app.command()
 def desktop(
     rig: Annotated[
-        Path, typer.Option("--rig", metavar="RIG.toml", help="Rig file.", show_default="virtual.toml of the examples")
-    ] = examples.RIG,
+        Path, typer.Option("--rig", metavar="RIG.toml", help="Rig file.", show_default="first.toml of the examples")
+    ] = examples.FIRST_RIG,
     schedule: Annotated[
         Path,
-        typer.Option("--schedule", metavar="SCHEDULE.toml", help="Schedule file.", show_default="quick.toml of the examples"),
-    ] = examples.SCHEDULE,
+        typer.Option("--schedule", metavar="SCHEDULE.toml", help="Schedule file.", show_default="first.toml of the examples"),
+    ] = examples.FIRST_SCHEDULE,
     out: Annotated[
         Path | None, typer.Option("--out", metavar="DIR", help="Folder for data files (journals).", show_default=False)
     ] = None,

@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 
 __all__ = ["MainWindow", "Theme", "run_desktop"]
 
-START_SPEED = 20.0
-"""Simulation speed at which a virtual rig starts: the campaign of the examples takes a minute."""
 STOPPED = 130
 """Exit status after Ctrl-C: 128 + SIGINT, as of a shell."""
 
@@ -33,7 +31,7 @@ def run_desktop(
     rig_path: Path,
     schedule_path: Path | None,
     out: Path | None = None,
-    speed: float = START_SPEED,
+    speed: float = 1.0,
     stations: "Stations | None" = None,
 ) -> int:
     """Open the window with a rig and, if given, a schedule; return the exit status when it is closed.

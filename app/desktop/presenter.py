@@ -350,7 +350,7 @@ class Presenter(QObject):
                     self._live_plot.start(None, self._mark)
                 if message.not_responding:
                     names = " and ".join(message.not_responding)
-                    text = f"Not responding: {names}. See Devices for the reason, then connect again."
+                    text = f"Not responding: {names}. See the screen Rig for the reason, then connect again."
                     self._view.show_status(text, error=True)
                     for device in message.not_responding:
                         self._log(devices[device].text, device, "no run can start", serious=True)

@@ -6,7 +6,7 @@ from typing import Literal, get_args
 from PySide6.QtCore import QByteArray, QSettings
 
 from goniotwin.app.desktop.theme import Scheme
-from goniotwin.own_files import state_folder
+from goniotwin.own_files import make_own_folder, state_folder
 
 Kind = Literal["rig", "schedule"]
 FILE = "window.ini"
@@ -21,7 +21,11 @@ class Remembered:
 
     @classmethod
     def of_user(cls) -> "Remembered":
-        """That of this user, in the state folder."""
+        """That of this user, in the state folder; nothing is remembered if that cannot be used."""
+        try:
+            make_own_folder(state_folder())
+        except OSError:
+            return cls()
         return cls(state_folder() / FILE)
 
     def layout(self, name: str) -> QByteArray | None:

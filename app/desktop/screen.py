@@ -2,7 +2,7 @@
 
 from typing import ClassVar
 
-from PySide6.QtCore import Slot
+from PySide6.QtCore import Signal, Slot
 from PySide6.QtWidgets import QWidget
 
 from goniotwin.app.desktop.theme import Colours
@@ -20,6 +20,8 @@ class Screen(QWidget):
 
     title: ClassVar[str]
     icon: ClassVar[str]
+    command = Signal(str, object)
+    """A command of the station (`station.permissions.COMMANDS`), and its arguments by name."""
 
     def __init__(self, colours: Colours) -> None:
         super().__init__()
@@ -36,3 +38,9 @@ class Screen(QWidget):
     @Slot(object)
     def show_message(self, message: object) -> None:
         """Show a message of the rig (`model.messages`). Called for each one, in the window's thread."""
+
+    def set_refusals(self, refusals: dict[str, str]) -> None:
+        """Take, by command, the reason why the station refuses it now; empty where it is allowed."""
+
+    def shut_down(self) -> None:
+        """End what the screen has started."""

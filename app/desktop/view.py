@@ -11,6 +11,7 @@ from PySide6.QtCore import Qt, Signal, Slot
 from PySide6.QtGui import QResizeEvent
 from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QScrollArea, QStackedWidget, QVBoxLayout, QWidget
 
+from goniotwin.app.desktop.bench.screen import BenchScreen
 from goniotwin.app.desktop.events.panels import NoticeBar, OrdersPanel, QuestionBar
 from goniotwin.app.desktop.events.screen import EventsScreen
 from goniotwin.app.desktop.navigation import Navigation
@@ -27,6 +28,7 @@ if TYPE_CHECKING:  # pyqtgraph is loaded after the window has been shown
 
 SCREENS: tuple[type[Screen], ...] = (
     RigScreen,
+    BenchScreen,
     SetupScreen,
     RunScreen,
     EventsScreen,
@@ -64,11 +66,13 @@ class MainView(QWidget):
         self.run = RunPanel(speed, colours)
         self._status = _text_label("Status")
         self._saved = _text_label("Journal")
-        rig, setup = self.screen(RigScreen), self.screen(SetupScreen)
-        self.log = self.screen(EventsScreen)
+        rig, setup = self.screen_of(RigScreen), self.screen_of(SetupScreen)
+        self.log = self.screen_of(EventsScreen)
         self.rig, self.devices, self.axes, self.schedule = rig.rig, rig.devices, rig.axes, setup.schedule
+        self.schedule.plan_shown.connect(rig.set_plan)
+        self.schedule.folder_shown.connect(rig.set_folder)
         self.schedule.set_folder(folder)
-        self.screen(RunScreen).set_events(self.log.model)
+        self.screen_of(RunScreen).set_events(self.log.model)
         self.navigation.chosen.connect(self.show_screen)
         self.log.serious_changed.connect(self._mark_events)
         self.devices.shown.connect(self.strip.set_devices)
@@ -82,7 +86,7 @@ class MainView(QWidget):
         self.show_status("Starting …")
         self.show_screen(SCREENS.index(FIRST))
 
-    def screen(self, kind: type[AnyScreen]) -> AnyScreen:
+    def screen_of(self, kind: type[AnyScreen]) -> AnyScreen:
         """The screen of a class."""
         return next(each for each in self.screens if isinstance(each, kind))
 
@@ -107,7 +111,7 @@ class MainView(QWidget):
     @property
     def plot(self) -> "ScanPlot":
         """The plot of the run screen; not before `complete`."""
-        return self.screen(RunScreen).plot
+        return self.screen_of(RunScreen).plot
 
     @property
     def status(self) -> str:
@@ -127,7 +131,7 @@ class MainView(QWidget):
     @property
     def plot_error(self) -> str:
         """The error of the plot; empty without one."""
-        return self.screen(RunScreen).error
+        return self.screen_of(RunScreen).error
 
     def show_status(self, text: str, *, error: bool = False) -> None:
         """Show the status line."""
@@ -150,7 +154,7 @@ class MainView(QWidget):
     @Slot(str)
     def set_plot_error(self, text: str) -> None:
         """Show an error of the plot; hide it if empty."""
-        self.screen(RunScreen).show_error(text)
+        self.screen_of(RunScreen).show_error(text)
 
     def set_colours(self, colours: Colours) -> None:
         """Take the colours of a scheme."""
@@ -158,8 +162,10 @@ class MainView(QWidget):
         self._banner.setStyleSheet(
             f"background: {colours.simulated}; color: {colours.on_simulated}; font-weight: bold; padding: 3px"
         )
-        for each in (self.orders, self.question, self.notice, self.strip, self.navigation, self.run, *self.screens):
-            each.set_colours(colours)
+        for part in (self.orders, self.question, self.notice, self.strip, self.navigation, self.run):
+            part.set_colours(colours)
+        for screen in self.screens:
+            screen.set_colours(colours)
         self._colour_texts()
 
     def _colour_texts(self) -> None:
@@ -205,8 +211,8 @@ class MainView(QWidget):
         whole = QVBoxLayout(self)  # Tab follows the order in which the parts are added here
         whole.setContentsMargins(0, 0, 0, 0)
         whole.setSpacing(0)
-        for each in (self._banner, self.orders, self.question, self.notice, self.strip):
-            whole.addWidget(each)
+        for part in (self._banner, self.orders, self.question, self.notice, self.strip):
+            whole.addWidget(part)
         whole.addLayout(middle, 1)
         whole.addWidget(self.run)
 

@@ -15,11 +15,12 @@ from PySide6.QtCore import QEvent, Qt, QUrl, Signal, Slot
 from PySide6.QtGui import QCloseEvent, QDesktopServices, QKeyEvent
 from PySide6.QtWidgets import QFileDialog, QMainWindow, QMessageBox
 
+from goniotwin import examples
 from goniotwin.app.campaign.running.question import EFFECTS, Answer
 from goniotwin.app.desktop.event_loop import GarbageCollector
 from goniotwin.app.desktop.events.question import Choice, QuestionBox
 from goniotwin.app.desktop.menu import Menus, about_text, keys_text
-from goniotwin.app.desktop.remembered import Remembered
+from goniotwin.app.desktop.remembered import Kind, Remembered
 from goniotwin.app.desktop.run.screen import RunScreen
 from goniotwin.app.desktop.theme import Scheme, Theme
 from goniotwin.app.desktop.view import MainView
@@ -91,24 +92,27 @@ class MainWindow(QMainWindow):
         return handled
 
     def _import_later(self) -> None:
-        try:
+        with contextlib.suppress(ImportError):  # `complete` meets it again, and shows it
             for name in LATER:
                 import_module(name)
-        finally:
-            with contextlib.suppress(RuntimeError):  # the window is gone
-                self.imported.emit()
+        with contextlib.suppress(RuntimeError):  # the window is gone
+            self.imported.emit()
 
     @Slot()
     def complete(self) -> None:
         """Make what takes long to load, and attach to the station. A second call does nothing."""
         if self._complete or self._closed:
             return
-        from goniotwin.app.desktop.model.connection import Connection
-        from goniotwin.app.desktop.presenter import Presenter
+        try:
+            from goniotwin.app.desktop.model.connection import Connection
+            from goniotwin.app.desktop.presenter import Presenter
 
+            self.view.complete()
+        except ImportError as error:
+            self.view.show_status(f"{error}; install goniotwin again, with its requirements", error=True)
+            return
         self._complete = True
         rig, schedule, speed = self._first
-        self.view.complete()
         self.presenter = Presenter(self.view, rig, self)
         self._connect()
         self.connection = Connection(self.presenter.message_received.emit, speed, self._stations, f"window {os.getpid()}")
@@ -123,7 +127,7 @@ class MainWindow(QMainWindow):
         if (geometry := remembered.layout("window")) is not None:
             self.restoreGeometry(geometry)
         if (state := remembered.layout("run")) is not None:
-            self.view.screen(RunScreen).splitter.restoreState(state)
+            self.view.screen_of(RunScreen).splitter.restoreState(state)
         titles = [each.title for each in self.view.screens]
         if (shown := remembered.text("screen")) in titles:
             self.view.show_screen(titles.index(shown))
@@ -131,7 +135,7 @@ class MainWindow(QMainWindow):
 
     def _remember_layout(self) -> None:
         self._remembered.set_layout("window", self.saveGeometry())
-        self._remembered.set_layout("run", self.view.screen(RunScreen).splitter.saveState())
+        self._remembered.set_layout("run", self.view.screen_of(RunScreen).splitter.saveState())
         self._remembered.set_text("screen", self.view.screens[self.view.shown_screen].title)
 
     def _connect(self) -> None:
@@ -141,6 +145,7 @@ class MainWindow(QMainWindow):
         self.presenter.run_ended.connect(self._after_run)
         for screen in self.view.screens:
             self.presenter.message_shown.connect(screen.show_message)
+            screen.command.connect(self._command)
         run, rig, schedule = self.view.run, self.view.rig, self.view.schedule
         run.start.connect(self._start)
         run.pause.connect(self._pause)
@@ -178,7 +183,13 @@ class MainWindow(QMainWindow):
         self.view.run.set_permissions(permissions)
         self.menus.set_pause(permissions.resume)
         self._set_enabled(permissions.open)
+        for screen in self.view.screens:
+            screen.set_refusals(permissions.refusals)
         self.setWindowTitle(self.presenter.title)
+
+    @Slot(str, object)
+    def _command(self, command: str, arguments: dict[str, object]) -> None:
+        self.connection.command(command, **arguments)
 
     @Slot()
     def _recolour(self) -> None:
@@ -190,7 +201,7 @@ class MainWindow(QMainWindow):
     def _start(self) -> None:
         if self.presenter.plan is not None:
             self._keep_open()
-            self.view.show_screen(self.view.screens.index(self.view.screen(RunScreen)))
+            self.view.show_screen(self.view.screens.index(self.view.screen_of(RunScreen)))
             self.presenter.show_starting()
             self.connection.start(self.presenter.plan, self._folder)
 
@@ -297,7 +308,7 @@ class MainWindow(QMainWindow):
 
     @Slot()
     def _choose_rig(self) -> None:
-        folder = self.presenter.rig_path.parent
+        folder = self._last_folder("rig", self.presenter.rig_path)
         name, _ = QFileDialog.getOpenFileName(self, "Open a rig file", str(folder), "Rig files (*.toml)")
         if name:
             self._open_rig(Path(name))
@@ -307,21 +318,30 @@ class MainWindow(QMainWindow):
         self._open_rig(self.presenter.rig_path)
 
     def _open_rig(self, path: Path) -> None:
-        self._remembered.add_recent("rig", path)
+        self._remember("rig", path)
         self.presenter.show_opening(path)
         self.connection.open(path)
 
     @Slot()
     def _choose_schedule(self) -> None:
         plan = self.presenter.plan
-        folder = Path(plan.schedule.name).parent if plan else self.presenter.rig_path.parent
+        folder = self._last_folder("schedule", Path(plan.schedule.name) if plan else self.presenter.rig_path)
         name, _ = QFileDialog.getOpenFileName(self, "Open a schedule file", str(folder), "Schedule files (*.toml)")
         if name:
             self._open_schedule(Path(name))
 
     def _open_schedule(self, path: Path) -> None:
-        self._remembered.add_recent("schedule", path)
+        self._remember("schedule", path)
         self.connection.load(path)
+
+    def _remember(self, kind: Kind, path: Path) -> None:
+        """Remember a file that is opened, other than those of the first start."""
+        if path not in (examples.FIRST_RIG, examples.FIRST_SCHEDULE):
+            self._remembered.add_recent(kind, path)
+
+    def _last_folder(self, kind: Kind, present: Path) -> Path:
+        """The folder of the file of a kind that was opened last, or that of the present one."""
+        return next((path.parent for path in self._remembered.recent(kind)), present.parent)
 
     @Slot(str, object)
     def _open_recent(self, kind: str, path: Path) -> None:
@@ -455,4 +475,6 @@ class MainWindow(QMainWindow):
             if self._complete:
                 self.presenter.close()
                 self.connection.close()
+            for screen in self.view.screens:
+                screen.shut_down()
             self._collector.stop()

@@ -73,6 +73,13 @@ class DevicesAnswered:
 
 
 @dataclass(frozen=True)
+class ReferencesChanged:
+    """Why axes are unreferenced, by axis; empty if all are referenced."""
+
+    unreferenced: dict[str, str]
+
+
+@dataclass(frozen=True)
 class ActivityChanged:
     """What the station does now, apart from the rows of a run, in words; empty if nothing.
 
@@ -191,8 +198,8 @@ class OperatorChanged:
 
 Message = (
     StateChanged | RowStarted | Positions | EventLogged | SafetyOrder | RigOpened | RigClosed | DeviceChanged | DevicesAnswered
-    | ActivityChanged | BenchChanged | BenchReading | RunBegun | RowSaved | RunEnded | RunRefused | QuestionAsked
-    | QuestionClosed | OrderAcknowledged | SpeedChanged | OperatorChanged
+    | ReferencesChanged | ActivityChanged | BenchChanged | BenchReading | RunBegun | RowSaved | RunEnded | RunRefused
+    | QuestionAsked | QuestionClosed | OrderAcknowledged | SpeedChanged | OperatorChanged
 )  # fmt: skip
 NEWEST_ONLY = (Positions, BenchReading, DevicesAnswered)
 """Of these a client needs only the newest."""
@@ -203,7 +210,7 @@ class Snapshot:
     """The station as its events so far give it; `number` is that of the last one.
 
     `journal` is that of the run in progress, or of the last one; `row` the row in progress; `reason` why the state was entered;
-    `answered` the calendar times of the devices' last answers.
+    `unreferenced` why axes are unreferenced.
     """
 
     number: int = 0
@@ -220,6 +227,7 @@ class Snapshot:
     activity: str = "opening the rig"
     bench: BenchChanged = field(default_factory=BenchChanged)
     positions: dict[str, float] = field(default_factory=dict)
+    unreferenced: dict[str, str] = field(default_factory=dict)
     reading: BenchReading | None = None
     question: QuestionAsked | None = None
     orders: tuple[SafetyOrder, ...] = ()
@@ -253,8 +261,8 @@ def advance(before: Snapshot, message: Message) -> Snapshot:
             changes = {"rig": message, "closed": "", "activity": ""}
         case RigClosed(reason):
             changes = {
-                "rig": None, "closed": reason, "state": State.IDLE, "activity": "", "positions": {}, "row": None,
-                "bench": BenchChanged(), "reading": None,
+                "rig": None, "closed": reason, "state": State.IDLE, "activity": "", "positions": {}, "unreferenced": {},
+                "row": None, "bench": BenchChanged(), "reading": None,
             }  # fmt: skip
         case DeviceChanged(device, status) if before.rig is not None:
             changes = {"rig": _with_devices(before.rig, {device: status})}
@@ -264,6 +272,8 @@ def advance(before: Snapshot, message: Message) -> Snapshot:
                 name: DeviceStatus(known[name].connected, known[name].text, time) for name, time in times.items()
                 if name in known
             })}  # fmt: skip
+        case ReferencesChanged(unreferenced):
+            changes = {"unreferenced": unreferenced}
         case ActivityChanged(activity):
             changes = {"activity": activity}
         case BenchChanged():

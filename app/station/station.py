@@ -48,6 +48,7 @@ from goniotwin.app.station.messages import (
     OrderAcknowledged,
     QuestionAsked,
     QuestionClosed,
+    ReferencesChanged,
     RigClosed,
     RigOpened,
     RowSaved,
@@ -446,6 +447,7 @@ class Station:
             self._report_positions()
         if self._bench is not None and self._bench.settings != self.snapshot.bench:
             self._publish(self._bench.settings)
+        self._report_references()
         if self.snapshot.activity or error:
             self._publish(ActivityChanged("", error))
 
@@ -465,6 +467,15 @@ class Station:
                 except DeviceError as error:
                     self._note_fault(error)
 
+    def _report_references(self) -> None:
+        """Report which axes are unreferenced, if that has changed. Nothing is asked of them."""
+        opened = self._opened
+        if opened is None or self.snapshot.rig is None:
+            return
+        unreferenced = {name: axis.unreferenced_reason for name, axis in opened.rig.axes.items() if axis.unreferenced_reason}
+        if unreferenced != self.snapshot.unreferenced:
+            self._publish(ReferencesChanged(unreferenced))
+
     def _report_positions(self) -> None:
         """Report the positions at the end of a task: a client that has waited for it has them then."""
         if self._opened is not None:
@@ -478,6 +489,7 @@ class Station:
         rig = self._rig().rig
         if self.snapshot.rig is None:
             return
+        self._report_references()
         degrees = {}
         for controller in rig.controllers:
             if controller.name not in self._silent:
@@ -549,6 +561,7 @@ class Station:
         if self._bench is not None:
             self._bench.look()
             self._publish(self._bench.settings)
+            self._report_references()
 
     def _set_live(self, on: bool) -> None:
         if not self.snapshot.busy:  # a run may have begun meanwhile

@@ -40,6 +40,7 @@ PLANS = {
     "closure": ("virtual",),
     "dense-lobe-spectral": ("virtual", "filters"),
     "diffuse-spectral": ("virtual", "filters"),
+    "first": ("first",),
     "paper-order": ("virtual",),
     "quick": ("virtual",),
     "transmission": ("virtual", "filters"),

@@ -28,13 +28,14 @@ from goniotwin.app.desktop.model.messages import (
     NotAttached,
     PlanMade,
     PlanRefused,
+    RigRead,
     RunStarted,
     StationLost,
     StopReport,
     ValuesMissing,
 )
 from goniotwin.app.errors import UserError
-from goniotwin.app.rig import read_rig
+from goniotwin.app.rig import RigDescription, read_rig
 from goniotwin.app.station.client import NoStation, Refused, StationClient
 from goniotwin.app.station.connection_file import attach, station_of
 from goniotwin.app.station.messages import Message as StationMessage
@@ -48,6 +49,8 @@ OnEnd = Callable[[], None]
 NO_RIG = "no rig is open"
 LOST_S = 0.5
 """Real time without any reply after which a stop counts as lost."""
+RECORDED = " (rig)"
+"""End of the name of a rig that was read from a journal (`recorded_rig`)."""
 ANSWER_S = 2.0
 """Longest time that a window which is closed waits for answers."""
 END_S = 30.0
@@ -281,7 +284,7 @@ class Connection:
     def _show(self, snapshot: Snapshot) -> None:
         """Report the state of a station as the events that have led to it."""
         if snapshot.rig is not None:
-            self._tasks.put(self._load_again)
+            self._tasks.put(self._read_rig)
         if snapshot.journal is not None and snapshot.busy:
             self._rows.put(RunBegun(snapshot.journal, snapshot.campaign, snapshot.done, snapshot.total, snapshot.seconds_left))
 
@@ -296,7 +299,7 @@ class Connection:
             case RunBegun() | RowSaved():
                 self._rows.put(message)
             case RigOpened():
-                self._tasks.put(self._load_again)
+                self._tasks.put(self._read_rig)
         self._send(message)
 
     def _lose(self, session: Session) -> None:
@@ -304,6 +307,15 @@ class Connection:
             self._last = session.client.snapshot if session.client is not None else self._last
             self._session = None
             self._send(StationLost(self._last))
+
+    def _read_rig(self) -> None:
+        """Read the tables of the station's rig, and make the plan for it."""
+        rig = self.snapshot.rig
+        try:
+            self._send(RigRead(None if rig is None else description_of(rig).file))
+        except (UserError, OSError, sqlite3.Error):
+            self._send(RigRead(None))  # the plan is refused with the reason
+        self._load_again()
 
     def _load(self, path: Path) -> None:
         self._schedule = path
@@ -317,10 +329,7 @@ class Connection:
             self._send(PlanRefused(NO_RIG))
             return
         try:
-            description = read_rig(rig.path)
-            if hashlib.sha256(description.text.encode()).hexdigest() != rig.digest:
-                raise UserError(f"{rig.path}: has changed since the rig was connected; connect again")
-            self._plan = make_plan(read_schedule(path), description)
+            self._plan = make_plan(read_schedule(path), description_of(rig))
         except UserError as error:
             self._send(PlanRefused(str(error)))
         else:
@@ -434,3 +443,16 @@ class Connection:
         with contextlib.suppress(UserError):
             for finding in journal_findings(journal):
                 self._send(EventLogged("finding", finding, journal.name, "see goniotwin verify"))
+
+
+def description_of(rig: RigOpened) -> RigDescription:
+    """The rig of a station, from the file or the journal that the station has read. Raises UserError if that has changed."""
+    name = str(rig.path)
+    if name.endswith(RECORDED):
+        with JournalFollower(Path(name.removesuffix(RECORDED))).reading() as journal:
+            description = recorded_rig(journal)
+    else:
+        description = read_rig(rig.path)
+    if hashlib.sha256(description.text.encode()).hexdigest() != rig.digest:
+        raise UserError(f"{rig.path}: has changed since the rig was connected; connect again")
+    return description

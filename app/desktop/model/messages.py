@@ -5,6 +5,7 @@ from pathlib import Path
 
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.running.events import RowCommitted
+from goniotwin.app.rig import RigFile
 from goniotwin.app.station.messages import Message as StationMessage
 from goniotwin.app.station.messages import Snapshot
 
@@ -34,6 +35,13 @@ class StationLost:
     """The station has ended, unasked. `last` is the last that is known of it: a run in progress stays in its journal."""
 
     last: Snapshot
+
+
+@dataclass(frozen=True)
+class RigRead:
+    """The tables of the rig that the station has, as this process has read them; None where they cannot be read."""
+
+    rig: RigFile | None
 
 
 @dataclass(frozen=True)
@@ -83,6 +91,6 @@ class StopReport:
 
 
 Message = (
-    StationMessage | RowCommitted | Attached | NotAttached | StationLost | PlanMade | PlanRefused | RunStarted | ValuesMissing
-    | CommandRefused | StopReport
+    StationMessage | RowCommitted | Attached | NotAttached | StationLost | RigRead | PlanMade | PlanRefused | RunStarted
+    | ValuesMissing | CommandRefused | StopReport
 )  # fmt: skip

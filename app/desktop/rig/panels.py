@@ -1,12 +1,15 @@
 """The panels of the instrument: rig file, devices and axes. They only show."""
 
+from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from PySide6.QtCore import Qt, Signal
+from PySide6.QtCore import Qt, Signal, Slot
 from PySide6.QtWidgets import QCheckBox, QGridLayout, QGroupBox, QHBoxLayout, QLabel, QPushButton, QVBoxLayout, QWidget
 
+from goniotwin.app.campaign.wording import rounded_duration_text
 from goniotwin.app.desktop.theme import Colours
+from goniotwin.protocols.clock import calendar_stamp
 
 if TYPE_CHECKING:  # the window shows itself before the engine is loaded
     from goniotwin.app.station.messages import DeviceStatus, RigOpened
@@ -16,6 +19,7 @@ GREEK = {"gamma": "γ", "sigma": "σ", "beta": "β", "shift": "Δ"}
 DEVICES = ("axes", "monochromator", "photodiodes", "monitor")
 """The devices that a rig usually has."""
 NO_VALUE = "–"
+JUST_NOW_S = 3.0
 
 
 class RigPanel(QGroupBox):
@@ -51,73 +55,158 @@ class RigPanel(QGroupBox):
 
 
 class DevicesPanel(QGroupBox):
-    """Each device: whether it is connected, its identity, or the reason why it does not respond."""
+    """Each device: whether it is connected, what it is, when it last answered, its last error and what to do."""
 
     shown = Signal(object)
     """The statuses, whenever they are set."""
+    reconnect = Signal(str)
+    """The name of a device that is to be connected anew."""
 
     def __init__(self, colours: Colours) -> None:
         super().__init__("Devices")
         self.setAccessibleName("Devices")
         self._colours = colours
         self._statuses: dict[str, DeviceStatus] = {}
-        self._marks: dict[str, QLabel] = {}
-        self._texts: dict[str, QLabel] = {}
-        self._grid = QGridLayout(self)
-        self._grid.setColumnStretch(1, 1)
-        self._grid.setVerticalSpacing(2)
+        self._addresses: dict[str, str] = {}
+        self._errors: dict[str, tuple[str, str]] = {}
+        self._refusal = "no rig is open"
+        self._rows: dict[str, DeviceRow] = {}
+        self._layout = QVBoxLayout(self)
+        self._layout.setSpacing(6)
+        self._layout.setContentsMargins(8, 4, 8, 6)
         self.set_devices({})
 
     def text(self, device: str) -> str:
         """The text of a device."""
-        return f"{self._marks[device].text()}: {self._texts[device].text()}"
+        return self._rows[device].summary
 
     def set_devices(self, devices: "dict[str, DeviceStatus]") -> None:
         """Show the status of each device; without a rig, those that a rig usually has."""
         self._statuses = dict(devices)
         names = list(devices) or list(DEVICES)
-        if names != list(self._marks):
+        if names != list(self._rows):
             self._make_rows(names)
         self._show()
         self.shown.emit(self._statuses)
 
+    def set_addresses(self, addresses: dict[str, str]) -> None:
+        """Take where each device is, by name."""
+        self._addresses = addresses
+        self._show()
+
+    def set_errors(self, errors: dict[str, tuple[str, str]]) -> None:
+        """Take the last error of devices, by name: its time of day and its text."""
+        self._errors = dict(errors)
+        self._show()
+
+    def set_refusal(self, reason: str) -> None:
+        """Disable the buttons, and say why; an empty reason enables them."""
+        self._refusal = reason
+        self._show()
+
     def _make_rows(self, devices: list[str]) -> None:
-        while (item := self._grid.takeAt(0)) is not None:
+        while (item := self._layout.takeAt(0)) is not None:
             if (widget := item.widget()) is not None:
                 widget.deleteLater()
-        self._marks, self._texts = {}, {}
-        for at, device in enumerate(devices):
-            mark, text = QLabel(), QLabel()
-            text.setWordWrap(True)
-            text.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
-            text.setContentsMargins(0, 0, 0, 4)
-            self._grid.addWidget(QLabel(device.capitalize()), 2 * at, 0)
-            self._grid.addWidget(mark, 2 * at, 1, Qt.AlignmentFlag.AlignRight)
-            self._grid.addWidget(text, 2 * at + 1, 0, 1, 2)
-            self._marks[device], self._texts[device] = mark, text
+        self._rows = {name: DeviceRow(name) for name in devices}
+        for row in self._rows.values():
+            row.reconnect.connect(self.reconnect)
+            self._layout.addWidget(row)
 
     def set_colours(self, colours: Colours) -> None:
         """Take the colours of a scheme."""
         self._colours = colours
         self._show()
 
+    @Slot()
     def _show(self) -> None:
-        for device in self._marks:
-            status = self._statuses.get(device)
-            mark, text = self._marks[device], self._texts[device]
-            if status is None:
-                shown, colour = "not connected", self._colours.dim
-            elif status.connected:
-                shown, colour = "✓ connected", self._colours.good
-            else:
-                shown, colour = "✗ not responding", self._colours.bad
-            mark.setText(shown)
-            mark.setStyleSheet(f"color: {colour}; font-weight: bold")
-            text.setText(status.text if status else "")
-            text.setVisible(status is not None)
-            text.setStyleSheet(f"color: {self._colours.text if status and not status.connected else self._colours.dim}")
-            mark.setAccessibleName(f"{device} {shown}")
-            text.setAccessibleName(f"{device}: {status.text if status else 'not connected'}")
+        for name, row in self._rows.items():
+            row.show_status(
+                self._statuses.get(name), self._addresses.get(name, ""), self._errors.get(name), self._refusal, self._colours
+            )
+
+    def refresh(self) -> None:
+        """Show how long ago each device answered, now."""
+        self._show()
+
+
+class DeviceRow(QWidget):
+    """One device of the list."""
+
+    reconnect = Signal(str)
+
+    def __init__(self, device: str) -> None:
+        super().__init__()
+        self._device = device
+        self._mark, self._what, self._error = QLabel(), QLabel(), QLabel()
+        self._button = QPushButton("Connect")
+        self._button.setAutoDefault(False)
+        self._button.setFixedWidth(self._button.fontMetrics().horizontalAdvance("Reconnect") + 20)
+        self._button.clicked.connect(self._ask)
+        for label in (self._what, self._error):
+            label.setWordWrap(True)
+            label.setTextFormat(Qt.TextFormat.PlainText)
+            label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+        grid = QGridLayout(self)
+        grid.setContentsMargins(0, 0, 0, 0)
+        grid.setHorizontalSpacing(10)
+        grid.setVerticalSpacing(1)
+        grid.setColumnStretch(0, 1)
+        grid.addWidget(self._mark, 0, 0)
+        grid.addWidget(self._what, 1, 0)
+        grid.addWidget(self._button, 0, 1, 2, 1)
+        grid.addWidget(self._error, 2, 0, 1, 2)
+
+    @property
+    def summary(self) -> str:
+        """The row as text."""
+        parts = [self._mark.text(), self._what.text(), self._error.text()]
+        return ": ".join(part for part in parts if part)
+
+    def show_status(
+        self, status: "DeviceStatus | None", address: str, error: tuple[str, str] | None, refusal: str, colours: Colours
+    ) -> None:
+        """Show a status; without one that the device is not connected."""
+        name = self._device.capitalize()
+        at = f"at {address}" if address else ""
+        answered = answered_text(getattr(status, "answered", ""), calendar_stamp()) if status is not None else ""
+        if status is None:
+            mark, colour, what, wrong = f"{name} not connected", colours.dim, at, ""
+        elif status.connected:
+            mark, colour, what = f"{name} ✓ connected", colours.good, ", ".join(filter(None, (status.text, answered)))
+            wrong = "" if error is None else f"last error at {error[0]}: {error[1]}"
+        else:
+            mark, colour, wrong = f"{name} ✗ not responding", colours.bad, status.text
+            what = ", ".join(filter(None, (at, answered.replace("answered", "last answered"))))
+        self._mark.setText(mark)
+        self._mark.setStyleSheet(f"color: {colour}; font-weight: bold")
+        self._mark.setToolTip(at)
+        self._what.setText(what)
+        self._what.setVisible(bool(what))
+        self._what.setStyleSheet(f"color: {colours.dim}")
+        self._what.setToolTip(at)
+        serious = status is not None and not status.connected
+        self._error.setText(wrong)
+        self._error.setVisible(bool(wrong))
+        self._error.setStyleSheet(f"color: {colours.bad if serious else colours.dim}")
+        self._button.setText("Reconnect" if status is not None else "Connect")
+        self._button.setAccessibleName(f"Reconnect {self._device}" if status is not None else f"Connect {self._device}")
+        self._button.setEnabled(not refusal)
+        self._button.setToolTip(refusal or f"Open the wire of {self._device} again and write its settings; nothing moves")
+        for label, text in ((self._mark, mark), (self._what, what), (self._error, wrong)):
+            label.setAccessibleName(f"{self._device}: {text}")
+
+    @Slot()
+    def _ask(self) -> None:
+        self.reconnect.emit(self._device)
+
+
+def answered_text(stamp: str, now: str) -> str:
+    """How long ago a device answered, from calendar stamps (ISO 8601) of its answer and of now; empty without an answer."""
+    if not stamp:
+        return ""
+    seconds = (datetime.fromisoformat(now) - datetime.fromisoformat(stamp)).total_seconds()
+    return "answered just now" if seconds < JUST_NOW_S else f"answered {rounded_duration_text(seconds)} ago"
 
 
 class AxesPanel(QGroupBox):

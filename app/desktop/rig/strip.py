@@ -40,7 +40,7 @@ class RigStrip(QFrame):
     def set_devices(self, devices: "dict[str, DeviceStatus]") -> None:
         """Show which devices are connected."""
         self._statuses = dict(devices)
-        marks, said = [], []
+        marks, states = [], []
         for device in devices or DEVICES:
             status = devices.get(device)
             if status is None:
@@ -50,12 +50,15 @@ class RigStrip(QFrame):
             else:
                 mark, colour, state = "✗", self._colours.bad, "not responding"
             marks.append(f"<span style='color:{colour}'><b>{mark}</b></span>&nbsp;{device.capitalize()}")
-            said.append(f"{device} {state}")
-        connected = [status.connected for status in devices.values()]
-        if self.width() < NARROW and all(connected):  # one mark stands for all
-            marks = [marks[0].rpartition("&nbsp;")[0] + f"&nbsp;{len(said)} devices"]
+            states.append(f"{device} {state}")
+        failed = [mark for mark in marks if "✗" in mark]
+        if self.width() < NARROW and len(failed) != 1:  # one mark stands for all
+            mark = (failed or marks)[0].rpartition("&nbsp;")[0]
+            marks = [f"{mark}&nbsp;{len(failed) or len(marks)} devices"]
+        elif self.width() < NARROW:
+            marks = failed
         self._devices.setText("&nbsp;&nbsp;&nbsp;".join(marks))
-        self._devices.setAccessibleName(f"Devices: {', '.join(said)}")
+        self._devices.setAccessibleName(f"Devices: {', '.join(states)}")
 
     @Slot(object)
     def set_positions(self, degrees: dict[str, float]) -> None:

@@ -25,7 +25,7 @@ REDRAW_MS = 100
 """Shortest time between two repaints, at any rate of rows."""
 POINT_SIZE = 7
 LOW = 190
-"""Height in logical pixels below which the text of the plot is left out; it is the plot's tool tip too."""
+"""Height in logical pixels below which the text of the plot is hidden; it is the plot's tool tip too."""
 PIXELS_OF_VALUE, PIXELS_OF_LINE = 17.0, 5.0
 """Least distance of two texts at the axis of the values, and of two of its ticks."""
 DIGITS: tuple[tuple[int, ...], ...] = (tuple(range(1, 10)), (1, 2, 3, 5, 7), (1, 2, 5), (1, 3), (1,))

@@ -36,7 +36,8 @@ class SchedulePanel(QGroupBox):
     open = Signal()
     choose_folder = Signal()
     plan_shown = Signal(object)
-    """The plan, whenever it is set."""
+    folder_shown = Signal(object)
+    """The plan and the folder, whenever they are set."""
 
     def __init__(self) -> None:
         super().__init__("Schedule file")
@@ -70,6 +71,7 @@ class SchedulePanel(QGroupBox):
     def set_folder(self, folder: Path) -> None:
         """Show the folder of data files."""
         show_path(self._folder, folder, "Data files (journals) in ")
+        self.folder_shown.emit(folder)
 
 
 class ContentPanel(QGroupBox):
@@ -158,7 +160,7 @@ def plan_contents(plan: "Plan") -> list[tuple[str, str]]:
         ("Light", f"{file.light}, {file.side} side lit"),
         *((GREEK[axis], values_text(grid_values(grid), "°")) for axis, grid in grids),
         ("Wavelength", values_text(grid_values(file.wavelength_nm), " nm")),
-        ("Gains", gains if isinstance(gains, str) else ", ".join(f"{each:g}".replace("e+0", "e") for each in gains) + " V/A"),
+        ("Gains", gains if isinstance(gains, str) else ", ".join(map(gain_text, gains)) + " V/A"),
         ("Dark readings", f"every {rounded_duration_text(file.dark_every_s)}"),
     )
     return list(named)
@@ -169,3 +171,8 @@ def values_text(values: tuple[float, ...], unit: str) -> str:
     if len(values) <= FEW:
         return ", ".join(f"{each:g}" for each in values) + unit
     return f"{min(values):g} to {max(values):g}{unit}, {len(values)} values"
+
+
+def gain_text(volts_per_ampere: float) -> str:
+    """A gain in V/A as it stands in a schedule: 1e8."""
+    return f"{volts_per_ampere:g}".replace("e+", "e").replace("e0", "e")

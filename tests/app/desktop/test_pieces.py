@@ -65,7 +65,7 @@ def test_colours_have_the_contrast_that_wcag_requires(colours: Colours) -> None:
     assert contrast("#ffffff", colours.stop) >= 4.5
     assert contrast(colours.on_accent, colours.accent) >= 4.5
     # WCAG 2.2, 1.4.11: graphical objects, at least 3 to 1.
-    for mark in (colours.points, colours.blocked):
+    for mark in (colours.points, colours.blocked, colours.beam):
         assert contrast(mark, colours.base) >= 3.0
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pyqtgraph as pg
 import pytest
-from PySide6.QtWidgets import QAbstractButton, QApplication, QCheckBox, QComboBox, QProgressBar
+from PySide6.QtWidgets import QApplication, QCheckBox, QProgressBar
 from pytestqt.qtbot import QtBot
 
 from goniotwin.app.desktop import MainWindow, Theme
@@ -109,17 +109,6 @@ def test_a_rig_connects_again_after_its_port_is_corrected(
     window.view.rig.again_button.click()
     ready(qtbot, window)
     assert "✓ connected" in window.view.devices.text("axes")
-
-
-def test_every_control_has_an_accessible_name(window: MainWindow) -> None:
-    controls = [
-        control
-        for kind in (QAbstractButton, QComboBox, QProgressBar)
-        for control in window.view.findChildren(kind)
-        if control.isVisible()
-    ]
-    assert len(controls) == 10
-    assert [control for control in controls if not control.accessibleName()] == []
 
 
 @pytest.mark.parametrize(("scheme", "colours"), [("light", LIGHT), ("dark", DARK)])

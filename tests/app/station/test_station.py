@@ -105,6 +105,17 @@ def test_a_move_moves_the_axis_and_is_refused_beyond_the_limits(bench: StationBe
     assert bench.station.snapshot.activity == ""
 
 
+def test_unreferenced_axes_are_reported_until_their_position_is_set(write_rig: Writer) -> None:
+    bench = StationBench(write_rig(*QUIET, ("settling_s = 0.2\npower_up_at_reference = true", "settling_s = 0.2")))
+    unreferenced = bench.work().unreferenced
+    assert set(unreferenced) == {"sigma", "beta"}
+    assert all(unreferenced.values())
+    bench.station.set_position("sigma", 0.0)
+    assert set(bench.work().unreferenced) == {"beta"}
+    bench.station.close_rig()
+    assert bench.station.snapshot.unreferenced == {}
+
+
 def test_positions_are_reported_while_an_axis_moves(bench: StationBench, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("goniotwin.app.station.station.POLL_S", 0.0)
     bench.station.move("sigma", 30.0)

@@ -1,0 +1,298 @@
+"""The controls of one axis: its position between its soft limits, jog, go to, home and set position."""
+
+from typing import TYPE_CHECKING
+
+from PySide6.QtCore import QPointF, QRectF, QSize, Qt, Signal, Slot
+from PySide6.QtGui import QColor, QPainter, QPaintEvent, QPen, QPolygonF
+from PySide6.QtWidgets import QDoubleSpinBox, QGridLayout, QHBoxLayout, QLabel, QPushButton, QSizePolicy, QWidget
+
+from goniotwin.app.desktop.rig.panels import GREEK, angle_text
+from goniotwin.app.desktop.theme import Colours
+
+if TYPE_CHECKING:  # the window shows itself before the drivers are loaded
+    from goniotwin.drivers import AxisDescription
+
+FARTHEST_DEG = 9999.0
+"""Angles that can be entered: beyond any limits, so that a refusal can say why."""
+ARRIVED_DEG = 0.02
+"""A jog starts at the last target if the axis is no farther from it than this: steps then add up without an error."""
+BEYOND = 0.05
+"""Share of the range that is drawn beyond each soft limit."""
+
+
+class LimitsBar(QWidget):
+    """The range of an axis with its soft limits, its position and the angle that it would go to."""
+
+    def __init__(self, colours: Colours) -> None:
+        super().__init__()
+        self._colours = colours
+        self._limits: tuple[float, float] | None = None
+        self._position: float | None = None
+        self._target: float | None = None
+        self._font = self.font()
+        self._font.setPointSizeF(0.85 * self._font.pointSizeF())
+        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
+        self.setFixedHeight(28)
+        self.setMinimumWidth(90)
+        self.set_limits(None)
+
+    def set_limits(self, limits: tuple[float, float] | None) -> None:
+        """Take the soft limits, deg."""
+        self._limits = limits
+        self._describe()
+
+    def set_angles(self, position: float | None, target: float | None) -> None:
+        """Show the position, and the target that differs from it, deg."""
+        self._position, self._target = position, target
+        self._describe()
+
+    def set_colours(self, colours: Colours) -> None:
+        """Take the colours of a scheme."""
+        self._colours = colours
+        self.update()
+
+    def _describe(self) -> None:
+        text = (
+            "soft limits unknown"
+            if self._limits is None
+            else f"soft limits {_short(self._limits[0])} to {_short(self._limits[1])}"
+        )
+        self.setToolTip(text)
+        self.setAccessibleName(f"{text}, position {angle_text(self._position)}")
+        self.update()
+
+    def sizeHint(self) -> QSize:
+        """A comfortable size; Qt calls it."""
+        return QSize(150, 28)
+
+    def paintEvent(self, event: QPaintEvent) -> None:
+        """Draw the bar; Qt calls it."""
+        del event
+        if self._limits is None:
+            return
+        painter = QPainter(self)
+        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+        painter.setFont(self._font)
+        colours, (low, high) = self._colours, self._limits
+        y = 9.0
+        left, right = self._x(low), self._x(high)
+        painter.setPen(QPen(QColor(colours.line), 5.0))
+        painter.drawLine(QPointF(left, y), QPointF(right, y))
+        painter.setPen(QPen(QColor(colours.dim), 2.0))
+        for x in (left, right):
+            painter.drawLine(QPointF(x, y - 6.0), QPointF(x, y + 6.0))
+        painter.setPen(QColor(colours.text))
+        below = QRectF(0.0, y + 6.0, self.width(), self.height() - y - 6.0)
+        painter.drawText(below, Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter, _short(low))
+        painter.drawText(below, Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter, _short(high))
+        if self._target is not None:
+            x = self._x(min(max(self._target, low), high))
+            outside = not low <= self._target <= high
+            painter.setPen(QPen(QColor(colours.bad if outside else colours.text), 1.4))
+            painter.setBrush(Qt.BrushStyle.NoBrush)
+            painter.drawEllipse(QPointF(x, y), 4.5, 4.5)
+        if self._position is not None:
+            inside = low - ARRIVED_DEG <= self._position <= high + ARRIVED_DEG
+            colour = QColor(colours.points if inside else colours.bad)
+            x = min(max(self._x(self._position), 4.0), self.width() - 4.0)
+            painter.setPen(QPen(colour, 1.0))
+            painter.setBrush(colour)
+            painter.drawPolygon(QPolygonF([QPointF(x, y + 4.0), QPointF(x - 5.0, y - 7.0), QPointF(x + 5.0, y - 7.0)]))
+        painter.end()
+
+    def _x(self, angle: float) -> float:
+        assert self._limits is not None
+        low, high = self._limits
+        span = max(high - low, 1e-9)
+        return 5.0 + (self.width() - 10.0) * (angle - low + BEYOND * span) / ((1.0 + 2.0 * BEYOND) * span)
+
+
+class AxisControls(QWidget):
+    """One axis. `command` has a station's command and its arguments; `confirm` a position to be set, which is asked about."""
+
+    command = Signal(str, object)
+    confirm = Signal(str, float)
+
+    def __init__(self, axis: str, colours: Colours) -> None:
+        super().__init__()
+        self.axis = axis
+        self._unreferenced = ""
+        self._colours = colours
+        self._settings: AxisDescription | None = None
+        self._position: float | None = None
+        self._sent: float | None = None
+        self._entered = False
+        self._step = 1.0
+        name = QLabel(f"<b>{GREEK[axis]}</b> {axis}")
+        self.position = QLabel()
+        font = self.position.font()
+        font.setBold(True)
+        font.setPointSizeF(1.15 * font.pointSizeF())
+        self.position.setFont(font)
+        self.position.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
+        self.position.setMinimumWidth(self.position.fontMetrics().horizontalAdvance("✗ −000.00°"))
+        self.bar = LimitsBar(colours)
+        self.down, self.up = _button("−", f"Jog {axis} down"), _button("+", f"Jog {axis} up")
+        for jog in (self.down, self.up):
+            jog.setFixedWidth(30)
+        self.target = QDoubleSpinBox()
+        self.target.setRange(-FARTHEST_DEG, FARTHEST_DEG)
+        self.target.setDecimals(2)
+        self.target.setSuffix("°")
+        for each in (self.target, self.target.lineEdit()):
+            each.setAccessibleName(f"Angle for {axis}, degrees")
+        self.target.setKeyboardTracking(True)
+        self.target.setMinimumWidth(self.target.fontMetrics().horizontalAdvance("−000.00°") + 34)
+        self.go = _button("Go", f"Move {axis} to the angle in the field")
+        self.home = _button("Home", f"Home {axis}")
+        self.set_button = _button("Set…", f"Set the position of {axis} to the angle in the field")
+        self.controls = (self.down, self.up, self.target, self.go, self.home, self.set_button)
+        name.setBuddy(self.target)
+        upper = QHBoxLayout()
+        upper.setSpacing(8)
+        name.setMinimumWidth(name.fontMetrics().horizontalAdvance("γ gamma") + 8)
+        upper.addWidget(name)
+        upper.addWidget(self.position)
+        upper.addWidget(self.bar, 1)
+        lower = QHBoxLayout()
+        lower.setSpacing(4)
+        for each in (self.down, self.up, self.target, self.go, self.home, self.set_button):
+            lower.addWidget(each, 1 if each is self.target else 0)
+        layout = QGridLayout(self)
+        layout.setContentsMargins(0, 0, 0, 0)
+        layout.setVerticalSpacing(1)
+        layout.addLayout(upper, 0, 0)
+        layout.addLayout(lower, 1, 0)
+        self.down.clicked.connect(self._jog_down)
+        self.up.clicked.connect(self._jog_up)
+        self.go.clicked.connect(self._go)
+        self.home.clicked.connect(self._home)
+        self.set_button.clicked.connect(self._set)
+        self.target.lineEdit().returnPressed.connect(self._go_by_key)
+        self.target.valueChanged.connect(self._note_entry)
+        self.set_position(None)
+
+    def set_settings(self, settings: "AxisDescription | None") -> None:
+        """Take the table of the axis in the rig file."""
+        self._settings, self._sent, self._entered = settings, None, False
+        self.bar.set_limits(None if settings is None else (settings.lower_deg, settings.upper_deg))
+        self._show()
+
+    def set_position(self, degrees: float | None) -> None:
+        """Show the position."""
+        first = self._position is None and degrees is not None and not self._entered
+        self._position = degrees
+        self._show_position()
+        if first and degrees is not None:  # an angle that a person has entered stays
+            self.target.setValue(round(degrees, 2) + 0.0)
+            self._entered = False
+        self._show()
+
+    def set_unreferenced(self, reason: str) -> None:
+        """Show that the axis is unreferenced, and why; empty if it is referenced."""
+        self._unreferenced = reason
+        self._show_position()
+
+    def _show_position(self) -> None:
+        text = angle_text(self._position)
+        if self._unreferenced:
+            self.position.setText(f"✗ {text}")
+            self.position.setToolTip(f"{self.axis} is unreferenced: {self._unreferenced}; home it, or set its position")
+        else:
+            self.position.setText(text)
+            self.position.setToolTip(f"Position of {self.axis}")
+        self.position.setAccessibleName(f"{self.axis} {'unreferenced, ' if self._unreferenced else ''}position {text}")
+        self.position.setStyleSheet(f"color: {self._colours.bad}" if self._unreferenced else "")
+
+    def set_step(self, degrees: float) -> None:
+        """Take the step of a jog."""
+        self._step = degrees
+        for button, sign in ((self.down, "−"), (self.up, "+")):
+            button.setToolTip(f"Jog {self.axis} by {sign}{degrees:g}°")
+
+    def set_refusals(self, move: str, home: str, set_position: str) -> None:
+        """Disable what is refused now; the reasons are the tool tips."""
+        if self._settings is not None and self._settings.homing is None:
+            home = home or f"{self.axis} has no homing table in the rig file; set its position instead"
+        for button in (self.down, self.up, self.go):
+            button.setEnabled(not move)
+        self.set_step(self._step)
+        if move:
+            for button in (self.down, self.up):
+                button.setToolTip(move)
+        self.go.setToolTip(move or f"Move {self.axis} to the angle in the field (Enter)")
+        self.home.setEnabled(not home)
+        self.home.setToolTip(home or f"Find the reference of {self.axis}; the axis moves")
+        self.set_button.setEnabled(not set_position)
+        self.set_button.setToolTip(set_position or f"{self.axis} counts as the angle in the field from now on; nothing moves")
+
+    def set_colours(self, colours: Colours) -> None:
+        """Take the colours of a scheme."""
+        self._colours = colours
+        self.bar.set_colours(colours)
+        self._show_position()
+
+    @property
+    def _base(self) -> float | None:
+        """Where a jog starts: the last target where the axis is there, else its position."""
+        near = self._sent is not None and self._position is not None and abs(self._position - self._sent) <= ARRIVED_DEG
+        return self._sent if near else self._position
+
+    @Slot()
+    def _show(self) -> None:
+        wanted = self.target.value()
+        there = self._position is not None and abs(wanted - self._position) < ARRIVED_DEG
+        self.bar.set_angles(self._position, None if there or self._position is None else wanted)
+
+    @Slot()
+    def _note_entry(self) -> None:
+        self._entered = True
+        self._show()
+
+    @Slot()
+    def _jog_down(self) -> None:
+        self._jog(-self._step)
+
+    @Slot()
+    def _jog_up(self) -> None:
+        self._jog(self._step)
+
+    def _jog(self, step: float) -> None:
+        base = self._base
+        if base is not None:
+            self.target.setValue(round(base + step, 4))
+            self._go()
+
+    @Slot()
+    def _go_by_key(self) -> None:
+        if self.go.isEnabled():
+            self._go()
+
+    @Slot()
+    def _go(self) -> None:
+        self.target.interpretText()
+        self._sent = self.target.value()
+        self.command.emit("move", {"axis": self.axis, "target_deg": self._sent})
+
+    @Slot()
+    def _home(self) -> None:
+        self._sent = None
+        self.command.emit("home", {"axis": self.axis})
+
+    @Slot()
+    def _set(self) -> None:
+        self.target.interpretText()
+        self.confirm.emit(self.axis, self.target.value())
+
+
+def _short(degrees: float) -> str:
+    return f"{degrees:g}°".replace("-", "−")
+
+
+def _button(text: str, name: str) -> QPushButton:
+    button = QPushButton(text)
+    button.setAccessibleName(name)
+    button.setToolTip(name)
+    button.setAutoDefault(False)
+    button.setFixedWidth(button.fontMetrics().horizontalAdvance(text) + 20)
+    return button

@@ -1,0 +1,282 @@
+"""The bench screen: the axes and the light by hand, the instrument in pictures, and readings of all photodiodes."""
+
+from typing import TYPE_CHECKING
+
+from PySide6.QtCore import Qt, Slot
+from PySide6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QVBoxLayout
+
+from goniotwin.app.desktop.bench.axis_controls import AxisControls
+from goniotwin.app.desktop.bench.instrument_view import InstrumentView
+from goniotwin.app.desktop.bench.light_controls import LightControls
+from goniotwin.app.desktop.bench.readings_view import MonitorTrend, SignalBars
+from goniotwin.app.desktop.events.question import Choice, QuestionBox
+from goniotwin.app.desktop.rig.panels import GREEK, angle_text
+from goniotwin.app.desktop.screen import Screen
+from goniotwin.app.desktop.theme import Colours
+
+if TYPE_CHECKING:  # the window shows itself before the engine and the optics are loaded
+    from goniotwin.app.desktop.model.readings import BenchReadings
+    from goniotwin.app.rig import RigFile
+    from goniotwin.app.station.messages import BenchReading, Message, Snapshot
+
+STEPS_DEG = (0.01, 0.1, 0.5, 1.0, 5.0, 10.0, 30.0)
+FIRST_STEP = 3
+SET_POSITION, CANCEL = "Set position", "Cancel"
+CONTROLS_WIDTH = 332
+COMMANDS = ("move", "home", "set_position", "wavelength", "shutter", "gain", "mount", "read", "live")
+NO_RIG = "no rig is open"
+READY = "Ready. Nothing moves before a command."
+
+
+class BenchScreen(Screen):
+    """Controls at the left, pictures at the right."""
+
+    title = "Bench"
+    icon = "axis-arrow"
+
+    def __init__(self, colours: Colours) -> None:
+        super().__init__(colours)
+        self._station: Snapshot | None = None
+        self._readings: BenchReadings | None = None
+        self._refusals = dict.fromkeys(COMMANDS, NO_RIG)
+        self._error = ""
+        self.question: QuestionBox | None = None
+        self.axes = {axis: AxisControls(axis, colours) for axis in ("sigma", "beta", "shift", "gamma")}
+        self.light = LightControls()
+        self.step = QComboBox()
+        self.step.setAccessibleName("Step of a jog")
+        for each in STEPS_DEG:
+            self.step.addItem(f"{each:g}°", each)
+        self.step.setCurrentIndex(FIRST_STEP)
+        self.status = QLabel()
+        self.status.setWordWrap(True)
+        self.status.setTextFormat(Qt.TextFormat.PlainText)
+        self.status.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+        self.instrument = InstrumentView(colours)
+        self.bars = SignalBars(colours)
+        self.reading_text = QLabel()
+        self.reading_text.setWordWrap(True)
+        self.trend = MonitorTrend(colours)
+        self._lay_out()
+        for controls in self.axes.values():
+            controls.command.connect(self._send)
+            controls.confirm.connect(self._ask_about_position)
+        self.light.command.connect(self._send)
+        self.step.currentIndexChanged.connect(self._take_step)
+        self._take_step()
+        self._show()
+
+    def _lay_out(self) -> None:
+        head = QHBoxLayout()
+        label = QLabel("&Jog step")
+        label.setBuddy(self.step)
+        head.addWidget(QLabel("<b>Axes</b>"))
+        head.addStretch(1)
+        head.addWidget(label)
+        head.addWidget(self.step)
+        left = QVBoxLayout()
+        left.setSpacing(3)
+        left.addLayout(head)
+        for axis in self.axes.values():
+            axis.setFixedWidth(CONTROLS_WIDTH)
+            left.addWidget(axis)
+        self.light.setFixedWidth(CONTROLS_WIDTH)
+        left.addWidget(self.light)
+        left.addStretch(1)
+        right = QVBoxLayout()
+        right.setSpacing(3)
+        right.addWidget(self.status)
+        right.addWidget(self.instrument, 5)
+        right.addWidget(self.bars, 3)
+        right.addWidget(self.reading_text)
+        right.addWidget(self.trend, 1)
+        layout = QHBoxLayout(self)
+        layout.setContentsMargins(0, 0, 0, 0)
+        layout.setSpacing(10)
+        layout.addLayout(left)
+        layout.addLayout(right, 1)
+
+    # What the station reports.
+
+    def set_rig(self, rig: "RigFile | None") -> None:
+        """Take the tables of the open rig."""
+        from goniotwin.app.campaign.row import NO_SAMPLE
+        from goniotwin.app.desktop.model.instrument import InstrumentModel
+        from goniotwin.app.desktop.model.readings import BenchReadings
+
+        self._readings = None if rig is None else BenchReadings(rig)
+        self.instrument.set_model(None if rig is None else InstrumentModel(rig))
+        for name, controls in self.axes.items():
+            controls.set_settings(None if rig is None else rig.axes.by_name[name])
+            controls.set_position(None)
+        self.light.set_gains(() if rig is None else rig.photodiodes.gains_v_per_a)
+        self.light.set_samples((*rig.twin.samples, NO_SAMPLE) if rig is not None and rig.twin is not None else ())
+        if rig is not None:
+            self.light.set_wavelengths(rig.monochromator.lowest_nm, rig.monochromator.highest_nm)
+        self.bars.set_bars(None)
+        self.trend.set_trace(None)
+        self.reading_text.setText("")
+        if rig is not None and self._station is not None:
+            self._take(self._station)
+        self._show()
+
+    @Slot(object)
+    def show_message(self, message: object) -> None:
+        """Show an event of the station, or what the window knows of it."""
+        from goniotwin.app.desktop.model.messages import (
+            Attached,
+            CommandRefused,
+            NotAttached,
+            RigRead,
+            StationLost,
+            StopReport,
+        )
+        from goniotwin.app.station import messages
+
+        match message:
+            case RigRead(rig):
+                self.set_rig(rig)
+            case Attached(_name, snapshot):
+                self._error = ""
+                self._take(snapshot)
+            case NotAttached() | StationLost():
+                self.set_rig(None)
+                self._take(messages.Snapshot())
+            case CommandRefused(command, reason) if command in COMMANDS:
+                self.show_refusal(reason)
+            case StopReport(confirmed=True) if self._station is not None and not self._station.busy:
+                self.show_refusal("stopped")
+            case _ if isinstance(message, messages.Message):
+                self._station = messages.advance(self._station or messages.Snapshot(), message)
+                self._show_event(message)
+        self._show()
+
+    def _take(self, snapshot: "Snapshot") -> None:
+        self._station = snapshot
+        self._show_positions(snapshot.positions)
+        if snapshot.reading is not None:
+            self._show_reading(snapshot.reading)
+
+    def set_refusals(self, refusals: dict[str, str]) -> None:
+        """Disable what the station refuses now, and say why."""
+        self._refusals = refusals
+        self._show()
+
+    def show_refusal(self, reason: str) -> None:
+        """Show why a command was refused; an empty reason removes it."""
+        self._error = reason
+        self._show_status()
+
+    def _show_event(self, message: "Message") -> None:
+        from goniotwin.app.campaign.running.events import Positions
+        from goniotwin.app.station.messages import ActivityChanged, BenchReading, RigClosed
+
+        match message:
+            case Positions() if self._station is not None:
+                self._show_positions(self._station.positions)
+            case BenchReading():
+                self._show_reading(message)
+            case ActivityChanged(activity, error):
+                if activity or error:
+                    self._error = "" if activity else error
+            case RigClosed():
+                self._show_positions({})
+
+    def _show_positions(self, degrees: dict[str, float]) -> None:
+        for name, controls in self.axes.items():
+            controls.set_position(degrees.get(name))
+        self.instrument.set_positions(degrees)
+        self.bars.set_blocked(self.instrument.blocked)
+
+    def _show_reading(self, reading: "BenchReading") -> None:
+        model, station = self._readings, self._station
+        if model is None or station is None:
+            return
+        if reading.dark:
+            model.add_dark(reading.gain_v_per_a, reading.counts)
+        elif reading.monitor_a is not None:
+            model.add_monitor(reading.t_s, reading.monitor_a, reading.wavelength_nm)
+        bars = model.bars(reading.counts, reading.saturated, reading.gain_v_per_a, station.positions.get("shift", 0.0))
+        self.bars.set_bars(bars)
+        self.bars.set_blocked(self.instrument.blocked)
+        kind = "Dark reading" if reading.dark else "Live" if reading.live else f"Mean of {reading.readings}"
+        self.reading_text.setText(f"{kind}: {bars.text}")
+        self.trend.set_trace(model.trend)
+        saturated = frozenset(bar.channel for bar in bars.bars if bar.state == "saturated")
+        self.instrument.set_levels({bar.channel: bars.level(bar) for bar in bars.bars}, saturated)
+
+    def _show(self) -> None:
+        station, refusals = self._station, self._refusals
+        if station is not None:
+            bench = station.bench
+            self.light.set_settings(bench.wavelength_nm, bench.shutter_open, bench.gain_v_per_a, bench.sample, bench.live)
+            self.instrument.set_shutter(bench.shutter_open)
+        unreferenced = station.unreferenced if station is not None else {}
+        for name, controls in self.axes.items():
+            controls.set_unreferenced(unreferenced.get(name, ""))
+            controls.set_refusals(refusals["move"], refusals["home"], refusals["set_position"])
+        self.light.set_refusals(refusals)
+        self._show_status()
+
+    def _show_status(self) -> None:
+        station = self._station
+        if self._error:
+            text = f"✗ {self._error}"
+        elif station is None or station.rig is None:
+            text = "No rig is open."
+        elif station.busy:
+            text = f"A run is {station.state}: the bench only shows."
+        elif station.activity:
+            text = f"{station.activity[:1].upper()}{station.activity[1:]} …"
+        elif station.bench.live:
+            text = "Live readings."
+        else:
+            text = READY
+        self.status.setText(text)
+        self.status.setAccessibleName(f"Bench: {text}")
+        self.status.setStyleSheet(f"color: {self._colours.bad if self._error else self._colours.text}")
+
+    # What the operator does.
+
+    @Slot(str, object)
+    def _send(self, command: str, arguments: object) -> None:
+        self._error = ""
+        self.command.emit(command, arguments)
+
+    @Slot()
+    def _take_step(self) -> None:
+        for controls in self.axes.values():
+            controls.set_step(float(self.step.currentData()))
+
+    @Slot(str, float)
+    def _ask_about_position(self, axis: str, angle_deg: float) -> None:
+        if self.question is not None:
+            self.question.dismiss()
+        name, angle = f"{GREEK[axis]} ({axis})", angle_text(angle_deg)
+        text = f"{name} counts as {angle} from now on. Nothing moves. Read the scale of the axis first: all data depend on it."
+        choices = [
+            Choice(SET_POSITION, f"The axis is at {angle}"),
+            Choice(CANCEL, "Nothing is changed", default=True),
+        ]
+        box = QuestionBox(self, f"Set the position of {name}", text, choices)
+        self.question = box
+
+        def answered(label: str) -> None:
+            box.dismiss()
+            self.question = None
+            if label == SET_POSITION:
+                self._send("set_position", {"axis": axis, "angle_deg": angle_deg})
+
+        box.chosen.connect(answered)
+        box.appear()
+
+    def set_colours(self, colours: Colours) -> None:
+        """Take the colours of a scheme."""
+        super().set_colours(colours)
+        for each in (*self.axes.values(), self.instrument, self.bars, self.trend):
+            each.set_colours(colours)
+        self._show_status()
+
+    def shut_down(self) -> None:
+        """End the thread of the instrument view."""
+        self.instrument.shut_down()

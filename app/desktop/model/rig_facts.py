@@ -1,0 +1,133 @@
+"""What is known of a rig before a run, collected from the events of its station, its file, and the plan. No Qt."""
+
+import shutil
+from datetime import date, datetime
+from pathlib import Path
+
+from goniotwin.app.campaign.planning.plan import Plan
+from goniotwin.app.campaign.readout import WarmUpTrace
+from goniotwin.app.campaign.running.events import EventLogged
+from goniotwin.app.desktop.model.preflight import Facts
+from goniotwin.app.desktop.model.readings import BenchReadings
+from goniotwin.app.rig import RigFile
+from goniotwin.app.station.messages import BenchReading, DeviceChanged, Message, RigClosed, RowSaved, Snapshot, advance
+from goniotwin.protocols.clock import ScaledClock, calendar_stamp
+
+ROW_BYTES = 2000
+"""Room of a row in a journal beside its counts."""
+COUNT_BYTES = 2
+DRIFT = "the light has changed"
+"""Words of a drift check in the event of a run that it stops."""
+
+
+class RigFacts:
+    """The facts of one rig at a time. Ages of data count simulated time, whatever the simulation speed was meanwhile."""
+
+    def __init__(self) -> None:
+        self._rig_clock = ScaledClock()
+        self._rig: RigFile | None = None
+        self._readings: BenchReadings | None = None
+        self._plan: Plan | None = None
+        self._folder: Path | None = None
+        self.station = Snapshot()
+        self.last_errors: dict[str, tuple[str, str]] = {}
+        self._forget()
+
+    def _forget(self) -> None:
+        self._dark_s: float | None = None
+        self._monitor_s: float | None = None
+        self._drift, self._drift_beyond = "", False
+        self.last_errors = {}
+
+    def set_rig(self, rig: RigFile | None) -> None:
+        """Take the tables of the open rig; what was known of another one is forgotten."""
+        self._rig = rig
+        self._readings = None if rig is None else BenchReadings(rig)
+        self._forget()
+
+    def set_plan(self, plan: Plan | None) -> None:
+        """Take the plan of the run that is prepared."""
+        self._plan = plan
+
+    def set_folder(self, folder: Path | None) -> None:
+        """Take the folder of data files."""
+        self._folder = folder
+
+    def take(self, message: Message | Snapshot) -> None:
+        """Take an event of the station, or the snapshot of one that is new."""
+        self.station = message if isinstance(message, Snapshot) else advance(self.station, message)
+        speed = self.station.speed if self.station.rig is not None and self.station.rig.virtual else 1.0
+        if speed != self._rig_clock.speed:
+            self._rig_clock.set_speed(speed)
+        now = self._rig_clock.now()
+        match message:
+            case BenchReading(dark=True):
+                self._dark_s = now
+            case BenchReading(monitor_a=float() as current) if self._readings is not None:
+                self._readings.add_monitor(message.t_s, current, message.wavelength_nm)
+                self._monitor_s = now
+            case RowSaved() if message.row.kind == "dark":
+                self._dark_s = now
+            case EventLogged(kind, what) if kind == "drift" or (kind == "stop" and DRIFT in what):
+                self._drift, self._drift_beyond = what, "beyond the limit" in what
+            case DeviceChanged(device, _, reason) if reason:
+                self.last_errors[device] = (local_time(calendar_stamp()), reason)
+            case RigClosed():
+                self._forget()
+
+    def facts(self) -> Facts:
+        """The facts now."""
+        now = self._rig_clock.now()
+        station, rig = self.station, self._rig
+        plan, folder = self._plan, self._folder
+        schedule = None if plan is None else plan.schedule.file
+        certificate = None if schedule is None else schedule.certificate
+        axes = {} if rig is None else rig.axes.by_name
+        trace: WarmUpTrace | None = None if self._readings is None else self._readings.trend
+        return Facts(
+            today=date.fromisoformat(calendar_stamp()[:10]),
+            devices={name: (each.connected, each.text) for name, each in station.rig.devices.items()} if station.rig else {},
+            limits_deg={name: (axis.lower_deg, axis.upper_deg) for name, axis in axes.items()},
+            positions_deg=station.positions,
+            unreferenced=station.unreferenced,
+            homes=tuple(name for name, axis in axes.items() if axis.homing is not None),
+            monitor=trace,
+            monitor_age_s=None if self._monitor_s is None else now - self._monitor_s,
+            warm_percent=schedule.warm_up.percent_per_10min if schedule is not None and schedule.warm_up is not None else None,
+            dark_age_s=None if self._dark_s is None else now - self._dark_s,
+            dark_every_s=None if schedule is None else schedule.dark_every_s,
+            speed=self._rig_clock.speed,
+            drift=self._drift,
+            drift_beyond=self._drift_beyond,
+            drift_planned=None if schedule is None else schedule.drift is not None,
+            certificate="" if certificate is None else certificate.file,
+            expires=None if certificate is None else certificate.expires,
+            accepted_by="" if certificate is None else certificate.accept_expired_by or "",
+            calibrated=None if rig is None else rig.etalon.calibrated,
+            folder="" if folder is None else str(folder),
+            free_bytes=None if folder is None else free_bytes(folder),
+            needed_bytes=0 if plan is None else needed_bytes(plan),
+        )  # fmt: skip
+
+
+def local_time(stamp: str) -> str:
+    """The time of day of a calendar's stamp, in this computer's time zone."""
+    return datetime.fromisoformat(stamp).astimezone().strftime("%H:%M:%S")
+
+
+def free_bytes(folder: Path) -> int | None:
+    """Free room where a folder is, or will be created; None if that cannot be found out."""
+    for place in (folder, *folder.parents):
+        if place.is_dir():
+            try:
+                return shutil.disk_usage(place).free
+            except OSError:
+                return None
+    return None
+
+
+def needed_bytes(plan: Plan) -> int:
+    """Room that the journal of a plan takes, about."""
+    photodiodes = plan.rig.file.photodiodes.count
+    counts = sum(len(row.gains) * row.readings for row in plan.rows)
+    return len(plan.rows) * ROW_BYTES + COUNT_BYTES * photodiodes * counts

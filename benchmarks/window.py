@@ -1,0 +1,181 @@
+"""How soon the window shows itself, and how smoothly it runs.
+
+    python -m benchmarks.window [--json] [--repeats 3]
+
+first_window_cpu_s: CPU time of a process from its start to the first painted window, of `goniotwin` without a command; the
+median of some starts. heavy_modules: which of HEAVY it has loaded by then. It runs offscreen, without the time of a display.
+
+frame_p99_ms: the 99th percentile of the time that a repaint of the plot takes during a run of the first schedule at simulation
+speed 60; frame_cpu_p99_ms: that of its CPU time. block_p99_ms: that of the time for which an event, one every 20 ms, waits for
+the window's thread during the run.
+"""
+
+import argparse
+import json
+import os
+import statistics
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+HEAVY = (
+    "numba", "llvmlite", "h5py", "pymodbus", "scipy", "pandas", "matplotlib", "xarray", "pyqtgraph", "serial", "usb", "numpy",
+)  # fmt: skip
+"""Packages that the first window does without."""
+SPEED = 60.0
+LONGEST_S = 120.0
+PING_S = 0.02
+PERCENT = 99
+
+
+def first_window() -> dict[str, Any]:
+    """Start the program in this process; return the CPU time and the modules at the first painted window."""
+    sys.argv = ["goniotwin"]
+    from PySide6.QtCore import QEvent, QObject, QTimer
+    from PySide6.QtWidgets import QApplication, QMainWindow
+
+    from goniotwin.app.cli.main import main  # the time begins with the process
+
+    found: dict[str, Any] = {}
+
+    class FirstPaint(QObject):
+        """Notes the time of the first painted window, then closes it."""
+
+        def eventFilter(self, watched: QObject, event: QEvent) -> bool:
+            """Look for the end of the first repaint; Qt calls it."""
+            if not found and event.type() is QEvent.Type.Paint and isinstance(watched, QMainWindow):
+                found["heavy_modules"] = [name for name in HEAVY if name in sys.modules]
+                QTimer.singleShot(0, self.close)
+            return False
+
+        def close(self) -> None:
+            """All widgets are painted."""
+            if "first_window_cpu_s" not in found:
+                found["first_window_cpu_s"] = time.process_time()
+                QApplication.closeAllWindows()
+
+    application = QApplication(["goniotwin"])
+    watch = FirstPaint()
+    application.installEventFilter(watch)
+    try:
+        main()
+    except SystemExit as end:
+        if end.code:
+            raise
+    return found
+
+
+def run() -> dict[str, Any]:
+    """Run the first schedule in a window of this process; return the times of repaints and of the event loop."""
+    import pyqtgraph as pg
+    from PySide6.QtCore import QObject, Qt, QTimer, Signal, Slot
+    from PySide6.QtWidgets import QApplication
+
+    from goniotwin import examples
+    from goniotwin.app.desktop import MainWindow, Theme
+
+    class Ping(QObject):
+        """Posts an event to the window's thread every PING_S, and notes how long each has waited."""
+
+        sent = Signal(float)
+
+        def __init__(self) -> None:
+            super().__init__()
+            self.waits: list[float] = []
+
+        @Slot(float)
+        def note(self, begin: float) -> None:
+            """Note the wait of an event."""
+            self.waits.append(time.perf_counter() - begin)
+
+        def send(self, ended: threading.Event) -> None:
+            """Post events until the end, in a thread."""
+            while not ended.wait(PING_S):
+                self.sent.emit(time.perf_counter())
+
+    frames: list[float] = []
+    frames_cpu: list[float] = []
+    paint = pg.PlotWidget.paintEvent
+
+    def timed(widget: pg.PlotWidget, event: object) -> None:
+        begin, begin_cpu = time.perf_counter(), time.thread_time()
+        paint(widget, event)
+        frames.append(time.perf_counter() - begin)
+        frames_cpu.append(time.thread_time() - begin_cpu)
+
+    pg.PlotWidget.paintEvent = timed
+    application = QApplication(["goniotwin"])
+    with TemporaryDirectory() as journals:
+        window = MainWindow(Theme(application), examples.FIRST_RIG, examples.FIRST_SCHEDULE, Path(journals), SPEED)
+        window.resize(1280, 800)
+        window.show()
+        window.complete()
+        limit = time.monotonic() + LONGEST_S
+        while not window.view.run.start_button.isEnabled() and time.monotonic() < limit:
+            application.processEvents()
+        ping = Ping()
+        ping.sent.connect(ping.note, Qt.ConnectionType.QueuedConnection)
+        ended = threading.Event()
+        sender = threading.Thread(target=ping.send, args=(ended,))
+        sender.start()
+        frames.clear()
+        window.presenter.run_ended.connect(application.quit)
+        window.view.run.start_button.click()
+        QTimer.singleShot(int(1e3 * LONGEST_S), application.quit)
+        application.exec()
+        ended.set()
+        sender.join()
+        rows = window.view.run.progress.value()
+        window.shut_down()
+    return {
+        "frame_p99_ms": 1e3 * percentile(frames), "frames": len(frames),
+        "frame_cpu_p99_ms": 1e3 * percentile(frames_cpu),
+        "block_p99_ms": 1e3 * percentile(ping.waits), "block_longest_ms": 1e3 * max(ping.waits), "rows": rows,
+    }  # fmt: skip
+
+
+def percentile(values: Sequence[float]) -> float:
+    """The 99th percentile."""
+    return statistics.quantiles(values, n=100, method="inclusive")[PERCENT - 1]
+
+
+def measure(part: str) -> dict[str, Any]:
+    """The result of a part, measured in a process of its own, with a state folder of its own."""
+    with TemporaryDirectory() as state:
+        environment = {**os.environ, "QT_QPA_PLATFORM": "offscreen", "XDG_STATE_HOME": state, "HOME": state}
+        command = [sys.executable, "-m", "benchmarks.window", "--part", part]
+        child = subprocess.run(command, env=environment, stdout=subprocess.PIPE, text=True, check=True)
+    result: dict[str, Any] = json.loads(child.stdout.splitlines()[-1])
+    return result
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+    parser.add_argument("--repeats", type=int, default=3, help="number of starts")
+    parser.add_argument("--part", choices=("first", "run"), help=argparse.SUPPRESS)
+    options = parser.parse_args()
+    if options.part is not None:
+        print(json.dumps(first_window() if options.part == "first" else run()))
+        return
+    starts = [measure("first") for _ in range(options.repeats)]
+    result = {
+        "first_window_cpu_s": statistics.median(each["first_window_cpu_s"] for each in starts),
+        "heavy_modules": sorted({name for each in starts for name in each["heavy_modules"]}),
+        **measure("run"),
+    }
+    if options.json:
+        print(json.dumps(result))
+        return
+    for name, value in result.items():
+        print(f"{name:20} {value:.3f}" if isinstance(value, float) else f"{name:20} {value}")
+
+
+if __name__ == "__main__":
+    main()

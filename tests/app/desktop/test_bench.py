@@ -1,0 +1,282 @@
+"""The bench screen and the rig screen on a station of the virtual rig, on the virtual clock: no thread, no wire, no wait."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import cast
+
+import pytest
+from PySide6.QtCore import Qt
+from PySide6.QtWidgets import QPushButton
+from pytestqt.qtbot import QtBot
+
+from goniotwin.app.campaign.planning.plan import make_plan
+from goniotwin.app.campaign.running.events import Positions, State, StateChanged
+from goniotwin.app.campaign.schedule.file import read_schedule
+from goniotwin.app.desktop.bench.screen import CANCEL, SET_POSITION, BenchScreen
+from goniotwin.app.desktop.rig.panels import answered_text
+from goniotwin.app.desktop.rig.screen import RigScreen
+from goniotwin.app.desktop.theme import DARK, LIGHT
+from goniotwin.app.rig import read_rig
+from goniotwin.app.station.messages import DeviceChanged, DeviceStatus, Message, Snapshot, SpeedChanged, advance
+from goniotwin.app.station.permissions import allowed
+from goniotwin.app.station.station import CommandRefused, Station
+from goniotwin.protocols.clock import VirtualClock
+from tests.app.campaign.campaign_bench import QUIET
+from tests.conftest import Writer
+
+AXES = ("sigma", "beta", "shift", "gamma")
+
+
+class Desk:
+    """Both screens as clients of one station. Each command is carried out at once."""
+
+    def __init__(self, qtbot: QtBot, rig: Path) -> None:
+        self.qtbot = qtbot
+        self.bench, self.rig = BenchScreen(LIGHT), RigScreen(LIGHT)
+        self.events: list[Message] = []
+        self.commands: list[tuple[str, dict[str, object]]] = []
+        self.state = Snapshot()
+        self.station = Station(clock=VirtualClock())
+        description = read_rig(rig)
+        for screen in (self.bench, self.rig):
+            qtbot.addWidget(screen)
+            screen.complete()
+            screen.set_rig(description.file)
+            screen.command.connect(self._command)
+        self.station.board.subscribe(self._note)
+        self.station.open(description)
+        self.station.connect_all()
+        self.settle()
+
+    def _note(self, _number: int, message: Message) -> None:
+        self.events.append(message)
+        self.show(message)
+
+    def show(self, message: Message) -> None:
+        """Show an event in both screens, and what is refused from then on."""
+        self.state = advance(self.state, message)
+        for screen in (self.bench, self.rig):
+            screen.show_message(message)
+            screen.set_refusals(allowed(self.state))
+
+    def _command(self, command: str, arguments: object) -> None:
+        given = cast(dict[str, object], arguments)
+        self.commands.append((command, given))
+        try:
+            getattr(self.station, command)(**given)
+        except CommandRefused as refusal:
+            self.bench.show_refusal(str(refusal))
+        self.settle()
+
+    def settle(self) -> None:
+        """Do what is asked for, and report the positions."""
+        self.station.work()
+        self.station._due["positions"] = 0.0
+        self.station._tick()
+
+    def close(self) -> None:
+        self.station.close_rig()
+        self.bench.shut_down()
+
+    def go(self, axis: str, angle: str) -> None:
+        """Type an angle, and press Enter."""
+        field = self.bench.axes[axis].target
+        field.selectAll()
+        self.qtbot.keyClicks(field, angle)
+        self.qtbot.keyClick(field, Qt.Key.Key_Return)
+
+    def press(self, button: QPushButton) -> None:
+        assert button.isEnabled(), button.toolTip()
+        self.qtbot.keyClick(button, Qt.Key.Key_Space)
+
+
+@pytest.fixture
+def desk(qtbot: QtBot, write_rig: Writer) -> Iterator[Desk]:
+    desk = Desk(qtbot, write_rig(*QUIET))
+    yield desk
+    desk.close()
+
+
+def test_nothing_moves_on_connect(desk: Desk) -> None:
+    assert desk.commands == []
+    assert [desk.bench.axes[axis].position.text() for axis in AXES] == ["0.00°"] * 4
+    assert {tuple(each.degrees.values()) for each in desk.events if isinstance(each, Positions)} == {(0.0,) * 4}
+    assert desk.bench.status.text() == "Ready. Nothing moves before a command."
+    assert desk.bench.light.shutter.text() == "Open"
+
+
+def test_an_axis_goes_where_it_is_sent_by_the_keyboard(desk: Desk) -> None:
+    desk.go("sigma", "30")
+    assert desk.bench.axes["sigma"].position.text() == "30.00°"
+    assert "σ 30.00°" in desk.bench.instrument.summary
+    assert desk.commands == [("move", {"axis": "sigma", "target_deg": 30.0})]
+
+
+def test_steps_of_a_jog_add_up(desk: Desk) -> None:
+    sigma = desk.bench.axes["sigma"]
+    desk.bench.step.setCurrentIndex(desk.bench.step.findData(0.1))
+    for _ in range(3):
+        desk.press(sigma.up)
+    desk.press(sigma.down)
+    assert desk.commands[-1] == ("move", {"axis": "sigma", "target_deg": 0.2})
+    assert sigma.position.text() == "0.20°"
+
+
+def test_a_refused_move_says_why_and_moves_nothing(desk: Desk) -> None:
+    desk.go("sigma", "200")
+    assert "✗ sigma: move to 200 deg: outside its soft limits 0 to 180 deg" in desk.bench.status.text()
+    assert desk.bench.axes["sigma"].position.text() == "0.00°"
+    desk.go("shift", "5")
+    assert desk.bench.status.text().startswith("Ready")
+    assert "must not cross the incoming beam" in desk.bench.instrument.summary
+    desk.go("beta", "300")
+    assert "the arc would collide with the incoming beam" in desk.bench.status.text()
+    assert desk.bench.axes["beta"].position.text() == "0.00°"
+
+
+def test_a_position_is_set_only_after_a_question(desk: Desk) -> None:
+    sigma = desk.bench.axes["sigma"]
+    for choice, commands in ((CANCEL, 0), (SET_POSITION, 1)):
+        sigma.target.setValue(12.5)
+        desk.press(sigma.set_button)
+        question = desk.bench.question
+        assert question is not None
+        assert "σ (sigma) counts as 12.50° from now on" in question.text
+        assert len(desk.commands) == 0
+        question.buttons[choice].click()
+        assert len(desk.commands) == commands
+    assert sigma.position.text() == "12.50°"
+
+
+def test_an_unreferenced_axis_is_marked(qtbot: QtBot, write_rig: Writer) -> None:
+    desk = Desk(qtbot, write_rig(*QUIET, ("settling_s = 0.2\npower_up_at_reference = true", "settling_s = 0.2")))
+    sigma = desk.bench.axes["sigma"]
+    assert sigma.position.text().startswith("✗")
+    assert "unreferenced" in sigma.position.accessibleName()
+    desk.go("sigma", "30")
+    assert desk.bench.status.text().startswith("✗ sigma: move to 30 deg: ")
+    desk.bench.command.emit("set_position", {"axis": "sigma", "angle_deg": 0.0})
+    assert sigma.position.text() == "0.00°"
+    desk.close()
+
+
+def test_a_reading_has_a_bar_for_each_photodiode(desk: Desk) -> None:
+    light = desk.bench.light
+    desk.bench.command.emit("mount", {"sample": "gaussian-5"})
+    desk.go("sigma", "30")
+    desk.go("beta", "180")
+    light.gain.setCurrentIndex(light.gain.findData(1e10))
+    light.gain.activated.emit(light.gain.currentIndex())
+    desk.press(light.dark)
+    assert desk.bench.reading_text.text() == "Dark reading: 36 photodiodes at 1e+10 V/A; ▽ 36 without light"
+    desk.press(light.shutter)
+    assert (light.shutter.text(), light.shutter.accessibleName()) == ("Close", "Close the shutter")
+    desk.press(light.read)
+    assert "Mean of 4: 36 photodiodes" in desk.bench.reading_text.text()
+    assert "▲ 1 saturated" in desk.bench.bars.summary  # the specular direction at the highest gain but one
+    assert "no dark reading" not in desk.bench.bars.summary
+    assert "nA" in desk.bench.trend.summary
+    assert desk.bench.light.sample.currentText() == "gaussian-5"
+
+
+def test_live_readings_go_on_until_they_are_switched_off(desk: Desk) -> None:
+    light = desk.bench.light
+    light.live.click()
+    assert desk.station.snapshot.bench.live
+    assert light.live.isChecked()
+    assert desk.bench.status.text() == "Live readings."
+    light.live.click()
+    assert not desk.station.snapshot.bench.live
+    assert not light.live.isChecked()
+
+
+def test_during_a_run_the_bench_only_shows(desk: Desk) -> None:
+    desk.show(StateChanged(State.RUNNING))
+    sigma, light = desk.bench.axes["sigma"], desk.bench.light
+    for control in (sigma.go, sigma.up, sigma.set_button, light.read, light.shutter, light.live, light.gain):
+        assert not control.isEnabled()
+        assert control.toolTip() == "a run is running"
+    assert desk.bench.status.text() == "A run is running: the bench only shows."
+    desk.qtbot.keyClick(sigma.target, Qt.Key.Key_Return)
+    assert desk.commands == []
+
+
+def test_each_control_has_a_name_and_is_reached_by_tab(desk: Desk) -> None:
+    controls = [*(each for axis in desk.bench.axes.values() for each in axis.controls), desk.bench.step]
+    light = desk.bench.light
+    controls += [light.wavelength, light.set_wavelength_button, light.shutter, light.gain, light.sample, light.read, light.dark]
+    names = [each.accessibleName() for each in (*controls, light.readings, light.live)]
+    assert all(names)
+    assert len(set(names)) == len(names)
+    assert all(each.focusPolicy() & Qt.FocusPolicy.TabFocus for each in controls)
+
+
+def test_the_pictures_have_words_and_follow_the_scheme(desk: Desk) -> None:
+    for picture in (desk.bench.instrument, desk.bench.bars, desk.bench.trend):
+        assert picture.accessibleName()
+        assert picture.accessibleDescription()
+    desk.bench.resize(900, 600)
+    light = desk.bench.grab().toImage()
+    desk.bench.set_colours(DARK)
+    assert light != desk.bench.grab().toImage()
+
+
+# The rig screen.
+
+
+def test_the_rig_screen_knows_devices_answers_and_errors(desk: Desk) -> None:
+    text = desk.rig.devices.text("axes")
+    assert "✓ connected" in text
+    assert "TMCM-6214" in text
+    assert "answered" in text
+    lost = "monitor: READ?: no reply; check the cable"
+    desk.show(DeviceChanged("monitor", DeviceStatus(False, lost, "2026-11-23T01:00:00+00:00"), lost))
+    text = desk.rig.devices.text("monitor")
+    assert "✗ not responding" in text
+    assert "last answered" in text
+    assert lost in text
+    desk.rig.devices.reconnect.emit("monitor")
+    assert desk.commands == [("connect", {"device": "monitor"})]
+    text = desk.rig.devices.text("monitor")
+    assert "✓ connected" in text
+    assert "last error at" in text
+
+
+@pytest.mark.parametrize(
+    ("now", "text"),
+    [
+        ("2026-11-23T01:00:02+00:00", "answered just now"),
+        ("2026-11-23T01:01:05+00:00", "answered 1 min 05 s ago"),
+        ("2026-11-23T03:01:05+01:00", "answered 1 h 01 min ago"),
+    ],
+)
+def test_the_last_answer_has_an_age(now: str, text: str) -> None:
+    assert answered_text("2026-11-23T01:00:00+00:00", now) == text
+    assert answered_text("", now) == ""
+
+
+def test_the_preflight_list_follows_the_rig(desk: Desk, write_schedule: Writer, tmp_path: Path, write_rig: Writer) -> None:
+    screen = desk.rig
+    screen.set_folder(tmp_path / "new" / "folder")
+    screen.set_plan(make_plan(read_schedule(write_schedule()), read_rig(write_rig(*QUIET))))
+    screen.show()
+    assert "Ports: good: all 4 devices respond" in screen.preflight.text
+    assert "Dark reading: unknown" in screen.preflight.text
+    assert f"free in {tmp_path}" in screen.preflight.text
+    screen.command.emit("read", {"dark": True})
+    screen.hide()
+    screen.show()
+    assert "Dark reading: good: 0 s old" in screen.preflight.text
+
+
+def test_a_dark_reading_ages_with_the_simulation(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A second at speed 60 and a second at speed 1 are 61 s of the rig."""
+    seconds = [1000.0]
+    monkeypatch.setattr("goniotwin.protocols.clock.time.monotonic", lambda: seconds[0])
+    facts = desk.rig.facts
+    desk.rig.command.emit("read", {"dark": True})
+    facts.take(SpeedChanged(60.0))
+    seconds[0] += 1.0
+    facts.take(SpeedChanged(1.0))
+    seconds[0] += 1.0
+    assert facts.facts().dark_age_s == pytest.approx(61.0)

@@ -1,0 +1,390 @@
+"""The frame of the window: screens, keys, menus, what fits on a screen, and what is remembered. Most of it needs no rig."""
+
+import json
+import math
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from PySide6.QtCore import QEvent, Qt
+from PySide6.QtWidgets import QAbstractButton, QAbstractItemView, QApplication, QLabel, QMenu, QPlainTextEdit, QWidget
+from pytestqt.qtbot import QtBot
+
+import goniotwin
+from goniotwin import examples
+from goniotwin.app.campaign.planning.plan import make_plan
+from goniotwin.app.campaign.running.events import SafetyOrder
+from goniotwin.app.campaign.schedule.file import read_schedule
+from goniotwin.app.desktop import MainWindow, Theme, view
+from goniotwin.app.desktop.events.panels import LogEntry
+from goniotwin.app.desktop.events.screen import EventsScreen
+from goniotwin.app.desktop.menu import about_text
+from goniotwin.app.desktop.remembered import MOST_RECENT, Remembered
+from goniotwin.app.desktop.rig.panels import DEVICES, GREEK
+from goniotwin.app.desktop.run.live_plot import PIXELS_OF_VALUE, LogAxis, log_ticks
+from goniotwin.app.desktop.screen import Screen
+from goniotwin.app.desktop.setup.screen import SetupScreen
+from goniotwin.app.desktop.theme import Colours
+from goniotwin.app.rig import AXES, read_rig
+from goniotwin.app.rig.kinds import ROLES
+from goniotwin.app.station.messages import DeviceStatus
+from tests.app.desktop.conftest import READY_MS, WindowOpener, ready
+from tests.app.desktop.screen_faults import SCREEN, controls, faults
+from tests.conftest import REPOSITORY, RIG, SCHEDULE, Writer
+
+FrameMaker = Callable[..., MainWindow]
+NAMED = (QAbstractButton, QAbstractItemView, QPlainTextEdit)
+
+
+@pytest.fixture
+def make_frame(qapp: QApplication, tmp_path: Path) -> Iterator[FrameMaker]:
+    """Windows with all screens and plots, but without a rig."""
+    windows: list[MainWindow] = []
+
+    def make(remembered: Remembered | None = None) -> MainWindow:
+        window = MainWindow(Theme(qapp), RIG, None, tmp_path / "journals", 20.0, remembered)
+        window.view.complete()
+        windows.append(window)
+        return window
+
+    yield make
+    for window in windows:
+        window.shut_down()
+        window.hide()
+        window.deleteLater()
+        qapp.sendPostedEvents(window, QEvent.Type.DeferredDelete)
+
+
+@pytest.fixture
+def frame(make_frame: FrameMaker, monkeypatch: pytest.MonkeyPatch) -> MainWindow:
+    monkeypatch.setattr(MainWindow, "complete", lambda _window: None)
+    return make_frame()
+
+
+def shown(qtbot: QtBot, window: MainWindow) -> MainWindow:
+    window.show()
+    qtbot.waitUntil(window.isVisible)
+    return window
+
+
+def each_screen(window: MainWindow) -> Iterator[Screen]:
+    for number, screen in enumerate(window.view.screens):
+        window.view.show_screen(number)
+        QApplication.processEvents()
+        yield screen
+
+
+def test_every_control_and_every_value_has_an_accessible_name(qtbot: QtBot, frame: MainWindow) -> None:
+    """By a walk through all widgets; of labels those that are no plain words beside a value."""
+    shown(qtbot, frame)
+    frame.view.orders.add(SafetyOrder("Cut the motors' power", "the stop is not confirmed"))
+    frame.view.question.set_question("Mount gaussian-5")
+    seen = set()
+    for screen in each_screen(frame):
+        assert screen.accessibleName()
+        for control in controls(frame):
+            seen.add(control)
+            assert control.accessibleName(), (screen.title, control)
+        for label in screen.findChildren(QLabel):
+            if label.isVisible() and label.wordWrap() and label.text() and label.accessibleName() == "":
+                assert re.fullmatch(r"[^0-9/]*", label.text()), label.text()
+    assert len(seen) >= 17
+
+
+def test_a_control_shows_its_mnemonic_and_no_other_of_its_screen_has_it(qtbot: QtBot, frame: MainWindow) -> None:
+    """Those of the menus, and of the controls that are on every screen, are among them."""
+    shown(qtbot, frame)
+    frame.view.question.set_question("Mount gaussian-5")
+    frame.view.rig.person.show()
+    for screen in each_screen(frame):
+        texts = [action.text() for action in frame.menuBar().actions()]
+        texts += [each.text() for each in controls(frame) if isinstance(each, QAbstractButton)]
+        texts += [each.text() for each in frame.findChildren(QLabel) if each.isVisible() and each.buddy() is not None]
+        for resumes in ("&Pause", "Res&ume"):
+            letters = [found[1].lower() for each in [*texts, resumes] if (found := re.search("&(.)", each))]
+            letters.remove("p")
+            assert len(letters) == len(set(letters)), (screen.title, letters)
+            assert {"f", "r", "v", "h", "s", "a"} <= set(letters)
+
+
+def test_a_menu_has_each_mnemonic_and_each_key_once(frame: MainWindow) -> None:
+    keys = []
+    for menu in frame.menuBar().findChildren(QMenu):
+        actions = [action for action in menu.actions() if not action.isSeparator()]
+        letters = [found[1].lower() for action in actions if (found := re.search("&(.)", action.text()))]
+        assert len(letters) == len(set(letters)), letters
+        keys += [action.shortcut().toString() for action in actions if not action.shortcut().isEmpty()]
+    assert len(keys) == len(set(keys)) >= 10
+
+
+def tab_stops(window: MainWindow) -> list[QWidget]:
+    """The widgets that Tab reaches, from the first."""
+    found, each = [], window.nextInFocusChain()
+    while each is not None and each is not window:
+        if each.focusPolicy() & Qt.FocusPolicy.TabFocus and each.isVisibleTo(window):
+            found.append(each)
+        each = each.nextInFocusChain()
+    return found
+
+
+def test_tab_goes_from_the_navigation_through_the_screen_to_the_run_and_not_to_stop(qtbot: QtBot, frame: MainWindow) -> None:
+    shown(qtbot, frame)
+    for screen in each_screen(frame):
+        stops = tab_stops(frame)
+        own = [stops.index(each) for each in controls(frame) if screen.isAncestorOf(each)]
+        run = [stops.index(each) for each in (frame.view.run.start_button, frame.view.run.pause_button, frame.view.run.speeds)]
+        first = next(at for at, each in enumerate(stops) if frame.view.navigation.isAncestorOf(each))
+        assert first < min(own) <= max(own) < run[0] < run[1] < run[2]
+        assert frame.view.run.stop_button not in stops
+    assert set(controls(frame)) - set(stops) <= {
+        frame.view.run.stop_button, frame.view.run.progress, frame.menuBar(), *frame.view.navigation.buttons
+    }  # fmt: skip
+
+
+def test_the_first_focus_is_on_the_screen_that_is_shown(qtbot: QtBot, frame: MainWindow) -> None:
+    shown(qtbot, frame)
+    frame.activateWindow()
+    qtbot.waitUntil(frame.isActiveWindow)
+    assert QApplication.focusWidget() is frame.view.navigation.buttons[frame.view.shown_screen]
+    qtbot.keyClick(frame, Qt.Key.Key_1, Qt.KeyboardModifier.ControlModifier)
+    assert frame.view.shown_screen == 0
+    assert QApplication.focusWidget() is frame.view.navigation.buttons[0]
+    qtbot.keyClick(frame.view.navigation.buttons[0], Qt.Key.Key_Down)
+    assert frame.view.shown_screen == 1
+
+
+@pytest.mark.parametrize("percent", [100, 150, 200])
+def test_every_control_is_on_the_screen(qtbot: QtBot, frame: MainWindow, percent: int) -> None:
+    """1280 x 800 pixels at a scale factor; with the longest texts, an order and a question."""
+    frame.resize(*(side * 100 // percent for side in SCREEN))
+    frame.view.set_simulated(True, 1)
+    frame.view.run.set_progress(1000, 2000, 12345.0)
+    frame.view.show_status("Paused, with the shutter closed. Resume continues with the next row.")
+    frame.view.set_saved("Saved row by row in /home/operator/goniotwin/first-001.journal")
+    frame.view.devices.set_devices({each: DeviceStatus(each != "monitor", "no reply to *IDN?") for each in DEVICES})
+    frame.view.axes.set_positions(dict.fromkeys(GREEK, 180.0))
+    frame.view.axes.set_targets((180.0, 90.0, 0.0, 5.0))
+    shown(qtbot, frame)
+    for screen in each_screen(frame):
+        assert faults(frame, percent) == [], screen.title
+    frame.view.orders.add(SafetyOrder("Cut the motors' power", "the stop is not confirmed; sigma: MST: nothing"))
+    frame.view.question.set_question("Mount gaussian-5")
+    QApplication.processEvents()
+    assert frame.height() <= SCREEN[1] * 100 // percent
+    stop = frame.view.run.stop_button
+    assert stop.visibleRegion().boundingRect() == stop.rect()
+
+
+def test_a_control_outside_the_screen_is_found(qtbot: QtBot, frame: MainWindow) -> None:
+    frame.view.rig.open_button.setMinimumHeight(2000)
+    shown(qtbot, frame)
+    frame.view.show_screen(0)
+    QApplication.processEvents()
+    assert "QPushButton 'Open a rig file' is not whole in the window" in faults(frame, 100)
+
+
+class BenchScreen(Screen):
+    """A screen that a test adds."""
+
+    title = "Bench"
+    icon = "tune"
+
+    def __init__(self, colours: Colours) -> None:
+        super().__init__(colours)
+        self.messages: list[object] = []
+
+    def show_message(self, message: object) -> None:
+        """Note a message."""
+        self.messages.append(message)
+
+
+def test_a_screen_is_added_by_a_line(qtbot: QtBot, open_window: WindowOpener, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(view, "SCREENS", (*view.SCREENS, BenchScreen))
+    window = ready(qtbot, open_window())
+    number = len(view.SCREENS) - 1
+    assert "Bench" in window.view.navigation.buttons[number].text()
+    qtbot.keyClick(window, Qt.Key(Qt.Key.Key_1.value + number), Qt.KeyboardModifier.ControlModifier)
+    assert window.view.shown_screen == number
+    qtbot.waitUntil(lambda: bool(window.view.screen_of(BenchScreen).messages), timeout=READY_MS)
+
+
+def test_the_letter_and_the_key_of_start_and_pause(qtbot: QtBot, open_window: WindowOpener) -> None:
+    """Alt+S opened the wrong dialog, and Alt+P did nothing."""
+    window = ready(qtbot, open_window(speed=4.0))
+    window.activateWindow()
+    qtbot.waitUntil(window.isActiveWindow)
+    window.view.show_screen(0)
+    qtbot.keyClick(window, Qt.Key.Key_S, Qt.KeyboardModifier.AltModifier)
+    qtbot.waitUntil(window.view.run.pause_button.isEnabled, timeout=READY_MS)
+    assert isinstance(window.view.screens[window.view.shown_screen], view.FIRST)
+    assert window.menus._stop.isEnabled()
+    qtbot.waitUntil(lambda: window.view.run.progress.value() > 0, timeout=READY_MS)
+    qtbot.keyClick(window, Qt.Key.Key_P, Qt.KeyboardModifier.AltModifier)
+    qtbot.waitUntil(lambda: window.view.run.pause_button.text() == "Res&ume", timeout=READY_MS)
+    assert window.menus._pause.text() == "Res&ume"
+    assert not window.menus._open_rig.isEnabled()
+    qtbot.keyClick(window, Qt.Key.Key_P, Qt.KeyboardModifier.ControlModifier)
+    qtbot.waitUntil(lambda: window.view.run.pause_button.text() == "&Pause", timeout=READY_MS)
+
+
+def test_the_window_remembers_its_screen_its_size_and_its_scheme(
+    qtbot: QtBot, make_frame: FrameMaker, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(MainWindow, "complete", lambda _window: None)
+    file = tmp_path / "window.ini"
+    first = shown(qtbot, make_frame(Remembered(file)))
+    first.resize(700, 500)
+    first.view.show_screen(3)
+    first.theme.force(None)
+    first._choose_scheme("dark")
+    assert first.close()
+    del first
+    remembered = Remembered(file)
+    assert remembered.scheme == "dark"
+    second = make_frame(remembered)
+    assert second.view.shown_screen == 3
+    assert (second.width(), second.height()) == (700, 500)
+    second._choose_scheme(None)
+    assert Remembered(file).scheme is None
+
+
+def test_recent_files_are_remembered_the_latest_first_and_those_that_are_gone_left_out(tmp_path: Path) -> None:
+    remembered = Remembered(tmp_path / "window.ini")
+    paths = [tmp_path / f"{number}.toml" for number in range(MOST_RECENT + 2)]
+    for path in paths:
+        path.touch()
+        remembered.add_recent("schedule", path)
+    remembered.add_recent("schedule", paths[5])
+    latest = [paths[5], *(each for each in reversed(paths) if each != paths[5])][:MOST_RECENT]
+    assert Remembered(tmp_path / "window.ini").recent("schedule") == latest
+    latest[0].unlink()
+    assert remembered.recent("schedule") == latest[1:]
+    assert remembered.recent("rig") == []
+    remembered.set_folder(tmp_path)
+    assert remembered.folder == tmp_path
+    remembered.set_folder(tmp_path / "gone")
+    assert remembered.folder is None
+    assert Remembered().folder is None
+
+
+@pytest.mark.parametrize("content", [b"\xff\xfe\x00", b"[layout]\nwindow=@ByteArray(nonsense)\nrun=5\n"])
+def test_what_is_remembered_may_be_damaged(
+    make_frame: FrameMaker, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, content: bytes
+) -> None:
+    monkeypatch.setattr(MainWindow, "complete", lambda _window: None)
+    file = tmp_path / "window.ini"
+    file.write_bytes(content)
+    window = make_frame(Remembered(file))
+    assert isinstance(window.view.screens[window.view.shown_screen], view.FIRST)
+
+
+def test_a_recent_schedule_is_opened_from_the_menu(
+    qtbot: QtBot, open_window: WindowOpener, write_schedule: Writer, tmp_path: Path
+) -> None:
+    window = ready(qtbot, open_window(schedule=write_schedule()))
+    window._remembered = window.menus._remembered = Remembered(tmp_path / "window.ini")
+    window._remembered.add_recent("schedule", SCHEDULE)
+    menu = window.menus._recent_schedules
+    menu.aboutToShow.emit()
+    (action,) = menu.actions()
+    assert SCHEDULE.name in action.text()
+    action.trigger()
+    qtbot.waitUntil(lambda: 'name = "quick"' in window.view.screen_of(SetupScreen).text, timeout=READY_MS)
+
+
+def test_the_files_of_the_first_start_are_no_recent_ones(frame: MainWindow, tmp_path: Path) -> None:
+    frame._remembered = remembered = Remembered(tmp_path / "window.ini")
+    frame._remember("rig", examples.FIRST_RIG)
+    frame._remember("schedule", examples.FIRST_SCHEDULE)
+    frame._remember("schedule", SCHEDULE)
+    assert (remembered.recent("rig"), remembered.recent("schedule")) == ([], [SCHEDULE])
+    assert frame._last_folder("schedule", RIG) == SCHEDULE.parent
+    assert frame._last_folder("rig", RIG) == RIG.parent
+
+
+def test_a_part_that_cannot_be_loaded_is_shown(qtbot: QtBot, make_frame: FrameMaker, monkeypatch: pytest.MonkeyPatch) -> None:
+    window = make_frame()
+    monkeypatch.setitem(sys.modules, "goniotwin.app.desktop.presenter", None)
+    shown(qtbot, window)
+    qtbot.waitUntil(lambda: "goniotwin.app.desktop.presenter" in window.view.status, timeout=READY_MS)
+    assert window.close()
+
+
+def test_the_set_up_shows_what_a_schedule_measures(frame: MainWindow) -> None:
+    plan = make_plan(read_schedule(examples.FIRST_SCHEDULE), read_rig(examples.FIRST_RIG))
+    frame.view.schedule.set_plan(plan)
+    names = [each.accessibleName() for each in frame.view.screen_of(SetupScreen).findChildren(QLabel)]
+    for name in ("Samples: satin", "σ: 30, 60°", "β: 0 to 350°, 36 values", "Wavelength: 550 nm", "Gains: 1e8, 1e10 V/A"):
+        assert name in names
+    assert plan.seconds / 20.0 < 120.0  # the first campaign, at the simulation speed of the start
+
+
+def test_the_events_to_look_at_are_counted_and_can_be_shown_alone(frame: MainWindow) -> None:
+    screen = frame.view.screen_of(EventsScreen)
+    for number in range(5):
+        screen.add(LogEntry(f"event {number}", serious=number % 2 == 1))
+    assert "✗ 2" in frame.view.navigation.buttons[view.SCREENS.index(EventsScreen)].text()
+    table = screen.findChild(QAbstractItemView, "events")
+    assert table is not None
+    assert table.model().rowCount() == 5
+    screen._only.click()
+    assert [table.model().index(row, 1).data() for row in range(table.model().rowCount())] == ["✗ event 3", "✗ event 1"]
+
+
+def test_a_device_that_does_not_respond_is_marked_at_the_navigation_and_in_the_strip(frame: MainWindow) -> None:
+    frame.view.devices.set_devices({each: DeviceStatus(each != "monitor", "") for each in DEVICES})
+    assert "✗ 1" in frame.view.navigation.buttons[0].text()
+    (stated,) = [each.accessibleName() for each in frame.view.strip.findChildren(QLabel) if "Devices" in each.accessibleName()]
+    assert "monitor not responding" in stated
+
+
+def test_the_panels_have_the_axes_and_devices_of_a_rig() -> None:
+    """They have these without the rig's modules, which take long to load."""
+    assert tuple(GREEK) == AXES
+    assert DEVICES == ROLES
+
+
+def test_about_has_the_version(frame: MainWindow) -> None:
+    assert goniotwin.__version__ in about_text()
+    frame._show_about()
+    frame._show_keys()
+    titles = {each.windowTitle() for each in QApplication.topLevelWidgets() if each.parent() is frame}
+    assert {"About goniotwin", "Keys and screens"} <= titles
+
+
+@given(low=st.floats(-14.0, 6.0), span=st.floats(0.01, 16.0), pixels=st.floats(60.0, 2000.0))
+def test_the_texts_of_the_log_axis_never_collide(low: float, span: float, pixels: float) -> None:
+    high = low + span
+    ticks = log_ticks(low, high, pixels, PIXELS_OF_VALUE)
+    assert all(low - 1e-6 <= each <= high + 1e-6 for each in ticks)
+    assert all((after - before) * pixels / span >= PIXELS_OF_VALUE * (1 - 1e-6) for before, after in pairwise(ticks))
+    if pixels >= 120.0:
+        assert len(ticks) >= (2 if span < 1.0 else max(1, math.floor(span) // math.ceil(PIXELS_OF_VALUE * span / pixels)))
+
+
+def test_the_texts_of_the_log_axis_are_the_values(qapp: QApplication) -> None:
+    del qapp
+    axis = LogAxis()
+    for low, high, pixels, texts in (
+        (-3.0, 0.0, 90.0, ["0.001", "0.01", "0.1", "1"]),
+        (0.3, 0.33, 150.0, ["2", "2.02", "2.04", "2.06", "2.08", "2.1", "2.12"]),
+        (-9.0, -6.0, 60.0, ["1e-9", "1e-8", "1e-7", "1e-6"]),
+    ):
+        (_, labelled), _ = axis.tickValues(low, high, pixels)
+        assert axis.tickStrings(labelled, 1.0, 1.0) == texts
+
+
+def test_the_first_window_is_shown_before_the_engine_is_loaded() -> None:
+    environment = {**os.environ, "QT_QPA_PLATFORM": "offscreen"}
+    command = [sys.executable, "-m", "benchmarks.window", "--part", "first"]
+    child = subprocess.run(command, cwd=REPOSITORY, env=environment, stdout=subprocess.PIPE, text=True, check=True)
+    found = json.loads(child.stdout.splitlines()[-1])
+    assert found["heavy_modules"] == []
+    assert found["first_window_cpu_s"] > 0.0
