@@ -209,7 +209,7 @@ class Connection:
         if rig is not None and rig.virtual:
             self.command("speed", factor=speed)
 
-    def command(self, command: str, **arguments: object) -> None:
+    def command(self, command: str, **arguments: Any) -> None:
         """Send any command of a station (`station.permissions.COMMANDS`); a refusal is reported by CommandRefused."""
         client = self._client
         if client is None:
