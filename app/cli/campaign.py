@@ -405,6 +405,7 @@ class TerminalAsk:
         self._host = host
         self._reader: threading.Thread | None = None
         self._question: tuple[int, Question] | None = None
+        self._asked = threading.Condition()
         self._closed = False
 
     def __call__(self, question: "Question") -> "Answer":
@@ -413,7 +414,7 @@ class TerminalAsk:
 
         def note(_number: int, message: object) -> None:
             if isinstance(message, QuestionAsked):
-                self._question = message.number, message.question
+                self._set_question((message.number, message.question))
 
         _print_question(question)
         self._host.board.subscribe(note)
@@ -423,22 +424,33 @@ class TerminalAsk:
                 self._reader.start()
             return self._host.ask(question, self._given_up)
         finally:
-            self._question = None
+            self._set_question(None)
             self._host.board.unsubscribe(note)
 
     def _given_up(self) -> str:
         return NO_TERMINAL if self._closed and not self._host.clients else ""
 
+    def _set_question(self, question: "tuple[int, Question] | None") -> None:
+        with self._asked:
+            self._question = question
+            self._asked.notify_all()
+
     def _read(self) -> None:
-        """Read answers, from the first question to the end of standard input."""
-        while line := sys.stdin.readline():
-            asked = self._question
-            if asked is None:
-                continue
+        """Read answers, one line at a time while a question is open, to the end of standard input."""
+        while True:
+            with self._asked:
+                self._asked.wait_for(lambda: self._question is not None)
+                asked = self._question
+            line = sys.stdin.readline()
+            if not line:
+                break
+            if asked is None or self._question is not asked:
+                continue  # it was answered elsewhere, and the line is no answer to the next one
             found = _answer_of(line, asked[1])
             if found is None:
                 _print_choices(asked[1])
                 continue
+            self._set_question(None)
             with contextlib.suppress(UserError):  # answered elsewhere
                 self._host.answer(asked[0], found)
         self._closed = True

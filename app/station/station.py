@@ -705,7 +705,7 @@ class Station:
         self._publish(QuestionAsked(number, question))
         try:
             while not self._stop_requested.is_set():
-                if reason := given_up():
+                if self._answers.empty() and (reason := given_up()):
                     raise UserError(reason)
                 match self._answers.get():
                     case (int() as answered, Answer() as answer) if answered == number:

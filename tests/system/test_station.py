@@ -1,5 +1,6 @@
 """Stations as processes: found, attached to, left, killed; the run outlives what has started it."""
 
+import contextlib
 import json
 import os
 import signal
@@ -44,7 +45,8 @@ def start(tmp_path: Path) -> Iterator[Start]:
 
     yield started
     for each in processes:
-        each.kill()
+        with contextlib.suppress(ValueError):  # it has ended
+            each.kill()
     for path in known_stations():  # that of a killed process
         attach(path, "cleaner")
 

@@ -8,7 +8,6 @@ thread that calls it, before anything else.
 import contextlib
 import hashlib
 import queue
-import sqlite3
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future, wait
@@ -210,7 +209,7 @@ class Connection:
         if rig is not None and rig.virtual:
             self.command("speed", factor=speed)
 
-    def command(self, command: str, **arguments: object) -> None:
+    def command(self, command: str, **arguments: Any) -> None:
         """Send any command of a station (`station.permissions.COMMANDS`); a refusal is reported by CommandRefused."""
         client = self._client
         if client is None:
@@ -421,7 +420,7 @@ class Connection:
                     described = ScheduleDescription(parsed.text, parsed.file, parsed.name, certificate)
                     plan = Plan(described, recorded_rig(journal), journal.planned_rows())
             self._send(RunStarted(plan, begun.journal))
-        except (UserError, OSError, sqlite3.Error) as error:
+        except (UserError, OSError) as error:
             self._follower = None
             self._send(ValuesMissing(str(error)))
 
@@ -435,7 +434,7 @@ class Connection:
                 known = saved.get(each.row.number)
                 progress = (0, 1, 0.0) if known is None else (known.done, known.total, known.seconds_left)
                 self._send(RowCommitted(each.row, each.data, *progress))
-        except (UserError, OSError, sqlite3.Error) as error:
+        except (UserError, OSError) as error:
             self._follower = None
             self._send(ValuesMissing(str(error)))
 

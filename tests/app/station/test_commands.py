@@ -17,6 +17,7 @@ from goniotwin.app.station.connection_file import attach, station_of
 from goniotwin.app.station.hosting import HostedRun, connection_path, serving
 from goniotwin.app.station.messages import QuestionAsked
 from goniotwin.app.station.station import Station
+from goniotwin.protocols.clock import RealClock
 from tests.conftest import Writer
 from tests.system.command import invoke, json_result
 
@@ -34,6 +35,9 @@ def station(write_rig: Writer) -> Iterator[tuple[Station, Path]]:
         engine = threading.Thread(target=station.serve)
         station.do(station.connect_all)
         engine.start()
+        clock = RealClock()
+        while station.snapshot.rig is None:
+            clock.sleep_until(clock.now() + 0.01)
         yield station, rig
         station.end()
         engine.join()
