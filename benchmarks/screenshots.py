@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from PySide6.QtWidgets import QApplication, QMessageBox, QWidget
+from PySide6.QtWidgets import QApplication, QWidget
 
 from goniotwin import examples
 from goniotwin.app.desktop import MainWindow, Theme
@@ -56,6 +56,7 @@ class Pictures:
         window.view.run.start_button.click()
         self._wait(lambda: window.view.run.progress.value() >= SHARE * window.view.run.progress.maximum())
         window.view.run.pause_button.click()
+        self._wait(lambda: window.view.status.startswith("Paused"))
         self._each_screen("run")
         self._with_order()
         window.view.run.pause_button.click()
@@ -79,6 +80,7 @@ class Pictures:
         """The windows beside the main one."""
         from goniotwin.app.campaign.running.question import EFFECTS, Answer
         from goniotwin.app.desktop.events.question import Choice, QuestionBox
+        from goniotwin.app.desktop.menu import TextBox
 
         window = self.window
         answers = (Answer.RETRY, Answer.SKIP, Answer.PAUSE, Answer.STOP)
@@ -89,7 +91,7 @@ class Pictures:
         question.dismiss()
         for action in ("help_wanted", "about_wanted"):
             getattr(window.menus, action).emit()
-            box = next(each for each in window.findChildren(QMessageBox) if each.isVisible())
+            box = next(each for each in window.findChildren(TextBox) if each.isVisible())
             self._picture(f"dialog-{action.partition('_')[0]}", box)
             box.close()
             self._settle()

@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING
 
 from PySide6.QtCore import QEvent, Qt, QUrl, Signal, Slot
 from PySide6.QtGui import QCloseEvent, QDesktopServices, QKeyEvent
-from PySide6.QtWidgets import QFileDialog, QMainWindow, QMessageBox
+from PySide6.QtWidgets import QFileDialog, QMainWindow
 
 from goniotwin import examples
 from goniotwin.app.campaign.running.question import EFFECTS, Answer
 from goniotwin.app.desktop.event_loop import GarbageCollector
 from goniotwin.app.desktop.events.question import Choice, QuestionBox
-from goniotwin.app.desktop.menu import Menus, about_text, keys_text
+from goniotwin.app.desktop.menu import Menus, TextBox, about_text, keys_text
 from goniotwin.app.desktop.remembered import Kind, Remembered
 from goniotwin.app.desktop.run.screen import RunScreen
 from goniotwin.app.desktop.theme import Scheme, Theme
@@ -79,6 +79,12 @@ class MainWindow(QMainWindow):
         self.setWindowTitle("goniotwin")
         self._set_enabled(False)
         self._restore_layout()
+        menus = self.menus
+        menus.recent_chosen.connect(self._open_recent)
+        menus.folder_wanted.connect(self._show_folder)
+        menus.scheme_chosen.connect(self._choose_scheme)
+        menus.help_wanted.connect(self._show_keys)
+        menus.about_wanted.connect(self._show_about)
         self.theme.changed.connect(self._recolour)
         self.imported.connect(self.complete, Qt.ConnectionType.QueuedConnection)
 
@@ -160,12 +166,6 @@ class MainWindow(QMainWindow):
         rig.person.toggled.connect(self._set_person)
         schedule.open.connect(self._choose_schedule)
         schedule.choose_folder.connect(self._choose_folder)
-        menus = self.menus
-        menus.recent_chosen.connect(self._open_recent)
-        menus.folder_wanted.connect(self._show_folder)
-        menus.scheme_chosen.connect(self._choose_scheme)
-        menus.help_wanted.connect(self._show_keys)
-        menus.about_wanted.connect(self._show_about)
 
     def _set_enabled(self, enabled: bool) -> None:
         """Enable what opens files and changes the set-up; the controls of the run have permissions of their own."""
@@ -382,13 +382,7 @@ class MainWindow(QMainWindow):
 
     def _show_text(self, title: str, text: str) -> None:
         """Show a text in a window of its own, which blocks nothing."""
-        box = QMessageBox(QMessageBox.Icon.NoIcon, title, text, QMessageBox.StandardButton.Close, self)
-        box.setAccessibleName(title)
-        box.setTextFormat(Qt.TextFormat.RichText)
-        box.setTextInteractionFlags(Qt.TextInteractionFlag.TextBrowserInteraction)
-        box.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
-        box.setModal(False)
-        box.show()
+        TextBox(self, title, text).show()
 
     # The end.
 

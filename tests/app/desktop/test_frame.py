@@ -268,9 +268,9 @@ def test_recent_files_are_remembered_the_latest_first_and_those_that_are_gone_le
     assert remembered.recent("schedule") == latest[1:]
     assert remembered.recent("rig") == []
     remembered.set_folder(tmp_path)
-    assert remembered.folder == tmp_path
+    assert Remembered(tmp_path / "window.ini").folder == tmp_path
     remembered.set_folder(tmp_path / "gone")
-    assert remembered.folder is None
+    assert Remembered(tmp_path / "window.ini").folder is None
     assert Remembered().folder is None
 
 
