@@ -2,10 +2,19 @@
 
 from typing import ClassVar
 
-from PySide6.QtCore import Signal, Slot
+from PySide6.QtCore import QEvent, QObject, QSize, Signal, Slot
+from PySide6.QtGui import QShowEvent
 from PySide6.QtWidgets import QWidget
 
 from goniotwin.app.desktop.theme import Colours
+
+
+class WithoutPreferredHeight(QWidget):
+    """A widget that a scroll area makes as high as its room: with a text that wraps it would have its preferred height."""
+
+    def hasHeightForWidth(self) -> bool:
+        """Whether the height depends on the width; Qt calls it."""
+        return False
 
 
 class Screen(QWidget):
@@ -26,6 +35,7 @@ class Screen(QWidget):
     def __init__(self, colours: Colours) -> None:
         super().__init__()
         self._colours = colours
+        self._room: QWidget | None = None
         self.setAccessibleName(f"Screen {self.title}")
 
     def complete(self) -> None:
@@ -44,3 +54,22 @@ class Screen(QWidget):
 
     def shut_down(self) -> None:
         """End what the screen has started."""
+
+    def fit(self, room: QSize) -> None:
+        """Arrange the parts for a room, which the screen has without scrolling."""
+
+    def showEvent(self, event: QShowEvent) -> None:
+        """Find the room; Qt calls it."""
+        super().showEvent(event)
+        parent = self.parentWidget()
+        if parent is not None and parent is not self._room:
+            self._room = parent
+            parent.installEventFilter(self)
+        if parent is not None:
+            self.fit(parent.size())
+
+    def eventFilter(self, watched: QObject, event: QEvent) -> bool:
+        """Follow the room; Qt calls it."""
+        if watched is self._room and event.type() == QEvent.Type.Resize and self.isVisible():
+            self.fit(self._room.size())
+        return super().eventFilter(watched, event)

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 from PySide6.QtCore import QPointF, QRectF, QSize, Qt, Signal, Slot
 from PySide6.QtGui import QColor, QPainter, QPaintEvent, QPen, QPolygonF
-from PySide6.QtWidgets import QDoubleSpinBox, QGridLayout, QHBoxLayout, QLabel, QPushButton, QSizePolicy, QWidget
+from PySide6.QtWidgets import QDoubleSpinBox, QHBoxLayout, QLabel, QPushButton, QSizePolicy, QVBoxLayout, QWidget
 
 from goniotwin.app.desktop.rig.panels import GREEK, angle_text
 from goniotwin.app.desktop.theme import Colours
@@ -33,7 +33,7 @@ class LimitsBar(QWidget):
         self._font.setPointSizeF(0.85 * self._font.pointSizeF())
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
         self.setFixedHeight(28)
-        self.setMinimumWidth(90)
+        self.setMinimumWidth(56)
         self.set_limits(None)
 
     def set_limits(self, limits: tuple[float, float] | None) -> None:
@@ -123,7 +123,7 @@ class AxisControls(QWidget):
         self._sent: float | None = None
         self._entered = False
         self._step = 1.0
-        name = QLabel(f"<b>{GREEK[axis]}</b> {axis}")
+        name = QLabel()
         self.position = QLabel()
         font = self.position.font()
         font.setBold(True)
@@ -148,21 +148,17 @@ class AxisControls(QWidget):
         self.set_button = _button("Set…", f"Set the position of {axis} to the angle in the field")
         self.controls = (self.down, self.up, self.target, self.go, self.home, self.set_button)
         name.setBuddy(self.target)
-        upper = QHBoxLayout()
-        upper.setSpacing(8)
-        name.setMinimumWidth(name.fontMetrics().horizontalAdvance("γ gamma") + 8)
-        upper.addWidget(name)
-        upper.addWidget(self.position)
-        upper.addWidget(self.bar, 1)
-        lower = QHBoxLayout()
-        lower.setSpacing(4)
-        for each in (self.down, self.up, self.target, self.go, self.home, self.set_button):
-            lower.addWidget(each, 1 if each is self.target else 0)
-        layout = QGridLayout(self)
+        self._name = name
+        self._name.setToolTip(axis)
+        self._upper, self._lower = QHBoxLayout(), QHBoxLayout()
+        self._upper.setSpacing(8)
+        self._lower.setSpacing(4)
+        layout = QVBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
-        layout.setVerticalSpacing(1)
-        layout.addLayout(upper, 0, 0)
-        layout.addLayout(lower, 1, 0)
+        layout.setSpacing(1)
+        layout.addLayout(self._upper)
+        layout.addLayout(self._lower)
+        self.set_one_line(False)
         self.down.clicked.connect(self._jog_down)
         self.up.clicked.connect(self._jog_up)
         self.go.clicked.connect(self._go)
@@ -171,6 +167,16 @@ class AxisControls(QWidget):
         self.target.lineEdit().returnPressed.connect(self._go_by_key)
         self.target.valueChanged.connect(self._note_entry)
         self.set_position(None)
+
+    def set_one_line(self, one_line: bool) -> None:
+        """Lay out all parts in one line, or position and limits above the controls."""
+        self._name.setText(f"<b>{GREEK[self.axis]}</b>" if one_line else f"<b>{GREEK[self.axis]}</b> {self.axis}")
+        self._name.setMinimumWidth(0 if one_line else self._name.fontMetrics().horizontalAdvance("γ gamma") + 8)
+        self._upper.setSpacing(4 if one_line else 8)
+        for part in (self._name, self.position, self.bar):
+            self._upper.addWidget(part, 1 if part is self.bar else 0)
+        for part in self.controls:
+            (self._upper if one_line else self._lower).addWidget(part, 1 if part is self.target else 0)
 
     def set_settings(self, settings: "AxisDescription | None") -> None:
         """Take the table of the axis in the rig file."""

@@ -19,7 +19,7 @@ if TYPE_CHECKING:  # the window shows itself before numpy and the optics are loa
 MARGIN = 6
 BESIDE = 1.35
 """Side and top view are beside each other where the widget is at least so many times as wide as high, else below each other."""
-LEAST = QSize(260, 150)
+LEAST = QSize(240, 140)
 PUPIL_SHOWN = 1.16
 """The beam begins at so many times the reach, in the top view."""
 ZONE_PIXELS = 4.0
@@ -373,7 +373,7 @@ class ViewPainter:
             self._write(
                 self._at(0.5 * sigma, 0.47 * reach) if sigma > 25.0 else self._at(-13.0, 0.5 * reach), f"σ {sigma:.2f}°"
             )
-            self._corner(f"arc's shift Δ {shift:.2f}°")
+            self._corner(f"Δ {shift:.2f}°")
         else:
             self._draw_turn(0.0, beta, 0.5 * reach)
             at = self._at(0.5 * beta, 0.62 * reach) if beta > 25.0 else self._at(-14.0, 0.68 * reach)

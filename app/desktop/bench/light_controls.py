@@ -58,7 +58,7 @@ class LightControls(QGroupBox):
         self.readings.setToolTip("Conversions that one reading is the mean of")
         self.read = _button("Read", "Read all photodiodes once")
         self.dark = _button("Dark reading", "Take a dark reading now")
-        self.live = QCheckBox("Li&ve")
+        self.live = QCheckBox("Liv&e")
         self.live.setAccessibleName("Live readings")
         self._lay_out()
         self.set_wavelength_button.clicked.connect(self._set_wavelength)
@@ -124,8 +124,9 @@ class LightControls(QGroupBox):
             "Set the wavelength (Enter)" if wavelength_nm is None else f"Set the wavelength, now {wavelength_nm:g} nm (Enter)"
         )
         self._shutter_open = shutter_open
-        self._shutter_now.setText(UNKNOWN if shutter_open is None else "open" if shutter_open else "closed")
-        self._shutter_now.setAccessibleName(f"Shutter {self._shutter_now.text()}")
+        self._shutter_now.setText("?" if shutter_open is None else "open" if shutter_open else "closed")
+        self._shutter_now.setAccessibleName(f"Shutter {UNKNOWN if shutter_open is None else self._shutter_now.text()}")
+        self._shutter_now.setToolTip("unknown until the monochromator answers" if shutter_open is None else "")
         self.shutter.setText("Close" if shutter_open else "Open")
         self.shutter.setAccessibleName("Close the shutter" if shutter_open else "Open the shutter")
         self.gain.setCurrentIndex(-1 if gain_v_per_a is None else self.gain.findData(gain_v_per_a))

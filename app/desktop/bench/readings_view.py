@@ -17,6 +17,8 @@ ANGLES_DEG = (0, 30, 60, 90)
 FULL_TURN_SHOWN_DEG = 92.0
 BAR_DEG = 3.4
 MARK = 4.0
+ROOM_OF_ANGLE = 28.0
+"""Pixels of 30 deg from which on each of the angles has room for its text."""
 LEAST_RANGE = 0.002
 """Least range of the monitor's relative change that is drawn."""
 NO_READING = "No reading yet."
@@ -31,7 +33,7 @@ class SignalBars(QWidget):
         self._bars: Bars | None = None
         self._blocked: frozenset[int] = frozenset()
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
-        self.setMinimumSize(260, 96)
+        self.setMinimumSize(180, 96)
         self.setAccessibleName("Signals of the photodiodes")
         self.set_bars(None)
 
@@ -112,7 +114,8 @@ class SignalBars(QWidget):
 
     def _draw_angles(self, painter: QPainter, place: QRectF, line: float) -> None:
         painter.setPen(QColor(self._colours.text))
-        for angle in ANGLES_DEG:
+        room = self._x(place, 30.0) - self._x(place, 0.0) > ROOM_OF_ANGLE
+        for angle in ANGLES_DEG if room else (0, 60):
             x = self._x(place, angle)
             painter.drawLine(QPointF(x, place.bottom()), QPointF(x, place.bottom() + 3.0))
             text = QRectF(x - 20.0, place.bottom() + 4.0, 40.0, line)
@@ -165,7 +168,7 @@ class MonitorTrend(QWidget):
         self._colours = colours
         self._trace: WarmUpTrace | None = None
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Preferred)
-        self.setMinimumSize(200, 64)
+        self.setMinimumSize(180, 64)
         self.setAccessibleName("Trend of the monitor")
         self.set_trace(None)
 

@@ -2,8 +2,8 @@
 
 from typing import TYPE_CHECKING
 
-from PySide6.QtCore import Qt, Slot
-from PySide6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QVBoxLayout
+from PySide6.QtCore import QSize, Qt, Slot
+from PySide6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QStackedLayout, QTabWidget, QVBoxLayout, QWidget
 
 from goniotwin.app.desktop.bench.axis_controls import AxisControls
 from goniotwin.app.desktop.bench.instrument_view import InstrumentView
@@ -11,7 +11,7 @@ from goniotwin.app.desktop.bench.light_controls import LightControls
 from goniotwin.app.desktop.bench.readings_view import MonitorTrend, SignalBars
 from goniotwin.app.desktop.events.question import Choice, QuestionBox
 from goniotwin.app.desktop.rig.panels import GREEK, angle_text
-from goniotwin.app.desktop.screen import Screen
+from goniotwin.app.desktop.screen import Screen, WithoutPreferredHeight
 from goniotwin.app.desktop.theme import Colours
 
 if TYPE_CHECKING:  # the window shows itself before the engine and the optics are loaded
@@ -23,6 +23,10 @@ STEPS_DEG = (0.01, 0.1, 0.5, 1.0, 5.0, 10.0, 30.0)
 FIRST_STEP = 3
 SET_POSITION, CANCEL = "Set position", "Cancel"
 CONTROLS_WIDTH = 332
+QWIDGETSIZE_MAX = (1 << 24) - 1
+"""Qt's width of a widget that has no greatest one."""
+WIDE, HIGH = 640, 372
+"""Size of a room from which on all parts are shown at once."""
 COMMANDS = ("move", "home", "set_position", "wavelength", "shutter", "gain", "mount", "read", "live")
 NO_RIG = "no rig is open"
 READY = "Ready. Nothing moves before a command."
@@ -74,27 +78,78 @@ class BenchScreen(Screen):
         head.addStretch(1)
         head.addWidget(label)
         head.addWidget(self.step)
-        left = QVBoxLayout()
-        left.setSpacing(3)
-        left.addLayout(head)
+        self._axes_part, self._signals_part = QWidget(), QWidget()
+        axes = QVBoxLayout(self._axes_part)
+        axes.setContentsMargins(0, 0, 0, 0)
+        axes.setSpacing(3)
+        axes.addLayout(head)
         for axis in self.axes.values():
-            axis.setFixedWidth(CONTROLS_WIDTH)
-            left.addWidget(axis)
-        self.light.setFixedWidth(CONTROLS_WIDTH)
-        left.addWidget(self.light)
-        left.addStretch(1)
-        right = QVBoxLayout()
-        right.setSpacing(3)
-        right.addWidget(self.status)
-        right.addWidget(self.instrument, 5)
-        right.addWidget(self.bars, 3)
-        right.addWidget(self.reading_text)
-        right.addWidget(self.trend, 1)
-        layout = QHBoxLayout(self)
+            axes.addWidget(axis)
+        axes.addStretch(1)
+        self._signals = QVBoxLayout(self._signals_part)
+        self._signals.setContentsMargins(0, 0, 0, 0)
+        self._signals.setSpacing(3)
+        self._signals.addWidget(self.bars, 3)
+        self._signals.addWidget(self.trend, 1)
+        wide = QWidget()
+        self._left, self._right = QVBoxLayout(), QVBoxLayout()
+        columns = QHBoxLayout(wide)
+        columns.setContentsMargins(0, 0, 0, 0)
+        columns.setSpacing(10)
+        columns.addLayout(self._left)
+        columns.addLayout(self._right, 1)
+        for column in (self._left, self._right):
+            column.setSpacing(3)
+        self._tabs = QTabWidget()
+        self._tabs.setAccessibleName("Parts of the bench screen")
+        self._beside = QWidget()
+        self._light_and_signals = QHBoxLayout(self._beside)
+        self._light_and_signals.setContentsMargins(0, 0, 0, 0)
+        self._light_and_text = QVBoxLayout()
+        self._light_and_text.addStretch(1)
+        self._light_and_signals.addLayout(self._light_and_text)
+        self._pages = QStackedLayout()
+        self._pages.addWidget(wide)
+        self._pages.addWidget(self._tabs)
+        whole = WithoutPreferredHeight()
+        layout = QVBoxLayout(whole)
         layout.setContentsMargins(0, 0, 0, 0)
-        layout.setSpacing(10)
-        layout.addLayout(left)
-        layout.addLayout(right, 1)
+        layout.setSpacing(3)
+        layout.addWidget(self.status)
+        layout.addLayout(self._pages, 1)
+        outer = QVBoxLayout(self)
+        outer.setContentsMargins(0, 0, 0, 0)
+        outer.addWidget(whole)
+        self._compact: bool | None = None
+        self.fit(QSize(WIDE, HIGH))
+
+    def fit(self, room: QSize) -> None:
+        """Show the parts one at a time where the room is small."""
+        compact = room.width() < WIDE or room.height() < HIGH
+        if compact == self._compact:
+            return
+        self._compact = compact
+        for axis in self.axes.values():
+            axis.set_one_line(compact)
+        self._axes_part.setFixedWidth(QWIDGETSIZE_MAX if compact else CONTROLS_WIDTH)
+        self.light.setFixedWidth(CONTROLS_WIDTH)
+        if compact:
+            self._light_and_text.insertWidget(0, self.light)
+            self._light_and_text.insertWidget(1, self.reading_text)
+            self._light_and_signals.addWidget(self._signals_part, 1)
+            parts = (self._axes_part, "Axes"), (self._beside, "Light and readings"), (self.instrument, "Instrument")
+            for at, (part, title) in enumerate(parts):
+                self._tabs.insertTab(at, part, title)
+        else:
+            for part in (self._axes_part, self.light):
+                self._left.addWidget(part)
+            self._left.addStretch(1)
+            self._right.addWidget(self.instrument, 5)
+            self._right.addWidget(self._signals_part, 4)
+            self._signals.insertWidget(1, self.reading_text)
+            for part in (self._axes_part, self.light, self.instrument, self._signals_part):
+                part.show()
+        self._pages.setCurrentIndex(int(compact))
 
     # What the station reports.
 

@@ -313,7 +313,7 @@ class Connection:
         rig = self.snapshot.rig
         try:
             self._send(RigRead(None if rig is None else description_of(rig).file))
-        except (UserError, OSError, sqlite3.Error):
+        except (UserError, OSError):
             self._send(RigRead(None))  # the plan is refused with the reason
         self._load_again()
 

@@ -70,6 +70,8 @@ class PreflightPanel(QGroupBox):
         self._lines.append((mark, name, text))
 
     def _show(self) -> None:
+        if not self._checks:
+            return
         from goniotwin.app.desktop.model.preflight import MARKS, Outcome
 
         c = self._colours

@@ -2,13 +2,13 @@
 
 from typing import TYPE_CHECKING
 
-from PySide6.QtCore import QEvent, QObject, QTimer, Slot
+from PySide6.QtCore import QSize, Qt, QTimer, Slot
 from PySide6.QtGui import QShowEvent
-from PySide6.QtWidgets import QHBoxLayout, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QFrame, QHBoxLayout, QScrollArea, QStackedLayout, QTabWidget, QVBoxLayout, QWidget
 
 from goniotwin.app.desktop.rig.panels import AxesPanel, DevicesPanel, RigPanel
 from goniotwin.app.desktop.rig.preflight_panel import PreflightPanel
-from goniotwin.app.desktop.screen import Screen
+from goniotwin.app.desktop.screen import Screen, WithoutPreferredHeight
 from goniotwin.app.desktop.theme import Colours
 
 if TYPE_CHECKING:  # the window shows itself before the engine is loaded
@@ -20,8 +20,10 @@ if TYPE_CHECKING:  # the window shows itself before the engine is loaded
 
 LOOK_MS = 1000
 """Time between two looks at what ages: the devices' last answers, the dark reading, the disk."""
-HIGH = 520
-"""Height of the room from which on the axes are shown here; they are always in the strip above the screens."""
+WIDE, HIGH = 600, 330
+"""Size of a room from which on all parts are shown at once."""
+WITH_AXES = 520
+"""Height of a room from which on the axes are shown here; they are always in the strip above the screens."""
 
 
 class RigScreen(Screen):
@@ -39,22 +41,34 @@ class RigScreen(Screen):
         self.devices = DevicesPanel(colours)
         self.axes = AxesPanel()
         self.preflight = PreflightPanel(colours)
-        left = QVBoxLayout()
-        left.setSpacing(4)
-        for panel in (self.rig, self.devices, self.axes):
-            left.addWidget(panel)
-        left.addStretch(1)
-        right = QVBoxLayout()
-        right.addWidget(self.preflight)
-        right.addStretch(1)
-        layout = QHBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        layout.setSpacing(12)
-        layout.addLayout(left, 4)
-        layout.addLayout(right, 5)
+        wide = QWidget()
+        self._left, self._right = QVBoxLayout(), QVBoxLayout()
+        self._left.setSpacing(4)
+        columns = QHBoxLayout(wide)
+        columns.setContentsMargins(0, 0, 0, 0)
+        columns.setSpacing(12)
+        for column, share in ((self._left, 4), (self._right, 5)):
+            column.addStretch(1)
+            columns.addLayout(column, share)
+        self._tabs = QTabWidget()
+        self._tabs.setAccessibleName("Parts of the rig screen")
+        self._parts = (self.devices, "Devices"), (self.rig, "Rig file"), (self.preflight, "Preflight")
+        self._scrolls = [QScrollArea() for _ in self._parts]
+        for each in self._scrolls:
+            each.setWidgetResizable(True)
+            each.setFrameShape(QFrame.Shape.NoFrame)
+            each.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        small = WithoutPreferredHeight()
+        page = QVBoxLayout(small)
+        page.setContentsMargins(0, 0, 0, 0)
+        page.addWidget(self._tabs)
+        self._pages = QStackedLayout(self)
+        self._pages.addWidget(wide)
+        self._pages.addWidget(small)
+        self._compact: bool | None = None
+        self.fit(QSize(WIDE, WITH_AXES))
         self._timer = QTimer(self, interval=LOOK_MS)
         self._timer.timeout.connect(self._look)
-        self._room: QWidget | None = None
         self.devices.reconnect.connect(self._reconnect)
 
     def complete(self) -> None:
@@ -143,21 +157,30 @@ class RigScreen(Screen):
     def showEvent(self, event: QShowEvent) -> None:
         """Look at once; Qt calls it."""
         super().showEvent(event)
-        parent = self.parentWidget()
-        if parent is not None and parent is not self._room:
-            self._room = parent
-            parent.installEventFilter(self)
-        self._fit()
         self._look()
 
-    def eventFilter(self, watched: QObject, event: QEvent) -> bool:
-        """Leave out the axes where the room is low; Qt calls it."""
-        if watched is self._room and event.type() == QEvent.Type.Resize:
-            self._fit()
-        return super().eventFilter(watched, event)
-
-    def _fit(self) -> None:
-        self.axes.setVisible(self._room is None or self._room.height() >= HIGH)
+    def fit(self, room: QSize) -> None:
+        """Show the parts one at a time where the room is small, and the axes where it is high."""
+        compact = room.width() < WIDE or room.height() < HIGH
+        self.axes.setVisible(not compact and room.height() >= WITH_AXES)
+        if compact == self._compact:
+            return
+        self._compact = compact
+        if compact:
+            for (part, title), scroll in zip(self._parts, self._scrolls, strict=True):
+                scroll.setWidget(part)
+                self._tabs.addTab(scroll, title)
+        else:
+            self._tabs.clear()
+            for scroll in self._scrolls:
+                scroll.takeWidget()
+            for panel in (self.rig, self.devices, self.axes):
+                self._left.insertWidget(self._left.count() - 1, panel)
+                panel.show()
+            self._right.insertWidget(0, self.preflight)
+            self.preflight.show()
+            self.axes.setVisible(room.height() >= WITH_AXES)
+        self._pages.setCurrentIndex(int(compact))
 
     def set_colours(self, colours: Colours) -> None:
         """Take the colours of a scheme."""

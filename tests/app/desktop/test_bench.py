@@ -12,6 +12,7 @@ from pytestqt.qtbot import QtBot
 from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.running.events import Positions, State, StateChanged
 from goniotwin.app.campaign.schedule.file import read_schedule
+from goniotwin.app.desktop import MainWindow
 from goniotwin.app.desktop.bench.screen import CANCEL, SET_POSITION, BenchScreen
 from goniotwin.app.desktop.rig.panels import answered_text
 from goniotwin.app.desktop.rig.screen import RigScreen
@@ -22,6 +23,7 @@ from goniotwin.app.station.permissions import allowed
 from goniotwin.app.station.station import CommandRefused, Station
 from goniotwin.protocols.clock import VirtualClock
 from tests.app.campaign.campaign_bench import QUIET
+from tests.app.desktop.conftest import READY_MS
 from tests.conftest import Writer
 
 AXES = ("sigma", "beta", "shift", "gamma")
@@ -280,3 +282,16 @@ def test_a_dark_reading_ages_with_the_simulation(desk: Desk, monkeypatch: pytest
     facts.take(SpeedChanged(1.0))
     seconds[0] += 1.0
     assert facts.facts().dark_age_s == pytest.approx(61.0)
+
+
+def test_the_bench_of_a_window_is_a_client_of_its_station(qtbot: QtBot, window: MainWindow) -> None:
+    bench = window.view.screen_of(BenchScreen)
+    sigma = bench.axes["sigma"]
+    window.view.show_screen(window.view.screens.index(bench))
+    qtbot.waitUntil(lambda: sigma.position.text() == "0.00°" and bench.instrument.summary.startswith("γ"), timeout=READY_MS)
+    for angle, shown in (("200", "outside its soft limits 0 to 180 deg"), ("30", "")):
+        sigma.target.selectAll()
+        qtbot.keyClicks(sigma.target, angle)
+        qtbot.keyClick(sigma.target, Qt.Key.Key_Return)
+        qtbot.waitUntil(lambda shown=shown: shown in bench.status.text(), timeout=READY_MS)  # type: ignore[misc]
+    qtbot.waitUntil(lambda: sigma.position.text() == "30.00°", timeout=READY_MS)
