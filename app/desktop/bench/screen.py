@@ -3,6 +3,7 @@
 from typing import TYPE_CHECKING
 
 from PySide6.QtCore import QSize, Qt, Slot
+from PySide6.QtGui import QHideEvent, QShowEvent
 from PySide6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QStackedLayout, QTabWidget, QVBoxLayout, QWidget
 
 from goniotwin.app.desktop.bench.axis_controls import AxisControls
@@ -66,6 +67,7 @@ class BenchScreen(Screen):
             controls.command.connect(self._send)
             controls.confirm.connect(self._ask_about_position)
         self.light.command.connect(self._send)
+        self.instrument.blocked_shown.connect(self.bars.set_blocked)
         self.step.currentIndexChanged.connect(self._take_step)
         self._take_step()
         self._show()
@@ -241,7 +243,6 @@ class BenchScreen(Screen):
         for name, controls in self.axes.items():
             controls.set_position(degrees.get(name))
         self.instrument.set_positions(degrees)
-        self.bars.set_blocked(self.instrument.blocked)
 
     def _show_reading(self, reading: "BenchReading") -> None:
         model, station = self._readings, self._station
@@ -253,7 +254,6 @@ class BenchScreen(Screen):
             model.add_monitor(reading.t_s, reading.monitor_a, reading.wavelength_nm)
         bars = model.bars(reading.counts, reading.saturated, reading.gain_v_per_a, station.positions.get("shift", 0.0))
         self.bars.set_bars(bars)
-        self.bars.set_blocked(self.instrument.blocked)
         kind = "Dark reading" if reading.dark else "Live" if reading.live else f"Mean of {reading.readings}"
         self.reading_text.setText(f"{kind}: {bars.text}")
         self.trend.set_trace(model.trend)
@@ -324,6 +324,16 @@ class BenchScreen(Screen):
 
         box.chosen.connect(answered)
         box.appear()
+
+    def showEvent(self, event: QShowEvent) -> None:
+        """Follow what is blocked; Qt calls it."""
+        super().showEvent(event)
+        self.instrument.set_active(True)
+
+    def hideEvent(self, event: QHideEvent) -> None:
+        """Leave the computer to the other screens; Qt calls it."""
+        super().hideEvent(event)
+        self.instrument.set_active(False)
 
     def set_colours(self, colours: Colours) -> None:
         """Take the colours of a scheme."""
