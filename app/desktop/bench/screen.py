@@ -61,6 +61,9 @@ class BenchScreen(Screen):
         self.bars = SignalBars(colours)
         self.reading_text = QLabel()
         self.reading_text.setWordWrap(True)
+        self.reading_text.setAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignTop)
+        # Two lines always: the pictures do not jump while live readings change its length.
+        self.reading_text.setMinimumHeight(2 * self.reading_text.fontMetrics().lineSpacing())
         self.trend = MonitorTrend(colours)
         self._lay_out()
         for controls in self.axes.values():
@@ -102,6 +105,7 @@ class BenchScreen(Screen):
         columns.addLayout(self._right, 1)
         for column in (self._left, self._right):
             column.setSpacing(3)
+        self._left.addStretch(1)
         self._tabs = QTabWidget()
         self._tabs.setAccessibleName("Parts of the bench screen")
         self._beside = QWidget()
@@ -143,9 +147,8 @@ class BenchScreen(Screen):
             for at, (part, title) in enumerate(parts):
                 self._tabs.insertTab(at, part, title)
         else:
-            for part in (self._axes_part, self.light):
-                self._left.addWidget(part)
-            self._left.addStretch(1)
+            for at, part in enumerate((self._axes_part, self.light)):
+                self._left.insertWidget(at, part)
             self._right.addWidget(self.instrument, 5)
             self._right.addWidget(self._signals_part, 4)
             self._signals.insertWidget(1, self.reading_text)

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import cast
 
 import pytest
-from PySide6.QtCore import Qt
+from PySide6.QtCore import QSize, Qt
 from PySide6.QtWidgets import QPushButton
 from pytestqt.qtbot import QtBot
 
@@ -231,6 +231,19 @@ def test_what_the_mirror_unit_blocks_is_computed_while_the_screen_is_shown(desk:
     assert shown.args == [frozenset({6})]
     assert desk.bench.instrument.blocked == {6}
     assert "1 photodiode blocked by the mirror unit" in desk.bench.instrument.summary
+
+
+def test_the_parts_come_back_from_the_tabs_of_a_small_room(desk: Desk) -> None:
+    bench = desk.bench
+    bench.fit(QSize(900, 600))
+    before = [bench._left.indexOf(part) for part in (bench._axes_part, bench.light)]
+    for room in (QSize(548, 259), QSize(900, 600), QSize(548, 259), QSize(900, 600)):
+        for screen in (bench, desk.rig):
+            screen.fit(room)
+    assert [bench._left.indexOf(part) for part in (bench._axes_part, bench.light)] == before == [0, 1]
+    assert bench._left.count() == 3  # and the room below them
+    assert bench._signals.indexOf(bench.reading_text) == 1
+    assert desk.rig._left.indexOf(desk.rig.devices) == 1
 
 
 # The rig screen.
