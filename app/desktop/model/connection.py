@@ -298,9 +298,9 @@ class Connection:
                 return
             case RunBegun() | RowSaved():
                 self._rows.put(message)
-            case RigOpened():
-                self._tasks.put(self._read_rig)
         self._send(message)
+        if isinstance(message, RigOpened):  # after it: a window forgets the plan for the rig before
+            self._tasks.put(self._read_rig)
 
     def _lose(self, session: Session) -> None:
         if session is self._session and not session.leaving:
