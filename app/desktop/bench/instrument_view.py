@@ -33,6 +33,8 @@ class InstrumentView(QWidget):
     """Side view and top view at the positions of the axes. What is blocked is computed in a thread of its own, and follows."""
 
     computed = Signal(object)
+    blocked_shown = Signal(object)
+    """The photodiodes to which the mirror unit blocks the light, whenever they are known anew."""
 
     def __init__(self, colours: Colours) -> None:
         super().__init__()
@@ -43,6 +45,7 @@ class InstrumentView(QWidget):
         self._positions: dict[str, float] = {}
         self._asked: dict[str, float] | None = None
         self._computing = False
+        self._active = False
         self._levels: dict[int, float] = {}
         self._saturated: frozenset[int] = frozenset()
         self._shutter_open: bool | None = None
@@ -70,6 +73,11 @@ class InstrumentView(QWidget):
         self._describe()
         self.update()
 
+    def set_active(self, active: bool) -> None:
+        """Compute what is blocked from now on, or compute nothing while the screen is hidden."""
+        self._active = active
+        self._compute()
+
     def set_shutter(self, is_open: bool | None) -> None:
         """Show whether light comes through; None is unknown."""
         self._shutter_open = is_open
@@ -96,7 +104,7 @@ class InstrumentView(QWidget):
 
     def _compute(self) -> None:
         model, positions = self._model, self._positions
-        if model is None or self._drawing is None or self._computing:
+        if model is None or self._drawing is None or self._computing or not self._active:
             return
         asked = self._asked
         if asked is not None and all(abs(positions[each] - asked.get(each, math.inf)) < MOVED_DEG for each in positions):
@@ -120,6 +128,7 @@ class InstrumentView(QWidget):
         self._computing = False
         if isinstance(found, tuple) and found[0] is self._model:
             self._blocked = found[1]
+            self.blocked_shown.emit(self.blocked)
         self._describe()
         self.update()
         self._compute()

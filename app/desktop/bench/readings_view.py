@@ -3,7 +3,7 @@
 import math
 from typing import TYPE_CHECKING
 
-from PySide6.QtCore import QPointF, QRectF, QSize, Qt
+from PySide6.QtCore import QPointF, QRectF, QSize, Qt, Slot
 from PySide6.QtGui import QBrush, QColor, QFontMetricsF, QPainter, QPaintEvent, QPen, QPolygonF
 from PySide6.QtWidgets import QSizePolicy, QWidget
 
@@ -48,6 +48,7 @@ class SignalBars(QWidget):
         self.setAccessibleDescription(bars.text if bars is not None else NO_READING)
         self.update()
 
+    @Slot(object)
     def set_blocked(self, blocked: frozenset[int]) -> None:
         """Mark the photodiodes to which the mirror unit blocks the light."""
         self._blocked = blocked

@@ -3,6 +3,7 @@
 from typing import TYPE_CHECKING
 
 from PySide6.QtCore import QSize, Qt, Slot
+from PySide6.QtGui import QHideEvent, QShowEvent
 from PySide6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QStackedLayout, QTabWidget, QVBoxLayout, QWidget
 
 from goniotwin.app.desktop.bench.axis_controls import AxisControls
@@ -60,12 +61,16 @@ class BenchScreen(Screen):
         self.bars = SignalBars(colours)
         self.reading_text = QLabel()
         self.reading_text.setWordWrap(True)
+        self.reading_text.setAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignTop)
+        # Two lines always: the pictures do not jump while live readings change its length.
+        self.reading_text.setMinimumHeight(2 * self.reading_text.fontMetrics().lineSpacing())
         self.trend = MonitorTrend(colours)
         self._lay_out()
         for controls in self.axes.values():
             controls.command.connect(self._send)
             controls.confirm.connect(self._ask_about_position)
         self.light.command.connect(self._send)
+        self.instrument.blocked_shown.connect(self.bars.set_blocked)
         self.step.currentIndexChanged.connect(self._take_step)
         self._take_step()
         self._show()
@@ -100,6 +105,7 @@ class BenchScreen(Screen):
         columns.addLayout(self._right, 1)
         for column in (self._left, self._right):
             column.setSpacing(3)
+        self._left.addStretch(1)
         self._tabs = QTabWidget()
         self._tabs.setAccessibleName("Parts of the bench screen")
         self._beside = QWidget()
@@ -141,9 +147,8 @@ class BenchScreen(Screen):
             for at, (part, title) in enumerate(parts):
                 self._tabs.insertTab(at, part, title)
         else:
-            for part in (self._axes_part, self.light):
-                self._left.addWidget(part)
-            self._left.addStretch(1)
+            for at, part in enumerate((self._axes_part, self.light)):
+                self._left.insertWidget(at, part)
             self._right.addWidget(self.instrument, 5)
             self._right.addWidget(self._signals_part, 4)
             self._signals.insertWidget(1, self.reading_text)
@@ -241,7 +246,6 @@ class BenchScreen(Screen):
         for name, controls in self.axes.items():
             controls.set_position(degrees.get(name))
         self.instrument.set_positions(degrees)
-        self.bars.set_blocked(self.instrument.blocked)
 
     def _show_reading(self, reading: "BenchReading") -> None:
         model, station = self._readings, self._station
@@ -253,7 +257,6 @@ class BenchScreen(Screen):
             model.add_monitor(reading.t_s, reading.monitor_a, reading.wavelength_nm)
         bars = model.bars(reading.counts, reading.saturated, reading.gain_v_per_a, station.positions.get("shift", 0.0))
         self.bars.set_bars(bars)
-        self.bars.set_blocked(self.instrument.blocked)
         kind = "Dark reading" if reading.dark else "Live" if reading.live else f"Mean of {reading.readings}"
         self.reading_text.setText(f"{kind}: {bars.text}")
         self.trend.set_trace(model.trend)
@@ -324,6 +327,16 @@ class BenchScreen(Screen):
 
         box.chosen.connect(answered)
         box.appear()
+
+    def showEvent(self, event: QShowEvent) -> None:
+        """Follow what is blocked; Qt calls it."""
+        super().showEvent(event)
+        self.instrument.set_active(True)
+
+    def hideEvent(self, event: QHideEvent) -> None:
+        """Leave the computer to the other screens; Qt calls it."""
+        super().hideEvent(event)
+        self.instrument.set_active(False)
 
     def set_colours(self, colours: Colours) -> None:
         """Take the colours of a scheme."""

@@ -79,7 +79,7 @@ class Bars:
         if dark := self.count(Signal.DARK):
             parts.append(f"▽ {dark} without light")
         if not self.dark_subtracted:
-            parts.append("no dark reading at this gain yet: offsets are included")
+            parts.append("no dark reading yet")
         return "; ".join(parts)
 
 

@@ -174,8 +174,8 @@ class RigScreen(Screen):
             self._tabs.clear()
             for scroll in self._scrolls:
                 scroll.takeWidget()
-            for panel in (self.rig, self.devices, self.axes):
-                self._left.insertWidget(self._left.count() - 1, panel)
+            for at, panel in enumerate((self.rig, self.devices, self.axes)):
+                self._left.insertWidget(at, panel)
                 panel.show()
             self._right.insertWidget(0, self.preflight)
             self.preflight.show()

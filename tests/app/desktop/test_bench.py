@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import cast
 
 import pytest
-from PySide6.QtCore import Qt
+from PySide6.QtCore import QSize, Qt
 from PySide6.QtWidgets import QPushButton
 from pytestqt.qtbot import QtBot
 
@@ -223,6 +223,29 @@ def test_the_pictures_have_words_and_follow_the_scheme(desk: Desk) -> None:
     assert light != desk.bench.grab().toImage()
 
 
+def test_what_the_mirror_unit_blocks_is_computed_while_the_screen_is_shown(desk: Desk) -> None:
+    desk.go("sigma", "30")
+    assert desk.bench.instrument.cells is None
+    with desk.qtbot.waitSignal(desk.bench.instrument.blocked_shown, timeout=30_000) as shown:
+        desk.bench.show()
+    assert shown.args == [frozenset({6})]
+    assert desk.bench.instrument.blocked == {6}
+    assert "1 photodiode blocked by the mirror unit" in desk.bench.instrument.summary
+
+
+def test_the_parts_come_back_from_the_tabs_of_a_small_room(desk: Desk) -> None:
+    bench = desk.bench
+    bench.fit(QSize(900, 600))
+    before = [bench._left.indexOf(part) for part in (bench._axes_part, bench.light)]
+    for room in (QSize(548, 259), QSize(900, 600), QSize(548, 259), QSize(900, 600)):
+        for screen in (bench, desk.rig):
+            screen.fit(room)
+    assert [bench._left.indexOf(part) for part in (bench._axes_part, bench.light)] == before == [0, 1]
+    assert bench._left.count() == 3  # and the room below them
+    assert bench._signals.indexOf(bench.reading_text) == 1
+    assert desk.rig._left.indexOf(desk.rig.devices) == 1
+
+
 # The rig screen.
 
 
@@ -268,7 +291,8 @@ def test_the_preflight_list_follows_the_rig(desk: Desk, write_schedule: Writer, 
     screen.command.emit("read", {"dark": True})
     screen.hide()
     screen.show()
-    assert "Dark reading: good: 0 s old" in screen.preflight.text
+    assert "Dark reading: unknown" not in screen.preflight.text
+    assert "old, renewed after" in screen.preflight.text
 
 
 def test_a_dark_reading_ages_with_the_simulation(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:

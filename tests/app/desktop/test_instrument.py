@@ -87,7 +87,7 @@ def test_bars_tell_light_dark_and_saturation_apart(rig: RigFile) -> None:
     assert levels[4] == levels[5] == 0.0
     assert 0.0 < levels[3] < 0.1 < levels[20] < 1.0
     assert "▲ 1 saturated" in bars.text
-    assert "no dark reading at this gain" in bars.text
+    assert "no dark reading yet" in bars.text
 
 
 def test_a_dark_reading_is_subtracted_at_its_own_gain(rig: RigFile) -> None:
