@@ -119,6 +119,7 @@ def _convert(
     from goniotwin.app.data.conversion import (
         Choice,
         archive_journal,
+        check_samples,
         convert_file,
         convert_reduced,
         format_to_write,
@@ -135,12 +136,14 @@ def _convert(
     damage, findings = "", []
     if of_journal or is_journal(source):
         folder = Path(os.path.realpath(out)).parent
-        with Journal.open(source) as opened, reduce_to_files(opened, folder, without_damaged=without_damaged) as reduced:
-            chain = opened.chain
-            if form.name == "archive" and choice.everything:
-                converted = archive_journal(opened, reduced, out, choice, without_damaged=without_damaged)
-            else:
-                converted = convert_reduced(reduced, out, form, choice)
+        with Journal.open(source) as opened:
+            check_samples(opened, out, form, choice)
+            with reduce_to_files(opened, folder, without_damaged=without_damaged) as reduced:
+                chain = opened.chain
+                if form.name == "archive" and choice.everything:
+                    converted = archive_journal(opened, reduced, out, choice, without_damaged=without_damaged)
+                else:
+                    converted = convert_reduced(reduced, out, form, choice)
         damage, findings = chain.damage, list(reduced.findings)
         result = {"chain": chain.as_dict(), "damaged": sorted(chain.without_values), "findings": findings}
         lines = [reduced.chain]

@@ -40,6 +40,9 @@ def plot(
         list[float] | None,
         typer.Option("--sigma", metavar="DEG", help="Incidence; may be given several times.", show_default="all of them"),
     ] = None,
+    psi: Annotated[
+        float | None, typer.Option("--psi", metavar="DEG", help="Azimuth of the light.", show_default="the first one")
+    ] = None,
     wavelength: Annotated[
         list[float] | None,
         typer.Option("--wavelength", metavar="NM", help="Wavelength; several for a spectrum.", show_default="the middle one"),
@@ -56,10 +59,14 @@ def plot(
     """
     from goniotwin.app.data.plotting import check_picture, save_figure
     from goniotwin.app.data.plotting import plot as draw
+    from goniotwin.app.data.values import listed
 
     check_picture(out)
     dataset = _dataset(data, sample)
-    save_figure(draw(dataset, kind, sigma_deg=sigma or None, wavelength_nm=wavelength or None, log=log), out, dpi)
+    figure = draw(dataset, kind, sigma_deg=sigma or None, psi_deg=psi, wavelength_nm=wavelength or None, log=log)
+    save_figure(figure, out, dpi)
+    if psi is None and (dataset.psi_deg != dataset.psi_deg[0]).any():
+        print_warning(f"of the light's azimuths one is drawn, the first; psi: {listed(dataset.psi_deg, 'deg')} (--psi DEG)")
     result = {"file": str(out), "kind": kind, "sample": dataset.sample, "simulated": dataset.simulated}
     answer(as_json, result, lambda: print(f"{'SIMULATED, ' if dataset.simulated else ''}{kind}: {out}"))
 

@@ -17,6 +17,7 @@ from goniotwin.app.campaign.journal.reading import JournalReader
 from goniotwin.app.campaign.reduction.archive import write_archive
 from goniotwin.app.campaign.reduction.export import part_of_light, part_of_wavelength, points_of, scattered_of, wavelengths_of
 from goniotwin.app.campaign.reduction.reduction import ReducedJournal
+from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.data.opening import with_files_beside
 from goniotwin.app.data.values import EQUAL, listed, neighbours
 from goniotwin.app.errors import UserError
@@ -96,6 +97,7 @@ class Converted:
     fill: Fill
     shares: tuple[Share, ...] = ()
     notes: tuple[str, ...] = ()
+    widest_gap_deg: float | None = None
 
     @property
     def largest(self) -> Share | None:
@@ -112,7 +114,13 @@ class Converted:
         text = f"not measured: {100.0 * found.share:.3g} % of the light at sigma {found.sigma_deg:g}"
         if len(self.shares) > 1:
             text += f", the most of {len(self.shares)} incidences"
-        return f"{text}; filled by {self.fill} (--fill {' or '.join(others)} are other ways)"
+        text += f"; filled by {self.fill} (--fill {' or '.join(others)} are other ways)"
+        if self.widest_gap_deg is not None:
+            text += (
+                f"; between measured directions more than {self.widest_gap_deg:g} deg apart nothing counts as measured: a "
+                f"finer grid of the schedule measures more, and lists of points ({_of_points()}) need no table"
+            )
+        return text
 
     def as_dict(self) -> dict[str, Any]:
         """The result for JSON."""
@@ -159,6 +167,18 @@ def convert_file(source: Path, path: Path, form: Format, choice: Choice) -> Conv
         return convert_content(with_files_beside(source, found.read(source), found), path, form, choice, source)
 
 
+def check_samples(journal: JournalReader, path: Path, form: Format, choice: Choice) -> None:
+    """Raise UserError, before a journal is reduced, where several of its samples are measured and one is to be written."""
+    if choice.sample is not None or Holds.SAMPLES in form.holds:
+        return
+    done = journal.committed_numbers()
+    asked = parse_schedule(journal.value("schedule"), f"{journal.path} (schedule)").file.samples
+    measured = {row.sample for row in journal.planned_rows() if row.kind == "measure" and row.number in done}
+    names = tuple(name for name in asked if name in measured)
+    if len(names) > 1:
+        raise _several(path, form, names)
+
+
 def convert_reduced(reduced: ReducedJournal, path: Path, form: Format, choice: Choice) -> Converted:
     """Write a reduced journal; a format of columns gets every column of every point, in parts. Raises UserError."""
     if choice.light is not None:
@@ -169,10 +189,7 @@ def convert_reduced(reduced: ReducedJournal, path: Path, form: Format, choice: C
         if isinstance(choice.wavelength_nm, float):
             _check_wavelength(path, wavelengths_of(reduced, choice.sample), choice.wavelength_nm)
             reduced = part_of_wavelength(reduced, choice.sample, choice.wavelength_nm)
-        sample = choice.sample
-        if sample is None and len(reduced.samples) > 1 and Holds.SAMPLES not in form.holds:
-            raise _several(path, form, tuple(reduced.samples))
-        content = scattered_of(reduced, sample)
+        content = scattered_of(reduced, choice.sample)
         known = {name: reduced.metadata[name] for name in content.samples if name in reduced.metadata}
         if known:
             content = replace(content, metadata=common_metadata(known.values()), of_samples=known)
@@ -220,34 +237,35 @@ def convert_content(
         content = content.of_points()
     chosen = _of_sample(content, path, form, choice.sample)
     chosen = _of_side(chosen, path, form, choice.side, notes)
-    chosen = _of_light(chosen, path, form, choice.light)
+    chosen = _of_light(chosen, path, form, choice.light, notes)
     chosen = _of_kind(chosen, path, form, notes)
     if choice.wavelength_nm != "all":
-        return _write(_of_wavelength(chosen, path, form, choice.wavelength_nm), path, form, choice, notes)
+        return _write(_of_wavelength(chosen, path, form, choice.wavelength_nm, notes), path, form, choice, notes)
     if not (there := wavelengths_nm(chosen)).size:
         raise UserError(f"{path}: its values have no wavelength; leave --wavelength out")
     files = [wavelength_path(path, nm) for nm in there.tolist()]
     for each in files:
         refuse_itself(source, each, form)
-    return _together(
-        [
-            _write(_of_wavelength(chosen, each, form, nm), each, form, choice, [*notes])
-            for nm, each in zip(there.tolist(), files, strict=True)
-        ]
-    )
+    results = []
+    for nm, each in zip(there.tolist(), files, strict=True):
+        of_each = [*notes]
+        results.append(_write(_of_wavelength(chosen, each, form, nm, of_each), each, form, choice, of_each))
+    return _together(results)
 
 
 def _write(chosen: BsdfFile, path: Path, form: Format, choice: Choice, notes: list[str]) -> Converted:
     """Write what was chosen of a content."""
     measured = sum(_measured(part, UNTRUSTED if Holds.POINTS in form.holds else {*UNTRUSTED, CHECK}) for part in chosen.parts)
+    before = chosen
     if Holds.GRID in form.holds:
         chosen = _gridded(chosen, path, form, choice.fill)
     else:
         chosen = _as_points(chosen, form, notes)
     shares = tuple(share for table in chosen.tables for share in shares_of(table))
+    widest = next((part.widest_gap_deg for part in before.scattered if part.widest_gap_deg is not None), None)
     parts = tuple(replace(part, comments=(*part.comments, *notes)) for part in chosen.parts)
     files = registry.write(path, replace(chosen, parts=parts), form, notes)
-    return Converted(files, form.name, measured, chosen.simulated, choice.fill, shares, tuple(notes))
+    return Converted(files, form.name, measured, chosen.simulated, choice.fill, shares, tuple(notes), widest)
 
 
 def refuse_itself(source: Path | None, path: Path, form: Format) -> None:
@@ -334,7 +352,7 @@ def _of_side(content: BsdfFile, path: Path, form: Format, side: Side | None, not
     return content
 
 
-def _of_light(content: BsdfFile, path: Path, form: Format, light: Light | None) -> BsdfFile:
+def _of_light(content: BsdfFile, path: Path, form: Format, light: Light | None, notes: list[str]) -> BsdfFile:
     lights = {Holds.TRANSMITTED if each else Holds.REFLECTED for each in _both(content, "transmitted")}
     if light is not None:
         chosen = _parts(content, "transmitted", light == "transmitted")
@@ -343,9 +361,12 @@ def _of_light(content: BsdfFile, path: Path, form: Format, light: Light | None) 
         return chosen
     if len(lights) > 1 and Holds.LIGHTS not in form.holds:
         if len(lights & form.holds) > 1:
-            wrong = "there is reflected and transmitted light, of which a " + f"{form.name} file holds one"
+            wrong = f"there is reflected and transmitted light, and the format {form.name} holds one of them"
             raise UserError(f"{path}: {wrong}; choose it with --light reflected or --light transmitted")
-        return _parts(content, "transmitted", Holds.TRANSMITTED in form.holds)
+        transmitted = Holds.TRANSMITTED in form.holds
+        other = Holds.REFLECTED if transmitted else Holds.TRANSMITTED
+        notes.append(f"the {other} is omitted: the format {form.name} has no room for it")
+        return _parts(content, "transmitted", transmitted)
     return content
 
 
@@ -365,7 +386,9 @@ def _check_wavelength(path: Path, there: Floats, wavelength_nm: float) -> None:
         raise UserError(f"{path}: there is no wavelength {wavelength_nm:g} nm: {has}")
 
 
-def _of_wavelength(content: BsdfFile, path: Path, form: Format, wavelength_nm: float | None) -> BsdfFile:
+def _of_wavelength(
+    content: BsdfFile, path: Path, form: Format, wavelength_nm: float | None, notes: list[str]
+) -> BsdfFile:  # fmt: skip
     there = wavelengths_nm(content)
     if wavelength_nm is None:
         if there.size > 1 and Holds.WAVELENGTHS not in form.holds:
@@ -381,12 +404,20 @@ def _of_wavelength(content: BsdfFile, path: Path, form: Format, wavelength_nm: f
         if isinstance(part, ScatteredBsdf):
             chosen = part.where(np.abs(part.wavelength_nm - wavelength_nm) <= EQUAL)
             kept += [chosen] if chosen.size else []
+            if chosen.size < part.size and not np.isfinite(part.wavelength_nm).all():
+                notes.append("the values without a wavelength are omitted")
+            continue
+        if isinstance(part, RegularTable) and not part.wavelengths_nm and not part.colours:
+            kept.append(part)  # of every wavelength
             continue
         at = np.flatnonzero(np.abs(np.array(part.wavelengths_nm or ()) - wavelength_nm) <= EQUAL)
         if at.size:
             arrays = {each: getattr(part, each, None) for each in ("values", "u", "known")}
             taken = {each: array[at] for each, array in arrays.items() if array is not None}
             kept.append(replace(part, wavelengths_nm=(np.array(part.wavelengths_nm)[at[0]].item(),), **taken))
+        else:
+            what = "regular part" if isinstance(part, RegularTable) else "table"
+            notes.append(f"a {what} is omitted: it has no values at {wavelength_nm:g} nm")
     return replace(content, parts=tuple(kept))
 
 

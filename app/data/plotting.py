@@ -26,8 +26,6 @@ from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.twin.optics.geometry.coordinates import (
     HALF_TURN_DEG,
     SPECULAR_AZIMUTH_DEG,
-    TURN_DEG,
-    fold_azimuth,
     round_deg,
     signed_polar,
 )
@@ -100,7 +98,12 @@ def plot(
     if not chosen.good.any():
         raise UserError(f"{dataset.name}: there is no trusted value to draw")
     if psi_deg is None:
-        chosen = chosen.where(chosen.psi_deg == chosen.psi_deg[chosen.good].min())
+        psi = chosen.psi_deg
+        first = psi == psi[chosen.good & (chosen.sigma_deg > 0.0)].min(initial=psi[chosen.good].max())
+        # At normal incidence the light has no azimuth: one psi is enough there, whichever it is.
+        others = (chosen.sigma_deg == 0.0) & ~np.isin(chosen.sigma_deg, chosen.sigma_deg[first])
+        others &= psi == psi[others].min(initial=np.inf)
+        chosen = chosen.where(first | others)
     if kind == "spectrum":
         return _spectrum(chosen, log)
     chosen = _one_channel(chosen)
@@ -297,7 +300,7 @@ def new_figure(width: float, height: float) -> "Figure":
 
 def finish(figure: "Figure", dataset: Dataset, about: str = "") -> "Figure":
     """The figure with its title, and the mark of simulated values."""
-    psi = np.unique(dataset.psi_deg)
+    psi = np.unique(dataset.psi_deg[dataset.sigma_deg > 0.0])
     more = [_channel_words(dataset), f"psi {psi[0]:g} deg" if psi.size == 1 and psi[0] else "", about]
     after = "".join(f"; {each}" for each in more if each)
     sample = f", {dataset.sample}" if dataset.sample and dataset.sample != dataset.name else ""
@@ -437,6 +440,10 @@ def _colour_bar(figure: "Figure", panels: Sequence["Axes"], norm: "Normalize", c
     figure.colorbar(bar, ax=list(panels), label=label, extend=extend, shrink=0.8, aspect=30, panchor=False)
 
 
+ON_AXIS = 1e-6
+"""Sine of the azimuth of a direction in the plane of incidence, at most."""
+
+
 @dataclass(frozen=True)
 class Directions:
     """Directions (n,) of one light for a map: polar angle, azimuth from the light's; whether the other half is its image."""
@@ -449,8 +456,8 @@ class Directions:
     @classmethod
     def of(cls, sigma: float, polar_deg: Floats, around_deg: Floats, isotropic: bool) -> "Directions":
         """Of an isotropic sample the half that was not measured is drawn as the image of the other."""
-        wrapped = np.mod(around_deg, TURN_DEG)
-        return cls(sigma, polar_deg, around_deg, isotropic and bool((np.abs(fold_azimuth(wrapped) - wrapped) < 1e-6).all()))
+        side = np.sin(np.radians(around_deg))
+        return cls(sigma, polar_deg, around_deg, isotropic and bool((side > -ON_AXIS).all() or (side < ON_AXIS).all()))
 
 
 def _draw_map(
@@ -659,7 +666,8 @@ def plot_comparison(found: "DatasetComparison", *, log: bool | None = None) -> "
         _colour_bar(figure, grid[1].tolist(), shades, "RdBu_r", label, "both")
     handles, labels = grid[0, 0].get_legend_handles_labels()
     total = f"{found.relative_rms_percent:.3g} %" if any(each.count for each in found.lights) else "no direction"
-    names = f"bands: k = 2; formula 5: {total} ({found.range})"
+    known = any(np.isfinite(u).any() for each in found.lights for u in (each.u_first, each.u_second))
+    names = f"{'bands: k = 2' if known else 'no uncertainties'}; formula 5: {total} ({found.range})"
     width = round(LETTERS_AN_INCH * figure.get_figwidth() - (24 if found.simulated else 9))
     short = [shortened(each, width) for each in labels]
     beside_each_other = sum(map(len, short)) + 12 < width

@@ -20,6 +20,10 @@ COVERED = "not in the data: "
 REPEATED = re.compile(r"(psi|sigma|theta) (\S+) repeated to (0|90|180|360)")
 FINE_THETA_DEG, FINE_PHI_DEG = 0.25, 1.0
 """Widest steps of an integral over the hemisphere."""
+INTERPOLATED = re.compile(r"(psi|phi) interpolated at 0 and 360")
+WIDEST = 1.5
+WIDEST_DEG = 90.0
+"""A list goes round if the step from its last angle to the first is at most so many times its widest step, and so wide."""
 _Table = TypeVar("_Table", BsdfTable, RegularTable)
 _AXES = {"psi_deg": 1, "sigma_deg": 2, "phi_deg": 3, "theta_deg": 4}
 
@@ -28,10 +32,15 @@ def covered(table: BsdfTable, *, whole_turn: bool = False, lists: Collection[str
     """The table with values repeated, as comments then state: of psi 0 at 360, where the list goes round; the first and the
     last of sigma and theta to 0 and 90, and to 0 and 180.
 
-    phi is as in `closed`. A table that covers these ranges is returned as it is; only `lists` are looked at.
+    A list that goes round without 0 gets it, interpolated; else phi is as in `closed`.
+    A table that covers these ranges is returned as it is; only `lists` are looked at.
     """
     table = closed(table, whole_turn=whole_turn)
     added = []
+    for word in ("psi", "phi"):
+        if (word == "phi" or word in lists) and _goes_round(angles := getattr(table, f"{word}_deg")):
+            table = _with_ends(table, f"{word}_deg", angles)
+            added.append(f"{word} interpolated at 0 and 360")
     if "psi" in lists and table.psi_deg[0] == 0.0 and 180.0 < table.psi_deg[-1] < 360.0:
         table = _inserted(table, "psi_deg", table.psi_deg.size, 360.0, 0)
         added.append("psi 0 repeated to 360")
@@ -62,9 +71,13 @@ def uncovered(table: _Table) -> _Table:
     comments = []
     for line in table.comments:
         steps = line.removeprefix(COVERED).split(", ") if line.startswith(COVERED) else []
-        if not steps or not all(map(REPEATED.fullmatch, steps)):
+        if not steps or not all(REPEATED.fullmatch(each) or INTERPOLATED.fullmatch(each) for each in steps):
             comments.append(line)
             continue
+        for word in INTERPOLATED.findall(line):
+            inner = getattr(table, f"{word}_deg", np.zeros(0))[1:-1]
+            if _goes_round(inner):
+                table = _taken(table, f"{word}_deg", inner, np.arange(1, inner.size + 1))
         for word, angle, end in REPEATED.findall(line):
             angles: Floats | None = getattr(table, f"{word}_deg", None)
             last = end != "0"
@@ -87,6 +100,31 @@ def closed(table: BsdfTable, *, whole_turn: bool = False) -> BsdfTable:
     if not mirrored and table.phi_deg[0] == 0.0 and table.phi_deg[-1] < 360.0:
         table = _inserted(table, "phi_deg", table.phi_deg.size, 360.0, 0)
     return table
+
+
+def _goes_round(angles_deg: Floats) -> bool:
+    """Whether a list without 0 and 360 goes round the whole turn."""
+    if angles_deg.size < 3 or angles_deg[0] <= 0.0 or angles_deg[-1] >= 360.0:
+        return False
+    return bool(360.0 - angles_deg[-1] + angles_deg[0] <= min(WIDEST * np.diff(angles_deg).max(), WIDEST_DEG))
+
+
+def _with_ends(table: BsdfTable, name: str, angles_deg: Floats) -> BsdfTable:
+    """The table with the values between the last and the first angle of a list at 0 and at 360."""
+    axis = _AXES[name]
+    share = angles_deg[0] / (360.0 - angles_deg[-1] + angles_deg[0])  # of the last angle's
+    extended = _taken(
+        table, name, np.concatenate([[0.0], angles_deg, [360.0]]), np.pad(np.arange(angles_deg.size), 1, mode="wrap")
+    )
+    for each in ("values", "u", "known"):
+        array = getattr(extended, each)
+        if array is None:
+            continue
+        along = np.moveaxis(array.copy(), axis, 0)
+        last, first = along[0].copy(), along[-1].copy()
+        along[0] = along[-1] = last & first if each == "known" else share * last + (1.0 - share) * first
+        extended = replace(extended, **{each: np.moveaxis(along, 0, axis)})
+    return extended
 
 
 def held(values: Floats) -> tuple[Floats, Flags]:

@@ -28,6 +28,7 @@ from goniotwin.twin.optics import arc_direction, from_specular, to_specular
 from goniotwin.twin.optics.bsdf.point_samples import plane_through_points, theta_list
 from goniotwin.twin.optics.geometry.coordinates import (
     HALF_TURN_DEG,
+    TOLERANCE_DEG,
     TURN_DEG,
     fold_azimuth,
     mirror_in_plane_of_incidence,
@@ -219,9 +220,9 @@ class _Cuts:
         if widest_gap_deg is not None or rings >= max(LEAST_FILLED, about_specular):
             self._cut: Callable[[_Values, float], SpecularCut] = self._of_rings
             polar = np.diff(np.unique(round_deg(points.polar_deg)))
-            azimuth = np.diff(np.unique(round_deg(fold_azimuth(points.azimuth_deg))))
-            usual = [float(np.quantile(steps, 0.95)) for steps in (polar, azimuth) if steps.size]
-            self._gap = max(NEAR_DEG, *usual, 0.0) if widest_gap_deg is None else widest_gap_deg
+            angles = round_deg(points.polar_deg), round_deg(fold_azimuth(points.azimuth_deg))
+            usual = [self._usual_step(each) for each in angles]
+            self._gap = max(NEAR_DEG, *usual) + TOLERANCE_DEG if widest_gap_deg is None else widest_gap_deg
             step = max(FINEST_DEG, float(polar.min())) if polar.size else PHI_STEP_DEG
             self.theta = np.linspace(0.0, HALF_TURN_DEG, 1 + math.ceil(HALF_TURN_DEG / step - 1e-6))
         elif about_specular >= LEAST_FILLED:
@@ -237,14 +238,23 @@ class _Cuts:
 
     def _filled(self, row_deg: Floats, column_deg: Floats) -> float:
         """The least share of the nodes (row, column) that have a value, of the sets of channel, psi and sigma."""
-        points = self._points
-        _, which = np.unique(np.stack([points.channel, points.psi, points.sigma]), axis=1, return_inverse=True)
-        order = np.argsort(which.ravel(), kind="stable")
         shares = []
-        for here in np.split(order, np.flatnonzero(np.diff(which.ravel()[order])) + 1):
+        for here in self._sets():
             nodes, filled = count_nodes(row_deg[here], column_deg[here])
             shares.append(filled / nodes if nodes else 1.0)
         return min(shares)
+
+    def _usual_step(self, angle_deg: Floats) -> float:
+        """The widest usual step between neighbouring angles of a set; at each psi they are at azimuths of their own."""
+        steps = [np.diff(np.unique(angle_deg[here])) for here in self._sets()]
+        return max((float(np.quantile(each, 0.95)) for each in steps if each.size), default=0.0)
+
+    def _sets(self) -> list[Ints]:
+        """The indices of the values of each channel, psi and sigma."""
+        points = self._points
+        _, which = np.unique(np.stack([points.channel, points.psi, points.sigma]), axis=1, return_inverse=True)
+        order = np.argsort(which.ravel(), kind="stable")
+        return np.split(order, np.flatnonzero(np.diff(which.ravel()[order])) + 1)
 
     def _about_specular(self, points: _Values) -> tuple[Floats, Floats]:
         """theta and phi, rounded so that equal ones are equal numbers."""
@@ -274,6 +284,13 @@ class _Cuts:
         if not self._mirrored and grid.azimuth_deg[0] == 0.0:  # round the whole turn
             values, u, shared = (np.concatenate([each, each[:, :1]], axis=1) for each in (grid.values, grid.u, grid.shared))
             grid = PolarGrid(grid.polar_deg, np.append(grid.azimuth_deg, TURN_DEG), values, u, shared, mirrored=False)
+        elif not self._mirrored:  # between the last half plane and the first
+            values, u, shared = (
+                np.concatenate([each[:, -2:], each, each[:, :2]], axis=1) for each in (grid.values, grid.u, grid.shared)
+            )
+            turn = grid.azimuth_deg
+            azimuth = np.concatenate([turn[-2:] - TURN_DEG, turn, turn[:2] + TURN_DEG])
+            grid = PolarGrid(grid.polar_deg, azimuth, values, u, shared, mirrored=False)
         return resample(grid, sigma_deg, self.phi, self.theta, widest_gap_deg=self._gap)
 
     def _of_nodes(self, here: _Values, _sigma_deg: float) -> SpecularCut:

@@ -105,14 +105,15 @@ def test_light_and_side_are_chosen_where_a_format_holds_one(tmp_path: Path) -> N
     sides = [nodes(table(back=back, transmitted=through)) for back in (False, True) for through in (False, True)]
     mixed = [replace(each, values=np.full(each.size, 1.0 + k)) for k, each in enumerate(sides)]
     content = BsdfFile(tuple(mixed))
-    with pytest.raises(UserError, match=r"there is reflected and transmitted light, .* zemax file .*; choose it with --light"):
+    with pytest.raises(UserError, match=r"there is reflected and transmitted light, .* zemax .*; choose it with --light"):
         convert(content, tmp_path / "a.bsdf")
     for light, side, value in (("transmitted", "front", 2.0), ("reflected", "back", 3.0), ("transmitted", "back", 4.0)):
         convert(content, tmp_path / "a.bsdf", light=light, side=side)
         found = registry.read(tmp_path / "a.bsdf").only_table()
         assert (found.transmitted, found.values.max()) == (light == "transmitted", pytest.approx(value))
     done = convert(content, tmp_path / "a.ddt")  # which holds transmitted light, of one side
-    assert done.notes == ("the values of the back are omitted; --side back writes them",)
+    light = "the reflected light is omitted: the format ddt has no room for it"
+    assert done.notes == ("the values of the back are omitted; --side back writes them", light)
     assert registry.read(tmp_path / "a.ddt").only_table().values.max() == pytest.approx(2.0)
     front = BsdfFile((mixed[0],))
     for choice, wrong in (({"light": "transmitted"}, "no transmitted light"), ({"side": "back"}, "with light on the back")):
@@ -314,3 +315,26 @@ def test_no_comment_repeats_what_the_metadata_state(journal: Path, tmp_path: Pat
     for stated in ("the light at the sample", "no checksums", "virtual goniophotometer"):
         assert sum(text.startswith(stated) for text in texts) <= 1
     assert (tmp_path / "a.ddr").read_text().count(";; sample: gaussian-5") == 1
+
+
+def test_a_grey_regular_part_is_of_every_wavelength_and_what_has_none_is_named(tmp_path: Path) -> None:
+    grey = RegularTable(np.array([0.0, 60.0]), np.full((1, 1, 2), 0.04), sample="paint")
+    convert(BsdfFile((table(), grey)), tmp_path / "a.ssdd", wavelength_nm=550.0)
+    assert registry.read(tmp_path / "a.ssdd").regular[0].values.tolist() == [[[0.04, 0.04]]]
+    other = replace(grey, wavelengths_nm=(600.0,))
+    done = convert(BsdfFile((table(), other)), tmp_path / "b.ssdd", wavelength_nm=550.0)
+    assert "a regular part is omitted: it has no values at 550 nm" in done.notes
+
+
+def test_light_that_is_omitted_is_named(tmp_path: Path) -> None:
+    done = convert(BsdfFile((table(), table(transmitted=True))), tmp_path / "a.ddr")
+    assert done.notes == ("the transmitted light is omitted: the format ddr has no room for it",)
+    assert done.notes[0] in registry.read(tmp_path / "a.ddr").only_table().comments
+
+
+def test_the_rule_of_the_widest_gap_is_in_the_line_of_what_was_not_measured(tmp_path: Path) -> None:
+    points = replace(nodes(table()), widest_gap_deg=3.0)
+    line = convert(BsdfFile((points,)), tmp_path / "a.ddr").unmeasured_line
+    assert line is not None
+    assert "between measured directions more than 3 deg apart nothing counts as measured" in line
+    assert ".csv" in line

@@ -14,7 +14,7 @@ import goniotwin
 from goniotwin.app.data.comparison import compare
 from goniotwin.app.data.dataset import Dataset
 from goniotwin.app.data.opening import dataset_of_file
-from goniotwin.app.data.plotting import KINDS, SIMULATED, curve, plot, plot_comparison, save_figure, scale_of
+from goniotwin.app.data.plotting import KINDS, SIMULATED, Directions, curve, plot, plot_comparison, save_figure, scale_of
 from goniotwin.app.formats.content import BsdfFile, ScatteredBsdf
 from tests.app.data.made import gaussian, lambertian, rings
 
@@ -196,3 +196,20 @@ def test_a_comparison_without_uncertainties_has_the_relative_deviation() -> None
     below = figure.axes[1]
     assert below.get_title(loc="left") == "first less second over their mean, %"
     np.testing.assert_allclose(np.concatenate([line.get_ydata() for line in below.lines[1:]]), -100.0 * 0.03 / 0.615)
+
+
+def test_either_half_of_an_isotropic_sample_is_drawn_with_its_image() -> None:
+    polar = np.full(7, 30.0)
+    for start in (0.0, 180.0, -180.0):
+        around = start + np.arange(0.0, 181.0, 30.0)
+        assert Directions.of(30.0, polar, around, isotropic=True).mirrored
+        assert not Directions.of(30.0, polar, around, isotropic=False).mirrored
+        assert not Directions.of(30.0, polar, around + 40.0, isotropic=True).mirrored
+
+
+def test_normal_incidence_is_drawn_whatever_its_azimuth() -> None:
+    polar, around = np.arange(0.0, 90.0, 10.0), np.arange(0.0, 360.0, 30.0)
+    oblique, normal = (rings(lambertian(0.5), sigma, polar, around, isotropic=False) for sigma in (20.0, 0.0))
+    turned = replace(normal, psi_deg=normal.psi_deg + 180.0)
+    figure = plot(dataset_of_file(BsdfFile((oblique, turned)), "made"), "hemisphere")
+    assert sum("sigma" in axes.get_title() for axes in figure.axes) == 2

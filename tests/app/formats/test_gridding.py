@@ -156,3 +156,13 @@ def test_values_without_an_uncertainty_make_a_table_without_one() -> None:
     some = grid_table(replace(values, u=np.where(values.polar_deg > 30.0, np.nan, 0.01))).u
     assert some is not None
     assert some.max() > 0.1
+
+
+def test_steps_are_those_of_each_azimuth_of_the_light() -> None:
+    """A grid in the sample's frame: the azimuths from the light's of all psi together are denser than any psi has them."""
+    polar, azimuth = np.arange(0.0, 81.0, 10.0)[:, None], np.arange(0.0, 360.0, 30.0)
+    grid = joined(*(at(np.array([30.0]), polar, azimuth - psi, psi, isotropic=False) for psi in np.arange(0.0, 360.0, 45.0)))
+    table = grid_table(grid)
+    assert table.known is not None
+    above = np.degrees(np.arccos(from_specular(30.0, table.theta_deg, table.phi_deg[:, None])[..., 2])) < 79.0
+    assert table.known[0, :, table.sigma_deg.tolist().index(30.0)][:, above].all()

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from goniotwin.app.formats import BsdfTable, FormatError, PointStream, registry
 from goniotwin.app.formats.content import BsdfFile
+from goniotwin.app.formats.coverage import covered
 from goniotwin.app.formats.registry import BUILT_IN, KINDS, Format, Holds
 from tests.conftest import REPOSITORY
 
@@ -396,3 +397,23 @@ def test_a_codec_that_fails_is_named_and_no_file_is_blamed(tmp_path: Path, monke
             FormatError, match=r"b\..*faulty: the codec of the format faulty failed \(KeyError: 'abc'\); correct"
         ):
             registry.write(tmp_path / "b.faulty", written, faulty)
+
+
+@pytest.mark.parametrize("suffix", [".ddr", ".ssdd", ".bsdf"])
+def test_a_list_of_azimuths_that_goes_round_without_0_is_closed_and_read_as_it_was(suffix: str, tmp_path: Path) -> None:
+    """Other programs extrapolate linearly beyond a list: a light at psi 0 is between 345 and 15."""
+    psi, phi, theta = np.arange(15.0, 360.0, 30.0), np.arange(10.0, 360.0, 20.0), np.arange(0.0, 181.0, 30.0)
+    values = 1.0 + np.broadcast_to(psi[:, None, None, None] + phi[:, None] / 7.0, (1, psi.size, 2, phi.size, theta.size))
+    table = BsdfTable(np.array([0.0, 90.0]), phi, theta, values, psi_deg=psi)
+    path = tmp_path / f"a{suffix}"
+    form = registry.format_for(path, {Holds.GRID})
+    registry.write(path, BsdfFile((table,)), form)
+    again = registry.read(path).only_table()
+    assert again.psi_deg.tolist() == psi.tolist()
+    assert again.phi_deg.tolist() == phi.tolist()
+    np.testing.assert_allclose(again.values, table.values, rtol=1e-8)
+    closed = covered(table)
+    assert closed.psi_deg[[0, -1]].tolist() == closed.phi_deg[[0, -1]].tolist() == [0.0, 360.0]
+    np.testing.assert_allclose(closed.values[0, 0, 0, 1, 0], 1.0 + 180.0 + 10.0 / 7.0)
+    np.testing.assert_array_equal(closed.values[:, 0], closed.values[:, -1])
+    assert "psi interpolated at 0 and 360" in path.read_text()
