@@ -58,7 +58,7 @@ class LightControls(QGroupBox):
         self.readings.setToolTip("Conversions that one reading is the mean of")
         self.read = _button("Read", "Read all photodiodes once")
         self.dark = _button("Dark reading", "Take a dark reading now")
-        self.live = QCheckBox("Li&ve")
+        self.live = QCheckBox("L&ive")
         self.live.setAccessibleName("Live readings")
         self._lay_out()
         self.set_wavelength_button.clicked.connect(self._set_wavelength)

@@ -23,7 +23,7 @@ from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.running.events import SafetyOrder
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.desktop import MainWindow, Theme, view
-from goniotwin.app.desktop.events.panels import LogEntry
+from goniotwin.app.desktop.events.panels import NOTICES, LogEntry
 from goniotwin.app.desktop.events.screen import EventsScreen
 from goniotwin.app.desktop.menu import about_text
 from goniotwin.app.desktop.remembered import MOST_RECENT, Remembered
@@ -107,8 +107,9 @@ def test_a_control_shows_its_mnemonic_and_no_other_of_its_screen_has_it(qtbot: Q
         texts = [action.text() for action in frame.menuBar().actions()]
         texts += [each.text() for each in controls(frame) if isinstance(each, QAbstractButton)]
         texts += [each.text() for each in frame.findChildren(QLabel) if each.isVisible() and each.buddy() is not None]
-        for resumes in ("&Pause", "Res&ume"):
-            letters = [found[1].lower() for each in [*texts, resumes] if (found := re.search("&(.)", each))]
+        # No run is paused while a notice tells that the station is gone.
+        for more in (["Res&ume"], *(["&Pause", notice] for notice in NOTICES.values())):
+            letters = [found[1].lower() for each in [*texts, *more] if (found := re.search("&(.)", each))]
             letters.remove("p")
             assert len(letters) == len(set(letters)), (screen.title, letters)
             assert {"f", "r", "v", "h", "s", "a"} <= set(letters)
