@@ -91,6 +91,7 @@ class Presenter(QObject):
         self._no_plan = ""
         self._opening = True
         self._starting = False
+        self._lost = False
         self._progress = (0, 0)
         self._live_plot = LivePlot(view.plot, self)
         self._live_plot.failed.connect(view.set_plot_error)
@@ -119,7 +120,10 @@ class Presenter(QObject):
     @property
     def permissions(self) -> Permissions:
         """Which controls are enabled now."""
-        return permissions(self.station, self.plan, self._no_plan, self.state, opening=self._opening, operates=self.operates)
+        return permissions(
+            self.station, self.plan, self._no_plan, self.state,
+            opening=self._opening, operates=self.operates, lost=self._lost,
+        )  # fmt: skip
 
     @property
     def title(self) -> str:
@@ -231,7 +235,7 @@ class Presenter(QObject):
         self._view.notice.clear()
         match message:
             case Attached(name, snapshot, found, dropped):
-                self.station, self.name = snapshot, name
+                self.station, self.name, self._lost = snapshot, name, False
                 self._view.run.show_speed(snapshot.speed)
                 if dropped:
                     self._log("This window was detached from the station", "", dropped, serious=True)
@@ -267,6 +271,7 @@ class Presenter(QObject):
     def _show_lost(self, last: Snapshot) -> None:
         """Show that the station has died, what that means for the instrument, and how to go on."""
         running = last.busy
+        self._lost = True
         self.station = Snapshot(orders=last.orders, speed=last.speed, activity="", closed="the station has ended")
         self._starting = False
         self._show_closed("")
@@ -278,19 +283,19 @@ class Presenter(QObject):
                 "the shutter may be open."
             )
             self.journal = last.journal
-            self._view.notice.show_notice(text, "&Resume", "resume")
+            self._view.notice.show_notice(text, "resume")
             self._live_plot.finish()
             self.run_ended.emit()
         else:
             text = "The station has ended. The axes stop by the controller's heartbeat; the shutter may be open."
-            self._view.notice.show_notice(text, "&Connect again", "connect")
+            self._view.notice.show_notice(text, "connect")
         self._view.show_status(text, error=True)
         self._log(text, self.rig_path.name, "no rig is open", serious=True)
 
     def _show_operator(self) -> None:
         if not self.operates:
             text = f"{self.station.operator} operates this rig; this window watches. Stop works from here too."
-            self._view.notice.show_notice(text, "&Operate from here", "operate")
+            self._view.notice.show_notice(text, "operate")
         elif self._view.notice.action == "operate":
             self._view.notice.clear()
 
