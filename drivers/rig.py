@@ -73,6 +73,13 @@ class Rig:
         self.identities = {}
         return {device.name: self._open(device, device.connect) for device in self.devices}
 
+    def connect_device(self, name: str) -> DeviceError | None:
+        """Connect one device anew; nothing moves. Returns the error, or None. Raises KeyError for an unknown name."""
+        device = self.device(name)
+        if device in self.controllers:
+            self._paths.clear()
+        return self._open(device, device.connect)
+
     def close(self) -> None:
         """Close every device, with the settings that it was found with. Nothing moves."""
         for device in self.devices:

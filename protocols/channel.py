@@ -34,8 +34,11 @@ class Channel:
     """One end of a connection."""
 
     def __init__(self, connection: socket.socket) -> None:
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)  # a line is sent at once
         self._connection = connection
         self._received = b""
+        self.hello: Message = {}
+        """The first line of a client, on its server's side."""
         self._clock = RealClock()
 
     def send(self, message: Message) -> None:
@@ -66,6 +69,15 @@ class Channel:
         """Close the connection."""
         self._connection.close()
 
+    def hang_up(self) -> None:
+        """End the connection, for a thread that waits in `receive` or `send` too. From any thread."""
+        with contextlib.suppress(OSError):
+            self._connection.shutdown(socket.SHUT_RDWR)
+
+    def wait_without_limit(self) -> None:
+        """From now on `send` and `receive` wait as long as it takes."""
+        self._connection.settimeout(None)
+
 
 def parse_object(line: bytes) -> Message | None:
     """The JSON object in a line of any content; None if it is none."""
@@ -84,27 +96,29 @@ class ChannelServer(LoopbackServer):
             def handle(self) -> None:
                 with contextlib.suppress(OSError):
                     channel = Channel(self.request)
-                    if _is_hello(channel.receive(HELLO_S), token):
-                        self.request.settimeout(None)
+                    hello = channel.receive(HELLO_S)
+                    if hello is not None and _is_hello(hello, token):
+                        channel.hello = hello
+                        channel.wait_without_limit()
                         serve(channel)
 
         super().__init__(name, Handler, port)
         self.token = token
 
 
-def connect(port: int, token: str, timeout_s: float) -> Channel:
-    """A client's end, its hello sent. Its waits last at most `timeout_s`. Raises OSError."""
+def connect(port: int, token: str, timeout_s: float, **about: object) -> Channel:
+    """A client's end, its hello sent, with what else it states. Its waits last at most `timeout_s`. Raises OSError."""
     channel = Channel(socket.create_connection((LOOPBACK, port), timeout=timeout_s))
     try:
-        channel.send({"protocol": PROTOCOL, "token": token})
+        channel.send({"protocol": PROTOCOL, "token": token, **about})
     except OSError:
         channel.close()
         raise
     return channel
 
 
-def _is_hello(message: Message | None, token: str) -> bool:
-    if message is None or message.get("protocol") != PROTOCOL:
+def _is_hello(message: Message, token: str) -> bool:
+    if message.get("protocol") != PROTOCOL:
         return False
     given = message.get("token")
     return isinstance(given, str) and hmac.compare_digest(given.encode(errors="replace"), token.encode())

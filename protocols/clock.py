@@ -83,6 +83,11 @@ class VirtualClock:
         """The time, s."""
         return self._now
 
+    @property
+    def elsewhere(self) -> bool:
+        """Whether the clock belongs to another thread than this one."""
+        return self._owner not in (None, threading.get_ident())
+
     def sleep_until(self, t: float) -> None:
         """Jump to `t`, and do on the way what is due by then, in the order of the times."""
         me = threading.get_ident()
@@ -168,6 +173,13 @@ class ScaledClock:
             wall = self._wall.now()
             self._then += (wall - self._since) * self._speed
             self._since, self._speed = wall, speed
+
+    def advance_to(self, t: float) -> None:
+        """Jump to `t`, unless it is past: a virtual rig goes on at the time of its journal."""
+        with self._lock:
+            wall = self._wall.now()
+            self._then = max(self._then + (wall - self._since) * self._speed, t)
+            self._since = wall
 
     def now(self) -> float:
         """The time, s."""

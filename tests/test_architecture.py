@@ -9,7 +9,7 @@ from tests.conftest import REPOSITORY
 
 DOCUMENT = REPOSITORY / "docs" / "architecture.md"
 ROOMS = (
-    "app.cli", "app.desktop", "app.data", "app.campaign", "app.simulation", "app.rig", "app.formats",
+    "app.cli", "app.desktop", "app.data", "app.station", "app.campaign", "app.simulation", "app.rig", "app.formats",
     "mocks", "twin.doors", "twin.devices", "twin.plant", "twin.optics", "drivers", "protocols",
 )  # fmt: skip
 CAMPAIGN = (

@@ -10,7 +10,8 @@ from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.running.engine import Engine
 from goniotwin.app.campaign.running.events import Listener, State
-from goniotwin.app.campaign.running.operator import Ask, HumanOperator, Operator, ServedOperator, VirtualOperator
+from goniotwin.app.campaign.running.operator import HumanOperator, Operator, ServedOperator, VirtualOperator
+from goniotwin.app.campaign.running.question import Ask
 from goniotwin.app.campaign.running.resume import remaining_work
 from goniotwin.app.errors import UserError, one_line
 from goniotwin.app.rig import OpenRig, RigDescription, RigFile, open_rig

@@ -1,6 +1,6 @@
 """The desktop: a window on a rig and its campaign. The only package that imports Qt.
 
-`model` owns the rig and runs the engine, without Qt. `presenter` receives its messages through one signal and shows them in
+`model` is the client of the station that has the rig, without Qt. `presenter` receives its messages through one signal and shows them in
 the panels of `view`. `window` passes on what the operator does. Each screen has a folder (rig, setup, run, events) and a line
 in `SCREENS` of the view.
 """
@@ -8,6 +8,7 @@ in `SCREENS` of the view.
 import contextlib
 import sys
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QApplication
@@ -17,6 +18,9 @@ from goniotwin.app.desktop.remembered import Remembered
 from goniotwin.app.desktop.theme import Theme
 from goniotwin.app.desktop.window import MainWindow
 
+if TYPE_CHECKING:
+    from goniotwin.app.desktop.model.connection import Stations
+
 __all__ = ["MainWindow", "Theme", "run_desktop"]
 
 START_SPEED = 20.0
@@ -25,14 +29,22 @@ STOPPED = 130
 """Exit status after Ctrl-C: 128 + SIGINT, as of a shell."""
 
 
-def run_desktop(rig_path: Path, schedule_path: Path | None, out: Path | None = None, speed: float = START_SPEED) -> int:
+def run_desktop(
+    rig_path: Path,
+    schedule_path: Path | None,
+    out: Path | None = None,
+    speed: float = START_SPEED,
+    stations: "Stations | None" = None,
+) -> int:
     """Open the window with a rig and, if given, a schedule; return the exit status when it is closed.
 
     Journals are written to the folder `out`, by default that of the last start, or `goniotwin` in the user's home.
-    `speed` is the simulation speed of a virtual rig. Errors in the files are shown in the window.
+    `speed` is the simulation speed of a virtual rig; `stations` is how its station is found or started. Errors in the files
+    are shown in the window.
 
-    Ctrl-C in the terminal, SIGTERM and SIGHUP stop a run in order and close the window without a question. The exit status
-    is then 130, as for the other commands. The safety orders that are not acknowledged are the last lines on standard error.
+    Ctrl-C in the terminal, SIGTERM and SIGHUP close the window without a question; a run goes on in its station. The exit
+    status is then 130, as for the other commands. The safety orders that are not acknowledged are the last lines on standard
+    error.
     """
     application = QApplication.instance()
     if not isinstance(application, QApplication):
@@ -42,8 +54,8 @@ def run_desktop(rig_path: Path, schedule_path: Path | None, out: Path | None = N
     folder = out or remembered.folder or Path.home() / "goniotwin"
     with end_signal_notifier() as (notifier, handlers):
         theme = Theme(application, remembered.scheme)
-        window = MainWindow(theme, rig_path, schedule_path, folder, speed, remembered)
-        notifier.received.connect(window.stop_and_close, Qt.ConnectionType.QueuedConnection)
+        window = MainWindow(theme, rig_path, schedule_path, folder, speed, remembered, stations)
+        notifier.received.connect(window.close_unattended, Qt.ConnectionType.QueuedConnection)
         try:
             window.show()
             status = application.exec()

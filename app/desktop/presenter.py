@@ -1,5 +1,6 @@
-"""The presenter: receives the messages of the rig's thread, keeps the state of rig, plan and run, and shows it in the view."""
+"""The presenter: receives the messages of the connection, keeps the state of rig, plan and run, and shows it in the view."""
 
+from dataclasses import replace
 from pathlib import Path
 
 from PySide6.QtCore import QObject, Qt, Signal, Slot
@@ -16,22 +17,41 @@ from goniotwin.app.campaign.running.events import (
 )
 from goniotwin.app.desktop.events.panels import LogEntry
 from goniotwin.app.desktop.model.messages import (
-    DeviceFault,
-    DeviceStatus,
+    Attached,
+    CommandRefused,
     Message,
+    NotAttached,
     PlanMade,
     PlanRefused,
-    QuestionAsked,
-    RigClosed,
-    RigOpened,
-    RunEnded,
-    RunRefused,
     RunStarted,
+    StationLost,
+    StopReport,
+    ValuesMissing,
 )
 from goniotwin.app.desktop.model.permissions import BUSY, Permissions, permissions
+from goniotwin.app.desktop.rig.panels import DEVICES
 from goniotwin.app.desktop.run.live_plot import LivePlot
 from goniotwin.app.desktop.view import MainView
+from goniotwin.app.station.messages import (
+    ActivityChanged,
+    DeviceChanged,
+    OperatorChanged,
+    OrderAcknowledged,
+    QuestionAsked,
+    QuestionClosed,
+    RigClosed,
+    RigOpened,
+    RowSaved,
+    RunBegun,
+    RunEnded,
+    RunRefused,
+    Snapshot,
+    SpeedChanged,
+    advance,
+)
+from goniotwin.app.station.messages import Message as StationMessage
 
+MAIN_SWITCH = "Stop did not get through: use the main switch"
 STATUS = {
     State.RUNNING: "Running.",
     State.PAUSING: "Pausing after this row.",
@@ -48,7 +68,7 @@ class Presenter(QObject):
     """The state of rig, plan and run, as the messages so far give it.
 
     `message_received` is the only signal that crosses threads, and `_handle` its only slot: a function that is not a `@Slot`
-    would be called in the rig's thread, and crash. Other listeners connect to `message_shown`, which is emitted afterwards in
+    would be called in the connection's thread, and crash. Other listeners connect to `message_shown`, which is emitted afterwards in
     the window's thread.
     """
 
@@ -56,22 +76,40 @@ class Presenter(QObject):
     message_shown = Signal(object)
     changed = Signal()
     question_asked = Signal(object)
+    question_closed = Signal()
     run_ended = Signal()
 
     def __init__(self, view: MainView, rig_path: Path, parent: QObject) -> None:
         super().__init__(parent)
-        self.state = State.IDLE
-        self.rig: RigOpened | None = None
+        self.station = Snapshot(activity="")
+        self.name = ""
+        """This window at the station."""
         self.rig_path = rig_path
         self.plan: Plan | None = None
         self.journal: Path | None = None
         self._view = view
         self._no_plan = ""
         self._opening = True
+        self._starting = False
         self._progress = (0, 0)
         self._live_plot = LivePlot(view.plot, self)
         self._live_plot.failed.connect(view.set_plot_error)
         self.message_received.connect(self._handle, Qt.ConnectionType.QueuedConnection)
+
+    @property
+    def state(self) -> State:
+        """The state of the run, as it is shown: running from the key that starts it."""
+        return State.RUNNING if self._starting else self.station.state
+
+    @property
+    def rig(self) -> RigOpened | None:
+        """The rig that is open."""
+        return self.station.rig
+
+    @property
+    def operates(self) -> bool:
+        """Whether this window may operate the rig."""
+        return self.station.operator in ("", self.name)
 
     @property
     def busy(self) -> bool:
@@ -81,14 +119,14 @@ class Presenter(QObject):
     @property
     def permissions(self) -> Permissions:
         """Which controls are enabled now."""
-        return permissions(self.rig, self.plan, self._no_plan, self.state, self._opening)
+        return permissions(self.station, self.plan, self._no_plan, self.state, opening=self._opening, operates=self.operates)
 
     @property
     def title(self) -> str:
         """The window's title: rig and progress, which are visible in a task bar too."""
         done, of = self._progress
         progress = f"{self.state} {100 * done // max(of, 1)} %" if self.busy else str(self.state)
-        name = self.rig.description.file.name if self.rig else "no rig"
+        name = self.rig.name if self.rig else "no rig"
         order = "SAFETY ORDER" if self._view.orders.orders else ""
         return " – ".join(part for part in (order, self._mark, name, progress, "goniotwin") if part)
 
@@ -100,7 +138,7 @@ class Presenter(QObject):
 
     def show_starting(self) -> None:
         """Show that a run is being started; at once, so that Start is disabled for a second click."""
-        self.state = State.RUNNING
+        self._starting = True
         self._view.set_plot_error("")
         self.changed.emit()
 
@@ -116,38 +154,49 @@ class Presenter(QObject):
 
     @property
     def _mark(self) -> str:
-        if self.rig is None or not self.rig.description.simulated:
-            return ""
-        return f"SIMULATED (seed {self.rig.description.seed})"
+        return f"SIMULATED (seed {self.rig.seed})" if self.rig is not None and self.rig.simulated else ""
 
     @Slot(object)
     def _handle(self, message: Message) -> None:
+        before = self.station
+        if isinstance(message, StationMessage):
+            self.station = advance(before, message)
         match message:
             case Positions(degrees):
                 self._view.axes.set_positions(degrees)
-            case RowStarted() | RowCommitted():
+            case RowStarted() | RowSaved():
                 self._show_row(message)
+            case RowCommitted():
+                self._live_plot.add_row(message)
             case StateChanged(state, _reason):
-                self._log_state(state)
-                self.state = state
+                self._log_state(before.state, state)
                 self._view.show_status(STATUS.get(state, self._view.status))
             case EventLogged(kind, what, where, consequence):
                 self._log(what, where, consequence, serious=kind in SERIOUS)
             case SafetyOrder(order, reason):
                 if message not in self._view.orders.orders:
-                    where = self.rig.description.file.name if self.rig is not None else ""
+                    where = self.rig.name if self.rig is not None else ""
                     self._view.orders.add(message)
                     self._log(f"Safety order: {order}: {reason}", where, "stays until it is acknowledged", serious=True)
-            case RunStarted(plan, journal):
+            case OrderAcknowledged(order):
+                if self._view.orders.remove(order):  # by another client
+                    self._log(f"Acknowledged: {order.order}")
+            case RunBegun(journal, name, done, total, seconds_left):
+                self._starting = False
                 self.journal = journal
-                self._live_plot.start(plan, self._mark)
-                self._show_progress(0, len(plan.rows), plan.seconds)
+                self._show_progress(done, total, seconds_left)
                 self._view.set_saved(f"Saved row by row in {journal}")
-                self._log("Run started", journal.name, f"{len(plan.rows)} rows")
+                self._log(
+                    f"Run of {name} started", journal.name, f"{total} rows" if not done else f"{done} of {total} rows done"
+                )
+            case RunStarted(plan):
+                self._live_plot.start(plan, self._mark)
+            case ValuesMissing(reason):
+                self._view.set_plot_error(f"The values cannot be shown: {reason}; the run is not affected.")
             case RunEnded():
                 self._show_end(message)
             case RunRefused(reason):
-                self.state = State.IDLE
+                self._starting = False
                 self._view.show_status(f"Not started: {reason}", error=True)
                 self._log(f"Not started: {reason}", serious=True)
                 self.run_ended.emit()
@@ -155,23 +204,120 @@ class Presenter(QObject):
                 self._view.show_status(f"Waiting for the operator: {question.title}.")
                 self._log(f"Question to the operator: {question.title}", "", "the run waits")
                 self.question_asked.emit(message)
+            case QuestionClosed():
+                self.question_closed.emit()
             case PlanMade() | PlanRefused():
                 self._show_plan(message)
-            case RigOpened() | RigClosed() | DeviceFault():
-                self._show_rig(message)
+            case RigOpened() | RigClosed() | DeviceChanged():
+                self._show_rig(message, busy=before.busy or self._starting)
+            case Attached() | NotAttached() | StationLost():
+                self._show_station(message)
+            case CommandRefused(command, reason):
+                self._view.show_status(f"Not done: {command}: {reason}", error=True)
+            case ActivityChanged(activity, error):
+                self._show_activity(activity, error)
+            case StopReport():
+                self._show_stop(message)
+            case SpeedChanged(speed):
+                self._view.run.show_speed(speed)
+            case OperatorChanged():
+                self._show_operator()
         if not isinstance(message, Positions):
             self.changed.emit()
         self.message_shown.emit(message)
 
+    def _show_station(self, message: Attached | NotAttached | StationLost) -> None:
+        """Show that there is a station, or why there is none."""
+        self._view.notice.clear()
+        match message:
+            case Attached(name, snapshot, found, dropped):
+                self.station, self.name = snapshot, name
+                self._view.run.show_speed(snapshot.speed)
+                if dropped:
+                    self._log("This window was detached from the station", "", dropped, serious=True)
+                if snapshot.rig is not None:
+                    self._show_rig(snapshot.rig, busy=False)
+                elif snapshot.closed:
+                    self._show_rig(RigClosed(snapshot.closed), busy=False)
+                if found:
+                    self._attach(snapshot)
+            case NotAttached(reason):
+                self.name = ""
+                self._show_closed(reason)
+            case StationLost(last):
+                self._show_lost(last)
+
+    def _attach(self, snapshot: Snapshot) -> None:
+        """Show what a station that was there already does."""
+        self._log("Attached to a station that was running", snapshot.campaign, str(snapshot.state))
+        self._view.axes.set_positions(snapshot.positions)
+        for order in snapshot.orders:
+            self._view.orders.add(order)
+        if snapshot.busy and snapshot.journal is not None:
+            self.journal = snapshot.journal
+            self._show_progress(snapshot.done, snapshot.total, snapshot.seconds_left)
+            self._view.set_saved(f"Saved row by row in {snapshot.journal}")
+            self._view.show_status(STATUS.get(snapshot.state, ""))
+            if snapshot.row is not None:
+                self._view.axes.set_targets(snapshot.row.pose)
+        if snapshot.question is not None:
+            self.question_asked.emit(snapshot.question)
+        self._show_operator()
+
+    def _show_lost(self, last: Snapshot) -> None:
+        """Show that the station has died, what that means for the instrument, and how to go on."""
+        running = last.busy
+        self.station = Snapshot(orders=last.orders, speed=last.speed, activity="", closed="the station has ended")
+        self._starting = False
+        self._show_closed("")
+        self.question_closed.emit()
+        if running and last.journal is not None:
+            kept = f"{last.done} of {last.total} rows are kept in {last.journal.name}"
+            text = (
+                f"The station has ended during the run: {kept}. The axes stop by the controller's heartbeat; "
+                "the shutter may be open."
+            )
+            self.journal = last.journal
+            self._view.notice.show_notice(text, "&Resume", "resume")
+            self._live_plot.finish()
+            self.run_ended.emit()
+        else:
+            text = "The station has ended. The axes stop by the controller's heartbeat; the shutter may be open."
+            self._view.notice.show_notice(text, "&Connect again", "connect")
+        self._view.show_status(text, error=True)
+        self._log(text, self.rig_path.name, "no rig is open", serious=True)
+
+    def _show_operator(self) -> None:
+        if not self.operates:
+            text = f"{self.station.operator} operates this rig; this window watches. Stop works from here too."
+            self._view.notice.show_notice(text, "&Operate from here", "operate")
+        elif self._view.notice.action == "operate":
+            self._view.notice.clear()
+
+    def _show_activity(self, activity: str, error: str) -> None:
+        if activity:
+            self._view.show_status(f"{activity[0].upper()}{activity[1:]} …")
+        elif error:
+            self._view.show_status(error, error=error != "stopped")
+            if error != "stopped":
+                self._log(error, serious=True)
+
+    def _show_stop(self, report: StopReport) -> None:
+        if report.lost:
+            self._view.show_status(MAIN_SWITCH, error=True)
+            self._log(MAIN_SWITCH, serious=True)
+        elif report.confirmed and not self.busy:
+            self._view.show_status("All axes have stopped.")
+
     def _log(self, what: str, where: str = "", consequence: str = "", *, serious: bool = False) -> None:
         self._view.log.add(LogEntry(what, where, consequence, serious))
 
-    def _log_state(self, state: State) -> None:
+    def _log_state(self, before: State, state: State) -> None:
         if state is State.PAUSED:
             self._log("Paused", "", "the shutter is closed")
         elif state is State.STOPPING:
             self._log("Stop", "", "all axes come to rest")
-        elif self.state is State.PAUSED:
+        elif before is State.PAUSED:
             self._log("Resumed")
 
     def _show_plan(self, message: PlanMade | PlanRefused) -> None:
@@ -188,16 +334,18 @@ class Presenter(QObject):
                 self._log(message.reason, "schedule", "there is no plan to start", serious=True)
         self._view.schedule.set_plan(self.plan)
 
-    def _show_rig(self, message: RigOpened | RigClosed | DeviceFault) -> None:
+    def _show_rig(self, message: RigOpened | RigClosed | DeviceChanged, *, busy: bool) -> None:
         match message:
-            case RigOpened(description, devices, virtual):
-                self._opening, self.rig = False, message
+            case RigOpened(name=name, simulated=simulated, seed=seed, devices=devices):
+                self._opening = False
+                self.rig_path = message.path
                 self.plan = None  # made for the previous rig; the plan for this one follows
-                self._view.set_simulated(description.simulated, description.seed)
+                self._view.set_simulated(simulated, seed)
                 self._view.devices.set_devices(devices)
+                self._view.run.set_virtual(message.virtual)
                 self._view.axes.set_positions({})
-                self._view.run.set_virtual(virtual)
-                self._live_plot.start(None, self._mark)
+                if not busy:
+                    self._live_plot.start(None, self._mark)
                 if message.not_responding:
                     names = " and ".join(message.not_responding)
                     text = f"Not responding: {names}. See Devices for the reason, then connect again."
@@ -206,45 +354,54 @@ class Presenter(QObject):
                         self._log(devices[device].text, device, "no run can start", serious=True)
                 else:
                     self._view.show_status("All devices are connected.")
-                    self._log("All devices are connected", description.file.name)
+                    self._log("All devices are connected", name)
             case RigClosed(reason):
-                was_busy = self.busy
-                self._opening, self.rig, self.state = False, None, State.IDLE
-                self._view.set_simulated(False, None)
-                self._view.devices.set_devices({})
-                self._view.axes.set_positions({})
-                self._live_plot.start(None, "")
-                self._view.show_status(reason, error=True)
-                if reason:
-                    self._log(reason, self.rig_path.name, "no rig is open", serious=True)
-                if was_busy:
+                self._starting = False
+                self._show_closed(reason)
+                if busy:
                     self.run_ended.emit()
-            case DeviceFault(device, reason) if self.rig is not None:
-                devices = {**self.rig.devices, device: DeviceStatus(False, reason)}
-                self.rig = RigOpened(self.rig.description, devices, self.rig.virtual)
-                self._view.devices.set_devices(devices)
-                self._view.axes.set_positions({})
-                self._view.show_status(reason, error=True)
-                self._log(reason, device, "no run can start before it is connected again", serious=True)
+            case DeviceChanged(device, _status, reason) if self.rig is not None:
+                self._view.devices.set_devices(self.rig.devices)
+                if reason:
+                    if device not in DEVICES[1:]:  # a controller of axes
+                        self._view.axes.set_positions({})
+                    self._view.show_status(reason, error=True)
+                    self._log(reason, device, "no run can start before it is connected again", serious=True)
+                else:
+                    self._log("Connected", device)
         self._view.rig.set_rig(self.rig, self.rig_path)
 
-    def _show_row(self, event: RowStarted | RowCommitted) -> None:
+    def _show_closed(self, reason: str) -> None:
+        """Show that no rig is open."""
+        self._opening = False
+        self.station = replace(self.station, rig=None, state=State.IDLE, activity="", closed=reason or self.station.closed)
+        self.plan = None
+        self._view.set_simulated(False, None)
+        self._view.devices.set_devices({})
+        self._view.axes.set_positions({})
+        self._live_plot.start(None, "")
+        self._view.show_status(reason, error=True)
+        if reason:
+            self._log(reason, self.rig_path.name, "no rig is open", serious=True)
+        self._view.rig.set_rig(None, self.rig_path)
+
+    def _show_row(self, event: RowStarted | RowSaved) -> None:
         if isinstance(event, RowStarted):
             self._view.axes.set_targets(event.row.pose)
             if self.state is State.RUNNING:
                 self._view.show_status(f"Measuring row {event.row.number + 1}: {event.row.identity}")
+            self._live_plot.add_row(event)
         else:
             self._show_progress(event.done, event.total, event.seconds_left)
-            if event.data.flags:
-                self._log(f"Row flagged: {', '.join(event.data.flags)}", event.row.identity)
-        self._live_plot.add_row(event)
+            if event.flags:
+                self._log(f"Row flagged: {', '.join(event.flags)}", event.row.identity)
 
     def _show_progress(self, done: int, of: int, left_s: float | None) -> None:
         self._progress = (done, of)
         self._view.run.set_progress(done, of, left_s)
 
     def _show_end(self, end: RunEnded) -> None:
-        self.state = end.state
+        self.journal = end.journal
         self._live_plot.finish()
         self._view.axes.set_targets(None)
         done, of = self._progress

@@ -11,7 +11,7 @@ from PySide6.QtCore import Qt, Signal, Slot
 from PySide6.QtGui import QResizeEvent
 from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QScrollArea, QStackedWidget, QVBoxLayout, QWidget
 
-from goniotwin.app.desktop.events.panels import OrdersPanel, QuestionBar
+from goniotwin.app.desktop.events.panels import NoticeBar, OrdersPanel, QuestionBar
 from goniotwin.app.desktop.events.screen import EventsScreen
 from goniotwin.app.desktop.navigation import Navigation
 from goniotwin.app.desktop.rig.screen import RigScreen
@@ -56,6 +56,7 @@ class MainView(QWidget):
         self._banner.setAlignment(Qt.AlignmentFlag.AlignCenter)
         self.orders = OrdersPanel(colours)
         self.question = QuestionBar(colours)
+        self.notice = NoticeBar(colours)
         self.strip = RigStrip(colours)
         self.navigation = Navigation(SCREENS, colours)
         self.screens = tuple(each(colours) for each in SCREENS)
@@ -157,7 +158,7 @@ class MainView(QWidget):
         self._banner.setStyleSheet(
             f"background: {colours.simulated}; color: {colours.on_simulated}; font-weight: bold; padding: 3px"
         )
-        for each in (self.orders, self.question, self.strip, self.navigation, self.run, *self.screens):
+        for each in (self.orders, self.question, self.notice, self.strip, self.navigation, self.run, *self.screens):
             each.set_colours(colours)
         self._colour_texts()
 
@@ -204,7 +205,7 @@ class MainView(QWidget):
         whole = QVBoxLayout(self)  # Tab follows the order in which the parts are added here
         whole.setContentsMargins(0, 0, 0, 0)
         whole.setSpacing(0)
-        for each in (self._banner, self.orders, self.question, self.strip):
+        for each in (self._banner, self.orders, self.question, self.notice, self.strip):
             whole.addWidget(each)
         whole.addLayout(middle, 1)
         whole.addWidget(self.run)

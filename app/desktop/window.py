@@ -1,9 +1,11 @@
 """The main window: passes on what the operator does, asks questions, and closes in order.
 
-It shows itself first. Then the engine and the plots are imported, in a thread; `complete` connects them.
+It shows itself first. Then what makes plans and plots is imported, in a thread; `complete` attaches to the rig's station, or
+starts one. The window may be closed during a campaign, which goes on in the station.
 """
 
 import contextlib
+import os
 import threading
 from importlib import import_module
 from pathlib import Path
@@ -24,16 +26,16 @@ from goniotwin.app.desktop.view import MainView
 
 if TYPE_CHECKING:
     from goniotwin.app.campaign.running.events import SafetyOrder
-    from goniotwin.app.desktop.model.messages import QuestionAsked
-    from goniotwin.app.desktop.model.rig_thread import RigThread
+    from goniotwin.app.desktop.model.connection import Connection, Stations
     from goniotwin.app.desktop.presenter import Presenter
+    from goniotwin.app.station.messages import QuestionAsked
 
-KEEP_RUNNING, STOP_AND_CLOSE = "Keep running", "Stop and close"
+KEEP_MEASURING, STOP_AND_CLOSE = "Keep measuring", "Stop and close"
 KEEP_OPEN, ACKNOWLEDGE = "Keep open", "Acknowledge"
 WIDTH, HEIGHT = 1180, 760
 """Size of the first start in logical pixels, on a screen that has it."""
 DESKTOP = "goniotwin.app.desktop"
-LATER = (f"{DESKTOP}.presenter", f"{DESKTOP}.model.rig_thread", f"{DESKTOP}.run.live_plot", "qtawesome")
+LATER = (f"{DESKTOP}.presenter", f"{DESKTOP}.model.connection", f"{DESKTOP}.run.live_plot", "qtawesome")
 """Modules that are imported after the window has been shown."""
 
 
@@ -41,7 +43,7 @@ class MainWindow(QMainWindow):
     """One rig, one schedule, one run at a time. Journals are written to `folder`."""
 
     presenter: "Presenter"
-    rig_thread: "RigThread"
+    connection: "Connection"
     imported = Signal()
 
     def __init__(
@@ -52,6 +54,7 @@ class MainWindow(QMainWindow):
         folder: Path,
         speed: float = 1.0,
         remembered: Remembered | None = None,
+        stations: "Stations | None" = None,
     ) -> None:
         super().__init__()
         self.theme = theme
@@ -61,6 +64,7 @@ class MainWindow(QMainWindow):
         self._first = rig, schedule, speed
         self._folder = folder
         self._remembered = remembered or Remembered()
+        self._stations = stations
         self._complete = False
         self._closing = False
         self._unattended = False
@@ -96,10 +100,10 @@ class MainWindow(QMainWindow):
 
     @Slot()
     def complete(self) -> None:
-        """Make what takes long to load, and open the rig. A second call does nothing."""
+        """Make what takes long to load, and attach to the station. A second call does nothing."""
         if self._complete or self._closed:
             return
-        from goniotwin.app.desktop.model.rig_thread import RigThread
+        from goniotwin.app.desktop.model.connection import Connection
         from goniotwin.app.desktop.presenter import Presenter
 
         self._complete = True
@@ -107,7 +111,7 @@ class MainWindow(QMainWindow):
         self.view.complete()
         self.presenter = Presenter(self.view, rig, self)
         self._connect()
-        self.rig_thread = RigThread(self.presenter.message_received.emit, speed)
+        self.connection = Connection(self.presenter.message_received.emit, speed, self._stations, f"window {os.getpid()}")
         self._open_rig(rig)
         if schedule is not None:
             self._open_schedule(schedule)
@@ -133,6 +137,7 @@ class MainWindow(QMainWindow):
     def _connect(self) -> None:
         self.presenter.changed.connect(self._refresh)
         self.presenter.question_asked.connect(self._ask)
+        self.presenter.question_closed.connect(self._dismiss_question)
         self.presenter.run_ended.connect(self._after_run)
         for screen in self.view.screens:
             self.presenter.message_shown.connect(screen.show_message)
@@ -144,6 +149,7 @@ class MainWindow(QMainWindow):
         run.speed_chosen.connect(self._set_speed)
         self.view.orders.acknowledged.connect(self._acknowledge)
         self.view.question.show_question.connect(self._show_question)
+        self.view.notice.pressed.connect(self._act_on_notice)
         rig.open.connect(self._choose_rig)
         rig.connect_again.connect(self._connect_again)
         rig.person.toggled.connect(self._set_person)
@@ -186,36 +192,47 @@ class MainWindow(QMainWindow):
             self._keep_open()
             self.view.show_screen(self.view.screens.index(self.view.screen(RunScreen)))
             self.presenter.show_starting()
-            self.rig_thread.start(self.presenter.plan, self._folder)
+            self.connection.start(self.presenter.plan, self._folder)
 
     @Slot()
     def _pause(self) -> None:
-        self.rig_thread.pause()
+        self.connection.pause()
 
     @Slot()
     def _resume(self) -> None:
-        self.rig_thread.resume()
+        self.connection.resume()
 
     @Slot()
     def _stop(self) -> None:
-        self.rig_thread.stop()
-        if not self.presenter.busy:
-            self.view.show_status("Stop was sent to all axes.")
+        self.connection.stop()
+        self.view.show_status("Stop sent to all axes.")
 
     @Slot(float)
     def _set_speed(self, speed: float) -> None:
-        self.rig_thread.set_speed(speed)
+        self.connection.set_speed(speed)
 
     @Slot(bool)
     def _set_person(self, person: bool) -> None:
-        self.rig_thread.set_person(person)
+        self.connection.set_person(person)
 
     @Slot(object)
     def _acknowledge(self, order: "SafetyOrder") -> None:
         self.presenter.acknowledge(order)
-        self.rig_thread.acknowledge(order)
+        self.connection.acknowledge(order)
         if self._closing and not self.presenter.busy:
             self.close()
+
+    @Slot(str)
+    def _act_on_notice(self, action: str) -> None:
+        """Do what the button of the notice offers: operate from here, connect again, or resume what a station has left."""
+        if action == "operate":
+            self.connection.operate()
+        elif action == "connect":
+            self._connect_again()
+        elif action == "resume" and self.presenter.journal is not None:
+            self.presenter.show_opening(self.presenter.rig_path)
+            self.presenter.show_starting()
+            self.connection.resume_journal(self.presenter.journal)
 
     @Slot()
     def _after_run(self) -> None:
@@ -246,7 +263,7 @@ class MainWindow(QMainWindow):
         if answer is Answer.STOP:
             self._stop()
         else:
-            self.rig_thread.answer(self._asked, answer)
+            self.connection.answer(self._asked, answer)
 
     @Slot()
     def _show_question(self) -> None:
@@ -258,6 +275,7 @@ class MainWindow(QMainWindow):
         box.escape_released.connect(self.view.run.release_hold)
         return box
 
+    @Slot()
     def _dismiss_question(self) -> None:
         if self.question is not None:
             self.question.dismiss()
@@ -291,7 +309,7 @@ class MainWindow(QMainWindow):
     def _open_rig(self, path: Path) -> None:
         self._remembered.add_recent("rig", path)
         self.presenter.show_opening(path)
-        self.rig_thread.open(path)
+        self.connection.open(path)
 
     @Slot()
     def _choose_schedule(self) -> None:
@@ -303,7 +321,7 @@ class MainWindow(QMainWindow):
 
     def _open_schedule(self, path: Path) -> None:
         self._remembered.add_recent("schedule", path)
-        self.rig_thread.load(path)
+        self.connection.load(path)
 
     @Slot(str, object)
     def _open_recent(self, kind: str, path: Path) -> None:
@@ -355,7 +373,7 @@ class MainWindow(QMainWindow):
     # The end.
 
     def closeEvent(self, event: QCloseEvent) -> None:
-        """Ask during a run, and wait for the acknowledgement of every safety order; then close the rig and end its thread."""
+        """Ask during a run, which may go on, and wait for the acknowledgement of every safety order; then leave the station."""
         self._remember_layout()
         orders = [] if self._unattended or self._closed else self.view.orders.orders
         self._dismiss_close_question()
@@ -364,11 +382,12 @@ class MainWindow(QMainWindow):
             self._closing = True
             self._ask_acknowledgement(orders[0])
             return
-        if self._busy and not self._closed:
+        if self._busy and not self._closed and not self._unattended:
             event.ignore()
             choices = [
-                Choice(KEEP_RUNNING, "The window stays open.", default=True),
+                Choice(KEEP_MEASURING, "The window closes, the run goes on. The next window shows it again.", default=True),
                 Choice(STOP_AND_CLOSE, f"{EFFECTS[Answer.STOP]} Then the window closes.", stops=True),
+                Choice(KEEP_OPEN, "The window stays open."),
             ]
             self.close_question = self._question_box("Close the window?", "A run is in progress.", choices)
             self.close_question.chosen.connect(self._answer_close)
@@ -383,8 +402,8 @@ class MainWindow(QMainWindow):
 
     @property
     def open_orders(self) -> "list[SafetyOrder]":
-        """The safety orders that are not acknowledged; complete after `shut_down`."""
-        return self.rig_thread.open_orders if self._complete else []
+        """The safety orders that are not acknowledged."""
+        return self.connection.open_orders if self._complete else []
 
     def _ask_acknowledgement(self, order: "SafetyOrder") -> None:
         choices = [
@@ -401,10 +420,10 @@ class MainWindow(QMainWindow):
         self._dismiss_close_question()
 
     @Slot()
-    def stop_and_close(self) -> None:
-        """Stop a run in order, then close, without a question: after a signal, perhaps without a person at the window."""
+    def close_unattended(self) -> None:
+        """Close without a question: after a signal, perhaps without a person at the window. A run goes on in its station."""
         self._unattended = True
-        self._stop_and_close()
+        self.close()
 
     def _stop_and_close(self) -> None:
         if not self._busy:
@@ -419,18 +438,21 @@ class MainWindow(QMainWindow):
         self._dismiss_close_question()
         if label == STOP_AND_CLOSE:
             self._stop_and_close()
+        elif label == KEEP_MEASURING:
+            self._unattended = True
+            self.close()
         elif label == ACKNOWLEDGE:
             self.view.orders.acknowledge(self.view.orders.orders[0])
         else:
             self._closing = False
 
     def shut_down(self) -> None:
-        """End the rig's thread; a run is stopped first. Nothing is moved. A second call does nothing."""
+        """Leave the station, which goes on; nothing is moved. A second call does nothing."""
         if not self._closed:
             self._closed = True
             if self._import.ident is not None:
                 self._import.join()
             if self._complete:
                 self.presenter.close()
-                self.rig_thread.close()
+                self.connection.close()
             self._collector.stop()

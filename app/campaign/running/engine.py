@@ -8,9 +8,12 @@ import threading
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from itertools import accumulate
+from itertools import accumulate, islice
 from typing import TypeVar
 
+import numpy as np
+
+from goniotwin.app.campaign.geometry.directions import scan_plane_deg
 from goniotwin.app.campaign.journal.writing import Journal, JournalError, software_versions
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.row import SKIPPED, WAKE_PREFIX, Row, RowData
@@ -32,12 +35,14 @@ from goniotwin.app.campaign.running.question import Answer
 from goniotwin.app.campaign.running.recovery import POLICY_TEXT, FaultPolicies, Recovery
 from goniotwin.app.campaign.running.rows import RowExecutor
 from goniotwin.app.campaign.running.sleep import NoSleepWatch, SleepWatch, StayAwake, watch_for
-from goniotwin.app.campaign.running.stop import EndedBySchedule, StopConditions, Stopped, StopRequest
+from goniotwin.app.campaign.running.stop import EndedByOperator, EndedBySchedule, StopConditions, Stopped, StopRequest
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import AXES
 from goniotwin.drivers import DeviceError, Rig, Until
 
 T = TypeVar("T")
+Cut = tuple[str, float, float, float]
+"""Sample, gamma, sigma and scan plane, deg."""
 SHUTTER_MAY_BE_OPEN = "the shutter may be open; close it by hand"
 
 
@@ -77,6 +82,8 @@ class Engine:
         self._action = ""
         self._changed = threading.Condition()
         self._pause = False
+        self._finish_cut = False
+        self._cut: Cut | None = None
         self._stop_request = StopRequest(rig)
         self._executor = RowExecutor(rig, operator, self._stop_request, self._on_poll, self._log_event)
         self._recovery = Recovery(rig, self._stop_request, self._executor.wait)
@@ -121,6 +128,8 @@ class Engine:
             self._apply_policies("the end of the run", self._close_shutter)
         except (Stopped, KeyboardInterrupt):
             outcome, reason = State.IDLE, "stopped"
+        except EndedByOperator as ended:
+            outcome, reason = State.IDLE, str(ended)
         except EndedBySchedule as ended:
             outcome, reason = State.IDLE, str(ended)
             self.ended_by_schedule = reason
@@ -157,6 +166,14 @@ class Engine:
                 self._enter(State.RUNNING)
             self._changed.notify_all()
 
+    def finish_cut(self) -> None:
+        """End the run in good order after the last row of the cut in progress. From any thread.
+
+        A cut has one sample, sigma, gamma and scan plane, at all wavelengths. A run that is paused goes on to its end.
+        """
+        self._finish_cut = True
+        self.resume()
+
     def stop(self) -> list[DeviceError]:
         """Stop all axes now and end the run; return the errors of axes that did not confirm. From any thread."""
         failures = self._stop_request.stop()
@@ -192,6 +209,7 @@ class Engine:
         self._stop_conditions.session_start_s = self._clock.now()
         for k, row in enumerate(self._work, 1):
             self._wait_while_paused()
+            self._end_after_cut(k)
             if row.kind == "mount":
                 self._journal.checkpoint()  # a person may take an hour
             self._notify(RowStarted(row))
@@ -205,6 +223,17 @@ class Engine:
                 if kind == "stop" and k < len(self._work):
                     self._apply_policies("the end of the run", self._close_shutter)
                     raise EndedBySchedule(text)
+
+    def _end_after_cut(self, k: int) -> None:
+        """Raise EndedByOperator before the k-th row, from 1, where that was requested and no row of the cut is left."""
+        row = self._work[k - 1]
+        if self._finish_cut:
+            following = next((each for each in islice(self._work, k - 1, None) if each.kind == "measure"), None)
+            if following is not None and _cut_of(following) != self._cut:
+                self._apply_policies("the end of the run", self._close_shutter)
+                raise EndedByOperator("ended after the cut, as requested")
+        if row.kind == "measure":
+            self._cut = _cut_of(row)
 
     def _execute_awake(self, row: Row) -> RowData:
         """Execute a row; after a sleep of the computer take the dark reading again, and repeat a row in which it slept."""
@@ -422,3 +451,9 @@ class Engine:
                 self._listeners.remove(listener)
                 with contextlib.suppress(JournalError):
                     self._journal.event(self._clock.now(), "listener", f"{type(error).__name__}: {error}")
+
+
+def _cut_of(row: Row) -> Cut:
+    assert row.pose is not None
+    gamma, sigma, beta, _shift = row.pose
+    return row.sample, gamma, sigma, float(scan_plane_deg(np.array(beta)))

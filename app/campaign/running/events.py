@@ -3,9 +3,12 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import TYPE_CHECKING
 
 from goniotwin.app.campaign.row import Row, RowData
-from goniotwin.drivers import DeviceError, Rig
+
+if TYPE_CHECKING:  # a window that shows events needs no drivers
+    from goniotwin.drivers import DeviceError, Rig
 
 
 class State(StrEnum):
@@ -77,12 +80,12 @@ class SafetyOrder:
         return f"{self.order}: {self.reason}"
 
 
-def close_shutter_order(error: DeviceError) -> SafetyOrder:
+def close_shutter_order(error: "DeviceError") -> SafetyOrder:
     """The order where the shutter cannot be closed."""
     return SafetyOrder("Close the shutter by hand", f"it may be open; {error}")
 
 
-def cut_power_order(rig: Rig, failures: Sequence[DeviceError]) -> SafetyOrder | None:
+def cut_power_order(rig: "Rig", failures: "Sequence[DeviceError]") -> SafetyOrder | None:
     """The order where a stop failed; None where every axis has confirmed it. A grating that turns on is no danger."""
     grating = (rig.monochromator.name, *rig.monochromator.parts)
     reasons = [str(each) for each in failures if each.device not in grating]

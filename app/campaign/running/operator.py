@@ -1,17 +1,13 @@
 """Operator of a rig: mounts samples and fixes faults. A person at a real rig; at a virtual rig the program, or a person too."""
 
-from collections.abc import Callable
 from typing import Protocol
 
 from goniotwin.app.campaign.row import NO_SAMPLE
-from goniotwin.app.campaign.running.question import Answer, Question
+from goniotwin.app.campaign.running.question import Answer, Ask, Question
 from goniotwin.app.campaign.running.stop import Stopped
 from goniotwin.app.errors import UserError
 from goniotwin.mocks.control import ControlClient, OrderRefused
 from goniotwin.twin import VirtualRig
-
-Ask = Callable[[Question], Answer]
-"""Function that asks a person a question and returns the answer."""
 
 
 class Operator(Protocol):

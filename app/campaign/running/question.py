@@ -1,5 +1,6 @@
-"""A question to the operator and its answers, without what asks it: windows and terminals show them."""
+"""A question to the operator, its answers and what follows from each. Light: a window needs no driver to show one."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 
@@ -34,3 +35,7 @@ class Question:
     text: str
     answers: tuple[Answer, ...]
     default: Answer | None = None
+
+
+Ask = Callable[[Question], Answer]
+"""Function that asks a person a question and returns the answer."""

@@ -9,6 +9,7 @@ from goniotwin.app.campaign.row import SKIPPED, Row, RowData
 from goniotwin.app.campaign.schedule.file import ScheduleFile, StopTable
 from goniotwin.app.rig import RigFile
 from goniotwin.drivers import DeviceError, Rig
+from goniotwin.protocols.clock import VirtualClock
 
 T = TypeVar("T")
 
@@ -29,8 +30,13 @@ class StopRequest:
         self.requested = False
 
     def stop(self) -> list[DeviceError]:
-        """Stop all axes now and allow no further motion; return the errors of axes that did not confirm. From any thread."""
+        """Stop all axes now and allow no further motion; return the errors of axes that did not confirm. From any thread.
+
+        A virtual clock belongs to one thread: a stop from another one is carried out by that thread, at its next check.
+        """
         self.requested = True
+        if isinstance(self._rig.clock, VirtualClock) and self._rig.clock.elsewhere:
+            return []
         failures = self._rig.stop()
         with self._motion:  # a motion that was being started in another thread has started by now, and is stopped here
             return self._rig.stop() or failures
@@ -49,6 +55,10 @@ class StopRequest:
 
 class EndedBySchedule(Exception):
     """A stop condition ended the run; the message gives the reason."""
+
+
+class EndedByOperator(Exception):
+    """The operator ended the run after a part of it; the message gives the part."""
 
 
 class StopConditions:

@@ -214,12 +214,17 @@ class OrdersPanel(QWidget):
     @Slot(object)
     def acknowledge(self, order: "SafetyOrder") -> None:
         """Remove an order, and report that it is acknowledged."""
+        if self.remove(order):
+            self.acknowledged.emit(order)
+
+    def remove(self, order: "SafetyOrder") -> bool:
+        """Remove an order; return whether it was shown."""
         row = self._rows.pop(order, None)
         if row is not None:
             row.hide()
             row.deleteLater()
             self.setVisible(bool(self._rows))
-            self.acknowledged.emit(order)
+        return row is not None
 
 
 class OrderRow(QFrame):
@@ -267,6 +272,55 @@ class OrderRow(QFrame):
     @Slot()
     def _acknowledge(self) -> None:
         self.acknowledged.emit(self._order)
+
+
+class NoticeBar(QFrame):
+    """A line about the station, with a button for what can be done about it: `action` is its name, empty without a notice."""
+
+    pressed = Signal(str)
+
+    def __init__(self, colours: Colours) -> None:
+        super().__init__()
+        self.action = ""
+        self._text = QLabel()
+        self._text.setWordWrap(True)
+        self._text.setAccessibleName("Notice")
+        self.button = QPushButton()
+        self.button.clicked.connect(self._press)
+        layout = QHBoxLayout(self)
+        layout.setContentsMargins(12, 4, 12, 4)
+        layout.addWidget(self._text, 1)
+        layout.addWidget(self.button)
+        self.set_colours(colours)
+        self.clear()
+
+    @property
+    def text(self) -> str:
+        """The line; empty without a notice."""
+        return "" if self.isHidden() else self._text.text()
+
+    def show_notice(self, text: str, label: str, action: str) -> None:
+        """Show a notice, with the label of its button; the button has the focus where no other control has it."""
+        self.action = action
+        self._text.setText(text)
+        self.button.setText(label)
+        self.button.setAccessibleName(f"{label.replace('&', '')}. {text}")
+        self.show()
+
+    def clear(self) -> None:
+        """Show no notice."""
+        self.action = ""
+        self.hide()
+
+    def set_colours(self, colours: Colours) -> None:
+        """Take the colours of a scheme."""
+        self.setStyleSheet(
+            f"NoticeBar {{ background: {colours.accent}; }} QLabel {{ color: {colours.on_accent}; font-weight: bold }}"
+        )
+
+    @Slot()
+    def _press(self) -> None:
+        self.pressed.emit(self.action)
 
 
 class QuestionBar(QFrame):

@@ -1,49 +1,39 @@
-"""Messages from the rig's thread to the window; the events of the engine are among them."""
+"""Messages to the window: the events of a station, and what the window's own process makes of its journal."""
 
 from dataclasses import dataclass
 from pathlib import Path
 
 from goniotwin.app.campaign.planning.plan import Plan
-from goniotwin.app.campaign.running.events import Event, State
-from goniotwin.app.campaign.running.question import Question
-from goniotwin.app.rig import RigDescription
+from goniotwin.app.campaign.running.events import RowCommitted
+from goniotwin.app.station.messages import Message as StationMessage
+from goniotwin.app.station.messages import Snapshot
 
 
 @dataclass(frozen=True)
-class DeviceStatus:
-    """Whether a device is connected. `text` is its identity, or the reason why it does not respond."""
+class Attached:
+    """The window is a client of a station, by this name; `snapshot` is the state from which its events lead on.
 
-    connected: bool
-    text: str
+    `found` if the station was there already; `dropped` is why it ended an earlier connection of this window, or empty.
+    """
 
-
-@dataclass(frozen=True)
-class RigOpened:
-    """A rig is open, with the status of each device. `virtual` if all devices are: then the simulation speed can be set."""
-
-    description: RigDescription
-    devices: dict[str, DeviceStatus]
-    virtual: bool
-
-    @property
-    def not_responding(self) -> list[str]:
-        """The devices that do not respond."""
-        return [device for device, status in self.devices.items() if not status.connected]
+    name: str
+    snapshot: Snapshot
+    found: bool
+    dropped: str = ""
 
 
 @dataclass(frozen=True)
-class RigClosed:
-    """No rig is open. `reason` is one line for the operator, or empty."""
+class NotAttached:
+    """There is no station. `reason` is one line for the operator."""
 
-    reason: str = ""
-
-
-@dataclass(frozen=True)
-class DeviceFault:
-    """A connected device does not respond any more."""
-
-    device: str
     reason: str
+
+
+@dataclass(frozen=True)
+class StationLost:
+    """The station has ended, unasked. `last` is the last that is known of it: a run in progress stays in its journal."""
+
+    last: Snapshot
 
 
 @dataclass(frozen=True)
@@ -62,36 +52,37 @@ class PlanRefused:
 
 @dataclass(frozen=True)
 class RunStarted:
-    """A run of a plan has started, into a journal."""
+    """The plan of a run in progress, from its journal: its values follow."""
 
     plan: Plan
     journal: Path
 
 
 @dataclass(frozen=True)
-class RunEnded:
-    """A run has ended: done, failed, or idle if it was stopped. Its journal is closed."""
-
-    state: State
-    reason: str
-    journal: Path
-
-
-@dataclass(frozen=True)
-class RunRefused:
-    """A run was not started and nothing was written. `reason` is one line for the operator."""
+class ValuesMissing:
+    """The journal of the run cannot be read here. The run is not affected."""
 
     reason: str
 
 
 @dataclass(frozen=True)
-class QuestionAsked:
-    """The run waits for the operator's answer: `RigThread.answer` with the question's number."""
+class CommandRefused:
+    """The station does not carry out a command. `reason` is one line for the operator."""
 
-    number: int
-    question: Question
+    command: str
+    reason: str
+
+
+@dataclass(frozen=True)
+class StopReport:
+    """What is known of a stop: `confirmed` by all axes, `lost` where it has not reached the station."""
+
+    confirmed: bool
+    lost: bool = False
+    failures: tuple[str, ...] = ()
 
 
 Message = (
-    Event | RigOpened | RigClosed | DeviceFault | PlanMade | PlanRefused | RunStarted | RunEnded | RunRefused | QuestionAsked
-)
+    StationMessage | RowCommitted | Attached | NotAttached | StationLost | PlanMade | PlanRefused | RunStarted | ValuesMissing
+    | CommandRefused | StopReport
+)  # fmt: skip

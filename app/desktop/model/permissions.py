@@ -1,47 +1,61 @@
-"""Which controls are enabled now. During a run only those that cannot disturb it."""
+"""Which controls are enabled now: what the station allows, of this window's plan. During a run only what cannot disturb it."""
 
 from dataclasses import dataclass
 
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.running.events import State
-from goniotwin.app.desktop.model.messages import RigOpened
+from goniotwin.app.station.messages import BUSY, Snapshot
+from goniotwin.app.station.permissions import allowed
 
-BUSY = (State.RUNNING, State.PAUSING, State.PAUSED, State.RECOVERING, State.STOPPING)
+__all__ = ["BUSY", "Permissions", "permissions"]
 
 
 @dataclass(frozen=True)
 class Permissions:
-    """Whether each control is enabled. `no_start` is the reason why Start is not, in one line; empty if it is."""
+    """Whether each control is enabled. `no_start` is the reason why Start is not, in one line; empty if it is.
+
+    `refusals` has the reason for each command of the station, empty where it is allowed for this window.
+    """
 
     no_start: str
     pause: bool
     resume: bool
     stop: bool
     open: bool
+    finish_cut: bool
+    refusals: dict[str, str]
 
 
-def permissions(rig: RigOpened | None, plan: Plan | None, no_plan: str, state: State, opening: bool) -> Permissions:
-    """The permissions for a rig, a plan (or the reason why there is none), and a state of the engine.
+def permissions(
+    station: Snapshot, plan: Plan | None, no_plan: str, state: State, *, opening: bool, operates: bool
+) -> Permissions:
+    """The permissions for a station, a plan (or the reason why there is none), and the state that the window shows.
 
-    `opening` is True while a rig is being opened.
+    `opening` is True while a rig is being opened; `operates` False while another client has the place of the operator.
     """
+    refusals = allowed(station)
+    if not operates:
+        watching = f"{station.operator} operates this rig"
+        refusals = {command: refusals[command] or ("" if command in FREE else watching) for command in refusals}
     busy = state in BUSY
     if opening:
         no_start = "the rig is being opened"
     elif busy:
         no_start = f"a run is {state}"
-    elif rig is None:
-        no_start = "no rig is open"
-    elif rig.not_responding:
-        no_start = f"not responding: {' and '.join(rig.not_responding)}"
-    elif plan is None:
-        no_start = no_plan or "no schedule is open"
+    elif refusals["start"]:
+        no_start = refusals["start"]
     else:
-        no_start = ""
+        no_start = "" if plan is not None else no_plan or "no schedule is open"
     return Permissions(
         no_start=no_start,
-        pause=state in (State.RUNNING, State.RECOVERING),
-        resume=state in (State.PAUSING, State.PAUSED),
-        stop=rig is not None,
-        open=not busy and not opening,
+        pause=not refusals["pause"],
+        resume=not refusals["resume"],
+        stop=station.rig is not None,
+        open=not busy and not opening and operates,
+        finish_cut=not refusals["finish_cut"],
+        refusals=refusals,
     )
+
+
+FREE = ("stop", "operate", "acknowledge")
+"""What a window may do that only watches."""

@@ -9,7 +9,7 @@ from PySide6.QtWidgets import QCheckBox, QGridLayout, QGroupBox, QHBoxLayout, QL
 from goniotwin.app.desktop.theme import Colours
 
 if TYPE_CHECKING:  # the window shows itself before the engine is loaded
-    from goniotwin.app.desktop.model.messages import DeviceStatus, RigOpened
+    from goniotwin.app.station.messages import DeviceStatus, RigOpened
 
 GREEK = {"gamma": "γ", "sigma": "σ", "beta": "β", "shift": "Δ"}
 """The letter of each axis, in the order of a pose."""
@@ -45,8 +45,8 @@ class RigPanel(QGroupBox):
 
     def set_rig(self, rig: "RigOpened | None", path: Path) -> None:
         """Show the open rig, or that the one of a file is not open. At a real rig a person always is the operator."""
-        self.person.setVisible(rig is not None and rig.description.simulated)
-        self._name.setText(rig.description.file.name if rig else f"no rig: {path.name}")
+        self.person.setVisible(rig is not None and rig.simulated)
+        self._name.setText(rig.name if rig else f"no rig: {path.name}")
         show_path(self._path, path)
 
 

@@ -10,7 +10,7 @@ from goniotwin.app.desktop.rig.panels import DEVICES, GREEK, NO_VALUE, angle_tex
 from goniotwin.app.desktop.theme import Colours
 
 if TYPE_CHECKING:  # as in the panels
-    from goniotwin.app.desktop.model.messages import DeviceStatus
+    from goniotwin.app.station.messages import DeviceStatus
 
 NARROW, WIDE = 800, 1000
 """Widths of the strip in logical pixels from which on each device has room, and the targets too."""

@@ -121,6 +121,17 @@ class RunPanel(QWidget):
         self._left_s = left_s
         self._show_left()
 
+    def show_speed(self, speed: float) -> None:
+        """Show the simulation speed of the station, which another client may have set."""
+        self.speeds.blockSignals(True)
+        if self.speeds.findData(speed) < 0:
+            self.speeds.addItem(f"{speed:g}×", speed)
+        self.speeds.setCurrentIndex(self.speeds.findData(speed))
+        self.speeds.blockSignals(False)
+        if self._virtual:
+            self._speed = speed
+        self._show_left()
+
     def set_virtual(self, virtual: bool) -> None:
         """Show the simulation speed for a virtual rig, and hide it for a real one."""
         self._virtual = virtual

@@ -15,6 +15,7 @@ from pytestqt.qtbot import QtBot
 from goniotwin.app.campaign.running.events import State
 from goniotwin.app.desktop import MainWindow, Theme
 from goniotwin.app.desktop.model.permissions import BUSY
+from tests.app.desktop.local_stations import LocalStations
 from tests.conftest import RIG, Writer
 
 WindowOpener = Callable[..., MainWindow]
@@ -36,11 +37,19 @@ def journals(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def open_window(qapp: QApplication, write_schedule: Writer, journals: Path) -> Iterator[WindowOpener]:
+def stations() -> Iterator[LocalStations]:
+    """Stations in this process."""
+    stations = LocalStations()
+    yield stations
+    stations.end()
+
+
+@pytest.fixture
+def open_window(qapp: QApplication, write_schedule: Writer, journals: Path, stations: LocalStations) -> Iterator[WindowOpener]:
     windows: list[MainWindow] = []
 
     def opened(rig: Path = RIG, schedule: Path | None = None, speed: float = 200.0) -> MainWindow:
-        window = MainWindow(Theme(qapp), rig, schedule or write_schedule(), journals, speed)
+        window = MainWindow(Theme(qapp), rig, schedule or write_schedule(), journals, speed, stations=stations)
         windows.append(window)
         window.show()
         window.complete()

@@ -25,6 +25,7 @@ from goniotwin.drivers.errors import NoAnswer
 from goniotwin.drivers.monochromator import Monochromator
 from goniotwin.protocols.clock import RealClock
 from tests.app.desktop.conftest import READY_MS, ROWS, WindowOpener, click, ready, wait_for_end
+from tests.app.desktop.local_stations import LocalStations
 from tests.conftest import SMALL, Writer
 
 ASK = '\n[faults]\nwire = "ask"\n'
@@ -55,7 +56,8 @@ def answer(window: MainWindow, label: str) -> None:
 
 def break_photodiodes(window: MainWindow, *, broken: bool = True) -> None:
     """Let the third module of the photodiodes answer to another address, so that the driver gets no reply."""
-    opened = window.rig_thread._opened
+    assert isinstance(window._stations, LocalStations)
+    opened = window._stations.station._opened
     assert opened is not None
     assert opened.virtual is not None
     opened.virtual.modbus["adc-2"].units = (9,) if broken else (1,)
@@ -198,7 +200,7 @@ def test_a_person_closes_the_window_only_after_acknowledging_the_order(
     assert [kind for kind, _ in journal_events(window) if kind in ("order", "acknowledged")] == ["order"]
     click(box.buttons[ACKNOWLEDGE])
     assert not window.isVisible()
-    assert window.rig_thread.open_orders == []
+    assert window.connection.open_orders == []
     assert [kind for kind, _ in journal_events(window) if kind in ("order", "acknowledged")] == ["order", "acknowledged"]
 
 
@@ -225,9 +227,11 @@ def test_a_signal_closes_the_window_and_leaves_the_order_open(
     qtbot: QtBot, open_window: WindowOpener, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     window = run_that_cannot_stop(qtbot, open_window, monkeypatch)
-    window.stop_and_close()
+    click(window.view.run.stop_button)
+    wait_for_end(qtbot, window, State.IDLE)
+    window.close_unattended()
     qtbot.waitUntil(lambda: not window.isVisible(), timeout=READY_MS)
-    (order,) = window.rig_thread.open_orders
+    (order,) = window.connection.open_orders
     assert window.presenter.journal is not None
     assert campaign_summary(window.presenter.journal).orders == [order.text]
 
@@ -237,14 +241,16 @@ def test_a_run_ends_after_its_stop(qtbot: QtBot, open_window: WindowOpener, monk
     window = ready(qtbot, open_window(speed=1.0))
     click(window.view.run.start_button)
     qtbot.waitUntil(lambda: window.presenter.journal is not None, timeout=READY_MS)
-    engine = window.rig_thread._engine
+    assert isinstance(window._stations, LocalStations)
+    station = window._stations.station
+    engine = station._engine
     assert engine is not None
     ended: list[int] = []
     window.presenter.run_ended.connect(lambda: ended.append(len(window.view.orders.orders)))
     clock = RealClock()
 
     def stop(_rig: Rig) -> list[DeviceError]:
-        if threading.current_thread().name != "stop":
+        if threading.current_thread().name == "engine":
             return []
         while engine.state is not State.IDLE:
             clock.sleep_until(clock.now() + 0.01)
@@ -253,7 +259,7 @@ def test_a_run_ends_after_its_stop(qtbot: QtBot, open_window: WindowOpener, monk
 
     def request(_stop: StopRequest) -> list[DeviceError]:
         _stop.requested = True
-        return stop(window.rig_thread._opened.rig)  # type: ignore[union-attr]
+        return stop(station._opened.rig)  # type: ignore[union-attr]
 
     monkeypatch.setattr(Rig, "stop", stop)
     monkeypatch.setattr(StopRequest, "stop", request)

@@ -20,11 +20,13 @@ from goniotwin.app.campaign.running.events import Positions, RowCommitted, State
 from goniotwin.app.desktop import STOPPED, MainWindow, run_desktop
 from goniotwin.app.desktop.model.live_scan import LiveScan, ScanData
 from goniotwin.app.desktop.model.permissions import BUSY
-from goniotwin.app.desktop.window import KEEP_RUNNING, STOP_AND_CLOSE
+from goniotwin.app.desktop.window import KEEP_MEASURING, KEEP_OPEN, STOP_AND_CLOSE
 from goniotwin.app.end_signals import END_SIGNALS
+from goniotwin.app.station.server import StationServer
 from goniotwin.drivers import DeviceError, Rig, TmclAxis
 from goniotwin.drivers.errors import NoAnswer
 from tests.app.desktop.conftest import READY_MS, ROWS, WindowOpener, click, ready, wait_for_end
+from tests.app.desktop.local_stations import LocalStations
 from tests.conftest import RIG, SMALL, Writer
 
 
@@ -95,7 +97,7 @@ def test_pause_waits_and_resume_measures_no_row_twice(qtbot: QtBot, open_window:
     assert window.view.run.stop_button.isEnabled()
     done = row_counts(window)[0]
     assert 0 < done < ROWS
-    window.rig_thread.set_speed(200.0)
+    window.connection.set_speed(200.0)
     click(window.view.run.pause_button)
     wait_for_end(qtbot, window, State.DONE)
     assert row_counts(window) == (ROWS, ROWS)
@@ -175,11 +177,11 @@ def test_the_simulation_speed_can_be_changed_during_a_run(qtbot: QtBot, open_win
     wait_for_end(qtbot, window, State.DONE)
 
 
-def test_the_desktop_ends_with_its_window(qapp: QApplication, tmp_path: Path) -> None:
+def test_the_desktop_ends_with_its_window(qapp: QApplication, tmp_path: Path, stations: LocalStations) -> None:
     timer = QTimer(interval=20)
     timer.timeout.connect(qapp.closeAllWindows)
     timer.start()
-    assert run_desktop(RIG, None, tmp_path, 10.0) == 0
+    assert run_desktop(RIG, None, tmp_path, 10.0, stations) == 0
     timer.stop()
 
 
@@ -198,15 +200,19 @@ def handlers(qapp: QApplication) -> Iterator[None]:
 
 @pytest.mark.parametrize("number", END_SIGNALS)
 @pytest.mark.usefixtures("heard_hangup", "handlers")
-def test_a_signal_ends_the_desktop(qapp: QApplication, tmp_path: Path, number: int) -> None:
+def test_a_signal_ends_the_desktop(qapp: QApplication, tmp_path: Path, stations: LocalStations, number: int) -> None:
     QTimer.singleShot(0, lambda: signal.raise_signal(number))
-    assert run_desktop(RIG, None, tmp_path) == STOPPED
-    assert [thread.name for thread in threading.enumerate() if thread.name in ("rig", "stop")] == []
+    assert run_desktop(RIG, None, tmp_path, stations=stations) == STOPPED
+    assert [thread.name for thread in threading.enumerate() if thread.name in ("connection", "journal")] == []
 
 
 @pytest.mark.usefixtures("handlers")
 def test_after_a_signal_the_open_orders_are_the_last_lines(
-    qapp: QApplication, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    qapp: QApplication,
+    tmp_path: Path,
+    stations: LocalStations,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     def step() -> None:
         for window in qapp.topLevelWidgets():
@@ -216,7 +222,7 @@ def test_after_a_signal_the_open_orders_are_the_last_lines(
                 and hasattr(window, "presenter")
                 and window.presenter.rig is not None
             ):
-                window.rig_thread.stop()
+                window.connection.stop()
                 if window.view.orders.orders:
                     timer.stop()
                     window.close()  # the question is answered with waiting
@@ -226,14 +232,14 @@ def test_after_a_signal_the_open_orders_are_the_last_lines(
     timer = QTimer(interval=20)
     timer.timeout.connect(step)
     timer.start()
-    assert run_desktop(RIG, None, tmp_path) == STOPPED
+    assert run_desktop(RIG, None, tmp_path, stations=stations) == STOPPED
     *_, last = capsys.readouterr().err.splitlines()
     assert last.startswith("goniotwin: SAFETY: Cut the motors' power: the stop is not confirmed; sigma: MST: nothing")
 
 
 @pytest.mark.usefixtures("handlers")
 def test_a_signal_before_the_event_loop_ends_the_desktop(
-    qapp: QApplication, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    qapp: QApplication, tmp_path: Path, stations: LocalStations, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     show = MainWindow.show
 
@@ -242,11 +248,11 @@ def test_a_signal_before_the_event_loop_ends_the_desktop(
         show(window)
 
     monkeypatch.setattr(MainWindow, "show", interrupted)
-    assert run_desktop(RIG, None, tmp_path) == STOPPED
+    assert run_desktop(RIG, None, tmp_path, stations=stations) == STOPPED
 
 
 @pytest.mark.usefixtures("handlers")
-def test_a_signal_while_a_file_is_chosen_ends_the_desktop(qapp: QApplication, tmp_path: Path) -> None:
+def test_a_signal_while_a_file_is_chosen_ends_the_desktop(qapp: QApplication, tmp_path: Path, stations: LocalStations) -> None:
     """A file dialog has an event loop of its own inside that of the window."""
 
     def press_open() -> None:
@@ -264,7 +270,7 @@ def test_a_signal_while_a_file_is_chosen_ends_the_desktop(qapp: QApplication, tm
     timer = QTimer(interval=20)
     timer.timeout.connect(check_dialog)
     timer.start()
-    assert run_desktop(RIG, None, tmp_path) == STOPPED
+    assert run_desktop(RIG, None, tmp_path, stations=stations) == STOPPED
     assert qapp.activeModalWidget() is None
 
 
@@ -346,47 +352,123 @@ def test_a_folder_that_cannot_be_created_is_shown_and_nothing_moves(qtbot: QtBot
     assert window.presenter.journal is None
 
 
-def test_closing_during_a_run_asks_and_continues_or_stops_the_run(qtbot: QtBot, open_window: WindowOpener) -> None:
-    window = ready(qtbot, open_window(speed=1.0))
+def wait_for_journal(qtbot: QtBot, window: MainWindow) -> Path:
+    """Start a run and wait for its journal."""
     click(window.view.run.start_button)
     qtbot.waitUntil(lambda: window.presenter.journal is not None, timeout=READY_MS)
+    assert window.presenter.journal is not None
+    return window.presenter.journal
+
+
+def close_with(window: MainWindow, choice: str) -> None:
+    """Close a window during a run, and give an answer to its question."""
     assert not window.close()
     assert window.close_question is not None
-    window.close_question.buttons[KEEP_RUNNING].click()
+    window.close_question.buttons[choice].click()
+
+
+def test_closing_during_a_run_asks_and_stops_the_run(qtbot: QtBot, open_window: WindowOpener) -> None:
+    window = ready(qtbot, open_window(speed=1.0))
+    journal = wait_for_journal(qtbot, window)
+    close_with(window, KEEP_OPEN)
     assert window.isVisible()
     assert window.presenter.state is State.RUNNING
-    assert not window.close()
-    assert window.close_question is not None
-    window.close_question.buttons[STOP_AND_CLOSE].click()
+    close_with(window, STOP_AND_CLOSE)
     qtbot.waitUntil(lambda: not window.isVisible(), timeout=READY_MS)
-    assert [thread.name for thread in threading.enumerate() if thread.name in ("rig", "stop")] == []
-    assert window.presenter.journal is not None
-    with Journal.open(window.presenter.journal) as journal:
-        assert journal.row_counts()[0] < ROWS
+    assert [thread.name for thread in threading.enumerate() if thread.name in ("connection", "journal")] == []
+    assert campaign_summary(journal).state == "stopped"
+    assert campaign_summary(journal).rows < ROWS
 
 
-def test_a_signal_stops_the_run_without_a_question(qtbot: QtBot, open_window: WindowOpener) -> None:
+@pytest.mark.parametrize("by", ["person", "signal"])
+def test_the_run_goes_on_without_its_window_and_the_next_one_shows_it(
+    qtbot: QtBot, open_window: WindowOpener, stations: LocalStations, by: str
+) -> None:
+    """The second window has what the first one had, and the values of all rows."""
+    window = ready(qtbot, open_window(speed=20.0))
+    journal = wait_for_journal(qtbot, window)
+    qtbot.waitUntil(lambda: window.view.run.progress.value() >= 3, timeout=READY_MS)
+    if by == "person":
+        close_with(window, KEEP_MEASURING)
+    else:
+        assert not window.close()  # the question is answered with waiting
+        window.close_unattended()
+        assert window.close_question is None
+    qtbot.waitUntil(lambda: not window.isVisible(), timeout=READY_MS)
+    assert stations.station.snapshot.busy
+    again = open_window(speed=1.0)
+    qtbot.waitUntil(lambda: again.presenter.busy, timeout=READY_MS)
+    assert again.presenter.journal == journal
+    assert again.view.run.progress.value() >= 3
+    assert again.view.run.speeds.currentData() == 20.0  # that of the station
+    again.connection.set_speed(200.0)
+    wait_for_end(qtbot, again, State.DONE)
+    assert row_counts(again) == (ROWS, ROWS)
+    assert len(stations.hosts) == 1
+    qtbot.waitUntil(lambda: "measured" in again.view.plot.summary, timeout=READY_MS)
+    assert "gaussian-5" in again.view.plot.title
+
+
+def test_two_windows_one_operates_both_can_stop(qtbot: QtBot, open_window: WindowOpener, stations: LocalStations) -> None:
+    one = ready(qtbot, open_window(speed=2.0))
+    two = open_window(speed=2.0)
+    journal = wait_for_journal(qtbot, one)
+    qtbot.waitUntil(lambda: "operates this rig" in two.view.notice.text, timeout=READY_MS)
+    assert not two.view.run.pause_button.isEnabled()
+    assert not two.view.rig.open_button.isEnabled()
+    click(two.view.notice.button)
+    qtbot.waitUntil(lambda: "operates this rig" in one.view.notice.text, timeout=READY_MS)
+    qtbot.waitUntil(two.view.run.pause_button.isEnabled, timeout=READY_MS)
+    assert not one.view.run.pause_button.isEnabled()
+    assert one.view.run.stop_button.isEnabled()
+    click(one.view.run.stop_button)
+    for each in (one, two):
+        wait_for_end(qtbot, each, State.IDLE)
+        assert each.presenter.journal == journal
+    assert len(stations.hosts) == 1
+
+
+def test_a_station_that_dies_is_reported_and_the_run_is_resumed_with_one_key(
+    qtbot: QtBot, open_window: WindowOpener, stations: LocalStations
+) -> None:
+    window = ready(qtbot, open_window(speed=20.0))
+    journal = wait_for_journal(qtbot, window)
+    qtbot.waitUntil(lambda: window.view.run.progress.value() >= 3, timeout=READY_MS)
+    stations.hosts[0].kill()
+    qtbot.waitUntil(lambda: "has ended during the run" in window.view.notice.text, timeout=READY_MS)
+    for text in ("rows are kept in small-001.journal", "heartbeat", "the shutter may be open"):
+        assert text in window.view.notice.text
+    assert not window.view.run.start_button.isEnabled()
+    assert not window.view.run.stop_button.isEnabled()
+    before = campaign_summary(journal)
+    assert 3 <= before.rows < ROWS
+    click(window.view.notice.button)
+    wait_for_end(qtbot, window, State.DONE)
+    assert window.view.notice.text == ""
+    after = campaign_summary(journal)
+    assert (after.rows, after.sessions, after.state) == (ROWS, 2, "done")
+    qtbot.waitUntil(lambda: "measured" in window.view.plot.summary, timeout=READY_MS)
+
+
+def test_a_station_that_dies_at_rest_is_connected_again(qtbot: QtBot, window: MainWindow, stations: LocalStations) -> None:
+    stations.hosts[0].kill()
+    qtbot.waitUntil(lambda: "The station has ended" in window.view.notice.text, timeout=READY_MS)
+    click(window.view.notice.button)
+    ready(qtbot, window)
+    assert window.view.notice.text == ""
+    assert len(stations.hosts) == 2
+
+
+def test_a_stop_that_does_not_get_through_names_the_main_switch(
+    qtbot: QtBot, open_window: WindowOpener, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The station receives nothing: as a process that is frozen."""
     window = ready(qtbot, open_window(speed=1.0))
-    click(window.view.run.start_button)
-    qtbot.waitUntil(lambda: window.presenter.journal is not None, timeout=READY_MS)
-    assert not window.close()
-    question = window.close_question
-    assert question is not None
-    window.stop_and_close()
-    assert window.close_question is None
-    assert not question.isVisible()
-    qtbot.waitUntil(lambda: not window.isVisible(), timeout=READY_MS)
-    assert window.presenter.journal is not None
-    assert campaign_summary(window.presenter.journal).state == "stopped"
-
-
-def test_a_signal_closes_the_window_if_the_run_cannot_start(qtbot: QtBot, window: MainWindow, journals: Path) -> None:
-    journals.write_text("a file, not a folder", encoding="utf-8")
-    click(window.view.run.start_button)
-    assert window.presenter.busy
-    window.stop_and_close()
-    qtbot.waitUntil(lambda: not window.isVisible(), timeout=READY_MS)
-    assert window.presenter.journal is None
+    wait_for_journal(qtbot, window)
+    monkeypatch.setattr(StationServer, "_obey", lambda *_: None)
+    click(window.view.run.stop_button)
+    assert window.view.status == "Stop sent to all axes."
+    qtbot.waitUntil(lambda: "use the main switch" in window.view.status, timeout=READY_MS)
 
 
 def leave_cycles() -> None:

@@ -1,0 +1,433 @@
+"""The window's connection to the station that has the rig. No Qt.
+
+What the operator does goes to the station as a command, and is answered by its events. The window's own process makes plans
+and reads the journal, in threads: it finds the values of a row there when the station reports the row. Stop is sent by the
+thread that calls it, before anything else.
+"""
+
+import contextlib
+import hashlib
+import queue
+import sqlite3
+import threading
+from collections.abc import Callable
+from concurrent.futures import Future
+from pathlib import Path
+from typing import Any, Protocol
+
+from goniotwin.app.campaign.journal.following import JournalFollower
+from goniotwin.app.campaign.planning.plan import Plan, make_plan
+from goniotwin.app.campaign.reduction.reduction import journal_findings
+from goniotwin.app.campaign.running.events import EventLogged, RowCommitted, SafetyOrder
+from goniotwin.app.campaign.running.question import Answer
+from goniotwin.app.campaign.running.resume import recorded_rig
+from goniotwin.app.campaign.schedule.file import ScheduleDescription, parse_schedule, read_schedule
+from goniotwin.app.desktop.model.messages import (
+    Attached,
+    CommandRefused,
+    Message,
+    NotAttached,
+    PlanMade,
+    PlanRefused,
+    RunStarted,
+    StationLost,
+    StopReport,
+    ValuesMissing,
+)
+from goniotwin.app.errors import UserError
+from goniotwin.app.rig import read_rig
+from goniotwin.app.station.client import NoStation, Refused, StationClient
+from goniotwin.app.station.connection_file import attach, station_of
+from goniotwin.app.station.messages import Message as StationMessage
+from goniotwin.app.station.messages import RigOpened, RowSaved, RunBegun, RunEnded, RunRefused, Snapshot
+from goniotwin.app.station.starting import start_station
+from goniotwin.protocols.clock import RealClock
+
+Send = Callable[[Message], None]
+OnEvent = Callable[[StationMessage], None]
+OnEnd = Callable[[], None]
+NO_RIG = "no rig is open"
+LOST_S = 0.5
+"""Real time without any reply after which a stop counts as lost."""
+END_S = 30.0
+"""Longest time in which a station gives its rig back."""
+
+
+class Stations(Protocol):
+    """How a window finds or starts the station of a rig file."""
+
+    def attach(self, rig: Path, name: str, on_event: OnEvent, on_end: OnEnd) -> StationClient | None:
+        """Attach to a station that has the rig; None where there is none. Raises TimeoutError where it is silent."""
+
+    def start(self, rig: Path, speed: float, name: str, on_event: OnEvent, on_end: OnEnd) -> StationClient:
+        """Start a station and attach to it. Raises UserError."""
+
+
+class StationProcesses:
+    """Stations in processes of their own, found by their connection files."""
+
+    def attach(self, rig: Path, name: str, on_event: OnEvent, on_end: OnEnd) -> StationClient | None:
+        """Attach to a station that has the rig; None where there is none."""
+        path = station_of(rig)
+        return None if path is None else attach(path, name, on_event, on_end)
+
+    def start(self, rig: Path, speed: float, name: str, on_event: OnEvent, on_end: OnEnd) -> StationClient:
+        """Start a station and attach to it. Raises UserError."""
+        return start_station(rig, speed, name, on_event, on_end)
+
+
+class Session:
+    """One client of one station; `leaving` when its end is expected."""
+
+    def __init__(self, take: Callable[["Session", StationMessage], None], lost: Callable[["Session"], None]) -> None:
+        self._take, self._lost = take, lost
+        self.client: StationClient | None = None
+        self.leaving = False
+        self.ended = threading.Event()
+
+    def on_event(self, message: StationMessage) -> None:
+        """Take an event of the station."""
+        self._take(self, message)
+
+    def on_end(self) -> None:
+        """The connection has ended."""
+        self.ended.set()
+        self._lost(self)
+
+
+class Connection:
+    """The station of the window's rig. `send` is called from several threads; it must return at once."""
+
+    def __init__(self, send: Send, speed: float = 1.0, stations: Stations | None = None, name: str = "window") -> None:
+        self._send = send
+        self._speed = speed
+        self._stations = stations or StationProcesses()
+        self._name = name
+        self._session: Session | None = None
+        self._last = Snapshot(speed=speed)
+        self._rig_path: Path | None = None
+        self._schedule: Path | None = None
+        self._plan: Plan | None = None
+        self._person = False
+        self._closing = False
+        self._wall = RealClock()
+        self._tasks: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
+        self._rows: queue.SimpleQueue[RunBegun | RowSaved | RunEnded | None] = queue.SimpleQueue()
+        self._follower: JournalFollower | None = None
+        self._threads = [
+            threading.Thread(target=self._work, name="connection"), threading.Thread(target=self._read_rows, name="journal"),
+        ]  # fmt: skip
+        for each in self._threads:
+            each.start()
+
+    # ---- what the window asks for; each returns at once ----
+
+    @property
+    def snapshot(self) -> Snapshot:
+        """The station as it is known; the last one known if there is none any more."""
+        client = self._client
+        if client is not None:
+            self._last = client.snapshot
+        return self._last
+
+    @property
+    def operates(self) -> bool:
+        """Whether this window may operate the rig."""
+        client = self._client
+        return client is None or client.operates
+
+    @property
+    def open_orders(self) -> list[SafetyOrder]:
+        """The safety orders that are not acknowledged."""
+        return list(self.snapshot.orders)
+
+    def open(self, rig: Path) -> None:
+        """Attach to the station of a rig, or start one. The rig that is open, this one too, is given back before."""
+        self._tasks.put(lambda: self._open(rig))
+
+    def load(self, schedule: Path) -> None:
+        """Read a schedule and make the plan for the rig."""
+        self._tasks.put(lambda: self._load(schedule))
+
+    def start(self, plan: Plan, folder: Path) -> None:
+        """Measure a plan into a new journal in `folder`, which is created if it does not exist."""
+        self._tasks.put(lambda: self._start(plan, folder))
+
+    def resume_journal(self, journal: Path) -> None:
+        """Continue the campaign of a journal; a station is started first if there is none."""
+        self._tasks.put(lambda: self._resume_journal(journal))
+
+    def stop(self) -> None:
+        """Bring all axes to rest and end what is in progress. Reported by StopReport."""
+        session = self._session
+        client = session.client if session is not None else None
+        if client is None:
+            self._send(StopReport(confirmed=False, lost=True))
+            return
+        received = threading.Event()
+        future = client.send("stop", received=received.set)
+        future.add_done_callback(self._report_stop)
+        self._wall.at(self._wall.now() + LOST_S, lambda: self._check_stop(received, future))
+
+    def pause(self) -> None:
+        """Pause the run before its next row."""
+        self.command("pause")
+
+    def resume(self) -> None:
+        """Resume the run."""
+        self.command("resume")
+
+    def finish_cut(self) -> None:
+        """End the run after the cut in progress."""
+        self.command("finish_cut")
+
+    def answer(self, number: int, answer: Answer) -> None:
+        """Answer a question by its number."""
+        self.command("answer", question=number, choice=answer)
+
+    def acknowledge(self, order: SafetyOrder) -> None:
+        """Acknowledge a safety order; the journal of its run records it."""
+        self.command("acknowledge", order=order.text)
+
+    def operate(self) -> None:
+        """Operate the rig from here; the other clients watch from then on."""
+        self.command("operate")
+
+    def set_person(self, person: bool) -> None:
+        """Set whether a person is the operator of a virtual rig, from the next run on."""
+        self._person = person
+
+    def set_speed(self, speed: float) -> None:
+        """Set the simulation speed of a virtual rig; ignored for a real one."""
+        self._speed = speed
+        rig = self.snapshot.rig
+        if rig is not None and rig.virtual:
+            self.command("speed", factor=speed)
+
+    def command(self, command: str, **arguments: object) -> None:
+        """Send any command of a station (`station.permissions.COMMANDS`); a refusal is reported by CommandRefused."""
+        client = self._client
+        if client is None:
+            self._send(CommandRefused(command, NO_RIG))
+            return
+        client.send(command, **arguments).add_done_callback(lambda future: self._report_refusal(command, future))
+
+    def close(self) -> None:
+        """Leave the station, which goes on, and end the threads; return when they have ended."""
+        self._closing = True
+        self._tasks.put(None)
+        self._threads[0].join()
+        session = self._session
+        if session is not None and session.client is not None:
+            self._last = session.client.snapshot
+            session.leaving = True
+            self._session = None
+            session.client.close()
+        self._rows.put(None)
+        self._threads[1].join()
+
+    # ---- the thread of the connection ----
+
+    @property
+    def _client(self) -> StationClient | None:
+        session = self._session
+        return session.client if session is not None else None
+
+    def _work(self) -> None:
+        while (task := self._tasks.get()) is not None:
+            try:
+                task()
+            except (UserError, TimeoutError) as error:
+                self._send(NotAttached(str(error)))
+            except Exception as error:  # noqa: BLE001  (of any library: reported, and the window stays open)
+                self._send(NotAttached(f"unexpected error: {type(error).__name__}: {error}"))
+
+    def _open(self, rig: Path) -> None:
+        self._leave()
+        self._rig_path = rig
+        session = Session(self._take, self._lose)
+        try:
+            client = self._stations.attach(rig, self._name, session.on_event, session.on_end)
+            found = client is not None
+            if client is None:
+                client = self._stations.start(rig, self._speed, self._name, session.on_event, session.on_end)
+        except (UserError, TimeoutError) as error:
+            silent = (
+                f"the station of {rig} does not answer; end its process, or wait" if isinstance(error, TimeoutError) else ""
+            )
+            self._send(NotAttached(silent or str(error)))
+            self._send(PlanRefused(NO_RIG))
+            return
+        session.client = client
+        self._session = session
+        self._send(Attached(client.name, client.snapshot, found, client.dropped))
+        self._show(client.snapshot)
+        client.start()
+
+    def _leave(self) -> None:
+        """Give the open rig back, and wait for the end of its station; or leave it to the other client that operates it."""
+        session, self._session = self._session, None
+        if session is None or session.client is None:
+            return
+        session.leaving = True
+        with contextlib.suppress(NoStation, Refused, TimeoutError):
+            session.client.do("disconnect")
+            session.ended.wait(END_S)
+        session.client.close()
+
+    def _show(self, snapshot: Snapshot) -> None:
+        """Report the state of a station as the events that have led to it."""
+        if snapshot.rig is not None:
+            self._tasks.put(self._load_again)
+        if snapshot.journal is not None and snapshot.busy:
+            self._rows.put(RunBegun(snapshot.journal, snapshot.campaign, snapshot.done, snapshot.total, snapshot.seconds_left))
+
+    def _take(self, session: Session, message: StationMessage) -> None:
+        """Take an event of the station, in the thread that reads it."""
+        if session is not self._session:
+            return
+        match message:
+            case RunEnded():
+                self._rows.put(message)  # after the values of its rows
+                return
+            case RunBegun() | RowSaved():
+                self._rows.put(message)
+            case RigOpened():
+                self._tasks.put(self._load_again)
+        self._send(message)
+
+    def _lose(self, session: Session) -> None:
+        if session is self._session and not session.leaving:
+            self._last = session.client.snapshot if session.client is not None else self._last
+            self._session = None
+            self._send(StationLost(self._last))
+
+    def _load(self, path: Path) -> None:
+        self._schedule = path
+        self._load_again()
+
+    def _load_again(self) -> None:
+        path, rig = self._schedule, self.snapshot.rig
+        if path is None:
+            return
+        if self._client is None or rig is None:
+            self._send(PlanRefused(NO_RIG))
+            return
+        try:
+            description = read_rig(rig.path)
+            if hashlib.sha256(description.text.encode()).hexdigest() != rig.digest:
+                raise UserError(f"{rig.path}: has changed since the rig was connected; connect again")
+            self._plan = make_plan(read_schedule(path), description)
+        except UserError as error:
+            self._send(PlanRefused(str(error)))
+        else:
+            self._send(PlanMade(self._plan))
+
+    def _start(self, plan: Plan, folder: Path) -> None:
+        path = Path(plan.schedule.name).absolute()
+        try:
+            if read_schedule(path).text != plan.schedule.text:
+                raise UserError(f"{path}: has changed since it was read; open it again")
+            client = self._client
+            if client is None:
+                raise UserError(NO_RIG)
+            client.do("start", schedule=str(path), folder=str(folder.absolute()), person=self._person)
+        except (UserError, TimeoutError) as error:
+            self._send(RunRefused(str(error)))
+
+    def _resume_journal(self, journal: Path) -> None:
+        if self._client is None and self._rig_path is not None:
+            self._open(self._rig_path)
+        client = self._client
+        try:
+            if client is None:
+                raise UserError(NO_RIG)
+            self._wait_for_rig(client)
+            client.do("continue", journal=str(journal.absolute()), person=self._person)
+        except (UserError, TimeoutError) as error:
+            self._send(RunRefused(str(error)))
+
+    def _wait_for_rig(self, client: StationClient) -> None:
+        """Wait until a station that has just been started has connected its devices."""
+        until = self._wall.now() + END_S
+        while client.snapshot.rig is None and not client.snapshot.closed and not client.ended and self._wall.now() < until:
+            self._wall.sleep_until(self._wall.now() + 0.05)
+
+    # ---- answers ----
+
+    def _report_refusal(self, command: str, future: "Future[dict[str, Any]]") -> None:
+        error = future.exception()
+        if error is not None and not self._closing:
+            self._send(CommandRefused(command, str(error)))
+
+    def _report_stop(self, future: "Future[dict[str, Any]]") -> None:
+        if self._closing:
+            return
+        if future.exception() is not None:
+            self._send(StopReport(confirmed=False, lost=True))
+        else:
+            failures = tuple(future.result().get("failures", ()))
+            self._send(StopReport(confirmed=not failures, failures=failures))
+
+    def _check_stop(self, received: threading.Event, future: "Future[dict[str, Any]]") -> None:
+        if not received.is_set() and not future.done() and not self._closing:
+            self._send(StopReport(confirmed=False, lost=True))
+
+    # ---- the thread of the journal ----
+
+    def _read_rows(self) -> None:
+        """Send the rows of a run with their values, from its journal, as many at once as have been reported."""
+        while (event := self._rows.get()) is not None:
+            events = [event]
+            while not self._rows.empty():
+                if (more := self._rows.get()) is None:
+                    return
+                events.append(more)
+            saved = {each.row.number: each for each in events if isinstance(each, RowSaved)}
+            for each in events:
+                if self._closing:
+                    return
+                if isinstance(each, RunBegun):
+                    self._begin(each)
+            self._send_rows(saved)
+            for each in events:
+                if isinstance(each, RunEnded):
+                    self._send(each)
+                    self._report_findings(each.journal)
+
+    def _begin(self, begun: RunBegun) -> None:
+        """Send the plan of a run; where it is the one that this window has made, that one."""
+        self._follower = JournalFollower(begun.journal)
+        try:
+            with self._follower.reading() as journal:
+                schedule, rig = journal.value("schedule"), journal.value("rig")
+                plan = self._plan
+                if plan is None or (plan.schedule.text, plan.rig.text) != (schedule, rig):
+                    parsed = parse_schedule(schedule, f"{begun.journal} (schedule)")
+                    certificate = None if parsed.file.certificate is None else journal.value("certificate")
+                    described = ScheduleDescription(parsed.text, parsed.file, parsed.name, certificate)
+                    plan = Plan(described, recorded_rig(journal), journal.planned_rows())
+            self._send(RunStarted(plan, begun.journal))
+        except (UserError, OSError, sqlite3.Error) as error:
+            self._follower = None
+            self._send(ValuesMissing(str(error)))
+
+    def _send_rows(self, saved: dict[int, RowSaved]) -> None:
+        if self._follower is None:
+            return
+        try:
+            for each in self._follower.new_rows():
+                if self._closing:
+                    return
+                known = saved.get(each.row.number)
+                progress = (0, 1, 0.0) if known is None else (known.done, known.total, known.seconds_left)
+                self._send(RowCommitted(each.row, each.data, *progress))
+        except (UserError, OSError, sqlite3.Error) as error:
+            self._follower = None
+            self._send(ValuesMissing(str(error)))
+
+    def _report_findings(self, journal: Path) -> None:
+        """Send what the data of a run show of the instrument, if they are enough for a reduction."""
+        with contextlib.suppress(UserError):
+            for finding in journal_findings(journal):
+                self._send(EventLogged("finding", finding, journal.name, "see goniotwin verify"))

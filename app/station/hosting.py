@@ -1,0 +1,62 @@
+"""The place of a station: its lock and its connection file, from the start of its server to the end."""
+
+import contextlib
+import hashlib
+import os
+import socket
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+from goniotwin.app.rig import RigDescription
+from goniotwin.app.rig.addresses import device_names
+from goniotwin.app.rig.lock import LockFile
+from goniotwin.app.station.connection_file import Connection, connection_folder, read_connection, write_connection
+from goniotwin.app.station.messages import Message, RunBegun
+from goniotwin.app.station.server import StationServer
+from goniotwin.app.station.station import Station
+from goniotwin.own_files import make_own_folder
+from goniotwin.protocols.channel import PROTOCOL
+from goniotwin.protocols.clock import calendar_stamp
+
+
+def connection_path(rig: RigDescription) -> Path:
+    """The connection file of the station that has a rig: of its devices; of a virtual rig in the station, of its rig file."""
+    if rig.file.in_process:
+        places = [str(Path(rig.name).resolve())]
+    else:
+        places = sorted({name for address in rig.file.addresses for name in device_names(address)})
+    return connection_folder() / f"{hashlib.sha256(repr(places).encode()).hexdigest()[:32]}.json"
+
+
+@contextlib.contextmanager
+def serving(station: Station, rig: RigDescription) -> Iterator[StationServer]:
+    """Serve a station of a rig to clients that find it by its file. Raises RigInUse where another station has the rig."""
+    path = connection_path(rig)
+    make_own_folder(path.parent)
+    lock = LockFile(path.with_suffix(".lock"), rig.name, f"station of {rig.file.name} ({rig.name})", 0o600)
+    server = StationServer(station)
+    about = Connection(
+        PROTOCOL, os.getpid(), socket.gethostname(), server.port, server.token, str(Path(rig.name).absolute()), "",
+        calendar_stamp(),
+    )  # fmt: skip
+
+    def write(_number: int, message: Message) -> None:
+        nonlocal about
+        if isinstance(message, RunBegun):
+            about = replace(about, journal=str(message.journal))
+            with contextlib.suppress(OSError):  # a full disk: the file leads to the station as before
+                write_connection(path, about)
+
+    try:
+        server.start()
+        write_connection(path, about)
+        station.board.subscribe(write)
+        yield server
+    finally:
+        station.board.unsubscribe(write)
+        server.stop()
+        found = read_connection(path)
+        if found is not None and found.pid == about.pid:
+            path.unlink(missing_ok=True)
+        lock.release(remove=True)

@@ -1,0 +1,334 @@
+"""Events of a station, small enough for a line of its channel: the values of rows are in the journal."""
+
+from dataclasses import dataclass, field, fields
+from functools import cache
+from pathlib import Path
+from typing import Any, get_args
+
+from pydantic import TypeAdapter, ValidationError
+
+from goniotwin.app.campaign.row import Row
+from goniotwin.app.campaign.running.events import EventLogged, Positions, RowStarted, SafetyOrder, State, StateChanged
+from goniotwin.app.campaign.running.question import Answer, Question
+
+LONGEST_TEXT = 2000
+"""Characters of a text in an event; the journal has all of it."""
+
+
+@dataclass(frozen=True)
+class DeviceStatus:
+    """Whether a device is connected. `text` is its identity, or the reason why it does not respond.
+
+    `answered` is the calendar time of its last answer, UTC, ISO 8601; empty before the first one.
+    """
+
+    connected: bool
+    text: str
+    answered: str = ""
+
+
+@dataclass(frozen=True)
+class RigOpened:
+    """A rig is open, with the status of each device by its name.
+
+    `name` is that in the rig file, `path` the rig file or the journal that it was read from, `digest` the SHA-256 of its text.
+    `virtual` if all devices are: then the simulation speed can be set, and samples are mounted by the program.
+    """
+
+    name: str
+    path: Path
+    digest: str
+    simulated: bool
+    seed: int | None
+    virtual: bool
+    devices: dict[str, DeviceStatus]
+
+    @property
+    def not_responding(self) -> list[str]:
+        """The devices that do not respond."""
+        return [device for device, status in self.devices.items() if not status.connected]
+
+
+@dataclass(frozen=True)
+class RigClosed:
+    """No rig is open. `reason` is one line for the operator, or empty."""
+
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class DeviceChanged:
+    """The status of a device has changed; `reason` is the fault, empty if there is none."""
+
+    device: str
+    status: DeviceStatus
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class DevicesAnswered:
+    """Calendar times of the last answers, by device."""
+
+    times: dict[str, str]
+
+
+@dataclass(frozen=True)
+class ActivityChanged:
+    """What the station does now, apart from the rows of a run, in words; empty if nothing.
+
+    `error` is the fault or the refusal with which the activity before ended, empty if it is done.
+    """
+
+    activity: str
+    error: str = ""
+
+
+@dataclass(frozen=True)
+class BenchChanged:
+    """Settings of the bench as far as they are known: None is unknown. `live` while live readings are taken."""
+
+    wavelength_nm: float | None = None
+    shutter_open: bool | None = None
+    gain_v_per_a: float | None = None
+    sample: str | None = None
+    live: bool = False
+
+
+@dataclass(frozen=True)
+class BenchReading:
+    """A reading of all photodiodes on the bench, each the mean over `readings` conversions.
+
+    `volts` has None for a photodiode that is `saturated` in one of them. `dark` if the shutter was closed for it; `live` if it
+    is one of the live readings. `t_s` is on the rig's clock.
+    """
+
+    t_s: float
+    readings: int
+    gain_v_per_a: float
+    counts: tuple[float, ...]
+    volts: tuple[float | None, ...]
+    saturated: tuple[bool, ...]
+    monitor_a: float | None
+    wavelength_nm: float | None
+    dark: bool
+    live: bool
+
+
+@dataclass(frozen=True)
+class RunBegun:
+    """A run has begun, into a journal. `done` of `total` rows are measured already; `seconds_left` is estimated."""
+
+    journal: Path
+    name: str
+    done: int
+    total: int
+    seconds_left: float
+
+
+@dataclass(frozen=True)
+class RowSaved:
+    """A row is on the disk: `done` of `total` rows. Its values are in the journal, under the row's number."""
+
+    row: Row
+    flags: tuple[str, ...]
+    done: int
+    total: int
+    seconds_left: float
+
+
+@dataclass(frozen=True)
+class RunEnded:
+    """A run has ended: done, failed, or idle if it was stopped. Its journal is closed; `journal` is the file with all rows."""
+
+    state: State
+    reason: str
+    journal: Path
+
+
+@dataclass(frozen=True)
+class RunRefused:
+    """A run was not started and nothing was measured. `reason` is one line for the operator."""
+
+    reason: str
+
+
+@dataclass(frozen=True)
+class QuestionAsked:
+    """The run waits for the operator's answer: the command `answer` with the question's number."""
+
+    number: int
+    question: Question
+
+
+@dataclass(frozen=True)
+class QuestionClosed:
+    """A question does not wait any more. `answer` is None where a stop ended it."""
+
+    number: int
+    answer: Answer | None
+
+
+@dataclass(frozen=True)
+class OrderAcknowledged:
+    """A safety order has been acknowledged."""
+
+    order: SafetyOrder
+
+
+@dataclass(frozen=True)
+class SpeedChanged:
+    """The simulation speed of a virtual rig."""
+
+    speed: float
+
+
+@dataclass(frozen=True)
+class OperatorChanged:
+    """The client that operates; empty if the place is free."""
+
+    client: str
+
+
+Message = (
+    StateChanged | RowStarted | Positions | EventLogged | SafetyOrder | RigOpened | RigClosed | DeviceChanged | DevicesAnswered
+    | ActivityChanged | BenchChanged | BenchReading | RunBegun | RowSaved | RunEnded | RunRefused | QuestionAsked
+    | QuestionClosed | OrderAcknowledged | SpeedChanged | OperatorChanged
+)  # fmt: skip
+NEWEST_ONLY = (Positions, BenchReading, DevicesAnswered)
+"""Of these a client needs only the newest."""
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """The station as its events so far give it; `number` is that of the last one.
+
+    `journal` is that of the run in progress, or of the last one; `row` the row in progress; `reason` why the state was entered;
+    `answered` the calendar times of the devices' last answers.
+    """
+
+    number: int = 0
+    rig: RigOpened | None = None
+    closed: str = ""
+    state: State = State.IDLE
+    reason: str = ""
+    journal: Path | None = None
+    campaign: str = ""
+    done: int = 0
+    total: int = 0
+    seconds_left: float = 0.0
+    row: Row | None = None
+    activity: str = "opening the rig"
+    bench: BenchChanged = field(default_factory=BenchChanged)
+    positions: dict[str, float] = field(default_factory=dict)
+    reading: BenchReading | None = None
+    question: QuestionAsked | None = None
+    orders: tuple[SafetyOrder, ...] = ()
+    speed: float = 1.0
+    operator: str = ""
+
+    @property
+    def busy(self) -> bool:
+        """Whether a run is in progress."""
+        return self.state in BUSY
+
+
+BUSY = (State.RUNNING, State.PAUSING, State.PAUSED, State.RECOVERING, State.STOPPING)
+
+
+def advance(before: Snapshot, message: Message) -> Snapshot:
+    """The snapshot after an event: the station and its clients keep theirs by this one function."""
+    changes: dict[str, Any] = {}
+    match message:
+        case StateChanged(state, reason):
+            changes = {"state": state, "reason": reason}
+        case RowStarted(row):
+            changes = {"row": row}
+        case Positions(degrees):
+            changes = {"positions": {**before.positions, **degrees}}
+        case SafetyOrder():
+            changes = {"orders": (*(each for each in before.orders if each != message), message)}
+        case OrderAcknowledged(order):
+            changes = {"orders": tuple(each for each in before.orders if each != order)}
+        case RigOpened():
+            changes = {"rig": message, "closed": "", "activity": ""}
+        case RigClosed(reason):
+            changes = {
+                "rig": None, "closed": reason, "state": State.IDLE, "activity": "", "positions": {}, "row": None,
+                "bench": BenchChanged(), "reading": None,
+            }  # fmt: skip
+        case DeviceChanged(device, status) if before.rig is not None:
+            changes = {"rig": _with_devices(before.rig, {device: status})}
+        case DevicesAnswered(times) if before.rig is not None:
+            known = before.rig.devices
+            changes = {"rig": _with_devices(before.rig, {
+                name: DeviceStatus(known[name].connected, known[name].text, time) for name, time in times.items()
+                if name in known
+            })}  # fmt: skip
+        case ActivityChanged(activity):
+            changes = {"activity": activity}
+        case BenchChanged():
+            changes = {"bench": message}
+        case BenchReading():
+            changes = {"reading": message}
+        case RunBegun(journal, name, done, total, seconds_left):
+            changes = {
+                "journal": journal, "campaign": name, "done": done, "total": total, "seconds_left": seconds_left,
+                "activity": "", "row": None,
+            }  # fmt: skip
+        case RowSaved(_row, _flags, done, total, seconds_left):
+            changes = {"done": done, "total": total, "seconds_left": seconds_left}
+        case RunEnded(state, reason, journal):
+            changes = {"state": state, "reason": reason, "journal": journal, "row": None, "question": None}
+        case RunRefused(reason):
+            changes = {"state": State.IDLE, "reason": reason, "activity": ""}
+        case QuestionAsked():
+            changes = {"question": message}
+        case QuestionClosed(number) if before.question is not None and before.question.number == number:
+            changes = {"question": None}
+        case SpeedChanged(speed):
+            changes = {"speed": speed}
+        case OperatorChanged(client):
+            changes = {"operator": client}
+    return Snapshot(**{**_content(before), "number": before.number + 1, **changes})
+
+
+def encode(message: Message | Snapshot) -> dict[str, Any]:
+    """A message as a JSON object, with its type; long texts are cut."""
+    content: dict[str, Any] = _adapter(type(message)).dump_python(message, mode="json")
+    return {"type": type(message).__name__, **_cut(content)}
+
+
+def decode(content: dict[str, Any]) -> Message | Snapshot | None:
+    """The message of a JSON object; None for a type of a later version. Raises ValueError for content that it cannot have."""
+    kind = KINDS.get(content.get("type", ""))
+    if kind is None:
+        return None
+    try:
+        message: Message | Snapshot = _adapter(kind).validate_python({k: v for k, v in content.items() if k != "type"})
+    except ValidationError as error:
+        raise ValueError(f"{kind.__name__}: {error.errors()[0]['msg']}") from None
+    return message
+
+
+KINDS: dict[str, type[Any]] = {each.__name__: each for each in (*get_args(Message), Snapshot)}
+
+
+@cache
+def _adapter(kind: type[Any]) -> TypeAdapter[Any]:
+    return TypeAdapter(kind)
+
+
+def _cut(content: Any) -> Any:
+    if isinstance(content, str):
+        return content if len(content) <= LONGEST_TEXT else f"{content[:LONGEST_TEXT]} ..."
+    if isinstance(content, dict):
+        return {key: _cut(value) for key, value in content.items()}
+    return [_cut(each) for each in content] if isinstance(content, list) else content
+
+
+def _with_devices(rig: RigOpened, devices: dict[str, DeviceStatus]) -> RigOpened:
+    return RigOpened(**{**_content(rig), "devices": {**rig.devices, **devices}})
+
+
+def _content(instance: Any) -> dict[str, Any]:
+    return {each.name: getattr(instance, each.name) for each in fields(instance)}

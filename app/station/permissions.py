@@ -1,0 +1,56 @@
+"""Which commands a station accepts now: one function of its state, for the station to refuse and for a window to grey out."""
+
+from goniotwin.app.campaign.running.events import State
+from goniotwin.app.station.messages import Snapshot
+
+FREE = ("stop", "operate", "disconnect")
+"""Commands that no state refuses. Every client may stop, whichever operates."""
+OF_RUN = ("pause", "resume", "finish_cut", "answer", "acknowledge", "speed")
+OF_BENCH = (
+    "start", "continue", "connect", "move", "home", "set_position", "wavelength", "shutter", "gain", "read", "live", "mount",
+)  # fmt: skip
+COMMANDS = (*FREE, *OF_RUN, *OF_BENCH)
+
+
+def allowed(station: Snapshot) -> dict[str, str]:
+    """For each command the reason why it is refused now, in one line; empty where it is allowed."""
+    refusals = dict.fromkeys(COMMANDS, "")
+    for command in OF_BENCH:
+        refusals[command] = _no_bench(station, command)
+    if station.rig is None:
+        refusals["stop"] = "no rig is open"
+    if station.state not in (State.RUNNING, State.RECOVERING):
+        refusals["pause"] = f"the run is {station.state}" if station.busy else "no run is in progress"
+    if station.state not in (State.PAUSING, State.PAUSED):
+        refusals["resume"] = f"the run is {station.state}" if station.busy else "no run is in progress"
+    if not station.busy or station.state is State.STOPPING:
+        refusals["finish_cut"] = f"the run is {station.state}" if station.busy else "no run is in progress"
+    if station.question is None:
+        refusals["answer"] = "no question is open"
+    if not station.orders:
+        refusals["acknowledge"] = "no safety order is open"
+    if station.rig is None or not station.rig.virtual:
+        refusals["speed"] = "the rig is not virtual, or none is open"
+    return refusals
+
+
+def _no_bench(station: Snapshot, command: str) -> str:
+    rig = station.rig
+    if rig is None:
+        return station.activity or station.closed or "no rig is open"
+    if station.busy:
+        return f"a run is {station.state}"
+    if station.activity and command != "live":
+        return station.activity
+    silent = rig.not_responding
+    if command in ("start", "continue") and silent:
+        return f"not responding: {' and '.join(silent)}"
+    needed = {
+        "wavelength": "monochromator", "shutter": "monochromator", "gain": "photodiodes", "read": "photodiodes",
+        "live": "photodiodes",
+    }.get(command, "")  # fmt: skip
+    if needed in silent:
+        return f"not responding: {needed}"
+    if command == "mount" and not rig.simulated:
+        return "a person mounts the samples of this rig"
+    return ""

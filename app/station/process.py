@@ -1,0 +1,91 @@
+"""The process of a station, `goniotwin station`: until it is disconnected, has no clients, or a signal comes."""
+
+import contextlib
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+from goniotwin.app.campaign.running.events import EventLogged, SafetyOrder, StateChanged
+from goniotwin.app.end_signals import call_on_end_signal
+from goniotwin.app.errors import one_line
+from goniotwin.app.rig import read_rig
+from goniotwin.app.station.hosting import serving
+from goniotwin.app.station.messages import (
+    ActivityChanged,
+    DeviceChanged,
+    Message,
+    OperatorChanged,
+    RigClosed,
+    RigOpened,
+    RunBegun,
+    RunEnded,
+    RunRefused,
+)
+from goniotwin.app.station.station import Station
+from goniotwin.protocols.clock import calendar_stamp
+
+UNATTENDED_S = 60.0
+"""A station without a client, and with nothing in progress, gives its rig back after this time."""
+WAIT_S = 0.1
+Log = Callable[[str], None]
+
+
+def run_station(rig: Path, speed: float, log: Log, unattended_s: float = UNATTENDED_S) -> bool:
+    """Be the station of a rig until it is disconnected, has no clients, or a signal comes: True then.
+
+    Raises UserError where the rig cannot be opened, or another program has it.
+    """
+    description = read_rig(rig)
+    station = Station(speed)
+    ended = threading.Event()
+    log(f"{calendar_stamp()} station of {description.file.name} ({rig})")
+    with call_on_end_signal(ended.set) as signals, serving(station, description) as server:
+        station.board.subscribe(lambda _number, message: _log(log, message))
+        station.open(description)
+        engine = threading.Thread(target=station.serve, name="engine")
+        station.do(station.connect_all)
+        engine.start()
+        try:
+            log(f"{calendar_stamp()} serving at port {server.port}")
+            # In pieces: on Windows a wait without a limit hears no signal.
+            while not ended.wait(WAIT_S) and not station.disconnected.is_set() and engine.is_alive():
+                if server.unattended_s > unattended_s and not station.busy:
+                    log(f"{calendar_stamp()} no client for {unattended_s:g} s")
+                    break
+        finally:
+            station.end()
+            engine.join()
+    for order in station.open_orders:
+        log(f"SAFETY: {order.text}")
+    log(f"{calendar_stamp()} ended")
+    return signals.received
+
+
+def _log(log: Log, message: Message) -> None:
+    match message:
+        case RigOpened(devices=devices):
+            text = "rig opened; not responding: " + (" and ".join(message.not_responding) or f"none of {len(devices)} devices")
+        case RigClosed(reason):
+            text = f"rig closed {reason}"
+        case RunBegun(journal, name):
+            text = f"run of {name} into {journal}"
+        case RunEnded(state, reason, journal):
+            text = f"run ended: {state} {reason}: {journal}"
+        case RunRefused(reason):
+            text = f"run refused: {reason}"
+        case StateChanged(state, reason):
+            text = f"{state} {reason}"
+        case EventLogged(kind, what, where, consequence):
+            text = f"{kind}: {where}: {what} {consequence}"
+        case SafetyOrder():
+            text = f"SAFETY: {message.text}"
+        case DeviceChanged(device, status, reason):
+            text = f"{device}: {reason or status.text}"
+        case ActivityChanged(activity, error) if activity or error:
+            text = activity or f"failed: {error}"
+        case OperatorChanged(client):
+            text = f"operated by {client or 'no client'}"
+        case _:
+            return
+    with contextlib.suppress(OSError, ValueError):  # a full disk
+        log(f"{calendar_stamp()} {one_line(text)}")

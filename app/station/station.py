@@ -1,0 +1,759 @@
+"""The station: one rig, held from `open` to `close`, its bench and its runs. A plain object; no process, no channel, no window.
+
+Each command is a public method and returns at once; it raises `CommandRefused` where `allowed` has a reason. What lasts is done
+by the *engine's thread*, the one that calls `serve` (or, in tests on the virtual clock, `work`), and is reported by events.
+`stop` does not pass through that thread, because it may be waiting for a device: it is carried out by the thread that calls it.
+"""
+
+import contextlib
+import hashlib
+import queue
+import re
+import threading
+from collections.abc import Callable, Sequence
+from itertools import count
+from pathlib import Path
+
+from goniotwin.app.campaign.campaign import check_referenced, operator_for
+from goniotwin.app.campaign.journal.summary import SUFFIX
+from goniotwin.app.campaign.journal.writing import Journal, JournalError, software_versions
+from goniotwin.app.campaign.planning.plan import Plan, make_plan
+from goniotwin.app.campaign.row import Row
+from goniotwin.app.campaign.running.engine import Engine
+from goniotwin.app.campaign.running.events import (
+    Event,
+    EventLogged,
+    Positions,
+    RowCommitted,
+    SafetyOrder,
+    State,
+    cut_power_order,
+)
+from goniotwin.app.campaign.running.question import Answer, Question
+from goniotwin.app.campaign.running.resume import remaining_work
+from goniotwin.app.campaign.running.stop import Stopped, StopRequest
+from goniotwin.app.campaign.schedule.file import read_schedule
+from goniotwin.app.errors import UserError
+from goniotwin.app.rig import AXES, OpenRig, RigDescription, open_rig
+from goniotwin.app.rig.last_rig import remember_rig
+from goniotwin.app.station.bench import Bench, PendingReading
+from goniotwin.app.station.board import Board
+from goniotwin.app.station.messages import (
+    ActivityChanged,
+    DeviceChanged,
+    DevicesAnswered,
+    DeviceStatus,
+    Message,
+    OperatorChanged,
+    OrderAcknowledged,
+    QuestionAsked,
+    QuestionClosed,
+    RigClosed,
+    RigOpened,
+    RowSaved,
+    RunBegun,
+    RunEnded,
+    RunRefused,
+    Snapshot,
+    SpeedChanged,
+)
+from goniotwin.app.station.permissions import allowed
+from goniotwin.drivers import BadAnswer, DeviceError, Forgotten, LimitError, NoAnswer
+from goniotwin.protocols.clock import Clock, RealClock, ScaledClock, VirtualClock, calendar_stamp
+
+POLL_S = 0.2
+"""Real time between two readings of the axis positions at rest."""
+LIVE_POLL_S = 0.02
+"""The same between two polls of live readings."""
+LIVE_S = 0.1
+"""Shortest real time between two live readings."""
+ANSWERED_S = 2.0
+"""Real time between two reports of when the devices last answered."""
+ASK_S = 5.0
+"""Real time between two questions to a device that nothing else uses."""
+NO_HEARTBEAT_S = float("inf")
+"""A virtual rig has the longest heartbeat of its controllers: it counts simulated time, but the host is slow in real time. At
+simulation speed 60, a pause of 35 ms would exceed a short heartbeat."""
+Task = Callable[[], None]
+
+
+class CommandRefused(UserError):
+    """A command that the station does not carry out now; the message is the reason, in one line."""
+
+
+class RunRecord:
+    """The journal of a run, for events from any thread, also after the run has closed it."""
+
+    def __init__(self, journal: Journal, clock: Clock) -> None:
+        self._journal = journal
+        self._clock = clock
+        self._open = True
+        self._lock = threading.Lock()
+
+    def event(self, kind: str, text: str) -> None:
+        """Write an event. Raises JournalError, UserError."""
+        t = self._clock.now()
+        with self._lock:
+            if self._open:
+                self._journal.event(t, kind, text)
+            else:
+                with Journal.reopen(self._journal.path) as journal:
+                    journal.event(t, kind, text)
+
+    def close(self) -> None:
+        """Close the journal."""
+        with self._lock:
+            self._open = False
+            self._journal.close()
+
+
+class Station:
+    """One rig and what is done with it.
+
+    `board` has its state and takes listeners. `clock` is that of the rig; without it a virtual rig has one at `speed`, which
+    the command of that name changes, and any other rig real time.
+    """
+
+    def __init__(self, speed: float = 1.0, clock: Clock | None = None) -> None:
+        self.board = Board(Snapshot(speed=speed))
+        self.disconnected = threading.Event()
+        self._given_clock = clock
+        self._clock: Clock = clock or ScaledClock()
+        self._wall = RealClock()
+        self._tasks: queue.SimpleQueue[Task | None] = queue.SimpleQueue()
+        self._opened: OpenRig | None = None
+        self._description: RigDescription | None = None
+        self._bench: Bench | None = None
+        self._engine: Engine | None = None
+        self._live: PendingReading | None = None
+        self._stop_requested = threading.Event()
+        self._stops = 0
+        self._no_stops = threading.Condition()
+        self._asked = 0
+        self._answered = 0
+        self._answers: queue.SimpleQueue[tuple[int, Answer] | None] = queue.SimpleQueue()
+        self._record: RunRecord | None = None
+        self._ordered: dict[SafetyOrder, RunRecord | None] = {}
+        self._silent: set[str] = set()
+        self._times: dict[str, str] = {}
+        self._due = {"positions": 0.0, "live": 0.0, "answered": 0.0, "ask": 0.0}
+
+    @property
+    def snapshot(self) -> Snapshot:
+        """The state now."""
+        return self.board.snapshot
+
+    @property
+    def busy(self) -> bool:
+        """Whether a run is in progress or about to begin, or anything moves on the bench."""
+        return self.snapshot.busy or bool(self.snapshot.activity)
+
+    @property
+    def open_orders(self) -> list[SafetyOrder]:
+        """The safety orders that are not acknowledged."""
+        return list(self._ordered)
+
+    # ---- commands: from any thread; each returns at once ----
+
+    def stop(self) -> list[str]:
+        """Bring all axes to rest, and end the run or what the bench does; return what was not confirmed.
+
+        Carried out by the calling thread, at once. An axis that does not respond delays no other.
+        """
+        self._stop_requested.set()  # before the engine is looked up: `_measure` checks it after it has created one
+        engine, bench, opened = self._engine, self._bench, self._opened
+        with self._no_stops:
+            self._stops += 1
+        try:
+            if engine is not None:
+                return [str(each) for each in engine.stop()]
+            if bench is None or opened is None:
+                return []
+            failures = bench.request.stop()
+            for each in failures:
+                self._publish(EventLogged("fault", str(each), each.device))
+            if (order := cut_power_order(opened.rig, failures)) is not None:
+                self._give_order(order, None)
+            return [str(each) for each in failures]
+        finally:
+            self._answers.put(None)  # wakes a run that waits for an answer
+            with self._no_stops:
+                self._stops -= 1
+                self._no_stops.notify_all()
+
+    def pause(self) -> None:
+        """Pause the run before its next row, with the shutter closed."""
+        self._check("pause")
+        if self._engine is not None:
+            self._engine.pause()
+
+    def resume(self) -> None:
+        """Resume the run that is paused."""
+        self._check("resume")
+        if self._engine is not None:
+            self._engine.resume()
+
+    def finish_cut(self) -> None:
+        """End the run in good order after the last row of the cut in progress."""
+        self._check("finish_cut")
+        if self._engine is not None:
+            self._engine.finish_cut()
+
+    def answer(self, question: int, choice: Answer) -> None:
+        """Answer the open question by its number; the first answer counts. `Stop` stops, `Wait` changes nothing."""
+        self._check("answer")
+        with self.board.deciding() as now:
+            asked = now.question
+            if asked is None or asked.number != question or self._answered == question:
+                raise CommandRefused(f"question {question} is answered already")
+            if choice not in asked.question.answers:
+                raise CommandRefused(f"{choice}: is no answer to this question; give {' or '.join(asked.question.answers)}")
+            if choice in (Answer.WAIT, Answer.STOP):
+                question = 0
+            else:
+                self._answered = question
+        if choice is Answer.STOP:
+            self.stop()
+        elif question:
+            self._answers.put((question, choice))
+
+    def acknowledge(self, order: str) -> None:
+        """Acknowledge a safety order, by its text, and record that in the journal of its run."""
+        self._check("acknowledge")
+        with self.board.deciding() as now:
+            found = next((each for each in now.orders if each.text == order), None)
+            if found is None:
+                raise CommandRefused(f"no such safety order is open: {order}")
+            record = self._ordered.pop(found, None)  # None: no run was on when it was given
+            self._publish(OrderAcknowledged(found))
+        if record is not None:
+            try:
+                record.event("acknowledged", found.text)
+            except (JournalError, UserError) as error:
+                self._publish(EventLogged("fault", f"the acknowledgement is not in the journal: {error}", "journal"))
+
+    def start(self, schedule: Path, folder: Path, person: bool = False) -> None:
+        """Measure a schedule into a new journal in `folder`, which is created if it does not exist.
+
+        With `person`, the operator of a virtual rig is a person as well.
+        """
+        self._begin("start", f"starting {schedule.name}", lambda: self._start(schedule, folder, person), run=True)
+
+    def resume_journal(self, journal: Path, person: bool = False) -> None:
+        """Continue the campaign of a journal: the command `continue`."""
+        self._begin("continue", f"resuming {journal.name}", lambda: self._resume(journal, person), run=True)
+
+    def connect(self, device: str = "") -> None:
+        """Connect one device anew, or all that do not respond."""
+        rig = self.snapshot.rig
+        if device and rig is not None and device not in rig.devices:
+            raise CommandRefused(f"{device}: is no device of this rig; give {', '.join(rig.devices)}")
+        what = device or "the devices"
+        self._begin("connect", f"connecting {what}", lambda: self._connect(device))
+
+    def move(self, axis: str, target_deg: float) -> None:
+        """Move an axis to an angle. Refused outside the soft limits, before anything is sent."""
+        opened = self._axis("move", axis)
+        try:
+            opened.rig.axes[axis].check_limits(target_deg)
+        except LimitError as error:
+            raise CommandRefused(str(error)) from None
+        self._begin("move", f"moving {axis} to {target_deg:g} deg", lambda: self._on_bench().move(axis, target_deg))
+
+    def home(self, axis: str) -> None:
+        """Home an axis; it moves."""
+        opened = self._axis("home", axis)
+        if opened.rig.axes[axis].settings.homing is None:
+            raise CommandRefused(f"{axis}: has no [axes.{axis}.homing] table; set its position instead")
+        self._begin("home", f"homing {axis}", lambda: self._on_bench().home(axis))
+
+    def set_position(self, axis: str, angle_deg: float) -> None:
+        """Set the current position of an axis; nothing moves."""
+        opened = self._axis("set_position", axis)
+        limits = opened.rig.axes[axis].settings
+        if not limits.lower_deg <= angle_deg <= limits.upper_deg:
+            raise CommandRefused(
+                f"{axis} has soft limits of {limits.lower_deg:g} to {limits.upper_deg:g} deg, and {angle_deg:g} deg is outside"
+            )
+        self._begin("set_position", f"setting the position of {axis}", lambda: opened.rig.axes[axis].set_position(angle_deg))
+
+    def wavelength(self, nm: float) -> None:
+        """Set the wavelength."""
+        self._begin("wavelength", f"setting {nm:g} nm", lambda: self._on_bench().set_wavelength(nm))
+
+    def shutter(self, opened: bool) -> None:
+        """Open or close the shutter."""
+        doing = "opening" if opened else "closing"
+        self._begin("shutter", f"{doing} the shutter", lambda: self._on_bench().set_shutter(opened=opened))
+
+    def gain(self, v_per_a: float) -> None:
+        """Set the gain of all amplifiers, one of the rig's list."""
+        self._check("gain")
+        gains = self._rig().rig.photodiodes.settings.gains_v_per_a
+        if v_per_a not in gains:
+            raise CommandRefused(f"{v_per_a:g} V/A: is no gain of this rig; give {' or '.join(f'{each:g}' for each in gains)}")
+        index = gains.index(v_per_a)
+        self._begin("gain", f"setting {v_per_a:g} V/A", lambda: self._on_bench().set_gain(index))
+
+    def read(self, readings: int = 1, dark: bool = False) -> None:
+        """Read all photodiodes once, the mean of `readings`; `dark` with the shutter closed. The event has the values."""
+        if not 1 <= readings <= 1000:
+            raise CommandRefused(f"{readings} readings are not possible; give 1 to 1000")
+        what = "taking a dark reading" if dark else "reading"
+        self._begin("read", what, lambda: self._read(readings, dark))
+
+    def live(self, on: bool) -> None:
+        """Take live readings until they are switched off; they rest while anything else is read or set."""
+        self._check("live")
+        self._tasks.put(lambda: self._set_live(on))
+
+    def mount(self, sample: str) -> None:
+        """Mount a sample in a virtual rig."""
+        self._begin("mount", f"mounting {sample}", lambda: self._on_bench().mount(sample))
+
+    def speed(self, factor: float) -> None:
+        """Set the simulation speed of a virtual rig."""
+        self._check("speed")
+        if not 0.1 <= factor <= 1000.0:
+            raise CommandRefused(f"a simulation speed of {factor:g} is not possible; give 0.1 to 1000")
+        if not isinstance(self._clock, ScaledClock):
+            raise CommandRefused("the virtual clock has no speed")
+        self._clock.set_speed(factor)
+        self._publish(SpeedChanged(factor))
+
+    def disconnect(self) -> None:
+        """Stop what is in progress, close the shutter and give the rig back: the end of the station."""
+        self.disconnected.set()
+
+    def operate(self, client: str) -> None:
+        """Note the client that operates; empty if the place is free. The server decides which commands it takes."""
+        self._publish(OperatorChanged(client))
+
+    # ---- the engine's thread ----
+
+    def open(self, description: RigDescription, transcript: Path | None = None) -> None:
+        """Open the rig of a file and take its lock; nothing is connected yet. Raises UserError."""
+        self._clock = self.clock_for(description)
+        self.adopt(open_rig(description, self._clock, transcript), description)
+
+    def clock_for(self, description: RigDescription, start_s: float = 0.0) -> Clock:
+        """The clock on which a rig is opened."""
+        if self._given_clock is None:
+            self._clock = ScaledClock(self.snapshot.speed if description.file.in_process else description.file.speed)
+            self._clock.advance_to(start_s)
+        return self._clock
+
+    def adopt(self, opened: OpenRig, description: RigDescription) -> None:
+        """Hold a rig that is open on this station's clock."""
+        self._opened, self._description = opened, description
+        self._bench = Bench(opened, self._tick)
+        if description.file.in_process and not isinstance(self._clock, VirtualClock):
+            for controller in opened.rig.controllers:
+                controller.set_heartbeat(NO_HEARTBEAT_S)
+
+    def connect_all(self) -> None:
+        """Connect all devices of the rig that is open; nothing moves. The event has the status of each."""
+        opened = self._rig()
+        self.report_connected(opened.rig.connect())
+
+    def report_connected(self, outcome: dict[str, DeviceError | None]) -> None:
+        """Report the devices of a rig with the errors, or None, of their connections."""
+        opened, description = self._rig(), self._description
+        assert description is not None
+        if not any(outcome.values()):
+            remember_rig(description.file)
+        now = calendar_stamp()
+        devices = {
+            device: DeviceStatus(True, opened.rig.identities[device], now) if error is None else DeviceStatus(False, str(error))
+            for device, error in outcome.items()
+        }
+        self._silent = {device for device, error in outcome.items() if error is not None}
+        self._publish(RigOpened(
+            description.file.name, Path(description.name), hashlib.sha256(description.text.encode()).hexdigest(),
+            description.simulated, description.seed, description.file.in_process, devices,
+        ))  # fmt: skip
+        self._look()
+
+    def serve(self) -> None:
+        """Do what the commands ask for, until `end`; then stop what is in progress and close the rig."""
+        while True:
+            try:
+                # Real time: this wait is for the operator, not for the rig.
+                task = self._tasks.get(timeout=LIVE_POLL_S if self._live is not None else POLL_S)
+            except queue.Empty:
+                self._tick()
+                continue
+            if task is None:
+                break
+            self._do(task)
+        self.close_rig()
+
+    def work(self) -> None:
+        """Do what the commands so far ask for; return when nothing is left."""
+        while not self._tasks.empty():
+            if (task := self._tasks.get()) is not None:
+                self._do(task)
+
+    def do(self, task: Task) -> None:
+        """Have the engine's thread do something."""
+        self._tasks.put(task)
+
+    def end(self) -> None:
+        """Stop what is in progress, and let `serve` return. From any thread."""
+        self._stop_requested.set()  # a run that is requested but not started does not start
+        if self.busy:
+            self.stop()
+        self._tasks.put(None)
+
+    def close_rig(self, reason: str = "") -> None:
+        """Close the shutter if the bench has opened it, and give the rig back. No axis moves."""
+        opened, bench = self._opened, self._bench
+        self._opened, self._description, self._bench, self._live = None, None, None, None
+        if opened is not None and bench is not None:
+            try:
+                bench.close_shutter()
+            except DeviceError as error:
+                self._give_order(SafetyOrder("Close the shutter by hand", f"it may be open; {error}"), None)
+            opened.close()
+            self._publish(RigClosed(reason))
+
+    def _do(self, task: Task) -> None:
+        """Do a task of the bench or of a run; the activity ends with it, whatever happens."""
+        error = ""
+        try:
+            task()
+        except Stopped:
+            error = "stopped"
+        except DeviceError as fault:
+            error = "stopped" if self._stop_requested.is_set() else str(fault)
+            self._note_fault(fault)
+        except UserError as refusal:
+            error = str(refusal)
+        except Exception as fault:  # noqa: BLE001  (of any library: reported, and the station goes on without the rig)
+            self.close_rig(f"the rig was closed after a fault: {type(fault).__name__}: {fault}")
+            return
+        if self.snapshot.activity:
+            self._report_positions()
+        if self._bench is not None and self._bench.settings != self.snapshot.bench:
+            self._publish(self._bench.settings)
+        if self.snapshot.activity or error:
+            self._publish(ActivityChanged("", error))
+
+    def _tick(self) -> None:
+        """What is done between tasks, and between the polls of one on the bench: positions, live readings, last answers."""
+        now = self._wall.now()
+        if self._opened is None or self._engine is not None:
+            return
+        for name, every_s, action in (
+            ("positions", POLL_S, self._poll_axes), ("live", LIVE_POLL_S, self._poll_live), ("ask", ASK_S, self._ask_devices),
+            ("answered", ANSWERED_S, self._report_answers),
+        ):  # fmt: skip
+            if now >= self._due[name]:
+                self._due[name] = now + every_s
+                try:
+                    action()
+                except DeviceError as error:
+                    self._note_fault(error)
+
+    def _report_positions(self) -> None:
+        """Report the positions at the end of a task: a client that has waited for it has them then."""
+        if self._opened is not None:
+            try:
+                self._poll_axes()
+            except DeviceError as fault:
+                self._note_fault(fault)
+
+    def _poll_axes(self) -> None:
+        """Report the positions of the axes. After a failure no more are read until their controller is connected again."""
+        rig = self._rig().rig
+        if self.snapshot.rig is None:
+            return
+        degrees = {}
+        for controller in rig.controllers:
+            if controller.name not in self._silent:
+                degrees.update({name: axis.position_deg() for name, axis in controller.axes.items()})
+                self._answer_noted(controller.name)
+        if degrees:
+            self._publish(Positions({name: degrees[name] for name in AXES if name in degrees}))
+
+    def _poll_live(self) -> None:
+        bench = self._bench
+        if bench is None or not bench.settings.live or self.snapshot.activity:
+            self._live = None
+            return
+        try:
+            if self._live is None:
+                self._live = bench.start_live()
+            elif self._live.due <= self._clock.now() and self._live.poll():
+                reading, self._live = self._live.result, None
+                self._due["live"] = self._wall.now() + LIVE_S
+                self._answer_noted("photodiodes", "monitor")
+                self._publish(reading)
+        except DeviceError:
+            self._live = None
+            bench.set_live(False)
+            self._publish(bench.settings)
+            raise
+
+    def _ask_devices(self) -> None:
+        """Ask devices that nothing uses, so that it is known when they last answered."""
+        if self.snapshot.activity or self.snapshot.rig is None:
+            return
+        rig = self._rig().rig
+        for device in (rig.monochromator, rig.monitor):
+            if device.name not in self._silent and not (device is rig.monitor and self._live is not None):
+                device.check()
+                self._answer_noted(device.name)
+
+    def _report_answers(self) -> None:
+        rig = self.snapshot.rig
+        if rig is not None and any(rig.devices[name].answered != time for name, time in self._times.items()):
+            self._publish(DevicesAnswered(dict(self._times)))
+
+    def _answer_noted(self, *devices: str) -> None:
+        now = calendar_stamp()
+        self._times.update(dict.fromkeys(devices, now))
+
+    def _note_fault(self, fault: DeviceError) -> None:
+        """Report the device of a fault as not responding, if the fault is one of its wire."""
+        opened, rig = self._opened, self.snapshot.rig
+        if opened is None or rig is None or not isinstance(fault, NoAnswer | BadAnswer | Forgotten):
+            return
+        with contextlib.suppress(KeyError):
+            name = opened.rig.device(fault.device).name
+            self._report_lost(name, str(fault))
+
+    def _report_lost(self, device: str, reason: str) -> None:
+        rig = self.snapshot.rig
+        self._silent.add(device)
+        if rig is not None and device in rig.devices:
+            self._publish(DeviceChanged(device, DeviceStatus(False, reason, rig.devices[device].answered), reason))
+
+    # ---- the bench, in the engine's thread ----
+
+    def _on_bench(self) -> Bench:
+        assert self._bench is not None
+        return self._bench
+
+    def _look(self) -> None:
+        if self._bench is not None:
+            self._bench.look()
+            self._publish(self._bench.settings)
+
+    def _set_live(self, on: bool) -> None:
+        if not self.snapshot.busy:  # a run may have begun meanwhile
+            self._on_bench().set_live(on)
+            self._due["live"] = 0.0
+
+    def _read(self, readings: int, dark: bool) -> None:
+        reading = self._on_bench().read(readings, dark=dark)
+        self._answer_noted("photodiodes", "monitor")
+        self._publish(reading)
+
+    def _connect(self, device: str) -> None:
+        opened = self._rig()
+        rig = self.snapshot.rig
+        for name in [device] if device else (rig.not_responding if rig is not None else []):
+            error = opened.rig.connect_device(name)
+            if error is None:
+                self._silent.discard(name)
+                self._publish(DeviceChanged(name, DeviceStatus(True, opened.rig.identities[name], calendar_stamp())))
+            else:
+                self._report_lost(name, str(error))
+        self._look()
+
+    # ---- a run, in the engine's thread ----
+
+    def _start(self, schedule: Path, folder: Path, person: bool) -> None:
+        assert self._description is not None
+        try:
+            plan = make_plan(read_schedule(schedule), self._description)
+            check_referenced(self._rig(), plan.rig.name)
+            if self._stop_requested.is_set():
+                raise UserError("stopped before the start")
+            try:
+                folder.mkdir(parents=True, exist_ok=True)
+                journal = Journal.create(next_journal(folder, plan.schedule.file.name), plan, software_versions())
+            except (UserError, OSError) as error:
+                raise UserError(f"the journal cannot be created: {error}") from None
+        except UserError as error:
+            self._publish(RunRefused(str(error)))
+            return
+        self._measure(plan, journal, plan.rows, person)
+
+    def _resume(self, path: Path, person: bool) -> None:
+        try:
+            with contextlib.closing(Journal.open(path)) as unlocked:
+                remaining_work(unlocked, self._description)  # raises the error before the journal is changed
+            journal = Journal.reopen(path)
+            try:
+                remaining = remaining_work(journal, self._description)  # again, now that no other program can change it
+                check_referenced(self._rig(), remaining.plan.rig.name, homing=True)
+            except BaseException:
+                journal.close()
+                raise
+        except UserError as error:
+            self._publish(RunRefused(str(error)))
+            return
+        if isinstance(self._clock, ScaledClock):
+            self._clock.advance_to(remaining.start_s)
+        self._measure(remaining.plan, journal, remaining.work, person)
+
+    def _measure(self, plan: Plan, journal: Journal, work: Sequence[Row], person: bool) -> None:
+        opened, bench = self._rig(), self._on_bench()
+        bench.set_live(False)
+        self._live = None
+        record = RunRecord(journal, self._clock)
+        reason = ""
+        with contextlib.closing(record):
+            operator = operator_for(opened, plan.rig.file, self.ask, person=person)
+            engine = Engine(opened.rig, plan, journal, operator, [self.listen], self.positions_every_s, work=work)
+            self.run_begun(engine, plan, journal, work, record)
+            try:
+                state = engine.run()
+            except Exception as error:  # noqa: BLE001  (last resort of the thread: reported, and nothing moves on)
+                reason = f"the run was aborted: {type(error).__name__}: {error}"
+                engine.stop()
+                state = State.FAILED
+            self.wait_for_stops()
+        for device in engine.disconnected:
+            self._report_lost(device, f"{device}: could not be reconnected during the run; connect again")
+        self.run_ended(state, reason, journal.kept_at, journal.note)
+
+    @property
+    def positions_every_s(self) -> float:
+        """Time of the rig's clock between two reports of the positions: about 20 a second at a high simulation speed."""
+        speed = self._clock.speed if isinstance(self._clock, ScaledClock) else 1.0
+        return max(POLL_S, 0.25 * POLL_S * speed)
+
+    def run_begun(
+        self, engine: Engine, plan: Plan, journal: Journal, work: Sequence[Row], record: RunRecord | None = None
+    ) -> None:
+        """Report a run of this rig that begins: its commands go to `engine` from now on."""
+        self._record = record or RunRecord(journal, self._clock)
+        self._engine = engine
+        planned = len(plan.rows)
+        done = planned - sum(row.number < planned for row in work)
+        left = sum(row.seconds for row in work)
+        self._publish(RunBegun(journal.path, plan.schedule.file.name, done, planned, left))
+        for text in journal.open_orders():
+            order, _, reason = text.partition(": ")
+            self._give_order(SafetyOrder(order, reason), self._record)
+        if self._stop_requested.is_set():  # requested before the engine existed
+            engine.stop()
+
+    def wait_for_stops(self) -> None:
+        """The engine has ended: wait for the stops in progress, because one that is not confirmed is an order of this run."""
+        self._engine = None
+        with self._no_stops:
+            self._no_stops.wait_for(lambda: not self._stops)
+
+    def run_ended(self, state: State, reason: str, journal: Path, note: str = "") -> None:
+        """Report the end of a run, whose journal is closed."""
+        self._engine = None
+        if note:
+            self._publish(EventLogged("journal", note, "journal"))
+        opened = self._opened
+        if opened is not None:
+            self._look()
+        self._publish(RunEnded(state, reason or self.snapshot.reason, journal))
+
+    def listen(self, event: Event) -> None:
+        """Take an event of the engine."""
+        match event:
+            case RowCommitted(row, data, done, total, seconds_left):
+                if row.kind in ("measure", "drift"):
+                    self._answer_noted(*(name for name in self._device_names if name not in self._silent))
+                    self._report_answers_now_and_then()
+                self._publish(RowSaved(row, data.flags, done, total, seconds_left))
+            case SafetyOrder():
+                self._give_order(event, self._record)
+            case _:
+                self._publish(event)
+
+    def ask(self, question: Question) -> Answer:
+        """Wait for the operator's answer, or for a stop."""
+        self._asked += 1
+        number, given = self._asked, None
+        if self._stop_requested.is_set():
+            return Answer.STOP
+        self._publish(QuestionAsked(number, question))
+        try:
+            while not self._stop_requested.is_set():
+                match self._answers.get():
+                    case (int() as answered, Answer() as answer) if answered == number:
+                        given = answer
+                        return answer
+            return Answer.STOP
+        finally:
+            self._publish(QuestionClosed(number, given))
+
+    # ---- inside ----
+
+    @property
+    def _device_names(self) -> list[str]:
+        return list(self.snapshot.rig.devices) if self.snapshot.rig is not None else []
+
+    def _report_answers_now_and_then(self) -> None:
+        now = self._wall.now()
+        if now >= self._due["answered"]:
+            self._due["answered"] = now + ANSWERED_S
+            self._report_answers()
+
+    def _check(self, command: str) -> None:
+        if reason := allowed(self.snapshot)[command]:
+            raise CommandRefused(reason)
+
+    def _begin(self, command: str, activity: str, task: Task, *, run: bool = False) -> None:
+        """Accept a command that lasts, if it is allowed now: from here on the station is busy with it."""
+        with self.board.deciding():
+            self._check(command)
+            opened, bench = self._rig(), self._on_bench()
+            self._stop_requested.clear()
+            bench.request = StopRequest(opened.rig)
+            self._publish(ActivityChanged(activity))
+        if run:
+            self._tasks.put(task)
+            return
+
+        def unless_stopped() -> None:
+            bench.request.check()
+            task()
+
+        self._tasks.put(unless_stopped)
+
+    def _axis(self, command: str, axis: str) -> OpenRig:
+        """The open rig, where a command for an axis is allowed. Raises CommandRefused."""
+        self._check(command)
+        opened = self._rig()
+        if axis not in opened.rig.axes:
+            raise CommandRefused(f"{axis}: is no axis; the axes are {', '.join(opened.rig.axes)}")
+        controller = opened.rig.controller(axis).name
+        if controller in self._silent:
+            raise CommandRefused(f"not responding: {controller}")
+        return opened
+
+    def _rig(self) -> OpenRig:
+        opened = self._opened
+        if opened is None:
+            raise CommandRefused("no rig is open")
+        return opened
+
+    def _give_order(self, order: SafetyOrder, record: RunRecord | None) -> None:
+        self._ordered[order] = record
+        self._publish(order)
+
+    def _publish(self, message: Message) -> None:
+        self.board.publish(message)
+
+
+def next_journal(folder: Path, name: str) -> Path:
+    """The path of the next journal in a folder: `NAME-001.journal`, or the number after the highest one there.
+
+    The number of a removed journal is not used again while a later one is there.
+    """
+    stem = re.sub(r"[^\w.-]+", "-", name).strip("-.") or "campaign"
+    pattern = re.compile(rf"{re.escape(stem)}-(\d+){re.escape(SUFFIX)}")
+    numbers = [int(match[1]) for each in folder.glob(f"*{SUFFIX}") if (match := pattern.fullmatch(each.name))]
+    paths = (folder / f"{stem}-{number:03d}{SUFFIX}" for number in count(max(numbers, default=0) + 1))
+    return next(path for path in paths if not path.exists())

@@ -1,0 +1,73 @@
+"""Stations in the tests' own process, each behind its channel: what a test changes of the drivers changes theirs."""
+
+import threading
+from pathlib import Path
+
+from goniotwin.app.desktop.model.connection import OnEnd, OnEvent
+from goniotwin.app.rig import read_rig
+from goniotwin.app.station.client import StationClient
+from goniotwin.app.station.server import StationServer
+from goniotwin.app.station.station import Station
+
+
+class Host:
+    """A station with its server and its engine's thread."""
+
+    def __init__(self, rig: Path, speed: float) -> None:
+        self.rig = rig
+        self.station = Station(speed)
+        self.station.open(read_rig(rig))
+        self.server = StationServer(self.station)
+        self.server.start()
+        self._engine = threading.Thread(target=self.station.serve, name="engine")
+        self.station.do(self.station.connect_all)
+        self._engine.start()
+        self._watch = threading.Thread(target=self._end_when_disconnected, name="disconnect")
+        self._watch.start()
+        self.ended = threading.Event()
+
+    def _end_when_disconnected(self) -> None:
+        self.station.disconnected.wait()
+        self.station.end()
+        self._engine.join()
+        self.server.stop()
+        self.ended.set()
+
+    def kill(self) -> None:
+        """End the connections as the death of a process does; what the rig then does is not shown to anyone."""
+        self.server.stop()
+        self.end()
+
+    def end(self) -> None:
+        """Give the rig back."""
+        self.station.disconnect()
+        self._watch.join()
+
+
+class LocalStations:
+    """Finds and starts stations in this process."""
+
+    def __init__(self) -> None:
+        self.hosts: list[Host] = []
+
+    def attach(self, rig: Path, name: str, on_event: OnEvent, on_end: OnEnd) -> StationClient | None:
+        """Attach to a station that has the rig."""
+        found = [each for each in self.hosts if each.rig == rig and not each.station.disconnected.is_set()]
+        if not found:
+            return None
+        return StationClient(found[-1].server.port, found[-1].server.token, name, on_event, on_end)
+
+    def start(self, rig: Path, speed: float, name: str, on_event: OnEvent, on_end: OnEnd) -> StationClient:
+        """Start a station and attach to it. Raises UserError."""
+        self.hosts.append(Host(rig, speed))
+        return StationClient(self.hosts[-1].server.port, self.hosts[-1].server.token, name, on_event, on_end)
+
+    @property
+    def station(self) -> Station:
+        """The station that was started last."""
+        return self.hosts[-1].station
+
+    def end(self) -> None:
+        """End all stations."""
+        for each in self.hosts:
+            each.end()

@@ -1,0 +1,300 @@
+"""The channel of a station over loopback: attach, commands, one operator, clients that are silent or never read, a flood."""
+
+import contextlib
+import json
+import socket
+import threading
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from goniotwin.app.campaign.row import Row
+from goniotwin.app.campaign.running.events import Positions, RowStarted, SafetyOrder
+from goniotwin.app.station import server as station_server
+from goniotwin.app.station.client import NoStation, Refused, StationClient
+from goniotwin.app.station.messages import (
+    ActivityChanged,
+    EventLogged,
+    Message,
+    OperatorChanged,
+    SpeedChanged,
+    advance,
+)
+from goniotwin.app.station.server import StationServer
+from goniotwin.app.station.station import Station
+from goniotwin.protocols import channel
+from goniotwin.protocols.channel import LONGEST_LINE, PROTOCOL, connect
+from goniotwin.protocols.clock import RealClock
+from goniotwin.protocols.loopback import LOOPBACK
+
+pytestmark = pytest.mark.endpoint
+LONGEST_S = 20.0
+
+
+@pytest.fixture
+def station() -> Station:
+    """A station without a rig."""
+    return Station()
+
+
+@pytest.fixture
+def server(station: Station) -> Iterator[StationServer]:
+    server = StationServer(station)
+    server.start()
+    yield server
+    server.stop()
+
+
+class Watcher:
+    """A client and what it has received."""
+
+    def __init__(self, server: StationServer, name: str) -> None:
+        self.events: list[Message] = []
+        self._changed = threading.Condition()
+        self.ended = threading.Event()
+        self.client = StationClient(server.port, server.token, name, self._note, self.ended.set)
+        self.client.start()
+
+    def _note(self, message: Message) -> None:
+        with self._changed:
+            self.events.append(message)
+            self._changed.notify_all()
+
+    def wait_for(self, condition: Callable[[], bool]) -> None:
+        with self._changed:
+            assert self._changed.wait_for(condition, LONGEST_S), self.events
+
+
+@pytest.fixture
+def attach(server: StationServer) -> Iterator[Callable[[str], Watcher]]:
+    watchers: list[Watcher] = []
+
+    def attached(name: str) -> Watcher:
+        watchers.append(Watcher(server, name))
+        return watchers[-1]
+
+    yield attached
+    for each in watchers:
+        each.client.close()
+
+
+def until(condition: Callable[[], bool]) -> None:
+    clock = RealClock()
+    while not condition():
+        assert clock.now() < LONGEST_S
+        clock.sleep_until(clock.now() + 0.005)
+
+
+def test_a_client_gets_the_state_and_then_the_events(station: Station, attach: Callable[[str], Watcher]) -> None:
+    station.board.publish(SpeedChanged(60.0))
+    one = attach("one")
+    assert one.client.snapshot.speed == 60.0
+    station.board.publish(Positions({"sigma": 3.0}))
+    two = attach("two")
+    assert two.client.snapshot.positions == {"sigma": 3.0}
+    station.board.publish(ActivityChanged("waiting"))
+    for each in (one, two):
+        each.wait_for(lambda each=each: ActivityChanged("waiting") in each.events)  # type: ignore[misc]
+    assert one.client.snapshot == two.client.snapshot == station.snapshot
+
+
+def test_a_wrong_token_is_no_station(server: StationServer) -> None:
+    with pytest.raises(NoStation, match="no station with this token"):
+        StationClient(server.port, "another", "x")
+    server.stop()
+    with pytest.raises(NoStation, match="no station answers"):
+        StationClient(server.port, server.token, "x")
+
+
+@pytest.mark.parametrize("first", [
+    b"POST / HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n", b"{}\n", b" " * (LONGEST_LINE + 2) + b"\n", b'{"do": "stop"}\n',
+], ids=["POST", "no token", "long", "stop"])  # fmt: skip
+def test_what_is_no_hello_learns_nothing(server: StationServer, first: bytes, station: Station) -> None:
+    stopped: list[int] = []
+    station.stop = lambda: stopped.append(1) or []  # type: ignore[method-assign, func-returns-value]
+    with socket.create_connection((LOOPBACK, server.port), timeout=LONGEST_S) as end:
+        end.sendall(first + b'{"do": "stop", "id": 1}\n')
+        with contextlib.suppress(ConnectionError):
+            assert end.recv(100) == b""
+    assert server.clients == []
+    assert not stopped
+
+
+def test_a_silent_client_keeps_no_other_out(
+    server: StationServer, attach: Callable[[str], Watcher], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(channel, "HELLO_S", 0.2)
+    with socket.create_connection((LOOPBACK, server.port), timeout=LONGEST_S) as silent:
+        attach("one")
+        assert silent.recv(1) == b""
+
+
+def test_a_later_line_that_is_too_long_ends_the_connection(server: StationServer) -> None:
+    end = connect(server.port, server.token, LONGEST_S, client="long")
+    assert end.receive() is not None
+    end.send({"do": "x" * (LONGEST_LINE + 10), "id": 1})
+    assert end.receive(LONGEST_S) is None
+    end.close()
+    until(lambda: server.clients == [])
+
+
+@pytest.mark.parametrize(("command", "arguments", "error"), [
+    ("pause", {}, "no run is in progress"),
+    ("move", {"axis": "sigma", "target_deg": 3.0}, "opening the rig"),
+    ("move", {"axis": "sigma"}, "target_deg"),
+    ("move", {"axis": "sigma", "target_deg": "far"}, "target_deg"),
+    ("move", {"axis": "sigma", "target_deg": 1.0, "quickly": True}, "quickly"),
+    ("close_rig", {}, "there is no command"),
+    ("__init__", {}, "there is no command"),
+    ("answer", {"question": 1, "choice": "Perhaps"}, "choice"),
+], ids=str)  # fmt: skip
+def test_a_command_is_refused_in_one_line(
+    attach: Callable[[str], Watcher], command: str, arguments: dict[str, object], error: str
+) -> None:
+    one = attach("one")
+    with pytest.raises(Refused, match=error):
+        one.client.do(command, **arguments)
+    assert one.client.do("stop")["failures"] == []
+
+
+def test_one_operates_the_others_watch_and_stop_is_everybodys(
+    station: Station, server: StationServer, attach: Callable[[str], Watcher]
+) -> None:
+    stopped: list[int] = []
+    station.stop = lambda: stopped.append(1) or []  # type: ignore[method-assign, func-returns-value]
+    one, two = attach("one"), attach("two")
+    assert one.client.operates
+    with pytest.raises(Refused, match="no run"):
+        one.client.do("pause")  # takes the free place
+    two.wait_for(lambda: two.client.snapshot.operator == "one")
+    assert not two.client.operates
+    with pytest.raises(Refused, match="one operates this rig"):
+        two.client.do("pause")
+    two.client.do("stop")
+    assert stopped == [1]
+    two.client.do("operate")
+    with pytest.raises(Refused, match="two operates this rig"):
+        one.client.do("pause")
+    two.client.close()
+    one.wait_for(lambda: one.client.snapshot.operator == "")
+    assert OperatorChanged("two") in one.events
+    until(lambda: server.clients == ["one"])
+
+
+def test_two_clients_of_one_name_are_two(attach: Callable[[str], Watcher]) -> None:
+    assert len({attach("window").client.name for _ in range(3)}) == 3
+
+
+def test_a_stop_is_carried_out_by_the_thread_that_reads_it(station: Station, attach: Callable[[str], Watcher]) -> None:
+    """It is received before its answer, which may take long; another client's stop does not wait for it."""
+    one, two = attach("one"), attach("two")
+    go, threads = threading.Event(), []
+
+    def stop() -> list[str]:
+        threads.append(threading.get_ident())
+        if len(threads) == 1:
+            go.wait(LONGEST_S)
+        return ["sigma: not confirmed"]
+
+    station.stop = stop  # type: ignore[method-assign]
+    received = threading.Event()
+    first = one.client.send("stop", received=received.set)
+    assert received.wait(LONGEST_S)
+    assert not first.done()
+    assert two.client.do("stop")["failures"] == ["sigma: not confirmed"]
+    go.set()
+    assert first.result(LONGEST_S)["ok"]
+    assert len(set(threads)) == 2
+    assert threading.get_ident() not in threads
+
+
+def test_a_client_that_never_reads_is_dropped_and_learns_why_when_it_comes_back(
+    station: Station, server: StationServer, attach: Callable[[str], Watcher], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(station_server, "MOST_WAITING", 50)
+    good = attach("good")
+    bad = connect(server.port, server.token, LONGEST_S, client="bad")
+    until(lambda: sorted(server.clients) == ["bad", "good"])
+    sent = 0
+    while "bad" in server.clients:
+        station.board.publish(EventLogged("x", "y" * 1900, str(sent)))
+        sent += 1
+        good.wait_for(lambda sent=sent: len([each for each in good.events if isinstance(each, EventLogged)]) == sent)  # type: ignore[misc]
+        assert sent < 100_000
+    bad.close()
+    again = attach("bad")
+    assert again.client.dropped == "it did not read what was sent"
+    assert attach("bad").client.dropped == ""
+
+
+def test_of_positions_a_slow_client_gets_the_newest(station: Station, server: StationServer) -> None:
+    slow = connect(server.port, server.token, LONGEST_S, client="slow")
+    first = slow.receive(LONGEST_S)
+    assert first is not None
+    for k in range(20_000):
+        station.board.publish(Positions({"sigma": float(k)}))
+    station.board.publish(ActivityChanged("end"))
+    assert server.clients == ["slow"]
+    last = {}
+    while (line := slow.receive(LONGEST_S)) is not None and line["type"] != "ActivityChanged":
+        last = line
+    assert last["degrees"] == {"sigma": 19_999.0}
+    slow.close()
+
+
+def test_the_end_of_a_station_ends_its_clients(server: StationServer, attach: Callable[[str], Watcher]) -> None:
+    one = attach("one")
+    waiting = one.client.send("stop")
+    waiting.result(LONGEST_S)
+    server.stop()
+    assert one.ended.wait(LONGEST_S)
+    with pytest.raises(NoStation):
+        one.client.do("stop")
+
+
+def test_without_clients_the_time_is_counted(server: StationServer, attach: Callable[[str], Watcher]) -> None:
+    until(lambda: server.unattended_s > 0.0)
+    one = attach("one")
+    assert server.unattended_s == 0.0
+    one.client.close()
+    until(lambda: server.unattended_s > 0.0)
+
+
+def test_no_event_is_longer_than_a_line(station: Station, attach: Callable[[str], Watcher]) -> None:
+    one = attach("one")
+    names = tuple(f"{k}" * 900 for k in range(100))
+    station.board.publish(RowStarted(Row(1, "x" * 70_000, "dark", "s", gains=(1, 2))))
+    station.board.publish(Positions(dict.fromkeys(names, 1.0)))
+    station.board.publish(SafetyOrder("a", "b"))
+    one.wait_for(lambda: SafetyOrder("a", "b") in one.events)
+
+
+def test_events_and_snapshot_of_the_server_are_those_of_one_function(
+    station: Station, server: StationServer, attach: Callable[[str], Watcher]
+) -> None:
+    """Attached in the middle of many events from two threads, no client misses one or has one twice."""
+    done = threading.Event()
+
+    def publish() -> None:
+        for k in range(500):
+            station.board.publish(EventLogged("k", str(k)))
+        done.set()
+
+    threads = [threading.Thread(target=publish) for _ in range(2)]
+    for each in threads:
+        each.start()
+    watchers = [attach(f"w{k}") for k in range(5)]
+    for each in threads:
+        each.join()
+    for watcher in watchers:
+        watcher.wait_for(lambda watcher=watcher: watcher.client.snapshot.number == 1000)  # type: ignore[misc]
+    assert done.is_set()
+    assert advance(station.snapshot, EventLogged("a", "b")).number == 1001
+
+
+def test_the_hello_is_the_channels(server: StationServer) -> None:
+    with socket.create_connection((LOOPBACK, server.port), timeout=LONGEST_S) as end:
+        end.sendall(json.dumps({"protocol": PROTOCOL, "token": server.token}).encode() + b"\n")
+        first = json.loads(end.makefile("rb").readline())
+    assert first["snapshot"]["type"] == "Snapshot"
+    assert first["client"] == "client"

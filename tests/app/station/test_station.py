@@ -1,0 +1,494 @@
+"""The station as a plain object, on the virtual clock: its commands, what it refuses, and what its events give."""
+
+import sqlite3
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from goniotwin.app.campaign.journal.summary import campaign_summary
+from goniotwin.app.campaign.running.events import EventLogged, Positions, SafetyOrder, State, StateChanged
+from goniotwin.app.campaign.running.question import Answer
+from goniotwin.app.rig import read_rig
+from goniotwin.app.station.messages import (
+    ActivityChanged,
+    BenchReading,
+    DeviceChanged,
+    Message,
+    QuestionAsked,
+    QuestionClosed,
+    RowSaved,
+    RunEnded,
+    RunRefused,
+    Snapshot,
+    advance,
+    decode,
+    encode,
+)
+from goniotwin.app.station.permissions import COMMANDS, allowed
+from goniotwin.app.station.station import CommandRefused, Station
+from goniotwin.drivers import Rig
+from goniotwin.drivers.errors import NoAnswer
+from goniotwin.protocols.clock import VirtualClock
+from goniotwin.twin import VirtualRig
+from tests.app.campaign.campaign_bench import QUIET, planned_values
+from tests.conftest import SMALL, Writer
+
+ROWS = 10
+
+
+class StationBench:
+    """A station on the virtual clock, with its events."""
+
+    def __init__(self, rig: Path) -> None:
+        self.clock = VirtualClock()
+        self.station = Station(clock=self.clock)
+        self.events: list[Message] = []
+        self.reactions: list[Callable[[Message], object]] = []
+        self.station.board.subscribe(self._note)
+        self.station.open(read_rig(rig))
+        self.station.connect_all()
+
+    def _note(self, _number: int, message: Message) -> None:
+        self.events.append(message)
+        for each in self.reactions:
+            each(message)
+
+    def of(self, kind: type[Message]) -> list[Message]:
+        return [each for each in self.events if isinstance(each, kind)]
+
+    def work(self) -> Snapshot:
+        self.station.work()
+        return self.station.snapshot
+
+    @property
+    def error(self) -> str:
+        """The error of the last activity."""
+        return [each.error for each in self.events if isinstance(each, ActivityChanged)][-1]
+
+    @property
+    def virtual(self) -> VirtualRig:
+        opened = self.station._opened
+        assert opened is not None
+        assert opened.virtual is not None
+        return opened.virtual
+
+
+@pytest.fixture
+def bench(write_rig: Writer) -> Iterator[StationBench]:
+    bench = StationBench(write_rig(*QUIET))
+    yield bench
+    bench.station.close_rig()
+
+
+def test_a_station_knows_its_rig(bench: StationBench) -> None:
+    now = bench.station.snapshot
+    assert now.rig is not None
+    assert list(now.rig.devices) == ["axes", "monochromator", "photodiodes", "monitor"]
+    assert all(each.connected and each.answered for each in now.rig.devices.values())
+    assert now.rig.simulated
+    assert now.bench.shutter_open is False
+    assert now.activity == ""
+    assert allowed(now)["start"] == allowed(now)["move"] == ""
+
+
+def test_a_move_moves_the_axis_and_is_refused_beyond_the_limits(bench: StationBench) -> None:
+    bench.station.move("sigma", 30.0)
+    assert bench.station.snapshot.activity == "moving sigma to 30 deg"
+    assert bench.work().activity == ""
+    assert bench.error == ""
+    assert bench.virtual.plant.angle_deg("sigma", bench.clock.now()) == pytest.approx(30.0, abs=0.1)
+    for axis, target, reason in (("sigma", 4000.0, "outside its soft limits"), ("tau", 1.0, "is no axis")):
+        with pytest.raises(CommandRefused, match=reason):
+            bench.station.move(axis, target)
+    assert bench.station.snapshot.activity == ""
+
+
+def test_positions_are_reported_while_an_axis_moves(bench: StationBench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("goniotwin.app.station.station.POLL_S", 0.0)
+    bench.station.move("sigma", 30.0)
+    bench.work()
+    seen = [each.degrees["sigma"] for each in bench.events if isinstance(each, Positions)]
+    assert len(seen) > 3
+    assert seen == sorted(seen)
+
+
+def test_one_thing_at_a_time(bench: StationBench, write_schedule: Writer, tmp_path: Path) -> None:
+    bench.station.move("sigma", 30.0)
+    for command in (
+        lambda: bench.station.move("beta", 10.0), lambda: bench.station.read(), lambda: bench.station.shutter(True),
+        lambda: bench.station.start(write_schedule(), tmp_path),
+    ):  # fmt: skip
+        with pytest.raises(CommandRefused, match="moving sigma to 30 deg"):
+            command()
+    bench.work()
+    bench.station.read()
+
+
+def test_wavelength_shutter_gain_and_reading(bench: StationBench) -> None:
+    station = bench.station
+    for command in (
+        lambda: station.mount("etalon"), lambda: station.move("beta", 180.0), lambda: station.wavelength(600.0),
+        lambda: station.gain(1e10), lambda: station.read(4, dark=True), lambda: station.shutter(True), lambda: station.read(4),
+    ):  # fmt: skip
+        command()
+        bench.work()
+        assert bench.error == ""
+    now = station.snapshot.bench
+    assert (now.wavelength_nm, now.shutter_open, now.gain_v_per_a, now.sample) == (600.0, True, 1e10, "etalon")
+    dark, light = [each for each in bench.events if isinstance(each, BenchReading)]
+    assert (dark.dark, light.dark) == (True, False)
+    assert len(dark.counts) == len(light.volts) == 36
+    assert light.monitor_a is not None
+    assert dark.monitor_a is not None
+    assert light.monitor_a > 10.0 * abs(dark.monitor_a)
+    assert max(light.counts) > max(dark.counts) + 10.0
+    with pytest.raises(CommandRefused, match="is no gain"):
+        station.gain(3.0)
+
+
+def test_a_sample_that_the_rig_does_not_have(bench: StationBench) -> None:
+    bench.station.mount("cheese")
+    bench.work()
+    assert "cheese" in bench.error
+    assert bench.station.snapshot.bench.sample is None
+
+
+def test_a_dark_reading_leaves_the_shutter_as_it_was(bench: StationBench) -> None:
+    bench.station.shutter(True)
+    bench.work()
+    bench.station.read(dark=True)
+    assert bench.work().bench.shutter_open is True
+    bench.station.close_rig()
+    assert bench.station.snapshot.rig is None
+
+
+def test_homing_and_setting_the_position(bench: StationBench) -> None:
+    with pytest.raises(CommandRefused, match="homing"):
+        bench.station.home("sigma")
+    with pytest.raises(CommandRefused, match="soft limits"):
+        bench.station.set_position("sigma", 4000.0)
+    bench.station.set_position("sigma", 5.0)
+    bench.work()
+    assert bench.error == ""
+    opened = bench.station._opened
+    assert opened is not None
+    assert opened.rig.axes["sigma"].position_deg() == pytest.approx(5.0, abs=0.01)
+
+
+def test_a_stop_in_the_middle_of_a_move_on_the_bench(bench: StationBench) -> None:
+    bench.station.move("sigma", 30.0)
+    bench.clock.at(bench.clock.now() + 1.5, bench.station.stop)
+    assert bench.work().activity == ""
+    assert bench.error == "stopped"
+    bench.clock.sleep_until(bench.clock.now() + 5.0)
+    angle = bench.virtual.plant.angle_deg("sigma", bench.clock.now())
+    assert 5.0 < angle < 29.0
+    bench.station.move("sigma", 0.0)  # a stop ends what was in progress, and nothing else
+    bench.work()
+    assert bench.error == ""
+
+
+def test_a_stop_before_a_move_has_begun(bench: StationBench) -> None:
+    bench.station.move("sigma", 30.0)
+    bench.station.stop()
+    bench.work()
+    assert bench.error == "stopped"
+    assert bench.virtual.plant.angle_deg("sigma", bench.clock.now()) == 0.0
+
+
+def test_a_run_from_start_to_end(bench: StationBench, write_schedule: Writer, tmp_path: Path) -> None:
+    folder = tmp_path / "journals"
+    bench.station.start(write_schedule(), folder)
+    now = bench.work()
+    assert now.state is State.DONE
+    assert now.journal == folder / "small-001.journal"
+    assert (now.done, now.total) == (ROWS, ROWS)
+    saved = [each for each in bench.events if isinstance(each, RowSaved)]
+    assert [each.row.number for each in saved] == list(range(ROWS))
+    assert isinstance(bench.events[-1], RunEnded)
+    assert campaign_summary(folder / "small-001.journal").state == "done"
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_what_a_run_permits(bench: StationBench, write_schedule: Writer, tmp_path: Path, command: str) -> None:
+    found: dict[str, dict[str, str]] = {}
+
+    def note(message: Message) -> None:
+        if isinstance(message, RowSaved) and message.done == 3:
+            found["now"] = allowed(bench.station.snapshot)
+
+    bench.reactions.append(note)
+    bench.station.start(write_schedule(), tmp_path)
+    bench.work()
+    permitted = command in ("stop", "operate", "disconnect", "pause", "finish_cut", "speed")
+    assert (found["now"][command] == "") == permitted
+
+
+def test_a_stop_in_a_run_and_its_resume(bench: StationBench, write_schedule: Writer, tmp_path: Path, write_rig: Writer) -> None:
+    """The resumed rows have the values of an undisturbed run: the same rig, with its time."""
+    bench.station.start(write_schedule(), tmp_path / "a")
+    bench.clock.at(bench.clock.now() + 8.0, bench.station.stop)
+    now = bench.work()
+    assert now.state is State.IDLE
+    assert 0 < now.done < ROWS
+    assert now.journal is not None
+    before = now.done
+    bench.station.resume_journal(now.journal)
+    now = bench.work()
+    assert now.state is State.DONE
+    begun = [each for each in bench.events if type(each).__name__ == "RunBegun"]
+    assert [each.done for each in begun] == [0, before]  # type: ignore[attr-defined]
+    other = StationBench(write_rig(*QUIET))
+    other.station.start(write_schedule(), tmp_path / "b")
+    undisturbed = other.work().journal
+    other.station.close_rig()
+    assert now.journal is not None
+    assert undisturbed is not None
+    assert planned_values(now.journal) == planned_values(undisturbed)
+
+
+def test_a_journal_of_another_rig_is_refused(
+    bench: StationBench, write_schedule: Writer, write_rig: Writer, tmp_path: Path
+) -> None:
+    bench.station.start(write_schedule(), tmp_path)
+    bench.clock.at(bench.clock.now() + 8.0, bench.station.stop)
+    journal = bench.work().journal
+    assert journal is not None
+    other = StationBench(write_rig(*QUIET, ("settling_s = 0.2", "settling_s = 0.3"), name="other.toml"))
+    other.station.resume_journal(journal)
+    other.work()
+    (refused,) = other.of(RunRefused)
+    assert isinstance(refused, RunRefused)
+    assert "is not the rig" in refused.reason
+    other.station.close_rig()
+
+
+def test_pause_and_resume(bench: StationBench, write_schedule: Writer, tmp_path: Path) -> None:
+    """The run waits in its thread, so that resume comes from another one: on the virtual clock it is only a flag too."""
+    states: list[State] = []
+
+    def react(message: Message) -> None:
+        if isinstance(message, RowSaved) and message.done == 3:
+            bench.station.pause()
+        if isinstance(message, StateChanged):
+            states.append(message.state)
+            if message.state is State.PAUSED:
+                threading.Timer(0.0, bench.station.resume).start()
+
+    bench.reactions.append(react)
+    bench.station.start(write_schedule(), tmp_path)
+    assert bench.work().state is State.DONE
+    assert State.PAUSED in states
+
+
+def test_finish_cut_ends_after_the_cut(bench: StationBench, write_schedule: Writer, tmp_path: Path) -> None:
+    schedule = write_schedule(("beta_deg = [180]", "beta_deg = [0, 45, 90, 180]"))
+
+    def react(message: Message) -> None:
+        if isinstance(message, RowSaved) and message.row.kind == "measure" and not finishing:
+            finishing.append(message.row)
+            bench.station.finish_cut()
+
+    finishing: list[object] = []
+    bench.reactions.append(react)
+    bench.station.start(schedule, tmp_path)
+    now = bench.work()
+    assert now.state is State.IDLE
+    assert now.reason == "ended after the cut, as requested"
+    rows = [each.row for each in bench.events if isinstance(each, RowSaved) and each.row.kind == "measure"]
+    planes = {(each.sample, each.pose[1], each.pose[2] % 180.0) for each in rows if each.pose is not None}
+    assert len(planes) == 1
+    assert len(rows) >= 2
+    assert now.journal is not None
+    summary = campaign_summary(now.journal)
+    assert summary.state == "stopped"
+    assert not summary.orders
+    assert not bench.virtual.plant.shutter_open.at(bench.clock.now())
+
+
+def test_finish_cut_in_the_last_cut_ends_the_campaign(bench: StationBench, write_schedule: Writer, tmp_path: Path) -> None:
+    def react(message: Message) -> None:
+        if isinstance(message, RowSaved) and message.done == ROWS - 1:
+            bench.station.finish_cut()
+
+    bench.reactions.append(react)
+    bench.station.start(write_schedule(), tmp_path)
+    assert bench.work().state is State.DONE
+
+
+def test_a_person_mounts_and_the_first_answer_counts(bench: StationBench, write_schedule: Writer, tmp_path: Path) -> None:
+    refused: list[str] = []
+
+    def react(message: Message) -> None:
+        if isinstance(message, QuestionAsked):
+            bench.station.answer(message.number, Answer.WAIT)
+            bench.station.answer(message.number, Answer.MOUNTED)
+            for number, choice in ((message.number, Answer.MOUNTED), (message.number + 1, Answer.MOUNTED)):
+                try:
+                    bench.station.answer(number, choice)
+                except CommandRefused as error:
+                    refused.append(str(error))
+
+    bench.reactions.append(react)
+    bench.station.start(write_schedule(), tmp_path, person=True)
+    assert bench.work().state is State.DONE
+    asked = bench.of(QuestionAsked)
+    assert [each.question.title for each in asked] == ["Mount etalon", "Mount gaussian-5"]  # type: ignore[union-attr]
+    assert len(refused) == 2 * len(asked)
+    assert all("is answered already" in each for each in refused)
+    assert [each.answer for each in bench.of(QuestionClosed)] == [Answer.MOUNTED] * 2  # type: ignore[union-attr]
+
+
+def test_stop_answers_a_question(bench: StationBench, write_schedule: Writer, tmp_path: Path) -> None:
+    bench.reactions.append(
+        lambda message: bench.station.answer(message.number, Answer.STOP) if isinstance(message, QuestionAsked) else None
+    )
+    bench.station.start(write_schedule(), tmp_path, person=True)
+    now = bench.work()
+    assert now.state is State.IDLE
+    assert now.question is None
+
+
+def test_an_order_stands_until_it_is_acknowledged(
+    bench: StationBench, write_schedule: Writer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench.station.start(write_schedule(), tmp_path)
+    bench.clock.at(bench.clock.now() + 8.0, bench.station.stop)
+    with monkeypatch.context() as patch:
+        patch.setattr(Rig, "stop", lambda _rig: [NoAnswer("sigma", "MST", "nothing")])
+        now = bench.work()
+    (order,) = now.orders
+    assert now.journal is not None
+    assert campaign_summary(now.journal).orders == [order.text]
+    with pytest.raises(CommandRefused, match="no such safety order"):
+        bench.station.acknowledge("something else")
+    bench.station.acknowledge(order.text)
+    assert bench.station.snapshot.orders == ()
+    assert campaign_summary(now.journal).orders == []
+    with pytest.raises(CommandRefused, match="no safety order is open"):
+        bench.station.acknowledge(order.text)
+
+
+def test_an_order_of_the_last_session_stands_after_a_resume(
+    bench: StationBench, write_schedule: Writer, tmp_path: Path, write_rig: Writer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench.station.start(write_schedule(), tmp_path)
+    bench.clock.at(bench.clock.now() + 8.0, bench.station.stop)
+    with monkeypatch.context() as patch:
+        patch.setattr(Rig, "stop", lambda _rig: [NoAnswer("sigma", "MST", "nothing")])
+        journal = bench.work().journal
+    assert journal is not None
+    other = StationBench(write_rig(*QUIET))
+    other.station.resume_journal(journal)
+    (order,) = other.work().orders
+    assert order.order == "Cut the motors' power"
+    other.station.acknowledge(order.text)
+    assert campaign_summary(journal).orders == []
+    other.station.close_rig()
+
+
+def test_an_order_without_a_run(bench: StationBench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Rig, "stop", lambda _rig: [NoAnswer("beta", "MST", "nothing")])
+    assert bench.station.stop() == ["beta: MST: nothing"] or "beta" in bench.station.stop()[0]
+    (order,) = bench.station.snapshot.orders
+    bench.station.acknowledge(order.text)
+    assert bench.station.snapshot.orders == ()
+
+
+def test_a_stop_from_another_thread_on_the_virtual_clock_is_a_flag(
+    bench: StationBench, write_schedule: Writer, tmp_path: Path
+) -> None:
+    def stop_elsewhere() -> None:
+        thread = threading.Thread(target=bench.station.stop)
+        thread.start()
+        thread.join()
+
+    bench.clock.at(bench.clock.now() + 8.0, stop_elsewhere)
+    bench.station.start(write_schedule(), tmp_path)
+    now = bench.work()
+    assert now.state is State.IDLE
+    assert 0 < now.done < ROWS
+
+
+def test_a_device_that_is_lost_and_connected_again(
+    bench: StationBench, monkeypatch: pytest.MonkeyPatch, write_schedule: Writer, tmp_path: Path
+) -> None:
+    modules = bench.virtual.modbus["adc-2"]
+    modules.units = (9,)
+    bench.station.read()
+    now = bench.work()
+    assert "photodiodes module 2" in bench.error
+    assert now.rig is not None
+    assert now.rig.not_responding == ["photodiodes"]
+    assert allowed(now)["read"] == allowed(now)["start"] == "not responding: photodiodes"
+    assert allowed(now)["move"] == ""
+    with pytest.raises(CommandRefused, match="not responding: photodiodes"):
+        bench.station.start(write_schedule(), tmp_path)
+    modules.units = (1,)
+    bench.station.connect()
+    now = bench.work()
+    assert now.rig is not None
+    assert now.rig.not_responding == []
+    changed = [each for each in bench.events if isinstance(each, DeviceChanged)]
+    assert [each.status.connected for each in changed] == [False, True]
+
+
+def test_a_schedule_that_cannot_be_measured_is_refused(bench: StationBench, tmp_path: Path) -> None:
+    bench.station.start(tmp_path / "none.toml", tmp_path)
+    now = bench.work()
+    (refused,) = bench.of(RunRefused)
+    assert isinstance(refused, RunRefused)
+    assert "none.toml" in refused.reason
+    assert now.activity == ""
+    assert now.journal is None
+
+
+def test_an_exception_of_a_run_ends_it_and_the_station_goes_on(
+    bench: StationBench, write_schedule: Writer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from goniotwin.app.campaign.journal.writing import Journal
+
+    def full(*_: object) -> None:
+        raise sqlite3.OperationalError("database or disk is full")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Journal, "commit", full)
+        bench.station.start(write_schedule(), tmp_path)
+        now = bench.work()
+    assert now.state is State.FAILED
+    assert "disk is full" in now.reason
+    bench.station.start(write_schedule(text=SMALL), tmp_path)
+    assert bench.work().state is State.DONE
+
+
+def test_every_event_survives_the_channel_and_leads_to_the_same_state(
+    bench: StationBench, write_schedule: Writer, tmp_path: Path
+) -> None:
+    """A client that attached at the beginning, and one that attaches at the end, have the snapshot of the station."""
+    early = decode(encode(bench.station.snapshot))
+    assert isinstance(early, Snapshot)
+    bench.events.clear()
+    bench.reactions.append(
+        lambda message: bench.station.answer(message.number, Answer.MOUNTED) if isinstance(message, QuestionAsked) else None
+    )
+    bench.station.start(write_schedule(), tmp_path, person=True)
+    bench.work()
+    bench.station.read()
+    bench.work()
+    for message in bench.events:
+        received = decode(encode(message))
+        assert received == message
+        early = advance(early, received)  # type: ignore[arg-type]
+    assert early == bench.station.snapshot == decode(encode(bench.station.snapshot))
+
+
+def test_an_event_of_a_later_version_is_none_and_a_wrong_one_is_an_error() -> None:
+    assert decode({"type": "Coffee"}) is None
+    with pytest.raises(ValueError, match="Positions"):
+        decode({"type": "Positions", "degrees": "all"})
+    long = EventLogged("fault", "x" * 100_000)
+    assert len(str(encode(long))) < 3000
+    assert decode(encode(EventLogged("fault", "what"))) == EventLogged("fault", "what")
+    assert decode(encode(SafetyOrder("a", "b"))) == SafetyOrder("a", "b")
