@@ -31,6 +31,7 @@ from goniotwin.app.desktop.model.messages import (
 from goniotwin.app.desktop.model.permissions import BUSY, Permissions, permissions
 from goniotwin.app.desktop.rig.panels import DEVICES
 from goniotwin.app.desktop.run.live_plot import LivePlot
+from goniotwin.app.desktop.run.screen import RunScreen
 from goniotwin.app.desktop.view import MainView
 from goniotwin.app.station.messages import (
     ActivityChanged,
@@ -79,7 +80,7 @@ class Presenter(QObject):
     question_closed = Signal()
     run_ended = Signal()
 
-    def __init__(self, view: MainView, rig_path: Path, parent: QObject) -> None:
+    def __init__(self, view: MainView, rig_path: Path, parent: QObject, *, processes: bool = True) -> None:
         super().__init__(parent)
         self.station = Snapshot(activity="")
         self.name = ""
@@ -92,8 +93,11 @@ class Presenter(QObject):
         self._opening = True
         self._starting = False
         self._progress = (0, 0)
-        self._live_plot = LivePlot(view.plot, self)
+        self._live_plot = LivePlot(view.plot, view.hemisphere, self, processes=processes)
         self._live_plot.failed.connect(view.set_plot_error)
+        self._live_plot.alarmed.connect(self._log_alarm)
+        self._live_plot.prediction_missing.connect(self._log_missing_prediction)
+        view.screen(RunScreen).plane_chosen.connect(self._live_plot.show_plane)
         self.message_received.connect(self._handle, Qt.ConnectionType.QueuedConnection)
 
     @property
@@ -309,6 +313,14 @@ class Presenter(QObject):
         elif report.confirmed and not self.busy:
             self._view.show_status("All axes have stopped.")
 
+    @Slot(str, str)
+    def _log_alarm(self, what: str, where: str) -> None:
+        self._log(what, where, "look at it: the twin expects another value", serious=True)
+
+    @Slot(str)
+    def _log_missing_prediction(self, reason: str) -> None:
+        self._log(f"No prediction: {reason}", "", "no residuals are shown")
+
     def _log(self, what: str, where: str = "", consequence: str = "", *, serious: bool = False) -> None:
         self._view.log.add(LogEntry(what, where, consequence, serious))
 
@@ -323,6 +335,8 @@ class Presenter(QObject):
     def _show_plan(self, message: PlanMade | PlanRefused) -> None:
         if isinstance(message, PlanMade):
             self.plan, self._no_plan = message.plan, ""
+            if not self.busy:
+                self._live_plot.predict(message.plan)
             self._show_progress(0, len(message.plan.rows), message.plan.seconds)
             if self.rig is not None and not self.rig.not_responding:
                 self._view.show_status("Ready to start.")

@@ -23,6 +23,7 @@ from goniotwin.app.desktop.setup.screen import SetupScreen
 from goniotwin.app.desktop.theme import Colours
 
 if TYPE_CHECKING:  # pyqtgraph is loaded after the window has been shown
+    from goniotwin.app.desktop.run.hemisphere import HemisphereMap
     from goniotwin.app.desktop.run.live_plot import ScanPlot
 
 SCREENS: tuple[type[Screen], ...] = (
@@ -108,6 +109,11 @@ class MainView(QWidget):
     def plot(self) -> "ScanPlot":
         """The plot of the run screen; not before `complete`."""
         return self.screen(RunScreen).plot
+
+    @property
+    def hemisphere(self) -> "HemisphereMap":
+        """The hemisphere of the run screen; not before `complete`."""
+        return self.screen(RunScreen).hemisphere
 
     @property
     def status(self) -> str:

@@ -109,7 +109,7 @@ class MainWindow(QMainWindow):
         self._complete = True
         rig, schedule, speed = self._first
         self.view.complete()
-        self.presenter = Presenter(self.view, rig, self)
+        self.presenter = Presenter(self.view, rig, self, processes=self._stations is None)
         self._connect()
         self.connection = Connection(self.presenter.message_received.emit, speed, self._stations, f"window {os.getpid()}")
         self._open_rig(rig)

@@ -30,7 +30,7 @@ from goniotwin.app.desktop.menu import about_text
 from goniotwin.app.desktop.model.messages import DeviceStatus
 from goniotwin.app.desktop.remembered import MOST_RECENT, Remembered
 from goniotwin.app.desktop.rig.panels import DEVICES, GREEK
-from goniotwin.app.desktop.run.live_plot import PIXELS_OF_VALUE, LogAxis, log_ticks
+from goniotwin.app.desktop.run.axes import PIXELS_OF_VALUE, LogAxis, log_ticks
 from goniotwin.app.desktop.screen import Screen
 from goniotwin.app.desktop.setup.screen import SetupScreen
 from goniotwin.app.desktop.theme import Colours
