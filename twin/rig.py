@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from goniotwin.protocols import adam
-from goniotwin.protocols.clock import Clock, RealClock
+from goniotwin.protocols.clock import Clock, VirtualClock
 from goniotwin.twin.devices import (
     Adam4117,
     Adam6017,
@@ -46,11 +46,11 @@ class VirtualRig:
         """Build the rig of a model.
 
         Addresses are `axes`, `mono`, `adc-0` and so on, and `monitor`; with an RTU line of converters also `adcs`. Further
-        devices of the model have their own addresses. On a real
-        clock the kernels are compiled here, so that the first answers are as fast as all others.
+        devices of the model have their own addresses. On a clock of
+        real time, at any speed, the kernels are compiled here, so that the first answers are as fast as all others.
         """
         plant = Plant(model)
-        if isinstance(clock, RealClock):
+        if not isinstance(clock, VirtualClock):
             plant.warm_up()
         rig = cls(plant, clock)
         if model.controller_axes or not model.devices:

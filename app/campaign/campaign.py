@@ -3,13 +3,14 @@
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Protocol
 
 from goniotwin.app.campaign.journal.chain import Chain
 from goniotwin.app.campaign.journal.writing import Journal, software_versions
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.running.engine import Engine
-from goniotwin.app.campaign.running.events import Listener, State
+from goniotwin.app.campaign.running.events import Event, Listener, State
 from goniotwin.app.campaign.running.operator import HumanOperator, Operator, ServedOperator, VirtualOperator
 from goniotwin.app.campaign.running.question import Ask
 from goniotwin.app.campaign.running.resume import remaining_work
@@ -42,6 +43,32 @@ class Outcome:
     journal_note: str = ""
 
 
+class RunHost(Protocol):
+    """What shows a run to others and takes their commands: it gives the clock, and gets rig, engine and events."""
+
+    @property
+    def positions_every_s(self) -> float:
+        """Time between two reports of the positions, s."""
+
+    def clock_for(self, rig: RigDescription, start_s: float) -> Clock:
+        """The clock on which the rig is opened."""
+
+    def adopt(self, opened: OpenRig, rig: RigDescription) -> None:
+        """The rig is open."""
+
+    def report_connected(self) -> None:
+        """All devices are connected, and the run is about to begin."""
+
+    def run_begun(self, engine: Engine, plan: Plan, journal: Journal, work: Sequence[Row]) -> None:
+        """The engine is about to run."""
+
+    def listen(self, event: Event) -> None:
+        """An event of the engine."""
+
+    def wait_for_stops(self) -> None:
+        """The engine has ended: return when no stop is in progress."""
+
+
 def clock_for(file: RigFile, start_s: float = 0.0) -> Clock:
     """The clock of a rig: virtual for a virtual rig in this process, else real; at the simulation speed of a served rig."""
     if file.in_process:
@@ -56,18 +83,19 @@ def run_campaign(
     listeners: list[Listener] | None = None,
     transcript: Path | None = None,
     ask: Ask | None = None,
+    host: RunHost | None = None,
 ) -> Outcome:
-    """Run a plan until it is done, stopped, or ended by a fault.
+    """Run a plan until it is done, stopped, or ended by a fault. With a `host` others can watch and stop it.
 
     Raises UserError, before anything is written, where it cannot start.
     """
     _refuse_used(journal_path)
-    with open_rig(plan.rig, clock_for(plan.rig.file), transcript) as opened:
+    with open_rig(plan.rig, _clock(plan.rig, 0.0, host), transcript) as opened:
         if journal_path.exists():
             Journal.create(journal_path, plan, {})  # raises the error before the rig is connected
-        operator = _connect(opened, plan, ask)
+        operator = _connect(opened, plan, ask, host)
         with Journal.create(journal_path, plan, software_versions()) as journal:
-            outcome = _run_engine(opened, plan, journal, operator, listeners, plan.rows)
+            outcome = _run_engine(opened, plan, journal, operator, listeners, plan.rows, host)
     return replace(outcome, journal=journal.kept_at, journal_note=journal.note)
 
 
@@ -80,6 +108,7 @@ def resume_campaign(
     ask: Ask | None = None,
     accept_rig: Callable[[str], bool] | None = None,
     remind: Callable[[str], None] | None = None,
+    host: RunHost | None = None,
 ) -> Outcome:
     """Resume a campaign at the first planned row that is not in its journal; home unreferenced axes first.
 
@@ -105,9 +134,9 @@ def resume_campaign(
             raise UserError(f"{other}; not resumed: name the rig's file with --rig")
     with Journal.reopen(journal_path) as journal:
         remaining = remaining_work(journal, rig)  # again, now that no other program can change the journal
-        with open_rig(remaining.plan.rig, clock_for(remaining.plan.rig.file, remaining.start_s), transcript) as opened:
-            operator = _connect(opened, remaining.plan, ask, homing=True, moves=bool(remaining.work))
-            outcome = _run_engine(opened, remaining.plan, journal, operator, listeners, remaining.work)
+        with open_rig(remaining.plan.rig, _clock(remaining.plan.rig, remaining.start_s, host), transcript) as opened:
+            operator = _connect(opened, remaining.plan, ask, host, homing=True, moves=bool(remaining.work))
+            outcome = _run_engine(opened, remaining.plan, journal, operator, listeners, remaining.work, host)
     return replace(outcome, journal=journal.kept_at, journal_note=journal.note)
 
 
@@ -116,20 +145,41 @@ def _refuse_used(journal_path: Path) -> None:
         raise RigInUse(str(journal_path), holder)
 
 
-def _connect(opened: OpenRig, plan: Plan, ask: Ask | None, *, homing: bool = False, moves: bool = True) -> Operator:
+def _clock(rig: RigDescription, start_s: float, host: RunHost | None) -> Clock:
+    return clock_for(rig.file, start_s) if host is None else host.clock_for(rig, start_s)
+
+
+def _connect(
+    opened: OpenRig, plan: Plan, ask: Ask | None, host: RunHost | None, *, homing: bool = False, moves: bool = True
+) -> Operator:
     """Connect the rig, check its axes if any `moves` (`homing` as in `check_referenced`), and return its operator."""
     operator = operator_for(opened, plan.rig.file, ask)
+    if host is not None:
+        host.adopt(opened, plan.rig)
     opened.connect()
+    if host is not None:
+        host.report_connected()
     if moves:
         check_referenced(opened, plan.rig.name, homing=homing)
     return operator
 
 
 def _run_engine(
-    opened: OpenRig, plan: Plan, journal: Journal, operator: Operator, listeners: list[Listener] | None, work: Sequence[Row]
-) -> Outcome:
-    engine = Engine(opened.rig, plan, journal, operator, listeners, work=work)
-    state = engine.run()
+    opened: OpenRig, plan: Plan, journal: Journal, operator: Operator, listeners: list[Listener] | None, work: Sequence[Row],
+    host: RunHost | None,
+) -> Outcome:  # fmt: skip
+    if host is None:
+        engine = Engine(opened.rig, plan, journal, operator, listeners, work=work)
+        state = engine.run()
+    else:
+        engine = Engine(
+            opened.rig, plan, journal, operator, [*(listeners or []), host.listen], host.positions_every_s, work=work
+        )
+        host.run_begun(engine, plan, journal, work)
+        try:
+            state = engine.run()
+        finally:
+            host.wait_for_stops()
     (rows, planned), skipped = journal.row_counts(), sum(journal.skipped_by_sample().values())
     failure = opened.transcript_failure
     faults = (*engine.faults, failure) if failure is not None else tuple(engine.faults)

@@ -1,7 +1,10 @@
 """Commands on campaigns: `goniotwin check`, `rehearse`, `prove`, `run` and `runs`."""
 
+import contextlib
 import os
 import sys
+import threading
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -26,13 +29,17 @@ from goniotwin.app.cli.output import (
 from goniotwin.app.errors import UserError, one_line
 
 if TYPE_CHECKING:  # the planner loads numpy, which a command's help does not need
+    from goniotwin.app.campaign.campaign import Outcome
     from goniotwin.app.campaign.journal.summary import CampaignSummary
     from goniotwin.app.campaign.planning.plan import NewPlan
-    from goniotwin.app.campaign.running.question import Answer, Question
+    from goniotwin.app.campaign.running.question import Answer, Ask, Question
+    from goniotwin.app.rig import RigDescription
+    from goniotwin.app.station.hosting import HostedRun
 
 Schedule = Annotated[Path, typer.Argument(metavar="SCHEDULE.toml", help="Schedule file.", show_default=False)]
 STATE_STYLES = {"done": "green", "running": "cyan", "failed": "red", "killed": "red", "stopped": "yellow", "empty": "dim"}
 
+NO_TERMINAL = "samples are mounted and faults fixed by hand, and standard input is closed; run it in a terminal"
 MOST_PROCESSES = 1024
 
 app = typer.Typer()
@@ -168,11 +175,16 @@ def run(
         bool, typer.Option("--accept-rig", help="With --resume: use the journal's rig, though another was used last.")
     ] = False,
     transcript: TranscriptOption = None,
+    speed: Annotated[
+        float | None,
+        typer.Option("--speed", min=0.1, max=1000.0, help="Simulation speed of a virtual rig, which a window can then show."),
+    ] = None,
     as_json: Json = False,
 ) -> None:
     """Measure a campaign, or resume one.
 
-    Schedule and rig are checked first. Each row is on the disk before the next one starts.
+    Schedule and rig are checked first. Each row is on the disk before the next one starts. A window with the same rig file
+    shows the run and can pause or stop it; for a virtual rig only with --speed, because without it the time is not real.
 
     With --resume, the schedule and the rig come from the journal. Give --rig only if the devices have other ports now; a rig
     that differs in anything else is refused. A rig other than the one that this computer used last is used only after a
@@ -193,19 +205,21 @@ def run(
     if resume is not None:
         journal, title = resume, str(resume)
         rig_now = read_rig(rig) if rig is not None else None
-        with RowProgress(errors, title, None) as progress:
+        with RowProgress(errors, title, None) as progress, _hosted(speed, _rig_of(resume, rig_now)) as (host, ask):
             outcome = resume_campaign(
-                resume, rig_now, listeners=[progress], transcript=transcript, ask=_ask_operator,
+                resume, rig_now, listeners=[progress], transcript=transcript, ask=ask, host=host,
                 accept_rig=(lambda _: True) if accept_rig else _ask_rig if sys.stdin.isatty() else None,
                 remind=lambda order: print_order(f"of the last session, not acknowledged: {order}"),
             )  # fmt: skip
+            _report_end(host, outcome)
     else:
         assert schedule is not None
         assert rig is not None
         assert out is not None
         plan, journal = _make_plan(schedule, rig), out
-        with RowProgress(errors, plan.schedule.file.name, len(plan.rows)) as progress:
-            outcome = run_campaign(plan, out, listeners=[progress], transcript=transcript, ask=_ask_operator)
+        with RowProgress(errors, plan.schedule.file.name, len(plan.rows)) as progress, _hosted(speed, plan.rig) as (host, ask):
+            outcome = run_campaign(plan, out, listeners=[progress], transcript=transcript, ask=ask, host=host)
+            _report_end(host, outcome)
     moved, journal = outcome.journal != journal, outcome.journal
     result = {
         "journal": str(journal),
@@ -353,6 +367,96 @@ def _make_plan(schedule: Path, rig: Path) -> "NewPlan":
     return make_plan(read_schedule(schedule), read_rig(rig))
 
 
+def _rig_of(journal: Path, rig: "RigDescription | None") -> "RigDescription":
+    """The rig of a campaign that is resumed. Raises UserError."""
+    from goniotwin.app.campaign.journal.writing import Journal
+    from goniotwin.app.campaign.running.resume import recorded_rig
+
+    if rig is not None:
+        return rig
+    with Journal.open(journal) as opened:
+        return recorded_rig(opened)
+
+
+@contextlib.contextmanager
+def _hosted(speed: float | None, rig: "RigDescription") -> "Iterator[tuple[HostedRun | None, Ask]]":
+    """The host of a run that others can attach to, and what asks the operator; no host on the virtual clock."""
+    if speed is not None and not rig.file.in_process:
+        raise UserError(f"{rig.name}: --speed: the rig is not virtual in this process; leave --speed out")
+    if speed is None and rig.file.in_process:
+        yield None, _ask_operator
+        return
+    from goniotwin.app.station.hosting import hosted_run
+
+    with hosted_run(speed or 1.0) as host:
+        yield host, TerminalAsk(host)
+
+
+def _report_end(host: "HostedRun | None", outcome: "Outcome") -> None:
+    if host is not None:
+        host.release()
+        host.run_ended(outcome.state, outcome.ended_by_schedule, outcome.journal, outcome.journal_note)
+
+
+class TerminalAsk:
+    """Asks the operator here and at every attached client; the first answer counts."""
+
+    def __init__(self, host: "HostedRun") -> None:
+        self._host = host
+        self._reader: threading.Thread | None = None
+        self._question: tuple[int, Question] | None = None
+        self._asked = threading.Condition()
+        self._closed = False
+
+    def __call__(self, question: "Question") -> "Answer":
+        """Print a question and wait for an answer. Raises UserError where none can come."""
+        from goniotwin.app.station.messages import QuestionAsked
+
+        def note(_number: int, message: object) -> None:
+            if isinstance(message, QuestionAsked):
+                self._set_question((message.number, message.question))
+
+        _print_question(question)
+        self._host.board.subscribe(note)
+        try:
+            if self._reader is None:
+                self._reader = threading.Thread(target=self._read, name="terminal", daemon=True)
+                self._reader.start()
+            return self._host.ask(question, self._given_up)
+        finally:
+            self._set_question(None)
+            self._host.board.unsubscribe(note)
+
+    def _given_up(self) -> str:
+        return NO_TERMINAL if self._closed and not self._host.clients else ""
+
+    def _set_question(self, question: "tuple[int, Question] | None") -> None:
+        with self._asked:
+            self._question = question
+            self._asked.notify_all()
+
+    def _read(self) -> None:
+        """Read answers, one line at a time while a question is open, to the end of standard input."""
+        while True:
+            with self._asked:
+                self._asked.wait_for(lambda: self._question is not None)
+                asked = self._question
+            line = sys.stdin.readline()
+            if not line:
+                break
+            if asked is None or self._question is not asked:
+                continue  # it was answered elsewhere, and the line is no answer to the next one
+            found = _answer_of(line, asked[1])
+            if found is None:
+                _print_choices(asked[1])
+                continue
+            self._set_question(None)
+            with contextlib.suppress(UserError):  # answered elsewhere
+                self._host.answer(asked[0], found)
+        self._closed = True
+        self._host.wake()
+
+
 def _ask_rig(text: str) -> bool:
     """Ask whether to resume on another rig than the last one; only an explicit yes is one."""
     return typer.confirm(f"{text}. Use these devices?", default=False, err=True)
@@ -360,17 +464,36 @@ def _ask_rig(text: str) -> bool:
 
 def _ask_operator(question: "Question") -> "Answer":
     """Print a question and read the beginning of an answer. Enter alone is no answer. Raises UserError without a terminal."""
-    from goniotwin.app.campaign.running.question import EFFECTS, Answer
+    _print_question(question)
+    while line := sys.stdin.readline():
+        found = _answer_of(line, question)
+        if found is not None:
+            return found
+        _print_choices(question)
+    raise UserError(NO_TERMINAL)
+
+
+def _answers(question: "Question") -> "list[Answer]":
+    """The answers that a terminal offers."""
+    from goniotwin.app.campaign.running.question import Answer
 
     # A pause would last for ever, because a terminal has no Resume; waiting is what a question does by itself.
-    answers = [each for each in question.answers if each not in (Answer.PAUSE, Answer.WAIT)]
+    return [each for each in question.answers if each not in (Answer.PAUSE, Answer.WAIT)]
+
+
+def _answer_of(line: str, question: "Question") -> "Answer | None":
+    start = line.strip().lower()
+    found = [each for each in _answers(question) if start and each.lower().startswith(start)]
+    return found[0] if len(found) == 1 else None
+
+
+def _print_question(question: "Question") -> None:
+    from goniotwin.app.campaign.running.question import EFFECTS
+
     errors.print(f"{question.title}. {question.text}", style="bold", markup=False)
-    for each in answers:
+    for each in _answers(question):
         errors.print(f"  {each}: {EFFECTS[each]}", markup=False)
-    while line := sys.stdin.readline():
-        start = line.strip().lower()
-        found = [each for each in answers if start and each.lower().startswith(start)]
-        if len(found) == 1:
-            return found[0]
-        errors.print(f"Type {' or '.join(answers)}, or the beginning of it, then Enter.", markup=False)
-    raise UserError("samples are mounted and faults fixed by hand, and standard input is closed; run it in a terminal")
+
+
+def _print_choices(question: "Question") -> None:
+    errors.print(f"Type {' or '.join(_answers(question))}, or the beginning of it, then Enter.", markup=False)

@@ -1,8 +1,8 @@
 """The desktop: a window on a rig and its campaign. The only package that imports Qt.
 
-`model` is the client of the station that has the rig, without Qt. `presenter` receives its messages through one signal and shows them in
-the panels of `view`. `window` passes on what the operator does. Each screen has a folder (rig, setup, run, events) and a line
-in `SCREENS` of the view.
+`model` is the client of the station that has the rig, without Qt. `presenter` receives its messages through one signal and
+shows them in the panels of `view`. `window` passes on what the operator does. Each screen has a folder (rig, setup, run,
+events) and a line in `SCREENS` of the view.
 """
 
 import contextlib

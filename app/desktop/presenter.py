@@ -69,8 +69,8 @@ class Presenter(QObject):
     """The state of rig, plan and run, as the messages so far give it.
 
     `message_received` is the only signal that crosses threads, and `_handle` its only slot: a function that is not a `@Slot`
-    would be called in the connection's thread, and crash. Other listeners connect to `message_shown`, which is emitted afterwards in
-    the window's thread.
+    would be called in the connection's thread, and crash. Other listeners connect to `message_shown`, which is emitted
+    afterwards in the window's thread.
     """
 
     message_received = Signal(object)
@@ -337,12 +337,13 @@ class Presenter(QObject):
             self.plan, self._no_plan = message.plan, ""
             if not self.busy:
                 self._live_plot.predict(message.plan)
-            self._show_progress(0, len(message.plan.rows), message.plan.seconds)
-            if self.rig is not None and not self.rig.not_responding:
+                self._show_progress(0, len(message.plan.rows), message.plan.seconds)
+            if self.rig is not None and not self.rig.not_responding and not self.busy:
                 self._view.show_status("Ready to start.")
         else:
             self.plan, self._no_plan = None, message.reason
-            self._show_progress(0, 0, None)
+            if not self.busy:
+                self._show_progress(0, 0, None)
             if self.rig is not None:
                 self._view.show_status(message.reason, error=True)
                 self._log(message.reason, "schedule", "there is no plan to start", serious=True)

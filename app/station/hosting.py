@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from goniotwin.app.rig import RigDescription
+from goniotwin.app.rig import OpenRig, RigDescription
 from goniotwin.app.rig.addresses import device_names
 from goniotwin.app.rig.lock import LockFile
 from goniotwin.app.station.connection_file import Connection, connection_folder, read_connection, write_connection
@@ -31,10 +31,16 @@ def connection_path(rig: RigDescription) -> Path:
 
 @contextlib.contextmanager
 def serving(station: Station, rig: RigDescription) -> Iterator[StationServer]:
-    """Serve a station of a rig to clients that find it by its file. Raises RigInUse where another station has the rig."""
+    """Serve a station, whose rig is open, to clients that find it by its file.
+
+    The devices of a rig have locks of their own; for a virtual rig in this process there is one beside the file. Raises
+    RigInUse where another station has it.
+    """
     path = connection_path(rig)
     make_own_folder(path.parent)
-    lock = LockFile(path.with_suffix(".lock"), rig.name, f"station of {rig.file.name} ({rig.name})", 0o600)
+    locks = []
+    if rig.file.in_process:
+        locks.append(LockFile(path.with_suffix(".lock"), rig.name, f"station of {rig.file.name} ({rig.name})", 0o600))
     server = StationServer(station)
     about = Connection(
         PROTOCOL, os.getpid(), socket.gethostname(), server.port, server.token, str(Path(rig.name).absolute()), "",
@@ -59,4 +65,31 @@ def serving(station: Station, rig: RigDescription) -> Iterator[StationServer]:
         found = read_connection(path)
         if found is not None and found.pid == about.pid:
             path.unlink(missing_ok=True)
-        lock.release(remove=True)
+        for lock in locks:
+            lock.release(remove=True)
+
+
+@contextlib.contextmanager
+def hosted_run(speed: float) -> Iterator["HostedRun"]:
+    """The host of one run of this program, which others can attach to from the opening of its rig to the end."""
+    with contextlib.ExitStack() as stack:
+        yield HostedRun(speed, stack)
+
+
+class HostedRun(Station):
+    """A station whose rig and engine belong to a run of this program (`campaign.RunHost`)."""
+
+    def __init__(self, speed: float, stack: contextlib.ExitStack) -> None:
+        super().__init__(speed)
+        self._stack = stack
+        self.server: StationServer | None = None
+
+    def adopt(self, opened: OpenRig, rig: RigDescription) -> None:
+        """Hold the rig, and serve."""
+        super().adopt(opened, rig)
+        self.server = self._stack.enter_context(serving(self, rig))
+
+    @property
+    def clients(self) -> list[str]:
+        """The clients that are attached."""
+        return self.server.clients if self.server is not None else []

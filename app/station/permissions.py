@@ -4,7 +4,7 @@ from goniotwin.app.campaign.running.events import State
 from goniotwin.app.station.messages import Snapshot
 
 FREE = ("stop", "operate", "disconnect")
-"""Commands that no state refuses. Every client may stop, whichever operates."""
+"""Commands that do not need a rig at rest. Every client may stop, whichever operates."""
 OF_RUN = ("pause", "resume", "finish_cut", "answer", "acknowledge", "speed")
 OF_BENCH = (
     "start", "continue", "connect", "move", "home", "set_position", "wavelength", "shutter", "gain", "read", "live", "mount",
@@ -19,6 +19,8 @@ def allowed(station: Snapshot) -> dict[str, str]:
         refusals[command] = _no_bench(station, command)
     if station.rig is None:
         refusals["stop"] = "no rig is open"
+    if station.busy:
+        refusals["disconnect"] = f"a run is {station.state}; stop it first"
     if station.state not in (State.RUNNING, State.RECOVERING):
         refusals["pause"] = f"the run is {station.state}" if station.busy else "no run is in progress"
     if station.state not in (State.PAUSING, State.PAUSED):

@@ -39,9 +39,12 @@ def run_station(rig: Path, speed: float, log: Log, unattended_s: float = UNATTEN
     station = Station(speed)
     ended = threading.Event()
     log(f"{calendar_stamp()} station of {description.file.name} ({rig})")
-    with call_on_end_signal(ended.set) as signals, serving(station, description) as server:
-        station.board.subscribe(lambda _number, message: _log(log, message))
+    station.board.subscribe(lambda _number, message: _log(log, message))
+    with contextlib.ExitStack() as stack:
+        signals = stack.enter_context(call_on_end_signal(ended.set))
         station.open(description)
+        stack.callback(station.close_rig)
+        server = stack.enter_context(serving(station, description))
         engine = threading.Thread(target=station.serve, name="engine")
         station.do(station.connect_all)
         engine.start()

@@ -322,7 +322,8 @@ class Station:
         self._publish(SpeedChanged(factor))
 
     def disconnect(self) -> None:
-        """Stop what is in progress, close the shutter and give the rig back: the end of the station."""
+        """Stop the bench, close the shutter and give the rig back: the end of the station. Refused during a run."""
+        self._check("disconnect")
         self.disconnected.set()
 
     def operate(self, client: str) -> None:
@@ -343,6 +344,10 @@ class Station:
             self._clock.advance_to(start_s)
         return self._clock
 
+    def release(self) -> None:
+        """Hold the rig no longer: what has opened it closes it."""
+        self._opened, self._bench, self._live = None, None, None
+
     def adopt(self, opened: OpenRig, description: RigDescription) -> None:
         """Hold a rig that is open on this station's clock."""
         self._opened, self._description = opened, description
@@ -354,9 +359,14 @@ class Station:
     def connect_all(self) -> None:
         """Connect all devices of the rig that is open; nothing moves. The event has the status of each."""
         opened = self._rig()
-        self.report_connected(opened.rig.connect())
+        self._report_devices(opened.rig.connect())
 
-    def report_connected(self, outcome: dict[str, DeviceError | None]) -> None:
+    def report_connected(self) -> None:
+        """Report that all devices of a rig are connected, for a run that is about to begin."""
+        self._report_devices({each.name: None for each in self._rig().rig.devices})
+        self._publish(ActivityChanged("starting the run"))
+
+    def _report_devices(self, outcome: dict[str, DeviceError | None]) -> None:
         """Report the devices of a rig with the errors, or None, of their connections."""
         opened, description = self._rig(), self._description
         assert description is not None
@@ -653,9 +663,7 @@ class Station:
         self._engine = None
         if note:
             self._publish(EventLogged("journal", note, "journal"))
-        opened = self._opened
-        if opened is not None:
-            self._look()
+        self._look()
         self._publish(RunEnded(state, reason or self.snapshot.reason, journal))
 
     def listen(self, event: Event) -> None:
@@ -671,8 +679,12 @@ class Station:
             case _:
                 self._publish(event)
 
-    def ask(self, question: Question) -> Answer:
-        """Wait for the operator's answer, or for a stop."""
+    def wake(self) -> None:
+        """Let `ask` look at its `given_up`."""
+        self._answers.put(None)
+
+    def ask(self, question: Question, given_up: Callable[[], str] = lambda: "") -> Answer:
+        """Wait for the operator's answer, or for a stop. Raises UserError with the reason where `given_up` has one."""
         self._asked += 1
         number, given = self._asked, None
         if self._stop_requested.is_set():
@@ -680,6 +692,8 @@ class Station:
         self._publish(QuestionAsked(number, question))
         try:
             while not self._stop_requested.is_set():
+                if self._answers.empty() and (reason := given_up()):
+                    raise UserError(reason)
                 match self._answers.get():
                     case (int() as answered, Answer() as answer) if answered == number:
                         given = answer

@@ -1,4 +1,4 @@
-"""The window as a process: a signal stops the run in order, and a long run does not abort the process."""
+"""The window as a process: its end, of whatever kind, leaves the run on; and a long run does not abort the process."""
 
 import os
 import signal
@@ -16,10 +16,12 @@ from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.running.events import State
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.rig import read_rig
+from goniotwin.app.station.connection_file import attach, known_stations
 from goniotwin.protocols.clock import RealClock
 from tests.app.campaign.campaign_bench import QUIET, planned_values
 from tests.conftest import REPOSITORY, RIG, Writer
 from tests.system.conftest import ForkedServe, control_client, until
+from tests.system.station_bench import Attached
 
 pytestmark = [
     pytest.mark.skipif(sys.platform == "win32", reason="this system sends no signals to a process"),
@@ -96,15 +98,28 @@ def start_window(tmp_path: Path) -> Iterator[Starter]:
     for window in started:
         window.process.kill()
         window.wait_for_exit()
+    for path, station in known_stations().items():
+        os.kill(station.pid, signal.SIGKILL)
+        until(lambda path=path: attach(path, "cleaner") is None)  # type: ignore[misc]
 
 
-def check_stopped(window: WindowProcess) -> Path:
-    """Check an end as that of `goniotwin run` after Ctrl-C, with a complete journal in state "stopped"; return the journal."""
+def check_closed(window: WindowProcess) -> None:
+    """Check an end as that of other commands after Ctrl-C."""
     assert window.wait_for_exit() == 130, window.errors
     assert "Traceback" not in window.errors
     assert window.errors.count("goniotwin: stopping") == 1
-    journal = window.journal
-    assert not Path(f"{journal}-wal").exists()
+
+
+def stop_and_check(journal: Path) -> None:
+    """Stop the run that a window has left, and check the journal."""
+    (path,) = known_stations()
+    client = Attached(path)
+    before = client.snapshot.done
+    client.wait_for(lambda: client.snapshot.done > before)
+    client.client.do("stop")
+    client.wait_for(lambda: client.snapshot.state is State.IDLE)
+    until(lambda: campaign_summary(journal).state != "running")
+    client.client.close()
     campaign = campaign_summary(journal)
     assert (campaign.state, campaign.sessions) == ("stopped", 1)
     # On a busy computer an answer is late; no other fault is met, and this one is repeated.
@@ -113,7 +128,6 @@ def check_stopped(window: WindowProcess) -> Path:
     database = sqlite3.connect(journal)
     assert database.execute("PRAGMA integrity_check").fetchall() == [("ok",)]
     database.close()
-    return journal
 
 
 @pytest.mark.parametrize(
@@ -122,26 +136,50 @@ def check_stopped(window: WindowProcess) -> Path:
         pytest.param(signal.SIGINT, id="SIGINT", marks=pytest.mark.long),
         pytest.param(signal.SIGTERM, id="SIGTERM", marks=pytest.mark.long),
         pytest.param(signal.SIGHUP, id="SIGHUP"),
+        pytest.param(signal.SIGKILL, id="SIGKILL", marks=pytest.mark.long),
     ],
 )
-def test_after_a_signal_the_run_is_stopped_and_can_be_resumed(
+def test_the_run_goes_on_after_the_end_of_its_window(
     start_window: Starter, write_rig: Writer, write_schedule: Writer, tmp_path: Path, number: int
 ) -> None:
     rig, schedule = write_rig(*QUIET), write_schedule()
-    window = start_window(rig, schedule, speed=4.0)
+    window = start_window(rig, schedule, speed=2.0)
     window.wait_for_rows(2)
+    journal = window.journal
     window.process.send_signal(number)
-    journal = check_stopped(window)
+    if number == signal.SIGKILL:
+        window.wait_for_exit()
+    else:
+        check_closed(window)
+    stop_and_check(journal)
     assert resume_campaign(journal).state is State.DONE
     run_campaign(make_plan(read_schedule(schedule), read_rig(rig)), tmp_path / "undisturbed.journal")
     assert planned_values(journal) == planned_values(tmp_path / "undisturbed.journal")
 
 
 @pytest.mark.long
-def test_a_signal_brings_moving_axes_to_rest_and_later_signals_are_ignored(
+def test_the_next_window_shows_the_run_that_a_killed_one_has_left(
+    start_window: Starter, write_rig: Writer, write_schedule: Writer
+) -> None:
+    rig, schedule = write_rig(*QUIET), write_schedule(("shift_deg = [0, 1]", "shift_deg = [0, 1, 2, 3, 4, 5]"))
+    first = start_window(rig, schedule, speed=1.0)
+    first.wait_for_rows(2)
+    first.process.kill()
+    first.wait_for_exit()
+    second = start_window(rig, schedule, speed=2.0)
+    second.wait_for_rows(4)
+    assert second.journal == first.journal
+    (path,) = known_stations()
+    client = Attached(path)
+    assert client.snapshot.journal == first.journal
+    client.client.close()
+
+
+@pytest.mark.long
+def test_a_signal_to_the_station_brings_moving_axes_to_rest_and_later_signals_are_ignored(
     start_window: Starter, write_rig: Writer, write_schedule: Writer, forked_serve: ForkedServe, tmp_path: Path
 ) -> None:
-    """The rig is served by another process, whose control port has the positions of the axes."""
+    """The rig is served by another process, whose control port has the positions of the axes. The window reports the end."""
     served = tmp_path / "served.toml"
     lines = forked_serve(write_rig(*QUIET), "--write-rig", served)
     control = control_client(lines)
@@ -149,13 +187,17 @@ def test_a_signal_brings_moving_axes_to_rest_and_later_signals_are_ignored(
     window.wait_for_rows(2)
     until(lambda: window.process.poll() is not None or control.do("state")["angles_deg"]["beta"] >= 20.0)
     assert window.process.poll() is None, window.errors
+    ((path, station),) = known_stations().items()
     for number in (signal.SIGTERM, signal.SIGTERM, signal.SIGHUP, signal.SIGINT):
-        window.process.send_signal(number)
-    check_stopped(window)
+        os.kill(station.pid, number)
+    until(lambda: not path.exists())
+    assert campaign_summary(window.journal).state == "stopped"
     resting = control.do("state")["angles_deg"]
     while control.do("state")["angles_deg"] != resting:  # during the ramp
         resting = control.do("state")["angles_deg"]
     assert 20.0 < resting["beta"] < 179.0
+    assert not control.do("state")["shutter_open"]
+    assert window.process.poll() is None
     control.close()
 
 
@@ -165,5 +207,8 @@ def test_three_thousand_rows_with_a_visible_plot(start_window: Starter) -> None:
     paints = window.wait_for_rows(ROWS)
     print(f"\n{ROWS} rows, the plot was painted {paints} times")
     assert paints > FATAL_PAINTS
+    journal = window.journal
     window.process.send_signal(signal.SIGTERM)
-    assert campaign_summary(check_stopped(window)).rows >= ROWS
+    check_closed(window)
+    stop_and_check(journal)
+    assert campaign_summary(journal).rows >= ROWS

@@ -1,4 +1,4 @@
-"""Run `goniotwin ARGUMENTS` and press Start as soon as it is enabled.
+"""Run `goniotwin ARGUMENTS` and press Start as soon as it is enabled, unless a run is in progress already.
 
 Prints a line for each row in the journal: the number of rows, and the number of repaints of the plot so far.
 """
@@ -33,13 +33,16 @@ class WindowStarter(QObject):
     @Slot()
     def _poll(self) -> None:
         for window in self._application.topLevelWidgets():
-            if isinstance(window, MainWindow) and window.view.run.start_button.isEnabled():
+            if not isinstance(window, MainWindow) or not hasattr(window, "presenter"):
+                continue
+            if window.presenter.busy or window.view.run.start_button.isEnabled():
                 self._timer.stop()
                 shown = window.view.plot.findChild(pg.PlotWidget)
                 assert shown is not None
                 shown.viewport().installEventFilter(self)
                 window.presenter.message_shown.connect(self._print)
-                window.view.run.start_button.click()
+                if not window.presenter.busy:  # else it is attached to a run
+                    window.view.run.start_button.click()
 
     @Slot(object)
     def _print(self, message: object) -> None:

@@ -24,17 +24,17 @@ class JournalFollower:
 
     @contextlib.contextmanager
     def reading(self) -> Iterator[JournalReader]:
-        """The journal, for one short query. Raises UserError, OSError, sqlite3.Error."""
-        with contextlib.closing(open_read_only(self.path)) as db:
+        """The journal, for one short query. Raises UserError, OSError."""
+        with report_damage(self.path), contextlib.closing(open_read_only(self.path)) as db:
             yield JournalReader(db, self.path, Chain())
 
     def new_rows(self) -> Iterator[CommittedRow]:
-        """The rows that were committed since the last call, in that order. Raises UserError, OSError, sqlite3.Error."""
+        """The rows that were committed since the last call, in that order. Raises UserError, OSError."""
         while rows := self._next_rows():
             yield from rows
 
     def _next_rows(self) -> list[CommittedRow]:
-        with contextlib.closing(open_read_only(self.path)) as db:
+        with report_damage(self.path), contextlib.closing(open_read_only(self.path)) as db:
             newest = self._newest(db)
             if newest is None:
                 return []
@@ -44,9 +44,8 @@ class JournalFollower:
 
     def _newest(self, db: sqlite3.Connection) -> int | None:
         """The last entry of the next rows; None if there are no more."""
-        with report_damage(self.path):
-            found = db.execute(
-                "SELECT MAX(entry), COUNT(*) FROM (SELECT rowid AS entry FROM attempt WHERE rowid > ? ORDER BY rowid LIMIT ?)",
-                (self._last, MOST_ROWS),
-            ).fetchone()
+        found = db.execute(
+            "SELECT MAX(entry), COUNT(*) FROM (SELECT rowid AS entry FROM attempt WHERE rowid > ? ORDER BY rowid LIMIT ?)",
+            (self._last, MOST_ROWS),
+        ).fetchone()
         return int(found[0]) if found[1] else None

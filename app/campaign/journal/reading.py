@@ -251,7 +251,7 @@ class JournalReader:
     def rows_between(self, after: int, last: int) -> Iterator[CommittedRow]:
         """The rows of the entries of `attempt` after one and up to another, by their internal numbers, in that order."""
         with self._reading():
-            yield from self._rows("WHERE attempt.rowid > ? AND attempt.rowid <= ? ORDER BY attempt.rowid", (after, last))
+            yield from self._rows("WHERE a.rowid > ? AND a.rowid <= ? ORDER BY a.rowid", (after, last))
 
     def row_index(self) -> tuple[npt.NDArray[np.void], list[str]]:
         """Index (ROW_INDEX) of the measured rows that have readings, in order of their start, and the names of the samples."""

@@ -8,10 +8,9 @@ thread that calls it, before anything else.
 import contextlib
 import hashlib
 import queue
-import sqlite3
 import threading
 from collections.abc import Callable
-from concurrent.futures import Future
+from concurrent.futures import Future, wait
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -49,6 +48,8 @@ OnEnd = Callable[[], None]
 NO_RIG = "no rig is open"
 LOST_S = 0.5
 """Real time without any reply after which a stop counts as lost."""
+ANSWER_S = 2.0
+"""Longest time that a window which is closed waits for answers."""
 END_S = 30.0
 """Longest time in which a station gives its rig back."""
 
@@ -110,6 +111,7 @@ class Connection:
         self._plan: Plan | None = None
         self._person = False
         self._closing = False
+        self._pending: list[Future[dict[str, Any]]] = []
         self._wall = RealClock()
         self._tasks: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         self._rows: queue.SimpleQueue[RunBegun | RowSaved | RunEnded | None] = queue.SimpleQueue()
@@ -204,17 +206,20 @@ class Connection:
         if rig is not None and rig.virtual:
             self.command("speed", factor=speed)
 
-    def command(self, command: str, **arguments: object) -> None:
+    def command(self, command: str, **arguments: Any) -> None:
         """Send any command of a station (`station.permissions.COMMANDS`); a refusal is reported by CommandRefused."""
         client = self._client
         if client is None:
             self._send(CommandRefused(command, NO_RIG))
             return
-        client.send(command, **arguments).add_done_callback(lambda future: self._report_refusal(command, future))
+        future = client.send(command, **arguments)
+        self._pending = [each for each in self._pending if not each.done()] + [future]
+        future.add_done_callback(lambda future: self._report_refusal(command, future))
 
     def close(self) -> None:
         """Leave the station, which goes on, and end the threads; return when they have ended."""
         self._closing = True
+        wait(self._pending, ANSWER_S)  # an acknowledgement is in the journal before the window is closed
         self._tasks.put(None)
         self._threads[0].join()
         session = self._session
@@ -252,10 +257,8 @@ class Connection:
             if client is None:
                 client = self._stations.start(rig, self._speed, self._name, session.on_event, session.on_end)
         except (UserError, TimeoutError) as error:
-            silent = (
-                f"the station of {rig} does not answer; end its process, or wait" if isinstance(error, TimeoutError) else ""
-            )
-            self._send(NotAttached(silent or str(error)))
+            silent = isinstance(error, TimeoutError)
+            self._send(NotAttached(f"{rig}: its station does not answer; wait, or end its process" if silent else str(error)))
             self._send(PlanRefused(NO_RIG))
             return
         session.client = client
@@ -408,7 +411,7 @@ class Connection:
                     described = ScheduleDescription(parsed.text, parsed.file, parsed.name, certificate)
                     plan = Plan(described, recorded_rig(journal), journal.planned_rows())
             self._send(RunStarted(plan, begun.journal))
-        except (UserError, OSError, sqlite3.Error) as error:
+        except (UserError, OSError) as error:
             self._follower = None
             self._send(ValuesMissing(str(error)))
 
@@ -422,7 +425,7 @@ class Connection:
                 known = saved.get(each.row.number)
                 progress = (0, 1, 0.0) if known is None else (known.done, known.total, known.seconds_left)
                 self._send(RowCommitted(each.row, each.data, *progress))
-        except (UserError, OSError, sqlite3.Error) as error:
+        except (UserError, OSError) as error:
             self._follower = None
             self._send(ValuesMissing(str(error)))
 

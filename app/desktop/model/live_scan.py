@@ -1,8 +1,8 @@
 """The scan in progress: the data of the live plot. Plain numbers, no Qt.
 
 A scan is one half plane and the opposite one, at one sample, sigma, gamma and wavelength. Its values come from the steps of the
-journal's reduction, applied to the rows committed so far. These are kept here: a second connection to the journal could keep
-the run from closing it as a single file.
+journal's reduction, applied to the rows committed so far. These are read from the journal once (`model.connection`), and kept
+here.
 
 The work for a row does not grow with the rows: the shown scan is reduced, from signals that are kept as long as they are
 shown. A new dark reading, and what the rows before it show of noise and gains, change every signal a little; they are computed

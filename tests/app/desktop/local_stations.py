@@ -40,7 +40,7 @@ class Host:
 
     def end(self) -> None:
         """Give the rig back."""
-        self.station.disconnect()
+        self.station.disconnected.set()
         self._watch.join()
 
 

@@ -1,0 +1,78 @@
+"""Stations in processes, and clients of theirs in the tests' own."""
+
+import os
+import threading
+from collections.abc import Callable
+from pathlib import Path
+
+from goniotwin.app.station.client import StationClient
+from goniotwin.app.station.connection_file import Connection, attach, known_stations
+from goniotwin.app.station.messages import Message, Snapshot
+from goniotwin.protocols.clock import RealClock
+from tests.system.command_process import CommandProcess
+from tests.system.conftest import until
+
+LONGEST_S = 60.0
+
+
+class Attached:
+    """A client, with its events."""
+
+    def __init__(self, path: Path, name: str = "test") -> None:
+        self.events: list[Message] = []
+        self.ended = threading.Event()
+        self._changed = threading.Condition()
+        client = attach(path, name, self._note, self.ended.set)
+        assert client is not None
+        self.client: StationClient = client
+        client.start()
+
+    def _note(self, message: Message) -> None:
+        with self._changed:
+            self.events.append(message)
+            self._changed.notify_all()
+
+    @property
+    def snapshot(self) -> Snapshot:
+        return self.client.snapshot
+
+    def wait_for(self, condition: Callable[[], bool], longest_s: float = LONGEST_S) -> None:
+        """Wait for a condition on the snapshot or the events."""
+        with self._changed:
+            assert self._changed.wait_for(condition, longest_s), self.snapshot
+
+
+def station_process(folder: Path, rig: Path, *options: object) -> tuple[CommandProcess, Path]:
+    """`goniotwin station` in a process, and its connection file."""
+    process = CommandProcess(folder, "station", "--rig", rig, *options)
+    return process, connection_of(process)
+
+
+def connection_of(process: CommandProcess) -> Path:
+    """The connection file of a station, when it is there."""
+    until(lambda: not process.alive or process.pid in {each.pid for each in known_stations().values()})
+    assert process.alive, process.errors
+    return next(path for path, each in known_stations().items() if each.pid == process.pid)
+
+
+def wait_for_station(pid_of_other_than: int = 0) -> tuple[Path, Connection]:
+    """The connection file of the only station, when it is there."""
+    clock = RealClock()
+    while clock.now() < LONGEST_S:
+        found = [(path, each) for path, each in known_stations().items() if each.pid != pid_of_other_than]
+        if found:
+            return found[0]
+        clock.sleep_until(clock.now() + 0.02)
+    raise AssertionError("no station")
+
+
+def runs(pid: int) -> bool:
+    """Whether a process is there."""
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    try:
+        return "Z" not in Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2][:3]
+    except OSError:
+        return True
