@@ -11,6 +11,7 @@ from PySide6.QtCore import Qt, Signal, Slot
 from PySide6.QtGui import QResizeEvent
 from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QScrollArea, QStackedWidget, QVBoxLayout, QWidget
 
+from goniotwin.app.desktop.campaigns.screen import CampaignsScreen
 from goniotwin.app.desktop.events.panels import NoticeBar, OrdersPanel, QuestionBar
 from goniotwin.app.desktop.events.screen import EventsScreen
 from goniotwin.app.desktop.navigation import Navigation
@@ -30,6 +31,7 @@ SCREENS: tuple[type[Screen], ...] = (
     RigScreen,
     SetupScreen,
     RunScreen,
+    CampaignsScreen,
     EventsScreen,
 )
 """The screens in the order of the navigation. A new one is a line here."""

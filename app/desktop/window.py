@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING
 
 from PySide6.QtCore import QEvent, Qt, QUrl, Signal, Slot
 from PySide6.QtGui import QCloseEvent, QDesktopServices, QKeyEvent
-from PySide6.QtWidgets import QFileDialog, QMainWindow, QMessageBox
+from PySide6.QtWidgets import QApplication, QFileDialog, QMainWindow, QMessageBox
 
 from goniotwin.app.campaign.running.question import EFFECTS, Answer
+from goniotwin.app.desktop.campaigns.screen import CampaignsScreen
 from goniotwin.app.desktop.event_loop import GarbageCollector
 from goniotwin.app.desktop.events.question import Choice, QuestionBox
 from goniotwin.app.desktop.menu import Menus, about_text, keys_text
@@ -26,6 +27,7 @@ from goniotwin.app.desktop.view import MainView
 
 if TYPE_CHECKING:
     from goniotwin.app.campaign.running.events import SafetyOrder
+    from goniotwin.app.desktop.model.campaigns import Campaign, CampaignsListed
     from goniotwin.app.desktop.model.connection import Connection, Stations
     from goniotwin.app.desktop.presenter import Presenter
     from goniotwin.app.station.messages import QuestionAsked
@@ -45,6 +47,7 @@ class MainWindow(QMainWindow):
     presenter: "Presenter"
     connection: "Connection"
     imported = Signal()
+    campaigns_listed = Signal(object)
 
     def __init__(
         self,
@@ -68,6 +71,8 @@ class MainWindow(QMainWindow):
         self._complete = False
         self._closing = False
         self._unattended = False
+        self._listed: CampaignsListed | None = None
+        self._unfinished: Campaign | None = None
         self._closed = False
         self._collector = GarbageCollector(self)
         self._collector.start()
@@ -103,6 +108,7 @@ class MainWindow(QMainWindow):
         """Make what takes long to load, and attach to the station. A second call does nothing."""
         if self._complete or self._closed:
             return
+        from goniotwin.app.desktop.model.campaigns import CampaignList
         from goniotwin.app.desktop.model.connection import Connection
         from goniotwin.app.desktop.presenter import Presenter
 
@@ -112,6 +118,8 @@ class MainWindow(QMainWindow):
         self.presenter = Presenter(self.view, rig, self, processes=self._stations is None)
         self._connect()
         self.connection = Connection(self.presenter.message_received.emit, speed, self._stations, f"window {os.getpid()}")
+        self._campaign_list = CampaignList(self.campaigns_listed.emit)
+        self._list_campaigns()
         self._open_rig(rig)
         if schedule is not None:
             self._open_schedule(schedule)
@@ -139,6 +147,7 @@ class MainWindow(QMainWindow):
         self.presenter.question_asked.connect(self._ask)
         self.presenter.question_closed.connect(self._dismiss_question)
         self.presenter.run_ended.connect(self._after_run)
+        self.presenter.notified.connect(self._notify)
         for screen in self.view.screens:
             self.presenter.message_shown.connect(screen.show_message)
         run, rig, schedule = self.view.run, self.view.rig, self.view.schedule
@@ -146,6 +155,8 @@ class MainWindow(QMainWindow):
         run.pause.connect(self._pause)
         run.resume.connect(self._resume)
         run.stop.connect(self._stop)
+        run.finish_cut.connect(self._finish_cut)
+        run.resume_journal.connect(self._resume_unfinished)
         run.speed_chosen.connect(self._set_speed)
         self.view.orders.acknowledged.connect(self._acknowledge)
         self.view.question.show_question.connect(self._show_question)
@@ -162,13 +173,20 @@ class MainWindow(QMainWindow):
         menus.help_wanted.connect(self._show_keys)
         menus.about_wanted.connect(self._show_about)
 
+        campaigns = self.view.screen(CampaignsScreen)
+        self.campaigns_listed.connect(self._show_campaigns, Qt.ConnectionType.QueuedConnection)
+        campaigns.refresh_wanted.connect(self._list_campaigns)
+        campaigns.resume_wanted.connect(self._resume_journal)
+        campaigns.folder_wanted.connect(self._show_folder)
+        campaigns.reported.connect(self._show_report)
+
     def _set_enabled(self, enabled: bool) -> None:
         """Enable what opens files and changes the set-up; the controls of the run have permissions of their own."""
         run = self.view.run
         for button in (*self.view.rig.buttons, self.view.rig.person, *self.view.schedule.buttons):
             button.setEnabled(enabled)
         if not self._complete:
-            for control in (run.start_button, run.pause_button, run.stop_button):
+            for control in (run.start_button, run.pause_button, run.finish_button, run.stop_button):
                 control.setEnabled(False)
         self.menus.refresh()
 
@@ -176,13 +194,54 @@ class MainWindow(QMainWindow):
     def _refresh(self) -> None:
         permissions = self.presenter.permissions
         self.view.run.set_permissions(permissions)
-        self.menus.set_pause(permissions.resume)
+        self.view.screen(CampaignsScreen).set_resume(permissions.refusals["continue"])
+        self._offer_unfinished()
         self._set_enabled(permissions.open)
         self.setWindowTitle(self.presenter.title)
 
     @Slot()
     def _recolour(self) -> None:
         self.view.set_colours(self.theme.colours)
+
+    # The campaigns of the folder.
+
+    @Slot()
+    def _list_campaigns(self) -> None:
+        self._campaign_list.refresh(self._folder)
+
+    @Slot(object)
+    def _show_campaigns(self, listed: "CampaignsListed") -> None:
+        self._listed = listed
+        self.view.screen(CampaignsScreen).show_campaigns(listed)
+        self._offer_unfinished()
+
+    def _offer_unfinished(self) -> None:
+        """Offer to resume the latest unfinished campaign of the open schedule."""
+        plan, listed = self.presenter.plan, self._listed
+        self._unfinished = None if plan is None or listed is None else listed.unfinished(plan.schedule.text)
+        if self._unfinished is None:
+            self.view.run.set_unfinished("")
+        else:
+            each = self._unfinished.summary
+            self.view.run.set_unfinished(f"{self._unfinished.path.name}: {each.rows} of {each.planned} rows are measured")
+        self.menus.set_pause(self.view.run.resumes)
+        self.menus.refresh()
+
+    @Slot()
+    def _resume_unfinished(self) -> None:
+        if self._unfinished is not None:
+            self._resume_journal(self._unfinished.path)
+
+    @Slot(object)
+    def _resume_journal(self, journal: Path) -> None:
+        self._keep_open()
+        self.view.show_screen(self.view.screens.index(self.view.screen(RunScreen)))
+        self.presenter.show_starting()
+        self.connection.resume_journal(journal)
+
+    @Slot(str, bool)
+    def _show_report(self, text: str, error: bool) -> None:
+        self.view.show_status(text, error=error)
 
     # The run.
 
@@ -201,6 +260,11 @@ class MainWindow(QMainWindow):
     @Slot()
     def _resume(self) -> None:
         self.connection.resume()
+
+    @Slot()
+    def _finish_cut(self) -> None:
+        self.connection.finish_cut()
+        self.view.show_status("The run ends after this cut.")
 
     @Slot()
     def _stop(self) -> None:
@@ -236,10 +300,18 @@ class MainWindow(QMainWindow):
 
     @Slot()
     def _after_run(self) -> None:
+        self._list_campaigns()
         self._dismiss_question()
         self._dismiss_close_question()
         if self._closing:
             self.close()
+
+    @Slot(str)
+    def _notify(self, _what: str) -> None:
+        """Call the operator: a sound, and the window's mark in the task bar where it is not in front."""
+        if self.menus.sound:
+            QApplication.beep()
+        QApplication.alert(self)
 
     # The questions.
 
@@ -337,6 +409,7 @@ class MainWindow(QMainWindow):
             self._folder = Path(name)
             self._remembered.set_folder(self._folder)
             self.view.schedule.set_folder(self._folder)
+            self._list_campaigns()
 
     @Slot()
     def _show_folder(self) -> None:
@@ -455,4 +528,5 @@ class MainWindow(QMainWindow):
             if self._complete:
                 self.presenter.close()
                 self.connection.close()
+                self._campaign_list.close()
             self._collector.stop()

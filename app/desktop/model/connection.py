@@ -33,6 +33,7 @@ from goniotwin.app.desktop.model.messages import (
     StopReport,
     ValuesMissing,
 )
+from goniotwin.app.desktop.model.time_left import mountings
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import read_rig
 from goniotwin.app.station.client import NoStation, Refused, StationClient
@@ -410,7 +411,7 @@ class Connection:
                     certificate = None if parsed.file.certificate is None else journal.value("certificate")
                     described = ScheduleDescription(parsed.text, parsed.file, parsed.name, certificate)
                     plan = Plan(described, recorded_rig(journal), journal.planned_rows())
-            self._send(RunStarted(plan, begun.journal))
+            self._send(RunStarted(plan, begun.journal, mountings(plan.rows)))
         except (UserError, OSError) as error:
             self._follower = None
             self._send(ValuesMissing(str(error)))

@@ -6,10 +6,12 @@ of 1, nothing more) with an uncertainty; late rows count more than early ones, a
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from goniotwin.app.campaign.row import Row
 from goniotwin.arrays import Floats
 
 BLOCK_S = 0.25
@@ -44,6 +46,17 @@ class Mounting:
     sample: str
     seconds_left: float
     rows_left: int
+
+
+def mountings(rows: Sequence[Row]) -> tuple[Mounting, ...]:
+    """The mountings of a plan."""
+    total, count = sum(row.seconds for row in rows), len(rows)
+    found, before = [], 0.0
+    for done, row in enumerate(rows):
+        if row.kind == "mount":
+            found.append(Mounting(row.number, row.sample, total - before, count - done))
+        before += row.seconds
+    return tuple(found)
 
 
 class TimeLeft:

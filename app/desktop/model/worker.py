@@ -1,4 +1,4 @@
-"""A worker: a process beside the window's, for what takes computing time. No Qt.
+"""A worker: a process beside the window's, for what takes computing time. It starts with its first request. No Qt.
 
 Requests and answers go through a pipe. Threads of the window's process feed and read it, so that nothing here ever waits.
 """
@@ -58,11 +58,13 @@ class Worker:
         if self._process is not None:
             self._process.join()
             self._process.close()
+        self._ours.close()
 
     def _feed(self) -> None:
         work: threading.Thread | None = None
+        first = self._requests.get()
         with self._lock:
-            if self._closing:
+            if self._closing or first is None:
                 self._theirs.close()
                 return
             if self._in_process:
@@ -74,6 +76,7 @@ class Worker:
                 work = threading.Thread(target=_work_here, args=(self._serve, self._theirs), name=self._name)
                 work.start()
         with contextlib.suppress(OSError):  # the worker has ended
+            self._ours.send(first)
             while (request := self._requests.get()) is not None:
                 self._ours.send(request)
             self._ours.send(None)

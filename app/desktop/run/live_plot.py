@@ -37,6 +37,7 @@ REDRAW_MS = 100
 POINT_SIZE = 7
 LOW = 190
 """Height in logical pixels below which the text of the plot is left out; it is the plot's tool tip too."""
+RESIDUAL_HEIGHT = 100
 LEAST_RESIDUAL = 5.0
 """Half the least range of the residuals, in u."""
 NO_CURSOR = "Point at the plot, or press ← and → in it, to read a value."
@@ -65,7 +66,6 @@ class ScanPlot(QWidget):
         self._plot: pg.PlotItem = self._view.addPlot(0, 0, axisItems={"left": self._values_axis, "bottom": AngleAxis()})
         self._residuals: pg.PlotItem = self._view.addPlot(1, 0, axisItems={"bottom": AngleAxis()})
         self._residuals.setXLink(self._plot)
-        self._residuals.setMaximumHeight(96)
         self._residuals.getAxis("left").setWidth(64)
         self._residuals.getAxis("left").enableAutoSIPrefix(False)
         self._view.ci.setContentsMargins(2, 2, 6, 2)
@@ -260,6 +260,7 @@ class ScanPlot(QWidget):
         cut = self._cut
         shown = cut is not None and cut.line is not None and self.height() >= LOW
         self._residuals.setVisible(shown)
+        self._residuals.setMaximumHeight(RESIDUAL_HEIGHT if shown else 0)
         self._plot.getAxis("bottom").setStyle(showValues=not shown)
         self._plot.getAxis("bottom").showLabel(not shown)
         if not shown or cut is None:
@@ -414,8 +415,9 @@ class LivePlot(QObject):
         self._place = None
         self._current = None
         self._number += 1
-        self._running = plan is not None
-        self._values.put(Begin(self._number, None if plan is None else PlanTexts.of(plan)))
+        had_run, self._running = self._running, plan is not None
+        if plan is not None or had_run:
+            self._values.put(Begin(self._number, None if plan is None else PlanTexts.of(plan)))
         if plan is not None:
             self.predict(plan)
 
