@@ -73,19 +73,19 @@ class RunPoints:
         self.predicted.clear()
 
     def planes(self, setting: Setting) -> list[Cut]:
-        """The measured cuts of a setting."""
-        return [cut for key, cut in self.cuts.items() if key[0] == setting]
+        """The measured cuts of a setting, with values of the kind (BSDF or signal) of the latest plane."""
+        cuts = [cut for key, cut in self.cuts.items() if key[0] == setting]
+        return [cut for cut in cuts if cut.scan.y_label == cuts[-1].scan.y_label]
 
     def plane(self, setting: Setting, phi_deg: float) -> Cut | None:
         """The points near the plane through the specular direction at the azimuth `phi_deg` about it; None without any.
 
-        Values of the kind (BSDF or signal) of the latest scan. Phi 0 is the plane of incidence.
+        Phi 0 is the plane of incidence.
         """
         cuts = self.planes(setting)
         if not cuts:
             return None
         latest = cuts[-1].scan
-        cuts = [each for each in cuts if each.scan.y_label == latest.y_label]
         points = join(*(each.scan.points for each in cuts))
         x, near = _in_plane(points, phi_deg)
         order = np.flatnonzero(near)[np.argsort(x[near], kind="stable")]

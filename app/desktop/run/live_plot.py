@@ -37,7 +37,8 @@ REDRAW_MS = 100
 POINT_SIZE = 7
 LOW = 190
 """Height in logical pixels below which the text of the plot is left out; it is the plot's tool tip too."""
-RESIDUAL_HEIGHT = 100
+RESIDUAL_HEIGHT, RESIDUAL_SHARE = 110.0, 0.38
+"""Height of the residuals, and the most of the plot's height that they take."""
 LEAST_RESIDUAL = 5.0
 """Half the least range of the residuals, in u."""
 NO_CURSOR = "Point at the plot, or press ← and → in it, to read a value."
@@ -260,7 +261,7 @@ class ScanPlot(QWidget):
         cut = self._cut
         shown = cut is not None and cut.line is not None and self.height() >= LOW
         self._residuals.setVisible(shown)
-        self._residuals.setMaximumHeight(RESIDUAL_HEIGHT if shown else 0)
+        self._residuals.setMaximumHeight(min(RESIDUAL_HEIGHT, RESIDUAL_SHARE * self._view.height()) if shown else 0)
         self._plot.getAxis("bottom").setStyle(showValues=not shown)
         self._plot.getAxis("bottom").showLabel(not shown)
         if not shown or cut is None:
@@ -506,7 +507,8 @@ class LivePlot(QObject):
             self._map.begin(setting, planned)
             self._map.stamp(self._points.hemisphere(setting, transmitted))
         else:
-            self._map.stamp(map_points([each for key, each in self._unmapped.items() if key[0] == setting], transmitted))
+            changed = [each for key, each in self._unmapped.items() if key[0] == setting]
+            self._map.stamp(map_points([each for each in changed if each.scan.y_label == cut.scan.y_label], transmitted))
         self._unmapped.clear()
         self._map.show_points(self._points.hemisphere(setting, transmitted), self._directions)
 

@@ -23,6 +23,8 @@ if TYPE_CHECKING:  # the window shows itself before the engine is loaded
     from goniotwin.app.desktop.model.time_left import Wait
 
 START_KEY, PAUSE_KEY, FINISH_KEY = "Ctrl+R", "Ctrl+P", "Ctrl+Shift+F"
+PAUSE, RESUME = "&Pause\nafter row", "Res&ume"
+"""Texts of the button that pauses and resumes."""
 SPEEDS = (1.0, 10.0, 20.0, 60.0)
 STOP_KEY = "Ctrl+."
 """Stops at once. Enter and Space never stop, so that a key pressed by accident ends no run."""
@@ -53,8 +55,8 @@ class RunPanel(QWidget):
         self._unfinished = ""
         self._permissions: Permissions | None = None
         self.start_button = _button("&Start", "Start the run")
-        self.pause_button = _button("&Pause", "Pause the run")
-        self.finish_button = _button("Finish cu&t", "Finish the cut and end the run")
+        self.pause_button = _button(PAUSE, "Pause the run")
+        self.finish_button = _button("Finish\ncu&t", "Finish the cut and end the run")
         self.stop_button = _button("STOP", "Stop all axes and the run")
         self.stop_button.setToolTip(f"All axes come to rest and the run ends (hold {HOLD_KEY} for a second, or {STOP_KEY})")
         self.stop_button.setSizePolicy(QSizePolicy.Policy.Fixed, QSizePolicy.Policy.Expanding)
@@ -126,7 +128,7 @@ class RunPanel(QWidget):
         self._continues = idle and bool(self._unfinished) and not permissions.refusals["continue"]
         self._resumes = permissions.resume or self._continues
         self.pause_button.setEnabled(not idle or self._continues)
-        self.pause_button.setText("Res&ume" if self._resumes else "&Pause")
+        self.pause_button.setText(RESUME if self._resumes else PAUSE)
         if self._continues:
             what = f"Continue {self._unfinished}"
         elif permissions.resume:

@@ -14,6 +14,7 @@ from goniotwin.app.campaign.running.events import State
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.desktop.campaigns.screen import CampaignsScreen
 from goniotwin.app.desktop.model.campaigns import list_campaigns
+from goniotwin.app.desktop.run.panel import PAUSE
 from goniotwin.app.desktop.theme import LIGHT
 from goniotwin.app.rig import read_rig
 from tests.app.desktop.conftest import READY_MS, ROWS, WindowOpener, ready, wait_for_end
@@ -88,6 +89,6 @@ def test_an_unfinished_campaign_of_the_schedule_is_resumed_with_the_key_of_pause
     wait_for_end(qtbot, window, State.DONE)
     with Journal.open(journals / "small-001.journal") as journal:
         assert journal.row_counts() == (ROWS, ROWS)
-    qtbot.waitUntil(lambda: button.text() == "&Pause" and not button.isEnabled(), timeout=READY_MS)
+    qtbot.waitUntil(lambda: button.text() == PAUSE and not button.isEnabled(), timeout=READY_MS)
     screen = window.view.screen(CampaignsScreen)
     qtbot.waitUntil(lambda: screen.table.rowCount() == 1 and "done" in screen.table.item(0, 1).text(), timeout=READY_MS)
