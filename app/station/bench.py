@@ -3,6 +3,8 @@
 from collections.abc import Callable
 from functools import partial
 
+import numpy as np
+
 from goniotwin.app.campaign.campaign import operator_for
 from goniotwin.app.campaign.running.stop import StopRequest
 from goniotwin.app.errors import UserError
@@ -156,7 +158,7 @@ class PendingReading:
         """The reading, when it is done."""
         counts, settings = self._photodiodes.counts, self._settings
         converter = self._rig.photodiodes.settings.range
-        mean, saturated = counts.mean(axis=0), self._photodiodes.saturated.any(axis=0).tolist()
+        mean, saturated = counts.mean(axis=0), np.any(self._photodiodes.saturated, axis=0).tolist()
         volts = [None if over else float(value) for value, over in zip(converter.volts(mean), saturated, strict=True)]
         assert self._mean is not None
         return BenchReading(

@@ -76,9 +76,7 @@ class StationClient:
         """Whether this client operates the rig, or the place is free."""
         return self.snapshot.operator in ("", self.name)
 
-    def send(
-        self, command: str, *, received: Callable[[], None] | None = None, **arguments: object
-    ) -> "Future[dict[str, Any]]":
+    def send(self, command: str, *, received: Callable[[], None] | None = None, **arguments: Any) -> "Future[dict[str, Any]]":
         """Send a command; the future has its answer, or raises Refused, or NoStation where the connection ends.
 
         The line is written before anything else is done. `received` is called when a stop has reached the station.
@@ -96,7 +94,7 @@ class StationClient:
             future.set_exception(NoStation(f"{command}: the station has ended"))
         return future
 
-    def do(self, command: str, **arguments: object) -> dict[str, Any]:
+    def do(self, command: str, **arguments: Any) -> dict[str, Any]:
         """Send a command and wait for its answer. Raises Refused, NoStation, TimeoutError."""
         return self.send(command, **arguments).result(ANSWER_S)
 

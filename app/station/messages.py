@@ -1,7 +1,6 @@
 """Events of a station, small enough for a line of its channel: the values of rows are in the journal."""
 
 from dataclasses import dataclass, field, fields
-from functools import cache
 from pathlib import Path
 from typing import Any, get_args
 
@@ -320,12 +319,16 @@ def decode(content: dict[str, Any]) -> Message | Snapshot | None:
     return message
 
 
+ADAPTERS: dict[str, TypeAdapter[Any]] = {}
+"""By the name of the class, made at its first use."""
 KINDS: dict[str, type[Any]] = {each.__name__: each for each in (*get_args(Message), Snapshot)}
 
 
-@cache
-def _adapter(kind: type[Any]) -> TypeAdapter[Any]:
-    return TypeAdapter(kind)
+def _adapter(kind: Any) -> TypeAdapter[Any]:
+    name = kind.__name__
+    if name not in ADAPTERS:
+        ADAPTERS[name] = TypeAdapter(kind)
+    return ADAPTERS[name]
 
 
 def _cut(content: Any) -> Any:

@@ -224,5 +224,5 @@ def _line(line: Line) -> dict[str, Any]:
     content = line if isinstance(line, dict) else {"event": line[0], **encode(line[1])}
     if len(json.dumps(content)) <= LONGEST_LINE:
         return content
-    known = {key: content[key] for key in ("event", "answer") if key in content}
+    known: dict[str, Any] = {key: content[key] for key in ("event", "answer") if key in content}
     return {**known, "type": "TooLong"}

@@ -59,17 +59,15 @@ def _start(command: list[str], log: Path) -> "subprocess.Popen[bytes]":
         with contextlib.suppress(OSError):
             old.unlink()
     with log.open("wb") as output:
-        if sys.platform != "win32":
-            return subprocess.Popen(
-                command, stdin=subprocess.DEVNULL, stdout=output, stderr=output, start_new_session=True, close_fds=True
-            )
-        flags = subprocess.CREATE_NEW_PROCESS_GROUP | subprocess.DETACHED_PROCESS
-        for more in (subprocess.CREATE_BREAKAWAY_FROM_JOB, 0):
-            with contextlib.suppress(PermissionError):  # a job that lets no process out
-                return subprocess.Popen(
-                    command, stdin=subprocess.DEVNULL, stdout=output, stderr=output, creationflags=flags | more
-                )
-        raise UserError("Windows does not let a process be started here; start goniotwin station in a terminal")
+        if sys.platform == "win32":
+            flags = subprocess.CREATE_NEW_PROCESS_GROUP | subprocess.DETACHED_PROCESS
+            for more in (subprocess.CREATE_BREAKAWAY_FROM_JOB, 0):
+                with contextlib.suppress(PermissionError):  # a job that lets no process out
+                    return subprocess.Popen(
+                        command, stdin=subprocess.DEVNULL, stdout=output, stderr=output, creationflags=flags | more
+                    )
+            raise UserError("Windows does not let a process be started here; start goniotwin station in a terminal")
+        return subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=output, stderr=output, start_new_session=True)
 
 
 def _last_line(log: Path) -> str:

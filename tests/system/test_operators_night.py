@@ -31,7 +31,8 @@ SPEED = 3.0
 NIGHT = SMALL.replace("beta_deg = [180]", "beta_deg = [160, 170, 180, 190, 200]").replace("[0, 1]", "[0, 1, 2, 3, 4]")
 ASK = '\n[faults]\nwire = "ask"\n'
 PREFLIGHT = ("Ports", "Homed", "Limits", "Lamp", "Dark reading", "Drift", "Certificate", "Disk")
-RIG, BENCH, RUN, EVENTS = "Ctrl+1", "Ctrl+2", "Ctrl+4", "Ctrl+5"
+CUT = "Plot of the scan in progress"
+RIG, BENCH, RUN, CAMPAIGNS, EVENTS = "Ctrl+1", "Ctrl+2", "Ctrl+4", "Ctrl+5", "Ctrl+6"
 
 
 @pytest.fixture
@@ -96,6 +97,13 @@ def test_an_operators_night(
     (journal,) = folder.glob("*.journal")
     done = window.wait_for_rows(6)
 
+    # Prediction and residual.
+    window.press(RUN)
+    window.wait_for("predicted ± 2 u")
+    window.tab_to(CUT)
+    window.press("Right")
+    window.wait_for("°: ", ", residual ")
+
     # The monitor's plug is pulled, and put back.
     control.do("unplug", device="monitor")
     window.wait_for("Device fault", "monitor")
@@ -128,9 +136,20 @@ def test_an_operators_night(
     until(lambda: at_rest(control.do))
     window.press("Alt+U")
     assert window.wait_for_rows(kept.rows + 1) > kept.rows
-    window.wait_for("Done:")
-    after = campaign_summary(journal)
-    assert (after.state, after.sessions, after.rows) == ("done", 2, after.planned)
+
+    # The cut is finished, and what there is exported.
+    window.press("Alt+T")
+    window.wait_for("ended after the cut, as requested")
+    ended = campaign_summary(journal)
+    assert (ended.state, ended.sessions, ended.faults[1:]) == ("stopped", 2, [])
+    assert kept.rows < ended.rows < ended.planned
+    window.press(CAMPAIGNS)
+    window.wait_for("| small-001.journal")
+    window.press("Alt+X")
+    window.wait_for("Export the campaign")
+    window.press("Return")
+    window.wait_for("measured values: ")
+    assert journal.with_suffix(".csv").exists()
     window.press("Ctrl+Q")
     assert window.wait_for_end() == 0, window.errors
     control.close()

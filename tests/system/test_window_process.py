@@ -162,7 +162,7 @@ def test_the_next_window_shows_the_run_that_a_killed_one_has_left(
     start_window: Starter, write_rig: Writer, write_schedule: Writer
 ) -> None:
     rig, schedule = write_rig(*QUIET), write_schedule(("shift_deg = [0, 1]", "shift_deg = [0, 1, 2, 3, 4, 5]"))
-    first = start_window(rig, schedule, speed=2.0)
+    first = start_window(rig, schedule, speed=1.0)
     first.wait_for_rows(2)
     first.process.kill()
     first.wait_for_exit()

@@ -38,10 +38,14 @@ class WindowByKeys:
         """Press and release keys or combinations, where the focus is."""
         self._do("press", *keys)
 
+    def tab_to(self, name: str) -> None:
+        """Press Tab until the focus is on the control whose accessible name begins with `name`."""
+        self._do("tab_to", name)
+
     def choose(self, name: str) -> None:
         """Press Tab until the focus is on a control, then Space."""
-        self._do("tab_to", name)
-        self._do("press", "Space")
+        self.tab_to(name)
+        self.press("Space")
 
     def press_at(self, key: str) -> float:
         """Press a key; return the calendar time just before, s."""

@@ -323,7 +323,7 @@ def test_a_plot_that_fails_does_not_stop_the_run(
         raise ZeroDivisionError("no paint")
 
     if broken == "drawing":
-        monkeypatch.setattr(window.view.plot, "show_scan", fail)
+        monkeypatch.setattr(window.view.plot, "show_cut", fail)
     else:
         monkeypatch.setattr(LiveScan, "add_row", fail)
     click(window.view.run.start_button)

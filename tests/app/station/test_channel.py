@@ -9,12 +9,11 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from goniotwin.app.campaign.row import Row
-from goniotwin.app.campaign.running.events import Positions, RowStarted, SafetyOrder
+from goniotwin.app.campaign.running.events import EventLogged, Positions, RowStarted, SafetyOrder
 from goniotwin.app.station import server as station_server
 from goniotwin.app.station.client import NoStation, Refused, StationClient
 from goniotwin.app.station.messages import (
     ActivityChanged,
-    EventLogged,
     Message,
     OperatorChanged,
     SpeedChanged,
@@ -43,6 +42,16 @@ def server(station: Station) -> Iterator[StationServer]:
     server.start()
     yield server
     server.stop()
+
+
+def note_stops(station: Station, stopped: list[int]) -> None:
+    """Note the stops of a station, which then do nothing."""
+
+    def stop() -> list[str]:
+        stopped.append(1)
+        return []
+
+    station.stop = stop  # type: ignore[method-assign]
 
 
 class Watcher:
@@ -111,7 +120,7 @@ def test_a_wrong_token_is_no_station(server: StationServer) -> None:
 ], ids=["POST", "no token", "long", "stop"])  # fmt: skip
 def test_what_is_no_hello_learns_nothing(server: StationServer, first: bytes, station: Station) -> None:
     stopped: list[int] = []
-    station.stop = lambda: stopped.append(1) or []  # type: ignore[method-assign, func-returns-value]
+    note_stops(station, stopped)
     with socket.create_connection((LOOPBACK, server.port), timeout=LONGEST_S) as end:
         end.sendall(first + b'{"do": "stop", "id": 1}\n')
         with contextlib.suppress(ConnectionError):
@@ -161,7 +170,7 @@ def test_one_operates_the_others_watch_and_stop_is_everybodys(
     station: Station, server: StationServer, attach: Callable[[str], Watcher]
 ) -> None:
     stopped: list[int] = []
-    station.stop = lambda: stopped.append(1) or []  # type: ignore[method-assign, func-returns-value]
+    note_stops(station, stopped)
     one, two = attach("one"), attach("two")
     assert one.client.operates
     with pytest.raises(Refused, match="no run"):
