@@ -32,7 +32,7 @@ NIGHT = SMALL.replace("beta_deg = [180]", "beta_deg = [160, 170, 180, 190, 200]"
 ASK = '\n[faults]\nwire = "ask"\n'
 PREFLIGHT = ("Ports", "Homed", "Limits", "Lamp", "Dark reading", "Drift", "Certificate", "Disk")
 CUT = "Plot of the scan in progress"
-RIG, BENCH, RUN, CAMPAIGNS, EVENTS = "Ctrl+1", "Ctrl+2", "Ctrl+4", "Ctrl+5", "Ctrl+6"
+RIG, BENCH, RUN, CAMPAIGNS = "Ctrl+1", "Ctrl+2", "Ctrl+4", "Ctrl+5"
 
 
 @pytest.fixture
