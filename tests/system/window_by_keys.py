@@ -62,8 +62,7 @@ class WindowByKeys:
 
     def reads(self, *texts: str) -> bool:
         """Whether all texts are to be read."""
-        lines = self.seen()
-        return all(any(text in line for line in lines) for text in texts)
+        return bool(self._do("reads", *texts))
 
     def wait_for(self, *texts: str) -> None:
         """Wait until all texts are to be read."""

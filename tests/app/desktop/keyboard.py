@@ -57,6 +57,12 @@ def seen() -> list[str]:
     return [text for text in texts if text]
 
 
+def reads(*texts: str) -> bool:
+    """Whether all texts are to be read."""
+    lines = seen()
+    return all(any(text in line for line in lines) for text in texts)
+
+
 def _texts(widget: QWidget) -> list[str]:
     """The texts of a widget."""
     match widget:

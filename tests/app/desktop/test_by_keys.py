@@ -7,14 +7,21 @@ from pytestqt.qtbot import QtBot
 from goniotwin.app.campaign.journal.summary import campaign_summary
 from goniotwin.app.desktop.bench.screen import READY
 from tests.app.desktop.conftest import READY_MS, WindowOpener
-from tests.app.desktop.keyboard import focused, press, seen, tab_to
+from tests.app.desktop.keyboard import focused, press, reads, seen, tab_to
 from tests.app.desktop.local_stations import LocalStations
 from tests.conftest import SMALL, Writer
 
 
+LOOK_MS = 50
+
+
 def wait_for(qtbot: QtBot, *texts: str) -> None:
     """Wait until all texts are to be read in the window."""
-    qtbot.waitUntil(lambda: all(any(text in each for each in seen()) for text in texts), timeout=READY_MS)
+    for _ in range(READY_MS // LOOK_MS):
+        if reads(*texts):
+            return
+        qtbot.wait(LOOK_MS)
+    raise AssertionError(f"{texts} are not to be read: {seen()}")
 
 
 def answer(qtbot: QtBot, question: str, choice: str) -> None:
@@ -30,7 +37,7 @@ def test_bench_run_and_resume_by_keys(
     open_window(schedule=write_schedule(text=SMALL.replace("[0, 1]", "[0, 1, 2, 3]")), speed=100.0)
     wait_for(qtbot, "Ready to start.")
     press("Ctrl+1")
-    wait_for(qtbot, "Preflight:")
+    wait_for(qtbot, "Ports", "Disk")
     press("Alt+E")
     wait_for(qtbot, "[A person is the operator] (checked)")
     press("Ctrl+2", "Alt+J", "End")
