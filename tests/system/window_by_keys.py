@@ -2,7 +2,7 @@
 
 The process runs `goniotwin ARGUMENTS` and takes lines on standard input. A line is a JSON array: the name of a function of
 `tests.app.desktop.keyboard`, and its arguments. Its answer is a line with `{"ok": ...}`, or `{"error": ...}`; it is given once
-the key has been taken, whatever follows from it.
+the key has been taken, whatever follows from it. The stations that the window starts have a plug (`station_with_plug`).
 """
 
 import json
@@ -112,7 +112,15 @@ def run() -> None:
     from PySide6.QtWidgets import QApplication
 
     from goniotwin.app.cli.main import main
+    from goniotwin.app.station import starting
     from tests.app.desktop import keyboard
+
+    start = starting._start
+
+    def start_with_plug(command: list[str], log: Path) -> "subprocess.Popen[bytes]":
+        return start([command[0], "-m", "tests.system.station_with_plug", *command[3:]], log)
+
+    starting._start = start_with_plug
 
     class Hands(QObject):
         """Take the lines in a thread, and carry them out in the window's thread."""

@@ -11,7 +11,6 @@ from tests.app.desktop.keyboard import focused, press, reads, seen, tab_to
 from tests.app.desktop.local_stations import LocalStations
 from tests.conftest import SMALL, Writer
 
-
 LOOK_MS = 50
 
 
