@@ -92,7 +92,12 @@ def _row(table: QTableView, row: int) -> str:
 
 
 def _focus() -> QWidget:
-    """Where a key goes."""
-    widget = QApplication.activePopupWidget() or QApplication.focusWidget() or QApplication.activeWindow()
-    assert widget is not None, "no window of the program is active"
-    return widget
+    """Where a key goes. When a window is closed, another one is active from then on, as window managers have it."""
+    active = QApplication.activePopupWidget() or QApplication.activeWindow()
+    if active is None or not active.isVisible():
+        shown = [each for each in QApplication.topLevelWidgets() if each.isVisible() and each.isWindow()]
+        assert shown, "no window is shown"
+        shown[-1].activateWindow()
+        assert QTest.qWaitForWindowActive(shown[-1]), "no window of the program is active"
+        active = shown[-1]
+    return active.focusWidget() or active
