@@ -56,9 +56,12 @@ Key = Callable[[], float]
 
 
 class ServedStation:
-    """A station in a process, its wires recorded here, and a client."""
+    """A station in a process, its wires recorded here, and a client.
 
-    def __init__(self, folder: Path, write_rig: Writer) -> None:
+    Without `monitor` that is in the station's process, and so is an operator that mounts samples.
+    """
+
+    def __init__(self, folder: Path, write_rig: Writer, *, monitor: bool) -> None:
         self.clock = RealClock()
         model = read_rig(write_rig()).model()
         assert model is not None
@@ -78,6 +81,7 @@ class ServedStation:
         addresses += [
             (f'"twin://virtual/{name}"', f'"usbip:{LOOPBACK}:{self._usb.port}/{bus_id}"')
             for name, bus_id in self._usb.bus_ids.items()
+            if monitor
         ]
         ports = [(f'"twin://virtual/{name}"', f'"{folder / name}"') for name in ("axes", "mono")]
         self.rig = write_rig(*ports, *addresses, name="served.toml")
@@ -160,8 +164,14 @@ class ServedStation:
 
 
 @pytest.fixture
-def served(tmp_path: Path, write_rig: Writer) -> Iterator[ServedStation]:
-    served = ServedStation(tmp_path, write_rig)
+def meanwhile() -> str:
+    """What is in progress at the stop, where a test has no parameter for it."""
+    return "none"
+
+
+@pytest.fixture
+def served(tmp_path: Path, write_rig: Writer, meanwhile: str) -> Iterator[ServedStation]:
+    served = ServedStation(tmp_path, write_rig, monitor=meanwhile != "a run")
     yield served
     served.close()
 
@@ -182,10 +192,11 @@ def burn() -> None:
 
 
 @pytest.fixture
-def busy(request: pytest.FixtureRequest) -> Iterator[None]:
-    """Busy processes, for the tests with that name."""
+def busy(served: ServedStation, meanwhile: str) -> Iterator[None]:
+    """Busy processes beside the station, for the tests with that name."""
+    del served
     context = multiprocessing.get_context("spawn")
-    number = BUSY if request.getfixturevalue("meanwhile") == "busy processes" else 0
+    number = BUSY if meanwhile == "busy processes" else 0
     processes = [context.Process(target=burn, daemon=True) for _ in range(number)]
     for each in processes:
         each.start()
