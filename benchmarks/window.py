@@ -8,6 +8,10 @@ median of some starts. heavy_modules: which of HEAVY it has loaded by then. It r
 frame_p99_ms: the 99th percentile of the time that a repaint of the plot takes during a run of the first schedule at simulation
 speed 60; frame_cpu_p99_ms: that of its CPU time. block_p99_ms: that of the time for which an event, one every 20 ms, waits for
 the window's thread during the run.
+
+time_left_error_percent: by simulation speed, how far the time left that the window shows after the first tenth of the rows of
+examples/schedules/quick.toml is from the time that the run then takes. With `--times`, because at 1x this takes five minutes.
+map_p99_ms: the 99th percentile of the time that it takes to add a scan to a hemisphere of MAP_POINTS points and to paint it.
 """
 
 import argparse
@@ -28,6 +32,9 @@ HEAVY = (
 )  # fmt: skip
 """Packages that the first window does without."""
 SPEED = 60.0
+TIMED_SPEEDS = (1.0, 10.0, 60.0)
+TENTH = 0.1
+MAP_POINTS, MAP_FRAMES = 120_000, 100
 LONGEST_S = 120.0
 PING_S = 0.02
 PERCENT = 99
@@ -100,15 +107,15 @@ def run() -> dict[str, Any]:
 
     frames: list[float] = []
     frames_cpu: list[float] = []
-    paint = pg.PlotWidget.paintEvent
+    paint = pg.GraphicsView.paintEvent
 
-    def timed(widget: pg.PlotWidget, event: object) -> None:
+    def timed(widget: pg.GraphicsView, event: object) -> None:
         begin, begin_cpu = time.perf_counter(), time.thread_time()
         paint(widget, event)
         frames.append(time.perf_counter() - begin)
         frames_cpu.append(time.thread_time() - begin_cpu)
 
-    pg.PlotWidget.paintEvent = timed
+    pg.GraphicsView.paintEvent = timed
     application = QApplication(["goniotwin"])
     with TemporaryDirectory() as journals:
         window = MainWindow(Theme(application), examples.FIRST_RIG, examples.FIRST_SCHEDULE, Path(journals), SPEED)
@@ -139,6 +146,80 @@ def run() -> dict[str, Any]:
     }  # fmt: skip
 
 
+def time_left(speed: float) -> dict[str, Any]:
+    """Run quick.toml at a simulation speed; return the error in percent of the time left that is shown after a tenth."""
+    from PySide6.QtCore import QTimer
+    from PySide6.QtWidgets import QApplication
+
+    from goniotwin import examples
+    from goniotwin.app.desktop import MainWindow, Theme
+    from goniotwin.app.station.messages import RowSaved
+
+    application = QApplication(["goniotwin"])
+    seen: dict[str, float] = {}
+    schedule = examples.FIRST_SCHEDULE.with_name("quick.toml")
+    with TemporaryDirectory() as journals:
+        window = MainWindow(Theme(application), examples.FIRST_RIG, schedule, Path(journals), speed)
+        window.show()
+        window.complete()
+        limit = time.monotonic() + LONGEST_S
+        while not window.view.run.start_button.isEnabled() and time.monotonic() < limit:
+            application.processEvents()
+
+        def note(message: object) -> None:
+            if isinstance(message, RowSaved):
+                if message.done >= TENTH * message.total and "left" not in seen:
+                    seen.update(left=window.presenter.wait.seconds, band=window.presenter.wait.band, at=time.perf_counter())
+                seen["end"] = time.perf_counter()
+
+        window.presenter.message_shown.connect(note)
+        window.presenter.run_ended.connect(application.quit)
+        window.view.run.start_button.click()
+        QTimer.singleShot(int(1e3 * (LONGEST_S + 400.0 / speed)), application.quit)
+        application.exec()
+        window.connection.command("disconnect")
+        window.shut_down()
+    took = seen["end"] - seen["at"]
+    return {
+        f"{speed:g}": 100.0 * abs(seen["left"] - took) / took, f"{speed:g} took_s": took, f"{speed:g} left_s": seen["left"],
+        f"{speed:g} band_s": seen["band"],
+    }  # fmt: skip
+
+
+def hemisphere() -> dict[str, Any]:
+    """Fill the map of the hemisphere with many points; return the time for a further scan and its repaint."""
+    import numpy as np
+    from PySide6.QtWidgets import QApplication
+
+    from goniotwin.app.desktop.model.run_points import MapPoints
+    from goniotwin.app.desktop.run.hemisphere import HemisphereMap
+    from goniotwin.app.desktop.theme import LIGHT
+
+    application = QApplication(["goniotwin"])
+    rng = np.random.default_rng(1)
+    shown = HemisphereMap(LIGHT)
+    shown.resize(420, 480)
+    shown.show()
+
+    def points(count: int) -> MapPoints:
+        zenith, azimuth = rng.uniform(0.0, 90.0, count), rng.uniform(0.0, 360.0, count)
+        return MapPoints(zenith, azimuth, np.exp(-((zenith / 20.0) ** 2)) + 1e-4, np.zeros(count, dtype=bool))
+
+    every = points(MAP_POINTS)
+    shown.begin(("sample", 550.0, 30.0, 0.0), every)
+    shown.stamp(every)
+    frames = []
+    for _ in range(MAP_FRAMES):
+        scan = points(360)
+        begin = time.perf_counter()
+        shown.stamp(scan)
+        shown.show_points(every, MAP_POINTS)
+        shown.grab()
+        frames.append(time.perf_counter() - begin)
+    application.processEvents()
+    return {"map_p99_ms": 1e3 * percentile(frames), "map_median_ms": 1e3 * statistics.median(frames)}
+
+
 def percentile(values: Sequence[float]) -> float:
     """The 99th percentile."""
     return statistics.quantiles(values, n=100, method="inclusive")[PERCENT - 1]
@@ -159,17 +240,23 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument("--repeats", type=int, default=3, help="number of starts")
-    parser.add_argument("--part", choices=("first", "run"), help=argparse.SUPPRESS)
+    parser.add_argument("--times", action="store_true", help="measure the time left at each speed too: six minutes")
+    parser.add_argument("--part", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.part is not None:
-        print(json.dumps(first_window() if options.part == "first" else run()))
+        parts = {"first": first_window, "run": run, "map": hemisphere}
+        print(json.dumps(parts[options.part]() if options.part in parts else time_left(float(options.part))))
         return
     starts = [measure("first") for _ in range(options.repeats)]
     result = {
         "first_window_cpu_s": statistics.median(each["first_window_cpu_s"] for each in starts),
         "heavy_modules": sorted({name for each in starts for name in each["heavy_modules"]}),
         **measure("run"),
+        **measure("map"),
     }
+    if options.times:
+        parts_of_times = [measure(f"{speed:g}") for speed in TIMED_SPEEDS]
+        result["time_left_error_percent"] = {key: value for each in parts_of_times for key, value in each.items()}
     if options.json:
         print(json.dumps(result))
         return

@@ -10,12 +10,13 @@ from PySide6.QtWidgets import QDialog, QDialogButtonBox, QMainWindow, QMenu, QTe
 
 import goniotwin
 from goniotwin.app.desktop.remembered import Kind, Remembered
-from goniotwin.app.desktop.run.panel import HOLD_KEY, PAUSE_KEY, START_KEY, STOP_KEY
+from goniotwin.app.desktop.run.panel import FINISH_KEY, HOLD_KEY, PAUSE_KEY, START_KEY, STOP_KEY
 from goniotwin.app.desktop.theme import Scheme
 from goniotwin.app.desktop.view import MainView
 
 OPEN_SCHEDULE_KEY, OPEN_RIG_KEY, QUIT_KEY, HELP_KEY, FULL_SCREEN_KEY = "Ctrl+O", "Ctrl+Shift+O", "Ctrl+Q", "F1", "F11"
 TEXT_WIDTH = 520
+SILENT = "off"
 SCHEMES: tuple[tuple[str, Scheme | None], ...] = (("&Follow the system", None), ("&Light", "light"), ("&Dark", "dark"))
 
 
@@ -46,11 +47,20 @@ class Menus(QObject):
         """Name what the pause button does now."""
         self._pause.setText("Res&ume" if resumes else "&Pause after row")
 
+    @property
+    def sound(self) -> bool:
+        """Whether notices have a sound."""
+        return self._sound.isChecked()
+
+    def _remember_sound(self) -> None:
+        self._remembered.set_text("sound", "" if self._sound.isChecked() else SILENT)
+
     def refresh(self) -> None:
         """Enable each action as its button is."""
         run, rig, schedule = self._view.run, self._view.rig, self._view.schedule
         for action, button in (
             (self._start, run.start_button), (self._pause, run.pause_button), (self._stop, run.stop_button),
+            (self._finish, run.finish_button),
             (self._open_rig, rig.open_button), (self._again, rig.again_button),
             (self._open_schedule, schedule.open_button), (self._save_in, schedule.folder_button),
         ):  # fmt: skip
@@ -75,6 +85,7 @@ class Menus(QObject):
         run = self._view.run
         self._start = self._add(menu, "&Start", run.start_button.click, START_KEY)
         self._pause = self._add(menu, "&Pause after row", run.pause_button.click, PAUSE_KEY)
+        self._finish = self._add(menu, "Finish cu&t, then end", run.finish_button.click, FINISH_KEY)
         # Its keys are those of the panel, which hold in every window of the program.
         self._stop = self._add(menu, f"Stop\t{STOP_KEY}", run.stop_button.click)
         menu.addSeparator()
@@ -99,6 +110,9 @@ class Menus(QObject):
             action.setChecked(scheme == (self._remembered.text("scheme") or None))
             schemes.addAction(action)
         menu.addSeparator()
+        self._sound = self._add(menu, "S&ound at the end, a fault, a mounting", self._remember_sound)
+        self._sound.setCheckable(True)
+        self._sound.setChecked(self._remembered.text("sound") != SILENT)
         self._add(menu, "F&ull screen", self._toggle_full_screen, FULL_SCREEN_KEY)
 
     def _fill_help(self, menu: QMenu) -> None:
@@ -175,7 +189,8 @@ def keys_text(view: MainView) -> str:
         (f"hold {HOLD_KEY} for a second", "Stop: all axes come to rest and the run ends"),
         (STOP_KEY, "Stop, at once"),
         (START_KEY, "Start the schedule, into a new journal"),
-        (PAUSE_KEY, "Pause after the row, or resume"),
+        (PAUSE_KEY, "Pause after the row, or resume; before a run, resume an unfinished campaign of the schedule"),
+        (FINISH_KEY, "Finish the cut in progress, then end the run"),
         (OPEN_SCHEDULE_KEY, "Open a schedule file"),
         (OPEN_RIG_KEY, "Open a rig file"),
         *((f"Ctrl+{number}", f"Screen {screen.title}") for number, screen in enumerate(view.screens, start=1)),

@@ -3,7 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 
-from PySide6.QtCore import QObject, Qt, Signal, Slot
+from PySide6.QtCore import QDateTime, QObject, Qt, QTimer, Signal, Slot
 
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.running.events import (
@@ -29,8 +29,11 @@ from goniotwin.app.desktop.model.messages import (
     ValuesMissing,
 )
 from goniotwin.app.desktop.model.permissions import BUSY, Permissions, permissions
+from goniotwin.app.desktop.model.row_words import row_words
+from goniotwin.app.desktop.model.time_left import Mounting, TimeLeft, Wait
 from goniotwin.app.desktop.rig.panels import DEVICES
 from goniotwin.app.desktop.run.live_plot import LivePlot
+from goniotwin.app.desktop.run.screen import RunScreen
 from goniotwin.app.desktop.view import MainView
 from goniotwin.app.station.messages import (
     ActivityChanged,
@@ -50,6 +53,7 @@ from goniotwin.app.station.messages import (
     advance,
 )
 from goniotwin.app.station.messages import Message as StationMessage
+from goniotwin.protocols.clock import RealClock
 
 MAIN_SWITCH = "Stop did not get through: use the main switch"
 STATUS = {
@@ -60,6 +64,8 @@ STATUS = {
     State.STOPPING: "Stopping.",
 }
 END = {State.DONE: "done", State.IDLE: "stopped", State.FAILED: "failed"}
+NEAR_S = 600.0
+"""Calendar times nearer than this have seconds."""
 SERIOUS = ("fault", "stop", "encoder", "sleep", "finding")
 """Kinds of the journal's events that a person should look at."""
 
@@ -78,8 +84,10 @@ class Presenter(QObject):
     question_asked = Signal(object)
     question_closed = Signal()
     run_ended = Signal()
+    notified = Signal(str)
+    """The operator is needed: the end of a run, a fault, a mounting, a lost station."""
 
-    def __init__(self, view: MainView, rig_path: Path, parent: QObject) -> None:
+    def __init__(self, view: MainView, rig_path: Path, parent: QObject, *, processes: bool = True) -> None:
         super().__init__(parent)
         self.station = Snapshot(activity="")
         self.name = ""
@@ -91,9 +99,20 @@ class Presenter(QObject):
         self._no_plan = ""
         self._opening = True
         self._starting = False
+        self._lost = False
         self._progress = (0, 0)
-        self._live_plot = LivePlot(view.plot, self)
+        self._wall = RealClock()
+        self._pace = TimeLeft()
+        self._mountings: tuple[Mounting, ...] = ()
+        self._row_number = -1
+        self._since = 0.0
+        self._every_second = QTimer(self, interval=1000)
+        self._every_second.timeout.connect(self._show_wait)
+        self._live_plot = LivePlot(view.plot, view.hemisphere, self, processes=processes)
         self._live_plot.failed.connect(view.set_plot_error)
+        self._live_plot.alarmed.connect(self._log_alarm)
+        self._live_plot.prediction_missing.connect(self._log_missing_prediction)
+        view.screen_of(RunScreen).plane_chosen.connect(self._live_plot.show_plane)
         self.message_received.connect(self._handle, Qt.ConnectionType.QueuedConnection)
 
     @property
@@ -119,7 +138,10 @@ class Presenter(QObject):
     @property
     def permissions(self) -> Permissions:
         """Which controls are enabled now."""
-        return permissions(self.station, self.plan, self._no_plan, self.state, opening=self._opening, operates=self.operates)
+        return permissions(
+            self.station, self.plan, self._no_plan, self.state,
+            opening=self._opening, operates=self.operates, lost=self._lost,
+        )  # fmt: skip
 
     @property
     def title(self) -> str:
@@ -149,6 +171,7 @@ class Presenter(QObject):
 
     def close(self) -> None:
         """Show no further messages."""
+        self._every_second.stop()
         self._live_plot.stop()
         self.message_received.disconnect(self._handle)
 
@@ -169,11 +192,14 @@ class Presenter(QObject):
             case RowCommitted():
                 self._live_plot.add_row(message)
             case StateChanged(state, _reason):
+                if state not in (State.RUNNING, State.PAUSING) or before.state not in (State.RUNNING, State.PAUSING):
+                    self._interrupt_pace()
                 self._log_state(before.state, state)
                 self._view.show_status(STATUS.get(state, self._view.status))
             case EventLogged(kind, what, where, consequence):
                 self._log(what, where, consequence, serious=kind in SERIOUS)
             case SafetyOrder(order, reason):
+                self.notified.emit(order)
                 if message not in self._view.orders.orders:
                     where = self.rig.name if self.rig is not None else ""
                     self._view.orders.add(message)
@@ -184,12 +210,14 @@ class Presenter(QObject):
             case RunBegun(journal, name, done, total, seconds_left):
                 self._starting = False
                 self.journal = journal
+                self._begin_pace(done, total, seconds_left)
                 self._show_progress(done, total, seconds_left)
                 self._view.set_saved(f"Saved row by row in {journal}")
                 self._log(
                     f"Run of {name} started", journal.name, f"{total} rows" if not done else f"{done} of {total} rows done"
                 )
-            case RunStarted(plan):
+            case RunStarted(plan, _journal, mountings):
+                self._mountings = mountings
                 self._live_plot.start(plan, self._mark)
             case ValuesMissing(reason):
                 self._view.set_plot_error(f"The values cannot be shown: {reason}; the run is not affected.")
@@ -201,10 +229,13 @@ class Presenter(QObject):
                 self._log(f"Not started: {reason}", serious=True)
                 self.run_ended.emit()
             case QuestionAsked(_number, question):
+                self._interrupt_pace()
                 self._view.show_status(f"Waiting for the operator: {question.title}.")
                 self._log(f"Question to the operator: {question.title}", "", "the run waits")
                 self.question_asked.emit(message)
+                self.notified.emit(question.title)
             case QuestionClosed():
+                self._interrupt_pace()
                 self.question_closed.emit()
             case PlanMade() | PlanRefused():
                 self._show_plan(message)
@@ -219,6 +250,7 @@ class Presenter(QObject):
             case StopReport():
                 self._show_stop(message)
             case SpeedChanged(speed):
+                self._set_pace_speed(speed)
                 self._view.run.show_speed(speed)
             case OperatorChanged():
                 self._show_operator()
@@ -231,8 +263,9 @@ class Presenter(QObject):
         self._view.notice.clear()
         match message:
             case Attached(name, snapshot, found, dropped):
-                self.station, self.name = snapshot, name
+                self.station, self.name, self._lost = snapshot, name, False
                 self._view.run.show_speed(snapshot.speed)
+                self._set_pace_speed(snapshot.speed)
                 if dropped:
                     self._log("This window was detached from the station", "", dropped, serious=True)
                 if snapshot.rig is not None:
@@ -255,6 +288,7 @@ class Presenter(QObject):
             self._view.orders.add(order)
         if snapshot.busy and snapshot.journal is not None:
             self.journal = snapshot.journal
+            self._begin_pace(snapshot.done, snapshot.total, snapshot.seconds_left)
             self._show_progress(snapshot.done, snapshot.total, snapshot.seconds_left)
             self._view.set_saved(f"Saved row by row in {snapshot.journal}")
             self._view.show_status(STATUS.get(snapshot.state, ""))
@@ -267,6 +301,7 @@ class Presenter(QObject):
     def _show_lost(self, last: Snapshot) -> None:
         """Show that the station has died, what that means for the instrument, and how to go on."""
         running = last.busy
+        self._lost = True
         self.station = Snapshot(orders=last.orders, speed=last.speed, activity="", closed="the station has ended")
         self._starting = False
         self._show_closed("")
@@ -278,19 +313,20 @@ class Presenter(QObject):
                 "the shutter may be open."
             )
             self.journal = last.journal
-            self._view.notice.show_notice(text, "&Resume", "resume")
+            self._view.notice.show_notice(text, "resume")
             self._live_plot.finish()
             self.run_ended.emit()
         else:
             text = "The station has ended. The axes stop by the controller's heartbeat; the shutter may be open."
-            self._view.notice.show_notice(text, "&Connect again", "connect")
+            self._view.notice.show_notice(text, "connect")
         self._view.show_status(text, error=True)
+        self.notified.emit("The station has ended")
         self._log(text, self.rig_path.name, "no rig is open", serious=True)
 
     def _show_operator(self) -> None:
         if not self.operates:
             text = f"{self.station.operator} operates this rig; this window watches. Stop works from here too."
-            self._view.notice.show_notice(text, "&Operate from here", "operate")
+            self._view.notice.show_notice(text, "operate")
         elif self._view.notice.action == "operate":
             self._view.notice.clear()
 
@@ -309,10 +345,20 @@ class Presenter(QObject):
         elif report.confirmed and not self.busy:
             self._view.show_status("All axes have stopped.")
 
+    @Slot(str, str)
+    def _log_alarm(self, what: str, where: str) -> None:
+        self._log(what, where, "look at it: the twin expects another value", serious=True)
+
+    @Slot(str)
+    def _log_missing_prediction(self, reason: str) -> None:
+        self._log(f"No prediction: {reason}", "", "no residuals are shown")
+
     def _log(self, what: str, where: str = "", consequence: str = "", *, serious: bool = False) -> None:
         self._view.log.add(LogEntry(what, where, consequence, serious))
 
     def _log_state(self, before: State, state: State) -> None:
+        if state is State.RECOVERING and before is not State.RECOVERING:
+            self.notified.emit("Device fault")
         if state is State.PAUSED:
             self._log("Paused", "", "the shutter is closed")
         elif state is State.STOPPING:
@@ -324,6 +370,7 @@ class Presenter(QObject):
         if isinstance(message, PlanMade):
             self.plan, self._no_plan = message.plan, ""
             if not self.busy:
+                self._live_plot.predict(message.plan)
                 self._show_progress(0, len(message.plan.rows), message.plan.seconds)
             if self.rig is not None and not self.rig.not_responding and not self.busy:
                 self._view.show_status("Ready to start.")
@@ -391,16 +438,62 @@ class Presenter(QObject):
         if isinstance(event, RowStarted):
             self._view.axes.set_targets(event.row.pose)
             if self.state is State.RUNNING:
-                self._view.show_status(f"Measuring row {event.row.number + 1}: {event.row.identity}")
+                done, of = self._progress
+                self._view.show_status(f"{row_words(event.row)} (row {min(done + 1, of)} of {of})")
+            self._row_number = event.row.number
             self._live_plot.add_row(event)
         else:
+            self._pace.add_row(self._wall.now(), event.row.seconds, event.total - event.done, event.seconds_left)
+            self._since = self._wall.now()
             self._show_progress(event.done, event.total, event.seconds_left)
+            self._show_wait()
             if event.flags:
                 self._log(f"Row flagged: {', '.join(event.flags)}", event.row.identity)
 
     def _show_progress(self, done: int, of: int, left_s: float | None) -> None:
         self._progress = (done, of)
         self._view.run.set_progress(done, of, left_s)
+
+    # The time left.
+
+    def _begin_pace(self, done: int, total: int, seconds_left: float) -> None:
+        self._since = self._wall.now()
+        self._set_pace_speed(self.station.speed)
+        self._pace.begin(self._since, total - done, seconds_left)
+        self._every_second.start()
+
+    def _interrupt_pace(self) -> None:
+        self._since = self._wall.now()
+        self._pace.interrupt(self._since)
+
+    def _set_pace_speed(self, speed: float) -> None:
+        virtual = self.rig is None or self.rig.virtual
+        self._pace.set_speed(self._wall.now(), speed if virtual else 1.0)
+
+    @property
+    def wait(self) -> Wait:
+        """The time that is left until the end of the run, from now, as learnt from its pace."""
+        left = self._pace.left
+        waited = 0.0 if self.station.question is not None or self.state is State.PAUSED else self._wall.now() - self._since
+        return Wait(max(left.seconds - waited, 0.0), left.band)
+
+    @Slot()
+    def _show_wait(self) -> None:
+        """Show the time left, when the run ends, and when the next sample is to be mounted by a person."""
+        done, of = self._progress
+        if not self.busy or done >= of:
+            self._every_second.stop()
+            return
+        wait = self.wait
+        texts = [f"ends {_clock_text(wait.seconds)}"]
+        ahead = next((each for each in self._mountings if each.number > self._row_number), None)
+        if ahead is not None:
+            until = self._pace.until(ahead)
+            waited = self._pace.left.seconds - wait.seconds
+            texts.append(f"mount {ahead.sample} {_clock_text(max(until.seconds - waited, 0.0))}")
+        elif self._mountings:
+            texts.append("no more mounting")
+        self._view.run.set_wait(wait, ", ".join(texts))
 
     def _show_end(self, end: RunEnded) -> None:
         self.journal = end.journal
@@ -423,4 +516,14 @@ class Presenter(QObject):
         else:
             self._view.show_status(f"Failed after {done} of {of} rows, which are saved: {end.reason}", error=True)
         self._view.set_saved(f"Saved in {end.journal}")
+        self.notified.emit(f"Run {END[end.state]}")
         self.run_ended.emit()
+
+
+def _clock_text(seconds: float) -> str:
+    """The calendar time after so many seconds: with its seconds if it is near, with its day if that is not today."""
+    now = QDateTime.currentDateTime()
+    then = now.addMSecs(round(1000.0 * seconds))
+    if then.date() != now.date():
+        return then.toString("ddd HH:mm")
+    return then.toString("HH:mm:ss" if seconds < NEAR_S else "HH:mm")

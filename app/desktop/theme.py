@@ -16,7 +16,8 @@ FUSION_DARKER = 140
 class Colours:
     """The colours of a scheme.
 
-    The contrast of text to its background is at least 4.5 to 1. Marks differ in shape too, not only in hue.
+    The contrast of text to its background is at least 4.5 to 1. Marks differ in shape too, not only in hue. `map` is the name
+    of the colour map, which is ordered by lightness.
     """
 
     window: str
@@ -36,19 +37,21 @@ class Colours:
     points: str
     blocked: str
     beam: str
+    predicted: str
+    map: str
 
 
 LIGHT = Colours(
     window="#f3f4f6", base="#ffffff", button="#e6e8ec", text="#1b1f24", dim="#59616b", line="#c3c8d0",
     accent="#0b62c4", on_accent="#ffffff", good="#17692c", bad="#b3161b",
     simulated="#ffd24d", on_simulated="#1b1f24", stop="#c1121f", stop_pressed="#8d0c16",
-    points="#0b62c4", blocked="#6b7280", beam="#b85c00",
+    points="#0b62c4", blocked="#6b7280", beam="#b85c00", predicted="#b45f06", map="crameri:batlow",
 )  # fmt: skip
 DARK = Colours(
     window="#1e2126", base="#15171b", button="#2d3138", text="#e8eaed", dim="#a4abb5", line="#454b55",
     accent="#5aa5ff", on_accent="#10131a", good="#66cf80", bad="#ff8080",
     simulated="#e0b02f", on_simulated="#15171b", stop="#d11a28", stop_pressed="#8d0c16",
-    points="#5aa5ff", blocked="#9aa2ad", beam="#ffb454",
+    points="#5aa5ff", blocked="#9aa2ad", beam="#ffb454", predicted="#f0a63a", map="crameri:batlow",
 )  # fmt: skip
 
 

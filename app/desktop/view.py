@@ -12,6 +12,7 @@ from PySide6.QtGui import QResizeEvent
 from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel, QScrollArea, QStackedWidget, QVBoxLayout, QWidget
 
 from goniotwin.app.desktop.bench.screen import BenchScreen
+from goniotwin.app.desktop.campaigns.screen import CampaignsScreen
 from goniotwin.app.desktop.events.panels import NoticeBar, OrdersPanel, QuestionBar
 from goniotwin.app.desktop.events.screen import EventsScreen
 from goniotwin.app.desktop.navigation import Navigation
@@ -24,6 +25,7 @@ from goniotwin.app.desktop.setup.screen import SetupScreen
 from goniotwin.app.desktop.theme import Colours
 
 if TYPE_CHECKING:  # pyqtgraph is loaded after the window has been shown
+    from goniotwin.app.desktop.run.hemisphere import HemisphereMap
     from goniotwin.app.desktop.run.live_plot import ScanPlot
 
 SCREENS: tuple[type[Screen], ...] = (
@@ -31,6 +33,7 @@ SCREENS: tuple[type[Screen], ...] = (
     BenchScreen,
     SetupScreen,
     RunScreen,
+    CampaignsScreen,
     EventsScreen,
 )
 """The screens in the order of the navigation. A new one is a line here."""
@@ -112,6 +115,11 @@ class MainView(QWidget):
     def plot(self) -> "ScanPlot":
         """The plot of the run screen; not before `complete`."""
         return self.screen_of(RunScreen).plot
+
+    @property
+    def hemisphere(self) -> "HemisphereMap":
+        """The hemisphere of the run screen; not before `complete`."""
+        return self.screen_of(RunScreen).hemisphere
 
     @property
     def status(self) -> str:

@@ -13,10 +13,11 @@ from typing import TYPE_CHECKING
 
 from PySide6.QtCore import QEvent, Qt, QUrl, Signal, Slot
 from PySide6.QtGui import QCloseEvent, QDesktopServices, QKeyEvent
-from PySide6.QtWidgets import QFileDialog, QMainWindow
+from PySide6.QtWidgets import QApplication, QFileDialog, QMainWindow
 
 from goniotwin import examples
 from goniotwin.app.campaign.running.question import EFFECTS, Answer
+from goniotwin.app.desktop.campaigns.screen import CampaignsScreen
 from goniotwin.app.desktop.event_loop import GarbageCollector
 from goniotwin.app.desktop.events.question import Choice, QuestionBox
 from goniotwin.app.desktop.menu import Menus, TextBox, about_text, keys_text
@@ -27,6 +28,7 @@ from goniotwin.app.desktop.view import MainView
 
 if TYPE_CHECKING:
     from goniotwin.app.campaign.running.events import SafetyOrder
+    from goniotwin.app.desktop.model.campaigns import Campaign, CampaignsListed
     from goniotwin.app.desktop.model.connection import Connection, Stations
     from goniotwin.app.desktop.presenter import Presenter
     from goniotwin.app.station.messages import QuestionAsked
@@ -46,6 +48,7 @@ class MainWindow(QMainWindow):
     presenter: "Presenter"
     connection: "Connection"
     imported = Signal()
+    campaigns_listed = Signal(object)
 
     def __init__(
         self,
@@ -69,6 +72,8 @@ class MainWindow(QMainWindow):
         self._complete = False
         self._closing = False
         self._unattended = False
+        self._listed: CampaignsListed | None = None
+        self._unfinished: Campaign | None = None
         self._closed = False
         self._collector = GarbageCollector(self)
         self._collector.start()
@@ -110,6 +115,7 @@ class MainWindow(QMainWindow):
         if self._complete or self._closed:
             return
         try:
+            from goniotwin.app.desktop.model.campaigns import CampaignList
             from goniotwin.app.desktop.model.connection import Connection
             from goniotwin.app.desktop.presenter import Presenter
 
@@ -119,9 +125,11 @@ class MainWindow(QMainWindow):
             return
         self._complete = True
         rig, schedule, speed = self._first
-        self.presenter = Presenter(self.view, rig, self)
+        self.presenter = Presenter(self.view, rig, self, processes=self._stations is None)
         self._connect()
         self.connection = Connection(self.presenter.message_received.emit, speed, self._stations, f"window {os.getpid()}")
+        self._campaign_list = CampaignList(self.campaigns_listed.emit)
+        self._list_campaigns()
         self._open_rig(rig)
         if schedule is not None:
             self._open_schedule(schedule)
@@ -149,6 +157,7 @@ class MainWindow(QMainWindow):
         self.presenter.question_asked.connect(self._ask)
         self.presenter.question_closed.connect(self._dismiss_question)
         self.presenter.run_ended.connect(self._after_run)
+        self.presenter.notified.connect(self._notify)
         for screen in self.view.screens:
             self.presenter.message_shown.connect(screen.show_message)
             screen.command.connect(self._command)
@@ -157,6 +166,8 @@ class MainWindow(QMainWindow):
         run.pause.connect(self._pause)
         run.resume.connect(self._resume)
         run.stop.connect(self._stop)
+        run.finish_cut.connect(self._finish_cut)
+        run.resume_journal.connect(self._resume_unfinished)
         run.speed_chosen.connect(self._set_speed)
         self.view.orders.acknowledged.connect(self._acknowledge)
         self.view.question.show_question.connect(self._show_question)
@@ -167,13 +178,20 @@ class MainWindow(QMainWindow):
         schedule.open.connect(self._choose_schedule)
         schedule.choose_folder.connect(self._choose_folder)
 
+        campaigns = self.view.screen_of(CampaignsScreen)
+        self.campaigns_listed.connect(self._show_campaigns, Qt.ConnectionType.QueuedConnection)
+        campaigns.refresh_wanted.connect(self._list_campaigns)
+        campaigns.resume_wanted.connect(self._resume_journal)
+        campaigns.folder_wanted.connect(self._show_folder)
+        campaigns.reported.connect(self._show_report)
+
     def _set_enabled(self, enabled: bool) -> None:
         """Enable what opens files and changes the set-up; the controls of the run have permissions of their own."""
         run = self.view.run
         for button in (*self.view.rig.buttons, self.view.rig.person, *self.view.schedule.buttons):
             button.setEnabled(enabled)
         if not self._complete:
-            for control in (run.start_button, run.pause_button, run.stop_button):
+            for control in (run.start_button, run.pause_button, run.finish_button, run.stop_button):
                 control.setEnabled(False)
         self.menus.refresh()
 
@@ -181,7 +199,8 @@ class MainWindow(QMainWindow):
     def _refresh(self) -> None:
         permissions = self.presenter.permissions
         self.view.run.set_permissions(permissions)
-        self.menus.set_pause(permissions.resume)
+        self.view.screen_of(CampaignsScreen).set_resume(permissions.refusals["continue"])
+        self._offer_unfinished()
         self._set_enabled(permissions.open)
         for screen in self.view.screens:
             screen.set_refusals(permissions.refusals)
@@ -194,6 +213,46 @@ class MainWindow(QMainWindow):
     @Slot()
     def _recolour(self) -> None:
         self.view.set_colours(self.theme.colours)
+
+    # The campaigns of the folder.
+
+    @Slot()
+    def _list_campaigns(self) -> None:
+        self._campaign_list.refresh(self._folder)
+
+    @Slot(object)
+    def _show_campaigns(self, listed: "CampaignsListed") -> None:
+        self._listed = listed
+        self.view.screen_of(CampaignsScreen).show_campaigns(listed)
+        self._offer_unfinished()
+
+    def _offer_unfinished(self) -> None:
+        """Offer to resume the latest unfinished campaign of the open schedule."""
+        plan, listed = self.presenter.plan, self._listed
+        self._unfinished = None if plan is None or listed is None else listed.unfinished(plan.schedule.text)
+        if self._unfinished is None:
+            self.view.run.set_unfinished("")
+        else:
+            each = self._unfinished.summary
+            self.view.run.set_unfinished(f"{self._unfinished.path.name}: {each.rows} of {each.planned} rows are measured")
+        self.menus.set_pause(self.view.run.resumes)
+        self.menus.refresh()
+
+    @Slot()
+    def _resume_unfinished(self) -> None:
+        if self._unfinished is not None:
+            self._resume_journal(self._unfinished.path)
+
+    @Slot(object)
+    def _resume_journal(self, journal: Path) -> None:
+        self._keep_open()
+        self.view.show_screen(self.view.screens.index(self.view.screen_of(RunScreen)))
+        self.presenter.show_starting()
+        self.connection.resume_journal(journal)
+
+    @Slot(str, bool)
+    def _show_report(self, text: str, error: bool) -> None:
+        self.view.show_status(text, error=error)
 
     # The run.
 
@@ -212,6 +271,11 @@ class MainWindow(QMainWindow):
     @Slot()
     def _resume(self) -> None:
         self.connection.resume()
+
+    @Slot()
+    def _finish_cut(self) -> None:
+        self.connection.finish_cut()
+        self.view.show_status("The run ends after this cut.")
 
     @Slot()
     def _stop(self) -> None:
@@ -247,10 +311,18 @@ class MainWindow(QMainWindow):
 
     @Slot()
     def _after_run(self) -> None:
+        self._list_campaigns()
         self._dismiss_question()
         self._dismiss_close_question()
         if self._closing:
             self.close()
+
+    @Slot(str)
+    def _notify(self, _what: str) -> None:
+        """Call the operator: a sound, and the window's mark in the task bar where it is not in front."""
+        if self.menus.sound:
+            QApplication.beep()
+        QApplication.alert(self)
 
     # The questions.
 
@@ -357,6 +429,7 @@ class MainWindow(QMainWindow):
             self._folder = Path(name)
             self._remembered.set_folder(self._folder)
             self.view.schedule.set_folder(self._folder)
+            self._list_campaigns()
 
     @Slot()
     def _show_folder(self) -> None:
@@ -469,6 +542,7 @@ class MainWindow(QMainWindow):
             if self._complete:
                 self.presenter.close()
                 self.connection.close()
+                self._campaign_list.close()
             for screen in self.view.screens:
                 screen.shut_down()
             self._collector.stop()

@@ -37,7 +37,7 @@ class WindowStarter(QObject):
                 continue
             if window.presenter.busy or window.view.run.start_button.isEnabled():
                 self._timer.stop()
-                shown = window.view.plot.findChild(pg.PlotWidget)
+                shown = window.view.plot.findChild(pg.GraphicsView)
                 assert shown is not None
                 shown.viewport().installEventFilter(self)
                 window.presenter.message_shown.connect(self._print)

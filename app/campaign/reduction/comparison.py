@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from goniotwin.app.campaign.geometry.directions import direction_keys, is_lower
-from goniotwin.app.campaign.reduction.components import logarithmic, mostly_added
+from goniotwin.app.campaign.reduction.components import deviation_in_u, mostly_added
 from goniotwin.app.campaign.reduction.field_of_view import FieldOfView
 from goniotwin.app.campaign.reduction.points import PLACE, BsdfPoints
 from goniotwin.app.campaign.reduction.reduction import BsdfDataset
@@ -108,10 +108,7 @@ def moved_logarithm(scatterer: Scatterer, points: BsdfPoints, along: Floats | fl
 
 def deviations_in_u(points: BsdfPoints, truth: Floats) -> Floats:
     """Deviations (n,) of values from the truth in their u: a value is within its interval where they are within COVERAGE."""
-    u = np.maximum(points.u_bsdf, np.finfo(float).tiny)
-    chosen = logarithmic(points.bsdf, u, noisy(points)) & (truth > 0.0)
-    ratio = np.where(chosen, points.bsdf, 1.0) / np.where(chosen, truth, 1.0)
-    return np.where(chosen, np.log(ratio) * points.bsdf / u, (points.bsdf - truth) / u)
+    return deviation_in_u(points.bsdf, points.u_bsdf, noisy(points), truth)
 
 
 def relative_residuals(points: BsdfPoints, truth: Floats) -> Floats:

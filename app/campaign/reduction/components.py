@@ -62,6 +62,14 @@ def interval(value: Floats, u: Floats, added: Flags, coverage: float = COVERAGE)
     return np.where(chosen, value / factor, value - coverage * u), np.where(chosen, value * factor, value + coverage * u)
 
 
+def deviation_in_u(value: Floats, u: Floats, added: Flags, expected: Floats) -> Floats:
+    """Deviations (n,) of values from what is expected, in their u: within `interval` where they are within its coverage."""
+    u = np.maximum(u, np.finfo(float).tiny)
+    chosen = logarithmic(value, u, added) & (expected > 0.0)
+    ratio = np.where(chosen, value, 1.0) / np.where(chosen, expected, 1.0)
+    return np.where(chosen, np.log(ratio) * value / u, (value - expected) / u)
+
+
 COMMON = frozenset(
     {
         "etalon_age", "etalon_edge", "open_beam", "mounting", "uniformity", "wavelength", "bandwidth", "band_shape",

@@ -274,6 +274,10 @@ class OrderRow(QFrame):
         self.acknowledged.emit(self._order)
 
 
+NOTICES = {"operate": "Operate fro&m here", "connect": "Connect a&gain", "resume": "Res&ume"}
+"""What can be done about the station, by the name of the action: the label of its button, with a letter of its own."""
+
+
 class NoticeBar(QFrame):
     """A line about the station, with a button for what can be done about it: `action` is its name, empty without a notice."""
 
@@ -299,8 +303,9 @@ class NoticeBar(QFrame):
         """The line; empty without a notice."""
         return "" if self.isHidden() else self._text.text()
 
-    def show_notice(self, text: str, label: str, action: str) -> None:
-        """Show a notice, with the label of its button; the button has the focus where no other control has it."""
+    def show_notice(self, text: str, action: str) -> None:
+        """Show a notice, with the button of an action of `NOTICES`."""
+        label = NOTICES[action]
         self.action = action
         self._text.setText(text)
         self.button.setText(label)

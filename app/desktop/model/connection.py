@@ -8,6 +8,7 @@ thread that calls it, before anything else.
 import contextlib
 import hashlib
 import queue
+import sqlite3
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future, wait
@@ -34,6 +35,7 @@ from goniotwin.app.desktop.model.messages import (
     StopReport,
     ValuesMissing,
 )
+from goniotwin.app.desktop.model.time_left import mountings
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription, read_rig
 from goniotwin.app.station.client import NoStation, Refused, StationClient
@@ -419,7 +421,7 @@ class Connection:
                     certificate = None if parsed.file.certificate is None else journal.value("certificate")
                     described = ScheduleDescription(parsed.text, parsed.file, parsed.name, certificate)
                     plan = Plan(described, recorded_rig(journal), journal.planned_rows())
-            self._send(RunStarted(plan, begun.journal))
+            self._send(RunStarted(plan, begun.journal, mountings(plan.rows)))
         except (UserError, OSError) as error:
             self._follower = None
             self._send(ValuesMissing(str(error)))

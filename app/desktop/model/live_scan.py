@@ -13,7 +13,7 @@ sample. What the journal alone has: the scale and the field of an open beam's sc
 """
 
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -48,6 +48,7 @@ SIGNALS_AT_ONCE = 64
 MOST_OTHER_ROWS = 1000
 GRID_DEG = 0.5
 ENDED = object()
+BSDF = "BSDF (1/sr)"
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,8 @@ class ScanPoints:
 
     They may be `blocked` by the mirror unit, `untrusted` for this or another reason, of `transmitted` light, or with a signal
     that is `lost` in its noise, which is the flag under-range of the journal. `added`: their uncertainty is for the most part
-    noise (`mostly_added`). `marks` are all flags, as `pack_flags` has them.
+    noise (`mostly_added`). `marks` are all flags, as `pack_flags` has them. `directions` (n, 4) are zenith and azimuth from the
+    normal, and theta and phi from the specular direction, in degrees.
     """
 
     x_deg: Floats
@@ -68,11 +70,12 @@ class ScanPoints:
     lost: Flags
     added: Flags
     marks: Marks
+    directions: Floats = field(default_factory=lambda: np.empty((0, 4)))
 
 
 @dataclass(frozen=True)
 class ScanData:
-    """Data of the plot of a scan. `blocked_deg` are the intervals of the abscissa that are blocked by the mirror unit.
+    """Data of the plot of a scan, `key`. `blocked_deg` are the intervals of the abscissa that are blocked by the mirror unit.
 
     `findings` are what the run shows so far of modules and gains.
 
@@ -87,6 +90,12 @@ class ScanData:
     points: ScanPoints
     complete: bool = True
     findings: tuple[str, ...] = ()
+    key: ScanKey | None = None
+
+    @property
+    def is_bsdf(self) -> bool:
+        """Whether the values are a BSDF, and no signals."""
+        return self.y_label.startswith(BSDF)
 
 
 class LiveScan:
@@ -126,7 +135,7 @@ class LiveScan:
         """Add a row."""
         row = event.row
         if row.kind == "measure":
-            self._key = _scan_key(row)
+            self._key = scan_key(row)
             self._scans[self._key] = row
         if isinstance(event, RowCommitted):
             self._keep(CommittedRow(row, replace(event.data, positions=None)))
@@ -149,18 +158,21 @@ class LiveScan:
             self._update_drift()
             self._omitted |= next(self._calibration, ENDED) is not ENDED
         setting, plane = key
-        rows = [each for each in self._rows.get(setting, []) if self._finished or _scan_key(each.row)[1] == plane]
+        rows = [each for each in self._rows.get(setting, []) if self._finished or scan_key(each.row)[1] == plane]
         bsdf = self._bsdf(setting, rows)
         if bsdf is None:
             y_label, points = self._signal_label(setting[0]), self._signal_points(rows, plane)
         else:
-            y_label = f"BSDF (1/sr){self._note(setting[0])}"
+            y_label = f"{BSDF}{self._note(setting[0])}"
             here = bsdf.where(scan_plane_deg(bsdf.beta_deg) == plane)
             x = _x_deg(here.zenith_deg, here.azimuth_deg, here.theta_deg, here.phi_deg, plane)
             blocked, lost = here.flag("shadowed"), here.flag("under-range")
             added = mostly_added(here.components)
+            directions = np.stack([here.zenith_deg, here.azimuth_deg, here.theta_deg, here.phi_deg], axis=1)
             points = _sort(
-                ScanPoints(x, here.bsdf, here.u_bsdf, blocked, ~here.good, here.transmitted, lost, added, here.marks)
+                ScanPoints(
+                    x, here.bsdf, here.u_bsdf, blocked, ~here.good, here.transmitted, lost, added, here.marks, directions
+                )
             )
         self._signals = {number: each for number, each in self._signals.items() if number in self._shown}
         return self._describe(self._scans[key], y_label, points)
@@ -183,6 +195,7 @@ class LiveScan:
             points=points,
             complete=not self._omitted,
             findings=() if self._dark is None else self._dark.evidence.findings,
+            key=scan_key(row),
         )
 
     # The rows.
@@ -208,7 +221,7 @@ class LiveScan:
             case "measure" if readings:
                 assert row.pose is not None
                 self._last = committed
-                self._rows.setdefault(_scan_key(row)[0], []).append(committed)
+                self._rows.setdefault(scan_key(row)[0], []).append(committed)
                 if row.sample in self._references:
                     self._references[row.sample].setdefault(pose_key(row, row.pose), []).append(committed)
 
@@ -353,7 +366,7 @@ class LiveScan:
     def _signal_points(self, rows: Sequence[CommittedRow], plane: float) -> ScanPoints:
         """Photocurrents over the monitor's current, on the arcs that see the schedule's light; the etalon only reflects."""
         parts = []
-        for each in self._row_signals([row for row in rows if _scan_key(row.row)[1] == plane], self._signal):
+        for each in self._row_signals([row for row in rows if scan_key(row.row)[1] == plane], self._signal):
             assert each.row.pose is not None
             light = "reflected" if each.row.sample in self._references else self._schedule.light
             u, lost, added = np.sqrt(each.signal.variance), each.signal.lost_in_noise, mostly_added(each.signal.components)
@@ -364,7 +377,8 @@ class LiveScan:
                     untrusted = blocked | np.any([flags[c] for flags in each.flags.values()], axis=0)
                     values = each.signal.value[c]
                     marks = pack_flags({name: flags[c] for name, flags in each.flags.items()}, len(c))
-                    parts.append(ScanPoints(x, values, u[c], blocked, untrusted, transmitted, lost[c], added[c], marks))
+                    at = np.stack([view.zenith, view.azimuth, view.theta, view.phi], axis=1)
+                    parts.append(ScanPoints(x, values, u[c], blocked, untrusted, transmitted, lost[c], added[c], marks, at))
         return _sort(*parts)
 
     def _blocked_intervals(self, row: Row) -> tuple[tuple[float, float], ...]:
@@ -385,7 +399,8 @@ class LiveScan:
         return tuple(intervals)
 
 
-def _scan_key(row: Row) -> ScanKey:
+def scan_key(row: Row) -> ScanKey:
+    """The scan of a row that measures."""
     assert row.pose is not None
     assert row.wavelength_nm is not None
     gamma, sigma, beta, _shift = row.pose

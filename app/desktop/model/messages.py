@@ -5,6 +5,7 @@ from pathlib import Path
 
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.running.events import RowCommitted
+from goniotwin.app.desktop.model.time_left import Mounting
 from goniotwin.app.rig import RigFile
 from goniotwin.app.station.messages import Message as StationMessage
 from goniotwin.app.station.messages import Snapshot
@@ -60,10 +61,11 @@ class PlanRefused:
 
 @dataclass(frozen=True)
 class RunStarted:
-    """The plan of a run in progress, from its journal: its values follow."""
+    """The plan of a run in progress, from its journal: its values follow. `mountings` are in the order of the rows."""
 
     plan: Plan
     journal: Path
+    mountings: tuple[Mounting, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -27,11 +27,12 @@ class Permissions:
 
 
 def permissions(
-    station: Snapshot, plan: Plan | None, no_plan: str, state: State, *, opening: bool, operates: bool
+    station: Snapshot, plan: Plan | None, no_plan: str, state: State, *, opening: bool, operates: bool, lost: bool = False
 ) -> Permissions:
     """The permissions for a station, a plan (or the reason why there is none), and the state that the window shows.
 
-    `opening` is True while a rig is being opened; `operates` False while another client has the place of the operator.
+    `opening` is True while a rig is being opened; `operates` False while another client has the place of the operator. After
+    the station was `lost`, Stop is enabled: it says that it does not get through.
     """
     refusals = allowed(station)
     if not operates:
@@ -50,7 +51,7 @@ def permissions(
         no_start=no_start,
         pause=not refusals["pause"],
         resume=not refusals["resume"],
-        stop=station.rig is not None,
+        stop=station.rig is not None or lost,
         open=not busy and not opening and operates,
         finish_cut=not refusals["finish_cut"],
         refusals=refusals,

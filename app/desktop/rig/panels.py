@@ -96,8 +96,9 @@ class DevicesPanel(QGroupBox):
 
     def set_errors(self, errors: dict[str, tuple[str, str]]) -> None:
         """Take the last error of devices, by name: its time of day and its text."""
-        self._errors = dict(errors)
-        self._show()
+        if errors != self._errors:  # they are given with every message, and what is shown takes long to style
+            self._errors = dict(errors)
+            self._show()
 
     def set_refusal(self, reason: str) -> None:
         """Disable the buttons, and say why; an empty reason enables them."""

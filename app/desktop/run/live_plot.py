@@ -1,23 +1,34 @@
-"""The live plot of a run: values on a logarithmic axis against the angle, redrawn at most every REDRAW_MS.
+"""The plots of a run: a cut with its prediction and residual, and the hemisphere. Redrawn at most every REDRAW_MS.
 
-A logarithmic axis has no place for values that are not positive, and pyqtgraph hides a whole curve for one such value. So
-the logarithm is taken here, and values below the detection limit are marks of their own at the lower edge.
+What they show is computed by workers; a plot that fails never stops a run.
 """
-
-import math
-from itertools import pairwise
 
 import numpy as np
 import pyqtgraph as pg
-from PySide6.QtCore import QObject, Qt, QTimer, Signal, Slot
-from PySide6.QtGui import QColor, QResizeEvent
+from PySide6.QtCore import QEvent, QObject, QPointF, Qt, QTimer, Signal, Slot
+from PySide6.QtGui import QColor, QKeyEvent, QResizeEvent
 from PySide6.QtWidgets import QLabel, QVBoxLayout, QWidget
 
 from goniotwin.app.campaign.planning.plan import Plan
-from goniotwin.app.campaign.reduction.components import DETECTED, interval
+from goniotwin.app.campaign.reduction.components import COVERAGE, DETECTED, interval
 from goniotwin.app.campaign.reduction.points import BITS, REASON_ORDER
 from goniotwin.app.campaign.running.events import RowCommitted, RowStarted
-from goniotwin.app.desktop.model.live_scan import LiveScan, ScanData, ScanPoints
+from goniotwin.app.desktop.model.live_scan import ScanData, ScanKey, ScanPoints, Setting
+from goniotwin.app.desktop.model.run_points import ALARM_U, Cut, RunPoints, map_points, match
+from goniotwin.app.desktop.model.values import (
+    Begin,
+    Failed,
+    Finish,
+    PlanTexts,
+    PredictionEnded,
+    ScanComputed,
+    ScanPredicted,
+    serve_predictions,
+    serve_values,
+)
+from goniotwin.app.desktop.model.worker import Worker
+from goniotwin.app.desktop.run.axes import AngleAxis, Scale, ValueAxis, transform
+from goniotwin.app.desktop.run.hemisphere import HemisphereMap
 from goniotwin.app.desktop.theme import Colours
 from goniotwin.arrays import Flags, Floats
 
@@ -25,117 +36,84 @@ REDRAW_MS = 100
 """Shortest time between two repaints, at any rate of rows."""
 POINT_SIZE = 7
 LOW = 190
-"""Height in logical pixels below which the text of the plot is hidden; it is the plot's tool tip too."""
-PIXELS_OF_VALUE, PIXELS_OF_LINE = 17.0, 5.0
-"""Least distance of two texts at the axis of the values, and of two of its ticks."""
-DIGITS: tuple[tuple[int, ...], ...] = (tuple(range(1, 10)), (1, 2, 3, 5, 7), (1, 2, 5), (1, 3), (1,))
-"""Ticks within a decade, from many to few."""
-ANGLE_STEPS_DEG = (90.0, 30.0, 10.0, 5.0, 1.0, 0.5, 0.1, 0.05, 0.01)
-"""Each is a multiple of the next."""
-PIXELS_OF_ANGLE, PIXELS_OF_TICK = 38.0, 8.0
-"""Widths of a step above which it has room for its text, and for a tick."""
-
-
-def log_ticks(low: float, high: float, pixels: float, least: float) -> list[float]:
-    """The logarithms of round values between two logarithms, no two closer than `least` of the `pixels` between these.
-
-    A decade has the values 1 to 9, or some of them; where a decade has no room, every second, third and so on has one. Less
-    than a decade has values at even distances where the digits would leave fewer than three.
-    """
-    span = max(high - low, 1e-9)
-    room = least * span / max(pixels, 1.0)
-    for digits in DIGITS:
-        logs = [math.log10(each) for each in (*digits, 10)]
-        if min(after - before for before, after in pairwise(logs)) >= room:
-            decades = range(math.floor(low), math.ceil(high) + 1)
-            found = [decade + each for decade in decades for each in logs[:-1] if low <= decade + each <= high]
-            return found if len(found) >= 3 or span >= 1.0 else _even_ticks(low, high, room) or found
-    step = math.ceil(room)
-    return [float(each) for each in range(math.floor(low), math.ceil(high) + 1) if each % step == 0 and low <= each <= high]
-
-
-def _even_ticks(low: float, high: float, room: float) -> list[float]:
-    """The logarithms of values at even distances, within a decade; empty where fewer than two have room."""
-    bottom, top = 10.0**low, 10.0**high
-    step = top * (1.0 - 10.0**-room)  # the distance of logarithms is least at the top
-    scale = 10.0 ** math.floor(math.log10(step))
-    step = scale * next((each for each in (1, 2, 5) if each * scale >= step), 10)
-    numbers = range(math.ceil(bottom / step - 1e-9), math.floor(top / step + 1e-9) + 1)
-    return [math.log10(each * step) for each in numbers] if len(numbers) >= 2 else []
-
-
-class LogAxis(pg.AxisItem):
-    """The axis of logarithms, with the values themselves at its ticks: 0.01, 0.05, 100."""
-
-    def __init__(self) -> None:
-        super().__init__("left", maxTextLevel=0)
-        self.enableAutoSIPrefix(False)
-        self.setWidth(64)
-
-    def tickValues(self, minVal: float, maxVal: float, size: float) -> list[tuple[float, list[float]]]:
-        """The ticks with a text, and those between them; each with a distance (pyqtgraph calls it)."""
-        low, high = sorted((minVal, maxVal))
-        texts = log_ticks(low, high, size, PIXELS_OF_VALUE)
-        between = [each for each in log_ticks(low, high, size, PIXELS_OF_LINE) if each not in texts]
-        return [(1.0, texts), (0.1, between)]
-
-    def tickStrings(self, values: list[float], scale: float, spacing: float) -> list[str]:
-        """The values of logarithms, as short as they differ (pyqtgraph calls it)."""
-        del scale, spacing
-        return [_value_text(10.0**each) for each in values]
-
-
-def _value_text(value: float) -> str:
-    exponent = math.floor(math.log10(value) + 1e-9)
-    return f"{value:.3g}" if -4 <= exponent <= 5 else f"{value / 10.0**exponent:.3g}e{exponent}"
-
-
-class AngleAxis(pg.AxisItem):
-    """The axis of angles: texts at 30, 10 or 5 deg where pyqtgraph has 50, at finer steps in a part of the scan."""
-
-    def __init__(self) -> None:
-        super().__init__("bottom", maxTextLevel=0)
-
-    def tickSpacing(self, minVal: float, maxVal: float, size: float) -> list[tuple[float, float]]:
-        """The distance of the texts, and that of the ticks between them; each with an offset (pyqtgraph calls it)."""
-        pixels = size / max(maxVal - minVal, 1e-9)
-        steps = [each for each in ANGLE_STEPS_DEG if each * pixels >= PIXELS_OF_TICK]
-        texts = [each for each in steps if each * pixels >= PIXELS_OF_ANGLE] or list(ANGLE_STEPS_DEG[:1])
-        return [(each, 0.0) for each in (texts[-1], *steps[len(texts) : len(texts) + 1])]
+"""Height in logical pixels below which the text of the plot is left out; it is the plot's tool tip too."""
+RESIDUAL_HEIGHT, RESIDUAL_SHARE = 110.0, 0.38
+"""Height of the residuals, and the most of the plot's height that they take."""
+LEAST_RESIDUAL = 5.0
+"""Half the least range of the residuals, in u."""
+NO_CURSOR = "Point at the plot, or press ← and → in it, to read a value."
 
 
 class ScanPlot(QWidget):
-    """The plot of a scan, and its content as a line of text."""
+    """The plot of a cut: measured points over the prediction with 2 u, the residual below it, and all of it as text.
+
+    The cursor is on a point: under the mouse, or moved with the arrow keys.
+    """
 
     def __init__(self, colours: Colours) -> None:
         super().__init__()
         self._colours = colours
         self._mark = ""
         self._scan: ScanData | None = None
+        self._cut: Cut | None = None
+        self._scale: Scale = "log"
+        self._cursor: int | None = None
+        self._values_axis = ValueAxis()
         self._regions: list[pg.LinearRegionItem] = []
-        self._view = pg.PlotWidget(background=None, axisItems={"left": LogAxis(), "bottom": AngleAxis()})
+        self._view = pg.GraphicsLayoutWidget()
         self._view.setAccessibleName("Plot of the scan in progress")
-        self._view.setFocusPolicy(Qt.FocusPolicy.NoFocus)
-        self._plot = self._view.getPlotItem()
-        self._plot.setMenuEnabled(False)
-        self._plot.showGrid(x=True, y=True, alpha=0.15)
+        self._view.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+        self._view.installEventFilter(self)
+        self._plot: pg.PlotItem = self._view.addPlot(0, 0, axisItems={"left": self._values_axis, "bottom": AngleAxis()})
+        self._residuals: pg.PlotItem = self._view.addPlot(1, 0, axisItems={"bottom": AngleAxis()})
+        self._residuals.setXLink(self._plot)
+        self._residuals.getAxis("left").setWidth(64)
+        self._residuals.getAxis("left").enableAutoSIPrefix(False)
+        self._view.ci.setContentsMargins(2, 2, 6, 2)
+        self._view.ci.setSpacing(0)
+        for plot in (self._plot, self._residuals):
+            plot.setMenuEnabled(False)
+            plot.hideButtons()
+            plot.showGrid(x=True, y=True, alpha=0.15)
+        self._bounds = pg.PlotCurveItem(), pg.PlotCurveItem()
+        self._band = pg.FillBetweenItem(*self._bounds)
+        self._line = pg.PlotCurveItem()
         self._bars = pg.ErrorBarItem(beam=0.0)
-        self._plot.addItem(self._bars)
+        self._coverage = pg.LinearRegionItem((-COVERAGE, COVERAGE), orientation="horizontal", movable=False, pen=pg.mkPen(None))
+        self._cursor_lines = pg.InfiniteLine(angle=90), pg.InfiniteLine(angle=90)
+        for item in (self._band, self._line, self._bars):
+            self._plot.addItem(item)
+        self._coverage.setZValue(-20)
+        self._residuals.addItem(self._coverage)
+        for plot, line in zip((self._plot, self._residuals), self._cursor_lines, strict=True):
+            line.setVisible(False)
+            plot.addItem(line, ignoreBounds=True)
         self._items = {
             "blocked": pg.ScatterPlotItem(symbol="o", size=POINT_SIZE),
             "flagged": pg.ScatterPlotItem(symbol="x", size=POINT_SIZE),
             "below limit": pg.ScatterPlotItem(symbol="t", size=POINT_SIZE - 2),
             "measured": pg.ScatterPlotItem(symbol="o", size=POINT_SIZE),
         }
-        for item in self._items.values():
+        self._alarms = pg.ScatterPlotItem(symbol="s", size=POINT_SIZE + 7)
+        self._residual_items = (
+            pg.ScatterPlotItem(symbol="o", size=POINT_SIZE - 2), pg.ScatterPlotItem(symbol="s", size=POINT_SIZE + 3),
+        )  # fmt: skip
+        for item in (*self._items.values(), self._alarms):
             self._plot.addItem(item)
+        for item in self._residual_items:
+            self._residuals.addItem(item)
         self._note = QLabel()
         self._note.setWordWrap(True)
         self._note.setAccessibleName("The scan in progress as text")
+        self._reading = QLabel(NO_CURSOR)
+        self._reading.setAccessibleName("Value at the cursor")
         layout = QVBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
+        layout.setSpacing(2)
         layout.addWidget(self._view, 1)
+        layout.addWidget(self._reading)
         layout.addWidget(self._note)
+        self._view.scene().sigMouseMoved.connect(self._follow_mouse)
         self.set_colours(colours)
         self.clear("")
 
@@ -143,11 +121,27 @@ class ScanPlot(QWidget):
         """Leave the room to the plot where there is little; Qt calls it."""
         super().resizeEvent(event)
         self._note.setVisible(self.height() >= LOW)
+        self._reading.setVisible(self.height() >= LOW)
+        self._show_residuals()
+
+    def eventFilter(self, watched: QObject, event: QEvent) -> bool:
+        """Move the cursor with the arrow keys; Qt calls it."""
+        if event.type() == QEvent.Type.KeyPress and isinstance(event, QKeyEvent):
+            step = {Qt.Key.Key_Left: -1, Qt.Key.Key_Right: 1}.get(Qt.Key(event.key()))
+            if step is not None:
+                self.move_cursor(step)
+                return True
+        return super().eventFilter(watched, event)
 
     @property
     def summary(self) -> str:
         """The content of the plot as text."""
         return self._note.text()
+
+    @property
+    def reading(self) -> str:
+        """The value at the cursor as text."""
+        return self._reading.text()
 
     @property
     def title(self) -> str:
@@ -160,69 +154,185 @@ class ScanPlot(QWidget):
         return str(self._plot.getAxis("left").labelText)
 
     def marks(self) -> dict[str, tuple[Floats, Floats]]:
-        """The marks that are drawn, by kind: angles and logarithms to the base 10."""
+        """The marks that are drawn, by kind: angles, and values on the scale (logarithms to the base 10)."""
         return {kind: item.getData() for kind, item in self._items.items()}
+
+    @property
+    def alarms(self) -> int:
+        """The number of points in alarm."""
+        return 0 if self._cut is None else int(self._cut.alarms.sum())
+
+    def set_scale(self, scale: Scale) -> None:
+        """Show the values on another scale."""
+        if scale != self._scale:
+            self._scale = scale
+            cut, self._scan = self._cut, None
+            if cut is not None:
+                self.show_cut(cut)
 
     def clear(self, mark: str) -> None:
         """Clear the plot; `mark` is the first part of its title (SIMULATED, or empty)."""
         self._mark = mark
-        self._scan = None
-        for item in self._items.values():
+        self._scan, self._cut = None, None
+        for item in (*self._items.values(), self._alarms, *self._residual_items):
             item.setData([], [])
+        for curve in (self._line, *self._bounds):
+            curve.setData([], [])
         self._bars.setData(x=np.empty(0), y=np.empty(0), top=np.empty(0), bottom=np.empty(0))
         self._show_blocked(())
+        self._place_cursor(None)
         self._plot.setXRange(-90.0, 90.0, padding=0.02)
+        self._values_axis.set_value_scale("log", 1.0)
         self._plot.setYRange(-4.0, 0.0)
         self._plot.enableAutoRange(axis="y")
         self._label()
         self._write("The scan in progress is plotted here.")
+        self._show_residuals()
 
     def show_scan(self, scan: ScanData) -> None:
-        """Show the points of a scan so far."""
+        """Show the points of a scan so far, without a prediction."""
+        self.show_cut(match(scan, None))
+
+    def show_cut(self, cut: Cut) -> None:
+        """Show the points of a cut so far, with the prediction."""
+        scan = cut.scan
         is_new = self._scan is None or (self._scan.title, self._scan.y_label) != (scan.title, scan.y_label)
-        self._scan = scan
-        points = scan.points
-        above = np.isfinite(points.values) & (points.values > 0) & ~points.lost
-        logs = np.log10(np.where(above, points.values, 1.0))
-        below = np.isfinite(points.values) & ~above
+        self._scan, self._cut = scan, cut
+        points, scale = scan.points, self._scale
+        finite = np.isfinite(points.values)
+        above = finite & (points.values > 0) & ~points.lost
+        below = finite & ~above
+        threshold = _threshold(points)
+        self._values_axis.set_value_scale(scale, threshold)
+        on_scale = transform(np.where(above | ((scale != "log") & finite), points.values, 1.0), scale, threshold)
         kinds = {
             "measured": above & ~points.blocked & ~points.untrusted,
             "blocked": above & points.blocked,
             "flagged": above & points.untrusted & ~points.blocked,
         }
-        floor = float(np.min(logs[above])) - 0.3 if above.any() else -4.0
         for kind, chosen in kinds.items():
-            self._items[kind].setData(points.x_deg[chosen], logs[chosen])
+            self._items[kind].setData(points.x_deg[chosen], on_scale[chosen])
         shown = kinds["measured"]
         marks = zip(points.transmitted[shown].tolist(), _steep(points)[shown].tolist(), strict=True)
         symbols = ["d" if steep else "s" if transmitted else "o" for transmitted, steep in marks]
         self._items["measured"].setSymbol(symbols)
-        self._items["below limit"].setData(points.x_deg[below], np.full(int(below.sum()), floor))
-        low, high = interval(points.values[above], points.u_values[above], points.added[above], coverage=1.0)
-        self._bars.setData(
-            x=points.x_deg[above], y=logs[above], top=np.log10(high) - logs[above], bottom=logs[above] - np.log10(low)
+        floor = float(np.min(on_scale[above])) - 0.3 if above.any() else -4.0
+        self._items["below limit"].setData(
+            points.x_deg[below], np.full(int(below.sum()), floor) if scale == "log" else on_scale[below]
         )
+        low, high = (
+            transform(each, scale, threshold)
+            for each in interval(points.values[above], points.u_values[above], points.added[above], coverage=1.0)
+        )
+        self._bars.setData(x=points.x_deg[above], y=on_scale[above], top=high - on_scale[above], bottom=on_scale[above] - low)
+        alarms = cut.alarms & above
+        self._alarms.setData(points.x_deg[alarms], on_scale[alarms])
+        self._show_prediction(cut.line, threshold, floor)
         if is_new:
             self._show_blocked(scan.blocked_deg)
             self._plot.setXRange(*scan.range_deg, padding=0.02)
             self._plot.enableAutoRange(axis="y")
             self._label()
-        self._write(_note_text(scan, kinds, int(below.sum())))
+            self._place_cursor(None)
+        self._show_residuals()
+        self._write(_note_text(cut, kinds, int(below.sum())))
+        if self._cursor is not None:
+            self._place_cursor(self._cursor)
+
+    def _show_prediction(self, line: ScanPoints | None, threshold: float, floor: float) -> None:
+        empty = np.empty(0)
+        x, middle, low, high = empty, empty, empty, empty
+        if line is not None:
+            chosen = np.isfinite(line.values) & ~line.blocked & ~line.transmitted
+            if not chosen.any():
+                chosen = np.isfinite(line.values) & ~line.blocked
+            values, u = line.values[chosen], line.u_values[chosen]
+            least = 10.0**floor if self._scale == "log" else -np.inf
+            ends = interval(values, np.nan_to_num(u), line.added[chosen])
+            x = line.x_deg[chosen]
+            middle, low, high = (transform(np.maximum(each, least), self._scale, threshold) for each in (values, *ends))
+        self._line.setData(x, middle)
+        for curve, each in zip(self._bounds, (low, high), strict=True):
+            curve.setData(x, each)
+        self._band.setVisible(x.size > 1)
+
+    def _show_residuals(self) -> None:
+        """Show the residuals, those beyond the range at its edge, where there is room and a prediction."""
+        cut = self._cut
+        shown = cut is not None and cut.line is not None and self.height() >= LOW
+        self._residuals.setVisible(shown)
+        self._residuals.setMaximumHeight(min(RESIDUAL_HEIGHT, RESIDUAL_SHARE * self._view.height()) if shown else 0)
+        self._plot.getAxis("bottom").setStyle(showValues=not shown)
+        self._plot.getAxis("bottom").showLabel(not shown)
+        if not shown or cut is None:
+            return
+        x, residual, alarms = cut.scan.points.x_deg, cut.residual, cut.alarms
+        known = np.isfinite(residual)
+        span = max(LEAST_RESIDUAL, min(float(np.max(np.abs(residual[known]), initial=0.0)) * 1.1, 12.0))
+        held = np.clip(residual, -0.96 * span, 0.96 * span)
+        for item, chosen in zip(self._residual_items, (known & ~alarms, alarms), strict=True):
+            item.setData(x[chosen], held[chosen])
+        self._residuals.setYRange(-span, span, padding=0.0)
 
     def set_colours(self, colours: Colours) -> None:
         """Take the colours of a scheme."""
         self._colours = colours
         self._view.setBackground(colours.base)
-        for name in ("left", "bottom", "right", "top"):
-            self._plot.getAxis(name).setPen(colours.line)
-            self._plot.getAxis(name).setTextPen(colours.text)
+        for plot in (self._plot, self._residuals):
+            for name in ("left", "bottom", "right", "top"):
+                plot.getAxis(name).setPen(colours.line)
+                plot.getAxis(name).setTextPen(colours.text)
         for kind, item in self._items.items():
             filled = kind == "measured"
             item.setPen(pg.mkPen(colours.base, width=0.5) if filled else pg.mkPen(colours.blocked, width=1.0))
             item.setBrush(pg.mkBrush(colours.points if filled else None))
         self._bars.setData(pen=pg.mkPen(colours.points, width=1))
+        self._line.setPen(pg.mkPen(colours.predicted, width=2))
+        shade = QColor(colours.predicted)
+        shade.setAlpha(70)
+        self._band.setBrush(pg.mkBrush(shade))
+        self._coverage.setBrush(pg.mkBrush(shade))
+        self._alarms.setPen(pg.mkPen(colours.bad, width=2))
+        self._alarms.setBrush(pg.mkBrush(None))
+        good, bad = self._residual_items
+        good.setPen(pg.mkPen(None))
+        good.setBrush(pg.mkBrush(colours.points))
+        bad.setPen(pg.mkPen(colours.bad, width=2))
+        bad.setBrush(pg.mkBrush(colours.bad))
+        for line in self._cursor_lines:
+            line.setPen(pg.mkPen(colours.dim, width=1, style=Qt.PenStyle.DashLine))
         self._show_blocked(self._scan.blocked_deg if self._scan else ())
         self._label()
+
+    # The cursor.
+
+    def move_cursor(self, step: int) -> None:
+        """Move the cursor by so many points."""
+        if self._scan is not None and self._scan.points.x_deg.size:
+            last = self._scan.points.x_deg.size - 1
+            start = (0 if step > 0 else last) if self._cursor is None else min(max(self._cursor + step, 0), last)
+            self._place_cursor(start)
+
+    @Slot(object)
+    def _follow_mouse(self, at: QPointF) -> None:
+        inside = [plot for plot in (self._plot, self._residuals) if plot.isVisible() and plot.sceneBoundingRect().contains(at)]
+        if inside and self._scan is not None and self._scan.points.x_deg.size:
+            x = inside[0].vb.mapSceneToView(at).x()
+            self._place_cursor(int(np.argmin(np.abs(self._scan.points.x_deg - x))))
+
+    def _place_cursor(self, index: int | None) -> None:
+        points = None if self._scan is None else self._scan.points
+        if index is None or points is None or self._cut is None or index >= points.x_deg.size:
+            self._cursor = None
+            text = NO_CURSOR
+        else:
+            self._cursor = index
+            text = _reading_text(self._cut, index)
+            for line in self._cursor_lines:
+                line.setValue(float(points.x_deg[index]))
+        for line in self._cursor_lines:
+            line.setVisible(self._cursor is not None)
+        self._reading.setText(text)
 
     def _write(self, text: str) -> None:
         self._note.setText(text)
@@ -245,72 +355,197 @@ class ScanPlot(QWidget):
         marked = f"<b style='color:{self._colours.bad}'>{self._mark}</b>&nbsp;&nbsp; " if self._mark else ""
         self._plot.setTitle(marked + title, color=self._colours.text, size="9pt")
         style = {"color": self._colours.text}
-        self._plot.setLabel("bottom", self._scan.x_label if self._scan else "aspecular angle θ (°)", **style)
+        below = self._scan.x_label if self._scan else "aspecular angle θ (°)"
         self._plot.setLabel("left", self._scan.y_label if self._scan else "BSDF (1/sr)", **style)
-        for name in ("bottom", "left"):
-            self._plot.getAxis(name).resizeEvent()  # centres the label: pyqtgraph does so for a new size, not for a new text
+        self._residuals.setLabel("left", "residual / u", **style)
+        for plot in (self._plot, self._residuals):
+            plot.setLabel("bottom", below, **style)
+            for name in ("bottom", "left"):
+                plot.getAxis(name).resizeEvent()  # centres the label: pyqtgraph does so for a new size, not for a new text
+        self._plot.getAxis("bottom").showLabel(not self._residuals.isVisible())
 
 
 class LivePlot(QObject):
-    """Shows the rows of a run in a plot. It never raises; `failed` has the error."""
+    """Shows the rows of a run, and what the twin predicts of them. It never raises; `failed` has the error.
+
+    With `processes` off the workers are threads, and nothing is predicted.
+    """
 
     failed = Signal(str)
+    alarmed = Signal(str, str)
+    """The first residual of a scan beyond ALARM_U, and the scan."""
+    prediction_missing = Signal(str)
+    _answered = Signal(object)
 
-    def __init__(self, plot: ScanPlot, parent: QObject) -> None:
+    def __init__(self, plot: ScanPlot, hemisphere: HemisphereMap, parent: QObject, *, processes: bool = True) -> None:
         super().__init__(parent)
         self._plot = plot
-        self._scan: LiveScan | None = None
+        self._map = hemisphere
+        self._points = RunPoints()
+        self._current: ScanKey | None = None
+        self._phi_deg: float | None = None
+        self._number, self._prediction = 0, 0
+        self._predicted: PlanTexts | None = None
+        self._alarmed: set[ScanKey] = set()
+        self._unmapped: dict[ScanKey, Cut] = {}
+        self._place: object = None
+        self._directions = 0
+        self._running = False
+        self._answered.connect(self._take, Qt.ConnectionType.QueuedConnection)
+        self._values = Worker("values", serve_values, self._answered.emit, process=processes)
+        self._predictions = Worker("predictions", serve_predictions, self._answered.emit) if processes else None
         self._redraw = QTimer(self, interval=REDRAW_MS, singleShot=True)
         self._redraw.timeout.connect(self._draw)
+
+    def predict(self, plan: Plan) -> None:
+        """Predict the values of a plan, unless that is done or in progress."""
+        texts = PlanTexts.of(plan)
+        if self._predictions is not None and (self._predicted is None or self._predicted.same != texts.same):
+            self._predicted = texts
+            self._prediction += 1
+            self._points.begin_prediction()
+            self._predictions.put(Begin(self._prediction, texts))
 
     def start(self, plan: Plan | None, mark: str) -> None:
         """Clear the plot for the run of a plan, or for none."""
         self._plot.clear(mark)
-        try:
-            self._scan = LiveScan(plan) if plan is not None else None
-        except Exception as error:  # noqa: BLE001  (any error of the plot: the measurement goes on)
-            self._fail(error)
+        self._map.clear()
+        self._points.begin_run()
+        self._alarmed.clear()
+        self._unmapped.clear()
+        self._place = None
+        self._current = None
+        self._number += 1
+        had_run, self._running = self._running, plan is not None
+        if plan is not None or had_run:
+            self._values.put(Begin(self._number, None if plan is None else PlanTexts.of(plan)))
+        if plan is not None:
+            self.predict(plan)
 
     def add_row(self, event: RowStarted | RowCommitted) -> None:
-        """Add a row; the plot follows within REDRAW_MS."""
-        if self._scan is None:
-            return
-        try:
-            self._scan.add_row(event)
-        except Exception as error:  # noqa: BLE001  (any error of the plot: the measurement goes on)
-            self._fail(error)
-        if not self._redraw.isActive():
-            self._redraw.start()
+        """Add a row; the plot follows within some REDRAW_MS."""
+        if self._running:
+            self._values.put(event)
 
     def finish(self) -> None:
         """The run has ended: complete the values."""
-        if self._scan is not None:
-            self._scan.finish()
-            self._redraw.start()
+        if self._running:
+            self._values.put(Finish())
+
+    @Slot(object)
+    def show_plane(self, phi_deg: float | None) -> None:
+        """Show the plane through the specular direction at an azimuth about it; None is the scan in progress."""
+        self._phi_deg = phi_deg
+        self._redraw.start()
 
     def stop(self) -> None:
-        """Draw no more."""
+        """Draw no more, and end the workers."""
         self._redraw.stop()
+        self._running = False
+        self._values.close()
+        if self._predictions is not None:
+            self._predictions.close()
+
+    @Slot(object)
+    def _take(self, answer: object) -> None:
+        match answer:
+            case ScanComputed(number, scan, current) if number == self._number and self._running:
+                self._take_cut(self._points.add(scan))
+                if current or self._current is None:
+                    self._current = scan.key
+            case ScanPredicted(number, scan) if number == self._prediction:
+                cut = self._points.predict(scan)
+                if cut is None:
+                    return
+                self._take_cut(cut)
+            case PredictionEnded(number, missing) if number == self._prediction and missing:
+                self.prediction_missing.emit(missing)
+                return
+            case Failed(number, error) if number == self._number:
+                self._fail(error)
+                return
+            case _:
+                return
+        if not self._redraw.isActive():
+            self._redraw.start()
+
+    def _take_cut(self, cut: Cut) -> None:
+        key = cut.scan.key
+        if key is not None and cut.scan.points.x_deg.size:
+            self._unmapped[key] = cut
+        if key is not None and key not in self._alarmed and cut.alarms.any():
+            self._alarmed.add(key)
+            worst = int(np.argmax(np.where(cut.alarms, np.abs(cut.residual), 0.0)))
+            more = f", {int(cut.alarms.sum())} points" if cut.alarms.sum() > 1 else ""
+            what = f"Residual above {ALARM_U:g} u: {cut.residual[worst]:+.1f} u at {cut.scan.points.x_deg[worst]:.1f}°{more}"
+            self.alarmed.emit(what, cut.scan.title)
 
     @Slot()
     def _draw(self) -> None:
+        key = self._current
+        if key is None:
+            return
         try:
-            scan = self._scan.data() if self._scan is not None else None
-            if scan is not None:
-                self._plot.show_scan(scan)
-                if not scan.complete:
-                    self._redraw.start()
-        except Exception as error:  # noqa: BLE001  (as above)
-            self._fail(error)
+            setting: Setting = key[0]
+            cut = self._points.cuts[key] if self._phi_deg is None else self._points.plane(setting, self._phi_deg)
+            if cut is not None:
+                self._plot.show_cut(cut)
+            self._draw_map(setting, self._points.cuts[key])
+            self._map.show_plane(key[1], self._phi_deg)
+        except Exception as error:  # noqa: BLE001  (any error of the plot: the measurement goes on)
+            self._fail(f"{type(error).__name__}: {error}")
 
-    def _fail(self, error: Exception) -> None:
+    def _draw_map(self, setting: Setting, cut: Cut) -> None:
+        """Add to the map what is new of the setting in progress."""
+        points = cut.scan.points
+        transmitted = bool(points.x_deg.size and points.transmitted.all())
+        place = setting, transmitted, cut.scan.y_label, self._points.predicted_scans(setting)
+        if place != self._place:
+            self._place = place
+            planned = self._points.planned(setting, transmitted)
+            self._directions = planned.values.size
+            self._map.begin(setting, planned)
+            self._map.stamp(self._points.hemisphere(setting, transmitted))
+        else:
+            changed = [each for key, each in self._unmapped.items() if key[0] == setting]
+            self._map.stamp(map_points([each for each in changed if each.scan.y_label == cut.scan.y_label], transmitted))
+        self._unmapped.clear()
+        self._map.show_points(self._points.hemisphere(setting, transmitted), self._directions)
+
+    def _fail(self, error: str) -> None:
         """Report the error. The plot of this run ends here, because the error would come back at every row."""
-        self._scan = None
-        self.failed.emit(f"The plot failed ({type(error).__name__}: {error}); the run is not affected.")
+        self._running = False
+        self._current = None
+        self.failed.emit(f"The plot failed ({error}); the run is not affected.")
 
 
-def _note_text(scan: ScanData, kinds: dict[str, Flags], below: int) -> str:
-    points, measured = scan.points, kinds["measured"]
+def _threshold(points: ScanPoints) -> float:
+    """Where a symmetric logarithmic scale becomes linear: the detection limit of the faint points."""
+    known = np.isfinite(points.values) & np.isfinite(points.u_values) & (points.u_values > 0.0)
+    if not known.any():
+        return 1e-6
+    least = DETECTED * float(np.percentile(points.u_values[known], 10))
+    return 10.0 ** np.floor(np.log10(max(least, 1e-12)))
+
+
+def _reading_text(cut: Cut, index: int) -> str:
+    """A point as a line of text."""
+    points = cut.scan.points
+    value, u = points.values[index], points.u_values[index]
+    unit = " 1/sr" if cut.scan.is_bsdf else ""
+    text = f"{points.x_deg[index]:.2f}°: "
+    text += f"{value:.4g} ± {u:.2g}{unit} (u)" if np.isfinite(value) else "no value"
+    if np.isfinite(cut.expected[index]):
+        text += f", predicted {cut.expected[index]:.4g}"
+    if np.isfinite(cut.residual[index]):
+        alarm = "  ✗ ALARM" if cut.alarms[index] else ""
+        text += f", residual {cut.residual[index]:+.1f} u{alarm}"
+    return text + (", blocked by the mirror unit" if points.blocked[index] else "")
+
+
+def _note_text(cut: Cut, kinds: dict[str, Flags], below: int) -> str:
+    scan, measured = cut.scan, kinds["measured"]
+    points = scan.points
     blocked, flagged = int(kinds["blocked"].sum()), int(kinds["flagged"].sum())
     text = f"●\u00a0{int(measured.sum())} measured"
     if measured.any():
@@ -328,6 +563,10 @@ def _note_text(scan: ScanData, kinds: dict[str, Flags], below: int) -> str:
         text += f"    ×\u00a0{flagged} flagged" + (f" ({names})" if names else "")
     if below:
         text += f"    ▽\u00a0{below} below detection limit (signal under {DETECTED:g} u)"
+    if cut.line is not None:
+        text += "    ━\u00a0predicted ± 2 u"
+    if alarms := int(cut.alarms.sum()):
+        text += f"    □\u00a0{alarms} residual above {ALARM_U:g} u ✗"
     return "\n".join([text, *(f"✗\u00a0{each}" for each in scan.findings)])
 
 

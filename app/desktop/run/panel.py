@@ -1,11 +1,10 @@
-"""The controls of a run: Start, Pause, Stop; its progress, the time left and the simulation speed."""
+"""The controls of a run: Start, Pause, Finish cut, Stop; its progress, the time left and the simulation speed."""
 
 from typing import TYPE_CHECKING
 
 from PySide6.QtCore import Qt, QTimer, Signal, Slot
 from PySide6.QtGui import QGuiApplication, QKeySequence, QShortcut
 from PySide6.QtWidgets import (
-    QBoxLayout,
     QComboBox,
     QHBoxLayout,
     QLabel,
@@ -21,8 +20,11 @@ from goniotwin.app.desktop.theme import Colours
 
 if TYPE_CHECKING:  # the window shows itself before the engine is loaded
     from goniotwin.app.desktop.model.permissions import Permissions
+    from goniotwin.app.desktop.model.time_left import Wait
 
-START_KEY, PAUSE_KEY = "Ctrl+R", "Ctrl+P"
+START_KEY, PAUSE_KEY, FINISH_KEY = "Ctrl+R", "Ctrl+P", "Ctrl+Shift+F"
+PAUSE, RESUME = "&Pause\nafter row", "Res&ume"
+"""Texts of the button that pauses and resumes."""
 SPEEDS = (1.0, 10.0, 20.0, 60.0)
 STOP_KEY = "Ctrl+."
 """Stops at once. Enter and Space never stop, so that a key pressed by accident ends no run."""
@@ -38,15 +40,23 @@ class RunPanel(QWidget):
     pause = Signal()
     resume = Signal()
     stop = Signal()
+    finish_cut = Signal()
+    resume_journal = Signal()
+    """Continue the unfinished campaign that `set_unfinished` has named."""
     speed_chosen = Signal(float)
 
     def __init__(self, speed: float, colours: Colours) -> None:
         super().__init__()
-        self._resumes = False
+        self._resumes = self._continues = False
         self._speed = speed
         self._left_s: float | None = None
+        self._wait: Wait | None = None
+        self._clock_texts = ""
+        self._unfinished = ""
+        self._permissions: Permissions | None = None
         self.start_button = _button("&Start", "Start the run")
-        self.pause_button = _button("&Pause", "Pause the run")
+        self.pause_button = _button(PAUSE, "Pause the run")
+        self.finish_button = _button("Finish\ncu&t", "Finish the cut and end the run")
         self.stop_button = _button("STOP", "Stop all axes and the run")
         self.stop_button.setToolTip(f"All axes come to rest and the run ends (hold {HOLD_KEY} for a second, or {STOP_KEY})")
         self.stop_button.setSizePolicy(QSizePolicy.Policy.Fixed, QSizePolicy.Policy.Expanding)
@@ -68,13 +78,15 @@ class RunPanel(QWidget):
         self._speed_label = QLabel("Simu&lation speed")
         self._speed_label.setBuddy(self.speeds)
         self.lines = QVBoxLayout()
-        self._bar = QBoxLayout(QBoxLayout.Direction.TopToBottom)
+        self.left.setWordWrap(True)
+        self._bar = QVBoxLayout()
         self._virtual = True
         self._compact = True  # the window grows from its least size
         self._lay_out()
         self.start_button.clicked.connect(self.start)
         self.stop_button.clicked.connect(self.stop)
         self.pause_button.clicked.connect(self._pause_or_resume)
+        self.finish_button.clicked.connect(self.finish_cut)
         self.speeds.currentIndexChanged.connect(self._choose_speed)
         self._hold.timeout.connect(self._stop_held)
         # In every window of the program, and also while the key repeats.
@@ -93,13 +105,43 @@ class RunPanel(QWidget):
         self.start_button.setEnabled(not permissions.no_start)
         refused = f"Disabled: {permissions.no_start}" if permissions.no_start else ""
         self.start_button.setToolTip(refused or f"Measure the schedule, into a new journal ({START_KEY})")
-        self.pause_button.setEnabled(permissions.pause or permissions.resume)
-        self._resumes = permissions.resume
-        self.pause_button.setText("Res&ume" if permissions.resume else "&Pause")
-        what = "Continue with the next row" if self._resumes else "Pause after this row"
-        self.pause_button.setToolTip(f"{what} ({PAUSE_KEY})")
-        self.pause_button.setAccessibleName("Resume the run" if permissions.resume else "Pause the run")
+        self._permissions = permissions
+        self._show_pause()
+        self.finish_button.setEnabled(permissions.finish_cut)
+        self.finish_button.setToolTip(
+            f"Measure the rest of this cut at all wavelengths, then end the run in good order ({FINISH_KEY}); Start or Resume "
+            "goes on with the next cut"
+        )
         self.stop_button.setEnabled(permissions.stop)
+
+    def set_unfinished(self, text: str) -> None:
+        """Offer to resume an unfinished campaign of this schedule; `text` names it, empty where there is none."""
+        self._unfinished = text
+        self._show_pause()
+
+    def _show_pause(self) -> None:
+        """Show what the pause button does now: pause or resume the run, or resume an unfinished campaign."""
+        permissions = self._permissions
+        if permissions is None:
+            return
+        idle = not permissions.pause and not permissions.resume
+        self._continues = idle and bool(self._unfinished) and not permissions.refusals["continue"]
+        self._resumes = permissions.resume or self._continues
+        self.pause_button.setEnabled(not idle or self._continues)
+        self.pause_button.setText(RESUME if self._resumes else PAUSE)
+        if self._continues:
+            what = f"Continue {self._unfinished}"
+        elif permissions.resume:
+            what = "Continue with the next row"
+        else:
+            what = "Pause after this row, with the shutter closed"
+        self.pause_button.setToolTip(f"{what} ({PAUSE_KEY})")
+        self.pause_button.setAccessibleName("Resume the run" if self._resumes else "Pause the run after this row")
+
+    @property
+    def resumes(self) -> bool:
+        """Whether the pause button resumes now."""
+        return self._resumes
 
     @property
     def holding(self) -> bool:
@@ -119,6 +161,12 @@ class RunPanel(QWidget):
         self.progress.setValue(done)
         self.progress.setFormat(f"{done} of {of} rows, {100 * done // of} %" if of else "no rows")
         self._left_s = left_s
+        self._wait, self._clock_texts = None, ""
+        self._show_left()
+
+    def set_wait(self, wait: "Wait", clock_texts: str) -> None:
+        """Show the time to wait, as learnt from the pace so far; `clock_texts`: the calendar times of end and next mounting."""
+        self._wait, self._clock_texts = wait, clock_texts
         self._show_left()
 
     def show_speed(self, speed: float) -> None:
@@ -140,10 +188,9 @@ class RunPanel(QWidget):
         self._show_left()
 
     def set_compact(self, compact: bool) -> None:
-        """Take less width: the time left below the progress, the simulation speed without its name."""
+        """Take less width: the simulation speed without its name."""
         if compact != self._compact:
             self._compact = compact
-            self._bar.setDirection(QBoxLayout.Direction.TopToBottom if compact else QBoxLayout.Direction.LeftToRight)
             self._show_speeds()
 
     def _show_speeds(self) -> None:
@@ -163,15 +210,15 @@ class RunPanel(QWidget):
     def _lay_out(self) -> None:
         bar = self._bar
         bar.setSpacing(4)
-        bar.addWidget(self.progress, 1)
+        bar.addWidget(self.progress)
         bar.addWidget(self.left)
         texts = QVBoxLayout()
         texts.setSpacing(4)
         texts.addLayout(bar)
         texts.addLayout(self.lines, 1)
         buttons = QHBoxLayout()
-        for each in (self.start_button, self.pause_button):
-            each.setMinimumWidth(76)
+        for each in (self.start_button, self.pause_button, self.finish_button):
+            each.setMinimumWidth(72)
             each.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
             buttons.addWidget(each)
         speed = QHBoxLayout()
@@ -197,8 +244,12 @@ class RunPanel(QWidget):
             self.left.setText("")
             return
         # Never "0 s": there is something left.
-        left, wait = (rounded_duration_text(max(each, 1.0)) for each in (self._left_s, self._left_s / self._speed))
-        self.left.setText(f"{left} left" if self._speed == 1.0 else f"{left} simulated, about {wait} to wait")
+        seconds = self._left_s / self._speed if self._wait is None else self._wait.seconds
+        wait = rounded_duration_text(max(seconds, 1.0))
+        band = "" if self._wait is None else f" ± {rounded_duration_text(max(self._wait.band, 1.0))}"
+        simulated = "" if self._speed == 1.0 else f" ({rounded_duration_text(max(self._left_s, 1.0))} simulated)"
+        more = f" · {self._clock_texts}" if self._clock_texts else ""
+        self.left.setText((f"about {wait}{band} to wait{simulated}" if simulated else f"{wait}{band} left") + more)
 
     @Slot()
     def _start_hold(self) -> None:
@@ -214,7 +265,7 @@ class RunPanel(QWidget):
 
     @Slot()
     def _pause_or_resume(self) -> None:
-        (self.resume if self._resumes else self.pause).emit()
+        (self.resume_journal if self._continues else self.resume if self._resumes else self.pause).emit()
 
     @Slot(int)
     def _choose_speed(self, _index: int) -> None:

@@ -12,11 +12,11 @@ import pytest
 
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import NewPlan, make_plan
-from goniotwin.app.campaign.proof.virtual_rigs import run_without_wires
 from goniotwin.app.campaign.reduction.closure import ClosureReport
 from goniotwin.app.campaign.reduction.comparison import deviations_in_u, theoretical_bsdf
 from goniotwin.app.campaign.reduction.components import COVERAGE
 from goniotwin.app.campaign.reduction.reduction import BsdfDataset, Reduction, reduce_journal
+from goniotwin.app.campaign.rehearsal.without_wires import run_without_wires
 from goniotwin.app.campaign.running.events import State
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.rig import parse_rig

@@ -11,8 +11,8 @@ import pytest
 from goniotwin import examples
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import make_plan
-from goniotwin.app.campaign.proof.virtual_rigs import run_without_wires
 from goniotwin.app.campaign.reduction.reduction import Reduction, check_journal
+from goniotwin.app.campaign.rehearsal.without_wires import run_without_wires
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.rig import parse_rig
 from tests.conftest import RIG, Change, changed

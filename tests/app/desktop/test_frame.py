@@ -23,12 +23,13 @@ from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.running.events import SafetyOrder
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.desktop import MainWindow, Theme, view
-from goniotwin.app.desktop.events.panels import LogEntry
+from goniotwin.app.desktop.events.panels import NOTICES, LogEntry
 from goniotwin.app.desktop.events.screen import EventsScreen
 from goniotwin.app.desktop.menu import about_text
 from goniotwin.app.desktop.remembered import MOST_RECENT, Remembered
 from goniotwin.app.desktop.rig.panels import DEVICES, GREEK
-from goniotwin.app.desktop.run.live_plot import PIXELS_OF_VALUE, LogAxis, log_ticks
+from goniotwin.app.desktop.run.axes import PIXELS_OF_VALUE, LogAxis, log_ticks
+from goniotwin.app.desktop.run.panel import PAUSE, RESUME
 from goniotwin.app.desktop.screen import Screen
 from goniotwin.app.desktop.setup.screen import SetupScreen
 from goniotwin.app.desktop.theme import Colours
@@ -107,8 +108,9 @@ def test_a_control_shows_its_mnemonic_and_no_other_of_its_screen_has_it(qtbot: Q
         texts = [action.text() for action in frame.menuBar().actions()]
         texts += [each.text() for each in controls(frame) if isinstance(each, QAbstractButton)]
         texts += [each.text() for each in frame.findChildren(QLabel) if each.isVisible() and each.buddy() is not None]
-        for resumes in ("&Pause", "Res&ume"):
-            letters = [found[1].lower() for each in [*texts, resumes] if (found := re.search("&(.)", each))]
+        # A notice that the station is gone offers to resume; no run is paused then.
+        for more in ([RESUME], *([PAUSE, notice] for notice in NOTICES.values())):
+            letters = [found[1].lower() for each in [*texts, *more] if (found := re.search("&(.)", each))]
             letters.remove("p")
             assert len(letters) == len(set(letters)), (screen.title, letters)
             assert {"f", "r", "v", "h", "s", "a"} <= set(letters)
@@ -231,7 +233,7 @@ def test_the_letter_and_the_key_of_start_and_pause(qtbot: QtBot, open_window: Wi
     assert window.menus._pause.text() == "Res&ume"
     assert not window.menus._open_rig.isEnabled()
     qtbot.keyClick(window, Qt.Key.Key_P, Qt.KeyboardModifier.ControlModifier)
-    qtbot.waitUntil(lambda: window.view.run.pause_button.text() == "&Pause", timeout=READY_MS)
+    qtbot.waitUntil(lambda: window.view.run.pause_button.text() == PAUSE, timeout=READY_MS)
 
 
 def test_the_window_remembers_its_screen_its_size_and_its_scheme(

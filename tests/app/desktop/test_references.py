@@ -60,7 +60,7 @@ def test_repaints_and_signals_lose_no_references(qtbot: QtBot, qapp: QApplicatio
     qtbot.addWidget(plot)
     plot.resize(240, 180)
     plot.show()
-    shown = plot.findChild(pg.PlotWidget)
+    shown = plot.findChild(pg.GraphicsView)
     assert shown is not None
     view = shown.viewport()
     paints = PaintCounter()

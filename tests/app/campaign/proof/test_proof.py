@@ -11,8 +11,9 @@ from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.proof.judgement import RigResult
 from goniotwin.app.campaign.proof.proof import Proof, prove
 from goniotwin.app.campaign.proof.report import proof_text
-from goniotwin.app.campaign.proof.virtual_rigs import run_with_wires, run_without_wires
+from goniotwin.app.campaign.proof.virtual_rigs import run_with_wires
 from goniotwin.app.campaign.reduction.reduction import reduce_journal
+from goniotwin.app.campaign.rehearsal.without_wires import run_without_wires
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats import BsdfTable, registry

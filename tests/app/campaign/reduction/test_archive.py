@@ -9,12 +9,12 @@ import pytest
 
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import make_plan
-from goniotwin.app.campaign.proof.virtual_rigs import run_without_wires
 from goniotwin.app.campaign.reduction.archive import write_archive
 from goniotwin.app.campaign.reduction.budget import budget_of_reflectance, budget_of_value
 from goniotwin.app.campaign.reduction.effects_of_points import effects_of
 from goniotwin.app.campaign.reduction.export import scattered_points
 from goniotwin.app.campaign.reduction.reduction import Reduction, reduce_journal
+from goniotwin.app.campaign.rehearsal.without_wires import run_without_wires
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.cli.main import app
 from goniotwin.app.formats import BsdfTable, FormatError, archive, registry

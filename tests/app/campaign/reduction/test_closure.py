@@ -12,7 +12,6 @@ import pytest
 from goniotwin.app.campaign.geometry.open_beam import BeamScan, beam_scans
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import make_plan
-from goniotwin.app.campaign.proof.virtual_rigs import run_without_wires
 from goniotwin.app.campaign.reduction.closure import (
     OWN_OF_A_SCAN,
     Closure,
@@ -37,6 +36,7 @@ from goniotwin.app.campaign.reduction.points import BsdfPoints, Tally
 from goniotwin.app.campaign.reduction.readings import Measurements, ReferenceMeasurements
 from goniotwin.app.campaign.reduction.reduction import Reduction, reduction_settings, scan_settings
 from goniotwin.app.campaign.reduction.verification import verify_journal
+from goniotwin.app.campaign.rehearsal.without_wires import run_without_wires
 from goniotwin.app.campaign.row import NO_SAMPLE
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.campaign.uncertainty.effects import Component

@@ -8,8 +8,8 @@ from dataclasses import asdict
 import pytest
 
 from goniotwin.app.campaign.planning.plan import make_plan
-from goniotwin.app.campaign.proof.virtual_rigs import run_without_wires
 from goniotwin.app.campaign.reduction.metadata import listed_values
+from goniotwin.app.campaign.rehearsal.without_wires import run_without_wires
 from goniotwin.app.campaign.schedule.file import ScheduleFile, read_schedule
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats.metadata import Metadata, metadata_from_dict

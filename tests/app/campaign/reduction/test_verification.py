@@ -12,10 +12,10 @@ from typer.testing import CliRunner
 
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import make_plan
-from goniotwin.app.campaign.proof.virtual_rigs import run_without_wires
 from goniotwin.app.campaign.reduction.budget import budget_of_reflectance, budget_of_value, parse_place
 from goniotwin.app.campaign.reduction.reduction import Reduction, check_journal, reduce_journal
 from goniotwin.app.campaign.reduction.verification import Verdict, reciprocal_pairs, verify_journal
+from goniotwin.app.campaign.rehearsal.without_wires import run_without_wires
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.cli.main import app
 from goniotwin.app.errors import UserError

@@ -1,0 +1,1 @@
+"""The campaigns screen: the campaigns of a folder and their state."""

@@ -1,0 +1,104 @@
+"""A worker: a process beside the window's, for what takes computing time. It starts with its first request. No Qt.
+
+Requests and answers go through a pipe. Threads of the window's process feed and read it, so that nothing here ever waits.
+"""
+
+import contextlib
+import multiprocessing
+import os
+import queue
+import signal
+import threading
+from collections.abc import Callable
+from multiprocessing.connection import Connection
+from typing import Any
+
+Serve = Callable[["Connection[Any, Any]"], None]
+"""The work: takes requests from a pipe and answers there, until the request None or the pipe's end (EOFError, OSError)."""
+Deliver = Callable[[object], None]
+NICE = 10
+"""Lower priority of a worker: the station, which may run on the same computer, comes first."""
+
+
+class Worker:
+    """A worker in a process of its own, or with `process` off in a thread. `deliver` is called from a thread."""
+
+    def __init__(self, name: str, serve: Serve, deliver: Deliver, *, process: bool = True) -> None:
+        self._name = name
+        self._serve = serve
+        self._deliver = deliver
+        self._in_process = process
+        self._requests: queue.SimpleQueue[object] = queue.SimpleQueue()
+        self._ours, self._theirs = multiprocessing.Pipe()
+        self._lock = threading.Lock()
+        self._process: Any = None
+        self._closing = False
+        self._threads = [
+            threading.Thread(target=self._feed, name=f"{name}: requests"),
+            threading.Thread(target=self._read, name=f"{name}: answers"),
+        ]
+        for each in self._threads:
+            each.start()
+
+    def put(self, request: object) -> None:
+        """Pass a request on; return at once."""
+        self._requests.put(request)
+
+    def close(self) -> None:
+        """End the worker, whatever it does. A second call does nothing."""
+        with self._lock:
+            if self._closing:
+                return
+            self._closing = True
+            if self._process is not None:
+                self._process.terminate()
+        self._requests.put(None)
+        for each in self._threads:
+            each.join()
+        if self._process is not None:
+            self._process.join()
+            self._process.close()
+        self._ours.close()
+
+    def _feed(self) -> None:
+        work: threading.Thread | None = None
+        first = self._requests.get()
+        with self._lock:
+            if self._closing or first is None:
+                self._theirs.close()
+                return
+            if self._in_process:
+                context = multiprocessing.get_context("spawn")
+                self._process = context.Process(target=_work, args=(self._serve, self._theirs), name=self._name, daemon=True)
+                self._process.start()
+                self._theirs.close()
+            else:
+                work = threading.Thread(target=_work_here, args=(self._serve, self._theirs), name=self._name)
+                work.start()
+        with contextlib.suppress(OSError):  # the worker has ended
+            self._ours.send(first)
+            while (request := self._requests.get()) is not None:
+                self._ours.send(request)
+            self._ours.send(None)
+        if work is not None:
+            work.join()
+
+    def _read(self) -> None:
+        with contextlib.suppress(EOFError, OSError):
+            while True:
+                answer = self._ours.recv()
+                if not self._closing:
+                    self._deliver(answer)
+
+
+def _work(serve: Serve, connection: "Connection[Any, Any]") -> None:
+    """Serve in a process of its own. A Ctrl-C is the window's business."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if hasattr(os, "nice"):
+        os.nice(NICE)
+    _work_here(serve, connection)
+
+
+def _work_here(serve: Serve, connection: "Connection[Any, Any]") -> None:
+    with contextlib.suppress(EOFError, OSError), connection:
+        serve(connection)

@@ -1,0 +1,94 @@
+"""The campaigns of a folder: their state, and how an unfinished one is resumed."""
+
+import itertools
+from pathlib import Path
+
+import pytest
+from PySide6.QtCore import Qt
+from pytestqt.qtbot import QtBot
+
+from goniotwin.app.campaign.journal.writing import Journal, software_versions
+from goniotwin.app.campaign.planning.plan import NewPlan, make_plan
+from goniotwin.app.campaign.rehearsal.without_wires import rows_without_wires, run_without_wires
+from goniotwin.app.campaign.running.events import State
+from goniotwin.app.campaign.schedule.file import read_schedule
+from goniotwin.app.desktop.campaigns.screen import CampaignsScreen
+from goniotwin.app.desktop.model.campaigns import list_campaigns
+from goniotwin.app.desktop.run.panel import PAUSE
+from goniotwin.app.desktop.theme import LIGHT
+from goniotwin.app.rig import read_rig
+from tests.app.desktop.conftest import READY_MS, ROWS, WindowOpener, ready, wait_for_end
+from tests.conftest import RIG, Writer
+
+
+@pytest.fixture
+def plan(write_schedule: Writer) -> NewPlan:
+    return make_plan(read_schedule(write_schedule()), read_rig(RIG))
+
+
+def killed(plan: NewPlan, path: Path, rows: int) -> None:
+    """Leave a journal whose program ended after so many rows, without a word."""
+    model = plan.rig.model()
+    assert model is not None
+    path.parent.mkdir(exist_ok=True)
+    with Journal.create(path, plan, software_versions()) as journal:
+        journal.begin_session(0.0, plan.rig.text, software_versions())
+        for each in itertools.islice(rows_without_wires(plan, model), rows):
+            journal.commit(each.row, each.data)
+
+
+def test_the_folder_is_listed_with_what_cannot_be_read(plan: NewPlan, tmp_path: Path, qtbot: QtBot) -> None:
+    killed(plan, tmp_path / "a.journal", 4)
+    run_without_wires(plan, tmp_path / "b.journal")
+    (tmp_path / "c.journal").write_text("no journal", encoding="utf-8")
+    listed = list_campaigns(tmp_path)
+    assert {each.path.name: each.summary.state for each in listed.campaigns} == {"a.journal": "killed", "b.journal": "done"}
+    assert len(listed.errors) == 1
+    assert "c.journal" in listed.errors[0]
+    found = listed.unfinished(plan.schedule.text)
+    assert found is not None
+    assert found.path.name == "a.journal"
+    assert listed.unfinished(plan.schedule.text + "\n") is None
+
+    screen = CampaignsScreen(LIGHT)
+    qtbot.addWidget(screen)
+    screen.show_campaigns(listed)
+    shown = [[screen.table.item(row, column).text() for column in range(6)] for row in range(2)]
+    assert ["✗ killed", f"4 of {ROWS}"] in [each[1:3] for each in shown]
+    assert all(each[5] == "SIMULATED" for each in shown)
+    row = next(number for number, each in enumerate(shown) if "killed" in each[1])
+    screen.table.selectRow(row)
+    assert not screen.resume_button.isEnabled()  # no rig is open
+    screen.set_resume("")
+    assert screen.resume_button.isEnabled()
+    with qtbot.waitSignal(screen.resume_wanted) as resumed:
+        screen.resume_button.click()
+    assert resumed.args == [tmp_path / "a.journal"]
+    screen.table.selectRow(1 - row)
+    assert not screen.resume_button.isEnabled()
+    assert screen.export_button.isEnabled()
+
+
+def test_a_folder_that_is_not_there_has_no_campaigns(tmp_path: Path) -> None:
+    listed = list_campaigns(tmp_path / "later")
+    assert (listed.campaigns, listed.errors) == ((), ())
+
+
+def test_an_unfinished_campaign_of_the_schedule_is_resumed_with_the_key_of_pause(
+    qtbot: QtBot, open_window: WindowOpener, plan: NewPlan, journals: Path
+) -> None:
+    """After a crash of everything: the journal is all that is left."""
+    killed(plan, journals / "small-001.journal", 4)
+    window = ready(qtbot, open_window())
+    button = window.view.run.pause_button
+    qtbot.waitUntil(lambda: button.text() == "Res&ume" and button.isEnabled(), timeout=READY_MS)
+    assert f"small-001.journal: 4 of {ROWS} rows" in button.toolTip()
+    window.activateWindow()
+    qtbot.waitUntil(window.isActiveWindow)
+    qtbot.keyClick(window, Qt.Key.Key_P, Qt.KeyboardModifier.ControlModifier)
+    wait_for_end(qtbot, window, State.DONE)
+    with Journal.open(journals / "small-001.journal") as journal:
+        assert journal.row_counts() == (ROWS, ROWS)
+    qtbot.waitUntil(lambda: button.text() == PAUSE and not button.isEnabled(), timeout=READY_MS)
+    screen = window.view.screen_of(CampaignsScreen)
+    qtbot.waitUntil(lambda: screen.table.rowCount() == 1 and "done" in screen.table.item(0, 1).text(), timeout=READY_MS)

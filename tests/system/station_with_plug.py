@@ -1,0 +1,32 @@
+"""`goniotwin station` of a virtual rig whose monitor has a plug: SIGUSR1 pulls it, SIGUSR2 puts it in again."""
+
+import signal
+
+from goniotwin.app.cli.main import main
+from goniotwin.app.rig import OpenRig, RigDescription
+from goniotwin.app.station.station import Station
+
+adopt = Station.adopt
+
+
+def adopt_with_plug(station: Station, opened: OpenRig, description: RigDescription) -> None:
+    """Let signals pull and put the plug from the opening of the rig on."""
+    adopt(station, opened, description)
+    virtual = opened.virtual
+    assert virtual is not None
+
+    def pull(_number: int, _frame: object) -> None:
+        with virtual.lock:
+            virtual.usb["monitor"].unplug()
+
+    def put(_number: int, _frame: object) -> None:
+        with virtual.lock:
+            virtual.usb["monitor"].replug()
+
+    signal.signal(signal.SIGUSR1, pull)
+    signal.signal(signal.SIGUSR2, put)
+
+
+if __name__ == "__main__":
+    Station.adopt = adopt_with_plug  # type: ignore[method-assign]
+    main()

@@ -1,0 +1,152 @@
+"""A person's night at a virtual rig, by keyboard alone: the bench, a run, a fault, and the ends of window and station.
+
+Each window is a process whose keys are pressed and whose texts are read (`window_by_keys`); nothing else of it is touched. The
+part of it that needs no process to be killed is in `tests/app/desktop/test_by_keys.py`.
+"""
+
+import os
+import signal
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from goniotwin.app.campaign.journal.summary import campaign_summary
+from goniotwin.app.desktop.bench.screen import READY
+from goniotwin.app.station.connection_file import attach, known_stations
+from tests.app.campaign.campaign_bench import QUIET
+from tests.conftest import SMALL, Writer
+from tests.system.command_process import FORKED
+from tests.system.conftest import until
+from tests.system.window_by_keys import WindowByKeys
+
+pytestmark = [
+    *FORKED,
+    pytest.mark.long,
+    pytest.mark.endpoint,
+    pytest.mark.usefixtures("heard_hangup"),
+]
+SPEED = 2.0
+NIGHT = SMALL.replace("beta_deg = [180]", "beta_deg = [160, 170, 180, 190, 200]").replace("[0, 1]", "[0, 1, 2, 3, 4]")
+"""Five cuts, after the etalon's."""
+ASK = '\n[faults]\nwire = "ask"\n'
+PREFLIGHT = ("Ports", "Homed", "Limits", "Lamp", "Dark reading", "Drift", "Certificate", "Disk")
+CUT = "Plot of the scan in progress"
+RIG, BENCH, RUN, CAMPAIGNS = "Ctrl+1", "Ctrl+2", "Ctrl+4", "Ctrl+5"
+
+
+@pytest.fixture
+def open_window(tmp_path: Path) -> Iterator[Callable[..., WindowByKeys]]:
+    """Opens windows; in the end kills them, and the stations."""
+    windows: list[WindowByKeys] = []
+
+    def opened(*arguments: object) -> WindowByKeys:
+        windows.append(WindowByKeys(tmp_path, "desktop", *arguments))
+        return windows[-1]
+
+    yield opened
+    for window in windows:
+        window.kill()
+    for path, station in known_stations().items():
+        os.kill(station.pid, signal.SIGKILL)
+        until(lambda path=path: attach(path, "cleaner") is None)  # type: ignore[misc]
+
+
+def answer(window: WindowByKeys, question: str, choice: str) -> None:
+    """Answer a question that comes."""
+    window.wait_for(question, f"[{choice}]")
+    window.choose(choice)
+
+
+def next_point_has_residual(window: WindowByKeys) -> bool:
+    """Move the cursor of the cut by a point; return whether its residual is to be read."""
+    window.press("Right")
+    return window.reads(", residual ")
+
+
+def test_an_operators_night(
+    open_window: Callable[..., WindowByKeys], write_rig: Writer, write_schedule: Writer, tmp_path: Path
+) -> None:
+    folder = tmp_path / "journals"
+    arguments = ("--rig", write_rig(*QUIET), "--schedule", write_schedule(text=NIGHT + ASK), "--out", folder, "--speed", SPEED)
+
+    # Connect and preflight.
+    window = open_window(*arguments)
+    window.wait_for("Ready to start.")
+    window.press(RIG)
+    window.wait_for(*PREFLIGHT)
+    window.press("Alt+E")
+    window.wait_for("[A person is the operator] (checked)")
+
+    # The bench.
+    window.press(BENCH, "Alt+J", "End")
+    window.choose("Jog sigma up")
+    window.wait_for("σ 30.00°", READY)
+    window.choose("Read all photodiodes once")
+    window.wait_for("Mean of 4: 36 photodiodes")
+
+    # Start and mount.
+    window.press("Alt+S")
+    answer(window, "Mount etalon", "Wait")
+    window.wait_for("The run waits for an answer: Mount etalon")
+    window.press("Alt+A")
+    answer(window, "Mount etalon", "Mounted")
+    answer(window, "Mount gaussian-5", "Mounted")
+    (journal,) = folder.glob("*.journal")
+    done = window.wait_for_rows(campaign_summary(journal).rows + 3)
+
+    # Prediction and residual.
+    window.press(RUN)
+    window.wait_for("predicted ± 2 u")
+    window.tab_to(CUT)
+    until(lambda: next_point_has_residual(window))
+
+    # The monitor's plug is pulled, and put back.
+    ((path, station),) = known_stations().items()
+    os.kill(station.pid, signal.SIGUSR1)
+    window.wait_for("Device fault", "monitor", "[Retry]")
+    os.kill(station.pid, signal.SIGUSR2)
+    answer(window, "Device fault", "Retry")
+    done = window.wait_for_rows(done + 2)
+
+    # The window is closed; the run goes on; the next one shows all of it.
+    window.press("Ctrl+Q")
+    answer(window, "Close the window?", "Keep measuring")
+    assert window.wait_for_end() == 0, window.errors
+    until(lambda: campaign_summary(journal).rows > done)
+    window = open_window(*arguments)
+    window.wait_for("Attached to a station that was running")
+    done = window.wait_for_rows(campaign_summary(journal).rows)
+
+    # The window is killed.
+    window.process.send_signal(signal.SIGKILL)
+    window.wait_for_end()
+    until(lambda: campaign_summary(journal).rows > done)
+    window = open_window(*arguments)
+    done = window.wait_for_rows(campaign_summary(journal).rows)
+
+    # The station is killed: the window says so, nothing is lost, and one key goes on with a new one.
+    assert known_stations()[path].pid == station.pid
+    os.kill(station.pid, signal.SIGKILL)
+    window.wait_for("The station has ended during the run", "rows are kept in small-001.journal", "the shutter may be open")
+    kept = campaign_summary(journal)
+    assert kept.state == "killed"
+    assert kept.rows >= done
+    window.press("Alt+U")
+    assert window.wait_for_rows(kept.rows + 1) > kept.rows
+
+    # The cut is finished, and what there is exported.
+    window.press("Alt+T")
+    window.wait_for("ended after the cut, as requested")
+    ended = campaign_summary(journal)
+    assert (ended.state, ended.sessions) == ("stopped", 2)
+    assert kept.rows < ended.rows < ended.planned
+    assert all("monitor" in fault for fault in ended.faults)
+    window.press(CAMPAIGNS)
+    window.wait_for("| small-001.journal")
+    window.press("Alt+X")
+    window.wait_for("Export the campaign")
+    window.press("Return")
+    until(journal.with_suffix(".csv").exists)
+    window.press("Ctrl+Q")
+    assert window.wait_for_end() == 0, window.errors
