@@ -87,7 +87,6 @@ class HemisphereMap(QWidget):
         plot.setContentsMargins(0, 0, 0, 0)
         plot.setRange(xRange=(-EDGE, EDGE), yRange=(-EDGE, EDGE), padding=0.0)
         self._image = pg.ImageItem(axisOrder="row-major")
-        self._image.setRect(QRectF(-EDGE, -EDGE, 2.0 * EDGE, 2.0 * EDGE))
         plot.addItem(self._image)
         around = np.radians(np.linspace(0.0, 360.0, 181))
         self._rings = [pg.PlotCurveItem(each / 90.0 * np.cos(around), each / 90.0 * np.sin(around)) for each in RINGS_DEG]
@@ -246,6 +245,7 @@ class HemisphereMap(QWidget):
         pixels[~known] = (base.red(), base.green(), base.blue())
         pixels[self._planned & ~known] = (faint.red(), faint.green(), faint.blue())
         self._image.setImage(pixels, autoLevels=False, levels=None)
+        self._image.setRect(QRectF(-EDGE, -EDGE, 2.0 * EDGE, 2.0 * EDGE))  # possible with an image only
 
     def _write(self, text: str) -> None:
         self._text.setText(text)
@@ -265,7 +265,7 @@ class HemisphereMap(QWidget):
         self._view.setToolTip(f"{where}: {points.values[nearest]:.4g}" if near else "")
 
 
-LOW = 190
+LOW = 270
 """Height in logical pixels below which the text is left out."""
 NEAR = 0.06
 """Distance of the mouse from a point whose value is shown, with the radius of the horizon as the unit."""

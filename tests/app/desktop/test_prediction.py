@@ -51,9 +51,9 @@ def test_the_residuals_of_a_rig_as_its_file_says_are_those_of_noise(plan: NewPla
     cuts = [points.add(each) for each in measured(plan, model)]
     assert len(cuts) == len(points.predicted) == 2  # the etalon and the sample
     residuals = np.concatenate([each.residual[np.isfinite(each.residual)] for each in cuts])
-    assert residuals.size > 100
+    assert residuals.size > 60
     assert 0.5 < float(np.std(residuals)) < 1.5
-    assert float(np.mean(np.abs(residuals) > 4.0)) < 0.02
+    assert float(np.max(np.abs(residuals))) < 4.5
     assert all(np.isnan(each.residual[each.scan.points.blocked]).all() for each in cuts)
 
 
