@@ -234,9 +234,8 @@ def _texts(campaign: "Campaign") -> tuple[str, ...]:
 def _about(campaign: "Campaign") -> str:
     """The chosen campaign in words, with its last fault and its open safety orders."""
     each = campaign.summary
-    parts = [
-        f"{campaign.path.name}: {each.state}, {each.rows} of {each.planned} rows in {each.sessions} session{'s' if each.sessions != 1 else ''}"
-    ]
+    sessions = "1 session" if each.sessions == 1 else f"{each.sessions} sessions"
+    parts = [f"{campaign.path.name}: {each.state}, {each.rows} of {each.planned} rows in {sessions}"]
     if each.faults:
         parts.append(f"last fault: {each.faults[-1]}")
     if each.orders:
