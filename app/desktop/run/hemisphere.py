@@ -73,6 +73,7 @@ class HemisphereMap(QWidget):
         self._logs = np.full((PIXELS, PIXELS), np.nan, dtype=np.float32)
         self._planned = np.zeros((PIXELS, PIXELS), dtype=bool)
         self._range = (0.0, 1.0)
+        self._mark = ""
         self._table = np.zeros((LEVELS, 3), dtype=np.uint8)
         self._view = pg.PlotWidget()
         self._view.setAccessibleName("Hemisphere of the run")
@@ -135,8 +136,10 @@ class HemisphereMap(QWidget):
         """The number of pixels with a value."""
         return int(np.isfinite(self._logs).sum())
 
-    def clear(self) -> None:
-        """Clear the map."""
+    def clear(self, mark: str = "") -> None:
+        """Clear the map; `mark` is its title (SIMULATED, or empty)."""
+        self._mark = mark
+        self._show_mark()
         self._setting, self._shown = None, None
         self._logs[:] = np.nan
         self._planned[:] = False
@@ -234,6 +237,7 @@ class HemisphereMap(QWidget):
         self._alarms.setPen(pg.mkPen(colours.bad, width=2))
         self._alarms.setBrush(pg.mkBrush(None))
         self._text.setStyleSheet(f"color: {colours.text}")
+        self._show_mark()
         self._paint()
 
     def _paint(self) -> None:
@@ -246,6 +250,10 @@ class HemisphereMap(QWidget):
         pixels[self._planned & ~known] = (faint.red(), faint.green(), faint.blue())
         self._image.setImage(pixels, autoLevels=False, levels=None)
         self._image.setRect(QRectF(-EDGE, -EDGE, 2.0 * EDGE, 2.0 * EDGE))  # possible with an image only
+
+    def _show_mark(self) -> None:
+        title = f"<b style='color:{self._colours.bad}'>{self._mark}</b>" if self._mark else None
+        self._plot.setTitle(title, size="9pt")
 
     def _write(self, text: str) -> None:
         self._text.setText(text)

@@ -413,7 +413,7 @@ class LivePlot(QObject):
     def start(self, plan: Plan | None, mark: str) -> None:
         """Clear the plot for the run of a plan, or for none."""
         self._plot.clear(mark)
-        self._map.clear()
+        self._map.clear(mark)
         self._points.begin_run()
         self._alarmed.clear()
         self._unmapped.clear()

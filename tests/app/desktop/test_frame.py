@@ -27,7 +27,6 @@ from goniotwin.app.desktop import MainWindow, Theme, view
 from goniotwin.app.desktop.events.panels import LogEntry
 from goniotwin.app.desktop.events.screen import EventsScreen
 from goniotwin.app.desktop.menu import about_text
-from goniotwin.app.desktop.model.messages import DeviceStatus
 from goniotwin.app.desktop.remembered import MOST_RECENT, Remembered
 from goniotwin.app.desktop.rig.panels import DEVICES, GREEK
 from goniotwin.app.desktop.run.axes import PIXELS_OF_VALUE, LogAxis, log_ticks
@@ -37,6 +36,7 @@ from goniotwin.app.desktop.setup.screen import SetupScreen
 from goniotwin.app.desktop.theme import Colours
 from goniotwin.app.rig import AXES, read_rig
 from goniotwin.app.rig.kinds import ROLES
+from goniotwin.app.station.messages import DeviceStatus
 from tests.app.desktop.conftest import READY_MS, WindowOpener, ready
 from tests.conftest import REPOSITORY, RIG, SCHEDULE, Writer
 
