@@ -29,7 +29,7 @@ pytestmark = [
     pytest.mark.endpoint,
     pytest.mark.skipif(not ptys_exist(), reason="this system has no pseudo-terminals"),
 ]
-STOPS = {"none": 100, "the monochromator": 40, "busy processes": 40, "a run": 10}
+STOPS = {"none": 100, "the monochromator": 20, "busy processes": 20, "a run": 5}
 AXES = 4
 BUSY = 8
 
@@ -81,7 +81,7 @@ class ServedStation:
             client.wait_for(lambda: not client.snapshot.activity)
 
     def stop_once(self, begin: str, schedule: Path, folder: Path) -> float:
-        """Time from the key to the last of the first stop frames of all axes, s."""
+        """Time from the key to the last of the axes' first stop frames, s."""
         client = self.client.client
         if begin == "a run":
             client.do("start", schedule=str(schedule), folder=str(folder))
@@ -97,10 +97,12 @@ class ServedStation:
         pressed = self.clock.now()
         answer = client.send("stop")
         answer.result(30.0)
-        frames = self.axes.stops[:AXES]
-        assert len({motor for _, motor in frames}) == AXES
+        first: dict[int, float] = {}
+        for t, motor in self.axes.stops:  # a frame whose confirmation is late is sent again
+            first.setdefault(motor, t)
+        assert len(first) == AXES
         self.wait_for_rest()
-        return frames[-1][0] - pressed
+        return max(first.values()) - pressed
 
 
 @pytest.fixture

@@ -161,17 +161,23 @@ def test_the_run_goes_on_after_the_end_of_its_window(
 def test_the_next_window_shows_the_run_that_a_killed_one_has_left(
     start_window: Starter, write_rig: Writer, write_schedule: Writer
 ) -> None:
-    rig, schedule = write_rig(*QUIET), write_schedule(("shift_deg = [0, 1]", "shift_deg = [0, 1, 2, 3, 4, 5]"))
-    first = start_window(rig, schedule, speed=1.0)
+    """The run waits meanwhile, because a window may take long to start here."""
+    rig, schedule = write_rig(*QUIET), write_schedule()
+    first = start_window(rig, schedule, speed=2.0)
     first.wait_for_rows(2)
     first.process.kill()
     first.wait_for_exit()
-    second = start_window(rig, schedule, speed=2.0)
-    second.wait_for_rows(4)
-    assert second.journal == first.journal
     (path,) = known_stations()
     client = Attached(path)
-    assert client.snapshot.journal == first.journal
+    client.wait_for(lambda: client.snapshot.operator == "")
+    client.client.do("pause")
+    client.wait_for(lambda: client.snapshot.state is State.PAUSED)
+    second = start_window(rig, schedule, speed=1.0)
+    second.wait_for_rows(0)  # it has read the rows so far
+    assert client.snapshot.state is State.PAUSED
+    client.client.do("resume")
+    second.wait_for_rows(client.snapshot.done + 2)
+    assert second.journal == first.journal == client.snapshot.journal
     client.client.close()
 
 

@@ -296,9 +296,9 @@ class Connection:
                 return
             case RunBegun() | RowSaved():
                 self._rows.put(message)
-            case RigOpened():
-                self._tasks.put(self._load_again)
         self._send(message)
+        if isinstance(message, RigOpened):  # after it: a window forgets the plan for the rig before
+            self._tasks.put(self._load_again)
 
     def _lose(self, session: Session) -> None:
         if session is self._session and not session.leaving:
