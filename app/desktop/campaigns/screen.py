@@ -123,6 +123,14 @@ class CampaignsScreen(Screen):
         """What is said of the chosen campaign."""
         return self._about.text()
 
+    @Slot(object)
+    def show_message(self, message: object) -> None:
+        """List the campaigns again when a run begins; the window does so at its end."""
+        from goniotwin.app.station.messages import RunBegun
+
+        if isinstance(message, RunBegun):
+            self.refresh_wanted.emit()
+
     def set_resume(self, refusal: str) -> None:
         """Allow resuming, or say why it is not possible now."""
         if refusal != self._no_resume:
