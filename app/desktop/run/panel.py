@@ -231,7 +231,7 @@ class RunPanel(QWidget):
         texts.addLayout(self.lines, 1)
         buttons = QHBoxLayout()
         for each in (self.start_button, self.pause_button, self.finish_button):
-            each.setMinimumWidth(72)
+            each.setMinimumWidth(66)
             each.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
             buttons.addWidget(each)
         speed = QHBoxLayout()
@@ -261,8 +261,11 @@ class RunPanel(QWidget):
         wait = rounded_duration_text(max(seconds, 1.0))
         band = "" if self._wait is None else f" ± {rounded_duration_text(max(self._wait.band, 1.0))}"
         simulated = "" if self._speed == 1.0 else f" ({rounded_duration_text(max(self._left_s, 1.0))} simulated)"
-        more = f" · {self._clock_texts}" if self._clock_texts and not self._low else ""
-        self.left.setToolTip(self._clock_texts)
+        self.left.setToolTip(" · ".join(each for each in (simulated.strip(" ()"), self._clock_texts) if each))
+        if self._low:
+            self.left.setText(f"{wait}{band} " + ("to wait" if simulated else "left"))
+            return
+        more = f" · {self._clock_texts}" if self._clock_texts else ""
         self.left.setText((f"about {wait}{band} to wait{simulated}" if simulated else f"{wait}{band} left") + more)
 
     @Slot()
