@@ -190,6 +190,7 @@ class MainView(QWidget):
         self.run.set_compact(self.width() < NARROW)
         self._low = self.height() < LOW
         self.run.set_low(self._low)
+        self.navigation.set_low(self._low)
         self._show_saved()
 
     def _show_saved(self) -> None:
