@@ -23,6 +23,7 @@ class Navigation(QFrame):
         self._screens = screens
         self._colours = colours
         self._has_icons = False
+        self._low = True  # the window grows from its least size
         self._compact = True  # the window grows from its least size
         self._marks = [""] * len(screens)
         self._group = QButtonGroup(self)
@@ -63,6 +64,12 @@ class Navigation(QFrame):
             for number, mark in enumerate(self._marks):
                 self.set_mark(number, mark)
 
+    def set_low(self, low: bool) -> None:
+        """Take less height, in a low window."""
+        if low != self._low:
+            self._low = low
+            self.set_colours(self._colours)
+
     def set_mark(self, number: int, mark: str) -> None:
         """Show a mark behind the title of a screen that should be looked at (such as ✗ 2); none if empty."""
         self._marks[number] = mark
@@ -82,7 +89,7 @@ class Navigation(QFrame):
         self.setStyleSheet(
             f"Navigation {{ background: {colours.base}; border: none; border-right: 1px solid {colours.line} }}"
             f"QToolButton {{ color: {colours.text}; background: transparent; border: 2px solid transparent;"
-            " padding: 8px 10px; text-align: left }"
+            f" padding: {1 if self._low else 8}px 10px; text-align: left }}"
             f"QToolButton:hover {{ background: {colours.button} }}"
             f"QToolButton:checked {{ color: {colours.on_accent}; background: {colours.accent} }}"
             f"QToolButton:focus {{ border-color: {colours.text} }}"

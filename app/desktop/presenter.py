@@ -440,7 +440,8 @@ class Presenter(QObject):
             if self.state is State.RUNNING:
                 done, of = self._progress
                 self._view.show_status(f"{row_words(event.row)} (row {min(done + 1, of)} of {of})")
-            self._row_number = event.row.number
+            if not event.row.unplanned:
+                self._row_number = event.row.number
             self._live_plot.add_row(event)
         else:
             self._pace.add_row(self._wall.now(), event.row.seconds, event.total - event.done, event.seconds_left)

@@ -195,6 +195,8 @@ class MainView(QWidget):
         self.navigation.set_compact(self.width() < NARROW)
         self.run.set_compact(self.width() < NARROW)
         self._low = self.height() < LOW
+        self.run.set_low(self._low)
+        self.navigation.set_low(self._low)
         self._show_saved()
 
     def _show_saved(self) -> None:

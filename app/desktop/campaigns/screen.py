@@ -123,6 +123,14 @@ class CampaignsScreen(Screen):
         """What is said of the chosen campaign."""
         return self._about.text()
 
+    @Slot(object)
+    def show_message(self, message: object) -> None:
+        """List the campaigns again when a run begins; the window does so at its end."""
+        from goniotwin.app.station.messages import RunBegun
+
+        if isinstance(message, RunBegun):
+            self.refresh_wanted.emit()
+
     def set_resume(self, refusal: str) -> None:
         """Allow resuming, or say why it is not possible now."""
         if refusal != self._no_resume:
@@ -234,7 +242,8 @@ def _texts(campaign: "Campaign") -> tuple[str, ...]:
 def _about(campaign: "Campaign") -> str:
     """The chosen campaign in words, with its last fault and its open safety orders."""
     each = campaign.summary
-    parts = [f"{campaign.path.name}: {each.state}, {each.rows} of {each.planned} rows in {each.sessions} sessions"]
+    sessions = "1 session" if each.sessions == 1 else f"{each.sessions} sessions"
+    parts = [f"{campaign.path.name}: {each.state}, {each.rows} of {each.planned} rows in {sessions}"]
     if each.faults:
         parts.append(f"last fault: {each.faults[-1]}")
     if each.orders:

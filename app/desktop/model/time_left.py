@@ -20,8 +20,10 @@ PRIOR = np.array([1.0, 0.0])
 PRIOR_U = np.array([0.1, 0.2])
 """Standard uncertainties of the factor, and of the fixed time of a row in s, before the first row."""
 ROW_U_S, RELATIVE_U = 0.01, 0.05
-"""Scatter of a row's duration, in s and relative."""
-KEPT = 0.985
+"""Least scatter of a row's duration, in s and relative. The rows show how much larger it is."""
+SCATTER_WEIGHT = 0.1
+"""Weight of a block in the running mean of its square."""
+KEPT = 0.97
 """Weight of a block over that of the next one."""
 MOST_U = 4.0
 """A block that deviates by more standard uncertainties counts as if it deviated by these."""
@@ -68,11 +70,12 @@ class TimeLeft:
         self._block = np.zeros(2)
         self._weights = np.zeros((2, 2))
         self._sums = np.zeros(2)
+        self._scatter = 1.0
         self._rows_left, self._seconds_left = 0, 0.0
 
     def begin(self, now: float, rows_left: int, seconds_left: float) -> None:
         """A run begins, or is attached to; nothing is known of its pace."""
-        self._weights, self._sums = np.zeros((2, 2)), np.zeros(2)
+        self._weights, self._sums, self._scatter = np.zeros((2, 2)), np.zeros(2), 1.0
         self._rows_left, self._seconds_left = rows_left, seconds_left
         self.interrupt(now)
 
@@ -110,20 +113,27 @@ class TimeLeft:
         ahead = np.array([max(seconds, 0.0) / self._speed, float(max(rows, 0))])
         pace, covariance = self._pace()
         wait = float(ahead @ pace)
-        scatter = (ROW_U_S**2 + (RELATIVE_U * ahead[0] / max(ahead[1], 1.0)) ** 2) * ahead[1]
-        variance = float(ahead @ covariance @ ahead) + float(scatter) + (PACE_U * wait) ** 2
+        variance = float(ahead @ covariance @ ahead) + self._scatter * _variance(ahead) + (PACE_U * wait) ** 2
         return Wait(max(wait, 0.0), COVERAGE * math.sqrt(variance))
 
     def _pace(self) -> tuple[Floats, Floats]:
         """The factor and the fixed time of a row, with their covariance."""
         prior = np.diag(PRIOR_U**-2.0)
-        covariance = np.linalg.inv(prior + self._weights)
-        return np.asarray(covariance @ (prior @ PRIOR + self._sums)), np.asarray(covariance)
+        covariance = np.linalg.inv(prior + self._weights / self._scatter)
+        return np.asarray(covariance @ (prior @ PRIOR + self._sums / self._scatter)), np.asarray(covariance)
 
     def _fit(self, took: float) -> None:
         block, (pace, covariance) = self._block, self._pace()
-        variance = block[1] * ROW_U_S**2 + (RELATIVE_U * block[0]) ** 2 / block[1]
-        expected, limit = float(block @ pace), MOST_U * math.sqrt(float(block @ covariance @ block) + variance)
-        counted = min(max(took, expected - limit), expected + limit)
+        variance, expected, unknown = _variance(block), float(block @ pace), float(block @ covariance @ block)
+        limit = MOST_U * math.sqrt(unknown + variance * self._scatter)
+        deviation = min(max(took - expected, -limit), limit)
+        excess = max(deviation**2 - unknown, 0.0) / variance
+        self._scatter = max(self._scatter + SCATTER_WEIGHT * (excess - self._scatter), 1.0)
         self._weights = KEPT * self._weights + np.outer(block, block) / variance
-        self._sums = KEPT * self._sums + block * (counted / variance)
+        self._sums = KEPT * self._sums + block * ((expected + deviation) / variance)
+
+
+def _variance(block: Floats) -> float:
+    """Least variance of the duration of rows, s^2: of their estimated duration in real time, and their number."""
+    seconds, rows = block.tolist()
+    return rows * ROW_U_S**2 + (RELATIVE_U * seconds) ** 2 / max(rows, 1.0)

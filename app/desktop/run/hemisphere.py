@@ -73,6 +73,7 @@ class HemisphereMap(QWidget):
         self._logs = np.full((PIXELS, PIXELS), np.nan, dtype=np.float32)
         self._planned = np.zeros((PIXELS, PIXELS), dtype=bool)
         self._range = (0.0, 1.0)
+        self._mark = ""
         self._table = np.zeros((LEVELS, 3), dtype=np.uint8)
         self._view = pg.PlotWidget()
         self._view.setAccessibleName("Hemisphere of the run")
@@ -87,7 +88,6 @@ class HemisphereMap(QWidget):
         plot.setContentsMargins(0, 0, 0, 0)
         plot.setRange(xRange=(-EDGE, EDGE), yRange=(-EDGE, EDGE), padding=0.0)
         self._image = pg.ImageItem(axisOrder="row-major")
-        self._image.setRect(QRectF(-EDGE, -EDGE, 2.0 * EDGE, 2.0 * EDGE))
         plot.addItem(self._image)
         around = np.radians(np.linspace(0.0, 360.0, 181))
         self._rings = [pg.PlotCurveItem(each / 90.0 * np.cos(around), each / 90.0 * np.sin(around)) for each in RINGS_DEG]
@@ -136,8 +136,10 @@ class HemisphereMap(QWidget):
         """The number of pixels with a value."""
         return int(np.isfinite(self._logs).sum())
 
-    def clear(self) -> None:
-        """Clear the map."""
+    def clear(self, mark: str = "") -> None:
+        """Clear the map; `mark` is its title (SIMULATED, or empty)."""
+        self._mark = mark
+        self._show_mark()
         self._setting, self._shown = None, None
         self._logs[:] = np.nan
         self._planned[:] = False
@@ -235,6 +237,7 @@ class HemisphereMap(QWidget):
         self._alarms.setPen(pg.mkPen(colours.bad, width=2))
         self._alarms.setBrush(pg.mkBrush(None))
         self._text.setStyleSheet(f"color: {colours.text}")
+        self._show_mark()
         self._paint()
 
     def _paint(self) -> None:
@@ -246,6 +249,11 @@ class HemisphereMap(QWidget):
         pixels[~known] = (base.red(), base.green(), base.blue())
         pixels[self._planned & ~known] = (faint.red(), faint.green(), faint.blue())
         self._image.setImage(pixels, autoLevels=False, levels=None)
+        self._image.setRect(QRectF(-EDGE, -EDGE, 2.0 * EDGE, 2.0 * EDGE))  # possible with an image only
+
+    def _show_mark(self) -> None:
+        title = f"<b style='color:{self._colours.bad}'>{self._mark}</b>" if self._mark else None
+        self._plot.setTitle(title, size="9pt")
 
     def _write(self, text: str) -> None:
         self._text.setText(text)
@@ -265,7 +273,7 @@ class HemisphereMap(QWidget):
         self._view.setToolTip(f"{where}: {points.values[nearest]:.4g}" if near else "")
 
 
-LOW = 190
+LOW = 270
 """Height in logical pixels below which the text is left out."""
 NEAR = 0.06
 """Distance of the mouse from a point whose value is shown, with the radius of the horizon as the unit."""

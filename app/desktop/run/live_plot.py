@@ -35,8 +35,10 @@ from goniotwin.arrays import Flags, Floats
 REDRAW_MS = 100
 """Shortest time between two repaints, at any rate of rows."""
 POINT_SIZE = 7
-LOW = 190
-"""Height in logical pixels below which the text of the plot is left out; it is the plot's tool tip too."""
+LOW, LOW_FOR_TEXT = 190, 270
+"""Heights in logical pixels below which the residuals and the cursor's value, and the text of the plot, are left out. The text
+is the plot's tool tip too.
+"""
 RESIDUAL_HEIGHT, RESIDUAL_SHARE = 110.0, 0.38
 """Height of the residuals, and the most of the plot's height that they take."""
 LEAST_RESIDUAL = 5.0
@@ -83,6 +85,7 @@ class ScanPlot(QWidget):
         self._cursor_lines = pg.InfiniteLine(angle=90), pg.InfiniteLine(angle=90)
         for item in (self._band, self._line, self._bars):
             self._plot.addItem(item)
+        self._line.setZValue(5)  # points may be dense
         self._coverage.setZValue(-20)
         self._residuals.addItem(self._coverage)
         for plot, line in zip((self._plot, self._residuals), self._cursor_lines, strict=True):
@@ -120,8 +123,9 @@ class ScanPlot(QWidget):
     def resizeEvent(self, event: QResizeEvent) -> None:
         """Leave the room to the plot where there is little; Qt calls it."""
         super().resizeEvent(event)
-        self._note.setVisible(self.height() >= LOW)
+        self._note.setVisible(self.height() >= LOW_FOR_TEXT)
         self._reading.setVisible(self.height() >= LOW)
+        self._label()
         self._show_residuals()
 
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:
@@ -269,7 +273,7 @@ class ScanPlot(QWidget):
         x, residual, alarms = cut.scan.points.x_deg, cut.residual, cut.alarms
         known = np.isfinite(residual)
         span = max(LEAST_RESIDUAL, min(float(np.max(np.abs(residual[known]), initial=0.0)) * 1.1, 12.0))
-        held = np.clip(residual, -0.96 * span, 0.96 * span)
+        held = np.clip(residual, -0.9 * span, 0.9 * span)
         for item, chosen in zip(self._residual_items, (known & ~alarms, alarms), strict=True):
             item.setData(x[chosen], held[chosen])
         self._residuals.setYRange(-span, span, padding=0.0)
@@ -357,7 +361,7 @@ class ScanPlot(QWidget):
         style = {"color": self._colours.text}
         below = self._scan.x_label if self._scan else "aspecular angle θ (°)"
         self._plot.setLabel("left", self._scan.y_label if self._scan else "BSDF (1/sr)", **style)
-        self._residuals.setLabel("left", "residual / u", **style)
+        self._residuals.setLabel("left", "residual / u" if self.height() >= LOW_FOR_TEXT else "res. / u", **style)
         for plot in (self._plot, self._residuals):
             plot.setLabel("bottom", below, **style)
             for name in ("bottom", "left"):
@@ -409,7 +413,7 @@ class LivePlot(QObject):
     def start(self, plan: Plan | None, mark: str) -> None:
         """Clear the plot for the run of a plan, or for none."""
         self._plot.clear(mark)
-        self._map.clear()
+        self._map.clear(mark)
         self._points.begin_run()
         self._alarmed.clear()
         self._unmapped.clear()

@@ -23,8 +23,8 @@ if TYPE_CHECKING:  # the window shows itself before the engine is loaded
     from goniotwin.app.desktop.model.time_left import Wait
 
 START_KEY, PAUSE_KEY, FINISH_KEY = "Ctrl+R", "Ctrl+P", "Ctrl+Shift+F"
-PAUSE, RESUME = "&Pause\nafter row", "Res&ume"
-"""Texts of the button that pauses and resumes."""
+PAUSE, RESUME, FINISH = "&Pause\nafter row", "Res&ume", "Finish\ncu&t"
+"""Texts of the button that pauses and resumes, and of that which ends the run after the cut."""
 SPEEDS = (1.0, 10.0, 20.0, 60.0)
 STOP_KEY = "Ctrl+."
 """Stops at once. Enter and Space never stop, so that a key pressed by accident ends no run."""
@@ -56,7 +56,7 @@ class RunPanel(QWidget):
         self._permissions: Permissions | None = None
         self.start_button = _button("&Start", "Start the run")
         self.pause_button = _button(PAUSE, "Pause the run")
-        self.finish_button = _button("Finish\ncu&t", "Finish the cut and end the run")
+        self.finish_button = _button(FINISH, "Finish the cut and end the run")
         self.stop_button = _button("STOP", "Stop all axes and the run")
         self.stop_button.setToolTip(f"All axes come to rest and the run ends (hold {HOLD_KEY} for a second, or {STOP_KEY})")
         self.stop_button.setSizePolicy(QSizePolicy.Policy.Fixed, QSizePolicy.Policy.Expanding)
@@ -78,10 +78,9 @@ class RunPanel(QWidget):
         self._speed_label = QLabel("Simu&lation speed")
         self._speed_label.setBuddy(self.speeds)
         self.lines = QVBoxLayout()
-        self.left.setWordWrap(True)
         self._bar = QVBoxLayout()
         self._virtual = True
-        self._compact = True  # the window grows from its least size
+        self._compact = self._low = True  # the window grows from its least size
         self._lay_out()
         self.start_button.clicked.connect(self.start)
         self.stop_button.clicked.connect(self.stop)
@@ -97,6 +96,7 @@ class RunPanel(QWidget):
         application.applicationStateChanged.connect(self.release_hold)  # another program may get the release
         self.release_hold()
         self._show_speeds()
+        self._show_texts()
         self.set_colours(colours)
         self.set_progress(0, 0, None)
 
@@ -128,7 +128,7 @@ class RunPanel(QWidget):
         self._continues = idle and bool(self._unfinished) and not permissions.refusals["continue"]
         self._resumes = permissions.resume or self._continues
         self.pause_button.setEnabled(not idle or self._continues)
-        self.pause_button.setText(RESUME if self._resumes else PAUSE)
+        self._show_texts()
         if self._continues:
             what = f"Continue {self._unfinished}"
         elif permissions.resume:
@@ -193,6 +193,19 @@ class RunPanel(QWidget):
             self._compact = compact
             self._show_speeds()
 
+    def set_low(self, low: bool) -> None:
+        """Take less height: one line for each text, the calendar times in the tool tip only."""
+        if low != self._low:
+            self._low = low
+            self.left.setWordWrap(not low)
+            self._show_texts()
+            self._show_left()
+
+    def _show_texts(self) -> None:
+        pause = RESUME if self._resumes else PAUSE
+        self.pause_button.setText(pause.partition("\n")[0] if self._low else pause)
+        self.finish_button.setText(FINISH.replace("\n", " ") if self._low else FINISH)
+
     def _show_speeds(self) -> None:
         self._speed_label.setVisible(self._virtual and not self._compact)
         self.speeds.setVisible(self._virtual)
@@ -218,7 +231,7 @@ class RunPanel(QWidget):
         texts.addLayout(self.lines, 1)
         buttons = QHBoxLayout()
         for each in (self.start_button, self.pause_button, self.finish_button):
-            each.setMinimumWidth(72)
+            each.setMinimumWidth(66)
             each.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
             buttons.addWidget(each)
         speed = QHBoxLayout()
@@ -248,6 +261,10 @@ class RunPanel(QWidget):
         wait = rounded_duration_text(max(seconds, 1.0))
         band = "" if self._wait is None else f" ± {rounded_duration_text(max(self._wait.band, 1.0))}"
         simulated = "" if self._speed == 1.0 else f" ({rounded_duration_text(max(self._left_s, 1.0))} simulated)"
+        self.left.setToolTip(" · ".join(each for each in (simulated.strip(" ()"), self._clock_texts) if each))
+        if self._low:
+            self.left.setText(f"{wait}{band} " + ("to wait" if simulated else "left"))
+            return
         more = f" · {self._clock_texts}" if self._clock_texts else ""
         self.left.setText((f"about {wait}{band} to wait{simulated}" if simulated else f"{wait}{band} left") + more)
 

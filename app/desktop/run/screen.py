@@ -50,6 +50,7 @@ class RunScreen(Screen):
         self.plane.setRange(0, 180 // PLANE_STEP_DEG)
         self.plane.setPageStep(6)
         self.plane.setMinimumWidth(80)
+        self.plane.setMaximumWidth(300)
         self._plane_text = QLabel(SCAN_IN_PROGRESS)
         self._plane_text.setAccessibleName("Plane that is shown")
         self._plane_label = QLabel("Pla&ne")
@@ -63,9 +64,12 @@ class RunScreen(Screen):
         self._place = QWidget()
         self._place.setMinimumHeight(LEAST_PLOT)
         controls = QHBoxLayout()
-        for each in (self._plane_label, self.plane, self._plane_text, self._scale_label, self.scale):
+        for each in (self._plane_label, self.plane, self._plane_text):
             controls.addWidget(each)
         controls.setStretch(1, 1)
+        controls.addStretch(1)
+        for each in (self._scale_label, self.scale):
+            controls.addWidget(each)
         place = QVBoxLayout(self._place)
         place.setContentsMargins(0, 0, 0, 0)
         place.setSpacing(3)

@@ -18,6 +18,7 @@ from goniotwin.app.rig import read_rig
 from goniotwin.twin.optics import from_specular
 from goniotwin.twin.optics.geometry.coordinates import zenith_and_azimuth
 from goniotwin.twin.plant import TwinModel
+from tests.app.campaign.rehearsal.test_rehearsal import real_rig_file
 from tests.conftest import Writer
 
 SETTING = ("satin", 550.0, 30.0, 0.0)
@@ -51,9 +52,9 @@ def test_the_residuals_of_a_rig_as_its_file_says_are_those_of_noise(plan: NewPla
     cuts = [points.add(each) for each in measured(plan, model)]
     assert len(cuts) == len(points.predicted) == 2  # the etalon and the sample
     residuals = np.concatenate([each.residual[np.isfinite(each.residual)] for each in cuts])
-    assert residuals.size > 100
+    assert residuals.size > 60
     assert 0.5 < float(np.std(residuals)) < 1.5
-    assert float(np.mean(np.abs(residuals) > 4.0)) < 0.02
+    assert float(np.max(np.abs(residuals))) < 4.5
     assert all(np.isnan(each.residual[each.scan.points.blocked]).all() for each in cuts)
 
 
@@ -68,10 +69,10 @@ def test_a_sample_of_half_the_reflectance_is_in_alarm(plan: NewPlan, write_rig: 
     assert not by_sample["etalon"].alarms.any()
 
 
-def test_a_rig_file_without_a_twin_has_no_prediction(plan: NewPlan) -> None:
-    rig = replace(plan.rig, file=replace(plan.rig.file, twin=None))
+def test_a_rig_file_without_a_twin_has_no_prediction(write_rig: Writer, write_schedule: Writer) -> None:
+    real = make_plan(read_schedule(write_schedule()), read_rig(real_rig_file(write_rig)))
     with pytest.raises(UserError, match="no \\[twin\\]"):
-        expected_model(replace(plan, rig=rig))
+        expected_model(real)
 
 
 def test_a_worker_makes_the_same_plan_from_its_texts(plan: NewPlan) -> None:
@@ -81,22 +82,22 @@ def test_a_worker_makes_the_same_plan_from_its_texts(plan: NewPlan) -> None:
     assert moved.same == texts.same
 
 
-def test_the_scan_in_progress_comes_first_and_all_scans_in_the_end(plan: NewPlan) -> None:
+def test_the_scan_in_progress_comes_while_rows_do_and_all_scans_in_the_end(plan: NewPlan) -> None:
     model = plan.rig.model()
     assert model is not None
     values, seen = RunValues(PlanTexts.of(plan).plan()), []
     for each in rows_without_wires(plan, model):
         values.add_row(RowCommitted(each.row, each.data, 0, 1_000_000, 0.0))
         if (scan := values.next()) is not None:
-            assert scan.key == values.current
             seen.append(scan.key)
+    assert seen[0] == (("etalon", 550.0, 30.0, 0.0), 0.0)
+    assert values.current == (("gaussian-5", 550.0, 30.0, 0.0), 0.0)
     values.finish()
     ended = set()
     while values.wait_s is not None:
         if (scan := values.next()) is not None and scan.complete:
             ended.add(scan.key)
-    assert ended == set(seen)
-    assert len(ended) == 2
+    assert ended == {seen[0], values.current}
 
 
 def points_at(theta: np.ndarray, phi: np.ndarray, transmitted: np.ndarray | None = None) -> ScanPoints:

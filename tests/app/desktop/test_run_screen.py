@@ -1,0 +1,111 @@
+"""The plots of the run screen: prediction, residual, alarm, scales, cursor, hemisphere."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PySide6.QtCore import Qt
+from pytestqt.qtbot import QtBot
+
+from goniotwin.app.desktop.model.run_points import MapPoints, match
+from goniotwin.app.desktop.run.axes import SCALES, ValueAxis, transform
+from goniotwin.app.desktop.run.hemisphere import HemisphereMap
+from goniotwin.app.desktop.run.live_plot import ScanPlot
+from goniotwin.app.desktop.theme import LIGHT
+from tests.app.desktop.test_live_scan import scan_data
+
+KEY = (("satin", 550.0, 30.0, 0.0), 0.0)
+
+
+@pytest.fixture
+def plot(qtbot: QtBot) -> ScanPlot:
+    plot = ScanPlot(LIGHT)
+    qtbot.addWidget(plot)
+    plot.resize(500, 400)
+    plot.show()
+    return plot
+
+
+def show(plot: ScanPlot, values: list[float], expected: list[float]) -> None:
+    """Show values with a u of 0.01 beside expected ones."""
+    here, there = (scan_data(each, [0.01] * len(each), [False] * len(each)) for each in (values, expected))
+    here, there = (replace(each, y_label="BSDF (1/sr)", key=KEY) for each in (here, there))
+    plot.show_cut(match(here, there))
+
+
+def test_a_residual_beyond_4_u_is_marked_and_named(plot: ScanPlot) -> None:
+    show(plot, [1.0, 1.02, 0.95], [1.0, 1.0, 1.0])
+    assert plot.alarms == 1
+    assert "□\u00a01 residual above 4 u" in plot.summary
+    assert "predicted ± 2 u" in plot.summary
+    good, alarmed = (item.getData() for item in plot._residual_items)
+    assert good[1] == pytest.approx([0.0, 2.0])
+    assert alarmed[0].tolist() == [2.0]
+    assert -5.0 <= alarmed[1][0] <= -4.0
+    assert plot._residuals.isVisible()
+    plot.show_scan(scan_data([1.0], [0.01], [False]))
+    assert not plot._residuals.isVisible()
+    assert plot.alarms == 0
+
+
+def test_the_cursor_reads_a_value_by_mouse_or_by_arrow_keys(qtbot: QtBot, plot: ScanPlot) -> None:
+    show(plot, [1.0, 1.02, 0.95], [1.0, 1.0, 1.0])
+    for _ in range(3):
+        qtbot.keyClick(plot._view, Qt.Key.Key_Right)
+    assert plot.reading.startswith("2.00°: 0.95 ± 0.01 1/sr (u), predicted 1, residual -5.0 u")
+    assert plot.reading.endswith("✗ ALARM")
+    qtbot.keyClick(plot._view, Qt.Key.Key_Left)
+    assert plot.reading.startswith("1.00°: 1.02")
+    assert "ALARM" not in plot.reading
+
+
+@pytest.mark.parametrize("scale", SCALES)
+def test_each_scale_shows_all_values_and_the_values_at_its_ticks(plot: ScanPlot, scale: str) -> None:
+    plot.set_scale(next(each for each in SCALES if each == scale))
+    show(plot, [1.0, 100.0, -0.5], [1.0, 100.0, 0.0])
+    plot.grab()
+    assert sum(len(x) for x, _y in plot.marks().values()) == 3
+    axis = plot._values_axis
+    (texts, *_more) = axis.tickValues(*plot._plot.viewRange()[1], 300.0)
+    assert len(texts[1]) >= 3
+    assert len(set(axis.tickStrings(texts[1], 1.0, 1.0))) == len(texts[1])
+
+
+def test_a_symmetric_scale_has_zero_and_both_signs() -> None:
+    axis = ValueAxis()
+    axis.set_value_scale("symlog", 1e-3)
+    low, high = transform(np.array([-1.0, 100.0]), "symlog", 1e-3)
+    ticks = axis.tickValues(low, high, 400.0)[0][1]
+    texts = axis.tickStrings(ticks, 1.0, 1.0)
+    assert "0" in texts
+    assert {"-1", "100"} & set(texts)
+    assert ticks == sorted(ticks)
+
+
+def points(zenith: list[float], azimuth: list[float], values: list[float], alarms: list[bool] | None = None) -> MapPoints:
+    return MapPoints(np.array(zenith), np.array(azimuth), np.array(values), np.array(alarms or [False] * len(values)))
+
+
+def test_the_hemisphere_fills_where_a_direction_is(qtbot: QtBot) -> None:
+    shown = HemisphereMap(LIGHT)
+    qtbot.addWidget(shown)
+    shown.begin(KEY[0], points([], [], []))
+    assert shown.filled == 0
+    some = points([30.0, 60.0], [180.0, 0.0], [10.0, 0.1], [True, False])
+    shown.stamp(some)
+    shown.show_points(some, 40)
+    rows, columns = np.nonzero(np.isfinite(shown._logs))
+    middle = shown._logs.shape[0] / 2
+    left, right = columns < middle, columns > middle
+    assert left.any()
+    assert right.any()
+    assert np.abs(rows - middle).max() < 10  # in the plane of incidence
+    assert set(np.unique(shown._logs[rows[left], columns[left]])) == {np.float32(1.0)}
+    assert "2 of 40 directions" in shown.summary
+    assert "highest 10 at zenith 30°, azimuth 180°" in shown.summary
+    assert "1 in alarm" in shown.summary
+    shown.show_plane(0.0, None)
+    shown.show_plane(None, 45.0)
+    shown.grab()
+    shown.clear()
+    assert shown.filled == 0
