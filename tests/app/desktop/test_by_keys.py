@@ -33,7 +33,7 @@ def answer(qtbot: QtBot, question: str, choice: str) -> None:
 def test_bench_run_and_resume_by_keys(
     qtbot: QtBot, open_window: WindowOpener, write_schedule: Writer, journals: Path, stations: LocalStations
 ) -> None:
-    open_window(schedule=write_schedule(text=SMALL.replace("[0, 1]", "[0, 1, 2, 3]")), speed=100.0)
+    open_window(schedule=write_schedule(text=SMALL.replace("[0, 1]", "[0, 1, 2, 3]")), speed=20.0)
     wait_for(qtbot, "Ready to start.")
     press("Ctrl+1")
     wait_for(qtbot, "Ports", "Disk")
@@ -47,6 +47,8 @@ def test_bench_run_and_resume_by_keys(
     tab_to("Read all photodiodes once")
     press("Space")
     wait_for(qtbot, "Mean of 4: 36 photodiodes")
+    press("Alt+L", "End")
+    wait_for(qtbot, "Simulation speed: 60×")
     press("Alt+S")
     answer(qtbot, "Mount etalon", "Wait")
     wait_for(qtbot, "The run waits for an answer: Mount etalon")
