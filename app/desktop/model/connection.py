@@ -8,7 +8,6 @@ thread that calls it, before anything else.
 import contextlib
 import hashlib
 import queue
-import sqlite3
 import threading
 from collections.abc import Callable
 from concurrent.futures import Future, wait

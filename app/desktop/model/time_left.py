@@ -135,5 +135,5 @@ class TimeLeft:
 
 def _variance(block: Floats) -> float:
     """Least variance of the duration of rows, s^2: of their estimated duration in real time, and their number."""
-    seconds, rows = block.tolist()
+    seconds, rows = float(block[0]), float(block[1])
     return rows * ROW_U_S**2 + (RELATIVE_U * seconds) ** 2 / max(rows, 1.0)

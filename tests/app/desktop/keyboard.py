@@ -16,7 +16,7 @@ MOST_TABS, MOST_ROWS = 100, 30
 def press(*keys: str) -> None:
     """Press and release keys or combinations (`Tab`, `Alt+S`, `Ctrl+.`) where the focus is."""
     for key in keys:
-        pressed = QKeySequence(key)[0]
+        pressed = QKeySequence(key)[0]  # type: ignore[index]  # PySide's stubs do not know the operator
         QTest.keyClick(_focus(), pressed.key(), pressed.keyboardModifiers())
 
 
@@ -100,4 +100,5 @@ def _focus() -> QWidget:
         shown[-1].activateWindow()
         assert QTest.qWaitForWindowActive(shown[-1]), "no window of the program is active"
         active = shown[-1]
-    return active.focusWidget() or active
+    focused: QWidget | None = active.focusWidget()
+    return active if focused is None else focused
