@@ -9,9 +9,9 @@ from goniotwin.app.station.station import Station
 adopt = Station.adopt
 
 
-def adopt_with_plug(station: Station, opened: OpenRig, description: RigDescription) -> None:
+def adopt_with_plug(self: Station, opened: OpenRig, description: RigDescription) -> None:
     """Let signals pull and put the plug from the opening of the rig on."""
-    adopt(station, opened, description)
+    adopt(self, opened, description)
     virtual = opened.virtual
     assert virtual is not None
 

@@ -125,7 +125,7 @@ def test_an_operators_night(
     window = open_window(*arguments)
     done = window.wait_for_rows(campaign_summary(journal).rows)
 
-    # The station is killed: the window says so, nothing is lost, and one key goes on with a new one.
+    # The station is killed: the window shows it, nothing is lost, and one key goes on with a new one.
     assert known_stations()[path].pid == station.pid
     os.kill(station.pid, signal.SIGKILL)
     window.wait_for("The station has ended during the run", "rows are kept in small-001.journal", "the shutter may be open")

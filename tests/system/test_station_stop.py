@@ -1,6 +1,6 @@
 """Stop through a station in another process: from the key to the stop frames at the devices, in real time.
 
-The devices are served by this process, so that press and frames have one clock; a window in a third process tells the calendar
+The devices are served by this process, so that press and frames have one clock; a window in a third process gives the calendar
 time of its key. Attached is also a client that never reads.
 """
 

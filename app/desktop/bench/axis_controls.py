@@ -13,7 +13,7 @@ if TYPE_CHECKING:  # the window shows itself before the drivers are loaded
     from goniotwin.drivers import AxisDescription
 
 FARTHEST_DEG = 9999.0
-"""Angles that can be entered: beyond any limits, so that a refusal can say why."""
+"""Angles that can be entered: beyond any limits, so that a refusal can give the reason."""
 ARRIVED_DEG = 0.02
 """A jog starts at the last target if the axis is no farther from it than this: steps then add up without an error."""
 BEYOND = 0.05
@@ -175,8 +175,8 @@ class AxisControls(QWidget):
         self._upper.setSpacing(4 if one_line else 8)
         for part in (self._name, self.position, self.bar):
             self._upper.addWidget(part, 1 if part is self.bar else 0)
-        for part in self.controls:
-            (self._upper if one_line else self._lower).addWidget(part, 1 if part is self.target else 0)
+        for control in self.controls:
+            (self._upper if one_line else self._lower).addWidget(control, 1 if control is self.target else 0)
 
     def set_settings(self, settings: "AxisDescription | None") -> None:
         """Take the table of the axis in the rig file."""

@@ -428,8 +428,8 @@ def mixed(first: str, second: str, share: float) -> QColor:
     """A colour between two."""
     one, other = QColor(first), QColor(second)
     share = min(max(share, 0.0), 1.0)
-    parts = [round(a + share * (b - a)) for a, b in zip(one.getRgb()[:3], other.getRgb()[:3], strict=True)]
-    return QColor(*parts)
+    ends = ((one.red(), other.red()), (one.green(), other.green()), (one.blue(), other.blue()))
+    return QColor(*(round(a + share * (b - a)) for a, b in ends))
 
 
 def plain(text: str) -> str:

@@ -218,7 +218,7 @@ class BenchScreen(Screen):
             self._show_reading(snapshot.reading)
 
     def set_refusals(self, refusals: dict[str, str]) -> None:
-        """Disable what the station refuses now, and say why."""
+        """Disable what the station refuses now, and give the reason."""
         self._refusals = refusals
         self._show()
 
@@ -341,8 +341,10 @@ class BenchScreen(Screen):
     def set_colours(self, colours: Colours) -> None:
         """Take the colours of a scheme."""
         super().set_colours(colours)
-        for each in (*self.axes.values(), self.instrument, self.bars, self.trend):
-            each.set_colours(colours)
+        for controls in self.axes.values():
+            controls.set_colours(colours)
+        for view in (self.instrument, self.bars, self.trend):
+            view.set_colours(colours)
         self._show_status()
 
     def shut_down(self) -> None:

@@ -28,7 +28,7 @@ if TYPE_CHECKING:  # the window shows itself before the engine is loaded
 
 COLUMNS = ("campaign", "state", "rows", "left", "begun", "kind", "file")
 MARKS = {"done": "✓", "running": "▶", "failed": "✗", "killed": "✗", "stopped": "■", "empty": "○"}
-"""A mark of each state beside its word, for eyes that do not tell the colours."""
+"""A mark of each state beside its word, for eyes that do not see the colours."""
 EXPORTS = "Measured points (*.csv);;Table (*.ddr);;Archive (*.h5)"
 
 
@@ -120,7 +120,7 @@ class CampaignsScreen(Screen):
 
     @property
     def about(self) -> str:
-        """What is said of the chosen campaign."""
+        """What is known of the chosen campaign."""
         return self._about.text()
 
     @Slot(object)
@@ -132,7 +132,7 @@ class CampaignsScreen(Screen):
             self.refresh_wanted.emit()
 
     def set_resume(self, refusal: str) -> None:
-        """Allow resuming, or say why it is not possible now."""
+        """Allow resuming, or give the reason why it is not possible now."""
         if refusal != self._no_resume:
             self._no_resume = refusal
             self._show_chosen()

@@ -32,7 +32,7 @@ def permissions(
     """The permissions for a station, a plan (or the reason why there is none), and the state that the window shows.
 
     `opening` is True while a rig is being opened; `operates` False while another client has the place of the operator. After
-    the station was `lost`, Stop is enabled: it says that it does not get through.
+    the station was `lost`, Stop is enabled: its answer is that it does not get through.
     """
     refusals = allowed(station)
     if not operates:

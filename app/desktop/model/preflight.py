@@ -58,8 +58,8 @@ class Facts:
     its last reading; `warm_percent` the change in ten minutes that is accepted. `dark_age_s` is the age of the last dark
     reading, `dark_every_s` the greatest one of the schedule; `speed` the simulation speed. `drift` is what the last drift check
     found, `drift_beyond` whether that is beyond its limit, `drift_planned` whether the schedule has any. `certificate` is the
-    name of the etalon's certificate, `expires` its last day, `accepted_by` who accepts it after that; `calibrated` the day of
-    the calibration. `free_bytes` is the room in the `folder` of data files, `needed_bytes` what the run takes.
+    name of the etalon's certificate, `expires` its last day, `accepted_by` the person for the time after;
+    `calibrated` the day of the calibration. `free_bytes` is the room in the `folder` of data files, `needed_bytes` what the run takes.
     """
 
     today: date
@@ -209,7 +209,7 @@ def _certificate(facts: Facts) -> Check:
         found = f"{which}expired on {facts.expires}, {_days(-left)} ago"
         if facts.accepted_by:
             return Check(name, Outcome.LOOK, f"{found}; accepted by {facts.accepted_by}", "have it calibrated again")
-        return Check(name, Outcome.BAD, found, "have it calibrated again, or name who accepts it in [certificate]")
+        return Check(name, Outcome.BAD, found, "have it calibrated again, or name a responsible person in [certificate]")
     found = f"{which}valid until {facts.expires}, {_days(left)} from now"
     return Check(name, Outcome.LOOK if left < SOON_DAYS else Outcome.GOOD, found, "have it renewed" if left < SOON_DAYS else "")
 

@@ -89,7 +89,7 @@ class RunPoints:
         points = join(*(each.scan.points for each in cuts))
         x, near = _in_plane(points, phi_deg)
         order = np.flatnonzero(near)[np.argsort(x[near], kind="stable")]
-        columns = [np.concatenate([getattr(each, name) for each in cuts])[order] for name in MATCHED]
+        expected, u, residual = (np.concatenate([getattr(each, name) for each in cuts])[order] for name in MATCHED)
         lines = [each.line for each in cuts if each.line is not None]
         planned = [each.points for key, each in self.predicted.items() if key[0] == setting and each.is_bsdf == latest.is_bsdf]
         line = None
@@ -108,7 +108,7 @@ class RunPoints:
         if shown.size:
             low, high = float(shown.min()), float(shown.max())
             scan = ScanData(**{**vars(scan), "range_deg": (low, max(high, low + 1.0))})
-        return Cut(scan, *columns, line)
+        return Cut(scan, expected, u, residual, line)
 
     def hemisphere(self, setting: Setting, transmitted: bool) -> MapPoints:
         """The measured points of a setting on one side of the sample."""

@@ -143,6 +143,7 @@ class RunValues:
     def next(self) -> ScanData | None:
         """A scan as it is now; None if there is nothing to do yet. Raises UserError."""
         now = self._clock.now()
+        key: ScanKey | None
         if self.current in self._stale and now >= self._due:
             key, self._due = self.current, now + SCAN_EVERY_S
         else:

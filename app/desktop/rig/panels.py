@@ -101,7 +101,7 @@ class DevicesPanel(QGroupBox):
             self._show()
 
     def set_refusal(self, reason: str) -> None:
-        """Disable the buttons, and say why; an empty reason enables them."""
+        """Disable the buttons, and give the reason; an empty reason enables them."""
         self._refusal = reason
         self._show()
 

@@ -138,7 +138,7 @@ class RigScreen(Screen):
         self.devices.set_errors(self.facts.last_errors)
 
     def set_refusals(self, refusals: dict[str, str]) -> None:
-        """Disable what the station refuses now, and say why."""
+        """Disable what the station refuses now, and give the reason."""
         self.devices.set_refusal(refusals["connect"])
 
     @Slot()

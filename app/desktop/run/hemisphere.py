@@ -274,7 +274,7 @@ class HemisphereMap(QWidget):
 
 
 LOW = 270
-"""Height in logical pixels below which the text is left out."""
+"""Height in logical pixels below which the text is omitted."""
 NEAR = 0.06
 """Distance of the mouse from a point whose value is shown, with the radius of the horizon as the unit."""
 

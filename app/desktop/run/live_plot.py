@@ -36,7 +36,7 @@ REDRAW_MS = 100
 """Shortest time between two repaints, at any rate of rows."""
 POINT_SIZE = 7
 LOW, LOW_FOR_TEXT = 190, 270
-"""Heights in logical pixels below which the residuals and the cursor's value, and the text of the plot, are left out. The text
+"""Heights in logical pixels below which the residuals and the cursor's value, and the text of the plot, are omitted. The text
 is the plot's tool tip too.
 """
 RESIDUAL_HEIGHT, RESIDUAL_SHARE = 110.0, 0.38
@@ -529,7 +529,7 @@ def _threshold(points: ScanPoints) -> float:
     if not known.any():
         return 1e-6
     least = DETECTED * float(np.percentile(points.u_values[known], 10))
-    return 10.0 ** np.floor(np.log10(max(least, 1e-12)))
+    return float(10.0 ** np.floor(np.log10(max(least, 1e-12))))
 
 
 def _reading_text(cut: Cut, index: int) -> str:

@@ -68,8 +68,8 @@ class RunScreen(Screen):
             controls.addWidget(each)
         controls.setStretch(1, 1)
         controls.addStretch(1)
-        for each in (self._scale_label, self.scale):
-            controls.addWidget(each)
+        controls.addWidget(self._scale_label)
+        controls.addWidget(self.scale)
         place = QVBoxLayout(self._place)
         place.setContentsMargins(0, 0, 0, 0)
         place.setSpacing(3)

@@ -1,4 +1,4 @@
-"""A person at the window who has a keyboard only: what is to be read, and keys to the widget that has the focus."""
+"""A person at the window with a keyboard only: what is to be read, and keys to the widget that has the focus."""
 
 import html
 import re
@@ -80,7 +80,7 @@ def _texts(widget: QWidget) -> list[str]:
             return [_row(widget, row) for row in range(min(widget.model().rowCount(), MOST_ROWS))]
         case QMenuBar():
             return []
-        case _:  # a plot or a picture: what a screen reader is told
+        case _:  # a plot or a picture: what a screen reader has of it
             return [widget.accessibleDescription()]
 
 

@@ -124,7 +124,7 @@ def test_steps_of_a_jog_add_up(desk: Desk) -> None:
     assert sigma.position.text() == "0.20°"
 
 
-def test_a_refused_move_says_why_and_moves_nothing(desk: Desk) -> None:
+def test_a_refused_move_gives_its_reason_and_moves_nothing(desk: Desk) -> None:
     desk.go("sigma", "200")
     assert "✗ sigma: move to 200 deg: outside its soft limits 0 to 180 deg" in desk.bench.status.text()
     assert desk.bench.axes["sigma"].position.text() == "0.00°"
@@ -184,12 +184,10 @@ def test_a_reading_has_a_bar_for_each_photodiode(desk: Desk) -> None:
 def test_live_readings_go_on_until_they_are_switched_off(desk: Desk) -> None:
     light = desk.bench.light
     light.live.click()
-    assert desk.station.snapshot.bench.live
-    assert light.live.isChecked()
+    assert (desk.station.snapshot.bench.live, light.live.isChecked()) == (True, True)
     assert desk.bench.status.text() == "Live readings."
     light.live.click()
-    assert not desk.station.snapshot.bench.live
-    assert not light.live.isChecked()
+    assert (desk.station.snapshot.bench.live, light.live.isChecked()) == (False, False)
 
 
 def test_during_a_run_the_bench_only_shows(desk: Desk) -> None:

@@ -37,6 +37,12 @@ def killed(plan: NewPlan, path: Path, rows: int) -> None:
             journal.commit(each.row, each.data)
 
 
+def cell(screen: CampaignsScreen, row: int, column: int) -> str:
+    item = screen.table.item(row, column)
+    assert item is not None
+    return item.text()
+
+
 def test_the_folder_is_listed_with_what_cannot_be_read(plan: NewPlan, tmp_path: Path, qtbot: QtBot) -> None:
     killed(plan, tmp_path / "a.journal", 4)
     run_without_wires(plan, tmp_path / "b.journal")
@@ -53,7 +59,7 @@ def test_the_folder_is_listed_with_what_cannot_be_read(plan: NewPlan, tmp_path: 
     screen = CampaignsScreen(LIGHT)
     qtbot.addWidget(screen)
     screen.show_campaigns(listed)
-    shown = [[screen.table.item(row, column).text() for column in range(6)] for row in range(2)]
+    shown = [[cell(screen, row, column) for column in range(6)] for row in range(2)]
     assert ["✗ killed", f"4 of {ROWS}"] in [each[1:3] for each in shown]
     assert all(each[5] == "SIMULATED" for each in shown)
     row = next(number for number, each in enumerate(shown) if "killed" in each[1])
@@ -91,4 +97,4 @@ def test_an_unfinished_campaign_of_the_schedule_is_resumed_with_the_key_of_pause
         assert journal.row_counts() == (ROWS, ROWS)
     qtbot.waitUntil(lambda: button.text() == PAUSE and not button.isEnabled(), timeout=READY_MS)
     screen = window.view.screen_of(CampaignsScreen)
-    qtbot.waitUntil(lambda: screen.table.rowCount() == 1 and "done" in screen.table.item(0, 1).text(), timeout=READY_MS)
+    qtbot.waitUntil(lambda: screen.table.rowCount() == 1 and "done" in cell(screen, 0, 1), timeout=READY_MS)

@@ -71,7 +71,7 @@ def counts(rig: RigFile, steps: dict[int, float]) -> list[float]:
     return [rig.photodiodes.range.zero + steps.get(channel, 0.0) for channel in range(PHOTODIODES)]
 
 
-def test_bars_tell_light_dark_and_saturation_apart(rig: RigFile) -> None:
+def test_bars_of_light_dark_and_saturation_differ(rig: RigFile) -> None:
     readings = BenchReadings(rig)
     saturated = [channel == 7 for channel in range(PHOTODIODES)]
     bars = readings.bars(counts(rig, {3: 5.0, 4: 4.0, 5: -100.0, 7: 30_000.0, 20: 1000.0}), saturated, 1e8, 2.5)

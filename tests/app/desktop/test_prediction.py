@@ -42,7 +42,7 @@ def plan(write_rig: Writer, write_schedule: Writer) -> NewPlan:
     return make_plan(read_schedule(write_schedule()), read_rig(write_rig()))
 
 
-def test_the_residuals_of_a_rig_as_its_file_says_are_those_of_noise(plan: NewPlan) -> None:
+def test_the_residuals_of_a_rig_as_in_its_file_are_those_of_noise(plan: NewPlan) -> None:
     model = plan.rig.model()
     assert model is not None
     points = RunPoints()

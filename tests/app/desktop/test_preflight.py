@@ -73,7 +73,7 @@ def test_nothing_is_known_and_nothing_is_called_good() -> None:
         ("Disk", {"free_bytes": None}, "bad", "/data: cannot be looked at", "another folder"),
     ],
 )  # fmt: skip
-def test_a_check_says_what_is_found_and_what_to_do(
+def test_a_check_states_what_is_found_and_what_to_do(
     name: str, changes: dict[str, object], outcome: str, found: str, remedy: str
 ) -> None:
     (check,) = [each for each in preflight(replace(READY, **changes)) if each.name == name]  # type: ignore[arg-type]

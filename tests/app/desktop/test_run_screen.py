@@ -66,7 +66,8 @@ def test_each_scale_shows_all_values_and_the_values_at_its_ticks(plot: ScanPlot,
     plot.grab()
     assert sum(len(x) for x, _y in plot.marks().values()) == 3
     axis = plot._values_axis
-    (texts, *_more) = axis.tickValues(*plot._plot.viewRange()[1], 300.0)
+    low, high = plot._plot.viewRange()[1]
+    (texts, *_more) = axis.tickValues(low, high, 300.0)
     assert len(texts[1]) >= 3
     assert len(set(axis.tickStrings(texts[1], 1.0, 1.0))) == len(texts[1])
 
