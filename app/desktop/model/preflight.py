@@ -59,7 +59,8 @@ class Facts:
     reading, `dark_every_s` the greatest one of the schedule; `speed` the simulation speed. `drift` is what the last drift check
     found, `drift_beyond` whether that is beyond its limit, `drift_planned` whether the schedule has any. `certificate` is the
     name of the etalon's certificate, `expires` its last day, `accepted_by` the person for the time after;
-    `calibrated` the day of the calibration. `free_bytes` is the room in the `folder` of data files, `needed_bytes` what the run takes.
+    `calibrated` the day of the calibration. `free_bytes` is the room in the `folder` of data files, `needed_bytes` what the run
+    takes.
     """
 
     today: date
