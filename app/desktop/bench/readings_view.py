@@ -33,7 +33,7 @@ class SignalBars(QWidget):
         self._bars: Bars | None = None
         self._blocked: frozenset[int] = frozenset()
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
-        self.setMinimumSize(180, 96)
+        self.setMinimumSize(170, 96)
         self.setAccessibleName("Signals of the photodiodes")
         self.set_bars(None)
 
@@ -169,7 +169,7 @@ class MonitorTrend(QWidget):
         self._colours = colours
         self._trace: WarmUpTrace | None = None
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Preferred)
-        self.setMinimumSize(180, 64)
+        self.setMinimumSize(170, 64)
         self.setAccessibleName("Trend of the monitor")
         self.set_trace(None)
 

@@ -78,7 +78,8 @@ def shown(qtbot: QtBot, window: MainWindow) -> MainWindow:
 def each_screen(window: MainWindow) -> Iterator[Screen]:
     for number, screen in enumerate(window.view.screens):
         window.view.show_screen(number)
-        QApplication.processEvents()
+        for _ in range(3):  # a screen follows its room, and the room the screen's scroll bars
+            QApplication.processEvents()
         yield screen
 
 
