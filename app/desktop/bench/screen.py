@@ -26,7 +26,7 @@ SET_POSITION, CANCEL = "Set position", "Cancel"
 CONTROLS_WIDTH = 332
 QWIDGETSIZE_MAX = (1 << 24) - 1
 """Qt's width of a widget that has no greatest one."""
-WIDE, HIGH = 640, 372
+WIDE, HIGH = 624, 372
 """Size of a room from which on all parts are shown at once."""
 COMMANDS = ("move", "home", "set_position", "wavelength", "shutter", "gain", "mount", "read", "live")
 NO_RIG = "no rig is open"
