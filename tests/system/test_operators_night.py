@@ -82,6 +82,8 @@ def test_an_operators_night(
     window.press(BENCH, "Alt+J", "End")
     window.choose("Jog sigma up")
     window.wait_for("σ 30.00°", READY)
+    window.choose("Open the shutter")
+    window.wait_for("[Close]", READY)
     window.choose("Read all photodiodes once")
     window.wait_for("Mean of 4: 36 photodiodes")
 
