@@ -67,8 +67,10 @@ class Choice:
 
 def parse_wavelength(text: str | None) -> float | Literal["all"] | None:
     """The choice of a wavelength in words: a number of nm, or "all". Raises UserError."""
-    if text is None or text == "all":
-        return text  # type: ignore[return-value]
+    if text is None:
+        return None
+    if text == "all":
+        return "all"
     try:
         return parse_number(text.strip().removesuffix("nm").strip())
     except NotANumber:

@@ -106,7 +106,12 @@ def _goes_round(angles_deg: Floats) -> bool:
     """Whether a list without 0 and 360 goes round the whole turn."""
     if angles_deg.size < 3 or angles_deg[0] <= 0.0 or angles_deg[-1] >= 360.0:
         return False
-    return bool(360.0 - angles_deg[-1] + angles_deg[0] <= min(WIDEST * np.diff(angles_deg).max(), WIDEST_DEG))
+    return is_whole_turn(angles_deg) and bool(360.0 - angles_deg[-1] + angles_deg[0] <= WIDEST_DEG)
+
+
+def is_whole_turn(angles_deg: Floats) -> bool:
+    """Whether azimuths (n,), at least two, go round: the step from the last to the first is hardly wider than the others."""
+    return bool(360.0 - angles_deg[-1] + angles_deg[0] <= WIDEST * np.diff(angles_deg).max())
 
 
 def _with_ends(table: BsdfTable, name: str, angles_deg: Floats) -> BsdfTable:

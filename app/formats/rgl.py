@@ -25,6 +25,7 @@ import numpy as np
 import numpy.typing as npt
 
 from goniotwin.app.formats.content import BsdfFile
+from goniotwin.app.formats.coverage import is_whole_turn
 from goniotwin.app.formats.file import FormatError, StrPath, name_file, open_file, quote_word, write_file
 from goniotwin.app.formats.table import BsdfTable
 from goniotwin.arrays import Flags, Floats, Ints
@@ -149,11 +150,9 @@ def _writable(path: Path, content: BsdfFile) -> BsdfTable:
     if table.colours:
         wrong = f"an rgl file holds wavelengths, not the colours {', '.join(table.colours)}"
         raise FormatError(path, wrong, "write a spectral or a grey table")
-    if table.psi_deg.size > 1:
-        inner, outer = float(np.diff(table.psi_deg).max()), TURN_DEG - float(table.psi_deg[-1] - table.psi_deg[0])
-        if outer > 1.5 * inner:
-            wrong = f"its azimuths of the light, {table.psi_deg[0]:g} to {table.psi_deg[-1]:g} deg, are not a whole turn"
-            raise FormatError(path, wrong, "write a table with all of them; an rgl file here has no symmetry")
+    if table.psi_deg.size > 1 and not is_whole_turn(table.psi_deg):
+        wrong = f"its azimuths of the light, {table.psi_deg[0]:g} to {table.psi_deg[-1]:g} deg, are not a whole turn"
+        raise FormatError(path, wrong, "write a table with all of them; an rgl file here has no symmetry")
     psi = 1 if table.psi_deg.size == 1 else _azimuths_to_write(table.psi_deg).size
     if table.values.shape[0] * psi * table.sigma_deg.size * SIDES[0] ** 2 > MOST_NODES:
         wrong = f"the {table.values.shape[0]} wavelengths at {table.sigma_deg.size} sigmas are too many for an rgl file"
