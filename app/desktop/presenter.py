@@ -246,7 +246,7 @@ class Presenter(QObject):
             case CommandRefused(command, reason):
                 self._view.show_status(f"Not done: {command}: {reason}", error=True)
             case ActivityChanged(activity, error):
-                self._show_activity(activity, error)
+                self._show_activity(before.activity, activity, error)
             case StopReport():
                 self._show_stop(message)
             case SpeedChanged(speed):
@@ -330,13 +330,15 @@ class Presenter(QObject):
         elif self._view.notice.action == "operate":
             self._view.notice.clear()
 
-    def _show_activity(self, activity: str, error: str) -> None:
+    def _show_activity(self, before: str, activity: str, error: str) -> None:
         if activity:
             self._view.show_status(f"{activity[0].upper()}{activity[1:]} …")
         elif error:
             self._view.show_status(error, error=error != "stopped")
             if error != "stopped":
                 self._log(error, serious=True)
+        elif before:
+            self._view.show_status(f"Done: {before}.")
 
     def _show_stop(self, report: StopReport) -> None:
         if report.lost:

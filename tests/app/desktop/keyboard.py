@@ -11,6 +11,7 @@ from PySide6.QtWidgets import QAbstractButton, QApplication, QComboBox, QLabel, 
 from goniotwin.protocols.clock import calendar_s
 
 MOST_TABS, MOST_ROWS = 100, 30
+LOOK_MS, LOOKS = 10, 500
 
 
 def press(*keys: str) -> None:
@@ -98,7 +99,13 @@ def _focus() -> QWidget:
         shown = [each for each in QApplication.topLevelWidgets() if each.isVisible() and each.isWindow()]
         assert shown, "no window is shown"
         shown[-1].activateWindow()
-        assert QTest.qWaitForWindowActive(shown[-1]), "no window of the program is active"
+        # Qt's qWaitForWindowActive takes the hidden child that had the focus before for an active window.
+        for _ in range(LOOKS):
+            if QApplication.activeWindow() is shown[-1]:
+                break
+            QTest.qWait(LOOK_MS)
+        else:
+            raise AssertionError("no window of the program is active")
         active = shown[-1]
     focused: QWidget | None = active.focusWidget()
     return active if focused is None else focused
