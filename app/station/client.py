@@ -16,7 +16,7 @@ ANSWER_S = 10.0
 
 
 class Refused(UserError):
-    """A command that the station has refused; the message is its reason."""
+    """A command, or a client, that the station has refused; the message is its reason."""
 
 
 class NoStation(UserError):
@@ -38,26 +38,22 @@ class StationClient:
         on_event: Callable[[Message], None] = lambda _: None,
         on_end: Callable[[], None] = lambda: None,
     ) -> None:
-        """Attach. Raises NoStation where nothing answers as a station with this token does, TimeoutError where it is silent."""
+        """Attach. Raises NoStation where nothing answers as a station with this token does, TimeoutError where it is silent.
+
+        Raises Refused where the station takes no more clients, or is of another version.
+        """
         try:
             self._channel: Channel = connect(port, token, ANSWER_S, client=name)
+            with contextlib.ExitStack() as otherwise:
+                otherwise.callback(self._channel.close)
+                first = self._channel.receive(ANSWER_S) or {}
+                self.snapshot = _snapshot_of(first, port)
+                otherwise.pop_all()
         except TimeoutError:
             raise
         except OSError as error:
             raise NoStation(f"no station answers at port {port}: {error.strerror or error}") from None
-        try:
-            first = self._channel.receive(ANSWER_S)
-            content = first.get("snapshot") if first is not None and first.get("protocol") == PROTOCOL else None
-            snapshot = decode(content) if isinstance(content, dict) else None
-            if first is None or not isinstance(snapshot, Snapshot):
-                raise NoStation(f"what answers at port {port} is no station with this token")
-        except (NoStation, ValueError, OSError) as error:
-            self._channel.close()
-            if isinstance(error, NoStation | TimeoutError):
-                raise
-            raise NoStation(f"what answers at port {port} is no station of this version: {error}") from None
         self._channel.wait_without_limit()
-        self.snapshot = snapshot
         self.name = str(first.get("client", name))
         self.dropped = str(first.get("dropped", ""))
         self.ended = False
@@ -88,10 +84,9 @@ class StationClient:
             with self._sending:
                 self._channel.send({"do": command, "id": number, **arguments})
         except OSError as error:
-            self._waiting.pop(number, None)
-            future.set_exception(NoStation(f"{command}: the station does not answer: {error.strerror or error}"))
-        if self.ended and self._waiting.pop(number, None) is not None:  # it ended in between
-            future.set_exception(NoStation(f"{command}: the station has ended"))
+            self._fail(number, f"{command}: the station does not answer: {error.strerror or error}")
+        if self.ended:  # in between
+            self._fail(number, f"{command}: the station has ended")
         return future
 
     def do(self, command: str, **arguments: Any) -> dict[str, Any]:
@@ -106,15 +101,21 @@ class StationClient:
         self._channel.close()
 
     def _read(self) -> None:
-        with contextlib.suppress(OSError, ValueError):
-            while (line := self._channel.receive()) is not None:
-                self._take(line)
-        self.ended = True
-        self._channel.close()
-        for number in list(self._waiting):
-            if (waiting := self._waiting.pop(number, None)) is not None:
-                waiting[0].set_exception(NoStation("the station has ended"))
-        self._on_end()
+        try:
+            with contextlib.suppress(OSError, ValueError):  # a broken connection, an event that this version cannot read
+                while (line := self._channel.receive()) is not None:
+                    self._take(line)
+        finally:
+            self.ended = True
+            self._channel.close()
+            for number in list(self._waiting):
+                self._fail(number, "the station has ended")
+            self._on_end()
+
+    def _fail(self, number: int, reason: str) -> None:
+        """Give up a command, unless it has been answered or given up in another thread."""
+        if (waiting := self._waiting.pop(number, None)) is not None:
+            waiting[0].set_exception(NoStation(reason))
 
     def _take(self, line: dict[str, Any]) -> None:
         if "event" in line:
@@ -132,3 +133,19 @@ class StationClient:
                 future.set_result(line)
             else:
                 future.set_exception(Refused(str(line.get("error", "refused"))))
+
+
+def _snapshot_of(first: dict[str, Any], port: int) -> Snapshot:
+    """The snapshot of a station's first line. Raises NoStation, Refused."""
+    if first.get("protocol") != PROTOCOL:
+        raise NoStation(f"what answers at port {port} is no station with this token")
+    if "error" in first:
+        raise Refused(str(first["error"]))
+    try:
+        content = first.get("snapshot")
+        snapshot = decode(content) if isinstance(content, dict) else None
+    except ValueError as error:
+        raise Refused(f"the station at port {port} is of another version: {error}") from None
+    if not isinstance(snapshot, Snapshot):
+        raise Refused(f"the station at port {port} is of another version: its first line has no snapshot")
+    return snapshot

@@ -66,7 +66,8 @@ def attach(
 ) -> StationClient | None:
     """Attach to the station of a connection file; None where there is none. A stale file is removed.
 
-    Raises TimeoutError where something listens and is silent: a station that hangs keeps its file.
+    Raises TimeoutError where something listens and is silent, and Refused as `StationClient` does: such a station keeps its
+    file.
     """
     connection = read_connection(path)
     if connection is None or connection.host != socket.gethostname():

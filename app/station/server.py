@@ -23,6 +23,8 @@ from goniotwin.protocols.clock import RealClock
 
 MOST_WAITING = 2000
 """Lines that wait for a client. At 100 rows a second, a window that paints for ten seconds is still there."""
+MOST_CLIENTS = 64
+"""Each has two threads and a socket, and the run needs files."""
 DROPPED = "it did not read what was sent"
 MOST_DROPPED = 100
 EVERYBODYS = ("stop", "operate", "acknowledge")
@@ -144,7 +146,10 @@ class StationServer:
         self._server.stop()
 
     def _serve(self, channel: Channel) -> None:
-        client = self._name(channel.hello)
+        if len(self.clients) >= MOST_CLIENTS:
+            channel.send({"protocol": PROTOCOL, "error": f"{MOST_CLIENTS} clients are attached to the station; close one"})
+            return
+        client = ""
         outbox = Outbox(channel, lambda: self._drop(client))
 
         def listen(number: int, message: Message) -> None:
@@ -154,6 +159,7 @@ class StationServer:
         with self._station.board.deciding() as snapshot:
             self._station.board.subscribe(listen)
             with self._lock:
+                client = self._name(channel.hello)
                 self._clients[client] = channel, outbox
                 left = self._dropped.pop(client, "")
             outbox.put({"protocol": PROTOCOL, "client": client, "dropped": left, "snapshot": encode(snapshot)})
@@ -174,10 +180,11 @@ class StationServer:
     def _name(self, hello: dict[str, Any]) -> str:
         """The name of a client: that of its hello, if it is free, or with a number."""
         wanted = hello.get("client")
-        name = one_line(wanted)[:80] if isinstance(wanted, str) and wanted else "client"
-        with self._lock:
+        name = wanted = one_line(wanted)[:80] if isinstance(wanted, str) and wanted else "client"
+        while name in self._clients:
             self._number += 1
-            return name if name not in self._clients else f"{name} ({self._number})"
+            name = f"{wanted} ({self._number})"
+        return name
 
     def _drop(self, client: str) -> None:
         with self._lock:

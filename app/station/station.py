@@ -111,8 +111,9 @@ class RunRecord:
 class Station:
     """One rig and what is done with it.
 
-    `board` has its state and takes listeners. `clock` is that of the rig; without it a virtual rig has one at `speed`, which
-    the command of that name changes, and any other rig real time.
+    `board` has its state and takes listeners. `disconnected` is set when the rig is to be given back: no command begins then.
+    `clock` is that of the rig; without it a virtual rig has one at `speed`, which the command of that name changes, and any
+    other rig real time.
     """
 
     def __init__(self, speed: float = 1.0, clock: Clock | None = None) -> None:
@@ -121,7 +122,7 @@ class Station:
         self._given_clock = clock
         self._clock: Clock = clock or ScaledClock()
         self._wall = RealClock()
-        self._tasks: queue.SimpleQueue[Task | None] = queue.SimpleQueue()
+        self._tasks: queue.SimpleQueue[tuple[Task, bool] | None] = queue.SimpleQueue()
         self._opened: OpenRig | None = None
         self._description: RigDescription | None = None
         self._bench: Bench | None = None
@@ -162,10 +163,10 @@ class Station:
         Carried out by the calling thread, at once. An axis that does not respond delays no other.
         """
         self._stop_requested.set()  # before the engine is looked up: `_measure` checks it after it has created one
-        engine, bench, opened = self._engine, self._bench, self._opened
-        with self._no_stops:
+        with self._no_stops:  # before it too: `wait_for_stops` then waits for this one
             self._stops += 1
         try:
+            engine, bench, opened = self._engine, self._bench, self._opened
             if engine is not None:
                 return [str(each) for each in engine.stop()]
             if bench is None or opened is None:
@@ -306,7 +307,7 @@ class Station:
     def live(self, on: bool) -> None:
         """Take live readings until they are switched off; they rest while anything else is read or set."""
         self._check("live")
-        self._tasks.put(lambda: self._set_live(on))
+        self._tasks.put((lambda: self._set_live(on), False))
 
     def mount(self, sample: str) -> None:
         """Mount a sample in a virtual rig."""
@@ -324,8 +325,9 @@ class Station:
 
     def disconnect(self) -> None:
         """Stop the bench, close the shutter and give the rig back: the end of the station. Refused during a run."""
-        self._check("disconnect")
-        self.disconnected.set()
+        with self.board.deciding():
+            self._check("disconnect")
+            self.disconnected.set()
 
     def operate(self, client: str) -> None:
         """Note the client that operates; empty if the place is free. The server decides which commands it takes."""
@@ -396,21 +398,23 @@ class Station:
                 continue
             if task is None:
                 break
-            self._do(task)
+            self._do(*task)
         self.close_rig()
 
     def work(self) -> None:
         """Do what the commands so far ask for; return when nothing is left."""
         while not self._tasks.empty():
             if (task := self._tasks.get()) is not None:
-                self._do(task)
+                self._do(*task)
 
     def do(self, task: Task) -> None:
-        """Have the engine's thread do something."""
-        self._tasks.put(task)
+        """Have the engine's thread do something; the activity, if there is one, ends with it."""
+        self._tasks.put((task, True))
 
     def end(self) -> None:
         """Stop what is in progress, and let `serve` return. From any thread."""
+        with self.board.deciding():
+            self.disconnected.set()  # no command begins after this, and would take the stop for one before it
         self._stop_requested.set()  # a run that is requested but not started does not start
         if self.busy:
             self.stop()
@@ -428,8 +432,8 @@ class Station:
             opened.close()
             self._publish(RigClosed(reason))
 
-    def _do(self, task: Task) -> None:
-        """Do a task of the bench or of a run; the activity ends with it, whatever happens."""
+    def _do(self, task: Task, has_activity: bool) -> None:
+        """Do a task of the bench or of a run. Its activity, if it has one, ends with it, whatever happens."""
         error = ""
         try:
             task()
@@ -443,12 +447,12 @@ class Station:
         except Exception as fault:  # noqa: BLE001  (of any library: reported, and the station goes on without the rig)
             self.close_rig(f"the rig was closed after a fault: {type(fault).__name__}: {fault}")
             return
-        if self.snapshot.activity:
+        if has_activity and self.snapshot.activity:
             self._report_positions()
         if self._bench is not None and self._bench.settings != self.snapshot.bench:
             self._publish(self._bench.settings)
         self._report_references()
-        if self.snapshot.activity or error:
+        if has_activity and (self.snapshot.activity or error):
             self._publish(ActivityChanged("", error))
 
     def _tick(self) -> None:
@@ -735,19 +739,18 @@ class Station:
         """Accept a command that lasts, if it is allowed now: from here on the station is busy with it."""
         with self.board.deciding():
             self._check(command)
+            if self.disconnected.is_set():
+                raise CommandRefused("the rig is being given back")
             opened, bench = self._rig(), self._on_bench()
             self._stop_requested.clear()
             bench.request = StopRequest(opened.rig)
             self._publish(ActivityChanged(activity))
-        if run:
-            self._tasks.put(task)
-            return
 
         def unless_stopped() -> None:
             bench.request.check()
             task()
 
-        self._tasks.put(unless_stopped)
+        self.do(task if run else unless_stopped)
 
     def _axis(self, command: str, axis: str) -> OpenRig:
         """The open rig, where a command for an axis is allowed. Raises CommandRefused."""

@@ -190,8 +190,37 @@ def test_one_operates_the_others_watch_and_stop_is_everybodys(
     until(lambda: server.clients == ["one"])
 
 
-def test_two_clients_of_one_name_are_two(attach: Callable[[str], Watcher]) -> None:
-    assert len({attach("window").client.name for _ in range(3)}) == 3
+def test_clients_of_one_name_are_several_also_at_the_same_moment(
+    station: Station, server: StationServer, attach: Callable[[str], Watcher]
+) -> None:
+    taken = [attach("window (1)").client.name]
+    ends = [connect(server.port, server.token, LONGEST_S, client="window") for _ in range(3)]
+    with station.board.deciding():
+        ends += [connect(server.port, server.token, LONGEST_S, client="window") for _ in range(3)]
+        until(lambda: sum(each.name.endswith("(process_request_thread)") for each in threading.enumerate()) == 7)
+    names = [str((each.receive(LONGEST_S) or {})["client"]) for each in ends]
+    assert len(set(names + taken)) == 7
+    assert sorted(server.clients) == sorted(names + taken)
+    for each in ends:
+        each.close()
+    until(lambda: server.clients == taken)
+
+
+def test_a_client_too_many_is_refused_and_the_others_stay(
+    server: StationServer, attach: Callable[[str], Watcher], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(station_server, "MOST_CLIENTS", 2)
+    one, _two = attach("one"), attach("two")
+    with pytest.raises(Refused, match="2 clients are attached to the station; close one"):
+        attach("three")
+    assert one.client.do("stop")["ok"]
+
+
+def test_a_station_of_another_version_is_not_taken_for_none(server: StationServer, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its connection file would be removed, and nothing could stop its run."""
+    monkeypatch.setattr(station_server, "encode", lambda _snapshot: {"type": "Snapshot", "number": "many"})
+    with pytest.raises(Refused, match="of another version"):
+        StationClient(server.port, server.token, "x")
 
 
 def test_a_stop_is_carried_out_by_the_thread_that_reads_it(station: Station, attach: Callable[[str], Watcher]) -> None:
@@ -259,6 +288,38 @@ def test_the_end_of_a_station_ends_its_clients(server: StationServer, attach: Ca
     assert one.ended.wait(LONGEST_S)
     with pytest.raises(NoStation):
         one.client.do("stop")
+
+
+def test_a_command_that_fails_while_the_station_ends_fails_once(
+    server: StationServer, attach: Callable[[str], Watcher], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The thread that reads and the one that sends notice the end at the same moment."""
+    one = attach("one")
+
+    def send(_message: object) -> None:
+        server.stop()
+        assert one.ended.wait(LONGEST_S)
+        raise OSError("broken")
+
+    monkeypatch.setattr(one.client._channel, "send", send)
+    with pytest.raises(NoStation):
+        one.client.do("stop")
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
+def test_a_listener_that_fails_ends_the_client(station: Station, server: StationServer) -> None:
+    """It does not stay as one that waits for answers for ever."""
+    ended = threading.Event()
+
+    def fail(_message: Message) -> None:
+        raise RuntimeError("deleted")
+
+    client = StationClient(server.port, server.token, "x", fail, ended.set)
+    client.start()
+    station.board.publish(ActivityChanged("waiting"))
+    assert ended.wait(LONGEST_S)
+    with pytest.raises(NoStation):
+        client.do("stop")
 
 
 def test_without_clients_the_time_is_counted(server: StationServer, attach: Callable[[str], Watcher]) -> None:
