@@ -34,7 +34,7 @@ HEAVY = (
 SPEED = 60.0
 TIMED_SPEEDS = (1.0, 10.0, 60.0)
 TENTH = 0.1
-MAP_POINTS, MAP_FRAMES = 120_000, 100
+MAP_POINTS, SCAN_POINTS, MAP_FRAMES = 120_000, 360, 100
 LONGEST_S = 120.0
 PING_S = 0.02
 PERCENT = 99
@@ -191,29 +191,39 @@ def hemisphere() -> dict[str, Any]:
     import numpy as np
     from PySide6.QtWidgets import QApplication
 
-    from goniotwin.app.desktop.model.run_points import MapPoints
+    from goniotwin.app.desktop.model.live_scan import ScanData, ScanPoints, Setting
+    from goniotwin.app.desktop.model.run_points import RunPoints, map_points
     from goniotwin.app.desktop.run.hemisphere import HemisphereMap
     from goniotwin.app.desktop.theme import LIGHT
 
     application = QApplication(["goniotwin"])
     rng = np.random.default_rng(1)
+    setting: Setting = ("sample", 550.0, 30.0, 0.0)
     shown = HemisphereMap(LIGHT)
     shown.resize(420, 480)
     shown.show()
 
-    def points(count: int) -> MapPoints:
-        zenith, azimuth = rng.uniform(0.0, 90.0, count), rng.uniform(0.0, 360.0, count)
-        return MapPoints(zenith, azimuth, np.exp(-((zenith / 20.0) ** 2)) + 1e-4, np.zeros(count, dtype=bool))
+    def scan(number: int) -> ScanData:
+        zenith, azimuth = rng.uniform(0.0, 90.0, SCAN_POINTS), rng.uniform(0.0, 360.0, SCAN_POINTS)
+        values = np.exp(-((zenith / 20.0) ** 2)) + 1e-4
+        none = np.zeros(SCAN_POINTS, dtype=bool)
+        directions = np.stack((zenith, azimuth, zenith, azimuth), axis=1)
+        marks = np.zeros(SCAN_POINTS, dtype=np.uint16)
+        points = ScanPoints(zenith, values, 0.01 * values, none, none, none, none, none, marks, directions)
+        return ScanData("scan", "", "BSDF (1/sr)", (-90.0, 90.0), (), points, key=(setting, 0.001 * number))
 
-    every = points(MAP_POINTS)
-    shown.begin(("sample", 550.0, 30.0, 0.0), every)
-    shown.stamp(every)
+    points = RunPoints()
+    scans = MAP_POINTS // SCAN_POINTS
+    for number in range(scans):
+        points.add(scan(number))
+    shown.begin(setting, points.hemisphere(setting, transmitted=False))
+    shown.stamp(points.hemisphere(setting, transmitted=False))
     frames = []
-    for _ in range(MAP_FRAMES):
-        scan = points(360)
+    for number in range(scans, scans + MAP_FRAMES):
+        arrived = scan(number)
         begin = time.perf_counter()
-        shown.stamp(scan)
-        shown.show_points(every, MAP_POINTS)
+        shown.stamp(map_points([points.add(arrived)], transmitted=False))
+        shown.show_points(points.hemisphere(setting, transmitted=False), MAP_POINTS)
         shown.grab()
         frames.append(time.perf_counter() - begin)
     application.processEvents()

@@ -95,7 +95,7 @@ def test_the_command_prints_the_schema_or_writes_it(kind: str, tmp_path: Path) -
 
 def test_every_key_of_the_examples_and_documents_validates() -> None:
     found = contents()
-    assert [kind for kind, _ in found] == ["rig"] * 2 + ["schedule"] * 7 + ["schedule", "rig"]
+    assert [kind for kind, _ in found] == ["rig"] * 3 + ["schedule"] * 8 + ["schedule", "rig"]
     for kind, content in found:
         Draft202012Validator(SCHEMAS[kind]).validate(as_json(content))
         validate_table(FILES[kind], content, kind)

@@ -50,11 +50,15 @@ class RunPoints:
 
     cuts: dict[ScanKey, Cut] = field(default_factory=dict)
     predicted: dict[ScanKey, ScanData] = field(default_factory=dict)
+    _mapped: dict[tuple[ScanKey, bool], MapPoints] = field(default_factory=dict)
+    """The points of cuts in the map, by the side of the sample: of 120,000 only those of the scan in progress change."""
 
     def add(self, scan: ScanData) -> Cut:
         """Add a scan, or replace it by what is known now."""
         assert scan.key is not None
         cut = self.cuts[scan.key] = match(scan, self.predicted.get(scan.key))
+        for transmitted in (False, True):
+            self._mapped[scan.key, transmitted] = map_points([cut], transmitted)
         return cut
 
     def predict(self, scan: ScanData) -> Cut | None:
@@ -67,6 +71,7 @@ class RunPoints:
     def begin_run(self) -> None:
         """Forget the measured scans, and keep the predicted ones."""
         self.cuts.clear()
+        self._mapped.clear()
 
     def begin_prediction(self) -> None:
         """Forget the predicted scans."""
@@ -112,7 +117,11 @@ class RunPoints:
 
     def hemisphere(self, setting: Setting, transmitted: bool) -> MapPoints:
         """The measured points of a setting on one side of the sample."""
-        return map_points(self.planes(setting), transmitted)
+        parts = [self._mapped[key, transmitted] for cut in self.planes(setting) if (key := cut.scan.key) is not None]
+        none = MapPoints(*(np.zeros(0) for _ in range(3)), np.zeros(0, dtype=bool))
+        return MapPoints(
+            *(np.concatenate(each) for each in zip(*(vars(part).values() for part in (none, *parts)), strict=True))
+        )
 
     def predicted_scans(self, setting: Setting) -> int:
         """The number of predicted scans of a setting."""

@@ -22,7 +22,8 @@ PIXELS = 400
 """Side of the image."""
 EDGE = 1.06
 """Half the side of the image, with the radius of the horizon as the unit."""
-LEVELS = 256
+EMPTY, PLANNED, LEAST_LEVEL, LEVELS = 0, 1, 2, 254
+"""Levels of a pixel: nothing, a planned direction, and the first of so many for values."""
 DECADES = 4.0
 """Largest range of the colours."""
 RINGS_DEG = (30.0, 60.0, 90.0)
@@ -71,10 +72,9 @@ class HemisphereMap(QWidget):
         self._radius = LEAST_RADIUS
         self._shown: MapPoints | None = None
         self._logs = np.full((PIXELS, PIXELS), np.nan, dtype=np.float32)
-        self._planned = np.zeros((PIXELS, PIXELS), dtype=bool)
+        self._levels = np.zeros((PIXELS, PIXELS), dtype=np.uint8)
         self._range = (0.0, 1.0)
         self._mark = ""
-        self._table = np.zeros((LEVELS, 3), dtype=np.uint8)
         self._view = pg.PlotWidget()
         self._view.setAccessibleName("Hemisphere of the run")
         self._view.setFocusPolicy(Qt.FocusPolicy.NoFocus)
@@ -142,7 +142,7 @@ class HemisphereMap(QWidget):
         self._show_mark()
         self._setting, self._shown = None, None
         self._logs[:] = np.nan
-        self._planned[:] = False
+        self._levels[:] = EMPTY
         for item in (self._specular, self._light, self._alarms, self._plane):
             item.setData([], [])
         self._low.setText("")
@@ -154,10 +154,10 @@ class HemisphereMap(QWidget):
         """Show a setting from now on, none of which is measured; `planned` are its directions, as far as they are known."""
         self._setting, self._shown = setting, None
         self._logs[:] = np.nan
-        self._planned[:] = False
+        self._levels[:] = EMPTY
         rows, columns = _pixels(planned)
-        self._planned[rows, columns] = True
-        distinct = int(self._planned.sum())
+        self._levels[rows, columns] = PLANNED
+        distinct = int(np.count_nonzero(self._levels))
         share = np.sqrt(np.pi / max(distinct, 1)) * PIXELS / (2.0 * EDGE)
         self._radius = float(np.clip(FILL * share, LEAST_RADIUS, MOST_RADIUS)) if distinct else 3.0
         radius = incidence_deg(setting[2]) / 90.0
@@ -171,16 +171,17 @@ class HemisphereMap(QWidget):
         return self._setting
 
     def stamp(self, points: MapPoints) -> None:
-        """Add points of the setting; `show` paints them."""
+        """Add points of the setting; `show_points` paints them."""
         shown = points.values > 0.0
         rows, columns = (each[shown] for each in _pixels(points))
         logs = np.log10(points.values[shown]).astype(np.float32)
+        levels = self._levels_of(logs)
         reach = np.arange(-int(self._radius), int(self._radius) + 1)
         for down in reach:
             for right in reach:
                 if down * down + right * right <= self._radius**2:
                     at = np.clip(rows + down, 0, PIXELS - 1), np.clip(columns + right, 0, PIXELS - 1)
-                    self._logs[at] = logs
+                    self._logs[at], self._levels[at] = logs, levels
 
     def show_points(self, points: MapPoints, planned: int) -> None:
         """Paint what has been stamped; `points` are all of the setting, for the marks and the text."""
@@ -189,12 +190,14 @@ class HemisphereMap(QWidget):
         if known.size:
             high = float(np.log10(known.max()))
             low = max(float(np.log10(known.min())), high - DECADES)
-            self._range = (low, max(high, low + 0.3))
+            if self._range != (low, max(high, low + 0.3)):
+                self._range = (low, max(high, low + 0.3))
+                stamped = np.isfinite(self._logs)
+                self._levels[stamped] = self._levels_of(self._logs[stamped])
             self._low.setText(f"{10.0**low:.2g}")
             self._high.setText(f"{10.0**high:.2g}")
         rows = points.alarms
-        x, y = _places(points)
-        self._alarms.setData(x[rows], y[rows])
+        self._alarms.setData(*_places(points.zenith_deg[rows], points.azimuth_deg[rows]))
         text = f"{points.values.size} directions" if not planned else f"{points.values.size} of {planned} directions"
         if known.size:
             top = int(np.argmax(points.values))
@@ -224,8 +227,10 @@ class HemisphereMap(QWidget):
         """Take the colours of a scheme."""
         self._colours = colours
         self._view.setBackground(colours.base)
-        self._table = np.asarray(255.0 * np.asarray(cmap.Colormap(colours.map).lut(LEVELS))[:, :3], dtype=np.uint8)
-        self._bar.set_colours(self._table)
+        values = np.asarray(255.0 * np.asarray(cmap.Colormap(colours.map).lut(LEVELS))[:, :3], dtype=np.uint8)
+        self._bar.set_colours(values)
+        others = [QColor(each).getRgb()[:3] for each in (colours.base, colours.line)]
+        self._image.setLookupTable(np.vstack((np.array(others, dtype=np.uint8), values)))
         for each in self._rings:
             each.setPen(pg.mkPen(colours.line, width=1))
         for text in self._texts:
@@ -240,15 +245,13 @@ class HemisphereMap(QWidget):
         self._show_mark()
         self._paint()
 
-    def _paint(self) -> None:
+    def _levels_of(self, logs: np.ndarray) -> np.ndarray:
         low, high = self._range
-        known = np.isfinite(self._logs)
-        level = np.clip((np.where(known, self._logs, low) - low) / (high - low) * (LEVELS - 1), 0, LEVELS - 1).astype(np.uint8)
-        base, faint = QColor(self._colours.base), QColor(self._colours.line)
-        pixels = self._table[level]
-        pixels[~known] = (base.red(), base.green(), base.blue())
-        pixels[self._planned & ~known] = (faint.red(), faint.green(), faint.blue())
-        self._image.setImage(pixels, autoLevels=False, levels=None)
+        scaled = (logs - low) * ((LEVELS - 1) / (high - low))
+        return (LEAST_LEVEL + np.clip(scaled, 0, LEVELS - 1)).astype(np.uint8)
+
+    def _paint(self) -> None:
+        self._image.setImage(self._levels, autoLevels=False, levels=(0, LEAST_LEVEL + LEVELS - 1))
         self._image.setRect(QRectF(-EDGE, -EDGE, 2.0 * EDGE, 2.0 * EDGE))  # possible with an image only
 
     def _show_mark(self) -> None:
@@ -266,7 +269,7 @@ class HemisphereMap(QWidget):
         if points is None or not points.values.size:
             return
         mouse = self._plot.vb.mapSceneToView(at)
-        x, y = _places(points)
+        x, y = _places(points.zenith_deg, points.azimuth_deg)
         nearest = int(np.argmin((x - mouse.x()) ** 2 + (y - mouse.y()) ** 2))
         near = np.hypot(x[nearest] - mouse.x(), y[nearest] - mouse.y()) < NEAR
         where = f"zenith {points.zenith_deg[nearest]:.1f}°, azimuth {points.azimuth_deg[nearest]:.1f}°"
@@ -279,15 +282,15 @@ NEAR = 0.06
 """Distance of the mouse from a point whose value is shown, with the radius of the horizon as the unit."""
 
 
-def _places(points: MapPoints) -> tuple[Floats, Floats]:
+def _places(zenith_deg: Floats, azimuth_deg: Floats) -> tuple[Floats, Floats]:
     """Places in the map, seen along the normal of the side: the radius is the polar angle."""
-    radius = polar_from_zenith(points.zenith_deg) / 90.0
-    azimuth = np.radians(points.azimuth_deg)
+    radius = polar_from_zenith(zenith_deg) / 90.0
+    azimuth = np.radians(azimuth_deg)
     return radius * np.cos(azimuth), radius * np.sin(azimuth)
 
 
 def _pixels(points: MapPoints) -> tuple[Ints, Ints]:
     """Row and column of points in the image."""
-    x, y = _places(points)
+    x, y = _places(points.zenith_deg, points.azimuth_deg)
     rows, columns = ((0.5 * (1.0 + each / EDGE) * PIXELS).astype(np.int64) for each in (y, x))
     return np.clip(rows, 0, PIXELS - 1), np.clip(columns, 0, PIXELS - 1)

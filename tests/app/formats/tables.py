@@ -6,6 +6,8 @@ from hypothesis.extra.numpy import arrays
 
 from goniotwin.app.formats import BsdfTable
 from goniotwin.app.formats.content import RegularTable
+from goniotwin.app.formats.coverage import INTERPOLATED
+from goniotwin.app.formats.numerals import NUMBER
 from goniotwin.arrays import Floats
 
 COLOURS = {"rgb": ("red", "green", "blue"), "xyz": ("X", "Y", "Z")}
@@ -64,3 +66,23 @@ def regular_tables(draw: st.DrawFn, *colours: str, isotropic: bool, transmitted:
         sigma, values, wavelengths, names, psi, transmitted, back=draw(st.booleans()), generated=draw(st.booleans()),
         sample=draw(st.sampled_from(["", "paint 3"])), comments=tuple(draw(COMMENTS)),
     )  # fmt: skip
+
+
+def check_same_text(again: str, first: str, largest: float) -> None:
+    """Check that a file which was read is written alike: but for the last digit where an azimuth has values between others.
+
+    They are interpolated from values that are rounded in the file; `largest` is the largest of all.
+    """
+    if INTERPOLATED.search(first) is None:
+        assert again == first, "writing what was read gives the same file"
+        return
+    words, numbers = _words(first)
+    words_again, numbers_again = _words(again)
+    assert words_again == words
+    np.testing.assert_allclose(numbers_again, numbers, rtol=1e-8, atol=1e-8 * largest)
+
+
+def _words(text: str) -> tuple[list[str], list[float]]:
+    """The words of a text that are no numbers, and the numbers."""
+    numbers = [word for word in text.split() if NUMBER.fullmatch(word)]
+    return [word for word in text.split() if not NUMBER.fullmatch(word)], [float(each) for each in numbers]
