@@ -28,7 +28,7 @@ from goniotwin.app.desktop.model.messages import (
     StopReport,
     ValuesMissing,
 )
-from goniotwin.app.desktop.model.permissions import BUSY, Permissions, permissions
+from goniotwin.app.desktop.model.permissions import Permissions, permissions
 from goniotwin.app.desktop.model.row_words import row_words
 from goniotwin.app.desktop.model.time_left import Mounting, TimeLeft, Wait
 from goniotwin.app.desktop.rig.panels import DEVICES
@@ -36,6 +36,7 @@ from goniotwin.app.desktop.run.live_plot import LivePlot
 from goniotwin.app.desktop.run.screen import RunScreen
 from goniotwin.app.desktop.view import MainView
 from goniotwin.app.station.messages import (
+    BUSY,
     ActivityChanged,
     DeviceChanged,
     OperatorChanged,
@@ -128,7 +129,7 @@ class Presenter(QObject):
     @property
     def operates(self) -> bool:
         """Whether this window may operate the rig."""
-        return self.station.operator in ("", self.name)
+        return self.station.operated_by(self.name)
 
     @property
     def busy(self) -> bool:
@@ -139,8 +140,7 @@ class Presenter(QObject):
     def permissions(self) -> Permissions:
         """Which controls are enabled now."""
         return permissions(
-            self.station, self.plan, self._no_plan, self.state,
-            opening=self._opening, operates=self.operates, lost=self._lost,
+            self.station, self.name, self.plan, self._no_plan, self.state, opening=self._opening, lost=self._lost,
         )  # fmt: skip
 
     @property
@@ -276,6 +276,7 @@ class Presenter(QObject):
                     self._attach(snapshot)
             case NotAttached(reason):
                 self.name = ""
+                self.station = _without_station(self.station)
                 self._show_closed(reason)
             case StationLost(last):
                 self._show_lost(last)
@@ -302,7 +303,7 @@ class Presenter(QObject):
         """Show that the station has died, what that means for the instrument, and how to go on."""
         running = last.busy
         self._lost = True
-        self.station = Snapshot(orders=last.orders, speed=last.speed, activity="", closed="the station has ended")
+        self.station = replace(_without_station(last), closed="the station has ended")
         self._starting = False
         self._show_closed("")
         self.question_closed.emit()
@@ -521,6 +522,11 @@ class Presenter(QObject):
         self._view.set_saved(f"Saved in {end.journal}")
         self.notified.emit(f"Run {END[end.state]}")
         self.run_ended.emit()
+
+
+def _without_station(last: Snapshot) -> Snapshot:
+    """What stays of the last known state of a station that there is none of any more."""
+    return Snapshot(orders=last.orders, speed=last.speed, activity="")
 
 
 def _clock_text(seconds: float) -> str:

@@ -67,11 +67,6 @@ class StationClient:
         """Read what the station sends, from now on."""
         self._thread.start()
 
-    @property
-    def operates(self) -> bool:
-        """Whether this client operates the rig, or the place is free."""
-        return self.snapshot.operator in ("", self.name)
-
     def send(self, command: str, *, received: Callable[[], None] | None = None, **arguments: Any) -> "Future[dict[str, Any]]":
         """Send a command; the future has its answer, or raises Refused, or NoStation where the connection ends.
 

@@ -238,6 +238,10 @@ class Snapshot:
         """Whether a run is in progress."""
         return self.state in BUSY
 
+    def operated_by(self, client: str) -> bool:
+        """Whether a client operates the rig, or takes the free place with its next command."""
+        return self.operator in ("", client)
+
 
 BUSY = (State.RUNNING, State.PAUSING, State.PAUSED, State.RECOVERING, State.STOPPING)
 

@@ -3,13 +3,15 @@
 from goniotwin.app.campaign.running.events import State
 from goniotwin.app.station.messages import Snapshot
 
-FREE = ("stop", "operate", "disconnect")
-"""Commands that do not need a rig at rest. Every client may stop, whichever operates."""
+EVERYBODYS = ("stop", "operate", "acknowledge")
+"""Commands of clients that only watch too."""
+ANYTIME = ("stop", "operate", "disconnect")
+"""Commands that do not need a rig at rest."""
 OF_RUN = ("pause", "resume", "finish_cut", "answer", "acknowledge", "speed")
 OF_BENCH = (
     "start", "continue", "connect", "move", "home", "set_position", "wavelength", "shutter", "gain", "read", "live", "mount",
 )  # fmt: skip
-COMMANDS = (*FREE, *OF_RUN, *OF_BENCH)
+COMMANDS = (*ANYTIME, *OF_RUN, *OF_BENCH)
 
 
 def allowed(station: Snapshot) -> dict[str, str]:
@@ -34,6 +36,13 @@ def allowed(station: Snapshot) -> dict[str, str]:
     if station.rig is None or not station.rig.virtual:
         refusals["speed"] = "the rig is not virtual, or none is open"
     return refusals
+
+
+def watching(station: Snapshot, client: str, command: str) -> str:
+    """The reason why a client that only watches is refused a command; empty for one that may operate."""
+    if command in EVERYBODYS or station.operated_by(client):
+        return ""
+    return f"{station.operator} operates this rig; choose Operate from here first"
 
 
 def _no_bench(station: Snapshot, command: str) -> str:

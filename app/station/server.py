@@ -16,7 +16,7 @@ from pydantic import ValidationError, validate_call
 
 from goniotwin.app.errors import one_line
 from goniotwin.app.station.messages import NEWEST_ONLY, Message, encode
-from goniotwin.app.station.permissions import COMMANDS
+from goniotwin.app.station.permissions import COMMANDS, EVERYBODYS, watching
 from goniotwin.app.station.station import CommandRefused, Station
 from goniotwin.protocols.channel import LONGEST_LINE, PROTOCOL, Channel, ChannelServer, new_token
 from goniotwin.protocols.clock import RealClock
@@ -27,8 +27,6 @@ MOST_CLIENTS = 64
 """Each has two threads and a socket, and the run needs files."""
 DROPPED = "it did not read what was sent"
 MOST_DROPPED = 100
-EVERYBODYS = ("stop", "operate", "acknowledge")
-"""Commands of clients that only watch too."""
 Line = dict[str, Any] | tuple[int, Message]
 """An object to send, or an event with its number."""
 METHODS = {"continue": "resume_journal"}
@@ -219,8 +217,8 @@ class StationServer:
             self._station.operate(client)
             return
         with self._station.board.deciding() as snapshot:
-            if name not in EVERYBODYS and snapshot.operator not in ("", client):
-                raise CommandRefused(f"{snapshot.operator} operates this rig; choose Operate from here first")
+            if reason := watching(snapshot, client, name):
+                raise CommandRefused(reason)
             if name not in EVERYBODYS and not snapshot.operator:
                 self._station.operate(client)
         self._commands[name](**arguments)

@@ -137,12 +137,6 @@ class Connection:
         return self._last
 
     @property
-    def operates(self) -> bool:
-        """Whether this window may operate the rig."""
-        client = self._client
-        return client is None or client.operates
-
-    @property
     def open_orders(self) -> list[SafetyOrder]:
         """The safety orders that are not acknowledged."""
         return list(self.snapshot.orders)

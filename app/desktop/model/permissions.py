@@ -5,9 +5,7 @@ from dataclasses import dataclass
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.running.events import State
 from goniotwin.app.station.messages import BUSY, Snapshot
-from goniotwin.app.station.permissions import allowed
-
-__all__ = ["BUSY", "Permissions", "permissions"]
+from goniotwin.app.station.permissions import allowed, watching
 
 
 @dataclass(frozen=True)
@@ -27,17 +25,14 @@ class Permissions:
 
 
 def permissions(
-    station: Snapshot, plan: Plan | None, no_plan: str, state: State, *, opening: bool, operates: bool, lost: bool = False
+    station: Snapshot, name: str, plan: Plan | None, no_plan: str, state: State, *, opening: bool, lost: bool = False
 ) -> Permissions:
-    """The permissions for a station, a plan (or the reason why there is none), and the state that the window shows.
+    """The permissions of the client `name` of a station, for a plan (or the reason why there is none) and the state shown.
 
-    `opening` is True while a rig is being opened; `operates` False while another client has the place of the operator. After
-    the station was `lost`, Stop is enabled: its answer is that it does not get through.
+    `opening` is True while a rig is being opened. After the station was `lost`, Stop is enabled: its answer is that it does
+    not get through.
     """
-    refusals = allowed(station)
-    if not operates:
-        watching = f"{station.operator} operates this rig"
-        refusals = {command: refusals[command] or ("" if command in FREE else watching) for command in refusals}
+    refusals = {command: reason or watching(station, name, command) for command, reason in allowed(station).items()}
     busy = state in BUSY
     if opening:
         no_start = "the rig is being opened"
@@ -52,11 +47,7 @@ def permissions(
         pause=not refusals["pause"],
         resume=not refusals["resume"],
         stop=station.rig is not None or lost,
-        open=not busy and not opening and operates,
+        open=not busy and not opening and station.operated_by(name),
         finish_cut=not refusals["finish_cut"],
         refusals=refusals,
     )
-
-
-FREE = ("stop", "operate", "acknowledge")
-"""What a window may do that only watches."""

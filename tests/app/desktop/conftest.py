@@ -14,7 +14,7 @@ from pytestqt.qtbot import QtBot
 
 from goniotwin.app.campaign.running.events import State
 from goniotwin.app.desktop import MainWindow, Theme
-from goniotwin.app.desktop.model.permissions import BUSY
+from goniotwin.app.station.messages import BUSY
 from tests.app.desktop.local_stations import LocalStations
 from tests.conftest import RIG, Writer
 

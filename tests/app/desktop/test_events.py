@@ -17,9 +17,9 @@ from goniotwin.app.campaign.running.stop import StopRequest
 from goniotwin.app.desktop import MainWindow
 from goniotwin.app.desktop.events.panels import LogEntry
 from goniotwin.app.desktop.events.question import QuestionBox
-from goniotwin.app.desktop.model.permissions import BUSY
 from goniotwin.app.desktop.run import panel
 from goniotwin.app.desktop.window import ACKNOWLEDGE, KEEP_OPEN, STOP_AND_CLOSE
+from goniotwin.app.station.messages import BUSY
 from goniotwin.drivers import DeviceError, Rig, TmclAxis
 from goniotwin.drivers.errors import NoAnswer
 from goniotwin.drivers.monochromator import Monochromator

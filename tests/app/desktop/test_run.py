@@ -19,9 +19,9 @@ from goniotwin.app.campaign.reduction.reduction import reduce_journal
 from goniotwin.app.campaign.running.events import Positions, RowCommitted, State
 from goniotwin.app.desktop import STOPPED, MainWindow, run_desktop
 from goniotwin.app.desktop.model.live_scan import LiveScan, ScanData
-from goniotwin.app.desktop.model.permissions import BUSY
 from goniotwin.app.desktop.window import KEEP_MEASURING, KEEP_OPEN, STOP_AND_CLOSE
 from goniotwin.app.end_signals import END_SIGNALS
+from goniotwin.app.station.messages import BUSY
 from goniotwin.app.station.server import StationServer
 from goniotwin.drivers import DeviceError, Rig, TmclAxis
 from goniotwin.drivers.errors import NoAnswer

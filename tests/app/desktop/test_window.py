@@ -111,6 +111,14 @@ def test_a_rig_connects_again_after_its_port_is_corrected(
     assert "✓ connected" in window.view.devices.text("axes")
 
 
+def test_after_a_rig_that_cannot_be_opened_another_one_can(qtbot: QtBot, window: MainWindow, tmp_path: Path) -> None:
+    window.connection.operate()
+    qtbot.waitUntil(lambda: window.presenter.station.operator != "", timeout=READY_MS)
+    window.connection.open(tmp_path / "none.toml")
+    qtbot.waitUntil(lambda: "none.toml" in window.view.status, timeout=READY_MS)
+    assert window.view.rig.open_button.isEnabled()
+
+
 @pytest.mark.parametrize(("scheme", "colours"), [("light", LIGHT), ("dark", DARK)])
 def test_an_empty_check_box_and_an_empty_progress_bar_have_a_frame(
     qtbot: QtBot, qapp: QApplication, scheme: Scheme, colours: Colours
