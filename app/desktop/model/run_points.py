@@ -118,7 +118,7 @@ class RunPoints:
     def hemisphere(self, setting: Setting, transmitted: bool) -> MapPoints:
         """The measured points of a setting on one side of the sample."""
         parts = [self._mapped[key, transmitted] for cut in self.planes(setting) if (key := cut.scan.key) is not None]
-        none = MapPoints(*(np.zeros(0) for _ in range(3)), np.zeros(0, dtype=bool))
+        none = MapPoints(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0, dtype=bool))
         return MapPoints(
             *(np.concatenate(each) for each in zip(*(vars(part).values() for part in (none, *parts)), strict=True))
         )

@@ -229,7 +229,7 @@ class HemisphereMap(QWidget):
         self._view.setBackground(colours.base)
         values = np.asarray(255.0 * np.asarray(cmap.Colormap(colours.map).lut(LEVELS))[:, :3], dtype=np.uint8)
         self._bar.set_colours(values)
-        others = [QColor(each).getRgb()[:3] for each in (colours.base, colours.line)]
+        others = [(each.red(), each.green(), each.blue()) for each in (QColor(colours.base), QColor(colours.line))]
         self._image.setLookupTable(np.vstack((np.array(others, dtype=np.uint8), values)))
         for each in self._rings:
             each.setPen(pg.mkPen(colours.line, width=1))
