@@ -25,9 +25,9 @@ MOVE_S = 0.5
 """Duration of a move without wires; the light is not read during it."""
 
 
-def run_without_wires(plan: Plan, path: Path, model: TwinModel | None = None) -> None:
-    """Write the journal of a plan's campaign, without any device: on its virtual rig, or on one with another `model`."""
-    model = model or plan.rig.model()
+def run_without_wires(plan: Plan, path: Path) -> None:
+    """Write the journal of a plan's campaign on its virtual rig, without any device."""
+    model = plan.rig.model()
     assert model is not None
     with Journal.create(path, plan, software_versions(), durable=False) as journal:
         session, now = journal.begin_session(0.0, plan.rig.text, software_versions()), 0.0

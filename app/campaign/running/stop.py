@@ -12,6 +12,8 @@ from goniotwin.drivers import DeviceError, Rig
 from goniotwin.protocols.clock import VirtualClock
 
 T = TypeVar("T")
+BEYOND_LIMIT = "beyond the limit"
+"""What the event of a drift check has where it is so, whether or not it ends the run."""
 
 
 class Stopped(Exception):
@@ -100,7 +102,7 @@ class StopConditions:
         if check is None:
             return None
         stops = check.beyond_limit and self._drift_stops
-        beyond = "beyond the limit: " if check.beyond_limit else ""
+        beyond = f"{BEYOND_LIMIT}: " if check.beyond_limit else ""
         return "stop" if stops else "drift", f"{row.identity}: {beyond}{check}"
 
     def _lamp_ratio(self, row: Row, data: RowData) -> float | None:

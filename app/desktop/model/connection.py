@@ -415,9 +415,8 @@ class Connection:
                     described = ScheduleDescription(parsed.text, parsed.file, parsed.name, certificate)
                     plan = Plan(described, recorded_rig(journal), journal.planned_rows())
             self._send(RunStarted(plan, begun.journal, mountings(plan.rows)))
-        except (UserError, OSError) as error:
-            self._follower = None
-            self._send(ValuesMissing(str(error)))
+        except Exception as error:  # noqa: BLE001  (of any library: reported, and the end of the run is shown in its time)
+            self._give_up_values(error)
 
     def _send_rows(self, saved: dict[int, RowSaved]) -> None:
         if self._follower is None:
@@ -429,13 +428,17 @@ class Connection:
                 known = saved.get(each.row.number)
                 progress = (0, 1, 0.0) if known is None else (known.done, known.total, known.seconds_left)
                 self._send(RowCommitted(each.row, each.data, *progress))
-        except (UserError, OSError) as error:
-            self._follower = None
-            self._send(ValuesMissing(str(error)))
+        except Exception as error:  # noqa: BLE001  (of any library: reported, and the end of the run is shown in its time)
+            self._give_up_values(error)
+
+    def _give_up_values(self, error: Exception) -> None:
+        self._follower = None
+        known = isinstance(error, UserError | OSError)
+        self._send(ValuesMissing(str(error) if known else f"{type(error).__name__}: {error}"))
 
     def _report_findings(self, journal: Path) -> None:
         """Send what the data of a run show of the instrument, if they are enough for a reduction."""
-        with contextlib.suppress(UserError):
+        with contextlib.suppress(UserError, OSError):
             for finding in journal_findings(journal):
                 self._send(EventLogged("finding", finding, journal.name, "see goniotwin verify"))
 

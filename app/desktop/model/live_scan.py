@@ -426,11 +426,16 @@ def _abscissa(incidence: float, signed_deg: Floats, plane_deg: float) -> Floats:
     return _x_deg(polar, azimuth, *to_specular(incidence, arc_direction(polar, azimuth)), plane_deg)
 
 
+def join_points(*parts: ScanPoints) -> ScanPoints:
+    """The points of all parts, one after the other."""
+    empty, none = np.empty(0), np.empty(0, dtype=bool)
+    nothing = ScanPoints(empty, empty, empty, none, none, none, none, none, np.empty(0, dtype=np.uint16))
+    columns = zip(*(vars(part).values() for part in (nothing, *parts)), strict=True)
+    return ScanPoints(*(np.concatenate(each) for each in columns))
+
+
 def _sort(*parts: ScanPoints) -> ScanPoints:
     """The points of all parts in the order of the abscissa."""
-    if not parts:
-        empty, none = np.empty(0), np.empty(0, dtype=bool)
-        return ScanPoints(empty, empty, empty, none, none, none, none, none, np.empty(0, dtype=np.uint16))
-    columns = [np.concatenate(each) for each in zip(*(vars(part).values() for part in parts), strict=True)]
-    order = np.argsort(columns[0], kind="stable")
-    return ScanPoints(*(each[order] for each in columns))
+    points = join_points(*parts)
+    order = np.argsort(points.x_deg, kind="stable")
+    return ScanPoints(*(each[order] for each in vars(points).values()))

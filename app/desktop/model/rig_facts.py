@@ -7,6 +7,7 @@ from pathlib import Path
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.readout import WarmUpTrace
 from goniotwin.app.campaign.running.events import EventLogged
+from goniotwin.app.campaign.running.stop import BEYOND_LIMIT
 from goniotwin.app.desktop.model.preflight import Facts
 from goniotwin.app.desktop.model.readings import BenchReadings
 from goniotwin.app.rig import RigFile
@@ -16,8 +17,6 @@ from goniotwin.protocols.clock import ScaledClock, calendar_stamp
 ROW_BYTES = 2000
 """Room of a row in a journal beside its counts."""
 COUNT_BYTES = 2
-DRIFT = "the light has changed"
-"""Words of a drift check in the event of a run that it stops."""
 
 
 class RigFacts:
@@ -68,8 +67,8 @@ class RigFacts:
                 self._monitor_s = now
             case RowSaved() if message.row.kind == "dark":
                 self._dark_s = now
-            case EventLogged(kind, what) if kind == "drift" or (kind == "stop" and DRIFT in what):
-                self._drift, self._drift_beyond = what, "beyond the limit" in what
+            case EventLogged(kind, what) if kind == "drift" or (kind == "stop" and BEYOND_LIMIT in what):
+                self._drift, self._drift_beyond = what, BEYOND_LIMIT in what
             case DeviceChanged(device, _, reason) if reason:
                 self.last_errors[device] = (local_time(calendar_stamp()), reason)
             case RigClosed():

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from goniotwin.app.campaign.reduction.components import deviation_in_u
-from goniotwin.app.desktop.model.live_scan import ScanData, ScanKey, ScanPoints, Setting
+from goniotwin.app.desktop.model.live_scan import ScanData, ScanKey, ScanPoints, Setting, join_points
 from goniotwin.arrays import Flags, Floats
 
 ALARM_U = 4.0
@@ -91,7 +91,7 @@ class RunPoints:
         if not cuts:
             return None
         latest = cuts[-1].scan
-        points = join(*(each.scan.points for each in cuts))
+        points = join_points(*(each.scan.points for each in cuts))
         x, near = _in_plane(points, phi_deg)
         order = np.flatnonzero(near)[np.argsort(x[near], kind="stable")]
         expected, u, residual = (np.concatenate([getattr(each, name) for each in cuts])[order] for name in MATCHED)
@@ -99,7 +99,7 @@ class RunPoints:
         planned = [each.points for key, each in self.predicted.items() if key[0] == setting and each.is_bsdf == latest.is_bsdf]
         line = None
         if lines:
-            every = join(*planned)
+            every = join_points(*planned)
             at, close = _in_plane(every, phi_deg)
             line = _take(every, np.flatnonzero(close)[np.argsort(at[close], kind="stable")], at)
         sample, wavelength, sigma, gamma = setting
@@ -134,7 +134,7 @@ class RunPoints:
 
 def map_points(cuts: list[Cut], transmitted: bool) -> MapPoints:
     """The points of cuts on one side of the sample, without those that are blocked or have no value."""
-    points = join(*(each.scan.points for each in cuts))
+    points = join_points(*(each.scan.points for each in cuts))
     alarms = np.concatenate([np.zeros(0, dtype=bool), *(each.alarms for each in cuts)])
     chosen = (points.transmitted == transmitted) & ~points.blocked & np.isfinite(points.values)
     return MapPoints(points.directions[chosen, 0], points.directions[chosen, 1], points.values[chosen], alarms[chosen])
@@ -161,14 +161,6 @@ def match(scan: ScanData, predicted: ScanData | None) -> Cut:
     with np.errstate(all="ignore"):
         deviation = deviation_in_u(points.values, points.u_values, points.added, expected)
     return Cut(scan, expected, u, np.where(trusted, deviation, np.nan), line)
-
-
-def join(*parts: ScanPoints) -> ScanPoints:
-    """The points of all parts, one after the other."""
-    empty, none = np.empty(0), np.empty(0, dtype=bool)
-    nothing = ScanPoints(empty, empty, empty, none, none, none, none, none, np.empty(0, dtype=np.uint16))
-    columns = zip(*(vars(part).values() for part in (nothing, *parts)), strict=True)
-    return ScanPoints(*(np.concatenate(each) for each in columns))
 
 
 def _take(points: ScanPoints, chosen: np.ndarray, x_deg: Floats) -> ScanPoints:

@@ -13,6 +13,7 @@ from PySide6.QtCore import QTimer
 from PySide6.QtWidgets import QApplication, QFileDialog
 from pytestqt.qtbot import QtBot
 
+from goniotwin.app.campaign.journal.following import JournalFollower
 from goniotwin.app.campaign.journal.summary import campaign_summary
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.reduction.reduction import reduce_journal
@@ -315,7 +316,7 @@ def test_after_a_run_the_plot_has_the_highest_value_of_the_journal(
     assert window.view.plot.y_label == "BSDF (1/sr)"
 
 
-@pytest.mark.parametrize("broken", ["drawing", "reducing"])
+@pytest.mark.parametrize("broken", ["drawing", "reducing", "reading"])
 def test_a_plot_that_fails_does_not_stop_the_run(
     qtbot: QtBot, window: MainWindow, monkeypatch: pytest.MonkeyPatch, broken: str
 ) -> None:
@@ -324,8 +325,10 @@ def test_a_plot_that_fails_does_not_stop_the_run(
 
     if broken == "drawing":
         monkeypatch.setattr(window.view.plot, "show_cut", fail)
-    else:
+    elif broken == "reducing":
         monkeypatch.setattr(LiveScan, "add_row", fail)
+    else:
+        monkeypatch.setattr(JournalFollower, "new_rows", fail)
     click(window.view.run.start_button)
     wait_for_end(qtbot, window, State.DONE)
     assert row_counts(window) == (ROWS, ROWS)
