@@ -60,7 +60,7 @@ from goniotwin.app.station.messages import (
 )
 from goniotwin.app.station.permissions import allowed
 from goniotwin.drivers import BadAnswer, DeviceError, Forgotten, LimitError, NoAnswer
-from goniotwin.protocols.clock import Clock, RealClock, ScaledClock, VirtualClock, calendar_stamp
+from goniotwin.protocols.clock import GREATEST_SPEED, LEAST_SPEED, Clock, RealClock, ScaledClock, VirtualClock, calendar_stamp
 
 POLL_S = 0.2
 """Real time between two readings of the axis positions at rest."""
@@ -316,8 +316,9 @@ class Station:
     def speed(self, factor: float) -> None:
         """Set the simulation speed of a virtual rig."""
         self._check("speed")
-        if not 0.1 <= factor <= 1000.0:
-            raise CommandRefused(f"a simulation speed of {factor:g} is not possible; give 0.1 to 1000")
+        if not LEAST_SPEED <= factor <= GREATEST_SPEED:
+            possible = f"{LEAST_SPEED:g} to {GREATEST_SPEED:g}"
+            raise CommandRefused(f"a simulation speed of {factor:g} is not possible; give {possible}")
         if not isinstance(self._clock, ScaledClock):
             raise CommandRefused("the virtual clock has no speed")
         self._clock.set_speed(factor)

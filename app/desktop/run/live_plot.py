@@ -14,7 +14,7 @@ from goniotwin.app.campaign.reduction.components import COVERAGE, DETECTED, inte
 from goniotwin.app.campaign.reduction.points import BITS, REASON_ORDER
 from goniotwin.app.campaign.running.events import RowCommitted, RowStarted
 from goniotwin.app.desktop.model.live_scan import ScanData, ScanKey, ScanPoints, Setting
-from goniotwin.app.desktop.model.run_points import ALARM_U, Cut, RunPoints, map_points, match
+from goniotwin.app.desktop.model.run_points import ALARM_U, Cut, RunPoints, map_points
 from goniotwin.app.desktop.model.values import (
     Begin,
     Failed,
@@ -192,10 +192,6 @@ class ScanPlot(QWidget):
         self._label()
         self._write("The scan in progress is plotted here.")
         self._show_residuals()
-
-    def show_scan(self, scan: ScanData) -> None:
-        """Show the points of a scan so far, without a prediction."""
-        self.show_cut(match(scan, None))
 
     def show_cut(self, cut: Cut) -> None:
         """Show the points of a cut so far, with the prediction."""

@@ -43,7 +43,7 @@ def test_a_residual_beyond_4_u_is_marked_and_named(plot: ScanPlot) -> None:
     assert alarmed[0].tolist() == [2.0]
     assert -5.0 <= alarmed[1][0] <= -4.0
     assert plot._residuals.isVisible()
-    plot.show_scan(scan_data([1.0], [0.01], [False]))
+    plot.show_cut(match(scan_data([1.0], [0.01], [False]), None))
     assert not plot._residuals.isVisible()
     assert plot.alarms == 0
 
