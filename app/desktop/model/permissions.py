@@ -39,6 +39,7 @@ def permissions(
         watching = f"{station.operator} operates this rig"
         refusals = {command: refusals[command] or ("" if command in FREE else watching) for command in refusals}
     busy = state in BUSY
+    begins = busy and not station.busy and operates  # from the key on: what is pressed now goes after the start
     if opening:
         no_start = "the rig is being opened"
     elif busy:
@@ -49,11 +50,11 @@ def permissions(
         no_start = "" if plan is not None else no_plan or "no schedule is open"
     return Permissions(
         no_start=no_start,
-        pause=not refusals["pause"],
+        pause=begins or not refusals["pause"],
         resume=not refusals["resume"],
-        stop=station.rig is not None or lost,
+        stop=station.rig is not None or lost or begins,
         open=not busy and not opening and operates,
-        finish_cut=not refusals["finish_cut"],
+        finish_cut=begins or not refusals["finish_cut"],
         refusals=refusals,
     )
 
