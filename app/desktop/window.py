@@ -479,6 +479,7 @@ class MainWindow(QMainWindow):
             self.close_question = self._question_box("Close the window?", "A run is in progress.", choices)
             self.close_question.chosen.connect(self._answer_close)
             return
+        self.hide()  # at once, whatever is waited for
         self.shut_down()
         event.accept()
 

@@ -28,15 +28,19 @@ def start_station(
     name: str,
     on_event: Callable[[Message], None] = lambda _: None,
     on_end: Callable[[], None] = lambda: None,
+    given_up: Callable[[], bool] = lambda: False,
 ) -> StationClient:
     """Start the station of a rig in a process of its own and attach to it. Blocks for some seconds.
 
-    The process lives on when this one ends. Raises UserError with the reason where it does not come up.
+    The process lives on when this one ends. Raises UserError with the reason where it does not come up, or `given_up` returns
+    True before: then it comes up without a client, and ends soon.
     """
     log = user_log_path("goniotwin") / f"station-{calendar_s():.3f}.log"
     process = _start([sys.executable, "-m", "goniotwin", "station", "--rig", str(rig.absolute()), "--speed", f"{speed:g}"], log)
     clock = RealClock()
     while clock.now() < START_S:
+        if given_up():
+            raise UserError(f"{rig}: its station is not waited for")
         clock.sleep_until(clock.now() + WAIT_S)
         ended = process.poll() is not None
         path = next((path for path, each in known_stations().items() if each.pid == process.pid), None)

@@ -119,7 +119,7 @@ class Engine:
         """
         outcome, reason, session = State.DONE, "", 0
         self._read_earlier_rows()
-        self._enter(State.RUNNING)
+        self._enter(State.PAUSING if self._pause else State.RUNNING)
         try:
             session = self._journal.begin_session(self._clock.now(), self._plan.rig.text, software_versions())
             self._prevent_sleep()
@@ -152,11 +152,13 @@ class Engine:
         return outcome
 
     def pause(self) -> None:
-        """Pause before the next row, with the shutter closed. From any thread."""
+        """Pause before the next row, with the shutter closed; also before the first one. From any thread."""
         with self._changed:
             if self._state in (State.RUNNING, State.RECOVERING):
                 self._pause = True
                 self._enter(State.PAUSING)
+            elif self._state is State.IDLE:
+                self._pause = True
 
     def resume(self) -> None:
         """Continue after a pause. From any thread."""
