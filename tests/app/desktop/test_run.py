@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PySide6.QtCore import QTimer
-from PySide6.QtWidgets import QApplication, QFileDialog
+from PySide6.QtWidgets import QApplication
 from pytestqt.qtbot import QtBot
 
 from goniotwin.app.campaign.journal.following import JournalFollower
@@ -20,6 +20,7 @@ from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.reduction.reduction import reduce_journal
 from goniotwin.app.campaign.running.events import Positions, RowCommitted, RowStarted, State
 from goniotwin.app.desktop import STOPPED, MainWindow, run_desktop
+from goniotwin.app.desktop.dialogs import FileDialog
 from goniotwin.app.desktop.model import connection
 from goniotwin.app.desktop.model.connection import StationProcesses
 from goniotwin.app.desktop.model.live_scan import LiveScan, ScanData
@@ -278,7 +279,9 @@ def test_a_signal_before_the_event_loop_ends_the_desktop(
 
 @pytest.mark.usefixtures("handlers")
 def test_a_signal_while_a_file_is_chosen_ends_the_desktop(qapp: QApplication, tmp_path: Path, stations: LocalStations) -> None:
-    """A file dialog has an event loop of its own inside that of the window."""
+
+    def dialogs() -> list[FileDialog]:
+        return [each for each in qapp.topLevelWidgets() if isinstance(each, FileDialog) and each.isVisible()]
 
     def press_open() -> None:
         for window in qapp.topLevelWidgets():
@@ -286,7 +289,7 @@ def test_a_signal_while_a_file_is_chosen_ends_the_desktop(qapp: QApplication, tm
                 window.view.rig.open_button.click()
 
     def check_dialog() -> None:
-        if isinstance(qapp.activeModalWidget(), QFileDialog):
+        if dialogs():
             timer.stop()
             signal.raise_signal(signal.SIGINT)
         else:
@@ -296,7 +299,7 @@ def test_a_signal_while_a_file_is_chosen_ends_the_desktop(qapp: QApplication, tm
     timer.timeout.connect(check_dialog)
     timer.start()
     assert run_desktop(RIG, None, tmp_path, stations=stations) == STOPPED
-    assert qapp.activeModalWidget() is None
+    assert dialogs() == []
 
 
 def test_widgets_are_never_destroyed_in_the_rigs_thread(qtbot: QtBot, window: MainWindow) -> None:
