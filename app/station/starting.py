@@ -1,4 +1,4 @@
-"""The start of a station in a process of its own, detached from this one, which may end. Light: it loads no driver."""
+"""The start of a station in a process of its own, detached from this one, which may end."""
 
 import contextlib
 import subprocess
@@ -11,7 +11,8 @@ from platformdirs import user_log_path
 
 from goniotwin.app.errors import UserError, one_line
 from goniotwin.app.station.client import StationClient
-from goniotwin.app.station.connection_file import attach, known_stations, station_of
+from goniotwin.app.station.connection_file import attach, known_stations
+from goniotwin.app.station.hosting import station_of
 from goniotwin.app.station.messages import Message
 from goniotwin.protocols.clock import RealClock, calendar_s
 
