@@ -3,6 +3,7 @@
 import io
 import json
 import socket
+import subprocess
 import sys
 import threading
 from collections.abc import Iterator
@@ -15,6 +16,7 @@ from goniotwin.app.campaign.running.question import Answer, Question
 from goniotwin.app.cli.campaign import TerminalAsk
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import parse_rig, read_rig
+from goniotwin.app.station import starting
 from goniotwin.app.station.connection_file import Connection, attach, connection_folder, write_connection
 from goniotwin.app.station.hosting import HostedRun, connection_path, serving, station_of
 from goniotwin.app.station.messages import QuestionAsked
@@ -113,6 +115,23 @@ def test_a_station_that_does_not_serve_leaves_nothing(write_rig: Writer, monkeyp
     assert set(connection_folder().glob("*")) == before
     with serving(Station(), rig):  # its lock and port are free
         pass
+
+
+def test_a_station_that_does_not_come_up_is_ended(write_rig: Writer, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    processes: list[subprocess.Popen[bytes]] = []
+
+    def start(_command: list[str], _log: Path) -> "subprocess.Popen[bytes]":
+        processes.append(subprocess.Popen([sys.executable, "-S", "-c", "input()"], stdin=subprocess.PIPE))
+        return processes[-1]
+
+    monkeypatch.setattr(starting, "_start", start)
+    monkeypatch.setattr(starting, "START_S", 0.1)
+    with pytest.raises(UserError, match="has been ended"):
+        starting.start_station(write_rig(), 1.0, "window")
+    (process,) = processes
+    assert process.wait(20.0) != 0
+    assert process.stdin is not None
+    process.stdin.close()
 
 
 def test_a_station_that_hangs_is_named(write_rig: Writer, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -306,13 +306,17 @@ def test_finish_cut_ends_after_the_cut(bench: StationBench, write_schedule: Writ
             finishing.append(message.row)
             (bench.station.stop if interrupted else bench.station.finish_cut)()
 
+    def finish(message: Message) -> None:
+        if isinstance(message, RowSaved):
+            bench.station.finish_cut()
+
     finishing: list[object] = []
     bench.reactions.append(react)
     bench.station.start(schedule, tmp_path)
     if interrupted:
         journal = bench.work().journal
         assert journal is not None
-        bench.reactions[:] = [lambda message: isinstance(message, RowSaved) and bench.station.finish_cut()]
+        bench.reactions[:] = [finish]
         bench.station.resume_journal(journal)
     now = bench.work()
     assert now.state is State.IDLE
