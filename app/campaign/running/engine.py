@@ -208,6 +208,9 @@ class Engine:
             unplanned = [row for row in self._work if row.number >= planned]
             self._done_before = planned - (len(self._work) - len(unplanned))
             self._journal.add_rows(unplanned)
+            first = next((row.number for row in self._work if row.number < planned), 0)
+            measured = [row for row in self._plan.rows[:first] if row.kind == "measure"]
+            self._cut = _cut_of(measured[-1]) if measured else None  # the interrupted one is in progress
         self._stop_conditions.session_start_s = self._clock.now()
         for k, row in enumerate(self._work, 1):
             self._wait_while_paused()

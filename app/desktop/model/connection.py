@@ -40,7 +40,8 @@ from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription, read_rig
 from goniotwin.app.station.client import ANSWER_S as COMMAND_S
 from goniotwin.app.station.client import NoStation, Refused, StationClient
-from goniotwin.app.station.connection_file import attach, connection_folder, station_of
+from goniotwin.app.station.connection_file import attach, connection_folder
+from goniotwin.app.station.hosting import station_of
 from goniotwin.app.station.messages import Message as StationMessage
 from goniotwin.app.station.messages import RigOpened, RowSaved, RunBegun, RunEnded, RunRefused, Snapshot
 from goniotwin.app.station.starting import start_station
@@ -84,7 +85,7 @@ class StationProcesses:
         self._seen: int | None = None
 
     def attach(self, rig: Path, name: str, on_event: OnEvent, on_end: OnEnd) -> StationClient | None:
-        """Attach to a station that has the rig; None where there is none."""
+        """Attach to a station that has the rig; None where there is none. Raises UserError."""
         path = station_of(rig)
         return None if path is None else attach(path, name, on_event, on_end)
 

@@ -170,7 +170,8 @@ def test_the_keys_of_stop_hold_in_the_windows_beside_the_main_one(qtbot: QtBot, 
     for number, box in enumerate(boxes, start=1):
         box.activateWindow()
         qtbot.waitUntil(box.isActiveWindow)
-        focus = box.focusWidget() or box
+        focus = QApplication.focusWidget()
+        assert focus is not None
         qtbot.keyClick(focus, Qt.Key.Key_Period, Qt.KeyboardModifier.ControlModifier)
         assert len(stopped) == number
         qtbot.keyPress(focus, Qt.Key.Key_Escape)

@@ -355,17 +355,28 @@ def test_what_is_asked_for_before_the_first_row_is_not_lost(
     assert bench.of(RowSaved) == []
 
 
-def test_finish_cut_ends_after_the_cut(bench: StationBench, write_schedule: Writer, tmp_path: Path) -> None:
+@pytest.mark.parametrize("interrupted", [False, True])
+def test_finish_cut_ends_after_the_cut(bench: StationBench, write_schedule: Writer, tmp_path: Path, interrupted: bool) -> None:
+    """Also the cut that an interruption has left: it is in progress before the first row of its rest."""
     schedule = write_schedule(("beta_deg = [180]", "beta_deg = [0, 45, 90, 180]"))
 
     def react(message: Message) -> None:
         if isinstance(message, RowSaved) and message.row.kind == "measure" and not finishing:
             finishing.append(message.row)
+            (bench.station.stop if interrupted else bench.station.finish_cut)()
+
+    def finish(message: Message) -> None:
+        if isinstance(message, RowSaved):
             bench.station.finish_cut()
 
     finishing: list[object] = []
     bench.reactions.append(react)
     bench.station.start(schedule, tmp_path)
+    if interrupted:
+        journal = bench.work().journal
+        assert journal is not None
+        bench.reactions[:] = [finish]
+        bench.station.resume_journal(journal)
     now = bench.work()
     assert now.state is State.IDLE
     assert now.reason == "ended after the cut, as requested"
