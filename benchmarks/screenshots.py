@@ -1,10 +1,12 @@
 """Pictures of every screen of the window, and a check that every control is on the screen.
 
     python -m benchmarks.screenshots DIR [--scale 100 125 150 200] [--scheme light dark]
+    python -m benchmarks.screenshots docs --readme      # the two pictures of the README
 
-The window fills a screen of 1280 x 800 pixels at each scale factor, in a process of its own. It is shown before a run, in a run
-of the virtual rig, with a safety order and an open question, and after the run; then the windows beside it. A control that is
-not whole on the screen, or a text that is cut off, is printed, and the exit status is then 1.
+The window fills a screen of 1280 x 800 pixels at each scale factor, in a process of its own. It is shown before its rig is
+open, ready, at the bench, in a run of the virtual rig, paused, with a safety order and an open question, with notices, after
+the run, with many campaigns, and after the death of the station; then the windows beside it. A control that is not whole on
+the screen, or a text that is cut off, is printed, and the exit status is then 1.
 """
 
 import argparse
@@ -13,32 +15,51 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from PySide6.QtWidgets import QApplication, QWidget
+from PySide6.QtCore import QEvent
+from PySide6.QtWidgets import QApplication, QTabWidget, QWidget
 
 from goniotwin import examples
+from goniotwin.app.campaign.running.events import State
 from goniotwin.app.desktop import MainWindow, Theme
+from goniotwin.app.desktop.bench.readings_view import NO_READING
+from goniotwin.app.desktop.bench.screen import BenchScreen
+from goniotwin.app.desktop.campaigns.screen import CampaignsScreen
+from goniotwin.app.desktop.rig.screen import RigScreen
+from goniotwin.app.desktop.run.screen import RunScreen
+from goniotwin.app.desktop.screen import Screen
 from goniotwin.app.desktop.theme import Scheme
+from goniotwin.app.desktop.view import SCREENS
 from tests.app.desktop.screen_faults import SCREEN, faults
 
 SCALES = (100, 125, 150, 200)
 SCHEMES: tuple[Scheme, ...] = ("light", "dark")
 SPEED = 60.0
 """Simulation speed of the run that is shown."""
-SHARE = 0.6
-"""Part of the rows that are measured in the picture of a run."""
-LONGEST_S = 300.0
+FIRST_SHARE, SHARE = 0.2, 0.8
+"""Parts of the rows that are measured in the pictures of a run."""
+LONGEST_S, SETTLE_S = 60.0, 0.3
+BENCH: tuple[tuple[str, dict[str, object]], ...] = (
+    ("mount", {"sample": "satin"}), ("move", {"axis": "sigma", "target_deg": 30.0}),
+    ("move", {"axis": "beta", "target_deg": 180.0}), ("wavelength", {"nm": 550.0}), ("gain", {"v_per_a": 1e8}),
+    ("shutter", {"opened": True}),
+)  # fmt: skip
+"""Commands before the first reading."""
+README = {"bench-bench": "window-bench", "running-run": "window-run"}
+"""The pictures of the README, and the names of their files."""
 
 
 class Pictures:
     """The pictures of one scale factor."""
 
-    def __init__(self, folder: Path, percent: int, schemes: list[Scheme], journals: Path) -> None:
+    def __init__(self, folder: Path, percent: int, schemes: list[Scheme], journals: Path, names: dict[str, str]) -> None:
         self._folder = folder
         self._percent = percent
         self._schemes = schemes
+        self._names = names
         application = QApplication.instance()
         assert isinstance(application, QApplication)
         self._application = application
@@ -48,25 +69,83 @@ class Pictures:
     def take(self) -> None:
         """Take all pictures."""
         window = self.window
+        view, run = window.view, window.view.run
         window.resize(SCREEN[0] * 100 // self._percent, SCREEN[1] * 100 // self._percent)
         window.show()
+        self._each_screen("opening")
         window.complete()
-        self._wait(window.view.run.start_button.isEnabled)
+        self._wait(run.start_button.isEnabled)
         self._each_screen("ready")
-        window.view.run.start_button.click()
-        self._wait(lambda: window.view.run.progress.value() >= SHARE * window.view.run.progress.maximum())
-        window.view.run.pause_button.click()
-        self._wait(lambda: window.view.status.startswith("Paused"))
-        self._each_screen("run")
-        self._with_order()
-        window.view.run.pause_button.click()
-        self._wait(lambda: not window.presenter.busy and "Saved in" in window.view.saved)
+        self._at_the_bench()
+        run.start_button.click()
+        self._rows(FIRST_SHARE)
+        self._picture("running-run")
+        self._rows(SHARE)
+        run.pause_button.click()
+        self._wait(lambda: view.status.startswith("Paused"))
+        self._each_screen("paused")
+        self._with_notices()
+        run.pause_button.click()
+        self._wait(lambda: not window.presenter.busy and "Saved in" in view.saved)
         self._picture("done-run")
+        self._of_planes()
+        self._with_many_campaigns()
         self._dialogs()
+        self._without_rig()
+        window.connection.command("disconnect")
+        self._wait(lambda: window.presenter.rig is None)
         window.shut_down()
 
-    def _with_order(self) -> None:
+    def _rows(self, share: float) -> None:
+        """Wait until this part of the rows is measured."""
+        progress = self.window.view.run.progress
+        self._wait(lambda: progress.value() >= share * progress.maximum() > 1)
+
+    def _show(self, kind: type[Screen]) -> None:
+        self.window.view.show_screen(SCREENS.index(kind))
+
+    def _command(self, name: str, **arguments: object) -> None:
+        """Give a command to the bench, and wait until it is done."""
+        self.window.connection.command(name, **arguments)
+        time.sleep(SETTLE_S)
+        self._wait(lambda: not self.window.presenter.station.activity)
+
+    def _at_the_bench(self) -> None:
+        """Light on the sample, readings at two gains, and a move that is refused."""
+        view = self.window.view
+        bench = view.screen_of(BenchScreen)
+        self._show(BenchScreen)
+        for name, arguments in BENCH:
+            self._command(name, **arguments)
+        self._command("read", readings=4, dark=True)
+        self._command("live", on=True)
+        self._wait(lambda: bench.trend.summary != NO_READING and "in 10 min" in bench.trend.summary)
+        time.sleep(SETTLE_S)
+        self._parts("bench", bench)
+        self._command("live", on=False)
+        self._command("gain", v_per_a=1e10)
+        self._command("move", axis="shift", target_deg=5.0)
+        self._command("read", readings=1)
+        self._command("move", axis="beta", target_deg=999.0)
+        self._parts("refused", bench)
+        self._command("shutter", opened=False)
+        view.show_screen(SCREENS.index(RunScreen))
+
+    def _parts(self, name: str, screen: Screen) -> None:
+        """The pictures of a screen, with that of each of its parts where they are in tabs."""
+        tabs = next((each for each in screen.findChildren(QTabWidget) if each.isVisible()), None)
+        self._picture(f"{name}-{screen.title.lower()}")
+        for at in range(1, 0 if tabs is None else tabs.count()):
+            assert tabs is not None
+            tabs.setCurrentIndex(at)
+            self._picture(f"{name}-{screen.title.lower()}-{at + 1}")
+        if tabs is not None:
+            tabs.setCurrentIndex(0)
+
+    def _with_notices(self) -> None:
+        """A safety order and a question; a notice about the station; a device that does not respond; points in alarm."""
         from goniotwin.app.campaign.running.events import SafetyOrder
+        from goniotwin.app.station.messages import DeviceStatus
 
         view = self.window.view
         order = SafetyOrder("Cut the motors' power", "the stop is not confirmed; sigma: MST: nothing")
@@ -74,7 +153,63 @@ class Pictures:
         view.question.set_question("Mount gaussian-5")
         self._picture("order-run")
         view.question.set_question("")
-        view.orders.acknowledge(order)
+        view.orders.remove(order)
+        view.notice.show_notice("terminal 4711 operates this rig; this window watches. Stop works from here too.", "operate")
+        statuses = dict(view.devices.statuses)
+        silent = DeviceStatus(False, "no reply to READ? within 2 s: is it switched on, and its cable in?", "")
+        view.devices.set_devices({**statuses, "monitor": silent})
+        for kind in (RunScreen, RigScreen):
+            self._show(kind)
+            self._parts("notice", view.screen_of(kind))
+        view.devices.set_devices(statuses)
+        view.notice.clear()
+        self._show(RunScreen)
+
+    def _of_planes(self) -> None:
+        """The plane of incidence, on each scale."""
+        run = self.window.view.screen_of(RunScreen)
+        run.plane.setValue(1)
+        for scale in ("log", "linear", "symlog"):
+            run.scale.setCurrentText(scale)
+            time.sleep(SETTLE_S)
+            self._settle()
+            self._picture(f"{scale}-run")
+        run.scale.setCurrentText("log")
+        run.plane.setValue(0)
+
+    def _with_many_campaigns(self) -> None:
+        """Campaigns in all states, with names that are too long."""
+        from goniotwin.app.campaign.journal.summary import CampaignSummary
+        from goniotwin.app.desktop.campaigns.screen import MARKS
+        from goniotwin.app.desktop.model.campaigns import Campaign, CampaignsListed
+
+        screen = self.window.view.screen_of(CampaignsScreen)
+        folder = Path("/home/operator/measurements/2026/facade panels, third series, after weathering")
+        found = []
+        for number in range(30):
+            state = tuple(MARKS)[number % len(MARKS)]
+            name = f"panel-{number}" if number % 4 else f"panel-{number}-anodised-aluminium-after-weathering-second-side"
+            summary = CampaignSummary(
+                str(folder / f"{name}-001.journal"), name, state, 17 * number, number % 3, 1096, 60.0 * number, 300.0 * number,
+                bool(number % 2), "2026-11-23T04:26:00", None, 2, ["row 12: monitor: no reply to READ?"] if number % 3 else [],
+                ["Cut the motors' power"] if number == 3 else [], "",
+            )  # fmt: skip
+            found.append(Campaign(summary, ""))
+        screen.refresh_wanted.disconnect()
+        self._show(CampaignsScreen)
+        screen.show_campaigns(CampaignsListed(folder, tuple(found), ("other.journal: this file is not a journal",)))
+        screen.table.selectRow(3)
+        self._picture("many-campaigns")
+        self._show(RunScreen)
+
+    def _without_rig(self) -> None:
+        """What is left after the death of the station."""
+        from goniotwin.app.desktop.model.messages import StationLost
+
+        lost = replace(self.window.presenter.station, state=State.RUNNING, done=245, total=394)
+        self.window.presenter.message_received.emit(StationLost(lost))
+        self._settle()
+        self._each_screen("lost")
 
     def _dialogs(self) -> None:
         """The windows beside the main one."""
@@ -105,11 +240,13 @@ class Pictures:
         view.show_screen(shown)
 
     def _picture(self, name: str, shown: QWidget | None = None) -> None:
+        if self._names and name not in self._names:
+            return
         shown = shown or self.window
         for scheme in self._schemes:
             self.window.theme.force(scheme)
             self._settle()
-            file = f"{name}-{scheme}-{self._percent}.png"
+            file = f"{self._names[name]}-{scheme}.png" if self._names else f"{name}-{scheme}-{self._percent}.png"
             shown.grab().save(str(self._folder / file))
             self.faults += [f"{file}: {line}" for line in faults(shown, self._percent)]
 
@@ -117,6 +254,8 @@ class Pictures:
         for _ in range(3):
             self._application.processEvents()
             time.sleep(0.03)
+        for _ in range(3):  # what has changed in a run since then is laid out, too
+            self._application.sendPostedEvents(None, QEvent.Type.LayoutRequest)
 
     def _wait(self, condition: Callable[[], bool]) -> None:
         end = time.monotonic() + LONGEST_S
@@ -127,22 +266,28 @@ class Pictures:
             time.sleep(0.01)
 
 
-def of_one_scale(folder: Path, percent: int, schemes: list[Scheme]) -> list[str]:
+def of_one_scale(folder: Path, percent: int, schemes: list[Scheme], names: dict[str, str]) -> list[str]:
     """Take the pictures of one scale factor in this process; return the faults."""
     application = QApplication(["goniotwin"])
     with TemporaryDirectory() as journals:
-        pictures = Pictures(folder, percent, schemes, Path(journals))
+        pictures = Pictures(folder, percent, schemes, Path(journals), names)
         pictures.take()
         application.processEvents()
     return pictures.faults
 
 
-def of_all_scales(folder: Path, percents: list[int], schemes: list[Scheme]) -> Iterator[str]:
-    """Take the pictures of each scale factor in a process of its own; yield the faults."""
+def of_all_scales(folder: Path, percents: list[int], schemes: list[Scheme], more: list[str]) -> Iterator[str]:
+    """Take the pictures of each scale factor in a process of its own, with a state folder and a station of its own; yield the
+    faults.
+    """
     for percent in percents:
-        command = [sys.executable, "-m", "benchmarks.screenshots", str(folder), "--one", str(percent), "--scheme", *schemes]
-        environment = {**os.environ, "QT_QPA_PLATFORM": "offscreen", "QT_SCALE_FACTOR": str(percent / 100)}
-        child = subprocess.run(command, env=environment, stdout=subprocess.PIPE, text=True)
+        command = [sys.executable, "-m", "benchmarks.screenshots", str(folder), *more, "--one", str(percent)]
+        with TemporaryDirectory() as state:
+            environment = {
+                **os.environ, "QT_QPA_PLATFORM": "offscreen", "QT_SCALE_FACTOR": str(percent / 100), "XDG_STATE_HOME": state,
+                "WIN_PD_OVERRIDE_LOCAL_APPDATA": state, "QT_LOGGING_RULES": "qt.qpa.*=false",
+            }  # fmt: skip
+            child = subprocess.run([*command, "--scheme", *schemes], env=environment, stdout=subprocess.PIPE, text=True)
         yield from child.stdout.splitlines()
         if child.returncode not in (0, 1):
             yield f"{percent} %: no pictures, status {child.returncode}"
@@ -154,13 +299,15 @@ def main() -> int:
     parser.add_argument("folder", type=Path, metavar="DIR")
     parser.add_argument("--scale", type=int, nargs="+", choices=SCALES, default=list(SCALES), help="in percent")
     parser.add_argument("--scheme", nargs="+", choices=SCHEMES, default=list(SCHEMES))
+    parser.add_argument("--readme", action="store_true", help="only the pictures of the README, at 100 percent")
     parser.add_argument("--one", type=int, help=argparse.SUPPRESS)
     options = parser.parse_args()
     options.folder.mkdir(parents=True, exist_ok=True)
     if options.one is None:
-        found = list(of_all_scales(options.folder, options.scale, options.scheme))
+        scales, more = ([100], ["--readme"]) if options.readme else (options.scale, [])
+        found = list(of_all_scales(options.folder, scales, options.scheme, more))
     else:
-        found = of_one_scale(options.folder, options.one, options.scheme)
+        found = of_one_scale(options.folder, options.one, options.scheme, README if options.readme else {})
     for line in found:
         print(line)
     return 1 if found else 0

@@ -11,6 +11,7 @@ from goniotwin.app.cli.output import Json, RigOption, answer, print_error
 from goniotwin.app.errors import UserError
 
 if TYPE_CHECKING:  # the drivers load numpy, which a command's help does not need
+    from goniotwin.app.rig import RigDescription
     from goniotwin.drivers import Axis, Rig
 
 Report = Callable[[str], None]
@@ -49,7 +50,8 @@ def home(
 ) -> None:
     """Home axes one after the other; the axes move.
 
-    Only axes with a [homing] table in the rig file can be homed. Ctrl-C stops the axes.
+    Only axes with a [homing] table in the rig file can be homed. A rig that a station has is homed through it. Ctrl-C stops
+    the axes.
 
     Exit status: 0 if all are homed, 1 after a fault.
     """
@@ -65,7 +67,7 @@ def here(
 ) -> None:
     """Set the current position of an axis (manual referencing).
 
-    Nothing moves. Read the position from the scale of the axis first.
+    Nothing moves. Read the position from the scale of the axis first. A rig that a station has is used through it.
 
     Exit status: 0 if the position is set, 1 after a fault.
     """
@@ -78,9 +80,11 @@ def home_axes(path: Path, names: list[str], report: Report) -> None:
 
     Raises UserError before anything moves; DeviceError later, with the axes at rest.
     """
+    from goniotwin.app.cli.station import attached_bench
     from goniotwin.app.rig import AXES, read_rig
 
-    file = read_rig(path).file
+    description = read_rig(path)
+    file = description.file
     for name in names:
         _check_axis(path, name)
         if getattr(file.axes, name).homing is None:
@@ -94,7 +98,13 @@ def home_axes(path: Path, names: list[str], report: Report) -> None:
             f"{path}: no axis has a [homing] table; add them, or set the position of each axis: "
             f"goniotwin here --rig {path} AXIS DEG"
         )
-    with _connected_axes(path, chosen) as rig:
+    with attached_bench(description) as bench:
+        if bench is not None:
+            for name in chosen:
+                bench.finish("home", axis=name)
+                report(f"{name}: homed, at {bench.snapshot.positions[name]:.3f} deg")
+            return
+    with _connected_axes(description, chosen) as rig:
         for name in chosen:
             _home(rig, rig.axes[name])
             previous_deg = rig.axes[name].last_reference_deg
@@ -104,8 +114,17 @@ def home_axes(path: Path, names: list[str], report: Report) -> None:
 
 def set_axis_position(path: Path, name: str, angle_deg: float, report: Report) -> None:
     """Set the current position of an axis; nothing moves. Raises UserError, DeviceError."""
+    from goniotwin.app.cli.station import attached_bench
+    from goniotwin.app.rig import read_rig
+
     _check_axis(path, name)
-    with _connected_axes(path, [name]) as rig:
+    description = read_rig(path)
+    with attached_bench(description) as bench:
+        if bench is not None:
+            bench.finish("set_position", axis=name, angle_deg=angle_deg)
+            report(f"{name}: position set to {bench.snapshot.positions[name]:.3f} deg")
+            return
+    with _connected_axes(description, [name]) as rig:
         axis = rig.axes[name]
         limits = axis.settings
         if not limits.lower_deg <= angle_deg <= limits.upper_deg:
@@ -125,13 +144,12 @@ def _check_axis(path: Path, name: str) -> None:
 
 
 @contextlib.contextmanager
-def _connected_axes(path: Path, names: list[str]) -> "Iterator[Rig]":
+def _connected_axes(description: "RigDescription", names: list[str]) -> "Iterator[Rig]":
     """A rig, locked against other programs, with the controllers of these axes connected."""
     from goniotwin.app.campaign.campaign import clock_for
-    from goniotwin.app.rig import open_rig, read_rig
+    from goniotwin.app.rig import open_rig
     from goniotwin.drivers import DeviceError
 
-    description = read_rig(path)
     with open_rig(description, clock_for(description.file)) as opened:
         try:
             for controller in opened.rig.controllers:

@@ -1,4 +1,7 @@
-"""Commands of the bench: `goniotwin station`, `move` and `read`. A rig that a station has is used through it."""
+"""Commands of the bench: `goniotwin station`, `move` and `read`. A rig that a station has is used through it.
+
+`home` and `here` do so too (`attached_bench`); without a station they need one controller only, and are in `instrument`.
+"""
 
 import contextlib
 import threading
@@ -146,9 +149,11 @@ class RemoteBench:
         return self.client.snapshot
 
     def wait_for_rig(self) -> None:
-        """Wait until the station has connected its devices."""
+        """Wait until the station has connected its devices. Raises BenchFault where it has none any more."""
         with self._changed:
             while self.snapshot.rig is None and not self._ended:
+                if self.snapshot.closed:
+                    raise BenchFault(f"the station has no rig: {self.snapshot.closed}")
                 self._changed.wait(WAIT_S)
 
     def note(self, message: "Message") -> None:
@@ -162,6 +167,11 @@ class RemoteBench:
         with self._changed:
             self._ended = True
             self._changed.notify_all()
+
+    def finish(self, command: str, **arguments: Any) -> None:
+        """Have a command carried out to its end. Raises BenchFault."""
+        if error := self.do(command, **arguments):
+            raise BenchFault(error)
 
     def do(self, command: str, **arguments: Any) -> str:
         """Have a command carried out to its end; return its fault, or an empty text. Ctrl-C stops all axes."""
@@ -190,15 +200,29 @@ def _ends(events: "list[Message]") -> list[str]:
 def _bench(rig: Path) -> "Iterator[LocalBench | RemoteBench]":
     """The station that has a rig; without one, a station of this command alone. Raises UserError."""
     from goniotwin.app.rig import read_rig
+
+    description = read_rig(rig)
+    with attached_bench(description) as remote:
+        if remote is not None:
+            yield remote
+            return
+    with _station(description) as station:
+        yield LocalBench(station)
+
+
+@contextlib.contextmanager
+def attached_bench(rig: "RigDescription") -> "Iterator[RemoteBench | None]":
+    """The station that has a rig, with its devices connected; None where there is none. Raises UserError."""
     from goniotwin.app.station.connection_file import attach
     from goniotwin.app.station.hosting import connection_path
 
-    description = read_rig(rig)
     remote = RemoteBench()
-    client = attach(connection_path(description), "goniotwin command", remote.note, remote.end)
+    try:
+        client = attach(connection_path(rig), "goniotwin command", remote.note, remote.end)
+    except TimeoutError:
+        raise UserError(f"{rig.name}: its station does not answer; wait, or end its process") from None
     if client is None:
-        with _station(description) as station:
-            yield LocalBench(station)
+        yield None
         return
     remote.client = client
     client.start()

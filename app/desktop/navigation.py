@@ -9,6 +9,11 @@ from goniotwin.app.desktop.icons import SIZE, icon, no_icon
 from goniotwin.app.desktop.screen import Screen
 from goniotwin.app.desktop.theme import Colours
 
+SHORT_MARK = 3
+"""Signs of a mark that has room in a narrow window."""
+LOW_BUTTON = 30
+"""Height in logical pixels of a button in a low window, with its share of the margins."""
+
 
 class Navigation(QFrame):
     """The titles of the screens, with the key of each. `chosen` has the number of a screen, from 0.
@@ -47,6 +52,8 @@ class Navigation(QFrame):
             self.set_mark(number, "")
         column.addStretch(1)
         self._group.idClicked.connect(self.chosen)
+        # Its height in a low window, which a high one may become in one step.
+        self.setMinimumHeight(LOW_BUTTON * len(screens))
         self.set_colours(colours)
 
     @Slot(int)
@@ -58,7 +65,7 @@ class Navigation(QFrame):
             self.buttons[number].setFocus()
 
     def set_compact(self, compact: bool) -> None:
-        """Show the numbers and marks of the screens without their titles, in a narrow window."""
+        """Show the numbers of the screens without their titles, and of long marks the sign only, in a narrow window."""
         if compact != self._compact:
             self._compact = compact
             for number, mark in enumerate(self._marks):
@@ -74,7 +81,8 @@ class Navigation(QFrame):
         """Show a mark behind the title of a screen that should be looked at (such as ✗ 2); none if empty."""
         self._marks[number] = mark
         title = self._screens[number].title
-        parts = [f" {number + 1}", *([] if self._compact else [title]), *([mark] if mark else [])]
+        shown = mark[:1] if self._compact and len(mark) > SHORT_MARK else mark
+        parts = [f" {number + 1}", *([] if self._compact else [title]), *([shown] if shown else [])]
         self.buttons[number].setText("  ".join(parts))
         self.buttons[number].setAccessibleName(f"Screen {title}" + (f", to look at: {mark}" if mark else ""))
 

@@ -119,7 +119,7 @@ class Presenter(QObject):
     @property
     def state(self) -> State:
         """The state of the run, as it is shown: running from the key that starts it."""
-        return State.RUNNING if self._starting else self.station.state
+        return State.RUNNING if self._starting or self.station.starting else self.station.state
 
     @property
     def rig(self) -> RigOpened | None:
@@ -207,8 +207,9 @@ class Presenter(QObject):
             case OrderAcknowledged(order):
                 if self._view.orders.remove(order):  # by another client
                     self._log(f"Acknowledged: {order.order}")
-            case RunBegun(journal, name, done, total, seconds_left):
+            case RunBegun(journal, name, done, total, seconds_left, person):
                 self._starting = False
+                self._view.rig.person.setChecked(person)
                 self.journal = journal
                 self._begin_pace(done, total, seconds_left)
                 self._show_progress(done, total, seconds_left)
@@ -289,6 +290,7 @@ class Presenter(QObject):
             self._view.orders.add(order)
         if snapshot.busy and snapshot.journal is not None:
             self.journal = snapshot.journal
+            self._view.rig.person.setChecked(snapshot.person)
             self._begin_pace(snapshot.done, snapshot.total, snapshot.seconds_left)
             self._show_progress(snapshot.done, snapshot.total, snapshot.seconds_left)
             self._view.set_saved(f"Saved row by row in {snapshot.journal}")

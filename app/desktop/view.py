@@ -146,6 +146,7 @@ class MainView(QWidget):
         self._status_is_error = error
         self._status.setText(f"✗ {text}" if error else text)
         self._colour_texts()
+        self._show_lines()
 
     def set_simulated(self, simulated: bool, seed: int | None) -> None:
         """Show or hide the banner of a simulated rig."""
@@ -157,7 +158,7 @@ class MainView(QWidget):
         """Show the line with the path of the journal."""
         self._saved.setText(text)
         self._status.setToolTip(text)
-        self._show_saved()
+        self._show_lines()
 
     @Slot(str)
     def set_plot_error(self, text: str) -> None:
@@ -197,9 +198,12 @@ class MainView(QWidget):
         self._low = self.height() < LOW
         self.run.set_low(self._low)
         self.navigation.set_low(self._low)
-        self._show_saved()
+        self._show_lines()
 
-    def _show_saved(self) -> None:
+    def _show_lines(self) -> None:
+        """Leave out, in a low window, the path of the journal, and what the notice says already."""
+        said = bool(self.notice.text) and self._status.text().endswith(self.notice.text)
+        self._status.setVisible(not (self._low and said))
         self._saved.setVisible(bool(self._saved.text()) and not self._low)
 
     def _lay_out(self) -> None:

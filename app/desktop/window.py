@@ -13,11 +13,12 @@ from typing import TYPE_CHECKING
 
 from PySide6.QtCore import QEvent, Qt, QUrl, Signal, Slot
 from PySide6.QtGui import QCloseEvent, QDesktopServices, QKeyEvent
-from PySide6.QtWidgets import QApplication, QFileDialog, QMainWindow
+from PySide6.QtWidgets import QApplication, QMainWindow
 
 from goniotwin import examples
 from goniotwin.app.campaign.running.question import EFFECTS, Answer
 from goniotwin.app.desktop.campaigns.screen import CampaignsScreen
+from goniotwin.app.desktop.dialogs import FileDialog
 from goniotwin.app.desktop.event_loop import GarbageCollector
 from goniotwin.app.desktop.events.question import Choice, QuestionBox
 from goniotwin.app.desktop.menu import Menus, TextBox, about_text, keys_text
@@ -354,9 +355,7 @@ class MainWindow(QMainWindow):
             self.question.appear()
 
     def _question_box(self, title: str, text: str, choices: list[Choice]) -> QuestionBox:
-        box = QuestionBox(self, title, text, choices)
-        box.escape_released.connect(self.view.run.release_hold)
-        return box
+        return QuestionBox(self, title, text, choices)
 
     @Slot()
     def _dismiss_question(self) -> None:
@@ -381,9 +380,7 @@ class MainWindow(QMainWindow):
     @Slot()
     def _choose_rig(self) -> None:
         folder = self._last_folder("rig", self.presenter.rig_path)
-        name, _ = QFileDialog.getOpenFileName(self, "Open a rig file", str(folder), "Rig files (*.toml)")
-        if name:
-            self._open_rig(Path(name))
+        FileDialog(self, "Open a rig file", folder, "Rig files (*.toml)", self._open_rig)
 
     @Slot()
     def _connect_again(self) -> None:
@@ -398,9 +395,7 @@ class MainWindow(QMainWindow):
     def _choose_schedule(self) -> None:
         plan = self.presenter.plan
         folder = self._last_folder("schedule", Path(plan.schedule.name) if plan else self.presenter.rig_path)
-        name, _ = QFileDialog.getOpenFileName(self, "Open a schedule file", str(folder), "Schedule files (*.toml)")
-        if name:
-            self._open_schedule(Path(name))
+        FileDialog(self, "Open a schedule file", folder, "Schedule files (*.toml)", self._open_schedule)
 
     def _open_schedule(self, path: Path) -> None:
         self._remember("schedule", path)
@@ -424,12 +419,15 @@ class MainWindow(QMainWindow):
 
     @Slot()
     def _choose_folder(self) -> None:
-        name = QFileDialog.getExistingDirectory(self, "Folder for data files (journals)", str(self._folder))
-        if name:
-            self._folder = Path(name)
-            self._remembered.set_folder(self._folder)
-            self.view.schedule.set_folder(self._folder)
-            self._list_campaigns()
+        # The first run creates the folder.
+        first = next(each for each in (self._folder, *self._folder.absolute().parents) if each.is_dir())
+        FileDialog(self, "Folder for data files (journals)", first, "", self._take_folder)
+
+    def _take_folder(self, folder: Path) -> None:
+        self._folder = folder
+        self._remembered.set_folder(folder)
+        self.view.schedule.set_folder(folder)
+        self._list_campaigns()
 
     @Slot()
     def _show_folder(self) -> None:
@@ -479,6 +477,7 @@ class MainWindow(QMainWindow):
             self.close_question = self._question_box("Close the window?", "A run is in progress.", choices)
             self.close_question.chosen.connect(self._answer_close)
             return
+        self.hide()  # at once, whatever is waited for
         self.shut_down()
         event.accept()
 

@@ -80,12 +80,6 @@ def attach(
         return None
 
 
-def station_of(rig: Path) -> Path | None:
-    """The connection file of a station that was started with a rig file; None if there is none."""
-    wanted = str(rig.absolute())
-    return next((path for path, each in known_stations().items() if each.rig == wanted), None)
-
-
 def connection_folder() -> Path:
     """The folder of the connection files."""
     return state_folder() / FOLDER

@@ -1,4 +1,4 @@
-"""The place of a station: its lock and its connection file, from the start of its server to the end."""
+"""The place of a station: its lock and its connection file, from the start of its server to the end; and how it is found."""
 
 import contextlib
 import hashlib
@@ -8,10 +8,16 @@ from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from goniotwin.app.rig import OpenRig, RigDescription
+from goniotwin.app.rig import OpenRig, RigDescription, read_rig
 from goniotwin.app.rig.addresses import device_names
 from goniotwin.app.rig.lock import LockFile
-from goniotwin.app.station.connection_file import Connection, connection_folder, read_connection, write_connection
+from goniotwin.app.station.connection_file import (
+    Connection,
+    connection_folder,
+    known_stations,
+    read_connection,
+    write_connection,
+)
 from goniotwin.app.station.messages import Message, RunBegun
 from goniotwin.app.station.server import StationServer
 from goniotwin.app.station.station import Station
@@ -29,6 +35,18 @@ def connection_path(rig: RigDescription) -> Path:
     return connection_folder() / f"{hashlib.sha256(repr(places).encode()).hexdigest()[:32]}.json"
 
 
+def station_of(rig: Path) -> Path | None:
+    """The connection file of the station that has the rig of a file; None if there is none. Raises UserError.
+
+    It was started with that file, whatever that is now, or has its devices: a run that is resumed has the rig of the journal.
+    """
+    wanted = str(rig.absolute())
+    found = next((path for path, each in known_stations().items() if each.rig == wanted), None)
+    if found is None and (path := connection_path(read_rig(rig))).exists():
+        return path
+    return found
+
+
 @contextlib.contextmanager
 def serving(station: Station, rig: RigDescription) -> Iterator[StationServer]:
     """Serve a station, whose rig is open, to clients that find it by its file.
@@ -38,35 +56,35 @@ def serving(station: Station, rig: RigDescription) -> Iterator[StationServer]:
     """
     path = connection_path(rig)
     make_own_folder(path.parent)
-    locks = []
-    if rig.file.in_process:
-        locks.append(LockFile(path.with_suffix(".lock"), rig.name, f"station of {rig.file.name} ({rig.name})", 0o600))
-    server = StationServer(station)
-    about = Connection(
-        PROTOCOL, os.getpid(), socket.gethostname(), server.port, server.token, str(Path(rig.name).absolute()), "",
-        calendar_stamp(),
-    )  # fmt: skip
+    with contextlib.ExitStack() as stack:
+        if rig.file.in_process:
+            lock = LockFile(path.with_suffix(".lock"), rig.name, f"station of {rig.file.name} ({rig.name})", 0o600)
+            stack.callback(lock.release, remove=True)
+        server = StationServer(station)
+        about = Connection(
+            PROTOCOL, os.getpid(), socket.gethostname(), server.port, server.token, str(Path(rig.name).absolute()), "",
+            calendar_stamp(),
+        )  # fmt: skip
 
-    def write(_number: int, message: Message) -> None:
-        nonlocal about
-        if isinstance(message, RunBegun):
-            about = replace(about, journal=str(message.journal))
-            with contextlib.suppress(OSError):  # a full disk: the file leads to the station as before
-                write_connection(path, about)
+        def write(_number: int, message: Message) -> None:
+            nonlocal about
+            if isinstance(message, RunBegun):
+                about = replace(about, journal=str(message.journal))
+                with contextlib.suppress(OSError):  # a full disk: the file leads to the station as before
+                    write_connection(path, about)
 
-    try:
+        def remove() -> None:
+            found = read_connection(path)
+            if found is not None and found.pid == about.pid:
+                path.unlink(missing_ok=True)
+
+        stack.callback(remove)
+        stack.callback(server.stop)
         server.start()
         write_connection(path, about)
         station.board.subscribe(write)
+        stack.callback(station.board.unsubscribe, write)
         yield server
-    finally:
-        station.board.unsubscribe(write)
-        server.stop()
-        found = read_connection(path)
-        if found is not None and found.pid == about.pid:
-            path.unlink(missing_ok=True)
-        for lock in locks:
-            lock.release(remove=True)
 
 
 @contextlib.contextmanager

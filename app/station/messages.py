@@ -82,11 +82,13 @@ class ReferencesChanged:
 class ActivityChanged:
     """What the station does now, apart from the rows of a run, in words; empty if nothing.
 
-    `error` is the fault or the refusal with which the activity before ended, empty if it is done.
+    `error` is the fault or the refusal with which the activity before ended, empty if it is done. `starts` if a run begins
+    with it: it can be paused and ended before its first row.
     """
 
     activity: str
     error: str = ""
+    starts: bool = False
 
 
 @dataclass(frozen=True)
@@ -122,13 +124,17 @@ class BenchReading:
 
 @dataclass(frozen=True)
 class RunBegun:
-    """A run has begun, into a journal. `done` of `total` rows are measured already; `seconds_left` is estimated."""
+    """A run has begun, into a journal. `done` of `total` rows are measured already; `seconds_left` is estimated.
+
+    `person` if a person is the operator of a virtual rig.
+    """
 
     journal: Path
     name: str
     done: int
     total: int
     seconds_left: float
+    person: bool = False
 
 
 @dataclass(frozen=True)
@@ -208,8 +214,8 @@ NEWEST_ONLY = (Positions, BenchReading, DevicesAnswered)
 class Snapshot:
     """The station as its events so far give it; `number` is that of the last one.
 
-    `journal` is that of the run in progress, or of the last one; `row` the row in progress; `reason` why the state was entered;
-    `unreferenced` why axes are unreferenced.
+    `journal` is that of the run in progress, or of the last one, and `person` its operator; `starting` until its engine is in a
+    state; `row` the row in progress; `reason` why the state was entered; `unreferenced` why axes are unreferenced.
     """
 
     number: int = 0
@@ -222,6 +228,8 @@ class Snapshot:
     done: int = 0
     total: int = 0
     seconds_left: float = 0.0
+    person: bool = False
+    starting: bool = False
     row: Row | None = None
     activity: str = "opening the rig"
     bench: BenchChanged = field(default_factory=BenchChanged)
@@ -251,7 +259,7 @@ def advance(before: Snapshot, message: Message) -> Snapshot:
     changes: dict[str, Any] = {}
     match message:
         case StateChanged(state, reason):
-            changes = {"state": state, "reason": reason}
+            changes = {"state": state, "reason": reason, "starting": False}
         case RowStarted(row):
             changes = {"row": row}
         case Positions(degrees):
@@ -265,7 +273,7 @@ def advance(before: Snapshot, message: Message) -> Snapshot:
         case RigClosed(reason):
             changes = {
                 "rig": None, "closed": reason, "state": State.IDLE, "activity": "", "positions": {}, "unreferenced": {},
-                "row": None, "bench": BenchChanged(), "reading": None,
+                "row": None, "bench": BenchChanged(), "reading": None, "starting": False,
             }  # fmt: skip
         case DeviceChanged(device, status) if before.rig is not None:
             changes = {"rig": _with_devices(before.rig, {device: status})}
@@ -277,23 +285,25 @@ def advance(before: Snapshot, message: Message) -> Snapshot:
             })}  # fmt: skip
         case ReferencesChanged(unreferenced):
             changes = {"unreferenced": unreferenced}
-        case ActivityChanged(activity):
-            changes = {"activity": activity}
+        case ActivityChanged(activity, starts=starts):
+            changes = {"activity": activity, "starting": starts}
         case BenchChanged():
             changes = {"bench": message}
         case BenchReading():
             changes = {"reading": message}
-        case RunBegun(journal, name, done, total, seconds_left):
+        case RunBegun(journal, name, done, total, seconds_left, person):
             changes = {
                 "journal": journal, "campaign": name, "done": done, "total": total, "seconds_left": seconds_left,
-                "activity": "", "row": None,
+                "person": person, "activity": "", "row": None, "starting": True,
             }  # fmt: skip
         case RowSaved(_row, _flags, done, total, seconds_left):
             changes = {"done": done, "total": total, "seconds_left": seconds_left}
         case RunEnded(state, reason, journal):
-            changes = {"state": state, "reason": reason, "journal": journal, "row": None, "question": None}
+            changes = {
+                "state": state, "reason": reason, "journal": journal, "row": None, "question": None, "starting": False,
+            }  # fmt: skip
         case RunRefused(reason):
-            changes = {"state": State.IDLE, "reason": reason, "activity": ""}
+            changes = {"state": State.IDLE, "reason": reason, "activity": "", "starting": False}
         case QuestionAsked():
             changes = {"question": message}
         case QuestionClosed(number) if before.question is not None and before.question.number == number:

@@ -21,13 +21,13 @@ def allowed(station: Snapshot) -> dict[str, str]:
         refusals[command] = _no_bench(station, command)
     if station.rig is None:
         refusals["stop"] = "no rig is open"
-    if station.busy:
-        refusals["disconnect"] = f"a run is {station.state}; stop it first"
-    if station.state not in (State.RUNNING, State.RECOVERING):
+    if station.busy or station.starting:
+        refusals["disconnect"] = f"a run is {station.state if station.busy else 'starting'}; stop it first"
+    if not station.starting and station.state not in (State.RUNNING, State.RECOVERING):
         refusals["pause"] = f"the run is {station.state}" if station.busy else "no run is in progress"
     if station.state not in (State.PAUSING, State.PAUSED):
         refusals["resume"] = f"the run is {station.state}" if station.busy else "no run is in progress"
-    if not station.busy or station.state is State.STOPPING:
+    if not station.starting and (not station.busy or station.state is State.STOPPING):
         refusals["finish_cut"] = f"the run is {station.state}" if station.busy else "no run is in progress"
     if station.question is None:
         refusals["answer"] = "no question is open"
@@ -51,6 +51,8 @@ def _no_bench(station: Snapshot, command: str) -> str:
         return station.activity or station.closed or "no rig is open"
     if station.busy:
         return f"a run is {station.state}"
+    if station.starting:
+        return station.activity or "a run is starting"
     if station.activity and command != "live":
         return station.activity
     silent = rig.not_responding

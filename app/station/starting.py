@@ -1,4 +1,4 @@
-"""The start of a station in a process of its own, detached from this one, which may end. Light: it loads no driver."""
+"""The start of a station in a process of its own, detached from this one, which may end."""
 
 import contextlib
 import subprocess
@@ -11,7 +11,8 @@ from platformdirs import user_log_path
 
 from goniotwin.app.errors import UserError, one_line
 from goniotwin.app.station.client import StationClient
-from goniotwin.app.station.connection_file import attach, known_stations, station_of
+from goniotwin.app.station.connection_file import attach, known_stations
+from goniotwin.app.station.hosting import station_of
 from goniotwin.app.station.messages import Message
 from goniotwin.protocols.clock import RealClock, calendar_s
 
@@ -28,15 +29,19 @@ def start_station(
     name: str,
     on_event: Callable[[Message], None] = lambda _: None,
     on_end: Callable[[], None] = lambda: None,
+    given_up: Callable[[], bool] = lambda: False,
 ) -> StationClient:
     """Start the station of a rig in a process of its own and attach to it. Blocks for some seconds.
 
-    The process lives on when this one ends. Raises UserError with the reason where it does not come up.
+    The process lives on when this one ends. Raises UserError with the reason where it does not come up, or `given_up` returns
+    True before: then it comes up without a client, and ends soon.
     """
     log = user_log_path("goniotwin") / f"station-{calendar_s():.3f}.log"
     process = _start([sys.executable, "-m", "goniotwin", "station", "--rig", str(rig.absolute()), "--speed", f"{speed:g}"], log)
     clock = RealClock()
     while clock.now() < START_S:
+        if given_up():
+            raise UserError(f"{rig}: its station is not waited for")
         clock.sleep_until(clock.now() + WAIT_S)
         ended = process.poll() is not None
         path = next((path for path, each in known_stations().items() if each.pid == process.pid), None)
@@ -45,11 +50,13 @@ def start_station(
         if path is not None:
             with contextlib.suppress(TimeoutError):
                 if (client := attach(path, name, on_event, on_end)) is not None:
-                    threading.Thread(target=process.wait, name="station's end", daemon=True).start()  # leaves no zombie
+                    _reap(process)
                     return client
         if ended:
             raise UserError(_last_line(log) or f"{rig}: its station has ended with status {process.returncode}; see {log}")
-    raise UserError(f"{rig}: its station does not answer within {START_S:g} s; see {log}")
+    process.terminate()
+    _reap(process)
+    raise UserError(f"{rig}: its station does not answer within {START_S:g} s and has been ended; see {log}")
 
 
 def _start(command: list[str], log: Path) -> "subprocess.Popen[bytes]":
@@ -68,6 +75,11 @@ def _start(command: list[str], log: Path) -> "subprocess.Popen[bytes]":
                     )
             raise UserError("Windows does not let a process be started here; start goniotwin station in a terminal")
         return subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=output, stderr=output, start_new_session=True)
+
+
+def _reap(process: "subprocess.Popen[bytes]") -> None:
+    """Leave no zombie of a process when it ends."""
+    threading.Thread(target=process.wait, name="station's end", daemon=True).start()
 
 
 def _last_line(log: Path) -> str:

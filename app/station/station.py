@@ -75,6 +75,8 @@ ASK_S = 5.0
 NO_HEARTBEAT_S = float("inf")
 """A virtual rig has the longest heartbeat of its controllers: it counts simulated time, but the host is slow in real time. At
 simulation speed 60, a pause of 35 ms would exceed a short heartbeat."""
+OPERATOR = "operator"
+"""Kind of the event of a journal that a person is the operator of a virtual rig: so again when the run is resumed."""
 Task = Callable[[], None]
 
 
@@ -128,7 +130,7 @@ class Station:
         self._bench: Bench | None = None
         self._engine: Engine | None = None
         self._live: PendingReading | None = None
-        self._stop_requested = threading.Event()
+        self._stop_requested, self._pause_requested, self._finish_requested = (threading.Event() for _ in range(3))
         self._stops = 0
         self._no_stops = threading.Condition()
         self._asked = 0
@@ -184,20 +186,23 @@ class Station:
                 self._no_stops.notify_all()
 
     def pause(self) -> None:
-        """Pause the run before its next row, with the shutter closed."""
+        """Pause the run before its next row, with the shutter closed; one that is about to begin, before its first row."""
         self._check("pause")
+        self._pause_requested.set()  # before the engine is looked up: `run_begun` checks it after it has one
         if self._engine is not None:
             self._engine.pause()
 
     def resume(self) -> None:
         """Resume the run that is paused."""
         self._check("resume")
+        self._pause_requested.clear()
         if self._engine is not None:
             self._engine.resume()
 
     def finish_cut(self) -> None:
         """End the run in good order after the last row of the cut in progress."""
         self._check("finish_cut")
+        self._finish_requested.set()
         if self._engine is not None:
             self._engine.finish_cut()
 
@@ -241,8 +246,8 @@ class Station:
         """
         self._begin("start", f"starting {schedule.name}", lambda: self._start(schedule, folder, person), run=True)
 
-    def resume_journal(self, journal: Path, person: bool = False) -> None:
-        """Continue the campaign of a journal: the command `continue`."""
+    def resume_journal(self, journal: Path, person: bool | None = None) -> None:
+        """Continue the campaign of a journal: the command `continue`. Without `person` its operator is as it was."""
         self._begin("continue", f"resuming {journal.name}", lambda: self._resume(journal, person), run=True)
 
     def connect(self, device: str = "") -> None:
@@ -368,7 +373,7 @@ class Station:
     def report_connected(self) -> None:
         """Report that all devices of a rig are connected, for a run that is about to begin."""
         self._report_devices({each.name: None for each in self._rig().rig.devices})
-        self._publish(ActivityChanged("starting the run"))
+        self._publish(ActivityChanged("starting the run", starts=True))
 
     def _report_devices(self, outcome: dict[str, DeviceError | None]) -> None:
         """Report the devices of a rig with the errors, or None, of their connections."""
@@ -527,8 +532,9 @@ class Station:
         if self.snapshot.activity or self.snapshot.rig is None:
             return
         rig = self._rig().rig
-        for device in (rig.monochromator, rig.monitor):
-            if device.name not in self._silent and not (device is rig.monitor and self._live is not None):
+        reads = () if self._on_bench().settings.live else (rig.photodiodes, rig.monitor)
+        for device in (rig.monochromator, *reads):
+            if device.name not in self._silent:
                 device.check()
                 self._answer_noted(device.name)
 
@@ -609,7 +615,7 @@ class Station:
             return
         self._measure(plan, journal, plan.rows, person)
 
-    def _resume(self, path: Path, person: bool) -> None:
+    def _resume(self, path: Path, person: bool | None) -> None:
         try:
             with contextlib.closing(Journal.open(path)) as unlocked:
                 remaining_work(unlocked, self._description)  # raises the error before the journal is changed
@@ -625,6 +631,8 @@ class Station:
             return
         if isinstance(self._clock, ScaledClock):
             self._clock.advance_to(remaining.start_s)
+        if person is None:
+            person = bool(journal.event_texts(OPERATOR))
         self._measure(remaining.plan, journal, remaining.work, person)
 
     def _measure(self, plan: Plan, journal: Journal, work: Sequence[Row], person: bool) -> None:
@@ -636,7 +644,9 @@ class Station:
         with contextlib.closing(record):
             operator = operator_for(opened, plan.rig.file, self.ask, person=person)
             engine = Engine(opened.rig, plan, journal, operator, [self.listen], self.positions_every_s, work=work)
-            self.run_begun(engine, plan, journal, work, record)
+            if person and plan.rig.simulated and not journal.event_texts(OPERATOR):
+                journal.event(self._clock.now(), OPERATOR, "a person is the operator of this simulated rig")
+            self.run_begun(engine, plan, journal, work, record, person=person)
             try:
                 state = engine.run()
             except Exception as error:  # noqa: BLE001  (last resort of the thread: reported, and nothing moves on)
@@ -655,19 +665,24 @@ class Station:
         return max(POLL_S, 0.25 * POLL_S * speed)
 
     def run_begun(
-        self, engine: Engine, plan: Plan, journal: Journal, work: Sequence[Row], record: RunRecord | None = None
-    ) -> None:
+        self, engine: Engine, plan: Plan, journal: Journal, work: Sequence[Row], record: RunRecord | None = None,
+        *, person: bool = False,
+    ) -> None:  # fmt: skip
         """Report a run of this rig that begins: its commands go to `engine` from now on."""
         self._record = record or RunRecord(journal, self._clock)
         self._engine = engine
         planned = len(plan.rows)
         done = planned - sum(row.number < planned for row in work)
         left = sum(row.seconds for row in work)
-        self._publish(RunBegun(journal.path, plan.schedule.file.name, done, planned, left))
+        self._publish(RunBegun(journal.path, plan.schedule.file.name, done, planned, left, person))
         for text in journal.open_orders():
             order, _, reason = text.partition(": ")
             self._give_order(SafetyOrder(order, reason), self._record)
-        if self._stop_requested.is_set():  # requested before the engine existed
+        if self._pause_requested.is_set():  # each requested before the engine existed
+            engine.pause()
+        if self._finish_requested.is_set():
+            engine.finish_cut()
+        if self._stop_requested.is_set():
             engine.stop()
 
     def wait_for_stops(self) -> None:
@@ -743,9 +758,10 @@ class Station:
             if self.disconnected.is_set():
                 raise CommandRefused("the rig is being given back")
             opened, bench = self._rig(), self._on_bench()
-            self._stop_requested.clear()
+            for each in (self._stop_requested, self._pause_requested, self._finish_requested):
+                each.clear()
             bench.request = StopRequest(opened.rig)
-            self._publish(ActivityChanged(activity))
+            self._publish(ActivityChanged(activity, starts=run))
 
         def unless_stopped() -> None:
             bench.request.check()

@@ -190,6 +190,11 @@ class PhotodiodeArray:
         self._connected = True
         return restored
 
+    def check(self) -> None:
+        """Read the ranges of each module back. Raises DeviceError, Forgotten where a module has lost its settings."""
+        for module in self._connected_modules("check"):
+            module.check_ranges()
+
     def close(self) -> None:
         """Restore the settings that were found, and close the connections."""
         self._connected = False

@@ -25,9 +25,16 @@ TURNS = ("beta_deg = [180]", "beta_deg = [0, 180]")
 QUIET = (("noise = true", "noise = false"), ("drift_per_hour = 0.02", "drift_per_hour = 0.0"))
 
 
-@pytest.mark.parametrize("second", [signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    ("first", "second"),
+    [
+        (signal.SIGINT, signal.SIGTERM),
+        pytest.param(signal.SIGINT, signal.SIGINT, marks=pytest.mark.long),
+        pytest.param(signal.SIGTERM, signal.SIGINT, marks=pytest.mark.long),
+    ],
+)
 def test_a_second_signal_does_not_interrupt_the_stop(
-    write_rig: Writer, write_schedule: Writer, forked_serve: ForkedServe, tmp_path: Path, second: int
+    write_rig: Writer, write_schedule: Writer, forked_serve: ForkedServe, tmp_path: Path, first: int, second: int
 ) -> None:
     there = tmp_path / "served.toml"
     lines = forked_serve(write_rig(*QUIET), "--speed", 3, "--write-rig", there)
@@ -39,7 +46,7 @@ def test_a_second_signal_does_not_interrupt_the_stop(
     )  # fmt: skip
     until(lambda: run.poll() is not None or turns_in_light(control.do("state")))
     assert run.poll() is None
-    for number in (signal.SIGINT, second, second, signal.SIGINT):
+    for number in (first, second, second, signal.SIGINT):
         run.send_signal(number)
     errors = run.communicate(timeout=60.0)[1]
     assert run.returncode == 130

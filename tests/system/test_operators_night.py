@@ -5,13 +5,19 @@ part of it that needs no process to be killed is in `tests/app/desktop/test_by_k
 """
 
 import os
+import re
 import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from goniotwin.app.campaign.geometry.directions import scan_plane_deg
+from goniotwin.app.campaign.journal.following import JournalFollower
 from goniotwin.app.campaign.journal.summary import campaign_summary
+from goniotwin.app.campaign.reduction.points import BsdfPoints
+from goniotwin.app.campaign.reduction.reduction import reduce_journal
 from goniotwin.app.desktop.bench.screen import READY
 from goniotwin.app.station.connection_file import attach, known_stations
 from tests.app.campaign.campaign_bench import QUIET
@@ -27,8 +33,10 @@ pytestmark = [
     pytest.mark.usefixtures("heard_hangup"),
 ]
 SPEED = 2.0
-NIGHT = SMALL.replace("beta_deg = [180]", "beta_deg = [160, 170, 180, 190, 200]").replace("[0, 1]", "[0, 1, 2, 3, 4]")
-"""Five cuts, after the etalon's."""
+BETAS_DEG = list(range(100, 261, 10))
+SHIFTS_DEG = [0, 1, 2, 3, 4]
+NIGHT = SMALL.replace("beta_deg = [180]", f"beta_deg = {BETAS_DEG}").replace("[0, 1]", f"{SHIFTS_DEG}")
+"""Seventeen cuts, after the etalon's: more than are done until the station is killed, also on a slow computer."""
 ASK = '\n[faults]\nwire = "ask"\n'
 PREFLIGHT = ("Ports", "Homed", "Limits", "Lamp", "Dark reading", "Drift", "Certificate", "Disk")
 CUT = "Plot of the scan in progress"
@@ -62,6 +70,32 @@ def next_point_has_residual(window: WindowByKeys) -> bool:
     """Move the cursor of the cut by a point; return whether its residual is to be read."""
     window.press("Right")
     return window.reads(", residual ")
+
+
+def points_of(journal: Path) -> BsdfPoints:
+    """All points of a journal, reduced here."""
+    with JournalFollower(journal).reading() as reader:
+        return reduce_journal(reader).samples["gaussian-5"]
+
+
+def check_all_shown(window: WindowByKeys, journal: Path) -> None:
+    """Pause the run; the map has all directions of the journal, and the plot all points of the cut in progress; resume."""
+    window.press("Ctrl+P")
+    window.wait_for("Paused, with the shutter closed")
+    points = points_of(journal)
+    planes = scan_plane_deg(points.beta_deg)
+    in_map = int((~points.flag("shadowed") & np.isfinite(points.bsdf)).sum())
+    in_cut = int((np.isfinite(points.bsdf) & (planes == planes[-1])).sum())
+    assert in_map > in_cut > 0
+
+    def shown() -> bool:
+        lines = window.seen()
+        counts = [sum(map(int, re.findall(r"[●○×▽]\s(\d+)", line))) for line in lines if line.startswith("●")]
+        return in_cut in counts and any(re.match(rf"{in_map} of \d+ directions", line) for line in lines)
+
+    window.press(RUN)
+    until(shown)
+    window.press("Ctrl+P")
 
 
 def test_an_operators_night(
@@ -119,6 +153,7 @@ def test_an_operators_night(
     window = open_window(*arguments)
     window.wait_for("Attached to a station that was running")
     done = window.wait_for_rows(campaign_summary(journal).rows)
+    check_all_shown(window, journal)
 
     # The window is killed.
     window.process.send_signal(signal.SIGKILL)
@@ -126,6 +161,7 @@ def test_an_operators_night(
     until(lambda: campaign_summary(journal).rows > done)
     window = open_window(*arguments)
     done = window.wait_for_rows(campaign_summary(journal).rows)
+    check_all_shown(window, journal)
 
     # The station is killed: the window shows it, nothing is lost, and one key goes on with a new one.
     assert known_stations()[path].pid == station.pid
@@ -136,6 +172,7 @@ def test_an_operators_night(
     assert kept.rows >= done
     window.press("Alt+U")
     assert window.wait_for_rows(kept.rows + 1) > kept.rows
+    until(lambda: campaign_summary(journal).rows > kept.rows)
 
     # The cut is finished, and what there is exported.
     window.press("Alt+T")
@@ -143,12 +180,17 @@ def test_an_operators_night(
     ended = campaign_summary(journal)
     assert (ended.state, ended.sessions) == ("stopped", 2)
     assert kept.rows < ended.rows < ended.planned
+    planes, shifts = scan_plane_deg(points_of(journal).beta_deg), points_of(journal).shift_deg
+    assert np.unique(shifts[planes == planes[-1]]).tolist() == SHIFTS_DEG
     assert all("monitor" in fault for fault in ended.faults)
     window.press(CAMPAIGNS)
     window.wait_for("| small-001.journal")
     window.press("Alt+X")
     window.wait_for("Export the campaign")
     window.press("Return")
-    until(journal.with_suffix(".csv").exists)
+    values = journal.with_suffix(".csv")
+    until(values.exists)
+    lines = [line for line in values.read_text(encoding="utf-8").splitlines() if not line.startswith("#")]
+    assert len(lines) == 1 + points_of(journal).bsdf.size
     window.press("Ctrl+Q")
     assert window.wait_for_end() == 0, window.errors

@@ -7,6 +7,7 @@ time of its key. Attached is also a client that never reads.
 import multiprocessing
 import os
 import signal
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -39,12 +40,15 @@ pytestmark = [
     pytest.mark.long,
     pytest.mark.endpoint,
     pytest.mark.skipif(not ptys_exist(), reason="this system has no pseudo-terminals"),
+    pytest.mark.skipif(not sys.platform.startswith("linux"), reason="this system does not list what its sockets hold"),
 ]
 STOPS = {
     "none": 100, "deaf axes": 100, "deaf monochromator": 100, "deaf converter module": 100, "hung monitor": 100,
     "busy processes": 100, "a run": 10,
 }  # fmt: skip
 BY_A_KEY = {"none": 100, "deaf axes": 20, "busy processes": 100}
+ANSWERS, FLOOD_S = 300, 0.5
+"""Commands at once whose answers are not read, and the time for them: fewer than a station holds for a client."""
 AXES = 4
 BUSY = 8
 FRAMES_S = 5.0
@@ -92,6 +96,7 @@ class ServedStation:
         connection = read_connection(path)
         assert connection is not None
         self.deaf_client = connect(connection.port, connection.token, 10.0, client="never reads")
+        self._flood(connection.port)
         self.client = Attached(path)
         self.client.wait_for(lambda: self.client.snapshot.rig is not None)
         rig_now = self.client.snapshot.rig
@@ -106,6 +111,16 @@ class ServedStation:
         self._lines.stop()
         self._usb.stop()
         self._modules.__exit__(None, None, None)
+
+    def _flood(self, port: int) -> None:
+        """Let the client that never reads have so many answers that its line is full: the station waits in sending to it."""
+        held = -1
+        while (now := held_for_clients(port)) > held:
+            held = now
+            for number in range(ANSWERS):
+                self.deaf_client.send({"do": "nothing", "id": number})
+            self.clock.sleep_until(self.clock.now() + FLOOD_S)
+        assert held > 100 * ANSWERS
 
     def _record_module(self, device: SerialDevice) -> SerialDevice:
         """A connection to the module; it is as deaf as the one before."""
@@ -163,6 +178,16 @@ class ServedStation:
         assert len(first) == AXES
         self.wait_for_rest()
         return max(first.values()) - pressed
+
+
+def held_for_clients(port: int) -> int:
+    """Bytes that the system holds because a client of a port, or its server, does not read them."""
+    held = 0
+    for line in Path("/proc/net/tcp").read_text(encoding="utf-8").splitlines()[1:]:
+        _, local, remote, _, queues, *_ = line.split()
+        if f"{port:04X}" in (local[-4:], remote[-4:]):
+            held += sum(int(each, 16) for each in queues.split(":"))
+    return held
 
 
 @pytest.fixture

@@ -1,5 +1,6 @@
 """The window as a process: its end, of whatever kind, leaves the run on; and a long run does not abort the process."""
 
+import contextlib
 import os
 import signal
 import sqlite3
@@ -28,6 +29,8 @@ pytestmark = [
     pytest.mark.usefixtures("heard_hangup"),
 ]
 LONGEST_S = 300.0
+LOG_OUT = 0
+"""In place of a signal: those that the end of the session sends to all of its processes."""
 LONGEST_RUN_S = 3600.0
 ROWS = 3000
 FATAL_PAINTS = 134
@@ -48,16 +51,20 @@ class WindowProcess:
                     "--schedule", str(schedule), "--out", str(folder), "--speed", str(speed),
                 ],
                 cwd=REPOSITORY, env={**os.environ, "QT_QPA_PLATFORM": "offscreen"},
-                stdout=subprocess.PIPE, stderr=errors, text=True,
+                stdout=subprocess.PIPE, stderr=errors, text=True, start_new_session=True,
             )  # fmt: skip
         clock = RealClock()
         self._limit = clock.at(clock.now() + longest_s, self.process.kill)
+        self.counts: dict[int, list[int]] = {}
+        """What is counted in the process after so many rows: see `window_starter`."""
 
     def wait_for_rows(self, rows: int) -> int:
         """Wait until so many rows are in the journal; return the number of repaints of the plot so far."""
         assert self.process.stdout is not None
         while line := self.process.stdout.readline():
-            done, paints = map(int, line.split())
+            done, paints, *counts = map(int, line.split())
+            if counts:
+                self.counts[done] = [*counts, *held_by(self.process.pid)]
             if done >= rows:
                 return paints
         raise AssertionError(f"the window has ended: status {self.process.wait()}, {self.errors}")
@@ -130,6 +137,34 @@ def stop_and_check(journal: Path) -> None:
     database.close()
 
 
+def processes_of(session: int) -> list[int]:
+    """The processes of a session that have not ended."""
+    found = []
+    for each in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):  # it has ended
+            state, _, _, its, *_ = each.read_text(encoding="utf-8", errors="replace").rpartition(")")[2].split()
+            if int(its) == session and state != "Z":
+                found.append(int(each.parent.name))
+    return found
+
+
+def held_by(session: int) -> list[int]:
+    """Processes, threads, open files and resident memory (MB) of a session: of a window with its workers."""
+    processes = processes_of(session)
+    threads = [len(list(Path(f"/proc/{each}/task").iterdir())) for each in processes]
+    files = [len(list(Path(f"/proc/{each}/fd").iterdir())) for each in processes]
+    pages = [int(Path(f"/proc/{each}/statm").read_text(encoding="ascii").split()[1]) for each in processes]
+    return [len(processes), sum(threads), sum(files), sum(pages) * os.sysconf("SC_PAGE_SIZE") // 2**20]
+
+
+def log_out(session: int) -> None:
+    """What the end of a session sends: a hangup, and SIGTERM to each of its processes."""
+    for number in (signal.SIGHUP, signal.SIGTERM):
+        for each in processes_of(session):
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(each, number)
+
+
 @pytest.mark.parametrize(
     "number",
     [
@@ -137,6 +172,7 @@ def stop_and_check(journal: Path) -> None:
         pytest.param(signal.SIGTERM, id="SIGTERM", marks=pytest.mark.long),
         pytest.param(signal.SIGHUP, id="SIGHUP"),
         pytest.param(signal.SIGKILL, id="SIGKILL", marks=pytest.mark.long),
+        pytest.param(LOG_OUT, id="log-out", marks=pytest.mark.long),
     ],
 )
 def test_the_run_goes_on_after_the_end_of_its_window(
@@ -146,11 +182,16 @@ def test_the_run_goes_on_after_the_end_of_its_window(
     window = start_window(rig, schedule, speed=2.0)
     window.wait_for_rows(2)
     journal = window.journal
-    window.process.send_signal(number)
-    if number == signal.SIGKILL:
+    if number == LOG_OUT:
+        log_out(window.process.pid)
         window.wait_for_exit()
+        until(lambda: not processes_of(window.process.pid))
     else:
-        check_closed(window)
+        window.process.send_signal(number)
+        if number == signal.SIGKILL:
+            window.wait_for_exit()
+        else:
+            check_closed(window)
     stop_and_check(journal)
     assert resume_campaign(journal).state is State.DONE
     run_campaign(make_plan(read_schedule(schedule), read_rig(rig)), tmp_path / "undisturbed.journal")
@@ -211,7 +252,10 @@ def test_a_signal_to_the_station_brings_moving_axes_to_rest_and_later_signals_ar
 def test_three_thousand_rows_with_a_visible_plot(start_window: Starter) -> None:
     window = start_window(RIG, DIFFUSE, speed=60.0, longest_s=LONGEST_RUN_S)
     paints = window.wait_for_rows(ROWS)
-    print(f"\n{ROWS} rows, the plot was painted {paints} times")
+    ((_, station),) = known_stations().items()
+    print(f"\n{ROWS} rows, the plot was painted {paints} times; station: {held_by(station.pid)}")
+    for rows, counts in window.counts.items():
+        print(rows, counts)
     assert paints > FATAL_PAINTS
     journal = window.journal
     window.process.send_signal(signal.SIGTERM)

@@ -1,7 +1,11 @@
 """Run `goniotwin ARGUMENTS` and press Start as soon as it is enabled, unless a run is in progress already.
 
-Prints a line for each row in the journal: the number of rows, and the number of repaints of the plot so far.
+Prints a line for each row in the journal: the number of rows, and the number of repaints of the plot so far; after each
+`COUNT_EVERY` rows also the references to None and to True, the objects that Python's collector follows, and the widgets.
 """
+
+import gc
+import sys
 
 import pyqtgraph as pg
 from PySide6.QtCore import QEvent, QObject, QTimer, Slot
@@ -12,6 +16,7 @@ from goniotwin.app.cli.main import main
 from goniotwin.app.desktop import MainWindow
 
 POLL_MS = 10
+COUNT_EVERY = 250
 
 
 class WindowStarter(QObject):
@@ -47,7 +52,12 @@ class WindowStarter(QObject):
     @Slot(object)
     def _print(self, message: object) -> None:
         if isinstance(message, RowCommitted):
-            print(message.done, self._paints, flush=True)
+            counts = [] if message.done % COUNT_EVERY else self._counts()
+            print(message.done, self._paints, *counts, flush=True)
+
+    def _counts(self) -> list[int]:
+        gc.collect()
+        return [sys.getrefcount(None), sys.getrefcount(True), len(gc.get_objects()), len(self._application.allWidgets())]
 
 
 if __name__ == "__main__":

@@ -119,7 +119,7 @@ class Engine:
         """
         outcome, reason, session = State.DONE, "", 0
         self._read_earlier_rows()
-        self._enter(State.RUNNING)
+        self._enter(State.PAUSING if self._pause else State.RUNNING)
         try:
             session = self._journal.begin_session(self._clock.now(), self._plan.rig.text, software_versions())
             self._prevent_sleep()
@@ -152,11 +152,13 @@ class Engine:
         return outcome
 
     def pause(self) -> None:
-        """Pause before the next row, with the shutter closed. From any thread."""
+        """Pause before the next row, with the shutter closed; also before the first one. From any thread."""
         with self._changed:
             if self._state in (State.RUNNING, State.RECOVERING):
                 self._pause = True
                 self._enter(State.PAUSING)
+            elif self._state is State.IDLE:
+                self._pause = True
 
     def resume(self) -> None:
         """Continue after a pause. From any thread."""
@@ -206,6 +208,9 @@ class Engine:
             unplanned = [row for row in self._work if row.number >= planned]
             self._done_before = planned - (len(self._work) - len(unplanned))
             self._journal.add_rows(unplanned)
+            first = next((row.number for row in self._work if row.number < planned), 0)
+            measured = [row for row in self._plan.rows[:first] if row.kind == "measure"]
+            self._cut = _cut_of(measured[-1]) if measured else None  # the interrupted one is in progress
         self._stop_conditions.session_start_s = self._clock.now()
         for k, row in enumerate(self._work, 1):
             self._wait_while_paused()

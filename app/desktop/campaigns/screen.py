@@ -5,11 +5,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from PySide6.QtCore import QProcess, Signal, Slot
-from PySide6.QtGui import QColor
+from PySide6.QtCore import QProcess, Qt, Signal, Slot
+from PySide6.QtGui import QColor, QShowEvent
 from PySide6.QtWidgets import (
     QAbstractItemView,
-    QFileDialog,
     QHBoxLayout,
     QHeaderView,
     QLabel,
@@ -20,7 +19,9 @@ from PySide6.QtWidgets import (
 )
 
 from goniotwin.app.campaign.wording import rounded_duration_text
-from goniotwin.app.desktop.screen import Screen
+from goniotwin.app.desktop.dialogs import FileDialog
+from goniotwin.app.desktop.events.question import Choice, QuestionBox
+from goniotwin.app.desktop.screen import Screen, WithoutPreferredHeight
 from goniotwin.app.desktop.theme import Colours
 
 if TYPE_CHECKING:  # the window shows itself before the engine is loaded
@@ -29,6 +30,9 @@ if TYPE_CHECKING:  # the window shows itself before the engine is loaded
 COLUMNS = ("campaign", "state", "rows", "left", "begun", "kind", "file")
 MARKS = {"done": "✓", "running": "▶", "failed": "✗", "killed": "✗", "stopped": "■", "empty": "○"}
 """A mark of each state beside its word, for eyes that do not see the colours."""
+REPLACE, CANCEL = "Replace", "Cancel"
+LONGEST_NAME = 240
+"""Widest column in logical pixels; the whole text is below the table, and in the tool tip."""
 EXPORTS = "Measured points (*.csv);;Table (*.ddr);;Archive (*.h5)"
 
 
@@ -63,6 +67,9 @@ class CampaignsScreen(Screen):
         self.table.setTabKeyNavigation(False)
         self.table.setMinimumHeight(80)
         header = self.table.horizontalHeader()
+        header.setHighlightSections(False)
+        header.setMaximumSectionSize(LONGEST_NAME)
+        header.setDefaultAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignVCenter)
         header.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
         header.setSectionResizeMode(len(COLUMNS) - 1, QHeaderView.ResizeMode.Stretch)
         self._about = QLabel()
@@ -83,7 +90,11 @@ class CampaignsScreen(Screen):
         for each in self.buttons:
             row.addWidget(each)
         row.addStretch(1)
-        layout = QVBoxLayout(self)
+        whole = WithoutPreferredHeight()
+        outer = QVBoxLayout(self)
+        outer.setContentsMargins(0, 0, 0, 0)
+        outer.addWidget(whole)
+        layout = QVBoxLayout(whole)
         layout.setContentsMargins(0, 0, 0, 0)
         for part in (self._heading, self.table, self._about, self._errors):
             layout.addWidget(part, 1 if part is self.table else 0)
@@ -105,7 +116,9 @@ class CampaignsScreen(Screen):
         self.table.setRowCount(found)
         for number, each in enumerate(listed.campaigns):
             for column, text in enumerate(_texts(each)):
-                self.table.setItem(number, column, QTableWidgetItem(text))
+                item = QTableWidgetItem(text)
+                item.setToolTip(text)
+                self.table.setItem(number, column, item)
         self._colour_states()
         paths = [each.path for each in listed.campaigns]
         if paths:
@@ -130,6 +143,11 @@ class CampaignsScreen(Screen):
 
         if isinstance(message, RunBegun):
             self.refresh_wanted.emit()
+
+    def showEvent(self, event: QShowEvent) -> None:
+        """List the campaigns again: their rows grow; Qt calls it."""
+        super().showEvent(event)
+        self.refresh_wanted.emit()
 
     def set_resume(self, refusal: str) -> None:
         """Allow resuming, or give the reason why it is not possible now."""
@@ -190,17 +208,35 @@ class CampaignsScreen(Screen):
     def _export(self) -> None:
         if (campaign := self.chosen) is not None:
             first = campaign.path.with_suffix(".csv")
-            name, _ = QFileDialog.getSaveFileName(self, "Export the campaign", str(first), EXPORTS)
-            if name:
-                self.run_command("export", campaign.path, Path(name))
+            self._ask_out("Export the campaign", first, EXPORTS, "export", campaign.path)
 
     @Slot()
     def _report(self) -> None:
         if (campaign := self.chosen) is not None:
             first = campaign.path.with_suffix(".html")
-            name, _ = QFileDialog.getSaveFileName(self, "Report of the campaign", str(first), "Report (*.html)")
-            if name:
-                self.run_command("report", campaign.path, Path(name))
+            self._ask_out("Report of the campaign", first, "Report (*.html)", "report", campaign.path)
+
+    def _ask_out(self, title: str, first: Path, kinds: str, command: str, journal: Path) -> None:
+        """Ask for the file of a command, and before one is replaced."""
+
+        def chosen(out: Path) -> None:
+            if not out.exists():
+                self.run_command(command, journal, out)
+                return
+            choices = [
+                Choice(REPLACE, "Its content is lost"),
+                Choice(CANCEL, "Nothing is written", default=True),
+            ]
+            box = QuestionBox(self, f"Replace {out.name}?", f"There is a file {out}.", choices)
+
+            def answered(label: str) -> None:
+                box.dismiss()
+                if label == REPLACE:
+                    self.run_command(command, journal, out)
+
+            box.chosen.connect(answered)
+
+        FileDialog(self, title, first, kinds, chosen, save=True)
 
     def run_command(self, command: str, journal: Path, out: Path) -> None:
         """Run `goniotwin COMMAND JOURNAL --out FILE` in a process of its own; its last line is the status."""

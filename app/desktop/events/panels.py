@@ -86,7 +86,8 @@ class EventModel(QAbstractTableModel):
     def set_colours(self, colours: Colours) -> None:
         """Take the colours of a scheme."""
         self._colours = colours
-        self.dataChanged.emit(self.index(0, 0), self.index(max(len(self._entries) - 1, 0), len(COLUMNS) - 1))
+        if self._entries:
+            self.dataChanged.emit(self.index(0, 0), self.index(len(self._entries) - 1, len(COLUMNS) - 1))
 
     def rowCount(self, parent: Index = NOWHERE) -> int:
         """The number of entries; Qt calls it."""

@@ -7,6 +7,8 @@ from PySide6.QtCore import Qt, Signal, Slot
 from PySide6.QtGui import QKeyEvent
 from PySide6.QtWidgets import QApplication, QDialog, QGridLayout, QLabel, QPushButton, QVBoxLayout, QWidget
 
+from goniotwin.app.desktop.dialogs import pass_on_escape
+
 WIDTH = 540
 
 
@@ -27,7 +29,6 @@ class QuestionBox(QDialog):
     """A question with its answers. Closing it is no answer: it can be shown again."""
 
     chosen = Signal(str)
-    escape_released = Signal()
 
     def __init__(self, parent: QWidget, title: str, text: str, choices: Sequence[Choice]) -> None:
         super().__init__(parent)
@@ -89,10 +90,9 @@ class QuestionBox(QDialog):
         self.deleteLater()
 
     def keyReleaseEvent(self, event: QKeyEvent) -> None:
-        """Report the release of Esc, which a window of its own does not pass on; Qt calls it."""
-        if event.key() == Qt.Key.Key_Escape and not event.isAutoRepeat():
-            self.escape_released.emit()
-        super().keyReleaseEvent(event)
+        """Report the release of Esc; Qt calls it."""
+        if not pass_on_escape(self, event):
+            super().keyReleaseEvent(event)
 
     def _button(self, choice: Choice) -> QPushButton:
         button = QPushButton(choice.label)

@@ -9,6 +9,7 @@ import contextlib
 import hashlib
 import queue
 import threading
+from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future, wait
 from pathlib import Path
@@ -37,12 +38,14 @@ from goniotwin.app.desktop.model.messages import (
 from goniotwin.app.desktop.model.time_left import mountings
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription, read_rig
+from goniotwin.app.station.client import ANSWER_S as COMMAND_S
 from goniotwin.app.station.client import NoStation, Refused, StationClient
-from goniotwin.app.station.connection_file import attach, station_of
+from goniotwin.app.station.connection_file import attach, connection_folder
+from goniotwin.app.station.hosting import station_of
 from goniotwin.app.station.messages import Message as StationMessage
 from goniotwin.app.station.messages import RigOpened, RowSaved, RunBegun, RunEnded, RunRefused, Snapshot
 from goniotwin.app.station.starting import start_station
-from goniotwin.protocols.clock import RealClock
+from goniotwin.protocols.clock import RealClock, calendar_s
 
 Send = Callable[[Message], None]
 OnEvent = Callable[[StationMessage], None]
@@ -56,6 +59,8 @@ ANSWER_S = 2.0
 """Longest time that a window which is closed waits for answers."""
 END_S = 30.0
 """Longest time in which a station gives its rig back."""
+LOOK_S = 2.0
+"""Time between two looks for a station of the rig, while there is none."""
 
 
 class Stations(Protocol):
@@ -64,21 +69,44 @@ class Stations(Protocol):
     def attach(self, rig: Path, name: str, on_event: OnEvent, on_end: OnEnd) -> StationClient | None:
         """Attach to a station that has the rig; None where there is none. Raises TimeoutError where it is silent."""
 
-    def start(self, rig: Path, speed: float, name: str, on_event: OnEvent, on_end: OnEnd) -> StationClient:
-        """Start a station and attach to it. Raises UserError."""
+    def start(
+        self, rig: Path, speed: float, name: str, on_event: OnEvent, on_end: OnEnd, given_up: Callable[[], bool]
+    ) -> StationClient:
+        """Start a station and attach to it. Raises UserError, also where it is `given_up` meanwhile."""
+
+    def changed(self) -> bool:
+        """Whether there may be other stations than at the last call that returned True. Costs nothing."""
 
 
 class StationProcesses:
     """Stations in processes of their own, found by their connection files."""
 
+    def __init__(self) -> None:
+        self._seen: int | None = None
+
     def attach(self, rig: Path, name: str, on_event: OnEvent, on_end: OnEnd) -> StationClient | None:
-        """Attach to a station that has the rig; None where there is none."""
+        """Attach to a station that has the rig; None where there is none. Raises UserError."""
         path = station_of(rig)
         return None if path is None else attach(path, name, on_event, on_end)
 
-    def start(self, rig: Path, speed: float, name: str, on_event: OnEvent, on_end: OnEnd) -> StationClient:
-        """Start a station and attach to it. Raises UserError."""
-        return start_station(rig, speed, name, on_event, on_end)
+    def start(
+        self, rig: Path, speed: float, name: str, on_event: OnEvent, on_end: OnEnd, given_up: Callable[[], bool]
+    ) -> StationClient:
+        """Start a station and attach to it. Raises UserError, also where it is `given_up` meanwhile."""
+        return start_station(rig, speed, name, on_event, on_end, given_up)
+
+    def changed(self) -> bool:
+        """Whether the connection files may be others than at the last call that returned True: one look at their folder."""
+        try:
+            now = connection_folder().stat().st_mtime_ns
+        except OSError:  # there is none yet
+            return False
+        if now == self._seen:
+            return False
+        # A file that comes within the same tick of the file system's clock would not be seen.
+        settled = calendar_s() - 1e-9 * now > LOOK_S
+        self._seen = now if settled else None
+        return True
 
 
 class Session:
@@ -115,14 +143,17 @@ class Connection:
         self._plan: Plan | None = None
         self._person = False
         self._closing = False
+        self._stops = 0
+        self._starts: deque[int] = deque()
         self._pending: list[Future[dict[str, Any]]] = []
         self._wall = RealClock()
         self._tasks: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         self._rows: queue.SimpleQueue[RunBegun | RowSaved | RunEnded | None] = queue.SimpleQueue()
         self._follower: JournalFollower | None = None
-        self._threads = [
-            threading.Thread(target=self._work, name="connection"), threading.Thread(target=self._read_rows, name="journal"),
-        ]  # fmt: skip
+        self._threads = [  # a device or a station that hangs keeps no window open
+            threading.Thread(target=self._work, name="connection", daemon=True),
+            threading.Thread(target=self._read_rows, name="journal", daemon=True),
+        ]
         for each in self._threads:
             each.start()
 
@@ -151,16 +182,21 @@ class Connection:
 
     def start(self, plan: Plan, folder: Path) -> None:
         """Measure a plan into a new journal in `folder`, which is created if it does not exist."""
+        self._starts.append(self._stops)
         self._tasks.put(lambda: self._start(plan, folder))
 
     def resume_journal(self, journal: Path) -> None:
         """Continue the campaign of a journal; a station is started first if there is none."""
+        self._starts.append(self._stops)
         self._tasks.put(lambda: self._resume_journal(journal))
 
     def stop(self) -> None:
         """Bring all axes to rest and end what is in progress. Reported by StopReport."""
-        session = self._session
-        client = session.client if session is not None else None
+        self._stops += 1  # before it is sent: a start that is waiting is not sent any more
+        self._send_stop()
+
+    def _send_stop(self) -> None:
+        client = self._client
         if client is None:
             self._send(StopReport(confirmed=False, lost=True))
             return
@@ -170,8 +206,8 @@ class Connection:
         self._wall.at(self._wall.now() + LOST_S, lambda: self._check_stop(received, future))
 
     def pause(self) -> None:
-        """Pause the run before its next row."""
-        self.command("pause")
+        """Pause the run before its next row; one that has been asked for, before its first row."""
+        self._after_start("pause")
 
     def resume(self) -> None:
         """Resume the run."""
@@ -179,7 +215,7 @@ class Connection:
 
     def finish_cut(self) -> None:
         """End the run after the cut in progress."""
-        self.command("finish_cut")
+        self._after_start("finish_cut")
 
     def answer(self, number: int, answer: Answer) -> None:
         """Answer a question by its number."""
@@ -215,11 +251,11 @@ class Connection:
         future.add_done_callback(lambda future: self._report_refusal(command, future))
 
     def close(self) -> None:
-        """Leave the station, which goes on, and end the threads; return when they have ended."""
+        """Leave the station, which goes on, and end the threads; return when they have ended, or what they wait for hangs."""
         self._closing = True
         wait(self._pending, ANSWER_S)  # an acknowledgement is in the journal before the window is closed
         self._tasks.put(None)
-        self._threads[0].join()
+        self._threads[0].join(ANSWER_S)
         session = self._session
         if session is not None and session.client is not None:
             self._last = session.client.snapshot
@@ -227,7 +263,7 @@ class Connection:
             self._session = None
             session.client.close()
         self._rows.put(None)
-        self._threads[1].join()
+        self._threads[1].join(ANSWER_S)
 
     # ---- the thread of the connection ----
 
@@ -236,8 +272,33 @@ class Connection:
         session = self._session
         return session.client if session is not None else None
 
+    def _after_start(self, command: str) -> None:
+        """Send a command, after that for a run which is still to be sent."""
+        if self._starts:
+            self._tasks.put(lambda: self.command(command))
+        else:
+            self.command(command)
+
+    def _send_start(self, command: str, **arguments: Any) -> None:
+        """Send the command for a run, unless there was a stop since it was asked for. Raises UserError, TimeoutError."""
+        client, stops = self._client, self._starts[0]
+        if client is None:
+            raise UserError(NO_RIG)
+        if self._stops != stops:
+            raise UserError("stopped before the start")
+        answer = client.send(command, **arguments)
+        if self._stops != stops:  # its line may have been sent before that of the run
+            self._send_stop()
+        answer.result(COMMAND_S)
+
     def _work(self) -> None:
-        while (task := self._tasks.get()) is not None:
+        while True:
+            try:
+                task = self._tasks.get(timeout=LOOK_S)
+            except queue.Empty:
+                task = self._look
+            if task is None:
+                return
             try:
                 task()
             except (UserError, TimeoutError) as error:
@@ -246,6 +307,8 @@ class Connection:
                 self._send(NotAttached(f"unexpected error: {type(error).__name__}: {error}"))
 
     def _open(self, rig: Path) -> None:
+        if self._closing:
+            return
         self._leave()
         self._rig_path = rig
         session = Session(self._take, self._lose)
@@ -253,11 +316,29 @@ class Connection:
             client = self._stations.attach(rig, self._name, session.on_event, session.on_end)
             found = client is not None
             if client is None:
-                client = self._stations.start(rig, self._speed, self._name, session.on_event, session.on_end)
+                client = self._stations.start(
+                    rig, self._speed, self._name, session.on_event, session.on_end, lambda: self._closing
+                )
         except (UserError, TimeoutError) as error:
             silent = isinstance(error, TimeoutError)
             self._send(NotAttached(f"{rig}: its station does not answer; wait, or end its process" if silent else str(error)))
             self._send(PlanRefused(NO_RIG))
+            return
+        self._begin_session(session, client, found)
+
+    def _look(self) -> None:
+        """Attach to a station of the rig that another program has started meanwhile. Nothing is opened."""
+        if self._client is not None or self._rig_path is None or not self._stations.changed():
+            return
+        session = Session(self._take, self._lose)
+        with contextlib.suppress(TimeoutError):
+            client = self._stations.attach(self._rig_path, self._name, session.on_event, session.on_end)
+            if client is not None:
+                self._begin_session(session, client, found=True)
+
+    def _begin_session(self, session: Session, client: StationClient, found: bool) -> None:
+        if self._closing:
+            client.close()
             return
         session.client = client
         self._session = session
@@ -335,24 +416,24 @@ class Connection:
         try:
             if read_schedule(path).text != plan.schedule.text:
                 raise UserError(f"{path}: has changed since it was read; open it again")
-            client = self._client
-            if client is None:
-                raise UserError(NO_RIG)
-            client.do("start", schedule=str(path), folder=str(folder.absolute()), person=self._person)
+            self._send_start("start", schedule=str(path), folder=str(folder.absolute()), person=self._person)
         except (UserError, TimeoutError) as error:
             self._send(RunRefused(str(error)))
+        finally:
+            self._starts.popleft()
 
     def _resume_journal(self, journal: Path) -> None:
-        if self._client is None and self._rig_path is not None:
-            self._open(self._rig_path)
-        client = self._client
+        """Continue a campaign, with the operator that it has begun with: its journal has that."""
         try:
-            if client is None:
-                raise UserError(NO_RIG)
-            self._wait_for_rig(client)
-            client.do("continue", journal=str(journal.absolute()), person=self._person)
+            if self._client is None and self._rig_path is not None:
+                self._open(self._rig_path)
+            if (client := self._client) is not None:
+                self._wait_for_rig(client)
+            self._send_start("continue", journal=str(journal.absolute()))
         except (UserError, TimeoutError) as error:
             self._send(RunRefused(str(error)))
+        finally:
+            self._starts.popleft()
 
     def _wait_for_rig(self, client: StationClient) -> None:
         """Wait until a station that has just been started has connected its devices."""

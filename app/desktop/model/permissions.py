@@ -34,6 +34,7 @@ def permissions(
     """
     refusals = {command: reason or watching(station, name, command) for command, reason in allowed(station).items()}
     busy = state in BUSY
+    begins = busy and not station.busy and station.operated_by(name)  # from the key on: what is pressed goes after the start
     if opening:
         no_start = "the rig is being opened"
     elif busy:
@@ -44,10 +45,10 @@ def permissions(
         no_start = "" if plan is not None else no_plan or "no schedule is open"
     return Permissions(
         no_start=no_start,
-        pause=not refusals["pause"],
+        pause=begins or not refusals["pause"],
         resume=not refusals["resume"],
-        stop=station.rig is not None or lost,
+        stop=station.rig is not None or lost or begins,
         open=not busy and not opening and station.operated_by(name),
-        finish_cut=not refusals["finish_cut"],
+        finish_cut=begins or not refusals["finish_cut"],
         refusals=refusals,
     )

@@ -76,6 +76,11 @@ class DevicesPanel(QGroupBox):
         self._layout.setContentsMargins(8, 4, 8, 6)
         self.set_devices({})
 
+    @property
+    def statuses(self) -> "dict[str, DeviceStatus]":
+        """The statuses as they were set last."""
+        return self._statuses
+
     def text(self, device: str) -> str:
         """The text of a device."""
         return self._rows[device].summary

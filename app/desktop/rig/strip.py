@@ -26,6 +26,7 @@ class RigStrip(QFrame):
         self._degrees: dict[str, float] = {}
         self._pose: tuple[float, ...] | None = None
         self._devices = QLabel()
+        self._devices.setMinimumWidth(1)  # its text follows the width of the window, not the other way round
         self._axes = {axis: QLabel() for axis in GREEK}
         layout = QHBoxLayout(self)
         layout.setContentsMargins(12, 3, 12, 3)

@@ -15,8 +15,12 @@ from goniotwin.arrays import Floats
 
 Scale = Literal["log", "linear", "symlog"]
 SCALES: tuple[Scale, ...] = get_args(Scale)
+AXIS_WIDTH = 64
+"""Pixels of the axis of the values, with its label."""
 PIXELS_OF_VALUE, PIXELS_OF_LINE = 17.0, 5.0
 """Least distance of two texts at the axis of the values, and of two of its ticks."""
+PIXELS_OF_RESIDUAL, RESIDUAL_STEPS = 13.0, (2.0, 4.0, 8.0, 16.0)
+"""Least distance of two texts at the axis of the residuals, and the distances in u."""
 DIGITS: tuple[tuple[int, ...], ...] = (tuple(range(1, 10)), (1, 2, 3, 5, 7), (1, 2, 5), (1, 3), (1,))
 """Ticks within a decade, from many to few."""
 ANGLE_STEPS_DEG = (90.0, 30.0, 10.0, 5.0, 1.0, 0.5, 0.1, 0.05, 0.01)
@@ -59,7 +63,7 @@ class LogAxis(pg.AxisItem):
     def __init__(self) -> None:
         super().__init__("left", maxTextLevel=0)
         self.enableAutoSIPrefix(False)
-        self.setWidth(64)
+        self.setWidth(AXIS_WIDTH)
 
     def tickValues(self, minVal: float, maxVal: float, size: float) -> list[tuple[float, list[float]]]:
         """The ticks with a text, and those between them; each with a distance (pyqtgraph calls it)."""
@@ -77,6 +81,20 @@ class LogAxis(pg.AxisItem):
 def _value_text(value: float) -> str:
     exponent = math.floor(math.log10(value) + 1e-9)
     return f"{value:.3g}" if -4 <= exponent <= 5 else f"{value / 10.0**exponent:.3g}e{exponent}"
+
+
+class ResidualAxis(pg.AxisItem):
+    """The axis of the residuals: texts at the limits of the alarm or at multiples of them, at 2 u where these have room."""
+
+    def __init__(self) -> None:
+        super().__init__("left", maxTextLevel=0)
+        self.enableAutoSIPrefix(False)
+        self.setWidth(AXIS_WIDTH)
+
+    def tickSpacing(self, minVal: float, maxVal: float, size: float) -> list[tuple[float, float]]:
+        """The distance of the texts, with an offset (pyqtgraph calls it)."""
+        room = PIXELS_OF_RESIDUAL * max(maxVal - minVal, 1e-9) / max(size, 1.0)
+        return [(next((each for each in RESIDUAL_STEPS if each >= room), RESIDUAL_STEPS[-1]), 0.0)]
 
 
 class AngleAxis(pg.AxisItem):

@@ -27,6 +27,8 @@ EMPTY, PLANNED, LEAST_LEVEL, LEVELS = 0, 1, 2, 254
 DECADES = 4.0
 """Largest range of the colours."""
 RINGS_DEG = (30.0, 60.0, 90.0)
+RING_TEXT_DEG = 65.0
+"""Azimuth of the rings' texts: few arcs stand there."""
 FILL = 0.5
 """Radius of a point over the side of its share of the hemisphere."""
 MOST_RADIUS, LEAST_RADIUS = 9.0, 1.0
@@ -78,6 +80,7 @@ class HemisphereMap(QWidget):
         self._view = pg.PlotWidget()
         self._view.setAccessibleName("Hemisphere of the run")
         self._view.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        self._view.viewport().setFocusPolicy(Qt.FocusPolicy.NoFocus)  # else Tab stops at it, too
         plot = self._plot = self._view.getPlotItem()
         plot.setMenuEnabled(False)
         plot.hideButtons()
@@ -99,7 +102,7 @@ class HemisphereMap(QWidget):
         for item in (*self._rings, self._plane, self._specular, self._light, self._alarms, *self._texts):
             plot.addItem(item)
         for text, at in zip(self._texts, RINGS_DEG, strict=False):
-            text.setPos(at / 90.0 * np.cos(np.radians(60.0)), at / 90.0 * np.sin(np.radians(60.0)))
+            text.setPos(at / 90.0 * np.cos(np.radians(RING_TEXT_DEG)), at / 90.0 * np.sin(np.radians(RING_TEXT_DEG)))
         self._bar = ColourBar()
         self._low, self._high = QLabel(), QLabel()
         self._low.setAccessibleName("Lowest value of the colours")
@@ -233,8 +236,12 @@ class HemisphereMap(QWidget):
         self._image.setLookupTable(np.vstack((np.array(others, dtype=np.uint8), values)))
         for each in self._rings:
             each.setPen(pg.mkPen(colours.line, width=1))
+        ground = QColor(colours.base)
+        ground.setAlpha(200)
         for text in self._texts:
-            text.setColor(colours.dim)
+            text.setColor(colours.text)
+            text.fill = pg.mkBrush(ground)  # to be read over the points
+            text.update()
         self._plane.setPen(pg.mkPen(colours.predicted, width=1.5, style=Qt.PenStyle.DashLine))
         self._specular.setPen(pg.mkPen(colours.bad, width=2))
         self._light.setPen(pg.mkPen(colours.text, width=1))

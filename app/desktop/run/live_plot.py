@@ -5,8 +5,8 @@ What they show is computed by workers; a plot that fails never stops a run.
 
 import numpy as np
 import pyqtgraph as pg
-from PySide6.QtCore import QEvent, QObject, QPointF, Qt, QTimer, Signal, Slot
-from PySide6.QtGui import QColor, QKeyEvent, QResizeEvent
+from PySide6.QtCore import QEvent, QObject, QPointF, QRectF, Qt, QTimer, Signal, Slot
+from PySide6.QtGui import QColor, QFont, QFontMetricsF, QKeyEvent, QResizeEvent
 from PySide6.QtWidgets import QLabel, QVBoxLayout, QWidget
 
 from goniotwin.app.campaign.planning.plan import Plan
@@ -27,7 +27,7 @@ from goniotwin.app.desktop.model.values import (
     serve_values,
 )
 from goniotwin.app.desktop.model.worker import Worker
-from goniotwin.app.desktop.run.axes import AngleAxis, Scale, ValueAxis, transform
+from goniotwin.app.desktop.run.axes import AXIS_WIDTH, AngleAxis, ResidualAxis, Scale, ValueAxis, transform
 from goniotwin.app.desktop.run.hemisphere import HemisphereMap
 from goniotwin.app.desktop.theme import Colours
 from goniotwin.arrays import Flags, Floats
@@ -41,6 +41,8 @@ is the plot's tool tip too.
 """
 RESIDUAL_HEIGHT, RESIDUAL_SHARE = 110.0, 0.38
 """Height of the residuals, and the most of the plot's height that they take."""
+TITLE_POINTS, TITLE_MARGIN = 9, 34.0
+"""Size of the title's letters, and the pixels beside it."""
 LEAST_RESIDUAL = 5.0
 """Half the least range of the residuals, in u."""
 NO_CURSOR = "Point at the plot, or press ← and → in it, to read a value."
@@ -65,12 +67,11 @@ class ScanPlot(QWidget):
         self._view = pg.GraphicsLayoutWidget()
         self._view.setAccessibleName("Plot of the scan in progress")
         self._view.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+        self._view.viewport().setFocusPolicy(Qt.FocusPolicy.NoFocus)  # else Tab stops at it, too
         self._view.installEventFilter(self)
         self._plot: pg.PlotItem = self._view.addPlot(0, 0, axisItems={"left": self._values_axis, "bottom": AngleAxis()})
-        self._residuals: pg.PlotItem = self._view.addPlot(1, 0, axisItems={"bottom": AngleAxis()})
+        self._residuals: pg.PlotItem = self._view.addPlot(1, 0, axisItems={"left": ResidualAxis(), "bottom": AngleAxis()})
         self._residuals.setXLink(self._plot)
-        self._residuals.getAxis("left").setWidth(64)
-        self._residuals.getAxis("left").enableAutoSIPrefix(False)
         self._view.ci.setContentsMargins(2, 2, 6, 2)
         self._view.ci.setSpacing(0)
         for plot in (self._plot, self._residuals):
@@ -88,6 +89,9 @@ class ScanPlot(QWidget):
         self._line.setZValue(5)  # points may be dense
         self._coverage.setZValue(-20)
         self._residuals.addItem(self._coverage)
+        self._limits = tuple(pg.InfiniteLine(each, angle=0) for each in (-ALARM_U, ALARM_U))
+        for each in self._limits:
+            self._residuals.addItem(each, ignoreBounds=True)
         for plot, line in zip((self._plot, self._residuals), self._cursor_lines, strict=True):
             line.setVisible(False)
             plot.addItem(line, ignoreBounds=True)
@@ -216,7 +220,8 @@ class ScanPlot(QWidget):
         marks = zip(points.transmitted[shown].tolist(), _steep(points)[shown].tolist(), strict=True)
         symbols = ["d" if steep else "s" if transmitted else "o" for transmitted, steep in marks]
         self._items["measured"].setSymbol(symbols)
-        floor = float(np.min(on_scale[above])) - 0.3 if above.any() else -4.0
+        predicted = np.empty(0) if cut.line is None else cut.line.values[cut.line.values > 0.0]
+        floor = float(np.min(on_scale[above])) - 0.3 if above.any() else _lowest(predicted)
         self._items["below limit"].setData(
             points.x_deg[below], np.full(int(below.sum()), floor) if scale == "log" else on_scale[below]
         )
@@ -259,7 +264,7 @@ class ScanPlot(QWidget):
     def _show_residuals(self) -> None:
         """Show the residuals, those beyond the range at its edge, where there is room and a prediction."""
         cut = self._cut
-        shown = cut is not None and cut.line is not None and self.height() >= LOW
+        shown = cut is not None and cut.line is not None and cut.scan.is_bsdf and self.height() >= LOW
         self._residuals.setVisible(shown)
         self._residuals.setMaximumHeight(min(RESIDUAL_HEIGHT, RESIDUAL_SHARE * self._view.height()) if shown else 0)
         self._plot.getAxis("bottom").setStyle(showValues=not shown)
@@ -299,6 +304,8 @@ class ScanPlot(QWidget):
         good.setBrush(pg.mkBrush(colours.points))
         bad.setPen(pg.mkPen(colours.bad, width=2))
         bad.setBrush(pg.mkBrush(colours.bad))
+        for line in self._limits:
+            line.setPen(pg.mkPen(colours.bad, width=1, style=Qt.PenStyle.DotLine))
         for line in self._cursor_lines:
             line.setPen(pg.mkPen(colours.dim, width=1, style=Qt.PenStyle.DashLine))
         self._show_blocked(self._scan.blocked_deg if self._scan else ())
@@ -352,8 +359,19 @@ class ScanPlot(QWidget):
 
     def _label(self) -> None:
         title = self._scan.title if self._scan else "No scan yet"
-        marked = f"<b style='color:{self._colours.bad}'>{self._mark}</b>&nbsp;&nbsp; " if self._mark else ""
-        self._plot.setTitle(marked + title, color=self._colours.text, size="9pt")
+        bold, plain = (QFont(self.font()) for _ in range(2))
+        bold.setBold(True)
+        for font in (bold, plain):
+            font.setPointSizeF(TITLE_POINTS)
+        # pyqtgraph would make the plot as wide as its title, beyond the window.
+        room = self._view.width() - AXIS_WIDTH - TITLE_MARGIN
+        mark = self._mark
+        if room < QFontMetricsF(bold).horizontalAdvance(mark) + QFontMetricsF(plain).horizontalAdvance(title):
+            mark = mark.partition(" ")[0]
+        room -= QFontMetricsF(bold).horizontalAdvance(mark)
+        title = QFontMetricsF(plain).elidedText(title, Qt.TextElideMode.ElideMiddle, max(room, 0.0))
+        marked = f"<b style='color:{self._colours.bad}'>{mark}</b>&nbsp;&nbsp; " if mark else ""
+        self._plot.setTitle(marked + title, color=self._colours.text, size=f"{TITLE_POINTS}pt")
         style = {"color": self._colours.text}
         below = self._scan.x_label if self._scan else "aspecular angle θ (°)"
         self._plot.setLabel("left", self._scan.y_label if self._scan else "BSDF (1/sr)", **style)
@@ -363,6 +381,12 @@ class ScanPlot(QWidget):
             for name in ("bottom", "left"):
                 plot.getAxis(name).resizeEvent()  # centres the label: pyqtgraph does so for a new size, not for a new text
         self._plot.getAxis("bottom").showLabel(not self._residuals.isVisible())
+        self._view.ci.setGeometry(QRectF(self._view.rect()))  # a longer title may have made it wider
+
+
+def _lowest(predicted: Floats) -> float:
+    """The logarithm below which a prediction is not shown, where nothing is measured yet."""
+    return float(np.log10(predicted.min())) - 0.3 if predicted.size else -4.0
 
 
 class LivePlot(QObject):

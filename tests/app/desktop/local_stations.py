@@ -1,11 +1,14 @@
 """Stations in the tests' own process, each behind its channel: what a test changes of the drivers changes theirs."""
 
+import contextlib
 import threading
+from collections.abc import Callable
 from pathlib import Path
 
 from goniotwin.app.desktop.model.connection import OnEnd, OnEvent
+from goniotwin.app.errors import UserError
 from goniotwin.app.rig import read_rig
-from goniotwin.app.station.client import StationClient
+from goniotwin.app.station.client import NoStation, StationClient
 from goniotwin.app.station.server import StationServer
 from goniotwin.app.station.station import Station
 
@@ -49,18 +52,32 @@ class LocalStations:
 
     def __init__(self) -> None:
         self.hosts: list[Host] = []
+        self.coming_up = threading.Event()
+        """Cleared, a station that is started does not answer yet."""
+        self.coming_up.set()
+        self._seen = 0
 
     def attach(self, rig: Path, name: str, on_event: OnEvent, on_end: OnEnd) -> StationClient | None:
         """Attach to a station that has the rig."""
         found = [each for each in self.hosts if each.rig == rig and not each.station.disconnected.is_set()]
-        if not found:
-            return None
-        return StationClient(found[-1].server.port, found[-1].server.token, name, on_event, on_end)
+        with contextlib.suppress(NoStation):
+            return StationClient(found[-1].server.port, found[-1].server.token, name, on_event, on_end) if found else None
+        return None
 
-    def start(self, rig: Path, speed: float, name: str, on_event: OnEvent, on_end: OnEnd) -> StationClient:
+    def start(
+        self, rig: Path, speed: float, name: str, on_event: OnEvent, on_end: OnEnd, given_up: Callable[[], bool]
+    ) -> StationClient:
         """Start a station and attach to it. Raises UserError."""
+        while not self.coming_up.wait(0.01):
+            if given_up():
+                raise UserError("given up")
         self.hosts.append(Host(rig, speed))
         return StationClient(self.hosts[-1].server.port, self.hosts[-1].server.token, name, on_event, on_end)
+
+    def changed(self) -> bool:
+        """Whether there may be other stations than at the last call that returned True."""
+        before, self._seen = self._seen, len(self.hosts)
+        return self._seen != before
 
     @property
     def station(self) -> Station:

@@ -14,18 +14,24 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from PySide6.QtCore import QEvent, Qt
-from PySide6.QtWidgets import QAbstractButton, QAbstractItemView, QApplication, QLabel, QMenu, QPlainTextEdit, QWidget
+from PySide6.QtWidgets import QAbstractButton, QAbstractItemView, QApplication, QDialog, QLabel, QMenu, QPlainTextEdit, QWidget
 from pytestqt.qtbot import QtBot
 
 import goniotwin
 from goniotwin import examples
 from goniotwin.app.campaign.planning.plan import make_plan
+from goniotwin.app.campaign.rehearsal.without_wires import run_without_wires
 from goniotwin.app.campaign.running.events import SafetyOrder
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.desktop import MainWindow, Theme, view
+from goniotwin.app.desktop.bench.screen import BenchScreen
+from goniotwin.app.desktop.campaigns.screen import CampaignsScreen
+from goniotwin.app.desktop.dialogs import FileDialog
 from goniotwin.app.desktop.events.panels import NOTICES, LogEntry
+from goniotwin.app.desktop.events.question import QuestionBox
 from goniotwin.app.desktop.events.screen import EventsScreen
 from goniotwin.app.desktop.menu import about_text
+from goniotwin.app.desktop.model.campaigns import list_campaigns
 from goniotwin.app.desktop.remembered import MOST_RECENT, Remembered
 from goniotwin.app.desktop.rig.panels import DEVICES, GREEK
 from goniotwin.app.desktop.run.axes import PIXELS_OF_VALUE, LogAxis, log_ticks
@@ -137,6 +143,58 @@ def tab_stops(window: MainWindow) -> list[QWidget]:
     return found
 
 
+@pytest.mark.parametrize("size", [(1280, 800), (640, 400)])
+def test_every_tab_stop_has_an_accessible_name(qtbot: QtBot, frame: MainWindow, size: tuple[int, int]) -> None:
+    frame.resize(*size)
+    shown(qtbot, frame)
+    for screen in each_screen(frame):
+        stops = tab_stops(frame)
+        assert [each for each in stops if not each.accessibleName()] == [], screen.title
+        assert any(screen.isAncestorOf(each) for each in stops)
+
+
+def test_the_keys_of_stop_hold_in_the_windows_beside_the_main_one(qtbot: QtBot, frame: MainWindow, tmp_path: Path) -> None:
+    """A choice of a file, a text, a question of the bench: none is modal, and each passes the release of Esc on."""
+    shown(qtbot, frame)
+    run, stopped = frame.view.run, []
+    run.stop_button.setEnabled(True)
+    run.stop.connect(lambda: stopped.append(True))
+    chosen: list[Path] = []
+    (tmp_path / "a.csv").touch()
+    frame._show_keys()
+    frame.view.screen_of(BenchScreen)._ask_about_position("sigma", 1.0)
+    FileDialog(frame, "Open", tmp_path, "Table (*.csv)", chosen.append)
+    save = FileDialog(frame.view.screens[0], "Save", tmp_path / "a.csv", "Table (*.csv)", chosen.append, save=True)
+    boxes = [each for each in QApplication.topLevelWidgets() if isinstance(each, QDialog) and each.isVisible()]
+    assert len(boxes) == 4
+    for number, box in enumerate(boxes, start=1):
+        box.activateWindow()
+        qtbot.waitUntil(box.isActiveWindow)
+        focus = QApplication.focusWidget()
+        assert focus is not None
+        qtbot.keyClick(focus, Qt.Key.Key_Period, Qt.KeyboardModifier.ControlModifier)
+        assert len(stopped) == number
+        qtbot.keyPress(focus, Qt.Key.Key_Escape)
+        assert run.holding
+        if box is save:
+            save.accept()
+        qtbot.keyRelease(focus, Qt.Key.Key_Escape)
+        assert not run.holding
+        assert box.isVisible() == isinstance(box, QuestionBox)
+    assert chosen == [tmp_path / "a.csv"]
+
+
+def test_a_large_window_becomes_a_small_one_in_one_step(qtbot: QtBot, frame: MainWindow) -> None:
+    frame.resize(1280, 800)
+    frame.view.set_simulated(True, 1)
+    shown(qtbot, frame)
+    for screen in each_screen(frame):
+        frame.resize(1280, 800)
+        QApplication.processEvents()
+        frame.resize(640, 400)
+        assert (frame.width(), frame.height()) == (640, 400), screen.title
+
+
 def test_tab_goes_from_the_navigation_through_the_screen_to_the_run_and_not_to_stop(qtbot: QtBot, frame: MainWindow) -> None:
     shown(qtbot, frame)
     for screen in each_screen(frame):
@@ -164,7 +222,9 @@ def test_the_first_focus_is_on_the_screen_that_is_shown(qtbot: QtBot, frame: Mai
 
 
 @pytest.mark.parametrize("percent", [100, 150, 200])
-def test_every_control_is_on_the_screen(qtbot: QtBot, frame: MainWindow, percent: int) -> None:
+def test_every_control_is_on_the_screen(
+    qtbot: QtBot, frame: MainWindow, percent: int, tmp_path: Path, write_schedule: Writer
+) -> None:
     """1280 x 800 pixels at a scale factor; with the longest texts, an order and a question."""
     frame.resize(*(side * 100 // percent for side in SCREEN))
     frame.view.set_simulated(True, 1)
@@ -174,6 +234,11 @@ def test_every_control_is_on_the_screen(qtbot: QtBot, frame: MainWindow, percent
     frame.view.devices.set_devices({each: DeviceStatus(each != "monitor", "no reply to *IDN?") for each in DEVICES})
     frame.view.axes.set_positions(dict.fromkeys(GREEK, 180.0))
     frame.view.axes.set_targets((180.0, 90.0, 0.0, 5.0))
+    for number in range(123):
+        frame.view.log.add(LogEntry(f"event {number}", serious=True))
+    path = tmp_path / "panel-with-a-long-name-after-weathering-001.journal"
+    run_without_wires(make_plan(read_schedule(write_schedule()), read_rig(RIG)), path)
+    frame.view.screen_of(CampaignsScreen).show_campaigns(list_campaigns(tmp_path))
     shown(qtbot, frame)
     for screen in each_screen(frame):
         assert faults(frame, percent) == [], screen.title
@@ -193,10 +258,10 @@ def test_a_control_outside_the_screen_is_found(qtbot: QtBot, frame: MainWindow) 
     assert "QPushButton 'Open a rig file' is not whole in the window" in faults(frame, 100)
 
 
-class BenchScreen(Screen):
+class AddedScreen(Screen):
     """A screen that a test adds."""
 
-    title = "Bench"
+    title = "Added"
     icon = "tune"
 
     def __init__(self, colours: Colours) -> None:
@@ -209,13 +274,13 @@ class BenchScreen(Screen):
 
 
 def test_a_screen_is_added_by_a_line(qtbot: QtBot, open_window: WindowOpener, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(view, "SCREENS", (*view.SCREENS, BenchScreen))
+    monkeypatch.setattr(view, "SCREENS", (*view.SCREENS, AddedScreen))
     window = ready(qtbot, open_window())
     number = len(view.SCREENS) - 1
-    assert "Bench" in window.view.navigation.buttons[number].text()
+    assert "Added" in window.view.navigation.buttons[number].text()
     qtbot.keyClick(window, Qt.Key(Qt.Key.Key_1.value + number), Qt.KeyboardModifier.ControlModifier)
     assert window.view.shown_screen == number
-    qtbot.waitUntil(lambda: bool(window.view.screen_of(BenchScreen).messages), timeout=READY_MS)
+    qtbot.waitUntil(lambda: bool(window.view.screen_of(AddedScreen).messages), timeout=READY_MS)
 
 
 def test_the_letter_and_the_key_of_start_and_pause(qtbot: QtBot, open_window: WindowOpener) -> None:

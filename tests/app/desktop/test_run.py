@@ -1,6 +1,7 @@
 """A run in the window: to the end, paused, stopped; and the plot cannot disturb it."""
 
 import gc
+import os
 import signal
 import sqlite3
 import threading
@@ -10,25 +11,30 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PySide6.QtCore import QTimer
-from PySide6.QtWidgets import QApplication, QFileDialog
+from PySide6.QtWidgets import QApplication
 from pytestqt.qtbot import QtBot
 
 from goniotwin.app.campaign.journal.following import JournalFollower
 from goniotwin.app.campaign.journal.summary import campaign_summary
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.reduction.reduction import reduce_journal
-from goniotwin.app.campaign.running.events import Positions, RowCommitted, State
+from goniotwin.app.campaign.running.events import Positions, RowCommitted, RowStarted, State
 from goniotwin.app.desktop import STOPPED, MainWindow, run_desktop
+from goniotwin.app.desktop.dialogs import FileDialog
+from goniotwin.app.desktop.model import connection
+from goniotwin.app.desktop.model.connection import StationProcesses
 from goniotwin.app.desktop.model.live_scan import LiveScan, ScanData
 from goniotwin.app.desktop.window import KEEP_MEASURING, KEEP_OPEN, STOP_AND_CLOSE
 from goniotwin.app.end_signals import END_SIGNALS
+from goniotwin.app.station.connection_file import connection_folder
 from goniotwin.app.station.messages import BUSY
 from goniotwin.app.station.server import StationServer
+from goniotwin.app.station.station import Station
 from goniotwin.drivers import DeviceError, Rig, TmclAxis
 from goniotwin.drivers.errors import NoAnswer
 from tests.app.desktop.conftest import READY_MS, ROWS, WindowOpener, click, ready, wait_for_end
 from tests.app.desktop.keyboard import press
-from tests.app.desktop.local_stations import LocalStations
+from tests.app.desktop.local_stations import Host, LocalStations
 from tests.conftest import RIG, SMALL, Writer
 
 
@@ -77,13 +83,27 @@ def test_a_second_run_gets_a_journal_of_its_own(qtbot: QtBot, window: MainWindow
     assert sorted(path.name for path in journals.iterdir()) == ["small-001.journal", "small-002.journal"]
 
 
-def test_the_positions_move_while_an_axis_does(qtbot: QtBot, open_window: WindowOpener) -> None:
+def slow_down(station: Station, speed: float, from_deg: float) -> None:
+    """Slow a station down, by its own thread, when sigma has passed an angle: however late the window is, it still moves."""
+
+    def listen(_number: int, message: object) -> None:
+        if isinstance(message, RowStarted) and message.row.pose is not None:
+            station.speed(1.0)
+        if isinstance(message, Positions) and from_deg < message.degrees["sigma"] < 20.0:
+            station.speed(speed)
+            station.board.unsubscribe(listen)
+
+    station.board.subscribe(listen)
+
+
+def test_the_positions_move_while_an_axis_does(qtbot: QtBot, open_window: WindowOpener, stations: LocalStations) -> None:
     window = ready(qtbot, open_window(speed=20.0))
+    slow_down(stations.station, 0.5, from_deg=1.0)
     seen: set[str] = set()
     window.presenter.message_shown.connect(lambda _message: seen.add(window.view.axes.position("sigma")))
     click(window.view.run.start_button)
-    qtbot.waitUntil(lambda: window.view.axes.position("sigma") == "30.00°", timeout=READY_MS)
-    assert len(seen) >= 4  # more than the first and the last position
+    qtbot.waitUntil(lambda: len(seen - {"0.00°", "30.00°"}) >= 2, timeout=READY_MS)
+    window.connection.set_speed(200.0)
 
 
 def test_pause_waits_and_resume_measures_no_row_twice(qtbot: QtBot, open_window: WindowOpener) -> None:
@@ -109,8 +129,11 @@ def test_pause_waits_and_resume_measures_no_row_twice(qtbot: QtBot, open_window:
     db.close()
 
 
-def test_stop_in_the_middle_of_a_move_brings_the_axes_to_rest_and_loses_no_row(qtbot: QtBot, open_window: WindowOpener) -> None:
-    window = ready(qtbot, open_window(speed=4.0))
+def test_stop_in_the_middle_of_a_move_brings_the_axes_to_rest_and_loses_no_row(
+    qtbot: QtBot, open_window: WindowOpener, stations: LocalStations
+) -> None:
+    window = ready(qtbot, open_window(speed=20.0))
+    slow_down(stations.station, 0.1, from_deg=2.0)
     committed: list[RowCommitted] = []
     positions: list[dict[str, float]] = []
 
@@ -124,6 +147,7 @@ def test_stop_in_the_middle_of_a_move_brings_the_axes_to_rest_and_loses_no_row(q
     click(window.view.run.start_button)
     qtbot.waitUntil(lambda: bool(positions) and 2.0 < positions[-1]["sigma"] < 20.0, timeout=READY_MS)
     click(window.view.run.stop_button)
+    window.connection.set_speed(4.0)  # taken after the stop
     wait_for_end(qtbot, window, State.IDLE)
     assert "Stopped after 2 of 10 rows" in window.view.status
     assert row_counts(window) == (len(committed), ROWS) == (2, ROWS)
@@ -255,7 +279,9 @@ def test_a_signal_before_the_event_loop_ends_the_desktop(
 
 @pytest.mark.usefixtures("handlers")
 def test_a_signal_while_a_file_is_chosen_ends_the_desktop(qapp: QApplication, tmp_path: Path, stations: LocalStations) -> None:
-    """A file dialog has an event loop of its own inside that of the window."""
+
+    def dialogs() -> list[FileDialog]:
+        return [each for each in qapp.topLevelWidgets() if isinstance(each, FileDialog) and each.isVisible()]
 
     def press_open() -> None:
         for window in qapp.topLevelWidgets():
@@ -263,7 +289,7 @@ def test_a_signal_while_a_file_is_chosen_ends_the_desktop(qapp: QApplication, tm
                 window.view.rig.open_button.click()
 
     def check_dialog() -> None:
-        if isinstance(qapp.activeModalWidget(), QFileDialog):
+        if dialogs():
             timer.stop()
             signal.raise_signal(signal.SIGINT)
         else:
@@ -273,7 +299,7 @@ def test_a_signal_while_a_file_is_chosen_ends_the_desktop(qapp: QApplication, tm
     timer.timeout.connect(check_dialog)
     timer.start()
     assert run_desktop(RIG, None, tmp_path, stations=stations) == STOPPED
-    assert qapp.activeModalWidget() is None
+    assert dialogs() == []
 
 
 def test_widgets_are_never_destroyed_in_the_rigs_thread(qtbot: QtBot, window: MainWindow) -> None:
@@ -411,6 +437,67 @@ def test_the_run_goes_on_without_its_window_and_the_next_one_shows_it(
     assert len(stations.hosts) == 1
     qtbot.waitUntil(lambda: "measured" in again.view.plot.summary, timeout=READY_MS)
     assert "gaussian-5" in again.view.plot.title
+
+
+@pytest.mark.parametrize("command", ["pause", "stop"])
+def test_what_is_pressed_right_after_start_is_not_lost(
+    qtbot: QtBot, open_window: WindowOpener, journals: Path, command: str
+) -> None:
+    """The start has not even been sent: the connection makes a plan."""
+    window = ready(qtbot, open_window(speed=20.0))
+    busy = threading.Event()
+    window.connection._tasks.put(busy.wait)  # type: ignore[arg-type]
+    click(window.view.run.start_button)
+    click(window.view.run.pause_button if command == "pause" else window.view.run.stop_button)
+    busy.set()
+    if command == "pause":
+        qtbot.waitUntil(lambda: window.presenter.state is State.PAUSED, timeout=READY_MS)
+        assert row_counts(window) == (0, ROWS)
+        click(window.view.run.stop_button)
+        wait_for_end(qtbot, window, State.IDLE)
+    else:
+        qtbot.waitUntil(lambda: any("stopped before" in each.what for each in window.view.log.entries), timeout=READY_MS)
+        assert window.presenter.state is State.IDLE
+        assert not journals.exists()
+
+
+def test_a_window_is_gone_at_once_though_its_station_is_still_starting(
+    open_window: WindowOpener, stations: LocalStations
+) -> None:
+    """The test would wait for ever; the station is never asked for anything."""
+    stations.coming_up.clear()
+    window = open_window()
+    assert window.close()
+    assert not window.isVisible()
+    assert [thread.name for thread in threading.enumerate() if thread.name in ("connection", "journal")] == []
+    assert stations.hosts == []
+
+
+def test_a_window_without_a_station_shows_the_one_that_comes(
+    qtbot: QtBot, open_window: WindowOpener, stations: LocalStations, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As after `goniotwin run --speed 1` in a terminal; nothing is started by the window."""
+    monkeypatch.setattr(connection, "LOOK_S", 0.02)
+    window = ready(qtbot, open_window())
+    stations.hosts[0].kill()
+    qtbot.waitUntil(lambda: "The station has ended" in window.view.notice.text, timeout=READY_MS)
+    stations.hosts.append(Host(RIG, 60.0))
+    ready(qtbot, window)
+    assert window.view.notice.text == ""
+    assert window.view.run.speeds.currentData() == 60.0
+    assert len(stations.hosts) == 2
+
+
+def test_a_look_for_stations_reads_no_file_while_the_folder_is_as_it_was(tmp_path: Path) -> None:
+    stations = StationProcesses()
+    folder = connection_folder()
+    folder.mkdir(parents=True, exist_ok=True)
+    os.utime(folder, (1.0, 1.0))
+    assert [stations.changed() for _ in range(3)] == [True, False, False]
+    (folder / "new.json").write_text("{}", encoding="utf-8")
+    assert [stations.changed() for _ in range(3)] == [True, True, True]  # too new: another may come within the same tick
+    os.utime(folder, (2.0, 2.0))
+    assert [stations.changed() for _ in range(3)] == [True, False, False]
 
 
 def test_two_windows_one_operates_both_can_stop(qtbot: QtBot, open_window: WindowOpener, stations: LocalStations) -> None:

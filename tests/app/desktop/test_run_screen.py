@@ -26,9 +26,9 @@ def plot(qtbot: QtBot) -> ScanPlot:
     return plot
 
 
-def show(plot: ScanPlot, values: list[float], expected: list[float]) -> None:
-    """Show values with a u of 0.01 beside expected ones."""
-    here, there = (scan_data(each, [0.01] * len(each), [False] * len(each)) for each in (values, expected))
+def show(plot: ScanPlot, values: list[float], expected: list[float], u: float = 0.01) -> None:
+    """Show values with a u beside expected ones."""
+    here, there = (scan_data(each, [u] * len(each), [False] * len(each)) for each in (values, expected))
     here, there = (replace(each, y_label="BSDF (1/sr)", key=KEY) for each in (here, there))
     plot.show_cut(match(here, there))
 
@@ -46,6 +46,18 @@ def test_a_residual_beyond_4_u_is_marked_and_named(plot: ScanPlot) -> None:
     plot.show_cut(match(scan_data([1.0], [0.01], [False]), None))
     assert not plot._residuals.isVisible()
     assert plot.alarms == 0
+
+
+def test_a_prediction_without_points_is_shown_where_it_is_and_a_long_title_is_shortened(plot: ScanPlot) -> None:
+    show(plot, [np.nan, np.nan], [1e-6, 2e-6], u=1e-8)
+    plot._label()
+    assert plot._line.getData()[1] == pytest.approx(np.log10([1e-6, 2e-6]))
+    long = replace(scan_data([1.0], [0.01], [False]), title="facade panel after weathering: σ 60°, plane of incidence, 550 nm")
+    plot.clear("SIMULATED (seed 1)")
+    plot.show_scan(long)
+    assert plot._plot.sceneBoundingRect().right() <= plot._view.width()
+    assert "…" in plot._plot.titleLabel.text
+    assert "SIMULATED" in plot._plot.titleLabel.text
 
 
 def test_the_cursor_reads_a_value_by_mouse_or_by_arrow_keys(qtbot: QtBot, plot: ScanPlot) -> None:

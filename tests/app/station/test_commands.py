@@ -1,7 +1,9 @@
-"""`goniotwin move` and `read`, alone and through a station; the questions of `goniotwin run` with a station's channel."""
+"""`goniotwin move`, `read`, `home` and `here`, alone and through a station; the questions of `run` with a station's channel."""
 
 import io
 import json
+import socket
+import subprocess
 import sys
 import threading
 from collections.abc import Iterator
@@ -9,15 +11,19 @@ from pathlib import Path
 
 import pytest
 
+from goniotwin.app.campaign.running.events import State, StateChanged
 from goniotwin.app.campaign.running.question import Answer, Question
 from goniotwin.app.cli.campaign import TerminalAsk
 from goniotwin.app.errors import UserError
-from goniotwin.app.rig import read_rig
-from goniotwin.app.station.connection_file import attach, station_of
-from goniotwin.app.station.hosting import HostedRun, connection_path, serving
+from goniotwin.app.rig import parse_rig, read_rig
+from goniotwin.app.station import starting
+from goniotwin.app.station.connection_file import Connection, attach, connection_folder, write_connection
+from goniotwin.app.station.hosting import HostedRun, connection_path, serving, station_of
 from goniotwin.app.station.messages import QuestionAsked
 from goniotwin.app.station.station import Station
+from goniotwin.protocols.channel import PROTOCOL
 from goniotwin.protocols.clock import RealClock
+from tests.app.test_referencing import HOMES
 from tests.conftest import Writer
 from tests.system.command import invoke, json_result
 
@@ -28,7 +34,7 @@ MOUNT = Question("Mount x", "Mount x.", (Answer.MOUNTED, Answer.WAIT, Answer.STO
 @pytest.fixture
 def station(write_rig: Writer) -> Iterator[tuple[Station, Path]]:
     """A station of a rig file, at a high simulation speed."""
-    rig = write_rig()
+    rig = write_rig(*HOMES)
     station = Station(200.0)
     station.open(read_rig(rig))
     with serving(station, read_rig(rig)):
@@ -70,6 +76,75 @@ def test_a_move_through_the_station_that_has_the_rig(station: tuple[Station, Pat
     found = json_result(invoke("read", "--rig", rig, "--json"))
     assert len(found["volts"]) == 36
     assert invoke("move", "--rig", rig, "beta", "5000").returncode == 2
+
+
+def test_axes_are_referenced_through_the_station_that_has_the_rig(station: tuple[Station, Path]) -> None:
+    held, rig = station
+    assert invoke("here", "--rig", rig, "shift", "2.5").stdout == "shift: position set to 2.500 deg\n"
+    assert held.snapshot.positions["shift"] == pytest.approx(2.5)
+    for angle in ("60", "nan"):
+        refused = invoke("here", "--rig", rig, "shift", angle)
+        assert (refused.returncode, "soft limits" in refused.stderr) == (2, True)
+    assert invoke("home", "--rig", rig).stdout.startswith("sigma: homed, at ")
+    held.board.publish(StateChanged(State.RUNNING))
+    assert "a run is" in invoke("home", "--rig", rig).stderr
+    held.board.publish(StateChanged(State.IDLE))
+
+
+def test_a_rig_is_found_by_its_devices(write_rig: Writer, tmp_path: Path) -> None:
+    """A run that is resumed has the rig of its journal, whose file is not known."""
+    rig = write_rig(("twin://virtual/adc", "127.0.0.1?unit="), ("?unit=-", "?unit="), ("twin://virtual", f"{tmp_path}"))
+    recorded = parse_rig(rig.read_text(encoding="utf-8"), tmp_path, "x.journal (rig)")
+    assert station_of(rig) is None
+    with serving(Station(), recorded):
+        assert station_of(rig) == connection_path(recorded)
+    assert station_of(rig) is None
+
+
+def test_a_station_that_does_not_serve_leaves_nothing(write_rig: Writer, monkeypatch: pytest.MonkeyPatch) -> None:
+    rig = read_rig(write_rig())
+    before = set(connection_folder().glob("*"))
+
+    def full_disk(*_: object) -> None:
+        raise OSError("No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("goniotwin.app.station.hosting.write_connection", full_disk)
+        with pytest.raises(OSError, match="No space"), serving(Station(), rig):
+            pass
+    assert set(connection_folder().glob("*")) == before
+    with serving(Station(), rig):  # its lock and port are free
+        pass
+
+
+def test_a_station_that_does_not_come_up_is_ended(write_rig: Writer, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    processes: list[subprocess.Popen[bytes]] = []
+
+    def start(_command: list[str], _log: Path) -> "subprocess.Popen[bytes]":
+        processes.append(subprocess.Popen([sys.executable, "-S", "-c", "input()"], stdin=subprocess.PIPE))
+        return processes[-1]
+
+    monkeypatch.setattr(starting, "_start", start)
+    monkeypatch.setattr(starting, "START_S", 0.1)
+    with pytest.raises(UserError, match="has been ended"):
+        starting.start_station(write_rig(), 1.0, "window")
+    (process,) = processes
+    assert process.wait(20.0) != 0
+    assert process.stdin is not None
+    process.stdin.close()
+
+
+def test_a_station_that_hangs_is_named(write_rig: Writer, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("goniotwin.app.station.client.ANSWER_S", 0.1)
+    rig = write_rig()
+    path = connection_path(read_rig(rig))
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        port = silent.getsockname()[1]
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_connection(path, Connection(PROTOCOL, 1, socket.gethostname(), port, "x", str(rig), "", ""))
+        hung = invoke("here", "--rig", rig, "sigma", "0")
+        assert (hung.returncode, "its station does not answer" in hung.stderr) == (2, True)
+        path.unlink()
 
 
 def test_a_second_station_of_a_virtual_rig_is_refused(station: tuple[Station, Path]) -> None:

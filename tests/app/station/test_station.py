@@ -31,6 +31,7 @@ from goniotwin.app.station.permissions import COMMANDS, allowed
 from goniotwin.app.station.station import CommandRefused, Station
 from goniotwin.drivers import Rig
 from goniotwin.drivers.errors import NoAnswer
+from goniotwin.drivers.photodiodes.array import PhotodiodeArray
 from goniotwin.protocols.clock import VirtualClock
 from goniotwin.twin import VirtualRig
 from tests.app.campaign.campaign_bench import QUIET, planned_values
@@ -327,17 +328,55 @@ def test_pause_and_resume(bench: StationBench, write_schedule: Writer, tmp_path:
     assert State.PAUSED in states
 
 
-def test_finish_cut_ends_after_the_cut(bench: StationBench, write_schedule: Writer, tmp_path: Path) -> None:
+@pytest.mark.parametrize("command", ["pause", "finish_cut", "stop"])
+def test_what_is_asked_for_before_the_first_row_is_not_lost(
+    bench: StationBench, write_schedule: Writer, tmp_path: Path, command: str
+) -> None:
+    """The run has been started and its thread has not begun it."""
+    begun: list[State] = []
+
+    def react(message: Message) -> None:
+        if isinstance(message, RowSaved) and not begun:
+            begun.append(bench.station.snapshot.state)
+        if isinstance(message, StateChanged) and message.state is State.PAUSED:
+            begun.append(message.state)
+            threading.Timer(0.0, bench.station.stop).start()
+
+    bench.reactions.append(react)
+    bench.station.start(write_schedule(), tmp_path)
+    assert bench.station.snapshot.starting
+    with pytest.raises(CommandRefused, match="starting"):
+        bench.station.disconnect()
+    getattr(bench.station, command)()
+    now = bench.work()
+    assert not now.starting
+    assert now.state is State.IDLE
+    assert begun == ([State.PAUSED] if command == "pause" else [])
+    assert bench.of(RowSaved) == []
+
+
+@pytest.mark.parametrize("interrupted", [False, True])
+def test_finish_cut_ends_after_the_cut(bench: StationBench, write_schedule: Writer, tmp_path: Path, interrupted: bool) -> None:
+    """Also the cut that an interruption has left: it is in progress before the first row of its rest."""
     schedule = write_schedule(("beta_deg = [180]", "beta_deg = [0, 45, 90, 180]"))
 
     def react(message: Message) -> None:
         if isinstance(message, RowSaved) and message.row.kind == "measure" and not finishing:
             finishing.append(message.row)
+            (bench.station.stop if interrupted else bench.station.finish_cut)()
+
+    def finish(message: Message) -> None:
+        if isinstance(message, RowSaved):
             bench.station.finish_cut()
 
     finishing: list[object] = []
     bench.reactions.append(react)
     bench.station.start(schedule, tmp_path)
+    if interrupted:
+        journal = bench.work().journal
+        assert journal is not None
+        bench.reactions[:] = [finish]
+        bench.station.resume_journal(journal)
     now = bench.work()
     assert now.state is State.IDLE
     assert now.reason == "ended after the cut, as requested"
@@ -383,6 +422,52 @@ def test_a_person_mounts_and_the_first_answer_counts(bench: StationBench, write_
     assert len(refused) == 2 * len(asked)
     assert all("is answered already" in each for each in refused)
     assert [each.answer for each in bench.of(QuestionClosed)] == [Answer.MOUNTED] * 2  # type: ignore[union-attr]
+
+
+def test_a_resumed_run_has_the_operator_that_it_began_with(
+    bench: StationBench, write_schedule: Writer, tmp_path: Path, write_rig: Writer
+) -> None:
+    """The choice is in the journal: the station that began it, and its window, may be gone."""
+    answer = Answer.STOP
+
+    def react(message: Message) -> None:
+        if isinstance(message, QuestionAsked):
+            (bench if len(asked) == 0 else other).station.answer(message.number, answer)
+            asked.append(message)
+
+    asked: list[QuestionAsked] = []
+    bench.reactions.append(react)
+    bench.station.start(write_schedule(), tmp_path, person=True)
+    now = bench.work()
+    assert (now.state, now.person, len(asked)) == (State.IDLE, True, 1)
+    bench.station.close_rig()
+    other = StationBench(write_rig(*QUIET))
+    other.reactions.append(react)
+    answer = Answer.MOUNTED
+    assert now.journal is not None
+    other.station.resume_journal(now.journal)
+    now = other.work()
+    assert (now.state, now.person, len(asked)) == (State.DONE, True, 3)
+    other.station.close_rig()
+
+
+def test_the_photodiodes_are_asked_when_nothing_else_reads_them(bench: StationBench, monkeypatch: pytest.MonkeyPatch) -> None:
+    """So that it is known when they last answered; live readings show it themselves."""
+    asked: list[PhotodiodeArray] = []
+    check = PhotodiodeArray.check
+
+    def note(photodiodes: PhotodiodeArray) -> None:
+        check(photodiodes)
+        asked.append(photodiodes)
+
+    monkeypatch.setattr(PhotodiodeArray, "check", note)
+    bench.station._ask_devices()
+    assert len(asked) == 1
+    bench.station.live(True)
+    bench.work()
+    bench.station._poll_live()
+    bench.station._ask_devices()
+    assert len(asked) == 1
 
 
 def test_stop_answers_a_question(bench: StationBench, write_schedule: Writer, tmp_path: Path) -> None:
