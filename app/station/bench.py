@@ -1,4 +1,4 @@
-"""Work on the bench: one move, one setting, one reading at a time, in the thread that has the rig. No journal."""
+"""Work on the bench: one move, one setting, one reading at a time, in the engine's thread. No journal."""
 
 from collections.abc import Callable
 from functools import partial
