@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from PySide6.QtCore import QEvent, Qt
+from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QAbstractButton, QAbstractItemView, QApplication, QDialog, QLabel, QMenu, QPlainTextEdit, QWidget
 from pytestqt.qtbot import QtBot
 
@@ -42,7 +42,7 @@ from goniotwin.app.desktop.theme import Colours
 from goniotwin.app.rig import AXES, read_rig
 from goniotwin.app.rig.kinds import ROLES
 from goniotwin.app.station.messages import DeviceStatus
-from tests.app.desktop.conftest import READY_MS, WindowOpener, ready
+from tests.app.desktop.conftest import READY_MS, WindowOpener, end_window, ready
 from tests.app.desktop.screen_faults import SCREEN, controls, faults
 from tests.conftest import REPOSITORY, RIG, SCHEDULE, Writer
 
@@ -63,10 +63,7 @@ def make_frame(qapp: QApplication, tmp_path: Path) -> Iterator[FrameMaker]:
 
     yield make
     for window in windows:
-        window.shut_down()
-        window.hide()
-        window.deleteLater()
-        qapp.sendPostedEvents(window, QEvent.Type.DeferredDelete)
+        end_window(qapp, window)
 
 
 @pytest.fixture
