@@ -97,7 +97,7 @@ class StationClient:
 
     def _read(self) -> None:
         try:
-            with contextlib.suppress(OSError, ValueError):  # a broken connection, an event that this version cannot read
+            with contextlib.suppress(OSError):  # a broken connection
                 while (line := self._channel.receive()) is not None:
                     self._take(line)
         finally:
@@ -114,7 +114,10 @@ class StationClient:
 
     def _take(self, line: dict[str, Any]) -> None:
         if "event" in line:
-            message = decode(line)
+            try:
+                message = decode(line)
+            except ValueError:  # of another version, as one whose type is unknown: Stop has to work all the same
+                return
             if message is not None and not isinstance(message, Snapshot):
                 self.snapshot = advance(self.snapshot, message)
                 self._on_event(message)

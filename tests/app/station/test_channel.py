@@ -107,6 +107,18 @@ def test_a_client_gets_the_state_and_then_the_events(station: Station, attach: C
     assert one.client.snapshot == two.client.snapshot == station.snapshot
 
 
+def test_an_event_of_another_version_does_not_end_the_connection(
+    station: Station, attach: Callable[[str], Watcher], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one = attach("one")
+    with monkeypatch.context() as patch:
+        patch.setattr(station_server, "encode", lambda _message: {"type": "Positions", "degrees": "all"})
+        station.board.publish(Positions({"sigma": 3.0}))
+        one.client.do("stop")  # its answer follows the event
+    station.board.publish(ActivityChanged("waiting"))
+    one.wait_for(lambda: ActivityChanged("waiting") in one.events)
+
+
 def test_a_wrong_token_is_no_station(server: StationServer) -> None:
     with pytest.raises(NoStation, match="no station with this token"):
         StationClient(server.port, "another", "x")
