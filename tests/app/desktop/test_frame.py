@@ -176,7 +176,7 @@ def test_the_keys_of_stop_hold_in_the_windows_beside_the_main_one(qtbot: QtBot, 
         if box is save:
             save.accept()
         qtbot.keyRelease(focus, Qt.Key.Key_Escape)
-        assert not run.holding
+        qtbot.waitUntil(lambda: not run.holding)
         assert box.isVisible() == isinstance(box, QuestionBox)
     assert chosen == [tmp_path / "a.csv"]
 
