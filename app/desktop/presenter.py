@@ -1,6 +1,6 @@
 """The presenter: receives the messages of the connection, keeps the state of rig, plan and run, and shows it in the view."""
 
-from dataclasses import replace
+from dataclasses import astuple, replace
 from pathlib import Path
 
 from PySide6.QtCore import QDateTime, QObject, Qt, QTimer, Signal, Slot
@@ -21,6 +21,7 @@ from goniotwin.app.desktop.model.messages import (
     CommandRefused,
     Message,
     NotAttached,
+    PastRead,
     PlanMade,
     PlanRefused,
     RunStarted,
@@ -198,6 +199,9 @@ class Presenter(QObject):
                 self._view.show_status(STATUS.get(state, self._view.status))
             case EventLogged(kind, what, where, consequence):
                 self._log(what, where, consequence, serious=kind in SERIOUS)
+            case PastRead(events):
+                for kind, what, where, consequence in map(astuple, events):
+                    self._log(what, where, consequence, serious=kind in SERIOUS)
             case SafetyOrder(order, reason):
                 self.notified.emit(order)
                 if message not in self._view.orders.orders:

@@ -147,6 +147,11 @@ class Station:
         return self.board.snapshot
 
     @property
+    def now_s(self) -> float:
+        """The time of the rig's clock, s."""
+        return self._clock.now()
+
+    @property
     def busy(self) -> bool:
         """Whether a run is in progress or about to begin, or anything moves on the bench."""
         return self.snapshot.busy or bool(self.snapshot.activity)
