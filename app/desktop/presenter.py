@@ -67,8 +67,8 @@ STATUS = {
 END = {State.DONE: "done", State.IDLE: "stopped", State.FAILED: "failed"}
 NEAR_S = 600.0
 """Calendar times nearer than this have seconds."""
-SERIOUS = ("fault", "stop", "encoder", "sleep", "finding")
-"""Kinds of the journal's events that a person should look at."""
+SERIOUS = ("fault", "stop", "encoder", "sleep", "finding", "dark")
+"""Kinds of events that a person should look at."""
 
 
 class Presenter(QObject):

@@ -36,7 +36,7 @@ from goniotwin.app.desktop.model.messages import (
     StopReport,
     ValuesMissing,
 )
-from goniotwin.app.desktop.model.rig_facts import is_drift
+from goniotwin.app.desktop.model.rig_facts import DarkAges, is_drift
 from goniotwin.app.desktop.model.time_left import mountings
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription, read_rig
@@ -154,6 +154,7 @@ class Connection:
         self._rows: queue.SimpleQueue[Snapshot | RunBegun | RowSaved | RunEnded | None] = queue.SimpleQueue()
         self._heard: deque[EventLogged] = deque(maxlen=MOST_HEARD)
         self._follower: JournalFollower | None = None
+        self._dark_ages: DarkAges | None = None
         self._threads = [  # a device or a station that hangs keeps no window open
             threading.Thread(target=self._work, name="connection", daemon=True),
             threading.Thread(target=self._read_rows, name="journal", daemon=True),
@@ -528,6 +529,7 @@ class Connection:
                     certificate = None if parsed.file.certificate is None else journal.value("certificate")
                     described = ScheduleDescription(parsed.text, parsed.file, parsed.name, certificate)
                     plan = Plan(described, recorded_rig(journal), journal.planned_rows())
+            self._dark_ages = DarkAges(plan)
             self._send(RunStarted(plan, begun.journal, mountings(plan.rows)))
         except (UserError, OSError) as error:
             self._follower = None
@@ -543,6 +545,8 @@ class Connection:
                 known = saved.get(each.row.number)
                 progress = (0, 1, 0.0) if known is None else (known.done, known.total, known.seconds_left)
                 self._send(RowCommitted(each.row, each.data, *progress))
+                if self._dark_ages is not None and (event := self._dark_ages.add(each.row, each.data)) is not None:
+                    self._send(event)
         except (UserError, OSError) as error:
             self._follower = None
             self._send(ValuesMissing(str(error)))

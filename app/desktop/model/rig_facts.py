@@ -7,7 +7,9 @@ from pathlib import Path
 
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.readout import WarmUpTrace
+from goniotwin.app.campaign.row import Row, RowData
 from goniotwin.app.campaign.running.events import EventLogged
+from goniotwin.app.campaign.wording import rounded_duration_text
 from goniotwin.app.desktop.model.messages import Attached, PastRead
 from goniotwin.app.desktop.model.preflight import Facts
 from goniotwin.app.desktop.model.readings import BenchReadings
@@ -18,6 +20,8 @@ from goniotwin.protocols.clock import ScaledClock, calendar_stamp
 ROW_BYTES = 2000
 """Room of a row in a journal beside its counts."""
 COUNT_BYTES = 2
+DARK_MARGIN = 1.2
+"""A dark reading may be older than planned by as much: rows do not last exactly as long as estimated."""
 DRIFT = "the light has changed"
 """Words of a drift check in the event of a run that it stops."""
 
@@ -129,6 +133,29 @@ class RigFacts:
             free_bytes=None if folder is None else free_bytes(folder),
             needed_bytes=0 if plan is None else needed_bytes(plan),
         )  # fmt: skip
+
+
+class DarkAges:
+    """Ages of the dark readings of a run, in the rig's time: they are planned for a computer that keeps up with it."""
+
+    def __init__(self, plan: Plan) -> None:
+        self._every_s = plan.schedule.file.dark_every_s
+        self._virtual = plan.rig.file.in_process
+        self._dark_s: float | None = None
+        self._stated = False
+
+    def add(self, row: Row, data: RowData) -> EventLogged | None:
+        """Take a row; the first that is measured with a dark reading which is too old gives an event."""
+        if row.kind == "dark":
+            self._dark_s = data.ended_s
+        if row.kind not in ("measure", "drift") or self._dark_s is None or self._stated:
+            return None
+        age_s = data.ended_s - self._dark_s
+        if age_s <= DARK_MARGIN * max(self._every_s, row.seconds):
+            return None
+        self._stated = True
+        what = f"the dark reading was {rounded_duration_text(age_s)} old, dark_every_s is {self._every_s:g}"
+        return EventLogged("dark", what, row.identity, "choose a lower simulation speed" if self._virtual else "")
 
 
 def is_drift(event: EventLogged) -> bool:

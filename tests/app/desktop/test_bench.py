@@ -11,11 +11,13 @@ from PySide6.QtWidgets import QPushButton
 from pytestqt.qtbot import QtBot
 
 from goniotwin.app.campaign.planning.plan import make_plan
+from goniotwin.app.campaign.row import RowData
 from goniotwin.app.campaign.running.events import EventLogged, Positions, State, StateChanged
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.desktop import MainWindow
 from goniotwin.app.desktop.bench.screen import CANCEL, SET_POSITION, BenchScreen
 from goniotwin.app.desktop.model.messages import Attached, PastRead
+from goniotwin.app.desktop.model.rig_facts import DarkAges
 from goniotwin.app.desktop.rig.panels import answered_text
 from goniotwin.app.desktop.rig.screen import RigScreen
 from goniotwin.app.desktop.theme import DARK, LIGHT
@@ -306,6 +308,25 @@ def test_a_dark_reading_ages_with_the_simulation(desk: Desk, monkeypatch: pytest
     facts.take(SpeedChanged(1.0))
     seconds[0] += 1.0
     assert facts.facts().dark_age_s == pytest.approx(61.0)
+
+
+def test_dark_readings_are_repeated_by_the_rigs_clock_or_it_is_stated(write_schedule: Writer, write_rig: Writer) -> None:
+    """The times of 60x: rows as planned, then ones that last longer, because the computer does not follow."""
+    text = ("shift_deg = [0, 1]", "shift_deg = [0, 1, 2, 3, 4]\ndark_every_s = 10")
+    plan = make_plan(read_schedule(write_schedule(text)), read_rig(write_rig(*QUIET)))
+    assert sum(row.kind == "dark" for row in plan.rows) >= 4
+
+    def events(slower: float) -> list[EventLogged]:
+        now, ages, found = 0.0, DarkAges(plan), []
+        for row in plan.rows:
+            begun, now = now, now + slower * row.seconds
+            found.append(ages.add(row, RowData(begun, now, None, ())))
+        return [each for each in found if each is not None]
+
+    assert events(1.0) == []
+    (event,) = events(3.0)
+    assert "old, dark_every_s is 10" in event.what
+    assert event.consequence == "choose a lower simulation speed"
 
 
 def test_a_window_that_is_attached_later_has_the_dark_readings_age_and_the_drift(
