@@ -11,7 +11,7 @@ the window's thread during the run.
 
 time_left_error_percent: by simulation speed, how far the time left that the window shows after the first tenth of the rows of
 examples/schedules/quick.toml is from the time that the run then takes; time_left has the seconds. At 1x this takes five
-minutes: `--quick` leaves it out.
+minutes: not with `--quick`.
 map_p99_ms: the 99th percentile of the time that it takes to add a scan to a hemisphere of MAP_POINTS points and to paint it.
 """
 
@@ -239,7 +239,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument("--repeats", type=int, default=3, help="number of starts")
-    parser.add_argument("--quick", action="store_true", help="leave the time left out, which takes six minutes")
+    parser.add_argument("--quick", action="store_true", help="do not measure the time left: six minutes")
     parser.add_argument("--part", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.part is not None:

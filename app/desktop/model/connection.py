@@ -437,7 +437,7 @@ class Connection:
             self._starts.popleft()
 
     def _resume_journal(self, journal: Path) -> None:
-        """Continue a campaign, with the operator that it has begun with: its journal has that."""
+        """Continue a campaign, with the operator of its first session: its journal has that."""
         try:
             if self._client is None and self._rig_path is not None:
                 self._open(self._rig_path)
