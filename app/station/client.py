@@ -106,15 +106,17 @@ class StationClient:
         self._channel.close()
 
     def _read(self) -> None:
-        with contextlib.suppress(OSError, ValueError):
-            while (line := self._channel.receive()) is not None:
-                self._take(line)
-        self.ended = True
-        self._channel.close()
-        for number in list(self._waiting):
-            if (waiting := self._waiting.pop(number, None)) is not None:
-                waiting[0].set_exception(NoStation("the station has ended"))
-        self._on_end()
+        try:
+            with contextlib.suppress(OSError, ValueError):
+                while (line := self._channel.receive()) is not None:
+                    self._take(line)
+        finally:  # also after an error here: a client that reads no more must not look attached
+            self.ended = True
+            self._channel.close()
+            for number in list(self._waiting):
+                if (waiting := self._waiting.pop(number, None)) is not None:
+                    waiting[0].set_exception(NoStation("the station has ended"))
+            self._on_end()
 
     def _take(self, line: dict[str, Any]) -> None:
         if "event" in line:

@@ -261,6 +261,27 @@ def test_the_end_of_a_station_ends_its_clients(server: StationServer, attach: Ca
         one.client.do("stop")
 
 
+def test_a_client_that_fails_is_attached_no_more(
+    server: StationServer, station: Station, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What it shows would be the past, and nobody would know."""
+    faults: list[object] = []
+    monkeypatch.setattr(threading, "excepthook", faults.append)
+
+    def fail(_message: Message) -> None:
+        raise RuntimeError
+
+    ended = threading.Event()
+    client = StationClient(server.port, server.token, "failing", fail, ended.set)
+    client.start()
+    station.board.publish(ActivityChanged("waiting"))
+    assert ended.wait(LONGEST_S)
+    with pytest.raises(NoStation):
+        client.do("stop")
+    client.close()
+    assert len(faults) == 1
+
+
 def test_without_clients_the_time_is_counted(server: StationServer, attach: Callable[[str], Watcher]) -> None:
     until(lambda: server.unattended_s > 0.0)
     one = attach("one")
