@@ -52,7 +52,8 @@ class WindowStarter(QObject):
     @Slot(object)
     def _print(self, message: object) -> None:
         if isinstance(message, RowCommitted):
-            counts = [] if message.done % COUNT_EVERY else self._counts()
+            # A row that is read before it is reported has no number yet.
+            counts = self._counts() if message.done and not message.done % COUNT_EVERY else []
             print(message.done, self._paints, *counts, flush=True)
 
     def _counts(self) -> list[int]:
