@@ -51,8 +51,8 @@ class RigScreen(Screen):
             column.addStretch(1)
             columns.addLayout(column, share)
         self._tabs = QTabWidget()
-        for named in (self._tabs, self._tabs.tabBar()):  # Tab stops at the latter
-            named.setAccessibleName("Parts of the rig screen")
+        for tabs in (self._tabs, self._tabs.tabBar()):  # Tab stops at the latter
+            tabs.setAccessibleName("Parts of the rig screen")
         self._parts = (self.devices, "Devices"), (self.rig, "Rig file"), (self.preflight, "Preflight")
         self._scrolls = [QScrollArea() for _ in self._parts]
         for each in self._scrolls:

@@ -43,6 +43,8 @@ RESIDUAL_HEIGHT, RESIDUAL_SHARE = 110.0, 0.38
 """Height of the residuals, and the most of the plot's height that they take."""
 TITLE_POINTS, TITLE_MARGIN = 9, 34.0
 """Size of the title's letters, and the pixels beside it."""
+LABEL_SHARE = 0.6
+"""Share of the height that the label of the values has; a longer one is cut at its comma."""
 LEAST_RESIDUAL = 5.0
 """Half the least range of the residuals, in u."""
 NO_CURSOR = "Point at the plot, or press ← and → in it, to read a value."
@@ -374,7 +376,10 @@ class ScanPlot(QWidget):
         self._plot.setTitle(marked + title, color=self._colours.text, size=f"{TITLE_POINTS}pt")
         style = {"color": self._colours.text}
         below = self._scan.x_label if self._scan else "aspecular angle θ (°)"
-        self._plot.setLabel("left", self._scan.y_label if self._scan else "BSDF (1/sr)", **style)
+        beside = self._scan.y_label if self._scan else "BSDF (1/sr)"
+        if self.fontMetrics().horizontalAdvance(beside) > LABEL_SHARE * self._view.height():
+            beside = beside.partition(",")[0]
+        self._plot.setLabel("left", beside, **style)
         self._residuals.setLabel("left", "residual / u" if self.height() >= LOW_FOR_TEXT else "res. / u", **style)
         for plot in (self._plot, self._residuals):
             plot.setLabel("bottom", below, **style)
