@@ -26,7 +26,7 @@ from goniotwin.app.desktop.model.values import (
     serve_predictions,
     serve_values,
 )
-from goniotwin.app.desktop.model.worker import Worker
+from goniotwin.app.desktop.model.worker import Worker, WorkerEnded
 from goniotwin.app.desktop.run.axes import AXIS_WIDTH, AngleAxis, ResidualAxis, Scale, ValueAxis, transform
 from goniotwin.app.desktop.run.hemisphere import HemisphereMap
 from goniotwin.app.desktop.theme import Colours
@@ -47,6 +47,7 @@ LABEL_SHARE = 0.6
 """Share of the height that the label of the values has; a longer one is cut at its comma."""
 LEAST_RESIDUAL = 5.0
 """Half the least range of the residuals, in u."""
+ENDED = "has been ended, by another program or for want of memory"
 NO_CURSOR = "Point at the plot, or press ← and → in it, to read a value."
 
 
@@ -421,8 +422,9 @@ class LivePlot(QObject):
         self._directions = 0
         self._running = False
         self._answered.connect(self._take, Qt.ConnectionType.QueuedConnection)
-        self._values = Worker("values", serve_values, self._answered.emit, process=processes)
-        self._predictions = Worker("predictions", serve_predictions, self._answered.emit) if processes else None
+        self._processes = processes
+        self._values = self._new_values()
+        self._predictions = self._new_predictions() if processes else None
         self._redraw = QTimer(self, interval=REDRAW_MS, singleShot=True)
         self._redraw.timeout.connect(self._draw)
 
@@ -475,6 +477,12 @@ class LivePlot(QObject):
         if self._predictions is not None:
             self._predictions.close()
 
+    def _new_values(self) -> Worker:
+        return Worker("values", serve_values, self._answered.emit, process=self._processes)
+
+    def _new_predictions(self) -> Worker:
+        return Worker("predictions", serve_predictions, self._answered.emit)
+
     @Slot(object)
     def _take(self, answer: object) -> None:
         match answer:
@@ -492,6 +500,16 @@ class LivePlot(QObject):
                 return
             case Failed(number, error) if number == self._number:
                 self._fail(error)
+                return
+            case WorkerEnded("values"):  # the next run has another one
+                self._values.close()
+                self._values = self._new_values()
+                self._fail(f"its process {ENDED}")
+                return
+            case WorkerEnded("predictions") if self._predictions is not None:
+                self._predictions.close()
+                self._predictions, self._predicted = self._new_predictions(), None
+                self.prediction_missing.emit(f"the process that computes it {ENDED}")
                 return
             case _:
                 return
