@@ -276,7 +276,7 @@ class MainWindow(QMainWindow):
     @Slot()
     def _finish_cut(self) -> None:
         self.connection.finish_cut()
-        self.view.show_status("The run ends after this cut.")
+        self.presenter.show_status("The run ends after this cut.")
 
     @Slot()
     def _stop(self) -> None:

@@ -18,7 +18,7 @@ from goniotwin.app.station.connection_file import (
     read_connection,
     write_connection,
 )
-from goniotwin.app.station.messages import Message, RunBegun
+from goniotwin.app.station.messages import Message, RigClosed, RunBegun
 from goniotwin.app.station.server import StationServer
 from goniotwin.app.station.station import Station
 from goniotwin.own_files import make_own_folder
@@ -106,6 +106,7 @@ class HostedRun(Station):
         """Hold the rig, and serve."""
         super().adopt(opened, rig)
         self.server = self._stack.enter_context(serving(self, rig))
+        self._stack.callback(lambda: self._publish(RigClosed("the run's program has ended")))
 
     @property
     def clients(self) -> list[str]:
