@@ -264,7 +264,7 @@ def test_the_end_of_a_station_ends_its_clients(server: StationServer, attach: Ca
 def test_a_client_that_fails_is_attached_no_more(
     server: StationServer, station: Station, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What it shows would be the past, and nobody would know."""
+    """What it shows would be the past, without a word about it."""
     faults: list[object] = []
     monkeypatch.setattr(threading, "excepthook", faults.append)
 
