@@ -259,11 +259,10 @@ class ScanPlot(QWidget):
             chosen = np.isfinite(line.values) & ~line.blocked & ~line.transmitted
             if not chosen.any():
                 chosen = np.isfinite(line.values) & ~line.blocked
-            breaks = gaps(line.x_deg[chosen])
-            x, values, u, added = (
-                np.insert(each[chosen], breaks, each[chosen][breaks])
-                for each in (line.x_deg, line.values, line.u_values, line.added)
-            )
+            at = np.flatnonzero(chosen)
+            breaks = gaps(line.x_deg[at])
+            at = np.insert(at, breaks, at[breaks])
+            x, values, u, added = line.x_deg[at], line.values[at], line.u_values[at], line.added[at]
             values[breaks + np.arange(breaks.size)] = np.nan
             least = 10.0**floor if self._scale == "log" else -np.inf
             ends = interval(values, np.nan_to_num(u), added)
