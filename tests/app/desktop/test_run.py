@@ -461,6 +461,52 @@ def test_what_is_pressed_right_after_start_is_not_lost(
         assert not journals.exists()
 
 
+def test_a_stop_of_another_window_cancels_a_start_that_waits(
+    qtbot: QtBot, open_window: WindowOpener, journals: Path, stations: LocalStations
+) -> None:
+    window, other = ready(qtbot, open_window(speed=20.0)), open_window()
+    busy = threading.Event()
+    window.connection._tasks.put(busy.wait)  # type: ignore[arg-type]
+    click(window.view.run.start_button)
+    qtbot.waitUntil(other.view.run.stop_button.isEnabled, timeout=READY_MS)
+    click(other.view.run.stop_button)
+    qtbot.waitUntil(lambda: stations.station.snapshot.stops == 1, timeout=READY_MS)
+    busy.set()
+    qtbot.waitUntil(lambda: any("stopped before" in each.what for each in window.view.log.entries), timeout=READY_MS)
+    assert window.presenter.state is State.IDLE
+    assert not journals.exists()
+
+
+@pytest.mark.parametrize("resumes", [False, True])
+def test_a_stop_cancels_an_opening_and_the_resume_that_waits_for_it(
+    qtbot: QtBot, open_window: WindowOpener, stations: LocalStations, journals: Path, resumes: bool
+) -> None:
+    stations.coming_up.clear()
+    window = open_window()
+    if resumes:
+        window.connection.resume_journal(journals / "none.journal")
+    window.connection.stop()
+    qtbot.waitUntil(lambda: any("stopped before the rig" in each.what for each in window.view.log.entries), timeout=READY_MS)
+    if resumes:
+        qtbot.waitUntil(lambda: any("stopped before the st" in each.what for each in window.view.log.entries), timeout=READY_MS)
+    assert stations.hosts == []
+    stations.coming_up.set()
+    click(window.view.rig.again_button)
+    ready(qtbot, window)
+
+
+def test_of_two_openings_the_second_holds(
+    qtbot: QtBot, open_window: WindowOpener, stations: LocalStations, write_rig: Writer
+) -> None:
+    stations.coming_up.clear()
+    window = open_window(rig=RIG.with_name("none.toml"))
+    window._open_rig(rig := write_rig())
+    stations.coming_up.set()
+    ready(qtbot, window)
+    assert [each.rig for each in stations.hosts] == [rig]
+    assert not [each.what for each in window.view.log.entries if "none.toml" in each.what]
+
+
 def test_a_window_is_gone_at_once_though_its_station_is_still_starting(
     open_window: WindowOpener, stations: LocalStations
 ) -> None:

@@ -8,8 +8,9 @@ from pathlib import Path
 import pytest
 
 from goniotwin.app.campaign.journal.summary import campaign_summary
-from goniotwin.app.campaign.running.events import EventLogged, Positions, SafetyOrder, State, StateChanged
+from goniotwin.app.campaign.running.events import EventLogged, Positions, RowStarted, SafetyOrder, State, StateChanged
 from goniotwin.app.campaign.running.question import Answer
+from goniotwin.app.campaign.running.stop import StopRequest
 from goniotwin.app.rig import read_rig
 from goniotwin.app.station.messages import (
     ActivityChanged,
@@ -28,8 +29,9 @@ from goniotwin.app.station.messages import (
     encode,
 )
 from goniotwin.app.station.permissions import COMMANDS, allowed
+from goniotwin.app.station.server import StationServer
 from goniotwin.app.station.station import CommandRefused, Station
-from goniotwin.drivers import Rig
+from goniotwin.drivers import DeviceError, Rig
 from goniotwin.drivers.errors import NoAnswer
 from goniotwin.drivers.photodiodes.array import PhotodiodeArray
 from goniotwin.protocols.clock import VirtualClock
@@ -242,6 +244,74 @@ def test_a_stop_before_a_move_has_begun(bench: StationBench) -> None:
     bench.work()
     assert bench.error == "stopped"
     assert bench.virtual.plant.angle_deg("sigma", bench.clock.now()) == 0.0
+
+
+def test_no_command_is_accepted_while_a_stop_is_carried_out(
+    bench: StationBench, write_schedule: Writer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It would clear the request of that stop, and begin."""
+    refused = []
+
+    def stop(_request: StopRequest) -> list[DeviceError]:
+        for command in (lambda: bench.station.start(write_schedule(), tmp_path), lambda: bench.station.live(on=True)):
+            with pytest.raises(CommandRefused, match="being stopped") as error:
+                command()
+            refused.append(error)
+        return []
+
+    monkeypatch.setattr(StopRequest, "stop", stop)
+    bench.station.stop()
+    assert len(refused) == 2
+    bench.station.start(write_schedule(), tmp_path)
+
+
+def test_what_was_asked_for_before_a_stop_does_not_begin_after_it(bench: StationBench) -> None:
+    """The line of a client waits somewhere while another one stops."""
+    server = StationServer(bench.station)
+    try:
+        asked = {"axis": "sigma", "target_deg": 30.0, "stops": bench.station.snapshot.stops}
+        bench.station.stop()
+        with pytest.raises(CommandRefused, match="stopped before the start"):
+            server._command("a", "move", dict(asked))
+        server._command("a", "move", {**asked, "stops": bench.station.snapshot.stops})
+    finally:
+        server._server.stop()
+
+
+def test_a_stop_before_a_run_or_its_resume_has_begun(bench: StationBench, write_schedule: Writer, tmp_path: Path) -> None:
+    bench.station.start(write_schedule(), tmp_path)
+    bench.station.stop()
+    bench.work()
+    assert [each.reason for each in bench.of(RunRefused) if isinstance(each, RunRefused)] == ["stopped before the start"]
+    bench.station.start(write_schedule(), tmp_path)
+    bench.reactions.append(lambda message: bench.station.stop() if isinstance(message, RowStarted) else None)
+    bench.work()
+    bench.reactions.clear()
+    (journal,) = tmp_path.glob("*.journal")
+    bench.events.clear()
+    bench.station.resume_journal(journal)
+    bench.station.stop()
+    bench.work()
+    assert [each.reason for each in bench.of(RunRefused) if isinstance(each, RunRefused)] == ["stopped before the start"]
+    assert not bench.of(RunBegun)
+
+
+def test_live_readings_after_a_stop(bench: StationBench) -> None:
+    """The station died of its own stop request."""
+    bench.station.stop()
+    bench.station.live(on=True)
+    bench.work()
+    bench.station._poll_live()
+    assert bench.station.snapshot.bench.live
+    bench.station.stop()
+    bench.station._on_bench()._set(gain=None)
+    bench.station._live = None
+    bench.station._poll_live()
+    assert not bench.station.snapshot.bench.live
+    bench.station.live(on=True)
+    bench.station.stop()
+    bench.work()
+    assert not bench.station.snapshot.bench.live
 
 
 def test_a_run_from_start_to_end(bench: StationBench, write_schedule: Writer, tmp_path: Path) -> None:
