@@ -249,7 +249,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument("--repeats", type=int, default=3, help="number of starts")
-    parser.add_argument("--quick", action="store_true", help="leave the time left out, which takes six minutes")
+    parser.add_argument("--quick", action="store_true", help="without the time left, which takes six minutes")
     parser.add_argument("--part", help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.part is not None:

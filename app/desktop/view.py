@@ -201,9 +201,9 @@ class MainView(QWidget):
         self._show_lines()
 
     def _show_lines(self) -> None:
-        """Leave out, in a low window, the path of the journal, and what the notice says already."""
-        said = bool(self.notice.text) and self._status.text().endswith(self.notice.text)
-        self._status.setVisible(not (self._low and said))
+        """Leave out, in a low window, the path of the journal, and what the notice has already."""
+        repeated = bool(self.notice.text) and self._status.text().endswith(self.notice.text)
+        self._status.setVisible(not (self._low and repeated))
         self._saved.setVisible(bool(self._saved.text()) and not self._low)
 
     def _lay_out(self) -> None:

@@ -456,7 +456,7 @@ class Connection:
             self._starts.popleft()
 
     def _resume_journal(self, journal: Path) -> None:
-        """Continue a campaign, with the operator that it has begun with: its journal has that."""
+        """Continue a campaign, with the operator of its journal."""
         try:
             if self._client is None and self._rig_path is not None:
                 self._open(self._rig_path, self._starts[0].presses, self._openings)

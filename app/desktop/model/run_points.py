@@ -19,7 +19,8 @@ X_TOLERANCE_DEG = 1e-5
 class Cut:
     """Points of a cut in the order of the abscissa, with the prediction and the residual, (measured - predicted) / u, of each.
 
-    NaN where there is none. `line` has all points of the prediction; None without one.
+    NaN where there is none: a signal has no residual, because the absolute scale of photocurrents is no fact of the rig file.
+    `line` has all points of the prediction; None without one.
     """
 
     scan: ScanData
@@ -157,7 +158,7 @@ def match(scan: ScanData, predicted: ScanData | None) -> Cut:
             at = np.minimum(at, there.size - 1)
             found = np.abs(line.x_deg[there][at] - points.x_deg[here]) <= 2.0 * X_TOLERANCE_DEG
             expected[here[found]], u[here[found]] = line.values[there][at[found]], line.u_values[there][at[found]]
-    trusted = ~points.blocked & ~points.untrusted & np.isfinite(points.values) & (points.u_values > 0.0)
+    trusted = ~points.blocked & ~points.untrusted & np.isfinite(points.values) & (points.u_values > 0.0) & scan.is_bsdf
     with np.errstate(all="ignore"):
         deviation = deviation_in_u(points.values, points.u_values, points.added, expected)
     return Cut(scan, expected, u, np.where(trusted, deviation, np.nan), line)

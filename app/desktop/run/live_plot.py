@@ -268,7 +268,7 @@ class ScanPlot(QWidget):
     def _show_residuals(self) -> None:
         """Show the residuals, those beyond the range at its edge, where there is room and a prediction."""
         cut = self._cut
-        shown = cut is not None and cut.line is not None and self.height() >= LOW
+        shown = cut is not None and cut.line is not None and cut.scan.is_bsdf and self.height() >= LOW
         self._residuals.setVisible(shown)
         self._residuals.setMaximumHeight(min(RESIDUAL_HEIGHT, RESIDUAL_SHARE * self._view.height()) if shown else 0)
         self._plot.getAxis("bottom").setStyle(showValues=not shown)

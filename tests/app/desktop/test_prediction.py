@@ -51,10 +51,15 @@ def test_the_residuals_of_a_rig_as_in_its_file_are_those_of_noise(plan: NewPlan)
             points.predict(scan)
     cuts = [points.add(each) for each in measured(plan, model)]
     assert len(cuts) == len(points.predicted) == 2  # the etalon and the sample
-    residuals = np.concatenate([each.residual[np.isfinite(each.residual)] for each in cuts])
+    signals, sample = cuts
+    assert np.isnan(signals.residual).all()
+    trusted = ~signals.scan.points.blocked & ~signals.scan.points.untrusted & np.isfinite(signals.expected)
+    deviations = ((signals.scan.points.values - signals.expected) / signals.scan.points.u_values)[trusted]
+    residuals = np.concatenate([deviations, sample.residual[np.isfinite(sample.residual)]])
     assert residuals.size > 60
-    assert 0.5 < float(np.std(residuals)) < 1.5
-    assert float(np.max(np.abs(residuals))) < 4.5
+    for each in (deviations, residuals):
+        assert 0.5 < float(np.std(each)) < 1.5
+        assert float(np.max(np.abs(each))) < 4.5
     assert all(np.isnan(each.residual[each.scan.points.blocked]).all() for each in cuts)
 
 
@@ -67,6 +72,7 @@ def test_a_sample_of_half_the_reflectance_is_in_alarm(plan: NewPlan, write_rig: 
     assert by_sample["gaussian-5"].alarms.any()
     assert by_sample["gaussian-5"].residual[by_sample["gaussian-5"].alarms].max() < -4.0
     assert not by_sample["etalon"].alarms.any()
+    assert np.isfinite(by_sample["etalon"].expected).any()
 
 
 def test_a_rig_file_without_a_twin_has_no_prediction(write_rig: Writer, write_schedule: Writer) -> None:
