@@ -10,8 +10,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PySide6.QtCore import QTimer
-from PySide6.QtWidgets import QApplication
+from PySide6.QtCore import Qt, QTimer
+from PySide6.QtTest import QTest
+from PySide6.QtWidgets import QApplication, QWidget
 from pytestqt.qtbot import QtBot
 
 from goniotwin.app.campaign.journal.following import JournalFollower
@@ -19,6 +20,7 @@ from goniotwin.app.campaign.journal.summary import campaign_summary
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.reduction.reduction import reduce_journal
 from goniotwin.app.campaign.running.events import Positions, RowCommitted, RowStarted, State
+from goniotwin.app.campaign.running.question import Answer
 from goniotwin.app.desktop import STOPPED, MainWindow, run_desktop
 from goniotwin.app.desktop.dialogs import FileDialog
 from goniotwin.app.desktop.model import connection
@@ -563,6 +565,58 @@ def test_two_windows_one_operates_both_can_stop(qtbot: QtBot, open_window: Windo
         wait_for_end(qtbot, each, State.IDLE)
         assert each.presenter.journal == journal
     assert len(stations.hosts) == 1
+
+
+def test_a_watcher_sees_the_question_and_the_speed_and_changes_neither(
+    qtbot: QtBot, open_window: WindowOpener, stations: LocalStations
+) -> None:
+    one, two = ready(qtbot, open_window()), open_window()
+    click(one.view.rig.person)
+    click(one.view.run.start_button)
+    qtbot.waitUntil(lambda: two.question is not None and bool(two.presenter.permissions.watching), timeout=READY_MS)
+    question = two.question
+    assert question is not None
+    assert not question.buttons["Mounted"].isEnabled()
+    assert not two.view.run.speeds.isEnabled()
+    two.connection.answer(two._asked, Answer.MOUNTED)  # refused by the station as well
+    question.hide()
+    qtbot.waitUntil(lambda: "operates this rig" in two.view.status, timeout=READY_MS)
+    assert two.question is question
+    assert question.isVisible()
+    assert "Mount" in two.view.question.text
+    click(two.view.notice.button)
+    qtbot.waitUntil(question.buttons["Mounted"].isEnabled, timeout=READY_MS)
+    assert two.view.run.speeds.isEnabled()
+    assert one.question is not None
+    qtbot.waitUntil(lambda: not one.question.buttons["Mounted"].isEnabled(), timeout=READY_MS)  # type: ignore[union-attr]
+    shown = one.question
+    click(question.buttons["Mounted"])
+    qtbot.waitUntil(lambda: one.question is not shown and two.question is not question, timeout=READY_MS)
+
+
+def test_the_status_keeps_the_question_and_the_pause_key_takes_its_pause_back(qtbot: QtBot, open_window: WindowOpener) -> None:
+    window = ready(qtbot, open_window())
+    click(window.view.rig.person)
+    click(window.view.run.start_button)
+    qtbot.waitUntil(lambda: window.question is not None, timeout=READY_MS)
+    seen: list[State] = []
+    window.presenter.message_shown.connect(lambda _message: seen.append(window.presenter.station.state))
+    for _ in range(2):
+        click(window.view.run.pause_button)
+    qtbot.waitUntil(lambda: State.PAUSING in seen and seen[-1] is State.RUNNING, timeout=READY_MS)
+    assert window.view.status.startswith("Waiting for the operator: Mount")
+    click(window.view.run.finish_button)
+    assert window.view.status.startswith("Waiting for the operator: Mount")
+    assert window.view.status.endswith("The run ends after this cut.")
+    press("Ctrl+Q")  # the focus is in the question
+    closing = window.close_question
+    assert closing is not None
+    assert all(each.accessibleName() for each in closing.findChildren(QWidget) if each.focusPolicy() & Qt.FocusPolicy.TabFocus)
+    QTest.keyRelease(closing, Qt.Key.Key_Escape)
+    assert not closing.isVisible()
+    assert window.isVisible()
+    press("Ctrl+Q", "Ctrl+Q")
+    assert not window.isVisible()
 
 
 def test_a_station_that_dies_is_reported_and_the_run_is_resumed_with_one_key(
