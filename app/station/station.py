@@ -14,7 +14,7 @@ from collections.abc import Callable, Sequence
 from itertools import count
 from pathlib import Path
 
-from goniotwin.app.campaign.campaign import check_referenced, operator_for
+from goniotwin.app.campaign.campaign import check_referenced, check_way, operator_for
 from goniotwin.app.campaign.journal.summary import SUFFIX
 from goniotwin.app.campaign.journal.writing import Journal, JournalError, software_versions
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
@@ -614,6 +614,7 @@ class Station:
         try:
             plan = make_plan(read_schedule(schedule), self._description)
             check_referenced(self._rig(), plan.rig.name)
+            check_way(self._rig(), plan.rows)
             self._check_stop()
             try:
                 folder.mkdir(parents=True, exist_ok=True)
@@ -638,6 +639,7 @@ class Station:
             try:
                 remaining = remaining_work(journal, self._description)  # again, now that no other program can change it
                 check_referenced(self._rig(), remaining.plan.rig.name, homing=True)
+                check_way(self._rig(), remaining.work)
             except BaseException:
                 journal.close()
                 raise

@@ -314,6 +314,26 @@ def test_live_readings_after_a_stop(bench: StationBench) -> None:
     assert not bench.station.snapshot.bench.live
 
 
+def test_a_run_that_would_collide_on_its_way_to_the_first_row_has_no_journal(
+    bench: StationBench, write_schedule: Writer, tmp_path: Path
+) -> None:
+    """It was created, and the run failed after three tries at a fault of the device."""
+    for axis, angle in (("beta", 300.0), ("shift", 5.0)):
+        bench.station.move(axis, angle)
+        bench.work()
+    bench.station.start(write_schedule(), tmp_path / "journals")
+    bench.work()
+    (refused,) = bench.of(RunRefused)
+    assert isinstance(refused, RunRefused)
+    assert refused.reason.startswith("on the way from beta 300.0 deg, shift 5.0 deg to the first row the arc would collide")
+    assert refused.reason.endswith("lower the shift first, or turn in the other direction")
+    assert not (tmp_path / "journals").exists()
+    bench.station.move("shift", 0.0)
+    bench.work()
+    bench.station.start(write_schedule(), tmp_path / "journals")
+    assert bench.work().state is State.DONE
+
+
 def test_a_run_from_start_to_end(bench: StationBench, write_schedule: Writer, tmp_path: Path) -> None:
     folder = tmp_path / "journals"
     bench.station.start(write_schedule(), folder)
