@@ -7,13 +7,14 @@ starts one. The window may be closed during a campaign, which goes on in the sta
 import contextlib
 import os
 import threading
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from PySide6.QtCore import QEvent, Qt, QUrl, Signal, Slot
+from PySide6.QtCore import QEvent, Qt, QTimer, QUrl, Signal, Slot
 from PySide6.QtGui import QCloseEvent, QDesktopServices, QKeyEvent
-from PySide6.QtWidgets import QApplication, QMainWindow
+from PySide6.QtWidgets import QApplication, QMainWindow, QPushButton
 
 from goniotwin import examples
 from goniotwin.app.campaign.running.question import EFFECTS, Answer
@@ -37,6 +38,8 @@ if TYPE_CHECKING:
 
 KEEP_MEASURING, STOP_AND_CLOSE = "Keep measuring", "Stop and close"
 KEEP_OPEN, ACKNOWLEDGE = "Keep open", "Acknowledge"
+CLICK_MS = 150
+"""Time after which a button whose letter was pressed has been clicked."""
 WIDTH, HEIGHT = 1180, 760
 """Size of the first start in logical pixels, on a screen that has it."""
 DESKTOP = "goniotwin.app.desktop"
@@ -287,6 +290,11 @@ class MainWindow(QMainWindow):
     def _stop(self) -> None:
         self.connection.stop()
         self.view.show_status("Stop sent to all axes.")
+        for button in self.findChildren(QPushButton):
+            if button.isDown() and button is not self.view.run.stop_button:
+                # Its letter was pressed before: Qt clicks it 0.1 s later, and it would begin what comes after the stop.
+                button.blockSignals(True)
+                QTimer.singleShot(CLICK_MS, button, partial(button.blockSignals, False))
 
     @Slot(float)
     def _set_speed(self, speed: float) -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PySide6.QtCore import Qt, QTimer
-from PySide6.QtTest import QTest
+from PySide6.QtTest import QSignalSpy, QTest
 from PySide6.QtWidgets import QApplication, QWidget
 from pytestqt.qtbot import QtBot
 
@@ -461,6 +461,19 @@ def test_what_is_pressed_right_after_start_is_not_lost(
         qtbot.waitUntil(lambda: any("stopped before" in each.what for each in window.view.log.entries), timeout=READY_MS)
         assert window.presenter.state is State.IDLE
         assert not journals.exists()
+
+
+def test_a_stop_right_after_the_letter_of_start(qtbot: QtBot, window: MainWindow, journals: Path) -> None:
+    """Qt clicks a button 0.1 s after its letter: that is after the stop."""
+    window.activateWindow()
+    qtbot.waitUntil(window.isActiveWindow)
+    clicked = QSignalSpy(window.view.run.start_button.clicked)
+    press("Alt+S", "Ctrl+.")
+    qtbot.wait(250)
+    assert clicked.count() == 0
+    assert not journals.exists()
+    press("Alt+S")
+    qtbot.waitUntil(lambda: clicked.count() == 1, timeout=READY_MS)
 
 
 def test_a_stop_of_another_window_cancels_a_start_that_waits(
