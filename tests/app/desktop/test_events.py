@@ -389,7 +389,7 @@ def test_enter_and_space_never_stop_a_run(qtbot: QtBot, open_window: WindowOpene
 
 
 def test_esc_has_to_be_held(qtbot: QtBot, open_window: WindowOpener, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Released in time it stops nothing, in the window or in a question, which it closes; held it does, wherever the focus is."""
+    """Released in time it stops nothing, in the window or in a question, which it closes; held it does, wherever focus is."""
     monkeypatch.setattr(panel, "HOLD_MS", READY_MS)
     window = ready(qtbot, open_window(speed=1.0))
     run = window.view.run
