@@ -254,7 +254,10 @@ def test_no_command_is_accepted_while_a_stop_is_carried_out(
     refused = []
 
     def stop(_request: StopRequest) -> list[DeviceError]:
-        for command in (lambda: bench.station.start(write_schedule(), tmp_path), lambda: bench.station.live(on=True)):
+        commands: tuple[Callable[[], None], ...] = (
+            lambda: bench.station.start(write_schedule(), tmp_path), lambda: bench.station.live(on=True),
+        )  # fmt: skip
+        for command in commands:
             with pytest.raises(CommandRefused, match="being stopped") as error:
                 command()
             refused.append(error)
@@ -303,16 +306,16 @@ def test_live_readings_after_a_stop(bench: StationBench) -> None:
     bench.station.live(on=True)
     bench.work()
     bench.station._poll_live()
-    assert bench.station.snapshot.bench.live
+    assert bench.work().bench.live
     bench.station.stop()
     bench.station._on_bench()._set(gain=None)
     bench.station._live = None
     bench.station._poll_live()
-    assert not bench.station.snapshot.bench.live
+    assert not bench.work().bench.live
     bench.station.live(on=True)
     bench.station.stop()
     bench.work()
-    assert not bench.station.snapshot.bench.live
+    assert not bench.work().bench.live
 
 
 def test_a_run_that_would_collide_on_its_way_to_the_first_row_has_no_journal(
