@@ -19,6 +19,7 @@ from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from PIL import Image
 from PySide6.QtCore import QEvent
 from PySide6.QtWidgets import QApplication, QTabWidget, QWidget
 
@@ -39,7 +40,7 @@ SCALES = (100, 125, 150, 200)
 SCHEMES: tuple[Scheme, ...] = ("light", "dark")
 SPEED = 60.0
 """Simulation speed of the run that is shown."""
-FIRST_SHARE, SHARE = 0.2, 0.8
+FIRST_SHARE, SHARE = 0.2, 0.75
 """Parts of the rows that are measured in the pictures of a run."""
 LONGEST_S, SETTLE_S = 60.0, 0.3
 BENCH: tuple[tuple[str, dict[str, object]], ...] = (
@@ -50,6 +51,8 @@ BENCH: tuple[tuple[str, dict[str, object]], ...] = (
 """Commands before the first reading."""
 README = {"bench-bench": "window-bench", "running-run": "window-run"}
 """The pictures of the README, and the names of their files."""
+COLOURS = 160
+"""Colours of these: they are small files then."""
 
 
 class Pictures:
@@ -79,8 +82,18 @@ class Pictures:
         self._at_the_bench()
         run.start_button.click()
         self._rows(FIRST_SHARE)
-        self._picture("running-run")
+        self._picture("etalon-run")
         self._rows(SHARE)
+        window.connection.set_speed(1.0)  # the run waits for no picture
+        plane = view.screen_of(RunScreen).plane
+        plane.setValue(1)
+        self._settle(SETTLE_S)
+        self._picture("running-run")
+        if self._names:
+            self._end()
+            return
+        plane.setValue(0)
+        window.connection.set_speed(SPEED)
         run.pause_button.click()
         self._wait(lambda: view.status.startswith("Paused"))
         self._each_screen("paused")
@@ -92,9 +105,14 @@ class Pictures:
         self._with_many_campaigns()
         self._dialogs()
         self._without_rig()
-        window.connection.command("disconnect")
-        self._wait(lambda: window.presenter.rig is None)
-        window.shut_down()
+        self._end()
+
+    def _end(self) -> None:
+        """End the run and the station."""
+        self.window.connection.stop()
+        self._wait(lambda: not self.window.connection.snapshot.busy)
+        self.window.connection.command("disconnect")
+        self.window.shut_down()
 
     def _rows(self, share: float) -> None:
         """Wait until this part of the rows is measured."""
@@ -171,8 +189,7 @@ class Pictures:
         run.plane.setValue(1)
         for scale in ("log", "linear", "symlog"):
             run.scale.setCurrentText(scale)
-            time.sleep(SETTLE_S)
-            self._settle()
+            self._settle(SETTLE_S)
             self._picture(f"{scale}-run")
         run.scale.setCurrentText("log")
         run.plane.setValue(0)
@@ -248,9 +265,14 @@ class Pictures:
             self._settle()
             file = f"{self._names[name]}-{scheme}.png" if self._names else f"{name}-{scheme}-{self._percent}.png"
             shown.grab().save(str(self._folder / file))
+            if self._names:
+                with Image.open(self._folder / file) as image:
+                    few = image.convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE)
+                few.save(self._folder / file, optimize=True)
             self.faults += [f"{file}: {line}" for line in faults(shown, self._percent)]
 
-    def _settle(self) -> None:
+    def _settle(self, seconds: float = 0.0) -> None:
+        time.sleep(seconds)
         for _ in range(3):
             self._application.processEvents()
             time.sleep(0.03)

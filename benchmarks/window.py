@@ -11,7 +11,7 @@ the window's thread during the run.
 
 time_left_error_percent: by simulation speed, how far the time left that the window shows after the first tenth of the rows of
 examples/schedules/quick.toml is from the time that the run then takes; time_left has the seconds. At 1x this takes five
-minutes: `--quick` leaves it out.
+minutes: not with `--quick`.
 map_p99_ms: the 99th percentile of the time that it takes to add a scan to a hemisphere of MAP_POINTS points and to paint it.
 """
 

@@ -149,6 +149,10 @@ class RealClock:
         return event
 
 
+LEAST_SPEED, GREATEST_SPEED = 0.1, 1000.0
+"""Simulation speeds that can be chosen."""
+
+
 class ScaledClock:
     """Time for any number of threads, `speed` times as fast as real time. It is continuous and never runs back."""
 

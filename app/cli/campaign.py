@@ -27,6 +27,7 @@ from goniotwin.app.cli.output import (
     print_warning,
 )
 from goniotwin.app.errors import UserError, one_line
+from goniotwin.protocols.clock import GREATEST_SPEED, LEAST_SPEED
 
 if TYPE_CHECKING:  # the planner loads numpy, which a command's help does not need
     from goniotwin.app.campaign.campaign import Outcome
@@ -177,7 +178,12 @@ def run(
     transcript: TranscriptOption = None,
     speed: Annotated[
         float | None,
-        typer.Option("--speed", min=0.1, max=1000.0, help="Simulation speed of a virtual rig, which a window can then show."),
+        typer.Option(
+            "--speed",
+            min=LEAST_SPEED,
+            max=GREATEST_SPEED,
+            help="Simulation speed of a virtual rig, which a window can then show.",
+        ),
     ] = None,
     as_json: Json = False,
 ) -> None:

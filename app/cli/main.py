@@ -22,7 +22,7 @@ from typer.exceptions import TyperException
 import goniotwin
 from goniotwin import examples
 from goniotwin.app.cli import campaign, data, instrument, render, serving, simulation, station, views
-from goniotwin.app.cli.output import Json, TranscriptOption, answer, errors, print_error
+from goniotwin.app.cli.output import Json, Speed, TranscriptOption, answer, errors, print_error
 from goniotwin.app.end_signals import ignore_end_signals, interrupt_on_end_signal
 from goniotwin.app.errors import UserError, room_on_disk, unexpected_error
 
@@ -105,7 +105,7 @@ def desktop(
     out: Annotated[
         Path | None, typer.Option("--out", metavar="DIR", help="Folder for data files (journals).", show_default=False)
     ] = None,
-    speed: Annotated[float, typer.Option(min=0.1, max=1000.0, help="Simulation speed of a virtual rig.")] = 20.0,
+    speed: Speed = 20.0,
 ) -> None:
     """Open the window."""
     try:

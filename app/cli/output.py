@@ -24,12 +24,16 @@ from rich.table import Column
 from rich.text import Text
 
 from goniotwin.app.errors import one_line
+from goniotwin.protocols.clock import GREATEST_SPEED, LEAST_SPEED
 
 if TYPE_CHECKING:  # the events load numpy, which a command's help does not need
     from goniotwin.app.campaign.running.events import Event
 
 RigOption = Annotated[Path, typer.Option("--rig", metavar="RIG.toml", help="Rig file.", show_default=False)]
 Json = Annotated[bool, typer.Option("--json", help="One JSON object on standard output, everything else on standard error.")]
+Speed = Annotated[
+    float, typer.Option("--speed", min=LEAST_SPEED, max=GREATEST_SPEED, help="Simulation speed of a virtual rig.")
+]
 TranscriptOption = Annotated[
     Path | None,
     typer.Option(

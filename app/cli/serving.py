@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from goniotwin.app.cli.output import Json, RigOption, answer, print_note
+from goniotwin.app.cli.output import Json, RigOption, Speed, answer, print_note
 from goniotwin.app.errors import UserError
 
 if TYPE_CHECKING:  # the twin is compiled code, which a command's help does not need
@@ -28,7 +28,7 @@ app = typer.Typer()
 @app.command()
 def serve(
     rig: RigOption,
-    speed: Annotated[float, typer.Option(min=0.1, max=1000.0, help="Simulation speed.")] = 1.0,
+    speed: Speed = 1.0,
     write_rig: Annotated[
         Path | None,
         typer.Option(

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from goniotwin.app.cli.output import Json, RigOption, answer, print_warning
+from goniotwin.app.cli.output import Json, RigOption, Speed, answer, print_warning
 from goniotwin.app.errors import UserError
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ app = typer.Typer()
 @app.command()
 def station(
     rig: RigOption,
-    speed: Annotated[float, typer.Option(min=0.1, max=1000.0, help="Simulation speed of a virtual rig.")] = 1.0,
+    speed: Speed = 1.0,
     unattended: Annotated[
         float, typer.Option("--unattended", metavar="S", min=0.0, help="Real time without a client after which it ends.")
     ] = 60.0,

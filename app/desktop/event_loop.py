@@ -4,9 +4,8 @@ A KeyboardInterrupt that is raised in a slot is lost. So a signal handler only p
 runs a handler between two of its own statements, and an event loop that waits runs none. So the system writes the number of
 the signal to a socket that the loop watches (signal.set_wakeup_fd): the loop enters Python, and the handler runs.
 
-The garbage collector runs in the thread that happens to allocate. In the rig's thread it would destroy widgets that are part
-of a reference cycle, and Qt crashes if a widget is destroyed outside of the window's thread. (pyqtgraph's `GarbageCollector`
-does the same, but cannot be stopped.)
+The garbage collector runs in the thread that happens to allocate. In any other than the window's it would destroy widgets that
+are part of a reference cycle, and Qt would crash. (pyqtgraph's `GarbageCollector` does the same, but cannot be stopped.)
 """
 
 import contextlib

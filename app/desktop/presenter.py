@@ -1,6 +1,6 @@
 """The presenter: receives the messages of the connection, keeps the state of rig, plan and run, and shows it in the view."""
 
-from dataclasses import replace
+from dataclasses import astuple, replace
 from pathlib import Path
 
 from PySide6.QtCore import QDateTime, QObject, Qt, QTimer, Signal, Slot
@@ -21,6 +21,7 @@ from goniotwin.app.desktop.model.messages import (
     CommandRefused,
     Message,
     NotAttached,
+    PastRead,
     PlanMade,
     PlanRefused,
     RunStarted,
@@ -67,8 +68,8 @@ STATUS = {
 END = {State.DONE: "done", State.IDLE: "stopped", State.FAILED: "failed"}
 NEAR_S = 600.0
 """Calendar times nearer than this have seconds."""
-SERIOUS = ("fault", "stop", "encoder", "sleep", "finding")
-"""Kinds of the journal's events that a person should look at."""
+SERIOUS = ("fault", "stop", "encoder", "sleep", "finding", "dark")
+"""Kinds of events that a person should look at."""
 
 
 class Presenter(QObject):
@@ -198,6 +199,9 @@ class Presenter(QObject):
                 self._view.show_status(STATUS.get(state, self._view.status))
             case EventLogged(kind, what, where, consequence):
                 self._log(what, where, consequence, serious=kind in SERIOUS)
+            case PastRead(events):
+                for kind, what, where, consequence in map(astuple, events):
+                    self._log(what, where, consequence, serious=kind in SERIOUS)
             case SafetyOrder(order, reason):
                 self.notified.emit(order)
                 if message not in self._view.orders.orders:

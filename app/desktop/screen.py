@@ -47,7 +47,7 @@ class Screen(QWidget):
 
     @Slot(object)
     def show_message(self, message: object) -> None:
-        """Show a message of the rig (`model.messages`). Called for each one, in the window's thread."""
+        """Show a message to the window (`model.messages`). Called for each one, in the window's thread."""
 
     def set_refusals(self, refusals: dict[str, str]) -> None:
         """Take, by command, the reason why the station refuses it now; empty where it is allowed."""

@@ -230,7 +230,7 @@ class MainWindow(QMainWindow):
     def _offer_unfinished(self) -> None:
         """Offer to resume the latest unfinished campaign of the open schedule."""
         plan, listed = self.presenter.plan, self._listed
-        self._unfinished = None if plan is None or listed is None else listed.unfinished(plan.schedule.text)
+        self._unfinished = None if plan is None or listed is None else listed.unfinished(plan)
         if self._unfinished is None:
             self.view.run.set_unfinished("")
         else:

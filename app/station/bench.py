@@ -1,4 +1,4 @@
-"""Work on the bench: one move, one setting, one reading at a time, in the thread that has the rig. No journal."""
+"""Work on the bench: one move, one setting, one reading at a time, in the engine's thread. No journal."""
 
 from collections.abc import Callable
 from functools import partial
@@ -95,11 +95,12 @@ class Bench:
             self.set_shutter(opened=True)
         return pending.result
 
-    def start_live(self) -> "PendingReading":
-        """Start the next live reading. Raises DeviceError."""
+    def start_live(self, *, settled: bool) -> "PendingReading":
+        """Start the next live reading, without a wait if the amplifiers have `settled`. Raises DeviceError."""
         if self.settings.gain_v_per_a is None:
             self.set_gain(0)
-        return PendingReading(self._rig, self.settings, 1, live=True)
+            settled = False
+        return PendingReading(self._rig, self.settings, 1, live=True, settled=settled)
 
     def set_live(self, on: bool) -> None:
         """Note whether live readings are taken."""
@@ -131,11 +132,11 @@ class Bench:
 class PendingReading:
     """A reading of photodiodes and monitor in progress: a `Pending`, polled by one exchange at a time."""
 
-    def __init__(self, rig: Rig, settings: BenchChanged, readings: int, *, live: bool = False) -> None:
+    def __init__(self, rig: Rig, settings: BenchChanged, readings: int, *, live: bool = False, settled: bool = False) -> None:
         self._rig = rig
         self._settings = settings
         self._live = live
-        self._photodiodes: Readings = rig.photodiodes.start_readings(readings)
+        self._photodiodes: Readings = rig.photodiodes.start_readings(readings, settled=settled)
         self._seconds = readings * rig.photodiodes.settings.period_s
         self._mean: MonitorMean | None = None
         self._left: list[Pending] = []

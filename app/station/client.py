@@ -28,8 +28,9 @@ class NoStation(UserError):
 class StationClient:
     """One attached client. `on_event` gets each event, `on_end` the end of the connection, in the thread that reads.
 
-    `snapshot` is the state of the station as the events so far give it. `name` is this client's at the station; `dropped` is
-    why an earlier connection of that name was ended by the station, or empty.
+    `snapshot` is the state of the station as the events so far give it, `attached_s` the time of the rig's clock before them.
+    `name` is this client's at the station; `dropped` is why an earlier connection of that name was ended by the station, or
+    empty.
     """
 
     def __init__(
@@ -58,6 +59,7 @@ class StationClient:
         self._channel.wait_without_limit()
         self.name = str(first.get("client", name))
         self.dropped = str(first.get("dropped", ""))
+        self.attached_s = float(first.get("t_s", 0.0))
         self.ended = False
         self._on_event, self._on_end = on_event, on_end
         self._numbers = itertools.count(1)
@@ -99,7 +101,7 @@ class StationClient:
 
     def _read(self) -> None:
         try:
-            with contextlib.suppress(OSError, ValueError):  # a broken connection, an event that this version cannot read
+            with contextlib.suppress(OSError):  # a broken connection
                 while (line := self._channel.receive()) is not None:
                     self._take(line)
         finally:
@@ -116,7 +118,10 @@ class StationClient:
 
     def _take(self, line: dict[str, Any]) -> None:
         if "event" in line:
-            message = decode(line)
+            try:
+                message = decode(line)
+            except ValueError:  # of another version, as one whose type is unknown: Stop has to work all the same
+                return
             if message is not None and not isinstance(message, Snapshot):
                 self.snapshot = advance(self.snapshot, message)
                 self._on_event(message)

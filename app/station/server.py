@@ -160,7 +160,10 @@ class StationServer:
                 client = self._name(channel.hello)
                 self._clients[client] = channel, outbox
                 left = self._dropped.pop(client, "")
-            outbox.put({"protocol": PROTOCOL, "client": client, "dropped": left, "snapshot": encode(snapshot)})
+            outbox.put({
+                "protocol": PROTOCOL, "client": client, "dropped": left, "t_s": self._station.now_s,
+                "snapshot": encode(snapshot),
+            })  # fmt: skip
         try:
             while (line := channel.receive()) is not None:
                 self._obey(client, line, outbox)

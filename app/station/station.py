@@ -59,7 +59,7 @@ from goniotwin.app.station.messages import (
 )
 from goniotwin.app.station.permissions import allowed
 from goniotwin.drivers import BadAnswer, DeviceError, Forgotten, LimitError, NoAnswer
-from goniotwin.protocols.clock import Clock, RealClock, ScaledClock, VirtualClock, calendar_stamp
+from goniotwin.protocols.clock import GREATEST_SPEED, LEAST_SPEED, Clock, RealClock, ScaledClock, VirtualClock, calendar_stamp
 
 POLL_S = 0.2
 """Real time between two readings of the axis positions at rest."""
@@ -134,6 +134,8 @@ class Station:
         self._bench: Bench | None = None
         self._engine: Engine | None = None
         self._live: PendingReading | None = None
+        self._live_due = 0.0
+        self._settled = False
         self._stop_requested, self._pause_requested, self._finish_requested = (threading.Event() for _ in range(3))
         self._stops = 0
         self._no_stops = threading.Condition()
@@ -150,6 +152,11 @@ class Station:
     def snapshot(self) -> Snapshot:
         """The state now."""
         return self.board.snapshot
+
+    @property
+    def now_s(self) -> float:
+        """The time of the rig's clock, s."""
+        return self._clock.now()
 
     @property
     def busy(self) -> bool:
@@ -325,8 +332,9 @@ class Station:
     def speed(self, factor: float) -> None:
         """Set the simulation speed of a virtual rig."""
         self._check("speed")
-        if not 0.1 <= factor <= 1000.0:
-            raise CommandRefused(f"a simulation speed of {factor:g} is not possible; give 0.1 to 1000")
+        if not LEAST_SPEED <= factor <= GREATEST_SPEED:
+            possible = f"{LEAST_SPEED:g} to {GREATEST_SPEED:g}"
+            raise CommandRefused(f"a simulation speed of {factor:g} is not possible; give {possible}")
         if not isinstance(self._clock, ScaledClock):
             raise CommandRefused("the virtual clock has no speed")
         self._clock.set_speed(factor)
@@ -516,16 +524,20 @@ class Station:
     def _poll_live(self) -> None:
         bench = self._bench
         if bench is None or not bench.settings.live or self.snapshot.activity:
-            self._live = None
+            self._live, self._settled = None, False
             return
+        now = self._wall.now()
         try:
             if self._live is None:
-                self._live = bench.start_live()
-            elif self._live.due <= self._clock.now() and self._live.poll():
-                reading, self._live = self._live.result, None
-                self._due["live"] = self._wall.now() + LIVE_S
-                self._answer_noted("photodiodes", "monitor")
-                self._publish(reading)
+                self._live_due = now + LIVE_S
+                self._live = bench.start_live(settled=self._settled)
+            while self._live.due <= self._clock.now() and self._wall.now() < now + LIVE_POLL_S:
+                if self._live.poll():
+                    reading, self._live, self._settled = self._live.result, None, True
+                    self._due["live"] = self._live_due
+                    self._answer_noted("photodiodes", "monitor")
+                    self._publish(reading)
+                    return
         except DeviceError:
             self._live = None
             bench.set_live(False)

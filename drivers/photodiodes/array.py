@@ -216,9 +216,13 @@ class PhotodiodeArray:
             self._clock, [partial(each.set_outputs, outputs) for each in self._connected_modules("set the gain")]
         )
 
-    def start_readings(self, readings: int) -> "Readings":
-        """Start a number of readings of all channels, one per conversion, after the settling time. Raises NoAnswer."""
-        return Readings(self._connected_modules("read"), self.settings, self._clock, readings)
+    def start_readings(self, readings: int, *, settled: bool = False) -> "Readings":
+        """Start a number of readings of all channels, one per conversion, after the settling time. Raises NoAnswer.
+
+        With `settled`, at once: nothing has changed since the readings before, or it does not matter.
+        """
+        wait_s = 0.0 if settled else self.settings.wait_s
+        return Readings(self._connected_modules("read"), self.settings, self._clock, readings, wait_s)
 
     def _connected_modules(self, doing: str) -> list[AdamModule]:
         if not self._connected:
@@ -263,7 +267,9 @@ class ExchangeSequence:
 class Readings:
     """Readings in progress, one exchange per poll; done when the settings of each module have been checked."""
 
-    def __init__(self, modules: list[AdamModule], settings: PhotodiodeSettings, clock: Clock, readings: int) -> None:
+    def __init__(
+        self, modules: list[AdamModule], settings: PhotodiodeSettings, clock: Clock, readings: int, wait_s: float
+    ) -> None:
         self._modules = modules
         self._settings = settings
         self._clock = clock
@@ -272,7 +278,7 @@ class Readings:
         self._checks: list[SettingsCheck] | None = None
         self._taken = 0
         self._counts: Counts = np.zeros((readings, settings.count), dtype=np.uint16)
-        self.due = self._first = clock.now() + settings.wait_s
+        self.due = self._first = clock.now() + wait_s
 
     @property
     def started(self) -> float:

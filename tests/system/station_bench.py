@@ -6,9 +6,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from goniotwin.app.station.client import StationClient
-from goniotwin.app.station.connection_file import Connection, attach, known_stations
+from goniotwin.app.station.connection_file import attach, known_stations
 from goniotwin.app.station.messages import Message, Snapshot
-from goniotwin.protocols.clock import RealClock
 from tests.system.command_process import CommandProcess
 from tests.system.conftest import until
 
@@ -36,10 +35,10 @@ class Attached:
     def snapshot(self) -> Snapshot:
         return self.client.snapshot
 
-    def wait_for(self, condition: Callable[[], bool], longest_s: float = LONGEST_S) -> None:
+    def wait_for(self, condition: Callable[[], bool]) -> None:
         """Wait for a condition on the snapshot or the events."""
         with self._changed:
-            assert self._changed.wait_for(condition, longest_s), self.snapshot
+            assert self._changed.wait_for(condition, LONGEST_S), self.snapshot
 
 
 def station_process(folder: Path, rig: Path, *options: object) -> tuple[CommandProcess, Path]:
@@ -53,17 +52,6 @@ def connection_of(process: CommandProcess) -> Path:
     until(lambda: not process.alive or process.pid in {each.pid for each in known_stations().values()})
     assert process.alive, process.errors
     return next(path for path, each in known_stations().items() if each.pid == process.pid)
-
-
-def wait_for_station(pid_of_other_than: int = 0) -> tuple[Path, Connection]:
-    """The connection file of the only station, when it is there."""
-    clock = RealClock()
-    while clock.now() < LONGEST_S:
-        found = [(path, each) for path, each in known_stations().items() if each.pid != pid_of_other_than]
-        if found:
-            return found[0]
-        clock.sleep_until(clock.now() + 0.02)
-    raise AssertionError("no station")
 
 
 def runs(pid: int) -> bool:

@@ -26,7 +26,7 @@ from tests.app.campaign.campaign_bench import QUIET, planned_values
 from tests.conftest import REPOSITORY, Writer
 from tests.system.command_process import FORKED, CommandProcess
 from tests.system.conftest import until
-from tests.system.station_bench import Attached, connection_of, runs, station_process, wait_for_station
+from tests.system.station_bench import Attached, connection_of, runs, station_process
 
 pytestmark = [*FORKED, pytest.mark.endpoint, pytest.mark.usefixtures("heard_hangup")]
 ROWS = 10
@@ -231,7 +231,7 @@ def test_a_killed_parent_leaves_the_run_on(write_rig: Writer, write_schedule: Wr
     assert parent.stdin is not None
     try:
         assert b"virtual goniophotometer" in parent.stdout.readline()
-        path, connection = wait_for_station()
+        ((path, connection),) = known_stations().items()  # it has answered its parent
         os.killpg(parent.pid, signal.SIGHUP)
         os.killpg(parent.pid, signal.SIGKILL)
         parent.wait()

@@ -1,7 +1,7 @@
 """Run `goniotwin ARGUMENTS` and press Start as soon as it is enabled, unless a run is in progress already.
 
 Prints a line for each row in the journal: the number of rows, and the number of repaints of the plot so far; after each
-`COUNT_EVERY` rows also the references to None and to True, the objects that Python's collector follows, and the widgets.
+`COUNT_EVERY` rows also the references to None and to True, the blocks of memory that Python has allocated, and the widgets.
 """
 
 import gc
@@ -52,12 +52,14 @@ class WindowStarter(QObject):
     @Slot(object)
     def _print(self, message: object) -> None:
         if isinstance(message, RowCommitted):
-            counts = [] if message.done % COUNT_EVERY else self._counts()
+            # A row that is read before it is reported has no number yet.
+            counts = self._counts() if message.done and not message.done % COUNT_EVERY else []
             print(message.done, self._paints, *counts, flush=True)
 
     def _counts(self) -> list[int]:
         gc.collect()
-        return [sys.getrefcount(None), sys.getrefcount(True), len(gc.get_objects()), len(self._application.allWidgets())]
+        # gc.get_objects would hand out the unfinished tuples of other threads, which then fail.
+        return [sys.getrefcount(None), sys.getrefcount(True), sys.getallocatedblocks(), len(self._application.allWidgets())]
 
 
 if __name__ == "__main__":

@@ -60,6 +60,8 @@ LAST_ATTEMPT = "WHERE attempt = (SELECT MAX(attempt) FROM attempt b WHERE b.numb
 ATTEMPTED = "EXISTS (SELECT 1 FROM attempt a WHERE a.number = p.number)"
 MOST_ORDERS = 20
 """Safety orders of a session that are listed: a run gives two."""
+MOST_EVENTS = 1000
+"""Events of a session that are listed, the last ones."""
 OUTCOMES = ("done", "stopped", "failed", None)
 DETAIL_KEYS = ("gains", "readings", "automatic", "target", "longest_s")
 """Fields of a row that the column `detail` holds as JSON."""
@@ -211,6 +213,24 @@ class JournalReader:
         with self._reading():
             found = self._db.execute("SELECT text FROM event WHERE kind = ? ORDER BY id", (kind,))
             return list(dict.fromkeys(str(text) for (text,) in found))
+
+    def events(self) -> list[tuple[float, str, str]]:
+        """Time on the rig's clock, kind and text of the events of the last session, in order of time."""
+        with self._reading():
+            found = self._db.execute(
+                "SELECT t_s, kind, text FROM event WHERE session = (SELECT MAX(id) FROM session) ORDER BY id DESC LIMIT ?",
+                (MOST_EVENTS,),
+            )
+            return [(float(t), str(kind), str(text)) for t, kind, text in found][::-1]
+
+    def last_of(self, kind: RowKind) -> tuple[str, float] | None:
+        """Identity of the last row of a kind that was executed, and its end on the rig's clock; None where there is none."""
+        with self._reading():
+            found = self._db.execute(
+                "SELECT identity, ended_s FROM plan JOIN attempt USING (number) WHERE kind = ? ORDER BY ended_s DESC LIMIT 1",
+                (kind,),
+            ).fetchone()
+            return None if found is None else (str(found[0]), float(found[1]))
 
     def open_orders(self) -> list[str]:
         """Texts of the safety orders of the last session that are not acknowledged, in order of time.

@@ -63,10 +63,7 @@ def recorded_rig(journal: JournalReader) -> RigDescription:
 
 def check_same_rig(journal: JournalReader, recorded: RigDescription, rig: RigDescription) -> None:
     """Raise UserError with the changed keys where `rig` differs from the `recorded` rig in more than its ports."""
-    changed = sorted(_differences(_without_ports(recorded), _without_ports(rig)))
-    if recorded.seed != rig.seed or recorded.simulated != rig.simulated:
-        changed.append("simulated")
-    if changed:
+    if changed := changed_keys(recorded, rig):
         keys = ", ".join(changed[:5]) + (", ..." if len(changed) > 5 else "")
         raise UserError(
             f"{rig.name}: is not the rig with which {journal.path} started: {keys} changed, and only ports may change; "
@@ -77,6 +74,12 @@ def check_same_rig(journal: JournalReader, recorded: RigDescription, rig: RigDes
             f"{rig.name}: its virtual rig is not the one with which {journal.path} started (the model's hash differs); "
             "resume with the [twin] as it was, or start a new campaign"
         )
+
+
+def changed_keys(recorded: RigDescription, rig: RigDescription) -> list[str]:
+    """The keys, other than of ports, in which a rig differs from the one of a journal, without those of its [twin]."""
+    changed = sorted(_differences(_without_ports(recorded), _without_ports(rig)))
+    return changed if (recorded.seed, recorded.simulated) == (rig.seed, rig.simulated) else [*changed, "simulated"]
 
 
 def _same_model(stated: str, recorded: RigDescription, rig: RigDescription) -> bool:

@@ -107,8 +107,8 @@ class BenchScreen(Screen):
             column.setSpacing(3)
         self._left.addStretch(1)
         self._tabs = QTabWidget()
-        for each in (self._tabs, self._tabs.tabBar()):  # Tab stops at the latter
-            each.setAccessibleName("Parts of the bench screen")
+        for tabs in (self._tabs, self._tabs.tabBar()):  # Tab stops at the latter
+            tabs.setAccessibleName("Parts of the bench screen")
         self._beside = QWidget()
         self._light_and_signals = QHBoxLayout(self._beside)
         self._light_and_signals.setContentsMargins(0, 0, 0, 0)

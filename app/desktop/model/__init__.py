@@ -1,1 +1,1 @@
-"""The window's model: the rig's thread and its messages, the scan in progress, what is permitted now. No Qt."""
+"""The window's model: the connection to the station and its messages, the values of a run, what is permitted now. No Qt."""

@@ -9,7 +9,10 @@ from pathlib import Path
 
 from goniotwin.app.campaign.journal.following import JournalFollower
 from goniotwin.app.campaign.journal.summary import CampaignSummary, campaign_summaries
+from goniotwin.app.campaign.planning.plan import Plan
+from goniotwin.app.campaign.running.resume import changed_keys, recorded_rig
 from goniotwin.app.errors import UserError
+from goniotwin.app.rig import RigDescription
 
 UNFINISHED = ("stopped", "failed", "killed", "empty")
 """States of a campaign that can be resumed."""
@@ -17,10 +20,11 @@ UNFINISHED = ("stopped", "failed", "killed", "empty")
 
 @dataclass(frozen=True)
 class Campaign:
-    """A campaign of a folder. `schedule` is the text of its schedule, for one that is not finished; otherwise empty."""
+    """A campaign of a folder. `schedule` is the text of its schedule and `rig` its rig, for one that is not finished."""
 
     summary: CampaignSummary
-    schedule: str
+    schedule: str = ""
+    rig: RigDescription | None = None
 
     @property
     def unfinished(self) -> bool:
@@ -41,9 +45,10 @@ class CampaignsListed:
     campaigns: tuple[Campaign, ...]
     errors: tuple[str, ...]
 
-    def unfinished(self, schedule: str) -> Campaign | None:
-        """The latest unfinished campaign of a schedule, by its text."""
-        return next((each for each in self.campaigns if each.unfinished and each.schedule == schedule), None)
+    def unfinished(self, plan: Plan) -> Campaign | None:
+        """The latest unfinished campaign of the schedule of a plan, by its text, on its rig, whose ports may be others."""
+        same = (each for each in self.campaigns if each.unfinished and each.schedule == plan.schedule.text)
+        return next((each for each in same if each.rig is not None and not changed_keys(each.rig, plan.rig)), None)
 
 
 def list_campaigns(folder: Path) -> CampaignsListed:
@@ -53,17 +58,17 @@ def list_campaigns(folder: Path) -> CampaignsListed:
     except (UserError, OSError) as error:
         return CampaignsListed(folder, (), (str(error),))
     latest = sorted(summaries, key=lambda each: each.begun or "", reverse=True)
-    return CampaignsListed(folder, tuple(Campaign(each, _schedule(each)) for each in latest), tuple(errors))
+    return CampaignsListed(folder, tuple(map(_campaign, latest)), tuple(errors))
 
 
-def _schedule(summary: CampaignSummary) -> str:
+def _campaign(summary: CampaignSummary) -> Campaign:
     if summary.state not in UNFINISHED:
-        return ""
+        return Campaign(summary)
     try:
         with JournalFollower(Path(summary.journal)).reading() as journal:
-            return str(journal.value("schedule"))
+            return Campaign(summary, journal.value("schedule"), recorded_rig(journal))
     except (UserError, OSError, sqlite3.Error):  # listed among the errors already
-        return ""
+        return Campaign(summary)
 
 
 class CampaignList:

@@ -27,6 +27,7 @@ from goniotwin.app.desktop.model.messages import (
     CommandRefused,
     Message,
     NotAttached,
+    PastRead,
     PlanMade,
     PlanRefused,
     RigRead,
@@ -35,6 +36,7 @@ from goniotwin.app.desktop.model.messages import (
     StopReport,
     ValuesMissing,
 )
+from goniotwin.app.desktop.model.rig_facts import DarkAges, is_drift
 from goniotwin.app.desktop.model.time_left import mountings
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription, read_rig
@@ -59,6 +61,8 @@ ANSWER_S = 2.0
 """Longest time that a window which is closed waits for answers."""
 END_S = 30.0
 """Longest time in which a station gives its rig back."""
+MOST_HEARD = 50
+"""Events of a station that are kept, to know them in the journal."""
 LOOK_S = 2.0
 """Time between two looks for a station of the rig, while there is none."""
 
@@ -148,8 +152,10 @@ class Connection:
         self._pending: list[Future[dict[str, Any]]] = []
         self._wall = RealClock()
         self._tasks: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
-        self._rows: queue.SimpleQueue[RunBegun | RowSaved | RunEnded | None] = queue.SimpleQueue()
+        self._rows: queue.SimpleQueue[Snapshot | RunBegun | RowSaved | RunEnded | None] = queue.SimpleQueue()
+        self._heard: deque[EventLogged] = deque(maxlen=MOST_HEARD)
         self._follower: JournalFollower | None = None
+        self._dark_ages: DarkAges | None = None
         self._threads = [  # a device or a station that hangs keeps no window open
             threading.Thread(target=self._work, name="connection", daemon=True),
             threading.Thread(target=self._read_rows, name="journal", daemon=True),
@@ -342,7 +348,7 @@ class Connection:
             return
         session.client = client
         self._session = session
-        self._send(Attached(client.name, client.snapshot, found, client.dropped))
+        self._send(Attached(client.name, client.snapshot, found, client.dropped, client.attached_s))
         self._show(client.snapshot)
         client.start()
 
@@ -361,8 +367,9 @@ class Connection:
         """Report the state of a station as the events that have led to it."""
         if snapshot.rig is not None:
             self._tasks.put(self._read_rig)
-        if snapshot.journal is not None and snapshot.busy:
-            self._rows.put(RunBegun(snapshot.journal, snapshot.campaign, snapshot.done, snapshot.total, snapshot.seconds_left))
+        if snapshot.journal is not None:
+            self._heard.clear()
+            self._rows.put(snapshot)
 
     def _take(self, session: Session, message: StationMessage) -> None:
         """Take an event of the station, in the thread that reads it."""
@@ -374,6 +381,8 @@ class Connection:
                 return
             case RunBegun() | RowSaved():
                 self._rows.put(message)
+            case EventLogged():
+                self._heard.append(message)
         self._send(message)
         if isinstance(message, RigOpened):  # after it: a window forgets the plan for the rig before
             self._tasks.put(self._read_rig)
@@ -475,7 +484,9 @@ class Connection:
             for each in events:
                 if self._closing:
                     return
-                if isinstance(each, RunBegun):
+                if isinstance(each, Snapshot):
+                    self._read_past(each)
+                if isinstance(each, RunBegun) or (isinstance(each, Snapshot) and each.busy):
                     self._begin(each)
             self._send_rows(saved)
             for each in events:
@@ -483,8 +494,26 @@ class Connection:
                     self._send(each)
                     self._report_findings(each.journal)
 
-    def _begin(self, begun: RunBegun) -> None:
+    def _read_past(self, attached: Snapshot) -> None:
+        """Send what the journal has of the time before. Events that are in both are those that were heard since."""
+        assert attached.journal is not None
+        try:
+            with JournalFollower(attached.journal).reading() as journal:
+                logged, dark, drift = journal.events(), journal.last_of("dark"), journal.last_of("drift")
+        except (UserError, OSError):  # reported with the values
+            return
+        events = []
+        for _t, kind, text in logged:
+            where = drift[0] if drift is not None and text.startswith(f"{drift[0]}: ") else ""
+            events.append(EventLogged(kind, text.removeprefix(f"{where}: "), where))
+        checks = [each for each in events if is_drift(each)]
+        heard = [each.what for each in self._heard]
+        past = tuple(each for each in events if attached.busy and not any(what in each.what for what in heard))
+        self._send(PastRead(past, None if dark is None else dark[1], checks[-1] if checks else None))
+
+    def _begin(self, begun: RunBegun | Snapshot) -> None:
         """Send the plan of a run; where it is the one that this window has made, that one."""
+        assert begun.journal is not None
         self._follower = JournalFollower(begun.journal)
         try:
             with self._follower.reading() as journal:
@@ -495,6 +524,7 @@ class Connection:
                     certificate = None if parsed.file.certificate is None else journal.value("certificate")
                     described = ScheduleDescription(parsed.text, parsed.file, parsed.name, certificate)
                     plan = Plan(described, recorded_rig(journal), journal.planned_rows())
+            self._dark_ages = DarkAges(plan)
             self._send(RunStarted(plan, begun.journal, mountings(plan.rows)))
         except Exception as error:  # noqa: BLE001  (of any library: reported, and the end of the run is shown in its time)
             self._give_up_values(error)
@@ -509,6 +539,8 @@ class Connection:
                 known = saved.get(each.row.number)
                 progress = (0, 1, 0.0) if known is None else (known.done, known.total, known.seconds_left)
                 self._send(RowCommitted(each.row, each.data, *progress))
+                if self._dark_ages is not None and (event := self._dark_ages.add(each.row, each.data)) is not None:
+                    self._send(event)
         except Exception as error:  # noqa: BLE001  (of any library: reported, and the end of the run is shown in its time)
             self._give_up_values(error)
 

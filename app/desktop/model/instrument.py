@@ -39,9 +39,6 @@ class Obstruction:
     photodiodes: frozenset[int]
 
 
-NOTHING_BLOCKED = Obstruction(np.empty((0, 4, 3)), frozenset())
-
-
 @dataclass(frozen=True, eq=False)
 class ArcDrawing:
     """One arc: its `line` (m, 3) and its photodiodes (n, 3) in mm, with their numbers and signed polar angles."""

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from goniotwin.app.campaign.planning.plan import Plan
-from goniotwin.app.campaign.running.events import RowCommitted
+from goniotwin.app.campaign.running.events import EventLogged, RowCommitted
 from goniotwin.app.desktop.model.time_left import Mounting
 from goniotwin.app.rig import RigFile
 from goniotwin.app.station.messages import Message as StationMessage
@@ -15,13 +15,28 @@ from goniotwin.app.station.messages import Snapshot
 class Attached:
     """The window is a client of a station, by this name; `snapshot` is the state from which its events lead on.
 
-    `found` if the station was there already; `dropped` is why it ended an earlier connection of this window, or empty.
+    `found` if the station was there already; `dropped` is why it ended an earlier connection of this window, or empty. `t_s` is
+    the time of the rig's clock.
     """
 
     name: str
     snapshot: Snapshot
     found: bool
     dropped: str = ""
+    t_s: float = 0.0
+
+
+@dataclass(frozen=True)
+class PastRead:
+    """What the journal has of the time before this window was attached, of the run in progress or the last one.
+
+    `events` are those of a run in progress; `dark_s` is the end of the last dark reading on the rig's clock, `drift` the event
+    of the last drift check; None where there is none.
+    """
+
+    events: tuple[EventLogged, ...]
+    dark_s: float | None
+    drift: EventLogged | None
 
 
 @dataclass(frozen=True)
@@ -93,6 +108,6 @@ class StopReport:
 
 
 Message = (
-    StationMessage | RowCommitted | Attached | NotAttached | StationLost | RigRead | PlanMade | PlanRefused | RunStarted
-    | ValuesMissing | CommandRefused | StopReport
+    StationMessage | RowCommitted | Attached | PastRead | NotAttached | StationLost | RigRead | PlanMade | PlanRefused
+    | RunStarted | ValuesMissing | CommandRefused | StopReport
 )  # fmt: skip

@@ -1,13 +1,17 @@
 """What is known of a rig before a run, collected from the events of its station, its file, and the plan. No Qt."""
 
+import math
 import shutil
 from datetime import date, datetime
 from pathlib import Path
 
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.readout import WarmUpTrace
+from goniotwin.app.campaign.row import Row, RowData
 from goniotwin.app.campaign.running.events import EventLogged
 from goniotwin.app.campaign.running.stop import BEYOND_LIMIT
+from goniotwin.app.campaign.wording import rounded_duration_text
+from goniotwin.app.desktop.model.messages import Attached, PastRead
 from goniotwin.app.desktop.model.preflight import Facts
 from goniotwin.app.desktop.model.readings import BenchReadings
 from goniotwin.app.rig import RigFile
@@ -17,6 +21,8 @@ from goniotwin.protocols.clock import ScaledClock, calendar_stamp
 ROW_BYTES = 2000
 """Room of a row in a journal beside its counts."""
 COUNT_BYTES = 2
+DARK_MARGIN = 1.2
+"""A dark reading may be older than planned by as much: rows do not last exactly as long as estimated."""
 
 
 class RigFacts:
@@ -24,6 +30,7 @@ class RigFacts:
 
     def __init__(self) -> None:
         self._rig_clock = ScaledClock()
+        self._ahead_s = 0.0
         self._rig: RigFile | None = None
         self._readings: BenchReadings | None = None
         self._plan: Plan | None = None
@@ -39,10 +46,12 @@ class RigFacts:
         self.last_errors = {}
 
     def set_rig(self, rig: RigFile | None) -> None:
-        """Take the tables of the open rig; what was known of another one is forgotten."""
+        """Take the tables of the open rig; without one, what was known of it is forgotten."""
         self._rig = rig
         self._readings = None if rig is None else BenchReadings(rig)
-        self._forget()
+        self._monitor_s = None
+        if rig is None:
+            self._forget()
 
     def set_plan(self, plan: Plan | None) -> None:
         """Take the plan of the run that is prepared."""
@@ -67,12 +76,28 @@ class RigFacts:
                 self._monitor_s = now
             case RowSaved() if message.row.kind == "dark":
                 self._dark_s = now
-            case EventLogged(kind, what) if kind == "drift" or (kind == "stop" and BEYOND_LIMIT in what):
+            case EventLogged(what=what) if is_drift(message):
                 self._drift, self._drift_beyond = what, BEYOND_LIMIT in what
             case DeviceChanged(device, _, reason) if reason:
                 self.last_errors[device] = (local_time(calendar_stamp()), reason)
             case RigClosed():
                 self._forget()
+
+    def begin(self, attached: Attached) -> None:
+        """Take the state of a station that is new to this window; what was known of another one is forgotten."""
+        self._forget()
+        self.take(attached.snapshot)
+        self._ahead_s = attached.t_s - self._rig_clock.now()
+        reading = attached.snapshot.reading
+        if reading is not None and reading.dark:
+            self._dark_s = reading.t_s - self._ahead_s
+
+    def take_past(self, past: PastRead) -> None:
+        """Take what the journal has of the time before; what has been seen since is later."""
+        if past.dark_s is not None:
+            self._dark_s = max(past.dark_s - self._ahead_s, -math.inf if self._dark_s is None else self._dark_s)
+        if past.drift is not None and not self._drift:
+            self.take(past.drift)
 
     def facts(self) -> Facts:
         """The facts now."""
@@ -107,6 +132,34 @@ class RigFacts:
             free_bytes=None if folder is None else free_bytes(folder),
             needed_bytes=0 if plan is None else needed_bytes(plan),
         )  # fmt: skip
+
+
+class DarkAges:
+    """Ages of the dark readings of a run, in the rig's time: they are planned for a computer that keeps up with it."""
+
+    def __init__(self, plan: Plan) -> None:
+        self._every_s = plan.schedule.file.dark_every_s
+        self._virtual = plan.rig.file.in_process
+        self._dark_s: float | None = None
+        self._stated = False
+
+    def add(self, row: Row, data: RowData) -> EventLogged | None:
+        """Take a row; the first that is measured with a dark reading which is too old gives an event."""
+        if row.kind == "dark":
+            self._dark_s = data.ended_s
+        if row.kind not in ("measure", "drift") or self._dark_s is None or self._stated:
+            return None
+        age_s = data.ended_s - self._dark_s
+        if age_s <= DARK_MARGIN * max(self._every_s, row.seconds):
+            return None
+        self._stated = True
+        what = f"the dark reading was {rounded_duration_text(age_s)} old, dark_every_s is {self._every_s:g}"
+        return EventLogged("dark", what, row.identity, "choose a lower simulation speed" if self._virtual else "")
+
+
+def is_drift(event: EventLogged) -> bool:
+    """Whether an event is that of a drift check."""
+    return event.kind == "drift" or (event.kind == "stop" and BEYOND_LIMIT in event.what)
 
 
 def local_time(stamp: str) -> str:

@@ -10,6 +10,7 @@ import queue
 import signal
 import threading
 from collections.abc import Callable
+from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -18,6 +19,13 @@ Serve = Callable[["Connection[Any, Any]"], None]
 Deliver = Callable[[object], None]
 NICE = 10
 """Lower priority of a worker: the station, which may run on the same computer, comes first."""
+
+
+@dataclass(frozen=True)
+class WorkerEnded:
+    """Delivered last, where a worker has ended that was not closed: another program may have ended it, or too little memory."""
+
+    name: str
 
 
 class Worker:
@@ -89,6 +97,8 @@ class Worker:
                 answer = self._ours.recv()
                 if not self._closing:
                     self._deliver(answer)
+        if not self._closing:
+            self._deliver(WorkerEnded(self._name))
 
 
 def _work(serve: Serve, connection: "Connection[Any, Any]") -> None:

@@ -51,8 +51,8 @@ class RigScreen(Screen):
             column.addStretch(1)
             columns.addLayout(column, share)
         self._tabs = QTabWidget()
-        for named in (self._tabs, self._tabs.tabBar()):  # Tab stops at the latter
-            named.setAccessibleName("Parts of the rig screen")
+        for tabs in (self._tabs, self._tabs.tabBar()):  # Tab stops at the latter
+            tabs.setAccessibleName("Parts of the rig screen")
         self._parts = (self.devices, "Devices"), (self.rig, "Rig file"), (self.preflight, "Preflight")
         self._scrolls = [QScrollArea() for _ in self._parts]
         for each in self._scrolls:
@@ -119,15 +119,17 @@ class RigScreen(Screen):
     @Slot(object)
     def show_message(self, message: object) -> None:
         """Show an event of the station, or what the window knows of it."""
-        from goniotwin.app.desktop.model.messages import Attached, NotAttached, RigRead, StationLost
+        from goniotwin.app.desktop.model.messages import Attached, NotAttached, PastRead, RigRead, StationLost
         from goniotwin.app.station import messages
 
         before = self.facts.station.rig
         match message:
             case RigRead(rig):
                 self.set_rig(rig)
-            case Attached(_name, snapshot):
-                self.facts.take(snapshot)
+            case Attached():
+                self.facts.begin(message)
+            case PastRead():
+                self.facts.take_past(message)
             case NotAttached() | StationLost():
                 self.set_rig(None)
                 self.facts.take(messages.Snapshot())

@@ -14,7 +14,7 @@ from goniotwin.app.campaign.reduction.components import COVERAGE, DETECTED, inte
 from goniotwin.app.campaign.reduction.points import BITS, REASON_ORDER
 from goniotwin.app.campaign.running.events import RowCommitted, RowStarted
 from goniotwin.app.desktop.model.live_scan import ScanData, ScanKey, ScanPoints, Setting
-from goniotwin.app.desktop.model.run_points import ALARM_U, Cut, RunPoints, map_points, match
+from goniotwin.app.desktop.model.run_points import ALARM_U, Cut, RunPoints, map_points
 from goniotwin.app.desktop.model.values import (
     Begin,
     Failed,
@@ -26,7 +26,7 @@ from goniotwin.app.desktop.model.values import (
     serve_predictions,
     serve_values,
 )
-from goniotwin.app.desktop.model.worker import Worker
+from goniotwin.app.desktop.model.worker import Worker, WorkerEnded
 from goniotwin.app.desktop.run.axes import AXIS_WIDTH, AngleAxis, ResidualAxis, Scale, ValueAxis, transform
 from goniotwin.app.desktop.run.hemisphere import HemisphereMap
 from goniotwin.app.desktop.theme import Colours
@@ -43,8 +43,11 @@ RESIDUAL_HEIGHT, RESIDUAL_SHARE = 110.0, 0.38
 """Height of the residuals, and the most of the plot's height that they take."""
 TITLE_POINTS, TITLE_MARGIN = 9, 34.0
 """Size of the title's letters, and the pixels beside it."""
+LABEL_SHARE = 0.6
+"""Share of the height that the label of the values has; a longer one is cut at its comma."""
 LEAST_RESIDUAL = 5.0
 """Half the least range of the residuals, in u."""
+ENDED = "has been ended, by another program or for want of memory"
 NO_CURSOR = "Point at the plot, or press ← and → in it, to read a value."
 
 
@@ -196,10 +199,6 @@ class ScanPlot(QWidget):
         self._label()
         self._write("The scan in progress is plotted here.")
         self._show_residuals()
-
-    def show_scan(self, scan: ScanData) -> None:
-        """Show the points of a scan so far, without a prediction."""
-        self.show_cut(match(scan, None))
 
     def show_cut(self, cut: Cut) -> None:
         """Show the points of a cut so far, with the prediction."""
@@ -378,7 +377,10 @@ class ScanPlot(QWidget):
         self._plot.setTitle(marked + title, color=self._colours.text, size=f"{TITLE_POINTS}pt")
         style = {"color": self._colours.text}
         below = self._scan.x_label if self._scan else "aspecular angle θ (°)"
-        self._plot.setLabel("left", self._scan.y_label if self._scan else "BSDF (1/sr)", **style)
+        beside = self._scan.y_label if self._scan else "BSDF (1/sr)"
+        if self.fontMetrics().horizontalAdvance(beside) > LABEL_SHARE * self._view.height():
+            beside = beside.partition(",")[0]
+        self._plot.setLabel("left", beside, **style)
         self._residuals.setLabel("left", "residual / u" if self.height() >= LOW_FOR_TEXT else "res. / u", **style)
         for plot in (self._plot, self._residuals):
             plot.setLabel("bottom", below, **style)
@@ -420,8 +422,9 @@ class LivePlot(QObject):
         self._directions = 0
         self._running = False
         self._answered.connect(self._take, Qt.ConnectionType.QueuedConnection)
-        self._values = Worker("values", serve_values, self._answered.emit, process=processes)
-        self._predictions = Worker("predictions", serve_predictions, self._answered.emit) if processes else None
+        self._processes = processes
+        self._values = self._new_values()
+        self._predictions = self._new_predictions() if processes else None
         self._redraw = QTimer(self, interval=REDRAW_MS, singleShot=True)
         self._redraw.timeout.connect(self._draw)
 
@@ -474,6 +477,12 @@ class LivePlot(QObject):
         if self._predictions is not None:
             self._predictions.close()
 
+    def _new_values(self) -> Worker:
+        return Worker("values", serve_values, self._answered.emit, process=self._processes)
+
+    def _new_predictions(self) -> Worker:
+        return Worker("predictions", serve_predictions, self._answered.emit)
+
     @Slot(object)
     def _take(self, answer: object) -> None:
         match answer:
@@ -491,6 +500,16 @@ class LivePlot(QObject):
                 return
             case Failed(number, error) if number == self._number:
                 self._fail(error)
+                return
+            case WorkerEnded("values"):  # the next run has another one
+                self._values.close()
+                self._values = self._new_values()
+                self._fail(f"its process {ENDED}")
+                return
+            case WorkerEnded("predictions") if self._predictions is not None:
+                self._predictions.close()
+                self._predictions, self._predicted = self._new_predictions(), None
+                self.prediction_missing.emit(f"the process that computes it {ENDED}")
                 return
             case _:
                 return

@@ -57,16 +57,21 @@ def open_window(qapp: QApplication, write_schedule: Writer, journals: Path, stat
 
     yield opened
     for window in windows:
-        window.shut_down()
-        window.hide()
-        window.deleteLater()
-        qapp.sendPostedEvents(window, QEvent.Type.DeferredDelete)
+        end_window(qapp, window)
 
 
 @pytest.fixture
 def window(qtbot: QtBot, open_window: WindowOpener) -> MainWindow:
     """A window that is ready to start, at simulation speed 200."""
     return ready(qtbot, open_window())
+
+
+def end_window(application: QApplication, window: MainWindow) -> None:
+    """Close a window, and destroy it now."""
+    window.shut_down()
+    window.hide()
+    window.deleteLater()
+    application.sendPostedEvents(window, QEvent.Type.DeferredDelete)
 
 
 def ready(qtbot: QtBot, window: MainWindow) -> MainWindow:

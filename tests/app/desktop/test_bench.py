@@ -1,6 +1,7 @@
 """The bench screen and the rig screen on a station of the virtual rig, on the virtual clock: no thread, no wire, no wait."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import cast
 
@@ -10,10 +11,13 @@ from PySide6.QtWidgets import QPushButton
 from pytestqt.qtbot import QtBot
 
 from goniotwin.app.campaign.planning.plan import make_plan
-from goniotwin.app.campaign.running.events import Positions, State, StateChanged
+from goniotwin.app.campaign.row import RowData
+from goniotwin.app.campaign.running.events import EventLogged, Positions, State, StateChanged
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.desktop import MainWindow
 from goniotwin.app.desktop.bench.screen import CANCEL, SET_POSITION, BenchScreen
+from goniotwin.app.desktop.model.messages import Attached, PastRead
+from goniotwin.app.desktop.model.rig_facts import DarkAges
 from goniotwin.app.desktop.rig.panels import answered_text
 from goniotwin.app.desktop.rig.screen import RigScreen
 from goniotwin.app.desktop.theme import DARK, LIGHT
@@ -304,6 +308,42 @@ def test_a_dark_reading_ages_with_the_simulation(desk: Desk, monkeypatch: pytest
     facts.take(SpeedChanged(1.0))
     seconds[0] += 1.0
     assert facts.facts().dark_age_s == pytest.approx(61.0)
+
+
+def test_dark_readings_are_repeated_by_the_rigs_clock_or_it_is_stated(write_schedule: Writer, write_rig: Writer) -> None:
+    """The times of 60x: rows as planned, then ones that last longer, because the computer does not follow."""
+    text = ("shift_deg = [0, 1]", "shift_deg = [0, 1, 2, 3, 4]\ndark_every_s = 10")
+    plan = make_plan(read_schedule(write_schedule(text)), read_rig(write_rig(*QUIET)))
+    assert sum(row.kind == "dark" for row in plan.rows) >= 4
+
+    def events(slower: float) -> list[EventLogged]:
+        now, ages, found = 0.0, DarkAges(plan), []
+        for row in plan.rows:
+            begun, now = now, now + slower * row.seconds
+            found.append(ages.add(row, RowData(begun, now, None, ())))
+        return [each for each in found if each is not None]
+
+    assert events(1.0) == []
+    (event,) = events(3.0)
+    assert "old, dark_every_s is 10" in event.what
+    assert event.consequence == "choose a lower simulation speed"
+
+
+def test_a_window_that_is_attached_later_has_the_dark_readings_age_and_the_drift(
+    desk: Desk, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From the journal: 100 s of the rig's time before, and 60 more since."""
+    seconds = [1000.0]
+    monkeypatch.setattr("goniotwin.protocols.clock.time.monotonic", lambda: seconds[0])
+    facts = desk.rig.facts
+    snapshot = replace(facts.station, speed=60.0, reading=None)
+    desk.rig.show_message(Attached("window", snapshot, found=True, t_s=5000.0))
+    assert facts.facts().dark_age_s is None
+    seconds[0] += 1.0
+    drift = EventLogged("drift", "beyond the limit: +2 %", "x/drift")
+    desk.rig.show_message(PastRead((), 4900.0, drift))
+    assert facts.facts().dark_age_s == pytest.approx(160.0)
+    assert (facts.facts().drift, facts.facts().drift_beyond) == (drift.what, True)
 
 
 def test_the_bench_of_a_window_is_a_client_of_its_station(qtbot: QtBot, window: MainWindow) -> None:

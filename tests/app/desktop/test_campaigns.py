@@ -51,10 +51,9 @@ def test_the_folder_is_listed_with_what_cannot_be_read(plan: NewPlan, tmp_path: 
     assert {each.path.name: each.summary.state for each in listed.campaigns} == {"a.journal": "killed", "b.journal": "done"}
     assert len(listed.errors) == 1
     assert "c.journal" in listed.errors[0]
-    found = listed.unfinished(plan.schedule.text)
+    found = listed.unfinished(plan)
     assert found is not None
     assert found.path.name == "a.journal"
-    assert listed.unfinished(plan.schedule.text + "\n") is None
 
     screen = CampaignsScreen(LIGHT)
     qtbot.addWidget(screen)
@@ -73,6 +72,23 @@ def test_the_folder_is_listed_with_what_cannot_be_read(plan: NewPlan, tmp_path: 
     screen.table.selectRow(1 - row)
     assert not screen.resume_button.isEnabled()
     assert screen.export_button.isEnabled()
+
+
+@pytest.mark.parametrize("outcome", [None, "stopped", "failed", "done"])
+def test_a_resume_is_offered_of_what_is_unfinished_on_this_rig(
+    plan: NewPlan, tmp_path: Path, write_schedule: Writer, write_rig: Writer, outcome: str | None
+) -> None:
+    """`kill -9` records no end; a full stop, and Finish cut, record that it was stopped."""
+    killed(plan, tmp_path / "a.journal", 4)
+    if outcome is not None:
+        with Journal.reopen(tmp_path / "a.journal") as journal:
+            journal.end_session(1, 10.0, outcome)
+    listed = list_campaigns(tmp_path)
+    assert (listed.unfinished(plan) is None) == (outcome == "done")
+    other = read_schedule(write_schedule(("readings = 2", "readings = 3"), name="other.toml"))
+    assert listed.unfinished(make_plan(other, plan.rig)) is None
+    settling = write_rig(("settling_s = 0.2", "settling_s = 0.3"), name="other.toml")
+    assert listed.unfinished(make_plan(plan.schedule, read_rig(settling))) is None
 
 
 def test_a_folder_that_is_not_there_has_no_campaigns(tmp_path: Path) -> None:

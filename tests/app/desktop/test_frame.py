@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from PySide6.QtCore import QEvent, Qt
+from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QAbstractButton, QAbstractItemView, QApplication, QDialog, QLabel, QMenu, QPlainTextEdit, QWidget
 from pytestqt.qtbot import QtBot
 
@@ -42,7 +42,7 @@ from goniotwin.app.desktop.theme import Colours
 from goniotwin.app.rig import AXES, read_rig
 from goniotwin.app.rig.kinds import ROLES
 from goniotwin.app.station.messages import DeviceStatus
-from tests.app.desktop.conftest import READY_MS, WindowOpener, ready
+from tests.app.desktop.conftest import READY_MS, WindowOpener, end_window, ready
 from tests.app.desktop.screen_faults import SCREEN, controls, faults
 from tests.conftest import REPOSITORY, RIG, SCHEDULE, Writer
 
@@ -63,10 +63,7 @@ def make_frame(qapp: QApplication, tmp_path: Path) -> Iterator[FrameMaker]:
 
     yield make
     for window in windows:
-        window.shut_down()
-        window.hide()
-        window.deleteLater()
-        qapp.sendPostedEvents(window, QEvent.Type.DeferredDelete)
+        end_window(qapp, window)
 
 
 @pytest.fixture
@@ -156,7 +153,8 @@ def test_every_tab_stop_has_an_accessible_name(qtbot: QtBot, frame: MainWindow, 
 def test_the_keys_of_stop_hold_in_the_windows_beside_the_main_one(qtbot: QtBot, frame: MainWindow, tmp_path: Path) -> None:
     """A choice of a file, a text, a question of the bench: none is modal, and each passes the release of Esc on."""
     shown(qtbot, frame)
-    run, stopped = frame.view.run, []
+    run = frame.view.run
+    stopped: list[bool] = []
     run.stop_button.setEnabled(True)
     run.stop.connect(lambda: stopped.append(True))
     chosen: list[Path] = []
@@ -171,15 +169,14 @@ def test_the_keys_of_stop_hold_in_the_windows_beside_the_main_one(qtbot: QtBot, 
         box.activateWindow()
         qtbot.waitUntil(box.isActiveWindow)
         focus = QApplication.focusWidget()
-        assert focus is not None
         qtbot.keyClick(focus, Qt.Key.Key_Period, Qt.KeyboardModifier.ControlModifier)
         assert len(stopped) == number
         qtbot.keyPress(focus, Qt.Key.Key_Escape)
-        assert run.holding
+        held = [run.holding]
         if box is save:
             save.accept()
         qtbot.keyRelease(focus, Qt.Key.Key_Escape)
-        assert not run.holding
+        assert [*held, run.holding] == [True, False]
         assert box.isVisible() == isinstance(box, QuestionBox)
     assert chosen == [tmp_path / "a.csv"]
 

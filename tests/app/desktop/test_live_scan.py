@@ -17,6 +17,7 @@ from goniotwin.app.campaign.row import CommittedRow
 from goniotwin.app.campaign.running.events import Event, Listener, RowCommitted, RowStarted, State
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.desktop.model.live_scan import LiveScan, ScanData, ScanKey, ScanPoints
+from goniotwin.app.desktop.model.run_points import match
 from goniotwin.app.desktop.run.live_plot import ScanPlot
 from goniotwin.app.desktop.theme import LIGHT
 from goniotwin.app.rig import OpenRig, read_rig
@@ -273,7 +274,7 @@ def scan_data(values: list[float], u_values: list[float], blocked: list[bool], u
 
 def test_values_below_the_detection_limit_are_marks_and_hide_no_other_point(plot: ScanPlot) -> None:
     values = [1.0, 0.0, -0.1, 0.5, float("nan"), 0.01, 1e-9]
-    plot.show_scan(scan_data(values, [0.01] * 6 + [1e-12], [False, False, False, True, False, False, False]))
+    plot.show_cut(match(scan_data(values, [0.01] * 6 + [1e-12], [False, False, False, True, False, False, False]), None))
     assert "●\u00a02 measured, highest 1 at 0.0°" in plot.summary
     assert "○\u00a01 blocked by the mirror unit" in plot.summary
     assert "▽\u00a03 below detection limit" in plot.summary
@@ -289,7 +290,7 @@ def test_the_marks_below_the_detection_limit_are_the_values_that_the_journal_cal
     """The journal judges the signal. The value's u has more components, and may be greater than the value."""
     scan = scan_data([1.0, 0.026, 0.5], [0.01, 0.01, 0.6], [False] * 3)
     scan = replace(scan, points=replace(scan.points, lost=np.array([False, True, False])))
-    plot.show_scan(scan)
+    plot.show_cut(match(scan, None))
     assert "▽\u00a01 below detection limit (signal under 3 u)" in plot.summary
     assert {name: x.tolist() for name, (x, _y) in plot.marks().items()} == {
         "measured": [0.0, 2.0], "blocked": [], "flagged": [], "below limit": [1.0],
@@ -298,7 +299,7 @@ def test_the_marks_below_the_detection_limit_are_the_values_that_the_journal_cal
 
 
 def test_values_flagged_for_drift_are_marks_of_their_own(plot: ScanPlot) -> None:
-    plot.show_scan(scan_data([1.0, 0.9, 0.8], [0.01] * 3, [False, True, False], [False, True, True]))
+    plot.show_cut(match(scan_data([1.0, 0.9, 0.8], [0.01] * 3, [False, True, False], [False, True, True]), None))
     assert "×\u00a01 flagged" in plot.summary
     assert {name: x.tolist() for name, (x, _y) in plot.marks().items()} == {
         "measured": [0.0], "blocked": [1.0], "flagged": [2.0], "below limit": [],
@@ -309,7 +310,7 @@ def test_flags_are_named_steep_values_have_a_mark_and_findings_a_line(plot: Scan
     scan = scan_data([1.0, 0.9, 0.8, 0.7], [0.01] * 4, [False] * 4, [False, False, True, True])
     marks = np.array([0, BITS["steep"], BITS["module"], BITS["monitor"] | BITS["steep"]], dtype=np.uint16)
     scan = replace(scan, points=replace(scan.points, marks=marks), findings=("photodiodes module 2: the amplifiers",))
-    plot.show_scan(scan)
+    plot.show_cut(match(scan, None))
     assert "◆\u00a01 of these steep" in plot.summary
     assert "×\u00a02 flagged (module, monitor)" in plot.summary
     assert plot.summary.endswith("\n✗\u00a0photodiodes module 2: the amplifiers")
@@ -318,13 +319,13 @@ def test_flags_are_named_steep_values_have_a_mark_and_findings_a_line(plot: Scan
 
 def test_the_plot_changes_its_label_once_the_etalon_is_there(plot: ScanPlot) -> None:
     scan = scan_data([1.0], [0.01], [False])
-    plot.show_scan(scan)
+    plot.show_cut(match(scan, None))
     assert plot.y_label == "y"
-    plot.show_scan(replace(scan, y_label="BSDF (1/sr)"))
+    plot.show_cut(match(replace(scan, y_label="BSDF (1/sr)"), None))
     assert plot.y_label == "BSDF (1/sr)"
 
 
 def test_a_scan_without_light_is_shown(plot: ScanPlot) -> None:
-    plot.show_scan(scan_data([-1.0, float("nan")], [1.0, float("nan")], [False, False]))
+    plot.show_cut(match(scan_data([-1.0, float("nan")], [1.0, float("nan")], [False, False]), None))
     assert "●\u00a00 measured" in plot.summary
     plot.grab()

@@ -16,6 +16,7 @@ from pytestqt.qtbot import QtBot
 from goniotwin.app.campaign.running.events import Positions
 from goniotwin.app.desktop import MainWindow
 from goniotwin.app.desktop.model.live_scan import ScanData, ScanPoints
+from goniotwin.app.desktop.model.run_points import match
 from goniotwin.app.desktop.run.live_plot import ScanPlot
 from goniotwin.app.desktop.theme import LIGHT
 
@@ -65,12 +66,12 @@ def test_repaints_and_signals_lose_no_references(qtbot: QtBot, qapp: QApplicatio
     view = shown.viewport()
     paints = PaintCounter()
     view.installEventFilter(paints)
-    plot.show_scan(scan_data(2))
+    plot.show_cut(match(scan_data(2), None))
     view.repaint()
     before = reference_counts()
     for k in range(repaints):
         if k % NEW_SCAN_EVERY == 0:
-            plot.show_scan(scan_data(2 + k % 7))
+            plot.show_cut(match(scan_data(2 + k % 7), None))
         view.repaint()
         window.presenter.message_received.emit(Positions({"sigma": float(k)}))
         qapp.processEvents()

@@ -24,6 +24,7 @@ from goniotwin.app.desktop.dialogs import FileDialog
 from goniotwin.app.desktop.model import connection
 from goniotwin.app.desktop.model.connection import StationProcesses
 from goniotwin.app.desktop.model.live_scan import LiveScan, ScanData
+from goniotwin.app.desktop.rig.screen import RigScreen
 from goniotwin.app.desktop.window import KEEP_MEASURING, KEEP_OPEN, STOP_AND_CLOSE
 from goniotwin.app.end_signals import END_SIGNALS
 from goniotwin.app.station.connection_file import connection_folder
@@ -302,7 +303,7 @@ def test_a_signal_while_a_file_is_chosen_ends_the_desktop(qapp: QApplication, tm
     assert dialogs() == []
 
 
-def test_widgets_are_never_destroyed_in_the_rigs_thread(qtbot: QtBot, window: MainWindow) -> None:
+def test_widgets_are_destroyed_in_the_windows_thread_alone(qtbot: QtBot, window: MainWindow) -> None:
     """Qt would crash; so garbage is collected in the window's thread while there is another thread."""
     collected_in: set[str] = set()
 
@@ -426,8 +427,15 @@ def test_the_run_goes_on_without_its_window_and_the_next_one_shows_it(
         assert window.close_question is None
     qtbot.waitUntil(lambda: not window.isVisible(), timeout=READY_MS)
     assert stations.station.snapshot.busy
+    record = stations.station._record
+    assert record is not None
+    record.event("drift", "satin/drift: beyond the limit: +2 %")
     again = open_window(speed=1.0)
     qtbot.waitUntil(lambda: again.presenter.busy, timeout=READY_MS)
+    known = again.view.screen_of(RigScreen).facts
+    qtbot.waitUntil(lambda: known.facts().drift_beyond, timeout=READY_MS)  # from the journal, as what follows
+    assert [each.what for each in again.view.log.entries].count("satin/drift: beyond the limit: +2 %") == 1
+    assert known.facts().dark_age_s is not None
     assert again.presenter.journal == journal
     assert again.view.run.progress.value() >= 3
     assert again.view.run.speeds.currentData() == 20.0  # that of the station

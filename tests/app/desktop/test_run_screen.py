@@ -43,7 +43,7 @@ def test_a_residual_beyond_4_u_is_marked_and_named(plot: ScanPlot) -> None:
     assert alarmed[0].tolist() == [2.0]
     assert -5.0 <= alarmed[1][0] <= -4.0
     assert plot._residuals.isVisible()
-    plot.show_scan(scan_data([1.0], [0.01], [False]))
+    plot.show_cut(match(scan_data([1.0], [0.01], [False]), None))
     assert not plot._residuals.isVisible()
     assert plot.alarms == 0
 
@@ -54,7 +54,7 @@ def test_a_prediction_without_points_is_shown_where_it_is_and_a_long_title_is_sh
     assert plot._line.getData()[1] == pytest.approx(np.log10([1e-6, 2e-6]))
     long = replace(scan_data([1.0], [0.01], [False]), title="facade panel after weathering: σ 60°, plane of incidence, 550 nm")
     plot.clear("SIMULATED (seed 1)")
-    plot.show_scan(long)
+    plot.show_cut(match(long, None))
     assert plot._plot.sceneBoundingRect().right() <= plot._view.width()
     assert "…" in plot._plot.titleLabel.text
     assert "SIMULATED" in plot._plot.titleLabel.text

@@ -85,7 +85,7 @@ class TwelveBitArray:
         self.ask(f"GAIN {gain}")
         return Until(self.clock, self.clock.now())
 
-    def start_readings(self, readings: int) -> "TwelveBitReadings":
+    def start_readings(self, readings: int, *, settled: bool = False) -> "TwelveBitReadings":
         return TwelveBitReadings(self, readings)
 
     def ask(self, text: str) -> str:

@@ -107,6 +107,18 @@ def test_a_client_gets_the_state_and_then_the_events(station: Station, attach: C
     assert one.client.snapshot == two.client.snapshot == station.snapshot
 
 
+def test_an_event_of_another_version_does_not_end_the_connection(
+    station: Station, attach: Callable[[str], Watcher], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one = attach("one")
+    with monkeypatch.context() as patch:
+        patch.setattr(station_server, "encode", lambda _message: {"type": "Positions", "degrees": "all"})
+        station.board.publish(Positions({"sigma": 3.0}))
+        one.client.do("stop")  # its answer follows the event
+    station.board.publish(ActivityChanged("waiting"))
+    one.wait_for(lambda: ActivityChanged("waiting") in one.events)
+
+
 def test_a_wrong_token_is_no_station(server: StationServer) -> None:
     with pytest.raises(NoStation, match="no station with this token"):
         StationClient(server.port, "another", "x")
@@ -319,20 +331,25 @@ def test_a_command_that_fails_while_the_station_ends_fails_once(
         one.client.do("stop")
 
 
-@pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
-def test_a_listener_that_fails_ends_the_client(station: Station, server: StationServer) -> None:
-    """It does not stay as one that waits for answers for ever."""
-    ended = threading.Event()
+def test_a_client_that_fails_is_attached_no_more(
+    server: StationServer, station: Station, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What it shows would be the past, and nobody would know."""
+    faults: list[object] = []
+    monkeypatch.setattr(threading, "excepthook", faults.append)
 
     def fail(_message: Message) -> None:
-        raise RuntimeError("deleted")
+        raise RuntimeError
 
-    client = StationClient(server.port, server.token, "x", fail, ended.set)
+    ended = threading.Event()
+    client = StationClient(server.port, server.token, "failing", fail, ended.set)
     client.start()
     station.board.publish(ActivityChanged("waiting"))
     assert ended.wait(LONGEST_S)
     with pytest.raises(NoStation):
         client.do("stop")
+    client.close()
+    assert len(faults) == 1
 
 
 def test_without_clients_the_time_is_counted(server: StationServer, attach: Callable[[str], Watcher]) -> None:

@@ -3,6 +3,7 @@
 import sqlite3
 import threading
 from collections.abc import Callable, Iterator
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -549,6 +550,17 @@ def test_the_photodiodes_are_asked_when_nothing_else_reads_them(bench: StationBe
     bench.station._poll_live()
     bench.station._ask_devices()
     assert len(asked) == 1
+
+
+def test_live_readings_do_not_wait_for_amplifiers_that_have_settled(bench: StationBench) -> None:
+    """Of the rig's time a reading takes one conversion and the exchanges: ten a second."""
+    bench.station.live(True)
+    bench.work()
+    while len(taken := bench.of(BenchReading)) < 5:
+        bench.station._poll_live()
+        bench.clock.sleep_until(bench.clock.now() + 0.005)
+    _, *times = [each.t_s for each in taken if isinstance(each, BenchReading)]  # the first one has waited
+    assert [after - before for before, after in pairwise(times)] == pytest.approx([0.09] * 3, abs=0.03)
 
 
 def test_stop_answers_a_question(bench: StationBench, write_schedule: Writer, tmp_path: Path) -> None:
