@@ -161,7 +161,8 @@ class Station:
     @property
     def busy(self) -> bool:
         """Whether a run is in progress or about to begin, or anything moves on the bench."""
-        return self.snapshot.busy or bool(self.snapshot.activity)
+        now = self.snapshot
+        return now.busy or now.starting or bool(now.activity)
 
     @property
     def open_orders(self) -> list[SafetyOrder]:

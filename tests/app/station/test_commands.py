@@ -21,7 +21,8 @@ from goniotwin.app.station import connection_file, starting
 from goniotwin.app.station.client import StationClient
 from goniotwin.app.station.connection_file import Connection, attach, connection_folder, known_stations, write_connection
 from goniotwin.app.station.hosting import HostedRun, connection_path, serving, station_of
-from goniotwin.app.station.messages import QuestionAsked
+from goniotwin.app.station.messages import QuestionAsked, RunBegun
+from goniotwin.app.station.process import run_station
 from goniotwin.app.station.station import Station
 from goniotwin.protocols.channel import PROTOCOL
 from goniotwin.protocols.clock import RealClock
@@ -120,6 +121,10 @@ def test_a_station_of_another_rig_file_is_not_used(
     assert (other.returncode, "another rig file" in other.stderr) == (2, True)
 
 
+def full_disk(*_: object) -> None:
+    raise OSError("No space left on device")
+
+
 def raise_timeout(*_: object, **_more: object) -> None:
     raise TimeoutError
 
@@ -154,6 +159,8 @@ def test_without_a_place_for_its_file_a_station_says_so_and_a_run_measures(
             path = place
         with pytest.raises(UserError, match=reason), serving(Station(), rig):
             pass
+        with pytest.raises(UserError, match=reason):
+            run_station(Path(rig.name), 1.0, full_disk)
     with contextlib.ExitStack() as stack:
         run = HostedRun(1.0, stack, warnings.append)
         run.open(rig)
@@ -174,17 +181,16 @@ def test_who_comes_second_waits_for_the_file_of_the_first(write_rig: Writer, mon
 def test_a_station_that_does_not_serve_leaves_nothing(write_rig: Writer, monkeypatch: pytest.MonkeyPatch) -> None:
     rig = read_rig(write_rig())
     before = set(connection_folder().glob("*"))
-
-    def full_disk(*_: object) -> None:
-        raise OSError("No space left on device")
-
     with monkeypatch.context() as patch:
         patch.setattr("goniotwin.app.station.hosting.write_connection", full_disk)
         with pytest.raises(UserError, match="No space"), serving(Station(), rig):
             pass
     assert set(connection_folder().glob("*")) == before
-    with serving(Station(), rig):  # its lock and port are free
-        pass
+    station = Station()
+    with serving(station, rig), monkeypatch.context() as patch:  # its lock and port are free
+        patch.setattr("goniotwin.app.station.hosting.write_connection", full_disk)
+        station.board.publish(RunBegun(Path("x.journal"), "x", 0, 1, 1.0))  # the run begins, and the file stays
+        assert known_stations()[connection_path(rig)].journal == ""
 
 
 def test_a_station_that_does_not_come_up_is_ended(write_rig: Writer, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

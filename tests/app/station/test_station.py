@@ -327,7 +327,8 @@ def test_a_stop_before_a_move_has_begun(bench: StationBench) -> None:
 
 
 def test_a_run_from_start_to_end(bench: StationBench, write_schedule: Writer, tmp_path: Path) -> None:
-    folder = tmp_path / "journals"
+    folder, busy = tmp_path / "journals", set[bool]()  # a station that is not busy, and has no client, ends
+    bench.reactions.append(lambda message: busy.add(bench.station.busy) if isinstance(message, RunBegun | RowSaved) else None)
     bench.station.start(write_schedule(), folder)
     now = bench.work()
     assert now.state is State.DONE
@@ -336,6 +337,7 @@ def test_a_run_from_start_to_end(bench: StationBench, write_schedule: Writer, tm
     saved = [each for each in bench.events if isinstance(each, RowSaved)]
     assert [each.row.number for each in saved] == list(range(ROWS))
     assert isinstance(bench.events[-1], RunEnded)
+    assert busy == {True}
     assert campaign_summary(folder / "small-001.journal").state == "done"
 
 
