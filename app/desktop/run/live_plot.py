@@ -387,7 +387,8 @@ class ScanPlot(QWidget):
             for name in ("bottom", "left"):
                 plot.getAxis(name).resizeEvent()  # centres the label: pyqtgraph does so for a new size, not for a new text
         self._plot.getAxis("bottom").showLabel(not self._residuals.isVisible())
-        self._view.ci.setGeometry(QRectF(self._view.rect()))  # a longer title may have made it wider
+        if (place := QRectF(self._view.rect())) != self._view.ci.geometry():  # a longer title may have made it wider
+            self._view.ci.setGeometry(place)
 
 
 def _lowest(predicted: Floats) -> float:

@@ -334,7 +334,7 @@ def test_a_command_that_fails_while_the_station_ends_fails_once(
 def test_a_client_that_fails_is_attached_no_more(
     server: StationServer, station: Station, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """What it shows would be the past, and nobody would know."""
+    """What it shows would be the past, without a word about it."""
     faults: list[object] = []
     monkeypatch.setattr(threading, "excepthook", faults.append)
 
