@@ -85,6 +85,7 @@ class Presenter(QObject):
     changed = Signal()
     question_asked = Signal(object)
     question_closed = Signal()
+    answer_refused = Signal()
     run_ended = Signal()
     notified = Signal(str)
     """The operator is needed: the end of a run, a fault, a mounting, a lost station."""
@@ -101,6 +102,7 @@ class Presenter(QObject):
         self._no_plan = ""
         self._opening = True
         self._starting = False
+        self._pausing = False
         self._lost = False
         self._progress = (0, 0)
         self._wall = RealClock()
@@ -140,9 +142,10 @@ class Presenter(QObject):
     @property
     def permissions(self) -> Permissions:
         """Which controls are enabled now."""
-        return permissions(
+        found = permissions(
             self.station, self.name, self.plan, self._no_plan, self.state, opening=self._opening, lost=self._lost,
         )  # fmt: skip
+        return replace(found, pause=False, resume=True) if self._pausing else found
 
     @property
     def title(self) -> str:
@@ -164,6 +167,18 @@ class Presenter(QObject):
         self._starting = True
         self._view.set_plot_error("")
         self.changed.emit()
+
+    def show_pausing(self) -> None:
+        """Show that a pause is asked for; at once, so that the same key again takes it back."""
+        self._pausing = self.station.state in (State.RUNNING, State.RECOVERING)
+        self.changed.emit()
+
+    def show_run_status(self, text: str) -> None:
+        """Show a status of the run, after the question that it waits for."""
+        asked = self.station.question
+        if asked is not None and self.station.state is not State.STOPPING:
+            text = f"Waiting for the operator: {asked.question.title}. {'' if text == STATUS[State.RUNNING] else text}".strip()
+        self._view.show_status(text)
 
     def acknowledge(self, order: SafetyOrder) -> None:
         """Show that a safety order has been acknowledged."""
@@ -196,7 +211,8 @@ class Presenter(QObject):
                 if state not in (State.RUNNING, State.PAUSING) or before.state not in (State.RUNNING, State.PAUSING):
                     self._interrupt_pace()
                 self._log_state(before.state, state)
-                self._view.show_status(STATUS.get(state, self._view.status))
+                self._pausing = False
+                self.show_run_status(STATUS.get(state, self._view.status))
             case EventLogged(kind, what, where, consequence):
                 self._log(what, where, consequence, serious=kind in SERIOUS)
             case PastRead(events):
@@ -241,6 +257,7 @@ class Presenter(QObject):
                 self.notified.emit(question.title)
             case QuestionClosed():
                 self._interrupt_pace()
+                self.show_run_status(STATUS.get(self.state, self._view.status))
                 self.question_closed.emit()
             case PlanMade() | PlanRefused():
                 self._show_plan(message)
@@ -249,7 +266,11 @@ class Presenter(QObject):
             case Attached() | NotAttached() | StationLost():
                 self._show_station(message)
             case CommandRefused(command, reason):
+                self._pausing = False
                 self._view.show_status(f"Not done: {command}: {reason}", error=True)
+                self._view.run.show_speed(self.station.speed)
+                if command == "answer" and self.station.question is not None:
+                    self.answer_refused.emit()
             case ActivityChanged(activity, error):
                 self._show_activity(before.activity, activity, error)
             case StopReport():
@@ -298,7 +319,7 @@ class Presenter(QObject):
             self._begin_pace(snapshot.done, snapshot.total, snapshot.seconds_left)
             self._show_progress(snapshot.done, snapshot.total, snapshot.seconds_left)
             self._view.set_saved(f"Saved row by row in {snapshot.journal}")
-            self._view.show_status(STATUS.get(snapshot.state, ""))
+            self.show_run_status(STATUS.get(snapshot.state, ""))
             if snapshot.row is not None:
                 self._view.axes.set_targets(snapshot.row.pose)
         if snapshot.question is not None:

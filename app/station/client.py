@@ -9,6 +9,7 @@ from typing import Any
 
 from goniotwin.app.errors import UserError
 from goniotwin.app.station.messages import Message, Snapshot, advance, decode
+from goniotwin.app.station.permissions import OF_BENCH
 from goniotwin.protocols.channel import PROTOCOL, Channel, connect
 
 ATTACH_S = 5.0
@@ -74,8 +75,11 @@ class StationClient:
     def send(self, command: str, *, received: Callable[[], None] | None = None, **arguments: Any) -> "Future[dict[str, Any]]":
         """Send a command; the future has its answer, or raises Refused, or NoStation where the connection ends.
 
-        The line is written before anything else is done. `received` is called when a stop has reached the station.
+        The line is written before anything else is done. `received` is called when a stop has reached the station. What begins
+        something is refused after a stop that is not in `snapshot` yet, or beyond the argument `stops`.
         """
+        if command in OF_BENCH:
+            arguments.setdefault("stops", self.snapshot.stops)
         number = next(self._numbers)
         future: Future[dict[str, Any]] = Future()
         self._waiting[number] = future, received

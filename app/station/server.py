@@ -1,7 +1,8 @@
 """The station's end of the channel: its clients, one of which operates, and the translation of lines into commands.
 
 A client sends `{"do": COMMAND, "id": NUMBER, ...}` with the arguments of the command, and gets `{"answer": NUMBER, "ok": true}`
-or `{"answer": NUMBER, "error": REASON}`. A stop is carried out by the thread that reads its line, at once; it gets
+or `{"answer": NUMBER, "error": REASON}`. A command that begins something may tell in `stops` how many stops its client had seen
+when it was asked for; it is refused after another. A stop is carried out by the thread that reads its line, at once; it gets
 `{"received": NUMBER}` before, and its answer when the axes have confirmed. What lasts is reported by events,
 `{"event": NUMBER, "type": ..., ...}`, which follow the snapshot that answers the client's hello.
 """
@@ -16,7 +17,7 @@ from pydantic import ValidationError, validate_call
 
 from goniotwin.app.errors import one_line
 from goniotwin.app.station.messages import NEWEST_ONLY, Message, encode
-from goniotwin.app.station.permissions import COMMANDS, EVERYBODYS, watching
+from goniotwin.app.station.permissions import COMMANDS, EVERYBODYS, OF_BENCH, STOPPED, watching
 from goniotwin.app.station.station import CommandRefused, Station
 from goniotwin.protocols.channel import LONGEST_LINE, PROTOCOL, Channel, ChannelServer, new_token
 from goniotwin.protocols.clock import RealClock
@@ -224,11 +225,17 @@ class StationServer:
         if name == "operate":
             self._station.operate(client)
             return
+        stops = arguments.pop("stops", None)
         with self._station.board.deciding() as snapshot:
             if reason := watching(snapshot, client, name):
                 raise CommandRefused(reason)
             if name not in EVERYBODYS and not snapshot.operator:
                 self._station.operate(client)
+            if name in OF_BENCH:  # accepted or refused before the next stop is counted
+                if stops not in (None, snapshot.stops):
+                    raise CommandRefused(STOPPED)
+                self._commands[name](**arguments)
+                return
         self._commands[name](**arguments)
 
 

@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from itertools import count
 from pathlib import Path
 
-from goniotwin.app.campaign.campaign import check_referenced, operator_for
+from goniotwin.app.campaign.campaign import check_referenced, check_way, operator_for
 from goniotwin.app.campaign.journal.summary import SUFFIX
 from goniotwin.app.campaign.journal.writing import Journal, JournalError, software_versions
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
@@ -56,8 +56,9 @@ from goniotwin.app.station.messages import (
     RunRefused,
     Snapshot,
     SpeedChanged,
+    StopReceived,
 )
-from goniotwin.app.station.permissions import allowed
+from goniotwin.app.station.permissions import STOPPED, allowed
 from goniotwin.drivers import BadAnswer, DeviceError, Forgotten, LimitError, NoAnswer
 from goniotwin.protocols.clock import GREATEST_SPEED, LEAST_SPEED, Clock, RealClock, ScaledClock, VirtualClock, calendar_stamp
 
@@ -176,9 +177,9 @@ class Station:
 
         Carried out by the calling thread, at once. An axis that does not respond delays no other.
         """
-        self._stop_requested.set()  # before the engine is looked up: `_measure` checks it after it has created one
-        with self._no_stops:  # before it too: `wait_for_stops` then waits for this one
+        with self._no_stops:  # nothing is accepted from here to the end; `wait_for_stops` waits for it
             self._stops += 1
+            self._stop_requested.set()  # before the engine is looked up: `run_begun` checks it after it has created one
         try:
             engine, bench, opened = self._engine, self._bench, self._opened
             if engine is not None:
@@ -193,9 +194,12 @@ class Station:
             return [str(each) for each in failures]
         finally:
             self._answers.put(None)  # wakes a run that waits for an answer
-            with self._no_stops:
-                self._stops -= 1
-                self._no_stops.notify_all()
+            try:
+                self._publish(StopReceived())  # before the next command is accepted: it tells what it was asked for after
+            finally:
+                with self._no_stops:
+                    self._stops -= 1
+                    self._no_stops.notify_all()
 
     def pause(self) -> None:
         """Pause the run before its next row, with the shutter closed; one that is about to begin, before its first row."""
@@ -323,8 +327,14 @@ class Station:
 
     def live(self, on: bool) -> None:
         """Take live readings until they are switched off; they rest while anything else is read or set."""
-        self._check("live")
-        self._tasks.put((lambda: self._set_live(on), NO_ACTIVITY))
+        with self.board.deciding():
+            self._check("live")
+            opened, bench = self._rig(), self._on_bench()
+            with self._no_stops:
+                self._refuse_while_stopping()
+                if not self.snapshot.activity:  # else its request holds for both
+                    bench.request = StopRequest(opened.rig)
+            self._tasks.put((lambda: self._set_live(on), NO_ACTIVITY))
 
     def mount(self, sample: str) -> None:
         """Mount a sample in a virtual rig."""
@@ -539,11 +549,12 @@ class Station:
                     self._answer_noted("photodiodes", "monitor")
                     self._publish(reading)
                     return
-        except DeviceError:
+        except (DeviceError, Stopped) as error:
             self._live = None
             bench.set_live(False)
             self._publish(bench.settings)
-            raise
+            if isinstance(error, DeviceError):
+                raise
 
     def _ask_devices(self) -> None:
         """Ask devices that nothing uses, so that it is known when they last answered."""
@@ -593,8 +604,9 @@ class Station:
             self._report_references()
 
     def _set_live(self, on: bool) -> None:
+        bench = self._on_bench()
         if not self.snapshot.busy:  # a run may have begun meanwhile
-            self._on_bench().set_live(on)
+            bench.set_live(on and not bench.request.requested)
             self._due["live"] = 0.0
 
     def _read(self, readings: int, dark: bool) -> None:
@@ -621,8 +633,8 @@ class Station:
         try:
             plan = make_plan(read_schedule(schedule), self._description)
             check_referenced(self._rig(), plan.rig.name)
-            if self._stop_requested.is_set():
-                raise UserError("stopped before the start")
+            check_way(self._rig(), plan.rows)
+            self._check_stop()
             try:
                 folder.mkdir(parents=True, exist_ok=True)
                 journal = Journal.create(next_journal(folder, plan.schedule.file.name), plan, software_versions())
@@ -633,14 +645,20 @@ class Station:
             return
         self._measure(plan, journal, plan.rows, person)
 
+    def _check_stop(self) -> None:
+        if self._stop_requested.is_set():
+            raise UserError(STOPPED)
+
     def _resume(self, path: Path, person: bool | None) -> None:
         try:
             with contextlib.closing(Journal.open(path)) as unlocked:
                 remaining_work(unlocked, self._description)  # raises the error before the journal is changed
+            self._check_stop()
             journal = Journal.reopen(path)
             try:
                 remaining = remaining_work(journal, self._description)  # again, now that no other program can change it
                 check_referenced(self._rig(), remaining.plan.rig.name, homing=True)
+                check_way(self._rig(), remaining.work)
             except BaseException:
                 journal.close()
                 raise
@@ -776,9 +794,11 @@ class Station:
             if self.disconnected.is_set():
                 raise CommandRefused("the rig is being given back")
             opened, bench = self._rig(), self._on_bench()
-            for each in (self._stop_requested, self._pause_requested, self._finish_requested):
-                each.clear()
-            bench.request = StopRequest(opened.rig)
+            with self._no_stops:
+                self._refuse_while_stopping()
+                for each in (self._stop_requested, self._pause_requested, self._finish_requested):
+                    each.clear()
+                bench.request = StopRequest(opened.rig)
             self._begun += 1
             self._publish(ActivityChanged(one_line(activity), starts=run))
 
@@ -787,6 +807,10 @@ class Station:
             task()
 
         self.do(task if run else unless_stopped)
+
+    def _refuse_while_stopping(self) -> None:
+        if self._stops:
+            raise CommandRefused("the axes are being stopped; wait until they are at rest")
 
     def _axis(self, command: str, axis: str) -> OpenRig:
         """The open rig, where a command for an axis is allowed. Raises CommandRefused."""

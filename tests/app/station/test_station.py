@@ -30,6 +30,7 @@ from goniotwin.app.station.messages import (
     encode,
 )
 from goniotwin.app.station.permissions import COMMANDS, allowed
+from goniotwin.app.station.server import StationServer
 from goniotwin.app.station.station import CommandRefused, Station
 from goniotwin.drivers import DeviceError, Monochromator, Pending, Rig
 from goniotwin.drivers.errors import NoAnswer
@@ -324,6 +325,94 @@ def test_a_stop_before_a_move_has_begun(bench: StationBench) -> None:
     bench.work()
     assert bench.error == "stopped"
     assert bench.virtual.plant.angle_deg("sigma", bench.clock.now()) == 0.0
+
+
+def test_no_command_is_accepted_while_a_stop_is_carried_out(
+    bench: StationBench, write_schedule: Writer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It would clear the request of that stop, and begin."""
+    refused = []
+
+    def stop(_request: StopRequest) -> list[DeviceError]:
+        for command in (lambda: bench.station.start(write_schedule(), tmp_path), lambda: bench.station.live(on=True)):
+            with pytest.raises(CommandRefused, match="being stopped") as error:
+                command()
+            refused.append(error)
+        return []
+
+    monkeypatch.setattr(StopRequest, "stop", stop)
+    bench.station.stop()
+    assert len(refused) == 2
+    bench.station.start(write_schedule(), tmp_path)
+
+
+def test_what_was_asked_for_before_a_stop_does_not_begin_after_it(bench: StationBench) -> None:
+    """The line of a client waits somewhere while another one stops."""
+    server = StationServer(bench.station)
+    try:
+        asked = {"axis": "sigma", "target_deg": 30.0, "stops": bench.station.snapshot.stops}
+        bench.station.stop()
+        with pytest.raises(CommandRefused, match="stopped before the start"):
+            server._command("a", "move", dict(asked))
+        server._command("a", "move", {**asked, "stops": bench.station.snapshot.stops})
+    finally:
+        server._server.stop()
+
+
+def test_a_stop_before_a_run_or_its_resume_has_begun(bench: StationBench, write_schedule: Writer, tmp_path: Path) -> None:
+    bench.station.start(write_schedule(), tmp_path)
+    bench.station.stop()
+    bench.work()
+    assert [each.reason for each in bench.of(RunRefused) if isinstance(each, RunRefused)] == ["stopped before the start"]
+    bench.station.start(write_schedule(), tmp_path)
+    bench.reactions.append(lambda message: bench.station.stop() if isinstance(message, RowStarted) else None)
+    bench.work()
+    bench.reactions.clear()
+    (journal,) = tmp_path.glob("*.journal")
+    bench.events.clear()
+    bench.station.resume_journal(journal)
+    bench.station.stop()
+    bench.work()
+    assert [each.reason for each in bench.of(RunRefused) if isinstance(each, RunRefused)] == ["stopped before the start"]
+    assert not bench.of(RunBegun)
+
+
+def test_live_readings_after_a_stop(bench: StationBench) -> None:
+    """The station died of its own stop request."""
+    bench.station.stop()
+    bench.station.live(on=True)
+    bench.work()
+    bench.station._poll_live()
+    assert bench.station.snapshot.bench.live
+    bench.station.stop()
+    bench.station._on_bench()._set(gain=None)
+    bench.station._live = None
+    bench.station._poll_live()
+    assert not bench.station.snapshot.bench.live
+    bench.station.live(on=True)
+    bench.station.stop()
+    bench.work()
+    assert not bench.station.snapshot.bench.live
+
+
+def test_a_run_that_would_collide_on_its_way_to_the_first_row_has_no_journal(
+    bench: StationBench, write_schedule: Writer, tmp_path: Path
+) -> None:
+    """It was created, and the run failed after three tries at a fault of the device."""
+    for axis, angle in (("beta", 300.0), ("shift", 5.0)):
+        bench.station.move(axis, angle)
+        bench.work()
+    bench.station.start(write_schedule(), tmp_path / "journals")
+    bench.work()
+    (refused,) = bench.of(RunRefused)
+    assert isinstance(refused, RunRefused)
+    assert refused.reason.startswith("on the way from beta 300.0 deg, shift 5.0 deg to the first row the arc would collide")
+    assert refused.reason.endswith("lower the shift first, or turn in the other direction")
+    assert not (tmp_path / "journals").exists()
+    bench.station.move("shift", 0.0)
+    bench.work()
+    bench.station.start(write_schedule(), tmp_path / "journals")
+    assert bench.work().state is State.DONE
 
 
 def test_a_run_from_start_to_end(bench: StationBench, write_schedule: Writer, tmp_path: Path) -> None:
