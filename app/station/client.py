@@ -12,8 +12,10 @@ from goniotwin.app.station.messages import Message, Snapshot, advance, decode
 from goniotwin.app.station.permissions import OF_BENCH
 from goniotwin.protocols.channel import PROTOCOL, Channel, connect
 
+ATTACH_S = 5.0
+"""Longest time in which a station answers the hello."""
 ANSWER_S = 10.0
-"""Longest time in which a station answers the hello, or a command that is waited for."""
+"""The same for a command that is waited for."""
 
 
 class Refused(UserError):
@@ -45,10 +47,10 @@ class StationClient:
         Raises Refused where the station takes no more clients, or is of another version.
         """
         try:
-            self._channel: Channel = connect(port, token, ANSWER_S, client=name)
+            self._channel: Channel = connect(port, token, ATTACH_S, client=name)
             with contextlib.ExitStack() as otherwise:
                 otherwise.callback(self._channel.close)
-                first = self._channel.receive(ANSWER_S) or {}
+                first = self._channel.receive(ATTACH_S) or {}
                 self.snapshot = _snapshot_of(first, port)
                 otherwise.pop_all()
         except TimeoutError:

@@ -197,6 +197,8 @@ class StationServer:
     def _obey(self, client: str, line: dict[str, Any], outbox: Outbox) -> None:
         """Carry out a command; a stop before anything else."""
         number, name = line.pop("id", None), line.pop("do", None)
+        if not isinstance(number, int | str):
+            number = None
         if name == "stop":
             outbox.put({"received": number})
             failures = self._station.stop()
@@ -217,6 +219,9 @@ class StationServer:
     def _command(self, client: str, name: Any, arguments: dict[str, Any]) -> None:
         if not isinstance(name, str) or name not in self._commands:
             raise CommandRefused(f"there is no command {name!r}; give one of {', '.join(sorted(self._commands))}")
+        for argument, value in arguments.items():
+            if isinstance(value, str) and not _is_text(value):
+                raise CommandRefused(f"{name}: {one_line(argument)}: has characters that no name has")
         if name == "operate":
             self._station.operate(client)
             return
@@ -234,10 +239,18 @@ class StationServer:
         self._commands[name](**arguments)
 
 
+def _is_text(value: str) -> bool:
+    return "\0" not in value and not any("\ud800" <= letter <= "\udfff" for letter in value)
+
+
 def _line(line: Line) -> dict[str, Any]:
-    """The object of a line; one that is too long for the channel is a note in its place."""
-    content = line if isinstance(line, dict) else {"event": line[0], **encode(line[1])}
-    if len(json.dumps(content)) <= LONGEST_LINE:
-        return content
+    """The object of a line; one that is too long for the channel, or is no text, is a note in its place."""
+    try:
+        content = line if isinstance(line, dict) else {"event": line[0], **encode(line[1])}
+    except ValueError:
+        content = {"event": line[0]} if isinstance(line, tuple) else {}
+    else:
+        if len(json.dumps(content)) <= LONGEST_LINE:
+            return content
     known: dict[str, Any] = {key: content[key] for key in ("event", "answer") if key in content}
     return {**known, "type": "TooLong"}

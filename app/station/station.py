@@ -6,7 +6,6 @@ by the *engine's thread*, the one that calls `serve` (or, in tests on the virtua
 """
 
 import contextlib
-import hashlib
 import queue
 import re
 import threading
@@ -33,7 +32,7 @@ from goniotwin.app.campaign.running.question import Answer, Question
 from goniotwin.app.campaign.running.resume import remaining_work
 from goniotwin.app.campaign.running.stop import Stopped, StopRequest
 from goniotwin.app.campaign.schedule.file import read_schedule
-from goniotwin.app.errors import UserError
+from goniotwin.app.errors import UserError, one_line
 from goniotwin.app.rig import AXES, OpenRig, RigDescription, open_rig
 from goniotwin.app.rig.last_rig import remember_rig
 from goniotwin.app.station.bench import Bench, PendingReading
@@ -78,7 +77,10 @@ NO_HEARTBEAT_S = float("inf")
 simulation speed 60, a pause of 35 ms would exceed a short heartbeat."""
 OPERATOR = "operator"
 """Kind of the event of a journal that a person is the operator of a virtual rig: so again when the run is resumed."""
+NOT_BEGUN = (UserError, OSError, ValueError)
+"""Errors before a run begins; those of Python are of paths that the system refuses: too long, or with a NUL."""
 Task = Callable[[], None]
+NO_ACTIVITY = -1
 
 
 class CommandRefused(UserError):
@@ -125,7 +127,9 @@ class Station:
         self._given_clock = clock
         self._clock: Clock = clock or ScaledClock()
         self._wall = RealClock()
-        self._tasks: queue.SimpleQueue[tuple[Task, bool] | None] = queue.SimpleQueue()
+        self._tasks: queue.SimpleQueue[tuple[Task, int] | None] = queue.SimpleQueue()
+        self._begun = 0
+        """Number of the activity that was begun last."""
         self._opened: OpenRig | None = None
         self._description: RigDescription | None = None
         self._bench: Bench | None = None
@@ -158,7 +162,8 @@ class Station:
     @property
     def busy(self) -> bool:
         """Whether a run is in progress or about to begin, or anything moves on the bench."""
-        return self.snapshot.busy or bool(self.snapshot.activity)
+        now = self.snapshot
+        return now.busy or now.starting or bool(now.activity)
 
     @property
     def open_orders(self) -> list[SafetyOrder]:
@@ -329,7 +334,7 @@ class Station:
                 self._refuse_while_stopping()
                 if not self.snapshot.activity:  # else its request holds for both
                     bench.request = StopRequest(opened.rig)
-            self._tasks.put((lambda: self._set_live(on), False))
+            self._tasks.put((lambda: self._set_live(on), NO_ACTIVITY))
 
     def mount(self, sample: str) -> None:
         """Mount a sample in a virtual rig."""
@@ -405,8 +410,8 @@ class Station:
         }
         self._silent = {device for device, error in outcome.items() if error is not None}
         self._publish(RigOpened(
-            description.file.name, Path(description.name), hashlib.sha256(description.text.encode()).hexdigest(),
-            description.simulated, description.seed, description.file.in_process, devices,
+            description.file.name, Path(description.name), description.digest, description.simulated,
+            description.seed, description.file.in_process, devices,
         ))  # fmt: skip
         self._look()
 
@@ -431,8 +436,8 @@ class Station:
                 self._do(*task)
 
     def do(self, task: Task) -> None:
-        """Have the engine's thread do something; the activity, if there is one, ends with it."""
-        self._tasks.put((task, True))
+        """Have the engine's thread do something; the activity begun last, if there is one, ends with it."""
+        self._tasks.put((task, self._begun))
 
     def end(self) -> None:
         """Stop what is in progress, and let `serve` return. From any thread."""
@@ -447,6 +452,7 @@ class Station:
         """Close the shutter if the bench has opened it, and give the rig back. No axis moves."""
         opened, bench = self._opened, self._bench
         self._opened, self._description, self._bench, self._live = None, None, None, None
+        self.wait_for_stops()  # one that finds a closed port would order to cut the motors' power
         if opened is not None and bench is not None:
             try:
                 bench.close_shutter()
@@ -455,8 +461,8 @@ class Station:
             opened.close()
             self._publish(RigClosed(reason))
 
-    def _do(self, task: Task, has_activity: bool) -> None:
-        """Do a task of the bench or of a run. Its activity, if it has one, ends with it, whatever happens."""
+    def _do(self, task: Task, activity: int) -> None:
+        """Do a task of the bench or of a run. Its activity, by its number, ends with it, whatever happens, and no later one."""
         error = ""
         try:
             task()
@@ -470,13 +476,14 @@ class Station:
         except Exception as fault:  # noqa: BLE001  (of any library: reported, and the station goes on without the rig)
             self.close_rig(f"the rig was closed after a fault: {type(fault).__name__}: {fault}")
             return
-        if has_activity and self.snapshot.activity:
+        if activity == self._begun and self.snapshot.activity:
             self._report_positions()
         if self._bench is not None and self._bench.settings != self.snapshot.bench:
             self._publish(self._bench.settings)
         self._report_references()
-        if has_activity and (self.snapshot.activity or error):
-            self._publish(ActivityChanged("", error))
+        with self.board.deciding() as now:
+            if activity == self._begun and (now.activity or error):
+                self._publish(ActivityChanged("", error))
 
     def _tick(self) -> None:
         """What is done between tasks, and between the polls of one on the bench: positions, live readings, last answers."""
@@ -633,8 +640,8 @@ class Station:
                 journal = Journal.create(next_journal(folder, plan.schedule.file.name), plan, software_versions())
             except (UserError, OSError) as error:
                 raise UserError(f"the journal cannot be created: {error}") from None
-        except UserError as error:
-            self._publish(RunRefused(str(error)))
+        except NOT_BEGUN as error:
+            self._publish(RunRefused(one_line(str(error))))
             return
         self._measure(plan, journal, plan.rows, person)
 
@@ -655,8 +662,8 @@ class Station:
             except BaseException:
                 journal.close()
                 raise
-        except UserError as error:
-            self._publish(RunRefused(str(error)))
+        except NOT_BEGUN as error:
+            self._publish(RunRefused(one_line(str(error))))
             return
         if isinstance(self._clock, ScaledClock):
             self._clock.advance_to(remaining.start_s)
@@ -792,7 +799,8 @@ class Station:
                 for each in (self._stop_requested, self._pause_requested, self._finish_requested):
                     each.clear()
                 bench.request = StopRequest(opened.rig)
-            self._publish(ActivityChanged(activity, starts=run))
+            self._begun += 1
+            self._publish(ActivityChanged(one_line(activity), starts=run))
 
         def unless_stopped() -> None:
             bench.request.check()

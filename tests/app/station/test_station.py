@@ -12,7 +12,7 @@ from goniotwin.app.campaign.journal.summary import campaign_summary
 from goniotwin.app.campaign.running.events import EventLogged, Positions, RowStarted, SafetyOrder, State, StateChanged
 from goniotwin.app.campaign.running.question import Answer
 from goniotwin.app.campaign.running.stop import StopRequest
-from goniotwin.app.rig import read_rig
+from goniotwin.app.rig import OpenRig, read_rig
 from goniotwin.app.station.messages import (
     ActivityChanged,
     BenchReading,
@@ -32,7 +32,7 @@ from goniotwin.app.station.messages import (
 from goniotwin.app.station.permissions import COMMANDS, allowed
 from goniotwin.app.station.server import StationServer
 from goniotwin.app.station.station import CommandRefused, Station
-from goniotwin.drivers import DeviceError, Rig
+from goniotwin.drivers import DeviceError, Monochromator, Pending, Rig
 from goniotwin.drivers.errors import NoAnswer
 from goniotwin.drivers.photodiodes.array import PhotodiodeArray
 from goniotwin.protocols.clock import VirtualClock
@@ -150,6 +150,86 @@ def test_live_readings_switched_on_before_a_move_do_not_end_it(bench: StationBen
     busy = [each.activity for each in bench.events if isinstance(each, ActivityChanged)]
     assert busy == ["moving sigma to 30 deg", ""]
     assert bench.station.snapshot.positions["sigma"] == pytest.approx(30.0, abs=0.1)
+
+
+def test_a_move_that_is_asked_for_at_the_end_of_a_start_is_in_progress_until_it_has_arrived(
+    bench: StationBench, tmp_path: Path
+) -> None:
+    """The end of one activity is not that of the next: a second motion would begin, and SIGTERM would stop neither."""
+    at_end: list[float] = []
+
+    def react(message: Message) -> None:
+        if isinstance(message, RunRefused):
+            bench.station.move("sigma", 30.0)
+        if isinstance(message, ActivityChanged) and not message.activity:
+            at_end.append(bench.station.snapshot.positions.get("sigma", 0.0))
+
+    bench.reactions.append(react)
+    bench.station.start(tmp_path / "none.toml", tmp_path)
+    bench.work()
+    assert at_end == [pytest.approx(30.0, abs=0.1)]
+
+
+def test_the_rig_is_closed_after_the_stops_in_progress(bench: StationBench, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that finds a closed port would order to cut the motors' power."""
+    done: list[str] = []
+    begun, go_on, close = threading.Event(), threading.Event(), OpenRig.close
+
+    def stop(_request: StopRequest) -> list[DeviceError]:
+        begun.set()
+        go_on.wait(5.0)
+        done.append("stopped")
+        return []
+
+    monkeypatch.setattr(StopRequest, "stop", stop)
+    monkeypatch.setattr(OpenRig, "close", lambda opened: (done.append("closed"), close(opened)))
+    thread = threading.Thread(target=bench.station.stop)
+    thread.start()
+    assert begun.wait(5.0)
+    threading.Timer(0.02, go_on.set).start()
+    bench.station.close_rig()
+    thread.join()
+    assert done == ["stopped", "closed"]
+
+
+def test_the_shutter_is_closed_after_the_last_of_many_stops(
+    bench: StationBench, write_schedule: Writer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each of them aborts what the monochromator does."""
+    start, closings = Monochromator.start_shutter, 0
+
+    def start_and_stop(monochromator: Monochromator, *, opened: bool) -> Pending:
+        nonlocal closings
+        if bench.station.snapshot.state is State.STOPPING and (closings := closings + 1) < 6:
+            bench.clock.at(bench.clock.now() + 0.05, bench.station.stop)
+        return start(monochromator, opened=opened)
+
+    def react(message: Message) -> None:
+        if isinstance(message, RowStarted) and bench.virtual.plant.shutter_open.at(bench.clock.now()):
+            bench.station.stop()
+
+    monkeypatch.setattr(Monochromator, "start_shutter", start_and_stop)
+    bench.reactions.append(react)
+    bench.station.start(write_schedule(), tmp_path)
+    now = bench.work()
+    assert (now.state, closings) == (State.IDLE, 6)
+    assert now.orders == ()
+    assert not bench.virtual.plant.shutter_open.at(bench.clock.now())
+
+
+@pytest.mark.parametrize("name", ["x" * 300, "a\0b", "\ud800"], ids=["long", "NUL", "surrogate"])
+def test_a_path_that_the_system_refuses_is_one_line_and_the_rig_stays(
+    bench: StationBench, write_schedule: Writer, tmp_path: Path, name: str
+) -> None:
+    for schedule, folder in ((None, tmp_path / name), (tmp_path / name, tmp_path), (write_schedule(), tmp_path / name)):
+        if schedule is None:
+            bench.station.resume_journal(folder)
+        else:
+            bench.station.start(schedule, folder)
+        assert bench.work().rig is not None
+        assert bench.station.snapshot.activity == ""
+    assert len(bench.of(RunRefused)) == 3
+    assert all(decode(encode(each)) == each for each in bench.events)
 
 
 def test_no_command_begins_when_the_rig_is_being_given_back(
@@ -339,7 +419,8 @@ def test_a_run_that_would_collide_on_its_way_to_the_first_row_has_no_journal(
 
 
 def test_a_run_from_start_to_end(bench: StationBench, write_schedule: Writer, tmp_path: Path) -> None:
-    folder = tmp_path / "journals"
+    folder, busy = tmp_path / "journals", set[bool]()  # a station that is not busy, and has no client, ends
+    bench.reactions.append(lambda message: busy.add(bench.station.busy) if isinstance(message, RunBegun | RowSaved) else None)
     bench.station.start(write_schedule(), folder)
     now = bench.work()
     assert now.state is State.DONE
@@ -348,6 +429,7 @@ def test_a_run_from_start_to_end(bench: StationBench, write_schedule: Writer, tm
     saved = [each for each in bench.events if isinstance(each, RowSaved)]
     assert [each.row.number for each in saved] == list(range(ROWS))
     assert isinstance(bench.events[-1], RunEnded)
+    assert busy == {True}
     assert campaign_summary(folder / "small-001.journal").state == "done"
 
 
