@@ -118,7 +118,7 @@ def connect(port: int, token: str, timeout_s: float, **about: object) -> Channel
 
 
 def _is_hello(message: Message, token: str) -> bool:
-    if message.get("protocol") != PROTOCOL:
+    if message.get("protocol") is True or message.get("protocol") != PROTOCOL:
         return False
     given = message.get("token")
     return isinstance(given, str) and hmac.compare_digest(given.encode(errors="replace"), token.encode())

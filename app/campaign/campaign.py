@@ -18,6 +18,7 @@ from goniotwin.app.errors import UserError, one_line
 from goniotwin.app.rig import OpenRig, RigDescription, RigFile, open_rig
 from goniotwin.app.rig.last_rig import is_last_rig
 from goniotwin.app.rig.lock import RigInUse, journal_holder
+from goniotwin.drivers import DeviceError
 from goniotwin.protocols.clock import Clock, RealClock, VirtualClock
 
 
@@ -202,6 +203,22 @@ def check_referenced(opened: OpenRig, rig_name: str, *, homing: bool = False) ->
             f"{reasons}. Home an axis that has a [homing] table: goniotwin home --rig {rig_name}; or set the current position "
             f"of an axis: goniotwin here --rig {rig_name} {next(iter(unreferenced))} DEG"
         )
+
+
+def check_way(opened: OpenRig, work: Sequence[Row]) -> None:
+    """Raise UserError if the arc of a connected rig would collide with the beam on the way to the first pose of a run.
+
+    Where a position is unknown nothing is raised: the run homes the axis, or deals with its fault.
+    """
+    rig, pose = opened.rig, next((row.pose for row in work if row.pose is not None), None)
+    if pose is None or rig.clearance is None or any(rig.axes[name].unreferenced_reason for name in ("beta", "shift")):
+        return
+    try:
+        beta, shift = rig.axes["beta"].position_deg(), rig.axes["shift"].position_deg()
+    except DeviceError:
+        return
+    if (collision := rig.clearance.collision((beta, pose[2]), (shift, pose[3]))) is not None:
+        raise UserError(f"on the way from beta {beta:.1f} deg, shift {shift:.1f} deg to the first row {collision}")
 
 
 def operator_for(opened: OpenRig, rig: RigFile, ask: Ask | None, *, person: bool = False) -> Operator:

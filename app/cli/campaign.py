@@ -394,7 +394,7 @@ def _hosted(speed: float | None, rig: "RigDescription") -> "Iterator[tuple[Hoste
         return
     from goniotwin.app.station.hosting import hosted_run
 
-    with hosted_run(speed or 1.0) as host:
+    with hosted_run(speed or 1.0, print_warning) as host:
         yield host, TerminalAsk(host)
 
 

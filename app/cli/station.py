@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from goniotwin.app.station.station import Station
 
 WAIT_S = 0.2
+SILENT = "its station does not answer; wait, or end its process (the main switch stops the motors)"
 
 app = typer.Typer()
 
@@ -183,6 +184,8 @@ class RemoteBench:
                     if self._ended:
                         raise BenchFault("the station has ended")
                     self._changed.wait(WAIT_S)  # in pieces: on Windows a wait without a limit hears no signal
+        except TimeoutError:
+            raise BenchFault(SILENT) from None
         except KeyboardInterrupt:
             self.client.do("stop")
             raise
@@ -220,7 +223,7 @@ def attached_bench(rig: "RigDescription") -> "Iterator[RemoteBench | None]":
     try:
         client = attach(connection_path(rig), "goniotwin command", remote.note, remote.end)
     except TimeoutError:
-        raise UserError(f"{rig.name}: its station does not answer; wait, or end its process") from None
+        raise UserError(f"{rig.name}: {SILENT}") from None
     if client is None:
         yield None
         return
@@ -228,6 +231,12 @@ def attached_bench(rig: "RigDescription") -> "Iterator[RemoteBench | None]":
     client.start()
     try:
         remote.wait_for_rig()
+        held = remote.snapshot.rig
+        if held is not None and held.digest != rig.digest:
+            raise UserError(
+                f"{rig.name}: its devices are in use by a station of another rig file, or it has changed since: {held.path}; "
+                "disconnect that station first"
+            )
         yield remote
     finally:
         client.close()

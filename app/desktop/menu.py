@@ -80,7 +80,8 @@ class Menus(QObject):
         self._save_in = self._add(menu, "Save &in…", schedule.folder_button.click)
         self._add(menu, "Open the &folder of journals", self.folder_wanted.emit)
         menu.addSeparator()
-        self._add(menu, "&Quit", self._window.close, QUIT_KEY)
+        leave = self._add(menu, "&Quit", self._window.close, QUIT_KEY)
+        leave.setShortcutContext(Qt.ShortcutContext.ApplicationShortcut)  # also from a question
 
     def _fill_run(self, menu: QMenu) -> None:
         run = self._view.run

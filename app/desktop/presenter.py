@@ -59,7 +59,6 @@ from goniotwin.app.station.messages import (
 from goniotwin.app.station.messages import Message as StationMessage
 from goniotwin.protocols.clock import RealClock
 
-WAITING = "Waiting for the operator: "
 MAIN_SWITCH = "Stop did not get through: use the main switch"
 STATUS = {
     State.RUNNING: "Running.",
@@ -88,6 +87,7 @@ class Presenter(QObject):
     changed = Signal()
     question_asked = Signal(object)
     question_closed = Signal()
+    answer_refused = Signal()
     run_ended = Signal()
     notified = Signal(str)
     """The operator is needed: the end of a run, a fault, a mounting, a lost station."""
@@ -104,6 +104,7 @@ class Presenter(QObject):
         self._no_plan = ""
         self._opening = True
         self._starting = False
+        self._pausing = False
         self._lost = False
         self._progress = (0, 0)
         self._wall = RealClock()
@@ -144,9 +145,10 @@ class Presenter(QObject):
     @property
     def permissions(self) -> Permissions:
         """Which controls are enabled now."""
-        return permissions(
+        found = permissions(
             self.station, self.name, self.plan, self._no_plan, self.state, opening=self._opening, lost=self._lost,
         )  # fmt: skip
+        return replace(found, pause=False, resume=True) if self._pausing else found
 
     @property
     def title(self) -> str:
@@ -173,10 +175,17 @@ class Presenter(QObject):
             self._view.show_status("Starting a station …")
         self.changed.emit()
 
-    def show_status(self, text: str) -> None:
-        """Show the status of the run: that it waits for the operator, as long as it does."""
+    def show_pausing(self) -> None:
+        """Show that a pause is asked for; at once, so that the same key again takes it back."""
+        self._pausing = self.station.state in (State.RUNNING, State.RECOVERING)
+        self.changed.emit()
+
+    def show_run_status(self, text: str) -> None:
+        """Show a status of the run, after the question that it waits for."""
         asked = self.station.question
-        self._view.show_status(text if asked is None else f"{WAITING}{asked.question.title}.")
+        if asked is not None and self.station.state is not State.STOPPING:
+            text = f"Waiting for the operator: {asked.question.title}. {'' if text == STATUS[State.RUNNING] else text}".strip()
+        self._view.show_status(text)
 
     def acknowledge(self, order: SafetyOrder) -> None:
         """Show that a safety order has been acknowledged."""
@@ -209,7 +218,8 @@ class Presenter(QObject):
                 if state not in (State.RUNNING, State.PAUSING) or before.state not in (State.RUNNING, State.PAUSING):
                     self._interrupt_pace()
                 self._log_state(before.state, state)
-                self.show_status(STATUS.get(state, self._view.status))
+                self._pausing = False
+                self.show_run_status(STATUS.get(state, self._view.status))
             case EventLogged(kind, what, where, consequence):
                 self._log(what, where, consequence, serious=kind in SERIOUS)
             case PastRead(events):
@@ -248,14 +258,13 @@ class Presenter(QObject):
                 self.run_ended.emit()
             case QuestionAsked(_number, question):
                 self._interrupt_pace()
-                self.show_status("")
+                self.show_run_status("")
                 self._log(f"Question to the operator: {question.title}", "", "the run waits")
                 self.question_asked.emit(message)
                 self.notified.emit(question.title)
             case QuestionClosed():
                 self._interrupt_pace()
-                if self._view.status.startswith(WAITING):
-                    self.show_status(STATUS.get(self.state, ""))
+                self.show_run_status(STATUS.get(self.state, self._view.status))
                 self.question_closed.emit()
             case PlanBegun() | PlanMade() | PlanRefused():
                 self._show_plan(message)
@@ -264,7 +273,11 @@ class Presenter(QObject):
             case Attached() | NotAttached() | StationLost():
                 self._show_station(message)
             case CommandRefused(command, reason):
+                self._pausing = False
                 self._view.show_status(f"Not done: {command}: {reason}", error=True)
+                self._view.run.show_speed(self.station.speed)
+                if command == "answer" and self.station.question is not None:
+                    self.answer_refused.emit()
             case ActivityChanged(activity, error):
                 self._show_activity(before.activity, activity, error)
             case StopReport():
@@ -314,7 +327,7 @@ class Presenter(QObject):
             self._begin_pace(snapshot.done, snapshot.total, snapshot.seconds_left)
             self._show_progress(snapshot.done, snapshot.total, snapshot.seconds_left)
             self._view.set_saved(f"Saved row by row in {snapshot.journal}")
-            self.show_status(STATUS.get(snapshot.state, ""))
+            self.show_run_status(STATUS.get(snapshot.state, ""))
             if snapshot.row is not None:
                 self._row_number = -1 if snapshot.row.unplanned else snapshot.row.number
                 self._view.axes.set_targets(snapshot.row.pose)
@@ -361,13 +374,13 @@ class Presenter(QObject):
 
     def _show_activity(self, before: str, activity: str, error: str) -> None:
         if activity:
-            self.show_status(f"{activity[0].upper()}{activity[1:]} …")
+            self.show_run_status(f"{activity[0].upper()}{activity[1:]} …")
         elif error:
             self._view.show_status(error, error=error != "stopped")
             if error != "stopped":
                 self._log(error, serious=True)
         elif before:
-            self.show_status(f"Done: {before}.")
+            self.show_run_status(f"Done: {before}.")
 
     def _show_stop(self, report: StopReport) -> None:
         if report.lost:
@@ -487,7 +500,7 @@ class Presenter(QObject):
             self._view.axes.set_targets(event.row.pose)
             if self.state is State.RUNNING:
                 done, of = self._progress
-                self.show_status(f"{row_words(event.row)} (row {min(done + 1, of)} of {of})")
+                self.show_run_status(f"{row_words(event.row)} (row {min(done + 1, of)} of {of})")
             if not event.row.unplanned:
                 self._row_number = event.row.number
             self._live_plot.add_row(event)

@@ -7,13 +7,14 @@ starts one. The window may be closed during a campaign, which goes on in the sta
 import contextlib
 import os
 import threading
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from PySide6.QtCore import QEvent, Qt, QUrl, Signal, Slot
+from PySide6.QtCore import QEvent, Qt, QTimer, QUrl, Signal, Slot
 from PySide6.QtGui import QCloseEvent, QDesktopServices, QKeyEvent
-from PySide6.QtWidgets import QApplication, QMainWindow
+from PySide6.QtWidgets import QApplication, QMainWindow, QPushButton
 
 from goniotwin import examples
 from goniotwin.app.campaign.running.question import EFFECTS, Answer
@@ -21,8 +22,9 @@ from goniotwin.app.desktop.campaigns.screen import CampaignsScreen
 from goniotwin.app.desktop.dialogs import FileDialog
 from goniotwin.app.desktop.event_loop import GarbageCollector
 from goniotwin.app.desktop.events.question import Choice, QuestionBox
-from goniotwin.app.desktop.menu import Menus, TextBox, about_text, keys_text
+from goniotwin.app.desktop.menu import QUIT_KEY, Menus, TextBox, about_text, keys_text
 from goniotwin.app.desktop.remembered import Kind, Remembered
+from goniotwin.app.desktop.run.panel import STOP_KEY
 from goniotwin.app.desktop.run.screen import RunScreen
 from goniotwin.app.desktop.theme import Scheme, Theme
 from goniotwin.app.desktop.view import MainView
@@ -36,6 +38,8 @@ if TYPE_CHECKING:
 
 KEEP_MEASURING, STOP_AND_CLOSE = "Keep measuring", "Stop and close"
 KEEP_OPEN, ACKNOWLEDGE = "Keep open", "Acknowledge"
+CLICK_MS = 150
+"""Time after which a button whose letter was pressed has been clicked."""
 WIDTH, HEIGHT = 1180, 760
 """Size of the first start in logical pixels, on a screen that has it."""
 DESKTOP = "goniotwin.app.desktop"
@@ -157,6 +161,7 @@ class MainWindow(QMainWindow):
         self.presenter.changed.connect(self._refresh)
         self.presenter.question_asked.connect(self._ask)
         self.presenter.question_closed.connect(self._dismiss_question)
+        self.presenter.answer_refused.connect(self._show_question)
         self.presenter.run_ended.connect(self._after_run)
         self.presenter.notified.connect(self._notify)
         for screen in self.view.screens:
@@ -200,6 +205,8 @@ class MainWindow(QMainWindow):
     def _refresh(self) -> None:
         permissions = self.presenter.permissions
         self.view.run.set_permissions(permissions)
+        if self.question is not None:
+            self.question.set_refusal(permissions.watching)
         self.view.screen_of(CampaignsScreen).set_resume(permissions.refusals["continue"])
         self._offer_unfinished()
         self._set_enabled(permissions.open)
@@ -268,6 +275,7 @@ class MainWindow(QMainWindow):
     @Slot()
     def _pause(self) -> None:
         self.connection.pause()
+        self.presenter.show_pausing()
 
     @Slot()
     def _resume(self) -> None:
@@ -276,12 +284,17 @@ class MainWindow(QMainWindow):
     @Slot()
     def _finish_cut(self) -> None:
         self.connection.finish_cut()
-        self.presenter.show_status("The run ends after this cut.")
+        self.presenter.show_run_status("The run ends after this cut.")
 
     @Slot()
     def _stop(self) -> None:
         self.connection.stop()
         self.view.show_status("Stop sent to all axes.")
+        for button in self.findChildren(QPushButton):
+            if button.isDown() and button is not self.view.run.stop_button:
+                # Its letter was pressed before: Qt clicks it 0.1 s later, and it would begin what comes after the stop.
+                button.blockSignals(True)
+                QTimer.singleShot(CLICK_MS, button, partial(button.blockSignals, False))
 
     @Slot(float)
     def _set_speed(self, speed: float) -> None:
@@ -339,14 +352,11 @@ class MainWindow(QMainWindow):
     @Slot(str)
     def _answer(self, label: str) -> None:
         answer = Answer(label)
-        if answer is Answer.WAIT:
-            assert self.question is not None
-            self.question.hide()
-            return
-        self._dismiss_question()
+        assert self.question is not None
+        self.question.hide()  # it is dismissed when it is closed, and shown again after a refusal
         if answer is Answer.STOP:
             self._stop()
-        else:
+        elif answer is not Answer.WAIT:
             self.connection.answer(self._asked, answer)
 
     @Slot()
@@ -461,21 +471,24 @@ class MainWindow(QMainWindow):
         """Ask during a run, which may go on, and wait for the acknowledgement of every safety order; then leave the station."""
         self._remember_layout()
         orders = [] if self._unattended or self._closed else self.view.orders.orders
+        asked = self.close_question is not None and self.close_question.isVisible()
         self._dismiss_close_question()
         if orders and not self._busy:
             event.ignore()
             self._closing = True
             self._ask_acknowledgement(orders[0])
             return
-        if self._busy and not self._closed and not self._unattended:
+        if self._busy and not self._closed and not self._unattended and not asked:
             event.ignore()
             choices = [
                 Choice(KEEP_MEASURING, "The window closes, the run goes on. The next window shows it again.", default=True),
                 Choice(STOP_AND_CLOSE, f"{EFFECTS[Answer.STOP]} Then the window closes.", stops=True),
                 Choice(KEEP_OPEN, "The window stays open."),
             ]
-            self.close_question = self._question_box("Close the window?", "A run is in progress.", choices)
+            text = f"A run is in progress. {QUIT_KEY} again keeps measuring and closes; {STOP_KEY} first stops the run."
+            self.close_question = self._question_box("Close the window?", text, choices)
             self.close_question.chosen.connect(self._answer_close)
+            self.close_question.rejected.connect(self._keep_open)
             return
         self.hide()  # at once, whatever is waited for
         self.shut_down()
@@ -499,7 +512,9 @@ class MainWindow(QMainWindow):
         text = f"The window closes when this order is acknowledged: {order.reason}"
         self.close_question = self._question_box(order.order, text, choices)
         self.close_question.chosen.connect(self._answer_close)
+        self.close_question.rejected.connect(self._keep_open)
 
+    @Slot()
     def _keep_open(self) -> None:
         """Give up closing the window."""
         self._closing = False

@@ -1,5 +1,6 @@
 """Opening of a rig file: drivers on their wires, and the virtual rig behind them."""
 
+import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
@@ -30,6 +31,11 @@ class RigDescription:
     file: RigFile
     folder: Path
     name: str
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the text."""
+        return hashlib.sha256(self.text.encode()).hexdigest()
 
     @property
     def simulated(self) -> bool:

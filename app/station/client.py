@@ -9,10 +9,13 @@ from typing import Any
 
 from goniotwin.app.errors import UserError
 from goniotwin.app.station.messages import Message, Snapshot, advance, decode
+from goniotwin.app.station.permissions import OF_BENCH
 from goniotwin.protocols.channel import PROTOCOL, Channel, connect
 
+ATTACH_S = 5.0
+"""Longest time in which a station answers the hello."""
 ANSWER_S = 10.0
-"""Longest time in which a station answers the hello, or a command that is waited for."""
+"""The same for a command that is waited for."""
 
 
 class Refused(UserError):
@@ -44,10 +47,10 @@ class StationClient:
         Raises Refused where the station takes no more clients, or is of another version.
         """
         try:
-            self._channel: Channel = connect(port, token, ANSWER_S, client=name)
+            self._channel: Channel = connect(port, token, ATTACH_S, client=name)
             with contextlib.ExitStack() as otherwise:
                 otherwise.callback(self._channel.close)
-                first = self._channel.receive(ANSWER_S) or {}
+                first = self._channel.receive(ATTACH_S) or {}
                 self.snapshot = _snapshot_of(first, port)
                 otherwise.pop_all()
         except TimeoutError:
@@ -72,8 +75,11 @@ class StationClient:
     def send(self, command: str, *, received: Callable[[], None] | None = None, **arguments: Any) -> "Future[dict[str, Any]]":
         """Send a command; the future has its answer, or raises Refused, or NoStation where the connection ends.
 
-        The line is written before anything else is done. `received` is called when a stop has reached the station.
+        The line is written before anything else is done. `received` is called when a stop has reached the station. What begins
+        something is refused after a stop that is not in `snapshot` yet, or beyond the argument `stops`.
         """
+        if command in OF_BENCH:
+            arguments.setdefault("stops", self.snapshot.stops)
         number = next(self._numbers)
         future: Future[dict[str, Any]] = Future()
         self._waiting[number] = future, received

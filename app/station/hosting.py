@@ -4,10 +4,11 @@ import contextlib
 import hashlib
 import os
 import socket
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
+from goniotwin.app.errors import UserError
 from goniotwin.app.rig import OpenRig, RigDescription, read_rig
 from goniotwin.app.rig.addresses import device_names
 from goniotwin.app.rig.lock import LockFile
@@ -52,14 +53,15 @@ def serving(station: Station, rig: RigDescription) -> Iterator[StationServer]:
     """Serve a station, whose rig is open, to clients that find it by its file.
 
     The devices of a rig have locks of their own; for a virtual rig in this process there is one beside the file. Raises
-    RigInUse where another station has it.
+    RigInUse where another station has it, and UserError where its file cannot be written.
     """
     path = connection_path(rig)
-    make_own_folder(path.parent)
     with contextlib.ExitStack() as stack:
-        if rig.file.in_process:
-            lock = LockFile(path.with_suffix(".lock"), rig.name, f"station of {rig.file.name} ({rig.name})", 0o600)
-            stack.callback(lock.release, remove=True)
+        with _writing(path):
+            make_own_folder(path.parent)
+            if rig.file.in_process:
+                lock = LockFile(path.with_suffix(".lock"), rig.name, f"station of {rig.file.name} ({rig.name})", 0o600)
+                stack.callback(lock.release, remove=True)
         server = StationServer(station)
         about = Connection(
             PROTOCOL, os.getpid(), socket.gethostname(), server.port, server.token, str(Path(rig.name).absolute()), "",
@@ -81,31 +83,51 @@ def serving(station: Station, rig: RigDescription) -> Iterator[StationServer]:
         stack.callback(remove)
         stack.callback(server.stop)
         server.start()
-        write_connection(path, about)
+        with _writing(path):
+            write_connection(path, about)
         station.board.subscribe(write)
         stack.callback(station.board.unsubscribe, write)
         yield server
 
 
 @contextlib.contextmanager
-def hosted_run(speed: float) -> Iterator["HostedRun"]:
-    """The host of one run of this program, which others can attach to from the opening of its rig to the end."""
+def _writing(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise NotServed(f"{path}: the file of the station cannot be written: {error.strerror or error}") from None
+
+
+class NotServed(UserError):
+    """A station cannot be found by others: there is no place for its file."""
+
+
+@contextlib.contextmanager
+def hosted_run(speed: float, warn: Callable[[str], None] = lambda _: None) -> Iterator["HostedRun"]:
+    """The host of one run of this program, which others can attach to from the opening of its rig to the end.
+
+    `warn` gets the reason, in one line, where nobody can.
+    """
     with contextlib.ExitStack() as stack:
-        yield HostedRun(speed, stack)
+        yield HostedRun(speed, stack, warn)
 
 
 class HostedRun(Station):
     """A station whose rig and engine belong to a run of this program (`campaign.RunHost`)."""
 
-    def __init__(self, speed: float, stack: contextlib.ExitStack) -> None:
+    def __init__(self, speed: float, stack: contextlib.ExitStack, warn: Callable[[str], None] = lambda _: None) -> None:
         super().__init__(speed)
         self._stack = stack
+        self._warn = warn
         self.server: StationServer | None = None
 
     def adopt(self, opened: OpenRig, rig: RigDescription) -> None:
         """Hold the rig, and serve."""
         super().adopt(opened, rig)
-        self.server = self._stack.enter_context(serving(self, rig))
+        try:
+            self.server = self._stack.enter_context(serving(self, rig))
+        except NotServed as error:
+            self._warn(f"nobody can attach to this run: {error}")
         self._stack.callback(lambda: self._publish(RigClosed("the run's program has ended")))
 
     @property

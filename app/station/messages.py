@@ -202,10 +202,15 @@ class OperatorChanged:
     client: str
 
 
+@dataclass(frozen=True)
+class StopReceived:
+    """A stop has been carried out. What was asked for before it does not begin any more."""
+
+
 Message = (
     StateChanged | RowStarted | Positions | EventLogged | SafetyOrder | RigOpened | RigClosed | DeviceChanged | DevicesAnswered
     | ReferencesChanged | ActivityChanged | BenchChanged | BenchReading | RunBegun | RowSaved | RunEnded | RunRefused
-    | QuestionAsked | QuestionClosed | OrderAcknowledged | SpeedChanged | OperatorChanged
+    | QuestionAsked | QuestionClosed | OrderAcknowledged | SpeedChanged | OperatorChanged | StopReceived
 )  # fmt: skip
 NEWEST_ONLY = (Positions, BenchReading, DevicesAnswered)
 """Of these a client needs only the newest."""
@@ -216,7 +221,8 @@ class Snapshot:
     """The station as its events so far give it; `number` is that of the last one.
 
     `journal` is that of the run in progress, or of the last one, and `person` its operator; `starting` until its engine is in a
-    state; `row` the row in progress; `reason` why the state was entered; `unreferenced` why axes are unreferenced.
+    state; `row` the row in progress; `reason` why the state was entered; `unreferenced` why axes are so;
+    `stops` counts those so far.
     """
 
     number: int = 0
@@ -241,6 +247,7 @@ class Snapshot:
     orders: tuple[SafetyOrder, ...] = ()
     speed: float = 1.0
     operator: str = ""
+    stops: int = 0
 
     @property
     def busy(self) -> bool:
@@ -318,6 +325,8 @@ def advance(before: Snapshot, message: Message) -> Snapshot:
             changes = {"speed": speed}
         case OperatorChanged(client):
             changes = {"operator": client}
+        case StopReceived():
+            changes = {"stops": before.stops + 1}
     return Snapshot(**{**_content(before), "number": before.number + 1, **changes})
 
 

@@ -3,6 +3,8 @@
 from goniotwin.app.campaign.running.events import State
 from goniotwin.app.station.messages import Snapshot
 
+STOPPED = "stopped before the start"
+"""The reason for what was asked for before a stop and has not begun yet."""
 EVERYBODYS = ("stop", "operate", "acknowledge")
 """Commands of clients that only watch too."""
 ANYTIME = ("stop", "operate", "disconnect")

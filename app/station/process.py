@@ -38,8 +38,13 @@ def run_station(rig: Path, speed: float, log: Log, unattended_s: float = UNATTEN
     description = read_rig(rig)
     station = Station(speed)
     ended = threading.Event()
-    log(f"{calendar_stamp()} station of {description.file.name} ({rig})")
-    station.board.subscribe(lambda _number, message: _log(log, message))
+
+    def note(text: str) -> None:
+        with contextlib.suppress(OSError, ValueError):  # a full disk
+            log(text)
+
+    note(f"{calendar_stamp()} station of {description.file.name} ({rig})")
+    station.board.subscribe(lambda _number, message: _log(note, message))
     with contextlib.ExitStack() as stack:
         signals = stack.enter_context(call_on_end_signal(ended.set))
         station.open(description)
@@ -50,19 +55,19 @@ def run_station(rig: Path, speed: float, log: Log, unattended_s: float = UNATTEN
         engine.start()
         reason = ""
         try:
-            log(f"{calendar_stamp()} serving at port {server.port}")
+            note(f"{calendar_stamp()} serving at port {server.port}")
             # In pieces: on Windows a wait without a limit hears no signal.
             while not ended.wait(WAIT_S) and not station.disconnected.is_set() and engine.is_alive():
                 if server.unattended_s > unattended_s and not station.busy:
                     reason = f"no client for {unattended_s:g} s"
-                    log(f"{calendar_stamp()} {reason}")
+                    note(f"{calendar_stamp()} {reason}")
                     break
         finally:
             station.end("the station was ended by a signal" if ended.is_set() else reason)
             engine.join()
     for order in station.open_orders:
-        log(f"SAFETY: {order.text}")
-    log(f"{calendar_stamp()} ended")
+        note(f"SAFETY: {order.text}")
+    note(f"{calendar_stamp()} ended")
     return signals.received
 
 
@@ -92,5 +97,4 @@ def _log(log: Log, message: Message) -> None:
             text = f"operated by {client or 'no client'}"
         case _:
             return
-    with contextlib.suppress(OSError, ValueError):  # a full disk
-        log(f"{calendar_stamp()} {one_line(text)}")
+    log(f"{calendar_stamp()} {one_line(text)}")

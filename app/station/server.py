@@ -1,7 +1,8 @@
 """The station's end of the channel: its clients, one of which operates, and the translation of lines into commands.
 
 A client sends `{"do": COMMAND, "id": NUMBER, ...}` with the arguments of the command, and gets `{"answer": NUMBER, "ok": true}`
-or `{"answer": NUMBER, "error": REASON}`. A stop is carried out by the thread that reads its line, at once; it gets
+or `{"answer": NUMBER, "error": REASON}`. A command that begins something may tell in `stops` how many stops its client had seen
+when it was asked for; it is refused after another. A stop is carried out by the thread that reads its line, at once; it gets
 `{"received": NUMBER}` before, and its answer when the axes have confirmed. What lasts is reported by events,
 `{"event": NUMBER, "type": ..., ...}`, which follow the snapshot that answers the client's hello.
 """
@@ -16,7 +17,7 @@ from pydantic import ValidationError, validate_call
 
 from goniotwin.app.errors import one_line
 from goniotwin.app.station.messages import NEWEST_ONLY, Message, encode
-from goniotwin.app.station.permissions import COMMANDS, EVERYBODYS, watching
+from goniotwin.app.station.permissions import COMMANDS, EVERYBODYS, OF_BENCH, STOPPED, watching
 from goniotwin.app.station.station import CommandRefused, Station
 from goniotwin.protocols.channel import LONGEST_LINE, PROTOCOL, Channel, ChannelServer, new_token
 from goniotwin.protocols.clock import RealClock
@@ -196,6 +197,8 @@ class StationServer:
     def _obey(self, client: str, line: dict[str, Any], outbox: Outbox) -> None:
         """Carry out a command; a stop before anything else."""
         number, name = line.pop("id", None), line.pop("do", None)
+        if not isinstance(number, int | str):
+            number = None
         if name == "stop":
             outbox.put({"received": number})
             failures = self._station.stop()
@@ -216,21 +219,38 @@ class StationServer:
     def _command(self, client: str, name: Any, arguments: dict[str, Any]) -> None:
         if not isinstance(name, str) or name not in self._commands:
             raise CommandRefused(f"there is no command {name!r}; give one of {', '.join(sorted(self._commands))}")
+        for argument, value in arguments.items():
+            if isinstance(value, str) and not _is_text(value):
+                raise CommandRefused(f"{name}: {one_line(argument)}: has characters that no name has")
         if name == "operate":
             self._station.operate(client)
             return
+        stops = arguments.pop("stops", None)
         with self._station.board.deciding() as snapshot:
             if reason := watching(snapshot, client, name):
                 raise CommandRefused(reason)
             if name not in EVERYBODYS and not snapshot.operator:
                 self._station.operate(client)
+            if name in OF_BENCH:  # accepted or refused before the next stop is counted
+                if stops not in (None, snapshot.stops):
+                    raise CommandRefused(STOPPED)
+                self._commands[name](**arguments)
+                return
         self._commands[name](**arguments)
 
 
+def _is_text(value: str) -> bool:
+    return "\0" not in value and not any("\ud800" <= letter <= "\udfff" for letter in value)
+
+
 def _line(line: Line) -> dict[str, Any]:
-    """The object of a line; one that is too long for the channel is a note in its place."""
-    content = line if isinstance(line, dict) else {"event": line[0], **encode(line[1])}
-    if len(json.dumps(content)) <= LONGEST_LINE:
-        return content
+    """The object of a line; one that is too long for the channel, or is no text, is a note in its place."""
+    try:
+        content = line if isinstance(line, dict) else {"event": line[0], **encode(line[1])}
+    except ValueError:
+        content = {"event": line[0]} if isinstance(line, tuple) else {}
+    else:
+        if len(json.dumps(content)) <= LONGEST_LINE:
+            return content
     known: dict[str, Any] = {key: content[key] for key in ("event", "answer") if key in content}
     return {**known, "type": "TooLong"}

@@ -1,6 +1,7 @@
 """The start of a station in a process of its own, detached from this one, which may end."""
 
 import contextlib
+import math
 import subprocess
 import sys
 import threading
@@ -19,6 +20,8 @@ from goniotwin.protocols.clock import RealClock, calendar_s
 WAIT_S = 0.05
 MOST_LOGS = 20
 """Log files of stations that are kept."""
+COMING_S = 1.0
+"""Longest time from the lock of a station to its connection file."""
 START_S = 120.0
 """Longest time from the start of a station to its answer: the first start on a computer compiles the twin."""
 
@@ -38,21 +41,22 @@ def start_station(
     """
     log = user_log_path("goniotwin") / f"station-{calendar_s():.3f}.log"
     process = _start([sys.executable, "-m", "goniotwin", "station", "--rig", str(rig.absolute()), "--speed", f"{speed:g}"], log)
-    clock = RealClock()
+    clock, ended_at = RealClock(), math.inf
     while clock.now() < START_S:
         if given_up():
             raise UserError(f"{rig}: its station is not waited for")
         clock.sleep_until(clock.now() + WAIT_S)
-        ended = process.poll() is not None
+        if process.poll() is not None:
+            ended_at = min(ended_at, clock.now())
         path = next((path for path, each in known_stations().items() if each.pid == process.pid), None)
-        if ended:
+        if ended_at < math.inf:
             path = station_of(rig)  # another program has started one in the same moment
         if path is not None:
             with contextlib.suppress(TimeoutError):
                 if (client := attach(path, name, on_event, on_end)) is not None:
                     _reap(process)
                     return client
-        if ended:
+        if clock.now() > ended_at + COMING_S:
             raise UserError(_last_line(log) or f"{rig}: its station has ended with status {process.returncode}; see {log}")
     process.terminate()
     _reap(process)

@@ -6,7 +6,6 @@ by the *engine's thread*, the one that calls `serve` (or, in tests on the virtua
 """
 
 import contextlib
-import hashlib
 import queue
 import re
 import threading
@@ -14,7 +13,7 @@ from collections.abc import Callable, Sequence
 from itertools import count
 from pathlib import Path
 
-from goniotwin.app.campaign.campaign import check_referenced, operator_for
+from goniotwin.app.campaign.campaign import check_referenced, check_way, operator_for
 from goniotwin.app.campaign.journal.summary import SUFFIX
 from goniotwin.app.campaign.journal.writing import Journal, JournalError, software_versions
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
@@ -33,7 +32,7 @@ from goniotwin.app.campaign.running.question import Answer, Question
 from goniotwin.app.campaign.running.resume import remaining_work
 from goniotwin.app.campaign.running.stop import Stopped, StopRequest
 from goniotwin.app.campaign.schedule.file import read_schedule
-from goniotwin.app.errors import UserError
+from goniotwin.app.errors import UserError, one_line
 from goniotwin.app.rig import AXES, OpenRig, RigDescription, open_rig
 from goniotwin.app.rig.last_rig import remember_rig
 from goniotwin.app.station.bench import Bench, PendingReading
@@ -57,8 +56,9 @@ from goniotwin.app.station.messages import (
     RunRefused,
     Snapshot,
     SpeedChanged,
+    StopReceived,
 )
-from goniotwin.app.station.permissions import allowed
+from goniotwin.app.station.permissions import STOPPED, allowed
 from goniotwin.drivers import BadAnswer, DeviceError, Forgotten, LimitError, NoAnswer
 from goniotwin.protocols.clock import GREATEST_SPEED, LEAST_SPEED, Clock, RealClock, ScaledClock, VirtualClock, calendar_stamp
 
@@ -77,7 +77,10 @@ NO_HEARTBEAT_S = float("inf")
 simulation speed 60, a pause of 35 ms would exceed a short heartbeat."""
 OPERATOR = "operator"
 """Kind of the event of a journal that a person is the operator of a virtual rig: so again when the run is resumed."""
+NOT_BEGUN = (UserError, OSError, ValueError)
+"""Errors before a run begins; those of Python are of paths that the system refuses: too long, or with a NUL."""
 Task = Callable[[], None]
+NO_ACTIVITY = -1
 
 
 class CommandRefused(UserError):
@@ -124,7 +127,9 @@ class Station:
         self._given_clock = clock
         self._clock: Clock = clock or ScaledClock()
         self._wall = RealClock()
-        self._tasks: queue.SimpleQueue[tuple[Task, bool] | None] = queue.SimpleQueue()
+        self._tasks: queue.SimpleQueue[tuple[Task, int] | None] = queue.SimpleQueue()
+        self._begun = 0
+        """Number of the activity that was begun last."""
         self._opened: OpenRig | None = None
         self._description: RigDescription | None = None
         self._bench: Bench | None = None
@@ -159,7 +164,8 @@ class Station:
     @property
     def busy(self) -> bool:
         """Whether a run is in progress or about to begin, or anything moves on the bench."""
-        return self.snapshot.busy or bool(self.snapshot.activity)
+        now = self.snapshot
+        return now.busy or now.starting or bool(now.activity)
 
     @property
     def open_orders(self) -> list[SafetyOrder]:
@@ -173,9 +179,9 @@ class Station:
 
         Carried out by the calling thread, at once. An axis that does not respond delays no other.
         """
-        self._stop_requested.set()  # before the engine is looked up: `_measure` checks it after it has created one
-        with self._no_stops:  # before it too: `wait_for_stops` then waits for this one
+        with self._no_stops:  # nothing is accepted from here to the end; `wait_for_stops` waits for it
             self._stops += 1
+            self._stop_requested.set()  # before the engine is looked up: `run_begun` checks it after it has created one
         try:
             engine, bench, opened = self._engine, self._bench, self._opened
             if engine is not None:
@@ -190,9 +196,12 @@ class Station:
             return [str(each) for each in failures]
         finally:
             self._answers.put(None)  # wakes a run that waits for an answer
-            with self._no_stops:
-                self._stops -= 1
-                self._no_stops.notify_all()
+            try:
+                self._publish(StopReceived())  # before the next command is accepted: it tells what it was asked for after
+            finally:
+                with self._no_stops:
+                    self._stops -= 1
+                    self._no_stops.notify_all()
 
     def pause(self) -> None:
         """Pause the run before its next row, with the shutter closed; one that is about to begin, before its first row."""
@@ -320,8 +329,14 @@ class Station:
 
     def live(self, on: bool) -> None:
         """Take live readings until they are switched off; they rest while anything else is read or set."""
-        self._check("live")
-        self._tasks.put((lambda: self._set_live(on), False))
+        with self.board.deciding():
+            self._check("live")
+            opened, bench = self._rig(), self._on_bench()
+            with self._no_stops:
+                self._refuse_while_stopping()
+                if not self.snapshot.activity:  # else its request holds for both
+                    bench.request = StopRequest(opened.rig)
+            self._tasks.put((lambda: self._set_live(on), NO_ACTIVITY))
 
     def mount(self, sample: str) -> None:
         """Mount a sample in a virtual rig."""
@@ -398,8 +413,8 @@ class Station:
         }
         self._silent = {device for device, error in outcome.items() if error is not None}
         self._publish(RigOpened(
-            description.file.name, Path(description.name), hashlib.sha256(description.text.encode()).hexdigest(),
-            description.simulated, description.seed, description.file.in_process, devices,
+            description.file.name, Path(description.name), description.digest, description.simulated,
+            description.seed, description.file.in_process, devices,
         ))  # fmt: skip
         self._look()
 
@@ -424,8 +439,8 @@ class Station:
                 self._do(*task)
 
     def do(self, task: Task) -> None:
-        """Have the engine's thread do something; the activity, if there is one, ends with it."""
-        self._tasks.put((task, True))
+        """Have the engine's thread do something; the activity begun last, if there is one, ends with it."""
+        self._tasks.put((task, self._begun))
 
     def end(self, reason: str = "") -> None:
         """Stop what is in progress, and let `serve` return. From any thread. `reason` is one line for the clients."""
@@ -441,6 +456,7 @@ class Station:
         """Close the shutter if the bench has opened it, and give the rig back. No axis moves."""
         opened, bench = self._opened, self._bench
         self._opened, self._description, self._bench, self._live = None, None, None, None
+        self.wait_for_stops()  # one that finds a closed port would order to cut the motors' power
         if opened is not None and bench is not None:
             try:
                 bench.close_shutter()
@@ -449,8 +465,8 @@ class Station:
             opened.close()
             self._publish(RigClosed(reason, fault))
 
-    def _do(self, task: Task, has_activity: bool) -> None:
-        """Do a task of the bench or of a run. Its activity, if it has one, ends with it, whatever happens."""
+    def _do(self, task: Task, activity: int) -> None:
+        """Do a task of the bench or of a run. Its activity, by its number, ends with it, whatever happens, and no later one."""
         error = ""
         try:
             task()
@@ -464,13 +480,14 @@ class Station:
         except Exception as fault:  # noqa: BLE001  (of any library: reported, and the station goes on without the rig)
             self.close_rig(f"the rig was closed after a fault: {type(fault).__name__}: {fault}", fault=True)
             return
-        if has_activity and self.snapshot.activity:
+        if activity == self._begun and self.snapshot.activity:
             self._report_positions()
         if self._bench is not None and self._bench.settings != self.snapshot.bench:
             self._publish(self._bench.settings)
         self._report_references()
-        if has_activity and (self.snapshot.activity or error):
-            self._publish(ActivityChanged("", error))
+        with self.board.deciding() as now:
+            if activity == self._begun and (now.activity or error):
+                self._publish(ActivityChanged("", error))
 
     def _tick(self) -> None:
         """What is done between tasks, and between the polls of one on the bench: positions, live readings, last answers."""
@@ -536,11 +553,12 @@ class Station:
                     self._answer_noted("photodiodes", "monitor")
                     self._publish(reading)
                     return
-        except DeviceError:
+        except (DeviceError, Stopped) as error:
             self._live = None
             bench.set_live(False)
             self._publish(bench.settings)
-            raise
+            if isinstance(error, DeviceError):
+                raise
 
     def _ask_devices(self) -> None:
         """Ask devices that nothing uses, so that it is known when they last answered."""
@@ -590,8 +608,9 @@ class Station:
             self._report_references()
 
     def _set_live(self, on: bool) -> None:
+        bench = self._on_bench()
         if not self.snapshot.busy:  # a run may have begun meanwhile
-            self._on_bench().set_live(on)
+            bench.set_live(on and not bench.request.requested)
             self._due["live"] = 0.0
 
     def _read(self, readings: int, dark: bool) -> None:
@@ -618,31 +637,37 @@ class Station:
         try:
             plan = make_plan(read_schedule(schedule), self._description)
             check_referenced(self._rig(), plan.rig.name)
-            if self._stop_requested.is_set():
-                raise UserError("stopped before the start")
+            check_way(self._rig(), plan.rows)
+            self._check_stop()
             try:
                 folder.mkdir(parents=True, exist_ok=True)
                 journal = Journal.create(next_journal(folder, plan.schedule.file.name), plan, software_versions())
             except (UserError, OSError) as error:
                 raise UserError(f"the journal cannot be created: {error}") from None
-        except UserError as error:
-            self._publish(RunRefused(str(error)))
+        except NOT_BEGUN as error:
+            self._publish(RunRefused(one_line(str(error))))
             return
         self._measure(plan, journal, plan.rows, person)
+
+    def _check_stop(self) -> None:
+        if self._stop_requested.is_set():
+            raise UserError(STOPPED)
 
     def _resume(self, path: Path, person: bool | None) -> None:
         try:
             with contextlib.closing(Journal.open(path)) as unlocked:
                 remaining_work(unlocked, self._description)  # raises the error before the journal is changed
+            self._check_stop()
             journal = Journal.reopen(path)
             try:
                 remaining = remaining_work(journal, self._description)  # again, now that no other program can change it
                 check_referenced(self._rig(), remaining.plan.rig.name, homing=True)
+                check_way(self._rig(), remaining.work)
             except BaseException:
                 journal.close()
                 raise
-        except UserError as error:
-            self._publish(RunRefused(str(error)))
+        except NOT_BEGUN as error:
+            self._publish(RunRefused(one_line(str(error))))
             return
         if isinstance(self._clock, ScaledClock):
             self._clock.advance_to(remaining.start_s)
@@ -779,16 +804,23 @@ class Station:
             if self.disconnected.is_set():
                 raise CommandRefused("the rig is being given back")
             opened, bench = self._rig(), self._on_bench()
-            for each in (self._stop_requested, self._pause_requested, self._finish_requested):
-                each.clear()
-            bench.request = StopRequest(opened.rig)
-            self._publish(ActivityChanged(activity, starts=run))
+            with self._no_stops:
+                self._refuse_while_stopping()
+                for each in (self._stop_requested, self._pause_requested, self._finish_requested):
+                    each.clear()
+                bench.request = StopRequest(opened.rig)
+            self._begun += 1
+            self._publish(ActivityChanged(one_line(activity), starts=run))
 
         def unless_stopped() -> None:
             bench.request.check()
             task()
 
         self.do(task if run else unless_stopped)
+
+    def _refuse_while_stopping(self) -> None:
+        if self._stops:
+            raise CommandRefused("the axes are being stopped; wait until they are at rest")
 
     def _axis(self, command: str, axis: str) -> OpenRig:
         """The open rig, where a command for an axis is allowed. Raises CommandRefused."""

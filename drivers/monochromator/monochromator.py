@@ -128,7 +128,7 @@ class Monochromator:
         lowest, highest = self.settings.lowest_nm, self.settings.highest_nm
         if not lowest <= wavelength_nm <= highest:
             raise DeviceError(
-                NAME, f"go to {wavelength_nm:g} nm", f"outside {lowest:g} to {highest:g} nm", "change the schedule"
+                NAME, f"go to {wavelength_nm:g} nm", f"outside {lowest:g} to {highest:g} nm", "change the wavelength"
             )
         known = self._known.get("WAVE")
         distance = highest - lowest if known is None else wavelength_nm - float(known)

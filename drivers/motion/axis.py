@@ -135,4 +135,4 @@ def limit_violation(axis: AxisDescription, target_deg: float) -> str | None:
 def check_limits(name: str, axis: AxisDescription, target_deg: float) -> None:
     """Raise LimitError for a target outside the soft limits of an axis, the approach against backlash included."""
     if (violation := limit_violation(axis, target_deg)) is not None:
-        raise LimitError(name, f"move to {target_deg:g} deg", violation, "change the schedule, or the limits in the rig file")
+        raise LimitError(name, f"move to {target_deg:g} deg", violation, "change the angle, or the limits in the rig file")

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from goniotwin.app.rig import OpenRig
 from goniotwin.drivers import DeviceError, Monitor, Monochromator, PhotodiodeArray, TmclController, wait
 from goniotwin.drivers.found import FoundSettings
+from goniotwin.drivers.motion.stop import stop_all
 from goniotwin.drivers.motion.tmcl import TmclSettings
 from goniotwin.drivers.photodiodes.modbus import ModbusUnit
 from goniotwin.protocols.cornerstone import NO_ERROR, ErrorCode, WavelengthUnit
@@ -442,3 +443,20 @@ def test_an_axis_that_turns_is_stopped_by_its_heartbeat_before_that_is_restored(
     assert not bench.notes[0].text
     with pytest.raises(DeviceError):
         driver.axes["sigma"].position_deg()  # its port is closed
+
+
+def test_an_axis_that_a_stop_brings_to_rest_does_not_wait_for_a_long_heartbeat(opened: RigOpener) -> None:
+    """That of a virtual rig is more than a minute, and its station ends with this."""
+    bench = AxesSetUp(opened())
+    bench.notes[0].text = ""
+    driver = bench.driver()
+    driver.set_heartbeat(float("inf"))
+    driver.connect()
+    driver.axes["sigma"].start_relative(90.0)
+    bench.clock.sleep_until(bench.clock.now() + 2.0)
+    assert stop_all({"axes": driver.begin_stop()}) == []
+    begun = bench.clock.now()
+    driver.close()
+    assert bench.clock.now() - begun < 2.0
+    assert bench.exchange(Command.GAP, AxisParameter.ACTUAL_VELOCITY, 4) == 0
+    assert not bench.notes[0].text

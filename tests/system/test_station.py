@@ -99,6 +99,20 @@ def test_a_station_without_clients_and_run_gives_the_rig_back(start: Start, writ
     assert not path.exists()
 
 
+@pytest.mark.long
+def test_a_run_goes_on_without_clients_and_the_station_ends_after_it(
+    start: Start, write_rig: Writer, write_schedule: Writer, tmp_path: Path
+) -> None:
+    process, path = start(write_rig(*QUIET), "--speed", 20, "--unattended", 0.5)
+    client = rig_opened(path)
+    journal = begin(client, write_schedule(), tmp_path / "journals", rows=1)
+    client.client.close()
+    assert process.wait() == 0
+    assert not path.exists()
+    summary = campaign_summary(journal)
+    assert (summary.state, summary.rows) == ("done", ROWS)
+
+
 def test_a_killed_station_leaves_a_journal_that_the_next_one_resumes(
     start: Start, write_rig: Writer, write_schedule: Writer, tmp_path: Path
 ) -> None:

@@ -111,8 +111,8 @@ class RowExecutor:
     def close_shutter_after_stop(self) -> bool:
         """Close the shutter, although the run was stopped, unless it is known to be closed; return whether it had to be.
 
-        A stop aborts the statement in progress, and leaves the line out of step: so this is repeated. Raises DeviceError where
-        it is not done after CLOSING_ATTEMPTS or CLOSING_S.
+        A stop aborts the statement in progress, and leaves the line out of step: so this is repeated, and anew after a further
+        stop. Raises DeviceError where it is not done after CLOSING_ATTEMPTS or CLOSING_S.
         """
         if not self.shutter_may_be_open:
             return False
@@ -123,14 +123,17 @@ class RowExecutor:
                 name = self._rig.monochromator.name
                 raise DeviceError(name, "close the shutter", f"not done within {CLOSING_S:g} s", "check cable and power")
 
-        for attempt in range(1, CLOSING_ATTEMPTS + 1):
+        attempt, steps = 0, self._stop_request.steps
+        while self.shutter_may_be_open:
             try:
                 wait(self._clock, [self._rig.monochromator.start_shutter(opened=False)], check_time)
-                break
+                self._shutter_open = False
             except DeviceError:
-                if attempt == CLOSING_ATTEMPTS or self._clock.now() > deadline:
+                attempt += 1
+                if steps != self._stop_request.steps:
+                    attempt, steps, deadline = 0, self._stop_request.steps, self._clock.now() + CLOSING_S
+                elif attempt == CLOSING_ATTEMPTS or self._clock.now() > deadline:
                     raise
-        self._shutter_open = False
         return True
 
     @property

@@ -23,13 +23,14 @@ class Stopped(Exception):
 class StopRequest:
     """Stop request of one run on a rig, checked before every motion and between polls.
 
-    `requested` is whether the run was asked to stop.
+    `requested` is whether the run was asked to stop; `steps` changes with the begin and the end of each stop.
     """
 
     def __init__(self, rig: Rig) -> None:
         self._rig = rig
         self._motion = threading.RLock()
         self.requested = False
+        self.steps = 0
 
     def stop(self) -> list[DeviceError]:
         """Stop all axes now and allow no further motion; return the errors of axes that did not confirm. From any thread.
@@ -37,11 +38,15 @@ class StopRequest:
         A virtual clock belongs to one thread: a stop from another one is carried out by that thread, at its next check.
         """
         self.requested = True
-        if isinstance(self._rig.clock, VirtualClock) and self._rig.clock.elsewhere:
-            return []
-        failures = self._rig.stop()
-        with self._motion:  # a motion that was being started in another thread has started by now, and is stopped here
-            return self._rig.stop() or failures
+        self.steps += 1
+        try:
+            if isinstance(self._rig.clock, VirtualClock) and self._rig.clock.elsewhere:
+                return []
+            failures = self._rig.stop()
+            with self._motion:  # a motion that was being started in another thread has started by now, and is stopped here
+                return self._rig.stop() or failures
+        finally:
+            self.steps += 1
 
     def check(self) -> None:
         """Raise Stopped if the run was asked to stop."""

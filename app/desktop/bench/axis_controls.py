@@ -4,8 +4,9 @@ from typing import TYPE_CHECKING
 
 from PySide6.QtCore import QPointF, QRectF, QSize, Qt, Signal, Slot
 from PySide6.QtGui import QColor, QPainter, QPaintEvent, QPen, QPolygonF
-from PySide6.QtWidgets import QDoubleSpinBox, QHBoxLayout, QLabel, QPushButton, QSizePolicy, QVBoxLayout, QWidget
+from PySide6.QtWidgets import QHBoxLayout, QLabel, QPushButton, QSizePolicy, QVBoxLayout, QWidget
 
+from goniotwin.app.desktop.bench.number_field import NumberField
 from goniotwin.app.desktop.rig.panels import GREEK, angle_text
 from goniotwin.app.desktop.theme import Colours
 
@@ -108,9 +109,12 @@ class LimitsBar(QWidget):
 
 
 class AxisControls(QWidget):
-    """One axis. `command` has a station's command and its arguments; `confirm` a position to be set, which is asked about."""
+    """One axis. `command` has a station's command and its arguments; `confirm` a position to be set, which is asked about;
+    `refused` why what was entered is not done.
+    """
 
     command = Signal(str, object)
+    refused = Signal(str)
     confirm = Signal(str, float)
 
     def __init__(self, axis: str, colours: Colours) -> None:
@@ -122,6 +126,8 @@ class AxisControls(QWidget):
         self._position: float | None = None
         self._sent: float | None = None
         self._entered = False
+        self._refusal = ""
+        self._wanted = 0.0
         self._step = 1.0
         name = QLabel()
         self.position = QLabel()
@@ -135,13 +141,8 @@ class AxisControls(QWidget):
         self.down, self.up = _button("−", f"Jog {axis} down"), _button("+", f"Jog {axis} up")
         for jog in (self.down, self.up):
             jog.setFixedWidth(30)
-        self.target = QDoubleSpinBox()
-        self.target.setRange(-FARTHEST_DEG, FARTHEST_DEG)
-        self.target.setDecimals(2)
+        self.target = NumberField(f"Angle for {axis}, degrees", -FARTHEST_DEG, FARTHEST_DEG, 2)
         self.target.setSuffix("°")
-        for each in (self.target, self.target.lineEdit()):
-            each.setAccessibleName(f"Angle for {axis}, degrees")
-        self.target.setKeyboardTracking(True)
         self.target.setMinimumWidth(self.target.fontMetrics().horizontalAdvance("−000.00°") + 34)
         self.go = _button("Go", f"Move {axis} to the angle in the field")
         self.home = _button("Home", f"Home {axis}")
@@ -165,6 +166,8 @@ class AxisControls(QWidget):
         self.home.clicked.connect(self._home)
         self.set_button.clicked.connect(self._set)
         self.target.lineEdit().returnPressed.connect(self._go_by_key)
+        self.target.refused.connect(self.refused)
+        self.target.typed.connect(self._note_entry)
         self.target.valueChanged.connect(self._note_entry)
         self.set_position(None)
 
@@ -186,11 +189,13 @@ class AxisControls(QWidget):
 
     def set_position(self, degrees: float | None) -> None:
         """Show the position."""
-        first = self._position is None and degrees is not None and not self._entered
+        first = self._position is None
         self._position = degrees
         self._show_position()
-        if first and degrees is not None:  # an angle that a person has entered stays
-            self.target.setValue(round(degrees, 2) + 0.0)
+        here = None if degrees is None else round(degrees, 2) + 0.0
+        follows = not self._entered and (first or not self._refusal)  # what a person has entered, and is done now, stays
+        if follows and here is not None and here != self.target.value():
+            self.target.setValue(here)
             self._entered = False
         self._show()
 
@@ -220,6 +225,7 @@ class AxisControls(QWidget):
         """Disable what is refused now; the reasons are the tool tips."""
         if self._settings is not None and self._settings.homing is None:
             home = home or f"{self.axis} has no homing table in the rig file; set its position instead"
+        self._refusal = move
         for button in (self.down, self.up, self.go):
             button.setEnabled(not move)
         self.set_step(self._step)
@@ -246,13 +252,13 @@ class AxisControls(QWidget):
 
     @Slot()
     def _show(self) -> None:
-        wanted = self.target.value()
+        wanted = self._wanted if self._entered else self.target.value()
         there = self._position is not None and abs(wanted - self._position) < ARRIVED_DEG
         self.bar.set_angles(self._position, None if there or self._position is None else wanted)
 
-    @Slot()
-    def _note_entry(self) -> None:
-        self._entered = True
+    @Slot(float)
+    def _note_entry(self, angle_deg: float) -> None:
+        self._entered, self._wanted = True, angle_deg
         self._show()
 
     @Slot()
@@ -266,19 +272,24 @@ class AxisControls(QWidget):
     def _jog(self, step: float) -> None:
         base = self._base
         if base is not None:
-            self.target.setValue(round(base + step, 4))
-            self._go()
+            self.target.setValue(angle := round(base + step, 4))
+            self._go_to(angle)
 
     @Slot()
     def _go_by_key(self) -> None:
         if self.go.isEnabled():
             self._go()
+        else:
+            self.refused.emit(f"{self.axis} is not moved: {self._refusal}")
 
     @Slot()
     def _go(self) -> None:
-        self.target.interpretText()
-        self._sent = self.target.value()
-        self.command.emit("move", {"axis": self.axis, "target_deg": self._sent})
+        if (angle := self.target.entered()) is not None:
+            self._go_to(angle)
+
+    def _go_to(self, angle_deg: float) -> None:
+        self._sent, self._entered = angle_deg, False
+        self.command.emit("move", {"axis": self.axis, "target_deg": angle_deg})
 
     @Slot()
     def _home(self) -> None:
@@ -287,8 +298,8 @@ class AxisControls(QWidget):
 
     @Slot()
     def _set(self) -> None:
-        self.target.interpretText()
-        self.confirm.emit(self.axis, self.target.value())
+        if (angle := self.target.entered()) is not None:
+            self.confirm.emit(self.axis, angle)
 
 
 def _short(degrees: float) -> str:

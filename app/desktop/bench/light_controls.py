@@ -6,37 +6,38 @@ from PySide6.QtCore import Signal, Slot
 from PySide6.QtWidgets import (
     QCheckBox,
     QComboBox,
-    QDoubleSpinBox,
     QGridLayout,
     QGroupBox,
     QHBoxLayout,
     QLabel,
     QPushButton,
     QSizePolicy,
-    QSpinBox,
     QWidget,
 )
+
+from goniotwin.app.desktop.bench.number_field import NumberField
 
 UNKNOWN = "unknown"
 MOST_READINGS = 1000
 
 
 class LightControls(QGroupBox):
-    """Wavelength, shutter, gain, sample and readings. `command` has a station's command and its arguments."""
+    """Wavelength, shutter, gain, sample and readings. `command` has a station's command and its arguments; `refused` why what
+    was entered is not done.
+    """
 
     command = Signal(str, object)
+    refused = Signal(str)
 
     def __init__(self) -> None:
         super().__init__("Light and readings")
         self.setAccessibleName("Light and readings")
         self._shutter_open: bool | None = None
-        self.wavelength = QDoubleSpinBox()
-        self.wavelength.setRange(0.0, 9999.0)
-        self.wavelength.setDecimals(1)
+        self.wavelength = NumberField("Wavelength, nanometres", 0.0, 9999.0, 1)
         self.wavelength.setSuffix(" nm")
         self.wavelength.setValue(550.0)
-        for field in (self.wavelength, self.wavelength.lineEdit()):
-            field.setAccessibleName("Wavelength, nanometres")
+        self._entered = False
+        self._no_wavelength = ""
         self.set_wavelength_button = _button("Set", "Set the wavelength")
         self._wavelength_now = QLabel()
         self.shutter = _button("Open", "Open the shutter")
@@ -49,18 +50,19 @@ class LightControls(QGroupBox):
         for box in (self.gain, self.sample):
             box.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
             box.setMinimumContentsLength(6)
-        self.readings = QSpinBox()
-        self.readings.setRange(1, MOST_READINGS)
+        self.readings = NumberField("Number of conversions in a reading", 1, MOST_READINGS, 0)
         self.readings.setValue(4)
         self.readings.setPrefix("× ")
-        for number in (self.readings, self.readings.lineEdit()):
-            number.setAccessibleName("Number of conversions in a reading")
         self.readings.setToolTip("Conversions that one reading is the mean of")
         self.read = _button("Read", "Read all photodiodes once")
         self.dark = _button("Dark reading", "Take a dark reading now")
         self.live = QCheckBox("Liv&e")
         self.live.setAccessibleName("Live readings")
         self._lay_out()
+        for field in (self.wavelength, self.readings):
+            field.refused.connect(self.refused)
+        self.wavelength.typed.connect(self._note_entry)
+        self.wavelength.valueChanged.connect(self._note_entry)
         self.set_wavelength_button.clicked.connect(self._set_wavelength)
         self.wavelength.lineEdit().returnPressed.connect(self._set_wavelength_by_key)
         self.shutter.clicked.connect(self._turn_shutter)
@@ -118,8 +120,9 @@ class LightControls(QGroupBox):
         self, wavelength_nm: float | None, shutter_open: bool | None, gain_v_per_a: float | None, sample: str | None, live: bool
     ) -> None:
         """Show the settings as far as they are known."""
-        if wavelength_nm is not None and not self.wavelength.hasFocus():
+        if wavelength_nm is not None and not self._entered and wavelength_nm != self.wavelength.value():
             self.wavelength.setValue(wavelength_nm)
+            self._entered = False
         self.set_wavelength_button.setToolTip(
             "Set the wavelength (Enter)" if wavelength_nm is None else f"Set the wavelength, now {wavelength_nm:g} nm (Enter)"
         )
@@ -145,6 +148,7 @@ class LightControls(QGroupBox):
             (self.dark, "read", "Read with the shutter closed; it is then as before"),
             (self.live, "live", "Read again and again; rests while anything else is read or set"),
         )
+        self._no_wavelength = refusals.get("wavelength", "")
         for control, command, tip in controls:
             reason = refusals.get(command, "")
             control.setEnabled(not reason)
@@ -156,11 +160,18 @@ class LightControls(QGroupBox):
     def _set_wavelength_by_key(self) -> None:
         if self.set_wavelength_button.isEnabled():
             self._set_wavelength()
+        else:
+            self.refused.emit(f"the wavelength is not set: {self._no_wavelength}")
+
+    @Slot()
+    def _note_entry(self) -> None:
+        self._entered = True
 
     @Slot()
     def _set_wavelength(self) -> None:
-        self.wavelength.interpretText()
-        self.command.emit("wavelength", {"nm": self.wavelength.value()})
+        if (nm := self.wavelength.entered()) is not None:
+            self._entered = False
+            self.command.emit("wavelength", {"nm": nm})
 
     @Slot()
     def _turn_shutter(self) -> None:
@@ -176,11 +187,15 @@ class LightControls(QGroupBox):
 
     @Slot()
     def _read(self) -> None:
-        self.command.emit("read", {"readings": self.readings.value()})
+        self._send_read(dark=False)
 
     @Slot()
     def _read_dark(self) -> None:
-        self.command.emit("read", {"readings": self.readings.value(), "dark": True})
+        self._send_read(dark=True)
+
+    def _send_read(self, *, dark: bool) -> None:
+        if (readings := self.readings.entered()) is not None:
+            self.command.emit("read", {"readings": int(readings), "dark": dark})
 
     @Slot(bool)
     def _set_live(self, on: bool) -> None:

@@ -69,7 +69,9 @@ class BenchScreen(Screen):
         for controls in self.axes.values():
             controls.command.connect(self._send)
             controls.confirm.connect(self._ask_about_position)
+            controls.refused.connect(self.show_refusal)
         self.light.command.connect(self._send)
+        self.light.refused.connect(self.show_refusal)
         self.instrument.blocked_shown.connect(self.bars.set_blocked)
         self.step.currentIndexChanged.connect(self._take_step)
         self._take_step()
@@ -223,6 +225,7 @@ class BenchScreen(Screen):
         self._refusals = refusals
         self._show()
 
+    @Slot(str)
     def show_refusal(self, reason: str) -> None:
         """Show why a command was refused; an empty reason removes it."""
         self._error = reason

@@ -44,6 +44,9 @@ class QuestionBox(QDialog):
         self._text = QLabel(text)
         self._text.setTextInteractionFlags(Qt.TextInteractionFlag.TextBrowserInteraction)
         self._text.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+        self._text.setAccessibleName(text)
+        self._refusal = ""
+        self._stopping = {choice.label for choice in choices if choice.stops}
         for label in (self._heading, self._text):
             label.setTextFormat(Qt.TextFormat.PlainText)
             label.setWordWrap(True)
@@ -84,14 +87,28 @@ class QuestionBox(QDialog):
         QApplication.alert(self)
         QApplication.beep()
 
+    def set_refusal(self, reason: str) -> None:
+        """Disable the answers, for this reason, but for those that stop; enabled again, the question draws the attention."""
+        if reason == self._refusal:
+            return
+        before, self._refusal = self._refusal, reason
+        for label, button in self.buttons.items():
+            if label not in self._stopping:
+                button.setEnabled(not reason)
+                button.setToolTip(reason)
+        if before:
+            self.appear()
+
     def dismiss(self) -> None:
         """Remove the question."""
         self.hide()
         self.deleteLater()
 
     def keyReleaseEvent(self, event: QKeyEvent) -> None:
-        """Report the release of Esc; Qt calls it."""
-        if not pass_on_escape(self, event):
+        """Close with Esc, and report its release; Qt calls it."""
+        if pass_on_escape(self, event):
+            self.reject()
+        else:
             super().keyReleaseEvent(event)
 
     def _button(self, choice: Choice) -> QPushButton:

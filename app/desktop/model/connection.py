@@ -12,6 +12,7 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future, wait
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -47,6 +48,7 @@ from goniotwin.app.station.connection_file import attach, connection_folder
 from goniotwin.app.station.hosting import station_of
 from goniotwin.app.station.messages import Message as StationMessage
 from goniotwin.app.station.messages import RigOpened, RowSaved, RunBegun, RunEnded, RunRefused, Snapshot
+from goniotwin.app.station.permissions import STOPPED
 from goniotwin.app.station.starting import start_station
 from goniotwin.protocols.clock import RealClock, calendar_s
 
@@ -54,6 +56,7 @@ Send = Callable[[Message], None]
 OnEvent = Callable[[StationMessage], None]
 OnEnd = Callable[[], None]
 NO_RIG = "no rig is open"
+NOT_OPENED = "stopped before the rig was open; connect again"
 LOST_S = 0.5
 """Real time without any reply after which a stop counts as lost."""
 RECORDED = " (rig)"
@@ -115,11 +118,12 @@ class StationProcesses:
 
 
 class Session:
-    """One client of one station; `leaving` when its end is expected."""
+    """One client of one station; `leaving` when its end is expected. `stops` is how many it has had when the client came."""
 
     def __init__(self, take: Callable[["Session", StationMessage], None], lost: Callable[["Session"], None]) -> None:
         self._take, self._lost = take, lost
         self.client: StationClient | None = None
+        self.stops = 0
         self.leaving = False
         self.ended = threading.Event()
 
@@ -131,6 +135,15 @@ class Session:
         """The connection has ended."""
         self.ended.set()
         self._lost(self)
+
+
+@dataclass(frozen=True)
+class Asked:
+    """When something was asked for: after how many stops of this window, and of the station that it had then."""
+
+    presses: int
+    session: Session | None
+    stops: int
 
 
 class Connection:
@@ -150,8 +163,10 @@ class Connection:
         self._planning = threading.Lock()
         self._person = False
         self._closing = False
-        self._stops = 0
-        self._starts: deque[int] = deque()
+        self._presses = 0
+        self._stopping = threading.Lock()
+        self._openings = 0
+        self._starts: deque[Asked] = deque()
         self._pending: list[Future[dict[str, Any]]] = []
         self._wall = RealClock()
         self._tasks: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
@@ -182,8 +197,13 @@ class Connection:
         return list(self.snapshot.orders)
 
     def open(self, rig: Path) -> None:
-        """Attach to the station of a rig, or start one. The rig that is open, this one too, is given back before."""
-        self._tasks.put(lambda: self._open(rig))
+        """Attach to the station of a rig, or start one. The rig that is open, this one too, is given back before.
+
+        Not after a stop; and not after another opening was asked for.
+        """
+        self._openings += 1
+        opening, presses = self._openings, self._presses
+        self._tasks.put(lambda: self._open(rig, presses, opening))
 
     def load(self, schedule: Path) -> None:
         """Read a schedule and make the plan for the rig."""
@@ -191,20 +211,18 @@ class Connection:
 
     def start(self, plan: Plan, folder: Path) -> None:
         """Measure a plan into a new journal in `folder`, which is created if it does not exist."""
-        self._starts.append(self._stops)
+        self._starts.append(self._asked_now())
         self._tasks.put(lambda: self._start(plan, folder))
 
     def resume_journal(self, journal: Path) -> None:
         """Continue the campaign of a journal; a station is started first if there is none."""
-        self._starts.append(self._stops)
+        self._starts.append(self._asked_now())
         self._tasks.put(lambda: self._resume_journal(journal))
 
     def stop(self) -> None:
-        """Bring all axes to rest and end what is in progress. Reported by StopReport."""
-        self._stops += 1  # before it is sent: a start that is waiting is not sent any more
-        self._send_stop()
-
-    def _send_stop(self) -> None:
+        """Bring all axes to rest and end what is in progress, or has been asked for. Reported by StopReport."""
+        with self._stopping:  # the line of a start is written before that of the stop, or not at all
+            self._presses += 1
         client = self._client
         if client is None:
             self._send(StopReport(confirmed=False, lost=True))
@@ -291,15 +309,19 @@ class Connection:
 
     def _send_start(self, command: str, **arguments: Any) -> None:
         """Send the command for a run, unless there was a stop since it was asked for. Raises UserError, TimeoutError."""
-        client, stops = self._client, self._starts[0]
-        if client is None:
-            raise UserError(NO_RIG)
-        if self._stops != stops:
-            raise UserError("stopped before the start")
-        answer = client.send(command, **arguments)
-        if self._stops != stops:  # its line may have been sent before that of the run
-            self._send_stop()
+        session, asked = self._session, self._starts[0]
+        with self._stopping:
+            if self._presses != asked.presses:
+                raise UserError(STOPPED)
+            if session is None or session.client is None:
+                raise UserError(NO_RIG)
+            stops = asked.stops if session is asked.session else session.stops
+            answer = session.client.send(command, stops=stops, **arguments)
         answer.result(COMMAND_S)
+
+    def _asked_now(self) -> Asked:
+        session = self._session
+        return Asked(self._presses, session, session.client.snapshot.stops if session and session.client else 0)
 
     def _work(self) -> None:
         while True:
@@ -316,8 +338,14 @@ class Connection:
             except Exception as error:  # noqa: BLE001  (of any library: reported, and the window stays open)
                 self._send(NotAttached(f"unexpected error: {type(error).__name__}: {error}"))
 
-    def _open(self, rig: Path) -> None:
-        if self._closing:
+    def _open(self, rig: Path, presses: int, opening: int) -> None:
+        def given_up() -> bool:
+            return self._closing or self._presses != presses or self._openings != opening
+
+        if self._closing or self._openings != opening:
+            return
+        if self._presses != presses:
+            self._send(NotAttached(NOT_OPENED))
             return
         self._leave()
         self._rig_path = rig
@@ -326,15 +354,20 @@ class Connection:
             client = self._stations.attach(rig, self._name, session.on_event, session.on_end)
             found = client is not None
             if client is None:
-                client = self._stations.start(
-                    rig, self._speed, self._name, session.on_event, session.on_end, lambda: self._closing
-                )
+                client = self._stations.start(rig, self._speed, self._name, session.on_event, session.on_end, given_up)
         except (UserError, TimeoutError) as error:
+            if self._openings != opening:
+                return
+            if self._presses != presses:
+                self._send(NotAttached(NOT_OPENED))
+                return
             silent = isinstance(error, TimeoutError)
             self._send(NotAttached(f"{rig}: its station does not answer; wait, or end its process" if silent else str(error)))
             self._send(PlanRefused(NO_RIG))
             return
         self._begin_session(session, client, found)
+        if found and self._presses != presses:  # meant for what that station does
+            client.send("stop")
 
     def _look(self) -> None:
         """Attach to a station of the rig that another program has started meanwhile. Nothing is opened."""
@@ -350,7 +383,7 @@ class Connection:
         if self._closing:
             client.close()
             return
-        session.client = client
+        session.client, session.stops = client, client.snapshot.stops
         self._session = session
         self._send(Attached(client.name, client.snapshot, found, client.dropped, client.attached_s))
         self._show(client.snapshot)
@@ -457,7 +490,7 @@ class Connection:
         """Continue a campaign, with the operator of its journal."""
         try:
             if self._client is None and self._rig_path is not None:
-                self._open(self._rig_path)
+                self._open(self._rig_path, self._starts[0].presses, self._openings)
             if (client := self._client) is not None:
                 self._wait_for_rig(client)
             self._send_start("continue", journal=str(journal.absolute()))
@@ -469,7 +502,10 @@ class Connection:
     def _wait_for_rig(self, client: StationClient) -> None:
         """Wait until a station that has just been started has connected its devices."""
         until = self._wall.now() + END_S
+        presses = self._starts[0].presses
         while client.snapshot.rig is None and not client.snapshot.closed and not client.ended and self._wall.now() < until:
+            if self._presses != presses:
+                return
             self._wall.sleep_until(self._wall.now() + 0.05)
 
     # ---- answers ----

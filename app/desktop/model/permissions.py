@@ -12,7 +12,8 @@ from goniotwin.app.station.permissions import allowed, watching
 class Permissions:
     """Whether each control is enabled. `no_start` is the reason why Start is not, in one line; empty if it is.
 
-    `refusals` has the reason for each command of the station, empty where it is allowed for this window.
+    `refusals` has the reason for each command of the station, empty where it is allowed for this window; `watching` is why it
+    only watches, empty if it operates.
     """
 
     no_start: str
@@ -22,6 +23,7 @@ class Permissions:
     open: bool
     finish_cut: bool
     refusals: dict[str, str]
+    watching: str
 
 
 def permissions(
@@ -51,4 +53,5 @@ def permissions(
         open=not busy and not opening and station.operated_by(name),
         finish_cut=begins or not refusals["finish_cut"],
         refusals=refusals,
+        watching=watching(station, name, "answer"),
     )

@@ -113,6 +113,8 @@ class RunPanel(QWidget):
             "goes on with the next cut"
         )
         self.stop_button.setEnabled(permissions.stop)
+        self.speeds.setEnabled(not permissions.watching)
+        self.speeds.setToolTip(permissions.watching or "Simulation speed")
 
     def set_unfinished(self, text: str) -> None:
         """Offer to resume an unfinished campaign of this schedule; `text` names it, empty where there is none."""

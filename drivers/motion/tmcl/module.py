@@ -57,6 +57,8 @@ PATIENT_TIMEOUT_S = 0.5
 ATTEMPTS, PATIENT_ATTEMPTS = 2, 3
 HEARTBEAT_S = 2.0
 STOPPING_S = 1.0
+TURNING_S = 0.1
+"""Time between two questions whether a motor turns."""
 RESYNCHRONISATIONS = 2
 EVENTS_KEPT = 100
 
@@ -142,7 +144,10 @@ class TmclModule:
         if not self.found.changes:
             return
         with self.patiently():
-            if self._turning(motors):
+            stopped = self._clock.now() + STOPPING_S
+            while (turning := self._turning(motors)) and self._clock.now() < stopped:  # a stop may be bringing it to rest
+                self._clock.sleep_until(self._clock.now() + TURNING_S)
+            if turning:
                 self._clock.sleep_until(self._clock.now() + self.heartbeat_s + STOPPING_S)
                 if turning := self._turning(motors):
                     raise DeviceError(self.name, "restore its settings", f"motor {turning[0]} turns", "connect it again")

@@ -22,7 +22,15 @@ from goniotwin.app.desktop.rig.panels import answered_text
 from goniotwin.app.desktop.rig.screen import RigScreen
 from goniotwin.app.desktop.theme import DARK, LIGHT
 from goniotwin.app.rig import read_rig
-from goniotwin.app.station.messages import DeviceChanged, DeviceStatus, Message, Snapshot, SpeedChanged, advance
+from goniotwin.app.station.messages import (
+    ActivityChanged,
+    DeviceChanged,
+    DeviceStatus,
+    Message,
+    Snapshot,
+    SpeedChanged,
+    advance,
+)
 from goniotwin.app.station.permissions import allowed
 from goniotwin.app.station.station import CommandRefused, Station
 from goniotwin.protocols.clock import VirtualClock
@@ -126,6 +134,52 @@ def test_steps_of_a_jog_add_up(desk: Desk) -> None:
     desk.press(sigma.down)
     assert desk.commands[-1] == ("move", {"axis": "sigma", "target_deg": 0.2})
     assert sigma.position.text() == "0.20°"
+
+
+@pytest.mark.parametrize(
+    ("typed", "moved"), [("30,5", 30.5), ("1e309", None), ("1.234,5", None), ("1,000", 1.0), ("30.005", None), ("", None)]
+)
+def test_a_number_is_what_was_typed_or_refused(desk: Desk, typed: str, moved: float | None) -> None:
+    """A comma drove an axis to ten times the angle."""
+    sigma = desk.bench.axes["sigma"]
+    sigma.target.setFocus()
+    desk.go("sigma", typed) if typed else desk.go("sigma", "\b")
+    assert [each["target_deg"] for _, each in desk.commands] == ([] if moved is None else [moved])
+    assert ("give a number" in desk.bench.status.text()) == (moved is None)
+    assert sigma.target.value() == (moved or 0.0)
+    desk.bench.light.readings.selectAll()
+    desk.qtbot.keyClicks(desk.bench.light.readings, "1,5")
+    desk.press(desk.bench.light.read)
+    assert [name for name, _ in desk.commands if name == "read"] == []
+    assert "whole" in desk.bench.status.text()
+
+
+def test_fields_have_what_is_there_unless_it_is_being_edited(desk: Desk) -> None:
+    """Enter in a field with an old angle drove there."""
+    sigma, light = desk.bench.axes["sigma"], desk.bench.light
+    desk.station.move("sigma", 20.0)  # as a run does, or another window
+    desk.settle()
+    assert sigma.target.value() == 20.0
+    desk.qtbot.keyClicks(sigma.target, "7")
+    desk.station.move("sigma", 25.0)
+    desk.settle()
+    assert sigma.target.value() == 20.0
+    assert "7" in sigma.target.text()
+    desk.station.wavelength(600.0)
+    desk.settle()
+    light.wavelength.selectAll()
+    desk.qtbot.keyClicks(light.wavelength, "9000")
+    desk.qtbot.keyClick(light.wavelength, Qt.Key.Key_Return)
+    assert "9000 nm" in desk.bench.status.text()
+    assert "schedule" not in desk.bench.status.text()
+    assert light.wavelength.value() == 600.0
+
+
+def test_enter_during_a_move_says_that_nothing_is_done(desk: Desk) -> None:
+    desk.show(ActivityChanged("moving sigma to 30 deg"))
+    desk.go("beta", "10")
+    assert desk.commands == []
+    assert desk.bench.status.text() == "✗ beta is not moved: moving sigma to 30 deg"
 
 
 def test_a_refused_move_gives_its_reason_and_moves_nothing(desk: Desk) -> None:

@@ -36,7 +36,7 @@ def test_bench_run_and_resume_by_keys(
     open_window(schedule=write_schedule(text=SMALL.replace("[0, 1]", "[0, 1, 2, 3]")), speed=20.0)
     wait_for(qtbot, "Ready to start.")
     press("Ctrl+1")
-    wait_for(qtbot, "Ports", "Disk")
+    wait_for(qtbot, "Ports", "Disk", "σ 0.00°")
     press("Alt+E")
     wait_for(qtbot, "[A person is the operator] (checked)")
     press("Ctrl+2", "Alt+J", "End")

@@ -10,8 +10,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from PySide6.QtCore import QTimer
-from PySide6.QtWidgets import QApplication
+from PySide6.QtCore import Qt, QTimer
+from PySide6.QtTest import QSignalSpy, QTest
+from PySide6.QtWidgets import QApplication, QWidget
 from pytestqt.qtbot import QtBot
 
 from goniotwin.app.campaign.journal.following import JournalFollower
@@ -21,6 +22,7 @@ from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.reduction.reduction import reduce_journal
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.running.events import Positions, RowCommitted, RowStarted, State
+from goniotwin.app.campaign.running.question import Answer
 from goniotwin.app.campaign.schedule.file import ScheduleDescription
 from goniotwin.app.desktop import STOPPED, MainWindow, run_desktop
 from goniotwin.app.desktop.bench.screen import BenchScreen
@@ -511,6 +513,65 @@ def test_what_is_pressed_right_after_start_is_not_lost(
         assert not journals.exists()
 
 
+def test_a_stop_right_after_the_letter_of_start(qtbot: QtBot, window: MainWindow, journals: Path) -> None:
+    """Qt clicks a button 0.1 s after its letter: that is after the stop."""
+    window.activateWindow()
+    qtbot.waitUntil(window.isActiveWindow)
+    clicked = QSignalSpy(window.view.run.start_button.clicked)
+    press("Alt+S", "Ctrl+.")
+    qtbot.wait(250)
+    assert clicked.count() == 0
+    assert not journals.exists()
+    press("Alt+S")
+    qtbot.waitUntil(lambda: clicked.count() == 1, timeout=READY_MS)
+
+
+def test_a_stop_of_another_window_cancels_a_start_that_waits(
+    qtbot: QtBot, open_window: WindowOpener, journals: Path, stations: LocalStations
+) -> None:
+    window, other = ready(qtbot, open_window(speed=20.0)), open_window()
+    busy = threading.Event()
+    window.connection._tasks.put(busy.wait)  # type: ignore[arg-type]
+    click(window.view.run.start_button)
+    qtbot.waitUntil(other.view.run.stop_button.isEnabled, timeout=READY_MS)
+    click(other.view.run.stop_button)
+    qtbot.waitUntil(lambda: stations.station.snapshot.stops == 1, timeout=READY_MS)
+    busy.set()
+    qtbot.waitUntil(lambda: any("stopped before" in each.what for each in window.view.log.entries), timeout=READY_MS)
+    assert window.presenter.state is State.IDLE
+    assert not journals.exists()
+
+
+@pytest.mark.parametrize("resumes", [False, True])
+def test_a_stop_cancels_an_opening_and_the_resume_that_waits_for_it(
+    qtbot: QtBot, open_window: WindowOpener, stations: LocalStations, journals: Path, resumes: bool
+) -> None:
+    stations.coming_up.clear()
+    window = open_window()
+    if resumes:
+        window.connection.resume_journal(journals / "none.journal")
+    window.connection.stop()
+    qtbot.waitUntil(lambda: any("stopped before the rig" in each.what for each in window.view.log.entries), timeout=READY_MS)
+    if resumes:
+        qtbot.waitUntil(lambda: any("stopped before the st" in each.what for each in window.view.log.entries), timeout=READY_MS)
+    assert stations.hosts == []
+    stations.coming_up.set()
+    click(window.view.rig.again_button)
+    ready(qtbot, window)
+
+
+def test_of_two_openings_the_second_holds(
+    qtbot: QtBot, open_window: WindowOpener, stations: LocalStations, write_rig: Writer
+) -> None:
+    stations.coming_up.clear()
+    window = open_window(rig=RIG.with_name("none.toml"))
+    window._open_rig(rig := write_rig())
+    stations.coming_up.set()
+    ready(qtbot, window)
+    assert [each.rig for each in stations.hosts] == [rig]
+    assert not [each.what for each in window.view.log.entries if "none.toml" in each.what]
+
+
 def test_a_window_is_gone_at_once_though_its_station_is_still_starting(
     open_window: WindowOpener, stations: LocalStations
 ) -> None:
@@ -569,6 +630,58 @@ def test_two_windows_one_operates_both_can_stop(qtbot: QtBot, open_window: Windo
     assert len(stations.hosts) == 1
 
 
+def test_a_watcher_sees_the_question_and_the_speed_and_changes_neither(
+    qtbot: QtBot, open_window: WindowOpener, stations: LocalStations
+) -> None:
+    one, two = ready(qtbot, open_window()), open_window()
+    click(one.view.rig.person)
+    click(one.view.run.start_button)
+    qtbot.waitUntil(lambda: two.question is not None and bool(two.presenter.permissions.watching), timeout=READY_MS)
+    question = two.question
+    assert question is not None
+    assert not question.buttons["Mounted"].isEnabled()
+    assert not two.view.run.speeds.isEnabled()
+    two.connection.answer(two._asked, Answer.MOUNTED)  # refused by the station as well
+    question.hide()
+    qtbot.waitUntil(lambda: "operates this rig" in two.view.status, timeout=READY_MS)
+    assert two.question is question
+    assert question.isVisible()
+    assert "Mount" in two.view.question.text
+    click(two.view.notice.button)
+    qtbot.waitUntil(question.buttons["Mounted"].isEnabled, timeout=READY_MS)
+    assert two.view.run.speeds.isEnabled()
+    assert one.question is not None
+    qtbot.waitUntil(lambda: not one.question.buttons["Mounted"].isEnabled(), timeout=READY_MS)  # type: ignore[union-attr]
+    shown = one.question
+    click(question.buttons["Mounted"])
+    qtbot.waitUntil(lambda: one.question is not shown and two.question is not question, timeout=READY_MS)
+
+
+def test_the_status_keeps_the_question_and_the_pause_key_takes_its_pause_back(qtbot: QtBot, open_window: WindowOpener) -> None:
+    window = ready(qtbot, open_window())
+    click(window.view.rig.person)
+    click(window.view.run.start_button)
+    qtbot.waitUntil(lambda: window.question is not None, timeout=READY_MS)
+    seen: list[State] = []
+    window.presenter.message_shown.connect(lambda _message: seen.append(window.presenter.station.state))
+    for _ in range(2):
+        click(window.view.run.pause_button)
+    qtbot.waitUntil(lambda: State.PAUSING in seen and seen[-1] is State.RUNNING, timeout=READY_MS)
+    assert window.view.status.startswith("Waiting for the operator: Mount")
+    click(window.view.run.finish_button)
+    assert window.view.status.startswith("Waiting for the operator: Mount")
+    assert window.view.status.endswith("The run ends after this cut.")
+    press("Ctrl+Q")  # the focus is in the question
+    closing = window.close_question
+    assert closing is not None
+    assert all(each.accessibleName() for each in closing.findChildren(QWidget) if each.focusPolicy() & Qt.FocusPolicy.TabFocus)
+    QTest.keyRelease(closing, Qt.Key.Key_Escape)
+    assert not closing.isVisible()
+    assert window.isVisible()
+    press("Ctrl+Q", "Ctrl+Q")
+    assert not window.isVisible()
+
+
 def test_a_station_that_dies_is_reported_and_the_run_is_resumed_with_one_key(
     qtbot: QtBot, open_window: WindowOpener, stations: LocalStations
 ) -> None:
@@ -610,7 +723,7 @@ def test_a_station_that_dies_at_rest_is_connected_again(qtbot: QtBot, window: Ma
 def test_a_rig_that_another_window_gives_back_is_no_emergency(
     qtbot: QtBot, open_window: WindowOpener, stations: LocalStations, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As by Connect again there: this window says who gave it back, and shows the next station."""
+    """As by Connect again there: this window names the other one, and shows the next station."""
     one, two = open_window(), open_window()
     for each in (one, two):
         ready(qtbot, each)

@@ -128,13 +128,14 @@ def test_a_wrong_token_is_no_station(server: StationServer) -> None:
 
 
 @pytest.mark.parametrize("first", [
-    b"POST / HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n", b"{}\n", b" " * (LONGEST_LINE + 2) + b"\n", b'{"do": "stop"}\n',
-], ids=["POST", "no token", "long", "stop"])  # fmt: skip
+    b"POST / HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n", b"{}\n", b'{"protocol": true, "token": "TOKEN"}\n',
+    b" " * (LONGEST_LINE + 2) + b"\n", b'{"do": "stop"}\n',
+], ids=["POST", "no token", "protocol", "long", "stop"])  # fmt: skip
 def test_what_is_no_hello_learns_nothing(server: StationServer, first: bytes, station: Station) -> None:
     stopped: list[int] = []
     note_stops(station, stopped)
     with socket.create_connection((LOOPBACK, server.port), timeout=LONGEST_S) as end:
-        end.sendall(first + b'{"do": "stop", "id": 1}\n')
+        end.sendall(first.replace(b"TOKEN", server.token.encode()) + b'{"do": "stop", "id": 1}\n')
         with contextlib.suppress(ConnectionError):
             assert end.recv(100) == b""
     assert server.clients == []
@@ -159,12 +160,26 @@ def test_a_later_line_that_is_too_long_ends_the_connection(server: StationServer
     until(lambda: server.clients == [])
 
 
+def test_an_answer_is_json_whatever_the_number_of_the_command(server: StationServer) -> None:
+    end = connect(server.port, server.token, LONGEST_S, client="odd")
+    assert end.receive() is not None
+    for number, answer in ((float("nan"), None), ({"a": 1}, None), ("x", "x"), (3, 3)):
+        end.send({"do": "pause", "id": number})
+        while "answer" not in (line := end.receive(LONGEST_S) or {"answer": "none"}):  # events
+            pass
+        assert line["answer"] == answer
+    end.hang_up()
+    end.close()
+
+
 @pytest.mark.parametrize(("command", "arguments", "error"), [
     ("pause", {}, "no run is in progress"),
     ("move", {"axis": "sigma", "target_deg": 3.0}, "opening the rig"),
     ("move", {"axis": "sigma"}, "target_deg"),
     ("move", {"axis": "sigma", "target_deg": "far"}, "target_deg"),
     ("move", {"axis": "sigma", "target_deg": 1.0, "quickly": True}, "quickly"),
+    ("move", {"axis": "\ud800", "target_deg": 1.0}, "axis: has characters"),
+    ("start", {"schedule": "a\0b", "folder": "."}, "schedule: has characters"),
     ("close_rig", {}, "there is no command"),
     ("__init__", {}, "there is no command"),
     ("answer", {"question": 1, "choice": "Perhaps"}, "choice"),

@@ -17,10 +17,12 @@ from goniotwin.app.campaign.running.question import Answer, Question
 from goniotwin.app.cli.campaign import TerminalAsk
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import open_rig, parse_rig, read_rig
-from goniotwin.app.station import hosting, starting
-from goniotwin.app.station.connection_file import Connection, attach, connection_folder, write_connection
+from goniotwin.app.station import connection_file, hosting, starting
+from goniotwin.app.station.client import StationClient
+from goniotwin.app.station.connection_file import Connection, attach, connection_folder, known_stations, write_connection
 from goniotwin.app.station.hosting import HostedRun, connection_path, serving, station_of
-from goniotwin.app.station.messages import QuestionAsked
+from goniotwin.app.station.messages import QuestionAsked, RunBegun
+from goniotwin.app.station.process import run_station
 from goniotwin.app.station.station import Station
 from goniotwin.protocols.channel import PROTOCOL
 from goniotwin.protocols.clock import RealClock
@@ -102,20 +104,93 @@ def test_a_rig_is_found_by_its_devices(write_rig: Writer, tmp_path: Path) -> Non
     assert station_of(rig) is None
 
 
+def test_a_station_of_another_rig_file_is_not_used(
+    station: tuple[Station, Path], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Its soft limits are others. A link to the file is the same one. A station that is silent is named."""
+    _, rig = station
+    link = tmp_path / "link.toml"
+    link.symlink_to(rig)
+    assert station_of(link) == station_of(rig)
+    with monkeypatch.context() as patch:
+        patch.setattr(StationClient, "do", raise_timeout)
+        silent = invoke("move", "--rig", link, "beta", "12")
+    assert (silent.returncode, "station does not answer" in silent.stderr) == (1, True)
+    rig.write_text(rig.read_text(encoding="utf-8") + "\n", encoding="utf-8")
+    other = invoke("move", "--rig", rig, "beta", "12")
+    assert (other.returncode, "another rig file" in other.stderr) == (2, True)
+
+
+def full_disk(*_: object) -> None:
+    raise OSError("No space left on device")
+
+
+def raise_timeout(*_: object, **_more: object) -> None:
+    raise TimeoutError
+
+
+@pytest.mark.parametrize(
+    "content", ["", "{{{", "[]", "x" * 100_000, '{"protocol": true}'], ids=["empty", "braces", "list", "long", "true"]
+)
+def test_a_connection_file_that_is_none_is_removed(tmp_path: Path, content: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(connection_file, "connection_folder", lambda: tmp_path)
+    path = tmp_path / "x.json"
+    for find in (lambda: attach(path, "client"), known_stations):
+        path.write_text(content, encoding="utf-8")
+        assert not find()
+        assert not path.exists()
+    path.write_text('{"protocol": 2}', encoding="utf-8")
+    assert not known_stations()
+    assert attach(path, "client") is None
+    assert path.exists()  # of another version
+
+
+def test_without_a_place_for_its_file_a_station_says_so_and_a_run_measures(
+    write_rig: Writer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig, path = read_rig(write_rig()), tmp_path / "x.json"
+    monkeypatch.setattr("goniotwin.app.station.hosting.connection_path", lambda _: path)
+    path.mkdir()
+    warnings: list[str] = []
+    for place, reason in ((path, "x.json: .*Is a directory"), (tmp_path / "x.json" / "y" / "z.json", "is not a folder")):
+        if place != path:
+            path.rmdir()
+            path.touch()
+            path = place
+        with pytest.raises(UserError, match=reason), serving(Station(), rig):
+            pass
+        with pytest.raises(UserError, match=reason):
+            run_station(Path(rig.name), 1.0, full_disk)
+    with contextlib.ExitStack() as stack:
+        run = HostedRun(1.0, stack, warnings.append)
+        run.open(rig)
+        assert (run.server, len(warnings), "nobody can attach" in warnings[0]) == (None, 1, True)
+        run.close_rig()
+
+
+def test_who_comes_second_waits_for_the_file_of_the_first(write_rig: Writer, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first one has the lock before its file is there."""
+    rig, path = write_rig(), Path("first.json")
+    looks = iter([None, None, path])
+    monkeypatch.setattr(starting, "_start", lambda *_: subprocess.Popen([sys.executable, "-S", "-c", ""]))
+    monkeypatch.setattr(starting, "station_of", lambda _: next(looks))
+    monkeypatch.setattr(starting, "attach", lambda path, *_: path)
+    assert starting.start_station(rig, 1.0, "second") is path  # type: ignore[comparison-overlap]
+
+
 def test_a_station_that_does_not_serve_leaves_nothing(write_rig: Writer, monkeypatch: pytest.MonkeyPatch) -> None:
     rig = read_rig(write_rig())
     before = set(connection_folder().glob("*"))
-
-    def full_disk(*_: object) -> None:
-        raise OSError("No space left on device")
-
     with monkeypatch.context() as patch:
         patch.setattr("goniotwin.app.station.hosting.write_connection", full_disk)
-        with pytest.raises(OSError, match="No space"), serving(Station(), rig):
+        with pytest.raises(UserError, match="No space"), serving(Station(), rig):
             pass
     assert set(connection_folder().glob("*")) == before
-    with serving(Station(), rig):  # its lock and port are free
-        pass
+    station = Station()
+    with serving(station, rig), monkeypatch.context() as patch:  # its lock and port are free
+        patch.setattr("goniotwin.app.station.hosting.write_connection", full_disk)
+        station.board.publish(RunBegun(Path("x.journal"), "x", 0, 1, 1.0))  # the run begins, and the file stays
+        assert known_stations()[connection_path(rig)].journal == ""
 
 
 def test_a_station_that_does_not_come_up_is_ended(write_rig: Writer, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -136,7 +211,7 @@ def test_a_station_that_does_not_come_up_is_ended(write_rig: Writer, monkeypatch
 
 
 def test_a_station_that_hangs_is_named(write_rig: Writer, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("goniotwin.app.station.client.ANSWER_S", 0.1)
+    monkeypatch.setattr("goniotwin.app.station.client.ATTACH_S", 0.1)
     rig = write_rig()
     path = connection_path(read_rig(rig))
     with socket.create_server(("127.0.0.1", 0)) as silent:
@@ -145,7 +220,10 @@ def test_a_station_that_hangs_is_named(write_rig: Writer, monkeypatch: pytest.Mo
         write_connection(path, Connection(PROTOCOL, 1, socket.gethostname(), port, "x", str(rig), "", ""))
         hung = invoke("here", "--rig", rig, "sigma", "0")
         assert (hung.returncode, "its station does not answer" in hung.stderr) == (2, True)
-        path.unlink()
+        dead = subprocess.run([sys.executable, "-S", "-c", "import os; print(os.getpid())"], capture_output=True, check=True)
+        write_connection(path, Connection(PROTOCOL, int(dead.stdout), socket.gethostname(), port, "x", str(rig), "", ""))
+        assert attach(path, "next") is None
+        assert not path.exists()  # of a process that has ended: its port is another program's
 
 
 def test_a_second_station_of_a_virtual_rig_is_refused(station: tuple[Station, Path]) -> None:

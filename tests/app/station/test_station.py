@@ -9,9 +9,10 @@ from pathlib import Path
 import pytest
 
 from goniotwin.app.campaign.journal.summary import campaign_summary
-from goniotwin.app.campaign.running.events import EventLogged, Positions, SafetyOrder, State, StateChanged
+from goniotwin.app.campaign.running.events import EventLogged, Positions, RowStarted, SafetyOrder, State, StateChanged
 from goniotwin.app.campaign.running.question import Answer
-from goniotwin.app.rig import read_rig
+from goniotwin.app.campaign.running.stop import StopRequest
+from goniotwin.app.rig import OpenRig, read_rig
 from goniotwin.app.station.messages import (
     ActivityChanged,
     BenchReading,
@@ -29,8 +30,9 @@ from goniotwin.app.station.messages import (
     encode,
 )
 from goniotwin.app.station.permissions import COMMANDS, allowed
+from goniotwin.app.station.server import StationServer
 from goniotwin.app.station.station import CommandRefused, Station
-from goniotwin.drivers import Rig
+from goniotwin.drivers import DeviceError, Monochromator, Pending, Rig
 from goniotwin.drivers.errors import NoAnswer
 from goniotwin.drivers.photodiodes.array import PhotodiodeArray
 from goniotwin.protocols.clock import VirtualClock
@@ -150,6 +152,86 @@ def test_live_readings_switched_on_before_a_move_do_not_end_it(bench: StationBen
     assert bench.station.snapshot.positions["sigma"] == pytest.approx(30.0, abs=0.1)
 
 
+def test_a_move_that_is_asked_for_at_the_end_of_a_start_is_in_progress_until_it_has_arrived(
+    bench: StationBench, tmp_path: Path
+) -> None:
+    """The end of one activity is not that of the next: a second motion would begin, and SIGTERM would stop neither."""
+    at_end: list[float] = []
+
+    def react(message: Message) -> None:
+        if isinstance(message, RunRefused):
+            bench.station.move("sigma", 30.0)
+        if isinstance(message, ActivityChanged) and not message.activity:
+            at_end.append(bench.station.snapshot.positions.get("sigma", 0.0))
+
+    bench.reactions.append(react)
+    bench.station.start(tmp_path / "none.toml", tmp_path)
+    bench.work()
+    assert at_end == [pytest.approx(30.0, abs=0.1)]
+
+
+def test_the_rig_is_closed_after_the_stops_in_progress(bench: StationBench, monkeypatch: pytest.MonkeyPatch) -> None:
+    """One that finds a closed port would order to cut the motors' power."""
+    done: list[str] = []
+    begun, go_on, close = threading.Event(), threading.Event(), OpenRig.close
+
+    def stop(_request: StopRequest) -> list[DeviceError]:
+        begun.set()
+        go_on.wait(5.0)
+        done.append("stopped")
+        return []
+
+    monkeypatch.setattr(StopRequest, "stop", stop)
+    monkeypatch.setattr(OpenRig, "close", lambda opened: (done.append("closed"), close(opened)))
+    thread = threading.Thread(target=bench.station.stop)
+    thread.start()
+    assert begun.wait(5.0)
+    threading.Timer(0.02, go_on.set).start()
+    bench.station.close_rig()
+    thread.join()
+    assert done == ["stopped", "closed"]
+
+
+def test_the_shutter_is_closed_after_the_last_of_many_stops(
+    bench: StationBench, write_schedule: Writer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each of them aborts what the monochromator does."""
+    start, closings = Monochromator.start_shutter, 0
+
+    def start_and_stop(monochromator: Monochromator, *, opened: bool) -> Pending:
+        nonlocal closings
+        if bench.station.snapshot.state is State.STOPPING and (closings := closings + 1) < 6:
+            bench.clock.at(bench.clock.now() + 0.05, bench.station.stop)
+        return start(monochromator, opened=opened)
+
+    def react(message: Message) -> None:
+        if isinstance(message, RowStarted) and bench.virtual.plant.shutter_open.at(bench.clock.now()):
+            bench.station.stop()
+
+    monkeypatch.setattr(Monochromator, "start_shutter", start_and_stop)
+    bench.reactions.append(react)
+    bench.station.start(write_schedule(), tmp_path)
+    now = bench.work()
+    assert (now.state, closings) == (State.IDLE, 6)
+    assert now.orders == ()
+    assert not bench.virtual.plant.shutter_open.at(bench.clock.now())
+
+
+@pytest.mark.parametrize("name", ["x" * 300, "a\0b", "\ud800"], ids=["long", "NUL", "surrogate"])
+def test_a_path_that_the_system_refuses_is_one_line_and_the_rig_stays(
+    bench: StationBench, write_schedule: Writer, tmp_path: Path, name: str
+) -> None:
+    for schedule, folder in ((None, tmp_path / name), (tmp_path / name, tmp_path), (write_schedule(), tmp_path / name)):
+        if schedule is None:
+            bench.station.resume_journal(folder)
+        else:
+            bench.station.start(schedule, folder)
+        assert bench.work().rig is not None
+        assert bench.station.snapshot.activity == ""
+    assert len(bench.of(RunRefused)) == 3
+    assert all(decode(encode(each)) == each for each in bench.events)
+
+
 def test_no_command_begins_when_the_rig_is_being_given_back(
     bench: StationBench, write_schedule: Writer, tmp_path: Path
 ) -> None:
@@ -245,8 +327,100 @@ def test_a_stop_before_a_move_has_begun(bench: StationBench) -> None:
     assert bench.virtual.plant.angle_deg("sigma", bench.clock.now()) == 0.0
 
 
+def test_no_command_is_accepted_while_a_stop_is_carried_out(
+    bench: StationBench, write_schedule: Writer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It would clear the request of that stop, and begin."""
+    refused = []
+
+    def stop(_request: StopRequest) -> list[DeviceError]:
+        commands: tuple[Callable[[], None], ...] = (
+            lambda: bench.station.start(write_schedule(), tmp_path), lambda: bench.station.live(on=True),
+        )  # fmt: skip
+        for command in commands:
+            with pytest.raises(CommandRefused, match="being stopped") as error:
+                command()
+            refused.append(error)
+        return []
+
+    monkeypatch.setattr(StopRequest, "stop", stop)
+    bench.station.stop()
+    assert len(refused) == 2
+    bench.station.start(write_schedule(), tmp_path)
+
+
+def test_what_was_asked_for_before_a_stop_does_not_begin_after_it(bench: StationBench) -> None:
+    """The line of a client waits somewhere while another one stops."""
+    server = StationServer(bench.station)
+    try:
+        asked = {"axis": "sigma", "target_deg": 30.0, "stops": bench.station.snapshot.stops}
+        bench.station.stop()
+        with pytest.raises(CommandRefused, match="stopped before the start"):
+            server._command("a", "move", dict(asked))
+        server._command("a", "move", {**asked, "stops": bench.station.snapshot.stops})
+    finally:
+        server._server.stop()
+
+
+def test_a_stop_before_a_run_or_its_resume_has_begun(bench: StationBench, write_schedule: Writer, tmp_path: Path) -> None:
+    bench.station.start(write_schedule(), tmp_path)
+    bench.station.stop()
+    bench.work()
+    assert [each.reason for each in bench.of(RunRefused) if isinstance(each, RunRefused)] == ["stopped before the start"]
+    bench.station.start(write_schedule(), tmp_path)
+    bench.reactions.append(lambda message: bench.station.stop() if isinstance(message, RowStarted) else None)
+    bench.work()
+    bench.reactions.clear()
+    (journal,) = tmp_path.glob("*.journal")
+    bench.events.clear()
+    bench.station.resume_journal(journal)
+    bench.station.stop()
+    bench.work()
+    assert [each.reason for each in bench.of(RunRefused) if isinstance(each, RunRefused)] == ["stopped before the start"]
+    assert not bench.of(RunBegun)
+
+
+def test_live_readings_after_a_stop(bench: StationBench) -> None:
+    """The station died of its own stop request."""
+    bench.station.stop()
+    bench.station.live(on=True)
+    bench.work()
+    bench.station._poll_live()
+    assert bench.work().bench.live
+    bench.station.stop()
+    bench.station._on_bench()._set(gain=None)
+    bench.station._live = None
+    bench.station._poll_live()
+    assert not bench.work().bench.live
+    bench.station.live(on=True)
+    bench.station.stop()
+    bench.work()
+    assert not bench.work().bench.live
+
+
+def test_a_run_that_would_collide_on_its_way_to_the_first_row_has_no_journal(
+    bench: StationBench, write_schedule: Writer, tmp_path: Path
+) -> None:
+    """It was created, and the run failed after three tries at a fault of the device."""
+    for axis, angle in (("beta", 300.0), ("shift", 5.0)):
+        bench.station.move(axis, angle)
+        bench.work()
+    bench.station.start(write_schedule(), tmp_path / "journals")
+    bench.work()
+    (refused,) = bench.of(RunRefused)
+    assert isinstance(refused, RunRefused)
+    assert refused.reason.startswith("on the way from beta 300.0 deg, shift 5.0 deg to the first row the arc would collide")
+    assert refused.reason.endswith("lower the shift first, or turn in the other direction")
+    assert not (tmp_path / "journals").exists()
+    bench.station.move("shift", 0.0)
+    bench.work()
+    bench.station.start(write_schedule(), tmp_path / "journals")
+    assert bench.work().state is State.DONE
+
+
 def test_a_run_from_start_to_end(bench: StationBench, write_schedule: Writer, tmp_path: Path) -> None:
-    folder = tmp_path / "journals"
+    folder, busy = tmp_path / "journals", set[bool]()  # a station that is not busy, and has no client, ends
+    bench.reactions.append(lambda message: busy.add(bench.station.busy) if isinstance(message, RunBegun | RowSaved) else None)
     bench.station.start(write_schedule(), folder)
     now = bench.work()
     assert now.state is State.DONE
@@ -255,6 +429,7 @@ def test_a_run_from_start_to_end(bench: StationBench, write_schedule: Writer, tm
     saved = [each for each in bench.events if isinstance(each, RowSaved)]
     assert [each.row.number for each in saved] == list(range(ROWS))
     assert isinstance(bench.events[-1], RunEnded)
+    assert busy == {True}
     assert campaign_summary(folder / "small-001.journal").state == "done"
 
 
