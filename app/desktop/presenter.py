@@ -1,5 +1,6 @@
 """The presenter: receives the messages of the connection, keeps the state of rig, plan and run, and shows it in the view."""
 
+from collections import Counter
 from dataclasses import astuple, replace
 from pathlib import Path
 
@@ -22,6 +23,7 @@ from goniotwin.app.desktop.model.messages import (
     Message,
     NotAttached,
     PastRead,
+    PlanBegun,
     PlanMade,
     PlanRefused,
     RunStarted,
@@ -109,6 +111,7 @@ class Presenter(QObject):
         self._pace = TimeLeft()
         self._mountings: tuple[Mounting, ...] = ()
         self._row_number = -1
+        self._flags, self._flagged_scan = Counter[str](), ""
         self._since = 0.0
         self._every_second = QTimer(self, interval=1000)
         self._every_second.timeout.connect(self._show_wait)
@@ -159,6 +162,7 @@ class Presenter(QObject):
     def show_opening(self, path: Path) -> None:
         """Show that a rig is being opened."""
         self._opening, self.rig_path = True, path
+        self._view.notice.clear()
         self._view.show_status(f"Connecting the devices of {path} …")
         self.changed.emit()
 
@@ -166,6 +170,9 @@ class Presenter(QObject):
         """Show that a run is being started; at once, so that Start is disabled for a second click."""
         self._starting = True
         self._view.set_plot_error("")
+        if self.rig is None:
+            self._view.notice.clear()
+            self._view.show_status("Starting a station …")
         self.changed.emit()
 
     def show_pausing(self) -> None:
@@ -251,7 +258,7 @@ class Presenter(QObject):
                 self.run_ended.emit()
             case QuestionAsked(_number, question):
                 self._interrupt_pace()
-                self._view.show_status(f"Waiting for the operator: {question.title}.")
+                self.show_run_status("")
                 self._log(f"Question to the operator: {question.title}", "", "the run waits")
                 self.question_asked.emit(message)
                 self.notified.emit(question.title)
@@ -259,7 +266,7 @@ class Presenter(QObject):
                 self._interrupt_pace()
                 self.show_run_status(STATUS.get(self.state, self._view.status))
                 self.question_closed.emit()
-            case PlanMade() | PlanRefused():
+            case PlanBegun() | PlanMade() | PlanRefused():
                 self._show_plan(message)
             case RigOpened() | RigClosed() | DeviceChanged():
                 self._show_rig(message, busy=before.busy or self._starting)
@@ -278,6 +285,7 @@ class Presenter(QObject):
             case SpeedChanged(speed):
                 self._set_pace_speed(speed)
                 self._view.run.show_speed(speed)
+                self._show_wait()
             case OperatorChanged():
                 self._show_operator()
         if not isinstance(message, Positions):
@@ -321,19 +329,25 @@ class Presenter(QObject):
             self._view.set_saved(f"Saved row by row in {snapshot.journal}")
             self.show_run_status(STATUS.get(snapshot.state, ""))
             if snapshot.row is not None:
+                self._row_number = -1 if snapshot.row.unplanned else snapshot.row.number
                 self._view.axes.set_targets(snapshot.row.pose)
         if snapshot.question is not None:
             self.question_asked.emit(snapshot.question)
         self._show_operator()
 
     def _show_lost(self, last: Snapshot) -> None:
-        """Show that the station has died, what that means for the instrument, and how to go on."""
+        """Show that the station has ended: in good order, or what that means for the instrument, and how to go on."""
         running = last.busy
-        self._lost = True
+        self._lost = not last.given_back
         self.station = replace(_without_station(last), closed="the station has ended")
         self._starting = False
-        self._show_closed("")
+        self._show_closed("", keep_plots=True)
         self.question_closed.emit()
+        if last.given_back:
+            text = f"The rig is free{f': {last.closed}' if last.closed else ''}. No rig is open here."
+            self._view.notice.show_notice(text, "connect")
+            self._view.show_status(text)
+            return
         if running and last.journal is not None:
             kept = f"{last.done} of {last.total} rows are kept in {last.journal.name}"
             text = (
@@ -360,13 +374,13 @@ class Presenter(QObject):
 
     def _show_activity(self, before: str, activity: str, error: str) -> None:
         if activity:
-            self._view.show_status(f"{activity[0].upper()}{activity[1:]} …")
+            self.show_run_status(f"{activity[0].upper()}{activity[1:]} …")
         elif error:
             self._view.show_status(error, error=error != "stopped")
             if error != "stopped":
                 self._log(error, serious=True)
         elif before:
-            self._view.show_status(f"Done: {before}.")
+            self.show_run_status(f"Done: {before}.")
 
     def _show_stop(self, report: StopReport) -> None:
         if report.lost:
@@ -396,14 +410,20 @@ class Presenter(QObject):
         elif before is State.PAUSED:
             self._log("Resumed")
 
-    def _show_plan(self, message: PlanMade | PlanRefused) -> None:
+    def _show_plan(self, message: PlanBegun | PlanMade | PlanRefused) -> None:
+        if isinstance(message, PlanBegun):
+            self.plan, self._no_plan = None, f"{message.name} is being read"
+            if not self.busy:
+                self._view.show_status(f"Reading {message.name} …")
+            return
         if isinstance(message, PlanMade):
             self.plan, self._no_plan = message.plan, ""
             if not self.busy:
                 self._live_plot.predict(message.plan)
                 self._show_progress(0, len(message.plan.rows), message.plan.seconds)
-            if self.rig is not None and not self.rig.not_responding and not self.busy:
-                self._view.show_status("Ready to start.")
+                self._show_wait()
+                if self.rig is not None and not self._show_not_responding(self.rig):
+                    self._view.show_status("Ready to start.")
         else:
             self.plan, self._no_plan = None, message.reason
             if not self.busy:
@@ -425,18 +445,15 @@ class Presenter(QObject):
                 self._view.axes.set_positions({})
                 if not busy:
                     self._live_plot.start(None, self._mark)
-                if message.not_responding:
-                    names = " and ".join(message.not_responding)
-                    text = f"Not responding: {names}. See the screen Rig for the reason, then connect again."
-                    self._view.show_status(text, error=True)
+                if self._show_not_responding(message):
                     for device in message.not_responding:
                         self._log(devices[device].text, device, "no run can start", serious=True)
                 else:
                     self._view.show_status("All devices are connected.")
                     self._log("All devices are connected", name)
-            case RigClosed(reason):
+            case RigClosed(reason, fault):
                 self._starting = False
-                self._show_closed(reason)
+                self._show_closed(reason, fault=fault, keep_plots=True)
                 if busy:
                     self.run_ended.emit()
             case DeviceChanged(device, _status, reason) if self.rig is not None:
@@ -450,18 +467,32 @@ class Presenter(QObject):
                     self._log("Connected", device)
         self._view.rig.set_rig(self.rig, self.rig_path)
 
-    def _show_closed(self, reason: str) -> None:
-        """Show that no rig is open."""
+    def _show_not_responding(self, rig: RigOpened) -> bool:
+        """Show which devices do not respond; return whether there are any."""
+        if rig.not_responding:
+            names = " and ".join(rig.not_responding)
+            text = f"Not responding: {names}. See the screen Rig for the reason, then connect again."
+            self._view.show_status(text, error=True)
+        return bool(rig.not_responding)
+
+    def _show_closed(self, reason: str, *, fault: bool = True, keep_plots: bool = False) -> None:
+        """Show that no rig is open. Plots that stay have their mark, in the banner too."""
         self._opening = False
-        self.station = replace(self.station, rig=None, state=State.IDLE, activity="", closed=reason or self.station.closed)
+        self.station = replace(
+            self.station, rig=None, state=State.IDLE, activity="", question=None, closed=reason or self.station.closed
+        )
         self.plan = None
-        self._view.set_simulated(False, None)
         self._view.devices.set_devices({})
         self._view.axes.set_positions({})
-        self._live_plot.start(None, "")
-        self._view.show_status(reason, error=True)
+        self._view.axes.set_targets(None)
+        self._every_second.stop()
+        self._show_progress(*self._progress, None)
+        if not keep_plots:
+            self._view.set_simulated(False, None)
+            self._live_plot.start(None, "")
+        self._view.show_status(reason, error=fault)
         if reason:
-            self._log(reason, self.rig_path.name, "no rig is open", serious=True)
+            self._log(reason, self.rig_path.name, "no rig is open", serious=fault)
         self._view.rig.set_rig(None, self.rig_path)
 
     def _show_row(self, event: RowStarted | RowSaved) -> None:
@@ -469,7 +500,7 @@ class Presenter(QObject):
             self._view.axes.set_targets(event.row.pose)
             if self.state is State.RUNNING:
                 done, of = self._progress
-                self._view.show_status(f"{row_words(event.row)} (row {min(done + 1, of)} of {of})")
+                self.show_run_status(f"{row_words(event.row)} (row {min(done + 1, of)} of {of})")
             if not event.row.unplanned:
                 self._row_number = event.row.number
             self._live_plot.add_row(event)
@@ -478,8 +509,23 @@ class Presenter(QObject):
             self._since = self._wall.now()
             self._show_progress(event.done, event.total, event.seconds_left)
             self._show_wait()
-            if event.flags:
-                self._log(f"Row flagged: {', '.join(event.flags)}", event.row.identity)
+            self._count_flags(event)
+
+    def _count_flags(self, saved: RowSaved) -> None:
+        """Count the flags of the rows of a scan: one event for each row of a narrow lobe would bury all others."""
+        if saved.row.pose is not None:
+            _gamma, sigma, beta, _shift = saved.row.pose
+            scan = f"{saved.row.sample} σ {sigma:g}° β {beta:g}°"
+            if scan != self._flagged_scan:
+                self._log_flags()
+                self._flagged_scan = scan
+        self._flags.update(saved.flags)
+
+    def _log_flags(self) -> None:
+        if self._flags:
+            counts = ", ".join(f"{flag} ({count})" for flag, count in self._flags.items())
+            self._log(f"Rows flagged: {counts}", self._flagged_scan)
+        self._flags.clear()
 
     def _show_progress(self, done: int, of: int, left_s: float | None) -> None:
         self._progress = (done, of)
@@ -489,6 +535,7 @@ class Presenter(QObject):
 
     def _begin_pace(self, done: int, total: int, seconds_left: float) -> None:
         self._since = self._wall.now()
+        self._row_number = -1
         self._set_pace_speed(self.station.speed)
         self._pace.begin(self._since, total - done, seconds_left)
         self._every_second.start()
@@ -510,8 +557,13 @@ class Presenter(QObject):
 
     @Slot()
     def _show_wait(self) -> None:
-        """Show the time left, when the run ends, and when the next sample is to be mounted by a person."""
+        """Show the time left, when the run ends, and when the next sample is to be mounted by a person.
+
+        Before a run the time that the plan takes, if the pace of rows is known from another one.
+        """
         done, of = self._progress
+        if not self.busy and not done and self.plan is not None and self._pace.known:
+            self._view.run.set_wait(self._pace.of_rows(of, self.plan.seconds), "")
         if not self.busy or done >= of:
             self._every_second.stop()
             return
@@ -528,6 +580,7 @@ class Presenter(QObject):
 
     def _show_end(self, end: RunEnded) -> None:
         self.journal = end.journal
+        self._log_flags()
         self._live_plot.finish()
         self._view.axes.set_targets(None)
         done, of = self._progress

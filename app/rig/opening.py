@@ -83,6 +83,8 @@ def parse_rig(text: str, folder: Path, name: str) -> RigDescription:
 
 
 def _file(content: dict[str, Any], name: str) -> RigFile:
+    if "sigma_deg" in content and "axes" not in content:
+        raise UserError(f"{name}: looks like a schedule, not like a rig file; open it as a schedule")
     load_plugins(content, name)
     return validate_table(rig_file_table(), content, name)
 

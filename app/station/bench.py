@@ -42,6 +42,13 @@ class Bench:
         except DeviceError:
             self._set(wavelength_nm=None, shutter_open=None, gain=None)
 
+    def take_over(self, gain: int | None, sample: str | None) -> None:
+        """Note what a run has left: the gain by its index, and the sample that it has mounted, if any."""
+        gains = self._rig.photodiodes.settings.gains_v_per_a
+        self._set(gain=None if gain is None else gains[gain])
+        if sample is not None:
+            self._set(sample=sample)
+
     def move(self, axis: str, target_deg: float) -> None:
         """Move an axis to an angle."""
         self._wait(self.request.start(partial(self._rig.start, axis, target_deg)))

@@ -19,7 +19,7 @@ from goniotwin.app.station.connection_file import (
     read_connection,
     write_connection,
 )
-from goniotwin.app.station.messages import Message, RunBegun
+from goniotwin.app.station.messages import Message, RigClosed, RunBegun
 from goniotwin.app.station.server import StationServer
 from goniotwin.app.station.station import Station
 from goniotwin.own_files import make_own_folder
@@ -128,6 +128,7 @@ class HostedRun(Station):
             self.server = self._stack.enter_context(serving(self, rig))
         except NotServed as error:
             self._warn(f"nobody can attach to this run: {error}")
+        self._stack.callback(lambda: self._publish(RigClosed("the run's program has ended")))
 
     @property
     def clients(self) -> list[str]:

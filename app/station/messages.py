@@ -50,9 +50,10 @@ class RigOpened:
 
 @dataclass(frozen=True)
 class RigClosed:
-    """No rig is open. `reason` is one line for the operator, or empty."""
+    """No rig is open. `reason` is one line for the operator, or empty; `fault` if it was closed because of one."""
 
     reason: str = ""
+    fault: bool = False
 
 
 @dataclass(frozen=True)
@@ -252,6 +253,11 @@ class Snapshot:
     def busy(self) -> bool:
         """Whether a run is in progress."""
         return self.state in BUSY
+
+    @property
+    def given_back(self) -> bool:
+        """Whether the rig has been closed in good order."""
+        return self.rig is None and not self.activity
 
     def operated_by(self, client: str) -> bool:
         """Whether a client operates the rig, or takes the free place with its next command."""

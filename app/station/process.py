@@ -53,15 +53,17 @@ def run_station(rig: Path, speed: float, log: Log, unattended_s: float = UNATTEN
         engine = threading.Thread(target=station.serve, name="engine")
         station.do(station.connect_all)
         engine.start()
+        reason = ""
         try:
             note(f"{calendar_stamp()} serving at port {server.port}")
             # In pieces: on Windows a wait without a limit hears no signal.
             while not ended.wait(WAIT_S) and not station.disconnected.is_set() and engine.is_alive():
                 if server.unattended_s > unattended_s and not station.busy:
-                    note(f"{calendar_stamp()} no client for {unattended_s:g} s")
+                    reason = f"no client for {unattended_s:g} s"
+                    note(f"{calendar_stamp()} {reason}")
                     break
         finally:
-            station.end()
+            station.end("the station was ended by a signal" if ended.is_set() else reason)
             engine.join()
     for order in station.open_orders:
         note(f"SAFETY: {order.text}")

@@ -137,6 +137,8 @@ class Station:
         self._live: PendingReading | None = None
         self._live_due = 0.0
         self._settled = False
+        self._end_reason = ""
+        self._mounted: str | None = None
         self._stop_requested, self._pause_requested, self._finish_requested = (threading.Event() for _ in range(3))
         self._stops = 0
         self._no_stops = threading.Condition()
@@ -353,8 +355,9 @@ class Station:
 
     def disconnect(self) -> None:
         """Stop the bench, close the shutter and give the rig back: the end of the station. Refused during a run."""
-        with self.board.deciding():
+        with self.board.deciding() as now:
             self._check("disconnect")
+            self._end_reason = f"given back by {now.operator}" if now.operator else ""
             self.disconnected.set()
 
     def operate(self, client: str) -> None:
@@ -427,7 +430,7 @@ class Station:
             if task is None:
                 break
             self._do(*task)
-        self.close_rig()
+        self.close_rig(self._end_reason)
 
     def work(self) -> None:
         """Do what the commands so far ask for; return when nothing is left."""
@@ -439,16 +442,17 @@ class Station:
         """Have the engine's thread do something; the activity begun last, if there is one, ends with it."""
         self._tasks.put((task, self._begun))
 
-    def end(self) -> None:
-        """Stop what is in progress, and let `serve` return. From any thread."""
+    def end(self, reason: str = "") -> None:
+        """Stop what is in progress, and let `serve` return. From any thread. `reason` is one line for the clients."""
         with self.board.deciding():
+            self._end_reason = reason or self._end_reason
             self.disconnected.set()  # no command begins after this, and would take the stop for one before it
         self._stop_requested.set()  # a run that is requested but not started does not start
         if self.busy:
             self.stop()
         self._tasks.put(None)
 
-    def close_rig(self, reason: str = "") -> None:
+    def close_rig(self, reason: str = "", *, fault: bool = False) -> None:
         """Close the shutter if the bench has opened it, and give the rig back. No axis moves."""
         opened, bench = self._opened, self._bench
         self._opened, self._description, self._bench, self._live = None, None, None, None
@@ -459,7 +463,7 @@ class Station:
             except DeviceError as error:
                 self._give_order(SafetyOrder("Close the shutter by hand", f"it may be open; {error}"), None)
             opened.close()
-            self._publish(RigClosed(reason))
+            self._publish(RigClosed(reason, fault))
 
     def _do(self, task: Task, activity: int) -> None:
         """Do a task of the bench or of a run. Its activity, by its number, ends with it, whatever happens, and no later one."""
@@ -474,7 +478,7 @@ class Station:
         except UserError as refusal:
             error = str(refusal)
         except Exception as fault:  # noqa: BLE001  (of any library: reported, and the station goes on without the rig)
-            self.close_rig(f"the rig was closed after a fault: {type(fault).__name__}: {fault}")
+            self.close_rig(f"the rig was closed after a fault: {type(fault).__name__}: {fault}", fault=True)
             return
         if activity == self._begun and self.snapshot.activity:
             self._report_positions()
@@ -674,7 +678,7 @@ class Station:
     def _measure(self, plan: Plan, journal: Journal, work: Sequence[Row], person: bool) -> None:
         opened, bench = self._rig(), self._on_bench()
         bench.set_live(False)
-        self._live = None
+        self._live = self._mounted = None
         record = RunRecord(journal, self._clock)
         reason = ""
         with contextlib.closing(record):
@@ -692,6 +696,8 @@ class Station:
             self.wait_for_stops()
         for device in engine.disconnected:
             self._report_lost(device, f"{device}: could not be reconnected during the run; connect again")
+        bench.look()
+        bench.take_over(None if engine.disconnected else engine.gain, self._mounted)
         self.run_ended(state, reason, journal.kept_at, journal.note)
 
     @property
@@ -732,13 +738,17 @@ class Station:
         self._engine = None
         if note:
             self._publish(EventLogged("journal", note, "journal"))
-        self._look()
+        if self._bench is not None:
+            self._publish(self._bench.settings)
+            self._report_references()
         self._publish(RunEnded(state, reason or self.snapshot.reason, journal))
 
     def listen(self, event: Event) -> None:
         """Take an event of the engine."""
         match event:
             case RowCommitted(row, data, done, total, seconds_left):
+                if row.kind == "mount":
+                    self._mounted = row.sample
                 if row.kind in ("measure", "drift"):
                     self._answer_noted(*(name for name in self._device_names if name not in self._silent))
                     self._report_answers_now_and_then()

@@ -20,7 +20,7 @@ from jsonschema import Draft202012Validator
 from pydantic import BaseModel, TypeAdapter
 from typer.testing import CliRunner
 
-from goniotwin.app.campaign.schedule.file import ScheduleFile
+from goniotwin.app.campaign.schedule.file import ScheduleFile, read_schedule
 from goniotwin.app.cli.main import app
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import AXES, kinds, open_rig, read_rig, rig_file_table, twin_file
@@ -32,7 +32,7 @@ from goniotwin.drivers import Homing
 from goniotwin.protocols.clock import VirtualClock
 from goniotwin.twin import optics
 from goniotwin.twin.plant import Parts
-from tests.conftest import REPOSITORY, RIG, SCHEDULE
+from tests.conftest import REPOSITORY, RIG, SCHEDULE, SMALL
 from tests.system.another_make.driver import ESP
 
 FILES: dict[str, Any] = {"rig": rig_file_table(), "schedule": ScheduleFile}
@@ -122,6 +122,16 @@ def test_the_page_on_uncertainty_has_the_keys_of_its_table_with_their_defaults()
             stated += [(key, float(half)) for name in of_inputs if (key := f"{name}_{unit}") in known]
     assert len(stated) >= 25
     assert [(key, default) for key, default in stated if default != pytest.approx(known[key])] == []
+
+
+def test_a_schedule_in_the_place_of_a_rig_file_and_the_reverse_are_named(tmp_path: Path) -> None:
+    schedule, rig = tmp_path / "a.toml", tmp_path / "b.toml"
+    schedule.write_text(SMALL, encoding="utf-8")
+    rig.write_bytes(RIG.read_bytes())
+    with pytest.raises(UserError, match=r"a\.toml: looks like a schedule, not like a rig file"):
+        read_rig(schedule)
+    with pytest.raises(UserError, match=r"b\.toml: looks like a rig file, not like a schedule"):
+        read_schedule(rig)
 
 
 def test_an_unknown_key_validates_in_no_table_of_them() -> None:

@@ -108,6 +108,11 @@ class Engine:
         return self._executor.shutter_may_be_open
 
     @property
+    def gain(self) -> int | None:
+        """The gain of all amplifiers, by its index; None where it is not known."""
+        return self._executor.gain
+
+    @property
     def disconnected(self) -> tuple[str, ...]:
         """The devices that a fault has left without connection."""
         return self._recovery.disconnected

@@ -65,6 +65,11 @@ class RowExecutor:
         self._shutter_open: bool | None = None
         self._gain: int | None = None
 
+    @property
+    def gain(self) -> int | None:
+        """The gain of all amplifiers, by its index; None where it is not known."""
+        return self._gain
+
     def remember_dark(self, dark: RowData) -> None:
         """Use a dark reading for the rows that follow."""
         for reading in dark.readings:

@@ -21,6 +21,7 @@ from goniotwin.app.campaign.schedule.certificate import CertificateTable, read_c
 from goniotwin.app.campaign.schedule.grids import Grid, grid_values, refuse_duplicates
 from goniotwin.app.campaign.schedule.metadata import MetadataTable
 from goniotwin.app.campaign.schedule.refinement import NearSpecularTable, OverlapTable, StatedSymmetry, SymmetryCheckTable
+from goniotwin.app.errors import UserError
 from goniotwin.app.toml_file import TomlTable, parse_toml, read_toml, validate_table
 
 HIGHEST_SIGMA_DEG = 87.0
@@ -268,6 +269,8 @@ class ScheduleDescription:
 def read_schedule(path: Path) -> ScheduleDescription:
     """Read a schedule file, and the certificate that it names. Raises UserError: file, key, reason."""
     text, content = read_toml(path)
+    if "axes" in content and "sigma_deg" not in content:
+        raise UserError(f"{path}: looks like a rig file, not like a schedule; open it as a rig")
     file = validate_table(ScheduleFile, content, str(path))
     certificate = None if file.certificate is None else read_certificate(path.parent, file.certificate)
     return ScheduleDescription(text, file, str(path), certificate)

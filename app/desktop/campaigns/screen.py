@@ -239,12 +239,11 @@ class CampaignsScreen(Screen):
         FileDialog(self, title, first, kinds, chosen, save=True)
 
     def run_command(self, command: str, journal: Path, out: Path) -> None:
-        """Run `goniotwin COMMAND JOURNAL --out FILE` in a process of its own; its last line is the status."""
+        """Run `goniotwin COMMAND JOURNAL --out FILE` in a process of its own: its status is what it wrote, and warnings."""
         if self._process is not None:
             self.reported.emit("An export or a report is in progress.", True)
             return
         process = QProcess(self)
-        process.setProcessChannelMode(QProcess.ProcessChannelMode.MergedChannels)
         process.finished.connect(self._end_command)
         process.errorOccurred.connect(self._fail_command)
         self._process = process
@@ -255,8 +254,11 @@ class CampaignsScreen(Screen):
     def _end_command(self, status: int) -> None:
         process, self._process = self._process, None
         if process is not None:
-            lines = bytes(process.readAll().data()).decode(errors="replace").strip().splitlines()
-            self.reported.emit(lines[-1].strip() if lines else f"Ended with status {status}.", status != 0)
+            channels = process.readAllStandardOutput(), process.readAllStandardError()
+            written, warnings = (bytes(each.data()).decode(errors="replace").split("\n") for each in channels)
+            done = f"Written: {written[0].strip()}" if status == 0 and written[0].strip() else ""
+            texts = (done, *(each.strip().removeprefix("goniotwin: ") for each in warnings))
+            self.reported.emit("; ".join(each for each in texts if each) or f"Ended with status {status}.", status != 0)
             process.deleteLater()
 
     @Slot(object)

@@ -29,6 +29,7 @@ from goniotwin.app.desktop.model.messages import (
     Message,
     NotAttached,
     PastRead,
+    PlanBegun,
     PlanMade,
     PlanRefused,
     RigRead,
@@ -158,6 +159,8 @@ class Connection:
         self._rig_path: Path | None = None
         self._schedule: Path | None = None
         self._plan: Plan | None = None
+        self._plans_begun = 0
+        self._planning = threading.Lock()
         self._person = False
         self._closing = False
         self._presses = 0
@@ -276,7 +279,8 @@ class Connection:
 
     def close(self) -> None:
         """Leave the station, which goes on, and end the threads; return when they have ended, or what they wait for hangs."""
-        self._closing = True
+        with self._planning:  # no plan is sent after this
+            self._closing = True
         wait(self._pending, ANSWER_S)  # an acknowledgement is in the journal before the window is closed
         self._tasks.put(None)
         self._threads[0].join(ANSWER_S)
@@ -388,6 +392,7 @@ class Connection:
     def _leave(self) -> None:
         """Give the open rig back, and wait for the end of its station; or leave it to the other client that operates it."""
         session, self._session = self._session, None
+        self._give_up_plan()
         if session is None or session.client is None:
             return
         session.leaving = True
@@ -424,6 +429,7 @@ class Connection:
         if session is self._session and not session.leaving:
             self._last = session.client.snapshot if session.client is not None else self._last
             self._session = None
+            self._give_up_plan()
             self._send(StationLost(self._last))
 
     def _read_rig(self) -> None:
@@ -440,18 +446,34 @@ class Connection:
         self._load_again()
 
     def _load_again(self) -> None:
+        """Make the plan in a thread of its own: nothing waits for a long schedule, and the one that was opened last counts."""
         path, rig = self._schedule, self.snapshot.rig
         if path is None:
             return
+        self._give_up_plan()
         if self._client is None or rig is None:
             self._send(PlanRefused(NO_RIG))
             return
+        self._send(PlanBegun(path.name))
+        threading.Thread(target=self._make_plan, args=(self._plans_begun, path, rig), name="plan", daemon=True).start()
+
+    def _give_up_plan(self) -> None:
+        """A plan that is being made is not sent any more."""
+        with self._planning:
+            self._plans_begun += 1
+
+    def _make_plan(self, number: int, path: Path, rig: RigOpened) -> None:
+        plan, reason = None, ""
         try:
-            self._plan = make_plan(read_schedule(path), description_of(rig))
+            plan = make_plan(read_schedule(path), description_of(rig))
         except UserError as error:
-            self._send(PlanRefused(str(error)))
-        else:
-            self._send(PlanMade(self._plan))
+            reason = str(error)
+        except Exception as error:  # noqa: BLE001  (of any library: reported, and the window stays open)
+            reason = f"{path}: unexpected error: {type(error).__name__}: {error}"
+        with self._planning:
+            if number == self._plans_begun and not self._closing:
+                self._plan = plan or self._plan
+                self._send(PlanMade(plan) if plan is not None else PlanRefused(reason))
 
     def _start(self, plan: Plan, folder: Path) -> None:
         path = Path(plan.schedule.name).absolute()

@@ -177,6 +177,16 @@ class LiveScan:
         self._signals = {number: each for number, each in self._signals.items() if number in self._shown}
         return self._describe(self._scans[key], y_label, points)
 
+    def directions(self, row: Row) -> dict[bool, int]:
+        """How many directions a row measures of reflected light (False) and of transmitted light, without the blocked ones."""
+        assert row.pose is not None
+        light = "reflected" if row.sample in self._references else self._schedule.light
+        counts = {False: 0, True: 0}
+        for view, blocked in self._settings.geometry.views(row.pose):
+            if light in ("both", "transmitted" if view.transmitted else "reflected"):
+                counts[view.transmitted] += int(np.sum(~blocked))
+        return counts
+
     def _describe(self, row: Row, y_label: str, points: ScanPoints) -> ScanData:
         assert row.pose is not None
         gamma, sigma, beta, _shift = row.pose

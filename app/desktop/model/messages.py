@@ -48,7 +48,10 @@ class NotAttached:
 
 @dataclass(frozen=True)
 class StationLost:
-    """The station has ended, unasked. `last` is the last that is known of it: a run in progress stays in its journal."""
+    """The station has ended, unasked by this window. `last` is the last that is known of it.
+
+    A run in progress stays in its journal. Where the rig was given back before, nothing is open.
+    """
 
     last: Snapshot
 
@@ -58,6 +61,13 @@ class RigRead:
     """The tables of the rig that the station has, as this process has read them; None where they cannot be read."""
 
     rig: RigFile | None
+
+
+@dataclass(frozen=True)
+class PlanBegun:
+    """A schedule is being read: PlanMade or PlanRefused follows, unless another one is opened meanwhile."""
+
+    name: str
 
 
 @dataclass(frozen=True)
@@ -108,6 +118,6 @@ class StopReport:
 
 
 Message = (
-    StationMessage | RowCommitted | Attached | PastRead | NotAttached | StationLost | RigRead | PlanMade | PlanRefused
-    | RunStarted | ValuesMissing | CommandRefused | StopReport
+    StationMessage | RowCommitted | Attached | PastRead | NotAttached | StationLost | RigRead | PlanBegun | PlanMade
+    | PlanRefused | RunStarted | ValuesMissing | CommandRefused | StopReport
 )  # fmt: skip

@@ -8,7 +8,7 @@ from pathlib import Path
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.readout import WarmUpTrace
 from goniotwin.app.campaign.row import Row, RowData
-from goniotwin.app.campaign.running.events import EventLogged
+from goniotwin.app.campaign.running.events import EventLogged, RowCommitted
 from goniotwin.app.campaign.running.stop import BEYOND_LIMIT
 from goniotwin.app.campaign.wording import rounded_duration_text
 from goniotwin.app.desktop.model.messages import Attached, PastRead
@@ -82,6 +82,13 @@ class RigFacts:
                 self.last_errors[device] = (local_time(calendar_stamp()), reason)
             case RigClosed():
                 self._forget()
+
+    def add_row(self, row: RowCommitted) -> None:
+        """Take the monitor's current of a row that was read with light."""
+        if self._readings is not None and row.row.kind in ("measure", "drift") and row.data.readings:
+            last = row.data.readings[-1]
+            self._readings.add_monitor(last.first_s, last.monitor_a, row.row.wavelength_nm)
+            self._monitor_s = min(last.first_s - self._ahead_s, self._rig_clock.now())
 
     def begin(self, attached: Attached) -> None:
         """Take the state of a station that is new to this window; what was known of another one is forgotten."""

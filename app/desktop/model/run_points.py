@@ -6,12 +6,14 @@ import numpy as np
 
 from goniotwin.app.campaign.reduction.components import deviation_in_u
 from goniotwin.app.desktop.model.live_scan import ScanData, ScanKey, ScanPoints, Setting, join_points
-from goniotwin.arrays import Flags, Floats
+from goniotwin.arrays import Flags, Floats, Ints
 
 ALARM_U = 4.0
 """A residual beyond so many u is marked, and is an event."""
 PLANE_HALF_WIDTH_DEG = 2.5
 """Points so near a plane through the specular direction are shown in it."""
+GAP_STEPS = 3.0
+"""A line of predicted points has a gap where they are farther apart than so many steps."""
 X_TOLERANCE_DEG = 1e-5
 
 
@@ -162,6 +164,16 @@ def match(scan: ScanData, predicted: ScanData | None) -> Cut:
     with np.errstate(all="ignore"):
         deviation = deviation_in_u(points.values, points.u_values, points.added, expected)
     return Cut(scan, expected, u, np.where(trusted, deviation, np.nan), line)
+
+
+def gaps(x_deg: Floats) -> Ints:
+    """The indices before which points (n,) in ascending order have a gap of more than GAP_STEPS steps, where none is known."""
+    steps = np.diff(x_deg)
+    if not steps.size:
+        return np.empty(0, dtype=np.int64)
+    # Points of several cuts lie beside each other at a distance that is no step: hence no median.
+    widest = max(GAP_STEPS * float(np.percentile(steps, 75.0)), 2.0 * PLANE_HALF_WIDTH_DEG)
+    return np.flatnonzero(steps > widest) + 1
 
 
 def _take(points: ScanPoints, chosen: np.ndarray, x_deg: Floats) -> ScanPoints:

@@ -101,6 +101,15 @@ class TimeLeft:
             self._since, self._block = now, np.zeros(2)
 
     @property
+    def known(self) -> bool:
+        """Whether the pace of rows is known: of the run in progress, or of the one before."""
+        return bool(self._weights.any())
+
+    def of_rows(self, rows: int, seconds: float) -> Wait:
+        """Real time of so many rows of so many estimated seconds in all."""
+        return self._wait(seconds, rows)
+
+    @property
     def left(self) -> Wait:
         """Real time from the row that was done last until the end of the run."""
         return self._wait(self._seconds_left, self._rows_left)

@@ -1,5 +1,6 @@
 """The values of a run in progress, and what the twin predicts of them: computed in workers. No Qt."""
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
@@ -12,7 +13,7 @@ from goniotwin.app.campaign.rehearsal.without_wires import rows_without_wires
 from goniotwin.app.campaign.row import NO_SAMPLE, CommittedRow
 from goniotwin.app.campaign.running.events import RowCommitted, RowStarted
 from goniotwin.app.campaign.schedule.file import ScheduleDescription, parse_schedule
-from goniotwin.app.desktop.model.live_scan import LiveScan, ScanData, ScanKey, scan_key
+from goniotwin.app.desktop.model.live_scan import LiveScan, ScanData, ScanKey, Setting, scan_key
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription, parse_rig
 from goniotwin.protocols.clock import RealClock
@@ -75,6 +76,14 @@ class ScanComputed:
     number: int
     scan: ScanData
     current: bool
+
+
+@dataclass(frozen=True)
+class DirectionsPlanned:
+    """Answer: the number of directions that a plan measures, by setting and whether they are of the transmitted light."""
+
+    number: int
+    counts: dict[tuple[Setting, bool], int]
 
 
 @dataclass(frozen=True)
@@ -199,7 +208,11 @@ def serve_predictions(connection: "Connection[Any, Any]") -> None:
             return
         number, missing = request.number, ""
         try:
-            scans = iter(()) if request.texts is None else predicted_scans(request.texts.plan_with_rows())
+            scans: Iterator[ScanData | None] = iter(())
+            if request.texts is not None:
+                plan = request.texts.plan_with_rows()
+                connection.send(DirectionsPlanned(number, planned_directions(plan)))
+                scans = predicted_scans(plan)
             for scan in scans:
                 if connection.poll(0.0):
                     break
@@ -212,6 +225,16 @@ def serve_predictions(connection: "Connection[Any, Any]") -> None:
         except Exception as error:  # noqa: BLE001  (a prediction that fails disturbs nothing)
             missing = f"{type(error).__name__}: {error}"
         connection.send(PredictionEnded(number, missing))
+
+
+def planned_directions(plan: Plan) -> dict[tuple[Setting, bool], int]:
+    """The number of directions that a plan measures, without those that the mirror unit blocks: see `DirectionsPlanned`."""
+    live, counts = LiveScan(plan), Counter[tuple[Setting, bool]]()
+    for row in plan.rows:
+        if row.kind == "measure":
+            for transmitted, count in live.directions(row).items():
+                counts[scan_key(row)[0], transmitted] += count
+    return dict(counts)
 
 
 def expected_model(plan: Plan) -> TwinModel:

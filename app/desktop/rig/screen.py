@@ -119,6 +119,7 @@ class RigScreen(Screen):
     @Slot(object)
     def show_message(self, message: object) -> None:
         """Show an event of the station, or what the window knows of it."""
+        from goniotwin.app.campaign.running.events import RowCommitted
         from goniotwin.app.desktop.model.messages import Attached, NotAttached, PastRead, RigRead, StationLost
         from goniotwin.app.station import messages
 
@@ -130,6 +131,8 @@ class RigScreen(Screen):
                 self.facts.begin(message)
             case PastRead():
                 self.facts.take_past(message)
+            case RowCommitted():
+                self.facts.add_row(message)
             case NotAttached() | StationLost():
                 self.set_rig(None)
                 self.facts.take(messages.Snapshot())

@@ -32,6 +32,8 @@ RING_TEXT_DEG = 65.0
 FILL = 0.5
 """Radius of a point over the side of its share of the hemisphere."""
 MOST_RADIUS, LEAST_RADIUS = 9.0, 1.0
+ALARM_SIZE, SMALL_ALARM, MANY_ALARMS = 10, 4, 60
+"""Size of the square of an alarm, and that of each where there are more than so many: the values stay visible between them."""
 NOTHING = "Measured directions appear here."
 
 
@@ -98,7 +100,7 @@ class HemisphereMap(QWidget):
         self._plane = pg.PlotCurveItem()
         self._specular = pg.ScatterPlotItem(symbol="+", size=15)
         self._light = pg.ScatterPlotItem(symbol="star", size=14)
-        self._alarms = pg.ScatterPlotItem(symbol="s", size=10)
+        self._alarms = pg.ScatterPlotItem(symbol="s", size=ALARM_SIZE)
         for item in (*self._rings, self._plane, self._specular, self._light, self._alarms, *self._texts):
             plot.addItem(item)
         for text, at in zip(self._texts, RINGS_DEG, strict=False):
@@ -200,6 +202,7 @@ class HemisphereMap(QWidget):
             self._low.setText(f"{10.0**low:.2g}")
             self._high.setText(f"{10.0**high:.2g}")
         rows = points.alarms
+        self._alarms.setSize(ALARM_SIZE if rows.sum() <= MANY_ALARMS else SMALL_ALARM)
         self._alarms.setData(*_places(points.zenith_deg[rows], points.azimuth_deg[rows]))
         text = f"{points.values.size} directions" if not planned else f"{points.values.size} of {planned} directions"
         if known.size:

@@ -14,9 +14,10 @@ from goniotwin.app.campaign.reduction.components import COVERAGE, DETECTED, inte
 from goniotwin.app.campaign.reduction.points import BITS, REASON_ORDER
 from goniotwin.app.campaign.running.events import RowCommitted, RowStarted
 from goniotwin.app.desktop.model.live_scan import ScanData, ScanKey, ScanPoints, Setting
-from goniotwin.app.desktop.model.run_points import ALARM_U, Cut, RunPoints, map_points
+from goniotwin.app.desktop.model.run_points import ALARM_U, Cut, RunPoints, gaps, map_points
 from goniotwin.app.desktop.model.values import (
     Begin,
+    DirectionsPlanned,
     Failed,
     Finish,
     PlanTexts,
@@ -45,10 +46,12 @@ TITLE_POINTS, TITLE_MARGIN = 9, 34.0
 """Size of the title's letters, and the pixels beside it."""
 LABEL_SHARE = 0.6
 """Share of the height that the label of the values has; a longer one is cut at its comma."""
+RESIDUAL_SYMBOLS = {-1: "t", 0: "s", 1: "t1"}
+"""An alarm beyond the range is an arrow down or up at its edge."""
 LEAST_RESIDUAL = 5.0
 """Half the least range of the residuals, in u."""
 ENDED = "has been ended, by another program or for want of memory"
-NO_CURSOR = "Point at the plot, or press ← and → in it, to read a value."
+NO_CURSOR = "Point at the plot, or press ←, →, Home and End in it, to read a value."
 
 
 class ScanPlot(QWidget):
@@ -138,7 +141,9 @@ class ScanPlot(QWidget):
     def eventFilter(self, watched: QObject, event: QEvent) -> bool:
         """Move the cursor with the arrow keys; Qt calls it."""
         if event.type() == QEvent.Type.KeyPress and isinstance(event, QKeyEvent):
-            step = {Qt.Key.Key_Left: -1, Qt.Key.Key_Right: 1}.get(Qt.Key(event.key()))
+            last = 0 if self._scan is None else self._scan.points.x_deg.size
+            steps = {Qt.Key.Key_Left: -1, Qt.Key.Key_Right: 1, Qt.Key.Key_Home: -last, Qt.Key.Key_End: last}
+            step = steps.get(Qt.Key(event.key()))
             if step is not None:
                 self.move_cursor(step)
                 return True
@@ -254,14 +259,17 @@ class ScanPlot(QWidget):
             chosen = np.isfinite(line.values) & ~line.blocked & ~line.transmitted
             if not chosen.any():
                 chosen = np.isfinite(line.values) & ~line.blocked
-            values, u = line.values[chosen], line.u_values[chosen]
+            at = np.flatnonzero(chosen)
+            breaks = gaps(line.x_deg[at])
+            at = np.insert(at, breaks, at[breaks])
+            x, values, u, added = line.x_deg[at], line.values[at], line.u_values[at], line.added[at]
+            values[breaks + np.arange(breaks.size)] = np.nan
             least = 10.0**floor if self._scale == "log" else -np.inf
-            ends = interval(values, np.nan_to_num(u), line.added[chosen])
-            x = line.x_deg[chosen]
+            ends = interval(values, np.nan_to_num(u), added)
             middle, low, high = (transform(np.maximum(each, least), self._scale, threshold) for each in (values, *ends))
-        self._line.setData(x, middle)
+        self._line.setData(x, middle, connect="finite")
         for curve, each in zip(self._bounds, (low, high), strict=True):
-            curve.setData(x, each)
+            curve.setData(x, each, connect="finite")
         self._band.setVisible(x.size > 1)
 
     def _show_residuals(self) -> None:
@@ -280,6 +288,8 @@ class ScanPlot(QWidget):
         held = np.clip(residual, -0.9 * span, 0.9 * span)
         for item, chosen in zip(self._residual_items, (known & ~alarms, alarms), strict=True):
             item.setData(x[chosen], held[chosen])
+        beyond = np.where(residual[alarms] > span, 1, np.where(residual[alarms] < -span, -1, 0))
+        self._residual_items[1].setSymbol([RESIDUAL_SYMBOLS[each] for each in beyond.tolist()])
         self._residuals.setYRange(-span, span, padding=0.0)
 
     def set_colours(self, colours: Colours) -> None:
@@ -320,8 +330,8 @@ class ScanPlot(QWidget):
         """Move the cursor by so many points."""
         if self._scan is not None and self._scan.points.x_deg.size:
             last = self._scan.points.x_deg.size - 1
-            start = (0 if step > 0 else last) if self._cursor is None else min(max(self._cursor + step, 0), last)
-            self._place_cursor(start)
+            start = (-1 if step > 0 else last + 1) if self._cursor is None else self._cursor
+            self._place_cursor(min(max(start + step, 0), last))
 
     @Slot(object)
     def _follow_mouse(self, at: QPointF) -> None:
@@ -420,7 +430,7 @@ class LivePlot(QObject):
         self._alarmed: set[ScanKey] = set()
         self._unmapped: dict[ScanKey, Cut] = {}
         self._place: object = None
-        self._directions = 0
+        self._planned: dict[tuple[Setting, bool], int] = {}
         self._running = False
         self._answered.connect(self._take, Qt.ConnectionType.QueuedConnection)
         self._processes = processes
@@ -436,6 +446,7 @@ class LivePlot(QObject):
             self._predicted = texts
             self._prediction += 1
             self._points.begin_prediction()
+            self._planned = {}
             self._predictions.put(Begin(self._prediction, texts))
 
     def start(self, plan: Plan | None, mark: str) -> None:
@@ -491,6 +502,8 @@ class LivePlot(QObject):
                 self._take_cut(self._points.add(scan))
                 if current or self._current is None:
                     self._current = scan.key
+            case DirectionsPlanned(number, counts) if number == self._prediction:
+                self._planned = counts
             case ScanPredicted(number, scan) if number == self._prediction:
                 cut = self._points.predict(scan)
                 if cut is None:
@@ -550,15 +563,13 @@ class LivePlot(QObject):
         place = setting, transmitted, cut.scan.y_label, self._points.predicted_scans(setting)
         if place != self._place:
             self._place = place
-            planned = self._points.planned(setting, transmitted)
-            self._directions = planned.values.size
-            self._map.begin(setting, planned)
+            self._map.begin(setting, self._points.planned(setting, transmitted))
             self._map.stamp(self._points.hemisphere(setting, transmitted))
         else:
             changed = [each for key, each in self._unmapped.items() if key[0] == setting]
             self._map.stamp(map_points([each for each in changed if each.scan.y_label == cut.scan.y_label], transmitted))
         self._unmapped.clear()
-        self._map.show_points(self._points.hemisphere(setting, transmitted), self._directions)
+        self._map.show_points(self._points.hemisphere(setting, transmitted), self._planned.get((setting, transmitted), 0))
 
     def _fail(self, error: str) -> None:
         """Report the error. The plot of this run ends here, because the error would come back at every row."""

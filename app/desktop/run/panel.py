@@ -268,7 +268,9 @@ class RunPanel(QWidget):
             self.left.setText(f"{wait}{band} " + ("to wait" if simulated else "left"))
             return
         more = f" · {self._clock_texts}" if self._clock_texts else ""
-        self.left.setText((f"about {wait}{band} to wait{simulated}" if simulated else f"{wait}{band} left") + more)
+        # Without a known pace the estimate lacks the program's own time, which does not go faster with the simulation speed.
+        about = "at least" if self._wait is None else "about"
+        self.left.setText((f"{about} {wait}{band} to wait{simulated}" if simulated else f"{wait}{band} left") + more)
 
     @Slot()
     def _start_hold(self) -> None:

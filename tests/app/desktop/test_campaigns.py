@@ -1,6 +1,7 @@
 """The campaigns of a folder: their state, and how an unfinished one is resumed."""
 
 import itertools
+import sys
 from pathlib import Path
 
 import pytest
@@ -72,6 +73,23 @@ def test_the_folder_is_listed_with_what_cannot_be_read(plan: NewPlan, tmp_path: 
     screen.table.selectRow(1 - row)
     assert not screen.resume_button.isEnabled()
     assert screen.export_button.isEnabled()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="the program of the test is a shell script")
+def test_the_status_of_an_export_is_what_was_written_and_the_warning_after_it(
+    qtbot: QtBot, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    program = tmp_path / "program"
+    program.write_text("#!/bin/sh\necho 'goniotwin: a warning' >&2\necho 'SIMULATED, 4 values: a.ddr'\necho 'chain'\n")
+    program.chmod(0o700)
+    monkeypatch.setattr(sys, "executable", str(program))
+    screen = CampaignsScreen(LIGHT)
+    qtbot.addWidget(screen)
+    seen: list[tuple[str, bool]] = []
+    screen.reported.connect(lambda text, error: seen.append((text, error)))
+    screen.run_command("export", tmp_path / "a.journal", tmp_path / "a.ddr")
+    qtbot.waitUntil(lambda: len(seen) == 2, timeout=READY_MS)
+    assert seen[1] == ("Written: SIMULATED, 4 values: a.ddr; a warning", False)
 
 
 @pytest.mark.parametrize("outcome", [None, "stopped", "failed", "done"])

@@ -12,7 +12,7 @@ from pytestqt.qtbot import QtBot
 from goniotwin.app.campaign.journal.summary import campaign_summary
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.row import SKIPPED
-from goniotwin.app.campaign.running.events import State
+from goniotwin.app.campaign.running.events import State, StateChanged
 from goniotwin.app.campaign.running.stop import StopRequest
 from goniotwin.app.desktop import MainWindow
 from goniotwin.app.desktop.events.panels import LogEntry
@@ -334,7 +334,9 @@ def test_stop_ends_the_wait_for_an_answer(qtbot: QtBot, asking: MainWindow, ques
     assert any(entry.what == "Shutter closed after the stop" for entry in asking.view.log.entries) == (question != "etalon")
 
 
-def test_a_question_can_wait_and_no_key_answers_it_by_accident(qtbot: QtBot, asking: MainWindow) -> None:
+def test_a_question_can_wait_and_no_key_answers_it_by_accident(
+    qtbot: QtBot, asking: MainWindow, open_window: WindowOpener
+) -> None:
     mount = wait_for_question(qtbot, asking, "etalon")
     for key in ACCIDENTS:
         press(qtbot, mount.focusWidget(), key)
@@ -344,6 +346,17 @@ def test_a_question_can_wait_and_no_key_answers_it_by_accident(qtbot: QtBot, ask
         assert mount.isVisible()
     mount.close()
     assert asking.question is mount
+    asking.presenter._show_wait()
+    assert "mount gaussian-5" in asking.view.run.left.text()  # the next one, not that which waits
+    with qtbot.waitSignal(asking.presenter.message_shown, check_params_cb=lambda m: m == StateChanged(State.PAUSING)):
+        click(asking.view.run.pause_button)
+    waiting = "Waiting for the operator: Mount etalon."
+    assert asking.view.status.startswith(waiting)
+    later = open_window()
+    qtbot.waitUntil(lambda: later.view.status.startswith(waiting), timeout=READY_MS)
+    later.presenter._show_wait()
+    assert "mount gaussian-5" in later.view.run.left.text() or not later.presenter._mountings
+    asking.connection.resume()
     assert [each.text() for each in tab_order(mount) if isinstance(each, QPushButton)] == ["Mounted", "Wait"]
     break_photodiodes(asking)
     answer(asking, "Mounted")

@@ -11,8 +11,8 @@ from goniotwin.app.campaign.rehearsal.without_wires import rows_without_wires
 from goniotwin.app.campaign.running.events import RowCommitted
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.desktop.model.live_scan import LiveScan, ScanData, ScanPoints
-from goniotwin.app.desktop.model.run_points import PLANE_HALF_WIDTH_DEG, RunPoints, match
-from goniotwin.app.desktop.model.values import PlanTexts, RunValues, expected_model, predicted_scans
+from goniotwin.app.desktop.model.run_points import PLANE_HALF_WIDTH_DEG, RunPoints, gaps, match
+from goniotwin.app.desktop.model.values import PlanTexts, RunValues, expected_model, planned_directions, predicted_scans
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import read_rig
 from goniotwin.twin.optics import from_specular
@@ -51,6 +51,8 @@ def test_the_residuals_of_a_rig_as_in_its_file_are_those_of_noise(plan: NewPlan)
             points.predict(scan)
     cuts = [points.add(each) for each in measured(plan, model)]
     assert len(cuts) == len(points.predicted) == 2  # the etalon and the sample
+    for setting in (key[0] for key in points.predicted):
+        assert planned_directions(plan)[setting, False] == points.planned(setting, False).values.size
     signals, sample = cuts
     assert np.isnan(signals.residual).all()
     trusted = ~signals.scan.points.blocked & ~signals.scan.points.untrusted & np.isfinite(signals.expected)
@@ -131,6 +133,13 @@ def test_a_plane_through_the_specular_direction_has_the_points_near_it() -> None
     assert (cut.scan.points.x_deg[0], cut.scan.points.x_deg[-1]) == (-20.0, 20.0)
     assert PLANE_HALF_WIDTH_DEG < 5.0
     assert "φ 30°" in cut.scan.title
+
+
+def test_a_line_has_a_gap_where_cuts_are_missing() -> None:
+    theta = np.concatenate([np.arange(0.0, 20.0), np.arange(50.0, 70.0)])
+    assert gaps(theta).tolist() == [20]
+    assert gaps(np.delete(theta, 10)).tolist() == [19]  # a single missing point is no gap
+    assert gaps(np.arange(0.0, 90.0, 10.0)).size == gaps(theta[:1]).size == 0
 
 
 def test_points_are_matched_by_angle_and_side_and_a_residual_is_in_u() -> None:

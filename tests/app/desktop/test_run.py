@@ -18,10 +18,14 @@ from pytestqt.qtbot import QtBot
 from goniotwin.app.campaign.journal.following import JournalFollower
 from goniotwin.app.campaign.journal.summary import campaign_summary
 from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.reduction.reduction import reduce_journal
+from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.running.events import Positions, RowCommitted, RowStarted, State
 from goniotwin.app.campaign.running.question import Answer
+from goniotwin.app.campaign.schedule.file import ScheduleDescription
 from goniotwin.app.desktop import STOPPED, MainWindow, run_desktop
+from goniotwin.app.desktop.bench.screen import BenchScreen
 from goniotwin.app.desktop.dialogs import FileDialog
 from goniotwin.app.desktop.model import connection
 from goniotwin.app.desktop.model.connection import StationProcesses
@@ -29,8 +33,9 @@ from goniotwin.app.desktop.model.live_scan import LiveScan, ScanData
 from goniotwin.app.desktop.rig.screen import RigScreen
 from goniotwin.app.desktop.window import KEEP_MEASURING, KEEP_OPEN, STOP_AND_CLOSE
 from goniotwin.app.end_signals import END_SIGNALS
+from goniotwin.app.rig import RigDescription
 from goniotwin.app.station.connection_file import connection_folder
-from goniotwin.app.station.messages import BUSY
+from goniotwin.app.station.messages import BUSY, RowSaved, SpeedChanged
 from goniotwin.app.station.server import StationServer
 from goniotwin.app.station.station import Station
 from goniotwin.drivers import DeviceError, Rig, TmclAxis
@@ -62,6 +67,24 @@ def test_a_run_measures_all_rows_into_the_journal(qtbot: QtBot, window: MainWind
     qtbot.waitUntil(lambda: "gaussian-5" in window.view.plot.title)
     assert "SIMULATED" in window.view.plot.title
     assert "measured" in window.view.plot.summary
+    facts = window.view.screen_of(RigScreen).facts.facts()
+    assert facts.monitor is not None
+    assert facts.monitor.times_s  # of the run's rows: the lamp is known
+    assert facts.monitor_age_s is not None
+    light = window.view.screen_of(BenchScreen).light
+    assert light.sample.currentText() == "gaussian-5"
+    assert light.gain.currentData() in (1e8, 1e10)
+
+
+def test_flags_of_a_scan_are_one_event(window: MainWindow) -> None:
+    rows = [
+        Row(number, f"row {number}", "measure", "satin", pose=(0.0, 30.0, 180.0 * (number == 3), 0.0)) for number in range(4)
+    ]
+    for row in rows:
+        window.presenter._handle(RowSaved(row, ("under-range",) if row.number < 2 else (), row.number + 1, 4, 1.0))
+    assert [(each.what, each.where) for each in window.view.log.entries if "flagged" in each.what] == [
+        ("Rows flagged: under-range (2)", "satin σ 30° β 0°")
+    ]
 
 
 def test_findings_on_the_instrument_are_in_the_log_and_under_the_plot(
@@ -100,13 +123,15 @@ def slow_down(station: Station, speed: float, from_deg: float) -> None:
 
 
 def test_the_positions_move_while_an_axis_does(qtbot: QtBot, open_window: WindowOpener, stations: LocalStations) -> None:
+    """Each position is awaited before the next one: the station is fast again only when some of the way have been shown."""
     window = ready(qtbot, open_window(speed=20.0))
     slow_down(stations.station, 0.5, from_deg=1.0)
     seen: set[str] = set()
     window.presenter.message_shown.connect(lambda _message: seen.add(window.view.axes.position("sigma")))
     click(window.view.run.start_button)
-    qtbot.waitUntil(lambda: len(seen - {"0.00°", "30.00°"}) >= 2, timeout=READY_MS)
+    qtbot.waitUntil(lambda: len(seen - {"0.00°", "30.00°"}) >= 3, timeout=READY_MS)  # and two more: at the ends
     window.connection.set_speed(200.0)
+    qtbot.waitUntil(lambda: window.view.axes.position("sigma") == "30.00°", timeout=READY_MS)
 
 
 def test_pause_waits_and_resume_measures_no_row_twice(qtbot: QtBot, open_window: WindowOpener) -> None:
@@ -198,9 +223,26 @@ def test_axes_that_stop_responding_are_shown_and_no_run_can_start(
 
 def test_the_simulation_speed_can_be_changed_during_a_run(qtbot: QtBot, open_window: WindowOpener) -> None:
     window = ready(qtbot, open_window(speed=1.0))
-    click(window.view.run.start_button)
-    speeds = window.view.run.speeds
-    speeds.setCurrentIndex(speeds.findData(60.0))
+    speeds, presenter = window.view.run.speeds, window.presenter
+    presenter._pace.begin(0.0, 2, 4.0)  # as after another run, whose rows take a second more than estimated
+    for done in (1, 2):
+        presenter._pace.add_row(3.0 * done, 2.0, 2 - done, 4.0 - 2.0 * done)
+
+    def choose(speed: float) -> None:
+        set_to = window.presenter.message_shown
+        with qtbot.waitSignal(set_to, timeout=READY_MS, check_params_cb=lambda message: message == SpeedChanged(speed)):
+            speeds.setCurrentIndex(speeds.findData(speed))
+
+    assert not window.view.run.left.text().startswith(("about", "at least"))
+    choose(10.0)
+    assert window.view.run.left.text().startswith("about")
+    choose(1.0)
+    wait_for_journal(qtbot, window)
+    presenter._show_wait()
+    before = presenter.wait.seconds
+    choose(60.0)  # no row is done in between
+    assert window.view.run._wait is not None
+    assert window.view.run._wait.seconds < 0.5 * before
     assert "to wait" in window.view.run.left.text()
     assert " 0 s" not in window.view.run.left.text()
     wait_for_end(qtbot, window, State.DONE)
@@ -650,12 +692,18 @@ def test_a_station_that_dies_is_reported_and_the_run_is_resumed_with_one_key(
     qtbot.waitUntil(lambda: "has ended during the run" in window.view.notice.text, timeout=READY_MS)
     for text in ("rows are kept in small-001.journal", "heartbeat", "the shutter may be open"):
         assert text in window.view.notice.text
+    assert "SIMULATED" in window.view.banner  # as long as its values are shown
+    assert "SIMULATED" in window.view.plot.title
+    assert window.view.run.left.text() == ""
+    assert window.view.axes._targets["sigma"].text() == "–"
     assert not window.view.run.start_button.isEnabled()
     press("Ctrl+.")
     qtbot.waitUntil(lambda: "use the main switch" in window.view.status, timeout=READY_MS)
     before = campaign_summary(journal)
     assert 3 <= before.rows < ROWS
     click(window.view.notice.button)
+    assert window.view.notice.text == ""
+    assert window.view.status == "Starting a station …"
     wait_for_end(qtbot, window, State.DONE)
     assert window.view.notice.text == ""
     after = campaign_summary(journal)
@@ -670,6 +718,55 @@ def test_a_station_that_dies_at_rest_is_connected_again(qtbot: QtBot, window: Ma
     ready(qtbot, window)
     assert window.view.notice.text == ""
     assert len(stations.hosts) == 2
+
+
+def test_a_rig_that_another_window_gives_back_is_no_emergency(
+    qtbot: QtBot, open_window: WindowOpener, stations: LocalStations, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As by Connect again there: this window names the other one, and shows the next station."""
+    one, two = open_window(), open_window()
+    for each in (one, two):
+        ready(qtbot, each)
+    for command in ("operate", "disconnect"):
+        two.connection.command(command)
+    qtbot.waitUntil(lambda: "The rig is free" in one.view.notice.text, timeout=READY_MS)
+    assert f"given back by {two.presenter.name}" in one.view.notice.text
+    assert "✗" not in one.view.status
+    assert not any(each.serious for each in one.view.log.entries)
+    assert not one.view.run.stop_button.isEnabled()
+    monkeypatch.setattr(connection, "LOOK_S", 0.02)
+    stations.hosts.append(Host(RIG, 60.0))
+    ready(qtbot, one)
+    assert one.view.notice.text == ""
+
+
+def test_a_schedule_that_takes_long_blocks_nothing(
+    qtbot: QtBot, window: MainWindow, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The plan of the schedule that was opened last counts, and an error of another one goes at once."""
+    small, go_on, made = window.presenter.plan, threading.Event(), []
+
+    def make(schedule: ScheduleDescription, rig: RigDescription) -> Plan:
+        if Path(schedule.name).name == "large.toml":
+            go_on.wait(READY_MS / 1000.0)
+        made.append(Path(schedule.name).name)
+        return make_plan(schedule, rig)
+
+    monkeypatch.setattr(connection, "make_plan", make)
+    assert small is not None
+    (tmp_path / "large.toml").write_text(small.schedule.text, encoding="utf-8")
+    window.connection.load(tmp_path / "missing.toml")
+    qtbot.waitUntil(lambda: "missing.toml" in window.view.status and "✗" in window.view.status, timeout=READY_MS)
+    window.connection.load(tmp_path / "large.toml")
+    qtbot.waitUntil(lambda: window.view.status == "Reading large.toml …", timeout=READY_MS)
+    assert not window.view.run.start_button.isEnabled()
+    window.connection.load(Path(small.schedule.name))
+    ready(qtbot, window)
+    go_on.set()
+    qtbot.waitUntil(lambda: len(made) == 2, timeout=READY_MS)
+    qtbot.wait(50)
+    assert window.presenter.plan is not None
+    assert window.presenter.plan.schedule.name == small.schedule.name
 
 
 def test_a_stop_that_does_not_get_through_names_the_main_switch(

@@ -69,6 +69,23 @@ def test_the_cursor_reads_a_value_by_mouse_or_by_arrow_keys(qtbot: QtBot, plot: 
     qtbot.keyClick(plot._view, Qt.Key.Key_Left)
     assert plot.reading.startswith("1.00°: 1.02")
     assert "ALARM" not in plot.reading
+    for key, at in ((Qt.Key.Key_Home, "0.00°"), (Qt.Key.Key_End, "2.00°")):
+        qtbot.keyClick(plot._view, key)
+        assert plot.reading.startswith(at)
+
+
+def test_a_residual_beyond_the_range_is_an_arrow_and_the_predicted_line_has_gaps(plot: ScanPlot) -> None:
+    show(plot, [1.0, 0.05, 1.05, 1.96], [1.0] * 4)
+    assert [each.symbol() for each in plot._residual_items[1].points()] == ["t", "s", "t1"]
+    here = scan_data([1.0] * 40, [0.01] * 40, [False] * 40)
+    x = np.concatenate([np.arange(20.0), np.arange(50.0, 70.0)])
+    here = replace(here, y_label="BSDF (1/sr)", key=KEY, points=replace(here.points, x_deg=x))
+    plot.show_cut(match(here, here))
+    shown, values = plot._line.getData()
+    assert np.flatnonzero(np.isnan(values)).tolist() == [20]
+    assert shown.size == 41
+    assert plot._line.opts["connect"] == "finite"
+    plot.grab()
 
 
 @pytest.mark.parametrize("scale", SCALES)

@@ -16,8 +16,8 @@ from goniotwin.app.campaign.running.events import State, StateChanged
 from goniotwin.app.campaign.running.question import Answer, Question
 from goniotwin.app.cli.campaign import TerminalAsk
 from goniotwin.app.errors import UserError
-from goniotwin.app.rig import parse_rig, read_rig
-from goniotwin.app.station import connection_file, starting
+from goniotwin.app.rig import open_rig, parse_rig, read_rig
+from goniotwin.app.station import connection_file, hosting, starting
 from goniotwin.app.station.client import StationClient
 from goniotwin.app.station.connection_file import Connection, attach, connection_folder, known_stations, write_connection
 from goniotwin.app.station.hosting import HostedRun, connection_path, serving, station_of
@@ -239,6 +239,17 @@ def test_a_second_station_of_a_virtual_rig_is_refused(station: tuple[Station, Pa
 def host() -> HostedRun:
     """A run's station without a rig."""
     return HostedRun(1.0, contextlib.ExitStack())
+
+
+def test_the_end_of_a_hosted_run_is_the_rig_given_back(monkeypatch: pytest.MonkeyPatch, write_rig: Writer) -> None:
+    """To its clients a program that just ends would be a station that has died."""
+    monkeypatch.setattr(hosting, "serving", lambda *_: contextlib.nullcontext())
+    rig = read_rig(write_rig())
+    with hosting.hosted_run(1.0) as host, open_rig(rig, host.clock_for(rig)) as opened:
+        host.adopt(opened, rig)
+        assert not host.snapshot.given_back
+    assert host.snapshot.given_back
+    assert host.snapshot.closed == "the run's program has ended"
 
 
 def test_the_terminal_answers(host: HostedRun, monkeypatch: pytest.MonkeyPatch) -> None:
