@@ -124,16 +124,17 @@ class RowExecutor:
                 raise DeviceError(name, "close the shutter", f"not done within {CLOSING_S:g} s", "check cable and power")
 
         attempt, steps = 0, self._stop_request.steps
-        while self.shutter_may_be_open:
+        while True:
             try:
                 wait(self._clock, [self._rig.monochromator.start_shutter(opened=False)], check_time)
-                self._shutter_open = False
+                break
             except DeviceError:
                 attempt += 1
                 if steps != self._stop_request.steps:
                     attempt, steps, deadline = 0, self._stop_request.steps, self._clock.now() + CLOSING_S
                 elif attempt == CLOSING_ATTEMPTS or self._clock.now() > deadline:
                     raise
+        self._shutter_open = False
         return True
 
     @property

@@ -182,7 +182,12 @@ def test_the_rig_is_closed_after_the_stops_in_progress(bench: StationBench, monk
         return []
 
     monkeypatch.setattr(StopRequest, "stop", stop)
-    monkeypatch.setattr(OpenRig, "close", lambda opened: (done.append("closed"), close(opened)))
+
+    def note_and_close(opened: OpenRig) -> None:
+        done.append("closed")
+        close(opened)
+
+    monkeypatch.setattr(OpenRig, "close", note_and_close)
     thread = threading.Thread(target=bench.station.stop)
     thread.start()
     assert begun.wait(5.0)
