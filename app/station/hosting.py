@@ -106,7 +106,7 @@ class NotServed(UserError):
 def hosted_run(speed: float, warn: Callable[[str], None] = lambda _: None) -> Iterator["HostedRun"]:
     """The host of one run of this program, which others can attach to from the opening of its rig to the end.
 
-    `warn` gets the reason, in one line, where nobody can.
+    `warn` gets the reason, in one line, where no client can.
     """
     with contextlib.ExitStack() as stack:
         yield HostedRun(speed, stack, warn)
@@ -127,7 +127,7 @@ class HostedRun(Station):
         try:
             self.server = self._stack.enter_context(serving(self, rig))
         except NotServed as error:
-            self._warn(f"nobody can attach to this run: {error}")
+            self._warn(f"no client can attach to this run: {error}")
         self._stack.callback(lambda: self._publish(RigClosed("the run's program has ended")))
 
     @property

@@ -197,7 +197,9 @@ class Station:
         finally:
             self._answers.put(None)  # wakes a run that waits for an answer
             try:
-                self._publish(StopReceived())  # before the next command is accepted: it tells what it was asked for after
+                self._publish(
+                    StopReceived()
+                )  # before the next command is accepted, which has the number of stops its client knew
             finally:
                 with self._no_stops:
                     self._stops -= 1

@@ -1,4 +1,4 @@
-"""A field for a number that is what was typed, or refused: with a decimal point or comma, and nothing that is left out."""
+"""A field for a number that is what was typed, or refused: with a decimal point or comma, and no character ignored."""
 
 import re
 

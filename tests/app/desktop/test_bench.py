@@ -175,7 +175,7 @@ def test_fields_have_what_is_there_unless_it_is_being_edited(desk: Desk) -> None
     assert light.wavelength.value() == 600.0
 
 
-def test_enter_during_a_move_says_that_nothing_is_done(desk: Desk) -> None:
+def test_enter_during_a_move_is_refused_in_words(desk: Desk) -> None:
     desk.show(ActivityChanged("moving sigma to 30 deg"))
     desk.go("beta", "10")
     assert desk.commands == []

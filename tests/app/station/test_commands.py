@@ -145,7 +145,7 @@ def test_a_connection_file_that_is_none_is_removed(tmp_path: Path, content: str,
     assert path.exists()  # of another version
 
 
-def test_without_a_place_for_its_file_a_station_says_so_and_a_run_measures(
+def test_without_a_place_for_its_file_a_station_is_refused_and_a_run_measures(
     write_rig: Writer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rig, path = read_rig(write_rig()), tmp_path / "x.json"
@@ -164,11 +164,11 @@ def test_without_a_place_for_its_file_a_station_says_so_and_a_run_measures(
     with contextlib.ExitStack() as stack:
         run = HostedRun(1.0, stack, warnings.append)
         run.open(rig)
-        assert (run.server, len(warnings), "nobody can attach" in warnings[0]) == (None, 1, True)
+        assert (run.server, len(warnings), "no client can attach" in warnings[0]) == (None, 1, True)
         run.close_rig()
 
 
-def test_who_comes_second_waits_for_the_file_of_the_first(write_rig: Writer, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_second_starter_waits_for_the_file_of_the_first(write_rig: Writer, monkeypatch: pytest.MonkeyPatch) -> None:
     """The first one has the lock before its file is there."""
     rig, path = write_rig(), Path("first.json")
     looks = iter([None, None, path])
