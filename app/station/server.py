@@ -1,8 +1,8 @@
 """The station's end of the channel: its clients, one of which operates, and the translation of lines into commands.
 
 A client sends `{"do": COMMAND, "id": NUMBER, ...}` with the arguments of the command, and gets `{"answer": NUMBER, "ok": true}`
-or `{"answer": NUMBER, "error": REASON}`. A command that begins something may state in `stops` how many stops its client had seen
-when it was asked for; it is refused after another. A stop is carried out by the thread that reads its line, at once; it gets
+or `{"answer": NUMBER, "error": REASON}`. A command that begins something may have `stops`, the number of stops that its client
+knew; it is refused after another. A stop is carried out by the thread that reads its line, at once; it gets
 `{"received": NUMBER}` before, and its answer when the axes have confirmed. What lasts is reported by events,
 `{"event": NUMBER, "type": ..., ...}`, which follow the snapshot that answers the client's hello.
 """

@@ -197,9 +197,7 @@ class Station:
         finally:
             self._answers.put(None)  # wakes a run that waits for an answer
             try:
-                self._publish(
-                    StopReceived()
-                )  # before the next command is accepted, which has the number of stops its client knew
+                self._publish(StopReceived())  # before another command is accepted: its client knows this stop
             finally:
                 with self._no_stops:
                     self._stops -= 1
