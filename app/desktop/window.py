@@ -30,9 +30,11 @@ from goniotwin.app.desktop.theme import Scheme, Theme
 from goniotwin.app.desktop.view import MainView
 
 if TYPE_CHECKING:
+    from goniotwin.app.campaign.planning.plan import Plan
     from goniotwin.app.campaign.running.events import SafetyOrder
     from goniotwin.app.desktop.model.campaigns import Campaign, CampaignsListed
     from goniotwin.app.desktop.model.connection import Connection, Stations
+    from goniotwin.app.desktop.model.permissions import Permissions
     from goniotwin.app.desktop.presenter import Presenter
     from goniotwin.app.station.messages import QuestionAsked
 
@@ -79,6 +81,8 @@ class MainWindow(QMainWindow):
         self._unattended = False
         self._listed: CampaignsListed | None = None
         self._unfinished: Campaign | None = None
+        self._permissions: Permissions | None = None
+        self._plan: Plan | None = None
         self._closed = False
         self._collector = GarbageCollector(self)
         self._collector.start()
@@ -203,15 +207,17 @@ class MainWindow(QMainWindow):
 
     @Slot()
     def _refresh(self) -> None:
-        permissions = self.presenter.permissions
-        self.view.run.set_permissions(permissions)
+        permissions, plan = self.presenter.permissions, self.presenter.plan
         if self.question is not None:
             self.question.set_refusal(permissions.watching)
-        self.view.screen_of(CampaignsScreen).set_resume(permissions.refusals["continue"])
-        self._offer_unfinished()
-        self._set_enabled(permissions.open)
-        for screen in self.view.screens:
-            screen.set_refusals(permissions.refusals)
+        if permissions != self._permissions or plan is not self._plan:  # most of hundreds of messages a second change neither
+            self._permissions, self._plan = permissions, plan
+            self.view.run.set_permissions(permissions)
+            self.view.screen_of(CampaignsScreen).set_resume(permissions.refusals["continue"])
+            self._offer_unfinished()
+            self._set_enabled(permissions.open)
+            for screen in self.view.screens:
+                screen.set_refusals(permissions.refusals)
         self.setWindowTitle(self.presenter.title)
 
     @Slot(str, object)

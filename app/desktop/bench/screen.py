@@ -130,6 +130,8 @@ class BenchScreen(Screen):
         outer.setContentsMargins(0, 0, 0, 0)
         outer.addWidget(whole)
         self._compact: bool | None = None
+        self._behind = False
+        """Whether another screen is shown instead: nothing is drawn then."""
         self.fit(QSize(WIDE, HIGH))
 
     def fit(self, room: QSize) -> None:
@@ -158,6 +160,10 @@ class BenchScreen(Screen):
             for part in (self._axes_part, self.light, self.instrument, self._signals_part):
                 part.show()
         self._pages.setCurrentIndex(int(compact))
+
+    def complete(self) -> None:
+        """Draw nothing before the screen is chosen."""
+        self._behind = self.parentWidget() is not None and not self.isVisible()
 
     # What the station reports.
 
@@ -212,7 +218,8 @@ class BenchScreen(Screen):
             case _ if isinstance(message, messages.Message):
                 self._station = messages.advance(self._station or messages.Snapshot(), message)
                 self._show_event(message)
-        self._show()
+        if not self._behind:
+            self._show()
 
     def _take(self, snapshot: "Snapshot") -> None:
         self._station = snapshot
@@ -223,7 +230,8 @@ class BenchScreen(Screen):
     def set_refusals(self, refusals: dict[str, str]) -> None:
         """Disable what the station refuses now, and give the reason."""
         self._refusals = refusals
-        self._show()
+        if not self._behind:
+            self._show()
 
     @Slot(str)
     def show_refusal(self, reason: str) -> None:
@@ -247,6 +255,8 @@ class BenchScreen(Screen):
                 self._show_positions({})
 
     def _show_positions(self, degrees: dict[str, float]) -> None:
+        if self._behind:  # a run has many a second
+            return
         for name, controls in self.axes.items():
             controls.set_position(degrees.get(name))
         self.instrument.set_positions(degrees)
@@ -333,13 +343,17 @@ class BenchScreen(Screen):
         box.appear()
 
     def showEvent(self, event: QShowEvent) -> None:
-        """Follow what is blocked; Qt calls it."""
+        """Show what has come while another screen was shown; Qt calls it."""
         super().showEvent(event)
         self.instrument.set_active(True)
+        self._behind = False
+        self._show_positions(self._station.positions if self._station is not None else {})
+        self._show()
 
     def hideEvent(self, event: QHideEvent) -> None:
         """Leave the computer to the other screens; Qt calls it."""
         super().hideEvent(event)
+        self._behind = True
         self.instrument.set_active(False)
 
     def set_colours(self, colours: Colours) -> None:

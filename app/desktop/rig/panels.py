@@ -107,8 +107,9 @@ class DevicesPanel(QGroupBox):
 
     def set_refusal(self, reason: str) -> None:
         """Disable the buttons, and give the reason; an empty reason enables them."""
-        self._refusal = reason
-        self._show()
+        if reason != self._refusal:
+            self._refusal = reason
+            self._show()
 
     def _make_rows(self, devices: list[str]) -> None:
         while (item := self._layout.takeAt(0)) is not None:
