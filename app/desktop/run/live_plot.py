@@ -448,6 +448,8 @@ class LivePlot(QObject):
             self._points.begin_prediction()
             self._planned = {}
             self._predictions.put(Begin(self._prediction, texts))
+            if not self._running:
+                self._values.put(Begin(self._number, None))  # its process starts now, and takes nothing from the first rows
 
     def start(self, plan: Plan | None, mark: str) -> None:
         """Clear the plot for the run of a plan, or for none."""
