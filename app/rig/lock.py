@@ -68,16 +68,23 @@ class LockFile:
 
 
 def holder_of(path: Path) -> str | None:
-    """The note of the program that holds a lock file, None if it is free. Makes no file."""
-    if not path.exists():
+    """The note of the program that holds a lock file, None if it is free. Leaves no file that was not there."""
+    try:
+        handle = os.open(path, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0))
+    except OSError:
         return None
     try:
         with FileLock(path, PROBE_S, 0o666, thread_local=False, fallback_to_soft=False, poll_interval=0.01):
+            with contextlib.suppress(OSError):
+                if not os.path.samestat(os.fstat(handle), path.stat()):
+                    path.unlink()  # its holder has removed it since, and the lock has made another one
             return None
     except Timeout:
         return _read_note(_note_of(path))
     except OSError:  # a read-only medium, which no program can write to
         return None
+    finally:
+        os.close(handle)
 
 
 class RigLock:

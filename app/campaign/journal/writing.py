@@ -43,12 +43,14 @@ from goniotwin.app.campaign.row import Row, RowData
 from goniotwin.app.errors import UserError, room_on_disk
 from goniotwin.app.formats.file import name_new_file, sync_folder
 from goniotwin.app.rig.lock import JournalLock, RigInUse, identity_of, lock_journal
-from goniotwin.protocols.clock import calendar_stamp
+from goniotwin.protocols.clock import RealClock, calendar_stamp
 
 CHECKPOINT_ROWS, CHECKPOINT_S = 10, 60.0
 """After so many rows, or so many seconds after the first of them, they are brought from the -wal file into the journal."""
 READERS_END_S = 5.0
 """Longest time that is waited for other programs' reading."""
+QUERY_S = 0.5
+"""The same for the end of short queries, at the end of a journal."""
 OLDEST_READABLE = 2
 """Older schemas lack columns that are read: a copy of them is migrated."""
 PROBE_BYTES = 1 << 16
@@ -195,7 +197,7 @@ class Journal(JournalReader):
             remains = ""
             try:
                 if self._lock is not None:
-                    self._db.execute("PRAGMA journal_mode = DELETE")
+                    self._make_one_file()
             except sqlite3.Error:  # another program has it open
                 if self._written and not moved:
                     remains = self._finish()
@@ -204,6 +206,18 @@ class Journal(JournalReader):
             self.note = f"{self.path}: rows remain in {wal}, because {remains}; use goniotwin copy to have all in one file"
         if self._lock is not None:
             self._lock.release(remove=True)
+
+    def _make_one_file(self) -> None:
+        """End the write-ahead log, after the short queries of others, for which SQLite does not wait. Raises sqlite3.Error."""
+        clock = RealClock()
+        while True:
+            try:
+                self._db.execute("PRAGMA journal_mode = DELETE")
+                return
+            except sqlite3.OperationalError as error:
+                if error.sqlite_errorcode != sqlite3.SQLITE_BUSY or clock.now() > QUERY_S:
+                    raise
+            clock.sleep_until(clock.now() + 0.01)
 
     def _finish(self) -> str:
         """Bring all rows into the file of a journal that other programs have open; return why that cannot be, if so.

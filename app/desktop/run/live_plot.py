@@ -72,8 +72,8 @@ class ScanPlot(QWidget):
         self._regions: list[pg.LinearRegionItem] = []
         self._view = pg.GraphicsLayoutWidget()
         self._view.setAccessibleName("Plot of the scan in progress")
+        self._view.viewport().setFocusPolicy(Qt.FocusPolicy.NoFocus)  # else Tab stops at it; the view gets it, too
         self._view.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
-        self._view.viewport().setFocusPolicy(Qt.FocusPolicy.NoFocus)  # else Tab stops at it, too
         self._view.installEventFilter(self)
         self._plot: pg.PlotItem = self._view.addPlot(0, 0, axisItems={"left": self._values_axis, "bottom": AngleAxis()})
         self._residuals: pg.PlotItem = self._view.addPlot(1, 0, axisItems={"left": ResidualAxis(), "bottom": AngleAxis()})

@@ -11,6 +11,10 @@ from goniotwin.app.rig import read_rig
 from goniotwin.app.station.client import NoStation, StationClient
 from goniotwin.app.station.server import StationServer
 from goniotwin.app.station.station import Station
+from goniotwin.protocols.clock import ScaledClock
+
+FAST = 1000.0
+"""Simulation speed while a rig is connected and given back."""
 
 
 class Host:
@@ -23,7 +27,11 @@ class Host:
         self.server = StationServer(self.station)
         self.server.start()
         self._engine = threading.Thread(target=self.station.serve, name="engine")
+        clock = self._clock = self.station._clock
+        assert isinstance(clock, ScaledClock)
+        clock.set_speed(FAST)
         self.station.do(self.station.connect_all)
+        self.station.do(lambda: clock.set_speed(speed))
         self._engine.start()
         self._watch = threading.Thread(target=self._end_when_disconnected, name="disconnect")
         self._watch.start()
@@ -31,6 +39,7 @@ class Host:
 
     def _end_when_disconnected(self) -> None:
         self.station.disconnected.wait()
+        self._clock.set_speed(FAST)
         self.station.end()
         self._engine.join()
         self.server.stop()

@@ -2,10 +2,12 @@
 
 from pathlib import Path
 
+from PySide6.QtWidgets import QApplication
 from pytestqt.qtbot import QtBot
 
 from goniotwin.app.campaign.journal.summary import campaign_summary
 from goniotwin.app.desktop.bench.screen import READY
+from goniotwin.app.desktop.events.question import QuestionBox
 from tests.app.desktop.conftest import READY_MS, WindowOpener
 from tests.app.desktop.keyboard import focused, press, reads, seen, tab_to
 from tests.app.desktop.local_stations import LocalStations
@@ -26,6 +28,7 @@ def wait_for(qtbot: QtBot, *texts: str) -> None:
 def answer(qtbot: QtBot, question: str, choice: str) -> None:
     """Answer a question that comes."""
     wait_for(qtbot, question, f"[{choice}]")
+    qtbot.waitUntil(lambda: isinstance(QApplication.activeWindow(), QuestionBox))
     tab_to(choice)
     press("Space")
 
@@ -64,4 +67,12 @@ def test_bench_run_and_resume_by_keys(
     press("Alt+U")
     answer(qtbot, "Mount gaussian-5", "Mounted")
     wait_for(qtbot, "Saved in")
+    tab_to("Plot of the scan in progress")
+    for _ in range(READY_MS // LOOK_MS):
+        press("Home")  # the plot is drawn anew at the end of a run
+        if reads("°: ", "(u)"):
+            break
+        qtbot.wait(LOOK_MS)
+    else:
+        raise AssertionError(f"the cursor has no value: {seen()}")
     assert campaign_summary(journal).state == "done"

@@ -71,6 +71,7 @@ def test_a_run_measures_all_rows_into_the_journal(qtbot: QtBot, window: MainWind
     assert facts.monitor is not None
     assert facts.monitor.times_s  # of the run's rows: the lamp is known
     assert facts.monitor_age_s is not None
+    window.view.show_screen(window.view.screens.index(window.view.screen_of(BenchScreen)))
     light = window.view.screen_of(BenchScreen).light
     assert light.sample.currentText() == "gaussian-5"
     assert light.gain.currentData() in (1e8, 1e10)

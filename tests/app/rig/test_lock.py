@@ -7,6 +7,7 @@ import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from filelock import FileLock
@@ -165,6 +166,21 @@ def test_a_journal_is_locked_by_a_file_beside_it_which_goes_with_the_lock(tmp_pa
         lock_journal(tmp_path / "." / "a.journal", "measuring wood")
     assert "measuring paint" in (journal_holder(journal) or "")
     lock.release(remove=True)
+    assert journal_holder(journal) is None
+    assert [*tmp_path.iterdir()] == []
+
+
+def test_looking_at_a_lock_leaves_no_file_that_its_holder_removes_meanwhile(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    journal, acquire = tmp_path / "a.journal", FileLock.acquire
+    held = lock_journal(journal, "measuring")
+
+    def release_before(lock: FileLock, *arguments: Any, **named: Any) -> Any:
+        held.release(remove=True)
+        return acquire(lock, *arguments, **named)
+
+    monkeypatch.setattr(FileLock, "acquire", release_before)
     assert journal_holder(journal) is None
     assert [*tmp_path.iterdir()] == []
 

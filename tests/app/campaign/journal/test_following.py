@@ -1,5 +1,7 @@
 """A journal is followed row by row while another connection writes it, and no reader stays in its way."""
 
+import contextlib
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -7,6 +9,7 @@ import pytest
 
 from goniotwin.app.campaign.journal import following
 from goniotwin.app.campaign.journal.following import JournalFollower
+from goniotwin.app.campaign.journal.reading import open_read_only
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.row import CommittedRow
@@ -48,6 +51,21 @@ def test_each_row_is_read_once_as_soon_as_it_is_committed(
                 assert np.array_equal(mine.counts, theirs.counts)
     with follower.reading() as reader:
         assert reader.value("name") == "small"
+
+
+def test_a_query_at_the_end_of_a_journal_leaves_no_files_beside_it(write_schedule: Writer, tmp_path: Path) -> None:
+    """A window reads the last rows when the station closes the journal."""
+    path = tmp_path / "a.journal"
+    with contextlib.ExitStack() as stack:
+
+        def listen(event: Event) -> None:
+            if isinstance(event, RowCommitted) and event.done == event.total:
+                query = stack.enter_context(contextlib.closing(open_read_only(path)))
+                query.execute("SELECT COUNT(*) FROM attempt").fetchone()
+                threading.Timer(0.1, query.close).start()
+
+        run_plan(make_plan(read_schedule(write_schedule()), read_rig(RIG)), path, listeners=[listen])
+    assert [*tmp_path.glob("a.journal*")] == [path]
 
 
 def test_what_is_no_journal_is_an_error(tmp_path: Path) -> None:
