@@ -169,14 +169,15 @@ def log_out(session: int) -> None:
                 os.kill(each, number)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "number",
     [
-        pytest.param(signal.SIGINT, id="SIGINT", marks=pytest.mark.long),
-        pytest.param(signal.SIGTERM, id="SIGTERM", marks=pytest.mark.long),
+        pytest.param(signal.SIGINT, id="SIGINT"),
+        pytest.param(signal.SIGTERM, id="SIGTERM"),
         pytest.param(signal.SIGHUP, id="SIGHUP"),
-        pytest.param(signal.SIGKILL, id="SIGKILL", marks=pytest.mark.long),
-        pytest.param(LOG_OUT, id="log-out", marks=pytest.mark.long),
+        pytest.param(signal.SIGKILL, id="SIGKILL"),
+        pytest.param(LOG_OUT, id="log-out"),
     ],
 )
 def test_the_run_goes_on_after_the_end_of_its_window(

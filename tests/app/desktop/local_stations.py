@@ -27,9 +27,10 @@ class Host:
         self.server = StationServer(self.station)
         self.server.start()
         self._engine = threading.Thread(target=self.station.serve, name="engine")
-        clock = self._clock = self.station._clock
+        clock = self.station._clock
         assert isinstance(clock, ScaledClock)
         clock.set_speed(FAST)
+        self._clock = clock
         self.station.do(self.station.connect_all)
         self.station.do(lambda: clock.set_speed(speed))
         self._engine.start()

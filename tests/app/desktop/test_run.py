@@ -388,7 +388,7 @@ def test_after_a_run_the_plot_has_the_highest_value_of_the_journal(
     assert window.view.plot.y_label == "BSDF (1/sr)"
 
 
-@pytest.mark.parametrize("broken", ["drawing", "reducing", "reading"])
+@pytest.mark.parametrize("broken", ["drawing", pytest.param("reducing", marks=pytest.mark.long), "reading"])
 def test_a_plot_that_fails_does_not_stop_the_run(
     qtbot: QtBot, window: MainWindow, monkeypatch: pytest.MonkeyPatch, broken: str
 ) -> None:
@@ -456,7 +456,7 @@ def test_closing_during_a_run_asks_and_stops_the_run(qtbot: QtBot, open_window: 
     assert campaign_summary(journal).rows < ROWS
 
 
-@pytest.mark.parametrize("by", ["person", "signal"])
+@pytest.mark.parametrize("by", [pytest.param("person", marks=pytest.mark.long), "signal"])
 def test_the_run_goes_on_without_its_window_and_the_next_one_shows_it(
     qtbot: QtBot, open_window: WindowOpener, stations: LocalStations, by: str
 ) -> None:
@@ -631,6 +631,7 @@ def test_two_windows_one_operates_both_can_stop(qtbot: QtBot, open_window: Windo
     assert len(stations.hosts) == 1
 
 
+@pytest.mark.long
 def test_a_watcher_sees_the_question_and_the_speed_and_changes_neither(
     qtbot: QtBot, open_window: WindowOpener, stations: LocalStations
 ) -> None:
@@ -721,6 +722,7 @@ def test_a_station_that_dies_at_rest_is_connected_again(qtbot: QtBot, window: Ma
     assert len(stations.hosts) == 2
 
 
+@pytest.mark.long
 def test_a_rig_that_another_window_gives_back_is_no_emergency(
     qtbot: QtBot, open_window: WindowOpener, stations: LocalStations, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -197,6 +197,7 @@ def test_the_rig_is_closed_after_the_stops_in_progress(bench: StationBench, monk
     assert done == ["stopped", "closed"]
 
 
+@pytest.mark.long
 def test_the_shutter_is_closed_after_the_last_of_many_stops(
     bench: StationBench, write_schedule: Writer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
