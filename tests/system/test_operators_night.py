@@ -171,6 +171,7 @@ def test_an_operators_night(
     assert kept.state == "killed"
     assert kept.rows >= done
     window.press("Alt+U")
+    answer(window, "Mount gaussian-5", "Mounted")  # a new session; the operator is still a person
     assert window.wait_for_rows(kept.rows + 1) > kept.rows
     until(lambda: campaign_summary(journal).rows > kept.rows)
 
