@@ -88,6 +88,7 @@ def test_flags_of_a_scan_are_one_event(window: MainWindow) -> None:
     ]
 
 
+@pytest.mark.long
 def test_findings_on_the_instrument_are_in_the_log_and_under_the_plot(
     qtbot: QtBot, open_window: WindowOpener, write_rig: Writer, write_schedule: Writer
 ) -> None:
@@ -102,6 +103,7 @@ def test_findings_on_the_instrument_are_in_the_log_and_under_the_plot(
     qtbot.waitUntil(lambda: finding in window.view.plot.summary, timeout=READY_MS)
 
 
+@pytest.mark.long
 def test_a_second_run_gets_a_journal_of_its_own(qtbot: QtBot, window: MainWindow, journals: Path) -> None:
     for _ in range(2):
         ready(qtbot, window)
@@ -371,6 +373,7 @@ def test_widgets_are_destroyed_in_the_windows_thread_alone(qtbot: QtBot, window:
     assert gc.isenabled()
 
 
+@pytest.mark.long
 def test_after_a_run_the_plot_has_the_highest_value_of_the_journal(
     qtbot: QtBot, open_window: WindowOpener, write_schedule: Writer, tmp_path: Path
 ) -> None:
@@ -388,7 +391,10 @@ def test_after_a_run_the_plot_has_the_highest_value_of_the_journal(
     assert window.view.plot.y_label == "BSDF (1/sr)"
 
 
-@pytest.mark.parametrize("broken", ["drawing", pytest.param("reducing", marks=pytest.mark.long), "reading"])
+@pytest.mark.parametrize(
+    "broken",
+    [pytest.param("drawing", marks=pytest.mark.long), pytest.param("reducing", marks=pytest.mark.long), "reading"],
+)
 def test_a_plot_that_fails_does_not_stop_the_run(
     qtbot: QtBot, window: MainWindow, monkeypatch: pytest.MonkeyPatch, broken: str
 ) -> None:
@@ -456,7 +462,8 @@ def test_closing_during_a_run_asks_and_stops_the_run(qtbot: QtBot, open_window: 
     assert campaign_summary(journal).rows < ROWS
 
 
-@pytest.mark.parametrize("by", [pytest.param("person", marks=pytest.mark.long), "signal"])
+@pytest.mark.long
+@pytest.mark.parametrize("by", ["person", "signal"])
 def test_the_run_goes_on_without_its_window_and_the_next_one_shows_it(
     qtbot: QtBot, open_window: WindowOpener, stations: LocalStations, by: str
 ) -> None:
@@ -527,6 +534,7 @@ def test_a_stop_right_after_the_letter_of_start(qtbot: QtBot, window: MainWindow
     qtbot.waitUntil(lambda: clicked.count() == 1, timeout=READY_MS)
 
 
+@pytest.mark.long
 def test_a_stop_of_another_window_cancels_a_start_that_waits(
     qtbot: QtBot, open_window: WindowOpener, journals: Path, stations: LocalStations
 ) -> None:
@@ -612,6 +620,7 @@ def test_a_look_for_stations_reads_no_file_while_the_folder_is_as_it_was(tmp_pat
     assert [stations.changed() for _ in range(3)] == [True, False, False]
 
 
+@pytest.mark.long
 def test_two_windows_one_operates_both_can_stop(qtbot: QtBot, open_window: WindowOpener, stations: LocalStations) -> None:
     one = ready(qtbot, open_window(speed=2.0))
     two = open_window(speed=2.0)
@@ -684,6 +693,7 @@ def test_the_status_keeps_the_question_and_the_pause_key_takes_its_pause_back(qt
     assert not window.isVisible()
 
 
+@pytest.mark.long
 def test_a_station_that_dies_is_reported_and_the_run_is_resumed_with_one_key(
     qtbot: QtBot, open_window: WindowOpener, stations: LocalStations
 ) -> None:
