@@ -119,7 +119,7 @@ def test_an_operators_night(
     window.choose("Open the shutter")
     window.wait_for("[Close]", READY)
     window.choose("Read all photodiodes once")
-    window.wait_for("Mean of 4: 36 photodiodes")
+    window.wait_for("Mean of 4: 36 photodiodes", READY)
 
     # Start and mount.
     window.press("Alt+S")
