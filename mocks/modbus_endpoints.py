@@ -128,7 +128,7 @@ class ModbusEndpoints:
                 self._rig, self._station(name), port, partial(self._unplugged.__contains__, name)
             )
             await _serve(tcp, f"{LOOPBACK}:{port}")
-            transport: asyncio.Server = tcp.transport  # type: ignore[assignment]
+            transport: asyncio.Server = tcp.transport  # type: ignore[assignment]  # pymodbus: Any transport
             self.ports[name] = int(transport.sockets[0].getsockname()[1])
         for path, (names, baudrate) in self._rtu.items():
             self._servers[path] = rtu = _RtuServer(self._rig, self._line(names, baudrate), path, baudrate)
@@ -165,7 +165,7 @@ class _Handler(ServerRequestHandler):
     """One connection: pymodbus brings the bytes, a station answers them."""
 
     def __init__(self, owner: ModbusBaseServer, rig: VirtualRig, station: SerialDevice, *, refused: bool = False) -> None:
-        super().__init__(owner, None, None, None)  # type: ignore[no-untyped-call]
+        super().__init__(owner, None, None, None)  # type: ignore[no-untyped-call]  # pymodbus gives it no types
         self._refused = refused
         self._rig = rig
         self._station = station
@@ -195,7 +195,7 @@ class _Handler(ServerRequestHandler):
         if self._next is not None:
             self._next.cancel()
             self._next = None
-        transport: asyncio.Transport | None = self.transport  # type: ignore[assignment]
+        transport: asyncio.Transport | None = self.transport  # type: ignore[assignment]  # None after the end
         if transport is None or transport.is_closing():
             self._forget()
             return

@@ -531,7 +531,7 @@ def _polar(dataset: Dataset, log: bool | None) -> "Figure":
     figure = new_figure(7.5, 8.0 if through else 4.9)
     figure.set_layout_engine("none")  # it would leave the room of a whole disc to a half one
     place = (0.12, 0.14, 0.76, 0.7125) if through else (0.1, -0.07, 0.8, 1.2245)
-    axes: PolarAxes = figure.add_axes(place, projection="polar")  # type: ignore[assignment]
+    axes: PolarAxes = figure.add_axes(place, projection="polar")  # type: ignore[assignment]  # the stub has Axes
     axes.set_theta_zero_location("N")
     axes.set_theta_direction(-1)
     outer = 1.08 * float(scale.radius(np.array([scale.top]))[0]) or 1.0

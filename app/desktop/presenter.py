@@ -7,6 +7,7 @@ from pathlib import Path
 from PySide6.QtCore import QDateTime, QObject, Qt, QTimer, Signal, Slot
 
 from goniotwin.app.campaign.planning.plan import Plan
+from goniotwin.app.campaign.row import NO_SAMPLE, Row
 from goniotwin.app.campaign.running.events import (
     EventLogged,
     Positions,
@@ -16,6 +17,7 @@ from goniotwin.app.campaign.running.events import (
     State,
     StateChanged,
 )
+from goniotwin.app.campaign.wording import rounded_duration_text
 from goniotwin.app.desktop.events.panels import LogEntry
 from goniotwin.app.desktop.model.messages import (
     Attached,
@@ -32,7 +34,6 @@ from goniotwin.app.desktop.model.messages import (
     ValuesMissing,
 )
 from goniotwin.app.desktop.model.permissions import Permissions, permissions
-from goniotwin.app.desktop.model.row_words import row_words
 from goniotwin.app.desktop.model.time_left import Mounting, TimeLeft, Wait
 from goniotwin.app.desktop.rig.panels import DEVICES
 from goniotwin.app.desktop.run.live_plot import LivePlot
@@ -500,7 +501,7 @@ class Presenter(QObject):
             self._view.axes.set_targets(event.row.pose)
             if self.state is State.RUNNING:
                 done, of = self._progress
-                self.show_run_status(f"{row_words(event.row)} (row {min(done + 1, of)} of {of})")
+                self.show_run_status(f"{_row_words(event.row)} (row {min(done + 1, of)} of {of})")
             if not event.row.unplanned:
                 self._row_number = event.row.number
             self._live_plot.add_row(event)
@@ -616,3 +617,25 @@ def _clock_text(seconds: float) -> str:
     if then.date() != now.date():
         return then.toString("ddd HH:mm")
     return then.toString("HH:mm:ss" if seconds < NEAR_S else "HH:mm")
+
+
+def _row_words(row: Row) -> str:
+    """A row in words: `Measuring satin, σ 30°, γ 0°, β 180°, shift 2.5°, 550 nm`."""
+    sample = "an empty sample unit" if row.sample == NO_SAMPLE else row.sample
+    match row.kind:
+        case "mount":
+            return f"Mounting {sample}"
+        case "dark":
+            return f"Dark reading with the shutter closed, at {sample}"
+        case "warm-up":
+            return f"Warming up the lamp, at most {rounded_duration_text(row.longest_s)}"
+    what = "Drift check of" if row.kind == "drift" else "Measuring"
+    return ", ".join([f"{what} {sample}", *_pose_words(row)])
+
+
+def _pose_words(row: Row) -> list[str]:
+    wavelength = [] if row.wavelength_nm is None else [f"{row.wavelength_nm:g} nm"]
+    if row.pose is None:
+        return wavelength
+    gamma, sigma, beta, shift = row.pose
+    return [f"σ {sigma:g}°", f"γ {gamma:g}°", f"β {beta:g}°", f"shift {shift:g}°", *wavelength]

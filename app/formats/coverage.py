@@ -184,7 +184,7 @@ def _inserted(table: BsdfTable, name: str, place: int, angle: float, source: int
 def _taken(table: _Table, name: str, angles: Floats, columns: Ints) -> _Table:
     arrays = {each: getattr(table, each, None) for each in ("values", "u", "known")}
     taken = {each: np.take(array, columns, _AXES[name]) for each, array in arrays.items() if array is not None}
-    return replace(table, **{name: angles}, **taken)  # type: ignore[arg-type]
+    return replace(table, **{name: angles}, **taken)  # type: ignore[arg-type]  # fields by name
 
 
 def scattered_share(table: BsdfTable) -> Floats:

@@ -68,7 +68,7 @@ class RtuClient(ModbusSerialClient):
             while data and len(data) < LONGEST_RECEIVED and (chunk := port.read(CHUNK)):
                 data += chunk
         except OSError:
-            self.close()  # type: ignore[no-untyped-call]
+            self.close()  # type: ignore[no-untyped-call]  # pymodbus gives it no types
             raise ConnectionException(str(self)) from None
         return data
 

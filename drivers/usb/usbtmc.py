@@ -277,7 +277,7 @@ class UsbTmc:
             raise BadAnswer(self.name, "open it", "it has no bulk endpoints", "check the address in the rig file")
         self._out, self._in, self._interrupt = kinds[2, 0x00], kinds[2, 0x80], kinds.get((3, 0x80))
         self._device = device
-        with contextlib.suppress(NotImplementedError):
+        with contextlib.suppress(NotImplementedError):  # of libusb on Windows and macOS
             if device.is_kernel_driver_active(number):
                 device.detach_kernel_driver(number)
         usb.util.claim_interface(device, number)
