@@ -108,6 +108,7 @@ def kill_clients(addresses: dict[str, list[str]], seconds: float) -> Iterator[st
         clock.sleep_until(min(seconds, clock.now() + KILL_EVERY_S))
 
 
+@pytest.mark.long
 @needs_proc
 def test_clients_that_disconnect_leave_no_descriptors_and_threads(serve: Serve) -> None:
     process, lines = serve(RIG)

@@ -34,6 +34,7 @@ RESOLUTION_DEG = 0.02 / 100
 """A count of the shift's controller: a full step of the motor in 100."""
 
 
+@pytest.mark.long
 def test_quick_has_the_values_of_the_rig_with_one_make(
     mixed_rig: MixedRig, write_rig: Writer, write_schedule: Writer, tmp_path: Path
 ) -> None:

@@ -41,7 +41,8 @@ def check_agreement(forward: Illumination, adjoint: Illumination) -> None:
     assert abs(width - other) < 4.0 * math.hypot(error, other_error)
 
 
-@pytest.mark.parametrize("unit", [pytest.param(UNIT, id="straight"), pytest.param(AWRY, id="awry", marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("unit", [pytest.param(UNIT, id="straight"), pytest.param(AWRY, id="awry")])
 def test_forward_and_adjoint_agree(unit: IlluminationUnit) -> None:
     forward = forward_illumination(unit, rays=12_000_000, seed=11)
     check_agreement(forward, adjoint_illumination(unit, rays=200_000, seed=12))

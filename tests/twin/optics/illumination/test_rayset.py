@@ -19,7 +19,8 @@ UNIT = IlluminationUnit()
 AWRY = replace(UNIT, deviations={"output_condenser": Deviation(5.0, 0.0, 2.0, 0.05, 0.3, 0.0), "arc": Deviation(x_mm=0.3)})
 
 
-@pytest.mark.parametrize("unit", [pytest.param(UNIT, id="straight", marks=pytest.mark.long), pytest.param(AWRY, id="awry")])
+@pytest.mark.long
+@pytest.mark.parametrize("unit", [pytest.param(UNIT, id="straight"), pytest.param(AWRY, id="awry")])
 def test_replayed_rays_light_the_sample_as_rays_from_the_arc(unit: IlluminationUnit) -> None:
     forward = forward_illumination(unit, rays=8_000_000, seed=5)
     source = replay(record(unit, 100_000, seed=6), unit)
