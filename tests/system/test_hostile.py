@@ -49,6 +49,7 @@ from goniotwin.mocks.faulty_line import FaultyLine
 from goniotwin.protocols import usbip
 from goniotwin.protocols.clock import Clock, RealClock, VirtualClock
 from goniotwin.protocols.tmcl import Command, CommandFrame
+from tests import used
 from tests.app.campaign.reduction.long_journal import write_long_journal
 from tests.conftest import REPOSITORY, RIG, SMALL, RigOpener, Writer, changed
 from tests.drivers.endless_wires import QUICK, WIRES, EndlessServer, FloodedPort, check_calls, check_flood, check_stops
@@ -579,15 +580,11 @@ def test_a_wild_text_of_tens_of_megabytes_is_refused_within_a_gigabyte(
         table, column = place.split(".")
         write_huge(database, table, column, 1, what)
         compute_chain(database)
-    command = [sys.executable, "-m", "goniotwin", *COMMANDS[name]]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        assert process.stderr is not None
-        lines = process.stderr.read().splitlines()
-        _, status, used = os.wait4(process.pid, 0)
-        process.returncode = os.waitstatus_to_exitcode(status)
-    assert used.ru_maxrss * 1024 < MEMORY_BYTES
-    assert used.ru_utime + used.ru_stime < CPU_S
-    assert process.returncode == (1 if name == "chained.journal" else 0)
+    done = used.run(sys.executable, "-m", "goniotwin", *COMMANDS[name])
+    assert done.peak_bytes < MEMORY_BYTES
+    assert done.cpu_s < CPU_S
+    assert done.status == (1 if name == "chained.journal" else 0)
+    lines = done.stderr.splitlines()
     assert len(lines) == 1
     assert f"{name}: is damaged: " in lines[0]
 

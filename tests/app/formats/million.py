@@ -3,8 +3,6 @@
 import json
 import math
 import os
-import resource
-import subprocess
 import sys
 import tempfile
 from pathlib import Path
@@ -15,6 +13,7 @@ from goniotwin.app.data.conversion import Choice, convert_content
 from goniotwin.app.formats import BsdfTable, registry
 from goniotwin.app.formats.content import BsdfFile, RegularTable, ScatteredBsdf
 from goniotwin.arrays import Floats
+from tests import used
 
 VALUES = 1_000_000
 FORMATS = ("ddr", "ddt", "sdr", "ssdd", "zemax", "astm", "rgl", "rgl_4d", "bird", "archive", "csv")
@@ -65,15 +64,15 @@ def measure(name: str, values: int) -> dict[str, float]:
             spent = after.user + after.system - before.user - before.system
             found |= {f"{what}_s": spent, f"{what}_wall_s": after.elapsed - before.elapsed}
         found["file_mb"] = path.stat().st_size / 1e6
-    return found | {"peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e6}
+    return found
 
 
 def measure_apart(name: str, values: int) -> dict[str, float]:
-    """The same in a process of its own."""
-    command = [sys.executable, "-m", "tests.app.formats.million", name, str(values)]
-    done = subprocess.run(command, stdout=subprocess.PIPE, text=True, check=True)
-    result: dict[str, float] = json.loads(done.stdout)
-    return result
+    """The same in a process of its own, with its greatest memory in MB."""
+    done = used.run(sys.executable, "-m", "tests.app.formats.million", name, str(values))
+    assert done.status == 0, done.stderr
+    found: dict[str, float] = json.loads(done.stdout)
+    return found | {"peak_mb": done.peak_bytes / 1e6}
 
 
 if __name__ == "__main__":
