@@ -1,8 +1,11 @@
 """Stations in processes, and clients of theirs in the tests' own."""
 
+import contextlib
 import os
+import signal
 import threading
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from goniotwin.app.station.client import StationClient
@@ -64,3 +67,16 @@ def runs(pid: int) -> bool:
         return "Z" not in Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2][:3]
     except OSError:
         return True
+
+
+def kill_stations() -> None:
+    """Kill all stations of this computer, and remove what a killed one leaves."""
+    for path, station in known_stations().items():
+        with contextlib.suppress(ProcessLookupError):  # it has ended, and left its file
+            os.kill(station.pid, signal.SIGKILL)
+        until(partial(has_ended, path))
+
+
+def has_ended(path: Path) -> bool:
+    """Whether the station of a connection file has ended; a file that is left is removed."""
+    return attach(path, "cleaner") is None

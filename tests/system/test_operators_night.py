@@ -19,11 +19,12 @@ from goniotwin.app.campaign.journal.summary import campaign_summary
 from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.reduction.reduction import reduce_journal
 from goniotwin.app.desktop.bench.screen import READY
-from goniotwin.app.station.connection_file import attach, known_stations
+from goniotwin.app.station.connection_file import known_stations
 from tests.app.campaign.campaign_bench import QUIET
 from tests.conftest import SMALL, Writer
 from tests.system.command_process import FORKED
 from tests.system.conftest import until
+from tests.system.station_bench import kill_stations
 from tests.system.window_by_keys import WindowByKeys
 
 pytestmark = [
@@ -55,9 +56,7 @@ def open_window(tmp_path: Path) -> Iterator[Callable[..., WindowByKeys]]:
     yield opened
     for window in windows:
         window.kill()
-    for path, station in known_stations().items():
-        os.kill(station.pid, signal.SIGKILL)
-        until(lambda path=path: attach(path, "cleaner") is None)  # type: ignore[misc]
+    kill_stations()
 
 
 def answer(window: WindowByKeys, question: str, choice: str) -> None:

@@ -18,12 +18,12 @@ from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.running.events import State
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.rig import read_rig
-from goniotwin.app.station.connection_file import attach, known_stations
+from goniotwin.app.station.connection_file import known_stations
 from goniotwin.protocols.clock import RealClock
 from tests.app.campaign.campaign_bench import QUIET, planned_values
 from tests.conftest import REPOSITORY, RIG, Writer
 from tests.system.conftest import ForkedServe, control_client, until
-from tests.system.station_bench import Attached
+from tests.system.station_bench import Attached, kill_stations
 
 pytestmark = [
     pytest.mark.skipif(sys.platform == "win32", reason="this system sends no signals to a process"),
@@ -109,9 +109,7 @@ def start_window(tmp_path: Path) -> Iterator[Starter]:
     for window in started:
         window.process.kill()
         window.wait_for_exit()
-    for path, station in known_stations().items():
-        os.kill(station.pid, signal.SIGKILL)
-        until(lambda path=path: attach(path, "cleaner") is None)  # type: ignore[misc]
+    kill_stations()
 
 
 def check_closed(window: WindowProcess) -> None:
