@@ -22,7 +22,7 @@ def test_an_interrupted_proof_continues(write_rig: Writer, write_schedule: Write
     options = ["--rigs", "12", "--without-wires", "--processes", "2", "--out", str(folder), "--json"]
     command = [*MAIN, "prove", str(write_schedule()), "--rig", str(write_rig()), *options]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True)
-    until(lambda: process.poll() is not None or any(folder.glob("rig-*.json")))
+    until(lambda: process.poll() is not None or any(folder.glob("chunk-*.npz")))
     process.send_signal(signal.SIGINT)
     out, errors = process.communicate(timeout=120)
     assert process.returncode == 130, errors
@@ -30,7 +30,7 @@ def test_an_interrupted_proof_continues(write_rig: Writer, write_schedule: Write
     assert f"to continue: the same command; finished rigs are in {folder}" in " ".join(errors.split())
     assert "Traceback" not in errors
     assert [each for each in folder.iterdir() if each.is_dir()] == []
-    finished = {path: path.read_bytes() for path in folder.glob("rig-*.json")}
+    finished = {path: path.read_bytes() for path in folder.glob("chunk-*.npz")}
     assert 1 <= len(finished) < 12
     done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stderr

@@ -1,0 +1,83 @@
+"""What computes a chunk: versions and processor. Results of different ones differ in their last digits, or in their meaning."""
+
+import hashlib
+import os
+import platform
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
+from functools import cache
+from importlib.metadata import version
+from importlib.util import find_spec
+from pathlib import Path
+
+import llvmlite.binding
+import numba
+import numpy as np
+
+from goniotwin.app.errors import UserError
+
+PARTS = ("app", "drivers", "mocks", "protocols", "twin")
+FEATURES = ("avx512f", "avx2", "fma", "sve", "neon")
+"""Features of a processor by which compiled sums round otherwise."""
+
+
+@dataclass(frozen=True)
+class Environment:
+    """Versions of the project (with a digest of its sources), numpy, numba and Python; the processor with its features."""
+
+    goniotwin: str
+    numpy: str
+    numba: str
+    python: str
+    processor: str
+
+    def as_dict(self) -> dict[str, str]:
+        """The environment for a file."""
+        return asdict(self)
+
+    def difference(self, other: "Environment") -> str:
+        """What the other one has instead, in words; empty for the same."""
+        names = [each.name for each in fields(self) if getattr(self, each.name) != getattr(other, each.name)]
+        return ", ".join(f"{name} {getattr(self, name)} against {getattr(other, name)}" for name in names)
+
+
+@cache
+def environment() -> Environment:
+    """The environment of this process."""
+    return Environment(
+        f"{version('goniotwin')} ({_digest_of_sources()})", np.__version__, numba.__version__, platform.python_version(),
+        _processor(),
+    )  # fmt: skip
+
+
+def _processor() -> str:
+    """Name and features of the processor for which kernels are compiled, as the compiler has them."""
+    name = numba.config.CPU_NAME or llvmlite.binding.get_host_cpu_name()
+    given = numba.config.CPU_FEATURES
+    if given is None:
+        given = "" if numba.config.CPU_NAME else llvmlite.binding.get_host_cpu_features().flatten()
+    known = [each for each in FEATURES if f"+{each}" in given.split(",")]
+    return " ".join([platform.machine(), name, *known])
+
+
+def _digest_of_sources() -> str:
+    """Twelve digits of the SHA-256 of all sources: two working copies can have one version."""
+    digest = hashlib.sha256()
+    for part in PARTS:
+        spec = find_spec(f"goniotwin.{part}")
+        for place in (spec.submodule_search_locations or ()) if spec is not None else ():
+            for path in sorted(Path(os.path.realpath(place)).rglob("*.py")):
+                digest.update(f"{part}/{path.relative_to(os.path.realpath(place)).as_posix()}\0".encode())
+                digest.update(path.read_bytes().replace(b"\r\n", b"\n") + b"\0")
+    return digest.hexdigest()[:12]
+
+
+def check_alike(environments: Mapping[str, Environment], remedy: str) -> None:
+    """Refuse different environments, given by the names of their places. Raises UserError, one line."""
+    places = iter(environments.items())
+    first = next(places, None)
+    if first is None:
+        return
+    for place, each in places:
+        if difference := first[1].difference(each):
+            raise UserError(f"{first[0]} and {place} differ, and their results are not mixed: {difference}; {remedy}")
