@@ -10,12 +10,13 @@ import queue
 import threading
 from collections.abc import Generator, Iterable, Iterator, Mapping
 from concurrent.futures import CancelledError
+from dataclasses import replace
 from itertools import islice
 from typing import TYPE_CHECKING, Any, Self
 
 from goniotwin.app.errors import MissingPackage, UserError, one_line
 from goniotwin.app.sweeps.environment import Environment, check_alike, environment
-from goniotwin.app.sweeps.runners import AHEAD
+from goniotwin.app.sweeps.runners import AHEAD, HERE
 from goniotwin.app.sweeps.specification import Computed, Specification, Work, compute
 
 if TYPE_CHECKING:
@@ -83,7 +84,11 @@ class DaskCluster:
         for name, each in alike.items():
             if not isinstance(each, Environment):
                 raise UserError(f"{name}: {each}; install the same version of goniotwin on all workers")
-        check_alike(alike, "install the same versions on all workers, on computers of the same kind")
+        remedy = "install the same versions on all workers, on computers of the same kind"
+        check_alike(alike, remedy)
+        # This one computes nothing, but it has written the specification and reads the arrays.
+        for each in alike.values():
+            check_alike({HERE: replace(each, goniotwin=environment().goniotwin), **alike}, remedy)
         return alike
 
     def run(self, work: Work, specification: Specification, chunks: Iterable[int]) -> Generator[Computed | None]:
@@ -97,7 +102,8 @@ class DaskCluster:
 
         def submit() -> None:
             for chunk in islice(waiting, max(0, AHEAD * max(1, self._workers()) - len(running))):
-                key = f"goniotwin-{specification.work}-{specification.digest[:16]}-{chunk}"
+                # Of this run alone: the chunks of an interrupted one may still be being cancelled.
+                key = f"goniotwin-{specification.work}-{client.id}-{chunk}"
                 running[key] = client.submit(_compute, work, specification, chunk, key=key, pure=False)
                 running[key].add_done_callback(done.put)
 
@@ -108,10 +114,8 @@ class DaskCluster:
                 if not running:
                     return
                 computed = None
-                try:
+                with contextlib.suppress(queue.Empty):
                     computed = self._computed(running.pop(done.get(timeout=LOOK_S).key))
-                except queue.Empty:
-                    self.environments()  # a new worker without goniotwin takes a chunk and never answers
                 yield computed
         finally:
             with contextlib.suppress(Exception):  # of a scheduler that is lost

@@ -51,13 +51,12 @@ def environment() -> Environment:
 
 
 def _processor() -> str:
-    """Name and features of the processor for which kernels are compiled, as the compiler has them."""
-    name = numba.config.CPU_NAME or llvmlite.binding.get_host_cpu_name()
-    given = numba.config.CPU_FEATURES
-    if given is None:
-        given = "" if numba.config.CPU_NAME else llvmlite.binding.get_host_cpu_features().flatten()
-    known = [each for each in FEATURES if f"+{each}" in given.split(",")]
-    return " ".join([platform.machine(), name, *known])
+    """Name and features of the processor, and another one for which the kernels are compiled by the user's choice."""
+    given = llvmlite.binding.get_host_cpu_features().flatten().split(",")
+    known = [each for each in FEATURES if f"+{each}" in given]
+    other = [each for each in (numba.config.CPU_NAME, numba.config.CPU_FEATURES) if each]
+    chosen = ["compiled for", *other] if other else []
+    return " ".join([platform.machine(), llvmlite.binding.get_host_cpu_name(), *known, *chosen])
 
 
 def _digest_of_sources() -> str:

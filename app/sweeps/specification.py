@@ -76,7 +76,7 @@ class Computed:
 def compute(work: Work, specification: Specification, chunk: int) -> Computed:
     """Compute a chunk; every runner does it by this function. A failure of the chunk is a part of the result."""
     try:
-        arrays = {name: np.ascontiguousarray(each) for name, each in work(specification, chunk).items()}
+        arrays = {name: np.asarray(each, order="C") for name, each in work(specification, chunk).items()}
     except UserError as error:
         return Computed(chunk, {}, environment(), str(error) or "failed")
     return Computed(chunk, arrays, environment())

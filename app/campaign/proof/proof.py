@@ -164,8 +164,10 @@ class _EmbeddedProof:
 
     def __init__(self, specification: Specification) -> None:
         data = specification.data
-        folder = tempfile.mkdtemp(prefix="goniotwin-tables-")
-        weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
+        folder = ""
+        if data["rig"]["files"]:
+            folder = tempfile.mkdtemp(prefix="goniotwin-tables-")
+            weakref.finalize(self, shutil.rmtree, folder, ignore_errors=True)
         rig = embedded_rig(data["rig"], Path(folder))
         schedule = replace(parse_schedule(data["schedule"]["text"], NAME), certificate=data["schedule"]["certificate"])
         self.proof = Proof(schedule, rig, 1, Path(), data["wires"])

@@ -1,8 +1,5 @@
 """Sweeps on the workers of a Dask cluster: the bytes of this process, whatever workers are lost or added."""
 
-import json
-import os
-import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -14,9 +11,9 @@ from goniotwin.app.sweeps.dask_cluster import DaskCluster
 from goniotwin.app.sweeps.runners import Here
 from goniotwin.app.sweeps.specification import Specification
 from goniotwin.app.sweeps.sweep import run_sweep
+from tests.app.sweeps.clusters import Cluster, started_cluster
 from tests.app.sweeps.test_sweep import contents, files_of
 from tests.app.sweeps.works import numbers, specification
-from tests.conftest import REPOSITORY
 from tests.system.conftest import until
 
 psutil = pytest.importorskip("psutil")
@@ -26,47 +23,10 @@ pytestmark = [pytest.mark.long, pytest.mark.skipif(sys.platform == "win32", reas
 CHUNKS = 12
 
 
-class Cluster:
-    """A scheduler and its workers on the loopback interface, at free ports, each a process of its own."""
-
-    def __init__(self, folder: Path) -> None:
-        self._file = folder / "scheduler.json"
-        self._folder = folder
-        self.processes: list[subprocess.Popen[bytes]] = []
-        self.scheduler = self._start("scheduler", "--port", "0", "--no-dashboard", "--scheduler-file", str(self._file))
-        until(lambda: self._file.exists() or self.scheduler.poll() is not None)
-
-    @property
-    def address(self) -> str:
-        return str(json.loads(self._file.read_text(encoding="utf-8"))["address"])
-
-    def add_worker(self, program: str = "", **environment: str) -> subprocess.Popen[bytes]:
-        options = ["--scheduler-file", str(self._file), "--no-nanny", "--no-dashboard", "--nthreads", "1", "--worker-port", "0"]
-        return self._start(program or "worker", *options, "--local-directory", str(self._folder), **environment)
-
-    def _start(self, program: str, *options: str, **environment: str) -> subprocess.Popen[bytes]:
-        paths = os.pathsep.join([str(REPOSITORY), *sys.path])
-        module = ["-c", program] if " " in program else ["-m", f"distributed.cli.dask_{program}"]
-        process = subprocess.Popen(
-            [sys.executable, *module, "--host", "127.0.0.1", *options],
-            env={**os.environ, "PYTHONPATH": paths, **environment}, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-        )  # fmt: skip
-        self.processes.append(process)
-        return process
-
-    def close(self) -> None:
-        for process in self.processes[::-1]:
-            process.kill()
-            process.wait()
-
-
 @pytest.fixture
 def cluster(tmp_path: Path) -> Iterator[Cluster]:
-    folder = tmp_path / "dask"
-    folder.mkdir()
-    started = Cluster(folder)
-    yield started
-    started.close()
+    with started_cluster(tmp_path / "dask") as cluster:
+        yield cluster
 
 
 def serial(folder: Path, of: Specification, chunks: int = CHUNKS) -> dict[str, bytes]:
@@ -166,12 +126,20 @@ def test_processes_are_for_a_local_cluster_alone() -> None:
         DaskCluster("tcp://127.0.0.1:8786", 2)
 
 
-def test_a_worker_without_goniotwin_is_refused_also_if_it_comes_later(cluster: Cluster, tmp_path: Path) -> None:
+def test_a_worker_without_goniotwin_is_refused_and_computes_nothing_if_it_comes_later(cluster: Cluster, tmp_path: Path) -> None:
     program = "import sys; sys.modules['goniotwin'] = None; from distributed.cli.dask_worker import main; main()"
-    wrong = r"worker tcp://.*: .*No module named 'goniotwin.*; install the same version of goniotwin on all workers"
-    cluster.add_worker(program=program)
+    cluster.add_worker()
+
+    def add(done: int, _now: str) -> None:
+        if done == 2:
+            cluster.add_worker(program)
+            until(lambda: runner.title == "2 workers")
+
     with DaskCluster(cluster.address) as runner:
+        run_sweep(numbers, files_of(tmp_path / "sweep"), 2 * CHUNKS, runner, add)
+        assert contents(tmp_path / "sweep") == serial(tmp_path / "serial", specification(), 2 * CHUNKS)
+        cluster.add_worker(program)  # Dask ends a worker that cannot load its task
+        until(lambda: runner.title in ("2 workers", "3 workers"))
+        wrong = r"worker tcp://.*: .*No module named 'goniotwin.*; install the same version of goniotwin on all workers"
         with pytest.raises(UserError, match=wrong):
-            run_sweep(numbers, files_of(tmp_path / "sweep"), CHUNKS, runner)
-        with pytest.raises(UserError, match=wrong):
-            list(runner.run(numbers, specification(), range(CHUNKS)))
+            run_sweep(numbers, files_of(tmp_path / "refused"), CHUNKS, runner)
