@@ -1,6 +1,6 @@
 """Dataclasses of numbers, texts and arrays as data for a specification, and back: bit by bit the same.
 
-The classes are listed by whoever reads the data: it can make no others.
+The reader of the data lists the classes: no others are made.
 """
 
 import base64

@@ -64,7 +64,7 @@ TASKS = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("name", TASKS)
+@pytest.mark.parametrize("name", [name if name == "grey" else pytest.param(name, marks=pytest.mark.long) for name in TASKS])
 def test_a_simulation_in_chunks_has_the_numbers_of_one_in_one_piece(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
