@@ -4,6 +4,7 @@ import hashlib
 import os
 import platform
 from collections.abc import Mapping
+from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass, fields
 from functools import cache
 from importlib.metadata import version
@@ -13,6 +14,7 @@ from pathlib import Path
 import llvmlite.binding
 import numba
 import numpy as np
+from threadpoolctl import ThreadpoolController
 
 from goniotwin.app.errors import UserError
 
@@ -23,10 +25,11 @@ FEATURES = ("avx512f", "avx2", "fma", "sve", "neon")
 
 @dataclass(frozen=True)
 class Environment:
-    """Versions of the project (with a digest of its sources), numpy, numba and Python; the processor with its features."""
+    """Versions of the project (with a digest of its sources), numpy, its linear algebra, numba and Python; the processor."""
 
     goniotwin: str
     numpy: str
+    linear_algebra: str
     numba: str
     python: str
     processor: str
@@ -45,9 +48,31 @@ class Environment:
 def environment() -> Environment:
     """The environment of this process."""
     return Environment(
-        f"{version('goniotwin')} ({_digest_of_sources()})", np.__version__, numba.__version__, platform.python_version(),
-        _processor(),
+        f"{version('goniotwin')} ({_digest_of_sources()})", np.__version__, _linear_algebra(), numba.__version__,
+        platform.python_version(), _processor(),
     )  # fmt: skip
+
+
+@cache
+def _libraries() -> ThreadpoolController:
+    """The libraries of this process that have threads of their own."""
+    np.linalg.inv(np.eye(2))  # loads that of numpy
+    return ThreadpoolController()
+
+
+def one_thread_in_linear_algebra() -> AbstractContextManager[object]:
+    """A context in which linear algebra has one thread: the order of its sums depends on their number."""
+    found: AbstractContextManager[object] = _libraries().limit(limits=1, user_api="blas")
+    return found
+
+
+def _linear_algebra() -> str:
+    """Name, version and kind of processor of the library that numpy has loaded."""
+    known = [each for each in _libraries().info() if each["user_api"] == "blas"]
+    own = [each for each in known if "numpy" in each["filepath"]] or known
+    return ", ".join(
+        sorted({f"{each['internal_api']} {each['version']} {each.get('architecture', '')}".strip() for each in own})
+    )
 
 
 def _processor() -> str:

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from goniotwin.app.errors import UserError
-from goniotwin.app.sweeps.environment import Environment, environment
+from goniotwin.app.sweeps.environment import Environment, environment, one_thread_in_linear_algebra
 
 Arrays = dict[str, npt.NDArray[Any]]
 """The arrays of a chunk by name: numbers, flags or texts of a fixed length."""
@@ -76,7 +76,8 @@ class Computed:
 def compute(work: Work, specification: Specification, chunk: int) -> Computed:
     """Compute a chunk; every runner does it by this function. A failure of the chunk is a part of the result."""
     try:
-        arrays = {name: np.asarray(each, order="C") for name, each in work(specification, chunk).items()}
+        with one_thread_in_linear_algebra():
+            arrays = {name: np.asarray(each, order="C") for name, each in work(specification, chunk).items()}
     except UserError as error:
         return Computed(chunk, {}, environment(), str(error) or "failed")
     return Computed(chunk, arrays, environment())

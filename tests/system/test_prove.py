@@ -58,8 +58,10 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
-def run(command: list[str]) -> str:
-    done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
+def run(command: list[str], **environment: str) -> str:
+    done = subprocess.run(
+        command, capture_output=True, text=True, timeout=600, env={**os.environ, **environment}, check=False
+    )  # fmt: skip
     assert done.returncode == 0, done.stderr
     return done.stdout
 
@@ -130,3 +132,10 @@ def test_a_proof_on_two_workers_one_of_them_killed_is_the_serial_one(
     assert 2 <= finished() < RIGS
     assert run(proof_command(schedule, rig, folder, "--processes", "2")) == one
     assert contents(folder) == contents(tmp_path / "one")
+
+    for name, options, environment in (
+        ("local", ("--dask", "local", "--processes", "2"), {}),
+        ("one thread", ("--processes", "1"), {"OPENBLAS_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}),
+    ):
+        assert run(proof_command(schedule, rig, tmp_path / name, *options), **environment) == one
+        assert contents(tmp_path / name) == contents(tmp_path / "one")

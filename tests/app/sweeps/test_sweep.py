@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_info
 
 from goniotwin.app.errors import MissingPackage, UserError
 from goniotwin.app.sweeps import environment as environments
@@ -13,7 +14,7 @@ from goniotwin.app.sweeps.chunk_files import ChunkFiles, pack
 from goniotwin.app.sweeps.dask_cluster import DaskCluster
 from goniotwin.app.sweeps.environment import Environment, check_alike, environment
 from goniotwin.app.sweeps.runners import Here, Processes, on_this_computer
-from goniotwin.app.sweeps.specification import Computed, Specification, compute
+from goniotwin.app.sweeps.specification import Arrays, Computed, Specification, compute
 from goniotwin.app.sweeps.sweep import run_sweep
 from tests.app.sweeps.works import numbers, specification
 
@@ -199,6 +200,19 @@ def test_the_environment_is_that_of_the_sources_and_the_processor(monkeypatch: p
     assert environment.__wrapped__().difference(known) == f"processor {environments._processor()} against {known.processor}"
     monkeypatch.setattr(environments, "PARTS", ("protocols",))
     assert environment.__wrapped__().goniotwin != known.goniotwin
+
+
+def test_linear_algebra_has_one_thread_in_a_chunk() -> None:
+    """The number of threads decides in which order it adds; after the chunk it is what it was."""
+
+    def threads(_specification: Specification, _chunk: int) -> Arrays:
+        found = [each["num_threads"] for each in threadpool_info() if each["user_api"] == "blas"]
+        return {"threads": np.array(found)}
+
+    before = threads(specification(), 0)["threads"]
+    assert before.size
+    assert set(compute(threads, specification(), 0).arrays["threads"].tolist()) == {1}
+    assert np.array_equal(threads(specification(), 0)["threads"], before)
 
 
 @pytest.mark.long
