@@ -7,6 +7,7 @@ import contextlib
 import logging
 import os
 import queue
+import signal
 import threading
 from collections.abc import Generator, Iterable, Iterator, Mapping
 from concurrent.futures import CancelledError
@@ -149,6 +150,8 @@ class DaskCluster:
             )  # fmt: skip
             address = self._opened.enter_context(cluster)
         client = self._opened.enter_context(Client(address, timeout=CONNECT_S, set_as_default=False))
+        if self._address == LOCAL:
+            client.run(_ignore_interrupts)
         with contextlib.suppress(TimeoutError):
             client.wait_for_workers(1, timeout=CONNECT_S)
         if not client.scheduler_info(n_workers=-1)["workers"]:
@@ -175,6 +178,11 @@ class DaskCluster:
             reason = one_line(str(error)).strip() or "the connection is lost"
             remedy = f"check the address, such as tcp://HOST:8786, or give {LOCAL}; finished chunks are kept"
             raise UserError(f"--dask {self._address}: {reason}; {remedy}") from None
+
+
+def _ignore_interrupts() -> None:
+    """A Ctrl-C of the terminal is the command's business: it ends its workers."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _compute(work: Work, specification: Specification, chunk: int) -> Computed:

@@ -17,6 +17,8 @@ from tests.app.sweeps.clusters import Cluster, started_cluster
 from tests.conftest import Writer
 from tests.system.conftest import MAIN, until
 
+psutil = pytest.importorskip("psutil")
+
 pytestmark = [
     pytest.mark.long,
     pytest.mark.skipif(sys.platform == "win32", reason="this system has no signal for one process alone"),
@@ -139,3 +141,24 @@ def test_a_proof_on_two_workers_one_of_them_killed_is_the_serial_one(
     ):
         assert run(proof_command(schedule, rig, tmp_path / name, *options), **environment) == one
         assert contents(tmp_path / name) == contents(tmp_path / "one")
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGKILL"])
+def test_workers_of_this_computer_end_with_the_command(
+    name: str, write_rig: Writer, write_schedule: Writer, tmp_path: Path
+) -> None:
+    """Ctrl-C reaches all processes of a terminal, and its only lines are those of the command."""
+    folder, number = tmp_path / "proof", signal.Signals[name]
+    command = proof_command(write_schedule(), write_rig(), folder, "--dask", "local", "--processes", "2")
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    until(lambda: process.poll() is not None or any(folder.glob("chunk-*.npz")))
+    workers = psutil.Process(process.pid).children(recursive=True)
+    assert len(workers) >= 2
+    if number == signal.SIGINT:
+        os.killpg(process.pid, number)
+    else:
+        process.kill()
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == (130 if number == signal.SIGINT else -number)
+    assert "Traceback" not in errors
+    until(lambda: not any(each.is_running() and each.status() != psutil.STATUS_ZOMBIE for each in workers))
