@@ -2,7 +2,7 @@
 
 import base64
 from collections.abc import Iterator, Mapping
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 
 import tomlkit
@@ -37,9 +37,8 @@ def embed_rig(rig: RigDescription) -> dict[str, Any]:
 def embedded_rig(data: Mapping[str, Any], folder: Path) -> RigDescription:
     """The rig of `embed_rig`; the tables of its samples are written into a folder, which is kept as long as the rig."""
     for name, content in data["files"].items():
-        place = PurePosixPath(name)
-        path = folder / place.parent.name / place.name  # nowhere else, whatever the data have
-        path.parent.mkdir(exist_ok=True)
+        path = folder / name
+        path.parent.mkdir()
         write_file(path, base64.b64decode(content))
     return parse_rig(data["text"], folder, NAME)
 
