@@ -17,15 +17,16 @@ from goniotwin.app.cli.output import (
     CommandWithFormats,
     Json,
     RigOption,
-    RigProgress,
     RowProgress,
     TranscriptOption,
     answer,
     errors,
     print_error,
+    print_note,
     print_order,
     print_warning,
 )
+from goniotwin.app.cli.sweeps import Dask, Processes, SweepProgress, kept, runner_of
 from goniotwin.app.errors import UserError, one_line
 from goniotwin.protocols.clock import GREATEST_SPEED, LEAST_SPEED
 
@@ -41,7 +42,6 @@ Schedule = Annotated[Path, typer.Argument(metavar="SCHEDULE.toml", help="Schedul
 STATE_STYLES = {"done": "green", "running": "cyan", "failed": "red", "killed": "red", "stopped": "yellow", "empty": "dim"}
 
 NO_TERMINAL = "samples are mounted and faults fixed by hand, and standard input is closed; run it in a terminal"
-MOST_PROCESSES = 1024
 
 app = typer.Typer()
 
@@ -121,9 +121,8 @@ def prove(
         Path | None,
         typer.Option("--out", metavar="DIR", help="Folder for the results; default SCHEDULE.proof.", show_default=False),
     ] = None,
-    processes: Annotated[
-        int | None, typer.Option("--processes", metavar="P", help="Rigs at once; default all cores.", show_default=False)
-    ] = None,
+    processes: Processes = None,
+    dask: Dask = None,
     as_json: Json = False,
 ) -> None:
     """Prove the stated uncertainties on many virtual rigs.
@@ -134,7 +133,8 @@ def prove(
     left after a fit of the shared inputs, and reflectances. A key of [twin.disturbances] in the rig file is a fault of which
     the rest of the file knows nothing.
 
-    A rig that is done is not run again: after Ctrl-C the same command continues.
+    A rig that is done is not run again: after Ctrl-C the same command continues, and more --rigs are added to those that are
+    done. With --dask the rigs are computed on other computers (docs/sweeps.md).
 
     Exit status: 0 if all rigs are done, 1 if a campaign came to no end, 130 after Ctrl-C.
     """
@@ -144,16 +144,14 @@ def prove(
     from goniotwin.app.campaign.schedule.file import read_schedule
     from goniotwin.app.rig import read_rig
 
-    if processes is not None and not 1 <= processes <= MOST_PROCESSES:
-        raise UserError(f"--processes: {processes} is not possible; give 1 to {MOST_PROCESSES}")
     folder = out if out is not None else Path(f"{schedule.stem}.proof")
     proof = Proof(read_schedule(schedule), read_rig(rig), rigs, folder, wires=not without_wires)
-    try:
-        with RigProgress(errors, f"{proof.schedule.file.name} (proof)", rigs) as progress:
-            totals = prove_rigs(proof, processes, progress)
-    except KeyboardInterrupt:
-        errors.print(f"to continue: the same command; finished rigs are in {folder}", markup=False)
-        raise
+    with (
+        runner_of(processes, dask, rigs) as runner,
+        kept(folder, "rigs"),
+        SweepProgress(errors, f"{proof.schedule.file.name} (proof)", rigs, "rigs") as progress,
+    ):
+        totals = prove_rigs(proof, runner, progress, print_note)
     answer(as_json, totals.as_dict(), lambda: print(proof_text(proof, totals)))
     for seed, reason in totals.failed.items():
         print_error(f"seed {seed}: {reason}")

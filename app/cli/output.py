@@ -157,17 +157,6 @@ class RowProgress(ProgressBar):
             self._update(f"rig: {event.seconds_left:.0f} s left", event.done, event.total)
 
 
-class RigProgress(ProgressBar):
-    """Progress of a proof in rigs."""
-
-    def __init__(self, console: Console, title: str, rigs: int) -> None:
-        super().__init__(console, title, rigs, MofNCompleteColumn(table_column=Column(no_wrap=True)), TextColumn("rigs,"))
-
-    def __call__(self, done: int) -> None:
-        """Show the number of rigs that are done."""
-        self._update("", done)
-
-
 class ShareProgress(ProgressBar):
     """Progress of a simulation as a share of 1, with the current step."""
 

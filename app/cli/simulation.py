@@ -7,10 +7,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 from rich.console import Console
 
-from goniotwin.app.cli.output import GroupWithFormats, Json, ShareProgress, answer
+from goniotwin.app.cli.output import GroupWithFormats, Json, ShareProgress, answer, print_note
+from goniotwin.app.cli.sweeps import Dask, Processes, SweepProgress, kept, runner_of
 from goniotwin.app.errors import UserError
 
 if TYPE_CHECKING:  # the optics are compiled code, which a command's help does not need
+    from goniotwin.app.simulation.simulate import Simulation, Task
     from goniotwin.app.simulation.source import Source
     from goniotwin.arrays import Floats
     from goniotwin.twin.optics import Instrument, SampleFrames
@@ -118,6 +120,17 @@ def simulate(
     bandwidth: Annotated[
         float | None, typer.Option("--bandwidth", metavar="NM", help="Edge width of the rayset's passband.", show_default=False)
     ] = None,
+    folder: Annotated[
+        Path | None,
+        typer.Option(
+            "--folder",
+            metavar="DIR",
+            show_default=False,
+            help="forward: keep finished batches of paths here; the same command continues.",
+        ),
+    ] = None,
+    processes: Processes = None,
+    dask: Dask = None,
     as_json: Json = False,
 ) -> None:
     """Simulate the BSDF of a sample as the instrument measures it.
@@ -130,6 +143,9 @@ def simulate(
     has room for it (FILE.sdr, .sdt, .ssdd, .h5): give --out FILE.ddr --out FILE.sdr.
 
     Both estimators count light that was scattered once, by the sample; with --stray all light that arrives.
+
+    With --folder a simulation with the forward estimator can be interrupted, and --processes and --dask trace it elsewhere
+    (docs/sweeps.md).
     """
     if context.invoked_subcommand is not None:
         if sample is not None or out:
@@ -173,11 +189,95 @@ def simulate(
         psi_deg=parse(psi, "--psi", 0.0, 360.0),
     )
     task = task_of_files(task, out, form)
-    with ShareProgress(Console(stderr=True), "simulating") as progress:
-        simulation = simulate_task(task, progress)
+    if folder is not None:
+        simulation = _simulate_in_chunks(task, folder, processes, dask)
+    else:
+        given = [name for name, value in (("--processes", processes), ("--dask", dask)) if value is not None]
+        if given:
+            raise UserError(f"{given[0]}: computes batches of paths that are kept; give --folder DIR too, or leave it out")
+        with ShareProgress(Console(stderr=True), "simulating") as progress:
+            simulation = simulate_task(task, progress)
     files = [file for path in out for file in write_simulation(simulation, path, form)]
     result = summary(simulation, files)
     answer(as_json, result, lambda: _print_summary(result))
+
+
+@app.command()
+def rigs(
+    sample: Annotated[
+        list[str],
+        typer.Option("--sample", metavar="MODEL", help="As of goniotwin simulate; may be repeated.", show_default=False),
+    ],
+    out: Annotated[Path, typer.Option("--out", metavar="FILE.csv", help="Table of all rigs.", show_default=False)],
+    count: Annotated[int, typer.Option("--rigs", metavar="N", help="Number of random rigs.")] = 100,
+    tilt: Annotated[float, typer.Option("--tilt", metavar="DEG", help="Largest tilt.")] = 0.05,
+    shift: Annotated[float, typer.Option("--shift", metavar="MM", help="Largest shift.")] = 0.0,
+    sigma: Annotated[str, typer.Option("--sigma", metavar="LIST", help="Angles of incidence, deg.")] = "0,30,60",
+    polar: Annotated[str, typer.Option("--polar", metavar="LIST", help="Polar angles of the detectors, deg.")] = "0:85:1",
+    azimuth: Annotated[str, typer.Option("--azimuth", metavar="LIST", help="Their azimuths, deg.")] = "0,180",
+    seed: Seed = 1,
+    folder: Annotated[
+        Path | None,
+        typer.Option("--folder", metavar="DIR", help="Folder for finished rigs; default FILE.rigs.", show_default=False),
+    ] = None,
+    processes: Processes = None,
+    dask: Dask = None,
+    rig: Rig = None,
+    as_json: Json = False,
+) -> None:
+    """Simulate samples on random, misaligned rigs.
+
+    The 12 tilts and 15 shifts of mirrors, beam, sample and arc (Table 2 of the paper) are drawn evenly within --tilt and
+    --shift, for each rig anew. Given is by how much the luminance factors differ from those of the rig without them:
+    the relative RMS over all detectors with at least a hundredth of the largest value.
+
+    Rigs that are done are not simulated again: after Ctrl-C the same command continues, more --rigs are added to those that are
+    done, and with --dask other computers simulate them (docs/sweeps.md).
+    """
+    import numpy as np
+
+    from goniotwin.app.formats.registry import Holds
+    from goniotwin.app.rig.samples import parse_sample
+    from goniotwin.app.simulation.detectors import parse_list
+    from goniotwin.app.simulation.files import check_suffix
+    from goniotwin.app.simulation.rig_sweep import RigSweep, simulate_rigs, write_rigs
+    from goniotwin.app.sweeps.chunk_files import ChunkFiles
+
+    check_suffix(out, Holds.COLUMNS)
+    angles = np.meshgrid(
+        parse_list(polar, "--polar", 0.0, 89.5), parse_list(azimuth, "--azimuth", 0.0, 360.0), indexing="ij"
+    )  # fmt: skip
+    sweep = RigSweep(
+        tuple(parse_sample(each) for each in sample), _instrument_and_frames(rig)[0],
+        parse_list(sigma, "--sigma", 0.0, SIGMA_END_DEG), angles[0].ravel(), angles[1].ravel(), tilt, shift, seed,
+    )  # fmt: skip
+    place = out.with_suffix(".rigs") if folder is None else folder
+    files = ChunkFiles(place, sweep.specification, "--folder", "sample, instrument, grid, tilt, shift or seed", print_note)
+    chunks = sweep.chunks(count)
+    with (
+        runner_of(processes, dask, chunks) as runner,
+        kept(place, "chunks of rigs"),
+        SweepProgress(Console(stderr=True), f"{count} rigs", chunks, "chunks") as progress,
+    ):
+        results = simulate_rigs(sweep, count, files, runner, progress)
+    heading = [
+        "SIMULATED: computed with the virtual prototype; nothing in this file is measured",
+        f"random rigs: tilts within {tilt:g} deg and shifts within {shift:g} mm, drawn evenly; seed {seed}",
+        "relative_rms: of the luminance factors against those of the rig without them, over the detectors with at least a "
+        "hundredth of the largest",
+    ]
+    write_rigs(results, out, heading)
+    result = {"file": str(out), "folder": str(place), **results.as_dict()}
+
+    def show() -> None:
+        print(f"SIMULATED, {count} rigs with tilts within {tilt:g} deg and shifts within {shift:g} mm: {out}")
+        for each in result["samples"]:
+            print(
+                f"{each['sample']}, sigma {each['sigma']:g}: relative RMS {each['median_percent']:.2f} % in the median, "
+                f"{each['percentile_95_percent']:.2f} % at 95 %, {each['worst_percent']:.2f} % on rig {each['worst_rig']}"
+            )
+
+    answer(as_json, result, show)
 
 
 @app.command()
@@ -306,6 +406,22 @@ def shadow(
     counts = "; ".join(f"sigma {name}: {count}" for name, count in blocked.items())
     text = f"SIMULATED, the shadow of the mirror unit: {out}\ndirections blocked, at least in part: {counts}"
     answer(as_json, result, lambda: print(text))
+
+
+def _simulate_in_chunks(task: "Task", folder: Path, processes: int | None, dask: str | None) -> "Simulation":
+    """Simulate by batches of paths that are kept in a folder. Raises UserError."""
+    from goniotwin.app.simulation.forward_sweep import ForwardSweep, simulate_in_chunks
+    from goniotwin.app.sweeps.chunk_files import ChunkFiles
+
+    sweep = ForwardSweep(task)
+    files = ChunkFiles(folder, sweep.specification, "--folder", "simulation", print_note)
+    # A batch takes all cores of a computer: several processes trace no faster.
+    with (
+        runner_of(1 if processes is None and dask is None else processes, dask, sweep.chunks) as runner,
+        kept(folder, "batches"),
+        SweepProgress(Console(stderr=True), "simulating", sweep.chunks, "batches") as progress,
+    ):
+        return simulate_in_chunks(sweep, files, runner, progress)
 
 
 def _instrument_and_frames(rig: Path | None, no_obstruction: bool = False) -> "tuple[Instrument, SampleFrames]":

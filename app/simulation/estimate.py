@@ -4,6 +4,7 @@ Both estimators compute the same quantity: the light that the sample scatters on
 gives the same numbers; no result depends on the duration of a computation.
 """
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -45,6 +46,7 @@ SIGNIFICANT = 0.01
 """The error is evaluated over the values of at least this fraction of the largest."""
 ReportFraction = Callable[[float], None]
 """Receives the finished fraction of the work, 0 to 1."""
+DEFAULT_PATHS = 4 * BATCH
 
 
 @dataclass(frozen=True)
@@ -156,26 +158,78 @@ class Ratio:
         return 100.0 * float(np.median(relative)) if relative.size else math.inf
 
 
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """Throughputs (2, n) in m^2 sr of sample and etalon by the forward estimator, their standard errors, and their paths."""
+
+    mean: Floats
+    error: Floats
+    paths: int
+
+
+TraceBatch = Callable[[MeasurementSetup, Scatterer, float | None, EstimatorSettings, int, int], Batch]
+"""See `trace_batch`."""
+
+
+def trace_batch(
+    setup: MeasurementSetup, sample: Scatterer, wavelength_nm: float | None, settings: EstimatorSettings, batch: int, size: int
+) -> Batch:
+    """Trace `size` paths of sample and etalon each at one wavelength. Raises UserError.
+
+    Their random numbers are those of the settings' seed and the number of the batch.
+    """
+    results = []
+    for k, each in enumerate((sample if setup.regular else without_regular(sample), setup.etalon)):
+        seed = settings.seed * 2**20 + 2 * batch + k
+        try:
+            result = forward_throughput(
+                setup.instrument, setup.sigma_deg, setup.directions, each, size, seed % 2**64, setup.gamma_deg,
+                wavelength_nm=wavelength_nm, source=setup.source, sample_frames=setup.frames,
+            )  # fmt: skip
+        except ValueError as error:
+            raise UserError(f"--estimator forward: {error}") from None
+        results.append(result)
+    if setup.stray:
+        means, errors = [each.throughput_m2sr for each in results], [each.standard_error for each in results]
+    else:
+        means, errors = [each.single_m2sr for each in results], [each.single_error for each in results]
+    return Batch(np.array(means), np.array(errors), results[0].paths)
+
+
+def batch_sizes(paths: int) -> list[int]:
+    """The paths of each batch of so many in all; a rest of one path, which has no standard error, is not traced."""
+    sizes = [BATCH] * (paths // BATCH)
+    return sizes if paths % BATCH < 2 else [*sizes, paths % BATCH]
+
+
+def traced_wavelengths(setup: MeasurementSetup, sample: Scatterer) -> list[float | None]:
+    """The wavelengths that the forward estimator traces: a grey sample is the same at all of them."""
+    return [None] if setup.wavelengths_nm is None or sample.spectrum is None else list(setup.wavelengths_nm.tolist())
+
+
 def estimate_ratio(
-    setup: MeasurementSetup, sample: Scatterer, settings: EstimatorSettings, report: ReportFraction = lambda _: None
-) -> Ratio:
-    """Estimate the throughputs of etalon and sample, and their ratio (paper, figure 7). Raises UserError."""
+    setup: MeasurementSetup, sample: Scatterer, settings: EstimatorSettings, report: ReportFraction = lambda _: None,
+    trace: TraceBatch = trace_batch,
+) -> Ratio:  # fmt: skip
+    """Estimate the throughputs of etalon and sample, and their ratio (paper, figure 7). Raises UserError.
+
+    `trace` gives the batches of the forward estimator, which may have been traced before.
+    """
     if settings.kind == "fast":
         return _fast_ratio(setup, (sample, setup.etalon), settings, report)
-    pair = sample if setup.regular else without_regular(sample), setup.etalon
-    wavelengths = setup.wavelengths_nm
-    if wavelengths is None:
-        return _forward_ratio(setup, pair, None, settings, report)
-    if sample.spectrum is None:
-        return _stack([_forward_ratio(setup, pair, None, settings, report)] * wavelengths.size)
-    count, ratios = wavelengths.size, []
-    for k, wavelength in enumerate(wavelengths.tolist()):
+    traced, ratios = traced_wavelengths(setup, sample), []
+    for k, wavelength in enumerate(traced):
 
         def report_all(fraction: float, k: int = k) -> None:
-            report((k + fraction) / count)
+            report((k + fraction) / len(traced))
 
-        ratios.append(_forward_ratio(setup, pair, wavelength, settings, report_all))
-    return _stack(ratios)
+        def batch_of(batch: int, size: int, wavelength: float | None = wavelength) -> Batch:
+            return trace(setup, sample, wavelength, settings, batch, size)
+
+        ratios.append(_forward_ratio(setup, batch_of, settings, report_all))
+    if setup.wavelengths_nm is None:
+        return ratios[0]
+    return _stack(ratios * (setup.wavelengths_nm.size // len(ratios)))
 
 
 def _fast_ratio(
@@ -257,47 +311,32 @@ def _divide(sample: Floats, etalon: Floats) -> Floats:
 
 
 def _forward_ratio(
-    setup: MeasurementSetup,
-    pair: tuple[Scatterer, Scatterer],
-    wavelength_nm: float | None,
-    settings: EstimatorSettings,
-    report: ReportFraction,
+    setup: MeasurementSetup, batch_of: Callable[[int, int], Batch], settings: EstimatorSettings, report: ReportFraction
 ) -> Ratio:
     """The ratio by the forward estimator, in batches of paths until the wanted number of paths or error is reached.
 
     Sample and etalon have different paths.
     """
+    tallies = _Tally(setup.directions.shape[0]), _Tally(setup.directions.shape[0])
+
+    def add(batch: int, size: int) -> Ratio:
+        traced = batch_of(batch, size)
+        for k, tally in enumerate(tallies):
+            tally.add(traced.mean[k], traced.error[k], traced.paths)
+        return _tally_ratio(*tallies)
+
     wanted = settings.error_percent
-    paths = 4 * BATCH if settings.paths is None else settings.paths
-    count = setup.directions.shape[0]
-    tallies = _Tally(count), _Tally(count)
-    batch = 0
-    while True:
-        size = BATCH if wanted is not None else min(BATCH, paths - tallies[0].paths)
-        for k, (each, tally) in enumerate(zip(pair, tallies, strict=True)):
-            seed = settings.seed * 2**20 + 2 * batch + k
-            try:
-                result = forward_throughput(
-                    setup.instrument, setup.sigma_deg, setup.directions, each, size, seed % 2**64, setup.gamma_deg,
-                    wavelength_nm=wavelength_nm, source=setup.source, sample_frames=setup.frames,
-                )  # fmt: skip
-            except ValueError as error:
-                raise UserError(f"--estimator forward: {error}") from None
-            if setup.stray:
-                tally.add(result.throughput_m2sr, result.standard_error, result.paths)
-            else:
-                tally.add(result.single_m2sr, result.single_error, result.paths)
-        batch += 1
-        ratio = _tally_ratio(tallies[0], tallies[1])
-        reached = tallies[0].paths
-        if wanted is None:
-            report(min(1.0, reached / paths))
-            if paths - reached < 2:
-                return ratio
-            continue
+    if wanted is None:
+        sizes = batch_sizes(DEFAULT_PATHS if settings.paths is None else settings.paths)
+        for batch, size in enumerate(sizes):
+            ratio = add(batch, size)
+            report((batch + 1) / len(sizes))
+        return ratio
+    for batch in itertools.count():
+        ratio, reached = add(batch, BATCH), tallies[0].paths
         median = ratio.median_percent
-        if batch >= FEWEST_BATCHES and median <= wanted:
-            return ratio
+        if batch + 1 >= FEWEST_BATCHES and median <= wanted:
+            break
         needed = reached * (median / wanted) ** 2
         if math.isfinite(needed):
             report(min(0.99, reached / needed))
@@ -306,6 +345,7 @@ def _forward_ratio(
                 f"--error: {wanted:g} % at sigma {setup.incidence_deg:g} would take about {needed:.2g} paths, more than "
                 f"{MOST_PATHS}; give a larger error, or use the fast estimator"
             )
+    return ratio
 
 
 class _Tally:

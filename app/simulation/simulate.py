@@ -9,7 +9,7 @@ with the sample unit turned by gamma, as in a campaign.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Literal
@@ -22,7 +22,15 @@ from goniotwin.app.formats.content import RegularTable, psi_of_gamma
 from goniotwin.app.formats.registry import Holds
 from goniotwin.app.formats.specular_grid import SpecularCut, resample
 from goniotwin.app.simulation.detectors import HIGHEST_POLAR_DEG, Detectors, detector_grid, output_phi, output_theta
-from goniotwin.app.simulation.estimate import EstimatorSettings, MeasurementSetup, Ratio, ReportFraction, estimate_ratio
+from goniotwin.app.simulation.estimate import (
+    EstimatorSettings,
+    MeasurementSetup,
+    Ratio,
+    ReportFraction,
+    TraceBatch,
+    estimate_ratio,
+    trace_batch,
+)
 from goniotwin.app.simulation.source import Source
 from goniotwin.arrays import Flags, Floats
 from goniotwin.twin.optics import Instrument, Lobe, SampleFrames, Scatterer, arc_direction, visible_fraction
@@ -104,6 +112,13 @@ class Task:
     def period_deg(self) -> float:
         """Turn of the sample after which it is the same, deg; 0 for an isotropic one."""
         return max((lobe.period_deg for lobe in self.counted_lobes), default=0.0)
+
+    @property
+    def tabulated_wavelengths_nm(self) -> Floats | None:
+        """The wavelengths (w,) of the values, None for grey ones."""
+        if self.wavelengths_nm is not None or self.sample.spectrum is None:
+            return self.wavelengths_nm
+        return np.array(self.sample.spectrum.wavelengths_nm if self.source is None else [self.source.wavelength_nm])
 
     @property
     def psis_deg(self) -> Floats:
@@ -211,13 +226,15 @@ class Simulation:
         return np.array([[cut.known for cut in each] for each in self.cuts])
 
 
-def simulate(task: Task, report: ReportProgress = lambda _fraction, _step: None) -> Simulation:
-    """Simulate all sigmas of a task. Raises UserError for a task that is not possible."""
+def simulate(
+    task: Task, report: ReportProgress = lambda _fraction, _step: None, trace: TraceBatch = trace_batch
+) -> Simulation:  # fmt: skip
+    """Simulate all sigmas of a task. Raises UserError for a task that is not possible.
+
+    `trace` gives the batches of the forward estimator, which may have been traced before.
+    """
     check_task(task)
-    wavelengths = task.wavelengths_nm
-    if wavelengths is None and task.sample.spectrum is not None:
-        own = task.sample.spectrum.wavelengths_nm if task.source is None else [task.source.wavelength_nm]
-        wavelengths = np.array(own)
+    wavelengths = task.tabulated_wavelengths_nm
     mirrored = _is_mirrored(task)
     phi, theta = output_phi(task.phi_deg, mirrored), output_theta(task.theta_deg)
     regular = _regular_table(task, wavelengths) if task.regular != "seen" and task.has_regular else None
@@ -237,10 +254,10 @@ def simulate(task: Task, report: ReportProgress = lambda _fraction, _step: None)
                 report((done + fraction) / count, name)
 
             report_part(0.0)
-            # Half a turn changes neither the hole of the frame nor, without deviations, anything else of the instrument.
-            same = None if task.instrument.deviations else of_sigma.get(float(round_deg(np.array(psi - task.period_deg))))
+            before = _same_psi(task, psi)
+            same = None if before is None else of_sigma.get(before)
             if same is None:
-                result = _simulate_sigma(task, sigma, psi, wavelengths, mirrored, report_part)
+                result = _simulate_sigma(task, sigma, psi, trace, report_part)
                 grids = map(result.detectors.grid, result.ratio.factor, result.ratio.standard_error)
                 same = result, [resample(grid, sigma, phi, theta, back=task.back) for grid in grids]
             of_sigma[float(round_deg(np.array(psi)))] = replace(same[0], psi_deg=psi), same[1]
@@ -248,6 +265,24 @@ def simulate(task: Task, report: ReportProgress = lambda _fraction, _step: None)
         cuts.append([cut for row in zip(*(found for _, found in of_sigma.values()), strict=True) for cut in row])
     report(1.0, "done")
     return Simulation(task, wavelengths, tuple(at), phi, theta, tuple(zip(*cuts, strict=True)), regular)
+
+
+def traced_setups(task: Task) -> Iterator[MeasurementSetup]:
+    """The measurements of a task, sigma by sigma and psi by psi, without those that are the same as one before."""
+    for sigma in task.sigma_deg.tolist():
+        known: set[float] = set()
+        for psi in task.psis_deg.tolist():
+            if _same_psi(task, psi) not in known:
+                yield _setup(task, sigma, psi)[1]
+            known.add(float(round_deg(np.array(psi))))
+
+
+def _same_psi(task: Task, psi: float) -> float | None:
+    """The psi before it with the same result, deg; None where there is none.
+
+    Half a turn changes neither the hole of the frame nor, without deviations, anything else of the instrument.
+    """
+    return None if task.instrument.deviations else float(round_deg(np.array(psi - task.period_deg)))
 
 
 def _regular_table(task: Task, wavelengths: Floats | None) -> RegularTable:
@@ -261,9 +296,8 @@ def _regular_table(task: Task, wavelengths: Floats | None) -> RegularTable:
     )  # fmt: skip
 
 
-def _simulate_sigma(
-    task: Task, sigma: float, psi: float, wavelengths: Floats | None, mirrored: bool, report: ReportFraction
-) -> SigmaResult:
+def _setup(task: Task, sigma: float, psi: float) -> tuple[Detectors, MeasurementSetup]:
+    mirrored = _is_mirrored(task)
     if task.polar_deg is not None and task.azimuth_deg is not None:
         detectors = Detectors(task.polar_deg, task.azimuth_deg, mirrored)
     else:
@@ -272,10 +306,16 @@ def _simulate_sigma(
         detectors = detector_grid(sigma, mirrored, near_axes)
     directions, unit_deg = detectors.directions(task.lower), opposite_sigma_deg(sigma) if task.back else sigma
     setup = MeasurementSetup(
-        task.instrument, unit_deg, directions, wavelengths, task.transmitted, task.stray, task.frames,
+        task.instrument, unit_deg, directions, task.tabulated_wavelengths_nm, task.transmitted, task.stray, task.frames,
         None if task.source is None else task.source.rays, float(psi_of_gamma(psi, task.back)), regular=task.regular == "seen",
     )  # fmt: skip
-    ratio = estimate_ratio(setup, task.sample, task.estimator, report)
+    return detectors, setup
+
+
+def _simulate_sigma(task: Task, sigma: float, psi: float, trace: TraceBatch, report: ReportFraction) -> SigmaResult:
+    detectors, setup = _setup(task, sigma, psi)
+    directions, unit_deg, wavelengths = setup.directions, setup.sigma_deg, setup.wavelengths_nm
+    ratio = estimate_ratio(setup, task.sample, task.estimator, report, trace)
     obstructed = np.zeros(directions.shape[0], dtype=bool)
     if task.instrument.obstruction:
         # The visible part of a partly blocked detector is not centred on the detector's direction.

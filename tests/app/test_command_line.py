@@ -44,7 +44,7 @@ main._run_command = lambda: 1
 main.main()
 """
 JOURNAL = REPOSITORY / "tests" / "golden" / "data" / "finished.journal"
-SUBCOMMANDS = ("simulate illumination", "simulate table3", "simulate shadow")
+SUBCOMMANDS = ("simulate rigs", "simulate illumination", "simulate table3", "simulate shadow")
 
 
 def test_help_lists_the_commands_in_the_order_of_a_day(capsys: pytest.CaptureFixture[str]) -> None:

@@ -53,6 +53,46 @@ def test_simulate_traces_forward_and_takes_the_instrument_of_a_rig(call: Call, t
     assert "obstruction is off" in text.stdout
 
 
+def test_batches_in_a_folder_give_the_file_of_one_run_and_another_command_is_refused(tmp_path: Path) -> None:
+    grid = ["--polar", "20:40:10", "--azimuth", "170,180", "--no-obstruction", "--sigma", 30]
+    forward = ["simulate", "--sample", "lambertian", *grid, "--estimator", "forward", "--paths", 100_000]
+    folder = ["--folder", tmp_path / "batches"]
+    for name, options in (("one.csv", []), ("kept.csv", folder), ("again.csv", folder)):
+        result = json_result(invoke(*forward, "--out", tmp_path / name, *options, "--json"))
+        assert result["file"] == str(tmp_path / name)
+    one, kept, again = ((tmp_path / name).read_bytes() for name in ("one.csv", "kept.csv", "again.csv"))
+    assert one == kept == again
+    assert sorted(each.name for each in (tmp_path / "batches").iterdir()) == ["chunk-000000.npz", "sweep.json"]
+    for options, wrong in (
+        ([*folder, "--seed", 2], "batches: has results of another simulation; choose another folder with --folder, or delete"),
+        (["--processes", 2], "--processes: computes batches of paths that are kept; give --folder DIR too"),
+        ([*folder, "--processes", 0], "--processes: 0 is not possible; give 1 to 1024"),
+    ):
+        refused = invoke(*forward, "--out", tmp_path / "one.csv", *options)
+        assert refused.returncode == 2
+        assert wrong in refused.stderr
+        assert len(refused.stderr.splitlines()) == 1
+
+
+def test_random_rigs_are_a_table_and_a_summary(tmp_path: Path) -> None:
+    out = tmp_path / "rigs.csv"
+    command = ["simulate", "rigs", "--sample", "gaussian:width_deg=5", "--sample", "gaussian:width_deg=15", "--sigma", 30]
+    command += ["--polar", "20:40:5", "--azimuth", 180, "--out", out, "--processes", 1]
+    result = json_result(invoke(*command, "--rigs", 6, "--json"))
+    assert [(each["sample"], each["sigma"]) for each in result["samples"]] == [
+        ("gaussian:width_deg=5", 30.0), ("gaussian:width_deg=15", 30.0),
+    ]  # fmt: skip
+    lines = [line for line in out.read_text(encoding="utf-8").splitlines() if not line.startswith("#")]
+    assert lines[0].startswith("sample,sigma_deg,rig,relative_rms,mirror_1_rx_deg,")
+    assert len(lines) == 1 + 2 * 6
+    rms = [float(line.split(",")[3]) for line in lines[1:7]]
+    assert max(rms) == pytest.approx(0.01 * result["samples"][0]["worst_percent"], rel=1e-6)
+    assert rms.index(max(rms)) + 1 == result["samples"][0]["worst_rig"]
+    assert (tmp_path / "rigs.rigs" / "chunk-000000.npz").exists()
+    text = invoke(*command, "--rigs", 6)
+    assert text.stdout.startswith("SIMULATED, 6 rigs with tilts within 0.05 deg and shifts within 0 mm")
+
+
 def check_table3(call: Call, folder: Path) -> None:
     """Checks the output of `goniotwin simulate table3`."""
     result = json_result(call("simulate", "table3", "--out", folder, "--json"))

@@ -1,7 +1,9 @@
 """Proofs on small schedules: what is drawn, both ways to run a rig, a proof that continues, and the law of all."""
 
+import contextlib
+import hashlib
 import json
-from dataclasses import fields, replace
+from dataclasses import asdict, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +11,7 @@ import pytest
 
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.proof.judgement import RigResult
-from goniotwin.app.campaign.proof.proof import Proof, prove
+from goniotwin.app.campaign.proof.proof import Proof, prove, rig_of_chunk, unpacked
 from goniotwin.app.campaign.proof.report import proof_text
 from goniotwin.app.campaign.proof.virtual_rigs import run_with_wires
 from goniotwin.app.campaign.reduction.reduction import reduce_journal
@@ -19,7 +21,10 @@ from goniotwin.app.errors import UserError
 from goniotwin.app.formats import BsdfTable, registry
 from goniotwin.app.formats.content import BsdfFile
 from goniotwin.app.rig import read_rig
+from goniotwin.app.rig.model_hash import model_hash
 from goniotwin.app.rig.uncertainty import UncertaintyTable
+from goniotwin.app.sweeps.runners import Here
+from goniotwin.app.sweeps.specification import Specification
 from tests.conftest import Writer
 
 FAULT = ("[twin.samples.etalon]", "[twin.disturbances]\nsigma_zero_deg = 0.7\n\n[twin.samples.etalon]")
@@ -30,6 +35,13 @@ TABLE = (
     'quantity = "luminance"\nreflectance = 0.9',
     '[twin.samples.gaussian-5]\nmodel = "table"\nfile = "paint.ddr"',
 )
+
+
+def write_table(path: Path, factor: float = 1.0) -> None:
+    """The BRDF of a grey diffuser as a table."""
+    zenith = np.linspace(0.0, 180.0, 37)
+    table = BsdfTable(np.array([0.0, 90.0]), np.array([0.0, 180.0]), zenith, np.full((1, 1, 2, 2, zenith.size), 0.2 * factor))
+    registry.write(path, BsdfFile((table,)), registry.format_named("ddr", {registry.Holds.GRID}))
 
 
 def small_proof(write_rig: Writer, write_schedule: Writer, folder: Path, rigs: int = 2, *, wires: bool = False) -> Proof:
@@ -80,8 +92,8 @@ def test_a_proof_continues_and_its_results_are_those_of_one_run(
     write_rig: Writer, write_schedule: Writer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = tmp_path / "proof"
-    prove(small_proof(write_rig, write_schedule, folder, rigs=1), 1)
-    first = (folder / "rig-000001.json").read_bytes()
+    prove(small_proof(write_rig, write_schedule, folder, rigs=1), Here())
+    first = (folder / "chunk-000000.npz").read_bytes()
     run: list[int] = []
     result = Proof.result
 
@@ -92,20 +104,60 @@ def test_a_proof_continues_and_its_results_are_those_of_one_run(
     monkeypatch.setattr(Proof, "result", counted)
     done: list[int] = []
     proof = small_proof(write_rig, write_schedule, folder)
-    totals = prove(proof, 1, done.append)
+    totals = prove(proof, Here(), lambda count, _now: done.append(count))
     assert run == [2]
     assert done == [1, 2]
-    assert (folder / "rig-000001.json").read_bytes() == first
+    assert (folder / "chunk-000000.npz").read_bytes() == first
     assert totals.rigs == 2
-    (folder / "rig-000002.json").write_text('{"seed": 2, "cells": ', encoding="utf-8")  # not whole
-    again = prove(proof, 1)
+    second = folder / "chunk-000001.npz"
+    second.write_bytes(second.read_bytes()[:-100])  # not whole
+    again = prove(proof, Here())
     assert run == [2, 2]
     assert json.dumps(again.as_dict()) == json.dumps(totals.as_dict())
     assert {"rigs", "points", "coverage_percent", "standard_error_percent", "chi2_independent", "variance_shared", "mean_z",
             "worst_cell_percent", "beyond_5u", "expected_beyond_5u"} <= again.as_dict().keys()  # fmt: skip
     assert proof_text(proof, totals).startswith("SIMULATED: small on 2 virtual rigs")
     with pytest.raises(UserError, match="has results of another schedule, rig file or kind of proof"):
-        prove(small_proof(write_rig, write_schedule, folder, wires=True), 1)
+        prove(small_proof(write_rig, write_schedule, folder, wires=True), Here())
+
+
+def test_the_results_of_an_earlier_version_are_taken_over(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
+    """A folder with a file of JSON a rig, as it was before proofs were sweeps; its digest is of the same texts."""
+    folder = tmp_path / "proof"
+    folder.mkdir()
+    proof = small_proof(write_rig, write_schedule, folder, rigs=1)
+    model = proof.drawn.rig(1).model()
+    assert model is not None
+    digest = hashlib.sha256("\0".join((proof.schedule.text, "", proof.rig.text, model_hash(model))).encode()).hexdigest()
+    first = proof.result(1)
+    (folder / "rig-000001.json").write_text(json.dumps(first.as_dict()), encoding="utf-8")
+    (folder / "rig-000002.json").write_text('{"seed": 2, "cells": ', encoding="utf-8")  # not whole, and to be computed again
+    about = folder / "proof.json"
+    about.write_text(json.dumps({"results": 2, "wires": True, "of": digest}), encoding="utf-8")
+    with pytest.raises(UserError, match="has results of another schedule, rig file or kind of proof"):
+        prove(proof, Here())
+    about.write_text(json.dumps({"results": 2, "wires": False, "of": digest}), encoding="utf-8")
+    notes: list[str] = []
+    done: list[int] = []
+    totals = prove(proof, Here(), lambda count, _now: done.append(count), notes.append)
+    assert notes == [f"{folder}: taken over from an earlier version of goniotwin: 1 rig, computed with unknown versions"]
+    assert done == [1]
+    kept = proof.files().read(0)
+    assert kept is not None
+    assert unpacked(kept.arrays) == first
+    assert totals.rigs == 1
+
+
+@pytest.mark.long
+def test_the_tables_of_samples_go_with_the_proof(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
+    """A worker on another computer has no files of this one."""
+    write_table(tmp_path / "paint.ddr")
+    proof = Proof(read_schedule(write_schedule()), read_rig(write_rig(TABLE)), 1, tmp_path / "proof", wires=False)
+    own, specification = proof.result(1), proof.specification
+    for each in ("paint.ddr", "rig.toml", "schedule.toml"):
+        (tmp_path / each).unlink()
+    elsewhere = Specification(**json.loads(json.dumps(asdict(specification))))
+    assert unpacked(rig_of_chunk(elsewhere, 0)) == own
 
 
 def test_a_folder_of_other_files_and_a_wrong_number_are_refused(
@@ -114,24 +166,23 @@ def test_a_folder_of_other_files_and_a_wrong_number_are_refused(
     with pytest.raises(UserError, match="--rigs: 0 is not possible; give 1 to"):
         small_proof(write_rig, write_schedule, tmp_path / "proof", rigs=0)
     with pytest.raises(UserError, match="is not empty, and no folder of a proof; choose another one with --out"):
-        prove(small_proof(write_rig, write_schedule, tmp_path), 1)
+        prove(small_proof(write_rig, write_schedule, tmp_path), Here())
 
 
 def test_a_folder_in_use_is_refused_and_its_file_too(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
     proof = small_proof(write_rig, write_schedule, tmp_path / "proof", rigs=1)
-    proof.prepare()
-    with proof.locked(), pytest.raises(UserError, match=r"is in use by process .*: proof; wait for it"):
-        prove(proof, 1)
-    prove(proof, 1)
-    assert sorted(each.name for each in proof.folder.iterdir()) == ["proof.json", "rig-000001.json"]
+    with proof.files().opened(), pytest.raises(UserError, match=r"is in use by process .*: proof; wait for it"):
+        prove(proof, Here())
+    prove(proof, Here())
+    assert sorted(each.name for each in proof.folder.iterdir()) == ["chunk-000000.npz", "sweep.json"]
     (tmp_path / "a.csv").write_text("a", encoding="utf-8")
     with pytest.raises(UserError, match=r"a\.csv: is a file; choose another folder with --out"):
-        prove(replace(proof, folder=tmp_path / "a.csv"), 1)
+        prove(replace(proof, folder=tmp_path / "a.csv"), Here())
 
 
 def test_the_report_fits_80_columns(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
     proof = small_proof(write_rig, write_schedule, tmp_path / "proof", rigs=1)
-    table = proof_text(proof, prove(proof, 1)).partition("\nall ")[2].partition("\nangle")[0]
+    table = proof_text(proof, prove(proof, Here())).partition("\nall ")[2].partition("\nangle")[0]
     assert "gaussian-5, 1e+0 to 1e-1" in table
     assert max(map(len, table.splitlines())) <= 80
 
@@ -145,35 +196,31 @@ def test_a_rig_without_a_result_does_not_end_the_others(
     proof = small_proof(write_rig, write_schedule, tmp_path / "proof")
     with monkeypatch.context() as at_first:
         at_first.setattr("goniotwin.app.campaign.proof.proof.run_without_wires", fail)
-        totals = prove(proof, 1)
+        totals = prove(proof, Here())
     assert totals.failed == {1: "the arc is in the beam", 2: "the arc is in the beam"}
     assert totals.as_dict()["points"] == 0
-    again = prove(proof, 1)  # as after a full disk: the same command runs them again
+    again = prove(proof, Here())  # as after a full disk: the same command runs them again
     assert not again.failed
     assert again.as_dict()["points"] > 0
 
 
 def test_another_table_of_a_sample_is_another_proof(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
-    zenith = np.linspace(0.0, 180.0, 37)
-    values = np.full((1, 1, 2, 2, zenith.size), 0.2)
     for factor in (1.0, 1.1):
-        table = BsdfTable(np.array([0.0, 90.0]), np.array([0.0, 180.0]), zenith, factor * values)
-        registry.write(tmp_path / "paint.ddr", BsdfFile((table,)), registry.format_named("ddr", {registry.Holds.GRID}))
+        write_table(tmp_path / "paint.ddr", factor)
         rig = read_rig(write_rig(TABLE))
         proof = Proof(read_schedule(write_schedule()), rig, 1, tmp_path / "proof", wires=False)
-        if factor == 1.0:
-            proof.prepare()
-        else:
-            with pytest.raises(UserError, match="results of another schedule"):
-                proof.prepare()
+        refused = pytest.raises(UserError, match="results of another schedule")
+        with contextlib.nullcontext() if factor == 1.0 else refused, proof.files().opened():
+            pass
 
 
 def test_a_result_is_read_as_it_was_written(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
     proof = small_proof(write_rig, write_schedule, tmp_path / "proof")
-    proof.prepare()
     result = proof.result(1)
-    proof.keep(result)
-    assert proof.read(1) == result
+    prove(proof, Here())
+    kept = proof.files().read(0)
+    assert kept is not None
+    assert unpacked(kept.arrays) == result
     assert isinstance(result, RigResult)
     assert result.cells["all"]["all"].values > 0
-    assert not list((tmp_path / "proof").glob("rig-*/"))
+    assert not [each for each in (tmp_path / "proof").iterdir() if each.is_dir()]

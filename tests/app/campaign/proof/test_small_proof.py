@@ -7,6 +7,7 @@ import pytest
 from goniotwin.app.campaign.proof.proof import Proof, prove
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.rig import read_rig
+from goniotwin.app.sweeps.runners import Here
 from tests.conftest import Writer
 
 ROWS = ("shift_deg = [0, 1]", "shift_deg = [0, 1, 2, 3, 4]")
@@ -24,7 +25,7 @@ def test_eight_rigs_have_the_law_that_they_state(
     schedule = read_schedule(
         write_schedule(ROWS, ("readings = 2", "readings = 4"), ("dark_readings = 4", "dark_readings = 16"))
     )
-    totals = prove(Proof(schedule, read_rig(write_rig()), RIGS, tmp_path / "proof", wires), 1)
+    totals = prove(Proof(schedule, read_rig(write_rig()), RIGS, tmp_path / "proof", wires), Here())
     whole = totals.whole
     assert whole is not None
     assert not totals.failed

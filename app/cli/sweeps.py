@@ -1,0 +1,69 @@
+"""What commands with a sweep share: the options of its runner, its progress, and the line after Ctrl-C."""
+
+import contextlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import MofNCompleteColumn, TextColumn
+from rich.table import Column
+
+from goniotwin.app.cli.output import ProgressBar, errors
+from goniotwin.app.errors import UserError
+
+if TYPE_CHECKING:  # the runners load numpy, which a command's help does not need
+    from goniotwin.app.sweeps.runners import Runner
+
+MOST_PROCESSES = 1024
+Processes = Annotated[
+    int | None,
+    typer.Option("--processes", metavar="P", help="How many at once; default all cores.", show_default=False),
+]
+Dask = Annotated[
+    str | None,
+    typer.Option(
+        "--dask",
+        metavar="ADDRESS",
+        help="Compute on the workers of this Dask scheduler (tcp://HOST:8786), or `local`: workers on this computer.",
+        show_default=False,
+    ),
+]
+
+
+class SweepProgress(ProgressBar):
+    """Progress of a sweep in its chunks, which are `rigs` or such."""
+
+    def __init__(self, console: Console, title: str, chunks: int, name: str) -> None:
+        super().__init__(console, title, chunks, MofNCompleteColumn(table_column=Column(no_wrap=True)), TextColumn(f"{name},"))
+
+    def __call__(self, done: int, now: str) -> None:
+        """Show the number of chunks that are done, and what computes."""
+        self._update(now, done)
+
+
+@contextlib.contextmanager
+def runner_of(processes: int | None, dask: str | None, chunks: int) -> "Iterator[Runner]":
+    """The runner of the options --processes and --dask. Raises UserError."""
+    if processes is not None and not 1 <= processes <= MOST_PROCESSES:
+        raise UserError(f"--processes: {processes} is not possible; give 1 to {MOST_PROCESSES}")
+    if dask is None:
+        from goniotwin.app.sweeps.runners import on_this_computer
+
+        yield on_this_computer(processes, chunks)
+        return
+    from goniotwin.app.sweeps.dask_cluster import DaskCluster
+
+    with DaskCluster(dask, processes) as cluster:
+        yield cluster
+
+
+@contextlib.contextmanager
+def kept(folder: Path, name: str) -> Iterator[None]:
+    """After a Ctrl-C one line states how to continue; `name` of the chunks, such as `rigs`."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        errors.print(f"to continue: the same command; finished {name} are in {folder}", markup=False)
+        raise
