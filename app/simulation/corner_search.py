@@ -1,7 +1,8 @@
 """The worst combination of deviations without an enumeration: a linear model ranks the corners, and exact values decide.
 
-Every deviation is in units of its limit, from -1 to 1. The criterion is the root mean square of residuals: of formula 5 over the
-directions, or of the one relative change of a flux. A convex criterion is largest where every deviation is at a limit, a corner.
+Every deviation is in units of its limit, from -1 to 1. The criterion is the root mean square of residuals: of formula 5 over
+the directions, or of the one relative change of a flux. A convex criterion is largest where every deviation is at a limit, a
+corner.
 """
 
 import itertools
