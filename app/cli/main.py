@@ -228,13 +228,14 @@ def _full_disk(error: Exception) -> str:
 @app.command()
 def schema(
     kind: Annotated[
-        Literal["rig", "schedule"], typer.Argument(metavar="rig|schedule", help="Kind of file.", show_default=False)
+        Literal["rig", "schedule", "tolerances"],
+        typer.Argument(metavar="rig|schedule|tolerances", help="Kind of file.", show_default=False),
     ],
     out: Annotated[
         Path | None, typer.Option("--out", metavar="FILE", help="File to write, instead of printing.", show_default=False)
     ] = None,
 ) -> None:
-    """Print JSON Schema of rig files or schedules, for editors.
+    """Print JSON Schema of rig files, schedules or studies, for editors.
 
     With it an editor completes and checks these files. A first line `#:schema ./rig.schema.json` in them names the schema.
     """
@@ -243,12 +244,16 @@ def schema(
     from goniotwin.app.formats.file import write_file
     from goniotwin.app.rig import rig_file_table
     from goniotwin.app.rig.kinds import load_all_plugins
+    from goniotwin.app.simulation.tolerances.study import StudyFile
     from goniotwin.app.toml_file import json_schema
 
     for fault in load_all_plugins():
         errors.print(f"goniotwin: {fault}; the schema does not have it", markup=False)
     text = json.dumps(
-        json_schema({"rig": rig_file_table(), "schedule": ScheduleFile}[kind], f"goniotwin {kind} file"), indent=2
+        json_schema(
+            {"rig": rig_file_table(), "schedule": ScheduleFile, "tolerances": StudyFile}[kind], f"goniotwin {kind} file"
+        ),
+        indent=2,
     )
     if out is None:
         print(text)

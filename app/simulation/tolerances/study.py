@@ -161,22 +161,30 @@ class GaussianTable(TomlTable):
 CriterionTable = Annotated[Annotated[FluxTable, Tag("flux")] | Annotated[GaussianTable, Tag("gaussian")], Discriminator("kind")]
 
 
-@dataclass(frozen=True)
-class InstrumentTable(Dimensions):
-    """`[instrument]`: dimensions of the instrument in mm; the exit pupil is `pupil_to_mirror_mm` before mirror 1.
+class InstrumentTable(TomlTable):
+    """`[instrument]`: dimensions of the instrument in mm and deg; without it those of the program.
 
-    With `collimated` it is at infinity, with the same divergence, and the mirrors are 60 mm wide: each mirror then turns the
-    light in full. With `obstruction` the mirror unit blocks some directions; the paper's virtual detectors are not blocked.
+    The exit pupil has `pupil_radius_mm`, at `pupil_distance_mm` from the sample, over the mirrors. With `collimated` it is at
+    infinity, with the same divergence, and the mirrors are 60 mm wide: each mirror then turns the light in full. The mirrors
+    are `mirror_side_mm` wide, the spot is `spot_side_mm`. The detectors are discs of `detector_diameter_mm` at `arc_radius_mm`
+    with a field of `field_deg`. With `obstruction` the mirror unit blocks some directions; the paper's virtual detectors are
+    not blocked.
     """
 
-    pupil_to_mirror_mm: Positive = 200.0
+    pupil_radius_mm: Positive = Dimensions.pupil_radius_mm
+    pupil_distance_mm: Annotated[float, Field(gt=3.0 * Dimensions.mirror_distance_mm, le=100_000.0)] = 800.0
+    mirror_side_mm: Positive = Dimensions.mirror_side_mm
+    spot_side_mm: Positive = Dimensions.spot_side_mm
+    arc_radius_mm: Positive = Dimensions.arc_radius_mm
+    detector_diameter_mm: Positive = Dimensions.detector_diameter_mm
+    field_deg: Annotated[float, Field(gt=0.0, lt=180.0)] = Dimensions.field_deg
     collimated: bool = False
     obstruction: bool = False
 
     def instrument(self) -> Instrument:
         """The instrument without deviations."""
-        own = {each.name: getattr(self, each.name) for each in fields(Dimensions)}
-        near = Instrument(**own, pupil_to_mirror_mm=self.pupil_to_mirror_mm, obstruction=self.obstruction)
+        own = self.model_dump(exclude={"pupil_distance_mm", "collimated"})
+        near = Instrument(**own, pupil_to_mirror_mm=self.pupil_distance_mm - 3.0 * Dimensions.mirror_distance_mm)
         return collimate(near) if self.collimated else near
 
 
@@ -269,11 +277,9 @@ class StudyFile(TomlTable):
                     )
                 if element == BEAM and (group.shifts or "ry" in group.angles):
                     raise ValueError(f"{place}: the beam turns about the sample by rx and rz alone; remove what else it has")
-        for name, study in (
-            ("deviations", self.deviations),
-            *((f"variants {v.name!r}", self.of_variant(v)) for v in self.variants),
-        ):
-            titles = [each.title for group in study for each in group.parameters()]
+        for variant in (None, *self.variants):
+            name = "the study" if variant is None else f"the variant {variant.name!r}"
+            titles = [each.title for group in self.of_variant(variant) for each in group.parameters()]
             if twice := sorted({each for each in titles if titles.count(each) > 1}):
                 raise ValueError(f"deviations: {name} has {twice[0]} twice; remove one of them")
             if not 1 <= len(titles) <= MOST_DEVIATIONS:
