@@ -139,9 +139,10 @@ def _singles_changed(levels: Ints) -> Ints:
 
 
 def _pairs_changed(levels: Ints) -> Ints:
-    """The combinations that differ from one in the signs of two levels, (k (k - 1) / 2, k)."""
-    pairs = list(itertools.combinations(range(levels.size), 2))
+    """The combinations (2 k (k - 1), k) that differ from one in two levels."""
+    others = [[each for each in (1, -1, 0) if each != level] for level in levels]
+    pairs = [(i, a, j, b) for i, j in itertools.combinations(range(levels.size), 2) for a in others[i] for b in others[j]]
     near = np.repeat(levels[None], len(pairs), axis=0)
-    for row, (i, j) in zip(near, pairs, strict=True):
-        row[i], row[j] = -row[i] or 1, -row[j] or 1
+    for row, (i, a, j, b) in zip(near, pairs, strict=True):
+        row[i], row[j] = a, b
     return near

@@ -1,14 +1,12 @@
 """The light's axis at the sample: its incidence and the place of the lit square, which a lobe's measured peak does not show."""
 
-import math
 from collections.abc import Callable
 
 import numpy as np
 
 from goniotwin.app.simulation.tolerances.lobe import GaussianLobe
 from goniotwin.arrays import Floats
-from goniotwin.twin.optics.geometry.mirrors import mirrors_at, pupil, transform_rows, unfolding_maps
-from goniotwin.twin.optics.geometry.scene import scene_at
+from goniotwin.twin.optics.geometry.scene import empty_scene, fill_scene
 
 
 class BeamOnSample:
@@ -16,8 +14,7 @@ class BeamOnSample:
 
     def __init__(self, lobe: GaussianLobe, sigma_deg: float) -> None:
         self._lobe, self._sigma_deg = lobe, sigma_deg
-        zero = np.zeros((1, len(lobe.parameters)))
-        self._nominal = self._axis(zero)[0]
+        self._nominal = self._axis(np.zeros((1, len(lobe.parameters))))[0]
 
     def incidence_deg(self, values: Floats) -> Floats:
         """Incidence (n,) on the sample minus that without deviations, deg; of the line to the middle of the exit pupil."""
@@ -29,22 +26,16 @@ class BeamOnSample:
 
     def _axis(self, values: Floats) -> Floats:
         """Place along both sides of the lit square, mm, and incidence, deg, (n, 3)."""
-        found = np.empty((len(values), 3))
-        for row, combination in zip(found, values, strict=True):
-            instrument = self._lobe.with_deviations(combination)
-            scene = scene_at(instrument, self._sigma_deg)
-            before = unfolding_maps(mirrors_at(instrument, self._sigma_deg))[0]
-            centre, axis_u, axis_v = transform_rows(np.array(pupil(instrument)), before)
-            centre, axis_u, axis_v = (
-                (centre - scene.origin) @ scene.to_sample.T,
-                scene.to_sample @ axis_u,
-                scene.to_sample @ axis_v,
-            )
-            # Across the beam; reflections change the sense of the third axis, but not the line.
-            along = np.cross(axis_u, axis_v)
-            place = centre - along * (centre[2] / along[2])
-            row[:] = place @ axis_u, place @ axis_v, math.degrees(math.acos(min(1.0, float(scene.towards_light[2]))))
-        return found
+        pupils, scene = np.empty((len(values), 4, 3)), empty_scene()
+        for pupil, deviations in zip(pupils, self._lobe.deviations(values), strict=True):
+            fill_scene(self._lobe.instrument.lengths, deviations, self._sigma_deg, 0.0, scene)
+            pupil[:] = scene.pupil
+        centre, normal = pupils[:, 0], pupils[:, 3]
+        # Where the normal through the middle of the pupil meets the sample: there the unit images the middle of the slit.
+        place = centre - normal * (centre[:, 2] / normal[:, 2])[:, None]
+        sides = np.sum(pupils[:, 1:3] * place[:, None], axis=2) / self._lobe.instrument.pupil_radius_mm
+        incidence = np.degrees(np.arccos(centre[:, 2] / np.linalg.norm(centre, axis=1)))
+        return np.concatenate([sides, incidence[:, None]], axis=1)
 
 
 class Scaled:

@@ -5,9 +5,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from goniotwin.app.simulation.tolerances.study import COMPONENTS, FluxTable, Parameter, component_matrix
+from goniotwin.app.simulation.tolerances.study import FluxTable, Parameter, component_matrix
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics import Deviation, IlluminationUnit, adjoint_illumination
+from goniotwin.twin.optics.geometry.instrument import COMPONENTS
 from goniotwin.twin.optics.illumination.unit import ELEMENTS
 
 

@@ -13,11 +13,11 @@ from goniotwin.app.simulation.paper.gaussian_cut import (
     in_plane_theta,
     relative_deviation,
 )
-from goniotwin.app.simulation.tolerances.study import COMPONENTS, GaussianTable, Parameter, component_matrix
+from goniotwin.app.simulation.tolerances.study import GaussianTable, Parameter, component_matrix
 from goniotwin.arrays import Floats
-from goniotwin.twin.optics import Deviation, Instrument, Pose, from_specular, gaussian, luminance_factors
+from goniotwin.twin.optics import Instrument, Pose, Scenes, from_specular, gaussian
 from goniotwin.twin.optics.geometry.coordinates import polar_and_azimuth
-from goniotwin.twin.optics.geometry.instrument import ELEMENTS
+from goniotwin.twin.optics.geometry.instrument import COMPONENTS, ELEMENTS, deviation_mapping
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +58,8 @@ class GaussianLobe:
         self.instrument, self.criterion, self.parameters = instrument, criterion, tuple(parameters)
         self.directions = directions_of(criterion)
         self._matrix = component_matrix(parameters, ELEMENTS)
-        self._sample = gaussian(criterion.width_deg, criterion.form, peak=1.0 / math.pi)
+        poses = [Pose(each.sigma_deg, each.axes) for each in self.directions]
+        self._scenes = Scenes(instrument, poses, [gaussian(criterion.width_deg, criterion.form, peak=1.0 / math.pi)])
         self.theory = np.concatenate([self._theory(np.hypot(*each.place_deg.T)) for each in self.directions])
         self._peaks = [_peak_fit(each.place_deg, self._theory(np.hypot(*each.place_deg.T))) for each in self.directions]
 
@@ -68,13 +69,11 @@ class GaussianLobe:
 
     def with_deviations(self, values: Floats) -> Instrument:
         """The instrument with one combination (k,)."""
-        return with_components(self.instrument, self.deviations(values[None])[0])
+        return replace(self.instrument, deviations=deviation_mapping(self.deviations(values[None])[0]))
 
     def factors(self, values: Floats) -> Floats:
         """Luminance factors (n, m) of combinations (n, k). NaN where the etalon gives no signal."""
-        poses = [Pose(each.sigma_deg, each.axes) for each in self.directions]
-        rows = [luminance_factors(self.with_deviations(each), poses, self._sample) for each in values]
-        return np.array([np.concatenate(row) for row in rows])
+        return self._scenes.ratios(self.deviations(values))[:, 0, 0]
 
     def residuals(self, values: Floats) -> Floats:
         """Relative deviations (n, m) from the formula about the nominal specular direction."""
@@ -129,9 +128,3 @@ def _peak_fit(place_deg: Floats, weights: Floats) -> Floats:
     fit = np.zeros((4, len(along)))
     fit[used] = np.linalg.pinv(columns[:, used] * weights[:, None]) * weights
     return fit
-
-
-def with_components(instrument: Instrument, components: Floats) -> Instrument:
-    """The instrument with the deviations (elements, 6) of all its elements."""
-    deviations = {name: Deviation(*row) for name, row in zip(ELEMENTS, components.tolist(), strict=True) if any(row)}
-    return replace(instrument, deviations=deviations)

@@ -283,9 +283,14 @@ def _sensitivity_table(result: StudyResult, slopes: Sensitivities) -> Table:
         "sensitivities, for a deviation of 1 deg or 1 mm", "deviation", "unit", "peak, deg", "incidence, deg", "place, mm"
     )
     for k, parameter in enumerate(result.case.parameters):
-        row = (f"{slopes.peak_deg[k]:+.3f}", f"{slopes.incidence_deg[k]:+.3f}", f"{slopes.place_mm[k]:.2f}")
+        row = (_signed(slopes.peak_deg[k]), _signed(slopes.incidence_deg[k]), f"{slopes.place_mm[k]:.2f}")
         table.add_row(parameter.title, parameter.unit, *row)
     return table
+
+
+def _signed(value: float) -> str:
+    text = f"{value:+.3f}"
+    return text if text.strip("+-0.") else "0"
 
 
 def _case_table(result: StudyResult) -> Table:
@@ -402,6 +407,10 @@ def _finite(value: Any) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
+def _or_nan(value: Any) -> float:
+    return float(value) if math.isfinite(value) else math.nan
+
+
 def write_report(result: StudyResult, folder: Path, stem: str) -> dict[str, str]:
     """Write figure and tables into a folder, which is created; their paths by name. Raises UserError."""
     try:
@@ -431,10 +440,10 @@ def _deviation_columns(result: StudyResult) -> dict[str, Any]:
         "unit": [each.unit for _, _, each in rows],
         "paper": [paper.get(each.unit, math.nan) for _, _, each in rows],
         "limit": [each.limit for _, _, each in rows],
-        "at_minus_percent": [case.alone.percent[k, 0] for case, k, _ in rows],
-        "at_plus_percent": [case.alone.percent[k, 1] for case, k, _ in rows],
+        "at_minus_percent": [_or_nan(case.alone.percent[k, 0]) for case, k, _ in rows],
+        "at_plus_percent": [_or_nan(case.alone.percent[k, 1]) for case, k, _ in rows],
         **{
-            f"alone_{limit:g}_percent": [case.alone.permitted[k, column] for case, k, _ in rows]
+            f"alone_{limit:g}_percent": [_or_nan(case.alone.permitted[k, column]) for case, k, _ in rows]
             for column, limit in enumerate(result.case.combinations.within)
         },
         "common": [case.common.limits[k] for case, k, _ in rows],

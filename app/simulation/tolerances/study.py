@@ -4,7 +4,7 @@ See docs/tolerances.md.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -16,14 +16,14 @@ from goniotwin.app.simulation.tolerances.stages import levels_of
 from goniotwin.app.toml_file import TomlTable, read_toml, validate_table
 from goniotwin.arrays import Floats
 from goniotwin.keys import Positive
-from goniotwin.twin.optics import Deviation, Dimensions, Instrument
+from goniotwin.twin.optics import Dimensions, Instrument
 from goniotwin.twin.optics.bsdf.analytic_samples import Form
+from goniotwin.twin.optics.geometry.instrument import COMPONENTS
 from goniotwin.twin.optics.geometry.instrument import ELEMENTS as INSTRUMENT_ELEMENTS
 from goniotwin.twin.optics.illumination.unit import ELEMENTS as ILLUMINATION_ELEMENTS
 
 BEAM = "beam"
 """The whole illumination unit, turned about the sample."""
-COMPONENTS = tuple(each.name for each in fields(Deviation))
 FAR_MM = 1e6
 COLLIMATED_MIRROR_MM = 60.0
 MOST_DEVIATIONS = 60

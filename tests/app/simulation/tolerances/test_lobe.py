@@ -107,7 +107,7 @@ def test_the_measured_peak_of_a_lobe_has_a_place_across_the_plane_of_incidence()
     places, heights = lobe.peaks(lobe.factors(np.array([[0.2, 0.0], [0.0, 0.2], [0.0, 0.0]])))
     np.testing.assert_allclose(np.hypot(*places[:2, 0].T), 0.2, atol=0.003)
     np.testing.assert_allclose(np.abs(places[0, 0] * places[1, 0]), 0.0, atol=0.002)
-    np.testing.assert_allclose(heights, heights[2], rtol=1e-3)
+    np.testing.assert_allclose(heights, heights[2, 0], rtol=1e-3)
 
 
 def drawn_lobe(random: np.random.Generator, most: int) -> tuple[GaussianLobe, tuple[Parameter, ...], Floats]:
@@ -125,11 +125,9 @@ def drawn_lobe(random: np.random.Generator, most: int) -> tuple[GaussianLobe, tu
     groups = []
     for place in random.permutation(len(every))[:count]:
         element, name = every[place]
-        group = (
-            DeviationsTable(elements=[element], angles=[name], limit_deg=float(random.uniform(0.01, 0.1)))
-            if name[0] == "r"
-            else DeviationsTable(elements=[element], shifts=[name], limit_mm=float(random.uniform(0.05, 0.5)))
-        )
+        turned = {"angles": [name], "limit_deg": float(random.uniform(0.01, 0.1))}
+        shifted = {"shifts": [name], "limit_mm": float(random.uniform(0.05, 0.5))}
+        group = DeviationsTable.model_validate({"elements": [element], **(turned if name[0] == "r" else shifted)})
         groups.append(group)
     instrument = table.instrument()
     parameters = parameters_of(groups, instrument)
