@@ -1,8 +1,8 @@
-"""The worst combination of deviations without an enumeration: a linear model ranks the corners, and exact values decide.
+"""The worst combination of deviations without an enumeration: a quadratic model ranks the combinations, exact values decide.
 
 Every deviation is in units of its limit, from -1 to 1. The criterion is the root mean square of residuals: of formula 5 over
 the directions, or of the one relative change of a flux. A convex criterion is largest where every deviation is at a limit, a
-corner.
+corner. It is not convex in a deviation that only blurs or attenuates: then zero is as good a level as the limits.
 """
 
 import itertools
@@ -16,18 +16,19 @@ from goniotwin.arrays import Floats, Ints
 Residuals = Callable[[Floats], Floats]
 """Residuals (n, m) of combinations (n, k) of k deviations, in units of their limits."""
 
-MOST_LISTED = 14
-"""Largest number of deviations whose corners are all ranked by the linear model: 16,384 corners."""
-RANKED, CLIMBED, RANDOM_STARTS = 32, 8, 4
-"""Number of corners that are evaluated first; of those, and of random ones, from which the search climbs."""
-MODEL_STARTS = 256
+MOST_LISTED = 13
+"""Largest number of deviations whose corners are all ranked by the model: 8,192 corners."""
+MODEL_STARTS = 64
+"""Number of corners from which the model is climbed."""
+RANKED, CLIMBED, RANDOM_STARTS = 48, 12, 4
+"""Number of combinations that are evaluated first; of those, and of random corners, from which the search climbs."""
 MOST_PAIRED = 16
 """Largest number of deviations of which two at a time are changed at the end."""
 
 
 @dataclass(frozen=True, eq=False)
 class WorstCombination:
-    """The worst combination: `levels` (k,) of -1, 0 or 1 limits, its criterion, and that of the linear model.
+    """The worst combination: `levels` (k,) of -1, 0 or 1 limits, its criterion, and that of a linear model.
 
     `evaluated` is the number of combinations that were evaluated to find it.
     """
@@ -44,12 +45,36 @@ def rms_percent(residuals: Floats) -> Floats:
     return np.asarray(100.0 * np.sqrt(np.where(np.isnan(square), np.inf, square)))
 
 
+class _QuadraticModel:
+    """Residuals as a quadratic function of levels: exact for each deviation alone, and for each two at plus their limits."""
+
+    def __init__(self, nominal: Floats, plus: Floats, minus: Floats, pairs: Floats) -> None:
+        count = len(plus)
+        self._rows, self._columns = np.triu_indices(count)
+        self.nominal, self.slopes = nominal, 0.5 * (plus - minus)
+        products = np.empty((len(self._rows), nominal.size))
+        alone = self._rows == self._columns
+        products[alone] = 0.5 * (plus + minus) - nominal
+        products[~alone] = pairs - plus[self._rows[~alone]] - plus[self._columns[~alone]] + nominal
+        # A combination without a value has no part in the model; it fails by its exact value.
+        self._terms = np.nan_to_num(np.concatenate([self.slopes, products]))
+
+    def percent(self, levels: Ints) -> Floats:
+        """Criterion (n,) of levels (n, k)."""
+        terms = np.concatenate([levels, levels[:, self._rows] * levels[:, self._columns]], axis=1).astype(np.float64)
+        return rms_percent(np.nan_to_num(self.nominal) + terms @ self._terms)
+
+    def linear_percent(self, levels: Ints) -> float:
+        """Criterion of levels (k,), without products and squares."""
+        return float(rms_percent(self.nominal + levels @ self.slopes))
+
+
 def search_worst(residuals: Residuals, count: int, seed: int = 0) -> WorstCombination:
     """The combination of `count` deviations, each at -1, 0 or 1 limit, with the largest criterion.
 
-    1. Residuals with each deviation alone at both limits give a linear model at the corners.
-    2. The first corners by this model are evaluated. So are random ones: where a criterion is flat about zero, as a flux is
-       until the light's edge reaches the square, the model knows nothing.
+    1. Residuals with each deviation alone at both limits, and with each two of them, give a quadratic model.
+    2. The first combinations by this model are evaluated. So are random corners: where a criterion is flat about zero, as a
+       flux is until the light's edge reaches the square, the model knows nothing.
     3. From the worst of them, single deviations are changed to another level as long as that is worse; then two at a time.
 
     The result is the worst of all that was evaluated; nothing is taken from the model.
@@ -65,69 +90,69 @@ def search_worst(residuals: Residuals, count: int, seed: int = 0) -> WorstCombin
         return np.array([known[key] for key in keys])
 
     units = np.eye(count, dtype=np.int64)
-    alone = np.concatenate([np.zeros((1, count), dtype=np.int64), units, -units])
-    found = residuals(alone.astype(np.float64))
-    known.update(zip((row.tobytes() for row in alone.astype(np.int8)), rms_percent(found).tolist(), strict=True))
-    nominal, plus, minus = found[0], found[1 : count + 1], found[count + 1 :]
-    slopes = np.nan_to_num(0.5 * (plus - minus))
-    # At a corner every square is 1, so that the quadratic terms of single deviations are a constant.
-    constant = np.nan_to_num(nominal + np.sum(0.5 * (plus + minus) - nominal, axis=0))
+    pairs = np.array([units[i] + units[j] for i, j in itertools.combinations(range(count), 2)], dtype=np.int64)
+    first = np.concatenate([np.zeros((1, count), dtype=np.int64), units, -units, pairs.reshape(-1, count)])
+    found = residuals(first.astype(np.float64))
+    known.update(zip((row.tobytes() for row in first.astype(np.int8)), rms_percent(found).tolist(), strict=True))
+    model = _QuadraticModel(found[0], found[1 : count + 1], found[count + 1 : 2 * count + 1], found[2 * count + 1 :])
     random = np.random.Generator(np.random.Philox(seed))
-    ranked = _rank_corners(slopes, constant, random)
+    ranked = _rank_combinations(model, count, random)
     starts = ranked[np.argsort(-percent(ranked), kind="stable")[:CLIMBED]]
     starts = np.concatenate([starts, random.choice(np.array([-1, 1]), (RANDOM_STARTS, count))])
     worst, value = _climb(percent, starts)
     while count <= MOST_PAIRED:
-        pairs = _pairs_changed(worst)
-        values = percent(pairs)
+        near = _pairs_changed(worst[None])[0]
+        values = percent(near)
         if not values.size or not values.max() > value:
             break
-        worst, value = _climb(percent, pairs[np.argmax(values)][None])
-    linear = float(rms_percent(nominal + worst @ slopes + (worst != 0) @ (0.5 * (plus + minus) - nominal)))
-    return WorstCombination(worst, value, linear, len(known))
+        worst, value = _climb(percent, near[np.argmax(values)][None])
+    return WorstCombination(worst, value, model.linear_percent(worst), len(known))
 
 
-def _rank_corners(slopes: Floats, constant: Floats, random: np.random.Generator) -> Ints:
-    """The corners (at most RANKED, k) with the largest root mean square of the linear model."""
-    count = slopes.shape[0]
+def _rank_combinations(model: _QuadraticModel, count: int, random: np.random.Generator) -> Ints:
+    """The combinations (at most RANKED, k) with the largest criterion of the model."""
     if count <= MOST_LISTED:
         corners = np.array(list(itertools.product((-1, 1), repeat=count)), dtype=np.int64)
+        starts = corners[np.argsort(-model.percent(corners), kind="stable")[:MODEL_STARTS]]
     else:
-        # The model's square is x G x + 2 h x: from many starts, each sign is changed as long as that increases it.
-        matrix, vector = slopes @ slopes.T, slopes @ constant
-        axes = np.linalg.eigh(matrix)[1][:, -4:].T
-        starts = np.concatenate([vector[None], axes, -axes, random.standard_normal((MODEL_STARTS, count))])
-        corners = np.where(starts >= 0.0, 1, -1)
-        for _ in range(10 * count):
-            gain = -corners * (corners @ matrix + vector) + np.diag(matrix)
-            best = np.argmax(gain, axis=1)
-            rising = gain[np.arange(len(corners)), best] > 1e-12 * np.abs(np.diag(matrix)).sum()
-            if not rising.any():
-                break
-            corners[rising, best[rising]] *= -1
-        corners = np.unique(corners, axis=0)
-    size = rms_percent(constant + corners @ slopes)
-    return np.asarray(corners[np.argsort(-size, kind="stable")[:RANKED]])
+        # The signs of the linear terms against the residuals, and of the directions in which these are largest.
+        axes = np.linalg.eigh(model.slopes @ model.slopes.T)[1][:, -4:].T
+        first = np.concatenate([(model.slopes @ model.nominal)[None], axes, -axes])
+        drawn = random.standard_normal((MODEL_STARTS - len(first), count))
+        starts = np.where(np.concatenate([first, drawn]) >= 0.0, 1, -1)
+    climbed = _climb_all(model.percent, starts)[0]
+    if count <= MOST_LISTED:
+        near = _pairs_changed(climbed).reshape(-1, count)
+        climbed = np.concatenate([climbed, near]) if near.size else climbed
+    candidates = np.concatenate([starts, climbed])
+    order = np.argsort(-model.percent(candidates), kind="stable")[: 8 * RANKED]  # with repetitions
+    different = {row.tobytes(): row for row in candidates[order]}
+    return np.array(list(different.values())[:RANKED])
 
 
 def _climb(percent: Callable[[Ints], Floats], starts: Ints) -> tuple[Ints, float]:
     """From every start (s, k) to a combination that no change of one level makes worse; the worst of these."""
+    reached, values = _climb_all(percent, starts)
+    first = int(np.argmax(values))
+    return reached[first], float(values[first])
+
+
+def _climb_all(percent: Callable[[Ints], Floats], starts: Ints) -> tuple[Ints, Floats]:
+    """From every start (s, k) to a combination that no change of one level makes worse, and its criterion (s,)."""
     now, value = starts.copy(), percent(starts)
     moving = np.ones(len(now), dtype=bool)
     count = starts.shape[1]
     while moving.any():
         places = np.flatnonzero(moving)
-        near = np.concatenate([_singles_changed(now[place]) for place in places])
-        values = percent(near).reshape(len(places), 2 * count)
+        near = np.stack([_singles_changed(now[place]) for place in places])
+        values = percent(near.reshape(-1, count)).reshape(len(places), 2 * count)
         best = np.argmax(values, axis=1)
         reached = values[np.arange(len(places)), best]
         rising = reached > value[places]
-        near = near.reshape(len(places), 2 * count, count)
         now[places[rising]] = near[np.arange(len(places)), best][rising]
         value[places[rising]] = reached[rising]
         moving[places[~rising]] = False
-    first = int(np.argmax(value))
-    return now[first], float(value[first])
+    return now, value
 
 
 def _singles_changed(levels: Ints) -> Ints:
@@ -139,10 +164,11 @@ def _singles_changed(levels: Ints) -> Ints:
 
 
 def _pairs_changed(levels: Ints) -> Ints:
-    """The combinations (2 k (k - 1), k) that differ from one in two levels."""
-    others = [[each for each in (1, -1, 0) if each != level] for level in levels]
-    pairs = [(i, a, j, b) for i, j in itertools.combinations(range(levels.size), 2) for a in others[i] for b in others[j]]
-    near = np.repeat(levels[None], len(pairs), axis=0)
-    for row, (i, a, j, b) in zip(near, pairs, strict=True):
-        row[i], row[j] = a, b
+    """The combinations (n, 2 k (k - 1), k) that differ from each of (n, k) in two levels."""
+    count = levels.shape[1]
+    steps = [(i, a, j, b) for i, j in itertools.combinations(range(count), 2) for a in (1, 2) for b in (1, 2)]
+    near = np.repeat(levels[:, None], len(steps), axis=1)
+    for place, (i, a, j, b) in enumerate(steps):
+        near[:, place, i] = (levels[:, i] + 1 + a) % 3 - 1
+        near[:, place, j] = (levels[:, j] + 1 + b) % 3 - 1
     return near
