@@ -75,7 +75,8 @@ def search_worst(residuals: Residuals, count: int, seed: int = 0) -> WorstCombin
     1. Residuals with each deviation alone at both limits, and with each two of them, give a quadratic model.
     2. The first combinations by this model are evaluated. So are random corners: where a criterion is flat about zero, as a
        flux is until the light's edge reaches the square, the model knows nothing.
-    3. From the worst of them, single deviations are changed to another level as long as that is worse; then two at a time.
+    3. From the worst of them, single deviations are changed to another level as long as that is worse; then two at a time,
+       also with all signs changed, and with the deviations that matter least at zero.
 
     The result is the worst of all that was evaluated; nothing is taken from the model.
     """
@@ -100,12 +101,19 @@ def search_worst(residuals: Residuals, count: int, seed: int = 0) -> WorstCombin
     starts = ranked[np.argsort(-percent(ranked), kind="stable")[:CLIMBED]]
     starts = np.concatenate([starts, random.choice(np.array([-1, 1]), (RANDOM_STARTS, count))])
     worst, value = _climb(percent, starts)
-    while count <= MOST_PAIRED:
-        near = _pairs_changed(worst[None])[0]
-        values = percent(near)
-        if not values.size or not values.max() > value:
-            break
-        worst, value = _climb(percent, near[np.argmax(values)][None])
+    # The criterion hardly changes if all signs do: a search on one side alone could miss the slightly worse one.
+    for start in (worst, -worst):
+        now, reached = _climb(percent, start[None])
+        while True:
+            near = _zeroed(percent, now)
+            if count <= MOST_PAIRED:
+                near = np.concatenate([near, _pairs_changed(now[None])[0]])
+            values = percent(near)
+            if not values.max() > reached:
+                break
+            now, reached = _climb(percent, near[np.argmax(values)][None])
+        if reached > value:
+            worst, value = now, reached
     return WorstCombination(worst, value, model.linear_percent(worst), len(known))
 
 
@@ -125,16 +133,16 @@ def _rank_combinations(model: _QuadraticModel, count: int, random: np.random.Gen
         near = _pairs_changed(climbed).reshape(-1, count)
         climbed = np.concatenate([climbed, near]) if near.size else climbed
     candidates = np.concatenate([starts, climbed])
-    order = np.argsort(-model.percent(candidates), kind="stable")[: 8 * RANKED]  # with repetitions
-    different = {row.tobytes(): row for row in candidates[order]}
-    return np.array(list(different.values())[:RANKED])
+    numbers = (candidates + 1).astype(np.uint64) @ np.uint64(3) ** np.arange(count, dtype=np.uint64)
+    candidates = candidates[np.unique(numbers, return_index=True)[1]]
+    return np.asarray(candidates[np.argsort(-model.percent(candidates), kind="stable")[:RANKED]])
 
 
 def _climb(percent: Callable[[Ints], Floats], starts: Ints) -> tuple[Ints, float]:
     """From every start (s, k) to a combination that no change of one level makes worse; the worst of these."""
     reached, values = _climb_all(percent, starts)
-    first = int(np.argmax(values))
-    return reached[first], float(values[first])
+    best = int(np.argmax(values))
+    return reached[best], float(values[best])
 
 
 def _climb_all(percent: Callable[[Ints], Floats], starts: Ints) -> tuple[Ints, Floats]:
@@ -153,6 +161,16 @@ def _climb_all(percent: Callable[[Ints], Floats], starts: Ints) -> tuple[Ints, F
         value[places[rising]] = reached[rising]
         moving[places[~rising]] = False
     return now, value
+
+
+def _zeroed(percent: Callable[[Ints], Floats], levels: Ints) -> Ints:
+    """The combinations (k, k) in which the one, two, and so on, deviations are zero that change the criterion least."""
+    single = np.where(np.eye(levels.size, dtype=bool), 0, levels)
+    order = np.argsort(np.abs(percent(single) - percent(levels[None])), kind="stable")
+    near = np.repeat(levels[None], levels.size, axis=0)
+    for count in range(1, levels.size + 1):
+        near[count - 1, order[:count]] = 0
+    return near
 
 
 def _singles_changed(levels: Ints) -> Ints:
