@@ -133,7 +133,8 @@ def scatter_at_sample(
     transmits, side = lobes.models.heads[which, TRANSMITS] == 1, 1 if above else -1
     lx, ly, lz, _, _, _ = to_canonical(side, transmits, -wx, -wy, -wz, 0.0, 0.0, 0.0)
     dx, dy, dz, factor = scatter(
-        *lobe_arrays(lobes.models, which), lx, ly, lz, uniform(key, counter + 1), uniform(key, counter + 2), uniform(key, counter + 3)
+        *lobe_arrays(lobes.models, which), lx, ly, lz,
+        uniform(key, counter + 1), uniform(key, counter + 2), uniform(key, counter + 3),
     )  # fmt: skip
     dx, dy, dz = from_canonical(side, transmits, dx, dy, dz)
     return dx, dy, dz, factor * lobes.weights[which] * total / share

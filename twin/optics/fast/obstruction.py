@@ -162,6 +162,8 @@ def shadow_map(
     if count == 0 or abs(count * step_deg - 90.0) > 1e-9:
         raise ValueError(f"step_deg is {step_deg!r}: give one that divides 90 deg, at least 0.1")
     polar, azimuth = np.linspace(0.0, 90.0, count + 1), np.linspace(0.0, 360.0, 4 * count + 1)
-    directions = arc_direction(polar[:, None], azimuth[None, :], lower)
+    directions = arc_direction(polar[:, None], azimuth[None, :-1], lower)
     visible = visible_fraction(instrument, sigma_deg, directions.reshape(-1, 3), gamma_deg=gamma_deg)
-    return ShadowMap(sigma_deg, polar, azimuth, visible.reshape(directions.shape[:2]), lower, instrument.obstruction)
+    turn = visible.reshape(directions.shape[:2])
+    whole = np.concatenate([turn, turn[:, :1]], axis=1)  # 360 deg is 0 deg
+    return ShadowMap(sigma_deg, polar, azimuth, whole, lower, instrument.obstruction)

@@ -108,7 +108,8 @@ class Optics(NamedTuple):
 class Spectra(NamedTuple):
     """Weights of the lobes and the mirrors' reflectance over the wavelengths, as an argument of the kernels.
 
-    `weights` (lobes, w), `owners` (lobes,): number of each lobe's sample, `reflectances` (w, a) at incidences `angles_deg` (a,).
+    `weights` (lobes, w); `owners` (lobes,): number of each lobe's sample; `reflectances` (w, a) at the incidences `angles_deg`
+    (a,).
     """
 
     weights: Floats
@@ -175,7 +176,9 @@ def score_scenes(
             mirror_products(spectra, scene, mirrors)
             for start in range(0, count, BLOCK):
                 size = min(BLOCK, count - start)
-                score_block(optics, models, scene, centres[start : start + size], axes[start : start + size], acting[:active], block)
+                score_block(
+                    optics, models, scene, centres[start : start + size], axes[start : start + size], acting[:active], block
+                )
                 for a in range(active):
                     k = acting[a]
                     for j in range(mirrors.size):
@@ -184,7 +187,7 @@ def score_scenes(
                             row[first + lit[start + i]] += factor * block.sums[k, i]
 
 
-@kernel()
+@kernel(inline="always")
 def select_lit(centres: Floats, axes: Floats, total: int, above: bool, below: bool, lit: Ints) -> int:
     """Move the detectors above or below the sample's plane, or both, to the front; fill `lit` with their numbers.
 
@@ -200,7 +203,7 @@ def select_lit(centres: Floats, axes: Floats, total: int, above: bool, below: bo
     return count
 
 
-@kernel()
+@kernel(inline="always")
 def mirror_products(spectra: Spectra, scene: SceneArrays, result: Floats) -> None:
     """Fill `result` (w,) with the product of the three mirrors' reflectances, linear between the angles of the table."""
     angles, last = spectra.angles_deg, spectra.angles_deg.size - 1
@@ -217,7 +220,7 @@ def mirror_products(spectra: Spectra, scene: SceneArrays, result: Floats) -> Non
             result[j] *= low + share * (high - low)
 
 
-@kernel()
+@kernel(inline="always")
 def score_block(
     optics: Optics, models: Models, scene: SceneArrays, centres: Floats, axes: Floats, acting: Ints, block: Block
 ) -> None:  # fmt: skip
@@ -251,7 +254,7 @@ def score_block(
             fill_regular(optics, models, scene, centres, axes, k, block.sums[k, :count])
 
 
-@kernel()
+@kernel(inline="always")
 def fill_nodes(optics: Optics, scene: SceneArrays, centres: Floats, axes: Floats, block: Block) -> None:
     """Fill `block.rays` with the seven rays of n detectors, see `place_nodes`, and `block.status`.
 
@@ -280,7 +283,7 @@ def fill_nodes(optics: Optics, scene: SceneArrays, centres: Floats, axes: Floats
                 block.rays[0, j * count + k] = 0.0
 
 
-@kernel()
+@kernel(inline="always")
 def add_bundle(
     optics: Optics, models: Models, scene: SceneArrays, centre: Floats, d: Floats, acting: Ints, partly: bool, i: int,
     block: Block,
@@ -316,7 +319,7 @@ def add_bundle(
             block.sums[k, i] = block.taken[i] / given * lanes[k].sum() if given > 0.0 else 0.0
 
 
-@kernel()
+@kernel(inline="always")
 def fill_regular(
     optics: Optics, models: Models, scene: SceneArrays, centres: Floats, axes: Floats, k: int, result: Floats
 ) -> None:  # fmt: skip
@@ -390,9 +393,7 @@ class Scenes:
         sample, etalon = flux[:, :-1], flux[:, -1:]
         return np.divide(sample, etalon, out=np.full_like(sample, np.nan), where=etalon > 0.0)
 
-    def map(
-        self, function: Callable[[Floats], Result], blocks: Iterable[Floats], *, ratios: bool = False
-    ) -> Iterator[Result]:
+    def map(self, function: Callable[[Floats], Result], blocks: Iterable[Floats], *, ratios: bool = False) -> Iterator[Result]:
         """Results of `function`, in order, of throughputs or `ratios` of each block of deviations.
 
         Blocks are computed on all threads, and few are in memory at a time. `function` is called in these threads.
@@ -513,9 +514,7 @@ def _pack_samples(samples: tuple[Scatterer, ...]) -> tuple[Models, Ints]:
     return pack_models([lobe for each in samples for lobe in each.lobes]), owners
 
 
-def _spectra(
-    instrument: Instrument, samples: tuple[Scatterer, ...], owners: Ints, wavelengths_nm: Floats | None
-) -> Spectra:
+def _spectra(instrument: Instrument, samples: tuple[Scatterer, ...], owners: Ints, wavelengths_nm: Floats | None) -> Spectra:
     mirrors = instrument.mirror_reflectance
     if wavelengths_nm is None:
         weights = np.concatenate([each.weights(None) for each in samples])[:, None]

@@ -51,7 +51,7 @@ class SceneArrays(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """One scene; `arrays` are cached and shared: do not write to them. `incident` is 1 for light on the front, -1 on the back."""
+    """One scene. Cached and shared: do not write to its arrays. `incident` is 1 for light on the front, -1 on the back."""
 
     sigma_deg: float
     incident: int
@@ -154,7 +154,7 @@ def fill_scene(lengths: Floats, deviations: Floats, sigma_deg: float, gamma_deg:
     return back
 
 
-@kernel()
+@kernel(inline="always")
 def fill_sample_frame(deviation: Floats, sigma_deg: float, gamma_deg: float, to_sample: Floats, origin: Floats) -> bool:
     """Fill `to_sample` and `origin` of a scene; whether the light is on the sample's back."""
     cosine, sine = math.cos(math.radians(gamma_deg)), math.sin(math.radians(gamma_deg))
@@ -227,7 +227,7 @@ def mirror_angle_deg(pupil: Floats, images: Floats, m: int) -> float:
     return math.degrees(math.acos(min(abs(along) / length, 1.0)))
 
 
-@kernel()
+@kernel(inline="always")
 def find_missed(images: Floats, pupil: Floats, hole: float, half: float, missed: Floats) -> None:
     """Fill `missed` (3,) of a scene; `hole` and `half` are half sides of hole and mirrors, mm.
 
