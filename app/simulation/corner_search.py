@@ -166,7 +166,7 @@ def _climb_all(percent: Callable[[Ints], Floats], starts: Ints) -> tuple[Ints, F
 def _zeroed(percent: Callable[[Ints], Floats], levels: Ints) -> Ints:
     """The combinations (k, k) in which the one, two, and so on, deviations are zero that change the criterion least."""
     single = np.where(np.eye(levels.size, dtype=bool), 0, levels)
-    order = np.argsort(np.abs(percent(single) - percent(levels[None])), kind="stable")
+    order = np.argsort(-percent(single), kind="stable")  # none of them is worse
     near = np.repeat(levels[None], levels.size, axis=0)
     for count in range(1, levels.size + 1):
         near[count - 1, order[:count]] = 0

@@ -1,8 +1,6 @@
 """The responses of the instrument to deviations: numbers of an independent prototype, and closed forms of the geometry."""
 
-import itertools
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -163,9 +161,3 @@ def test_all_combinations_of_the_twelve_tilts_are_those_of_an_independent_protot
         assert np.median(found.percent) == pytest.approx(median, abs=0.05)
         assert found.shares[0][0] == pytest.approx(passed, abs=0.002)
         assert found.worst_percent == worst_combination(lobe, limits_of(lobe.parameters)).percent
-
-
-def test_the_document_names_the_commands_of_its_figures() -> None:
-    text = (Path(REPOSITORY) / "docs" / "tolerances.md").read_text(encoding="utf-8")
-    for number, kind in itertools.product((1, 2), (".toml", ".png")):
-        assert f"table{number}{kind}" in text
