@@ -144,6 +144,13 @@ def explanations(result: StudyResult) -> list[str]:
         )
     if result.recentred is not None:
         found.append(_explain_recentring(result.recentred))
+    if result.uniformity is not None:
+        even = result.uniformity
+        found.append(
+            f"Uniformity beside the flux: {even.aligned:.2f} without deviations, {even.at_worst:.2f} at the worst corner of the "
+            f"flux, which has {even.flux_at_worst:.2f} of it, and {even.lowest:.2f} at its own worst corner. A corner of the "
+            "square is dark long before a tenth of the flux is gone: a limit of the flux alone permits that."
+        )
     return found
 
 
@@ -261,15 +268,14 @@ def _deviation_table(result: StudyResult) -> Table:
     case = result.case
     table = _new_table(
         f"each deviation alone, {quantity(result)}; and limits of all together",
-        "deviation", "unit", "range", "at -, %", "at +, %", *(f"{each:g} % at" for each in case.combinations.within),
+        "deviation", "range", "at -, %", "at +, %", *(f"{each:g} % at" for each in case.combinations.within),
         "one factor", "individual",
     )  # fmt: skip
     for k, parameter in enumerate(case.parameters):
         largest = float(case.alone.largest[k])
         table.add_row(
             parameter.title,
-            parameter.unit,
-            f"{parameter.limit:g}",
+            f"{parameter.limit:g} {parameter.unit}",
             *(f"{value:.2f}" for value in case.alone.percent[k]),
             *(f"{value:.3f}" if math.isfinite(value) else f"> {largest:g}" for value in case.alone.permitted[k]),
             f"{case.common.limits[k]:.4f}",
@@ -297,7 +303,7 @@ def _case_table(result: StudyResult) -> Table:
     within = result.case.combinations.within
     table = _new_table(
         f"all deviations, {quantity(result)} in %; standard errors in brackets",
-        "", "number", "aligned", "alone", "median", "worst", *(f"within {each:g} %" for each in within), "factor",
+        "", "number", "aligned", "alone", "median", "worst", *(f"within {each:g}" for each in within), "factor",
     )  # fmt: skip
     for case in result.cases:
         drawn = case.combinations
@@ -308,12 +314,12 @@ def _case_table(result: StudyResult) -> Table:
             f"{case.worst_alone[1]:.2f}",
             f"{np.median(drawn.percent):.2f}",
             f"{case.worst.percent:.2f}",
-            *(_percent(*each) for each in drawn.shares),
+            *(_percent(*each).removesuffix(" %") for each in drawn.shares),
             f"{case.common.factor:.4f}",
         )
     for name, drawn in result.yields.items():
         middle, largest = f"{np.median(drawn.percent):.2f}", f"{drawn.worst_percent:.2f}"
-        shares = (_percent(*each) for each in drawn.shares)
+        shares = (_percent(*each).removesuffix(" %") for each in drawn.shares)
         table.add_row(f"yield, {name}", f"{drawn.percent.size} drawn", "", "", middle, largest, *shares, "")
     return table
 

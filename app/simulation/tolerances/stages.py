@@ -16,7 +16,7 @@ from goniotwin.arrays import Flags, Floats, Ints
 
 CHUNK = 8192
 """Number of combinations that are evaluated at a time."""
-SCANNED, HALVINGS = 48, 40
+SCANNED, HALVINGS = 36, 30
 """Amounts at which a deviation alone is evaluated, and halvings of the interval in which it fails first."""
 ReportShare = Callable[[float, str], None]
 """Receives the share that is done, and the current step."""
@@ -89,7 +89,7 @@ def counted_share(passed: Flags) -> tuple[float, float]:
 def limits_alone(response: Response, limits: Floats, largest: Floats, within: Sequence[float]) -> LimitsAlone:
     """Stage 1: each deviation alone, at its limits (k,), and the amount up to `largest` (k,) at which it fails first.
 
-    The amounts are scanned in 48 geometric steps, so that the first of several failures is found, and the step is then halved.
+    The amounts are scanned in 36 geometric steps, so that the first of several failures is found, and the step is then halved.
     """
     count = limits.size
     at_limits = _alone(response, np.repeat(limits[:, None], 1, axis=1))[:, 0]
