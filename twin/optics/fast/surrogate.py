@@ -23,7 +23,7 @@ from goniotwin.twin.optics.kernel import kernel
 
 FACTOR_BLOCK = 6561
 """Most rigs in a block of `factor_blocks`."""
-ROUNDING = 1e-8
+ROUNDING = 1e-6
 """Largest error of a logarithm by the columns that are omitted."""
 UNROLLED = 4
 
