@@ -225,7 +225,9 @@ def score_block(
     optics: Optics, models: Models, scene: SceneArrays, centres: Floats, axes: Floats, acting: Ints, block: Block
 ) -> None:  # fmt: skip
     """Fill `block.sums` (lobes, BLOCK): throughputs by the lobes `acting` alone, mirrors without loss, of n detectors."""
-    count, kept = axes.shape[0], False
+    count, kept, above, below = axes.shape[0], False, False, False
+    for i in range(count):
+        above, below = above or axes[i, 2] >= 0.0, below or axes[i, 2] < 0.0
     for k in acting:
         block.sums[k, :count] = 0.0
         kept = kept or models.heads[k, KIND] in TABLE_KINDS
@@ -234,7 +236,7 @@ def score_block(
     else:
         fill_nodes(optics, scene, centres, axes, block)
         for k in acting:
-            if models.heads[k, KIND] not in TABLE_KINDS:
+            if models.heads[k, KIND] not in TABLE_KINDS and (below if models.heads[k, TRANSMITS] == 1 else above):
                 lobe_sums(models, k, block.rays, NODES, block.values, block.sums[k, :count])
     # Tables have kinks, which seven rays do not resolve: their mean is taken over a bundle, times what the seven rays take, as
     # sample and etalon must have the same accepted rays.
@@ -305,7 +307,8 @@ def add_bundle(
                 fill_arrivals(scene, lengths[HALF_MIRROR], other, share, count, t, rays, column)
                 column += count
         for k in acting:
-            if partly or models.heads[k, KIND] in TABLE_KINDS:
+            on_its_side = (d[2] < 0.0) == (models.heads[k, TRANSMITS] == 1)
+            if on_its_side and (partly or models.heads[k, KIND] in TABLE_KINDS):
                 lobe_sums(models, k, rays, 4, block.values, lanes[k, :count])
         if not partly:
             for j in range(4):
