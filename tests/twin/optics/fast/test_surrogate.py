@@ -5,10 +5,11 @@ import math
 import numpy as np
 import pytest
 
-from benchmarks.tolerances import TILT_DEG, Lobe, deviations_of, surrogate_error, tilt_parts
 from goniotwin.app.simulation.paper.gaussian_cut import relative_rms_percent
 from goniotwin.app.simulation.paper.table3 import collimated
+from goniotwin.app.simulation.paper.worst_corner import TILT_DEG
 from goniotwin.twin.optics import Instrument, Pose, Scenes, Surrogate, factor_blocks, gaussian, lambertian
+from tests.twin.optics.fast.combinations import Lobe, deviations_of, surrogate_error, tilt_parts
 
 OPEN = Instrument(obstruction=False)
 
@@ -21,7 +22,7 @@ def test_it_is_within_a_twentieth_of_a_point_of_the_exact_rms(width_deg: float, 
 
 
 def test_its_ratios_and_their_rms_are_those_of_the_scenes() -> None:
-    lobe, parts = Lobe(OPEN, 30.0, 5.0, whole=False), tilt_parts(OPEN)
+    lobe, parts = Lobe(OPEN, 30.0, 5.0), tilt_parts(OPEN)
     surrogate = Surrogate(lobe.scenes, parts)
     rows = np.concatenate([np.zeros((1, 12)), np.random.default_rng(2).uniform(-1.0, 1.0, (40, 12))])
     exact, ratios = lobe.scenes.ratios(surrogate.deviations(rows))[:, 0, 0], surrogate.ratios(rows)
@@ -40,7 +41,7 @@ def test_all_combinations_have_the_figures_of_an_independent_prototype(
 ) -> None:
     """optics.md, sections 5 and 7: twelve tilts at -0.05, 0 and 0.05 deg, sigma 30, alpha 5, in plane; exact and surrogate."""
     instrument = OPEN if beam != "collimated" else collimated(OPEN)
-    lobe, parts, blocks = Lobe(instrument, 30.0, 5.0, whole=False), tilt_parts(instrument), list(factor_blocks(12))
+    lobe, parts, blocks = Lobe(instrument, 30.0, 5.0), tilt_parts(instrument), list(factor_blocks(12))
     exact = lobe.exact_percent(deviations_of(parts, blocks))
     assert exact.size == 3**12
     assert [exact.max(), np.median(exact)] == pytest.approx([worst, median], abs=0.05)
