@@ -11,7 +11,7 @@ from goniotwin.app.simulation.corner_search import WorstCombination, rms_percent
 from goniotwin.app.simulation.tolerances.beam_on_sample import BeamOnSample, Scaled
 from goniotwin.app.simulation.tolerances.drawing import Distribution, draw_deviations
 from goniotwin.app.simulation.tolerances.light import Evenness, IlluminationLight
-from goniotwin.app.simulation.tolerances.lobe import GaussianLobe, Recentred
+from goniotwin.app.simulation.tolerances.lobe import GaussianLobe, LobeSurrogate, Recentred
 from goniotwin.app.simulation.tolerances.stages import (
     Combinations,
     LimitsAlone,
@@ -198,7 +198,13 @@ def _compute_case(study: StudyFile, variant: VariantTable | None, report: Report
 
     levels, settings = levels_of_parameters(parameters), study.combinations
     if math.prod(each.size for each in levels) <= settings.enumerate_up_to:
-        combinations = all_combinations(response, levels, within, done)
+        surrogate = None
+        if isinstance(response, GaussianLobe) and settings.evaluator == "surrogate":
+            try:
+                surrogate = LobeSurrogate(response, limits)
+            except ValueError as error:
+                raise UserError(f'combinations.evaluator: {error}; write "exact"') from None
+        combinations = all_combinations(response, levels, within, done, surrogate)
     else:
         combinations = evaluate_draws(response, random_corners(limits, settings.draws, settings.seed), within, done)
     return Case(name, parameters, limits, aligned, alone, combinations, worst, common, individual), response

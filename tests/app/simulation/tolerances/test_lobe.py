@@ -7,7 +7,7 @@ import pytest
 
 from goniotwin.app.simulation.corner_search import rms_percent
 from goniotwin.app.simulation.tolerances.beam_on_sample import BeamOnSample
-from goniotwin.app.simulation.tolerances.lobe import GaussianLobe, Recentred
+from goniotwin.app.simulation.tolerances.lobe import GaussianLobe, LobeSurrogate, Recentred
 from goniotwin.app.simulation.tolerances.stages import all_combinations, reduce_limits, worst_combination
 from goniotwin.app.simulation.tolerances.study import (
     DeviationsTable,
@@ -106,6 +106,22 @@ def test_the_measured_peak_of_a_lobe_has_a_place_across_the_plane_of_incidence()
     np.testing.assert_allclose(np.hypot(*places[:2, 0].T), 0.2, atol=0.003)
     np.testing.assert_allclose(np.abs(places[0, 0] * places[1, 0]), 0.0, atol=0.002)
     np.testing.assert_allclose(heights, heights[2, 0], rtol=1e-3)
+
+
+def test_a_surrogate_of_all_combinations_states_its_measured_error_and_its_worst_is_exact() -> None:
+    instrument = Instrument(obstruction=False)
+    groups = [DeviationsTable(elements=["mirror_2", "sample", "arc"], angles=["rx", "ry"], limit_deg=0.05)]
+    lobe = GaussianLobe(instrument, CRITERION, parameters_of(groups, instrument))
+    levels, limits = levels_of_parameters(lobe.parameters), limits_of(lobe.parameters)
+    exact = all_combinations(lobe, levels, (5.0,))
+    found = all_combinations(lobe, levels, (5.0,), surrogate=LobeSurrogate(lobe, limits))
+    assert exact.surrogate_error_percent is None
+    assert found.surrogate_error_percent is not None
+    assert 0.0 < found.surrogate_error_percent < 0.05
+    # The stated error is a sample of the true one.
+    assert np.abs(found.percent - exact.percent).max() < 3.0 * found.surrogate_error_percent
+    assert found.worst_percent == exact.worst_percent
+    np.testing.assert_array_equal(found.worst, exact.worst)
 
 
 def drawn_lobe(random: np.random.Generator, most: int) -> tuple[GaussianLobe, tuple[Parameter, ...], Floats]:
