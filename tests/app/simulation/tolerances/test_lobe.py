@@ -1,5 +1,6 @@
 """The responses of the instrument to deviations: numbers of an independent prototype, and closed forms of the geometry."""
 
+import itertools
 import math
 
 import numpy as np
@@ -86,6 +87,20 @@ def test_the_light_moves_on_the_sample_by_twice_the_tilt_times_the_path() -> Non
         [twice * path / math.sqrt(2.0) for path in (600, 400, 200)], rel=1e-3
     )
     assert max(shift[name] for name in ("sample rx", "sample ry", "arc rx", "arc ry", "beam rx", "beam rz")) < 1e-5
+
+
+def test_the_light_misses_a_part_of_the_hole_as_far_as_it_is_shifted() -> None:
+    """At normal incidence a shift of 2 mm, of which 1 mm is the margin, leaves 4 of 5 mm lit; six mirror tilts leave 0.72."""
+    instrument = Instrument(obstruction=False)
+    groups = [DeviationsTable(elements=["mirror_1", "mirror_2", "mirror_3"], angles=["rx", "ry"], limit_deg=0.05)]
+    lobe = GaussianLobe(instrument, GaussianTable(kind="gaussian", sigma_deg=[0.0]), parameters_of(groups, instrument))
+    beam = BeamOnSample(lobe, 0.0)
+    tilt = math.degrees(2.0 / (2.0 * 600.0))
+    assert beam.lit_share(np.diag([tilt, 0.0, 0.0, 0.0, 0.0, 0.0])[:1]) == pytest.approx([0.8], abs=1e-3)
+    assert beam.lit_share(np.zeros((1, 6))) == pytest.approx([1.0], abs=1e-12)
+    rig = BeamOnSample(lobe, 30.0)
+    signs = np.array(list(itertools.product((-0.05, 0.05), repeat=6)))
+    assert rig.lit_share(signs).min() == pytest.approx(0.72, abs=0.02)
 
 
 def test_about_its_measured_peak_the_worst_corner_is_as_good_as_the_aligned_instrument() -> None:
