@@ -200,8 +200,12 @@ class CombinationsTable(TomlTable):
 
     All combinations of the steps if there are no more than `enumerate_up_to`. Otherwise `draws` random corners, every deviation
     at one of its limits, counted with a standard error. `seed` is that of the random numbers.
+
+    `evaluator` of all combinations: "exact", or for a Gaussian a "surrogate" to the second order of the deviations, whose worst
+    combinations are evaluated exactly and whose error is measured and stated.
     """
 
+    evaluator: Literal["exact", "surrogate"] = "exact"
     enumerate_up_to: Annotated[int, Field(ge=0, le=50_000_000)] = 1_000_000
     draws: Draws = 20_000
     seed: Seed = 1
@@ -261,6 +265,8 @@ class StudyFile(TomlTable):
     @model_validator(mode="after")
     def _check_elements(self) -> "StudyFile":
         flux = self.criterion.kind == "flux"
+        if flux and self.combinations.evaluator == "surrogate":
+            raise ValueError('combinations.evaluator: a flux has no surrogate; write "exact", or remove it')
         known = ILLUMINATION_ELEMENTS if flux else (*INSTRUMENT_ELEMENTS, BEAM)
         groups = [(f"deviations.{k}", each) for k, each in enumerate(self.deviations)]
         groups += [
