@@ -32,6 +32,7 @@ def summary(rigs: list[RigFindings]) -> dict[str, object]:
         "chi2_combinations": float(np.mean((errors / u) ** 2)),
         "median_direction_deg": float(np.median([each.direction for each in rigs])),
         "largest_direction_deg": float(np.max([each.direction for each in rigs])),
+        "median_direction_from_nominal_deg": float(np.median([each.from_nominal for each in rigs])),
         "chi2_predictions": float(np.mean([each.predictions for each in rigs])),
         "chi2_residuals": float(np.mean([each.residuals for each in rigs])),
         "median_cut_rms_percent": dict(zip(CUTS, np.median(cuts, axis=0).tolist(), strict=True)),

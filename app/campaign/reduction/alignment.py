@@ -149,6 +149,8 @@ def estimate_alignment(
     before = settings.alignment or Alignment.stated(rig_inputs(settings.rig.uncertainty))
     mountings = [each for name in values.mountings for each in mounting_inputs(settings.rig.uncertainty, "sample", name)]
     before = replace(before.with_inputs(mountings), source=source)
+    if not before.inputs:
+        raise UserError(f"{settings.sample}: the rig file states no misalignment in [uncertainty] that could be found")
     modes, of_modes = before.modes
     value = before.value
     error = np.zeros(len(modes))

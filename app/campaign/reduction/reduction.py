@@ -158,7 +158,7 @@ class Reduction:
     def _align_itself(self, sample: str) -> None:
         """Align the campaign on one of its samples, as far as that was measured."""
         try:
-            self._aligned = self.align(sample)
+            self._aligned = self.align(sample, self.settings.alignment)
         except DamagedJournal:
             raise
         except UserError as error:
@@ -209,10 +209,11 @@ class Reduction:
                 if (found := file.between(first, last)) is not None:
                     yield PointBlock(places[found[0]], found[1])
 
-    def align(self, sample: str) -> AlignmentResult:
+    def align(self, sample: str, before: Alignment | None = None) -> AlignmentResult:
         """The alignment by a narrow lobe, at the wavelength of the scans of the open beam, and by these scans.
 
-        Raises UserError where the sample's values determine nothing.
+        `before` is what is known without them; None for what the rig file states. Raises UserError where the sample's values
+        determine nothing.
         """
         wavelength = scan_wavelength_nm(self.schedule)
         beams: Sequence[ScannedBeam] = () if self.schedule.open_beam_scan is None else self.closure().beams
@@ -220,7 +221,7 @@ class Reduction:
         try:
             if not any(each.size for each in found):
                 raise UserError(f"{sample}: has no lobe of reflected light at {wavelength:g} nm that an alignment could use")
-            settings = replace(self.settings, sample=sample)
+            settings = replace(self.settings, sample=sample, alignment=before)
             return estimate_alignment(join_points(found), settings, beams, f"alignment on {sample} of {self.schedule.name}")
         except UserError as error:
             raise UserError(f"{self.journal.path}: {error}") from None

@@ -73,8 +73,9 @@ class RigFindings:
     """What an alignment has found of one rig. Angles in deg.
 
     `errors` are those of the combinations, `u` their uncertainties. `direction` is the median error of the specular direction
-    against the arc at poses that were not measured, and `predictions` chi-square per degree of freedom of these directions.
-    `residuals` is that of the values. `cut_percent` is the relative RMS of the corrected cut in the plane of incidence against
+    against the arc at poses that were not measured, the arc being the mean of its photodiodes; `from_nominal` is that against
+    the arc as if its photodiodes had no angles of their own. `predictions` is chi-square per degree of freedom of the latter,
+    `residuals` that of the values. `cut_percent` is the relative RMS of the corrected cut in the plane of incidence against
     that of the same rig without tilts and zeros; `cuts_percent` are those of the cut as measured, corrected and aligned,
     against the theory.
     """
@@ -84,6 +85,7 @@ class RigFindings:
     errors: tuple[float, ...]
     u: tuple[float, ...]
     direction: float
+    from_nominal: float
     predictions: float
     residuals: float
     findings: tuple[str, ...]
@@ -144,6 +146,14 @@ def true_displacement(model: TwinModel, drawn: Drawn, views: Views, mounting: st
         way = _logarithm(d, specular, along, across) - nominal
         found.append(-way)
     return np.degrees(np.array(found))
+
+
+def photodiodes_mean(model: TwinModel, drawn: Drawn, views: Views) -> Floats:
+    """The mean (n, 2) of the own angles of the photodiodes on the arc of each view, along the arc and across it, deg."""
+    upper = len(model.photodiodes.upper_deg)
+    along, across = (np.array([each[:upper].mean(), each[upper:].mean()]) for each in drawn.photodiode_angles_deg())
+    arc = views.lower.astype(int)
+    return np.stack([along[arc], np.where(views.lower, -1.0, 1.0) * across[arc]], axis=1)
 
 
 def _numbered(mounting: str) -> tuple[str, int]:
@@ -212,6 +222,7 @@ def judge_alignment(result: AlignmentResult, plan: NewPlan) -> RigFindings:
     scores = (vectors.T @ difference.T.ravel())[known] ** 2 / variance[known]
     return RigFindings(
         plan.rig.seed, len(plan.rows), errors, tuple(each.u for each in result.combinations),
+        float(np.median(np.linalg.norm(difference - photodiodes_mean(model, drawn, views), axis=1))),
         float(np.median(np.linalg.norm(difference, axis=1))), float(np.mean(scores)), result.chi_square, result.findings,
     )  # fmt: skip
 

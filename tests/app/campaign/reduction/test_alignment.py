@@ -6,16 +6,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import NewPlan
-from goniotwin.app.campaign.reduction.reduction import align_journal, rig_alignment
+from goniotwin.app.campaign.reduction.budget import budget_of_value, finished_blocks, parse_place
+from goniotwin.app.campaign.reduction.comparison import true_bsdf
+from goniotwin.app.campaign.reduction.points import join_points
+from goniotwin.app.campaign.reduction.reduction import Reduction, align_journal, rig_alignment
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.campaign.uncertainty.alignment import Alignment, halfway, known_displacement
 from goniotwin.app.campaign.uncertainty.inputs import Input
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import nominal_instrument, read_rig
 from goniotwin.app.rig.alignment import AlignmentFile, aligned_model, alignment_text, parse_alignment
+from goniotwin.arrays import Floats
 from tests.app.campaign.reduction.alignment_bench import (
     PROOF,
+    SAMPLE,
     RigFindings,
     alignment_rig,
     drawn_plan,
@@ -93,7 +99,7 @@ def test_the_reduction_reads_the_rig_from_the_file_without_the_sample(small: Sma
 
 
 def test_a_flat_sample_determines_nothing_and_that_is_one_line(tmp_path: Path) -> None:
-    flat = SMALL.replace("two-sided-5", "grey").replace('side = "both"', 'side = "front"')
+    flat = SMALL.replace("two-sided-5", "grey").replace('side = "both"', 'side = "front"').replace("[0, 180]", "[0]")
     path = run(drawn_plan(parse_schedule(flat, "flat"), alignment_rig(), 3), tmp_path / "flat.journal")
     with pytest.raises(UserError, match=r"^[^\n]*flat.journal: grey: its values determine no misalignment[^\n]*$"):
         align_journal(path)
@@ -129,6 +135,39 @@ def test_combinations_of_a_file_are_the_conditional_expectation() -> None:
     assert found.covariance == pytest.approx(np.array([[5.76, -5.76], [-5.76, 5.76]]), abs=1e-6)
     modes, of_modes = found.modes
     assert of_modes @ np.diag([each.u**2 for each in modes]) @ of_modes.T == pytest.approx(found.covariance, abs=1e-6)
+
+
+def test_corrected_values_are_nearer_to_the_truth_by_as_much_as_their_uncertainty_falls(small: Small) -> None:
+    """On the flanks of the lobe, as a factor of both; the deviations are within the stated intervals."""
+    plain, corrected = (flank(small, each) for each in (None, small.alignment))
+    assert np.median(plain[1]) > 5.0 * np.median(corrected[1])
+    assert np.sqrt(np.mean(plain[0] ** 2)) > 3.0 * np.sqrt(np.mean(corrected[0] ** 2))
+    assert np.mean(np.abs(corrected[0]) < 1.96 * corrected[1]) > 0.9
+
+
+def flank(small: Small, alignment: Alignment | None) -> tuple[Floats, Floats]:
+    """Relative deviations from the truth and relative u of the values from one to two widths of the lobe."""
+    with Journal.open(small.path) as journal:
+        reduction = Reduction(journal)
+        reduction.settings = replace(reduction.settings, alignment=alignment)
+        points = join_points(list(finished_blocks(reduction, SAMPLE)))
+    points = points.where(points.good & ~points.transmitted & (points.theta_deg > 5.0) & (points.theta_deg < 10.0))
+    truth = true_bsdf(model_of(small.plan)[0].samples[SAMPLE], points)
+    return points.bsdf / truth - 1.0, points.u_bsdf / points.bsdf
+
+
+def test_the_budget_of_an_aligned_value_has_modes_and_sums_to_its_uncertainty(small: Small) -> None:
+    with Journal.open(small.path) as journal:
+        reduction = Reduction(journal)
+        reduction.settings = replace(reduction.settings, alignment=small.alignment)
+        place = parse_place("sigma=30,gamma=0,zenith=35,azimuth=165")
+        budget = budget_of_value(reduction, place)
+        points = join_points(list(finished_blocks(reduction, SAMPLE)))
+    names = [each.name for each in budget.components]
+    assert "alignment[1]" in names
+    assert not {"mirror_1_tilt_x", "sample_tilt_x@two-sided-5#1"} & {*names}
+    here = (points.sigma_deg == 30.0) & (points.gamma_deg == 0.0) & (points.azimuth_deg == 165.0) & (points.zenith_deg == 35.0)
+    assert budget.u == pytest.approx(points.u_bsdf[here & points.good][0], rel=1e-9)
 
 
 def test_an_alignment_of_another_rig_is_refused(small: Small, tmp_path: Path) -> None:
