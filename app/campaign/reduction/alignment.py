@@ -70,7 +70,8 @@ ROW_GROUPS = ("lamp", "monitor", "repeatability")
 
 @dataclass(frozen=True)
 class AlignmentResult:
-    """What an alignment has found: rig and mountings of the sample together, in `alignment`.
+    """What an alignment has found: rig and mountings of the sample together, in `alignment`; in `with_photodiodes` also the own
+    angles of the photodiodes that have seen the lobe, which are correlated with the others.
 
     `combinations` are those that the data determine, with their `covariance` in deg^2. `chi_square` is that of the residuals of
     the predictions over its expectation, of `values` values. `scans` is the number of scans of the open beam in it. `findings`
@@ -80,6 +81,7 @@ class AlignmentResult:
     sample: str
     mountings: tuple[str, ...]
     alignment: Alignment
+    with_photodiodes: Alignment
     combinations: tuple[Combination, ...]
     covariance: Floats
     chi_square: float
@@ -173,6 +175,14 @@ def estimate_alignment(
         if step < SETTLED:
             break
     aligned = Alignment(before.inputs, value, of_modes @ after @ of_modes.T, source)
+    photodiodes = [k for k, each in enumerate(fit.inputs) if each.name.startswith("photodiode_")]
+    crossed = np.zeros((len(modes), len(photodiodes)))
+    crossed[used] = fit.covariance[np.ix_(at, photodiodes)]
+    crossed = of_modes @ crossed
+    whole = Alignment(
+        (*before.inputs, *(fit.inputs[k] for k in photodiodes)), np.append(value, fit.estimate[photodiodes]),
+        np.block([[aligned.covariance, crossed], [crossed.T, fit.covariance[np.ix_(photodiodes, photodiodes)]]]), source,
+    )  # fmt: skip
     combinations, covariance = aligned.combinations(nominal_instrument(settings.rig))
     if not combinations:
         raise UserError(
@@ -187,7 +197,7 @@ def estimate_alignment(
             "beam is clipped, or light misses the hole, or the lobe is not round; or noise or positions are worse than stated"
         )
     return AlignmentResult(
-        settings.sample, tuple(values.mountings), aligned, combinations, covariance, chi_square, points.size, len(scans),
+        settings.sample, tuple(values.mountings), aligned, whole, combinations, covariance, chi_square, points.size, len(scans),
         tuple(findings),
     )  # fmt: skip
 

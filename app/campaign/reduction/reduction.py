@@ -164,7 +164,7 @@ class Reduction:
         except UserError as error:
             self._not_aligned = f"not aligned: {str(error).removeprefix(f'{self.journal.path}: ')}"
         else:
-            self.settings = replace(self.settings, alignment=self._aligned.alignment)
+            self.settings = replace(self.settings, alignment=self._aligned.with_photodiodes)
 
     def closure(self) -> ClosureReport:
         """The closure of the etalon's scale with that of the open beam. Raises UserError."""

@@ -148,12 +148,10 @@ def true_displacement(model: TwinModel, drawn: Drawn, views: Views, mounting: st
     return np.degrees(np.array(found))
 
 
-def photodiodes_mean(model: TwinModel, drawn: Drawn, views: Views) -> Floats:
-    """The mean (n, 2) of the own angles of the photodiodes on the arc of each view, along the arc and across it, deg."""
-    upper = len(model.photodiodes.upper_deg)
-    along, across = (np.array([each[:upper].mean(), each[upper:].mean()]) for each in drawn.photodiode_angles_deg())
-    arc = views.lower.astype(int)
-    return np.stack([along[arc], np.where(views.lower, -1.0, 1.0) * across[arc]], axis=1)
+def photodiodes_mean(drawn: Drawn, views: Views) -> Floats:
+    """The mean (n, 2) of the own angles of all photodiodes, at views along the arc and across it, deg: the arc is one piece."""
+    along, across = (float(each.mean()) for each in drawn.photodiode_angles_deg())
+    return np.stack([np.full(views.polar.size, along), np.where(views.lower, -across, across)], axis=1)
 
 
 def _numbered(mounting: str) -> tuple[str, int]:
@@ -222,7 +220,7 @@ def judge_alignment(result: AlignmentResult, plan: NewPlan) -> RigFindings:
     scores = (vectors.T @ difference.T.ravel())[known] ** 2 / variance[known]
     return RigFindings(
         plan.rig.seed, len(plan.rows), errors, tuple(each.u for each in result.combinations),
-        float(np.median(np.linalg.norm(difference - photodiodes_mean(model, drawn, views), axis=1))),
+        float(np.median(np.linalg.norm(difference - photodiodes_mean(drawn, views), axis=1))),
         float(np.median(np.linalg.norm(difference, axis=1))), float(np.mean(scores)), result.chi_square, result.findings,
     )  # fmt: skip
 
