@@ -17,7 +17,7 @@ NAME = "the rig file"
 
 
 def embed_rig(rig: RigDescription) -> dict[str, Any]:
-    """The rig as data: the text of its file, and the contents of its samples' tables in place of their paths.
+    """The rig as data: the text of its file and of its alignment, and the contents of its samples' tables in place of their paths.
 
     Raises UserError for a table that cannot be read.
     """
@@ -31,7 +31,7 @@ def embed_rig(rig: RigDescription) -> dict[str, Any]:
         except FormatError as error:
             raise UserError(str(error)) from None
         table["file"] = name
-    return {"text": tomlkit.dumps(document) if files else rig.text, "files": files}
+    return {"text": tomlkit.dumps(document) if files else rig.text, "alignment": rig.alignment, "files": files}
 
 
 def embedded_rig(data: Mapping[str, Any], folder: Path) -> RigDescription:
@@ -40,7 +40,7 @@ def embedded_rig(data: Mapping[str, Any], folder: Path) -> RigDescription:
         path = folder / name
         path.parent.mkdir()
         write_file(path, base64.b64decode(content))
-    return parse_rig(data["text"], folder, NAME)
+    return parse_rig(data["text"], folder, NAME, data["alignment"])
 
 
 def _measured(document: Any) -> Iterator[Any]:
