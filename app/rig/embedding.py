@@ -17,7 +17,7 @@ NAME = "the rig file"
 
 
 def embed_rig(rig: RigDescription) -> dict[str, Any]:
-    """The rig as data: the text of its file and of its alignment, and the contents of its samples' tables in place of their paths.
+    """The rig as data: the texts of its file and of its alignment, and the contents of its samples' tables.
 
     Raises UserError for a table that cannot be read.
     """
