@@ -63,6 +63,7 @@ class View:
         self._lower = np.repeat([False, True], [len(model.photodiodes.upper_deg), len(model.photodiodes.lower_deg)])
         self._throughputs: OrderedDict[tuple[object, ...], Floats] = OrderedDict()
         self._maps: OrderedDict[tuple[object, ...], StrayMap] = OrderedDict()
+        self._instruments: OrderedDict[tuple[object, ...], Instrument] = OrderedDict()
 
     def throughputs_m2sr(self, aspect: Aspect) -> Floats:
         """Throughput of each photodiode, m^2 sr: its flux over the radiance of the exit pupil. Shape (photodiodes,)."""
@@ -93,8 +94,7 @@ class View:
     ) -> Floats:
         model, sigma, instrument = self._model, aspect.sigma_deg, self._instrument
         if mounted != NO_DEVIATION:
-            own = add_deviations(instrument.deviation("sample"), mounted)
-            instrument = replace(instrument, deviations={**instrument.deviations, "sample": own})
+            instrument = _cached(self._instruments, (mounted,), MAPS_KEPT, lambda: self._with_sample(mounted))
         directions = self.directions(aspect.beta_deg, aspect.shift_deg)
         if aspect.tilt_deg:
             # A sample tilted about y is equivalent to a rig turned about y by the opposite angle.
@@ -119,6 +119,11 @@ class View:
 
         stray = _cached(self._maps, light, MAPS_KEPT, compute_map)
         return direct + stray_throughput(stray, directions, instrument)
+
+    def _with_sample(self, mounted: Deviation) -> Instrument:
+        """The instrument with the deviation of a mounting, which holds for all its rows."""
+        own = add_deviations(self._instrument.deviation("sample"), mounted)
+        return replace(self._instrument, deviations={**self._instrument.deviations, "sample": own})
 
     def _trace(
         self, instrument: Instrument, sample: Scatterer, sigma: float, directions: Floats, wavelength: float | None,

@@ -491,6 +491,10 @@ def _pack_poses(poses: Sequence[Pose]) -> tuple[Floats, Ints, Floats, tuple[slic
 def _tasks(rigs: int, starts: Ints) -> Iterator[tuple[int, int, int, int]]:
     """Ranges of rigs and of poses of at most about PIECE readings each."""
     begin, poses = 0, len(starts) - 1
+    if rigs * int(starts[-1]) <= PIECE:
+        if poses:
+            yield 0, rigs, 0, poses
+        return
     while begin < poses:
         end = max(begin + 1, int(np.searchsorted(starts, starts[begin] + PIECE, side="right")) - 1)
         step = max(1, PIECE // max(1, int(starts[end] - starts[begin])))
@@ -500,7 +504,7 @@ def _tasks(rigs: int, starts: Ints) -> Iterator[tuple[int, int, int, int]]:
 
 
 def _check_deviations(deviations: Floats) -> Floats:
-    rigs = np.ascontiguousarray(deviations, dtype=np.float64)
+    rigs = np.require(deviations, np.float64, ["C", "W"])  # the kernel is compiled for arrays that can be written to
     if rigs.ndim != 3 or rigs.shape[1:] != (len(ELEMENTS), len(COMPONENTS)):
         raise ValueError(f"deviations has the shape {rigs.shape}: give (rigs, {len(ELEMENTS)}, {len(COMPONENTS)})")
     if not np.all(np.isfinite(rigs)):

@@ -45,9 +45,10 @@ def direction_rows(directions: npt.ArrayLike) -> Floats:
     if vectors.ndim != 2:
         raise ValueError(f"directions has the shape {vectors.shape}: give (n, 3), one row per detector")
     length = np.sqrt(np.einsum("ij,ij->i", vectors, vectors))
-    wrong = np.flatnonzero(~(np.isfinite(length) & (length > 0.0)))
-    if wrong.size:
-        raise ValueError(f"directions[{wrong[0]}] is {vectors[wrong[0]]}: give a finite vector with a length")
+    good = (length > 0.0) & (length < np.inf)
+    if not good.all():
+        wrong = int(np.argmin(good))
+        raise ValueError(f"directions[{wrong}] is {vectors[wrong]}: give a finite vector with a length")
     return np.ascontiguousarray(vectors / length[:, None])
 
 

@@ -35,7 +35,7 @@ from goniotwin.twin.optics import (
     sum_samples,
     throughput,
 )
-from goniotwin.twin.optics.fast.scenes import PIECE
+from goniotwin.twin.optics.fast.scenes import PIECE, score_scenes
 from goniotwin.twin.optics.geometry.instrument import COMPONENTS, ELEMENTS, deviation_mapping
 from tests.twin.optics.fast.plain_rays import plain_throughput
 from tests.twin.optics.models import TABLE
@@ -110,6 +110,21 @@ def test_the_instruments_own_deviations_are_used_where_none_are_given() -> None:
     straight = Scenes(SHADED, poses, [gaussian(5.0)])
     np.testing.assert_array_equal(bent.throughputs(), straight.throughputs(deviation_array([TILTED])))
     np.testing.assert_array_equal(straight.throughputs(), bent.throughputs(np.zeros((1, len(ELEMENTS), len(COMPONENTS)))))
+
+
+def test_the_kernel_is_compiled_once_for_all_calls() -> None:
+    """Another type of an argument would cost as many seconds again at its first use."""
+    fixed = deviation_array([TILTED, {}])
+    fixed.flags.writeable = False
+    for instrument, wavelengths in ((OPEN, None), (replace(SHADED, mirror_reflectance=COATED), np.array([450.0, 600.0]))):
+        for rays in (None, 64):
+            scenes = Scenes(
+                instrument, [Pose(30.0, around(30.0)), Pose(30.0, np.zeros((0, 3)))], SAMPLES[:2], wavelengths, rays
+            )
+            assert scenes.throughputs().shape[0] == 1
+            assert scenes.ratios(fixed[:, :, :]).shape[0] == scenes.ratios(np.repeat(fixed, 2, axis=0)[::2]).shape[0] == 2
+    throughput(OPEN, 30.0, [[0.0, 0.0, 1.0]], gaussian(5.0), wavelength_nm=500.0)
+    assert len(score_scenes.signatures) == 1  # type: ignore[attr-defined]
 
 
 def random_rigs(count: int) -> Floats:
