@@ -235,7 +235,7 @@ def schema(
         Path | None, typer.Option("--out", metavar="FILE", help="File to write, instead of printing.", show_default=False)
     ] = None,
 ) -> None:
-    """Print JSON Schema of rig files, schedules or studies, for editors.
+    """Print JSON Schema of rig, schedule or study files, for editors.
 
     With it an editor completes and checks these files. A first line `#:schema ./rig.schema.json` in them names the schema.
     """
