@@ -22,74 +22,14 @@ import numba
 import numpy as np
 
 from benchmarks.optics import SIGMA_DEG, detector_grid
-from goniotwin.app.simulation.paper.gaussian_cut import (
-    gaussian_theory,
-    in_plane_directions,
-    in_plane_theta,
-    relative_deviation,
-)
 from goniotwin.app.simulation.paper.table3 import collimated
-from goniotwin.app.simulation.paper.worst_corner import TILT_DEG, tilts
-from goniotwin.arrays import Floats
-from goniotwin.twin.optics import (
-    Deviation,
-    Instrument,
-    Pose,
-    Scenes,
-    Surrogate,
-    deviation_array,
-    factor_blocks,
-    from_specular,
-    gaussian,
-)
+from goniotwin.app.simulation.paper.worst_corner import TILT_DEG
+from goniotwin.twin.optics import Instrument, factor_blocks
+from tests.twin.optics.fast.combinations import COUNT, LARGE_DEG, Lobe, deviations_of, surrogate_error, tilt_parts
 
 SIGMA, WIDTH, LIMIT_PERCENT = 30.0, 5.0, 5.0
 LOBE_DEG = 10.5
-LARGE_DEG = 0.2
-CHECKED = {TILT_DEG: 50, LARGE_DEG: 1000}
-COUNT = 12
-LOWEST_ZENITH_COSINE = float(np.cos(np.radians(85.0)))
 Result = TypeVar("Result")
-
-
-class Lobe:
-    """A Gaussian lobe seen by detectors in the plane of incidence or all over it; its theory has a peak of 1."""
-
-    def __init__(self, instrument: Instrument, sigma_deg: float, width_deg: float, *, whole: bool) -> None:
-        if whole:
-            theta, phi = detector_grid()
-            near = theta <= LOBE_DEG + 1e-9
-            directions, theta = from_specular(sigma_deg, theta[near], phi[near]), theta[near]
-            seen = directions[:, 2] > LOWEST_ZENITH_COSINE
-            directions, theta = directions[seen], theta[seen]
-        else:
-            theta = in_plane_theta(sigma_deg, width_deg)
-            directions = in_plane_directions(sigma_deg, theta)
-        self.theory = gaussian_theory(theta, width_deg, "one_over_e")
-        self.scenes = Scenes(instrument, [Pose(sigma_deg, directions)], [gaussian(width_deg, peak=1.0 / np.pi)])
-
-    def exact_percent(self, deviations: list[Floats]) -> Floats:
-        """Relative RMS (n,), percent, of blocks of deviations."""
-
-        def rms(ratios: Floats) -> Floats:
-            squares = relative_deviation(ratios[:, 0, 0], self.theory) ** 2
-            return np.asarray(100.0 * np.sqrt(np.mean(squares, axis=1)))
-
-        return np.concatenate(list(self.scenes.map(rms, deviations, ratios=True)))
-
-    def surrogate_percent(self, parts: Floats, blocks: list[Floats]) -> Floats:
-        """Relative RMS (n,), percent, by the surrogate, its fit included."""
-        return 100.0 * np.concatenate(list(Surrogate(self.scenes, parts).relative_rms(blocks, self.theory)))
-
-
-def tilt_parts(instrument: Instrument, tilt_deg: float = TILT_DEG) -> Floats:
-    """The twelve tilts (12, elements, 6), each at its limit."""
-    return deviation_array({each.element: Deviation(**{each.name: each.amount})} for each in tilts(instrument, tilt_deg))
-
-
-def deviations_of(parts: Floats, blocks: list[Floats]) -> list[Floats]:
-    """Blocks of deviations from blocks of factors."""
-    return [np.tensordot(each, parts, 1) for each in blocks]
 
 
 def timed(action: Callable[[], Result]) -> tuple[Result, float, float]:
@@ -97,18 +37,6 @@ def timed(action: Callable[[], Result]) -> tuple[Result, float, float]:
     wall, cpu = time.perf_counter(), time.process_time()
     result = action()
     return result, time.perf_counter() - wall, time.process_time() - cpu
-
-
-def surrogate_error(instrument: Instrument, width_deg: float, tilt_deg: float) -> float:
-    """Largest error of the surrogate, percentage points, at random combinations and at the worst corner that it finds."""
-    lobe, parts = Lobe(instrument, SIGMA, width_deg, whole=False), tilt_parts(instrument, tilt_deg)
-    blocks = list(factor_blocks(COUNT))
-    found = lobe.surrogate_percent(parts, blocks)
-    rows = np.concatenate(blocks)
-    random = np.random.Generator(np.random.Philox(18)).integers(0, len(rows), CHECKED[tilt_deg])
-    chosen = np.append(random, np.argmax(found))
-    exact = lobe.exact_percent(deviations_of(parts, [rows[chosen]]))
-    return float(np.max(np.abs(exact - found[chosen])))
 
 
 def measure(*, with_lobe: bool) -> dict[str, Any]:
@@ -125,7 +53,9 @@ def measure(*, with_lobe: bool) -> dict[str, Any]:
         found, result[f"{name}_s"], result[f"{name}_cpu_s"] = timed(action)
         return found
 
-    plane, lobe = (Lobe(instrument, SIGMA, WIDTH, whole=whole) for whole in (False, True))
+    theta, phi = detector_grid()
+    around = theta[theta <= LOBE_DEG + 1e-9], phi[theta <= LOBE_DEG + 1e-9]
+    plane, lobe = Lobe(instrument, SIGMA, WIDTH), Lobe(instrument, SIGMA, WIDTH, *around)
     parts = tilt_parts(instrument)
     warm = [blocks[0][:COUNT]]
     for each in (plane, lobe):
@@ -133,7 +63,7 @@ def measure(*, with_lobe: bool) -> dict[str, Any]:
         each.surrogate_percent(parts, warm)
     result["in_plane_detectors"], result["lobe_detectors"] = plane.theory.size, lobe.theory.size
     for beam, one in beams.items():
-        own, moved = Lobe(one, SIGMA, WIDTH, whole=False), tilt_parts(one)
+        own, moved = Lobe(one, SIGMA, WIDTH), tilt_parts(one)
         name = "exact_in_plane" if one is instrument else "exact_in_plane_collimated"
         percent = add(name, lambda own=own, moved=moved: own.exact_percent(deviations_of(moved, blocks)))  # type: ignore[misc]
         result["worst_rms_percent"][beam] = float(percent.max())
@@ -141,7 +71,7 @@ def measure(*, with_lobe: bool) -> dict[str, Any]:
         result["passed_percent"][beam] = float(100.0 * np.mean(percent <= LIMIT_PERCENT))
     add("in_plane", lambda: plane.surrogate_percent(parts, blocks))
     add("lobe", lambda: lobe.surrogate_percent(parts, blocks))
-    sigmas = [Lobe(instrument, float(sigma), WIDTH, whole=True) for sigma in SIGMA_DEG]
+    sigmas = [Lobe(instrument, float(sigma), WIDTH, *around) for sigma in SIGMA_DEG]
     add("all_sigma", lambda: [each.surrogate_percent(parts, blocks) for each in sigmas if each.theory.size])
     for width in (5.0, 2.0):
         for tilt in (TILT_DEG, LARGE_DEG):
