@@ -7,7 +7,7 @@ each move, with the uncertainties that the rig file states. The inputs of pose a
 with the stated uncertainties as prior. One step is not enough: values are predicted anew, with the angles as found, and what is
 left is fitted, until nothing changes (Gauss-Newton).
 
-A scan of the open beam adds its centroid: it alone tells light and arc apart in the plane of incidence.
+A scan of the open beam adds its centroid: it alone distinguishes light and arc in the plane of incidence.
 """
 
 import math

@@ -1,6 +1,6 @@
 """Random misaligned rigs and what an alignment finds of them, against the twin's own geometry.
 
-The truth is that of the back door: the angles that a rig's seed draws, and the twin's exact optics. The estimator has the
+The truth is the twin's own: the angles that a rig's seed draws, and the twin's exact optics. The estimator has the
 sensitivities of the budget, and the journal.
 """
 
@@ -33,7 +33,7 @@ from goniotwin.twin.plant.disturbances import add_deviations
 from tests.conftest import REPOSITORY
 
 PROOF = REPOSITORY / "examples" / "proof"
-SCHEDULE = REPOSITORY / "examples" / "schedules" / "alignment.toml"
+SCHEDULE = PROOF / "alignment.toml"
 SAMPLE = "two-sided-5"
 OF_RIG = {
     "sample_tilt_deg": 0.1, "etalon_tilt_deg": 0.1, "mirror_tilt_deg": 0.1, "arc_tilt_deg": 0.1,

@@ -1,4 +1,4 @@
-"""The alignment: what it finds of misaligned rigs against the twin's back door, its file, and the values that it corrects."""
+"""The alignment: what it finds of misaligned rigs against the twin's own geometry, its file, and the values that it corrects."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -73,7 +73,7 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Small:
 
 
 def test_nine_combinations_are_found_within_their_uncertainties(small: Small) -> None:
-    """The truth is that of the back door. Stated are 0.1 deg for tilts and 0.2 deg for zeros: u of 0.06 and 0.12 deg."""
+    """The truth is what the seed draws. Stated are 0.1 deg for tilts and 0.2 deg for zeros: u of 0.06 and 0.12 deg."""
     found = small.found
     scores = np.array(found.errors) / found.u
     assert len(scores) == 9
@@ -92,7 +92,7 @@ def test_the_reduction_reads_the_rig_from_the_file_without_the_sample(small: Sma
     of_rig = rig_alignment(text, alignment_rig().file)
     assert not [name for name in of_rig.values if "@" in name]
     whole = small.alignment.only([each.name for each in of_rig.inputs])
-    # The file does not have what the data say of combinations that they hardly determine.
+    # The file does not have the part of combinations that they hardly determine.
     u = np.array([each.u for each in whole.inputs])
     assert of_rig.value / u == pytest.approx(whole.value / u, abs=0.05)
     assert of_rig.covariance / np.outer(u, u) == pytest.approx(whole.covariance / np.outer(u, u), abs=0.05)
