@@ -61,7 +61,7 @@ MOST_STEPS = 12
 SETTLED = 0.05
 """A step that changes no mode by more than this share of its uncertainty is the last one."""
 CENTROID_U_DEG = 0.002
-"""Standard uncertainty of a scan's centroid by its steps (assumed; on the virtual rig 0.0005 to 0.0015)."""
+"""Standard uncertainty of a scan's centroid by its steps; assumed."""
 LARGEST_CHI_SQUARE = 1.5
 """Residuals beyond this are not those of displaced lobes."""
 ROW_GROUPS = ("lamp", "monitor", "repeatability")
