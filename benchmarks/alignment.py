@@ -3,8 +3,8 @@
     python -m benchmarks.alignment [--rigs 50] [--first 1] [--wires] [--json]
 
 Each rig has 12 tilts within 0.1 deg, zeros of sigma, beta and shift within 0.2 deg, photodiodes' angles within 0.02 deg, and
-positions of the axes within 0.005 deg after each move; it measures examples/schedules/alignment.toml. The truth is that of the
-twin's back door. Some ten seconds a rig without wires.
+positions of the axes within 0.005 deg after each move; it measures examples/proof/alignment.toml. The truth is that of the
+twin itself. Some ten seconds a rig without wires.
 """
 
 import argparse

@@ -7,7 +7,7 @@ each move, with the uncertainties that the rig file states. The inputs of pose a
 with the stated uncertainties as prior. One step is not enough: values are predicted anew, with the angles as found, and what is
 left is fitted, until nothing changes (Gauss-Newton).
 
-A scan of the open beam adds its centroid: it alone tells light and arc apart in the plane of incidence.
+A scan of the open beam adds its centroid: it alone distinguishes light and arc in the plane of incidence.
 """
 
 import math
@@ -61,7 +61,7 @@ MOST_STEPS = 12
 SETTLED = 0.05
 """A step that changes no mode by more than this share of its uncertainty is the last one."""
 CENTROID_U_DEG = 0.002
-"""Standard uncertainty of a scan's centroid by its steps (assumed; on the virtual rig 0.0005 to 0.0015)."""
+"""Standard uncertainty of a scan's centroid by its steps; assumed."""
 LARGEST_CHI_SQUARE = 1.5
 """Residuals beyond this are not those of displaced lobes."""
 ROW_GROUPS = ("lamp", "monitor", "repeatability")

@@ -151,7 +151,8 @@ class Reduction:
         self._closure: ClosureReport | None = None
         if self.schedule.open_beam_scan is not None:
             self.settings = scan_settings(self.settings, self.closure())
-        self._aligned, self._not_aligned = None, ""
+        self._aligned: AlignmentResult | None = None
+        self._not_aligned = ""
         if self.schedule.align is not None:
             self._align_itself(self.schedule.align)
 

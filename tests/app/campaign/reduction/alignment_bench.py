@@ -1,6 +1,6 @@
 """Random misaligned rigs and what an alignment finds of them, against the twin's own geometry.
 
-The truth is that of the back door: the angles that a rig's seed draws, and the twin's exact optics. The estimator has the
+The truth is the twin's own: the angles that a rig's seed draws, and the twin's exact optics. The estimator has the
 sensitivities of the budget, and the journal.
 """
 
@@ -33,7 +33,7 @@ from goniotwin.twin.plant.disturbances import add_deviations
 from tests.conftest import REPOSITORY
 
 PROOF = REPOSITORY / "examples" / "proof"
-SCHEDULE = REPOSITORY / "examples" / "schedules" / "alignment.toml"
+SCHEDULE = PROOF / "alignment.toml"
 SAMPLE = "two-sided-5"
 OF_RIG = {
     "sample_tilt_deg": 0.1, "etalon_tilt_deg": 0.1, "mirror_tilt_deg": 0.1, "arc_tilt_deg": 0.1,
@@ -73,8 +73,8 @@ class RigFindings:
     """What an alignment has found of one rig. Angles in deg.
 
     `errors` are those of the combinations, `u` their uncertainties. `direction` is the median error of the specular direction
-    against the arc at poses that were not measured, the arc being the mean of its photodiodes; `from_nominal` is that against
-    the arc as if its photodiodes had no angles of their own. `predictions` is chi-square per degree of freedom of the latter,
+    against the photodiode of the arc that is next to it, at poses that were not measured; `from_nominal` is that against the
+    arc as if its photodiodes had no angles of their own. `predictions` is chi-square per degree of freedom of the latter,
     `residuals` that of the values. `cut_percent` is the relative RMS of the corrected cut in the plane of incidence against
     that of the same rig without tilts and zeros; `cuts_percent` are those of the cut as measured, corrected and aligned,
     against the theory.
@@ -148,10 +148,16 @@ def true_displacement(model: TwinModel, drawn: Drawn, views: Views, mounting: st
     return np.degrees(np.array(found))
 
 
-def photodiodes_mean(drawn: Drawn, views: Views) -> Floats:
-    """The mean (n, 2) of the own angles of all photodiodes, at views along the arc and across it, deg: the arc is one piece."""
-    along, across = (float(each.mean()) for each in drawn.photodiode_angles_deg())
-    return np.stack([np.full(views.polar.size, along), np.where(views.lower, -across, across)], axis=1)
+def photodiode_error(model: TwinModel, drawn: Drawn, views: Views, found: Alignment) -> Floats:
+    """The error (n, 2) of the own angles found of the photodiodes next to each view, along the arc and across it, deg."""
+    upper, lower = (np.array(each) for each in (model.photodiodes.upper_deg, model.photodiodes.lower_deg))
+    polar, known = np.degrees(views.polar), found.values
+    errors = []
+    for k, at in enumerate(polar.tolist()):
+        c = int(np.argmin(np.abs(lower - at))) + upper.size if views.lower[k] else int(np.argmin(np.abs(upper - at)))
+        own = [known[f"photodiode_{name}[{c}]"] - drawn[f"photodiode_{name}[{c}]"] for name in ("angle", "across")]
+        errors.append([own[0], -own[1] if views.lower[k] else own[1]])
+    return np.array(errors)
 
 
 def _numbered(mounting: str) -> tuple[str, int]:
@@ -215,12 +221,13 @@ def judge_alignment(result: AlignmentResult, plan: NewPlan) -> RigFindings:
     truth = true_displacement(model, drawn, views, mounting)
     found, covariance = predictions(result.alignment, plan.rig, views, mounting)
     difference = found - truth
+    own = photodiode_error(model, drawn, views, result.with_photodiodes)
     variance, vectors = np.linalg.eigh(covariance)
     known = variance > LEAST_EIGENVALUE
     scores = (vectors.T @ difference.T.ravel())[known] ** 2 / variance[known]
     return RigFindings(
         plan.rig.seed, len(plan.rows), errors, tuple(each.u for each in result.combinations),
-        float(np.median(np.linalg.norm(difference - photodiodes_mean(drawn, views), axis=1))),
+        float(np.median(np.linalg.norm(difference + own, axis=1))),
         float(np.median(np.linalg.norm(difference, axis=1))), float(np.mean(scores)), result.chi_square, result.findings,
     )  # fmt: skip
 

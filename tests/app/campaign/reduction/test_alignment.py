@@ -1,4 +1,4 @@
-"""The alignment: what it finds of misaligned rigs against the twin's back door, its file, and the values that it corrects."""
+"""The alignment: what it finds of misaligned rigs against the twin's own geometry, its file, and corrected values."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -8,11 +8,12 @@ import pytest
 
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import NewPlan
+from goniotwin.app.campaign.proof.proof import Proof, prove
 from goniotwin.app.campaign.reduction.budget import budget_of_value, finished_blocks, parse_place
 from goniotwin.app.campaign.reduction.comparison import true_bsdf
 from goniotwin.app.campaign.reduction.points import join_points
 from goniotwin.app.campaign.reduction.reduction import Reduction, align_journal, rig_alignment
-from goniotwin.app.campaign.schedule.file import parse_schedule
+from goniotwin.app.campaign.schedule.file import parse_schedule, read_schedule
 from goniotwin.app.campaign.uncertainty.alignment import Alignment, halfway, known_displacement
 from goniotwin.app.campaign.uncertainty.inputs import Input
 from goniotwin.app.errors import UserError
@@ -22,6 +23,7 @@ from goniotwin.arrays import Floats
 from tests.app.campaign.reduction.alignment_bench import (
     PROOF,
     SAMPLE,
+    SCHEDULE,
     RigFindings,
     alignment_rig,
     drawn_plan,
@@ -73,7 +75,7 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Small:
 
 
 def test_nine_combinations_are_found_within_their_uncertainties(small: Small) -> None:
-    """The truth is that of the back door. Stated are 0.1 deg for tilts and 0.2 deg for zeros: u of 0.06 and 0.12 deg."""
+    """The truth is what the seed draws. Stated are 0.1 deg for tilts and 0.2 deg for zeros: u of 0.06 and 0.12 deg."""
     found = small.found
     scores = np.array(found.errors) / found.u
     assert len(scores) == 9
@@ -92,7 +94,7 @@ def test_the_reduction_reads_the_rig_from_the_file_without_the_sample(small: Sma
     of_rig = rig_alignment(text, alignment_rig().file)
     assert not [name for name in of_rig.values if "@" in name]
     whole = small.alignment.only([each.name for each in of_rig.inputs])
-    # The file does not have what the data say of combinations that they hardly determine.
+    # The file does not have the part of combinations that they hardly determine.
     u = np.array([each.u for each in whole.inputs])
     assert of_rig.value / u == pytest.approx(whole.value / u, abs=0.05)
     assert of_rig.covariance / np.outer(u, u) == pytest.approx(whole.covariance / np.outer(u, u), abs=0.05)
@@ -205,11 +207,51 @@ def test_an_alignment_through_the_wires_is_the_same(seed: int, tmp_path: Path) -
 
 @pytest.mark.long
 def test_fifty_random_rigs(tmp_path: Path) -> None:
-    """Each combination has a median error below 0.005 deg; directions at other poses, and the corrected cut, as stated."""
+    """Each combination has a median error below 0.005 deg; directions at other poses, and the corrected cut, as documented.
+
+    The photodiodes' own angles, 0.0115 deg each, limit the directions: see docs/alignment.md.
+    """
     rigs = [find(seed, tmp_path) for seed in range(1, 51)]
     assert all(each.rows <= 800 and len(each.errors) == 10 and not each.findings for each in rigs)
     assert np.max(np.median(np.abs([each.errors for each in rigs]), axis=0)) < 0.005
-    assert np.median([each.direction for each in rigs]) < 0.002
+    assert np.median([each.direction for each in rigs]) < 0.003
+    assert np.median([each.from_nominal for each in rigs]) < 0.0035
     assert 0.8 < np.mean([each.predictions for each in rigs]) < 1.25
     assert 0.8 < np.mean([each.residuals for each in rigs]) < 1.25
     assert np.median([each.cuts_percent[1] - each.cuts_percent[2] for each in rigs]) < 0.1
+
+
+@pytest.mark.long
+def test_values_of_a_campaign_that_is_aligned_on_its_lobe_have_smaller_uncertainties_that_hold(tmp_path: Path) -> None:
+    """On the lobe's flank a third of u at most; a lobe of another sample, whose tilt stays unknown, gains less."""
+    proof = Proof(read_schedule(PROOF / "aligned.toml"), read_rig(PROOF / "rig.toml"), 12, tmp_path / "proof", wires=False)
+    totals = prove(proof, 1)
+    assert not totals.failed
+    assert totals.whole is not None
+    assert totals.whole.coverage > 0.92
+    path = run(replace(proof.plan, rig=proof.drawn.rig(1)), tmp_path / "one.journal")
+    with Journal.open(path) as journal:
+        reduction = Reduction(journal)
+        alignments = reduction.settings.alignment, None
+        gains = {}
+        for sample, width in (("gaussian-5", 5.0), ("gaussian-15", 15.0)):
+            u = []
+            for each in alignments:
+                reduction.settings = replace(reduction.settings, alignment=each)
+                points = join_points(list(finished_blocks(reduction, sample)))
+                points = points.where(points.good & (points.theta_deg > width) & (points.theta_deg < 2.0 * width))
+                u.append(float(np.median(points.u_bsdf / points.bsdf)))
+            gains[sample] = u[1] / u[0]
+    assert gains["gaussian-5"] > 3.0
+    assert 1.2 < gains["gaussian-15"] < 2.0
+
+
+@pytest.mark.long
+def test_a_clipped_beam_is_recognised(tmp_path: Path) -> None:
+    """Mirrors of 9 mm for a beam that needs 12.3 by 8.7: what they cut changes with the pose."""
+    rig = alignment_rig(further="\n[twin.optics]\nmirror_side_mm = 9.0\n")
+    schedule = parse_schedule(SCHEDULE.read_text(encoding="utf-8"), "alignment")
+    path = run(drawn_plan(schedule, rig, 1), tmp_path / "clipped.journal")
+    with Journal.open(path) as journal:
+        reduction = Reduction(journal)
+        assert reduction.align(SAMPLE).findings or reduction.findings
