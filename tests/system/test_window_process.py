@@ -217,7 +217,7 @@ def test_the_next_window_shows_the_run_that_a_killed_one_has_left(
     client.client.do("pause")
     client.wait_for(lambda: client.snapshot.state is State.PAUSED)
     second = start_window(rig, schedule, speed=1.0)
-    second.wait_for_rows(0)  # it has read the rows so far
+    second.wait_for_rows(0)  # it is attached
     assert client.snapshot.state is State.PAUSED
     client.client.do("resume")
     second.wait_for_rows(client.snapshot.done + 2)

@@ -1,7 +1,8 @@
 """Run `goniotwin ARGUMENTS` and press Start as soon as it is enabled, unless a run is in progress already.
 
-Prints a line for each row in the journal: the number of rows, and the number of repaints of the plot so far; after each
-`COUNT_EVERY` rows also the references to None and to True, the blocks of memory that Python has allocated, and the widgets.
+Prints a line for each row in the journal, and for a run that is in progress already: the number of rows, and the number of
+repaints of the plot so far; after each `COUNT_EVERY` rows also the references to None and to True, the blocks of memory that
+Python has allocated, and the widgets.
 """
 
 import gc
@@ -46,7 +47,9 @@ class WindowStarter(QObject):
                 assert shown is not None
                 shown.viewport().installEventFilter(self)
                 window.presenter.message_shown.connect(self._print)
-                if not window.presenter.busy:  # else it is attached to a run
+                if window.presenter.busy:  # it is attached to a run, whose rows so far may be shown already
+                    print(window.presenter.station.done, self._paints, flush=True)
+                else:
                     window.view.run.start_button.click()
 
     @Slot(object)
