@@ -5,7 +5,6 @@ sensitivities of the budget, and the journal.
 """
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -47,7 +46,6 @@ NONE = dict.fromkeys(
         "sensor_tilt_deg", "sample_height_mm", "etalon_height_mm", "mirror_shift_mm", "arc_shift_mm", "sensor_shift_mm",
     ), 0.0
 )  # fmt: skip
-GAMMA_ZERO_DEG = 0.2
 CUT = """
 name = "cut"
 symmetry = "anisotropic"
@@ -105,7 +103,7 @@ def alignment_rig(*, aligned: bool = False, further: str = "", stated: dict[str,
 
 
 def drawn_plan(schedule: ScheduleDescription, rig: RigDescription, seed: int) -> NewPlan:
-    """The plan of a schedule on the virtual rig of a seed. Its gamma has a zero of its own, drawn too."""
+    """The plan of a schedule on the virtual rig of a seed."""
     settings = reduction_settings(rig.file, schedule.file, None, schedule.name)
     drawn = DrawnRigs(rig, schedule.file.etalon, level=settings.certificate.level, years=settings.etalon_years).rig(seed)
     return make_plan(schedule, drawn)
@@ -261,9 +259,3 @@ def cut_points(path: Path, alignment: Alignment | None) -> BsdfPoints:
         reduction.settings = replace(reduction.settings, alignment=alignment)
         points = join_points(list(finished_blocks(reduction, SAMPLE)))
     return points.where(points.in_plane & points.good & (points.theta_deg <= 2.0 * WIDTH_DEG + 1e-6))
-
-
-def find_all(seeds: range, folder: Path) -> Iterator[RigFindings]:
-    """The alignments of many rigs, one after the other."""
-    for seed in seeds:
-        yield find(seed, folder)

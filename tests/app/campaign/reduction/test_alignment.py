@@ -23,7 +23,6 @@ from goniotwin.arrays import Floats
 from tests.app.campaign.reduction.alignment_bench import (
     PROOF,
     SAMPLE,
-    SCHEDULE,
     RigFindings,
     alignment_rig,
     drawn_plan,
@@ -244,14 +243,3 @@ def test_values_of_a_campaign_that_is_aligned_on_its_lobe_have_smaller_uncertain
             gains[sample] = u[1] / u[0]
     assert gains["gaussian-5"] > 3.0
     assert 1.2 < gains["gaussian-15"] < 2.0
-
-
-@pytest.mark.long
-def test_a_clipped_beam_is_recognised(tmp_path: Path) -> None:
-    """Mirrors of 9 mm for a beam that needs 12.3 by 8.7: what they cut changes with the pose."""
-    rig = alignment_rig(further="\n[twin.optics]\nmirror_side_mm = 9.0\n")
-    schedule = parse_schedule(SCHEDULE.read_text(encoding="utf-8"), "alignment")
-    path = run(drawn_plan(schedule, rig, 1), tmp_path / "clipped.journal")
-    with Journal.open(path) as journal:
-        reduction = Reduction(journal)
-        assert reduction.align(SAMPLE).findings or reduction.findings
