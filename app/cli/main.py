@@ -21,7 +21,7 @@ from typer.exceptions import TyperException
 
 import goniotwin
 from goniotwin import examples
-from goniotwin.app.cli import campaign, data, instrument, render, serving, simulation, station, views
+from goniotwin.app.cli import campaign, data, instrument, render, serving, simulation, station, tolerances, views
 from goniotwin.app.cli.output import Json, Speed, TranscriptOption, answer, errors, print_error
 from goniotwin.app.end_signals import ignore_end_signals, interrupt_on_end_signal
 from goniotwin.app.errors import UserError, room_on_disk, unexpected_error
@@ -34,7 +34,7 @@ UNREACHABLE = frozenset({errno.ENAMETOOLONG, errno.EACCES, errno.ELOOP, errno.EN
 """What the system answers to a name that no file can have, or in a folder that this user cannot enter: bad input."""
 COMMANDS = (
     "devices", "home", "here", "move", "read", "check", "rehearse", "prove", "run", "runs", "verify", "budget", "closure",
-    "export", "convert", "info", "report", "plot", "compare", "render", "copy", "simulate",
+    "export", "convert", "info", "report", "plot", "compare", "render", "copy", "simulate", "tolerances",
     "demo", "examples", "schema", "serve", "usb", "replay", "station", "desktop",
 )  # fmt: skip
 """In the order of an operator's day; then what is needed less often."""
@@ -69,7 +69,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-for group in (instrument, station, campaign, data, views, render, serving):
+for group in (instrument, station, campaign, data, views, render, serving, tolerances):
     app.add_typer(group.app)
 app.add_typer(simulation.app, name="simulate")
 
@@ -228,13 +228,14 @@ def _full_disk(error: Exception) -> str:
 @app.command()
 def schema(
     kind: Annotated[
-        Literal["rig", "schedule"], typer.Argument(metavar="rig|schedule", help="Kind of file.", show_default=False)
+        Literal["rig", "schedule", "tolerances"],
+        typer.Argument(metavar="rig|schedule|tolerances", help="Kind of file.", show_default=False),
     ],
     out: Annotated[
         Path | None, typer.Option("--out", metavar="FILE", help="File to write, instead of printing.", show_default=False)
     ] = None,
 ) -> None:
-    """Print JSON Schema of rig files or schedules, for editors.
+    """Print JSON Schema of rig files, schedules or studies, for editors.
 
     With it an editor completes and checks these files. A first line `#:schema ./rig.schema.json` in them names the schema.
     """
@@ -243,12 +244,16 @@ def schema(
     from goniotwin.app.formats.file import write_file
     from goniotwin.app.rig import rig_file_table
     from goniotwin.app.rig.kinds import load_all_plugins
+    from goniotwin.app.simulation.tolerances.study import StudyFile
     from goniotwin.app.toml_file import json_schema
 
     for fault in load_all_plugins():
         errors.print(f"goniotwin: {fault}; the schema does not have it", markup=False)
     text = json.dumps(
-        json_schema({"rig": rig_file_table(), "schedule": ScheduleFile}[kind], f"goniotwin {kind} file"), indent=2
+        json_schema(
+            {"rig": rig_file_table(), "schedule": ScheduleFile, "tolerances": StudyFile}[kind], f"goniotwin {kind} file"
+        ),
+        indent=2,
     )
     if out is None:
         print(text)

@@ -26,7 +26,7 @@ from goniotwin.twin.optics import (
 )
 from goniotwin.twin.optics.bsdf.analytic_samples import Side
 from goniotwin.twin.optics.fast.estimator import throughputs_of
-from goniotwin.twin.optics.fast.lobe_sums import FINE_RULE, TABLE_KINDS, Pose
+from goniotwin.twin.optics.fast.scenes import FINE_RULE, TABLE_KINDS, Pose
 from goniotwin.twin.optics.geometry.coordinates import incidence_deg, is_lit_from_behind
 from goniotwin.twin.optics.geometry.scene import scene_at
 

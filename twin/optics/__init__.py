@@ -22,8 +22,8 @@ from goniotwin.twin.optics.bsdf.scatterer import (
 )
 from goniotwin.twin.optics.bsdf.table_samples import spectral_table, table_sample
 from goniotwin.twin.optics.fast.estimator import luminance_factor, luminance_factors, spectral_throughput, throughput
-from goniotwin.twin.optics.fast.lobe_sums import Pose
 from goniotwin.twin.optics.fast.obstruction import ShadowMap, shadow_map, visible_fraction
+from goniotwin.twin.optics.fast.scenes import Pose, Scenes
 from goniotwin.twin.optics.forward.estimator import Estimate, forward_throughput
 from goniotwin.twin.optics.forward.stray_light import StrayMap, stray_map, stray_throughput
 from goniotwin.twin.optics.geometry.coordinates import (
@@ -34,7 +34,7 @@ from goniotwin.twin.optics.geometry.coordinates import (
     to_specular,
 )
 from goniotwin.twin.optics.geometry.deviation import Deviation
-from goniotwin.twin.optics.geometry.instrument import Dimensions, Instrument, Reflectance, SampleFrames
+from goniotwin.twin.optics.geometry.instrument import Dimensions, Instrument, Reflectance, SampleFrames, deviation_array
 from goniotwin.twin.optics.geometry.mirrors import pupil_image
 from goniotwin.twin.optics.geometry.sensor import RealSensor
 from goniotwin.twin.optics.illumination.adjoint import IlluminationFigure, adjoint_illumination, illumination_figure
@@ -60,6 +60,7 @@ __all__ = [
     "Reflectance",
     "SampleFrames",
     "Scatterer",
+    "Scenes",
     "ShadowMap",
     "Spectrum",
     "StrayMap",
@@ -69,6 +70,7 @@ __all__ = [
     "apply_spectrum",
     "arc_direction",
     "combine_sides",
+    "deviation_array",
     "draw_directions",
     "evaluate",
     "forward_illumination",

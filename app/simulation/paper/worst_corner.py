@@ -1,24 +1,28 @@
 """The worst corner of the deviations: every element at the limit of its tolerance, with the signs of the largest error.
 
-Linearised sensitivities rank all corners. The first of them, and then every corner that differs from the worst in one sign,
-are simulated.
+It is found without an enumeration (app.simulation.corner_search).
 """
 
-import itertools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from goniotwin.app.simulation.paper.gaussian_cut import gaussian_cuts
+from goniotwin.app.simulation.corner_search import search_worst
+from goniotwin.app.simulation.paper.gaussian_cut import (
+    gaussian_cuts,
+    gaussian_theory,
+    in_plane_directions,
+    in_plane_theta,
+    relative_deviation,
+)
 from goniotwin.arrays import Floats
-from goniotwin.twin.optics import Deviation, Instrument
+from goniotwin.twin.optics import Deviation, Instrument, Pose, Scenes, deviation_array, gaussian
 
 TILT_DEG = 0.05
 SHIFT_MM = 0.1
-SIMULATED_CORNERS = 32
-"""Number of corners, the first by the linear model, that are simulated."""
+SIGNS = {1: "+", 0: "0 ", -1: "-"}
 
 
 @dataclass(frozen=True)
@@ -42,7 +46,7 @@ class Corner:
 
     def describe(self) -> str:
         """The tolerances with their signs, as text."""
-        return ", ".join(f"{'+' if s > 0 else '-'}{c.title}" for c, s in zip(self.tolerances, self.signs, strict=True))
+        return ", ".join(f"{SIGNS[s]}{c.title}" for c, s in zip(self.tolerances, self.signs, strict=True))
 
 
 def tilts(instrument: Instrument, tolerance_deg: float = TILT_DEG) -> tuple[Tolerance, ...]:
@@ -82,35 +86,19 @@ def with_deviations(instrument: Instrument, tolerances: Sequence[Tolerance], sig
 
 
 def worst_corner(instrument: Instrument, sigma_deg: float, width_deg: float, tolerances: Sequence[Tolerance]) -> Corner:
-    """The corner, of all 2^n of n tolerances, with the largest relative RMS (formula 5) of a Gaussian in plane."""
+    """The corner of n tolerances with the largest relative RMS (formula 5) of a Gaussian in plane; see `search_worst`."""
+    theta = in_plane_theta(sigma_deg, width_deg)
+    theory = gaussian_theory(theta, width_deg, "one_over_e")
+    pose = Pose(sigma_deg, in_plane_directions(sigma_deg, theta))
+    scenes = Scenes(instrument, [pose], [gaussian(width_deg, peak=1.0 / math.pi)])
 
-    def residual(signs: Sequence[int]) -> Floats:
-        (cut,) = gaussian_cuts(with_deviations(instrument, tolerances, signs), [sigma_deg], width_deg)
-        return cut.relative_deviation
+    def residuals(levels: Floats) -> Floats:
+        rigs = deviation_array(with_deviations(instrument, tolerances, each).deviations for each in levels.tolist())
+        return relative_deviation(scenes.ratios(rigs)[:, 0, 0], theory)
 
-    known: dict[tuple[int, ...], float] = {}
-
-    def percent(signs: tuple[int, ...]) -> float:
-        if signs not in known:
-            known[signs] = 100.0 * _rms(residual(signs))
-        return known[signs]
-
-    count = len(tolerances)
-    units = np.eye(count, dtype=int)
-    nominal = residual([0] * count)
-    slopes = np.array([0.5 * (residual(list(unit)) - residual(list(-unit))) for unit in units])
-    corners = np.array(list(itertools.product((-1, 1), repeat=count)))
-    linear_rms = np.sqrt(np.mean((nominal + corners @ slopes) ** 2, axis=1))
-    order = np.argsort(-linear_rms, kind="stable")[:SIMULATED_CORNERS]
-    worst = max((tuple(int(sign) for sign in corners[k]) for k in order), key=percent)
-    while True:
-        neighbours = [tuple(-sign if i == flipped else sign for i, sign in enumerate(worst)) for flipped in range(count)]
-        worse = max(neighbours, key=percent)
-        if percent(worse) <= percent(worst):
-            break
-        worst = worse
-    linear = 100.0 * _rms(nominal + np.array(worst) @ slopes)
-    return Corner(tuple(tolerances), worst, percent(worst), linear)
+    found = search_worst(residuals, len(tolerances))
+    signs = tuple(int(level) for level in found.levels)
+    return Corner(tuple(tolerances), signs, found.percent, found.linear_percent)
 
 
 def with_shifts(instrument: Instrument, sigma_deg: float, width_deg: float, corner: Corner) -> Corner:
@@ -124,7 +112,3 @@ def with_shifts(instrument: Instrument, sigma_deg: float, width_deg: float, corn
     units = np.eye(len(every) - len(corner.signs), dtype=int)
     more = tuple(1 if percent(list(unit)) >= percent(list(-unit)) else -1 for unit in units)
     return Corner(every, (*corner.signs, *more), percent(more), math.nan)
-
-
-def _rms(values: Floats) -> float:
-    return math.sqrt(float(np.mean(values**2)))

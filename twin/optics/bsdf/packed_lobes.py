@@ -1,5 +1,6 @@
 """All lobes of a sample as one set of arrays, so that one compiled kernel takes any number of them, from either side."""
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -12,67 +13,85 @@ from goniotwin.twin.optics.kernel import kernel
 from goniotwin.twin.optics.montecarlo import uniform
 
 KIND, ABOVE, TRANSMITS, FIRST = range(4)
-"""Columns of `Lobes.heads`; from FIRST on the sizes of sigma, phi, theta, psi, the table's first axis and the cells' three."""
+"""Columns of `Models.heads`; from FIRST on the sizes of sigma, phi, theta, psi, the table's first axis and the cells' three."""
 SIZES = 8
 
 
-class Lobes(NamedTuple):
-    """Packed lobes: `heads` (lobes, 12), see above; ABOVE is 1 for lobes that take light from z > 0 of the scene's frame.
+class Models(NamedTuple):
+    """Packed models of lobes: `heads` (lobes, 12), see above; ABOVE is 1 for lobes that take light from z > 0 of the frame.
 
-    `params` (lobes, 8), `weights` (lobes,), `albedos` (lobes, 6) at `sines` of incidence (6,), and all arrays of all lobes,
-    `flat`; these start at `starts` (lobes, 6). `params` and `flat` are read-only as a lobe's own arrays are, so that
-    the kernels of one lobe are compiled once for both.
+    `params` (lobes, 8), and all arrays of all lobes, `flat`; these start at `starts` (lobes, 6). `params` and `flat` are
+    read-only as a lobe's own arrays are, so that the kernels of one lobe are compiled once for both.
     """
 
     heads: Ints
     params: Floats
-    weights: Floats
-    albedos: Floats
-    sines: Floats
     flat: Floats
     starts: Ints
 
 
-def pack_lobes(lobes: tuple[Lobe, ...], weights: Floats, incident: int) -> Lobes:
-    """Pack lobes and their weights, for light from the side `incident` above (z > 0 of the scene's frame)."""
+class Lobes(NamedTuple):
+    """Packed lobes for drawing: their models, `weights` (lobes,), and `albedos` (lobes, 6) at `sines` of incidence (6,)."""
+
+    models: Models
+    weights: Floats
+    albedos: Floats
+    sines: Floats
+
+
+NO_CELLS = freeze([[[0.0]]])
+
+
+def pack_models(lobes: Sequence[Lobe], incident: int = 1, *, cells: bool = False) -> Models:
+    """Pack the models of lobes, for light from the side `incident` above (z > 0 of the frame).
+
+    `cells` are for drawing alone: without them a table of one zero takes their place.
+    """
     heads, starts, flat, used = [], [], [], 0
     for lobe in lobes:
         kind, _, *arrays = lobe.kernel_arguments
-        arrays.append(lobe.cells)
+        arrays.append(lobe.cells if cells else NO_CELLS)
         sizes = [each.size for each in arrays[:4]] + [arrays[4].shape[0], *arrays[5].shape]
         heads.append([kind, int(lobe.incident == incident), int(lobe.transmits), *sizes])
         begins = used + np.cumsum([0, *(each.size for each in arrays)])
         starts.append(begins[:-1])
         used = int(begins[-1])
         flat += [each.ravel() for each in arrays]
-    return Lobes(
+    return Models(
         np.array(heads, dtype=np.int64),
         freeze([lobe.params for lobe in lobes]),
-        np.array(weights, dtype=np.float64),
-        np.array([lobe.albedos for lobe in lobes]),
-        np.sin(np.radians(ALBEDO_SIGMA_DEG)),
         freeze(np.concatenate(flat)),
         np.array(starts, dtype=np.int64),
     )
 
 
+def pack_lobes(lobes: tuple[Lobe, ...], weights: Floats, incident: int) -> Lobes:
+    """Pack lobes and their weights, for light from the side `incident` above (z > 0 of the scene's frame)."""
+    return Lobes(
+        pack_models(lobes, incident, cells=True),
+        np.array(weights, dtype=np.float64),
+        np.array([lobe.albedos for lobe in lobes]),
+        np.sin(np.radians(ALBEDO_SIGMA_DEG)),
+    )
+
+
 @kernel()
 def lobe_arrays(
-    lobes: Lobes, k: int
+    models: Models, k: int
 ) -> tuple[int, Floats, Floats, Floats, Floats, Floats, Floats, Floats]:  # fmt: skip
     """Arguments of `scatter` for lobe k: kind, params, sigma, phi, theta, psi, table and cells."""
-    size, start, flat = lobes.heads[k, FIRST:], lobes.starts[k], lobes.flat
+    size, start, flat = models.heads[k, FIRST:], models.starts[k], models.flat
     sig, ph = flat[start[0] : start[0] + size[0]], flat[start[1] : start[1] + size[1]]
     th, psi = flat[start[2] : start[2] + size[2]], flat[start[3] : start[3] + size[3]]
     table = flat[start[4] : start[4] + size[4] * size[0] * size[1] * size[2]].reshape(size[4], size[0], size[1], size[2])
     cells = flat[start[5] : start[5] + size[5] * size[6] * size[7]].reshape(size[5], size[6], size[7])
-    return lobes.heads[k, KIND], lobes.params[k], sig, ph, th, psi, table, cells
+    return models.heads[k, KIND], models.params[k], sig, ph, th, psi, table, cells
 
 
 @kernel()
 def lobe_share(lobes: Lobes, k: int, above: bool, sine: float) -> float:
     """Relative probability of lobe k: its weight times its approximate albedo, for light from above or from below."""
-    if (lobes.heads[k, ABOVE] == 1) != above:
+    if (lobes.models.heads[k, ABOVE] == 1) != above:
         return 0.0
     here, total, last = 0.0, 0.0, lobes.sines.size - 1
     for i in range(last + 1):
@@ -111,10 +130,11 @@ def scatter_at_sample(
         rest -= probability
         if rest < 0.0:
             break
-    transmits, side = lobes.heads[which, TRANSMITS] == 1, 1 if above else -1
+    transmits, side = lobes.models.heads[which, TRANSMITS] == 1, 1 if above else -1
     lx, ly, lz, _, _, _ = to_canonical(side, transmits, -wx, -wy, -wz, 0.0, 0.0, 0.0)
     dx, dy, dz, factor = scatter(
-        *lobe_arrays(lobes, which), lx, ly, lz, uniform(key, counter + 1), uniform(key, counter + 2), uniform(key, counter + 3)
+        *lobe_arrays(lobes.models, which), lx, ly, lz,
+        uniform(key, counter + 1), uniform(key, counter + 2), uniform(key, counter + 3),
     )  # fmt: skip
     dx, dy, dz = from_canonical(side, transmits, dx, dy, dz)
     return dx, dy, dz, factor * lobes.weights[which] * total / share

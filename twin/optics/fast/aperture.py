@@ -24,6 +24,7 @@ import numpy as np
 
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics.geometry.instrument import Instrument
+from goniotwin.twin.optics.geometry.scene import detector_frame
 from goniotwin.twin.optics.kernel import kernel
 
 BLOCK = 64
@@ -84,14 +85,6 @@ def side_nodes(count: int = 3) -> Floats:
     """
     t, weights = np.polynomial.legendre.leggauss(count)
     return np.stack([0.5 * t * (3.0 - t * t), 0.75 * (1.0 - t * t) * weights], axis=1)
-
-
-@kernel(forceinline=True)
-def detector_frame(dx: float, dy: float, dz: float) -> tuple[float, float, float, float, float]:
-    """Frame of a detector with the viewing direction d: e1 = (a, b, c), away from the normal, and e2 = (f, g, 0), level."""
-    sine = math.sqrt(dx * dx + dy * dy)
-    cos, sin = (dx / sine, dy / sine) if sine > 0.0 else (1.0, 0.0)
-    return dz * cos, dz * sin, -sine, -sin, cos
 
 
 @kernel(nogil=True)

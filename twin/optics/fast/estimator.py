@@ -4,24 +4,15 @@ Sample and etalon have the same rays, and so have all wavelengths: rays that fra
 (paper, formula 1).
 """
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
 
 from goniotwin.arrays import Floats
-from goniotwin.twin.optics.bsdf.lobes import Lobe, parameters
-from goniotwin.twin.optics.bsdf.models import LAMBERTIAN
 from goniotwin.twin.optics.bsdf.scatterer import Scatterer
-from goniotwin.twin.optics.fast.lobe_sums import Pose, lobe_throughputs
+from goniotwin.twin.optics.fast.scenes import Pose, Scenes
 from goniotwin.twin.optics.geometry.instrument import Instrument
-
-WHITE = [
-    Lobe(LAMBERTIAN, parameters(1.0 / math.pi), incident=incident, transmits=transmits)
-    for incident in (1, -1)
-    for transmits in (False, True)
-]
 
 
 def throughput(
@@ -46,8 +37,9 @@ def throughput(
     Raises ValueError for a wrong shape, a vector of length zero, a number of rays that is not a multiple of 4, or a sensor that
     is not a simple detector, a disc with an acceptance cone: the forward estimator alone traces such a sensor.
     """
-    (sums,) = lobe_throughputs(instrument, [Pose(sigma_deg, directions, gamma_deg)], scatterer.lobes, rays)
-    return np.asarray(sums.mirrors(instrument, wavelength_nm) * (scatterer.weights(wavelength_nm) @ sums.lobes))
+    pose = Pose(sigma_deg, directions, gamma_deg)
+    found: Floats = Scenes(instrument, [pose], [scatterer], wavelength_nm, rays).throughputs()[0, 0, 0]
+    return found
 
 
 def spectral_throughput(
@@ -72,15 +64,7 @@ def throughputs_of(
     wavelengths_nm: Floats | None = None,
 ) -> list[Floats]:
     """Throughputs (w, n) of several samples from one set of rays; without wavelengths (1, n)."""
-    (sums,) = lobe_throughputs(instrument, [pose], [lobe for each in scatterers for lobe in each.lobes], rays)
-    wavelengths = [None] if wavelengths_nm is None else wavelengths_nm.tolist()
-    mirrors = np.array([sums.mirrors(instrument, each) for each in wavelengths])
-    first, found = 0, []
-    for each in scatterers:
-        rows, first = sums.lobes[first : first + len(each.lobes)], first + len(each.lobes)
-        weights = each.weights(None)[None] if wavelengths_nm is None else each.weights(wavelengths_nm).T
-        found.append(np.asarray(mirrors[:, None] * (weights @ rows)))
-    return found
+    return list(Scenes(instrument, [pose], scatterers, wavelengths_nm, rays).throughputs()[0])
 
 
 def luminance_factor(
@@ -109,9 +93,6 @@ def luminance_factors(
     wavelength_nm: float | None = None,
 ) -> list[Floats]:
     """`luminance_factor` of many poses at once, (n,) each: a whole BSDF in one call."""
-    weights, own = scatterer.weights(wavelength_nm), len(scatterer.lobes)
-    factors = []
-    for sums in lobe_throughputs(instrument, poses, [*scatterer.lobes, *WHITE], rays, ratios=True):
-        sample, etalon = weights @ sums.lobes[:own], sums.lobes[own:].sum(axis=0)
-        factors.append(np.divide(sample, etalon, out=np.full_like(sample, np.nan), where=etalon > 0.0))
-    return factors
+    scenes = Scenes(instrument, poses, [scatterer], wavelength_nm, rays)
+    factors = scenes.ratios()[0, 0, 0]
+    return [factors[piece] for piece in scenes.pieces]

@@ -12,12 +12,19 @@ import numpy as np
 import numpy.typing as npt
 
 from goniotwin.arrays import Floats
-from goniotwin.twin.optics.fast.aperture import aperture_sizes, detector_frame
-from goniotwin.twin.optics.fast.ray_bundle import cone_slopes, detector_ray, fill_view, ray_bundle
+from goniotwin.twin.optics.fast.aperture import aperture_sizes
+from goniotwin.twin.optics.fast.ray_bundle import (
+    END_WEIGHT,
+    TILE,
+    TILE_ROWS,
+    fill_ends,
+    fill_view,
+    hide_ends,
+    ray_bundle,
+)
 from goniotwin.twin.optics.geometry.coordinates import arc_direction
 from goniotwin.twin.optics.geometry.instrument import Instrument
-from goniotwin.twin.optics.geometry.mirrors import distance_to
-from goniotwin.twin.optics.geometry.scene import scene_at
+from goniotwin.twin.optics.geometry.scene import detector_frame, scene_at
 from goniotwin.twin.optics.kernel import kernel
 
 FREE, PARTLY, HIDDEN = 0, 1, 2
@@ -37,18 +44,6 @@ def may_hide(mirrors: Floats, m: int, half: float, centre: Floats, width: float)
     foot = min(1.0, max(0.0, along / length))
     gap2 = square - 2.0 * foot * along + foot * foot * length
     return gap2 < (width + math.sqrt(2.0) * half) ** 2
-
-
-@kernel(forceinline=True)
-def is_hidden(
-    mirrors: Floats, near: Floats, half: float, reach: float,
-    px: float, py: float, wx: float, wy: float, wz: float,
-) -> bool:  # fmt: skip
-    """Whether one of the near mirrors blocks the ray from (px, py) on the sample within `reach`."""
-    for m in range(3):  # noqa: SIM110 - a generator in numba is slower
-        if near[m] > 0.0 and distance_to(mirrors, m, half, px, py, 0.0, wx, wy, wz) < reach:
-            return True
-    return False
 
 
 @kernel()
@@ -100,19 +95,23 @@ def find_shadow(mirrors: Floats, near: Floats, half: float, centre: Floats, d: F
 
 
 @kernel(nogil=True)
-def visible_shares(centres: Floats, directions: Floats, rays: Floats, sizes: Floats, mirrors: Floats, half: float) -> Floats:
+def visible_shares(centres: Floats, directions: Floats, bundle: Floats, sizes: Floats, mirrors: Floats, half: float) -> Floats:
     """Share (n,) of the rays of a bundle that no mirror blocks, for detectors at `centres` that look along -`directions`."""
     result = np.zeros(directions.shape[0])
-    near, axes, slopes = np.zeros(3), np.zeros((4, 3)), cone_slopes(rays, sizes)
+    near, axes, t, quarter = np.zeros(3), np.zeros((4, 3)), np.empty(TILE_ROWS * TILE), bundle.shape[1]
     for k in range(directions.shape[0]):
         fill_view(centres[k], directions[k], axes)
         mirrors_near(mirrors, half, centres[k], sizes, near)
         total, free = 0.0, 0.0
-        for j in range(rays.shape[0]):
-            weight, px, py, wx, wy, wz, length = detector_ray(axes, rays, slopes, j, sizes)
-            total += weight
-            if weight > 0.0 and not is_hidden(mirrors, near, half, length, px, py, wx, wy, wz):
-                free += weight
+        for first in range(0, quarter, TILE):
+            count = min(TILE, quarter - first)
+            for sign in (1.0, -1.0):
+                fill_ends(axes, bundle, first, count, sign, sizes, t)
+                for i in range(count):
+                    total += t[i + END_WEIGHT]
+                hide_ends(mirrors, near, half, count, t)
+                for i in range(count):
+                    free += t[i + END_WEIGHT]
         if total > 0.0:
             result[k] = free / total
     return result
@@ -132,7 +131,8 @@ def visible_fraction(
     scene = scene_at(instrument, sigma_deg, gamma_deg)
     centres, axes = scene.detectors(instrument, directions)
     half = 0.5 * instrument.blocking_side_mm
-    return np.asarray(visible_shares(centres, axes, ray_bundle(rays), aperture_sizes(instrument), scene.mirrors, half))
+    sizes = aperture_sizes(instrument)
+    return np.asarray(visible_shares(centres, axes, ray_bundle(rays, float(sizes[2])), sizes, scene.mirrors, half))
 
 
 @dataclass(frozen=True, eq=False)
@@ -162,6 +162,8 @@ def shadow_map(
     if count == 0 or abs(count * step_deg - 90.0) > 1e-9:
         raise ValueError(f"step_deg is {step_deg!r}: give one that divides 90 deg, at least 0.1")
     polar, azimuth = np.linspace(0.0, 90.0, count + 1), np.linspace(0.0, 360.0, 4 * count + 1)
-    directions = arc_direction(polar[:, None], azimuth[None, :], lower)
+    directions = arc_direction(polar[:, None], azimuth[None, :-1], lower)
     visible = visible_fraction(instrument, sigma_deg, directions.reshape(-1, 3), gamma_deg=gamma_deg)
-    return ShadowMap(sigma_deg, polar, azimuth, visible.reshape(directions.shape[:2]), lower, instrument.obstruction)
+    turn = visible.reshape(directions.shape[:2])
+    whole = np.concatenate([turn, turn[:, :1]], axis=1)  # 360 deg is 0 deg
+    return ShadowMap(sigma_deg, polar, azimuth, whole, lower, instrument.obstruction)

@@ -6,9 +6,19 @@ from functools import lru_cache
 import numpy as np
 
 from goniotwin.arrays import Floats
-from goniotwin.twin.optics.fast.aperture import detector_frame
-from goniotwin.twin.optics.geometry.mirrors import distance_to
+from goniotwin.twin.optics.geometry.scene import SceneArrays, detector_frame, image_coordinates, reaches_over
 from goniotwin.twin.optics.kernel import kernel
+
+TILE = 64
+"""Rays of a bundle are computed in tiles, in one buffer with a row for each number: see twin.optics.fast.aperture."""
+SHARED_ROWS = 7
+# Start of each row in the buffer, the first seven also rows of a bundle: the point in the hole (from -1 to 1), slopes to the
+# detector's axis, away from the normal and level, component along it, and the point of the pupil's disc.
+HOLE_U, HOLE_V, SLOPE_P, SLOPE_Q, ALONG, PUPIL_U, PUPIL_V = (row * TILE for row in range(SHARED_ROWS))
+# The detector's end of a ray: weight, point on the sample, direction and distance to the detector. Then weight and light.
+END_WEIGHT, END_U, END_V, END_LENGTH, END_X, END_Y, END_Z = (row * TILE for row in range(7, 14))
+RAY_WEIGHT, RAY_X, RAY_Y, RAY_Z = (row * TILE for row in range(14, 18))
+TILE_ROWS = 18
 
 # Offset of the sequence: the best of 120, chosen when rays beyond the disc's edge were still dropped; any other would do.
 SHIFT = (0.42, 0.25, 0.22, 0.65, 0.05, 0.24)
@@ -35,33 +45,19 @@ def _disc(square: Floats) -> Floats:
 
 
 @lru_cache(maxsize=16)
-def ray_bundle(rays: int) -> Floats:
-    """Rays (rays, 6): a point in the hole (from -1 to 1), and points of unit discs: acceptance cone, exit pupil.
+def ray_bundle(rays: int, sine: float) -> Floats:
+    """Bundle of `rays` rays, as an array (7, rays / 4) whose rows are named above; `sine` is that of half the field.
 
-    The same for every call. Every ray comes with three more: with opposite signs at the detector's end, at the pupil's end, and
-    at both. In the lobe of a Gaussian the terms that are odd in a ray's offset from the axis are by far the largest; so they
-    cancel, with the products of the two ends. Raises ValueError unless `rays` is a multiple of 4 and at least 4.
+    The same for every call. Every ray of the array comes with three more: with opposite signs at the detector's end, at the
+    pupil's end, and at both. In the lobe of a Gaussian the terms that are odd in a ray's offset from the axis are by far the
+    largest; so they cancel, with the products of the two ends. Raises ValueError unless `rays` is a multiple of 4, at least 4.
     """
     if rays < 4 or rays % 4:
         raise ValueError(f"rays is {rays}: give a multiple of 4, at least 4")
     squares = 2.0 * _r_sequence(rays // 4, SHIFT) - 1.0
-    quarter = np.hstack([squares[:, 0:2], _disc(squares[:, 2:4]), _disc(squares[:, 4:6])])
-    ends = np.array([[1.0, 1.0], [-1.0, -1.0], [1.0, -1.0], [-1.0, 1.0]])
-    signs = np.repeat(ends, (4, 2), axis=1)
-    bundle = np.ascontiguousarray((signs[:, None, :] * quarter).reshape(rays, 6))
-    bundle.flags.writeable = False
-    return bundle
-
-
-@kernel()
-def cone_slopes(rays: Floats, sizes: Floats) -> Floats:
-    """Slopes of each ray to the detector's axis, away from the normal and level, and its component along it: (rays, 3)."""
-    result = np.empty((rays.shape[0], 3))
-    for j in range(rays.shape[0]):
-        away, level = sizes[2] * rays[j, 2], sizes[2] * rays[j, 3]
-        along = math.sqrt(1.0 - away * away - level * level)
-        result[j, 0], result[j, 1], result[j, 2] = away / along, level / along, along
-    return result
+    slopes = sine * _disc(squares[:, 2:4])
+    along = np.sqrt(1.0 - np.sum(slopes**2, axis=1))
+    return np.vstack([squares[:, 0:2].T, (slopes / along[:, None]).T, along[None], _disc(squares[:, 4:6]).T])
 
 
 @kernel()
@@ -75,65 +71,106 @@ def fill_view(centre: Floats, d: Floats, axes: Floats) -> None:
         axes[3, k] = centre[0] * axes[k, 0] + centre[1] * axes[k, 1] + centre[2] * axes[k, 2]
 
 
-@kernel(forceinline=True)
-def detector_ray(
-    axes: Floats, rays: Floats, slopes: Floats, j: int, sizes: Floats
-) -> tuple[float, float, float, float, float, float, float]:
-    """Ray j of the bundle of a detector with the given axes, from the part of the hole that its disc covers along the ray.
+@kernel(nogil=True, fastmath={"contract"})
+def fill_ends(axes: Floats, bundle: Floats, first: int, count: int, sign: float, sizes: Floats, t: Floats) -> None:
+    """Fill the detector's ends of `count` rays of a bundle from number `first` on, of the given sign, in the buffer `t`.
 
-    Returns its weight (0 if disc and hole do not meet), point (x, y) on the sample, direction (x, y, z) towards the detector,
-    length.
+    A ray is from the part of the hole that the disc of the detector, with the given axes, covers along it: weight (0 if disc
+    and hole do not meet), point on the sample, direction towards the detector, length.
 
     No ray is dropped: v is set within the range where disc and hole can meet, then u on their common chord, and the weight
     includes their share of the hole. So the result changes smoothly with the detector's direction. This is needed because
     etalon and sample are measured at slightly different poses. Directions are uniform over the cone's projection on the disc,
     so the weight includes the other cosines.
     """
-    radius, half, p, q = sizes[0], sizes[1], slopes[j, 0], slopes[j, 1]
-    # A point (u, v) of the hole meets the disc's plane at (au u + av v + a0, bu u + bv v + b0) from the disc's centre.
-    a0, au, av = axes[3, 2] * p - axes[3, 0], axes[0, 0] - p * axes[2, 0], axes[0, 1] - p * axes[2, 1]
-    b0, bu, bv = axes[3, 2] * q - axes[3, 1], axes[1, 0] - q * axes[2, 0], axes[1, 1] - q * axes[2, 1]
-    square = au * au + bu * bu
-    area = au * bv - av * bu
-    middle, reach = (bu * a0 - au * b0) / area, radius * math.sqrt(square) / abs(area)
-    low, high = max(-half, middle - reach), min(half, middle + reach)
-    share_v = high - low
-    v = 0.5 * (low + high + share_v * rays[j, 1])
-    a1, b1 = a0 + av * v, b0 + bv * v
-    beside = a1 * bu - b1 * au
-    middle = -(a1 * au + b1 * bu) / square
-    reach = math.sqrt(max(0.0, radius * radius * square - beside * beside)) / square
-    low, high = max(-half, middle - reach), min(half, middle + reach)
-    share_u = high - low
-    u = 0.5 * (low + high + share_u * rays[j, 0])
-    along = slopes[j, 2]
-    wx = along * (axes[2, 0] + p * axes[0, 0] + q * axes[1, 0])
-    wy = along * (axes[2, 1] + p * axes[0, 1] + q * axes[1, 1])
-    wz = along * (axes[2, 2] + p * axes[0, 2])
-    weight = 0.0
-    # NaN (a detector in the sample's plane) and rays from the far side of the sample do not count.
-    if share_u > 0.0 and share_v > 0.0 and wz * axes[2, 2] > 0.0:
-        weight = abs(area) * share_u * share_v / (4.0 * half * half)
-    length = (axes[3, 2] - u * axes[2, 0] - v * axes[2, 1]) / along
-    return weight, u, v, wx, wy, wz, length
+    radius, half = sizes[0], sizes[1]
+    e1x, e1y, e1z, e2x, e2y = axes[0, 0], axes[0, 1], axes[0, 2], axes[1, 0], axes[1, 1]
+    dx, dy, dz, beside1, beside2, ahead = axes[2, 0], axes[2, 1], axes[2, 2], axes[3, 0], axes[3, 1], axes[3, 2]
+    for row in range(SHARED_ROWS):
+        for i in range(count):
+            t[i + row * TILE] = bundle[row, first + i]
+    for i in range(count):
+        p, q, along = sign * t[i + SLOPE_P], sign * t[i + SLOPE_Q], t[i + ALONG]
+        # A point (u, v) of the hole meets the disc's plane at (au u + av v + a0, bu u + bv v + b0) from the disc's centre.
+        a0, au, av = ahead * p - beside1, e1x - p * dx, e1y - p * dy
+        b0, bu, bv = ahead * q - beside2, e2x - q * dx, e2y - q * dy
+        square = au * au + bu * bu
+        area = au * bv - av * bu
+        middle, reach = (bu * a0 - au * b0) / area, radius * math.sqrt(square) / abs(area)
+        # Plain comparisons: Python's max and min prevent vectorisation of the loop.
+        low, high = middle - reach, middle + reach
+        low, high = (low if low > -half else -half), (high if high < half else half)
+        share_v = high - low
+        v = 0.5 * (low + high + share_v * (sign * t[i + HOLE_V]))
+        a1, b1 = a0 + av * v, b0 + bv * v
+        beside = a1 * bu - b1 * au
+        inside = radius * radius * square - beside * beside
+        middle, reach = -(a1 * au + b1 * bu) / square, math.sqrt(inside if inside > 0.0 else 0.0) / square
+        low, high = middle - reach, middle + reach
+        low, high = (low if low > -half else -half), (high if high < half else half)
+        share_u = high - low
+        u = 0.5 * (low + high + share_u * (sign * t[i + HOLE_U]))
+        wz = along * (dz + p * e1z)
+        # NaN (a detector in the sample's plane) and rays from the far side of the sample do not count.
+        counts = (share_u > 0.0) & (share_v > 0.0) & (wz * dz > 0.0)
+        t[i + END_WEIGHT] = abs(area) * share_u * share_v / (4.0 * half * half) if counts else 0.0
+        t[i + END_U], t[i + END_V] = u, v
+        t[i + END_X], t[i + END_Y] = along * (dx + p * e1x + q * e2x), along * (dy + p * e1y + q * e2y)
+        t[i + END_Z], t[i + END_LENGTH] = wz, (ahead - u * dx - v * dy) / along
 
 
-@kernel(forceinline=True)
-def arrival(
-    px: float, py: float, u: float, v: float, pupil: Floats, images: Floats, half: float, clipped: bool
-) -> tuple[float, float, float, float]:
-    """Direction (x, y, z) to the pupil's point (u, v) from (px, py) on the sample, and its cos(l) cos(pupil) / r^2.
+@kernel(nogil=True, fastmath={"contract"})
+def hide_ends(mirrors: Floats, near: Floats, half: float, count: int, t: Floats) -> None:
+    """Set the weight of the rays in `t` to 0 where one of the near mirrors, of half side `half`, blocks them."""
+    for m in range(3):
+        if near[m] > 0.0:
+            cx, cy, cz = mirrors[m, 0, 0], mirrors[m, 0, 1], mirrors[m, 0, 2]
+            nx, ny, nz = mirrors[m, 1, 0], mirrors[m, 1, 1], mirrors[m, 1, 2]
+            ux, uy, uz = mirrors[m, 2, 0], mirrors[m, 2, 1], mirrors[m, 2, 2]
+            vx, vy, vz = mirrors[m, 3, 0], mirrors[m, 3, 1], mirrors[m, 3, 2]
+            for i in range(count):
+                wx, wy, wz = t[i + END_X], t[i + END_Y], t[i + END_Z]
+                hx, hy = cx - t[i + END_U], cy - t[i + END_V]
+                # A ray within the mirror's plane divides by zero: the result is inf or NaN, and the condition is false.
+                distance = (hx * nx + hy * ny + cz * nz) / (wx * nx + wy * ny + wz * nz)
+                x, y, z = distance * wx - hx, distance * wy - hy, distance * wz - cz
+                inside = (abs(x * ux + y * uy + z * uz) <= half) & (abs(x * vx + y * vy + z * vz) <= half)
+                blocked = (distance > 0.0) & (distance < t[i + END_LENGTH]) & inside
+                t[i + END_WEIGHT] = 0.0 if blocked else t[i + END_WEIGHT]
 
-    The latter is 0 for light from behind, or for a ray that misses one of the unfolded mirrors.
+
+@kernel(nogil=True, fastmath={"contract"})
+def fill_arrivals(
+    scene: SceneArrays, half: float, sign: float, share: float, count: int, t: Floats, rays: Floats, column: int
+) -> None:
+    """Fill `rays` (7, n) from `column` on with the rays in `t`, on to the pupil's points of the given sign.
+
+    The weight includes `share` and cos(light) cos(pupil) / r^2; it is 0 for light from behind, and for a ray that misses one of
+    the unfolded mirrors, of half side `half`.
     """
-    lx = pupil[0, 0] + u * pupil[1, 0] + v * pupil[2, 0] - px
-    ly = pupil[0, 1] + u * pupil[1, 1] + v * pupil[2, 1] - py
-    lz = pupil[0, 2] + u * pupil[1, 2] + v * pupil[2, 2]
-    shrink = 1.0 / math.sqrt(lx * lx + ly * ly + lz * lz)
-    lx, ly, lz = lx * shrink, ly * shrink, lz * shrink
-    gain = max(lz, 0.0) * (lx * pupil[3, 0] + ly * pupil[3, 1] + lz * pupil[3, 2]) * shrink * shrink
-    if clipped:
-        for m in range(3):
-            if distance_to(images, m, half, px, py, 0.0, lx, ly, lz) == math.inf:
-                gain = 0.0
-    return lx, ly, lz, gain
+    pupil = scene.pupil
+    cx, cy, cz, ax, ay, az = pupil[0, 0], pupil[0, 1], pupil[0, 2], pupil[1, 0], pupil[1, 1], pupil[1, 2]
+    bx, by, bz, nx, ny, nz = pupil[2, 0], pupil[2, 1], pupil[2, 2], pupil[3, 0], pupil[3, 1], pupil[3, 2]
+    for i in range(count):
+        u, v = sign * t[i + PUPIL_U], sign * t[i + PUPIL_V]
+        lx = cx + u * ax + v * bx - t[i + END_U]
+        ly = cy + u * ay + v * by - t[i + END_V]
+        lz = cz + u * az + v * bz
+        shrink = 1.0 / math.sqrt(lx * lx + ly * ly + lz * lz)
+        x, y, z = lx * shrink, ly * shrink, lz * shrink
+        gain = (z if z > 0.0 else 0.0) * (x * nx + y * ny + z * nz) * shrink * shrink
+        t[i + RAY_WEIGHT], t[i + RAY_X], t[i + RAY_Y], t[i + RAY_Z] = share * t[i + END_WEIGHT] * gain, x, y, z
+    for m in range(3):
+        if scene.missed[m] > 0.0:
+            image = scene.images[m]
+            for i in range(count):
+                u, v, px, py = sign * t[i + PUPIL_U], sign * t[i + PUPIL_V], t[i + END_U], t[i + END_V]
+                x, y, z = cx + u * ax + v * bx, cy + u * ay + v * by, cz + u * az + v * bz
+                over = reaches_over(image_coordinates(image, px, py, 0.0), image_coordinates(image, x, y, z), half)
+                t[i + RAY_WEIGHT] = t[i + RAY_WEIGHT] if over else 0.0
+    for row in range(4):
+        for i in range(count):
+            rays[row, column + i] = t[i + RAY_WEIGHT + row * TILE]
+    for row in range(3):
+        for i in range(count):
+            rays[4 + row, column + i] = t[i + END_X + row * TILE]

@@ -14,7 +14,7 @@ import math
 
 import numpy as np
 
-from goniotwin.arrays import Floats, Ints
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics.fast.aperture import (  # fmt: skip
     BLOCK,
     DX,
@@ -55,11 +55,9 @@ from goniotwin.twin.optics.fast.aperture import (  # fmt: skip
     MVQ,
     MVV,
     P0,
-    PX,
     Q0,
     RADIUS,
     RAY,
-    ROWS,
     T11,
     T21,
     T22,
@@ -70,12 +68,7 @@ from goniotwin.twin.optics.fast.aperture import (  # fmt: skip
     WY,
     WZ,
     M,
-    fill_apertures,
-    fill_frames,
-    fill_wide_apertures,
 )
-from goniotwin.twin.optics.fast.obstruction import FREE, HIDDEN, PARTLY, find_shadow, is_hidden, mirrors_near
-from goniotwin.twin.optics.fast.ray_bundle import arrival, detector_ray, fill_view
 from goniotwin.twin.optics.kernel import kernel
 
 NODES = 7
@@ -87,10 +80,10 @@ HEXAGON = np.array([[math.cos(0.26 + k * math.pi / 3), math.sin(0.26 + k * math.
 
 
 @kernel(nogil=True, fastmath={"contract"})
-def place_nodes(w: Floats, count: int, pupil: Floats, hexagon: Floats, rays: Floats, first: int, stride: int) -> None:
-    """Fill `rays` (7, 7 stride) for the `count` detectors in `w`: weight, light's direction (3), observer's direction (3).
+def place_nodes(w: Floats, count: int, pupil: Floats, hexagon: Floats, rays: Floats) -> None:
+    """Fill `rays` (7, at least 7 count) for the detectors in `w`: weight, light's direction (3), observer's direction (3).
 
-    Node j of a detector is ray j * stride + first + its number. The detectors' frames and moments are in `w`, see
+    Node j of detector k is ray j * count + k. The detectors' frames and moments are in `w`, see
     twin.optics.fast.aperture. `pupil` (4, 3) is the exit pupil's centre, its two axes as long as its radius, its normal, mm.
     Weights include the beam's solid angle, cos(light) cos(pupil) / r^2, 1/mm^2, and the aperture's mm^2. A detector that
     accepts no rays has weights of 0.
@@ -184,62 +177,4 @@ def place_nodes(w: Floats, count: int, pupil: Floats, hexagon: Floats, rays: Flo
             w[k + WX], w[k + WY], w[k + WZ] = wx * shrink, wy * shrink, wz * shrink
         for row in range(7):
             for k in range(count):
-                rays[row, j * stride + first + k] = w[k + RAY + row * BLOCK]
-
-
-@kernel(nogil=True)
-def fill_nodes(
-    centres: Floats, axes: Floats, sizes: Floats, wide: bool, cone: Floats, side: Floats, hole: Floats, hexagon: Floats,
-    pupil: Floats, mirrors: Floats, blocking: float, obstruction: bool, clipped: bool, rays: Floats, status: Ints,
-) -> None:  # fmt: skip
-    """Fill `rays` (7, 7 n) with the nodes of n detectors, see `place_nodes`, and `status` (n,).
-
-    PARTLY means that seven nodes are not enough, because a mirror blocks some of the accepted rays; the nodes are filled in all
-    the same.
-    """
-    count, near, w = centres.shape[0], np.zeros(3), np.empty(ROWS * BLOCK)
-    for first in range(0, count, BLOCK):
-        last = min(first + BLOCK, count)
-        for k in range(first, last):
-            for c in range(3):
-                w[k - first + PX + c * BLOCK], w[k - first + DX + c * BLOCK] = centres[k, c], axes[k, c]
-        fill_frames(w, last - first)
-        if wide:
-            fill_wide_apertures(w, last - first, hole, sizes)
-        else:
-            fill_apertures(w, last - first, cone, side, sizes)
-        place_nodes(w, last - first, pupil, hexagon, rays, first, count)
-        for k in range(first, last):
-            status[k] = PARTLY if clipped else FREE
-            if obstruction and w[k - first + M] > 0.0:
-                mirrors_near(mirrors, blocking, centres[k], sizes, near)
-                if near[0] + near[1] + near[2] > 0.0:
-                    status[k] = max(status[k], find_shadow(mirrors, near, blocking, centres[k], axes[k], sizes))
-            if status[k] == HIDDEN:
-                for j in range(NODES):
-                    rays[0, j * count + k] = 0.0
-
-
-@kernel(nogil=True)
-def fill_rays(
-    centre: Floats, d: Floats, bundle: Floats, slopes: Floats, sizes: Floats, pupil: Floats, mirrors: Floats, images: Floats,
-    half: float, blocking: float, obstruction: bool, clipped: bool, rays: Floats,
-) -> None:  # fmt: skip
-    """Fill `rays` (7, bundle) with a whole bundle of one detector; rays that a mirror blocks have no weight.
-
-    `half` is a mirror's half side, mm, and `blocking` that with its mount.
-    """
-    axes, near = np.zeros((4, 3)), np.zeros(3)
-    fill_view(centre, d, axes)
-    if obstruction:
-        mirrors_near(mirrors, blocking, centre, sizes, near)
-    crowded = near[0] + near[1] + near[2] > 0.0
-    share = 4.0 * sizes[1] * sizes[1] / bundle.shape[0]
-    for j in range(bundle.shape[0]):
-        weight, px, py, wx, wy, wz, length = detector_ray(axes, bundle, slopes, j, sizes)
-        if weight > 0.0 and crowded and is_hidden(mirrors, near, blocking, length, px, py, wx, wy, wz):
-            weight = 0.0
-        lx, ly, lz, gain = arrival(px, py, bundle[j, 4], bundle[j, 5], pupil, images, half, clipped)
-        rays[0, j] = share * weight * gain
-        rays[1, j], rays[2, j], rays[3, j] = lx, ly, lz
-        rays[4, j], rays[5, j], rays[6, j] = wx, wy, wz
+                rays[row, j * count + k] = w[k + RAY + row * BLOCK]

@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from goniotwin.arrays import Floats
-from goniotwin.twin.optics.fast.aperture import detector_frame
+from goniotwin.twin.optics.geometry.scene import detector_frame
 from goniotwin.twin.optics.kernel import kernel
 
 HOLE_NODES, SLOPE_NODES = 12, 16

@@ -55,16 +55,16 @@ class Strata(NamedTuple):
 def scatter_stratum(buffer: Singles, strata: Strata, k: int, key: np.uint64, keys: Words, lobes: Lobes) -> None:
     """Directions and weights of the paths of stratum k that have arrived at the sample."""
     way, which, count = strata.ways[k, 0], strata.ways[k, 1], strata.ways[k, 2]
-    gain, share, transmits = strata.gains[k, 0], strata.gains[k, 1], lobes.heads[which, TRANSMITS] == 1
+    gain, share, transmits = strata.gains[k, 0], strata.gains[k, 1], lobes.models.heads[which, TRANSMITS] == 1
     if way == SHAPE:
-        leave_by_lobe(buffer, count, keys[2:], lobes.params[which], share, transmits, gain)
+        leave_by_lobe(buffer, count, keys[2:], lobes.models.params[which], share, transmits, gain)
     elif way == MODEL:
         leave_by_model(buffer, count, key, k, which, gain, lobes)
     else:
         # Lambert's law has the density cosine / pi.
-        leave_by_cosine(buffer, count, keys[2:], transmits, gain * lobes.params[which, 0] * np.pi)
+        leave_by_cosine(buffer, count, keys[2:], transmits, gain * lobes.models.params[which, 0] * np.pi)
         if way == REST:
-            weigh_lobe(buffer, count, lobes.params[which], share, transmits, gain)
+            weigh_lobe(buffer, count, lobes.models.params[which], share, transmits, gain)
 
 
 @kernel(nogil=True)

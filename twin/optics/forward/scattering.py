@@ -142,8 +142,8 @@ def path_key(key: np.uint64, stratum: int, i: int) -> np.uint64:
 @kernel()
 def leave_by_model(buffer: Singles, count: int, key: np.uint64, stratum: int, which: int, gain: float, lobes: Lobes) -> None:
     """Draw directions of any lobe, one path after the other: number `which` of the packed ones."""
-    arrays = lobe_arrays(lobes, which)
-    transmits = lobes.heads[which, TRANSMITS] == 1
+    arrays = lobe_arrays(lobes.models, which)
+    transmits = lobes.models.heads[which, TRANSMITS] == 1
     for i in range(count):
         own = path_key(key, stratum, i)
         lx, ly, lz = -np.float64(buffer[i + WX]), -np.float64(buffer[i + WY]), -np.float64(buffer[i + WZ])

@@ -46,9 +46,9 @@ def make_strata(pupil_radius_mm: float, beam: Beam, lobes: Lobes, frames: Sample
     worth = [lobe_share(lobes, k, True, sine) for k in range(len(lobes.weights))]
     ways: list[tuple[int, int, float, float]] = []
     for k, share in enumerate(worth):
-        if share <= 0.0 or lobes.heads[k, ABOVE] != 1:
+        if share <= 0.0 or lobes.models.heads[k, ABOVE] != 1:
             continue
-        gain, kind = hole_gain * float(lobes.weights[k]), int(lobes.heads[k, 0])
+        gain, kind = hole_gain * float(lobes.weights[k]), int(lobes.models.heads[k, 0])
         if kind == GAUSSIAN:
             ways += [(SHAPE, k, SHAPE_SHARE * share, gain), (REST, k, (1.0 - SHAPE_SHARE) * share, gain)]
         else:

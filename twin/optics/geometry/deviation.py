@@ -2,12 +2,13 @@
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 import numpy as np
 
 from goniotwin.arrays import Floats
 from goniotwin.keys import check_bounds
+from goniotwin.twin.optics.kernel import kernel
 
 
 @dataclass(frozen=True)
@@ -35,21 +36,25 @@ NO_DEVIATION = Deviation()
 
 def rotation_and_shift(deviation: Deviation) -> tuple[Floats, Floats]:
     """Rotation matrix R (3, 3) and shift (3,) in mm: a point p of an element about c moves to c + R (p - c) + shift."""
-    rx, ry, rz = deviation.rx_deg, deviation.ry_deg, deviation.rz_deg
-    shift = np.array([deviation.x_mm, deviation.y_mm, deviation.z_mm])
-    if rx == ry == rz == 0.0:
-        return np.eye(3), shift
-    cx, sx = math.cos(math.radians(rx)), math.sin(math.radians(rx))
-    cy, sy = math.cos(math.radians(ry)), math.sin(math.radians(ry))
-    cz, sz = math.cos(math.radians(rz)), math.sin(math.radians(rz))
-    matrix = np.array(
-        [
-            [cz * cy, cz * sy * sx - sz * cx, cz * sy * cx + sz * sx],
-            [sz * cy, sz * sy * sx + cz * cx, sz * sy * cx - cz * sx],
-            [-sy, cy * sx, cy * cx],
-        ]
-    )
-    return matrix, shift
+    row, turn = np.array(astuple(deviation)), np.empty((3, 3))
+    fill_rotation(row, turn)
+    return turn, row[3:]
+
+
+@kernel()
+def fill_rotation(deviation: Floats, turn: Floats) -> None:
+    """Fill `turn` (3, 3) with the rotation of a deviation (6,): its three angles, deg, and three shifts."""
+    rx, ry, rz = math.radians(deviation[0]), math.radians(deviation[1]), math.radians(deviation[2])
+    cx, sx, cy, sy, cz, sz = 1.0, 0.0, 1.0, 0.0, 1.0, 0.0
+    if rx != 0.0:
+        cx, sx = math.cos(rx), math.sin(rx)
+    if ry != 0.0:
+        cy, sy = math.cos(ry), math.sin(ry)
+    if rz != 0.0:
+        cz, sz = math.cos(rz), math.sin(rz)
+    turn[0, 0], turn[0, 1], turn[0, 2] = cz * cy, cz * sy * sx - sz * cx, cz * sy * cx + sz * sx
+    turn[1, 0], turn[1, 1], turn[1, 2] = sz * cy, sz * sy * sx + cz * cx, sz * sy * cx - cz * sx
+    turn[2, 0], turn[2, 1], turn[2, 2] = -sy, cy * sx, cy * cx
 
 
 def check_deviations(deviations: Mapping[str, Deviation], known: Iterable[str]) -> dict[str, Deviation]:

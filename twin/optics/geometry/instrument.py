@@ -1,8 +1,9 @@
 """Dimensions of the instrument: exit pupil, mirrors and their reflectance, the sample's frames, detectors."""
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import astuple, dataclass, field, fields, replace
+from functools import cached_property
 from types import MappingProxyType
 from typing import Annotated
 
@@ -19,6 +20,12 @@ NOMINAL_DEG = 45.0
 """Incidence of the beam's axis on each of the three mirrors."""
 NOMINAL_NM = 555.0
 ELEMENTS = ("pupil", "mirror_1", "mirror_2", "mirror_3", "mirror_unit", "sample", "arc", "sensor")
+PUPIL, MIRROR_1, MIRROR_2, MIRROR_3, MIRROR_UNIT, SAMPLE, ARC, SENSOR = range(len(ELEMENTS))
+"""Rows of an array of deviations."""
+COMPONENTS = tuple(each.name for each in fields(Deviation))
+"""Columns of an array of deviations: three angles, deg, and three shifts, mm."""
+MIRROR_DISTANCE, PUPIL_TO_MIRROR, PUPIL_RADIUS, ARC_RADIUS, HALF_SPOT, HALF_MIRROR, HALF_BLOCKING = range(7)
+"""Entries of `Instrument.lengths`."""
 LEAST_GAP_MM = 1e-3
 
 
@@ -144,6 +151,21 @@ class Instrument(Dimensions):
         """Deviation of one element; zero where none is given."""
         return self.deviations.get(element, NO_DEVIATION)
 
+    @cached_property
+    def deviation_rows(self) -> Floats:
+        """All deviations as an argument of the kernels (elements, 6): see the function of this name. Do not write to it."""
+        return deviation_rows(self.deviations)
+
+    @cached_property
+    def lengths(self) -> Floats:
+        """Argument of the kernels (7,), mm: the entries are MIRROR_DISTANCE and the names that follow it."""
+        return np.array(
+            [
+                self.mirror_distance_mm, self.pupil_to_mirror_mm, self.pupil_radius_mm, self.arc_radius_mm,
+                0.5 * self.spot_side_mm, 0.5 * self.mirror_side_mm, 0.5 * self.blocking_side_mm,
+            ]
+        )  # fmt: skip
+
     def simplified(self) -> "Instrument":
         """The instrument with virtual detectors: discs with an acceptance cone, the only kind of the fast estimator.
 
@@ -177,6 +199,27 @@ class Instrument(Dimensions):
     def grey(self) -> bool:
         """Whether the mirrors' reflectance is independent of the wavelength."""
         return not isinstance(self.mirror_reflectance, Reflectance) or self.mirror_reflectance.wavelength_nm.size == 1
+
+
+def deviation_rows(deviations: Mapping[str, Deviation]) -> Floats:
+    """Deviations of one rig as an array (elements, 6): rows in the order of ELEMENTS, columns in that of COMPONENTS.
+
+    Elements that are not in `deviations` have none. Raises ValueError, listing the known elements, for an unknown name.
+    """
+    rows = np.zeros((len(ELEMENTS), len(COMPONENTS)))
+    for name, deviation in check_deviations(deviations, ELEMENTS).items():
+        rows[ELEMENTS.index(name)] = astuple(deviation)
+    return rows
+
+
+def deviation_array(rigs: Iterable[Mapping[str, Deviation]]) -> Floats:
+    """Deviations of many rigs (rigs, elements, 6): see `deviation_rows`."""
+    return np.array([deviation_rows(each) for each in rigs]).reshape(-1, len(ELEMENTS), len(COMPONENTS))
+
+
+def deviation_mapping(rows: Floats) -> dict[str, Deviation]:
+    """Deviations of one rig by element from an array (elements, 6), the inverse of `deviation_rows`; zero ones are omitted."""
+    return {name: Deviation(*row.tolist()) for name, row in zip(ELEMENTS, rows, strict=True) if np.any(row)}
 
 
 @dataclass(frozen=True)

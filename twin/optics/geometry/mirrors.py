@@ -13,30 +13,46 @@ from dataclasses import dataclass
 import numpy as np
 
 from goniotwin.arrays import Floats
-from goniotwin.twin.optics.geometry.coordinates import light_direction
-from goniotwin.twin.optics.geometry.deviation import Deviation, rotation_and_shift
-from goniotwin.twin.optics.geometry.instrument import Instrument
+from goniotwin.twin.optics.geometry.deviation import fill_rotation
+from goniotwin.twin.optics.geometry.instrument import (
+    MIRROR_1,
+    MIRROR_DISTANCE,
+    MIRROR_UNIT,
+    PUPIL,
+    PUPIL_TO_MIRROR,
+    Instrument,
+)
 from goniotwin.twin.optics.kernel import kernel
-
-ALONG_Y = np.array([0.0, 1.0, 0.0])
 
 
 @dataclass(frozen=True, eq=False)
 class Mirrors:
-    """Three squares in the order of the beam, arrays (3, 3) in mm, one row per mirror.
+    """Three squares in the order of the beam: `packed` (3, 4, 3) has the centre, mm, the normal and two axes of each.
 
-    `normals` face the light; `axes_u` and `axes_v` are unit vectors along the sides.
+    `normals` face the light; `axes_u` and `axes_v` are unit vectors along the sides; each (3, 3), one row per mirror.
     """
 
-    centres: Floats
-    normals: Floats
-    axes_u: Floats
-    axes_v: Floats
+    packed: Floats
 
     @property
-    def packed(self) -> Floats:
-        """Argument of the kernels, (3, 4, 3): centre, normal and the two axes of each mirror."""
-        return np.ascontiguousarray(np.stack([self.centres, self.normals, self.axes_u, self.axes_v], axis=1))
+    def centres(self) -> Floats:
+        """Centres (3, 3), mm."""
+        return self.packed[:, 0]
+
+    @property
+    def normals(self) -> Floats:
+        """Unit normals (3, 3)."""
+        return self.packed[:, 1]
+
+    @property
+    def axes_u(self) -> Floats:
+        """Unit vectors (3, 3) across the plane of the unit."""
+        return self.packed[:, 2]
+
+    @property
+    def axes_v(self) -> Floats:
+        """Unit vectors (3, 3) in the plane of the unit: normal x axis_u."""
+        return self.packed[:, 3]
 
 
 def reflect(vector: Floats, normal: Floats) -> Floats:
@@ -49,44 +65,16 @@ def mirrors_at(instrument: Instrument, sigma_deg: float) -> Mirrors:
     """Mirrors of the unit at `sigma_deg`. Raises ValueError unless that is finite."""
     if not math.isfinite(sigma_deg):
         raise ValueError(f"sigma_deg is {sigma_deg!r}: give the mirror unit's angle in degrees")
-    light = light_direction(sigma_deg)
-    distance = instrument.mirror_distance_mm
-    centres = distance * np.array([-ALONG_Y, light - ALONG_Y, light])
-    # A mirror that turns unit direction a into b has its normal along b - a.
-    normals = np.array([light - ALONG_Y, ALONG_Y - light, -light - ALONG_Y]) / math.sqrt(2.0)
-    across = np.array([-light[2], 0.0, light[0]])
-    axes_u = np.array([across, across, across])
-    # normal x across, with the normals as above
-    axes_v = np.array([ALONG_Y + light, -ALONG_Y - light, ALONG_Y - light]) / math.sqrt(2.0)
-    unit = Mirrors(centres, normals, axes_u, axes_v)
-    if any(name.startswith("mirror") for name in instrument.deviations):
-        unit = _apply_deviations(instrument, unit, np.array([-across, ALONG_Y, light]))
-    return unit
-
-
-def _apply_deviations(instrument: Instrument, unit: Mirrors, frame: Floats) -> Mirrors:
-    centres, normals = unit.centres.copy(), unit.normals.copy()
-    axes_u, axes_v = unit.axes_u.copy(), unit.axes_v.copy()
-    for k in range(3):
-        own = np.array([axes_u[k], axes_v[k], normals[k]])
-        turn, shift = _in_rig(instrument.deviation(f"mirror_{k + 1}"), own)
-        centres[k] += shift
-        axes_u[k], axes_v[k], normals[k] = own @ turn.T
-    turn, shift = _in_rig(instrument.deviation("mirror_unit"), frame)
-    return Mirrors(centres @ turn.T + shift, normals @ turn.T, axes_u @ turn.T, axes_v @ turn.T)
-
-
-def _in_rig(deviation: Deviation, axes: Floats) -> tuple[Floats, Floats]:
-    """Rotation (3, 3) and shift (3,) in the rig's frame of a deviation given along `axes`, one per row."""
-    turn, shift = rotation_and_shift(deviation)
-    return axes.T @ turn @ axes, shift @ axes
+    packed = np.empty((3, 4, 3))
+    fill_mirrors(instrument.lengths, instrument.deviation_rows, sigma_deg, packed)
+    return Mirrors(packed)
 
 
 def pupil(instrument: Instrument) -> tuple[Floats, Floats, Floats]:
     """Centre (mm) and two unit axes, (3,) each, of the exit pupil itself, before mirror 1."""
-    centre = -(instrument.mirror_distance_mm + instrument.pupil_to_mirror_mm) * ALONG_Y
-    turn, shift = rotation_and_shift(instrument.deviation("pupil"))
-    return centre + shift, turn[:, 0].copy(), turn[:, 2].copy()
+    rows = np.empty((3, 3))
+    fill_pupil(instrument.lengths, instrument.deviation_rows, rows)
+    return rows[0], rows[1], rows[2]
 
 
 def pupil_image(instrument: Instrument, sigma_deg: float) -> tuple[Floats, Floats, Floats]:
@@ -94,34 +82,81 @@ def pupil_image(instrument: Instrument, sigma_deg: float) -> tuple[Floats, Float
 
     Exact: the pupil is reflected in the three planes one after the other. The axes turn with sigma, as the beam's section does.
     """
-    centre, axis_u, axis_v = transform_rows(np.array(pupil(instrument)), unfolding_maps(mirrors_at(instrument, sigma_deg))[0])
-    return centre, axis_u, axis_v
+    rows = np.array(pupil(instrument))
+    for mirror in mirrors_at(instrument, sigma_deg).packed:
+        reflect_rows(rows, mirror)
+    return rows[0], rows[1], rows[2]
 
 
-def unfolding_maps(unit: Mirrors) -> tuple[Floats, Floats]:
-    """Maps (4, 4) of homogeneous columns that unfold the path: one for points before mirror 1, and (3, 4, 4) for the mirrors.
+@kernel()
+def fill_mirrors(lengths: Floats, deviations: Floats, sigma_deg: float, mirrors: Floats) -> None:
+    """Fill `mirrors` (3, 4, 3) as in `Mirrors`, at any sigma, with the deviations (elements, 6) of mirrors and unit."""
+    sine, cosine = math.sin(math.radians(sigma_deg)), math.cos(math.radians(sigma_deg))
+    distance, turn, own = lengths[MIRROR_DISTANCE], np.empty((3, 3)), np.empty((3, 3))
+    for m in range(3):
+        # Along l and y: the centre; the normal, which is along b - a for a mirror that turns unit direction a into b.
+        out, down = 0.0 if m == 0 else distance, 0.0 if m == 2 else -distance
+        facing = math.sqrt(0.5) if m == 0 else -math.sqrt(0.5)
+        level = math.sqrt(0.5) if m == 1 else -math.sqrt(0.5)
+        mirrors[m, 0, 0], mirrors[m, 0, 1], mirrors[m, 0, 2] = out * sine, down, out * cosine
+        mirrors[m, 1, 0], mirrors[m, 1, 1], mirrors[m, 1, 2] = facing * sine, level, facing * cosine
+        mirrors[m, 2, 0], mirrors[m, 2, 1], mirrors[m, 2, 2] = -cosine, 0.0, sine
+        mirrors[m, 3, 0], mirrors[m, 3, 1], mirrors[m, 3, 2] = facing * sine, -level, facing * cosine
+        deviation = deviations[MIRROR_1 + m]
+        if is_moved(deviation):
+            fill_rotation(deviation, turn)
+            for c in range(3):
+                own[0, c], own[1, c], own[2, c] = mirrors[m, 2, c], mirrors[m, 3, c], mirrors[m, 1, c]
+            for c in range(3):
+                mirrors[m, 0, c] += deviation[3] * own[0, c] + deviation[4] * own[1, c] + deviation[5] * own[2, c]
+                mirrors[m, 2, c] = turn[0, 0] * own[0, c] + turn[1, 0] * own[1, c] + turn[2, 0] * own[2, c]
+                mirrors[m, 3, c] = turn[0, 1] * own[0, c] + turn[1, 1] * own[1, c] + turn[2, 1] * own[2, c]
+                mirrors[m, 1, c] = turn[0, 2] * own[0, c] + turn[1, 2] * own[1, c] + turn[2, 2] * own[2, c]
+    deviation = deviations[MIRROR_UNIT]
+    if is_moved(deviation):
+        fill_rotation(deviation, turn)
+        for m in range(3):
+            for row in range(4):
+                # In the unit's frame: across, along y, towards the light.
+                x, y, z = mirrors[m, row, 0], mirrors[m, row, 1], mirrors[m, row, 2]
+                a, b, c = cosine * x - sine * z, y, sine * x + cosine * z
+                p = turn[0, 0] * a + turn[0, 1] * b + turn[0, 2] * c
+                q = turn[1, 0] * a + turn[1, 1] * b + turn[1, 2] * c
+                r = turn[2, 0] * a + turn[2, 1] * b + turn[2, 2] * c
+                if row == 0:
+                    p, q, r = p + deviation[3], q + deviation[4], r + deviation[5]
+                mirrors[m, row, 0], mirrors[m, row, 1], mirrors[m, row, 2] = cosine * p + sine * r, q, cosine * r - sine * p
 
-    Each mirror is reflected in those that follow it, so that the path from the sample to the pupil's image is straight.
-    """
-    maps = np.zeros((3, 4, 4))
-    maps[:, :3, :3] = np.eye(3) - 2.0 * unit.normals[:, :, None] * unit.normals[:, None, :]
-    maps[:, :3, 3] = 2.0 * np.sum(unit.centres * unit.normals, axis=1)[:, None] * unit.normals
-    maps[:, 3, 3] = 1.0
-    last_two = maps[2] @ maps[1]
-    return last_two @ maps[0], np.array([last_two, maps[2], np.eye(4)])
+
+@kernel()
+def fill_pupil(lengths: Floats, deviations: Floats, rows: Floats) -> None:
+    """Fill the first three of `rows` (at least 3, 3): centre and axes of the exit pupil, as in `pupil`."""
+    turn = np.empty((3, 3))
+    fill_rotation(deviations[PUPIL], turn)
+    for c in range(3):
+        rows[0, c], rows[1, c], rows[2, c] = deviations[PUPIL, 3 + c], turn[c, 0], turn[c, 2]
+    rows[0, 1] -= lengths[MIRROR_DISTANCE] + lengths[PUPIL_TO_MIRROR]
 
 
-def transform_rows(rows: Floats, maps: Floats) -> Floats:
-    """Rows (..., n, 3), the first a point and the others vectors, transformed by maps (..., 4, 4)."""
-    turned = rows @ np.swapaxes(maps[..., :3, :3], -1, -2)
-    turned[..., 0, :] += maps[..., :3, 3]
-    return np.ascontiguousarray(turned)
+@kernel(forceinline=True)
+def is_moved(deviation: Floats) -> bool:
+    """Whether one of the six components of a deviation is not zero."""
+    for c in range(6):  # noqa: SIM110 - a generator in numba is slower
+        if deviation[c] != 0.0:
+            return True
+    return False
 
 
-def unfold_mirrors(unit: Mirrors) -> Mirrors:
-    """Mirrors as seen from the sample: the image of each in those that follow, so that the path is straight."""
-    seen = transform_rows(unit.packed, unfolding_maps(unit)[1])
-    return Mirrors(seen[:, 0], seen[:, 1], seen[:, 2], seen[:, 3])
+@kernel()
+def reflect_rows(rows: Floats, mirror: Floats) -> None:
+    """Reflect `rows` (n, 3), the first a point and the others vectors, in the plane of `mirror` (4, 3)."""
+    nx, ny, nz = mirror[1, 0], mirror[1, 1], mirror[1, 2]
+    offset = mirror[0, 0] * nx + mirror[0, 1] * ny + mirror[0, 2] * nz
+    for i in range(rows.shape[0]):
+        twice = 2.0 * (rows[i, 0] * nx + rows[i, 1] * ny + rows[i, 2] * nz - (offset if i == 0 else 0.0))
+        rows[i, 0] -= twice * nx
+        rows[i, 1] -= twice * ny
+        rows[i, 2] -= twice * nz
 
 
 @kernel(forceinline=True)

@@ -7,71 +7,100 @@ deg the frame is turned about x, with the sample's back up. Deviations of every 
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from goniotwin.arrays import Floats
-from goniotwin.twin.optics.geometry.coordinates import direction_rows, turn_about_x
-from goniotwin.twin.optics.geometry.deviation import Deviation, rotation_and_shift
-from goniotwin.twin.optics.geometry.instrument import Instrument
-from goniotwin.twin.optics.geometry.mirrors import distance_to, mirrors_at, pupil, transform_rows, unfolding_maps
+from goniotwin.twin.optics.geometry.coordinates import direction_rows
+from goniotwin.twin.optics.geometry.deviation import fill_rotation
+from goniotwin.twin.optics.geometry.instrument import (
+    ARC,
+    ARC_RADIUS,
+    HALF_MIRROR,
+    HALF_SPOT,
+    PUPIL_RADIUS,
+    SAMPLE,
+    SENSOR,
+    Instrument,
+)
+from goniotwin.twin.optics.geometry.mirrors import fill_mirrors, fill_pupil, is_moved, reflect_rows
 from goniotwin.twin.optics.kernel import kernel
 
 SCENES_KEPT = 64
 """Size of the cache: a campaign has hundreds of poses of the arc for each position of the mirror unit."""
 
 
-@dataclass(frozen=True, eq=False)
-class Scene:
-    """Arguments of the kernels, lengths in mm. Cached and shared: do not write to the arrays.
+class SceneArrays(NamedTuple):
+    """A scene as an argument of the kernels, lengths in mm.
 
     `pupil` (4, 3): centre of the exit pupil's image, its two axes as long as its radius, its normal towards the sample's side.
     `mirrors` and `images` (3, 4, 3): centre, normal and axes of each mirror at its place, and unfolded. `to_sample` (3, 3) and
-    `origin` (3,): a point X of the rig is at to_sample (X - origin). `incident` is 1 for light on the front and -1 on the back.
-    `clipped`: some ray of the beam misses a mirror.
+    `origin` (3,): a point X of the rig is at to_sample (X - origin). `missed` (3,) is 1 for a mirror that some ray of the beam
+    misses, else 0.
     """
 
-    sigma_deg: float
-    incident: int
     pupil: Floats
     mirrors: Floats
     images: Floats
     to_sample: Floats
     origin: Floats
-    clipped: bool
+    missed: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """One scene. Cached and shared: do not write to its arrays. `incident` is 1 for light on the front, -1 on the back."""
+
+    sigma_deg: float
+    incident: int
+    arrays: SceneArrays
+
+    @property
+    def pupil(self) -> Floats:
+        """See `SceneArrays`; (4, 3)."""
+        return self.arrays.pupil
+
+    @property
+    def mirrors(self) -> Floats:
+        """See `SceneArrays`; (3, 4, 3)."""
+        return self.arrays.mirrors
+
+    @property
+    def images(self) -> Floats:
+        """See `SceneArrays`; (3, 4, 3)."""
+        return self.arrays.images
+
+    @property
+    def to_sample(self) -> Floats:
+        """See `SceneArrays`; (3, 3)."""
+        return self.arrays.to_sample
+
+    @property
+    def origin(self) -> Floats:
+        """See `SceneArrays`; (3,)."""
+        return self.arrays.origin
+
+    @property
+    def clipped(self) -> bool:
+        """Whether some ray of the beam misses a mirror."""
+        return bool(self.arrays.missed.any())
 
     @property
     def mirror_angles_deg(self) -> Floats:
         """Incidence (3,) of the beam's axis on each mirror."""
-        return np.degrees(np.arccos(np.minimum(np.abs(self.images[:, 1] @ self.towards_light), 1.0)))
-
-    @property
-    def towards_light(self) -> Floats:
-        """Unit vector (3,) from the sample's centre to that of the pupil's image."""
-        direction: Floats = self.pupil[0] / np.linalg.norm(self.pupil[0])
-        return direction
+        return np.array([mirror_angle_deg(self.pupil, self.images, m) for m in range(3)])
 
     def detectors(self, instrument: Instrument, directions: npt.ArrayLike) -> tuple[Floats, Floats]:
         """Centres (n, 3), mm, and viewing directions (n, 3), away from the sample, of detectors on the arc.
 
         `directions` (n, 3) are the nominal directions in the rig's frame. Raises ValueError for a vector without a direction.
         """
-        axes = direction_rows(directions)
-        centres = instrument.arc_radius_mm * axes
-        arc, sensor = instrument.deviation("arc"), instrument.deviation("sensor")
-        if arc != Deviation():
-            turn, shift = rotation_and_shift(arc)
-            axes, centres = axes @ turn.T, centres @ turn.T + shift
-        if sensor != Deviation():
-            turn, shift = rotation_and_shift(sensor)
-            frames = _detector_frames(axes)  # (n, 3, 3): rows e1, e2, d
-            axes = np.einsum("nij,i->nj", frames, turn[:, 2])
-            centres = centres + np.einsum("nij,i->nj", frames, shift)
-        return (
-            np.ascontiguousarray((centres - self.origin) @ self.to_sample.T),
-            np.ascontiguousarray(axes @ self.to_sample.T),
-        )
+        rows = direction_rows(directions)
+        centres, axes = np.empty_like(rows), np.empty_like(rows)
+        fill_detectors(instrument.lengths, instrument.deviation_rows, self.to_sample, self.origin, rows, centres, axes)
+        return centres, axes
 
 
 @lru_cache(maxsize=SCENES_KEPT)
@@ -82,62 +111,161 @@ def scene_at(instrument: Instrument, sigma_deg: float, gamma_deg: float = 0.0) -
     """
     if not (math.isfinite(sigma_deg) and math.isfinite(gamma_deg)):
         raise ValueError(f"sigma_deg is {sigma_deg!r}, gamma_deg {gamma_deg!r}: give both in degrees")
-    back = math.cos(math.radians(sigma_deg)) < 0.0
-    to_sample, origin = _sample_frame(instrument.deviation("sample"), gamma_deg, back)
-    own = np.eye(4)
-    own[:3, :3], own[:3, 3] = to_sample, -to_sample @ origin
-    unit = mirrors_at(instrument, sigma_deg)
-    before, each = unfolding_maps(unit)
-    centre, axis_u, axis_v = transform_rows(np.array(pupil(instrument)), own @ before)
-    normal = np.array(
-        [
-            axis_u[1] * axis_v[2] - axis_u[2] * axis_v[1],
-            axis_u[2] * axis_v[0] - axis_u[0] * axis_v[2],
-            axis_u[0] * axis_v[1] - axis_u[1] * axis_v[0],
-        ]
-    )
-    radius, facing = instrument.pupil_radius_mm, 1.0 if normal @ centre > 0.0 else -1.0
-    seen_pupil = np.array([centre, radius * axis_u, radius * axis_v, facing * normal])
-    mirrors = unit.packed
-    images = transform_rows(mirrors, own @ each)
-    clipped = clips_beam(images, seen_pupil, 0.5 * instrument.spot_side_mm, 0.5 * instrument.mirror_side_mm)
-    return Scene(sigma_deg, -1 if back else 1, seen_pupil, transform_rows(mirrors, own), images, to_sample, origin, clipped)
-
-
-def _sample_frame(deviation: Deviation, gamma_deg: float, back: bool) -> tuple[Floats, Floats]:
-    cos, sin = math.cos(math.radians(gamma_deg)), math.sin(math.radians(gamma_deg))
-    unit = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
-    turn, shift = rotation_and_shift(deviation)
-    to_sample = (unit @ turn).T
-    if back:
-        to_sample = turn_about_x(to_sample.T).T
-    return np.ascontiguousarray(to_sample), unit @ shift
-
-
-def _detector_frames(axes: Floats) -> Floats:
-    sine = np.hypot(axes[:, 0], axes[:, 1])
-    safe = np.where(sine > 0.0, sine, 1.0)
-    cos, sin = np.where(sine > 0.0, axes[:, 0] / safe, 1.0), np.where(sine > 0.0, axes[:, 1] / safe, 0.0)
-    away = np.stack([axes[:, 2] * cos, axes[:, 2] * sin, -sine], axis=1)
-    level = np.stack([-sin, cos, np.zeros_like(cos)], axis=1)
-    return np.stack([away, level, axes], axis=1)
+    arrays = empty_scene()
+    back = fill_scene(instrument.lengths, instrument.deviation_rows, sigma_deg, gamma_deg, arrays)
+    return Scene(sigma_deg, -1 if back else 1, arrays)
 
 
 @kernel()
-def clips_beam(images: Floats, pupil: Floats, hole: float, mirror: float) -> bool:
-    """Whether some ray of the beam misses a mirror; `hole` and `mirror` are half sides, mm.
+def empty_scene() -> SceneArrays:
+    """Arrays for `fill_scene`."""
+    return SceneArrays(
+        np.empty((4, 3)), np.empty((3, 4, 3)), np.empty((3, 4, 3)), np.empty((3, 3)), np.empty(3), np.empty(3)
+    )  # fmt: skip
+
+
+@kernel()
+def fill_scene(lengths: Floats, deviations: Floats, sigma_deg: float, gamma_deg: float, scene: SceneArrays) -> bool:
+    """Fill a scene; whether the light is on the sample's back. `deviations` (elements, 6), `lengths` of the instrument."""
+    back = fill_sample_frame(deviations[SAMPLE], sigma_deg, gamma_deg, scene.to_sample, scene.origin)
+    pupil, mirrors, images = scene.pupil, scene.mirrors, scene.images
+    fill_mirrors(lengths, deviations, sigma_deg, mirrors)
+    fill_pupil(lengths, deviations, pupil)
+    for m in range(3):
+        reflect_rows(pupil[:3], mirrors[m])
+        for row in range(4):
+            for c in range(3):
+                images[m, row, c] = mirrors[m, row, c]
+        for after in range(m + 1, 3):
+            reflect_rows(images[m], mirrors[after])
+    move_to_sample(scene.to_sample, scene.origin, pupil[:3])
+    for m in range(3):
+        move_to_sample(scene.to_sample, scene.origin, mirrors[m])
+        move_to_sample(scene.to_sample, scene.origin, images[m])
+    for c in range(3):
+        i, j = (c + 1) % 3, (c + 2) % 3
+        pupil[3, c] = pupil[1, i] * pupil[2, j] - pupil[1, j] * pupil[2, i]
+    ahead = pupil[0, 0] * pupil[3, 0] + pupil[0, 1] * pupil[3, 1] + pupil[0, 2] * pupil[3, 2]
+    for c in range(3):
+        pupil[1, c] *= lengths[PUPIL_RADIUS]
+        pupil[2, c] *= lengths[PUPIL_RADIUS]
+        pupil[3, c] *= 1.0 if ahead > 0.0 else -1.0
+    find_missed(images, pupil, lengths[HALF_SPOT], lengths[HALF_MIRROR], scene.missed)
+    return back
+
+
+@kernel(inline="always")
+def fill_sample_frame(deviation: Floats, sigma_deg: float, gamma_deg: float, to_sample: Floats, origin: Floats) -> bool:
+    """Fill `to_sample` and `origin` of a scene; whether the light is on the sample's back."""
+    cosine, sine = math.cos(math.radians(gamma_deg)), math.sin(math.radians(gamma_deg))
+    back, turn = math.cos(math.radians(sigma_deg)) < 0.0, np.empty((3, 3))
+    fill_rotation(deviation, turn)
+    for c in range(3):
+        side = -1.0 if back and c > 0 else 1.0  # with the back up the frame is turned about x
+        to_sample[c, 0] = side * (cosine * turn[0, c] - sine * turn[1, c])
+        to_sample[c, 1] = side * (sine * turn[0, c] + cosine * turn[1, c])
+        to_sample[c, 2] = side * turn[2, c]
+    origin[0], origin[1] = cosine * deviation[3] - sine * deviation[4], sine * deviation[3] + cosine * deviation[4]
+    origin[2] = deviation[5]
+    return back
+
+
+@kernel()
+def move_to_sample(to_sample: Floats, origin: Floats, rows: Floats) -> None:
+    """Transform `rows` (n, 3), the first a point and the others vectors, into the sample's frame."""
+    for i in range(rows.shape[0]):
+        x, y, z = rows[i, 0], rows[i, 1], rows[i, 2]
+        if i == 0:
+            x, y, z = x - origin[0], y - origin[1], z - origin[2]
+        for c in range(3):
+            rows[i, c] = to_sample[c, 0] * x + to_sample[c, 1] * y + to_sample[c, 2] * z
+
+
+@kernel()
+def fill_detectors(
+    lengths: Floats, deviations: Floats, to_sample: Floats, origin: Floats, directions: Floats, centres: Floats, axes: Floats
+) -> None:
+    """Fill `centres` and `axes` (n, 3) as in `Scene.detectors`, of unit vectors `directions` (n, 3)."""
+    arc, sensor, radius = deviations[ARC], deviations[SENSOR], lengths[ARC_RADIUS]
+    turn, own = np.empty((3, 3)), np.empty((3, 3))
+    fill_rotation(arc, turn)
+    fill_rotation(sensor, own)
+    of_arc, of_sensor = is_moved(arc), is_moved(sensor)
+    for k in range(directions.shape[0]):
+        dx, dy, dz = directions[k, 0], directions[k, 1], directions[k, 2]
+        if of_arc:
+            x = turn[0, 0] * dx + turn[0, 1] * dy + turn[0, 2] * dz
+            y = turn[1, 0] * dx + turn[1, 1] * dy + turn[1, 2] * dz
+            dx, dy, dz = x, y, turn[2, 0] * dx + turn[2, 1] * dy + turn[2, 2] * dz
+        x, y, z = radius * dx + arc[3], radius * dy + arc[4], radius * dz + arc[5]
+        if of_sensor:  # in its own frame: e1 away from the normal, e2 level, d along the view
+            e1x, e1y, e1z, e2x, e2y = detector_frame(dx, dy, dz)
+            x += sensor[3] * e1x + sensor[4] * e2x + sensor[5] * dx
+            y += sensor[3] * e1y + sensor[4] * e2y + sensor[5] * dy
+            z += sensor[3] * e1z + sensor[5] * dz
+            away, level, along = own[0, 2], own[1, 2], own[2, 2]
+            dx, dy, dz = away * e1x + level * e2x + along * dx, away * e1y + level * e2y + along * dy, away * e1z + along * dz
+        x, y, z = x - origin[0], y - origin[1], z - origin[2]
+        for c in range(3):
+            centres[k, c] = to_sample[c, 0] * x + to_sample[c, 1] * y + to_sample[c, 2] * z
+            axes[k, c] = to_sample[c, 0] * dx + to_sample[c, 1] * dy + to_sample[c, 2] * dz
+
+
+@kernel(forceinline=True)
+def detector_frame(dx: float, dy: float, dz: float) -> tuple[float, float, float, float, float]:
+    """Frame of a detector with the viewing direction d: e1 = (a, b, c), away from the normal, and e2 = (f, g, 0), level."""
+    sine = math.sqrt(dx * dx + dy * dy)
+    cos, sin = (dx / sine, dy / sine) if sine > 0.0 else (1.0, 0.0)
+    return dz * cos, dz * sin, -sine, -sin, cos
+
+
+@kernel(forceinline=True)
+def mirror_angle_deg(pupil: Floats, images: Floats, m: int) -> float:
+    """Incidence of the beam's axis on mirror m."""
+    along = pupil[0, 0] * images[m, 1, 0] + pupil[0, 1] * images[m, 1, 1] + pupil[0, 2] * images[m, 1, 2]
+    length = math.sqrt(pupil[0, 0] ** 2 + pupil[0, 1] ** 2 + pupil[0, 2] ** 2)
+    return math.degrees(math.acos(min(abs(along) / length, 1.0)))
+
+
+@kernel(inline="always")
+def find_missed(images: Floats, pupil: Floats, hole: float, half: float, missed: Floats) -> None:
+    """Fill `missed` (3,) of a scene; `hole` and `half` are half sides of hole and mirrors, mm.
 
     Hole and pupil are convex, so the beam's section in a mirror's plane is the hull of the lines between their corners: if
     these 16 lines pass, all do, and the kernels can skip the test.
     """
-    for corner in range(16):
-        px, py = hole if corner & 1 else -hole, hole if corner & 2 else -hole
-        u, v = 1.0 if corner & 4 else -1.0, 1.0 if corner & 8 else -1.0
-        wx = pupil[0, 0] + u * pupil[1, 0] + v * pupil[2, 0] - px
-        wy = pupil[0, 1] + u * pupil[1, 1] + v * pupil[2, 1] - py
-        wz = pupil[0, 2] + u * pupil[1, 2] + v * pupil[2, 2]
-        length = math.sqrt(wx * wx + wy * wy + wz * wz)
-        for m in range(3):
-            if distance_to(images, m, mirror, px, py, 0.0, wx / length, wy / length, wz / length) == math.inf:
-                return True
-    return False
+    for m in range(3):
+        missed[m] = 0.0
+        for corner in range(4):
+            px, py = hole if corner & 1 else -hole, hole if corner & 2 else -hole
+            near = image_coordinates(images[m], px, py, 0.0)
+            for other in range(4):
+                u, v = 1.0 if other & 1 else -1.0, 1.0 if other & 2 else -1.0
+                x = pupil[0, 0] + u * pupil[1, 0] + v * pupil[2, 0]
+                y = pupil[0, 1] + u * pupil[1, 1] + v * pupil[2, 1]
+                z = pupil[0, 2] + u * pupil[1, 2] + v * pupil[2, 2]
+                if not reaches_over(near, image_coordinates(images[m], x, y, z), half):
+                    missed[m] = 1.0
+
+
+@kernel(forceinline=True)
+def image_coordinates(image: Floats, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Coordinates of a point along the normal and the two axes of an unfolded mirror (4, 3), from its centre."""
+    x, y, z = x - image[0, 0], y - image[0, 1], z - image[0, 2]
+    return (
+        x * image[1, 0] + y * image[1, 1] + z * image[1, 2],
+        x * image[2, 0] + y * image[2, 1] + z * image[2, 2],
+        x * image[3, 0] + y * image[3, 1] + z * image[3, 2],
+    )
+
+
+@kernel(forceinline=True)
+def reaches_over(near: tuple[float, float, float], far: tuple[float, float, float], half: float) -> bool:
+    """Whether the ray from the point `near` through the point `far` meets the square of half side `half`.
+
+    Both are `image_coordinates`. No division: the ray is in the mirror's plane where the distances of the two from it, as
+    weights, balance.
+    """
+    apart = near[0] - far[0]
+    u, v, limit = near[0] * far[1] - far[0] * near[1], near[0] * far[2] - far[0] * near[2], half * abs(apart)
+    return (near[0] * apart > 0.0) & (abs(u) <= limit) & (abs(v) <= limit)

@@ -89,7 +89,7 @@ def test_packed_lobes_have_the_types_of_one() -> None:
     """Else numba compiles all kernels of a lobe twice."""
     (lobe,) = gaussian(5.0).lobes
     packed = pack_lobes((lobe,), np.ones(1), 1)
-    assert numba.typeof(packed.flat) == numba.typeof(packed.params[0]) == numba.typeof(lobe.params)
+    assert numba.typeof(packed.models.flat) == numba.typeof(packed.models.params[0]) == numba.typeof(lobe.params)
 
 
 @pytest.mark.parametrize("model", SINGLE, ids=model_name)

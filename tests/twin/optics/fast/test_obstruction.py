@@ -11,10 +11,10 @@ from goniotwin.twin.optics.bsdf.analytic_samples import lambertian
 from goniotwin.twin.optics.forward.bounces import is_on_mount
 from goniotwin.twin.optics.forward.setting import set_up
 from goniotwin.twin.optics.geometry.instrument import SampleFrames
-from goniotwin.twin.optics.geometry.mirrors import ALONG_Y
 from tests.twin.optics.agreement import agree
 
 SIGMA = 30.0
+ALONG_Y = np.array([0.0, 1.0, 0.0])
 
 
 def retro_cut(offset_deg: Floats, side_mm: float = 20.0) -> list[float]:

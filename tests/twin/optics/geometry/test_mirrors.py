@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from goniotwin.twin.optics import Instrument, light_direction, pupil_image
-from goniotwin.twin.optics.geometry.mirrors import mirrors_at, reflect, unfold_mirrors
+from goniotwin.twin.optics.geometry.mirrors import mirrors_at, reflect
+from goniotwin.twin.optics.geometry.scene import scene_at
 
 EVERY_SIGMA = np.arange(0.0, 180.1, 7.5)
 
@@ -41,10 +42,10 @@ def test_the_beams_section_turns_with_the_mirror_unit() -> None:
 
 @pytest.mark.parametrize("sigma_deg", [0.0, 37.0, 120.0])
 def test_unfolded_mirrors_lie_along_the_light(sigma_deg: float) -> None:
-    images = unfold_mirrors(mirrors_at(Instrument(), sigma_deg))
-    light = light_direction(sigma_deg)
-    assert images.centres == pytest.approx(np.outer([600.0, 400.0, 200.0], light), abs=1e-9)
-    assert abs(images.normals @ light) == pytest.approx(np.sqrt(0.5))
+    images = scene_at(Instrument(), sigma_deg).images
+    light = light_direction(sigma_deg if sigma_deg < 90.0 else 180.0 - sigma_deg)  # the lit side is up
+    assert images[:, 0] == pytest.approx(np.outer([600.0, 400.0, 200.0], light), abs=1e-9)
+    assert abs(images[:, 1] @ light) == pytest.approx(np.sqrt(0.5))
 
 
 def test_an_invalid_sigma_is_refused() -> None:

@@ -1,0 +1,192 @@
+"""The worst combination of deviations without an enumeration: a quadratic model ranks the combinations, exact values decide.
+
+Every deviation is in units of its limit, from -1 to 1. The criterion is the root mean square of residuals: of formula 5 over
+the directions, or of the one relative change of a flux. A convex criterion is largest where every deviation is at a limit, a
+corner. It is not convex in a deviation that only blurs or attenuates: then zero is as good a level as the limits.
+"""
+
+import itertools
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from goniotwin.arrays import Floats, Ints
+
+Residuals = Callable[[Floats], Floats]
+"""Residuals (n, m) of combinations (n, k) of k deviations, in units of their limits."""
+
+MOST_LISTED = 13
+"""Largest number of deviations whose corners are all ranked by the model: 8,192 corners."""
+MODEL_STARTS = 64
+"""Number of corners from which the model is climbed."""
+RANKED, CLIMBED, RANDOM_STARTS = 48, 12, 4
+"""Number of combinations that are evaluated first; of those, and of random corners, from which the search climbs."""
+MOST_PAIRED = 16
+"""Largest number of deviations of which two at a time are changed at the end."""
+
+
+@dataclass(frozen=True, eq=False)
+class WorstCombination:
+    """The worst combination: `levels` (k,) of -1, 0 or 1 limits, its criterion, and that of a linear model.
+
+    `evaluated` is the number of combinations that were evaluated to find it.
+    """
+
+    levels: Ints
+    percent: float
+    linear_percent: float
+    evaluated: int
+
+
+def rms_percent(residuals: Floats) -> Floats:
+    """Root mean square over the last axis, in percent (...,); infinite where a residual is not a number."""
+    square = np.mean(np.square(residuals), axis=-1)
+    return np.asarray(100.0 * np.sqrt(np.where(np.isnan(square), np.inf, square)))
+
+
+class _QuadraticModel:
+    """Residuals as a quadratic function of levels: exact for each deviation alone, and for each two at plus their limits."""
+
+    def __init__(self, nominal: Floats, plus: Floats, minus: Floats, pairs: Floats) -> None:
+        count = len(plus)
+        self._rows, self._columns = np.triu_indices(count)
+        self.nominal, self.slopes = nominal, 0.5 * (plus - minus)
+        products = np.empty((len(self._rows), nominal.size))
+        alone = self._rows == self._columns
+        products[alone] = 0.5 * (plus + minus) - nominal
+        products[~alone] = pairs - plus[self._rows[~alone]] - plus[self._columns[~alone]] + nominal
+        # A combination without a value has no part in the model; it fails by its exact value.
+        self._terms = np.nan_to_num(np.concatenate([self.slopes, products]))
+
+    def percent(self, levels: Ints) -> Floats:
+        """Criterion (n,) of levels (n, k)."""
+        terms = np.concatenate([levels, levels[:, self._rows] * levels[:, self._columns]], axis=1).astype(np.float64)
+        return rms_percent(np.nan_to_num(self.nominal) + terms @ self._terms)
+
+    def linear_percent(self, levels: Ints) -> float:
+        """Criterion of levels (k,), without products and squares."""
+        return float(rms_percent(self.nominal + levels @ self.slopes))
+
+
+def search_worst(residuals: Residuals, count: int, seed: int = 0) -> WorstCombination:
+    """The combination of `count` deviations, each at -1, 0 or 1 limit, with the largest criterion.
+
+    1. Residuals with each deviation alone at both limits, and with each two of them, give a quadratic model.
+    2. The first combinations by this model are evaluated. So are random corners: where a criterion is flat about zero, as a
+       flux is until the light's edge reaches the square, the model knows nothing.
+    3. From the worst of them, single deviations are changed to another level as long as that is worse; then two at a time,
+       also with all signs changed, and with the deviations that matter least at zero.
+
+    The result is the worst of all that was evaluated; nothing is taken from the model.
+    """
+    known: dict[bytes, float] = {}
+
+    def percent(levels: Ints) -> Floats:
+        """Criterion (n,) of levels (n, k), each evaluated once."""
+        keys = [row.tobytes() for row in levels.astype(np.int8)]
+        new = {key: row for key, row in zip(keys, levels, strict=True) if key not in known}
+        if new:
+            known.update(zip(new, rms_percent(residuals(np.array(list(new.values()), dtype=np.float64))).tolist(), strict=True))
+        return np.array([known[key] for key in keys])
+
+    units = np.eye(count, dtype=np.int64)
+    pairs = np.array([units[i] + units[j] for i, j in itertools.combinations(range(count), 2)], dtype=np.int64)
+    first = np.concatenate([np.zeros((1, count), dtype=np.int64), units, -units, pairs.reshape(-1, count)])
+    found = residuals(first.astype(np.float64))
+    known.update(zip((row.tobytes() for row in first.astype(np.int8)), rms_percent(found).tolist(), strict=True))
+    model = _QuadraticModel(found[0], found[1 : count + 1], found[count + 1 : 2 * count + 1], found[2 * count + 1 :])
+    random = np.random.Generator(np.random.Philox(seed))
+    ranked = _rank_combinations(model, count, random)
+    starts = ranked[np.argsort(-percent(ranked), kind="stable")[:CLIMBED]]
+    starts = np.concatenate([starts, random.choice(np.array([-1, 1]), (RANDOM_STARTS, count))])
+    worst, value = _climb(percent, starts)
+    # The criterion hardly changes if all signs do: a search on one side alone could miss the slightly worse one.
+    for start in (worst, -worst):
+        now, reached = _climb(percent, start[None])
+        while True:
+            near = _zeroed(percent, now)
+            if count <= MOST_PAIRED:
+                near = np.concatenate([near, _pairs_changed(now[None])[0]])
+            values = percent(near)
+            if not values.max() > reached:
+                break
+            now, reached = _climb(percent, near[np.argmax(values)][None])
+        if reached > value:
+            worst, value = now, reached
+    return WorstCombination(worst, value, model.linear_percent(worst), len(known))
+
+
+def _rank_combinations(model: _QuadraticModel, count: int, random: np.random.Generator) -> Ints:
+    """The combinations (at most RANKED, k) with the largest criterion of the model."""
+    if count <= MOST_LISTED:
+        corners = np.array(list(itertools.product((-1, 1), repeat=count)), dtype=np.int64)
+        starts = corners[np.argsort(-model.percent(corners), kind="stable")[:MODEL_STARTS]]
+    else:
+        # The signs of the linear terms against the residuals, and of the directions in which these are largest.
+        axes = np.linalg.eigh(model.slopes @ model.slopes.T)[1][:, -4:].T
+        first = np.concatenate([(model.slopes @ model.nominal)[None], axes, -axes])
+        drawn = random.standard_normal((MODEL_STARTS - len(first), count))
+        starts = np.where(np.concatenate([first, drawn]) >= 0.0, 1, -1)
+    climbed = _climb_all(model.percent, starts)[0]
+    if count <= MOST_LISTED:
+        near = _pairs_changed(climbed).reshape(-1, count)
+        climbed = np.concatenate([climbed, near]) if near.size else climbed
+    candidates = np.concatenate([starts, climbed])
+    numbers = (candidates + 1).astype(np.uint64) @ np.uint64(3) ** np.arange(count, dtype=np.uint64)
+    candidates = candidates[np.unique(numbers, return_index=True)[1]]
+    return np.asarray(candidates[np.argsort(-model.percent(candidates), kind="stable")[:RANKED]])
+
+
+def _climb(percent: Callable[[Ints], Floats], starts: Ints) -> tuple[Ints, float]:
+    """From every start (s, k) to a combination that no change of one level makes worse; the worst of these."""
+    reached, values = _climb_all(percent, starts)
+    best = int(np.argmax(values))
+    return reached[best], float(values[best])
+
+
+def _climb_all(percent: Callable[[Ints], Floats], starts: Ints) -> tuple[Ints, Floats]:
+    """From every start (s, k) to a combination that no change of one level makes worse, and its criterion (s,)."""
+    now, value = starts.copy(), percent(starts)
+    moving = np.ones(len(now), dtype=bool)
+    count = starts.shape[1]
+    while moving.any():
+        places = np.flatnonzero(moving)
+        near = np.stack([_singles_changed(now[place]) for place in places])
+        values = percent(near.reshape(-1, count)).reshape(len(places), 2 * count)
+        best = np.argmax(values, axis=1)
+        reached = values[np.arange(len(places)), best]
+        rising = reached > value[places]
+        now[places[rising]] = near[np.arange(len(places)), best][rising]
+        value[places[rising]] = reached[rising]
+        moving[places[~rising]] = False
+    return now, value
+
+
+def _zeroed(percent: Callable[[Ints], Floats], levels: Ints) -> Ints:
+    """The combinations (k, k) in which the one, two, and so on, deviations are zero that change the criterion least."""
+    single = np.where(np.eye(levels.size, dtype=bool), 0, levels)
+    order = np.argsort(-percent(single), kind="stable")  # none of them is worse
+    near = np.repeat(levels[None], levels.size, axis=0)
+    for count in range(1, levels.size + 1):
+        near[count - 1, order[:count]] = 0
+    return near
+
+
+def _singles_changed(levels: Ints) -> Ints:
+    """The combinations (2 k, k) that differ from one in one level."""
+    near = np.repeat(levels[None], 2 * levels.size, axis=0)
+    for k, level in enumerate(levels):
+        near[2 * k, k], near[2 * k + 1, k] = (each for each in (1, -1, 0) if each != level)
+    return near
+
+
+def _pairs_changed(levels: Ints) -> Ints:
+    """The combinations (n, 2 k (k - 1), k) that differ from each of (n, k) in two levels."""
+    count = levels.shape[1]
+    steps = [(i, a, j, b) for i, j in itertools.combinations(range(count), 2) for a in (1, 2) for b in (1, 2)]
+    near = np.repeat(levels[:, None], len(steps), axis=1)
+    for place, (i, a, j, b) in enumerate(steps):
+        near[:, place, i] = (levels[:, i] + 1 + a) % 3 - 1
+        near[:, place, j] = (levels[:, j] + 1 + b) % 3 - 1
+    return near

@@ -1,0 +1,55 @@
+"""The response of the illumination unit by itself (paper, Table 1): flux into the central 5 x 5 mm, and its uniformity."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from goniotwin.app.simulation.tolerances.study import FluxTable, Parameter, component_matrix
+from goniotwin.arrays import Floats
+from goniotwin.twin.optics import Deviation, IlluminationUnit, adjoint_illumination
+from goniotwin.twin.optics.geometry.instrument import COMPONENTS
+from goniotwin.twin.optics.illumination.unit import ELEMENTS
+
+
+class IlluminationLight:
+    """Flux and uniformity of the light of a unit with deviations, by adjoint rays that are the same for all combinations."""
+
+    def __init__(self, unit: IlluminationUnit, criterion: FluxTable, parameters: Sequence[Parameter]) -> None:
+        self.unit, self.criterion, self.parameters = unit, criterion, tuple(parameters)
+        self._matrix = component_matrix(parameters, ELEMENTS)
+        flux, uniformity = self._light(np.zeros((1, len(self.parameters))))
+        self.flux, self.uniformity = float(flux[0]), float(uniformity[0])
+        """Flux in the lamp's unit, and lowest irradiance of 5 x 5 cells over the mean, without deviations."""
+
+    def residuals(self, values: Floats) -> Floats:
+        """Relative change (n, 1) of the flux, for combinations (n, k) of the deviations."""
+        return np.asarray(self._light(values)[0][:, None] / self.flux - 1.0)
+
+    def relative(self, values: Floats) -> tuple[Floats, Floats]:
+        """Flux relative to that without deviations, and uniformity, (n,) each."""
+        flux, uniformity = self._light(values)
+        return flux / self.flux, uniformity
+
+    def _light(self, values: Floats) -> tuple[Floats, Floats]:
+        components = (values @ self._matrix).reshape(len(values), len(ELEMENTS), len(COMPONENTS))
+        found = np.empty((len(values), 2))
+        for row, combination in zip(found, components, strict=True):
+            deviations = {
+                name: Deviation(*each) for name, each in zip(ELEMENTS, combination.tolist(), strict=True) if any(each)
+            }
+            unit = replace(self.unit, deviations=deviations)
+            light = adjoint_illumination(unit, rays=self.criterion.rays, seed=self.criterion.seed)
+            row[:] = light.flux, light.uniformity
+        return found[:, 0], found[:, 1]
+
+
+class Evenness:
+    """The response of the uniformity: its relative change."""
+
+    def __init__(self, light: IlluminationLight) -> None:
+        self._light = light
+
+    def residuals(self, values: Floats) -> Floats:
+        """Relative change (n, 1) of the uniformity."""
+        return np.asarray(self._light.relative(values)[1][:, None] / self._light.uniformity - 1.0)

@@ -1,0 +1,469 @@
+"""Report of a tolerance study: the paper's table beside ours, assumptions, explanations; terminal, JSON and CSV."""
+
+import math
+import textwrap
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from goniotwin.app.errors import UserError
+from goniotwin.app.formats import PointStream
+from goniotwin.app.formats.registry import Holds
+from goniotwin.app.simulation.files import write_content
+from goniotwin.app.simulation.tolerances.figure import write_figures
+from goniotwin.app.simulation.tolerances.result import AfterRecentring, Case, Sensitivities, StudyResult
+from goniotwin.app.simulation.tolerances.stages import Combinations
+from goniotwin.app.simulation.tolerances.study import FluxTable, GaussianTable, InstrumentTable, Parameter
+from goniotwin.arrays import Floats
+from goniotwin.twin.optics import IlluminationUnit
+
+PAPER = {1: {"deg": 0.05, "mm": 0.025}, 2: {"deg": 0.05, "mm": 0.1}}
+"""Permissible deviations of the paper's Tables 1 and 2, by unit."""
+KINDS = {"deg": "angular", "mm": "spatial"}
+CELLS = 200
+"""Number of rows of the distribution in the CSV."""
+
+
+def quantity(result: StudyResult) -> str:
+    """What the criterion of the study is, in a few words."""
+    return "change of the flux" if isinstance(result.study.criterion, FluxTable) else "relative RMS (formula 5)"
+
+
+def assumptions(result: StudyResult) -> dict[str, str]:
+    """The assumptions of the study by topic."""
+    study, case = result.study, result.case
+    drawn = case.combinations
+    combined = (
+        f"all {drawn.percent.size} combinations of the steps"
+        if drawn.complete
+        else f"{drawn.percent.size} random corners, counted with a standard error, and the worst corner by search"
+    )
+    common = {
+        "deviations": f"{len(case.parameters)}: {describe_deviations(case.parameters)}",
+        "combinations": combined + "; the factor of the limits is the largest with which no combination fails",
+        "yields": f"{study.yields.draws} instruments; uniform within the limits, or normal with the limits at "
+        f"{study.yields.limit_sigmas:g} standard deviations",
+    }
+    return {
+        **(_flux_assumptions(study.criterion) if isinstance(study.criterion, FluxTable) else _lobe_assumptions(result)),
+        **common,
+    }
+
+
+def _flux_assumptions(criterion: FluxTable) -> dict[str, str]:
+    unit = IlluminationUnit()
+    width, height = (each * unit.output_condenser_magnification for each in unit.opening_mm)
+    return {
+        "criterion": f"flux into {unit.field_side_mm:g} x {unit.field_side_mm:g} mm across the axis, "
+        f"{unit.sample_distance_mm:g} mm from the exit pupil, relative to that without deviations; the paper has 5-10 %",
+        "light": f"the slit's image is {width:g} x {height:g} mm, so that the square has a margin of "
+        f"{0.5 * (width - unit.field_side_mm):g} mm; ideal lenses; {unit.wavelength_nm:g} nm; the condensers and the height "
+        "stop are assumed, the paper does not state them",
+        "estimator": f"adjoint, {criterion.rays} rays, the same for all combinations",
+        "uniformity": "lowest irradiance over the mean, of 5 x 5 cells; it is stated beside, the paper has no limit for it",
+    }
+
+
+def _lobe_assumptions(result: StudyResult) -> dict[str, str]:
+    criterion, table = result.study.criterion, result.study.instrument
+    assert isinstance(criterion, GaussianTable)
+    instrument = table.instrument()
+    form = "1/e at the width" if criterion.form == "one_over_e" else "half at the width"
+    sigmas = ", ".join(f"{each:g}" for each in criterion.sigma_deg)
+    where = (
+        "the plane of incidence, both sides of the specular direction" if criterion.directions == "plane" else "the whole lobe"
+    )
+    return {
+        "criterion": f"formula 5 against a Gaussian of {criterion.width_deg:g} deg ({form}), at most "
+        f"{criterion.within_percent[0]:g} %",
+        "range of i": f"sigma {sigmas} deg, {where}, theta up to {criterion.widths:g} widths in steps of "
+        f"{criterion.step_deg:g} deg, zenith angle below 85 deg; the paper does not state it",
+        "beam": describe_beam(table),
+        "detectors": f"discs of {instrument.detector_diameter_mm:g} mm at {instrument.arc_radius_mm:g} mm with a field of "
+        f"{instrument.field_deg:g} deg; obstruction {'on' if instrument.obstruction else 'off'}",
+        "estimator": "fast, exact for every combination; no noise; the etalon is an ideal diffuser",
+    }
+
+
+def describe_beam(table: InstrumentTable) -> str:
+    """The beam of an instrument, in words."""
+    if table.collimated:
+        return "collimated: the exit pupil is at infinity, each mirror turns the light in full"
+    instrument = table.instrument()
+    return (
+        f"from an evenly lit pupil of {instrument.pupil_radius_mm:g} mm radius at {instrument.pupil_distance_mm:g} mm, "
+        f"{instrument.divergence_deg:.3f} deg full width"
+    )
+
+
+def describe_deviations(parameters: tuple[Parameter, ...]) -> str:
+    """Elements with the names of their deviations, as text."""
+    elements: dict[str, list[str]] = {}
+    for each in parameters:
+        elements.setdefault(each.element, []).append(each.name)
+    return ", ".join(f"{element.replace('_', ' ')} {' '.join(names)}" for element, names in elements.items())
+
+
+def describe_corner(case: Case) -> str:
+    """The deviations of the worst combination with their signs, as text."""
+    signs = {1: "+", 0: "0 ", -1: "-"}
+    return ", ".join(f"{signs[int(s)]}{each.title}" for s, each in zip(case.worst.levels, case.parameters, strict=True))
+
+
+def explanations(result: StudyResult) -> list[str]:
+    """What the numbers mean, and how far they explain the paper's table."""
+    case, within = result.case, result.case.combinations.within[0]
+    worst_of, alone = case.worst_alone
+    (share, error), *_ = case.combinations.shares
+    found = [
+        f"Alone: the largest effect is {worst_of.title}, {alone:.2f} % at +-{worst_of.limit:g} {worst_of.unit}; the limit of "
+        f"{within:g} % is reached at {_least_alone(case)}.",
+        f"Together: {_percent(share, error)} of the combinations are within {within:g} %, the worst is "
+        f"{case.worst.percent:.2f} %. So limits that hold for each deviation alone do not hold for all of them.",
+        f"The worst corner was found in {case.worst.evaluated} evaluations, without an enumeration"
+        + (
+            f"; the enumeration of all {case.combinations.percent.size} gives {case.combinations.worst_percent:.2f} %."
+            if case.combinations.complete
+            else f"; the worst of {case.combinations.percent.size} random corners has {case.combinations.worst_percent:.2f} %."
+        ),
+    ]
+    if case.common.factor < 1.0:
+        found.append(
+            f"Reduced until none fails: by one factor, {case.common.factor:.3f}, to {_common_limits(case)}. Starting from the "
+            f"limits alone instead, insensitive elements keep wider limits: {_individual_range(case)}."
+        )
+    span = case.combinations.surviving / np.array([each.limit for each in case.parameters])[:, None]
+    if share < 1.0 and np.all(span[:, 0] <= -0.99) and np.all(span[:, 1] >= 0.99):
+        found.append(
+            "The paper removes the combinations that fail and takes the ranges of the rest. Each deviation alone passes at its "
+            "limit, so each still has its whole range among the combinations that pass: read in this way, the limits of the "
+            f"paper come out as they went in, though {100.0 * (1.0 - share):.0f} % of the combinations fail."
+        )
+    if result.recentred is not None:
+        found.append(_explain_recentring(result.recentred))
+    return found
+
+
+def _explain_recentring(after: AfterRecentring) -> str:
+    others = [each for each in after.limitations[2:] if each.factor < 1.0]
+    least = min(after.limitations[2:], key=lambda each: each.factor)
+    text = (
+        f"Recentred on the measured peak, which the worst corner moves by {after.peak_at_worst_deg:.2f} deg, its criterion is "
+        f"{after.at_worst_percent:.2f} % (without deviations {after.aligned_percent:.2f} %), and no corner exceeds "
+        f"{after.worst.percent:.2f} %. Nearly all of the error is the shift of the specular direction. The peak does not show "
+        "the incidence, the absolute scale, or where on the sample the light is. "
+    )
+    if not others:
+        return text + f"None of these exceeds its limit here; the nearest is the {least.name}."
+    listed = "; ".join(
+        f"the {each.name}, up to {each.worst:.2f} {each.unit} against {each.limit:g} {each.unit}, which "
+        f"{100.0 * each.factor:.0f} % of the limits would keep"
+        for each in others
+    )
+    return text + f"What then limits the deviations: {listed}."
+
+
+def _percent(share: float, error: float) -> str:
+    return f"{100.0 * share:.1f} %" if error == 0.0 else f"{100.0 * share:.1f}({100.0 * error:.1f}) %"
+
+
+def _by_unit(case: Case, values: Floats) -> dict[str, tuple[float, Parameter]]:
+    """The least value of each unit, and its deviation."""
+    found: dict[str, tuple[float, Parameter]] = {}
+    for value, parameter in zip(values.tolist(), case.parameters, strict=True):
+        if parameter.unit not in found or value < found[parameter.unit][0]:
+            found[parameter.unit] = (value, parameter)
+    return found
+
+
+def _least_alone(case: Case) -> str:
+    least = _by_unit(case, case.alone.permitted[:, 0])
+    return " and ".join(
+        f"{value:.3g} {unit} ({parameter.title})" if math.isfinite(value) else f"no {unit} that was tried"
+        for unit, (value, parameter) in least.items()
+    )
+
+
+def _common_limits(case: Case) -> str:
+    pairs = {(each.unit, each.limit): case.common.factor * each.limit for each in case.parameters}
+    return " and ".join(f"+-{value:.4f} {unit}" for (unit, _), value in pairs.items())
+
+
+def _individual_range(case: Case) -> str:
+    least = _by_unit(case, case.individual.limits)
+    greatest = _by_unit(case, -case.individual.limits)
+    return "; ".join(
+        f"from {value:.3g} {unit} ({parameter.title}) to {-greatest[unit][0]:.3g} {unit} ({greatest[unit][1].title})"
+        for unit, (value, parameter) in least.items()
+    )
+
+
+def print_study(console: Console, result: StudyResult) -> None:
+    """Print the tables, the assumptions and the explanations."""
+    for table in _tables(result):
+        console.print(table)
+        console.print()
+    console.print("assumptions", style="bold")
+    for topic, text in assumptions(result).items():
+        _print_item(console, f"{topic}: {text}")
+    console.print("\nexplanations", style="bold")
+    for text in explanations(result):
+        _print_item(console, text)
+    for case in result.cases:
+        _print_item(console, f"worst corner{f', {case.name}' if case.name else ''}: {describe_corner(case)}")
+
+
+def _tables(result: StudyResult) -> list[Table]:
+    tables = [_paper_table(result), _deviation_table(result)]
+    if result.sensitivities is not None:
+        tables.append(_sensitivity_table(result, result.sensitivities))
+    tables.append(_case_table(result))
+    if result.recentred is not None:
+        tables.append(_limitation_table(result.recentred))
+    return tables
+
+
+def _new_table(title: str, *columns: str) -> Table:
+    table = Table(title=f"SIMULATED: {title}", title_justify="left")
+    for number, column in enumerate(columns):
+        table.add_column(column, justify="right" if number else "left", overflow="fold")
+    return table
+
+
+def _paper_table(result: StudyResult) -> Table:
+    case = result.case
+    paper = PAPER.get(result.study.paper or 0, {})
+    table = _new_table(
+        f"{result.study.name}, permissible deviations",
+        "deviations",
+        "paper",
+        "each alone",
+        "all, by one factor",
+        "all, individually",
+    )
+    alone = _by_unit(case, case.alone.permitted[:, 0])
+    common, individual = _by_unit(case, case.common.limits), _by_unit(case, case.individual.limits)
+    for unit, (value, _) in alone.items():
+        table.add_row(
+            KINDS[unit],
+            f"+-{paper[unit]:g} {unit}" if unit in paper else "",
+            f"+-{value:.3f} {unit}" if math.isfinite(value) else "any",
+            f"+-{common[unit][0]:.4f} {unit}",
+            f"from +-{individual[unit][0]:.4f} {unit}",
+        )
+    return table
+
+
+def _deviation_table(result: StudyResult) -> Table:
+    case = result.case
+    table = _new_table(
+        f"each deviation alone, {quantity(result)}; and limits of all together",
+        "deviation", "unit", "range", "at -, %", "at +, %", *(f"{each:g} % at" for each in case.combinations.within),
+        "one factor", "individual",
+    )  # fmt: skip
+    for k, parameter in enumerate(case.parameters):
+        largest = float(case.alone.largest[k])
+        table.add_row(
+            parameter.title,
+            parameter.unit,
+            f"{parameter.limit:g}",
+            *(f"{value:.2f}" for value in case.alone.percent[k]),
+            *(f"{value:.3f}" if math.isfinite(value) else f"> {largest:g}" for value in case.alone.permitted[k]),
+            f"{case.common.limits[k]:.4f}",
+            f"{case.individual.limits[k]:.4f}",
+        )
+    return table
+
+
+def _sensitivity_table(result: StudyResult, slopes: Sensitivities) -> Table:
+    table = _new_table(
+        "sensitivities, for a deviation of 1 deg or 1 mm", "deviation", "unit", "peak, deg", "incidence, deg", "place, mm"
+    )
+    for k, parameter in enumerate(result.case.parameters):
+        row = (_signed(slopes.peak_deg[k]), _signed(slopes.incidence_deg[k]), f"{slopes.place_mm[k]:.2f}")
+        table.add_row(parameter.title, parameter.unit, *row)
+    return table
+
+
+def _signed(value: float) -> str:
+    text = f"{value:+.3f}"
+    return text if text.strip("+-0.") else "0"
+
+
+def _case_table(result: StudyResult) -> Table:
+    within = result.case.combinations.within
+    table = _new_table(
+        f"all deviations, {quantity(result)} in %; standard errors in brackets",
+        "", "number", "aligned", "alone", "median", "worst", *(f"within {each:g} %" for each in within), "factor",
+    )  # fmt: skip
+    for case in result.cases:
+        drawn = case.combinations
+        table.add_row(
+            case.name or f"{len(case.parameters)} deviations",
+            f"{drawn.percent.size}" if drawn.complete else f"{drawn.percent.size} corners",
+            f"{case.aligned_percent:.2f}",
+            f"{case.worst_alone[1]:.2f}",
+            f"{np.median(drawn.percent):.2f}",
+            f"{case.worst.percent:.2f}",
+            *(_percent(*each) for each in drawn.shares),
+            f"{case.common.factor:.4f}",
+        )
+    for name, drawn in result.yields.items():
+        middle, largest = f"{np.median(drawn.percent):.2f}", f"{drawn.worst_percent:.2f}"
+        shares = (_percent(*each) for each in drawn.shares)
+        table.add_row(f"yield, {name}", f"{drawn.percent.size} drawn", "", "", middle, largest, *shares, "")
+    return table
+
+
+def _limitation_table(after: AfterRecentring) -> Table:
+    table = _new_table("what limits the deviations, all together", "quantity", "limit", "worst corner", "factor")
+    for each in after.limitations:
+        table.add_row(each.name, f"{each.limit:g} {each.unit}", f"{each.worst:.2f} {each.unit}", f"{each.factor:.3f}")
+    return table
+
+
+def _print_item(console: Console, text: str) -> None:
+    lines = textwrap.wrap(text, max(40, min(console.width, 120) - 2), initial_indent="- ", subsequent_indent="  ")
+    console.print("\n".join(lines), markup=False, soft_wrap=True)
+
+
+def as_dict(result: StudyResult) -> dict[str, Any]:
+    """The result for JSON: values in deg or mm, criteria in percent, shares of 1."""
+    recentred, uniformity = result.recentred, result.uniformity
+    return {
+        "simulated": True,
+        "name": result.study.name,
+        "paper": PAPER.get(result.study.paper or 0),
+        "criterion": result.study.criterion.model_dump(),
+        "cases": [_case_as_dict(case) for case in result.cases],
+        "yields": {name: _combinations_as_dict(drawn) for name, drawn in result.yields.items()},
+        "sensitivities": None
+        if result.sensitivities is None
+        else [
+            {"deviation": each.title, "unit": each.unit, "peak_deg": peak, "incidence_deg": incidence, "place_mm": place}
+            for each, peak, incidence, place in zip(
+                result.case.parameters, *(row.tolist() for row in vars(result.sensitivities).values()), strict=True
+            )
+        ],
+        "recentred": None
+        if recentred is None
+        else {
+            "aligned_percent": recentred.aligned_percent,
+            "at_worst_percent": recentred.at_worst_percent,
+            "peak_at_worst_deg": recentred.peak_at_worst_deg,
+            "worst_percent": recentred.worst.percent,
+            "limitations": [vars(each) for each in recentred.limitations],
+        },
+        "uniformity": None if uniformity is None else vars(uniformity),
+        "assumptions": assumptions(result),
+        "explanations": explanations(result),
+    }
+
+
+def _case_as_dict(case: Case) -> dict[str, Any]:
+    return {
+        "name": case.name,
+        "aligned_percent": case.aligned_percent,
+        "deviations": [
+            {
+                "element": each.element,
+                "deviation": each.component,
+                "limit": each.limit,
+                "at_minus_percent": _finite(case.alone.percent[k, 0]),
+                "at_plus_percent": _finite(case.alone.percent[k, 1]),
+                "alone": [_finite(value) for value in case.alone.permitted[k]],
+                "searched_to": float(case.alone.largest[k]),
+                "common": float(case.common.limits[k]),
+                "individual": float(case.individual.limits[k]),
+                "at_worst": float(case.worst_values[k]),
+            }
+            for k, each in enumerate(case.parameters)
+        ],
+        "worst_percent": case.worst.percent,
+        "worst_linear_percent": case.worst.linear_percent,
+        "worst_evaluated": case.worst.evaluated,
+        "common_factor": case.common.factor,
+        "combinations": _combinations_as_dict(case.combinations),
+    }
+
+
+def _combinations_as_dict(drawn: Combinations) -> dict[str, Any]:
+    return {
+        "number": drawn.percent.size,
+        "complete": drawn.complete,
+        "median_percent": _finite(np.median(drawn.percent)),
+        "worst_percent": _finite(drawn.worst_percent),
+        "within": [
+            {"percent": limit, "share": share, "standard_error": error}
+            for limit, (share, error) in zip(drawn.within, drawn.shares, strict=True)
+        ],
+    }
+
+
+def _finite(value: Any) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def _or_nan(value: Any) -> float:
+    return float(value) if math.isfinite(value) else math.nan
+
+
+def write_report(result: StudyResult, folder: Path, stem: str) -> dict[str, str]:
+    """Write figure and tables into a folder, which is created; their paths by name. Raises UserError."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"{folder}: cannot be written: {error.strerror}; choose another folder with --out") from None
+    paths = {"figure": folder / f"{stem}.png"}
+    write_figures(result, paths["figure"], quantity(result))
+    heading = [
+        f"SIMULATED: {result.study.name} (paper, section 3.3), computed with the virtual prototype; nothing is measured",
+        *(f"{topic}: {text}" for topic, text in assumptions(result).items()),
+    ]
+    for name, columns in (("deviations", _deviation_columns(result)), ("combinations", _combination_columns(result))):
+        paths[name] = folder / f"{stem}-{name}.csv"
+        write_content(paths[name], Holds.COLUMNS, PointStream(heading, [columns]))
+    return {name: str(path) for name, path in paths.items()}
+
+
+def _deviation_columns(result: StudyResult) -> dict[str, Any]:
+    """One row for each case and deviation."""
+    paper = PAPER.get(result.study.paper or 0, {})
+    rows = [(case, k, each) for case in result.cases for k, each in enumerate(case.parameters)]
+    columns = {
+        "case": [case.name or "study" for case, _, _ in rows],
+        "element": [each.element for _, _, each in rows],
+        "deviation": [each.name for _, _, each in rows],
+        "unit": [each.unit for _, _, each in rows],
+        "paper": [paper.get(each.unit, math.nan) for _, _, each in rows],
+        "limit": [each.limit for _, _, each in rows],
+        "at_minus_percent": [_or_nan(case.alone.percent[k, 0]) for case, k, _ in rows],
+        "at_plus_percent": [_or_nan(case.alone.percent[k, 1]) for case, k, _ in rows],
+        **{
+            f"alone_{limit:g}_percent": [_or_nan(case.alone.permitted[k, column]) for case, k, _ in rows]
+            for column, limit in enumerate(result.case.combinations.within)
+        },
+        "common": [case.common.limits[k] for case, k, _ in rows],
+        "individual": [case.individual.limits[k] for case, k, _ in rows],
+        "worst_combination": [case.worst_values[k] for case, k, _ in rows],
+    }
+    return {name: np.array(values) for name, values in columns.items()}
+
+
+def _combination_columns(result: StudyResult) -> dict[str, Any]:
+    """The distribution of the criterion: for each set of combinations the share of those within each of 200 values."""
+    sets = [*((case.name or "study", case.combinations) for case in result.cases)]
+    sets += [(f"yield {name}", drawn) for name, drawn in result.yields.items()]
+    names, percents, shares = [], [], []
+    for name, drawn in sets:
+        values = np.sort(drawn.percent)
+        edges = np.linspace(0.0, values[np.isfinite(values)].max(initial=0.0), CELLS + 1)[1:]
+        names.append(np.repeat([name], CELLS))
+        percents.append(edges)
+        shares.append(np.searchsorted(values, edges, side="right") / values.size)
+    return {
+        "set": np.concatenate(names), "criterion_percent": np.concatenate(percents), "share_within": np.concatenate(shares)
+    }  # fmt: skip

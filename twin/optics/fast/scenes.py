@@ -1,0 +1,527 @@
+"""Scenes: poses, deviations, samples, wavelengths and detectors in one compiled call.
+
+A scene is the instrument with one set of deviations at one pose. The geometry comes first and is the same for every sample:
+seven rays for each detector (twin.optics.fast.rays), or a bundle (twin.optics.fast.ray_bundle) where a mirror blocks some of
+what it takes. Each lobe is then summed over these rays. Sample and etalon have the same rays, and so have all wavelengths.
+"""
+
+import math
+import threading
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple, TypeVar
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from goniotwin.arrays import Floats, Ints
+from goniotwin.twin.optics.bsdf.lobes import Lobe, parameters
+from goniotwin.twin.optics.bsdf.models import ANISOTROPIC, LAMBERTIAN, REGULAR, TABLE, regular_share
+from goniotwin.twin.optics.bsdf.packed_lobes import ABOVE, KIND, TRANSMITS, Models, lobe_arrays, pack_models
+from goniotwin.twin.optics.bsdf.scatterer import Scatterer
+from goniotwin.twin.optics.fast.aperture import (
+    BLOCK,
+    DX,
+    DY,
+    DZ,
+    PX,
+    PY,
+    PZ,
+    ROWS,
+    WIDE,
+    M,
+    aperture_sizes,
+    cone_nodes,
+    fill_apertures,
+    fill_frames,
+    fill_wide_apertures,
+    hole_nodes,
+    side_nodes,
+)
+from goniotwin.twin.optics.fast.lobe_sums import lobe_sums
+from goniotwin.twin.optics.fast.obstruction import FREE, HIDDEN, PARTLY, find_shadow, mirrors_near, visible_shares
+from goniotwin.twin.optics.fast.ray_bundle import TILE, TILE_ROWS, fill_arrivals, fill_ends, fill_view, hide_ends, ray_bundle
+from goniotwin.twin.optics.fast.rays import HEXAGON, NODES, place_nodes
+from goniotwin.twin.optics.fast.regular_component import HOLE_NODES, SLOPE_NODES, image_measures, line_nodes
+from goniotwin.twin.optics.geometry.coordinates import direction_rows
+from goniotwin.twin.optics.geometry.instrument import (
+    COMPONENTS,
+    ELEMENTS,
+    HALF_BLOCKING,
+    HALF_MIRROR,
+    NOMINAL_DEG,
+    Instrument,
+    Reflectance,
+)
+from goniotwin.twin.optics.geometry.scene import SceneArrays, empty_scene, fill_detectors, fill_scene, mirror_angle_deg
+from goniotwin.twin.optics.kernel import kernel
+
+Rule = tuple[Floats, Floats, Floats, int]
+"""Nodes over the cone; over a side of the hole; over it where the cone is wide; rays where a mirror blocks some of the view."""
+FINE_RULE: Rule = (cone_nodes(3), side_nodes(6), hole_nodes(8), 1024)
+"""For fluxes: the accepted rays are exact to 0.3 %."""
+COARSE_RULE: Rule = (cone_nodes(), side_nodes(), hole_nodes(4), 256)
+"""For ratios, in which the error cancels: exact to 3 %."""
+TABLE_KINDS = (TABLE, ANISOTROPIC)
+HOLE, LINE = line_nodes(HOLE_NODES), side_nodes(SLOPE_NODES)
+PIECE = 4096
+"""Detectors of a pose that are computed together, and readings of one task: independent of the number of threads."""
+WHITE = Scatterer(
+    "ideal diffuser",
+    tuple(
+        Lobe(LAMBERTIAN, parameters(1.0 / math.pi), incident=incident, transmits=transmits)
+        for incident in (1, -1)
+        for transmits in (False, True)
+    ),
+)
+"""Ideal diffuser that scatters equally to either side and from either side."""
+Result = TypeVar("Result")
+
+
+class Optics(NamedTuple):
+    """Everything of an instrument but its deviations, as an argument of the kernels.
+
+    `lengths` of the instrument and `sizes` of the aperture; nodes over `cone`, `side`, `hole`, on the `hexagon` and in the
+    `bundle`, over the hole (`image_hole`) and a slope (`image_line`) for an image of the pupil. `bundles` alone, without the
+    seven rays; `wide` cones; `obstruction`. `scale` makes throughputs in m^2 sr of sums.
+    """
+
+    lengths: Floats
+    sizes: Floats
+    cone: Floats
+    side: Floats
+    hole: Floats
+    hexagon: Floats
+    bundle: Floats
+    image_hole: Floats
+    image_line: Floats
+    bundles: bool
+    wide: bool
+    obstruction: bool
+    scale: float
+
+
+class Spectra(NamedTuple):
+    """Weights of the lobes and the mirrors' reflectance over the wavelengths, as an argument of the kernels.
+
+    `weights` (lobes, w); `owners` (lobes,): number of each lobe's sample; `reflectances` (w, a) at the incidences `angles_deg`
+    (a,).
+    """
+
+    weights: Floats
+    owners: Ints
+    reflectances: Floats
+    angles_deg: Floats
+
+
+class Block(NamedTuple):
+    """Buffers of a block of detectors.
+
+    Rows of the moments `w`, `rays`, `values` of a lobe, one `tile` of a bundle; `sums` by lobe and `lanes` of a bundle's sums;
+    the aperture's share that the seven rays have `taken`, and `status`.
+    """
+
+    w: Floats
+    rays: Floats
+    values: Floats
+    tile: Floats
+    sums: Floats
+    lanes: Floats
+    taken: Floats
+    status: Ints
+
+
+@kernel(nogil=True)
+def score_scenes(
+    optics: Optics, models: Models, spectra: Spectra, deviations: Floats, poses: Floats, starts: Ints, directions: Floats,
+    first_rig: int, result: Floats,
+) -> None:  # fmt: skip
+    """Fill `result` (rigs, samples, w, detectors) with throughputs in m^2 sr, from `first_rig` on.
+
+    `deviations` (n, elements, 6); `poses` (p, 2): sigma and gamma, deg; the detectors of pose p have the unit vectors
+    `directions` (detectors, 3) from starts[p] to starts[p + 1].
+    """
+    lobes, scene = models.heads.shape[0], empty_scene()
+    block = Block(
+        np.empty(ROWS * BLOCK), np.empty((7, NODES * BLOCK)), np.empty(NODES * BLOCK), np.empty(TILE_ROWS * TILE),
+        np.empty((lobes, BLOCK)), np.empty((lobes + 1, TILE)), np.empty(BLOCK), np.empty(BLOCK, np.int64),
+    )  # fmt: skip
+    most = 0
+    for p in range(poses.shape[0]):
+        most = max(most, starts[p + 1] - starts[p])
+    centres, axes, lit = np.empty((most, 3)), np.empty((most, 3)), np.empty(most, np.int64)
+    acting, mirrors = np.empty(lobes, np.int64), np.empty(spectra.weights.shape[1])
+    for rig in range(deviations.shape[0]):
+        for p in range(poses.shape[0]):
+            back = fill_scene(optics.lengths, deviations[rig], poses[p, 0], poses[p, 1], scene)
+            active, above, below = 0, False, False
+            for k in range(lobes):
+                if (models.heads[k, ABOVE] == 1) != back:
+                    acting[active] = k
+                    active += 1
+                    if models.heads[k, TRANSMITS] == 1:
+                        below = True
+                    else:
+                        above = True
+            first, total = starts[p], starts[p + 1] - starts[p]
+            result[first_rig + rig, :, :, first : first + total] = 0.0
+            fill_detectors(
+                optics.lengths, deviations[rig], scene.to_sample, scene.origin, directions[first : first + total], centres, axes
+            )
+            count = select_lit(centres, axes, total, above, below, lit)
+            mirror_products(spectra, scene, mirrors)
+            for start in range(0, count, BLOCK):
+                size = min(BLOCK, count - start)
+                score_block(
+                    optics, models, scene, centres[start : start + size], axes[start : start + size], acting[:active], block
+                )
+                for a in range(active):
+                    k = acting[a]
+                    for j in range(mirrors.size):
+                        factor, row = spectra.weights[k, j] * mirrors[j], result[first_rig + rig, spectra.owners[k], j]
+                        for i in range(size):
+                            row[first + lit[start + i]] += factor * block.sums[k, i]
+
+
+@kernel(inline="always")
+def select_lit(centres: Floats, axes: Floats, total: int, above: bool, below: bool, lit: Ints) -> int:
+    """Move the detectors above or below the sample's plane, or both, to the front; fill `lit` with their numbers.
+
+    Returns their number: the others receive nothing.
+    """
+    count = 0
+    for k in range(total):
+        if below if axes[k, 2] < 0.0 else above:
+            for c in range(3):
+                centres[count, c], axes[count, c] = centres[k, c], axes[k, c]
+            lit[count] = k
+            count += 1
+    return count
+
+
+@kernel(inline="always")
+def mirror_products(spectra: Spectra, scene: SceneArrays, result: Floats) -> None:
+    """Fill `result` (w,) with the product of the three mirrors' reflectances, linear between the angles of the table."""
+    angles, last = spectra.angles_deg, spectra.angles_deg.size - 1
+    result[:] = 1.0
+    for m in range(3):
+        i, share = 0, 0.0
+        if last > 0:
+            angle = mirror_angle_deg(scene.pupil, scene.images, m)
+            while i < last - 1 and angles[i + 1] <= angle:
+                i += 1
+            share = min(max((angle - angles[i]) / (angles[i + 1] - angles[i]), 0.0), 1.0)
+        for j in range(result.size):
+            low, high = spectra.reflectances[j, i], spectra.reflectances[j, min(i + 1, last)]
+            result[j] *= low + share * (high - low)
+
+
+@kernel(inline="always")
+def score_block(
+    optics: Optics, models: Models, scene: SceneArrays, centres: Floats, axes: Floats, acting: Ints, block: Block
+) -> None:  # fmt: skip
+    """Fill `block.sums` (lobes, BLOCK): throughputs by the lobes `acting` alone, mirrors without loss, of n detectors."""
+    count, kept = axes.shape[0], False
+    for k in acting:
+        block.sums[k, :count] = 0.0
+        kept = kept or models.heads[k, KIND] in TABLE_KINDS
+    if optics.bundles:
+        block.status[:count] = PARTLY
+    else:
+        fill_nodes(optics, scene, centres, axes, block)
+        for k in acting:
+            if models.heads[k, KIND] not in TABLE_KINDS:
+                lobe_sums(models, k, block.rays, NODES, block.values, block.sums[k, :count])
+    # Tables have kinks, which seven rays do not resolve: their mean is taken over a bundle, times what the seven rays take, as
+    # sample and etalon must have the same accepted rays.
+    block.taken[:count] = 0.0
+    if kept and not optics.bundles:
+        for j in range(NODES):
+            for i in range(count):
+                block.taken[i] += block.rays[0, j * count + i]
+    for i in range(count):
+        partly = block.status[i] == PARTLY
+        if partly or (kept and block.status[i] == FREE):
+            add_bundle(optics, models, scene, centres[i], axes[i], acting, partly, i, block)
+    for k in acting:
+        for i in range(count):
+            block.sums[k, i] *= optics.scale
+        if models.heads[k, KIND] == REGULAR:
+            fill_regular(optics, models, scene, centres, axes, k, block.sums[k, :count])
+
+
+@kernel(inline="always")
+def fill_nodes(optics: Optics, scene: SceneArrays, centres: Floats, axes: Floats, block: Block) -> None:
+    """Fill `block.rays` with the seven rays of n detectors, see `place_nodes`, and `block.status`.
+
+    PARTLY means that seven are not enough, because a mirror blocks some of the accepted rays; the nodes are filled in all the
+    same.
+    """
+    count, w, status, near = axes.shape[0], block.w, block.status, np.zeros(3)
+    for k in range(count):
+        w[k + PX], w[k + PY], w[k + PZ] = centres[k, 0], centres[k, 1], centres[k, 2]
+        w[k + DX], w[k + DY], w[k + DZ] = axes[k, 0], axes[k, 1], axes[k, 2]
+    fill_frames(w, count)
+    if optics.wide:
+        fill_wide_apertures(w, count, optics.hole, optics.sizes)
+    else:
+        fill_apertures(w, count, optics.cone, optics.side, optics.sizes)
+    place_nodes(w, count, scene.pupil, optics.hexagon, block.rays)
+    clipped, blocking = scene.missed[0] + scene.missed[1] + scene.missed[2] > 0.0, optics.lengths[HALF_BLOCKING]
+    for k in range(count):
+        status[k] = PARTLY if clipped else FREE
+        if optics.obstruction and w[k + M] > 0.0:
+            mirrors_near(scene.mirrors, blocking, centres[k], optics.sizes, near)
+            if near[0] + near[1] + near[2] > 0.0:
+                status[k] = max(status[k], find_shadow(scene.mirrors, near, blocking, centres[k], axes[k], optics.sizes))
+        if status[k] == HIDDEN:
+            for j in range(NODES):
+                block.rays[0, j * count + k] = 0.0
+
+
+@kernel(inline="always")
+def add_bundle(
+    optics: Optics, models: Models, scene: SceneArrays, centre: Floats, d: Floats, acting: Ints, partly: bool, i: int,
+    block: Block,
+) -> None:  # fmt: skip
+    """Fill the sums of detector i of the block from a whole bundle; unless `partly` those of tables alone."""
+    lengths, sizes, bundle, lanes, t, rays = optics.lengths, optics.sizes, optics.bundle, block.lanes, block.tile, block.rays
+    view, near, whole = np.empty((4, 3)), np.zeros(3), models.heads.shape[0]
+    lanes[:] = 0.0
+    fill_view(centre, d, view)
+    if optics.obstruction:
+        mirrors_near(scene.mirrors, lengths[HALF_BLOCKING], centre, sizes, near)
+    share = sizes[1] * sizes[1] / bundle.shape[1]
+    for first in range(0, bundle.shape[1], TILE):
+        count, column = min(TILE, bundle.shape[1] - first), 0
+        for sign in (1.0, -1.0):
+            fill_ends(view, bundle, first, count, sign, sizes, t)
+            hide_ends(scene.mirrors, near, lengths[HALF_BLOCKING], count, t)
+            for other in (1.0, -1.0):
+                fill_arrivals(scene, lengths[HALF_MIRROR], other, share, count, t, rays, column)
+                column += count
+        for k in acting:
+            if partly or models.heads[k, KIND] in TABLE_KINDS:
+                lobe_sums(models, k, rays, 4, block.values, lanes[k, :count])
+        if not partly:
+            for j in range(4):
+                for lane in range(count):
+                    lanes[whole, lane] += rays[0, j * count + lane]
+    given = lanes[whole].sum()
+    for k in acting:
+        if partly:
+            block.sums[k, i] = lanes[k].sum()
+        elif models.heads[k, KIND] in TABLE_KINDS:
+            block.sums[k, i] = block.taken[i] / given * lanes[k].sum() if given > 0.0 else 0.0
+
+
+@kernel(inline="always")
+def fill_regular(
+    optics: Optics, models: Models, scene: SceneArrays, centres: Floats, axes: Floats, k: int, result: Floats
+) -> None:  # fmt: skip
+    """Fill `result` (n,) with throughputs in m^2 sr by the REGULAR lobe k."""
+    transmits, pupil = models.heads[k, TRANSMITS] == 1, scene.pupil
+    image_measures(centres, axes, optics.sizes, pupil, transmits, optics.image_hole, optics.image_line, result)
+    _, params, sig, _, _, _, table, _ = lobe_arrays(models, k)
+    length = math.sqrt(pupil[0, 0] ** 2 + pupil[0, 1] ** 2 + pupil[0, 2] ** 2)
+    share = regular_share(params, sig, table, pupil[0, 0] / length, pupil[0, 1] / length, pupil[0, 2] / length)
+    for i in range(result.size):
+        if result[i] != 0.0:
+            result[i] *= 1e-6 * share
+            if optics.obstruction:
+                one, half = slice(i, i + 1), optics.lengths[HALF_BLOCKING]
+                result[i] *= visible_shares(centres[one], axes[one], optics.bundle, optics.sizes, scene.mirrors, half)[0]
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """Detectors at one position of mirror unit and sample unit: `directions` (n, 3) in the rig's frame."""
+
+    sigma_deg: float
+    directions: npt.ArrayLike
+    gamma_deg: float = 0.0
+
+
+class Scenes:
+    """Poses, samples and wavelengths of one instrument, for any number of rigs: the same instrument with other deviations.
+
+    Deviations are an array (rigs, elements, 6), see `deviation_array`; they replace the instrument's own, which are used where
+    none are given. Results (rigs, samples, w, detectors) have the detectors of all poses one after the other, see `pieces`;
+    without wavelengths w is 1. Every reading is independent of all others: results are bit-identical for any number of
+    threads, and for any other rigs and poses beside it. `rays` as in `twin.optics.throughput`.
+
+    Raises ValueError for a wrong shape, a direction of length zero, angles that are not finite, a number of rays that is not a
+    multiple of 4, a sample with a spectrum without wavelengths, or a sensor that is not a simple detector, a disc with an
+    acceptance cone: the forward estimator alone traces such a sensor.
+    """
+
+    def __init__(
+        self,
+        instrument: Instrument,
+        poses: Sequence[Pose],
+        samples: Sequence[Scatterer],
+        wavelengths_nm: npt.ArrayLike | None = None,
+        rays: int | None = None,
+        *,
+        etalon: Scatterer = WHITE,
+    ) -> None:
+        self._instrument, self._rays = instrument.simplified(), rays
+        self._samples, self._etalon = tuple(samples), etalon
+        wavelengths = None if wavelengths_nm is None else np.atleast_1d(np.asarray(wavelengths_nm, dtype=np.float64))
+        self._wavelengths_nm = wavelengths
+        self._poses, self._starts, self._directions, self.pieces = _pack_poses(poses)
+
+    @property
+    def detectors(self) -> int:
+        """Number of detectors of all poses."""
+        return len(self._directions)
+
+    def throughputs(self, deviations: Floats | None = None) -> Floats:
+        """Throughputs (rigs, samples, w, detectors), m^2 sr: see `twin.optics.throughput`."""
+        return self._compute(self._samples, deviations, ratios=False)
+
+    def ratios(self, deviations: Floats | None = None) -> Floats:
+        """Throughputs of the samples over those of the etalon (rigs, samples, w, detectors); NaN where it gives no signal.
+
+        Fewer points than for a throughput represent the aperture, to 3 % instead of 0.3 %, the same for sample and etalon.
+        """
+        flux = self._compute((*self._samples, self._etalon), deviations, ratios=True)
+        sample, etalon = flux[:, :-1], flux[:, -1:]
+        return np.divide(sample, etalon, out=np.full_like(sample, np.nan), where=etalon > 0.0)
+
+    def map(self, function: Callable[[Floats], Result], blocks: Iterable[Floats], *, ratios: bool = False) -> Iterator[Result]:
+        """Results of `function`, in order, of throughputs or `ratios` of each block of deviations.
+
+        Blocks are computed on all threads, and few are in memory at a time. `function` is called in these threads.
+        """
+        compute = self.ratios if ratios else self.throughputs
+
+        def run(block: Floats) -> Result:
+            with _one_thread():
+                return function(compute(block))
+
+        threads = numba.get_num_threads()
+        with ThreadPoolExecutor(threads) as pool:
+            waiting: list[Future[Result]] = []
+            for block in blocks:
+                waiting.append(pool.submit(run, block))
+                if len(waiting) > 2 * threads:
+                    yield waiting.pop(0).result()
+            for each in waiting:
+                yield each.result()
+
+    def _compute(self, samples: tuple[Scatterer, ...], deviations: Floats | None, *, ratios: bool) -> Floats:
+        instrument = self._instrument
+        rigs = instrument.deviation_rows[None] if deviations is None else _check_deviations(deviations)
+        optics, (models, owners) = _optics(instrument, self._rays, ratios), _pack_samples(samples)
+        spectra = _spectra(instrument, samples, owners, self._wavelengths_nm)
+        result = np.empty((len(rigs), len(samples), spectra.weights.shape[1], self.detectors))
+        tasks = list(_tasks(len(rigs), self._starts))
+
+        def run(task: tuple[int, int, int, int]) -> None:
+            first, last, begin, end = task
+            score_scenes(
+                optics, models, spectra, rigs[first:last], self._poses[begin:end], self._starts[begin : end + 1],
+                self._directions, first, result,
+            )  # fmt: skip
+
+        threads = 1 if _ALONE.threads else numba.get_num_threads()
+        if len(tasks) > 1 and threads > 1:
+            # Plain threads: the kernels hold no lock. numba's own threads would add seconds of compilation, and one of its
+            # threading layers ends the process if two threads call at the same time.
+            with ThreadPoolExecutor(threads) as pool:
+                list(pool.map(run, tasks))
+        else:
+            for task in tasks:
+                run(task)
+        return result
+
+
+class _Alone(threading.local):
+    """Whether this thread is one of those of `Scenes.map`, which start no others."""
+
+    threads = False
+
+
+_ALONE = _Alone()
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    _ALONE.threads = True
+    try:
+        yield
+    finally:
+        _ALONE.threads = False
+
+
+def _pack_poses(poses: Sequence[Pose]) -> tuple[Floats, Ints, Floats, tuple[slice, ...]]:
+    """Angles (p, 2), starts (p + 1,) and unit vectors (n, 3) of pieces of poses, and the range of each pose's detectors."""
+    angles, starts, rows, pieces = [], [0], [], []
+    for pose in poses:
+        if not (math.isfinite(pose.sigma_deg) and math.isfinite(pose.gamma_deg)):
+            raise ValueError(f"sigma_deg is {pose.sigma_deg!r}, gamma_deg {pose.gamma_deg!r}: give both in degrees")
+        directions = direction_rows(pose.directions)
+        first, last = starts[-1], starts[-1] + len(directions)
+        for start in range(first, last, PIECE):
+            angles.append((pose.sigma_deg, pose.gamma_deg))
+            starts.append(min(start + PIECE, last))
+        rows.append(directions)
+        pieces.append(slice(first, last))
+    directions = rows[0] if len(rows) == 1 else np.concatenate([np.empty((0, 3)), *rows])
+    return np.array(angles, dtype=np.float64).reshape(-1, 2), np.array(starts), directions, tuple(pieces)
+
+
+def _tasks(rigs: int, starts: Ints) -> Iterator[tuple[int, int, int, int]]:
+    """Ranges of rigs and of poses of at most about PIECE readings each."""
+    begin, poses = 0, len(starts) - 1
+    while begin < poses:
+        end = max(begin + 1, int(np.searchsorted(starts, starts[begin] + PIECE, side="right")) - 1)
+        step = max(1, PIECE // max(1, int(starts[end] - starts[begin])))
+        for first in range(0, rigs, step):
+            yield first, min(first + step, rigs), begin, end
+        begin = end
+
+
+def _check_deviations(deviations: Floats) -> Floats:
+    rigs = np.ascontiguousarray(deviations, dtype=np.float64)
+    if rigs.ndim != 3 or rigs.shape[1:] != (len(ELEMENTS), len(COMPONENTS)):
+        raise ValueError(f"deviations has the shape {rigs.shape}: give (rigs, {len(ELEMENTS)}, {len(COMPONENTS)})")
+    if not np.all(np.isfinite(rigs)):
+        raise ValueError("deviations has an entry that is not finite: give angles in degrees and shifts in mm")
+    return rigs
+
+
+@lru_cache(maxsize=16)
+def _optics(instrument: Instrument, rays: int | None, ratios: bool) -> Optics:
+    cone, side, hole, partly = COARSE_RULE if ratios else FINE_RULE
+    sizes = aperture_sizes(instrument)
+    seen_sr = math.pi * sizes[2] ** 2
+    return Optics(
+        instrument.lengths, sizes, cone, side, hole, HEXAGON, ray_bundle(partly if rays is None else rays, float(sizes[2])),
+        HOLE, LINE, rays is not None, bool(sizes[2] * instrument.arc_radius_mm > WIDE * sizes[0]), instrument.obstruction,
+        float(seen_sr * math.pi * instrument.pupil_radius_mm**2 * 1e-6),
+    )  # fmt: skip
+
+
+@lru_cache(maxsize=16)
+def _pack_samples(samples: tuple[Scatterer, ...]) -> tuple[Models, Ints]:
+    owners = np.repeat(np.arange(len(samples)), [len(each.lobes) for each in samples])
+    return pack_models([lobe for each in samples for lobe in each.lobes]), owners
+
+
+def _spectra(instrument: Instrument, samples: tuple[Scatterer, ...], owners: Ints, wavelengths_nm: Floats | None) -> Spectra:
+    mirrors = instrument.mirror_reflectance
+    if wavelengths_nm is None:
+        weights = np.concatenate([each.weights(None) for each in samples])[:, None]
+    else:
+        weights = np.concatenate([each.weights(wavelengths_nm) for each in samples])
+    if not isinstance(mirrors, Reflectance):
+        return Spectra(weights, owners, np.full((weights.shape[1], 1), mirrors), np.array([NOMINAL_DEG]))
+    wavelengths = [None] if wavelengths_nm is None else wavelengths_nm.tolist()
+    table = np.array([mirrors.at(each, mirrors.angle_deg) for each in wavelengths])
+    return Spectra(weights, owners, table, np.array(mirrors.angle_deg))
