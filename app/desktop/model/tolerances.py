@@ -210,6 +210,10 @@ def serve_study(connection: "Connection[Any, Any]") -> None:
         connection.send(compute_outcome(path, report))
     except (UserError, MemoryError) as error:
         connection.send(StudyFailed(str(error) or "there is too little memory; give fewer combinations"))
+    except (EOFError, OSError):  # the window is gone, or wants the study no more
+        raise
+    except Exception as error:  # noqa: BLE001  (of any library: reported, and the window goes on)
+        connection.send(StudyFailed(f"{type(error).__name__}: {error}"))
 
 
 def compute_outcome(path: Path, report: Callable[[float, str], None]) -> StudyOutcome:

@@ -70,10 +70,10 @@ class TolerancesScreen(Screen):
         self.choice = QComboBox()
         self.choice.setAccessibleName("Study")
         self.choice.setSizeAdjustPolicy(QComboBox.SizeAdjustPolicy.AdjustToMinimumContentsLengthWithIcon)
-        self.choice.setMinimumContentsLength(11)
+        self.choice.setMinimumContentsLength(9)
         for path in sorted(FOLDER.glob("*.toml")):
-            self._add_choice(path, f"{path.stem} (example)")
-        self.open_button = self._button("&Open study…", "Open a study file", self._choose_file)
+            self._add_choice(path, path.name)
+        self.open_button = self._button("&Open…", "Open a study file", self._choose_file)
         self.compute_button = self._button("&Compute", "Compute the study", self.compute)
         self.cancel_button = self._button("Ca&ncel", "Cancel the computation", self.cancel)
         self.save_button = self._button("Save &in…", "Save figure, tables, text and JSON in a folder", self._choose_folder)
@@ -170,6 +170,7 @@ class TolerancesScreen(Screen):
         low = room.height() < HIGH
         direction = QBoxLayout.Direction.LeftToRight if low else QBoxLayout.Direction.TopToBottom
         self._table_and_curves.setDirection(direction)
+        self._table_and_curves.setStretch(1, 2 if low else 3)
         self.summary.setVisible(bool(self.summary.text()) and not low)
         self._low = low
         wide = room.width() >= WIDE
@@ -253,7 +254,7 @@ class TolerancesScreen(Screen):
     def open_study(self, path: Path) -> None:
         """Choose a study file; it is read again if it is chosen already."""
         paths = [Path(self.choice.itemData(at)) for at in range(self.choice.count())]
-        at = paths.index(path) if path in paths else self._add_choice(path, path.name)
+        at = paths.index(path) if path in paths else self._add_choice(path, f"{path.name}  {path.parent}")
         if at == self.choice.currentIndex():
             self._show_chosen()
         else:

@@ -29,9 +29,9 @@ BEYOND, SIGNED = BAR + 1, BAR + 2
 BAR_HEIGHT, MARGIN = 4.0, 5.0
 ROW_ROOM = 13
 """Pixels of a row beside its text: the bar is below it."""
-LONGEST_NAME, LEAST_BAR = 240, 76
+LONGEST_NAME, LEAST_BAR = 240, 62
 """Widest column, and narrowest of bars, in a table that has no room to spare."""
-PADDING = 8
+PADDING = 4
 
 
 @dataclass(frozen=True)

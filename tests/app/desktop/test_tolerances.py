@@ -90,7 +90,7 @@ def cells(screen: TolerancesScreen, column: int) -> list[str]:
 
 def test_a_study_is_shown_before_it_is_computed(screen: TolerancesScreen) -> None:
     names = [screen.choice.itemText(at) for at in range(screen.choice.count())]
-    assert names == ["quick (example)", "table1 (example)", "table2 (example)"]
+    assert names == ["quick.toml", "table1.toml", "table2.toml"]
     assert cells(screen, 0) == ["mirror 3 ry", "sample ry", "arc ry", "beam rz"]
     assert cells(screen, 1) == ["±0.05 deg"] * 4
     assert cells(screen, 2) == ["0.025 deg"] * 4
