@@ -196,7 +196,7 @@ def budget(
     ] = False,
     as_json: Json = False,
 ) -> None:
-    """List the components of a value's uncertainty, the largest first.
+    """List the components of a value's uncertainty, largest first.
 
     For each: u in the unit of the value and in percent of it, its share of the square of u, which values share it, and its
     source: the table and key of the rig file, or a measurement. The squares of the components add up to the square of u.

@@ -235,9 +235,9 @@ def schema(
         Path | None, typer.Option("--out", metavar="FILE", help="File to write, instead of printing.", show_default=False)
     ] = None,
 ) -> None:
-    """Print JSON Schema of rig files, schedules or studies, for editors.
+    """Print JSON Schema of rigs, schedules or studies.
 
-    With it an editor completes and checks these files. A first line `#:schema ./rig.schema.json` in them names the schema.
+    With it an editor completes and checks such files. A first line `#:schema ./rig.schema.json` in them names the schema.
     """
     from goniotwin.app.campaign.schedule.file import ScheduleFile
     from goniotwin.app.formats import FormatError

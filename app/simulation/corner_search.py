@@ -21,7 +21,11 @@ MOST_LISTED = 13
 MODEL_STARTS = 64
 """Number of corners from which the model is climbed."""
 RANKED, CLIMBED, RANDOM_STARTS = 48, 12, 4
-"""Number of combinations that are evaluated first; of those, and of random corners, from which the search climbs."""
+"""Number of combinations that are evaluated first; of those, and of random corners, from which the search climbs.
+
+Of more deviations than are listed, as few of the first as of the random ones: a step then takes twice their number of
+evaluations.
+"""
 MOST_PAIRED = 16
 """Largest number of deviations of which two at a time are changed at the end."""
 
@@ -98,7 +102,7 @@ def search_worst(residuals: Residuals, count: int, seed: int = 0) -> WorstCombin
     model = _QuadraticModel(found[0], found[1 : count + 1], found[count + 1 : 2 * count + 1], found[2 * count + 1 :])
     random = np.random.Generator(np.random.Philox(seed))
     ranked = _rank_combinations(model, count, random)
-    starts = ranked[np.argsort(-percent(ranked), kind="stable")[:CLIMBED]]
+    starts = ranked[np.argsort(-percent(ranked), kind="stable")[: CLIMBED if count <= MOST_LISTED else RANDOM_STARTS]]
     starts = np.concatenate([starts, random.choice(np.array([-1, 1]), (RANDOM_STARTS, count))])
     worst, value = _climb(percent, starts)
     # The criterion hardly changes if all signs do: a search on one side alone could miss the slightly worse one.

@@ -27,6 +27,7 @@ from goniotwin.app.rig import AXES, kinds, open_rig, read_rig, rig_file_table, t
 from goniotwin.app.rig import file as rig_file
 from goniotwin.app.rig.kinds import register, unregister
 from goniotwin.app.rig.uncertainty import UncertaintyTable
+from goniotwin.app.simulation.tolerances.study import StudyFile
 from goniotwin.app.toml_file import json_schema, validate_table
 from goniotwin.drivers import Homing
 from goniotwin.protocols.clock import VirtualClock
@@ -35,9 +36,10 @@ from goniotwin.twin.plant import Parts
 from tests.conftest import REPOSITORY, RIG, SCHEDULE, SMALL
 from tests.system.another_make.driver import ESP
 
-FILES: dict[str, Any] = {"rig": rig_file_table(), "schedule": ScheduleFile}
+FILES: dict[str, Any] = {"rig": rig_file_table(), "schedule": ScheduleFile, "tolerances": StudyFile}
 SCHEMAS = {kind: json_schema(table, kind) for kind, table in FILES.items()}
-EXAMPLES = [(kind, path) for kind in FILES for path in sorted((REPOSITORY / "examples" / f"{kind}s").glob("*.toml"))]
+FOLDERS = {kind: REPOSITORY / "examples" / f"{kind.removesuffix('s')}s" for kind in FILES}
+EXAMPLES = [(kind, path) for kind, folder in FOLDERS.items() for path in sorted(folder.glob("*.toml"))]
 
 
 def as_json(content: Any) -> Any:
@@ -95,7 +97,7 @@ def test_the_command_prints_the_schema_or_writes_it(kind: str, tmp_path: Path) -
 
 def test_every_key_of_the_examples_and_documents_validates() -> None:
     found = contents()
-    assert [kind for kind, _ in found] == ["rig"] * 3 + ["schedule"] * 8 + ["schedule", "rig"]
+    assert [kind for kind, _ in found] == ["rig"] * 3 + ["schedule"] * 8 + ["tolerances"] * 3 + ["schedule", "rig"]
     for kind, content in found:
         Draft202012Validator(SCHEMAS[kind]).validate(as_json(content))
         validate_table(FILES[kind], content, kind)

@@ -24,6 +24,7 @@ from goniotwin.twin.optics.bsdf.table_samples import spectral_table, table_sampl
 from goniotwin.twin.optics.fast.estimator import luminance_factor, luminance_factors, spectral_throughput, throughput
 from goniotwin.twin.optics.fast.obstruction import ShadowMap, shadow_map, visible_fraction
 from goniotwin.twin.optics.fast.scenes import Pose, Scenes
+from goniotwin.twin.optics.fast.surrogate import Surrogate, factor_blocks
 from goniotwin.twin.optics.forward.estimator import Estimate, forward_throughput
 from goniotwin.twin.optics.forward.stray_light import StrayMap, stray_map, stray_throughput
 from goniotwin.twin.optics.geometry.coordinates import (
@@ -64,6 +65,7 @@ __all__ = [
     "ShadowMap",
     "Spectrum",
     "StrayMap",
+    "Surrogate",
     "adjoint_illumination",
     "albedo",
     "anisotropic_gaussian",
@@ -73,6 +75,7 @@ __all__ = [
     "deviation_array",
     "draw_directions",
     "evaluate",
+    "factor_blocks",
     "forward_illumination",
     "forward_throughput",
     "from_specular",

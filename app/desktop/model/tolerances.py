@@ -78,7 +78,7 @@ class Distribution:
 
     `shares` are by limit of the criterion: limit in percent, share of 1 and standard error. `cumulative` has the share within
     each of `CELLS` equal steps up to `largest_percent`. `aligned`, `alone`, `worst` (by search) and `factor` are those of a
-    study or a variant.
+    study or a variant. `surrogate_error_percent` is the measured error of a surrogate in percentage points, if that was used.
     """
 
     name: str
@@ -92,6 +92,7 @@ class Distribution:
     aligned_percent: float | None = None
     alone_percent: float | None = None
     factor: float | None = None
+    surrogate_error_percent: float | None = None
 
 
 @dataclass(frozen=True)
@@ -165,7 +166,8 @@ def _topics(study: StudyFile, levels: int) -> Iterable[tuple[str, str]]:
         yield "Estimator", f"adjoint, {criterion.rays:,} rays"
     drawn = study.combinations
     if levels <= drawn.enumerate_up_to:
-        yield "Combinations", f"all {levels:,} of the steps"
+        how = ", by a surrogate" if drawn.evaluator == "surrogate" else ""
+        yield "Combinations", f"all {levels:,} of the steps{how}"
     else:
         yield "Combinations", f"{drawn.draws:,} random corners"
     if study.yields.distributions:
@@ -280,6 +282,7 @@ def _distribution(name: str, drawn: "Combinations", case: "Case | None" = None) 
         aligned_percent=None if case is None else case.aligned_percent,
         alone_percent=None if case is None else case.worst_alone[1],
         factor=None if case is None else case.common.factor,
+        surrogate_error_percent=drawn.surrogate_error_percent,
     )
 
 

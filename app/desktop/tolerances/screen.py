@@ -84,7 +84,7 @@ class TolerancesScreen(Screen):
         self.status.setTextFormat(Qt.TextFormat.PlainText)
         self.progress = QProgressBar()
         self.progress.setRange(0, 1000)
-        self.progress.setFixedWidth(PROGRESS_WIDTH)
+        self.progress.setFixedSize(PROGRESS_WIDTH, self.progress.fontMetrics().height() + 4)  # the line keeps its height
         self.progress.setAccessibleName("Progress of the study")
         self.study_text = QTextBrowser()
         self.study_text.setAccessibleName("What the study has")

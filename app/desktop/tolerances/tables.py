@@ -233,9 +233,11 @@ def show_distributions(table: NumberTable, outcome: "StudyOutcome | None") -> No
 
 def _distribution_row(each: "Distribution") -> list[Cell]:
     kind = "" if each.complete else " drawn" if each.factor is None else " corners"
+    error = each.surrogate_error_percent
+    tip = "" if error is None else f"By a surrogate with an error of {error:.3f} points; the worst ones are exact"
     return [
         Cell(each.name),
-        Cell(f"{each.number:,}{kind}"),
+        Cell(f"{each.number:,}{kind}{'' if error is None else ' (surrogate)'}", tip),
         Cell(number_text(each.median_percent)),
         Cell(number_text(each.worst_percent)),
         *(Cell(share_text(share, error), bar=share) for _, share, error in each.shares),

@@ -79,7 +79,7 @@ def compute_table3(report: ReportStep = lambda _: None, rays: int | None = None)
         for width in WIDTHS_DEG:
             report(f"worst corner at sigma {sigma:g}, width {width:g} deg")
             corners.append(worst_corner(instrument, sigma, width, tilts(instrument)))
-    far = _collimated(instrument)
+    far = collimated(instrument)
     variance, alone = counting_variance(instrument), counting_variance(instrument, etalon_alone=True)
     percent, floor = noise_floor(blur, variance)
     worst = np.array([corner.relative_rms_percent for corner in corners]).reshape(blur.shape)
@@ -103,8 +103,8 @@ def compute_table3(report: ReportStep = lambda _: None, rays: int | None = None)
     )
 
 
-def _collimated(instrument: Instrument) -> Instrument:
+def collimated(instrument: Instrument) -> Instrument:
     """An instrument of the same divergence with its exit pupil at infinity, and mirrors large enough for the tilted beam."""
     distance = FAR_MM + 3.0 * instrument.mirror_distance_mm
     radius = instrument.pupil_radius_mm * distance / instrument.pupil_distance_mm
-    return Instrument(pupil_radius_mm=radius, pupil_to_mirror_mm=FAR_MM, mirror_side_mm=60.0, obstruction=False)
+    return replace(instrument, pupil_radius_mm=radius, pupil_to_mirror_mm=FAR_MM, mirror_side_mm=60.0)

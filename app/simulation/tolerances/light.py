@@ -1,8 +1,10 @@
 """The response of the illumination unit by itself (paper, Table 1): flux into the central 5 x 5 mm, and its uniformity."""
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
+import numba
 import numpy as np
 
 from goniotwin.app.simulation.tolerances.study import FluxTable, Parameter, component_matrix
@@ -33,14 +35,15 @@ class IlluminationLight:
 
     def _light(self, values: Floats) -> tuple[Floats, Floats]:
         components = (values @ self._matrix).reshape(len(values), len(ELEMENTS), len(COMPONENTS))
-        found = np.empty((len(values), 2))
-        for row, combination in zip(found, components, strict=True):
-            deviations = {
-                name: Deviation(*each) for name, each in zip(ELEMENTS, combination.tolist(), strict=True) if any(each)
-            }
-            unit = replace(self.unit, deviations=deviations)
+
+        def trace(combination: Floats) -> tuple[float, float]:
+            named = zip(ELEMENTS, combination.tolist(), strict=True)
+            unit = replace(self.unit, deviations={name: Deviation(*each) for name, each in named if any(each)})
             light = adjoint_illumination(unit, rays=self.criterion.rays, seed=self.criterion.seed)
-            row[:] = light.flux, light.uniformity
+            return light.flux, light.uniformity if light.flux > 0.0 else 0.0
+
+        with ThreadPoolExecutor(numba.get_num_threads()) as pool:  # the kernel holds no lock
+            found = np.array(list(pool.map(trace, components)))
         return found[:, 0], found[:, 1]
 
 

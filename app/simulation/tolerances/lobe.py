@@ -1,7 +1,7 @@
 """The response of the whole instrument: a Gaussian sample against its formula (paper, formula 5), and its measured peak."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,7 +15,7 @@ from goniotwin.app.simulation.paper.gaussian_cut import (
 )
 from goniotwin.app.simulation.tolerances.study import GaussianTable, Parameter, component_matrix
 from goniotwin.arrays import Floats
-from goniotwin.twin.optics import Instrument, Pose, Scenes, from_specular, gaussian
+from goniotwin.twin.optics import Instrument, Pose, Scenes, Surrogate, from_specular, gaussian
 from goniotwin.twin.optics.geometry.coordinates import polar_and_azimuth
 from goniotwin.twin.optics.geometry.instrument import COMPONENTS, ELEMENTS, deviation_mapping
 
@@ -59,7 +59,7 @@ class GaussianLobe:
         self.directions = directions_of(criterion)
         self._matrix = component_matrix(parameters, ELEMENTS)
         poses = [Pose(each.sigma_deg, each.axes) for each in self.directions]
-        self._scenes = Scenes(instrument, poses, [gaussian(criterion.width_deg, criterion.form, peak=1.0 / math.pi)])
+        self.scenes = Scenes(instrument, poses, [gaussian(criterion.width_deg, criterion.form, peak=1.0 / math.pi)])
         self.theory = np.concatenate([self._theory(np.hypot(*each.place_deg.T)) for each in self.directions])
         self._peaks = [_peak_fit(each.place_deg, self._theory(np.hypot(*each.place_deg.T))) for each in self.directions]
 
@@ -73,7 +73,7 @@ class GaussianLobe:
 
     def factors(self, values: Floats) -> Floats:
         """Luminance factors (n, m) of combinations (n, k). NaN where the etalon gives no signal."""
-        return self._scenes.ratios(self.deviations(values))[:, 0, 0]
+        return self.scenes.ratios(self.deviations(values))[:, 0, 0]
 
     def residuals(self, values: Floats) -> Floats:
         """Relative deviations (n, m) from the formula about the nominal specular direction."""
@@ -107,6 +107,22 @@ class GaussianLobe:
 
     def _theory(self, theta_deg: Floats) -> Floats:
         return gaussian_theory(theta_deg, self.criterion.width_deg, self.criterion.form)
+
+
+class LobeSurrogate:
+    """The criterion of a lobe to the second order of its deviations, fitted to exact values at their limits (k,).
+
+    Raises ValueError for directions without light.
+    """
+
+    def __init__(self, lobe: GaussianLobe, limits: Floats) -> None:
+        self._limits, self._theory = limits, lobe.theory
+        self._surrogate = Surrogate(lobe.scenes, lobe.deviations(np.diag(limits)))
+
+    def percents(self, blocks: Iterable[Floats]) -> Iterator[Floats]:
+        """The criterion (n,) of each block of combinations (n, k)."""
+        factors = (values / self._limits for values in blocks)
+        return (100.0 * found for found in self._surrogate.relative_rms(factors, self._theory))
 
 
 class Recentred:

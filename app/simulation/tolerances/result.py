@@ -8,10 +8,10 @@ import numpy as np
 
 from goniotwin.app.errors import UserError
 from goniotwin.app.simulation.corner_search import WorstCombination, rms_percent
-from goniotwin.app.simulation.tolerances.beam_on_sample import BeamOnSample, Scaled
+from goniotwin.app.simulation.tolerances.beam_on_sample import LIT_SIDE_MM, BeamOnSample, Scaled
 from goniotwin.app.simulation.tolerances.drawing import Distribution, draw_deviations
 from goniotwin.app.simulation.tolerances.light import Evenness, IlluminationLight
-from goniotwin.app.simulation.tolerances.lobe import GaussianLobe, Recentred
+from goniotwin.app.simulation.tolerances.lobe import GaussianLobe, LobeSurrogate, Recentred
 from goniotwin.app.simulation.tolerances.stages import (
     Combinations,
     LimitsAlone,
@@ -198,7 +198,13 @@ def _compute_case(study: StudyFile, variant: VariantTable | None, report: Report
 
     levels, settings = levels_of_parameters(parameters), study.combinations
     if math.prod(each.size for each in levels) <= settings.enumerate_up_to:
-        combinations = all_combinations(response, levels, within, done)
+        surrogate = None
+        if isinstance(response, GaussianLobe) and settings.evaluator == "surrogate":
+            try:
+                surrogate = LobeSurrogate(response, limits)
+            except ValueError as error:
+                raise UserError(f'combinations.evaluator: {error}; write "exact"') from None
+        combinations = all_combinations(response, levels, within, done, surrogate)
     else:
         combinations = evaluate_draws(response, random_corners(limits, settings.draws, settings.seed), within, done)
     return Case(name, parameters, limits, aligned, alone, combinations, worst, common, individual), response
@@ -237,10 +243,11 @@ def _recentre(lobe: GaussianLobe, case: Case) -> AfterRecentring:
         Limitation("relative RMS", "%", within, case.worst.percent, case.common.factor),
         Limitation("relative RMS about the measured peak", "%", within, worst.percent, _factor(recentred, limits, within)),
     ]
-    margin_mm = _margin_mm(lobe)
+    margin_mm = 0.5 * (LIT_SIDE_MM - lobe.instrument.spot_side_mm)
     quantities: tuple[tuple[str, str, float, Callable[[Floats], Floats]], ...] = (
         ("incidence", "deg", INCIDENCE_LIMIT_DEG, beam.incidence_deg),
         ("place of the light on the sample", "mm", margin_mm, lambda values: np.abs(beam.place_mm(values)).max(axis=1)),
+        ("light that misses the sample's hole", "%", within, lambda values: 100.0 * (1.0 - beam.lit_share(values))),
     )
     for name, unit, limit, quantity in quantities:
         response = Scaled(quantity, limit)
@@ -255,12 +262,6 @@ def _factor(response: Response, limits: Floats, within: float) -> float:
     """Factor of the limits with which no combination exceeds `within`; above 1 where they could be larger."""
     wide = 64.0
     return wide * reduce_limits(response, wide * limits, within).factor
-
-
-def _margin_mm(lobe: GaussianLobe) -> float:
-    """Half of what the slit's image is wider than the hole, across the beam."""
-    unit = IlluminationUnit(sample_distance_mm=min(lobe.instrument.pupil_distance_mm, 1e5))
-    return 0.5 * (min(unit.opening_mm) * unit.output_condenser_magnification - lobe.instrument.spot_side_mm)
 
 
 def _uniformity(light: IlluminationLight, case: Case) -> Uniformity:

@@ -5,8 +5,8 @@ combination fails. Values are in degrees or mm, as the deviations; the criterion
 """
 
 import math
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -16,7 +16,9 @@ from goniotwin.arrays import Flags, Floats, Ints
 
 CHUNK = 8192
 """Number of combinations that are evaluated at a time."""
-SCANNED, HALVINGS = 48, 40
+CONFIRMED, WORST_CONFIRMED = 50, 20
+"""Random combinations, and the worst ones by a surrogate, that are evaluated exactly."""
+SCANNED, HALVINGS = 36, 30
 """Amounts at which a deviation alone is evaluated, and halvings of the interval in which it fails first."""
 ReportShare = Callable[[float, str], None]
 """Receives the share that is done, and the current step."""
@@ -27,6 +29,14 @@ class Response(Protocol):
 
     def residuals(self, values: Floats) -> Floats:
         """Residuals (n, m) of combinations (n, k) of the deviations' values."""
+        ...
+
+
+class Surrogate(Protocol):
+    """A second evaluator of the criterion, faster and not exact."""
+
+    def percents(self, blocks: Iterable[Floats]) -> Iterator[Floats]:
+        """The criterion (n,) of each block of combinations (n, k) of the deviations' values."""
         ...
 
 
@@ -49,7 +59,8 @@ class Combinations:
 
     `within` are the limits of the criterion. Shares and their standard errors are by these; the errors are zero if `complete`.
     `surviving` (k, 2): the least and the greatest value of each deviation among the combinations that pass the first limit.
-    `worst` (k,) are the values of the worst combination.
+    `worst` (k,) are the values of the worst combination. If a surrogate has computed `percent`, `surrogate_error_percent` is
+    its largest error, in percentage points, at random combinations and at its worst ones; these are exact.
     """
 
     percent: Floats
@@ -57,6 +68,7 @@ class Combinations:
     within: tuple[float, ...]
     surviving: Floats
     worst: Floats
+    surrogate_error_percent: float | None = None
 
     @property
     def shares(self) -> tuple[tuple[float, float], ...]:
@@ -89,7 +101,7 @@ def counted_share(passed: Flags) -> tuple[float, float]:
 def limits_alone(response: Response, limits: Floats, largest: Floats, within: Sequence[float]) -> LimitsAlone:
     """Stage 1: each deviation alone, at its limits (k,), and the amount up to `largest` (k,) at which it fails first.
 
-    The amounts are scanned in 48 geometric steps, so that the first of several failures is found, and the step is then halved.
+    The amounts are scanned in 36 geometric steps, so that the first of several failures is found, and the step is then halved.
     """
     count = limits.size
     at_limits = _alone(response, np.repeat(limits[:, None], 1, axis=1))[:, 0]
@@ -122,21 +134,39 @@ def _alone(response: Response, amounts: Floats) -> Floats:
 
 
 def all_combinations(
-    response: Response, levels: Sequence[Floats], within: tuple[float, ...], report: ReportShare = lambda _share, _step: None
+    response: Response,
+    levels: Sequence[Floats],
+    within: tuple[float, ...],
+    report: ReportShare = lambda _share, _step: None,
+    surrogate: Surrogate | None = None,
 ) -> Combinations:
     """Stage 2: every combination of the levels of each deviation, in chunks; `report` is called after each.
 
-    The last deviation changes first.
+    The last deviation changes first. With a surrogate that evaluates them; its worst combinations, and random ones for its
+    error, are then evaluated exactly.
     """
     shape = tuple(each.size for each in levels)
     number = math.prod(shape)
 
-    def chunks() -> Iterator[Floats]:
-        for first in range(0, number, CHUNK):
-            places = np.unravel_index(np.arange(first, min(first + CHUNK, number)), shape)
-            yield np.stack([values[place] for values, place in zip(levels, places, strict=True)], axis=1)
+    def combinations(numbers: Ints) -> Floats:
+        places = np.unravel_index(numbers, shape)
+        return np.stack([values[place] for values, place in zip(levels, places, strict=True)], axis=1)
 
-    return _evaluate(response, chunks(), number, len(levels), True, within, report)
+    def chunks() -> Iterator[Floats]:
+        return (combinations(np.arange(first, min(first + CHUNK, number))) for first in range(0, number, CHUNK))
+
+    if surrogate is None:
+        return _evaluate(_with_percents(response, chunks()), number, len(levels), True, within, report)
+    pairs = zip(chunks(), surrogate.percents(chunks()), strict=True)
+    found = _evaluate(pairs, number, len(levels), True, within, report)
+    worst = np.argsort(-found.percent, kind="stable")[:WORST_CONFIRMED]
+    chosen = np.concatenate([worst, np.random.Generator(np.random.Philox(number)).integers(0, number, CONFIRMED)])
+    exact = rms_percent(response.residuals(combinations(chosen)))
+    error = float(np.abs(found.percent[chosen] - exact).max())
+    percent = found.percent.copy()
+    percent[chosen] = exact
+    place = worst[int(np.argmax(exact[: worst.size]))]
+    return replace(found, percent=percent, worst=combinations(np.array([place]))[0], surrogate_error_percent=error)
 
 
 def evaluate_draws(
@@ -144,18 +174,21 @@ def evaluate_draws(
 ) -> Combinations:
     """The criterion of random combinations (n, k), in chunks."""
     chunks = (draws[first : first + CHUNK] for first in range(0, len(draws), CHUNK))
-    return _evaluate(response, chunks, len(draws), draws.shape[1], False, within, report)
+    return _evaluate(_with_percents(response, chunks), len(draws), draws.shape[1], False, within, report)
+
+
+def _with_percents(response: Response, chunks: Iterable[Floats]) -> Iterator[tuple[Floats, Floats]]:
+    return ((values, rms_percent(response.residuals(values))) for values in chunks)
 
 
 def _evaluate(
-    response: Response, chunks: Iterator[Floats], number: int, count: int, complete: bool, within: tuple[float, ...],
+    chunks: Iterable[tuple[Floats, Floats]], number: int, count: int, complete: bool, within: tuple[float, ...],
     report: ReportShare,
 ) -> Combinations:  # fmt: skip
     percent = np.empty(number)
     surviving = np.stack([np.full(count, np.inf), np.full(count, -np.inf)], axis=1)
     worst, largest, done = np.zeros(count), -math.inf, 0
-    for values in chunks:
-        found = rms_percent(response.residuals(values))
+    for values, found in chunks:
         percent[done : done + len(values)] = found
         passed = values[found <= within[0]]
         if len(passed):

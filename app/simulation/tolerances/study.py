@@ -11,6 +11,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Discriminator, Field, PositiveFloat, Tag, model_validator
 
+from goniotwin.app.simulation.paper.table3 import collimated
 from goniotwin.app.simulation.tolerances.drawing import Distribution
 from goniotwin.app.simulation.tolerances.stages import levels_of
 from goniotwin.app.toml_file import TomlTable, read_toml, validate_table
@@ -24,8 +25,6 @@ from goniotwin.twin.optics.illumination.unit import ELEMENTS as ILLUMINATION_ELE
 
 BEAM = "beam"
 """The whole illumination unit, turned about the sample."""
-FAR_MM = 1e6
-COLLIMATED_MIRROR_MM = 60.0
 MOST_DEVIATIONS = 60
 MOST_LEVELS = 101
 
@@ -185,14 +184,7 @@ class InstrumentTable(TomlTable):
         """The instrument without deviations."""
         own = self.model_dump(exclude={"pupil_distance_mm", "collimated"})
         near = Instrument(**own, pupil_to_mirror_mm=self.pupil_distance_mm - 3.0 * Dimensions.mirror_distance_mm)
-        return collimate(near) if self.collimated else near
-
-
-def collimate(instrument: Instrument) -> Instrument:
-    """An instrument of the same divergence with its exit pupil at infinity, and mirrors large enough for the tilted beam."""
-    distance = FAR_MM + 3.0 * instrument.mirror_distance_mm
-    radius = instrument.pupil_radius_mm * distance / instrument.pupil_distance_mm
-    return replace(instrument, pupil_radius_mm=radius, pupil_to_mirror_mm=FAR_MM, mirror_side_mm=COLLIMATED_MIRROR_MM)
+        return collimated(near) if self.collimated else near
 
 
 class CombinationsTable(TomlTable):
@@ -200,8 +192,12 @@ class CombinationsTable(TomlTable):
 
     All combinations of the steps if there are no more than `enumerate_up_to`. Otherwise `draws` random corners, every deviation
     at one of its limits, counted with a standard error. `seed` is that of the random numbers.
+
+    `evaluator` of all combinations: "exact", or for a Gaussian a "surrogate" to the second order of the deviations, whose worst
+    combinations are evaluated exactly and whose error is measured and stated.
     """
 
+    evaluator: Literal["exact", "surrogate"] = "exact"
     enumerate_up_to: Annotated[int, Field(ge=0, le=50_000_000)] = 1_000_000
     draws: Draws = 20_000
     seed: Seed = 1
@@ -261,6 +257,8 @@ class StudyFile(TomlTable):
     @model_validator(mode="after")
     def _check_elements(self) -> "StudyFile":
         flux = self.criterion.kind == "flux"
+        if flux and self.combinations.evaluator == "surrogate":
+            raise ValueError('combinations.evaluator: a flux has no surrogate; write "exact", or remove it')
         known = ILLUMINATION_ELEMENTS if flux else (*INSTRUMENT_ELEMENTS, BEAM)
         groups = [(f"deviations.{k}", each) for k, each in enumerate(self.deviations)]
         groups += [

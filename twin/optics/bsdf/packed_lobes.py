@@ -47,7 +47,7 @@ def pack_models(lobes: Sequence[Lobe], incident: int = 1, *, cells: bool = False
 
     `cells` are for drawing alone: without them a table of one zero takes their place.
     """
-    heads, starts, flat, used = [], [], [], 0
+    heads, starts, flat, used = [], [], [], 0  # an array ends where the next one starts
     for lobe in lobes:
         kind, _, *arrays = lobe.kernel_arguments
         arrays.append(lobe.cells if cells else NO_CELLS)
@@ -76,16 +76,26 @@ def pack_lobes(lobes: tuple[Lobe, ...], weights: Floats, incident: int) -> Lobes
 
 
 @kernel()
+def model_arrays(models: Models, k: int) -> tuple[int, Floats, Floats, Floats, Floats, Floats, Floats]:
+    """Arguments of `bsdf` for lobe k: kind, params, sigma, phi, theta, psi and table."""
+    heads, starts, flat = models.heads, models.starts, models.flat
+    sigmas, phis, thetas = heads[k, FIRST], heads[k, FIRST + 1], heads[k, FIRST + 2]
+    sig, ph = flat[starts[k, 0] : starts[k, 0] + sigmas], flat[starts[k, 1] : starts[k, 1] + phis]
+    th, psi = flat[starts[k, 2] : starts[k, 2] + thetas], flat[starts[k, 3] : starts[k, 3] + heads[k, FIRST + 3]]
+    table = flat[starts[k, 4] : starts[k, 5]].reshape(heads[k, FIRST + 4], sigmas, phis, thetas)
+    return heads[k, KIND], models.params[k], sig, ph, th, psi, table
+
+
+@kernel()
 def lobe_arrays(
     models: Models, k: int
 ) -> tuple[int, Floats, Floats, Floats, Floats, Floats, Floats, Floats]:  # fmt: skip
-    """Arguments of `scatter` for lobe k: kind, params, sigma, phi, theta, psi, table and cells."""
-    size, start, flat = models.heads[k, FIRST:], models.starts[k], models.flat
-    sig, ph = flat[start[0] : start[0] + size[0]], flat[start[1] : start[1] + size[1]]
-    th, psi = flat[start[2] : start[2] + size[2]], flat[start[3] : start[3] + size[3]]
-    table = flat[start[4] : start[4] + size[4] * size[0] * size[1] * size[2]].reshape(size[4], size[0], size[1], size[2])
-    cells = flat[start[5] : start[5] + size[5] * size[6] * size[7]].reshape(size[5], size[6], size[7])
-    return models.heads[k, KIND], models.params[k], sig, ph, th, psi, table, cells
+    """Arguments of `scatter` for lobe k: those of `bsdf` and the cells."""
+    heads, start = models.heads, models.starts[k, 5]
+    size = heads[k, FIRST + 5] * heads[k, FIRST + 6] * heads[k, FIRST + 7]
+    cells = models.flat[start : start + size].reshape(heads[k, FIRST + 5], heads[k, FIRST + 6], heads[k, FIRST + 7])
+    kind, params, sig, ph, th, psi, table = model_arrays(models, k)
+    return kind, params, sig, ph, th, psi, table, cells
 
 
 @kernel()

@@ -14,7 +14,7 @@ import numpy as np
 
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics.bsdf.models import GAUSSIAN, LAMBERTIAN, bsdf
-from goniotwin.twin.optics.bsdf.packed_lobes import TRANSMITS, Models, lobe_arrays
+from goniotwin.twin.optics.bsdf.packed_lobes import TRANSMITS, Models, model_arrays
 from goniotwin.twin.optics.kernel import kernel
 
 LOG2_E = 1.0 / math.log(2.0)
@@ -76,7 +76,7 @@ def lobe_sums(models: Models, lobe: int, rays: Floats, each: int, values: Floats
     `rays` (7, at least n each) has the first ray of every detector, then the second of every one, and so on. `values` (at least
     n each) is a buffer.
     """
-    kind, params, sig, ph, th, psi, table, _ = lobe_arrays(models, lobe)
+    kind, params, sig, ph, th, psi, table = model_arrays(models, lobe)
     transmits, count = models.heads[lobe, TRANSMITS] == 1, result.size
     if kind == GAUSSIAN:
         gaussian_values(params[0], params[1], params[2] == 1.0, params[4], transmits, rays, values[: each * count])

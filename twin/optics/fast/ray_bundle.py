@@ -6,7 +6,7 @@ from functools import lru_cache
 import numpy as np
 
 from goniotwin.arrays import Floats
-from goniotwin.twin.optics.geometry.scene import SceneArrays, detector_frame, image_coordinates, reaches_over
+from goniotwin.twin.optics.geometry.scene import SceneArrays, detector_frame, reaches_over
 from goniotwin.twin.optics.kernel import kernel
 
 TILE = 64
@@ -83,7 +83,7 @@ def fill_ends(axes: Floats, bundle: Floats, first: int, count: int, sign: float,
     etalon and sample are measured at slightly different poses. Directions are uniform over the cone's projection on the disc,
     so the weight includes the other cosines.
     """
-    radius, half = sizes[0], sizes[1]
+    radius, half, spot = sizes[0], sizes[1], 0.25 / (sizes[1] * sizes[1])
     e1x, e1y, e1z, e2x, e2y = axes[0, 0], axes[0, 1], axes[0, 2], axes[1, 0], axes[1, 1]
     dx, dy, dz, beside1, beside2, ahead = axes[2, 0], axes[2, 1], axes[2, 2], axes[3, 0], axes[3, 1], axes[3, 2]
     for row in range(SHARED_ROWS):
@@ -96,7 +96,8 @@ def fill_ends(axes: Floats, bundle: Floats, first: int, count: int, sign: float,
         b0, bu, bv = ahead * q - beside2, e2x - q * dx, e2y - q * dy
         square = au * au + bu * bu
         area = au * bv - av * bu
-        middle, reach = (bu * a0 - au * b0) / area, radius * math.sqrt(square) / abs(area)
+        whole, part = 1.0 / area, 1.0 / square  # few divisions and roots: they are half of the time
+        middle, reach = (bu * a0 - au * b0) * whole, radius * math.sqrt(square) * abs(whole)
         # Plain comparisons: Python's max and min prevent vectorisation of the loop.
         low, high = middle - reach, middle + reach
         low, high = (low if low > -half else -half), (high if high < half else half)
@@ -105,7 +106,7 @@ def fill_ends(axes: Floats, bundle: Floats, first: int, count: int, sign: float,
         a1, b1 = a0 + av * v, b0 + bv * v
         beside = a1 * bu - b1 * au
         inside = radius * radius * square - beside * beside
-        middle, reach = -(a1 * au + b1 * bu) / square, math.sqrt(inside if inside > 0.0 else 0.0) / square
+        middle, reach = -(a1 * au + b1 * bu) * part, math.sqrt(inside if inside > 0.0 else 0.0) * part
         low, high = middle - reach, middle + reach
         low, high = (low if low > -half else -half), (high if high < half else half)
         share_u = high - low
@@ -113,10 +114,11 @@ def fill_ends(axes: Floats, bundle: Floats, first: int, count: int, sign: float,
         wz = along * (dz + p * e1z)
         # NaN (a detector in the sample's plane) and rays from the far side of the sample do not count.
         counts = (share_u > 0.0) & (share_v > 0.0) & (wz * dz > 0.0)
-        t[i + END_WEIGHT] = abs(area) * share_u * share_v / (4.0 * half * half) if counts else 0.0
+        t[i + END_WEIGHT] = abs(area) * share_u * share_v * spot if counts else 0.0
         t[i + END_U], t[i + END_V] = u, v
         t[i + END_X], t[i + END_Y] = along * (dx + p * e1x + q * e2x), along * (dy + p * e1y + q * e2y)
-        t[i + END_Z], t[i + END_LENGTH] = wz, (ahead - u * dx - v * dy) / along
+        # The direction's component along the axis is 1 / sqrt(1 + p^2 + q^2), so this is the length without a division.
+        t[i + END_Z], t[i + END_LENGTH] = wz, (ahead - u * dx - v * dy) * along * (1.0 + p * p + q * q)
 
 
 @kernel(nogil=True, fastmath={"contract"})
@@ -137,6 +139,16 @@ def hide_ends(mirrors: Floats, near: Floats, half: float, count: int, t: Floats)
                 inside = (abs(x * ux + y * uy + z * uz) <= half) & (abs(x * vx + y * vy + z * vz) <= half)
                 blocked = (distance > 0.0) & (distance < t[i + END_LENGTH]) & inside
                 t[i + END_WEIGHT] = 0.0 if blocked else t[i + END_WEIGHT]
+
+
+@kernel(forceinline=True)
+def linear_coordinates(image: Floats, axis: int, pupil: Floats) -> tuple[float, float, float, float, float, float]:
+    """Coordinate along an axis of a mirror's image, from its centre: constant and slopes over the hole and over the pupil."""
+    ex, ey, ez = image[axis, 0], image[axis, 1], image[axis, 2]
+    own = image[0, 0] * ex + image[0, 1] * ey + image[0, 2] * ez
+    centre = pupil[0, 0] * ex + pupil[0, 1] * ey + pupil[0, 2] * ez
+    along_u = pupil[1, 0] * ex + pupil[1, 1] * ey + pupil[1, 2] * ez
+    return -own, ex, ey, centre - own, along_u, pupil[2, 0] * ex + pupil[2, 1] * ey + pupil[2, 2] * ez
 
 
 @kernel(nogil=True, fastmath={"contract"})
@@ -162,12 +174,15 @@ def fill_arrivals(
         t[i + RAY_WEIGHT], t[i + RAY_X], t[i + RAY_Y], t[i + RAY_Z] = share * t[i + END_WEIGHT] * gain, x, y, z
     for m in range(3):
         if scene.missed[m] > 0.0:
-            image = scene.images[m]
+            # `image_coordinates` of the point on the sample are linear in (u, v), and so are those of the point of the pupil.
+            hn, hnu, hnv, gn, gnu, gnv = linear_coordinates(scene.images[m], 1, pupil)
+            hu, huu, huv, gu, guu, guv = linear_coordinates(scene.images[m], 2, pupil)
+            hv, hvu, hvv, gv, gvu, gvv = linear_coordinates(scene.images[m], 3, pupil)
             for i in range(count):
-                u, v, px, py = sign * t[i + PUPIL_U], sign * t[i + PUPIL_V], t[i + END_U], t[i + END_V]
-                x, y, z = cx + u * ax + v * bx, cy + u * ay + v * by, cz + u * az + v * bz
-                over = reaches_over(image_coordinates(image, px, py, 0.0), image_coordinates(image, x, y, z), half)
-                t[i + RAY_WEIGHT] = t[i + RAY_WEIGHT] if over else 0.0
+                x, y, u, v = t[i + END_U], t[i + END_V], sign * t[i + PUPIL_U], sign * t[i + PUPIL_V]
+                near = hn + hnu * x + hnv * y, hu + huu * x + huv * y, hv + hvu * x + hvv * y
+                far = gn + gnu * u + gnv * v, gu + guu * u + guv * v, gv + gvu * u + gvv * v
+                t[i + RAY_WEIGHT] = t[i + RAY_WEIGHT] if reaches_over(near, far, half) else 0.0
     for row in range(4):
         for i in range(count):
             rays[row, column + i] = t[i + RAY_WEIGHT + row * TILE]

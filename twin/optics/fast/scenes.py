@@ -21,7 +21,7 @@ import numpy.typing as npt
 from goniotwin.arrays import Floats, Ints
 from goniotwin.twin.optics.bsdf.lobes import Lobe, parameters
 from goniotwin.twin.optics.bsdf.models import ANISOTROPIC, LAMBERTIAN, REGULAR, TABLE, regular_share
-from goniotwin.twin.optics.bsdf.packed_lobes import ABOVE, KIND, TRANSMITS, Models, lobe_arrays, pack_models
+from goniotwin.twin.optics.bsdf.packed_lobes import ABOVE, KIND, TRANSMITS, Models, model_arrays, pack_models
 from goniotwin.twin.optics.bsdf.scatterer import Scatterer
 from goniotwin.twin.optics.fast.aperture import (
     BLOCK,
@@ -168,7 +168,10 @@ def score_scenes(
                     else:
                         above = True
             first, total = starts[p], starts[p + 1] - starts[p]
-            result[first_rig + rig, :, :, first : first + total] = 0.0
+            for k in range(result.shape[1]):
+                for j in range(mirrors.size):
+                    for i in range(first, first + total):
+                        result[first_rig + rig, k, j, i] = 0.0
             fill_detectors(
                 optics.lengths, deviations[rig], scene.to_sample, scene.origin, directions[first : first + total], centres, axes
             )
@@ -207,7 +210,8 @@ def select_lit(centres: Floats, axes: Floats, total: int, above: bool, below: bo
 def mirror_products(spectra: Spectra, scene: SceneArrays, result: Floats) -> None:
     """Fill `result` (w,) with the product of the three mirrors' reflectances, linear between the angles of the table."""
     angles, last = spectra.angles_deg, spectra.angles_deg.size - 1
-    result[:] = 1.0
+    for j in range(result.size):
+        result[j] = 1.0
     for m in range(3):
         i, share = 0, 0.0
         if last > 0:
@@ -225,20 +229,22 @@ def score_block(
     optics: Optics, models: Models, scene: SceneArrays, centres: Floats, axes: Floats, acting: Ints, block: Block
 ) -> None:  # fmt: skip
     """Fill `block.sums` (lobes, BLOCK): throughputs by the lobes `acting` alone, mirrors without loss, of n detectors."""
-    count, kept = axes.shape[0], False
+    count, kept, above, below = axes.shape[0], False, False, False
+    for i in range(count):
+        above, below = above or axes[i, 2] >= 0.0, below or axes[i, 2] < 0.0
+    for i in range(count):
+        block.taken[i], block.status[i] = 0.0, PARTLY
     for k in acting:
-        block.sums[k, :count] = 0.0
+        for i in range(count):
+            block.sums[k, i] = 0.0
         kept = kept or models.heads[k, KIND] in TABLE_KINDS
-    if optics.bundles:
-        block.status[:count] = PARTLY
-    else:
+    if not optics.bundles:
         fill_nodes(optics, scene, centres, axes, block)
         for k in acting:
-            if models.heads[k, KIND] not in TABLE_KINDS:
+            if models.heads[k, KIND] not in TABLE_KINDS and (below if models.heads[k, TRANSMITS] == 1 else above):
                 lobe_sums(models, k, block.rays, NODES, block.values, block.sums[k, :count])
     # Tables have kinks, which seven rays do not resolve: their mean is taken over a bundle, times what the seven rays take, as
     # sample and etalon must have the same accepted rays.
-    block.taken[:count] = 0.0
     if kept and not optics.bundles:
         for j in range(NODES):
             for i in range(count):
@@ -291,7 +297,9 @@ def add_bundle(
     """Fill the sums of detector i of the block from a whole bundle; unless `partly` those of tables alone."""
     lengths, sizes, bundle, lanes, t, rays = optics.lengths, optics.sizes, optics.bundle, block.lanes, block.tile, block.rays
     view, near, whole = np.empty((4, 3)), np.zeros(3), models.heads.shape[0]
-    lanes[:] = 0.0
+    for k in range(whole + 1):
+        for lane in range(TILE):
+            lanes[k, lane] = 0.0
     fill_view(centre, d, view)
     if optics.obstruction:
         mirrors_near(scene.mirrors, lengths[HALF_BLOCKING], centre, sizes, near)
@@ -305,18 +313,22 @@ def add_bundle(
                 fill_arrivals(scene, lengths[HALF_MIRROR], other, share, count, t, rays, column)
                 column += count
         for k in acting:
-            if partly or models.heads[k, KIND] in TABLE_KINDS:
+            on_its_side = (d[2] < 0.0) == (models.heads[k, TRANSMITS] == 1)
+            if on_its_side and (partly or models.heads[k, KIND] in TABLE_KINDS):
                 lobe_sums(models, k, rays, 4, block.values, lanes[k, :count])
         if not partly:
             for j in range(4):
                 for lane in range(count):
                     lanes[whole, lane] += rays[0, j * count + lane]
-    given = lanes[whole].sum()
+    for k in range(whole + 1):
+        for lane in range(1, TILE):
+            lanes[k, 0] += lanes[k, lane]
+    given = lanes[whole, 0]
     for k in acting:
         if partly:
-            block.sums[k, i] = lanes[k].sum()
+            block.sums[k, i] = lanes[k, 0]
         elif models.heads[k, KIND] in TABLE_KINDS:
-            block.sums[k, i] = block.taken[i] / given * lanes[k].sum() if given > 0.0 else 0.0
+            block.sums[k, i] = block.taken[i] / given * lanes[k, 0] if given > 0.0 else 0.0
 
 
 @kernel(inline="always")
@@ -326,7 +338,7 @@ def fill_regular(
     """Fill `result` (n,) with throughputs in m^2 sr by the REGULAR lobe k."""
     transmits, pupil = models.heads[k, TRANSMITS] == 1, scene.pupil
     image_measures(centres, axes, optics.sizes, pupil, transmits, optics.image_hole, optics.image_line, result)
-    _, params, sig, _, _, _, table, _ = lobe_arrays(models, k)
+    _, params, sig, _, _, _, table = model_arrays(models, k)
     length = math.sqrt(pupil[0, 0] ** 2 + pupil[0, 1] ** 2 + pupil[0, 2] ** 2)
     share = regular_share(params, sig, table, pupil[0, 0] / length, pupil[0, 1] / length, pupil[0, 2] / length)
     for i in range(result.size):

@@ -51,7 +51,7 @@ class Mirrors:
 
     @property
     def axes_v(self) -> Floats:
-        """Unit vectors (3, 3) in the plane of the unit: normal x axis_u."""
+        """Unit vectors (3, 3) in the plane of the unit."""
         return self.packed[:, 3]
 
 

@@ -1,5 +1,6 @@
 """The responses of the instrument to deviations: numbers of an independent prototype, and closed forms of the geometry."""
 
+import itertools
 import math
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 
 from goniotwin.app.simulation.corner_search import rms_percent
 from goniotwin.app.simulation.tolerances.beam_on_sample import BeamOnSample
-from goniotwin.app.simulation.tolerances.lobe import GaussianLobe, Recentred
+from goniotwin.app.simulation.tolerances.lobe import GaussianLobe, LobeSurrogate, Recentred
 from goniotwin.app.simulation.tolerances.stages import all_combinations, reduce_limits, worst_combination
 from goniotwin.app.simulation.tolerances.study import (
     DeviationsTable,
@@ -88,6 +89,20 @@ def test_the_light_moves_on_the_sample_by_twice_the_tilt_times_the_path() -> Non
     assert max(shift[name] for name in ("sample rx", "sample ry", "arc rx", "arc ry", "beam rx", "beam rz")) < 1e-5
 
 
+def test_the_light_misses_a_part_of_the_hole_as_far_as_it_is_shifted() -> None:
+    """At normal incidence a shift of 2 mm, of which 1 mm is the margin, leaves 4 of 5 mm lit; six mirror tilts leave 0.72."""
+    instrument = Instrument(obstruction=False)
+    groups = [DeviationsTable(elements=["mirror_1", "mirror_2", "mirror_3"], angles=["rx", "ry"], limit_deg=0.05)]
+    lobe = GaussianLobe(instrument, GaussianTable(kind="gaussian", sigma_deg=[0.0]), parameters_of(groups, instrument))
+    beam = BeamOnSample(lobe, 0.0)
+    tilt = math.degrees(2.0 / (2.0 * 600.0))
+    assert beam.lit_share(np.diag([tilt, 0.0, 0.0, 0.0, 0.0, 0.0])[:1]) == pytest.approx([0.8], abs=1e-3)
+    assert beam.lit_share(np.zeros((1, 6))) == pytest.approx([1.0], abs=1e-12)
+    rig = BeamOnSample(lobe, 30.0)
+    signs = np.array(list(itertools.product((-0.05, 0.05), repeat=6)))
+    assert rig.lit_share(signs).min() == pytest.approx(0.72, abs=0.02)
+
+
 def test_about_its_measured_peak_the_worst_corner_is_as_good_as_the_aligned_instrument() -> None:
     lobe = lobe_of()
     limits = limits_of(lobe.parameters)
@@ -106,6 +121,22 @@ def test_the_measured_peak_of_a_lobe_has_a_place_across_the_plane_of_incidence()
     np.testing.assert_allclose(np.hypot(*places[:2, 0].T), 0.2, atol=0.003)
     np.testing.assert_allclose(np.abs(places[0, 0] * places[1, 0]), 0.0, atol=0.002)
     np.testing.assert_allclose(heights, heights[2, 0], rtol=1e-3)
+
+
+def test_a_surrogate_of_all_combinations_states_its_measured_error_and_its_worst_is_exact() -> None:
+    instrument = Instrument(obstruction=False)
+    groups = [DeviationsTable(elements=["mirror_2", "sample", "arc"], angles=["rx", "ry"], limit_deg=0.05)]
+    lobe = GaussianLobe(instrument, CRITERION, parameters_of(groups, instrument))
+    levels, limits = levels_of_parameters(lobe.parameters), limits_of(lobe.parameters)
+    exact = all_combinations(lobe, levels, (5.0,))
+    found = all_combinations(lobe, levels, (5.0,), surrogate=LobeSurrogate(lobe, limits))
+    assert exact.surrogate_error_percent is None
+    assert found.surrogate_error_percent is not None
+    assert 0.0 < found.surrogate_error_percent < 0.05
+    # The stated error is a sample of the true one.
+    assert np.abs(found.percent - exact.percent).max() < 3.0 * found.surrogate_error_percent
+    assert found.worst_percent == exact.worst_percent
+    np.testing.assert_array_equal(found.worst, exact.worst)
 
 
 def drawn_lobe(random: np.random.Generator, most: int) -> tuple[GaussianLobe, tuple[Parameter, ...], Floats]:

@@ -84,7 +84,7 @@ def test_levels_have_zero_and_both_limits() -> None:
 def test_the_reduced_limits_of_a_linear_response_are_the_limit_over_the_sum_of_slopes() -> None:
     slopes, limits = np.array([0.4, -1.0, 0.6]), np.array([0.05, 0.05, 0.1])
     found = reduce_limits(linear(slopes, 0.01), limits, 5.0)
-    assert found.factor == pytest.approx((0.05 - 0.01) / np.abs(slopes * limits).sum(), rel=1e-9)
+    assert found.factor == pytest.approx((0.05 - 0.01) / np.abs(slopes * limits).sum(), rel=1e-8)
     assert found.worst.percent == pytest.approx(5.0)
     passing = reduce_limits(linear(slopes), 0.1 * limits, 5.0)
     assert passing.factor == 1.0
@@ -93,10 +93,10 @@ def test_the_reduced_limits_of_a_linear_response_are_the_limit_over_the_sum_of_s
     assert impossible.worst.percent == pytest.approx(10.0)
 
 
-@pytest.mark.parametrize("count", [1, 2, 5, 9])
+@pytest.mark.parametrize("count", [1, 2, 5, 8])
 def test_the_search_finds_the_worst_corner_of_random_quadratic_responses(count: int) -> None:
     """The residuals of a lobe: linear in the deviations, with squares and products a tenth as large."""
-    for _ in range(5):
+    for _ in range(3):
         constant, slopes = 0.02 * RANDOM.standard_normal(9), 0.05 * RANDOM.standard_normal((count, 9))
         bends = 0.005 * RANDOM.standard_normal((count, count, 9))
         response = Closed(
@@ -114,9 +114,9 @@ def test_the_search_takes_few_evaluations() -> None:
     assert found.percent == pytest.approx(found.linear_percent)
 
 
-def test_the_search_of_thirty_deviations_finds_the_corner_with_all_signs() -> None:
-    slopes = RANDOM.standard_normal(30)
-    found = search_worst(linear(slopes, 0.5).residuals, 30)
+def test_the_search_of_more_deviations_than_have_their_corners_listed_finds_the_corner_with_all_signs() -> None:
+    slopes = RANDOM.standard_normal(18)
+    found = search_worst(linear(slopes, 0.5).residuals, 18)
     assert found.percent == pytest.approx(100.0 * (0.5 + np.abs(slopes).sum()))
     assert found.levels.tolist() == np.sign(slopes).tolist()
 

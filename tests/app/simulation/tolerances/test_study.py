@@ -89,6 +89,12 @@ def test_the_elements_of_the_illumination_unit_are_those_of_the_criterion_of_the
         study_of(text.replace('"arc", ', '"mirror_1", '), tmp_path)
 
 
+def test_a_flux_has_no_surrogate(tmp_path: Path) -> None:
+    text = (FOLDER / "table1.toml").read_text(encoding="utf-8")
+    with pytest.raises(UserError, match=r"combinations\.evaluator: a flux has no surrogate; write .exact."):
+        study_of(text.replace("[combinations]", '[combinations]\nevaluator = "surrogate"'), tmp_path)
+
+
 def test_every_key_of_a_study_has_a_description() -> None:
     schema = json_schema(StudyFile, "goniotwin tolerances file")
     for each in (schema, *schema["$defs"].values()):
