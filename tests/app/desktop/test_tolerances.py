@@ -102,7 +102,7 @@ def test_a_study_is_shown_before_it_is_computed(screen: TolerancesScreen) -> Non
     screen.choice.setCurrentIndex(1)
     assert len(cells(screen, 0)) == 30
     assert "flux into the central 5 × 5 mm within 5 % or 10 %" in screen.study_text.toPlainText()
-    assert "20,000 random corners" in screen.study_text.toPlainText()
+    assert "5,000 random corners" in screen.study_text.toPlainText()
 
 
 def test_a_file_that_is_no_study_is_refused_with_the_reason(screen: TolerancesScreen, tmp_path: Path) -> None:
@@ -220,6 +220,23 @@ def test_the_files_are_saved_and_those_of_an_earlier_study_replaced_after_a_ques
     folder.write_text("a file", encoding="utf-8")
     screen.save_in(folder / "deeper")
     assert screen.status.text().startswith("✗ ")
+
+
+def test_a_study_is_computed_by_keys_and_the_focus_goes_where_the_next_key_is(qtbot: QtBot, screen: TolerancesScreen) -> None:
+    screen.show()
+    screen.activateWindow()
+    qtbot.waitUntil(screen.isActiveWindow)
+    qtbot.keyClick(screen, Qt.Key.Key_Y, Qt.KeyboardModifier.AltModifier)
+    assert screen.choice.hasFocus()
+    qtbot.keyClick(screen, Qt.Key.Key_C, Qt.KeyboardModifier.AltModifier)
+    qtbot.waitUntil(lambda: screen.cancel_button.hasFocus())  # Qt clicks a button 0.1 s after its letter
+    answer(screen, made_outcome())
+    assert screen.save_button.hasFocus()
+    qtbot.keyClick(screen, Qt.Key.Key_C, Qt.KeyboardModifier.AltModifier)
+    qtbot.waitUntil(lambda: screen.cancel_button.hasFocus())
+    qtbot.keyClick(screen.cancel_button, Qt.Key.Key_Space)
+    assert screen.status.text() == CANCELLED
+    assert screen.compute_button.hasFocus()
 
 
 @given(greatest=st.floats(0.01, 5000.0), pixels=st.floats(60.0, 2000.0))
