@@ -153,14 +153,10 @@ def _topics(study: StudyFile, levels: int) -> Iterable[tuple[str, str]]:
         where = "plane of incidence" if criterion.directions == "plane" else "whole lobe"
         yield "Criterion", f"relative RMS of formula 5 within {limits}"
         yield "Sample", f"Gaussian of {criterion.width_deg:g}° ({form})"
-        yield (
-            "Directions",
-            (f"σ {sigmas}°, {where}, θ up to {criterion.widths * criterion.width_deg:g}° in steps of {criterion.step_deg:g}°"),
-        )
-        yield (
-            "Light",
-            ("collimated" if table.collimated else f"pupil of {table.pupil_radius_mm:g} mm at {table.pupil_distance_mm:g} mm"),
-        )
+        reach = f"θ up to {criterion.widths * criterion.width_deg:g}° in steps of {criterion.step_deg:g}°"
+        yield "Directions", f"σ {sigmas}°, {where}, {reach}"
+        pupil = f"pupil of {table.pupil_radius_mm:g} mm at {table.pupil_distance_mm:g} mm"
+        yield "Light", "collimated" if table.collimated else pupil
     else:
         yield "Criterion", f"flux into the central 5 × 5 mm within {limits} of that without deviations"
         yield "Estimator", f"adjoint, {criterion.rays:,} rays"
@@ -210,10 +206,12 @@ def serve_study(connection: "Connection[Any, Any]") -> None:
 
     try:
         connection.send(compute_outcome(path, report))
-    except (UserError, MemoryError) as error:
-        connection.send(StudyFailed(str(error) or "there is too little memory; give fewer combinations"))
-    except (EOFError, OSError):  # the window is gone, or wants the study no more
+    except EOFError:  # the window is gone, or wants the study no more
         raise
+    except UserError as error:
+        connection.send(StudyFailed(str(error)))
+    except MemoryError:
+        connection.send(StudyFailed("there is too little memory for it; give fewer combinations"))
     except Exception as error:  # noqa: BLE001  (of any library: reported, and the window goes on)
         connection.send(StudyFailed(f"{type(error).__name__}: {error}"))
 
@@ -327,7 +325,7 @@ class Studies:
         self.number = 0
         """The number of the study that is computed, or was last."""
 
-    def compute(self, path: Path, *, wait: bool = False) -> None:
+    def compute(self, path: Path) -> None:
         """Begin a study, in place of one that is being computed; at once."""
         self.end()
         self.number += 1
@@ -344,8 +342,6 @@ class Studies:
 
         self._worker = Worker("tolerances", serve_study, deliver, process=self._process)
         self._worker.put(path)
-        if wait:
-            self.wait(True)
 
     def wait(self, wanted: bool) -> None:
         """Have the study wait at its next step, or go on."""

@@ -37,6 +37,8 @@ FOLDER = examples.FOLDER / "tolerances"
 REPLACE, CANCEL = "Replace", "Cancel"
 WIDE, HIGH = 820, 330
 """Size of a room from which on the study is beside its result, and the curves are below their table."""
+LEAST_PARTS = 200, 138
+"""Size of a room in which the parts of a low screen still are whole, with their tabs."""
 STUDY_WIDTH = 270
 PROGRESS_WIDTH = 120
 READY = "Ready. A study is computed on the twin, beside the window."
@@ -148,6 +150,8 @@ class TolerancesScreen(Screen):
             tabs.setAccessibleName("Parts of the tolerances screen")
         for part, title in ((self.deviations, "Deviations"), (self._together, "All together"), (self.report, "Text")):
             self.parts.addTab(part, title)
+        # A page that is hidden does not pass on that it needs less height by now.
+        self.parts.setMinimumSize(*LEAST_PARTS)
         self._columns = QHBoxLayout()
         self._columns.setSpacing(10)
         self._columns.addWidget(self.study_text)
@@ -225,11 +229,14 @@ class TolerancesScreen(Screen):
     @Slot(object)
     def show_message(self, message: object) -> None:
         """Have a study wait while a run is in progress."""
+        from goniotwin.app.campaign.running.events import Positions
         from goniotwin.app.desktop.model.messages import Attached, NotAttached, StationLost
         from goniotwin.app.station import messages
 
         before = self.in_run
         match message:
+            case Positions():  # a run has many a second
+                return
             case Attached(_name, snapshot):
                 self._station = snapshot
             case NotAttached() | StationLost():

@@ -20,7 +20,7 @@ from goniotwin.app.desktop.theme import LIGHT
 from goniotwin.app.desktop.tolerances.distribution_view import NOTHING, ROOM_OF_VALUE, axis_values
 from goniotwin.app.desktop.tolerances.screen import CANCELLED, FOLDER, IN_RUN, READY, REPLACE, WAITING, TolerancesScreen
 from goniotwin.app.station.messages import Snapshot
-from tests.app.desktop.conftest import READY_MS, click
+from tests.app.desktop.conftest import click
 from tests.app.desktop.made_study import made_outcome
 
 SMALL = """
@@ -38,6 +38,18 @@ distributions = ["uniform"]
 draws = 100
 """
 """Two tilts of the plane of incidence, nine combinations."""
+
+
+Answers = queue.Queue[tuple[int, StudyAnswer]]
+LONGEST_S = 60.0
+
+
+def last_of(answers: Answers, *, until_it_waits: bool = False) -> StudyAnswer:
+    """The answer of a worker that ends its study, or the one that states that it waits."""
+    while True:
+        _, answer = answers.get(timeout=LONGEST_S)
+        if not isinstance(answer, StudyProgress) or (until_it_waits and answer.waiting):
+            return answer
 
 
 class NoStudies:
@@ -249,19 +261,20 @@ def test_the_values_of_the_axis_have_room_and_begin_at_zero(greatest: float, pix
 
 
 def test_a_worker_computes_what_the_command_does_and_waits_when_it_has_to(tmp_path: Path) -> None:
-    """The combinations are counted here again, from the numbers of the JSON."""
+    """Its numbers are those of the command's JSON."""
     path = tmp_path / "small.toml"
     path.write_text(SMALL, encoding="utf-8")
-    answers: queue.Queue[tuple[int, StudyAnswer]] = queue.Queue()
+    answers: Answers = queue.Queue()
     studies = Studies(answers.put, process=False)
-    studies.compute(path, wait=True)
-    waiting = next(each for _, each in iter(answers.get, None) if not isinstance(each, StudyProgress) or each.waiting)
-    assert isinstance(waiting, StudyProgress)
+    studies.compute(path)
+    studies.wait(True)
+    assert isinstance(last_of(answers, until_it_waits=True), StudyProgress)
     studies.end()
-    studies.compute(path, wait=True)
-    assert answers.get(timeout=READY_MS)[0] == 2
+    studies.compute(path)
+    studies.wait(True)
+    assert isinstance(last_of(answers, until_it_waits=True), StudyProgress)
     studies.wait(False)
-    outcome = next(each for _, each in iter(answers.get, None) if not isinstance(each, StudyProgress))
+    outcome = last_of(answers)
     studies.end()
     assert isinstance(outcome, StudyOutcome)
     assert set(outcome.files) == {f"small{end}" for end in (".png", "-deviations.csv", "-combinations.csv", ".txt", ".json")}
@@ -297,17 +310,17 @@ def test_a_worker_that_is_ended_by_another_program_is_a_study_without_a_result(m
 
 @pytest.mark.long
 def test_a_study_in_a_process_is_ended_at_once() -> None:
-    answers: queue.Queue[tuple[int, StudyAnswer]] = queue.Queue()
+    answers: Answers = queue.Queue()
     studies = Studies(answers.put)
     studies.compute(FOLDER / "table2.toml")
-    assert isinstance(answers.get(timeout=READY_MS)[1], StudyProgress)
+    assert isinstance(answers.get(timeout=LONGEST_S)[1], StudyProgress)
     assert studies._worker is not None
     process = studies._worker._process
     studies.end()
     with pytest.raises(ValueError, match="closed"):
         process.is_alive()
     studies.compute(FOLDER / "quick.toml")
-    found = next(each for number, each in iter(answers.get, None) if number == 2 and not isinstance(each, StudyProgress))
+    found = last_of(answers)
     studies.end()
     assert isinstance(found, StudyOutcome)
     assert [each[:2] for each in read_content(FOLDER / "quick.toml").deviations] == [
