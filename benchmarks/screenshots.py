@@ -4,9 +4,9 @@
     python -m benchmarks.screenshots docs --readme      # the two pictures of the README
 
 The window fills a screen of 1280 x 800 pixels at each scale factor, in a process of its own. It is shown before its rig is
-open, ready, at the bench, in a run of the virtual rig, paused, with a safety order and an open question, with notices, after
-the run, with many campaigns, and after the death of the station; then the windows beside it. A control that is not whole on
-the screen, or a text that is cut off, is printed, and the exit status is then 1.
+open, ready, with a tolerance study, at the bench, in a run of the virtual rig, paused, with a safety order and an open
+question, with notices, after the run, with many campaigns, and after the death of the station; then the windows beside it. A
+control that is not whole on the screen, or a text that is cut off, is printed, and the exit status is then 1.
 """
 
 import argparse
@@ -33,6 +33,7 @@ from goniotwin.app.desktop.rig.screen import RigScreen
 from goniotwin.app.desktop.run.screen import RunScreen
 from goniotwin.app.desktop.screen import Screen
 from goniotwin.app.desktop.theme import Scheme
+from goniotwin.app.desktop.tolerances.screen import FOLDER, TolerancesScreen
 from goniotwin.app.desktop.view import SCREENS
 from tests.app.desktop.screen_faults import SCREEN, faults
 
@@ -79,6 +80,8 @@ class Pictures:
         window.complete()
         self._wait(run.start_button.isEnabled)
         self._each_screen("ready")
+        if not self._names:
+            self._with_a_study()
         self._at_the_bench()
         run.start_button.click()
         self._rows(FIRST_SHARE)
@@ -160,6 +163,20 @@ class Pictures:
             self._picture(f"{name}-{screen.title.lower()}-{at + 1}")
         if tabs is not None:
             tabs.setCurrentIndex(0)
+
+    def _with_a_study(self) -> None:
+        """A tolerance study that is computed, and its result."""
+        view = self.window.view
+        screen = view.screen_of(TolerancesScreen)
+        self._show(TolerancesScreen)
+        screen.open_study(FOLDER / "quick.toml")
+        screen.compute()
+        self._wait(lambda: screen.progress.value() > 0 or screen.outcome is not None)
+        self._picture("computing-tolerances")
+        self._wait(lambda: screen.outcome is not None)
+        screen.parts.setCurrentIndex(0)
+        self._parts("computed", screen)
+        view.show_screen(SCREENS.index(RunScreen))
 
     def _with_notices(self) -> None:
         """A safety order and a question; a notice about the station; a device that does not respond; points in alarm."""

@@ -2,7 +2,7 @@
 
 `model` is the client of the station that has the rig, without Qt. `presenter` receives its messages through one signal and
 shows them in the panels of `view`. `window` passes on what the operator does. Each screen has a folder (rig, bench, setup,
-run, events) and a line in `SCREENS` of the view.
+run, campaigns, events, tolerances) and a line in `SCREENS` of the view.
 """
 
 import contextlib

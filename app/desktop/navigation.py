@@ -11,8 +11,8 @@ from goniotwin.app.desktop.theme import Colours
 
 SHORT_MARK = 3
 """Signs of a mark that has room in a narrow window."""
-LOW_BUTTON = 30
-"""Height in logical pixels of a button in a low window, with its share of the margins."""
+LOW_BUTTON, LOW_ICON = 26, 18
+"""Height in logical pixels of a button in a low window, with its share of the margins, and side of its icon."""
 
 
 class Navigation(QFrame):
@@ -40,7 +40,7 @@ class Navigation(QFrame):
             button = QToolButton()
             button.setCheckable(True)
             button.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextBesideIcon)
-            button.setIconSize(QSize(SIZE, SIZE))
+            button.setIconSize(QSize(LOW_ICON, LOW_ICON))
             button.setIcon(no_icon())
             button.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
             button.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
@@ -75,6 +75,8 @@ class Navigation(QFrame):
         """Take less height, in a low window."""
         if low != self._low:
             self._low = low
+            for button in self.buttons:
+                button.setIconSize(QSize(LOW_ICON, LOW_ICON) if low else QSize(SIZE, SIZE))
             self.set_colours(self._colours)
 
     def set_mark(self, number: int, mark: str) -> None:
@@ -97,7 +99,7 @@ class Navigation(QFrame):
         self.setStyleSheet(
             f"Navigation {{ background: {colours.base}; border: none; border-right: 1px solid {colours.line} }}"
             f"QToolButton {{ color: {colours.text}; background: transparent; border: 2px solid transparent;"
-            f" padding: {1 if self._low else 8}px 10px; text-align: left }}"
+            f" padding: {0 if self._low else 8}px 10px; text-align: left }}"
             f"QToolButton:hover {{ background: {colours.button} }}"
             f"QToolButton:checked {{ color: {colours.on_accent}; background: {colours.accent} }}"
             f"QToolButton:focus {{ border-color: {colours.text} }}"

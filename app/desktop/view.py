@@ -23,6 +23,7 @@ from goniotwin.app.desktop.run.screen import RunScreen
 from goniotwin.app.desktop.screen import Screen
 from goniotwin.app.desktop.setup.screen import SetupScreen
 from goniotwin.app.desktop.theme import Colours
+from goniotwin.app.desktop.tolerances.screen import TolerancesScreen
 
 if TYPE_CHECKING:  # pyqtgraph is loaded after the window has been shown
     from goniotwin.app.desktop.run.hemisphere import HemisphereMap
@@ -35,6 +36,7 @@ SCREENS: tuple[type[Screen], ...] = (
     RunScreen,
     CampaignsScreen,
     EventsScreen,
+    TolerancesScreen,
 )
 """The screens in the order of the navigation. A new one is a line here."""
 FIRST = RunScreen
@@ -74,6 +76,7 @@ class MainView(QWidget):
         self.rig, self.devices, self.axes, self.schedule = rig.rig, rig.devices, rig.axes, setup.schedule
         self.schedule.plan_shown.connect(rig.set_plan)
         self.schedule.folder_shown.connect(rig.set_folder)
+        self.schedule.folder_shown.connect(self.screen_of(TolerancesScreen).set_folder)
         self.schedule.set_folder(folder)
         self.screen_of(RunScreen).set_events(self.log.model)
         self.navigation.chosen.connect(self.show_screen)

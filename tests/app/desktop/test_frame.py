@@ -38,10 +38,12 @@ from goniotwin.app.desktop.run.panel import PAUSE, RESUME
 from goniotwin.app.desktop.screen import Screen
 from goniotwin.app.desktop.setup.screen import SetupScreen
 from goniotwin.app.desktop.theme import Colours
+from goniotwin.app.desktop.tolerances.screen import FOLDER, TolerancesScreen
 from goniotwin.app.rig import AXES, read_rig
 from goniotwin.app.rig.kinds import ROLES
 from goniotwin.app.station.messages import DeviceStatus
 from tests.app.desktop.conftest import READY_MS, WindowOpener, end_window, ready
+from tests.app.desktop.made_study import made_outcome
 from tests.app.desktop.screen_faults import SCREEN, controls, faults
 from tests.conftest import REPOSITORY, RIG, SCHEDULE, Writer
 
@@ -235,9 +237,16 @@ def test_every_control_is_on_the_screen(
     path = tmp_path / "panel-with-a-long-name-after-weathering-001.journal"
     run_without_wires(make_plan(read_schedule(write_schedule()), read_rig(RIG)), path)
     frame.view.screen_of(CampaignsScreen).show_campaigns(list_campaigns(tmp_path))
+    tolerances = frame.view.screen_of(TolerancesScreen)
+    tolerances.open_study(FOLDER / "table1.toml")
+    tolerances._show_outcome(made_outcome())
     shown(qtbot, frame)
     for screen in each_screen(frame):
         assert faults(frame, percent) == [], screen.title
+    for part in range(tolerances.parts.count()):
+        tolerances.parts.setCurrentIndex(part)
+        QApplication.processEvents()
+        assert faults(frame, percent) == [], part
     frame.view.orders.add(SafetyOrder("Cut the motors' power", "the stop is not confirmed; sigma: MST: nothing"))
     frame.view.question.set_question("Mount gaussian-5")
     QApplication.processEvents()

@@ -1,0 +1,1 @@
+"""The tolerances screen: studies of the instrument's deviations, computed beside the window."""
