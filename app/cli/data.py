@@ -1,4 +1,4 @@
-"""Commands on data: `goniotwin export`, `convert`, `info`, `budget`, `verify`, `closure` and `copy`."""
+"""Commands on data: `goniotwin export`, `convert`, `info`, `align`, `budget`, `verify`, `closure` and `copy`."""
 
 import math
 import os
@@ -15,6 +15,7 @@ from goniotwin.app.cli.output import CommandWithFormats, Json, answer, print_err
 from goniotwin.app.formats.fills import Fill
 
 if TYPE_CHECKING:  # the reduction loads numpy, which a command's help does not need
+    from goniotwin.app.campaign.reduction.alignment import AlignmentResult
     from goniotwin.app.campaign.reduction.budget import Budget
 
 JournalArgument = Annotated[
@@ -240,6 +241,58 @@ def _print_budget(console: Console, budget: "Budget", simulated: bool, every: bo
     if rest := components[len(shown) :]:
         share = math.sqrt(math.fsum(each["share"] for each in rest))
         console.print(f"and {len(rest)} smaller ones, together {100.0 * share:.2g} % of u (--all lists them)", soft_wrap=True)
+
+
+@app.command()
+def align(
+    journal: JournalArgument,
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", metavar="FILE", help="Alignment file to write, for [alignment] of the rig file.",
+                     show_default=False),
+    ] = None,
+    sample: SampleOption = None,
+    as_json: Json = False,
+) -> None:  # fmt: skip
+    """Estimate the rig's misalignments from a narrow lobe that was measured.
+
+    Given are the combinations of tilts, zeros and shifts that the values determine, each with its uncertainty: a single
+    mirror's tilt is never among them. A scan of the open beam in the campaign distinguishes light and arc. With the file in
+    [alignment] of the rig file, the reduction corrects the values of later campaigns, and the twin predicts with it.
+    """
+    from goniotwin.app.campaign.reduction.reduction import align_journal
+    from goniotwin.app.formats.file import check_writable, write_file
+    from goniotwin.app.rig.alignment import alignment_text
+
+    if output is not None:
+        check_writable(output)
+    result, file = align_journal(journal, sample)
+    if output is not None:
+        write_file(output, alignment_text(file).encode())
+    as_object = {**result.as_dict(), "simulated": file.simulated, "file": None if output is None else str(output)}
+    answer(as_json, as_object, lambda: _print_alignment(Console(highlight=False), result, file.simulated))
+    for finding in result.findings:
+        print_warning(finding)
+
+
+def _print_alignment(console: Console, result: "AlignmentResult", simulated: bool) -> None:
+    mark = "SIMULATED, " if simulated else ""
+    scans = f" and {result.scans} scan{'s' if result.scans > 1 else ''} of the open beam" if result.scans else ""
+    console.print(
+        f"{mark}alignment on {', '.join(result.mountings)}: {len(result.combinations)} combinations from {result.values} "
+        f"values{scans}, chi-square {result.chi_square:.2f} per degree of freedom",
+        markup=False, soft_wrap=True,
+    )  # fmt: skip
+    table = Table(box=None, pad_edge=False)
+    for name in ("value, deg", "u, deg", "u before"):
+        table.add_column(name, justify="right", no_wrap=True)
+    table.add_column("combination", overflow="fold")
+    for each in result.combinations:
+        table.add_row(f"{each.value:+.4f}", f"{each.u:.4f}", f"{each.prior_u:.3f}", Text(each.words))
+    console.print(table)
+    if not result.scans:
+        console.print("light and arc are one sum in the plane of incidence: a scan of the open beam separates them",
+                      soft_wrap=True)  # fmt: skip
 
 
 @app.command()

@@ -33,8 +33,8 @@ INTERRUPTED = 130
 UNREACHABLE = frozenset({errno.ENAMETOOLONG, errno.EACCES, errno.ELOOP, errno.ENOTDIR})
 """What the system answers to a name that no file can have, or in a folder that this user cannot enter: bad input."""
 COMMANDS = (
-    "devices", "home", "here", "move", "read", "check", "rehearse", "prove", "run", "runs", "verify", "budget", "closure",
-    "export", "convert", "info", "report", "plot", "compare", "render", "copy", "simulate",
+    "devices", "home", "here", "move", "read", "check", "rehearse", "prove", "run", "runs", "align", "verify", "budget",
+    "closure", "export", "convert", "info", "report", "plot", "compare", "render", "copy", "simulate",
     "demo", "examples", "schema", "serve", "usb", "replay", "station", "desktop",
 )  # fmt: skip
 """In the order of an operator's day; then what is needed less often."""

@@ -15,6 +15,7 @@ from tomlkit.items import AbstractTable
 
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig.addresses import RTU, TWIN, rtu_address
+from goniotwin.app.rig.alignment import AlignmentFile, parse_alignment
 from goniotwin.app.rig.file import AXES, DEFAULT_KIND, RigFile, set_addresses
 from goniotwin.app.rig.kinds import OWN_KINDS, ROLES, MonitorTable, MonochromatorTable, PhotodiodesTable, device_kind
 from goniotwin.app.rig.opening import RigDescription, parse_rig
@@ -24,6 +25,7 @@ from goniotwin.keys import values_of
 from goniotwin.twin.optics import Dimensions
 from goniotwin.twin.plant import Electronics, MonitorPhotodiode, MonochromatorDrive, WheelFilter
 from goniotwin.twin.plant.converter import SETTLED
+from goniotwin.twin.plant.disturbances import element_deviations
 from goniotwin.twin.rig import AXES as AXES_LINE
 
 NAME = "described"
@@ -64,6 +66,8 @@ def described_twin(real: RigDescription, etalon: str, samples: Iterable[str], mo
         document["simulated"] = {"seed": 1}
     if real.file.twin is None:
         document["twin"] = _twin_table(real.file, assumptions)
+        if real.alignment is not None:
+            _misalign(document, parse_alignment(real.alignment, real.name))
         _set_twin_devices(document, real.file, assumptions)
         for name in (etalon, *samples):
             if name not in models:
@@ -74,7 +78,15 @@ def described_twin(real: RigDescription, etalon: str, samples: Iterable[str], mo
         _samples(document)[name] = sample_table(model)
     if document.unwrap() == tomlkit.parse(real.text).unwrap():
         return DescribedTwin(real, ())
-    return DescribedTwin(parse_rig(tomlkit.dumps(document), real.folder, real.name), tuple(assumptions))
+    return DescribedTwin(parse_rig(tomlkit.dumps(document), real.folder, real.name, real.alignment), tuple(assumptions))
+
+
+def _misalign(document: tomlkit.TOMLDocument, alignment: AlignmentFile) -> None:
+    """Set the described twin off by what the rig's alignment has found: its values are corrected by that."""
+    twin = _table(document, "twin")
+    twin["deviations"] = {element: vars(each) for element, each in element_deviations(alignment.inputs).items()}
+    for axis, table in _table(twin, "axes").items():
+        table["zero_deg"] = table.get("zero_deg", 0.0) + alignment.inputs.get(f"{axis}_zero", 0.0)
 
 
 def _check_controllers(real: RigDescription) -> None:

@@ -16,6 +16,7 @@ from annotated_types import Ge, Le
 from pydantic import BeforeValidator, Discriminator, Tag, WithJsonSchema, with_config
 
 from goniotwin.app.rig.addresses import TWIN, check_address
+from goniotwin.app.rig.alignment import AlignmentTable
 from goniotwin.app.rig.kinds import (
     ROLES,
     DeviceKind,
@@ -230,8 +231,8 @@ class RigFile:
     """All tables of the rig `name`. The fields of devices are tables of their kinds: see `rig_file_table`.
 
     The operator's part has the devices (`axes`, `monochromator`, `photodiodes`, `monitor`), the nominal `geometry`, the
-    `sample_unit`, the `etalon` and the `light`, and the `uncertainty` of all this. `simulated` marks a simulated rig, and
-    `twin` describes the virtual one.
+    `sample_unit`, the `etalon` and the `light`, the `uncertainty` of all this, and the `alignment` that reduces it. `simulated`
+    marks a simulated rig, and `twin` describes the virtual one.
     """
 
     name: str
@@ -245,6 +246,7 @@ class RigFile:
     etalon: EtalonTable = field(default_factory=EtalonTable)
     light: LightTable = field(default_factory=LightTable)
     uncertainty: UncertaintyTable = field(default_factory=UncertaintyTable)
+    alignment: AlignmentTable | None = None
     twin: TwinTable | None = None
 
     @property

@@ -9,6 +9,7 @@ from typing import Any
 
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig.addresses import TWIN, InvalidAddress, device_names, resolve_port
+from goniotwin.app.rig.alignment import check_alignment, read_alignment
 from goniotwin.app.rig.file import AXES, Controller, RigFile, arc_clearance, rig_file_table
 from goniotwin.app.rig.kinds import ROLES, Role, device_kind, load_plugins
 from goniotwin.app.rig.last_rig import remember_rig
@@ -25,12 +26,13 @@ from goniotwin.twin.doors import register, unregister
 
 @dataclass(frozen=True)
 class RigDescription:
-    """A rig file: its text, its tables, and the folder that paths in it are relative to."""
+    """A rig file: its text, its tables, the folder that paths in it are relative to, and the text of its alignment file."""
 
     text: str
     file: RigFile
     folder: Path
     name: str
+    alignment: str | None = None
 
     @property
     def digest(self) -> str:
@@ -72,14 +74,19 @@ class RigDescription:
 
 
 def read_rig(path: Path) -> RigDescription:
-    """Read a rig file. Raises UserError with the file, the key and the reason."""
+    """Read a rig file, and the alignment file that it names. Raises UserError with the file, the key and the reason."""
     text, content = read_toml(path)
-    return RigDescription(text, _file(content, str(path)), path.parent, str(path))
+    file = _file(content, str(path))
+    alignment = None
+    if file.alignment is not None:
+        alignment = read_alignment(path.parent, file.alignment)
+        check_alignment(alignment, str(path), file.name, simulated=file.simulated is not None)
+    return RigDescription(text, file, path.parent, str(path), alignment)
 
 
-def parse_rig(text: str, folder: Path, name: str) -> RigDescription:
-    """Parse the text of a rig file, such as a journal contains. Raises UserError."""
-    return RigDescription(text, _file(parse_toml(text, name), name), folder, name)
+def parse_rig(text: str, folder: Path, name: str, alignment: str | None = None) -> RigDescription:
+    """Parse the text of a rig file, such as a journal contains, with that of its alignment file. Raises UserError."""
+    return RigDescription(text, _file(parse_toml(text, name), name), folder, name, alignment)
 
 
 def _file(content: dict[str, Any], name: str) -> RigFile:

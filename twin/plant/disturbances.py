@@ -163,11 +163,8 @@ class Drawn(Mapping[str, float]):
     def instrument(self, instrument: Instrument) -> Instrument:
         """The instrument with the deviations of its elements, and the field of view, as drawn."""
         deviations = dict(instrument.deviations)
-        for name, (element, _, axes, _) in _ELEMENTS.items():
-            drawn = {f"r{axis}_deg": self[f"{name}_tilt_{axis}"] for axis in axes}
-            drawn |= {f"{axis}_mm": self[f"{name}_shift_{axis}"] for axis in "xyz"}
-            if any(drawn.values()):
-                deviations[element] = add_deviations(instrument.deviation(element), Deviation(**drawn))
+        for element, drawn in element_deviations(self).items():
+            deviations[element] = add_deviations(instrument.deviation(element), drawn)
         return scale_field(replace(instrument, deviations=deviations), self["field"])
 
     def photodiode_angles_deg(self) -> tuple[Floats, Floats]:
@@ -206,6 +203,17 @@ class Drawn(Mapping[str, float]):
         if sample is None or mounting == 0:
             return "", ""
         return "etalon" if sample == self.table.etalon else "sample", f"{sample}#{mounting}"
+
+
+def element_deviations(values: Mapping[str, float]) -> dict[str, Deviation]:
+    """The deviations of the instrument's elements by the values of inputs, such as `mirror_2_tilt_x`; those that are 0 not."""
+    found = {}
+    for name, (element, _, axes, _) in _ELEMENTS.items():
+        own = {f"r{axis}_deg": values.get(f"{name}_tilt_{axis}", 0.0) for axis in axes}
+        own |= {f"{axis}_mm": values.get(f"{name}_shift_{axis}", 0.0) for axis in "xyz"}
+        if any(own.values()):
+            found[element] = Deviation(**own)
+    return found
 
 
 def add_deviations(one: Deviation, other: Deviation) -> Deviation:

@@ -116,7 +116,7 @@ def beam_scans(file: ScheduleFile, rig: RigFile) -> list[BeamScan]:
     sigmas = {
         each: sigma
         for side in lit_sides(file)
-        for sigma in grid_values(file.sigma_deg)
+        for sigma in file.scanned_sigmas_deg
         for each in etalon_sigmas_deg(file, rig_sigma_deg(sigma, side))
         if sigma >= LEAST_SIGMA_DEG
     }
@@ -141,7 +141,7 @@ def scan_notes(file: ScheduleFile, rig: RigFile) -> Iterator[str]:
     """What a person should know of the scans: sigmas without one, and those that are scanned beside their sigma."""
     if file.open_beam_scan is None:
         return
-    sigmas, scans = grid_values(file.sigma_deg), beam_scans(file, rig)
+    sigmas, scans = file.scanned_sigmas_deg, beam_scans(file, rig)
     low = [sigma for sigma in sigmas if sigma < LEAST_SIGMA_DEG]
     if low:
         listed = ", ".join(f"{sigma:g}" for sigma in low)

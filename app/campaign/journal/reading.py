@@ -123,11 +123,16 @@ class JournalReader:
 
         Raises UserError where it is missing.
         """
-        with self._reading():
-            found = self._db.execute("SELECT value FROM campaign WHERE key = ?", (key,)).fetchone()
+        found = self.optional_value(key)
         if found is None:
             raise DamagedJournal(f"{self.path}: has no entry {key!r}: the file is incomplete; {USE_A_COPY}")
-        return str(found[0])
+        return found
+
+    def optional_value(self, key: str) -> str | None:
+        """A value that not every campaign has, such as the alignment of its rig; None where it is missing."""
+        with self._reading():
+            found = self._db.execute("SELECT value FROM campaign WHERE key = ?", (key,)).fetchone()
+        return None if found is None else str(found[0])
 
     @property
     def simulated(self) -> bool:

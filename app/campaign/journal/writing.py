@@ -430,6 +430,8 @@ def _describe(db: sqlite3.Connection, plan: Plan, versions: dict[str, str]) -> N
     }
     if plan.schedule.certificate is not None:
         about["certificate"] = plan.schedule.certificate
+    if plan.rig.alignment is not None:
+        about["alignment"] = plan.rig.alignment
     with db:
         db.executemany("INSERT INTO campaign VALUES (?, ?)", about.items())
         db.executemany(INSERT_ROW, [(*_planned(row), None) for row in plan.rows])

@@ -135,6 +135,8 @@ class _DrawnInputs:
 
     def __init__(self, drawn: Drawn, plan: Plan, reduction: Reduction) -> None:
         self._drawn = drawn
+        alignment = reduction.settings.alignment
+        self._modes = {} if alignment is None else alignment.mode_errors(drawn)
         self._positions: dict[str, str] = {}
         moves, pose = [0] * len(AXES), [0.0] * len(AXES)
         history = reduction.settings.history
@@ -147,7 +149,9 @@ class _DrawnInputs:
                     self._positions[f"position@{axis}#{own}"] = f"position@{axis}#{of_plant}"
 
     def of(self, name: str) -> float:
-        """The drawn value of an input; 0 for one that is not drawn."""
+        """The drawn value of an input, of an alignment's mode that beside the one found; 0 for one that is not drawn."""
+        if name in self._modes:
+            return self._modes[name]
         try:
             return self._drawn[self._positions.get(name, name)]
         except KeyError:

@@ -118,7 +118,13 @@ class Proof:
     def _digest(self) -> str:
         model = self.drawn.rig(self.seeds[0]).model()  # with the tables of its samples
         assert model is not None
-        texts = (self.schedule.text, self.schedule.certificate or "", self.rig.text, model_hash(model))
+        texts = (
+            self.schedule.text,
+            self.schedule.certificate or "",
+            self.rig.text,
+            self.rig.alignment or "",
+            model_hash(model),
+        )
         return hashlib.sha256("\0".join(texts).encode()).hexdigest()
 
     def file(self, seed: int) -> Path:
@@ -181,7 +187,7 @@ def _in_processes(proof: Proof, seeds: list[int], count: int) -> Generator[RigRe
     """The results as they are done. At the end, and at a Ctrl-C, the processes are ended: a rig takes some seconds."""
     context = multiprocessing.get_context("spawn")  # a fork would copy the locks of other threads
     schedule, rig = proof.schedule, proof.rig
-    texts = (schedule.text, schedule.name, schedule.certificate), (rig.text, rig.folder, rig.name)
+    texts = (schedule.text, schedule.name, schedule.certificate), (rig.text, rig.folder, rig.name, rig.alignment)
     arguments = (*texts, proof.rigs, proof.folder, proof.wires)
     pool = ProcessPoolExecutor(count, mp_context=context, initializer=_begin, initargs=arguments)
     waiting, running = iter(seeds), set[Future[RigResult]]()
@@ -221,7 +227,9 @@ class _Worker:
             raise KeyboardInterrupt
 
 
-def _begin(schedule: tuple[str, str, str | None], rig: tuple[str, Path, str], rigs: int, folder: Path, wires: bool) -> None:
+def _begin(
+    schedule: tuple[str, str, str | None], rig: tuple[str, Path, str, str | None], rigs: int, folder: Path, wires: bool
+) -> None:
     """Prepare a process: texts, because the classes of a rig's tables are made while the program runs.
 
     A Ctrl-C is the parent's business; after its death the process ends at once.

@@ -34,7 +34,7 @@ class DrawnRigs:
         _add(_table(twin, "electronics"), {"gain_spread": rig.file.photodiodes.gain_uncertainty})
         _add(_table(twin, "monitor"), {"noise": rig.file.monitor.relative_uncertainty})
         self._simulated = _table(self._document, "simulated")
-        self._first = parse_rig(tomlkit.dumps(self._document), rig.folder, rig.name)
+        self._first = parse_rig(tomlkit.dumps(self._document), rig.folder, rig.name, rig.alignment)
 
     def rig(self, seed: int) -> RigDescription:
         """The rig of a seed: its file differs from that of the others in the seed alone."""

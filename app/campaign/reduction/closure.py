@@ -362,14 +362,14 @@ def journal_closure(
         return ClosureReport((), (), ("the schedule has no scan of the open beam: add the table [open_beam] to it",))
     not_planned = [
         f"sigma {sigma:g} deg: below {LEAST_SIGMA_DEG:g} deg beta cannot scan the open beam"
-        for sigma in grid_values(file.sigma_deg)
+        for sigma in file.scanned_sigmas_deg
         if sigma < LEAST_SIGMA_DEG
     ]
     scans = beam_scans(file, rig)
     scanned = {each.sigma_deg for each in scans}
     not_planned += [
         f"sigma {sigma:g} deg: has no scan of its own, because the limits of the arc's shift leave it that of another sigma"
-        for sigma in grid_values(file.sigma_deg)
+        for sigma in file.scanned_sigmas_deg
         if sigma >= LEAST_SIGMA_DEG and sigma not in scanned
     ]
     closures: list[Closure] = []

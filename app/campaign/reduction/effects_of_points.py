@@ -6,7 +6,7 @@ parts of a family sum to its variance. FAMILIES and ALONE name every component o
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -16,18 +16,22 @@ from goniotwin.app.campaign.reduction.etalon import ReductionSettings
 from goniotwin.app.campaign.reduction.evidence import LEAST_CERTIFIED
 from goniotwin.app.campaign.reduction.points import PLACE, BsdfPoints
 from goniotwin.app.campaign.reduction.scale import SHARED, EffectsOf, Kind, incidence_deg, mounted
-from goniotwin.app.campaign.uncertainty.effects import Dense, Effects, Group
+from goniotwin.app.campaign.uncertainty.alignment import Alignment, known_displacement
+from goniotwin.app.campaign.uncertainty.effects import Dense, Effects, Group, group_variance
 from goniotwin.app.campaign.uncertainty.inputs import Input
 from goniotwin.app.campaign.uncertainty.pose import (
     POSITIONS,
     Displacement,
+    PoseEffects,
     Views,
     lifted_inputs,
     mounting_inputs,
     photodiode_inputs,
     pose_effects,
     position_input,
+    position_u_deg,
     rig_inputs,
+    standard_uncertainties,
     variance,
 )
 from goniotwin.app.rig import RigFile, nominal_instrument
@@ -44,6 +48,8 @@ def add_pose(points: BsdfPoints, settings: ReductionSettings) -> BsdfPoints:
 
     `pose` is that of all inputs that the rig or a mounting has once, `position` that of the axes' positions after each move.
     """
+    if settings.alignment is not None:
+        return _add_aligned_pose(points, settings)
     poses = [tuple(each) for each in points.places[:, ANGLES].tolist()]
     sums = settings.geometry.pose_sums(poses)[points.place, points.photodiode]
     along, across = slopes(points)
@@ -55,6 +61,17 @@ def add_pose(points: BsdfPoints, settings: ReductionSettings) -> BsdfPoints:
         "position": variance(sums[:, 1], along, across) * squared,
         "photodiode_angle": ((along * u_along) ** 2 + (across * u_across) ** 2) * squared,
     }
+    return replace(points, components={**points.components, **added})
+
+
+def _add_aligned_pose(points: BsdfPoints, settings: ReductionSettings) -> BsdfPoints:
+    """The same with the covariance of an alignment, from the effects themselves."""
+    effects = angles(points, settings)
+    relative = np.zeros(points.size)
+    for part in effects.dense:
+        relative += np.sum((part.sensitivity * [each.u for each in part.inputs]) ** 2, axis=1)
+    of_groups = {group.name: group_variance(group) for group in effects.groups}
+    added = {name: each * points.bsdf**2 for name, each in {"pose": relative, **of_groups}.items()}
     return replace(points, components={**points.components, **added})
 
 
@@ -299,11 +316,10 @@ def _grouped(
 # Angles.
 
 
-def angles(points: BsdfPoints, settings: ReductionSettings) -> Effects:
-    """The components `pose`, `position` and `photodiode_angle`: rig and mountings, the axes' positions, each photodiode."""
-    table = settings.rig.uncertainty
+def views_of_points(points: BsdfPoints) -> Views:
+    """The directions that points were measured in, by the angles of the axes."""
     lower = points.transmitted != points.back
-    views = Views(
+    return Views(
         sigma_deg=points.sigma_deg,
         gamma_deg=points.gamma_deg,
         polar=np.radians(np.where(lower, 180.0 - points.zenith_deg, points.zenith_deg)),
@@ -312,23 +328,27 @@ def angles(points: BsdfPoints, settings: ReductionSettings) -> Effects:
         transmitted=points.transmitted,
         reverse=np.cos(np.radians(points.azimuth_deg - points.beta_deg)) < 0.0,
     )
+
+
+def angles(points: BsdfPoints, settings: ReductionSettings) -> Effects:
+    """The components `pose`, `position` and `photodiode_angle`: rig and mountings, the axes' positions, each photodiode."""
+    table = settings.rig.uncertainty
+    views = views_of_points(points)
     effects = pose_effects(nominal_instrument(settings.rig), views)
     along, across = slopes(points)
 
     def relative(part: Displacement) -> Floats:
         return part.relative(along, across)
 
-    dense = [Dense(rig_inputs(table), relative(effects.common))]
+    dense = [Dense(inputs, relative(part)) for inputs, part in pose_parts(points, settings, effects)]
     lifted = relative(effects.lifted)
-    kinds: Sequence[tuple[Kind, Ints, Displacement, Floats]] = (
-        ("sample", points.row, effects.sample, lifted), ("etalon", points.etalon_row, effects.etalon, -lifted),
-    )  # fmt: skip
-    for kind, rows, part, products in kinds:
+    kinds: Sequence[tuple[Kind, Ints, Floats]] = (("sample", points.row, lifted), ("etalon", points.etalon_row, -lifted))
+    for kind, rows, products in kinds:
         names, which = mounted(kind, rows, settings)
-        sensitivity = relative(part)
         for k, name in enumerate(names):
             here = (which == k)[:, None]
-            dense.append(Dense(mounting_inputs(table, kind, name), np.where(here, sensitivity, 0.0)))
+            if kind == "etalon":
+                dense.append(Dense(mounting_inputs(table, kind, name), np.where(here, relative(effects.etalon), 0.0)))
             dense.append(Dense(lifted_inputs(table, kind, name), np.where(here, products, 0.0)))
     photodiode = points.photodiode.astype(np.int64)
     own = {2 * c + k: each for c in np.unique(photodiode).tolist() for k, each in enumerate(photodiode_inputs(table, c))}
@@ -337,6 +357,59 @@ def angles(points: BsdfPoints, settings: ReductionSettings) -> Effects:
         Group("photodiode_angle", own, 2 * photodiode[:, None] + np.arange(2), relative(effects.photodiode)),
     ]
     return Effects(points.bsdf, {}, groups, dense)
+
+
+def pose_parts(
+    points: BsdfPoints, settings: ReductionSettings, effects: PoseEffects
+) -> Iterator[tuple[Sequence[Input], Displacement]]:
+    """The inputs of the rig and of the sample's mountings, with what they do: as they are stated, or the modes of an alignment.
+
+    Mountings that the alignment does not have keep inputs of their own.
+    """
+    table, alignment = settings.rig.uncertainty, settings.alignment
+    names, which = mounted("sample", points.row, settings)
+    own = [(mounting_inputs(table, "sample", name), effects.sample.where(which == k)) for k, name in enumerate(names)]
+    if alignment is None:
+        yield rig_inputs(table), effects.common
+        yield from own
+        return
+    modes, of_modes = alignment.modes
+    parts = [(rig_inputs(table), effects.common), *own]
+    yield modes, displacement_of(alignment, parts).times(of_modes)
+    yield from (each for each in own if each[0][0].name not in alignment.values)
+
+
+def displacement_of(alignment: Alignment, parts: Iterable[tuple[Sequence[Input], Displacement]]) -> Displacement:
+    """What the inputs of an alignment do, each in a column; one that is in none of the parts does nothing."""
+    columns = {each.name: (part, k) for inputs, part in parts for k, each in enumerate(inputs)}
+    found = [columns.get(each.name) for each in alignment.inputs]
+
+    def stacked(name: str) -> Floats:
+        some = next(getattr(part, name) for part, _ in columns.values())
+        none = np.zeros(len(some))
+        return np.stack([none if each is None else getattr(each[0], name)[:, each[1]] for each in found], axis=1)
+
+    return Displacement(stacked("along"), stacked("across"), stacked("diffuse"))
+
+
+def aligned_displacement(points: BsdfPoints, settings: ReductionSettings) -> tuple[Displacement, Floats]:
+    """What the misalignments found by an alignment do to points, (n, 1), and the variance (n, 2) of the angle that is left.
+
+    Along the arc and across it; in deg and deg^2.
+    """
+    table, alignment = settings.rig.uncertainty, settings.alignment
+    assert alignment is not None
+    names, which = mounted("sample", points.row, settings)
+    known = alignment.values
+    tilts = np.array([[known.get(each.name, 0.0) for each in mounting_inputs(table, "sample", name)] for name in names])
+    found, effects = known_displacement(nominal_instrument(settings.rig), views_of_points(points), known, tilts[which])
+    parts = [(part, standard_uncertainties(list(inputs))) for inputs, part in pose_parts(points, settings, effects)]
+    parts.append((effects.position, np.full(len(POSITIONS), position_u_deg(table))))
+    parts.append((effects.photodiode, standard_uncertainties(photodiode_inputs(table, 0))))
+    variance_deg2 = [
+        np.sum([np.sum((getattr(part, axis) * u) ** 2, axis=1) for part, u in parts], axis=0) for axis in ("along", "across")
+    ]
+    return found, np.stack(variance_deg2, axis=1)
 
 
 def _positions(points: BsdfPoints, settings: ReductionSettings, sensitivity: Floats) -> Group:

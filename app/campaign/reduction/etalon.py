@@ -25,6 +25,7 @@ from goniotwin.app.campaign.reduction.signals import mean_signal
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.schedule.certificate import Certificate
 from goniotwin.app.campaign.schedule.file import ScheduleFile
+from goniotwin.app.campaign.uncertainty.alignment import Alignment
 from goniotwin.app.campaign.uncertainty.pose import Views, pose_moments
 from goniotwin.app.rig import RigFile
 from goniotwin.arrays import Flags, Floats, Ints
@@ -106,7 +107,8 @@ class ReductionSettings:
     standard uncertainty that the repeats of the campaign show, None where there are too few of them.
     `absolute` has, by wavelength, incidence and whether the arc is the lower one, the ratio of the open beam's scale to that of
     the certificate, and the relative standard uncertainty of the former; where it has one, it scales transmitted light.
-    `doubted`: the scan of the open beam contradicts the etalon's scale.
+    `doubted`: the scan of the open beam contradicts the etalon's scale. `alignment` is what is known of the rig's
+    misalignments, by which the values are corrected; None without one.
     """
 
     rig: RigFile
@@ -120,6 +122,7 @@ class ReductionSettings:
     repeatability: float | None = None
     absolute: Mapping[tuple[float, float, bool], tuple[float, float]] = field(default_factory=dict)
     doubted: bool = False
+    alignment: Alignment | None = None
 
     @property
     def calibrates(self) -> bool:

@@ -18,6 +18,7 @@ import numpy as np
 
 from goniotwin.app.campaign.geometry.directions import is_lower, polar_from_zenith, scan_plane_deg
 from goniotwin.app.campaign.reduction.components import DETECTED, INDEPENDENT, NOISE, total_variance
+from goniotwin.app.campaign.reduction.effects_of_points import aligned_displacement
 from goniotwin.app.campaign.reduction.etalon import ReductionSettings
 from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.uncertainty.field import correct_logarithm, directions_covariance
@@ -80,27 +81,34 @@ class FieldOfView:
     """What the field of view and the slopes do to values (n,). Relative; NaN where unknown.
 
     `correction` is added to the logarithm; slopes and `bend` (n, 2), second derivatives, are those of the corrected logarithm,
-    per degree, along the arc and across it, and `unresolved` (n, 2) is the standard uncertainty of the slopes by neighbours
-    that are too far apart. `noise` is that of the correction by the slopes' noise and by what they do not resolve. `estimate`,
-    in the values' unit, is the whole effect on a value that cannot be corrected. `steep`: the directions nearby are too far
-    apart for the slope, or there are none across the arc and the lobe need not be round.
+    per degree, along the arc and across it, `mixed` (n,) is the mixed derivative, and `unresolved` (n, 2) is the standard
+    uncertainty of the slopes by neighbours that are too far apart. `noise` is that of the correction by the slopes' noise and
+    by what they do not resolve; with that of the known displacement. `estimate`, in the values' unit, is the whole effect on a
+    value that cannot be corrected. `steep`: the directions nearby are too far apart for the slope, or there are none across the
+    arc and the lobe need not be round.
     """
 
     correction: Floats
     slope: Floats
     bend: Floats
+    mixed: Floats
     unresolved: Floats
     noise: Floats
     estimate: Floats
     steep: Flags
 
     @classmethod
-    def of(cls, points: BsdfPoints, instrument: Instrument, *, round_lobe: bool = True) -> Self:
-        """Of points in any order; NaN for those without a trusted value. `round_lobe` as in `slopes_of`."""
+    def of(
+        cls, points: BsdfPoints, instrument: Instrument, *, round_lobe: bool = True, moved_deg: Floats | None = None
+    ) -> Self:
+        """Of points in any order; NaN for those without a trusted value. `round_lobe` as in `slopes_of`.
+
+        `moved_deg` (n, 2) is the displacement along the arc and across it for which the values will be corrected by the slopes.
+        """
         n = points.bsdf.size
-        correction, noise, estimate = (np.full(n, np.nan) for _ in range(3))
+        correction, mixed, noise, estimate = (np.full(n, np.nan) for _ in range(4))
         slope, bend, unresolved = (np.full((n, 2), np.nan) for _ in range(3))
-        result = cls(correction, slope, bend, unresolved, noise, estimate, np.zeros(n, dtype=bool))
+        result = cls(correction, slope, bend, mixed, unresolved, noise, estimate, np.zeros(n, dtype=bool))
         chosen = np.flatnonzero(points.good)
         # Process per wavelength and incidence, in chunks, to bound memory.
         lights = np.stack([points.wavelength_nm[chosen], points.sigma_deg[chosen]])
@@ -110,7 +118,8 @@ class FieldOfView:
         for end in [*(np.flatnonzero(changes) + 1).tolist(), order.size]:
             if end - begin >= CHUNK_POINTS or end == order.size > begin:
                 part = order[begin:end]
-                found = _evaluate(merge_directions(points.where(part)), instrument, round_lobe=round_lobe)
+                moved = None if moved_deg is None else moved_deg[part]
+                found = _evaluate(merge_directions(points.where(part)), instrument, moved, round_lobe=round_lobe)
                 for name, column in vars(found).items():
                     getattr(result, name)[part] = column
                 begin = end
@@ -134,6 +143,12 @@ class MergedDirections:
     variance: Floats
     which: Ints
     opposite: Flags
+
+    def of_displacement(self, moved_deg: Floats) -> Floats:
+        """By the derivatives of `Slopes` (m, 5), what is subtracted from logarithms for displaced points (n, 2)."""
+        signed = np.where(self.opposite, -PER_DEG, PER_DEG)[:, None] * moved_deg
+        a, c = (np.bincount(self.which, weights=each) / np.bincount(self.which) for each in signed.T)
+        return np.stack([a, c, -0.5 * a * a, -0.5 * c * c, -a * c], axis=1)
 
 
 def merge_directions(points: BsdfPoints) -> MergedDirections:
@@ -180,7 +195,7 @@ def merge_directions(points: BsdfPoints) -> MergedDirections:
     )
 
 
-def _evaluate(values: MergedDirections, instrument: Instrument, *, round_lobe: bool) -> FieldOfView:
+def _evaluate(values: MergedDirections, instrument: Instrument, moved_deg: Floats | None, *, round_lobe: bool) -> FieldOfView:
     """The correction and its parts, for each point of the `values`."""
     directions, n = values.directions, values.bsdf.size
     variance = field_variance(instrument)
@@ -193,7 +208,10 @@ def _evaluate(values: MergedDirections, instrument: Instrument, *, round_lobe: b
     slopes = slopes_of(lit, np.log(bsdf), relative, window, round_lobe=round_lobe)
     covariance = directions_covariance(instrument, lit, values.sigma[light], values.transmitted[light])
     correction = correct_logarithm(slopes, covariance)
-    noise = np.hypot(np.sqrt(slopes.noise(correction.sensitivity, relative)), slopes.unresolved(correction.sensitivity))
+    sensitivity = correction.sensitivity
+    if moved_deg is not None:
+        sensitivity = sensitivity + values.of_displacement(moved_deg)[light]
+    noise = np.hypot(np.sqrt(slopes.noise(sensitivity, relative)), slopes.unresolved(correction.sensitivity))
     each_slope = np.eye(2, correction.sensitivity.shape[1])
     unresolved = np.stack([slopes.unresolved(np.tile(one, (relative.size, 1))) for one in each_slope], axis=1)
 
@@ -226,6 +244,7 @@ def _evaluate(values: MergedDirections, instrument: Instrument, *, round_lobe: b
         correction=everywhere(correction.logarithm)[which],
         slope=sign * PER_DEG * everywhere(correction.gradient)[which],
         bend=PER_DEG**2 * everywhere(correction.bend)[which],
+        mixed=PER_DEG**2 * everywhere(correction.mixed)[which],
         unresolved=PER_DEG * everywhere(unresolved)[which],
         noise=everywhere(noise)[which],
         estimate=estimate[which],
@@ -236,22 +255,31 @@ def _evaluate(values: MergedDirections, instrument: Instrument, *, round_lobe: b
 def correct_field_of_view(points: BsdfPoints, settings: ReductionSettings) -> BsdfPoints:
     """Correct the values for the finite field of view, and add slopes, flags, and the components of the uncertainty.
 
-    Values that cannot be corrected keep the flag `field`, but for those that are lost in their noise.
+    With an alignment they are also corrected from the directions that they were measured in to the nominal ones. Values that
+    cannot be corrected keep the flag `field`, but for those that are lost in their noise.
     """
     # Of a plane-symmetric sample the slope across is 0 in its plane; its lobe is as narrow across as it may be.
     round_lobe = settings.schedule.symmetry == "isotropic"
-    found = FieldOfView.of(points, nominal_instrument(settings.rig), round_lobe=round_lobe)
+    aligned = None if settings.alignment is None else aligned_displacement(points, settings)
+    moved = None if aligned is None else np.concatenate([aligned[0].along, aligned[0].across], axis=1)
+    found = FieldOfView.of(points, nominal_instrument(settings.rig), round_lobe=round_lobe, moved_deg=moved)
     corrected = np.isfinite(found.correction)
     correction = np.where(corrected, found.correction, 0.0)
-    factor = np.exp(correction)
+    slope, total = found.slope, correction
+    unresolved = variance = pose_variance_deg2(points, settings)
+    if aligned is not None and moved is not None:
+        bend, variance = np.concatenate([found.bend, found.mixed[:, None]], axis=1), aligned[1]
+        total = correction - aligned[0].diffuse[:, 0] + np.nan_to_num(displacement_effect(found.slope, bend, moved))
+        slope = found.slope - found.bend * moved - found.mixed[:, None] * moved[:, ::-1]
+        unresolved = variance + moved**2
+    factor = np.exp(total)
     bsdf = points.bsdf * factor
     components = {name: variance * factor**2 for name, variance in points.components.items()}
-    variance = pose_variance_deg2(points, settings)
     relative = {
         "field": (settings.rig.uncertainty.standard("field_of_view") * correction) ** 2,
         "field_noise": np.where(corrected, found.noise, 0.0) ** 2,
         "second_order": second_order(variance * np.nan_to_num(found.bend)),
-        "slope_unresolved": np.sum(variance * np.nan_to_num(found.unresolved) ** 2, axis=1),
+        "slope_unresolved": np.sum(unresolved * np.nan_to_num(found.unresolved) ** 2, axis=1),
     }
     for name, each in relative.items():
         components[name] = np.nan_to_num(each * bsdf**2)
@@ -261,7 +289,16 @@ def correct_field_of_view(points: BsdfPoints, settings: ReductionSettings) -> Bs
         points,
         bsdf=bsdf,
         components=components,
-        slope_along=found.slope[:, 0],
-        slope_across=found.slope[:, 1],
+        slope_along=slope[:, 0],
+        slope_across=slope[:, 1],
         field_correction=correction,
     ).flagged({"field": points.good & ~known, "steep": found.steep})
+
+
+def displacement_effect(slope: Floats, bend: Floats, moved: Floats) -> Floats:
+    """What is added to the logarithms (n,) of values that were measured `moved` (n, 2), deg, from their nominal directions.
+
+    `slope` (n, 2) and `bend` (n, 3), along, across and mixed, are those where they were measured.
+    """
+    first = np.sum(slope * moved, axis=1)
+    return np.asarray(0.5 * np.sum(bend[:, :2] * moved**2, axis=1) + bend[:, 2] * moved[:, 0] * moved[:, 1] - first)

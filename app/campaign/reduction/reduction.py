@@ -2,7 +2,7 @@
 
 import contextlib
 import tempfile
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import date
 from pathlib import Path
@@ -10,11 +10,13 @@ from pathlib import Path
 import numpy as np
 
 from goniotwin.app.campaign.geometry.arcs import etalon_sigmas_deg
+from goniotwin.app.campaign.geometry.open_beam import scan_wavelength_nm
 from goniotwin.app.campaign.journal.chain import Chain
 from goniotwin.app.campaign.journal.reading import USE_A_COPY, DamagedJournal, JournalReader
 from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.reduction.alignment import AlignmentResult, alignment_file, estimate_alignment, lobe_points
 from goniotwin.app.campaign.reduction.checks import CheckResults, ConsistencyChecks
-from goniotwin.app.campaign.reduction.closure import ClosureReport, journal_closure
+from goniotwin.app.campaign.reduction.closure import ClosureReport, ScannedBeam, journal_closure
 from goniotwin.app.campaign.reduction.drift_checks import DriftInterval, unchecked_note, unchecked_photodiodes
 from goniotwin.app.campaign.reduction.etalon import (
     ArcGeometry,
@@ -48,9 +50,12 @@ from goniotwin.app.campaign.reduction.symmetry import SymmetryResult
 from goniotwin.app.campaign.row import NO_SAMPLE
 from goniotwin.app.campaign.schedule.certificate import constant_certificate, parse_certificate
 from goniotwin.app.campaign.schedule.file import ScheduleFile, parse_schedule
+from goniotwin.app.campaign.uncertainty.alignment import Alignment
+from goniotwin.app.campaign.uncertainty.pose import mounting_inputs, rig_inputs
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats.metadata import Metadata
 from goniotwin.app.rig import RigDescription, RigFile, parse_rig
+from goniotwin.app.rig.alignment import AlignmentFile, parse_alignment
 from goniotwin.arrays import Ints
 from goniotwin.protocols.clock import calendar_stamp
 
@@ -131,7 +136,8 @@ class Reduction:
         self.schedule = parse_schedule(journal.value("schedule"), f"{journal.path} (schedule)").file
         text = None if self.schedule.certificate is None else journal.value("certificate")
         name = f"{journal.path} (certificate)"
-        settings = reduction_settings(self.rig.file, self.schedule, text, name, _first_day(journal))
+        alignment = journal.optional_value("alignment")
+        settings = reduction_settings(self.rig.file, self.schedule, text, name, _first_day(journal), alignment)
         self.settings = replace(settings, history=RowHistory(journal))
         self._measurements = Measurements(journal, self.schedule, self.rig.file)
         self._etalon = ReferenceMeasurements(self._measurements, self.schedule.etalon)
@@ -145,6 +151,20 @@ class Reduction:
         self._closure: ClosureReport | None = None
         if self.schedule.open_beam_scan is not None:
             self.settings = scan_settings(self.settings, self.closure())
+        self._aligned, self._not_aligned = None, ""
+        if self.schedule.align is not None:
+            self._align_itself(self.schedule.align)
+
+    def _align_itself(self, sample: str) -> None:
+        """Align the campaign on one of its samples, as far as that was measured."""
+        try:
+            self._aligned = self.align(sample)
+        except DamagedJournal:
+            raise
+        except UserError as error:
+            self._not_aligned = f"not aligned: {str(error).removeprefix(f'{self.journal.path}: ')}"
+        else:
+            self.settings = replace(self.settings, alignment=self._aligned.alignment)
 
     def closure(self) -> ClosureReport:
         """The closure of the etalon's scale with that of the open beam. Raises UserError."""
@@ -188,6 +208,22 @@ class Reduction:
             for first, last in _together(edges, rows):
                 if (found := file.between(first, last)) is not None:
                     yield PointBlock(places[found[0]], found[1])
+
+    def align(self, sample: str) -> AlignmentResult:
+        """The alignment by a narrow lobe, at the wavelength of the scans of the open beam, and by these scans.
+
+        Raises UserError where the sample's values determine nothing.
+        """
+        wavelength = scan_wavelength_nm(self.schedule)
+        beams: Sequence[ScannedBeam] = () if self.schedule.open_beam_scan is None else self.closure().beams
+        found = [lobe_points(each.points.where(each.points.wavelength_nm == wavelength)) for each in self.blocks(sample)]
+        try:
+            if not any(each.size for each in found):
+                raise UserError(f"{sample}: has no lobe of reflected light at {wavelength:g} nm that an alignment could use")
+            settings = replace(self.settings, sample=sample)
+            return estimate_alignment(join_points(found), settings, beams, f"alignment on {sample} of {self.schedule.name}")
+        except UserError as error:
+            raise UserError(f"{self.journal.path}: {error}") from None
 
     def checks(self, sample: str) -> ConsistencyChecks:
         """The consistency checks of a sample, before any of its points is added."""
@@ -256,6 +292,7 @@ class Reduction:
     def findings(self) -> list[str]:
         """What the campaign shows that is wrong with modules, gains, light or scale, in words."""
         found = [*self.evidence.findings, *(str(interval) for interval in self.drift_intervals)]
+        found += [] if self._aligned is None else self._aligned.findings
         return found + ([] if self.schedule.open_beam_scan is None else self.closure().alarms)
 
     @property
@@ -264,7 +301,11 @@ class Reduction:
         return self._measurements.drift_intervals
 
     def _light_notes(self, tallies: Mapping[str, Tally]) -> Iterator[str]:
-        """Notes on the etalon's age, on repeats, and on what of the light is not in the uncertainty."""
+        """Notes on the etalon's age, on repeats, on the alignment, and on what of the light is not in the uncertainty."""
+        if self.settings.alignment is not None:
+            yield f"values are corrected for the rig's misalignments: {self.settings.alignment.source}"
+        if self._not_aligned:
+            yield self._not_aligned
         if self.settings.certificate.calibrated is None and self.rig.file.uncertainty.etalon_age_per_year:
             yield f"the etalon's certificate has no date of calibration: {ASSUMED_YEARS:g} year is taken as its age"
         if self._repeats is not None:
@@ -351,16 +392,34 @@ def _add_references(known: dict[PoseKey, RowSignal], measured: ReferenceMeasurem
 
 
 def reduction_settings(
-    rig: RigFile, schedule: ScheduleFile, certificate: str | None, name: str, measured: date | None = None
-) -> ReductionSettings:
+    rig: RigFile, schedule: ScheduleFile, certificate: str | None, name: str, measured: date | None = None,
+    alignment: str | None = None,
+) -> ReductionSettings:  # fmt: skip
     """The settings of a reduction; `certificate` is the text of the schedule's certificate, `name` its name in an error.
 
-    Without a certificate it is the rig file's. `measured` is the day of the measurement, today if it is missing; where a
-    certificate has no date of calibration, this was a year before. Raises UserError.
+    `alignment` is the text of the rig's alignment file. Without a certificate it is the rig file's. `measured` is the day of
+    the measurement, today if it is missing; where a certificate has no date of calibration, this was a year before. Raises
+    UserError.
     """
     parsed = constant_certificate(rig.etalon) if certificate is None else parse_certificate(certificate, name)
     years = parsed.years(measured or date.fromisoformat(calendar_stamp()[:10]))
-    return ReductionSettings(rig, ArcGeometry(rig), schedule, parsed, etalon_years=ASSUMED_YEARS if years is None else years)
+    return ReductionSettings(
+        rig, ArcGeometry(rig), schedule, parsed, etalon_years=ASSUMED_YEARS if years is None else years,
+        alignment=None if alignment is None else rig_alignment(alignment, rig),
+    )  # fmt: skip
+
+
+def rig_alignment(text: str, rig: RigFile) -> Alignment:
+    """What an alignment file has of a rig; the tilt of the sample that it was measured on is not carried on.
+
+    Raises UserError.
+    """
+    file = parse_alignment(text, "alignment")
+    table = rig.uncertainty
+    of_rig = rig_inputs(table)
+    of_sample = [each for name in file.mountings for each in mounting_inputs(table, "sample", name)]
+    source = f"[alignment] {file.campaign}, {file.measured or 'undated'}"
+    return Alignment.of_file(file, [*of_rig, *of_sample], source).only([each.name for each in of_rig])
 
 
 def reduce_journal(journal: JournalReader, *, without_damaged: bool = False) -> BsdfDataset:
@@ -424,6 +483,22 @@ def _reduce(reduction: Reduction, keep: Keep) -> ReducedJournal:
         {name: reduction.metadata(name, tally) for name, tally in tallies.items()},
         reduction.schedule.symmetry == "isotropic",
     )  # fmt: skip
+
+
+def align_journal(path: Path, sample: str | None = None) -> tuple[AlignmentResult, AlignmentFile]:
+    """The alignment by a sample of a journal, and its file; without a name by the one sample that the journal has.
+
+    Raises UserError where the journal cannot be reduced, or determines nothing.
+    """
+    with Journal.open(path) as journal:
+        reduction = Reduction(journal)
+        samples = reduction.schedule.samples
+        if sample not in samples and (sample is not None or len(samples) > 1):
+            given = "several samples; name one" if sample is None else f"no sample {sample!r}; choose"
+            raise UserError(f"{path}: has {given} with --sample: {', '.join(samples)}")
+        result = reduction.align(sample or samples[0])
+        first = _first_day(journal)
+        return result, alignment_file(result, journal, reduction.rig, "" if first is None else first.isoformat())
 
 
 def check_journal(path: Path, chain: Chain | None = None) -> CheckResults:

@@ -58,7 +58,8 @@ def remaining_work(journal: Journal, rig: RigDescription | None) -> RemainingWor
 
 def recorded_rig(journal: JournalReader) -> RigDescription:
     """The rig as recorded at the start of the campaign; paths in it are relative to the folder recorded then."""
-    return parse_rig(journal.value("rig"), Path(journal.value("rig_folder")), f"{journal.path} (rig)")
+    name, alignment = f"{journal.path} (rig)", journal.optional_value("alignment")
+    return parse_rig(journal.value("rig"), Path(journal.value("rig_folder")), name, alignment)
 
 
 def check_same_rig(journal: JournalReader, recorded: RigDescription, rig: RigDescription) -> None:
@@ -79,6 +80,8 @@ def check_same_rig(journal: JournalReader, recorded: RigDescription, rig: RigDes
 def changed_keys(recorded: RigDescription, rig: RigDescription) -> list[str]:
     """The keys, other than of ports, in which a rig differs from the one of a journal, without those of its [twin]."""
     changed = sorted(_differences(_without_ports(recorded), _without_ports(rig)))
+    if recorded.alignment != rig.alignment and "alignment" not in changed:
+        changed.append("alignment")
     return changed if (recorded.seed, recorded.simulated) == (rig.seed, rig.simulated) else [*changed, "simulated"]
 
 
@@ -100,7 +103,8 @@ def _same_model(stated: str, recorded: RigDescription, rig: RigDescription) -> b
 
 def _without_ports(rig: RigDescription) -> dict[str, Any]:
     """The tables of a rig file without its virtual rig and without addresses, which may change during an interruption."""
-    tables = {key: value for key, value in vars(rig.file).items() if key not in ("twin", "simulated")}
+    tables = {key: value for key, value in vars(rig.file).items() if value is not None}
+    tables = {key: value for key, value in tables.items() if key not in ("twin", "simulated")}
     content: dict[str, Any] = {key: value if isinstance(value, str) else asdict(value) for key, value in tables.items()}
     for place in {place for device in rig.file.devices for place in device.places}:
         *path, key = (part for part in place if isinstance(part, str))

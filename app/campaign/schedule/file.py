@@ -90,9 +90,11 @@ class OpenBeamTable(TomlTable):
 
     At each sigma of 10 deg or more, without a sample, the photodiode in the specular direction scans the beam at `poses` by
     `poses` poses, `step_deg` apart along the arc and across it, at `wavelength_nm` (without it the middle one). At all other
-    wavelengths it is read in the middle pose. `scale` is that of transmitted light.
+    wavelengths it is read in the middle pose. With `sigma_deg` it is scanned at these of the schedule's sigmas alone. `scale`
+    is that of transmitted light.
     """
 
+    sigma_deg: Grid | None = None
     poses: Annotated[int, Field(ge=5, le=51)] = 13
     step_deg: Annotated[float, Field(ge=0.02, le=1.0)] = 0.2
     wavelength_nm: PositiveFloat | None = None
@@ -158,9 +160,10 @@ class ScheduleFile(TomlTable):
     of each row, or "automatic". `readings` is their number at each gain, `dark_readings` that of a dark reading, which is no
     older than `dark_every_s`. `averaging` takes more readings in faint light. `warm_up` waits for the lamp. `drift` measures
     one pose again and again. `stop` ends a run before its last row. `faults` is what happens to a row where a device fails.
-    `certificate` is the etalon's. `diattenuation` is, by sample, how far the values for light of the sample's s and of its p
-    are apart, over their sum: with it the polarisation of the light is in the uncertainty. `metadata` is what a person states
-    about the campaign, for reports and archives.
+    `certificate` is the etalon's. `align` is a sample with a narrow lobe by which the campaign is aligned: all values are
+    corrected for the rig's misalignments as that lobe shows them. `diattenuation` is, by sample, how far the values for light
+    of the sample's s and of its p are apart, over their sum: with it the polarisation of the light is in the uncertainty.
+    `metadata` is what a person states about the campaign, for reports and archives.
     """
 
     name: Name
@@ -192,6 +195,7 @@ class ScheduleFile(TomlTable):
     stop: StopTable | None = None
     faults: FaultsTable | None = None
     certificate: CertificateTable | None = None
+    align: Name | None = None
     diattenuation: dict[Name, Annotated[float, Field(ge=0.0, le=1.0)]] = {}
     metadata: MetadataTable = MetadataTable()
 
@@ -215,6 +219,8 @@ class ScheduleFile(TomlTable):
         for key, named in (("diattenuation", {*self.diattenuation}), ("metadata.samples", {*self.metadata.samples})):
             if unknown := sorted(named - {*self.samples}):
                 raise ValueError(f"{key}: {unknown[0]!r} is not among the samples; name one of them, or remove it")
+        if self.align is not None and self.align not in self.samples:
+            raise ValueError(f"align: {self.align!r} is not among the samples; name one of them, or remove it")
         if NO_SAMPLE in (self.etalon, *self.samples):
             raise ValueError(f"{NO_SAMPLE!r} is the name of the empty sample unit; give the sample another name")
         return self
@@ -225,7 +231,15 @@ class ScheduleFile(TomlTable):
         wavelengths = grid_values(self.wavelength_nm)
         if scan is not None and scan.wavelength_nm not in (None, *wavelengths):
             raise ValueError(f"open_beam.wavelength_nm: {scan.wavelength_nm:g} is not in wavelength_nm; choose one of these")
+        if unknown := sorted({*self.scanned_sigmas_deg} - {*grid_values(self.sigma_deg)}):
+            raise ValueError(f"open_beam.sigma_deg: {unknown[0]:g} is not in sigma_deg; choose one of these")
         return self
+
+    @property
+    def scanned_sigmas_deg(self) -> tuple[float, ...]:
+        """The sigmas at which the open beam is to be scanned, where it can be."""
+        scan = self.open_beam_scan
+        return grid_values(self.sigma_deg if scan is None or scan.sigma_deg is None else scan.sigma_deg)
 
     @property
     def open_beam_scan(self) -> OpenBeamTable | None:

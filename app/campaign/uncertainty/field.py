@@ -9,10 +9,11 @@ inverse: nothing but the parabola of the *measured* values is needed.
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Protocol
 
 import numpy as np
 
-from goniotwin.app.campaign.uncertainty.slopes import Directions, Slopes
+from goniotwin.app.campaign.uncertainty.slopes import Directions
 from goniotwin.arrays import Flags, Floats
 from goniotwin.twin.optics import Instrument
 
@@ -27,27 +28,45 @@ DISTANCES = 48
 CHORDS = 200
 
 
+class Derivatives(Protocol):
+    """First and second derivatives (n,) of a logarithm, along the arc and across it, per rad."""
+
+    @property
+    def first_along(self) -> Floats: ...
+    @property
+    def first_across(self) -> Floats: ...
+    @property
+    def second_along(self) -> Floats: ...
+    @property
+    def second_across(self) -> Floats: ...
+    @property
+    def mixed(self) -> Floats: ...
+
+
 @dataclass(frozen=True)
 class FieldCorrection:
     """What the field of view does (n,), and what is left without it.
 
     `logarithm` is to be added to ln y. `gradient` (n, 2) and `bend` (n, 2) are first and second derivatives of the corrected
-    ln f, along and across. `sensitivity` (n, 5), with the other sign, is the derivative of `logarithm` by those of ln y, in the
-    order of `Slopes`. All are NaN where there is no correction.
+    ln f, along and across, and `mixed` (n,) is its mixed derivative. `sensitivity` (n, 5), with the other sign, is the
+    derivative of `logarithm` by those of ln y, in the order of `Slopes`. All are NaN where there is no correction.
     """
 
     logarithm: Floats
     gradient: Floats
     bend: Floats
+    mixed: Floats
     sensitivity: Floats
 
 
-def correct_logarithm(slopes: Slopes, covariance: Floats) -> FieldCorrection:
+def correct_logarithm(slopes: Derivatives, covariance: Floats) -> FieldCorrection:
     """The correction for directions of the `covariance` (n, 3): along, across, and of both, in rad^2.
 
     With gradient b and second derivatives H of ln y, and S = (1/C + H)^-1: ln f = ln y - 1/2 ln det(I + C H) - 1/2 b S b, the
     gradient of ln f is (I - H S) b, and its second derivatives are H - H S H. On one axis, with c = -H and q = 1 - C c, that is
     ln f = ln y - 1/2 ln q - C b^2 / (2 q), with the slope b / q and the second derivative -c / q.
+
+    With the negative covariance it is the inverse: what the field adds to the logarithm of f, from the derivatives of ln f.
     """
     b1, b2, h1, h2, h12 = slopes.first_along, slopes.first_across, slopes.second_along, slopes.second_across, slopes.mixed
     c1, c2, c12 = covariance.T
@@ -68,8 +87,9 @@ def correct_logarithm(slopes: Slopes, covariance: Floats) -> FieldCorrection:
         ],
         axis=1,
     )
+    mixed = h12 - (h1 * (s1 * h12 + s12 * h2) + h12 * (s12 * h12 + s2 * h2))
     logarithm = np.where(np.abs(logarithm) <= MOST, logarithm, np.nan)
-    return FieldCorrection(logarithm, gradient, bend, sensitivity)
+    return FieldCorrection(logarithm, gradient, bend, mixed, sensitivity)
 
 
 def directions_covariance(instrument: Instrument, directions: Directions, sigma: Floats, transmitted: Flags) -> Floats:

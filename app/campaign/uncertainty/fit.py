@@ -30,7 +30,8 @@ class Fit:
 
     `chi_square` (n,) are the squares of what is left over their independent variances, and `expected` (n,) their expectations.
     By input: its `estimate` in its unit, and the variance `expected_variance` that the estimate has where the model holds, at
-    most u^2: less where the residuals do not determine the input.
+    most u^2: less where the residuals do not determine the input. `covariance` (inputs, inputs) is that of the inputs after the
+    fit, each in its unit.
     """
 
     chi_square: Floats
@@ -38,6 +39,7 @@ class Fit:
     inputs: tuple[Input, ...]
     estimate: Floats
     expected_variance: Floats
+    covariance: Floats
 
     def of(self, name: str) -> float:
         """The estimate of an input; 0 where no residual depends on it."""
@@ -73,6 +75,7 @@ def fit_inputs(effects: Effects, residual: Floats) -> Fit:
         inputs=tuple(inputs),
         estimate=u * fitted,
         expected_variance=u**2 * np.maximum(1.0 - np.diag(inverse), 0.0),
+        covariance=u[:, None] * inverse * u,
     )
 
 

@@ -95,6 +95,14 @@ class Displacement:
         """Relative change (n, inputs) of values for one unit of each input; slopes (n,) per degree, without NaN."""
         return slope_along[:, None] * self.along + slope_across[:, None] * self.across + self.diffuse
 
+    def where(self, chosen: Flags) -> "Displacement":
+        """The same at some directions (n,), and nothing at the others."""
+        return Displacement(*(np.where(chosen[:, None], each, 0.0) for each in vars(self).values()))
+
+    def times(self, matrix: Floats) -> "Displacement":
+        """What combinations (inputs, m) of the inputs do."""
+        return Displacement(*(each @ matrix for each in vars(self).values()))
+
 
 @dataclass(frozen=True)
 class PoseEffects:

@@ -104,7 +104,9 @@ class LiveScan:
     def __init__(self, plan: Plan) -> None:
         self._plan = plan
         self._schedule = plan.schedule.file
-        self._settings = reduction_settings(plan.rig.file, self._schedule, plan.schedule.certificate, "certificate")
+        self._settings = reduction_settings(
+            plan.rig.file, self._schedule, plan.schedule.certificate, "certificate", alignment=plan.rig.alignment
+        )
         self._drift_limit = None if self._schedule.drift is None else self._schedule.drift.limit
         self._scans: dict[ScanKey, Row] = {}
         self._key: ScanKey | None = None

@@ -16,6 +16,7 @@ from goniotwin.app.campaign.schedule.file import ScheduleDescription, parse_sche
 from goniotwin.app.desktop.model.live_scan import LiveScan, ScanData, ScanKey, Setting, scan_key
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription, parse_rig
+from goniotwin.app.rig.alignment import aligned_model, parse_alignment
 from goniotwin.protocols.clock import RealClock
 from goniotwin.twin.plant import TwinModel
 
@@ -31,18 +32,18 @@ class PlanTexts:
 
     schedule: tuple[str, str]
     certificate: str | None
-    rig: tuple[str, Path, str]
+    rig: tuple[str, Path, str, str | None]
 
     @classmethod
     def of(cls, plan: Plan) -> "PlanTexts":
         """The texts of a plan."""
         schedule, rig = plan.schedule, plan.rig
-        return cls((schedule.text, schedule.name), schedule.certificate, (rig.text, rig.folder, rig.name))
+        return cls((schedule.text, schedule.name), schedule.certificate, (rig.text, rig.folder, rig.name, rig.alignment))
 
     @property
-    def same(self) -> tuple[str, str | None, str]:
+    def same(self) -> tuple[str, str | None, str, str | None]:
         """What is equal for plans with the same rows, wherever their files are."""
-        return self.schedule[0], self.certificate, self.rig[0]
+        return self.schedule[0], self.certificate, self.rig[0], self.rig[3]
 
     def plan(self) -> Plan:
         """The plan without its rows."""
@@ -238,7 +239,7 @@ def planned_directions(plan: Plan) -> dict[tuple[Setting, bool], int]:
 
 
 def expected_model(plan: Plan) -> TwinModel:
-    """The virtual rig of a plan as its files describe it, without what it is off by, and with noise of its own.
+    """The virtual rig of a plan as its files describe it, with noise of its own. It is off by what an alignment has found.
 
     Raises UserError where there is none whose signal is computed quickly.
     """
@@ -248,6 +249,8 @@ def expected_model(plan: Plan) -> TwinModel:
     model = exposure_twin(plan.rig, file.etalon, file.samples)
     if model is None:
         raise UserError("the twin of the rig file traces rays, which takes too long")
+    if plan.rig.alignment is not None:
+        model = aligned_model(model, parse_alignment(plan.rig.alignment, plan.rig.name))
     return replace(model, seed=model.seed + 1, electronics=replace(model.electronics, gain_spread=0.0))
 
 

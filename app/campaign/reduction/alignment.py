@@ -1,0 +1,433 @@
+"""The alignment: a rig's misalignments from a narrow lobe that was measured, by the sensitivities that the budget uses.
+
+A lobe that is round about the specular direction shows where that direction is: each value depends on the angle between them.
+The logarithm of the lobe is a polynomial in the square of that angle, of one form for all incidences, with a scale and small
+changes of its form for each of them. These are unknown, as are each photodiode's own angles and the positions of the axes after
+each move, with the uncertainties that the rig file states. The inputs of pose are fitted to all values together: least squares
+with the stated uncertainties as prior. One step is not enough: values are predicted anew, with the angles as found, and what is
+left is fitted, until nothing changes (Gauss-Newton).
+
+A scan of the open beam adds its centroid: it alone tells light and arc apart in the plane of incidence.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from goniotwin.app.campaign.journal.reading import JournalReader
+from goniotwin.app.campaign.reduction.closure import EDGE_SHARE, ScannedBeam
+from goniotwin.app.campaign.reduction.components import INDEPENDENT
+from goniotwin.app.campaign.reduction.effects_of_points import angles, displacement_of, effects_of, views_of_points
+from goniotwin.app.campaign.reduction.etalon import ReductionSettings
+from goniotwin.app.campaign.reduction.points import BsdfPoints
+from goniotwin.app.campaign.reduction.scale import mounted
+from goniotwin.app.campaign.uncertainty.alignment import Alignment, known_displacement
+from goniotwin.app.campaign.uncertainty.effects import Dense, Effects, Group, group_variance
+from goniotwin.app.campaign.uncertainty.field import correct_logarithm, directions_covariance
+from goniotwin.app.campaign.uncertainty.fit import fit_inputs
+from goniotwin.app.campaign.uncertainty.inputs import Input
+from goniotwin.app.campaign.uncertainty.pose import (
+    MOUNTED,
+    POSITIONS,
+    RAD,
+    Views,
+    mounting_inputs,
+    photodiode_inputs,
+    position_u_deg,
+    rig_inputs,
+)
+from goniotwin.app.campaign.uncertainty.slopes import Directions
+from goniotwin.app.errors import UserError
+from goniotwin.app.rig import RigDescription, nominal_instrument
+from goniotwin.app.rig.alignment import AlignmentFile, Combination
+from goniotwin.arrays import Floats
+from goniotwin.twin.optics import Instrument
+from goniotwin.twin.optics.geometry.coordinates import SPECULAR_AZIMUTH_DEG
+
+LEAST_SHARE = 0.01
+"""Values below this share of the largest one of their incidence are not used: there the form of a lobe is less certain."""
+WIDEST_DEG = 20.0
+"""Values further from the specular direction are not used: no narrow lobe reaches so far."""
+TERMS = 5
+"""Terms of the polynomial, in the square of the angle over that of the furthest value."""
+SCALE_U, FORM_U = 1.0, 0.01
+"""Standard uncertainties of a lobe's logarithm: of its scale at each incidence, and of each further term's change with it."""
+FREE_U = 100.0
+"""Standard uncertainty of the terms that all incidences have in common: they are free."""
+MOST_STEPS = 12
+SETTLED = 0.05
+"""A step that changes no mode by more than this share of its uncertainty is the last one."""
+CENTROID_U_DEG = 0.002
+"""Standard uncertainty of a scan's centroid by its steps (assumed; on the virtual rig 0.0005 to 0.0015)."""
+LARGEST_CHI_SQUARE = 1.5
+"""Residuals beyond this are not those of displaced lobes."""
+ROW_GROUPS = ("lamp", "monitor", "repeatability")
+"""Groups whose inputs all values of a row have in common, at the sample and at the etalon."""
+
+
+@dataclass(frozen=True)
+class AlignmentResult:
+    """What an alignment has found: rig and mountings of the sample together, in `alignment`.
+
+    `combinations` are those that the data determine, with their `covariance` in deg^2. `chi_square` is that of the residuals of
+    the predictions over its expectation, of `values` values. `scans` is the number of scans of the open beam in it. `findings`
+    state what the residuals show that no displacement of a lobe explains.
+    """
+
+    sample: str
+    mountings: tuple[str, ...]
+    alignment: Alignment
+    combinations: tuple[Combination, ...]
+    covariance: Floats
+    chi_square: float
+    values: int
+    scans: int
+    findings: tuple[str, ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        """The result for JSON; angles in deg."""
+        return {
+            "sample": self.sample,
+            "mountings": list(self.mountings),
+            "values": self.values,
+            "chi2": self.chi_square,
+            "scans": self.scans,
+            "combinations": [vars(each) for each in self.combinations],
+            "covariance": self.covariance.tolist(),
+            "findings": list(self.findings),
+        }
+
+
+def alignment_file(result: AlignmentResult, journal: JournalReader, rig: RigDescription, measured: str) -> AlignmentFile:
+    """The alignment file of a result; `measured` is the day of the measurement, or empty."""
+    return AlignmentFile(
+        alignment=1,
+        simulated=journal.simulated,
+        seed=rig.seed,
+        rig=rig.file.name,
+        rig_sha256=rig.digest,
+        campaign=journal.value("name"),
+        journal=journal.chain.tip,
+        measured=measured,
+        sample=result.sample,
+        mountings=result.mountings,
+        values=result.values,
+        chi_square=result.chi_square,
+        open_beam=result.scans,
+        combinations=result.combinations,
+        covariance=tuple(map(tuple, result.covariance.tolist())),
+        inputs={name: value for name, value in result.alignment.values.items() if "@" not in name},
+    )
+
+
+def lobe_points(points: BsdfPoints) -> BsdfPoints:
+    """The points that an alignment can use: trusted values of reflected light in the upper part of each incidence's lobe."""
+    near = points.good & ~points.transmitted & ~points.flag("under-range") & (points.bsdf > 0.0)
+    near &= points.theta_deg <= WIDEST_DEG
+    _, which = np.unique(points.sigma_deg, return_inverse=True)
+    peak = np.full(int(which.max(initial=-1)) + 1, math.inf)
+    for k in range(peak.size):
+        peak[k] = np.max(points.bsdf[near & (which == k)], initial=0.0)
+    return points.where(near & (points.bsdf > LEAST_SHARE * peak[which]))
+
+
+def estimate_alignment(
+    points: BsdfPoints, settings: ReductionSettings, beams: Sequence[ScannedBeam] = (), source: str = ""
+) -> AlignmentResult:
+    """The alignment by the points of one sample at one wavelength, before their corrections, and by scans of the open beam.
+
+    Raises UserError, without the name of the journal, where they determine nothing.
+    """
+    points = lobe_points(points)
+    if points.size < TERMS:
+        raise UserError(f"{settings.sample}: has no lobe of reflected light that an alignment could use")
+    values = _LobeValues(points, settings)
+    scans = [each for each in beams if each.edge <= EDGE_SHARE]
+    before = settings.alignment or Alignment.stated(rig_inputs(settings.rig.uncertainty))
+    mountings = [each for name in values.mountings for each in mounting_inputs(settings.rig.uncertainty, "sample", name)]
+    before = replace(before.with_inputs(mountings), source=source)
+    modes, of_modes = before.modes
+    value = before.value
+    error = np.zeros(len(modes))
+    for _ in range(MOST_STEPS):
+        known = dict(zip((each.name for each in before.inputs), value.tolist(), strict=True))
+        effects, residual = values.linearised(known, before, error)
+        if scans:
+            effects, residual = _with_scans(effects, residual, scans, known, before, error, settings)
+        fit = fit_inputs(effects, residual)
+        place = {each.name: k for k, each in enumerate(fit.inputs)}
+        used = [k for k, each in enumerate(modes) if each.name in place]
+        at = [place[modes[k].name] for k in used]
+        found = np.zeros(len(modes))
+        found[used] = fit.estimate[at]
+        values.correct_lobe({each.name: x for each, x in zip(fit.inputs, fit.estimate.tolist(), strict=True)})
+        after = np.diag([each.u**2 for each in modes])
+        after[np.ix_(used, used)] = fit.covariance[np.ix_(at, at)]
+        step = float(np.max(np.abs(found - error) / np.sqrt(np.maximum(np.diag(after), np.finfo(float).tiny)), initial=0.0))
+        error, value = found, before.value + of_modes @ found
+        if step < SETTLED:
+            break
+    aligned = Alignment(before.inputs, value, of_modes @ after @ of_modes.T, source)
+    combinations, covariance = aligned.combinations(nominal_instrument(settings.rig))
+    if not combinations:
+        raise UserError(
+            f"{settings.sample}: its values determine no misalignment; measure a lobe some degrees wide, with less noise"
+        )
+    of_values = slice(0, points.size)
+    chi_square = float(fit.chi_square[of_values].sum() / fit.expected[of_values].sum())
+    findings = []
+    if chi_square > LARGEST_CHI_SQUARE:
+        findings.append(
+            f"the residuals are not those of a lobe that is displaced (chi-square {chi_square:.2f} per degree of freedom): the "
+            "beam is clipped, or light misses the hole, or the lobe is not round; or noise or positions are worse than stated"
+        )
+    return AlignmentResult(
+        settings.sample, tuple(values.mountings), aligned, combinations, covariance, chi_square, points.size, len(scans),
+        tuple(findings),
+    )  # fmt: skip
+
+
+class _LobeValues:
+    """The values of a lobe, with its form as known so far."""
+
+    def __init__(self, points: BsdfPoints, settings: ReductionSettings) -> None:
+        self._points, self._settings = points, settings
+        self._instrument = nominal_instrument(settings.rig)
+        self._views = views_of_points(points)
+        self._logarithm = np.log(points.bsdf)
+        _, self._which = np.unique(points.sigma_deg, return_inverse=True)
+        self._settings_count = int(self._which.max()) + 1
+        self._furthest = math.radians(float(points.theta_deg.max()))
+        self.mountings, self._mounting = mounted("sample", points.row, settings)
+        self._form = self._first_form()
+        self._signals()
+
+    def _first_form(self) -> Floats:
+        """Coefficients (incidences, terms) of the lobe by the nominal angles, with one form."""
+        basis = self._basis(np.radians(self._points.theta_deg))
+        return np.tile(np.linalg.lstsq(basis, self._logarithm, rcond=None)[0], (self._settings_count, 1))
+
+    def _basis(self, theta: Floats) -> Floats:
+        return np.asarray((theta[:, None] / self._furthest) ** (2 * np.arange(TERMS)))
+
+    def _signals(self) -> None:
+        """What the values share besides angles, and their independent variances."""
+        base = effects_of(self._points, self._settings)
+        self._independent = {name: each for name, each in base.independent.items() if name in INDEPENDENT}
+        common = np.zeros(self._points.size)
+        for group in base.groups:
+            if group.name in ROW_GROUPS:
+                common += group_variance(group)
+            else:  # its inputs are common to few values: of a photodiode at a gain, of one reading of the etalon
+                self._independent[group.name] = self._independent.get(group.name, 0.0) + group_variance(group)
+        rows = np.unique(self._points.row)
+        of_row = {
+            k: Input(f"light@row {k}", "1", 1.0, "normal", "all photodiodes of the row", "lamp and monitor", "")
+            for k in rows.tolist()
+        }
+        self._row = Group("row", of_row, self._points.row[:, None], np.sqrt(common)[:, None])
+        self._dense = list(base.dense)
+
+    def correct_lobe(self, found: dict[str, float]) -> None:
+        """Add the changes of the form that a fit has found."""
+        for j in range(TERMS):
+            self._form[:, j] += found.get(_of_all(j), 0.0)
+            for k in range(self._settings_count):
+                self._form[k, j] += found.get(_of_one(j, k), 0.0)
+
+    def linearised(self, known: dict[str, float], before: Alignment, error: Floats) -> tuple[Effects, Floats]:
+        """The effects of all inputs about `known` values, and what the values are beside a prediction without the modes.
+
+        The modes have the values `error` there.
+        """
+        points, table = self._points, self._settings.rig.uncertainty
+        of_mounting = np.array(
+            [[known.get(each.name, 0.0) for each in mounting_inputs(table, "sample", name)] for name in self.mountings]
+        )
+        moved, effects = known_displacement(self._instrument, self._views, known, of_mounting[self._mounting])
+        place = _Place(self._views, self._instrument, moved.along[:, 0], moved.across[:, 0])
+        basis = self._basis(place.theta)
+        lobe = place.lobe(self._form[self._which], self._furthest)
+        seen = replace(points, slope_along=RAD * lobe.gradient[:, 0], slope_across=RAD * lobe.gradient[:, 1])
+        of_angles = angles(seen, replace(self._settings, alignment=None))
+        own = (
+            (mounting_inputs(table, "sample", name), effects.sample.where(self._mounting == k))
+            for k, name in enumerate(self.mountings)
+        )
+        columns = displacement_of(before, [(rig_inputs(table), effects.common), *own])
+        sensitivity = columns.relative(seen.slope_along, seen.slope_across)
+        modes, of_modes = before.modes
+        by_mode = sensitivity @ of_modes
+        dense = [Dense(modes, by_mode), *self._dense, *self._lobe_inputs(basis), *self._etalon_inputs(of_angles)]
+        field = table.standard("field_of_view")
+        dense.append(Dense([_free("field", field)], lobe.blur[:, None]))
+        groups = [*(_of_sample(each) for each in of_angles.groups), self._row]
+        residual = self._logarithm - lobe.logarithm - lobe.blur - moved.diffuse[:, 0] + by_mode @ error
+        return Effects(points.bsdf, self._independent, groups, dense), residual
+
+    def _lobe_inputs(self, basis: Floats) -> list[Dense]:
+        found = [Dense([_free(_of_all(j), FREE_U) for j in range(TERMS)], basis)]
+        for k in range(self._settings_count):
+            here = (self._which == k)[:, None]
+            inputs = [_free(_of_one(j, k), SCALE_U if j == 0 else FORM_U) for j in range(TERMS)]
+            found.append(Dense(inputs, np.where(here, basis, 0.0)))
+        return found
+
+    def _etalon_inputs(self, of_angles: Effects) -> list[Dense]:
+        """The inputs of the etalon's mountings, and products with a lift: they have no part in the displacement."""
+        return [each for each in of_angles.dense if any(("etalon_" in one.name or "*" in one.name) for one in each.inputs)]
+
+
+def _with_scans(
+    effects: Effects, residual: Floats, scans: Sequence[ScannedBeam], known: dict[str, float], before: Alignment, error: Floats,
+    settings: ReductionSettings,
+) -> tuple[Effects, Floats]:  # fmt: skip
+    """The effects and residuals, in deg, of the scans' centroids after those of the values: two for each, along and across.
+
+    A scan sees the light straight through the empty holder: where it is beside the photodiode, the photodiode is beside it on
+    the other side.
+    """
+    table, photodiode = settings.rig.uncertainty, np.array([each.scan.photodiode for each in scans])
+    lower = np.array([each.scan.arc == "lower" for each in scans])
+    poses = np.array([each.scan.poses[each.scan.middle] for each in scans])
+    none = np.zeros(len(scans), dtype=bool)
+    views = Views(
+        sigma_deg=poses[:, 1], gamma_deg=poses[:, 0], polar=np.radians([each.scan.at_deg for each in scans]),
+        azimuth=np.full(len(scans), math.radians(SPECULAR_AZIMUTH_DEG)), lower=lower, transmitted=~none, reverse=none,
+    )  # fmt: skip
+    moved, at = known_displacement(nominal_instrument(settings.rig), views, known, np.zeros((len(scans), len(MOUNTED))))
+    up = np.where(lower, -1.0, 1.0)
+    seen = np.array([each.centroid_deg for each in scans])
+    columns = displacement_of(before, [(rig_inputs(table), at.common)])
+    modes, of_modes = before.modes
+    own, left, variances = [], [], []
+    stops = np.array([np.sum(each.share**2) for each in scans]) * position_u_deg(table) ** 2
+    for k, (observed, part, displaced) in enumerate(
+        ((-seen[:, 0], columns.along, moved.along), (-up * seen[:, 1], columns.across, moved.across))
+    ):
+        sensitivity = part @ of_modes
+        own.append(sensitivity)
+        left.append(observed - displaced[:, 0] + sensitivity @ error)
+        # Beside the stops of the scan itself, in the plane there is that of sigma.
+        variances.append(stops + CENTROID_U_DEG**2 + (position_u_deg(table) ** 2 if k == 0 else 0.0))
+    count = 2 * len(scans)
+    dense = [
+        Dense(each.inputs, np.concatenate([each.sensitivity, np.concatenate(own) if each.inputs is modes else
+                                           np.zeros((count, len(each.inputs)))]))
+        for each in effects.dense
+    ]  # fmt: skip
+    of_photodiodes = Group(
+        "photodiode_angle",
+        {2 * c + k: each for c in photodiode.tolist() for k, each in enumerate(photodiode_inputs(table, c))},
+        (2 * photodiode + np.arange(2)[:, None]).reshape(-1, 1),
+        np.concatenate([at.photodiode.along[:, :1], at.photodiode.across[:, 1:]]),
+    )
+    groups = [_continued(each, of_photodiodes if each.name == of_photodiodes.name else None, count) for each in effects.groups]
+    independent = {name: np.append(each, np.zeros(count)) for name, each in effects.independent.items()}
+    independent["centroid"] = np.append(np.zeros(residual.size), np.concatenate(variances))
+    value = np.append(effects.value, np.ones(count))
+    return Effects(value, independent, groups, dense), np.append(residual, np.concatenate(left))
+
+
+def _continued(group: Group, further: Group | None, count: int) -> Group:
+    """A group with `count` further values, of which each has at most one of its inputs."""
+    member, sensitivity = np.full((count, group.member.shape[1]), -1, dtype=np.int64), np.zeros((count, group.member.shape[1]))
+    inputs = dict(group.inputs)
+    if further is not None:
+        member[:, :1], sensitivity[:, :1] = further.member, further.sensitivity
+        inputs |= further.inputs
+    return Group(group.name, inputs, np.concatenate([group.member, member]), np.concatenate([group.sensitivity, sensitivity]))
+
+
+def _free(name: str, u: float) -> Input:
+    return Input(name, "1", u, "normal", "the lobe", "", "")
+
+
+def _of_all(term: int) -> str:
+    return f"lobe[{term}]"
+
+
+def _of_one(term: int, setting: int) -> str:
+    return f"lobe[{term}]@{setting}"
+
+
+def _of_sample(group: Group) -> Group:
+    """The group without the axes' positions at the etalon's row: of the diffuse part alone."""
+    if group.name != "position":
+        return group
+    count = len(POSITIONS)
+    return replace(group, member=group.member[:, :count], sensitivity=group.sensitivity[:, :count])
+
+
+@dataclass(frozen=True)
+class _Lobe:
+    """A lobe at the values' true directions: its `logarithm`, and what the field of view adds to it; the `gradient` of both.
+
+    Along the arc and across it, per rad.
+    """
+
+    logarithm: Floats
+    blur: Floats
+    gradient: Floats
+
+
+@dataclass(frozen=True)
+class _Derivatives:
+    """Those of the logarithm of a lobe, per rad: see `field.Derivatives`."""
+
+    first_along: Floats
+    first_across: Floats
+    second_along: Floats
+    second_across: Floats
+    mixed: Floats
+
+
+class _Place:
+    """The true directions of values against the specular direction where the light's axis has it; angles in rad."""
+
+    def __init__(self, views: Views, instrument: Instrument, along_deg: Floats, across_deg: Floats) -> None:
+        up = np.where(views.lower, -1.0, 1.0)
+        level = np.stack([-np.sin(views.azimuth), np.cos(views.azimuth), np.zeros(up.size)], axis=1)
+        ahead = np.stack([level[:, 1], -level[:, 0], np.zeros(up.size)], axis=1)
+        sin, cos = np.sin(views.polar)[:, None], np.cos(views.polar)[:, None]
+        upward = np.stack([np.zeros(up.size), np.zeros(up.size), up], axis=1)
+        d, along, across = sin * ahead + cos * upward, cos * ahead - sin * upward, up[:, None] * level
+        sigma = np.radians(views.sigma_deg)
+        specular = np.stack([-np.sin(sigma), np.zeros(up.size), np.cos(sigma)], axis=1)
+        turn = RAD * np.stack([along_deg, across_deg], axis=1)
+        size = np.maximum(np.linalg.norm(turn, axis=1), 1e-15)
+        seen = np.cos(size)[:, None] * d + (np.sin(size) / size)[:, None] * (turn[:, :1] * along + turn[:, 1:] * across)
+        # Both axes, carried along the great circle.
+        axes = [each - (_dot(seen, each) / (1.0 + _dot(seen, d)))[:, None] * (seen + d) for each in (along, across)]
+        self.theta = np.maximum(np.arctan2(np.linalg.norm(np.cross(specular, seen), axis=1), _dot(specular, seen)), 1e-9)
+        outward = -np.stack([_dot(specular, each) for each in axes], axis=1) / np.sin(self.theta)[:, None]
+        self._outward = outward / np.maximum(np.linalg.norm(outward, axis=1), 1e-12)[:, None]
+        none = np.zeros(up.size)
+        numbers = np.zeros(up.size, dtype=np.int64)
+        directions = Directions(numbers, numbers, views.polar, views.azimuth, up, none, none, none)
+        self._spread = directions_covariance(instrument, directions, sigma, views.transmitted)
+
+    def lobe(self, form: Floats, furthest: float) -> _Lobe:
+        """The lobe of a form (n, terms)."""
+        q, powers = (self.theta / furthest) ** 2, np.arange(TERMS)
+        value = np.sum(form * q[:, None] ** powers, axis=1)
+        by_q = np.sum(form[:, 1:] * powers[1:] * q[:, None] ** powers[:-1], axis=1)
+        by_qq = np.sum(form[:, 2:] * powers[2:] * powers[1:-1] * q[:, None] ** powers[:-2], axis=1)
+        first = 2.0 * self.theta / furthest**2 * by_q
+        second = 2.0 / furthest**2 * by_q + (2.0 * self.theta / furthest**2) ** 2 * by_qq
+        beside = first / np.tan(self.theta)  # the second derivative at right angles to the way from the centre
+        a, c = self._outward.T
+        slopes = _Derivatives(
+            first * a, first * c, second * a * a + beside * c * c, second * c * c + beside * a * a, (second - beside) * a * c
+        )
+        mean = correct_logarithm(slopes, -self._spread)
+        plain = np.stack([slopes.first_along, slopes.first_across], axis=1)
+        known = np.isfinite(mean.logarithm)
+        return _Lobe(value, np.where(known, mean.logarithm, 0.0), np.where(known[:, None], mean.gradient, plain))
+
+
+def _dot(one: Floats, other: Floats) -> Floats:
+    return np.asarray(np.einsum("ni,ni->n", one, other))
