@@ -59,6 +59,8 @@ SCALE_U, FORM_U = 1.0, 0.01
 """Standard uncertainties of a lobe's logarithm: of its scale at each incidence, and of each further term's change with it."""
 FREE_U = 100.0
 """Standard uncertainty of the terms that all incidences have in common: they are free."""
+SIZE = "step"
+"""Name of the input that is the size of a step."""
 MOST_STEPS = 12
 SETTLED = 0.05
 """A step that changes no mode by more than this share of its uncertainty is the last one."""
@@ -177,7 +179,8 @@ class LobeFit:
     """The inputs of pose fitted to a lobe: the `points` (n,) that were used, what was found, and the fit's last step.
 
     `effects` and `residual` are those of the points, then those of `scans` scans: all inputs with their uncertainties before
-    the fit, and what the values are beside a prediction without the modes of the prior.
+    the fit, and what the values are beside a prediction without the modes of the prior. `step` is the size of a step in the
+    fit, and its standard uncertainty.
     """
 
     points: BsdfPoints
@@ -188,25 +191,25 @@ class LobeFit:
     residual: Floats
     fit: Fit
     sensitivities: PoseSensitivities
-    values: "LobeValues"
-    before: Alignment
-    error: Floats
+    step: tuple[float, float]
 
-    def changed(self, changes: Mapping[str, float], since: Flags) -> tuple[Floats, PoseSensitivities]:
-        """Residuals and sensitivities of the points alone, with inputs that have changed by so much in some of the points."""
-        of_modes = self.before.modes[1]
-        value = (self.before.value + of_modes @ self.error).tolist()
-        known = dict(zip((each.name for each in self.before.inputs), value, strict=True))
-        _, residual = self.values.linearised(known, self.before, self.error, (changes, since))
-        return residual, self.values.sensitivities
+
+@dataclass(frozen=True)
+class Step:
+    """A change in the middle of the rows: `inputs` of the rig, or of all mountings, are off by one size more since `row`."""
+
+    inputs: tuple[str, ...]
+    row: int
 
 
 def fit_lobe(
-    points: BsdfPoints, settings: ReductionSettings, beams: Sequence[ScannedBeam] = (), source: str = ""
-) -> LobeFit:
+    points: BsdfPoints, settings: ReductionSettings, beams: Sequence[ScannedBeam] = (), source: str = "",
+    step: Step | None = None,
+) -> LobeFit:  # fmt: skip
     """Fit the inputs of pose to the points of one sample at one wavelength, before their corrections, and to scans.
 
-    Raises UserError, without the name of the journal, where there is no lobe.
+    With a `step` its size is fitted too, and a change of the light at that row. Raises UserError, without the name of the
+    journal, where there is no lobe.
     """
     points = lobe_points(points)
     if points.size < TERMS:
@@ -218,10 +221,13 @@ def fit_lobe(
     before = replace(before.with_inputs(mountings), source=source)
     modes, of_modes = before.modes
     value = before.value
-    error = np.zeros(len(modes))
+    error, size = np.zeros(len(modes)), 0.0
     for _ in range(MOST_STEPS):
         known = dict(zip((each.name for each in before.inputs), value.tolist(), strict=True))
-        at, effects, residual = error, *values.linearised(known, before, error)
+        if step is None:
+            effects, residual = values.linearised(known, before, error)
+        else:
+            effects, residual = values.with_step(step, size, known, before, error)
         if scans:
             effects, residual = _with_scans(effects, residual, scans, known, before, error, settings)
         fit = fit_inputs(effects, residual)
@@ -233,14 +239,15 @@ def fit_lobe(
         values.correct_lobe({each.name: x for each, x in zip(fit.inputs, fit.estimate.tolist(), strict=True)})
         after = np.diag([each.u**2 for each in modes])
         after[np.ix_(used, used)] = fit.covariance[np.ix_(columns, columns)]
-        step = float(np.max(np.abs(found - error) / np.sqrt(np.maximum(np.diag(after), np.finfo(float).tiny)), initial=0.0))
-        error, value = found, before.value + of_modes @ found
-        if step < SETTLED:
+        way = float(np.max(np.abs(found - error) / np.sqrt(np.maximum(np.diag(after), np.finfo(float).tiny)), initial=0.0))
+        error, value, size = found, before.value + of_modes @ found, fit.of(SIZE)
+        if way < SETTLED:
             break
     aligned = Alignment(before.inputs, value, of_modes @ after @ of_modes.T, source)
     return LobeFit(
-        points, tuple(values.mountings), len(scans), aligned, effects, residual, fit, values.sensitivities, values, before, at
-    )
+        points, tuple(values.mountings), len(scans), aligned, effects, residual, fit, values.sensitivities,
+        (size, math.sqrt(fit.variance_of(SIZE))),
+    )  # fmt: skip
 
 
 def lobe_effects(
@@ -354,6 +361,21 @@ class LobeValues:
         residual = self._logarithm - lobe.logarithm - lobe.blur - moved.diffuse[:, 0] + by_mode @ error
         return Effects(points.bsdf, self._independent, groups, dense), residual
 
+    def with_step(
+        self, step: Step, size: float, known: Mapping[str, float], before: Alignment, error: Floats
+    ) -> tuple[Effects, Floats]:
+        """The same with a step of about a `size`, which is an input, beside a change of the light."""
+        since = self._points.row >= step.row
+        effects, residual = self.linearised(known, before, error, (dict.fromkeys(step.inputs, size), since))
+        names = [each.name for each in rig_inputs(self._settings.rig.uncertainty)]
+        if step.inputs[0] in names:
+            column = self.sensitivities.rig[:, names.index(step.inputs[0])]
+        else:
+            column = self.sensitivities.mounting[:, [f"sample_{each}@" in step.inputs[0] for each in MOUNTED].index(True)]
+        columns = np.stack([np.where(since, column, 0.0), since.astype(np.float64)], axis=1)
+        own = Dense([_free(SIZE, FREE_U), _free("light since", SCALE_U)], columns)
+        return replace(effects, dense=[*effects.dense, own]), residual + columns[:, 0] * size
+
     def _lobe_inputs(self, basis: Floats) -> list[Dense]:
         found = [Dense([_free(_of_all(j), FREE_U) for j in range(TERMS)], basis)]
         for k in range(self._settings_count):
@@ -368,8 +390,8 @@ class LobeValues:
 
 
 def _with_scans(
-    effects: Effects, residual: Floats, scans: Sequence[ScannedBeam], known: Mapping[str, float], before: Alignment, error: Floats,
-    settings: ReductionSettings,
+    effects: Effects, residual: Floats, scans: Sequence[ScannedBeam], known: Mapping[str, float], before: Alignment,
+    error: Floats, settings: ReductionSettings,
 ) -> tuple[Effects, Floats]:  # fmt: skip
     """The effects and residuals, in deg, of the scans' centroids after those of the values: two for each, along and across.
 

@@ -5,6 +5,7 @@ import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import date
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -54,7 +55,7 @@ from goniotwin.app.campaign.reduction.row_history import RowHistory
 from goniotwin.app.campaign.reduction.signals import tracing_error
 from goniotwin.app.campaign.reduction.spectrum import NO_BAND, NO_SLOPE
 from goniotwin.app.campaign.reduction.symmetry import SymmetryResult
-from goniotwin.app.campaign.reduction.watch import WatchResult, find_misalignment
+from goniotwin.app.campaign.reduction.watch import Misalignment, WatchResult, find_misalignment
 from goniotwin.app.campaign.row import NO_SAMPLE
 from goniotwin.app.campaign.schedule.certificate import constant_certificate, parse_certificate
 from goniotwin.app.campaign.schedule.file import ScheduleFile, parse_schedule
@@ -239,15 +240,23 @@ class Reduction:
 
         The rows so far are enough. Raises UserError.
         """
-        found, without = [], []
+        found: list[Misalignment] = []
+        clear: list[str] = []
+        without: list[str] = []
         for sample in names or self.schedule.samples:
             points = self.lobe(sample)
             if points is None or points.size < TERMS:
                 without.append(sample)
                 continue
-            lobe = fit_lobe(points, replace(self.settings, sample=sample, alignment=self._of_file), self.beams)
-            found.append(find_misalignment(lobe, sample, len(self.schedule.samples)))
-        return WatchResult(tuple(each for each in found if each is not None), tuple(without))
+            settings = replace(self.settings, sample=sample, alignment=self._of_file)
+            lobe = fit_lobe(points, settings, self.beams)
+            refit = partial(fit_lobe, points, settings, self.beams, "")
+            misalignment = find_misalignment(lobe, refit, sample, len(self.schedule.samples))
+            if misalignment is None:
+                clear.append(sample)
+            else:
+                found.append(misalignment)
+        return WatchResult(tuple(found), tuple(clear), tuple(without), self.journal.simulated)
 
     def lobe(self, sample: str) -> BsdfPoints | None:
         """The points of a sample that an alignment can use; None without any."""

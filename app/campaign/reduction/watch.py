@@ -12,14 +12,14 @@ of looks at a campaign in progress.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from statistics import NormalDist
 from typing import Any
 
 import numpy as np
 
-from goniotwin.app.campaign.reduction.alignment import LobeFit, PoseSensitivities
+from goniotwin.app.campaign.reduction.alignment import LobeFit, PoseSensitivities, Step
 from goniotwin.app.campaign.uncertainty.fit import ValuesCovariance
 from goniotwin.app.campaign.uncertainty.pose import LIGHT, MOUNTED, VIEW
 from goniotwin.arrays import Flags, Floats, Ints
@@ -34,8 +34,6 @@ LEAST_ROWS = 8
 """Rows of a sample before the first look."""
 ROWS_WITHIN = 4.0
 """Rows whose squared statistic is so near to the largest one may be that of the beginning."""
-STEPS = 2
-"""Times that the size is corrected."""
 ALIKE = 9.0
 """Patterns whose largest squared statistic is so near to the largest of all are named too."""
 
@@ -125,10 +123,25 @@ class Misalignment:
 
 @dataclass(frozen=True)
 class WatchResult:
-    """What the watch has found, one misalignment of a sample at most; `without` are samples without a lobe so far."""
+    """What the watch has found, at most one misalignment of a sample; `simulated`: of a virtual rig.
+
+    `clear` are samples whose residuals show none, `without` those without a lobe so far.
+    """
 
     misalignments: tuple[Misalignment, ...]
+    clear: tuple[str, ...]
     without: tuple[str, ...]
+    simulated: bool
+
+    def as_dict(self) -> dict[str, Any]:
+        """The result for JSON."""
+        return {
+            "simulated": self.simulated,
+            "misalignments": [each.as_dict() for each in self.misalignments],
+            "clear": list(self.clear),
+            "without_lobe": list(self.without),
+            "false_alarms": FALSE_ALARMS,
+        }
 
 
 def concise(value: float, u: float) -> str:
@@ -146,10 +159,10 @@ def alarm_limit(samples: int) -> float:
     return NormalDist().inv_cdf(1.0 - 0.5 * FALSE_ALARMS / tests)
 
 
-def find_misalignment(lobe: LobeFit, sample: str, samples: int = 1) -> Misalignment | None:
+def find_misalignment(lobe: LobeFit, refit: Callable[[Step], LobeFit], sample: str, samples: int = 1) -> Misalignment | None:
     """The misalignment that the residuals of a lobe show; None where they show none.
 
-    `samples` is the number of samples of the campaign that are watched.
+    `refit` fits the same lobe with a step in it. `samples` is the number of samples of the campaign that are watched.
     """
     rows, which = np.unique(lobe.points.row, return_inverse=True)
     if rows.size < LEAST_ROWS:
@@ -166,30 +179,19 @@ def find_misalignment(lobe: LobeFit, sample: str, samples: int = 1) -> Misalignm
     # Each row near that place, and beside them all others at once.
     begin, end = int(edges[max(place - 1, 0)]), int(edges[place + 2]) if place + 2 < edges.size else rows.size
     every = _since(covariance, lobe.residual, [columns[best]], np.clip(which, begin - 1, end) - (begin - 1))
-    statistic, size, u = (each[0, 1 : 1 + end - begin] for each in (every.statistic, every.size, every.u))
+    statistic = every.statistic[0, 1 : 1 + end - begin]
     k = int(np.argmax(np.abs(statistic)))
-    size[k] += _left_of(lobe, covariance, PATTERNS[best], float(size[k]), int(rows[begin + k]))
+    # Sums with the sensitivities fail at second order: the size is that of a fit with the step in it.
+    pattern, row = PATTERNS[best], int(rows[begin + k])
+    # A row without values of the lobe shows nothing: it may have begun there.
+    earliest = int(rows[within[0] - 1]) + 1 if within[0] > 0 else int(rows[0])
+    names = [f"sample_{pattern.input}@{each}" for each in lobe.mountings] if pattern.mounting else [pattern.input]
+    size, u = refit(Step(tuple(names), row)).step
     within = begin + np.flatnonzero(statistic**2 > statistic[k] ** 2 - ROWS_WITHIN)
     return Misalignment(
-        sample, PATTERNS[best], float(size[k]), float(u[k]), int(rows[begin + k]), int(rows[within[0]]),
-        int(rows[within[-1]]), begin + k == 0, float(statistic[k]), limit, tuple(PATTERNS[each] for each in alike),
+        sample, pattern, size, u, row, earliest, int(rows[within[-1]]), begin + k == 0, float(statistic[k]), limit,
+        tuple(PATTERNS[each] for each in alike),
     )  # fmt: skip
-
-
-def _left_of(lobe: LobeFit, covariance: ValuesCovariance, pattern: Pattern, size: float, row: int) -> float:
-    """What is left of a misalignment where the values since a row are predicted with the size that was found for it.
-
-    Sums with the sensitivities fail at second order.
-    """
-    names = [f"sample_{pattern.input}@{each}" for each in lobe.mountings] if pattern.mounting else [pattern.input]
-    since, left = lobe.points.row >= row, 0.0
-    for _ in range(STEPS):
-        residual, sensitivities = lobe.changed(dict.fromkeys(names, size + left), since)
-        of_scans = lobe.residual[residual.size :]
-        column = _column(pattern, sensitivities, lobe.residual.size)
-        found = _since(covariance, np.append(residual, of_scans), [column], since.astype(np.int64))
-        left += float(found.size[0, -1])
-    return left
 
 
 def _column(pattern: Pattern, sensitivities: PoseSensitivities, count: int) -> Floats:

@@ -1,4 +1,4 @@
-"""The design of an alignment's campaign: the grids of a schedule that tell the most about a rig's misalignments in a given time.
+"""The design of an alignment's campaign: the grids of a schedule that tell the most about misalignments in a given time.
 
 What a campaign tells is known before it is measured: the estimator's sensitivities and covariance (`reduction.alignment`) at
 the directions that it measures, with light and noise as in some rows that the twin reads. A design is a set of levels of sigma,
@@ -29,7 +29,7 @@ from goniotwin.app.campaign.planning.plan import NewPlan, make_plan
 from goniotwin.app.campaign.reduction.alignment import LEAST_SHARE, TERMS, WIDEST_DEG, fit_lobe, lobe_effects
 from goniotwin.app.campaign.reduction.closure import ScannedBeam
 from goniotwin.app.campaign.reduction.etalon import ReductionSettings
-from goniotwin.app.campaign.reduction.points import PLACE, BsdfPoints
+from goniotwin.app.campaign.reduction.points import PLACE, BsdfPoints, join_points
 from goniotwin.app.campaign.reduction.reduction import Reduction, reduction_settings
 from goniotwin.app.campaign.reduction.row_history import RowHistory
 from goniotwin.app.campaign.rehearsal.without_wires import rows_without_wires
@@ -138,9 +138,7 @@ def design_alignment(
     u_before = np.sqrt(np.einsum("ki,ij,kj->k", rows, at_equal_time, rows))
     forecast = Forecast(len(plan.rows), plan.seconds, combinations, tuple(u_before.tolist()))
     gain = search.determinant(at_equal_time) - search.determinant(after.covariance)
-    return AlignmentDesign(
-        text, plan, search.sample, levels, forecast, 60.0 * minutes, began.seconds, gain / len(combinations)
-    )
+    return AlignmentDesign(text, plan, search.sample, levels, forecast, 60.0 * minutes, began.seconds, gain / len(combinations))
 
 
 def _named(schedule: ScheduleDescription, sample: str | None) -> str:
@@ -349,15 +347,20 @@ class _Search:
         """The information of all rows of the pool: sensitivities to inputs in units of their u, with rows decorrelated."""
         sides = lit_sides(self._schedule.file)
         poses = [
-            (gamma, rig_sigma_deg(sigma, side), beta, shift)
-            for gamma in self._pool["gamma_deg"]
+            (self._pool["gamma_deg"][0], rig_sigma_deg(sigma, side), beta, shift)
             for sigma in self._pool["sigma_deg"]
             for side in sides
             for beta in self._pool["beta_deg"]
             for shift in self._pool["shift_deg"]
         ]
         settings = self._settings(None)
-        points = self._light.points([(k, k, pose) for k, pose in enumerate(poses)], self._wavelength, settings)
+        of_one = self._light.points([(k, k, pose) for k, pose in enumerate(poses)], self._wavelength, settings)
+        turned = []
+        for turn, gamma in enumerate(self._pool["gamma_deg"]):
+            places, first = of_one.places.copy(), turn * len(poses)
+            places[:, PLACE.index("gamma_deg")] = gamma
+            turned.append(replace(of_one, places=places, row=of_one.row + first, etalon_row=of_one.etalon_row + first))
+        points = join_points(turned)
         effects, self.stated = lobe_effects(points, settings, self._beams)
         sigma = np.where(points.back, 180.0 - points.sigma_deg, points.sigma_deg)
         self._levels = {
@@ -402,7 +405,7 @@ class _Search:
         for key, values in levels.items():
             chosen &= np.isin(np.round(self._levels[key], 6), values)
         some = self._white[np.append(np.flatnonzero(chosen), np.arange(chosen.size, len(self._white)))]
-        covariance = np.linalg.inv(np.eye(some.shape[1]) + some.T @ some)
+        covariance = np.asarray(np.linalg.inv(np.eye(some.shape[1]) + some.T @ some), dtype=np.float64)
         return self._logarithm(covariance[: self._modes, : self._modes])
 
     # The exchange.

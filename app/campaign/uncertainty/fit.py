@@ -48,6 +48,11 @@ class Fit:
         found = [value for each, value in zip(self.inputs, self.estimate.tolist(), strict=True) if each.name == name]
         return float(found[0]) if found else 0.0
 
+    def variance_of(self, name: str) -> float:
+        """The variance of an input after the fit; 0 where no residual depends on it."""
+        found = [float(self.covariance[k, k]) for k, each in enumerate(self.inputs) if each.name == name]
+        return found[0] if found else 0.0
+
 
 def fit_inputs(effects: Effects, residual: Floats) -> Fit:
     """Fit all shared inputs of the values to their relative residuals (n,)."""
