@@ -183,11 +183,11 @@ def find_misalignment(lobe: LobeFit, refit: Callable[[Step], LobeFit], sample: s
     k = int(np.argmax(np.abs(statistic)))
     # Sums with the sensitivities fail at second order: the size is that of a fit with the step in it.
     pattern, row = PATTERNS[best], int(rows[begin + k])
+    within = begin + np.flatnonzero(statistic**2 > statistic[k] ** 2 - ROWS_WITHIN)
     # A row without values of the lobe shows nothing: it may have begun there.
     earliest = int(rows[within[0] - 1]) + 1 if within[0] > 0 else int(rows[0])
     names = [f"sample_{pattern.input}@{each}" for each in lobe.mountings] if pattern.mounting else [pattern.input]
     size, u = refit(Step(tuple(names), row)).step
-    within = begin + np.flatnonzero(statistic**2 > statistic[k] ** 2 - ROWS_WITHIN)
     return Misalignment(
         sample, pattern, size, u, row, earliest, int(rows[within[-1]]), begin + k == 0, float(statistic[k]), limit,
         tuple(PATTERNS[each] for each in alike),
