@@ -3,8 +3,8 @@
     python -m benchmarks.alignment [--rigs 50] [--first 1] [--wires] [--json]
 
 Each rig has 12 tilts within 0.1 deg, zeros of sigma, beta and shift within 0.2 deg, photodiodes' angles within 0.02 deg, and
-positions of the axes within 0.005 deg after each move; it measures examples/schedules/alignment.toml. The truth is that of the
-twin's back door. Some ten seconds a rig without wires.
+positions of the axes within 0.005 deg after each move; it measures examples/proof/alignment.toml. The truth is that of the
+twin itself. Some ten seconds a rig without wires.
 """
 
 import argparse
@@ -32,6 +32,7 @@ def summary(rigs: list[RigFindings]) -> dict[str, object]:
         "chi2_combinations": float(np.mean((errors / u) ** 2)),
         "median_direction_deg": float(np.median([each.direction for each in rigs])),
         "largest_direction_deg": float(np.max([each.direction for each in rigs])),
+        "median_direction_from_nominal_deg": float(np.median([each.from_nominal for each in rigs])),
         "chi2_predictions": float(np.mean([each.predictions for each in rigs])),
         "chi2_residuals": float(np.mean([each.residuals for each in rigs])),
         "median_cut_rms_percent": dict(zip(CUTS, np.median(cuts, axis=0).tolist(), strict=True)),

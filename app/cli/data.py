@@ -273,7 +273,7 @@ def align(
     ] = None,
     as_json: Json = False,
 ) -> None:  # fmt: skip
-    """Estimate the rig's misalignments from a narrow lobe that was measured.
+    """Estimate the rig's misalignments from a measured lobe.
 
     Given are the combinations of tilts, zeros and shifts that the values determine, each with its uncertainty: a single
     mirror's tilt is never among them. A scan of the open beam in the campaign distinguishes light and arc. With the file in

@@ -1,6 +1,6 @@
 """The alignment file: what `goniotwin align` has found of a rig's misalignments, and the key of the rig file that names it.
 
-Many inputs (a mirror's tilt, a zero) cannot be told apart by any measurement of a rig; sums of them can. The file has these
+Many inputs (a mirror's tilt, a zero) cannot be distinguished by any measurement of a rig; sums of them can. The file has these
 combinations, each with its value, its standard uncertainty and the coefficients of the inputs in it, and their covariance.
 What it leaves unknown stays as `[uncertainty]` of the rig file states it.
 """
@@ -22,7 +22,7 @@ MOST_BYTES = 1_000_000
 DIGITS = 9
 """Significant digits of the numbers in a file."""
 LEAST_SHOWN = 0.1
-"""Terms below this share of the largest one are left out of a combination's words."""
+"""Terms below this share of the largest one are not in a combination's words."""
 SMALLEST = 1e-20
 """A smaller covariance is none: it is far below the rounding of the others."""
 

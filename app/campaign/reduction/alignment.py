@@ -7,7 +7,7 @@ each move, with the uncertainties that the rig file states. The inputs of pose a
 with the stated uncertainties as prior. One step is not enough: values are predicted anew, with the angles as found, and what is
 left is fitted, until nothing changes (Gauss-Newton).
 
-A scan of the open beam adds its centroid: it alone tells light and arc apart in the plane of incidence.
+A scan of the open beam adds its centroid: it alone distinguishes light and arc in the plane of incidence.
 """
 
 import math
@@ -65,7 +65,7 @@ MOST_STEPS = 12
 SETTLED = 0.05
 """A step that changes no mode by more than this share of its uncertainty is the last one."""
 CENTROID_U_DEG = 0.002
-"""Standard uncertainty of a scan's centroid by its steps (assumed; on the virtual rig 0.0005 to 0.0015)."""
+"""Standard uncertainty of a scan's centroid by its steps; assumed."""
 LARGEST_CHI_SQUARE = 1.5
 """Residuals beyond this are not those of displaced lobes."""
 ROW_GROUPS = ("lamp", "monitor", "repeatability")
@@ -74,7 +74,8 @@ ROW_GROUPS = ("lamp", "monitor", "repeatability")
 
 @dataclass(frozen=True)
 class AlignmentResult:
-    """What an alignment has found: rig and mountings of the sample together, in `alignment`.
+    """What an alignment has found: rig and mountings of the sample together, in `alignment`; in `with_photodiodes` also the own
+    angles of the photodiodes that have seen the lobe, which are correlated with the others.
 
     `combinations` are those that the data determine, with their `covariance` in deg^2. `chi_square` is that of the residuals of
     the predictions over its expectation, of `values` values. `scans` is the number of scans of the open beam in it. `findings`
@@ -84,6 +85,7 @@ class AlignmentResult:
     sample: str
     mountings: tuple[str, ...]
     alignment: Alignment
+    with_photodiodes: Alignment
     combinations: tuple[Combination, ...]
     covariance: Floats
     chi_square: float
@@ -161,8 +163,8 @@ def estimate_alignment(
             "beam is clipped, or light misses the hole, or the lobe is not round; or noise or positions are worse than stated"
         )
     return AlignmentResult(
-        settings.sample, found.mountings, aligned, combinations, covariance, chi_square, found.points.size, found.scans,
-        tuple(findings),
+        settings.sample, found.mountings, aligned, found.whole, combinations, covariance, chi_square, found.points.size,
+        found.scans, tuple(findings),
     )  # fmt: skip
 
 
@@ -178,6 +180,7 @@ class PoseSensitivities:
 class LobeFit:
     """The inputs of pose fitted to a lobe: the `points` (n,) that were used, what was found, and the fit's last step.
 
+    `whole` is the `alignment` with the photodiodes' own angles.
     `effects` and `residual` are those of the points, then those of `scans` scans: all inputs with their uncertainties before
     the fit, and what the values are beside a prediction without the modes of the prior. `step` is the size of a step in the
     fit, and its standard uncertainty.
@@ -187,6 +190,7 @@ class LobeFit:
     mountings: tuple[str, ...]
     scans: int
     alignment: Alignment
+    whole: Alignment
     effects: Effects
     residual: Floats
     fit: Fit
@@ -219,6 +223,8 @@ def fit_lobe(
     before = settings.alignment or Alignment.stated(rig_inputs(settings.rig.uncertainty))
     mountings = [each for name in values.mountings for each in mounting_inputs(settings.rig.uncertainty, "sample", name)]
     before = replace(before.with_inputs(mountings), source=source)
+    if not before.inputs:
+        raise UserError(f"{settings.sample}: the rig file states no misalignment in [uncertainty] that could be found")
     modes, of_modes = before.modes
     value = before.value
     error, size = np.zeros(len(modes)), 0.0
@@ -244,8 +250,16 @@ def fit_lobe(
         if way < SETTLED:
             break
     aligned = Alignment(before.inputs, value, of_modes @ after @ of_modes.T, source)
+    photodiodes = [k for k, each in enumerate(fit.inputs) if each.name.startswith("photodiode_")]
+    crossed = np.zeros((len(modes), len(photodiodes)))
+    crossed[used] = fit.covariance[np.ix_(columns, photodiodes)]
+    crossed = of_modes @ crossed
+    whole = Alignment(
+        (*before.inputs, *(fit.inputs[k] for k in photodiodes)), np.append(value, fit.estimate[photodiodes]),
+        np.block([[aligned.covariance, crossed], [crossed.T, fit.covariance[np.ix_(photodiodes, photodiodes)]]]), source,
+    )  # fmt: skip
     return LobeFit(
-        points, tuple(values.mountings), len(scans), aligned, effects, residual, fit, values.sensitivities,
+        points, tuple(values.mountings), len(scans), aligned, whole, effects, residual, fit, values.sensitivities,
         (size, math.sqrt(fit.variance_of(SIZE))),
     )  # fmt: skip
 

@@ -352,11 +352,18 @@ def angles(points: BsdfPoints, settings: ReductionSettings) -> Effects:
             dense.append(Dense(lifted_inputs(table, kind, name), np.where(here, products, 0.0)))
     photodiode = points.photodiode.astype(np.int64)
     own = {2 * c + k: each for c in np.unique(photodiode).tolist() for k, each in enumerate(photodiode_inputs(table, c))}
+    own = {number: each for number, each in own.items() if not _is_aligned(each, settings)}
+    numbers = 2 * photodiode[:, None] + np.arange(2)
     groups = [
         _positions(points, settings, np.concatenate([relative(effects.position), relative(effects.etalon_position)], axis=1)),
-        Group("photodiode_angle", own, 2 * photodiode[:, None] + np.arange(2), relative(effects.photodiode)),
+        Group("photodiode_angle", own, np.where(np.isin(numbers, [*own]), numbers, -1), relative(effects.photodiode)),
     ]
     return Effects(points.bsdf, {}, groups, dense)
+
+
+def _is_aligned(each: Input, settings: ReductionSettings) -> bool:
+    """Whether an alignment has found an input."""
+    return settings.alignment is not None and each.name in settings.alignment.values
 
 
 def pose_parts(
@@ -364,7 +371,7 @@ def pose_parts(
 ) -> Iterator[tuple[Sequence[Input], Displacement]]:
     """The inputs of the rig and of the sample's mountings, with what they do: as they are stated, or the modes of an alignment.
 
-    Mountings that the alignment does not have keep inputs of their own.
+    Mountings that the alignment does not have keep inputs of their own; photodiodes that it has are in its modes.
     """
     table, alignment = settings.rig.uncertainty, settings.alignment
     names, which = mounted("sample", points.row, settings)
@@ -374,9 +381,13 @@ def pose_parts(
         yield from own
         return
     modes, of_modes = alignment.modes
-    parts = [(rig_inputs(table), effects.common), *own]
+    photodiodes = (
+        (photodiode_inputs(table, c), effects.photodiode.where(points.photodiode == c))
+        for c in np.unique(points.photodiode).tolist()
+    )
+    parts = [(rig_inputs(table), effects.common), *own, *photodiodes]
     yield modes, displacement_of(alignment, parts).times(of_modes)
-    yield from (each for each in own if each[0][0].name not in alignment.values)
+    yield from (each for each in own if not _is_aligned(each[0][0], settings))
 
 
 def displacement_of(alignment: Alignment, parts: Iterable[tuple[Sequence[Input], Displacement]]) -> Displacement:
@@ -399,13 +410,23 @@ def aligned_displacement(points: BsdfPoints, settings: ReductionSettings) -> tup
     """
     table, alignment = settings.rig.uncertainty, settings.alignment
     assert alignment is not None
-    names, which = mounted("sample", points.row, settings)
+    mountings, which = mounted("sample", points.row, settings)
     known = alignment.values
-    tilts = np.array([[known.get(each.name, 0.0) for each in mounting_inputs(table, "sample", name)] for name in names])
+    tilts = np.array([[known.get(each.name, 0.0) for each in mounting_inputs(table, "sample", name)] for name in mountings])
     found, effects = known_displacement(nominal_instrument(settings.rig), views_of_points(points), known, tilts[which])
+    names = [each.name for each in photodiode_inputs(table, 0)]
+    own = [[name.replace("[0]", f"[{c}]") for name in names] for c in range(settings.rig.photodiodes.count)]
+    angles_deg = np.array([[known.get(name, 0.0) for name in each] for each in own])[points.photodiode]
+    found = Displacement(
+        found.along + np.sum(effects.photodiode.along * angles_deg, axis=1)[:, None],
+        found.across + np.sum(effects.photodiode.across * angles_deg, axis=1)[:, None],
+        found.diffuse,
+    )
     parts = [(part, standard_uncertainties(list(inputs))) for inputs, part in pose_parts(points, settings, effects)]
     parts.append((effects.position, np.full(len(POSITIONS), position_u_deg(table))))
-    parts.append((effects.photodiode, standard_uncertainties(photodiode_inputs(table, 0))))
+    unknown = np.array([[name not in known for name in each] for each in own])[points.photodiode]
+    stated = standard_uncertainties(photodiode_inputs(table, 0))
+    parts.append((Displacement(*(each * unknown for each in vars(effects.photodiode).values())), stated))
     variance_deg2 = [
         np.sum([np.sum((getattr(part, axis) * u) ** 2, axis=1) for part, u in parts], axis=0) for axis in ("along", "across")
     ]

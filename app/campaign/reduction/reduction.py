@@ -169,13 +169,13 @@ class Reduction:
     def _align_itself(self, sample: str) -> None:
         """Align the campaign on one of its samples, as far as that was measured."""
         try:
-            self._aligned = self.align(sample)
+            self._aligned = self.align(sample, self.settings.alignment)
         except DamagedJournal:
             raise
         except UserError as error:
             self._not_aligned = f"not aligned: {str(error).removeprefix(f'{self.journal.path}: ')}"
         else:
-            self.settings = replace(self.settings, alignment=self._aligned.alignment)
+            self.settings = replace(self.settings, alignment=self._aligned.with_photodiodes)
 
     def closure(self) -> ClosureReport:
         """The closure of the etalon's scale with that of the open beam. Raises UserError."""
@@ -220,17 +220,18 @@ class Reduction:
                 if (found := file.between(first, last)) is not None:
                     yield PointBlock(places[found[0]], found[1])
 
-    def align(self, sample: str) -> AlignmentResult:
+    def align(self, sample: str, before: Alignment | None = None) -> AlignmentResult:
         """The alignment by a narrow lobe, at the wavelength of the scans of the open beam, and by these scans.
 
-        Raises UserError where the sample's values determine nothing.
+        `before` is what is known without them; None for what the rig file states. Raises UserError where the sample's values
+        determine nothing.
         """
         wavelength = scan_wavelength_nm(self.schedule)
         try:
             points = self.lobe(sample)
             if points is None:
                 raise UserError(f"{sample}: has no lobe of reflected light at {wavelength:g} nm that an alignment could use")
-            settings = replace(self.settings, sample=sample)
+            settings = replace(self.settings, sample=sample, alignment=before)
             return estimate_alignment(points, settings, self.beams, f"alignment on {sample} of {self.schedule.name}")
         except UserError as error:
             raise UserError(f"{self.journal.path}: {error}") from None

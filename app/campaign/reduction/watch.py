@@ -38,7 +38,7 @@ ALIKE = 9.0
 """Patterns whose largest squared statistic is so near to the largest of all are named too."""
 
 
-LEAST_TOLD = 1e-6
+LEAST_LEFT = 1e-6
 """Share of the information about a pattern that has to be left beside a change of the light."""
 
 
@@ -59,7 +59,7 @@ class Pattern:
 PATTERNS = (
     Pattern(
         "sigma_zero", "light against arc in the plane of incidence",
-        "sigma's zero, a mirror or the arc: the open beam would tell",
+        "sigma's zero, a mirror or the arc: the open beam distinguishes them",
     ),
     Pattern("mirror_2_tilt_x", "light across the plane of incidence", "a mirror or the beam"),
     Pattern("arc_tilt_x", "arc about x", "the arc"),
@@ -70,7 +70,7 @@ PATTERNS = (
     Pattern("tilt_x", "tilt of the sample about its x", "the sample's mounting", mounting=True),
     Pattern("tilt_y", "tilt of the sample about its y", "the sample's mounting", mounting=True),
 )  # fmt: skip
-"""The misalignments that are told apart: those of mirrors, arc and zeros that do the same to a lobe are one."""
+"""The misalignments that are distinguished: those of mirrors, arc and zeros that do the same to a lobe are one."""
 
 
 @dataclass(frozen=True)
@@ -233,8 +233,8 @@ def _since(covariance: ValuesCovariance, residual: Floats, patterns: Sequence[Fl
     share = light / own[count]
     information = np.maximum(own[:count] - share * light, np.finfo(float).eps)
     size = (b[:count] - share * b[count]) / information
-    # A place from which on no value tells the pattern from a change of the light has no statistic.
-    tells = information > LEAST_TOLD * np.maximum(own[:count], np.finfo(float).eps)
-    size = np.where(tells, size, 0.0)
+    # There is no statistic where no value distinguishes the pattern from a change of the light.
+    known = information > LEAST_LEFT * np.maximum(own[:count], np.finfo(float).eps)
+    size = np.where(known, size, 0.0)
     u = 1.0 / np.sqrt(information)
     return _Since(size / u, size, u)

@@ -1,6 +1,6 @@
-"""The design of an alignment's campaign: the grids of a schedule that tell the most about misalignments in a given time.
+"""The design of an alignment's campaign: the grids that give the least uncertainty in a given time.
 
-What a campaign tells is known before it is measured: the estimator's sensitivities and covariance (`reduction.alignment`) at
+What a campaign shows is known before it is measured: the estimator's sensitivities and covariance (`reduction.alignment`) at
 the directions that it measures, with light and noise as in some rows that the twin reads. A design is a set of levels of sigma,
 gamma, beta and shift, as the schedule's grids have them. Levels are exchanged for others, added and removed, as long as the
 plan of the rig takes no longer, for the smallest determinant of the covariance of the predictions: of the specular direction
@@ -151,7 +151,7 @@ def _named(schedule: ScheduleDescription, sample: str | None) -> str:
 
 
 def _with_time(alignment: Alignment, stated: Alignment, ratio: float) -> Floats:
-    """The covariance of a campaign's inputs after so many times its duration: what it tells is in proportion."""
+    """The covariance of a campaign's inputs after so many times its duration: its information is in proportion."""
     u = np.array([each.u for each in stated.inputs])
     unit = np.outer(u, u)
     before = np.linalg.inv(stated.covariance / unit + FLOOR * np.eye(u.size))
@@ -411,7 +411,7 @@ class _Search:
     # The exchange.
 
     def shortened(self, levels: Levels, allowed_s: float) -> Levels:
-        """The levels that are left where those that tell the least for their time are removed. Raises UserError."""
+        """The levels that are left where those with the least information for their time are removed. Raises UserError."""
         while (seconds := self.plan(levels).seconds) > allowed_s:
             here, possible = self._score(levels), []
             for other in self._without(levels):
@@ -427,7 +427,7 @@ class _Search:
         return levels
 
     def exchange(self, levels: Levels, allowed_s: float) -> Levels:
-        """The levels after exchanges, as long as any of them tells more in the time."""
+        """The levels after exchanges, as long as any of them gives more information in the time."""
         here = self._score(levels)
         for _ in range(MOST_EXCHANGES):
             found = self._better(levels, here, allowed_s)

@@ -1,6 +1,6 @@
 """What an alignment knows of the inputs of pose: their values, the covariance that is left, and what both do to a direction.
 
-Many inputs cannot be told apart: the data determine combinations of them. So after an alignment the inputs are correlated.
+Many inputs cannot be distinguished: the data determine combinations of them. So after an alignment the inputs are correlated.
 Their covariance is stated by uncorrelated modes, combinations `alignment[1]`, `alignment[2]`, ... with an uncertainty of their
 own; in a budget these take the place of the inputs. A mode is in units of the uncertainties that were stated before: the u of
 one that the data do not determine is 1.
@@ -23,7 +23,7 @@ DETERMINED = 0.5
 LARGEST_NAMED = 3
 """Inputs that the description of a mode names."""
 LEAST_COEFFICIENT = 1e-4
-"""Coefficients below this share of a combination's largest one are left out of a file."""
+"""Coefficients below this share of a combination's largest one are not in a file."""
 ROUNDING = 1e-9
 """A correlation below this is that of rounded numbers."""
 FLOOR = 1e-12
@@ -44,13 +44,13 @@ class Alignment:
 
     @classmethod
     def stated(cls, inputs: Sequence[Input]) -> "Alignment":
-        """The inputs as the rig file states them: uncorrelated, of mean 0. Those without an uncertainty are left out."""
+        """The inputs as the rig file states them: uncorrelated, of mean 0. Those without an uncertainty are not in it."""
         known = tuple(each for each in inputs if each.u > 0.0)
         return cls(known, np.zeros(len(known)), np.diag([each.u**2 for each in known]), "")
 
     @classmethod
     def of_file(cls, file: AlignmentFile, inputs: Sequence[Input], source: str) -> "Alignment":
-        """What the combinations of a file say of inputs: the rest of them is as they state it.
+        """Inputs with the combinations of a file; what these do not determine is as stated.
 
         With the combinations a = A x, of prior covariance A U A', where the file has a = m with the covariance S: the values
         are G m with G = U A' (A U A')^-1, and the covariance is U - G (A U A' - S) G'.
@@ -80,7 +80,7 @@ class Alignment:
         )
 
     def with_inputs(self, inputs: Sequence[Input]) -> "Alignment":
-        """The same with further inputs as they are stated; those that it has already are left out."""
+        """The same with further inputs as they are stated; those that it has already stay as they are."""
         further = Alignment.stated([each for each in inputs if each.name not in self.values])
         n, m = len(self.inputs), len(further.inputs)
         covariance = np.zeros((n + m, n + m))

@@ -86,7 +86,7 @@ def test_a_rig_file_without_a_twin_has_no_prediction(write_rig: Writer, write_sc
 def test_a_worker_makes_the_same_plan_from_its_texts(plan: NewPlan) -> None:
     texts = PlanTexts.of(plan)
     assert [each.identity for each in texts.plan_with_rows().rows] == [each.identity for each in plan.rows]
-    moved = replace(texts, rig=(texts.rig[0], Path("elsewhere"), "other"))
+    moved = replace(texts, rig=(texts.rig[0], Path("elsewhere"), "other", None))
     assert moved.same == texts.same
 
 

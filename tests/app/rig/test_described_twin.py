@@ -1,5 +1,6 @@
 """The virtual rig that a real rig's file describes."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -7,9 +8,11 @@ import tomlkit
 
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import AXES, RigDescription, axis_settings, open_rig, parse_rig
+from goniotwin.app.rig.alignment import AlignmentFile, alignment_text
 from goniotwin.app.rig.described_twin import DescribedTwin, described_twin
 from goniotwin.protocols.clock import VirtualClock
 from goniotwin.twin import TwinModel
+from goniotwin.twin.optics import Deviation
 from tests.conftest import RIG, Change, changed, tmcl_axis
 
 
@@ -102,6 +105,20 @@ def test_its_text_is_a_complete_rig_file() -> None:
     assert all(address.startswith("twin://") for address in again.file.addresses)
     nominal = axis_settings(real_rig().file)
     assert {name: axis_settings(again.file)[name] for name in AXES} == nominal
+
+
+def test_it_is_off_by_what_an_alignment_has_found() -> None:
+    """The values of the rehearsal are corrected by the alignment: without this they would be wrong by it."""
+    found = AlignmentFile(
+        alignment=1, simulated=False, rig="r", rig_sha256="", campaign="c", journal="", measured="", sample="s", mountings=(),
+        values=0, chi_square=1.0, open_beam=0, combinations=(), covariance=(),
+        inputs={"beta_zero": 0.1, "mirror_3_tilt_x": 0.05, "arc_tilt_y": 0.0},
+    )  # fmt: skip
+    text = alignment_text(found)
+    twin = described_twin(replace(real_rig(), alignment=text), "etalon", ["paper"], {})
+    assert twin.rig.alignment == text
+    assert model(twin).axes["beta"].zero_deg == pytest.approx(model(described()).axes["beta"].zero_deg + 0.1)
+    assert dict(model(twin).instrument.deviations) == {"mirror_3": Deviation(rx_deg=0.05)}
 
 
 def test_a_virtual_rig_is_not_changed() -> None:

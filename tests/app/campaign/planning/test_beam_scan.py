@@ -72,6 +72,12 @@ def test_the_scan_is_thirteen_by_thirteen_directions_about_the_beam() -> None:
     assert planned_scan.offset_deg[planned_scan.middle] == pytest.approx([0.0, 0.0])
 
 
+def test_the_beam_is_scanned_at_some_of_the_sigmas_alone() -> None:
+    plan = planned("sigma_deg = [17, 42, 67]\n[open_beam]\nsigma_deg = [42]\n")
+    assert [each.at_deg for each in beam_scans(plan.schedule.file, plan.rig.file)] == [42.0]
+    assert "open_beam.sigma_deg: 40 is not in sigma_deg" in refused("sigma_deg = [42]\n[open_beam]\nsigma_deg = [40]\n")
+
+
 def test_the_slopes_of_a_scan_are_those_of_what_it_sees() -> None:
     """Along the arc and across it, of a Gaussian as narrow as the beam, 0.24 deg, that is not in the middle."""
     (scan,) = beam_scans(planned("sigma_deg = [42]\n[open_beam]\n").schedule.file, read_rig(RIG).file)

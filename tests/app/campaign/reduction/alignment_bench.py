@@ -1,11 +1,10 @@
 """Random misaligned rigs and what an alignment finds of them, against the twin's own geometry.
 
-The truth is that of the back door: the angles that a rig's seed draws, and the twin's exact optics. The estimator has the
+The truth is the twin's own: the angles that a rig's seed draws, and the twin's exact optics. The estimator has the
 sensitivities of the budget, and the journal.
 """
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -33,7 +32,7 @@ from goniotwin.twin.plant.disturbances import add_deviations
 from tests.conftest import REPOSITORY
 
 PROOF = REPOSITORY / "examples" / "proof"
-SCHEDULE = REPOSITORY / "examples" / "schedules" / "alignment.toml"
+SCHEDULE = PROOF / "alignment.toml"
 SAMPLE = "two-sided-5"
 OF_RIG = {
     "sample_tilt_deg": 0.1, "etalon_tilt_deg": 0.1, "mirror_tilt_deg": 0.1, "arc_tilt_deg": 0.1,
@@ -47,7 +46,6 @@ NONE = dict.fromkeys(
         "sensor_tilt_deg", "sample_height_mm", "etalon_height_mm", "mirror_shift_mm", "arc_shift_mm", "sensor_shift_mm",
     ), 0.0
 )  # fmt: skip
-GAMMA_ZERO_DEG = 0.2
 CUT = """
 name = "cut"
 symmetry = "anisotropic"
@@ -73,8 +71,9 @@ class RigFindings:
     """What an alignment has found of one rig. Angles in deg.
 
     `errors` are those of the combinations, `u` their uncertainties. `direction` is the median error of the specular direction
-    against the arc at poses that were not measured, and `predictions` chi-square per degree of freedom of these directions.
-    `residuals` is that of the values. `cut_percent` is the relative RMS of the corrected cut in the plane of incidence against
+    against the photodiode of the arc that is next to it, at poses that were not measured; `from_nominal` is that against the
+    arc as if its photodiodes had no angles of their own. `predictions` is chi-square per degree of freedom of the latter,
+    `residuals` that of the values. `cut_percent` is the relative RMS of the corrected cut in the plane of incidence against
     that of the same rig without tilts and zeros; `cuts_percent` are those of the cut as measured, corrected and aligned,
     against the theory.
     """
@@ -84,6 +83,7 @@ class RigFindings:
     errors: tuple[float, ...]
     u: tuple[float, ...]
     direction: float
+    from_nominal: float
     predictions: float
     residuals: float
     findings: tuple[str, ...]
@@ -103,7 +103,7 @@ def alignment_rig(*, aligned: bool = False, further: str = "", stated: dict[str,
 
 
 def drawn_plan(schedule: ScheduleDescription, rig: RigDescription, seed: int) -> NewPlan:
-    """The plan of a schedule on the virtual rig of a seed. Its gamma has a zero of its own, drawn too."""
+    """The plan of a schedule on the virtual rig of a seed."""
     settings = reduction_settings(rig.file, schedule.file, None, schedule.name)
     drawn = DrawnRigs(rig, schedule.file.etalon, level=settings.certificate.level, years=settings.etalon_years).rig(seed)
     return make_plan(schedule, drawn)
@@ -144,6 +144,18 @@ def true_displacement(model: TwinModel, drawn: Drawn, views: Views, mounting: st
         way = _logarithm(d, specular, along, across) - nominal
         found.append(-way)
     return np.degrees(np.array(found))
+
+
+def photodiode_error(model: TwinModel, drawn: Drawn, views: Views, found: Alignment) -> Floats:
+    """The error (n, 2) of the own angles found of the photodiodes next to each view, along the arc and across it, deg."""
+    upper, lower = (np.array(each) for each in (model.photodiodes.upper_deg, model.photodiodes.lower_deg))
+    polar, known = np.degrees(views.polar), found.values
+    errors = []
+    for k, at in enumerate(polar.tolist()):
+        c = int(np.argmin(np.abs(lower - at))) + upper.size if views.lower[k] else int(np.argmin(np.abs(upper - at)))
+        own = [known[f"photodiode_{name}[{c}]"] - drawn[f"photodiode_{name}[{c}]"] for name in ("angle", "across")]
+        errors.append([own[0], -own[1] if views.lower[k] else own[1]])
+    return np.array(errors)
 
 
 def _numbered(mounting: str) -> tuple[str, int]:
@@ -207,11 +219,13 @@ def judge_alignment(result: AlignmentResult, plan: NewPlan) -> RigFindings:
     truth = true_displacement(model, drawn, views, mounting)
     found, covariance = predictions(result.alignment, plan.rig, views, mounting)
     difference = found - truth
+    own = photodiode_error(model, drawn, views, result.with_photodiodes)
     variance, vectors = np.linalg.eigh(covariance)
     known = variance > LEAST_EIGENVALUE
     scores = (vectors.T @ difference.T.ravel())[known] ** 2 / variance[known]
     return RigFindings(
         plan.rig.seed, len(plan.rows), errors, tuple(each.u for each in result.combinations),
+        float(np.median(np.linalg.norm(difference + own, axis=1))),
         float(np.median(np.linalg.norm(difference, axis=1))), float(np.mean(scores)), result.chi_square, result.findings,
     )  # fmt: skip
 
@@ -245,9 +259,3 @@ def cut_points(path: Path, alignment: Alignment | None) -> BsdfPoints:
         reduction.settings = replace(reduction.settings, alignment=alignment)
         points = join_points(list(finished_blocks(reduction, SAMPLE)))
     return points.where(points.in_plane & points.good & (points.theta_deg <= 2.0 * WIDTH_DEG + 1e-6))
-
-
-def find_all(seeds: range, folder: Path) -> Iterator[RigFindings]:
-    """The alignments of many rigs, one after the other."""
-    for seed in seeds:
-        yield find(seed, folder)

@@ -69,7 +69,7 @@ def test_a_tilt_in_the_middle_of_a_run_is_found_and_named(tmp_path: Path, monkey
     assert abs(abs(misalignment.size) - 2.0 * TILT_DEG) < 3.0 * misalignment.u + 0.002
     assert misalignment.text.startswith("light against arc in the plane of incidence: off by 0.0")
     assert f"since row {misalignment.row}" in misalignment.text
-    assert "sigma's zero, a mirror or the arc: the open beam would tell" in misalignment.text
+    assert "sigma's zero, a mirror or the arc: the open beam distinguishes them" in misalignment.text
     assert found.as_dict()["misalignments"][0]["row"] == misalignment.row
     with pytest.raises(UserError, match="has no sample 'paper'"):
         watch_journal(path, "paper")

@@ -1,4 +1,4 @@
-"""The design of an alignment's campaign: it fits into the time, tells more than the schedule it began with, and is right."""
+"""The design of an alignment's campaign: it fits into the time, has more information than its schedule, and is right."""
 
 from pathlib import Path
 
@@ -24,7 +24,7 @@ LITTLE = (
 FEW = {"sigma_deg": (45.0,), "gamma_deg": (90.0,), "beta_deg": (172.0,), "shift_deg": (2.0,)}
 
 
-def test_a_design_fits_into_the_time_and_tells_more(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_design_fits_into_the_time_and_has_more_information(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(alignment_design, "FURTHER", FEW)
     schedule, rig = parse_schedule(LITTLE, "little"), alignment_rig()
     minutes = make_plan(schedule, rig).seconds / 60.0
