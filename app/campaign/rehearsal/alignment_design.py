@@ -291,7 +291,7 @@ class _Search:
         if model is None:
             raise UserError(
                 f"{self._rig.name}: has no [twin] that describes the light of {self.sample} quickly; add it, or measure "
-                "examples/schedules/alignment.toml"
+                "examples/proof/alignment.toml with that of examples/proof"
             )
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / "light.journal"

@@ -39,4 +39,5 @@ def test_a_worker_names_a_misalignment_once_while_rows_come(tmp_path: Path, monk
     assert isinstance(answer, MisalignmentFound)
     assert answer.number == 7
     assert answer.where == "two-sided-5"
-    assert answer.text.startswith("Misalignment: light against arc in the plane of incidence: off by 0.0")
+    assert answer.text.startswith("Misalignment: ")
+    assert "light against arc in the plane of incidence" in answer.text
