@@ -12,11 +12,13 @@ from rich.table import Table
 from rich.text import Text
 
 from goniotwin.app.cli.output import CommandWithFormats, Json, answer, print_error, print_warning
+from goniotwin.app.errors import UserError
 from goniotwin.app.formats.fills import Fill
 
 if TYPE_CHECKING:  # the reduction loads numpy, which a command's help does not need
     from goniotwin.app.campaign.reduction.alignment import AlignmentResult
     from goniotwin.app.campaign.reduction.budget import Budget
+    from goniotwin.app.campaign.rehearsal.alignment_design import AlignmentDesign
 
 JournalArgument = Annotated[
     Path, typer.Argument(metavar="JOURNAL", help="Data file (journal) of a campaign.", show_default=False)
@@ -245,13 +247,30 @@ def _print_budget(console: Console, budget: "Budget", simulated: bool, every: bo
 
 @app.command()
 def align(
-    journal: JournalArgument,
+    journal: Annotated[
+        Path,
+        typer.Argument(metavar="JOURNAL", help="Data file (journal) of a campaign; with --plan a schedule.",
+                       show_default=False),
+    ],
     output: Annotated[
         Path | None,
-        typer.Option("--output", metavar="FILE", help="Alignment file to write, for [alignment] of the rig file.",
-                     show_default=False),
+        typer.Option("--output", metavar="FILE", help="File to write: the alignment, for [alignment] of the rig file; with "
+                     "--plan the schedule.", show_default=False),
     ] = None,
     sample: SampleOption = None,
+    watch: Annotated[
+        bool, typer.Option("--watch", help="Look for a misalignment that began during the campaign, which may be running.")
+    ] = False,
+    plan: Annotated[
+        bool, typer.Option("--plan", help="Plan a campaign for an alignment, from a schedule; with --minutes and --rig.")
+    ] = False,
+    minutes: Annotated[
+        float | None,
+        typer.Option("--minutes", metavar="N", min=1.0, help="With --plan: time on the rig's clock.", show_default=False),
+    ] = None,
+    rig: Annotated[
+        Path | None, typer.Option("--rig", metavar="RIG.toml", help="With --plan: rig file.", show_default=False)
+    ] = None,
     as_json: Json = False,
 ) -> None:  # fmt: skip
     """Estimate the rig's misalignments from a measured lobe.
@@ -259,13 +278,27 @@ def align(
     Given are the combinations of tilts, zeros and shifts that the values determine, each with its uncertainty: a single
     mirror's tilt is never among them. A scan of the open beam in the campaign distinguishes light and arc. With the file in
     [alignment] of the rig file, the reduction corrects the values of later campaigns, and the twin predicts with it.
-    """
-    from goniotwin.app.campaign.reduction.reduction import align_journal
-    from goniotwin.app.formats.file import check_writable, write_file
-    from goniotwin.app.rig.alignment import alignment_text
 
+    With --watch: the residuals of the rows so far are compared with what a misalignment from some row on would do, and it is
+    named, with its size and the row. Exit status: 1 if there is one.
+
+    With --plan: levels of sigma, gamma, beta and shift, for the least uncertainty in the time, beginning with those of a
+    schedule; and the uncertainties that are expected of them, and of the schedule's own at equal time.
+    """
+    from goniotwin.app.formats.file import check_writable, write_file
+
+    check_alignment_options(watch=watch, plan=plan, minutes=minutes, rig=rig, output=output)
     if output is not None:
         check_writable(output)
+    if plan and minutes is not None and rig is not None:
+        _plan_alignment(journal, rig, minutes, sample, output, as_json)
+        return
+    if watch:
+        _watch(journal, sample, as_json)
+        return
+    from goniotwin.app.campaign.reduction.reduction import align_journal
+    from goniotwin.app.rig.alignment import alignment_text
+
     result, file = align_journal(journal, sample)
     if output is not None:
         write_file(output, alignment_text(file).encode())
@@ -273,6 +306,65 @@ def align(
     answer(as_json, as_object, lambda: _print_alignment(Console(highlight=False), result, file.simulated))
     for finding in result.findings:
         print_warning(finding)
+
+
+def check_alignment_options(*, watch: bool, plan: bool, minutes: float | None, rig: Path | None, output: Path | None) -> None:
+    """Refuse options of `align` that do not belong together. Raises UserError."""
+    if plan and watch:
+        raise UserError("--plan and --watch: give one of them")
+    if plan and (minutes is None or rig is None):
+        raise UserError("--plan needs --minutes N and --rig RIG.toml")
+    if not plan and (minutes is not None or rig is not None):
+        raise UserError("--minutes and --rig belong to --plan; a journal has its rig in it")
+    if watch and output is not None:
+        raise UserError("--watch writes no file; leave out --output")
+
+
+def _watch(journal: Path, sample: str | None, as_json: bool) -> None:
+    from goniotwin.app.campaign.reduction.reduction import watch_journal
+
+    found = watch_journal(journal, sample)
+    mark = "SIMULATED, " if found.simulated else ""
+    lines = [f"{mark}{each.sample}: {each.text}" for each in found.misalignments]
+    lines += [f"{mark}{name}: the residuals show no misalignment" for name in found.clear]
+    lines += [f"{mark}{name}: has no lobe of reflected light so far" for name in found.without]
+    answer(as_json, found.as_dict(), lambda: print("\n".join(lines)))
+    if found.misalignments:
+        raise typer.Exit(1)
+
+
+def _plan_alignment(schedule: Path, rig: Path, minutes: float, sample: str | None, output: Path | None, as_json: bool) -> None:
+    from goniotwin.app.campaign.rehearsal.alignment_design import design_alignment
+    from goniotwin.app.campaign.schedule.file import read_schedule
+    from goniotwin.app.formats.file import write_file
+    from goniotwin.app.rig import read_rig
+
+    design = design_alignment(read_schedule(schedule), read_rig(rig), minutes, sample)
+    if output is not None:
+        write_file(output, design.text.encode())
+    as_object = {**design.as_dict(), "file": None if output is None else str(output)}
+    answer(as_json, as_object, lambda: _print_design(Console(highlight=False), design))
+
+
+def _print_design(console: Console, design: "AlignmentDesign") -> None:
+    from goniotwin.app.campaign.wording import duration_text
+
+    mark = "SIMULATED, " if design.plan.rig.simulated else ""
+    forecast = design.forecast
+    console.print(
+        f"{mark}alignment on {design.sample}: {forecast.rows} rows, {duration_text(forecast.seconds)} of "
+        f"{duration_text(design.allowed_s)}; the schedule's own: {duration_text(design.began_s)}",
+        markup=False, soft_wrap=True,
+    )  # fmt: skip
+    for key, values in design.levels.items():
+        console.print(f"{key} = [{', '.join(f'{each:g}' for each in values)}]", markup=False, soft_wrap=True)
+    table = Table(box=None, pad_edge=False)
+    for name in ("expected u, deg", "schedule, equal time", "u before"):
+        table.add_column(name, justify="right", no_wrap=True)
+    table.add_column("combination", overflow="fold")
+    for each, u in zip(forecast.combinations, forecast.u_before, strict=True):
+        table.add_row(f"{each.u:.5f}", f"{u:.5f}", f"{each.prior_u:.3f}", Text(each.words))
+    console.print(table)
 
 
 def _print_alignment(console: Console, result: "AlignmentResult", simulated: bool) -> None:

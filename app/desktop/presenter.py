@@ -119,6 +119,7 @@ class Presenter(QObject):
         self._live_plot = LivePlot(view.plot, view.hemisphere, self, processes=processes)
         self._live_plot.failed.connect(view.set_plot_error)
         self._live_plot.alarmed.connect(self._log_alarm)
+        self._live_plot.misaligned.connect(self._log_misalignment)
         self._live_plot.prediction_missing.connect(self._log_missing_prediction)
         view.screen_of(RunScreen).plane_chosen.connect(self._live_plot.show_plane)
         self.message_received.connect(self._handle, Qt.ConnectionType.QueuedConnection)
@@ -393,6 +394,13 @@ class Presenter(QObject):
     @Slot(str, str)
     def _log_alarm(self, what: str, where: str) -> None:
         self._log(what, where, "look at it: the twin expects another value", serious=True)
+
+    @Slot(str, str)
+    def _log_misalignment(self, what: str, where: str) -> None:
+        if what:
+            self._log(what, where, "values since then are displaced: see goniotwin align --watch", serious=True)
+        else:
+            self._log(f"The residuals are not watched: {where}", "", "the run is not affected")
 
     @Slot(str)
     def _log_missing_prediction(self, reason: str) -> None:

@@ -11,7 +11,7 @@ A scan of the open beam adds its centroid: it alone distinguishes light and arc 
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -27,12 +27,14 @@ from goniotwin.app.campaign.reduction.scale import mounted
 from goniotwin.app.campaign.uncertainty.alignment import Alignment, known_displacement
 from goniotwin.app.campaign.uncertainty.effects import Dense, Effects, Group, group_variance
 from goniotwin.app.campaign.uncertainty.field import correct_logarithm, directions_covariance
-from goniotwin.app.campaign.uncertainty.fit import fit_inputs
+from goniotwin.app.campaign.uncertainty.fit import Fit, fit_inputs
 from goniotwin.app.campaign.uncertainty.inputs import Input
 from goniotwin.app.campaign.uncertainty.pose import (
     MOUNTED,
     POSITIONS,
     RAD,
+    Displacement,
+    PoseEffects,
     Views,
     mounting_inputs,
     photodiode_inputs,
@@ -43,7 +45,7 @@ from goniotwin.app.campaign.uncertainty.slopes import Directions
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription, nominal_instrument
 from goniotwin.app.rig.alignment import AlignmentFile, Combination
-from goniotwin.arrays import Floats
+from goniotwin.arrays import Flags, Floats
 from goniotwin.twin.optics import Instrument
 from goniotwin.twin.optics.geometry.coordinates import SPECULAR_AZIMUTH_DEG
 
@@ -57,6 +59,8 @@ SCALE_U, FORM_U = 1.0, 0.01
 """Standard uncertainties of a lobe's logarithm: of its scale at each incidence, and of each further term's change with it."""
 FREE_U = 100.0
 """Standard uncertainty of the terms that all incidences have in common: they are free."""
+SIZE = "step"
+"""Name of the input that is the size of a step."""
 MOST_STEPS = 12
 SETTLED = 0.05
 """A step that changes no mode by more than this share of its uncertainty is the last one."""
@@ -143,10 +147,78 @@ def estimate_alignment(
 
     Raises UserError, without the name of the journal, where they determine nothing.
     """
+    found = fit_lobe(points, settings, beams, source)
+    aligned = found.alignment
+    combinations, covariance = aligned.combinations(nominal_instrument(settings.rig))
+    if not combinations:
+        raise UserError(
+            f"{settings.sample}: its values determine no misalignment; measure a lobe some degrees wide, with less noise"
+        )
+    of_values = slice(0, found.points.size)
+    chi_square = float(found.fit.chi_square[of_values].sum() / found.fit.expected[of_values].sum())
+    findings = []
+    if chi_square > LARGEST_CHI_SQUARE:
+        findings.append(
+            f"the residuals are not those of a lobe that is displaced (chi-square {chi_square:.2f} per degree of freedom): the "
+            "beam is clipped, or light misses the hole, or the lobe is not round; or noise or positions are worse than stated"
+        )
+    return AlignmentResult(
+        settings.sample, found.mountings, aligned, found.whole, combinations, covariance, chi_square, found.points.size,
+        found.scans, tuple(findings),
+    )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class PoseSensitivities:
+    """Relative change of values (n, inputs) of a lobe for one unit of the rig's inputs, LIGHT and VIEW, and of a mounting's."""
+
+    rig: Floats
+    mounting: Floats
+
+
+@dataclass(frozen=True)
+class LobeFit:
+    """The inputs of pose fitted to a lobe: the `points` (n,) that were used, what was found, and the fit's last step.
+
+    `whole` is the `alignment` with the photodiodes' own angles.
+    `effects` and `residual` are those of the points, then those of `scans` scans: all inputs with their uncertainties before
+    the fit, and what the values are beside a prediction without the modes of the prior. `step` is the size of a step in the
+    fit, and its standard uncertainty.
+    """
+
+    points: BsdfPoints
+    mountings: tuple[str, ...]
+    scans: int
+    alignment: Alignment
+    whole: Alignment
+    effects: Effects
+    residual: Floats
+    fit: Fit
+    sensitivities: PoseSensitivities
+    step: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Step:
+    """A change in the middle of the rows: `inputs` of the rig, or of all mountings, are off by one size more since `row`."""
+
+    inputs: tuple[str, ...]
+    row: int
+
+
+def fit_lobe(
+    points: BsdfPoints, settings: ReductionSettings, beams: Sequence[ScannedBeam] = (), source: str = "",
+    step: Step | None = None,
+) -> LobeFit:  # fmt: skip
+    """Fit the inputs of pose to the points of one sample at one wavelength, before their corrections, and to scans.
+
+    With a `step` its size is fitted too, and a change of the light at that row. Raises UserError, without the name of the
+    journal, where there is no lobe.
+    """
     points = lobe_points(points)
     if points.size < TERMS:
         raise UserError(f"{settings.sample}: has no lobe of reflected light that an alignment could use")
-    values = _LobeValues(points, settings)
+    values = LobeValues(points, settings)
     scans = [each for each in beams if each.edge <= EDGE_SHARE]
     before = settings.alignment or Alignment.stated(rig_inputs(settings.rig.uncertainty))
     mountings = [each for name in values.mountings for each in mounting_inputs(settings.rig.uncertainty, "sample", name)]
@@ -155,54 +227,61 @@ def estimate_alignment(
         raise UserError(f"{settings.sample}: the rig file states no misalignment in [uncertainty] that could be found")
     modes, of_modes = before.modes
     value = before.value
-    error = np.zeros(len(modes))
+    error, size = np.zeros(len(modes)), 0.0
     for _ in range(MOST_STEPS):
         known = dict(zip((each.name for each in before.inputs), value.tolist(), strict=True))
-        effects, residual = values.linearised(known, before, error)
+        if step is None:
+            effects, residual = values.linearised(known, before, error)
+        else:
+            effects, residual = values.with_step(step, size, known, before, error)
         if scans:
             effects, residual = _with_scans(effects, residual, scans, known, before, error, settings)
         fit = fit_inputs(effects, residual)
         place = {each.name: k for k, each in enumerate(fit.inputs)}
         used = [k for k, each in enumerate(modes) if each.name in place]
-        at = [place[modes[k].name] for k in used]
+        columns = [place[modes[k].name] for k in used]
         found = np.zeros(len(modes))
-        found[used] = fit.estimate[at]
+        found[used] = fit.estimate[columns]
         values.correct_lobe({each.name: x for each, x in zip(fit.inputs, fit.estimate.tolist(), strict=True)})
         after = np.diag([each.u**2 for each in modes])
-        after[np.ix_(used, used)] = fit.covariance[np.ix_(at, at)]
-        step = float(np.max(np.abs(found - error) / np.sqrt(np.maximum(np.diag(after), np.finfo(float).tiny)), initial=0.0))
-        error, value = found, before.value + of_modes @ found
-        if step < SETTLED:
+        after[np.ix_(used, used)] = fit.covariance[np.ix_(columns, columns)]
+        way = float(np.max(np.abs(found - error) / np.sqrt(np.maximum(np.diag(after), np.finfo(float).tiny)), initial=0.0))
+        error, value, size = found, before.value + of_modes @ found, fit.of(SIZE)
+        if way < SETTLED:
             break
     aligned = Alignment(before.inputs, value, of_modes @ after @ of_modes.T, source)
     photodiodes = [k for k, each in enumerate(fit.inputs) if each.name.startswith("photodiode_")]
     crossed = np.zeros((len(modes), len(photodiodes)))
-    crossed[used] = fit.covariance[np.ix_(at, photodiodes)]
+    crossed[used] = fit.covariance[np.ix_(columns, photodiodes)]
     crossed = of_modes @ crossed
     whole = Alignment(
         (*before.inputs, *(fit.inputs[k] for k in photodiodes)), np.append(value, fit.estimate[photodiodes]),
         np.block([[aligned.covariance, crossed], [crossed.T, fit.covariance[np.ix_(photodiodes, photodiodes)]]]), source,
     )  # fmt: skip
-    combinations, covariance = aligned.combinations(nominal_instrument(settings.rig))
-    if not combinations:
-        raise UserError(
-            f"{settings.sample}: its values determine no misalignment; measure a lobe some degrees wide, with less noise"
-        )
-    of_values = slice(0, points.size)
-    chi_square = float(fit.chi_square[of_values].sum() / fit.expected[of_values].sum())
-    findings = []
-    if chi_square > LARGEST_CHI_SQUARE:
-        findings.append(
-            f"the residuals are not those of a lobe that is displaced (chi-square {chi_square:.2f} per degree of freedom): the "
-            "beam is clipped, or light misses the hole, or the lobe is not round; or noise or positions are worse than stated"
-        )
-    return AlignmentResult(
-        settings.sample, tuple(values.mountings), aligned, whole, combinations, covariance, chi_square, points.size, len(scans),
-        tuple(findings),
+    return LobeFit(
+        points, tuple(values.mountings), len(scans), aligned, whole, effects, residual, fit, values.sensitivities,
+        (size, math.sqrt(fit.variance_of(SIZE))),
     )  # fmt: skip
 
 
-class _LobeValues:
+def lobe_effects(
+    points: BsdfPoints, settings: ReductionSettings, beams: Sequence[ScannedBeam] = ()
+) -> tuple[Effects, Alignment]:
+    """The effects of all inputs on points of a lobe and on scans, as they are before a fit, and what is known before it."""
+    values = LobeValues(points, settings)
+    before = settings.alignment or Alignment.stated(rig_inputs(settings.rig.uncertainty))
+    before = before.with_inputs(
+        [each for name in values.mountings for each in mounting_inputs(settings.rig.uncertainty, "sample", name)]
+    )
+    known, error = before.values, np.zeros(len(before.inputs))
+    effects, residual = values.linearised(known, before, error)
+    scans = [each for each in beams if each.edge <= EDGE_SHARE]
+    if scans:
+        effects, _ = _with_scans(effects, residual, scans, known, before, error, settings)
+    return effects, before
+
+
+class LobeValues:
     """The values of a lobe, with its form as known so far."""
 
     def __init__(self, points: BsdfPoints, settings: ReductionSettings) -> None:
@@ -214,6 +293,7 @@ class _LobeValues:
         self._settings_count = int(self._which.max()) + 1
         self._furthest = math.radians(float(points.theta_deg.max()))
         self.mountings, self._mounting = mounted("sample", points.row, settings)
+        self.sensitivities = PoseSensitivities(np.zeros((points.size, 0)), np.zeros((points.size, 0)))
         self._form = self._first_form()
         self._signals()
 
@@ -250,16 +330,28 @@ class _LobeValues:
             for k in range(self._settings_count):
                 self._form[k, j] += found.get(_of_one(j, k), 0.0)
 
-    def linearised(self, known: dict[str, float], before: Alignment, error: Floats) -> tuple[Effects, Floats]:
-        """The effects of all inputs about `known` values, and what the values are beside a prediction without the modes.
-
-        The modes have the values `error` there.
-        """
-        points, table = self._points, self._settings.rig.uncertainty
+    def _displaced(self, known: Mapping[str, float]) -> tuple[Displacement, PoseEffects]:
+        table = self._settings.rig.uncertainty
         of_mounting = np.array(
             [[known.get(each.name, 0.0) for each in mounting_inputs(table, "sample", name)] for name in self.mountings]
         )
-        moved, effects = known_displacement(self._instrument, self._views, known, of_mounting[self._mounting])
+        return known_displacement(self._instrument, self._views, known, of_mounting[self._mounting])
+
+    def linearised(
+        self, known: Mapping[str, float], before: Alignment, error: Floats,
+        changed: tuple[Mapping[str, float], Flags] | None = None,
+    ) -> tuple[Effects, Floats]:  # fmt: skip
+        """The effects of all inputs about `known` values, and what the values are beside a prediction without the modes.
+
+        The modes have the values `error` there. In some of the values inputs may have `changed` by so much.
+        """
+        points, table = self._points, self._settings.rig.uncertainty
+        moved, effects = self._displaced(known)
+        if changed is not None:
+            other, _ = self._displaced({**known, **{name: known.get(name, 0.0) + by for name, by in changed[0].items()}})
+            moved = Displacement(
+                *(np.where(changed[1][:, None], getattr(other, name), each) for name, each in vars(moved).items())
+            )
         place = _Place(self._views, self._instrument, moved.along[:, 0], moved.across[:, 0])
         basis = self._basis(place.theta)
         lobe = place.lobe(self._form[self._which], self._furthest)
@@ -271,6 +363,9 @@ class _LobeValues:
         )
         columns = displacement_of(before, [(rig_inputs(table), effects.common), *own])
         sensitivity = columns.relative(seen.slope_along, seen.slope_across)
+        self.sensitivities = PoseSensitivities(
+            *(each.relative(seen.slope_along, seen.slope_across) for each in (effects.common, effects.sample))
+        )
         modes, of_modes = before.modes
         by_mode = sensitivity @ of_modes
         dense = [Dense(modes, by_mode), *self._dense, *self._lobe_inputs(basis), *self._etalon_inputs(of_angles)]
@@ -279,6 +374,21 @@ class _LobeValues:
         groups = [*(_of_sample(each) for each in of_angles.groups), self._row]
         residual = self._logarithm - lobe.logarithm - lobe.blur - moved.diffuse[:, 0] + by_mode @ error
         return Effects(points.bsdf, self._independent, groups, dense), residual
+
+    def with_step(
+        self, step: Step, size: float, known: Mapping[str, float], before: Alignment, error: Floats
+    ) -> tuple[Effects, Floats]:
+        """The same with a step of about a `size`, which is an input, beside a change of the light."""
+        since = self._points.row >= step.row
+        effects, residual = self.linearised(known, before, error, (dict.fromkeys(step.inputs, size), since))
+        names = [each.name for each in rig_inputs(self._settings.rig.uncertainty)]
+        if step.inputs[0] in names:
+            column = self.sensitivities.rig[:, names.index(step.inputs[0])]
+        else:
+            column = self.sensitivities.mounting[:, [f"sample_{each}@" in step.inputs[0] for each in MOUNTED].index(True)]
+        columns = np.stack([np.where(since, column, 0.0), since.astype(np.float64)], axis=1)
+        own = Dense([_free(SIZE, FREE_U), _free("light since", SCALE_U)], columns)
+        return replace(effects, dense=[*effects.dense, own]), residual + columns[:, 0] * size
 
     def _lobe_inputs(self, basis: Floats) -> list[Dense]:
         found = [Dense([_free(_of_all(j), FREE_U) for j in range(TERMS)], basis)]
@@ -294,8 +404,8 @@ class _LobeValues:
 
 
 def _with_scans(
-    effects: Effects, residual: Floats, scans: Sequence[ScannedBeam], known: dict[str, float], before: Alignment, error: Floats,
-    settings: ReductionSettings,
+    effects: Effects, residual: Floats, scans: Sequence[ScannedBeam], known: Mapping[str, float], before: Alignment,
+    error: Floats, settings: ReductionSettings,
 ) -> tuple[Effects, Floats]:  # fmt: skip
     """The effects and residuals, in deg, of the scans' centroids after those of the values: two for each, along and across.
 

@@ -5,6 +5,7 @@ import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import date
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,14 @@ from goniotwin.app.campaign.geometry.open_beam import scan_wavelength_nm
 from goniotwin.app.campaign.journal.chain import Chain
 from goniotwin.app.campaign.journal.reading import USE_A_COPY, DamagedJournal, JournalReader
 from goniotwin.app.campaign.journal.writing import Journal
-from goniotwin.app.campaign.reduction.alignment import AlignmentResult, alignment_file, estimate_alignment, lobe_points
+from goniotwin.app.campaign.reduction.alignment import (
+    TERMS,
+    AlignmentResult,
+    alignment_file,
+    estimate_alignment,
+    fit_lobe,
+    lobe_points,
+)
 from goniotwin.app.campaign.reduction.checks import CheckResults, ConsistencyChecks
 from goniotwin.app.campaign.reduction.closure import ClosureReport, ScannedBeam, journal_closure
 from goniotwin.app.campaign.reduction.drift_checks import DriftInterval, unchecked_note, unchecked_photodiodes
@@ -47,6 +55,7 @@ from goniotwin.app.campaign.reduction.row_history import RowHistory
 from goniotwin.app.campaign.reduction.signals import tracing_error
 from goniotwin.app.campaign.reduction.spectrum import NO_BAND, NO_SLOPE
 from goniotwin.app.campaign.reduction.symmetry import SymmetryResult
+from goniotwin.app.campaign.reduction.watch import Misalignment, WatchResult, find_misalignment
 from goniotwin.app.campaign.row import NO_SAMPLE
 from goniotwin.app.campaign.schedule.certificate import constant_certificate, parse_certificate
 from goniotwin.app.campaign.schedule.file import ScheduleFile, parse_schedule
@@ -151,6 +160,7 @@ class Reduction:
         self._closure: ClosureReport | None = None
         if self.schedule.open_beam_scan is not None:
             self.settings = scan_settings(self.settings, self.closure())
+        self._of_file = self.settings.alignment
         self._aligned: AlignmentResult | None = None
         self._not_aligned = ""
         if self.schedule.align is not None:
@@ -217,15 +227,48 @@ class Reduction:
         determine nothing.
         """
         wavelength = scan_wavelength_nm(self.schedule)
-        beams: Sequence[ScannedBeam] = () if self.schedule.open_beam_scan is None else self.closure().beams
-        found = [lobe_points(each.points.where(each.points.wavelength_nm == wavelength)) for each in self.blocks(sample)]
         try:
-            if not any(each.size for each in found):
+            points = self.lobe(sample)
+            if points is None:
                 raise UserError(f"{sample}: has no lobe of reflected light at {wavelength:g} nm that an alignment could use")
             settings = replace(self.settings, sample=sample, alignment=before)
-            return estimate_alignment(join_points(found), settings, beams, f"alignment on {sample} of {self.schedule.name}")
+            return estimate_alignment(points, settings, self.beams, f"alignment on {sample} of {self.schedule.name}")
         except UserError as error:
             raise UserError(f"{self.journal.path}: {error}") from None
+
+    def watch(self, names: Sequence[str] | None = None) -> WatchResult:
+        """What the residuals show of misalignments that no alignment or uncertainty of the rig states, by each sample's lobe.
+
+        The rows so far are enough. Raises UserError.
+        """
+        found: list[Misalignment] = []
+        clear: list[str] = []
+        without: list[str] = []
+        for sample in names or self.schedule.samples:
+            points = self.lobe(sample)
+            if points is None or points.size < TERMS:
+                without.append(sample)
+                continue
+            settings = replace(self.settings, sample=sample, alignment=self._of_file)
+            lobe = fit_lobe(points, settings, self.beams)
+            refit = partial(fit_lobe, points, settings, self.beams, "")
+            misalignment = find_misalignment(lobe, refit, sample, len(self.schedule.samples))
+            if misalignment is None:
+                clear.append(sample)
+            else:
+                found.append(misalignment)
+        return WatchResult(tuple(found), tuple(clear), tuple(without), self.journal.simulated)
+
+    def lobe(self, sample: str) -> BsdfPoints | None:
+        """The points of a sample that an alignment can use; None without any."""
+        wavelength = scan_wavelength_nm(self.schedule)
+        found = [lobe_points(each.points.where(each.points.wavelength_nm == wavelength)) for each in self.blocks(sample)]
+        return join_points(found) if any(each.size for each in found) else None
+
+    @property
+    def beams(self) -> Sequence[ScannedBeam]:
+        """The scans of the open beam; none for a schedule without them."""
+        return () if self.schedule.open_beam_scan is None else self.closure().beams
 
     def checks(self, sample: str) -> ConsistencyChecks:
         """The consistency checks of a sample, before any of its points is added."""
@@ -495,12 +538,29 @@ def align_journal(path: Path, sample: str | None = None) -> tuple[AlignmentResul
     with Journal.open(path) as journal:
         reduction = Reduction(journal)
         samples = reduction.schedule.samples
-        if sample not in samples and (sample is not None or len(samples) > 1):
-            given = "several samples; name one" if sample is None else f"no sample {sample!r}; choose"
-            raise UserError(f"{path}: has {given} with --sample: {', '.join(samples)}")
+        _refuse_unknown(reduction, sample)
+        if sample is None and len(samples) > 1:
+            raise UserError(f"{path}: has several samples; name one with --sample: {', '.join(samples)}")
         result = reduction.align(sample or samples[0])
         first = _first_day(journal)
         return result, alignment_file(result, journal, reduction.rig, "" if first is None else first.isoformat())
+
+
+def watch_journal(path: Path, sample: str | None = None) -> WatchResult:
+    """What the residuals of a journal show of misalignments, as far as it goes; of one sample or of all.
+
+    Raises UserError where the journal cannot be reduced.
+    """
+    with Journal.open(path) as journal:
+        reduction = Reduction(journal)
+        _refuse_unknown(reduction, sample)
+        return reduction.watch(None if sample is None else [sample])
+
+
+def _refuse_unknown(reduction: Reduction, sample: str | None) -> None:
+    if sample is not None and sample not in reduction.schedule.samples:
+        known = ", ".join(reduction.schedule.samples)
+        raise UserError(f"{reduction.journal.path}: has no sample {sample!r}; choose with --sample: {known}")
 
 
 def check_journal(path: Path, chain: Chain | None = None) -> CheckResults:

@@ -4,10 +4,11 @@ from array import array
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 
-from goniotwin.app.campaign.journal.reading import ExecutedRow, JournalReader
+from goniotwin.app.campaign.journal.reading import ExecutedRow
 from goniotwin.arrays import Floats, Ints
 from goniotwin.twin.optics.geometry.coordinates import round_deg
 
@@ -17,10 +18,22 @@ AXES = 4
 """Gamma, sigma, beta and shift, the angles of a pose in their order."""
 
 
+class ExecutedRows(Protocol):
+    """What has rows in order of time: a journal, or a plan as it is expected to be executed."""
+
+    def executed_rows(self) -> Iterator[ExecutedRow]:
+        """The rows."""
+        ...
+
+    def row_lights(self) -> Iterator[tuple[float, float, float]]:
+        """Number, start in s and the monitor's mean current in A of each row that was read."""
+        ...
+
+
 class RowHistory:
     """The history of a journal's rows as far as it goes; read when it is first asked for. Rows are named by their numbers."""
 
-    def __init__(self, journal: JournalReader) -> None:
+    def __init__(self, journal: ExecutedRows) -> None:
         self._journal = journal
 
     def read(self) -> None:

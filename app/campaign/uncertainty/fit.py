@@ -20,6 +20,8 @@ from goniotwin.arrays import Flags, Floats, Ints
 
 LEAST_VARIANCE = 1e-18
 """Smallest relative variance of a value's independent part: the weights stay finite."""
+REFINED = 3
+"""Times that a solution is improved: inputs that are all but free make the matrix of the inputs ill-conditioned."""
 ALONE = 2
 """An input that fewer values have than this is part of their independent part."""
 
@@ -46,37 +48,62 @@ class Fit:
         found = [value for each, value in zip(self.inputs, self.estimate.tolist(), strict=True) if each.name == name]
         return float(found[0]) if found else 0.0
 
+    def variance_of(self, name: str) -> float:
+        """The variance of an input after the fit; 0 where no residual depends on it."""
+        found = [float(self.covariance[k, k]) for k, each in enumerate(self.inputs) if each.name == name]
+        return found[0] if found else 0.0
+
 
 def fit_inputs(effects: Effects, residual: Floats) -> Fit:
     """Fit all shared inputs of the values to their relative residuals (n,)."""
-    independent = np.zeros(residual.size)
-    for variance in effects.independent.values():
-        independent += variance
-    groups = [_known(group) for group in effects.groups]
-    for group in groups:
-        independent += _alone_variance(group)
-    v = np.maximum(independent, LEAST_VARIANCE)
-    eliminated = _largest(groups)
-    blocks = _Blocks(v, eliminated)
-    inputs, matrix = _matrix(effects, [each for each in groups if each is not eliminated])
-    u = np.array([each.u for each in inputs])
-    scaled = matrix * u
-    weighted = blocks.solve(scaled)
-    normal = np.eye(u.size) + scaled.T @ weighted
-    inverse = np.linalg.inv(normal)
-    solved = blocks.solve(residual[:, None])[:, 0]
-    fitted = inverse @ (scaled.T @ solved)
-    # C^-1 r and the diagonal of C^-1, with C = W^-1 + scaled scaled'.
-    whole = solved - weighted @ fitted
-    diagonal = blocks.diagonal - np.sum((weighted @ inverse) * weighted, axis=1)
-    return Fit(
-        chi_square=v * whole**2,
-        expected=v * diagonal,
-        inputs=tuple(inputs),
-        estimate=u * fitted,
-        expected_variance=u**2 * np.maximum(1.0 - np.diag(inverse), 0.0),
-        covariance=u[:, None] * inverse * u,
-    )
+    covariance = ValuesCovariance(effects)
+    return covariance.fit(residual)
+
+
+class ValuesCovariance:
+    """The relative covariance C of values with their effects: its inverse times columns, without C itself."""
+
+    def __init__(self, effects: Effects) -> None:
+        independent = np.zeros(effects.value.size)
+        for variance in effects.independent.values():
+            independent += variance
+        groups = [_known(group) for group in effects.groups]
+        for group in groups:
+            independent += _alone_variance(group)
+        self._v = np.maximum(independent, LEAST_VARIANCE)
+        eliminated = _largest(groups)
+        self._blocks = _Blocks(self._v, eliminated)
+        self._inputs, matrix = _matrix(effects, [each for each in groups if each is not eliminated])
+        self._u = np.array([each.u for each in self._inputs])
+        self._scaled = matrix * self._u
+        self._weighted = self._blocks.solve(self._scaled)
+        self._inverse = np.linalg.inv(np.eye(self._u.size) + self._scaled.T @ self._weighted)
+
+    def solve(self, columns: Floats) -> Floats:
+        """C^-1 times columns (n, m)."""
+        fitted = np.zeros((self._u.size, columns.shape[1]))
+        left = columns
+        for _ in range(REFINED):
+            fitted += self._inverse @ (self._weighted.T @ left - fitted)
+            left = columns - self._scaled @ fitted
+        return self._blocks.solve(left)
+
+    def fit(self, residual: Floats) -> Fit:
+        """Fit the shared inputs to relative residuals (n,)."""
+        v, u, inverse, weighted = self._v, self._u, self._inverse, self._weighted
+        solved = self._blocks.solve(residual[:, None])[:, 0]
+        fitted = inverse @ (self._scaled.T @ solved)
+        # C^-1 r and the diagonal of C^-1, with C = W^-1 + scaled scaled'.
+        whole = solved - weighted @ fitted
+        diagonal = self._blocks.diagonal - np.sum((weighted @ inverse) * weighted, axis=1)
+        return Fit(
+            chi_square=v * whole**2,
+            expected=v * diagonal,
+            inputs=tuple(self._inputs),
+            estimate=u * fitted,
+            expected_variance=u**2 * np.maximum(1.0 - np.diag(inverse), 0.0),
+            covariance=u[:, None] * inverse * u,
+        )
 
 
 @dataclass(frozen=True)

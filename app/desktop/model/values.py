@@ -14,6 +14,7 @@ from goniotwin.app.campaign.row import NO_SAMPLE, CommittedRow
 from goniotwin.app.campaign.running.events import RowCommitted, RowStarted
 from goniotwin.app.campaign.schedule.file import ScheduleDescription, parse_schedule
 from goniotwin.app.desktop.model.live_scan import LiveScan, ScanData, ScanKey, Setting, scan_key
+from goniotwin.app.desktop.model.watch import RunWatch
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription, parse_rig
 from goniotwin.app.rig.alignment import aligned_model, parse_alignment
@@ -101,6 +102,23 @@ class PredictionEnded:
 
     number: int
     missing: str = ""
+
+
+@dataclass(frozen=True)
+class WatchRun:
+    """Request: watch the rows of run `number` for a misalignment; they follow. No `texts`: there is no run."""
+
+    number: int
+    texts: PlanTexts | None
+
+
+@dataclass(frozen=True)
+class MisalignmentFound:
+    """Answer: what the residuals of run `number` show, as text, and of which sample; no text: why it is not watched."""
+
+    number: int
+    text: str
+    where: str
 
 
 @dataclass(frozen=True)
@@ -200,32 +218,91 @@ def serve_values(connection: "Connection[Any, Any]") -> None:
 
 
 def serve_predictions(connection: "Connection[Any, Any]") -> None:
-    """Predict the scans of one plan after the other; a new one ends that in progress. The work of a worker."""
+    """Predict the scans of one plan after the other; a new one ends that in progress. Between them watch a run's rows.
+
+    The work of a worker.
+    """
+    watch = _Watching(connection)
+    waiting: Begin | None = None
     while True:
-        request = connection.recv()
-        while connection.poll(0.0):
+        while waiting is None or connection.poll(0.0):
+            if waiting is None and watch.due and not connection.poll(0.0):
+                watch.look()
+                continue
             request = connection.recv()
-        if request is None:
-            return
-        number, missing = request.number, ""
+            if request is None:
+                return
+            if isinstance(request, Begin):
+                waiting = request
+            else:
+                watch.take(request)
+        begun, waiting, missing = waiting, None, ""
         try:
             scans: Iterator[ScanData | None] = iter(())
-            if request.texts is not None:
-                plan = request.texts.plan_with_rows()
-                connection.send(DirectionsPlanned(number, planned_directions(plan)))
+            if begun.texts is not None:
+                plan = begun.texts.plan_with_rows()
+                connection.send(DirectionsPlanned(begun.number, planned_directions(plan)))
                 scans = predicted_scans(plan)
             for scan in scans:
-                if connection.poll(0.0):
+                while waiting is None and connection.poll(0.0):
+                    request = connection.recv()
+                    if request is None:
+                        return
+                    if isinstance(request, Begin):
+                        waiting = request
+                    else:
+                        watch.take(request)
+                if waiting is not None:
                     break
                 if scan is not None:
-                    connection.send(ScanPredicted(number, scan))
+                    connection.send(ScanPredicted(begun.number, scan))
         except UserError as error:
             missing = str(error)
         except OSError:
             raise  # the window has gone
         except Exception as error:  # noqa: BLE001  (a prediction that fails disturbs nothing)
             missing = f"{type(error).__name__}: {error}"
-        connection.send(PredictionEnded(number, missing))
+        connection.send(PredictionEnded(begun.number, missing))
+
+
+class _Watching:
+    """The watch of one run after the other, in a worker."""
+
+    def __init__(self, connection: "Connection[Any, Any]") -> None:
+        self._connection = connection
+        self._number = 0
+        self._watch: RunWatch | None = None
+
+    @property
+    def due(self) -> bool:
+        """Whether there is something to look at."""
+        return self._watch is not None and self._watch.due
+
+    def take(self, request: object) -> None:
+        """Begin with a run, or add a row of it."""
+        try:
+            match request:
+                case WatchRun(number, texts):
+                    self._number, self._watch = number, None
+                    self._watch = None if texts is None else RunWatch(texts.plan_with_rows())
+                case RowCommitted() if self._watch is not None:
+                    self._watch.add_row(request)
+        except Exception as error:  # noqa: BLE001  (a watch that fails disturbs nothing)
+            self._give_up(error)
+
+    def look(self) -> None:
+        """Look at the rows so far, and send what was found."""
+        try:
+            found = [] if self._watch is None else self._watch.look()
+        except Exception as error:  # noqa: BLE001  (a watch that fails disturbs nothing)
+            self._give_up(error)
+        else:
+            for each in found:
+                self._connection.send(MisalignmentFound(self._number, f"Misalignment: {each.text}", each.sample))
+
+    def _give_up(self, error: Exception) -> None:
+        self._watch = None
+        self._connection.send(MisalignmentFound(self._number, "", f"{type(error).__name__}: {error}"))
 
 
 def planned_directions(plan: Plan) -> dict[tuple[Setting, bool], int]:

@@ -20,10 +20,12 @@ from goniotwin.app.desktop.model.values import (
     DirectionsPlanned,
     Failed,
     Finish,
+    MisalignmentFound,
     PlanTexts,
     PredictionEnded,
     ScanComputed,
     ScanPredicted,
+    WatchRun,
     serve_predictions,
     serve_values,
 )
@@ -416,6 +418,8 @@ class LivePlot(QObject):
     alarmed = Signal(str, str)
     """The first residual of a scan beyond ALARM_U, and the scan."""
     prediction_missing = Signal(str)
+    misaligned = Signal(str, str)
+    """A misalignment that the residuals of a run show, and of which sample; without a text: why the run is not watched."""
     _answered = Signal(object)
 
     def __init__(self, plot: ScanPlot, hemisphere: HemisphereMap, parent: QObject, *, processes: bool = True) -> None:
@@ -466,11 +470,15 @@ class LivePlot(QObject):
             self._values.put(Begin(self._number, None if plan is None else PlanTexts.of(plan)))
         if plan is not None:
             self.predict(plan)
+        if self._predictions is not None and (plan is not None or had_run):
+            self._predictions.put(WatchRun(self._number, None if plan is None else PlanTexts.of(plan)))
 
     def add_row(self, event: RowStarted | RowCommitted) -> None:
         """Add a row; the plot follows within some REDRAW_MS."""
         if self._running:
             self._values.put(event)
+        if self._predictions is not None and isinstance(event, RowCommitted):
+            self._predictions.put(event)
 
     def finish(self) -> None:
         """The run has ended: complete the values."""
@@ -513,6 +521,9 @@ class LivePlot(QObject):
                 self._take_cut(cut)
             case PredictionEnded(number, missing) if number == self._prediction and missing:
                 self.prediction_missing.emit(missing)
+                return
+            case MisalignmentFound(number, text, where) if number == self._number:
+                self.misaligned.emit(text, where)
                 return
             case Failed(number, error) if number == self._number:
                 self._fail(error)

@@ -1,0 +1,62 @@
+"""The watch of a run in progress: its rows in a journal of this process, and what their residuals show. No Qt.
+
+The journal of the station is left alone: a reader that stays would keep it from becoming one file at its end.
+"""
+
+import math
+import tempfile
+from pathlib import Path
+
+from goniotwin.app.campaign.journal.writing import Journal, software_versions
+from goniotwin.app.campaign.planning.plan import Plan
+from goniotwin.app.campaign.reduction.reduction import watch_journal
+from goniotwin.app.campaign.reduction.watch import LOOKS, Misalignment
+from goniotwin.app.campaign.running.events import RowCommitted
+from goniotwin.app.errors import UserError
+
+MOST_ROWS = 5000
+"""Longer campaigns are not watched in progress: a look takes some milliseconds a row."""
+LEAST_BETWEEN = 16
+"""Least number of rows between two looks."""
+
+
+class RunWatch:
+    """The rows of a run so far, and looks at their residuals: LOOKS at most, evenly over the plan's rows."""
+
+    def __init__(self, plan: Plan) -> None:
+        self._plan = plan
+        self._rows: list[RowCommitted] = []
+        self._every = max(LEAST_BETWEEN, math.ceil(len(plan.rows) / LOOKS))
+        self._seen, self._looks = 0, 0
+        self._named: set[str] = set()
+
+    def add_row(self, event: RowCommitted) -> None:
+        """Add a row."""
+        if len(self._plan.rows) <= MOST_ROWS:
+            self._rows.append(event)
+
+    @property
+    def due(self) -> bool:
+        """Whether there are enough new rows for the next look."""
+        return len(self._rows) - self._seen >= self._every and self._looks < LOOKS
+
+    def look(self) -> list[Misalignment]:
+        """What the residuals show now, of samples for which nothing was found before."""
+        self._seen, self._looks = len(self._rows), self._looks + 1
+        with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+            path = Path(folder) / "watch.journal"
+            with Journal.create(path, self._plan, software_versions(), durable=False) as journal:
+                session, now = journal.begin_session(0.0, self._plan.rig.text, software_versions()), 0.0
+                for each in self._rows:
+                    if each.row.unplanned:
+                        journal.add_rows([each.row])
+                    journal.commit(each.row, each.data)
+                    now = each.data.ended_s
+                journal.end_session(session, now, "stopped")
+            try:
+                found = watch_journal(path).misalignments
+            except UserError:  # before the etalon has been measured there are no values
+                return []
+        new = [each for each in found if each.sample not in self._named]
+        self._named |= {each.sample for each in new}
+        return new

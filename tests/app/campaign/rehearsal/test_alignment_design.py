@@ -1,0 +1,66 @@
+"""The design of an alignment's campaign: it fits into the time, has more information than its schedule, and is right."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.planning.plan import make_plan
+from goniotwin.app.campaign.reduction.reduction import Reduction
+from goniotwin.app.campaign.rehearsal import alignment_design
+from goniotwin.app.campaign.rehearsal.alignment_design import design_alignment
+from goniotwin.app.campaign.schedule.file import parse_schedule
+from goniotwin.app.errors import UserError
+from tests.app.campaign.reduction.alignment_bench import SAMPLE, SCHEDULE, alignment_rig, drawn_plan, judge_alignment, run
+from tests.app.campaign.reduction.test_alignment import SMALL
+
+LITTLE = (
+    SMALL.replace('side = "both"', 'side = "front"')
+    .replace("sigma_deg = [5, 30, 60]", "sigma_deg = [5, 30]")
+    .replace("shift_deg = [0, 2.5]", "shift_deg = [0]")
+)
+"""Of 22 rows, 8 of them with the sample."""
+FEW = {"sigma_deg": (45.0,), "gamma_deg": (90.0,), "beta_deg": (172.0,), "shift_deg": (2.0,)}
+
+
+def test_a_design_fits_into_the_time_and_has_more_information(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(alignment_design, "FURTHER", FEW)
+    schedule, rig = parse_schedule(LITTLE, "little"), alignment_rig()
+    minutes = make_plan(schedule, rig).seconds / 60.0
+    design = design_alignment(schedule, rig, minutes)
+    assert design.plan.seconds <= 60.0 * minutes
+    assert {**design.levels} != {"sigma_deg": (5, 30), "gamma_deg": (0, 180), "beta_deg": (165, 188), "shift_deg": (0,)}
+    assert design.gain > 0.0
+    again = make_plan(parse_schedule(design.text, "design"), rig)
+    assert [each.identity for each in again.rows] == [each.identity for each in design.plan.rows]
+    assert all(0.0 < each.u < 0.5 * each.prior_u for each in design.forecast.combinations)
+    assert len(design.as_dict()["combinations"]) == len(design.forecast.u_before) > 0
+
+
+def test_too_short_a_time_is_refused_with_the_shortest_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(alignment_design, "FURTHER", dict.fromkeys(FEW, ()))
+    with pytest.raises(UserError, match=r"^little: 0.1 min are too few; the shortest design takes \d+ min$"):
+        design_alignment(parse_schedule(LITTLE, "little"), alignment_rig(), 0.1)
+
+
+@pytest.mark.long
+def test_expected_uncertainties_are_those_of_random_rigs(tmp_path: Path) -> None:
+    """The example's time: what an alignment states after the campaign is as expected, and its errors are as stated.
+
+    The mean square of some 120 errors over u, of which those of one rig are independent: 1, with a standard deviation of 0.13.
+    """
+    design = design_alignment(parse_schedule(SCHEDULE.read_text(encoding="utf-8"), "alignment"), alignment_rig(), 64.9)
+    assert design.gain > 0.1
+    assert len(design.forecast.combinations) == 10
+    schedule = parse_schedule(design.text, "design")
+    scores, ratios = [], []
+    for seed in range(1, 13):
+        plan = drawn_plan(schedule, alignment_rig(), seed)
+        with Journal.open(run(plan, tmp_path / f"{seed}.journal")) as journal:
+            result = Reduction(journal).align(SAMPLE)
+        found = judge_alignment(result, plan)
+        scores += [error / u for error, u in zip(found.errors, found.u, strict=True)]
+        ratios.append(np.sort(found.u) / np.sort([each.u for each in design.forecast.combinations]))
+    assert 0.6 < np.mean(np.square(scores)) < 1.5
+    assert np.median(ratios, axis=0) == pytest.approx(1.0, abs=0.15)
