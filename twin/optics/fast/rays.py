@@ -16,6 +16,8 @@ import numpy as np
 
 from goniotwin.arrays import Floats, Ints
 from goniotwin.twin.optics.fast.aperture import (  # fmt: skip
+    A,
+    B,
     BLOCK,
     DX,
     DY,
@@ -55,6 +57,7 @@ from goniotwin.twin.optics.fast.aperture import (  # fmt: skip
     MVQ,
     MVV,
     P0,
+    POINT,
     PX,
     Q0,
     RADIUS,
@@ -63,7 +66,9 @@ from goniotwin.twin.optics.fast.aperture import (  # fmt: skip
     T11,
     T21,
     T22,
+    U,
     U0,
+    V,
     V0,
     WEIGHT,
     WX,
@@ -87,13 +92,16 @@ HEXAGON = np.array([[math.cos(0.26 + k * math.pi / 3), math.sin(0.26 + k * math.
 
 
 @kernel(nogil=True, fastmath={"contract"})
-def place_nodes(w: Floats, count: int, pupil: Floats, hexagon: Floats, rays: Floats, first: int, stride: int) -> None:
+def place_nodes(
+    w: Floats, count: int, pupil: Floats, hexagon: Floats, rays: Floats, points: Floats, first: int, stride: int
+) -> None:
     """Fill `rays` (7, 7 stride) for the `count` detectors in `w`: weight, light's direction (3), observer's direction (3).
 
     Node j of a detector is ray j * stride + first + its number. The detectors' frames and moments are in `w`, see
     twin.optics.fast.aperture. `pupil` (4, 3) is the exit pupil's centre, its two axes as long as its radius, its normal, mm.
     Weights include the beam's solid angle, cos(light) cos(pupil) / r^2, 1/mm^2, and the aperture's mm^2. A detector that
-    accepts no rays has weights of 0.
+    accepts no rays has weights of 0. `points` (4, 7 stride), if it is not (4, 0), is filled with each ray's point of the
+    pupil's unit disc and of the hole, mm.
     """
     cx, cy, cz, ax, ay, az = pupil[0, 0], pupil[0, 1], pupil[0, 2], pupil[1, 0], pupil[1, 1], pupil[1, 2]
     bx, by, bz, fx, fy, fz = pupil[2, 0], pupil[2, 1], pupil[2, 2], pupil[3, 0], pupil[3, 1], pupil[3, 2]
@@ -182,17 +190,23 @@ def place_nodes(w: Floats, count: int, pupil: Floats, hexagon: Floats, rays: Flo
             w[k + WEIGHT] = part * w[k + M] * (lz if lz > 0.0 else 0.0) * cosine * inverse * inverse
             w[k + LX], w[k + LY], w[k + LZ] = lx, ly, lz
             w[k + WX], w[k + WY], w[k + WZ] = wx * shrink, wy * shrink, wz * shrink
+            w[k + A], w[k + B], w[k + U], w[k + V] = a, b, u, v
         for row in range(7):
             for k in range(count):
                 rays[row, j * stride + first + k] = w[k + RAY + row * BLOCK]
+        if points.shape[1] > 0:
+            for row in range(4):
+                for k in range(count):
+                    points[row, j * stride + first + k] = w[k + POINT + row * BLOCK]
 
 
 @kernel(nogil=True)
 def fill_nodes(
     centres: Floats, axes: Floats, sizes: Floats, wide: bool, cone: Floats, side: Floats, hole: Floats, hexagon: Floats,
-    pupil: Floats, mirrors: Floats, blocking: float, obstruction: bool, clipped: bool, rays: Floats, status: Ints,
+    pupil: Floats, chords: Floats, mirrors: Floats, blocking: float, obstruction: bool, clipped: bool, rays: Floats,
+    points: Floats, status: Ints,
 ) -> None:  # fmt: skip
-    """Fill `rays` (7, 7 n) with the nodes of n detectors, see `place_nodes`, and `status` (n,).
+    """Fill `rays` (7, 7 n) and `points` with the nodes of n detectors, see `place_nodes`, and `status` (n,).
 
     PARTLY means that seven nodes are not enough, because a mirror blocks some of the accepted rays; the nodes are filled in all
     the same.
@@ -205,10 +219,10 @@ def fill_nodes(
                 w[k - first + PX + c * BLOCK], w[k - first + DX + c * BLOCK] = centres[k, c], axes[k, c]
         fill_frames(w, last - first)
         if wide:
-            fill_wide_apertures(w, last - first, hole, sizes)
+            fill_wide_apertures(w, last - first, hole, sizes, chords)
         else:
-            fill_apertures(w, last - first, cone, side, sizes)
-        place_nodes(w, last - first, pupil, hexagon, rays, first, count)
+            fill_apertures(w, last - first, cone, side, sizes, chords)
+        place_nodes(w, last - first, pupil, hexagon, rays, points, first, count)
         for k in range(first, last):
             status[k] = PARTLY if clipped else FREE
             if obstruction and w[k - first + M] > 0.0:
@@ -223,11 +237,11 @@ def fill_nodes(
 @kernel(nogil=True)
 def fill_rays(
     centre: Floats, d: Floats, bundle: Floats, slopes: Floats, sizes: Floats, pupil: Floats, mirrors: Floats, images: Floats,
-    half: float, blocking: float, obstruction: bool, clipped: bool, rays: Floats,
+    half: float, blocking: float, obstruction: bool, clipped: bool, rays: Floats, points: Floats,
 ) -> None:  # fmt: skip
     """Fill `rays` (7, bundle) with a whole bundle of one detector; rays that a mirror blocks have no weight.
 
-    `half` is a mirror's half side, mm, and `blocking` that with its mount.
+    `half` is a mirror's half side, mm, and `blocking` that with its mount. `points` (4, bundle) is filled as by `place_nodes`.
     """
     axes, near = np.zeros((4, 3)), np.zeros(3)
     fill_view(centre, d, axes)
@@ -243,3 +257,4 @@ def fill_rays(
         rays[0, j] = share * weight * gain
         rays[1, j], rays[2, j], rays[3, j] = lx, ly, lz
         rays[4, j], rays[5, j], rays[6, j] = wx, wy, wz
+        points[0, j], points[1, j], points[2, j], points[3, j] = bundle[j, 4], bundle[j, 5], px, py

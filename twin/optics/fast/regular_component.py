@@ -13,6 +13,7 @@ import numpy as np
 
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics.fast.aperture import detector_frame
+from goniotwin.twin.optics.illumination.slit_image import ALONG_V, chord_lines, cut_chord
 from goniotwin.twin.optics.kernel import kernel
 
 HOLE_NODES, SLOPE_NODES = 12, 16
@@ -46,11 +47,13 @@ def conic(
 
 @kernel(nogil=True)
 def image_measures(
-    centres: Floats, axes: Floats, sizes: Floats, pupil: Floats, transmits: bool, hole: Floats, line: Floats, result: Floats
-) -> None:
+    centres: Floats, axes: Floats, sizes: Floats, pupil: Floats, chords: Floats, transmits: bool, hole: Floats, line: Floats,
+    result: Floats,
+) -> None:  # fmt: skip
     """Fill `result` (n,) with the measures of n detectors, mm^2 sr: 0 for those that do not see the pupil's image.
 
-    `hole` and `line` (n, 2) are nodes over a side of the hole and over a slope; `pupil` (4, 3) as in `place_nodes`.
+    `hole` and `line` (n, 2) are nodes over a side of the hole and over a slope; `pupil` (4, 3) as in `place_nodes`, `chords`
+    those of the lit part of the hole, see `SlitImage`.
     """
     radius, half, tangent = sizes[0], sizes[1], sizes[2] / math.sqrt(1.0 - sizes[2] * sizes[2])
     image = pupil.copy()
@@ -58,7 +61,7 @@ def image_measures(
         for row in range(4):
             image[row, 2] *= -1.0
     square_radius = image[1, 0] ** 2 + image[1, 1] ** 2 + image[1, 2] ** 2
-    e1, e2 = np.zeros(3), np.zeros(3)
+    e1, e2, lines = np.zeros(3), np.zeros(3), chord_lines(chords, ALONG_V)
     for n in range(axes.shape[0]):
         d, centre = axes[n], centres[n]
         result[n] = 0.0
@@ -67,9 +70,15 @@ def image_measures(
         e1[0], e1[1], e1[2], e2[0], e2[1] = detector_frame(d[0], d[1], d[2])
         ahead = centre[0] * d[0] + centre[1] * d[1] + centre[2] * d[2]
         total = 0.0
+        first_u, last_u = chords[ALONG_V, 0, 0], chords[ALONG_V, 0, 1]
         for i in range(hole.shape[0]):
+            u = 0.5 * (first_u + last_u) + 0.5 * (last_u - first_u) * hole[i, 0]
+            first_v, last_v = cut_chord(lines, u, -half, half)
+            if not (last_u > first_u and last_v > first_v):
+                continue
+            lit_mm2 = (last_u - first_u) * (last_v - first_v)
             for j in range(hole.shape[0]):
-                u, v = half * hole[i, 0], half * hole[j, 0]
+                v = 0.5 * (first_v + last_v) + 0.5 * (last_v - first_v) * hole[j, 0]
                 # The disc's centre and radius as slopes from (u, v).
                 distance = ahead - u * d[0] - v * d[1]
                 p0 = ((centre[0] - u) * e1[0] + (centre[1] - v) * e1[1] + centre[2] * e1[2]) / distance
@@ -109,5 +118,5 @@ def image_measures(
                         stretch = 1.0 + p * p + q * q
                         # Radiance is conserved: the measure is area, the cosine with the sample's normal, solid angle.
                         inner += line[k, 1] * (right - left) * abs(d[2] + p * e1[2]) / (stretch * stretch)
-                total += hole[i, 1] * hole[j, 1] * inner * (high - low)
-        result[n] = total * 4.0 * half * half
+                total += hole[i, 1] * hole[j, 1] * inner * (high - low) * lit_mm2
+        result[n] = total

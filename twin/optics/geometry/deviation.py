@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -39,17 +40,24 @@ def rotation_and_shift(deviation: Deviation) -> tuple[Floats, Floats]:
     shift = np.array([deviation.x_mm, deviation.y_mm, deviation.z_mm])
     if rx == ry == rz == 0.0:
         return np.eye(3), shift
-    cx, sx = math.cos(math.radians(rx)), math.sin(math.radians(rx))
-    cy, sy = math.cos(math.radians(ry)), math.sin(math.radians(ry))
-    cz, sz = math.cos(math.radians(rz)), math.sin(math.radians(rz))
-    matrix = np.array(
-        [
-            [cz * cy, cz * sy * sx - sz * cx, cz * sy * cx + sz * sx],
-            [sz * cy, sz * sy * sx + cz * cx, sz * sy * cx - cz * sx],
-            [-sy, cy * sx, cy * cx],
-        ]
-    )
-    return matrix, shift
+    angles = [math.radians(each) for each in (rx, ry, rz)]
+    return np.array(_rotation([math.cos(each) for each in angles], [math.sin(each) for each in angles])), shift
+
+
+def rotations(angles_deg: Floats) -> Floats:
+    """Rotation matrices (..., 3, 3) of angles (..., 3) about x, y and z, as in `rotation_and_shift`."""
+    angles = np.moveaxis(np.radians(angles_deg), -1, 0)
+    return np.ascontiguousarray(np.moveaxis(np.array(_rotation(np.cos(angles), np.sin(angles))), (0, 1), (-2, -1)))
+
+
+def _rotation(cosines: Any, sines: Any) -> list[list[Any]]:
+    """Rows of the rotation about x, then y, then z: of three numbers each, or of three arrays."""
+    (cx, cy, cz), (sx, sy, sz) = cosines, sines
+    return [
+        [cz * cy, cz * sy * sx - sz * cx, cz * sy * cx + sz * sx],
+        [sz * cy, sz * sy * sx + cz * cx, sz * sy * cx - cz * sx],
+        [-sy, cy * sx, cy * cx],
+    ]
 
 
 def check_deviations(deviations: Mapping[str, Deviation], known: Iterable[str]) -> dict[str, Deviation]:

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from annotated_types import Ge, Gt, Le, Lt
 
 from goniotwin.arrays import Floats
-from goniotwin.keys import NO_KEY, NonNegative, Positive, Share, check_bounds
+from goniotwin.keys import LATER, NO_KEY, NonNegative, Positive, Share, check_bounds
 from goniotwin.twin.optics.geometry.deviation import NO_DEVIATION, Deviation, check_deviations
 from goniotwin.twin.optics.geometry.sensor import RealSensor
 
@@ -19,6 +19,8 @@ NOMINAL_DEG = 45.0
 """Incidence of the beam's axis on each of the three mirrors."""
 NOMINAL_NM = 555.0
 ELEMENTS = ("pupil", "mirror_1", "mirror_2", "mirror_3", "mirror_unit", "sample", "arc", "sensor")
+ILLUMINATION_ELEMENTS = ("arc", "reflector", "input_condenser", "slit", "output_condenser", "unit")
+"""Elements of the illumination unit with deviations of their own; `unit` is all of them together."""
 LEAST_GAP_MM = 1e-3
 
 
@@ -118,10 +120,11 @@ class Instrument(Dimensions):
     `field_deg` are then replaced by the lens' diameter and the sensor's field: one instrument cannot have two kinds of
     detectors.
 
-    `deviations` are by element: `pupil` (the illumination unit's end, about its own centre), `mirror_1` to `mirror_3` (each in
-    its own frame: along its sides, then its normal), `mirror_unit` (about the sample's centre, in the frame that turns with
+    `deviations` are by element: `pupil` (the illumination unit, about its exit pupil's centre), `mirror_1` to `mirror_3` (each
+    in its own frame: along its sides, then its normal), `mirror_unit` (about the sample's centre, in the frame that turns with
     sigma: across, along the axis, towards the light), `sample` (in the frame that turns with gamma), `arc` (the rig's frame)
-    and `sensor` (each detector in its own frame: away from the normal, level, along its view).
+    and `sensor` (each detector in its own frame: away from the normal, level, along its view). `illumination` has those of the
+    illumination unit's own elements, within its frame: see `IlluminationUnit`. Its `unit` adds to `pupil`.
 
     Raises ValueError, naming the field, for a value out of range.
     """
@@ -130,6 +133,7 @@ class Instrument(Dimensions):
     mirror_reflectance: Share | Reflectance = 0.95
     obstruction: bool = True
     deviations: Mapping[str, Deviation] = field(default_factory=dict, hash=False, metadata=NO_KEY)
+    illumination: Mapping[str, Deviation] = field(default_factory=dict, hash=False, metadata={**NO_KEY, **LATER})
     sensor: RealSensor | None = field(default=None, metadata=NO_KEY)
 
     def __post_init__(self) -> None:
@@ -137,8 +141,9 @@ class Instrument(Dimensions):
             object.__setattr__(self, "detector_diameter_mm", self.sensor.lens_diameter_mm)
             object.__setattr__(self, "field_deg", self.sensor.field_deg)
         super().__post_init__()
-        known = check_deviations(self.deviations, ELEMENTS)
-        object.__setattr__(self, "deviations", MappingProxyType(dict(sorted(known.items()))))
+        for name, elements in (("deviations", ELEMENTS), ("illumination", ILLUMINATION_ELEMENTS)):
+            known = check_deviations(getattr(self, name), elements)
+            object.__setattr__(self, name, MappingProxyType(dict(sorted(known.items()))))
 
     def deviation(self, element: str) -> Deviation:
         """Deviation of one element; zero where none is given."""

@@ -14,7 +14,7 @@ import numpy as np
 
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics.geometry.coordinates import light_direction
-from goniotwin.twin.optics.geometry.deviation import Deviation, rotation_and_shift
+from goniotwin.twin.optics.geometry.deviation import NO_DEVIATION, Deviation, rotation_and_shift
 from goniotwin.twin.optics.geometry.instrument import Instrument
 from goniotwin.twin.optics.kernel import kernel
 
@@ -82,11 +82,22 @@ def _in_rig(deviation: Deviation, axes: Floats) -> tuple[Floats, Floats]:
     return axes.T @ turn @ axes, shift @ axes
 
 
-def pupil(instrument: Instrument) -> tuple[Floats, Floats, Floats]:
-    """Centre (mm) and two unit axes, (3,) each, of the exit pupil itself, before mirror 1."""
+def illumination_place(instrument: Instrument) -> tuple[Floats, Floats]:
+    """Rotation (3, 3) and origin (3,), mm, of the illumination unit's frame in the rig's: p is at rotation @ p + origin."""
     centre = -(instrument.mirror_distance_mm + instrument.pupil_to_mirror_mm) * ALONG_Y
     turn, shift = rotation_and_shift(instrument.deviation("pupil"))
-    return centre + shift, turn[:, 0].copy(), turn[:, 2].copy()
+    return turn, centre + shift
+
+
+def pupil(instrument: Instrument) -> tuple[Floats, Floats, Floats]:
+    """Centre (mm) and two unit axes, (3,) each, of the exit pupil itself, before mirror 1."""
+    turn, centre = illumination_place(instrument)
+    if instrument.illumination:
+        # The exit pupil is the opening of the output condenser, which the whole unit carries.
+        whole, shift = rotation_and_shift(instrument.illumination.get("unit", NO_DEVIATION))
+        own, offset = rotation_and_shift(instrument.illumination.get("output_condenser", NO_DEVIATION))
+        centre, turn = centre + turn @ (whole @ offset + shift), turn @ whole @ own
+    return centre, turn[:, 0].copy(), turn[:, 2].copy()
 
 
 def pupil_image(instrument: Instrument, sigma_deg: float) -> tuple[Floats, Floats, Floats]:
