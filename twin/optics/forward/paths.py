@@ -117,7 +117,6 @@ def stop_at_slit(buffer: Singles, count: int, key: np.uint32, edge: Floats, half
 @kernel()
 def weigh_paths(buffer: Singles, count: int, key: np.uint32, light: SlitImage, half: float) -> None:
     """Multiply FLUX of rays from the pupil to PX, PY by the relative radiance of the illumination unit along them."""
-    x, w = np.empty(3), np.empty(3)
     for i in range(count):
         if buffer[i + FLUX] > ZERO:
             bits = word(key, i)
@@ -125,7 +124,7 @@ def weigh_paths(buffer: Singles, count: int, key: np.uint32, light: SlitImage, h
             cos, sin = cosine_and_sine(high_16(bits))
             a, b = np.float64(radius * cos), np.float64(radius * sin)
             u, v = half * np.float64(buffer[i + PX]), half * np.float64(buffer[i + PY])
-            buffer[i + FLUX] = F32(np.float64(buffer[i + FLUX]) * relative_radiance(light, a, b, u, v, x, w))
+            buffer[i + FLUX] = F32(np.float64(buffer[i + FLUX]) * relative_radiance(light, a, b, u, v))
 
 
 @kernel()

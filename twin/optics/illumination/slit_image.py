@@ -23,8 +23,7 @@ from goniotwin.arrays import Floats
 from goniotwin.twin.optics.geometry.deviation import NO_DEVIATION, Deviation
 from goniotwin.twin.optics.geometry.instrument import Instrument
 from goniotwin.twin.optics.geometry.scene import SCENES_KEPT, Scene
-from goniotwin.twin.optics.illumination.adjoint import lit_length
-from goniotwin.twin.optics.illumination.elements import to_plane
+from goniotwin.twin.optics.illumination.elements import lit_length, to_plane
 from goniotwin.twin.optics.illumination.unit import OUTPUT, SLIT, IlluminationUnit, unit_of
 from goniotwin.twin.optics.kernel import kernel
 
@@ -41,8 +40,8 @@ class SlitImage(NamedTuple):
 
     `edges` (4, 3, 3): a ray from (a, b) to (u, v) passes inside edge k if (1, a, b) edges[k] (1, u, v) >= 0, which is about the
     distance from the edge in mm. `chords` (2, 9, 2): the lit part of the hole, as seen from the pupil's centre, see
-    `cut_chord`. `hole` (3, 3): the hole's centre and its two axes in the output condenser's frame. `frames` (2, 5, 4, 3): the
-    unit's elements in that frame, then without deviations; `sizes` (13,) as those of `IlluminationUnit`.
+    `cut_chord`. `hole` (3, 3): the hole's centre and its two axes in the output condenser's frame. `frames` (5, 4, 3): the
+    unit's elements in that frame, `straight` those without deviations; `sizes` (13,) as those of `IlluminationUnit`.
 
     `everywhere`: no ray of pupil and hole is beyond an edge. `even`: the radiance is 1 within the edges.
     """
@@ -51,6 +50,7 @@ class SlitImage(NamedTuple):
     chords: Floats
     hole: Floats
     frames: Floats
+    straight: Floats
     sizes: Floats
     everywhere: bool
     even: bool
@@ -65,7 +65,7 @@ def slit_image(instrument: Instrument, scene: Scene, height_mm: float = 0.0) -> 
     )  # fmt: skip
     edges, chords, hole = np.empty((LINES, 3, 3)), np.empty((2, 1 + 2 * LINES, 2)), np.empty((3, 3))
     everywhere = place_slit(own.edges, scene.pupil, 0.5 * instrument.spot_side_mm, height_mm, edges, chords, hole)
-    return SlitImage(edges, chords, hole, own.frames, own.sizes, everywhere, own.even)
+    return SlitImage(edges, chords, hole, own.frames, own.straight, own.sizes, everywhere, own.even)
 
 
 class _Elements(NamedTuple):
@@ -73,6 +73,7 @@ class _Elements(NamedTuple):
 
     edges: Floats
     frames: Floats
+    straight: Floats
     sizes: Floats
     even: bool
 
@@ -88,8 +89,8 @@ def _elements(
         spot_side_mm=spot_side_mm,
     )  # fmt: skip
     unit = unit_of(replace(instrument, illumination=dict(deviations)))
-    frames = np.stack([_within_condenser(unit.frames), _within_condenser(unit_of(instrument).frames)])
-    return _Elements(slit_edges(frames[0, SLIT], unit), frames, unit.sizes, not deviations)
+    frames, straight = _within_condenser(unit.frames), _within_condenser(unit_of(instrument).frames)
+    return _Elements(slit_edges(frames[SLIT], unit), frames, straight, unit.sizes, not deviations)
 
 
 def _within_condenser(frames: Floats) -> Floats:
@@ -268,37 +269,35 @@ def is_lit(edges: Floats, a: float, b: float, u: float, v: float) -> bool:
 
 
 @kernel(nogil=True)
-def relative_radiance(image: SlitImage, a: float, b: float, u: float, v: float, x: Floats, w: Floats) -> float:
+def relative_radiance(image: SlitImage, a: float, b: float, u: float, v: float) -> float:
     """Radiance from (a, b) of the pupil to (u, v) of the hole over that without deviations, on either side of the edges.
 
-    Both along the ray through the same points of slit and pupil. 1 where a unit without deviations sends no light. `x` and `w`
-    (3,) are room for a ray.
+    Both along the ray through the same points of slit and pupil. 1 where a unit without deviations sends no light.
     """
-    sizes, focal, distance = image.sizes, image.sizes[6], -image.frames[1, SLIT, 0, 1]
-    pa, pb = sizes[7] * a, sizes[7] * b
+    pa, pb = image.sizes[7] * a, image.sizes[7] * b
     hx = image.hole[0, 0] + u * image.hole[1, 0] + v * image.hole[2, 0]
     hy = image.hole[0, 1] + u * image.hole[1, 1] + v * image.hole[2, 1]
     hz = image.hole[0, 2] + u * image.hole[1, 2] + v * image.hole[2, 2]
-    p, q = (hx - pa) / hy, (hz - pb) / hy
-    found = 0.0
-    s = t = 0.0
-    for unit in range(2):
-        if unit == 1:
-            # The ray through the same points of a slit and a pupil at their places.
-            p, q = (pa - s) / distance - pa / focal, (pb - t) / distance - pb / focal
-        behind_p, behind_q = p + pa / focal, q + pb / focal
-        before, behind = 1.0 + p * p + q * q, 1.0 + behind_p * behind_p + behind_q * behind_q
-        x[0], x[1], x[2] = pa, 0.0, pb
-        along = -1.0 / math.sqrt(behind)
-        w[0], w[1], w[2] = along * behind_p, along, along * behind_q
-        s0, t0 = to_plane(image.frames[unit, SLIT], x, w)
-        # The change of radiance in the condenser: the fourth power of the cosines.
-        length = lit_length(image.frames[unit], sizes, x, w) * (before / behind) ** 2
-        if unit == 0:
-            s, t, found = s0, t0, length
-        elif length > 0.0:
-            return found / length  # type: ignore[no-any-return]
-    return 1.0
+    found, s, t = _radiance(image.frames, image.sizes, pa, pb, (hx - pa) / hy, (hz - pb) / hy)
+    # The ray through the same points of slit and pupil at their places, and on to the sample.
+    distance, focal = -image.straight[SLIT, 0, 1], image.sizes[6]
+    p, q = (pa - s) / distance - pa / focal, (pb - t) / distance - pb / focal
+    whole, _, _ = _radiance(image.straight, image.sizes, pa, pb, p, q)
+    relative: float = found / whole if whole > 0.0 else 1.0
+    return relative
+
+
+@kernel()
+def _radiance(frames: Floats, sizes: Floats, pa: float, pb: float, p: float, q: float) -> tuple[float, float, float]:
+    """Length in the arc of the ray that leaves the condenser at (pa, pb), mm, with slopes (p, q); its point of the slit, mm.
+
+    With the change of radiance in the condenser: the fourth power of the cosines.
+    """
+    behind_p, behind_q = p + pa / sizes[6], q + pb / sizes[6]
+    change = (1.0 + p * p + q * q) / (1.0 + behind_p * behind_p + behind_q * behind_q)
+    along = -1.0 / math.sqrt(1.0 + behind_p * behind_p + behind_q * behind_q)
+    x, y, z, s, t = to_plane(frames, SLIT, pa, 0.0, pb, along * behind_p, along, along * behind_q)
+    return lit_length(frames, sizes, x, y, z, along * behind_p, along, along * behind_q) * change * change, s, t
 
 
 @kernel(nogil=True)
@@ -307,11 +306,10 @@ def weigh_rays(image: SlitImage, points: Floats, edges: bool, weights: Floats) -
 
     With `edges` those beyond an edge have none; without it only the radiance counts.
     """
-    x, w = np.empty(3), np.empty(3)
     for i in range(weights.size):
         if weights[i] > 0.0:
             a, b, u, v = points[0, i], points[1, i], points[2, i], points[3, i]
             if edges and not is_lit(image.edges, a, b, u, v):
                 weights[i] = 0.0
             elif not image.even:
-                weights[i] *= relative_radiance(image, a, b, u, v, x, w)
+                weights[i] *= relative_radiance(image, a, b, u, v)
