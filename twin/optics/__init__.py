@@ -2,7 +2,7 @@
 
 `throughput` is the fast estimator, for a sample with a known BSDF. `forward_throughput` traces rays from the exit pupil to the
 detectors; it is the reference for the fast one. `IlluminationUnit` is the optics before the exit pupil, with two estimators of
-its own: `forward_illumination` and `adjoint_illumination`. This package needs numpy and numba alone, and annotated-types, a
+its own: `forward_illumination` and `adjoint_illumination`; `field_fluxes` evaluates many sets of deviations at once. This package needs numpy and numba alone, and annotated-types, a
 module of names for bounds: files are read and written in app/formats.
 """
 
@@ -39,6 +39,7 @@ from goniotwin.twin.optics.geometry.mirrors import pupil_image
 from goniotwin.twin.optics.geometry.sensor import RealSensor
 from goniotwin.twin.optics.illumination.adjoint import IlluminationFigure, adjoint_illumination, illumination_figure
 from goniotwin.twin.optics.illumination.beam import Illumination
+from goniotwin.twin.optics.illumination.field_flux import field_fluxes
 from goniotwin.twin.optics.illumination.forward import forward_illumination
 from goniotwin.twin.optics.illumination.rayset import Rayset, RaySource, record, replay
 from goniotwin.twin.optics.illumination.spectrum import Spectrum, luminous_spectrum, xenon_spectrum
@@ -71,6 +72,7 @@ __all__ = [
     "combine_sides",
     "draw_directions",
     "evaluate",
+    "field_fluxes",
     "forward_illumination",
     "forward_throughput",
     "from_specular",

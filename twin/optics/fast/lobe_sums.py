@@ -24,10 +24,10 @@ from goniotwin.twin.optics.fast.aperture import WIDE, aperture_sizes, cone_nodes
 from goniotwin.twin.optics.fast.obstruction import FREE, PARTLY, visible_shares
 from goniotwin.twin.optics.fast.ray_bundle import cone_slopes, ray_bundle
 from goniotwin.twin.optics.fast.rays import HEXAGON, NODES, fill_nodes, fill_rays
-from goniotwin.twin.optics.fast.regular_component import HOLE_NODES, SLOPE_NODES, image_measures, line_nodes
+from goniotwin.twin.optics.fast.regular_component import HOLE_NODES, SLOPE_NODES, image_measures, light_shares, line_nodes
 from goniotwin.twin.optics.geometry.instrument import Instrument, Reflectance
 from goniotwin.twin.optics.geometry.scene import Scene, scene_at
-from goniotwin.twin.optics.illumination.slit_image import slit_image, weigh_rays
+from goniotwin.twin.optics.illumination.slit_image import ALONG_U, slit_image, weigh_rays
 from goniotwin.twin.optics.kernel import kernel
 
 LOG2_E = 1.0 / math.log(2.0)
@@ -48,6 +48,8 @@ COARSE_RULE: Rule = (cone_nodes(), side_nodes(), hole_nodes(4), 256)
 FINEST_RULE: Rule = (cone_nodes(3), side_nodes(12), hole_nodes(16), 1024)
 """For fluxes where the light ends within the hole, which is then not a square: exact to 0.3 %, where 2 % of it are left 0.5 %."""
 TABLE_KINDS = (TABLE, ANISOTROPIC)
+LIGHT_RAYS = 8192
+"""Rays from pupil to hole for the mean of what is not even, of a regular component."""
 HOLE, LINE = line_nodes(HOLE_NODES), side_nodes(SLOPE_NODES)
 
 
@@ -230,7 +232,7 @@ class _Score:
                 light.chords, scene.mirrors, self._blocking, self._obstruction, scene.clipped, rays, points, status,
             )  # fmt: skip
             if not light.even:
-                weigh_rays(light, points, False, rays[0])
+                weigh_rays(light, points, rays[0])
             for lobe, row in zip(self._lobes, sums, strict=True):
                 if lobe.kind not in TABLE_KINDS:
                     lobe_sums(*lobe.kernel_arguments, lobe.transmits, rays, NODES, row)
@@ -246,6 +248,11 @@ class _Score:
         for lobe, row in zip(self._lobes, sums, strict=True):
             if lobe.kind == REGULAR:
                 image_measures(centres, axes, self._sizes, scene.pupil, light.chords, lobe.transmits, HOLE, LINE, row)
+                if scene.clipped or not light.even:
+                    light_shares(
+                        centres, axes, self._sizes, scene.pupil, scene.images, self._half, scene.clipped, light,
+                        lobe.transmits, ray_bundle(LIGHT_RAYS), row,
+                    )  # fmt: skip
                 _, params, sig, *_, table = lobe.kernel_arguments
                 row *= 1e-6 * regular_share(params, sig, table, *scene.towards_light) * self._visible_shares(centres, axes, row)
         return sums
@@ -259,14 +266,14 @@ class _Score:
         Tables have kinks, which seven rays do not resolve; but sample and etalon must have the same accepted rays.
         """
         scene, light, rays, one = self._scene, self._light, np.empty((7, self._bundle.shape[0])), np.empty(1)
-        points = np.empty((4, self._bundle.shape[0]))
+        points, edges = np.empty((4, self._bundle.shape[0])), light.edges[:0] if light.everywhere else light.edges
         for k in rest:
             fill_rays(
-                centres[k], axes[k], self._bundle, self._slopes, self._sizes, scene.pupil, scene.mirrors, scene.images,
-                self._half, self._blocking, self._obstruction, scene.clipped, rays, points,
+                centres[k], axes[k], self._bundle, self._slopes, self._sizes, scene.pupil, *light.chords[ALONG_U, -1], edges,
+                scene.mirrors, scene.images, self._half, self._blocking, self._obstruction, scene.clipped, rays, points,
             )  # fmt: skip
-            if not (light.everywhere and light.even):
-                weigh_rays(light, points, True, rays[0])
+            if not light.even:
+                weigh_rays(light, points, rays[0])
             whole = rays[0].sum()
             share = 1.0 if taken is None else taken[k] / whole if whole > 0.0 else 0.0
             for each in lobes:

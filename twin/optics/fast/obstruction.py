@@ -103,13 +103,13 @@ def find_shadow(mirrors: Floats, near: Floats, half: float, centre: Floats, d: F
 def visible_shares(centres: Floats, directions: Floats, rays: Floats, sizes: Floats, mirrors: Floats, half: float) -> Floats:
     """Share (n,) of the rays of a bundle that no mirror blocks, for detectors at `centres` that look along -`directions`."""
     result = np.zeros(directions.shape[0])
-    near, axes, slopes = np.zeros(3), np.zeros((4, 3)), cone_slopes(rays, sizes)
+    near, axes, slopes, edges = np.zeros(3), np.zeros((4, 3)), cone_slopes(rays, sizes), np.empty((0, 3, 3))
     for k in range(directions.shape[0]):
         fill_view(centres[k], directions[k], axes)
         mirrors_near(mirrors, half, centres[k], sizes, near)
         total, free = 0.0, 0.0
         for j in range(rays.shape[0]):
-            weight, px, py, wx, wy, wz, length = detector_ray(axes, rays, slopes, j, sizes)
+            weight, px, py, wx, wy, wz, length = detector_ray(axes, rays, slopes, j, sizes, -sizes[1], sizes[1], edges)
             total += weight
             if weight > 0.0 and not is_hidden(mirrors, near, half, length, px, py, wx, wy, wz):
                 free += weight

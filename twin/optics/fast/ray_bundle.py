@@ -8,6 +8,7 @@ import numpy as np
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics.fast.aperture import detector_frame
 from goniotwin.twin.optics.geometry.mirrors import distance_to
+from goniotwin.twin.optics.illumination.slit_image import cut_ray_chord
 from goniotwin.twin.optics.kernel import kernel
 
 # Offset of the sequence: the best of 120, chosen when rays beyond the disc's edge were still dropped; any other would do.
@@ -77,7 +78,7 @@ def fill_view(centre: Floats, d: Floats, axes: Floats) -> None:
 
 @kernel(forceinline=True)
 def detector_ray(
-    axes: Floats, rays: Floats, slopes: Floats, j: int, sizes: Floats
+    axes: Floats, rays: Floats, slopes: Floats, j: int, sizes: Floats, first_v: float, last_v: float, edges: Floats
 ) -> tuple[float, float, float, float, float, float, float]:
     """Ray j of the bundle of a detector with the given axes, from the part of the hole that its disc covers along the ray.
 
@@ -86,7 +87,8 @@ def detector_ray(
 
     No ray is dropped: v is set within the range where disc and hole can meet, then u on their common chord, and the weight
     includes their share of the hole. So the result changes smoothly with the detector's direction. This is needed because
-    etalon and sample are measured at slightly different poses. Directions are uniform over the cone's projection on the disc,
+    etalon and sample are measured at slightly different poses. Likewise v is within `first_v` and `last_v`, and u within the
+    `edges` (n, 3, 3) of the slit's image for the ray's point of the pupil, if there are any (`SlitImage`). Directions are uniform over the cone's projection on the disc,
     so the weight includes the other cosines.
     """
     radius, half, p, q = sizes[0], sizes[1], slopes[j, 0], slopes[j, 1]
@@ -96,7 +98,7 @@ def detector_ray(
     square = au * au + bu * bu
     area = au * bv - av * bu
     middle, reach = (bu * a0 - au * b0) / area, radius * math.sqrt(square) / abs(area)
-    low, high = max(-half, middle - reach), min(half, middle + reach)
+    low, high = max(first_v, middle - reach), min(last_v, middle + reach)
     share_v = high - low
     v = 0.5 * (low + high + share_v * rays[j, 1])
     a1, b1 = a0 + av * v, b0 + bv * v
@@ -104,6 +106,7 @@ def detector_ray(
     middle = -(a1 * au + b1 * bu) / square
     reach = math.sqrt(max(0.0, radius * radius * square - beside * beside)) / square
     low, high = max(-half, middle - reach), min(half, middle + reach)
+    low, high = cut_ray_chord(edges, rays[j, 4], rays[j, 5], v, low, high)
     share_u = high - low
     u = 0.5 * (low + high + share_u * rays[j, 0])
     along = slopes[j, 2]

@@ -236,12 +236,14 @@ def fill_nodes(
 
 @kernel(nogil=True)
 def fill_rays(
-    centre: Floats, d: Floats, bundle: Floats, slopes: Floats, sizes: Floats, pupil: Floats, mirrors: Floats, images: Floats,
-    half: float, blocking: float, obstruction: bool, clipped: bool, rays: Floats, points: Floats,
+    centre: Floats, d: Floats, bundle: Floats, slopes: Floats, sizes: Floats, pupil: Floats, first_v: float, last_v: float,
+    edges: Floats, mirrors: Floats, images: Floats, half: float, blocking: float, obstruction: bool, clipped: bool,
+    rays: Floats, points: Floats,
 ) -> None:  # fmt: skip
     """Fill `rays` (7, bundle) with a whole bundle of one detector; rays that a mirror blocks have no weight.
 
-    `half` is a mirror's half side, mm, and `blocking` that with its mount. `points` (4, bundle) is filled as by `place_nodes`.
+    `first_v`, `last_v` and `edges` are the lit part of the hole, see `detector_ray`. `half` is a mirror's half side, mm, and
+    `blocking` that with its mount. `points` (4, bundle) is filled as by `place_nodes`.
     """
     axes, near = np.zeros((4, 3)), np.zeros(3)
     fill_view(centre, d, axes)
@@ -250,7 +252,7 @@ def fill_rays(
     crowded = near[0] + near[1] + near[2] > 0.0
     share = 4.0 * sizes[1] * sizes[1] / bundle.shape[0]
     for j in range(bundle.shape[0]):
-        weight, px, py, wx, wy, wz, length = detector_ray(axes, bundle, slopes, j, sizes)
+        weight, px, py, wx, wy, wz, length = detector_ray(axes, bundle, slopes, j, sizes, first_v, last_v, edges)
         if weight > 0.0 and crowded and is_hidden(mirrors, near, blocking, length, px, py, wx, wy, wz):
             weight = 0.0
         lx, ly, lz, gain = arrival(px, py, bundle[j, 4], bundle[j, 5], pupil, images, half, clipped)

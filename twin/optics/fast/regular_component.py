@@ -13,7 +13,8 @@ import numpy as np
 
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics.fast.aperture import detector_frame
-from goniotwin.twin.optics.illumination.slit_image import ALONG_V, chord_lines, cut_chord
+from goniotwin.twin.optics.fast.ray_bundle import arrival
+from goniotwin.twin.optics.illumination.slit_image import ALONG_V, SlitImage, chord_lines, cut_chord, cut_ray_chord, relative_radiance
 from goniotwin.twin.optics.kernel import kernel
 
 HOLE_NODES, SLOPE_NODES = 12, 16
@@ -120,3 +121,42 @@ def image_measures(
                         inner += line[k, 1] * (right - left) * abs(d[2] + p * e1[2]) / (stretch * stretch)
                 total += hole[i, 1] * hole[j, 1] * inner * (high - low) * lit_mm2
         result[n] = total
+
+
+@kernel(nogil=True)
+def light_shares(
+    centres: Floats, axes: Floats, sizes: Floats, pupil: Floats, images: Floats, half: float, clipped: bool, light: SlitImage,
+    transmits: bool, bundle: Floats, result: Floats,
+) -> None:  # fmt: skip
+    """Multiply `result` (n,) by the mean relative radiance of each detector's rays, 0 for those that miss a mirror.
+
+    Over those rays of a `bundle` from pupil to hole that the detector accepts; a detector that accepts none of them keeps its
+    value.
+    """
+    radius, hole, least = sizes[0], sizes[1], math.sqrt(1.0 - sizes[2] * sizes[2])
+    accepted, carried, edges = np.zeros(result.size), np.zeros(result.size), light.edges
+    for j in range(bundle.shape[0]):
+        u, v, a, b = hole * bundle[j, 0], hole * bundle[j, 1], bundle[j, 4], bundle[j, 5]
+        low, high = cut_ray_chord(edges, a, b, v, u, u)
+        if low > high:
+            continue
+        lx, ly, lz, gain = arrival(u, v, a, b, pupil, images, half, False)
+        passing = gain
+        if clipped:
+            passing = arrival(u, v, a, b, pupil, images, half, True)[3]
+        if not light.even:
+            passing *= relative_radiance(light, a, b, u, v)
+        wx, wy, wz = -lx, -ly, -lz if transmits else lz
+        for n in range(result.size):
+            cosine = wx * axes[n, 0] + wy * axes[n, 1] + wz * axes[n, 2]
+            if result[n] == 0.0 or cosine < least:
+                continue
+            dx, dy, dz = centres[n, 0] - u, centres[n, 1] - v, centres[n, 2]
+            step = (dx * axes[n, 0] + dy * axes[n, 1] + dz * axes[n, 2]) / cosine
+            dx, dy, dz = dx - step * wx, dy - step * wy, dz - step * wz
+            if dx * dx + dy * dy + dz * dz <= radius * radius:
+                accepted[n] += gain
+                carried[n] += passing
+    for n in range(result.size):
+        if accepted[n] > 0.0:
+            result[n] *= carried[n] / accepted[n]

@@ -60,15 +60,17 @@ def _rotation(cosines: Any, sines: Any) -> list[list[Any]]:
     ]
 
 
-def check_deviations(deviations: Mapping[str, Deviation], known: Iterable[str]) -> dict[str, Deviation]:
-    """Check deviations by name of the element, and copy them.
+def check_deviations(
+    deviations: Mapping[str, Deviation], known: Iterable[str], table: str = "deviations"
+) -> dict[str, Deviation]:
+    """Check deviations by name of the element, and copy them; `table` is their name in messages.
 
     Raises ValueError, listing the known elements, for an unknown name.
     """
     names = tuple(known)
     for name, deviation in deviations.items():
         if name not in names:
-            raise ValueError(f"deviations of {name!r}: no such element; known are {', '.join(names)}")
+            raise ValueError(f"{table} of {name!r}: no such element; known are {', '.join(names)}")
         if not isinstance(deviation, Deviation):
-            raise ValueError(f"deviations[{name!r}] is {deviation!r}: give a Deviation")
+            raise ValueError(f"{table}[{name!r}] is {deviation!r}: give a Deviation")
     return dict(deviations)

@@ -142,7 +142,7 @@ class Instrument(Dimensions):
             object.__setattr__(self, "field_deg", self.sensor.field_deg)
         super().__post_init__()
         for name, elements in (("deviations", ELEMENTS), ("illumination", ILLUMINATION_ELEMENTS)):
-            known = check_deviations(getattr(self, name), elements)
+            known = check_deviations(getattr(self, name), elements, name)
             object.__setattr__(self, name, MappingProxyType(dict(sorted(known.items()))))
 
     def deviation(self, element: str) -> Deviation:

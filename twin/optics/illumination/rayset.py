@@ -159,17 +159,23 @@ class RaySource:
     unit: str
 
 
-def replay(rayset: Rayset, unit: IlluminationUnit, pupil_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> RaySource:
-    """Replay a rayset as a source instead of the uniform exit pupil whose centre is at `pupil_mm` of the rig's frame.
+def replay(
+    rayset: Rayset,
+    unit: IlluminationUnit,
+    origin_mm: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    rotation: Floats | None = None,
+) -> RaySource:
+    """Replay a rayset as a source instead of the uniform exit pupil, with the unit's frame at its place in the rig's.
 
-    That is `twin.optics.geometry.mirrors.pupil(instrument)[0]`; by default the frame remains the unit's. Raises ValueError if
-    the rayset is of another unit: other dimensions, shares, lamp, wavelength or deviations make other rays.
+    `rotation` (3, 3) and `origin_mm` are those of `illumination_place(instrument)`; by default the frame remains the unit's.
+    Raises ValueError if the rayset is of another unit: other dimensions, shares, lamp, wavelength or deviations make other rays.
     """
     if rayset.geometry != unit.fingerprint:
         raise ValueError(
             f"a rayset of another geometry: recorded for {rayset.geometry}, this illumination unit is {unit.fingerprint}; "
             "record it again"
         )
+    turn = np.eye(3) if rotation is None else rotation
     length = np.sqrt(np.einsum("ij,ij->i", rayset.directions, rayset.directions))
-    rays = np.hstack([rayset.positions_mm + np.array(pupil_mm), rayset.directions / length[:, None]])
+    rays = np.hstack([rayset.positions_mm @ turn.T + np.array(origin_mm), rayset.directions / length[:, None] @ turn.T])
     return RaySource(np.ascontiguousarray(rays), rayset.flux, rayset.wavelength_nm, rayset.unit)

@@ -39,8 +39,8 @@ class SlitImage(NamedTuple):
     """Image of the slit at one pose, in the frame of a scene; points (u, v) of the hole in mm, (a, b) of the pupil's unit disc.
 
     `edges` (4, 3, 3): a ray from (a, b) to (u, v) passes inside edge k if (1, a, b) edges[k] (1, u, v) >= 0, which is about the
-    distance from the edge in mm. `chords` (2, 9, 2): the lit part of the hole, as seen from the pupil's centre, see
-    `cut_chord`. `hole` (3, 3): the hole's centre and its two axes in the output condenser's frame. `frames` (5, 4, 3): the
+    distance from the edge in mm. `chords` (2, 10, 2): the lit part of the hole, as seen from the pupil's centre, see
+    `_fill_chords`. `hole` (3, 3): the hole's centre and its two axes in the output condenser's frame. `frames` (5, 4, 3): the
     unit's elements in that frame, `straight` those without deviations; `sizes` (13,) as those of `IlluminationUnit`.
 
     `everywhere`: no ray of pupil and hole is beyond an edge. `even`: the radiance is 1 within the edges.
@@ -63,7 +63,7 @@ def slit_image(instrument: Instrument, scene: Scene, height_mm: float = 0.0) -> 
         instrument.pupil_radius_mm, instrument.pupil_distance_mm, instrument.spot_side_mm,
         tuple((name, each) for name, each in instrument.illumination.items() if each != NO_DEVIATION and name != "unit"),
     )  # fmt: skip
-    edges, chords, hole = np.empty((LINES, 3, 3)), np.empty((2, 1 + 2 * LINES, 2)), np.empty((3, 3))
+    edges, chords, hole = np.empty((LINES, 3, 3)), np.empty((2, 2 + 2 * LINES, 2)), np.empty((3, 3))
     everywhere = place_slit(own.edges, scene.pupil, 0.5 * instrument.spot_side_mm, height_mm, edges, chords, hole)
     return SlitImage(edges, chords, hole, own.frames, own.straight, own.sizes, everywhere, own.even)
 
@@ -170,51 +170,83 @@ def place_slit(
 
 @kernel()
 def _fill_chords(edges: Floats, half: float, everywhere: bool, chords: Floats) -> None:
-    """Fill `chords` (2, 9, 2): the hole's part within the edges, as seen from the middle of the pupil.
+    """Fill `chords` (2, 10, 2): the hole's part within the edges, as seen from the middle of the pupil.
 
     Row 0 has the ends of the lit part in the direction across the chord; rows 1 to 4 an offset and a slope of each line that
-    limits a chord's lower end, rows 5 to 8 the same for its upper end.
+    limits a chord's lower end, rows 5 to 8 the same for its upper end. The last row has the ends of what any point of the pupil
+    lights.
     """
+    last = 1 + 2 * LINES
     for across in range(2):
-        chords[across, 0, 0], chords[across, 0, 1] = -half, half
+        chords[across, 0, 0] = chords[across, last, 0] = -half
+        chords[across, 0, 1] = chords[across, last, 1] = half
         for line in range(LINES):
             chords[across, 1 + line, 0], chords[across, 1 + line, 1] = -math.inf, 0.0
             chords[across, 1 + LINES + line, 0], chords[across, 1 + LINES + line, 1] = math.inf, 0.0
     if everywhere:
         return
-    # The hole's square, cut by one edge after the other (Sutherland, Hodgman 1974).
-    count, points, cut = 4, np.empty((2 * LINES + 4, 2)), np.empty((2 * LINES + 4, 2))
-    for corner in range(4):
-        points[corner, 0] = half if corner == 1 or corner == 2 else -half
-        points[corner, 1] = half if corner >= 2 else -half
-    for k in range(LINES):
-        kept = 0
-        for n in range(count):
-            u, v = points[n, 0], points[n, 1]
-            nu, nv = points[(n + 1) % count, 0], points[(n + 1) % count, 1]
-            here = edges[k, 0, 0] + edges[k, 0, 1] * u + edges[k, 0, 2] * v
-            there = edges[k, 0, 0] + edges[k, 0, 1] * nu + edges[k, 0, 2] * nv
-            if here >= 0.0:
-                cut[kept, 0], cut[kept, 1] = u, v
-                kept += 1
-            if (here >= 0.0) != (there >= 0.0):
-                share = here / (here - there)
-                cut[kept, 0], cut[kept, 1] = u + share * (nu - u), v + share * (nv - v)
-                kept += 1
-        count = kept
-        for n in range(count):
-            points[n, 0], points[n, 1] = cut[n, 0], cut[n, 1]
+    points, cut = np.empty((2 * LINES + 4, 2)), np.empty((2 * LINES + 4, 2))
+    for row in (0, last):
+        count = _lit_polygon(edges, half, row == last, points, cut)
+        for across in range(2):
+            low, high = math.inf, -math.inf
+            for n in range(count):
+                place = points[n, 1 - across]
+                low, high = min(low, place), max(high, place)
+            chords[across, row, 0], chords[across, row, 1] = low, high
     for across in range(2):
-        low, high = math.inf, -math.inf
-        for n in range(count):
-            place = points[n, 1 - across]
-            low, high = min(low, place), max(high, place)
-        chords[across, 0, 0], chords[across, 0, 1] = low, high
         for k in range(LINES):
             along, beside = edges[k, 0, 1 + across], edges[k, 0, 2 - across]
             if abs(along) > STEEP * abs(beside):
                 row = 1 + k if along > 0.0 else 1 + LINES + k
                 chords[across, row, 0], chords[across, row, 1] = -edges[k, 0, 0] / along, -beside / along
+
+
+@kernel()
+def _lit_polygon(edges: Floats, half: float, blurred: bool, points: Floats, cut: Floats) -> int:
+    """Fill `points` (n, 2) with the corners of the hole's part within the edges; their number.
+
+    From the middle of the pupil, or with `blurred` with all that some point of the pupil lights.
+    """
+    count = 4
+    for corner in range(4):
+        points[corner, 0] = half if corner == 1 or corner == 2 else -half
+        points[corner, 1] = half if corner >= 2 else -half
+    for k in range(LINES):
+        offset = edges[k, 0, 0]
+        if blurred:
+            widest = 0.0
+            for corner in range(4):
+                u, v = (half if corner & 1 else -half), (half if corner & 2 else -half)
+                a = edges[k, 1, 0] + edges[k, 1, 1] * u + edges[k, 1, 2] * v
+                b = edges[k, 2, 0] + edges[k, 2, 1] * u + edges[k, 2, 2] * v
+                widest = max(widest, math.sqrt(a * a + b * b))
+            offset += widest
+        count = cut_polygon(points, count, cut, offset, edges[k, 0, 1], edges[k, 0, 2])
+    return count
+
+
+@kernel()
+def cut_polygon(points: Floats, count: int, cut: Floats, a: float, b: float, c: float) -> int:
+    """Replace a polygon, the first `count` of `points` (n, 2), by its part where a + b u + c v >= 0; its number of corners.
+
+    `cut` is room for as many points (Sutherland, Hodgman 1974).
+    """
+    kept = 0
+    for n in range(count):
+        u, v = points[n, 0], points[n, 1]
+        nu, nv = points[(n + 1) % count, 0], points[(n + 1) % count, 1]
+        here, there = a + b * u + c * v, a + b * nu + c * nv
+        if here >= 0.0:
+            cut[kept, 0], cut[kept, 1] = u, v
+            kept += 1
+        if (here >= 0.0) != (there >= 0.0):
+            share = here / (here - there)
+            cut[kept, 0], cut[kept, 1] = u + share * (nu - u), v + share * (nv - v)
+            kept += 1
+    for n in range(kept):
+        points[n, 0], points[n, 1] = cut[n, 0], cut[n, 1]
+    return kept
 
 
 Lines = tuple[float, float, float, float, float, float, float, float, float, float, float, float, float, float, float, float]
@@ -257,15 +289,19 @@ def cut_chord(lines: Lines, place: float, low: float, high: float) -> tuple[floa
 
 
 @kernel(forceinline=True)
-def is_lit(edges: Floats, a: float, b: float, u: float, v: float) -> bool:
-    """Whether the ray from (a, b) of the pupil to (u, v) of the hole passes within all edges."""
-    for k in range(LINES):
-        inside = edges[k, 0, 0] + edges[k, 0, 1] * u + edges[k, 0, 2] * v
-        inside += a * (edges[k, 1, 0] + edges[k, 1, 1] * u + edges[k, 1, 2] * v)
-        inside += b * (edges[k, 2, 0] + edges[k, 2, 1] * u + edges[k, 2, 2] * v)
-        if inside < 0.0:
-            return False
-    return True
+def cut_ray_chord(edges: Floats, a: float, b: float, v: float, low: float, high: float) -> tuple[float, float]:
+    """Part along u of a chord of the hole at v that (a, b) of the pupil lights, exactly; `edges` (n, 3, 3), or none."""
+    for k in range(edges.shape[0]):
+        along = edges[k, 0, 1] + a * edges[k, 1, 1] + b * edges[k, 2, 1]
+        offset = edges[k, 0, 0] + a * edges[k, 1, 0] + b * edges[k, 2, 0]
+        offset += v * (edges[k, 0, 2] + a * edges[k, 1, 2] + b * edges[k, 2, 2])
+        if along > 0.0:
+            low = max(low, -offset / along)
+        elif along < 0.0:
+            high = min(high, -offset / along)
+        elif offset < 0.0:
+            high = low
+    return low, high
 
 
 @kernel(nogil=True)
@@ -301,15 +337,8 @@ def _radiance(frames: Floats, sizes: Floats, pa: float, pb: float, p: float, q: 
 
 
 @kernel(nogil=True)
-def weigh_rays(image: SlitImage, points: Floats, edges: bool, weights: Floats) -> None:
-    """Multiply the `weights` (n,) of rays with `points` (4, n), a, b, u, v, by what the unit sends along them.
-
-    With `edges` those beyond an edge have none; without it only the radiance counts.
-    """
+def weigh_rays(image: SlitImage, points: Floats, weights: Floats) -> None:
+    """Multiply the `weights` (n,) of rays with `points` (4, n), a, b, u, v, by the relative radiance along them."""
     for i in range(weights.size):
         if weights[i] > 0.0:
-            a, b, u, v = points[0, i], points[1, i], points[2, i], points[3, i]
-            if edges and not is_lit(image.edges, a, b, u, v):
-                weights[i] = 0.0
-            elif not image.even:
-                weights[i] *= relative_radiance(image, a, b, u, v)
+            weights[i] *= relative_radiance(image, points[0, i], points[1, i], points[2, i], points[3, i])
