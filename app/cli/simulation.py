@@ -203,8 +203,10 @@ def illumination(
     deviation: Annotated[
         list[str] | None,
         typer.Option(
-            "--deviation", metavar="ELEMENT.FIELD=NUMBER",
-            help="Deviation of an element, deg or mm: slit.x_mm=0.02; as often as needed.", show_default=False,
+            "--deviation",
+            metavar="ELEMENT.FIELD=NUMBER",
+            help="Deviation of an element, deg or mm: slit.x_mm=0.02; as often as needed.",
+            show_default=False,
         ),
     ] = None,
     rig: Rig = None,

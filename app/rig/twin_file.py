@@ -67,8 +67,9 @@ def one_kind_of_detectors(content: Any) -> Any:
 class TwinTable(Parts):
     """The virtual rig: its `axes` and `optics`, the `sensor` of real detectors, the `deviations` of elements by name.
 
-    `illumination` has those of the elements within the illumination unit. `samples` are by name, too. `monochromator` has the times of the drive, `filters` are those in its wheel. `controllers` are
-    further motion controllers, `devices` others that replace those of the program; both by the name in their address.
+    `illumination` has those of the elements within the illumination unit. `samples` are by name, too. `monochromator` has the
+    times of the drive, `filters` are those in its wheel. `controllers` are further motion controllers, `devices` others that
+    replace those of the program; both by the name in their address.
     """
 
     axes: AxesMechanicsTable

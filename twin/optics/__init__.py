@@ -2,8 +2,9 @@
 
 `throughput` is the fast estimator, for a sample with a known BSDF. `forward_throughput` traces rays from the exit pupil to the
 detectors; it is the reference for the fast one. `IlluminationUnit` is the optics before the exit pupil, with two estimators of
-its own: `forward_illumination` and `adjoint_illumination`; `field_fluxes` evaluates many sets of deviations at once. This package needs numpy and numba alone, and annotated-types, a
-module of names for bounds: files are read and written in app/formats.
+its own: `forward_illumination` and `adjoint_illumination`; `field_fluxes` evaluates many sets of its deviations at once. This
+package needs numpy and numba alone, and annotated-types, a module of names for bounds: files are read and written in
+app/formats.
 """
 
 from goniotwin.twin.optics.bsdf.analytic_samples import anisotropic_gaussian, gaussian, lambertian, regular, ward, wide_tailed

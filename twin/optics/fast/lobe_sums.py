@@ -46,7 +46,7 @@ FINE_RULE: Rule = (cone_nodes(3), side_nodes(6), hole_nodes(8), 1024)
 COARSE_RULE: Rule = (cone_nodes(), side_nodes(), hole_nodes(4), 256)
 """For ratios, in which the error cancels: exact to 3 %."""
 FINEST_RULE: Rule = (cone_nodes(3), side_nodes(12), hole_nodes(16), 1024)
-"""For fluxes where the light ends within the hole, which is then not a square: exact to 0.3 %, where 2 % of it are left 0.5 %."""
+"""For fluxes where the light ends within the hole: exact to 0.3 %, and to 0.5 % where 2 % of the light are left."""
 TABLE_KINDS = (TABLE, ANISOTROPIC)
 LIGHT_RAYS = 8192
 """Rays from pupil to hole for the mean of what is not even, of a regular component."""
@@ -267,9 +267,10 @@ class _Score:
         """
         scene, light, rays, one = self._scene, self._light, np.empty((7, self._bundle.shape[0])), np.empty(1)
         points, edges = np.empty((4, self._bundle.shape[0])), light.edges[:0] if light.everywhere else light.edges
+        first, last = (float(each) for each in light.chords[ALONG_U, -1])
         for k in rest:
             fill_rays(
-                centres[k], axes[k], self._bundle, self._slopes, self._sizes, scene.pupil, *light.chords[ALONG_U, -1], edges,
+                centres[k], axes[k], self._bundle, self._slopes, self._sizes, scene.pupil, first, last, edges,
                 scene.mirrors, scene.images, self._half, self._blocking, self._obstruction, scene.clipped, rays, points,
             )  # fmt: skip
             if not light.even:

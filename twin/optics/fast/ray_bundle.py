@@ -88,8 +88,8 @@ def detector_ray(
     No ray is dropped: v is set within the range where disc and hole can meet, then u on their common chord, and the weight
     includes their share of the hole. So the result changes smoothly with the detector's direction. This is needed because
     etalon and sample are measured at slightly different poses. Likewise v is within `first_v` and `last_v`, and u within the
-    `edges` (n, 3, 3) of the slit's image for the ray's point of the pupil, if there are any (`SlitImage`). Directions are uniform over the cone's projection on the disc,
-    so the weight includes the other cosines.
+    `edges` (n, 3, 3) of the slit's image for the ray's point of the pupil, if there are any (`SlitImage`). Directions are
+    uniform over the cone's projection on the disc, so the weight includes the other cosines.
     """
     radius, half, p, q = sizes[0], sizes[1], slopes[j, 0], slopes[j, 1]
     # A point (u, v) of the hole meets the disc's plane at (au u + av v + a0, bu u + bv v + b0) from the disc's centre.

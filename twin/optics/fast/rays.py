@@ -16,8 +16,6 @@ import numpy as np
 
 from goniotwin.arrays import Floats, Ints
 from goniotwin.twin.optics.fast.aperture import (  # fmt: skip
-    A,
-    B,
     BLOCK,
     DX,
     DY,
@@ -66,15 +64,17 @@ from goniotwin.twin.optics.fast.aperture import (  # fmt: skip
     T11,
     T21,
     T22,
-    U,
     U0,
-    V,
     V0,
     WEIGHT,
     WX,
     WY,
     WZ,
+    A,
+    B,
     M,
+    U,
+    V,
     fill_apertures,
     fill_frames,
     fill_wide_apertures,

@@ -14,7 +14,14 @@ import numpy as np
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics.fast.aperture import detector_frame
 from goniotwin.twin.optics.fast.ray_bundle import arrival
-from goniotwin.twin.optics.illumination.slit_image import ALONG_V, SlitImage, chord_lines, cut_chord, cut_ray_chord, relative_radiance
+from goniotwin.twin.optics.illumination.slit_image import (
+    ALONG_V,
+    SlitImage,
+    chord_lines,
+    cut_chord,
+    cut_ray_chord,
+    relative_radiance,
+)
 from goniotwin.twin.optics.kernel import kernel
 
 HOLE_NODES, SLOPE_NODES = 12, 16

@@ -34,7 +34,9 @@ def to_plane(
     The coordinates are NaN or inf if it never meets the plane.
     """
     dx, dy, dz = x - frames[e, 0, 0], y - frames[e, 0, 1], z - frames[e, 0, 2]
-    step = -(dx * frames[e, 2, 0] + dy * frames[e, 2, 1] + dz * frames[e, 2, 2]) / (p * frames[e, 2, 0] + q * frames[e, 2, 1] + r * frames[e, 2, 2])
+    step = -(dx * frames[e, 2, 0] + dy * frames[e, 2, 1] + dz * frames[e, 2, 2]) / (
+        p * frames[e, 2, 0] + q * frames[e, 2, 1] + r * frames[e, 2, 2]
+    )
     dx, dy, dz = dx + step * p, dy + step * q, dz + step * r
     u = dx * frames[e, 1, 0] + dy * frames[e, 1, 1] + dz * frames[e, 1, 2]
     v = dx * frames[e, 3, 0] + dy * frames[e, 3, 1] + dz * frames[e, 3, 2]
@@ -72,7 +74,11 @@ def reflect_at_sphere(
 
     `least` is the cosine of the half-angle at the centre of curvature, which is a radius from the vertex along y.
     """
-    cx, cy, cz = frames[e, 0, 0] + radius * frames[e, 2, 0], frames[e, 0, 1] + radius * frames[e, 2, 1], frames[e, 0, 2] + radius * frames[e, 2, 2]
+    cx, cy, cz = (
+        frames[e, 0, 0] + radius * frames[e, 2, 0],
+        frames[e, 0, 1] + radius * frames[e, 2, 1],
+        frames[e, 0, 2] + radius * frames[e, 2, 2],
+    )
     dx, dy, dz = x - cx, y - cy, z - cz
     middle = dx * p + dy * q + dz * r
     root = middle * middle - (dx * dx + dy * dy + dz * dz) + radius * radius
@@ -88,7 +94,9 @@ def reflect_at_sphere(
 
 
 @kernel(forceinline=True)
-def chord(frames: Floats, e: int, radius: float, half: float, x: float, y: float, z: float, p: float, q: float, r: float) -> float:
+def chord(
+    frames: Floats, e: int, radius: float, half: float, x: float, y: float, z: float, p: float, q: float, r: float
+) -> float:
     """Length in mm, within the arc's cylinder, of the whole straight line through the point along the direction.
 
     The cylinder's axis is its own z.
@@ -115,9 +123,7 @@ def chord(frames: Floats, e: int, radius: float, half: float, x: float, y: float
 
 
 @kernel(forceinline=True)
-def lit_length(
-    frames: Floats, sizes: Floats, x: float, y: float, z: float, p: float, q: float, r: float
-) -> float:
+def lit_length(frames: Floats, sizes: Floats, x: float, y: float, z: float, p: float, q: float, r: float) -> float:
     """Weighted length in mm within the arc of a backward ray that starts between slit and condenser; 0 if vignetted.
 
     Directly and by the reflector, each times its share of the light; with the change of radiance in the input condenser.

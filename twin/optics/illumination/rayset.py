@@ -168,7 +168,8 @@ def replay(
     """Replay a rayset as a source instead of the uniform exit pupil, with the unit's frame at its place in the rig's.
 
     `rotation` (3, 3) and `origin_mm` are those of `illumination_place(instrument)`; by default the frame remains the unit's.
-    Raises ValueError if the rayset is of another unit: other dimensions, shares, lamp, wavelength or deviations make other rays.
+    Raises ValueError if the rayset is of another unit: other dimensions, shares, lamp, wavelength or deviations make other
+    rays.
     """
     if rayset.geometry != unit.fingerprint:
         raise ValueError(

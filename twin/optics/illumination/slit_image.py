@@ -136,9 +136,7 @@ _DETERMINANT = _determinant()
 
 
 @kernel()
-def place_slit(
-    slit: Floats, pupil: Floats, half: float, height: float, edges: Floats, chords: Floats, hole: Floats
-) -> bool:
+def place_slit(slit: Floats, pupil: Floats, half: float, height: float, edges: Floats, chords: Floats, hole: Floats) -> bool:
     """Fill the arrays of a `SlitImage` for a `pupil` (4, 3) as in a `Scene` and the edges (4, 3, 4) of `slit_edges`.
 
     `half` is half the hole's side, `height` its height above the sample, mm. Returns whether all rays pass within the edges.

@@ -18,10 +18,10 @@ import numpy as np
 
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics.geometry.deviation import NO_DEVIATION, Deviation, check_deviations, rotations
-from goniotwin.twin.optics.geometry.instrument import ILLUMINATION_ELEMENTS as ELEMENTS
-from goniotwin.twin.optics.geometry.instrument import Instrument
+from goniotwin.twin.optics.geometry.instrument import ILLUMINATION_ELEMENTS, Instrument
 from goniotwin.twin.optics.illumination.spectrum import Passband, Spectrum, xenon_spectrum
 
+ELEMENTS = ILLUMINATION_ELEMENTS
 # Order of the frames in the kernels' arguments.
 ARC, REFLECTOR, INPUT, SLIT, OUTPUT = range(5)
 SHARES = ("arc_transmittance", "bulb_transmittance", "reflector_reflectance", "monochromator_transmittance")
@@ -146,8 +146,11 @@ class IlluminationUnit:
 
         For each its reference point, and the unit vectors of its own x, y (along the light) and z.
         """
-        rows = [[getattr(self.deviations.get(name, NO_DEVIATION), part.name) for part in fields(Deviation)] for name in ELEMENTS]
-        return self.frames_of(np.array([rows]))[0]
+        rows = [
+            [getattr(self.deviations.get(name, NO_DEVIATION), part.name) for part in fields(Deviation)] for name in ELEMENTS
+        ]
+        frames: Floats = self.frames_of(np.array([rows]))[0]
+        return frames
 
     def frames_of(self, deviations: Floats) -> Floats:
         """Frames (n, 5, 4, 3) for n sets of `deviations` (n, 6, 6), which replace the unit's own.

@@ -59,8 +59,8 @@ def test_an_ideal_lens_images_a_point_and_conserves_the_flux() -> None:
         before = w[1]
         *x, s, t = to_plane(FRAMES, 0, *x, *w)
         assert (s, t) == pytest.approx((u, v))
-        *w, gain = bend(FRAMES, 0, u, v, 1.0 / focal, *w)
-        x, w = np.array(x), np.array(w)
+        *bent, gain = bend(FRAMES, 0, u, v, 1.0 / focal, *w)
+        x, w = np.array(x), np.array(bent)
         assert gain == pytest.approx((before / w[1]) ** 4)
         assert x + far / w[1] * w == pytest.approx([-5.0, 250.0, -3.5])
         # Backwards.
@@ -73,7 +73,9 @@ def test_the_reflector_images_its_centre_onto_itself() -> None:
     frame = FRAME.copy()
     frame[0] = [0.0, -50.0, 0.0]
     for angle, on in ((0.0, True), (59.0, True), (61.0, False)):
-        ray = reflect_at_sphere(frame[None], 0, 50.0, 0.5, 0.0, 0.0, 0.0, math.sin(math.radians(angle)), -math.cos(math.radians(angle)), 0.0)
+        ray = reflect_at_sphere(
+            frame[None], 0, 50.0, 0.5, 0.0, 0.0, 0.0, math.sin(math.radians(angle)), -math.cos(math.radians(angle)), 0.0
+        )
         x, w = np.array(ray[1:4]), np.array(ray[4:])
         assert ray[0] == on
         assert np.linalg.norm(x) == pytest.approx(50.0)
