@@ -30,7 +30,7 @@ def test_the_tables_are_the_deviations_of_the_unit(write_rig: Writer) -> None:
     ("text", "message"),
     [
         ("[twin.illumination.lens]\nx_mm = 0.1", "twin: illumination of 'lens': no such element; known are arc, reflector, "),
-        ("[twin.illumination.slit]\nx = 0.1", r"twin\.illumination\.slit\.x: there is no such key; did you mean 'x_mm'\?"),
+        ("[twin.illumination.slit]\nx_m = 0.1", r"twin\.illumination\.slit\.x_m: there is no such key; did you mean 'x_mm'\?"),
         ("[twin.illumination.slit]\nx_mm = inf", r"twin\.illumination\.slit.*finite"),
         ('[twin.illumination.slit]\nx_mm = "wide"', r"twin\.illumination\.slit\.x_mm: "),
     ],

@@ -113,7 +113,8 @@ class Instrument(Dimensions):
     diameter with an acceptance of 0.5 to 2.5 deg. The rest is assumed: a pupil of 5 mm radius at 800 mm makes a beam of 0.7 deg
     (the paper has 0.5 to 1 deg), and an arc of 300 mm clears mirror 2, whose centre is at 283 mm.
 
-    With `obstruction` the mirror unit blocks light on its way to the detectors.
+    With `obstruction` the mirror unit blocks light on its way to the detectors. The light covers the slit's image; with
+    `lit_everywhere` it covers the hole whatever is off, as with a larger slit.
 
     Without a `sensor` the detectors are the paper's virtual ones: discs of `detector_diameter_mm` that count the rays within
     the cone. With a sensor each detector is such a unit, its lens in the place of the disc. `detector_diameter_mm` and
@@ -132,6 +133,7 @@ class Instrument(Dimensions):
     pupil_to_mirror_mm: Positive = field(default=200.0, metadata=NO_KEY)
     mirror_reflectance: Share | Reflectance = 0.95
     obstruction: bool = True
+    lit_everywhere: bool = field(default=False, metadata=LATER)
     deviations: Mapping[str, Deviation] = field(default_factory=dict, hash=False, metadata=NO_KEY)
     illumination: Mapping[str, Deviation] = field(default_factory=dict, hash=False, metadata={**NO_KEY, **LATER})
     sensor: RealSensor | None = field(default=None, metadata=NO_KEY)

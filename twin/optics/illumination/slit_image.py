@@ -35,6 +35,11 @@ LINES = 4
 """Number of edges, each of which may limit either end of a chord."""
 
 
+EVERYWHERE = np.zeros((LINES, 3, 4))
+"""Edges that no ray is beyond."""
+EVERYWHERE[:, 0, 0] = 1.0
+
+
 class SlitImage(NamedTuple):
     """Image of the slit at one pose, in the frame of a scene; points (u, v) of the hole in mm, (a, b) of the pupil's unit disc.
 
@@ -63,8 +68,9 @@ def slit_image(instrument: Instrument, scene: Scene, height_mm: float = 0.0) -> 
         instrument.pupil_radius_mm, instrument.pupil_distance_mm, instrument.spot_side_mm,
         tuple((name, each) for name, each in instrument.illumination.items() if each != NO_DEVIATION and name != "unit"),
     )  # fmt: skip
+    own_edges = EVERYWHERE if instrument.lit_everywhere else own.edges
     edges, chords, hole = np.empty((LINES, 3, 3)), np.empty((2, 2 + 2 * LINES, 2)), np.empty((3, 3))
-    everywhere = place_slit(own.edges, scene.pupil, 0.5 * instrument.spot_side_mm, height_mm, edges, chords, hole)
+    everywhere = place_slit(own_edges, scene.pupil, 0.5 * instrument.spot_side_mm, height_mm, edges, chords, hole)
     return SlitImage(edges, chords, hole, own.frames, own.straight, own.sizes, everywhere, own.even)
 
 

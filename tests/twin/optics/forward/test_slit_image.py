@@ -131,6 +131,18 @@ def test_the_rig_without_deviations_has_an_even_light(sigma_deg: float) -> None:
     assert (image.everywhere, image.even) == (True, True)
 
 
+def test_a_hole_that_is_lit_everywhere_has_no_edges() -> None:
+    # Mirror 1 tilted by 0.2 deg: 4.2 mm, so that most of the hole would be dark.
+    rig = replace(WIDE, deviations={"mirror_1": Deviation(rx_deg=0.2)}, lit_everywhere=True)
+    image = slit_image(rig, scene_at(rig, 0.0))
+    assert (image.everywhere, image.even) == (True, True)
+    light, dark, whole = (
+        throughput(each, 0.0, [[0.0, 0.0, 1.0]], lambertian())[0] for each in (rig, replace(rig, lit_everywhere=False), WIDE)
+    )
+    assert light == pytest.approx(whole, rel=1e-3)
+    assert dark < 0.5 * whole
+
+
 def test_results_do_not_depend_on_the_number_of_threads() -> None:
     rig = random_rig(1)
     directions = np.tile(from_specular(SIGMA_DEG, np.arange(0.0, 20.0, 0.5), 90.0), (500, 1))
