@@ -107,4 +107,7 @@ def collimated(instrument: Instrument) -> Instrument:
     """An instrument of the same divergence with its exit pupil at infinity, and mirrors large enough for the tilted beam."""
     distance = FAR_MM + 3.0 * instrument.mirror_distance_mm
     radius = instrument.pupil_radius_mm * distance / instrument.pupil_distance_mm
-    return Instrument(pupil_radius_mm=radius, pupil_to_mirror_mm=FAR_MM, mirror_side_mm=60.0, obstruction=False)
+    return Instrument(
+        pupil_radius_mm=radius, pupil_to_mirror_mm=FAR_MM, mirror_side_mm=60.0, obstruction=False,
+        lit_everywhere=instrument.lit_everywhere,
+    )  # fmt: skip
