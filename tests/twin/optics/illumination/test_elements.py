@@ -57,10 +57,10 @@ def test_an_ideal_lens_images_a_point_and_conserves_the_flux() -> None:
         x, w = source.copy(), np.array([u, 0.0, v]) - source
         w /= np.linalg.norm(w)
         before = w[1]
-        *x, s, t = to_plane(FRAMES, 0, *x, *w)
+        *met, s, t = to_plane(FRAMES, 0, *x, *w)
         assert (s, t) == pytest.approx((u, v))
         *bent, gain = bend(FRAMES, 0, u, v, 1.0 / focal, *w)
-        x, w = np.array(x), np.array(bent)
+        x, w = np.array(met), np.array(bent)
         assert gain == pytest.approx((before / w[1]) ** 4)
         assert x + far / w[1] * w == pytest.approx([-5.0, 250.0, -3.5])
         # Backwards.
