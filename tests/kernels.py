@@ -20,6 +20,7 @@ from goniotwin.app.rig import read_rig
 from goniotwin.protocols.clock import RealClock
 from goniotwin.twin import VirtualRig
 from goniotwin.twin.optics import (
+    Deviation,
     IlluminationUnit,
     Instrument,
     RealSensor,
@@ -27,11 +28,13 @@ from goniotwin.twin.optics import (
     albedo,
     draw_directions,
     evaluate,
+    field_fluxes,
     forward_illumination,
     forward_throughput,
     from_specular,
     light_direction,
     record,
+    regular,
     shadow_map,
     throughput,
 )
@@ -62,6 +65,9 @@ def seen() -> None:
     for model in MODELS:
         throughput(Instrument(), SIGMA_DEG, DIRECTIONS, model)
         throughput(Instrument(field_deg=20.0, detector_diameter_mm=60.0), SIGMA_DEG, DIRECTIONS, model)
+    shifted = Instrument(illumination={"arc": Deviation(x_mm=0.1)})
+    for model in (MODELS[0], regular()):
+        throughput(shifted, SIGMA_DEG, DIRECTIONS, model)
 
 
 def samples() -> None:
@@ -89,6 +95,7 @@ def traced() -> None:
     shadow_map(Instrument(), SIGMA_DEG, 10.0)
     forward_illumination(IlluminationUnit(), rays=PATHS)
     adjoint_illumination(IlluminationUnit(), rays=PATHS)
+    field_fluxes(IlluminationUnit(), np.zeros((1, 6, 6)))
     record(IlluminationUnit(), rays=PATHS, seed=1)
 
 

@@ -300,6 +300,15 @@ def illumination(
         int | None,
         typer.Option("--rays", help=f"Rays in the rayset; default {RAYSET_RAYS}.", show_default=False),
     ] = None,
+    deviation: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--deviation",
+            metavar="ELEMENT.FIELD=NUMBER",
+            help="Deviation of an element, deg or mm: slit.x_mm=0.02; as often as needed.",
+            show_default=False,
+        ),
+    ] = None,
     rig: Rig = None,
     as_json: Json = False,
 ) -> None:
@@ -308,6 +317,9 @@ def illumination(
     Also its divergence. The flux comes from two estimators (the paper's figure 8): forward rays from the arc lamp, adjoint
     rays from the sample back to it. A rayset is a source for goniotwin simulate --source FILE.h5 --estimator forward, with
     the same --wavelength, --interval, --bandwidth and --rig.
+
+    Elements with deviations are arc, reflector, input_condenser, slit, output_condenser and unit; fields are rx_deg, ry_deg,
+    rz_deg, x_mm, y_mm, z_mm. They replace those of [twin.illumination] in the file of --rig, which a rayset's rig needs too.
     """
     if rays is not None and rayset is None:
         raise UserError("--rays: is the number of rays in a rayset; give --rayset FILE.h5 too")
@@ -317,6 +329,7 @@ def illumination(
     from goniotwin.app.simulation.illumination import (
         check_file_names,
         format_estimate,
+        parse_deviations,
         simulate_illumination,
         summary,
         write_illumination,
@@ -324,7 +337,9 @@ def illumination(
     from goniotwin.app.simulation.source import illumination_unit
 
     check_file_names(out, rayset)
+    own = parse_deviations(deviation or [])
     instrument, _ = _instrument_and_frames(rig)
+    instrument = replace(instrument, illumination={**instrument.illumination, **own})
     unit = illumination_unit(instrument, wavelength, interval, bandwidth)
     count = None if rayset is None else (RAYSET_RAYS if rays is None else rays)
     with ShareProgress(Console(stderr=True), "illumination") as progress:

@@ -67,8 +67,9 @@ def one_kind_of_detectors(content: Any) -> Any:
 class TwinTable(Parts):
     """The virtual rig: its `axes` and `optics`, the `sensor` of real detectors, the `deviations` of elements by name.
 
-    `samples` are by name, too. `monochromator` has the times of the drive, `filters` are those in its wheel. `controllers` are
-    further motion controllers, `devices` others that replace those of the program; both by the name in their address.
+    `illumination` has those of the elements within the illumination unit. `samples` are by name, too. `monochromator` has the
+    times of the drive, `filters` are those in its wheel. `controllers` are further motion controllers, `devices` others that
+    replace those of the program; both by the name in their address.
     """
 
     axes: AxesMechanicsTable
@@ -76,6 +77,7 @@ class TwinTable(Parts):
     optics: OpticsTable = field(default_factory=OpticsTable)
     sensor: RealSensor | None = None
     deviations: dict[str, Deviation] = field(default_factory=dict)
+    illumination: dict[str, Deviation] = field(default_factory=dict)
     monochromator: DriveTable = field(default_factory=DriveTable)
     filters: tuple[WheelFilter, ...] = ()
     controllers: Mapping[str, ControllerModel] = field(default_factory=dict)
@@ -153,7 +155,10 @@ class TwinTable(Parts):
 
     def instrument(self) -> Instrument:
         """The instrument, with sensor and deviations. Raises ValueError for a deviation of an unknown element."""
-        return replace(Instrument(**values_of(self.optics, Instrument)), deviations=self.deviations, sensor=self.sensor)
+        return replace(
+            Instrument(**values_of(self.optics, Instrument)),
+            deviations=self.deviations, illumination=self.illumination, sensor=self.sensor,
+        )  # fmt: skip
 
     def estimator(self) -> Estimator:
         """The estimator of the light on the photodiodes."""

@@ -4,7 +4,7 @@ The files are a CSV of map and profile, or a picture of both.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,7 @@ from goniotwin.app.formats.registry import Holds
 from goniotwin.app.simulation.files import check_suffix, write_content, write_figure
 from goniotwin.app.simulation.simulate import ReportProgress
 from goniotwin.twin.optics import (
+    Deviation,
     Illumination,
     IlluminationFigure,
     IlluminationUnit,
@@ -29,6 +30,8 @@ from goniotwin.twin.optics import (
     illumination_figure,
     record,
 )
+from goniotwin.twin.optics.geometry.deviation import NO_DEVIATION
+from goniotwin.twin.optics.illumination.unit import ELEMENTS
 
 ADJOINT_ERROR = 1e-4
 """Relative standard error of the adjoint flux: it costs little, and makes the profile smooth."""
@@ -92,6 +95,35 @@ def simulate_illumination(
     return IlluminationResult(unit, seed, figure, forward, rayset)
 
 
+def parse_deviations(given: list[str]) -> dict[str, Deviation]:
+    """Deviations by element from `ELEMENT.FIELD=NUMBER` each, such as `slit.x_mm=0.02`. Raises UserError."""
+    names, found = [each.name for each in fields(Deviation)], dict[str, Deviation]()
+    for text in given:
+        place, equals, number = text.partition("=")
+        element, dot, name = place.partition(".")
+        if not (equals and dot):
+            raise UserError(f"--deviation: {text!r} is no deviation; write ELEMENT.FIELD=NUMBER, such as slit.x_mm=0.02")
+        if element not in ELEMENTS:
+            raise UserError(f"--deviation: there is no {element!r} in the illumination unit; it has {', '.join(ELEMENTS)}")
+        if name not in names:
+            raise UserError(f"--deviation: {element} has no {name!r}; its deviations are {', '.join(names)}")
+        try:
+            value = float(number)
+        except ValueError:
+            value = math.nan
+        if not math.isfinite(value):
+            raise UserError(f"--deviation: {text!r} has no number after the equals sign; give degrees or mm")
+        found[element] = replace(found.get(element, NO_DEVIATION), **{name: value})
+    return found
+
+
+def describe_deviations(unit: IlluminationUnit) -> dict[str, dict[str, float]]:
+    """The deviations that are not zero, by element and field."""
+    values = {name: {each.name: getattr(own, each.name) for each in fields(own)} for name, own in unit.deviations.items()}
+    lit = {name: {key: value for key, value in own.items() if value} for name, own in values.items()}
+    return {name: own for name, own in lit.items() if own}
+
+
 def format_estimate(name: str, result: Illumination) -> str:
     """Name, flux and its standard error in the same power of ten, as text."""
     power = math.floor(math.log10(result.flux))
@@ -111,9 +143,14 @@ def assumptions(result: IlluminationResult) -> list[str]:
         f"exit pupil of {unit.exit_pupil_radius_mm:g} mm radius; the beam path is unfolded, and the mirrors lose no light",
         f"map: irradiance over twice the field, {len(result.figure.edges_mm) - 1} cells across, adjoint",
         "profile: intensity of the light in the field over the angle to the axis, adjoint",
-        "deviations: none; lenses: ideal; lamp: xenon arc",
+        f"deviations: {_deviations_in_words(unit)}; lenses: ideal; lamp: xenon arc",
         f"geometry: {unit.fingerprint}; seed: {result.seed}",
     ]
+
+
+def _deviations_in_words(unit: IlluminationUnit) -> str:
+    every = [f"{name}.{key}={value:g}" for name, own in describe_deviations(unit).items() for key, value in own.items()]
+    return ", ".join(every) or "none"
 
 
 def summary(result: IlluminationResult) -> dict[str, Any]:
@@ -127,6 +164,7 @@ def summary(result: IlluminationResult) -> dict[str, Any]:
         "interval_nm": result.unit.interval_nm,
         "bandwidth_nm": result.unit.bandwidth_nm,
         "field_mm": result.unit.field_side_mm,
+        "deviations": describe_deviations(result.unit),
         "emitted_flux": result.adjoint.emitted_flux,
         "forward": _as_dict(result.forward),
         "adjoint": _as_dict(result.adjoint),

@@ -8,8 +8,9 @@ from goniotwin.app.errors import UserError
 from goniotwin.app.formats import FormatError, registry
 from goniotwin.app.formats.registry import Holds
 from goniotwin.twin.optics import IlluminationUnit, Instrument, RaySource, replay
-from goniotwin.twin.optics.geometry.mirrors import pupil
+from goniotwin.twin.optics.geometry.mirrors import illumination_place
 from goniotwin.twin.optics.illumination.rayset import Rayset
+from goniotwin.twin.optics.illumination.unit import unit_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,16 +38,9 @@ class Source:
 def illumination_unit(
     instrument: Instrument, wavelength_nm: float, interval_nm: float, bandwidth_nm: float
 ) -> IlluminationUnit:
-    """The illumination unit with the exit pupil, the distance and the field of the instrument. Raises UserError."""
+    """The illumination unit with the exit pupil, distance, field and deviations of the instrument. Raises UserError."""
     try:
-        return IlluminationUnit(
-            wavelength_nm=wavelength_nm,
-            interval_nm=interval_nm,
-            bandwidth_nm=bandwidth_nm,
-            exit_pupil_radius_mm=instrument.pupil_radius_mm,
-            sample_distance_mm=instrument.pupil_distance_mm,
-            field_side_mm=instrument.spot_side_mm,
-        )
+        return unit_of(instrument, wavelength_nm, interval_nm, bandwidth_nm)
     except ValueError as error:
         # The message begins with the name of a field of the unit, which is the option's name with a unit.
         raise UserError(f"--{str(error).replace('_nm', '', 1)}") from None
@@ -57,14 +51,18 @@ def read_source(path: Path, unit: IlluminationUnit, instrument: Instrument) -> S
 
     Raises UserError for a file that is not a rayset, is damaged, or was recorded with another unit.
     """
-    x, y, z = (float(each) for each in pupil(instrument)[0])
+    rotation, origin = illumination_place(instrument)
+    x, y, z = (float(each) for each in origin)
     try:
         rayset: Rayset = registry.recognise(path, {Holds.RAYS}).read(path)
     except FormatError as error:
         raise UserError(f"--source: {error}") from None
     try:
-        rays = replay(rayset, unit, (x, y, z))
+        rays = replay(rayset, unit, (x, y, z), rotation)
     except ValueError as error:
         given = f"{unit.wavelength_nm:g} nm, interval {unit.interval_nm:g} nm, bandwidth {unit.bandwidth_nm:g} nm"
-        raise UserError(f"--source: {path}: {error}, or give its --wavelength, --interval, --bandwidth (now {given})") from None
+        raise UserError(
+            f"--source: {path}: {error}, or give its --wavelength, --interval, --bandwidth (now {given}), and the --rig "
+            "with the deviations of its illumination unit"
+        ) from None
     return Source(str(path), rays, rayset.geometry, unit.wavelength_nm)

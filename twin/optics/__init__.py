@@ -2,8 +2,9 @@
 
 `throughput` is the fast estimator, for a sample with a known BSDF. `forward_throughput` traces rays from the exit pupil to the
 detectors; it is the reference for the fast one. `IlluminationUnit` is the optics before the exit pupil, with two estimators of
-its own: `forward_illumination` and `adjoint_illumination`. This package needs numpy and numba alone, and annotated-types, a
-module of names for bounds: files are read and written in app/formats.
+its own: `forward_illumination` and `adjoint_illumination`; `field_fluxes` evaluates many sets of its deviations at once. This
+package needs numpy and numba alone, and annotated-types, a module of names for bounds: files are read and written in
+app/formats.
 """
 
 from goniotwin.twin.optics.bsdf.analytic_samples import anisotropic_gaussian, gaussian, lambertian, regular, ward, wide_tailed
@@ -40,6 +41,7 @@ from goniotwin.twin.optics.geometry.mirrors import pupil_image
 from goniotwin.twin.optics.geometry.sensor import RealSensor
 from goniotwin.twin.optics.illumination.adjoint import IlluminationFigure, adjoint_illumination, illumination_figure
 from goniotwin.twin.optics.illumination.beam import Illumination
+from goniotwin.twin.optics.illumination.field_flux import field_fluxes
 from goniotwin.twin.optics.illumination.forward import forward_illumination
 from goniotwin.twin.optics.illumination.rayset import Rayset, RaySource, record, replay
 from goniotwin.twin.optics.illumination.spectrum import Spectrum, luminous_spectrum, xenon_spectrum
@@ -76,6 +78,7 @@ __all__ = [
     "draw_directions",
     "evaluate",
     "factor_blocks",
+    "field_fluxes",
     "forward_illumination",
     "forward_throughput",
     "from_specular",

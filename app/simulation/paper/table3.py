@@ -104,7 +104,9 @@ def compute_table3(report: ReportStep = lambda _: None, rays: int | None = None)
 
 
 def collimated(instrument: Instrument) -> Instrument:
-    """An instrument of the same divergence with its exit pupil at infinity, and mirrors large enough for the tilted beam."""
+    """An instrument of the same divergence with its exit pupil at infinity, lit everywhere, and mirrors large enough for the beam."""
     distance = FAR_MM + 3.0 * instrument.mirror_distance_mm
     radius = instrument.pupil_radius_mm * distance / instrument.pupil_distance_mm
-    return replace(instrument, pupil_radius_mm=radius, pupil_to_mirror_mm=FAR_MM, mirror_side_mm=60.0)
+    return replace(
+        instrument, pupil_radius_mm=radius, pupil_to_mirror_mm=FAR_MM, mirror_side_mm=60.0, lit_everywhere=True
+    )  # no slit is as far away as this pupil

@@ -77,12 +77,16 @@ def shifts(tolerance_mm: float = SHIFT_MM) -> tuple[Tolerance, ...]:
 
 
 def with_deviations(instrument: Instrument, tolerances: Sequence[Tolerance], signs: Sequence[int]) -> Instrument:
-    """The instrument with each tolerance at its amount times its sign, -1, 0 or 1."""
+    """The instrument with each tolerance at its amount times its sign, -1, 0 or 1, and the hole lit everywhere.
+
+    A shifted pupil is a beam turned about the sample, which stays on the hole, and Table 3 has no light to lose.
+    """
     elements: dict[str, dict[str, float]] = {}
     for tolerance, sign in zip(tolerances, signs, strict=True):
         if sign:
             elements.setdefault(tolerance.element, {})[tolerance.name] = sign * tolerance.amount
-    return replace(instrument, deviations={name: Deviation(**amounts) for name, amounts in elements.items()})
+    deviations = {name: Deviation(**amounts) for name, amounts in elements.items()}
+    return replace(instrument, deviations=deviations, lit_everywhere=True)
 
 
 def worst_corner(instrument: Instrument, sigma_deg: float, width_deg: float, tolerances: Sequence[Tolerance]) -> Corner:
@@ -90,7 +94,8 @@ def worst_corner(instrument: Instrument, sigma_deg: float, width_deg: float, tol
     theta = in_plane_theta(sigma_deg, width_deg)
     theory = gaussian_theory(theta, width_deg, "one_over_e")
     pose = Pose(sigma_deg, in_plane_directions(sigma_deg, theta))
-    scenes = Scenes(instrument, [pose], [gaussian(width_deg, peak=1.0 / math.pi)])
+    lit = with_deviations(instrument, (), ())
+    scenes = Scenes(lit, [pose], [gaussian(width_deg, peak=1.0 / math.pi)])
 
     def residuals(levels: Floats) -> Floats:
         rigs = deviation_array(with_deviations(instrument, tolerances, each).deviations for each in levels.tolist())

@@ -53,7 +53,7 @@ class BeamOnSample:
         instrument = self._lobe.instrument
         pupils, scene = np.empty((len(values), 4, 3)), empty_scene()
         for pupil, deviations in zip(pupils, self._lobe.deviations(values), strict=True):
-            fill_scene(instrument.lengths, deviations, self._sigma_deg, 0.0, scene)
+            fill_scene(instrument.lengths, instrument.exit_pupil, deviations, self._sigma_deg, 0.0, scene)
             pupil[:] = scene.pupil
         pupils[:, 1:3] /= instrument.pupil_radius_mm
         return pupils

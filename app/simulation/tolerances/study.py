@@ -167,7 +167,8 @@ class InstrumentTable(TomlTable):
     infinity, with the same divergence, and the mirrors are 60 mm wide: each mirror then turns the light in full. The mirrors
     are `mirror_side_mm` wide, the spot is `spot_side_mm`. The detectors are discs of `detector_diameter_mm` at `arc_radius_mm`
     with a field of `field_deg`. With `obstruction` the mirror unit blocks some directions; the paper's virtual detectors are
-    not blocked.
+    not blocked. With `lit_everywhere`, as in the paper, tilts take no light from the hole; without it a lobe is seen in the
+    light that the slit's image leaves there.
     """
 
     pupil_radius_mm: Positive = Dimensions.pupil_radius_mm
@@ -179,6 +180,7 @@ class InstrumentTable(TomlTable):
     field_deg: Annotated[float, Field(gt=0.0, lt=180.0)] = Dimensions.field_deg
     collimated: bool = False
     obstruction: bool = False
+    lit_everywhere: bool = True
 
     def instrument(self) -> Instrument:
         """The instrument without deviations."""

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass, field, fields, is_dataclass, make_dataclass, replace
+from dataclasses import MISSING, dataclass, field, fields, is_dataclass, make_dataclass, replace
 from enum import IntEnum, StrEnum
 from types import MappingProxyType
 from typing import Any
@@ -77,12 +77,17 @@ def test_both_versions_differ_for_different_rigs_and_the_new_one_has_its_prefix(
     assert all(re.fullmatch(r"2:[0-9a-f]{16}", hashes[0]) for hashes in digests)
 
 
+def _default(entry: Any) -> dict[str, Any]:
+    """The default of a field, or what makes it."""
+    return {"default": entry.default} if entry.default_factory is MISSING else {"default_factory": entry.default_factory}
+
+
 def renamed(value: Any) -> Any:
     """The same value with every dataclass replaced by one of another name, with its fields in another order."""
     if is_dataclass(value) and not isinstance(value, type):
         content = {entry.name: renamed(getattr(value, entry.name)) for entry in reversed(fields(value))}
         columns = [
-            (entry.name, Any, field(default=entry.default, metadata=entry.metadata, kw_only=True))
+            (entry.name, Any, field(**_default(entry), metadata=entry.metadata, kw_only=True))
             for entry in reversed(fields(value))
         ]
         return make_dataclass(f"Other{type(value).__name__[::-1]}", columns, frozen=True, eq=False)(**content)

@@ -15,13 +15,15 @@ from goniotwin.app.simulation.files import summary as simulated_summary
 from goniotwin.app.simulation.illumination import (
     IlluminationResult,
     check_file_names,
+    describe_deviations,
+    parse_deviations,
     simulate_illumination,
     summary,
     write_illumination,
 )
 from goniotwin.app.simulation.simulate import Task, simulate
 from goniotwin.app.simulation.source import illumination_unit, read_source
-from goniotwin.twin.optics import IlluminationUnit, Instrument
+from goniotwin.twin.optics import Deviation, IlluminationUnit, Instrument
 from tests.twin.optics.agreement import agree
 
 WIDE = Instrument(detector_diameter_mm=30.0, field_deg=6.0)
@@ -154,6 +156,29 @@ def test_rays_of_another_geometry_and_invalid_files_are_refused_in_one_line(rays
 def test_impossible_settings_are_refused(error: float, seed: int, count: int | None, message: str) -> None:
     with pytest.raises(UserError, match=message):
         simulate_illumination(UNIT, error, seed, count)
+
+
+def test_deviations_are_given_by_element_and_field_and_stated() -> None:
+    given = ["slit.x_mm=0.05", "reflector.rz_deg=-0.1", "slit.ry_deg=1"]
+    assert parse_deviations(given) == {"slit": Deviation(x_mm=0.05, ry_deg=1.0), "reflector": Deviation(rz_deg=-0.1)}
+    unit = illumination_unit(Instrument(illumination=parse_deviations(given)), 555.0, 0.0, 5.0)
+    assert describe_deviations(unit) == {"slit": {"x_mm": 0.05, "ry_deg": 1.0}, "reflector": {"rz_deg": -0.1}}
+    assert describe_deviations(UNIT) == {}
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("slit", "'slit' is no deviation; write ELEMENT.FIELD=NUMBER"), ("slit=3", "'slit=3' is no deviation"),
+        ("lens.x_mm=1", "there is no 'lens' in the illumination unit; it has arc, "),
+        ("slit.x=1", "slit has no 'x'; its deviations are rx_deg, "), ("slit.x_mm=wide", "'slit.x_mm=wide' has no number"),
+        ("slit.x_mm=nan", "'slit.x_mm=nan' has no number"),
+    ],
+)  # fmt: skip
+def test_impossible_deviations_are_refused_in_one_line(text: str, message: str) -> None:
+    with pytest.raises(UserError, match=f"^--deviation: {message}") as caught:
+        parse_deviations([text])
+    assert str(caught.value).isprintable()
 
 
 def test_impossible_monochromators_and_file_names_are_refused(tmp_path: Path) -> None:

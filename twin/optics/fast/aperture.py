@@ -25,6 +25,7 @@ import numpy as np
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics.geometry.instrument import Instrument
 from goniotwin.twin.optics.geometry.scene import detector_frame
+from goniotwin.twin.optics.illumination.slit_image import ALONG_U, ALONG_V, chord_lines, cut_chord, is_cut
 from goniotwin.twin.optics.kernel import kernel
 
 BLOCK = 64
@@ -44,7 +45,10 @@ GA1, GA2, GB1, GB2, T11, T21, T22, RADIUS = (row * BLOCK for row in range(41, 49
 # One ray: weight, direction of the light, direction of the observer.
 RAY = 49 * BLOCK
 WEIGHT, LX, LY, LZ, WX, WY, WZ = (row * BLOCK for row in range(49, 56))
-ROWS = 56
+# Its points of the pupil's unit disc and of the hole.
+POINT = 56 * BLOCK
+A, B, U, V = (row * BLOCK for row in range(56, 60))
+ROWS = 60
 
 
 CLOSER = 1.1
@@ -99,13 +103,43 @@ def fill_frames(w: Floats, count: int) -> None:
         w[k + AHEAD] = x * dx + y * dy + z * dz
 
 
+@kernel(forceinline=True)
+def _chord(w: Floats, k: int, place: float, radius: float, half: float) -> tuple[float, float, float]:
+    """v at `place` of the strip of the hole that detector k sees, and the ends along u of what it sees there."""
+    au, bu, inverse = w[k + AU], w[k + BU], w[k + INVERSE]
+    v = w[k + MIDDLE] + w[k + HALF] * place
+    a1, b1 = w[k + A0] + w[k + AV] * v, w[k + B0] + w[k + BV] * v
+    beside = a1 * bu - b1 * au
+    foot = -(a1 * au + b1 * bu) * inverse
+    inside = radius * radius / inverse - beside * beside
+    chord = math.sqrt(inside if inside > 0.0 else 0.0) * inverse
+    left, right = foot - chord, foot + chord
+    return v, (left if left > -half else -half), (right if right < half else half)
+
+
+@kernel(forceinline=True)
+def _add_chord(w: Floats, k: int, v: float, left: float, right: float, weight: float) -> None:
+    """Add a chord of the hole to the sums over the strip."""
+    width = right - left if right > left else 0.0
+    u, part = 0.5 * (right + left), weight * width
+    w[k + S] += part
+    w[k + SU] += part * u
+    w[k + SV] += part * v
+    w[k + SUU] += part * (u * u + width * width / 12.0)
+    w[k + SUV] += part * u * v
+    w[k + SVV] += part * v * v
+
+
 @kernel(nogil=True, fastmath={"contract"})
-def fill_apertures(w: Floats, count: int, cone: Floats, side: Floats, sizes: Floats) -> None:
+def fill_apertures(w: Floats, count: int, cone: Floats, side: Floats, sizes: Floats, chords: Floats) -> None:
     """Fill the moments of detectors whose frames are in `w`; the first is in mm^2.
 
     `sizes`: the disc's radius, the hole's half side, mm, and the sine of half the field. See `cone_nodes`, `side_nodes`.
+    `chords` (2, 10, 2) are those of the lit part of the hole, see `SlitImage`.
     """
     radius, half, sine = sizes[0], sizes[1], sizes[2]
+    first, last, lines = chords[ALONG_U, 0, 0], chords[ALONG_U, 0, 1], chord_lines(chords, ALONG_U)
+    cut = is_cut(chords)
     w[M : M + MOMENTS * BLOCK] = 0.0
     for c in range(cone.shape[0]):
         away, level = sine * cone[c, 0], sine * cone[c, 1]
@@ -121,7 +155,7 @@ def fill_apertures(w: Floats, count: int, cone: Floats, side: Floats, sizes: Flo
             middle, reach = (bu * a0 - au * b0) / area, radius * math.sqrt(square) / abs(area)
             low, high = middle - reach, middle + reach
             # Plain comparisons: Python's max and min prevent vectorisation of the loop.
-            low, high = (low if low > -half else -half), (high if high < half else half)
+            low, high = (low if low > first else first), (high if high < last else last)
             # NaN (a detector in the sample's plane) and rays from the other side of the sample do not count.
             seen = (high > low) & ((dz + p * w[k + E1Z]) * dz > 0.0)
             low, high = (low if seen else 0.0), (high if seen else 0.0)
@@ -131,24 +165,16 @@ def fill_apertures(w: Floats, count: int, cone: Floats, side: Floats, sizes: Flo
         w[S : S + 6 * BLOCK] = 0.0
         for node in range(side.shape[0]):
             place, weight = side[node, 0], side[node, 1]
-            for k in range(count):
-                au, bu, inverse = w[k + AU], w[k + BU], w[k + INVERSE]
-                v = w[k + MIDDLE] + w[k + HALF] * place
-                a1, b1 = w[k + A0] + w[k + AV] * v, w[k + B0] + w[k + BV] * v
-                beside = a1 * bu - b1 * au
-                foot = -(a1 * au + b1 * bu) * inverse
-                inside = radius * radius / inverse - beside * beside
-                chord = math.sqrt(inside if inside > 0.0 else 0.0) * inverse
-                left, right = foot - chord, foot + chord
-                left, right = (left if left > -half else -half), (right if right < half else half)
-                width = right - left if right > left else 0.0
-                u, part = 0.5 * (right + left), weight * width
-                w[k + S] += part
-                w[k + SU] += part * u
-                w[k + SV] += part * v
-                w[k + SUU] += part * (u * u + width * width / 12.0)
-                w[k + SUV] += part * u * v
-                w[k + SVV] += part * v * v
+            # Two loops: four lines of the slit's image cost a seventh of the time, and most scenes have none.
+            if cut:
+                for k in range(count):
+                    v, left, right = _chord(w, k, place, radius, half)
+                    left, right = cut_chord(lines, v, left, right)
+                    _add_chord(w, k, v, left, right, weight)
+            else:
+                for k in range(count):
+                    v, left, right = _chord(w, k, place, radius, half)
+                    _add_chord(w, k, v, left, right, weight)
         for k in range(count):
             taken = w[k + SHARE]
             s, su, sv = w[k + S] * taken, w[k + SU] * taken, w[k + SV] * taken
@@ -212,7 +238,7 @@ def common_disc(radius: float, x: float, y: float, other: float) -> tuple[float,
 
 
 @kernel(nogil=True)
-def fill_wide_apertures(w: Floats, count: int, hole: Floats, sizes: Floats) -> None:
+def fill_wide_apertures(w: Floats, count: int, hole: Floats, sizes: Floats, chords: Floats) -> None:
     """Fill the moments of the detectors in `w` as `fill_apertures` does; `hole` are the nodes of a side, see `hole_nodes`.
 
     The cosines of a ray are taken to second order in its slopes, and the part of the disc visible from a node is taken as
@@ -220,11 +246,11 @@ def fill_wide_apertures(w: Floats, count: int, hole: Floats, sizes: Floats) -> N
     """
     w[M : M + MOMENTS * BLOCK] = 0.0
     for k in range(count):
-        _fill_wide_aperture(w, k, hole, sizes)
+        _fill_wide_aperture(w, k, hole, sizes, chords)
 
 
 @kernel()
-def _fill_wide_aperture(w: Floats, k: int, hole: Floats, sizes: Floats) -> None:
+def _fill_wide_aperture(w: Floats, k: int, hole: Floats, sizes: Floats, chords: Floats) -> None:
     """Add up the moments of detector k."""
     radius, half, sine = sizes[0], sizes[1], sizes[2]
     tangent, seen_sr = sine / math.sqrt(1.0 - sine * sine), math.pi * sine * sine
@@ -238,13 +264,17 @@ def _fill_wide_aperture(w: Floats, k: int, hole: Floats, sizes: Floats) -> None:
     long, foot1, foot2 = reach / across, beside1 / dz, beside2
     mid_u, wide_u = e2y * foot1 + e2x * foot2, math.sqrt((e2y * long) ** 2 + (e2x * reach) ** 2)
     mid_v, wide_v = e2y * foot2 - e2x * foot1, math.sqrt((e2x * long) ** 2 + (e2y * reach) ** 2)
-    first_u, last_u = max(-half, mid_u - wide_u), min(half, mid_u + wide_u)
-    first_v, last_v = max(-half, mid_v - wide_v), min(half, mid_v + wide_v)
-    if not (last_u > first_u and last_v > first_v):
+    first_u, last_u = max(chords[ALONG_V, 0, 0], mid_u - wide_u), min(chords[ALONG_V, 0, 1], mid_u + wide_u)
+    lines = chord_lines(chords, ALONG_V)
+    lowest_v, highest_v = max(-half, mid_v - wide_v), min(half, mid_v + wide_v)
+    if not (last_u > first_u and highest_v > lowest_v):
         return
-    part = 0.25 * (last_u - first_u) * (last_v - first_v) / seen_sr
     for i in range(hole.shape[0]):
         u = 0.5 * (first_u + last_u + (last_u - first_u) * hole[i, 0])
+        first_v, last_v = cut_chord(lines, u, lowest_v, highest_v)
+        if not last_v > first_v:
+            continue
+        part = 0.25 * (last_u - first_u) * (last_v - first_v) / seen_sr
         for j in range(hole.shape[0]):
             v = 0.5 * (first_v + last_v + (last_v - first_v) * hole[j, 0])
             away = ahead - u * dx - v * dy

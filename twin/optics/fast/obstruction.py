@@ -99,6 +99,7 @@ def visible_shares(centres: Floats, directions: Floats, bundle: Floats, sizes: F
     """Share (n,) of the rays of a bundle that no mirror blocks, for detectors at `centres` that look along -`directions`."""
     result = np.zeros(directions.shape[0])
     near, axes, t, quarter = np.zeros(3), np.zeros((4, 3)), np.empty(TILE_ROWS * TILE), bundle.shape[1]
+    half_hole, edges = sizes[1], np.empty((0, 3, 3))
     for k in range(directions.shape[0]):
         fill_view(centres[k], directions[k], axes)
         mirrors_near(mirrors, half, centres[k], sizes, near)
@@ -106,7 +107,7 @@ def visible_shares(centres: Floats, directions: Floats, bundle: Floats, sizes: F
         for first in range(0, quarter, TILE):
             count = min(TILE, quarter - first)
             for sign in (1.0, -1.0):
-                fill_ends(axes, bundle, first, count, sign, sizes, t)
+                fill_ends(axes, bundle, first, count, sign, sizes, -half_hole, half_hole, edges, 1.0, t)
                 for i in range(count):
                     total += t[i + END_WEIGHT]
                 hide_ends(mirrors, near, half, count, t)

@@ -7,6 +7,7 @@ import numpy as np
 
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics.geometry.scene import SceneArrays, detector_frame, reaches_over
+from goniotwin.twin.optics.illumination.slit_image import cut_ray_chord
 from goniotwin.twin.optics.kernel import kernel
 
 TILE = 64
@@ -18,6 +19,8 @@ HOLE_U, HOLE_V, SLOPE_P, SLOPE_Q, ALONG, PUPIL_U, PUPIL_V = (row * TILE for row 
 # The detector's end of a ray: weight, point on the sample, direction and distance to the detector. Then weight and light.
 END_WEIGHT, END_U, END_V, END_LENGTH, END_X, END_Y, END_Z = (row * TILE for row in range(7, 14))
 RAY_WEIGHT, RAY_X, RAY_Y, RAY_Z = (row * TILE for row in range(14, 18))
+# Ends of the chord of the hole, before the light is known.
+LOW_U, HIGH_U = RAY_X, RAY_Y
 TILE_ROWS = 18
 
 # Offset of the sequence: the best of 120, chosen when rays beyond the disc's edge were still dropped; any other would do.
@@ -72,7 +75,10 @@ def fill_view(centre: Floats, d: Floats, axes: Floats) -> None:
 
 
 @kernel(nogil=True, fastmath={"contract"})
-def fill_ends(axes: Floats, bundle: Floats, first: int, count: int, sign: float, sizes: Floats, t: Floats) -> None:
+def fill_ends(
+    axes: Floats, bundle: Floats, first: int, count: int, sign: float, sizes: Floats, first_v: float, last_v: float,
+    edges: Floats, other: float, t: Floats,
+) -> None:  # fmt: skip
     """Fill the detector's ends of `count` rays of a bundle from number `first` on, of the given sign, in the buffer `t`.
 
     A ray is from the part of the hole that the disc of the detector, with the given axes, covers along it: weight (0 if disc
@@ -80,8 +86,9 @@ def fill_ends(axes: Floats, bundle: Floats, first: int, count: int, sign: float,
 
     No ray is dropped: v is set within the range where disc and hole can meet, then u on their common chord, and the weight
     includes their share of the hole. So the result changes smoothly with the detector's direction. This is needed because
-    etalon and sample are measured at slightly different poses. Directions are uniform over the cone's projection on the disc,
-    so the weight includes the other cosines.
+    etalon and sample are measured at slightly different poses. Likewise v is within `first_v` and `last_v`, and u within the
+    `edges` (n, 3, 3) of the slit's image, if there are any (`SlitImage`), for the ray's point of the pupil, of sign `other`.
+    Directions are uniform over the cone's projection on the disc, so the weight includes the other cosines.
     """
     radius, half, spot = sizes[0], sizes[1], 0.25 / (sizes[1] * sizes[1])
     e1x, e1y, e1z, e2x, e2y = axes[0, 0], axes[0, 1], axes[0, 2], axes[1, 0], axes[1, 1]
@@ -100,7 +107,7 @@ def fill_ends(axes: Floats, bundle: Floats, first: int, count: int, sign: float,
         middle, reach = (bu * a0 - au * b0) * whole, radius * math.sqrt(square) * abs(whole)
         # Plain comparisons: Python's max and min prevent vectorisation of the loop.
         low, high = middle - reach, middle + reach
-        low, high = (low if low > -half else -half), (high if high < half else half)
+        low, high = (low if low > first_v else first_v), (high if high < last_v else last_v)
         share_v = high - low
         v = 0.5 * (low + high + share_v * (sign * t[i + HOLE_V]))
         a1, b1 = a0 + av * v, b0 + bv * v
@@ -108,17 +115,28 @@ def fill_ends(axes: Floats, bundle: Floats, first: int, count: int, sign: float,
         inside = radius * radius * square - beside * beside
         middle, reach = -(a1 * au + b1 * bu) * part, math.sqrt(inside if inside > 0.0 else 0.0) * part
         low, high = middle - reach, middle + reach
-        low, high = (low if low > -half else -half), (high if high < half else half)
-        share_u = high - low
-        u = 0.5 * (low + high + share_u * (sign * t[i + HOLE_U]))
         wz = along * (dz + p * e1z)
         # NaN (a detector in the sample's plane) and rays from the far side of the sample do not count.
-        counts = (share_u > 0.0) & (share_v > 0.0) & (wz * dz > 0.0)
-        t[i + END_WEIGHT] = abs(area) * share_u * share_v * spot if counts else 0.0
-        t[i + END_U], t[i + END_V] = u, v
+        t[i + END_WEIGHT] = abs(area) * share_v * spot if (share_v > 0.0) & (wz * dz > 0.0) else 0.0
+        t[i + LOW_U], t[i + HIGH_U] = (low if low > -half else -half), (high if high < half else half)
+        t[i + END_V] = v
         t[i + END_X], t[i + END_Y] = along * (dx + p * e1x + q * e2x), along * (dy + p * e1y + q * e2y)
+        t[i + END_Z] = wz
+    for k in range(edges.shape[0]):
+        for i in range(count):
+            a, b = other * t[i + PUPIL_U], other * t[i + PUPIL_V]
+            t[i + LOW_U], t[i + HIGH_U] = cut_ray_chord(edges, k, a, b, t[i + END_V], t[i + LOW_U], t[i + HIGH_U])
+    for i in range(count):
+        p, q, along = sign * t[i + SLOPE_P], sign * t[i + SLOPE_Q], t[i + ALONG]
+        low, high, v = t[i + LOW_U], t[i + HIGH_U], t[i + END_V]
+        share_u = high - low
+        u = 0.5 * (low + high + share_u * (sign * t[i + HOLE_U]))
+        counts = (share_u > 0.0) & (t[i + END_WEIGHT] > 0.0)
+        u, v = (u if counts else 0.0), (v if counts else 0.0)
+        t[i + END_WEIGHT] = t[i + END_WEIGHT] * share_u if counts else 0.0
+        t[i + END_U], t[i + END_V] = u, v
         # The direction's component along the axis is 1 / sqrt(1 + p^2 + q^2), so this is the length without a division.
-        t[i + END_Z], t[i + END_LENGTH] = wz, (ahead - u * dx - v * dy) * along * (1.0 + p * p + q * q)
+        t[i + END_LENGTH] = (ahead - u * dx - v * dy) * along * (1.0 + p * p + q * q)
 
 
 @kernel(nogil=True, fastmath={"contract"})

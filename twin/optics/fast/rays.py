@@ -55,6 +55,7 @@ from goniotwin.twin.optics.fast.aperture import (  # fmt: skip
     MVQ,
     MVV,
     P0,
+    POINT,
     Q0,
     RADIUS,
     RAY,
@@ -67,7 +68,11 @@ from goniotwin.twin.optics.fast.aperture import (  # fmt: skip
     WX,
     WY,
     WZ,
+    A,
+    B,
     M,
+    U,
+    V,
 )
 from goniotwin.twin.optics.kernel import kernel
 
@@ -80,13 +85,14 @@ HEXAGON = np.array([[math.cos(0.26 + k * math.pi / 3), math.sin(0.26 + k * math.
 
 
 @kernel(nogil=True, fastmath={"contract"})
-def place_nodes(w: Floats, count: int, pupil: Floats, hexagon: Floats, rays: Floats) -> None:
+def place_nodes(w: Floats, count: int, pupil: Floats, hexagon: Floats, rays: Floats, points: Floats) -> None:
     """Fill `rays` (7, at least 7 count) for the detectors in `w`: weight, light's direction (3), observer's direction (3).
 
     Node j of detector k is ray j * count + k. The detectors' frames and moments are in `w`, see
     twin.optics.fast.aperture. `pupil` (4, 3) is the exit pupil's centre, its two axes as long as its radius, its normal, mm.
     Weights include the beam's solid angle, cos(light) cos(pupil) / r^2, 1/mm^2, and the aperture's mm^2. A detector that
-    accepts no rays has weights of 0.
+    accepts no rays has weights of 0. `points` (4, at least 7 count), if it is not (4, 0), is filled with each ray's
+    point of the pupil's unit disc and of the hole, mm.
     """
     cx, cy, cz, ax, ay, az = pupil[0, 0], pupil[0, 1], pupil[0, 2], pupil[1, 0], pupil[1, 1], pupil[1, 2]
     bx, by, bz, fx, fy, fz = pupil[2, 0], pupil[2, 1], pupil[2, 2], pupil[3, 0], pupil[3, 1], pupil[3, 2]
@@ -175,6 +181,11 @@ def place_nodes(w: Floats, count: int, pupil: Floats, hexagon: Floats, rays: Flo
             w[k + WEIGHT] = part * w[k + M] * (lz if lz > 0.0 else 0.0) * cosine * inverse * inverse
             w[k + LX], w[k + LY], w[k + LZ] = lx, ly, lz
             w[k + WX], w[k + WY], w[k + WZ] = wx * shrink, wy * shrink, wz * shrink
+            w[k + A], w[k + B], w[k + U], w[k + V] = a, b, u, v
         for row in range(7):
             for k in range(count):
                 rays[row, j * count + k] = w[k + RAY + row * BLOCK]
+        if points.shape[1] > 0:
+            for row in range(4):
+                for k in range(count):
+                    points[row, j * count + k] = w[k + POINT + row * BLOCK]

@@ -12,7 +12,16 @@ import math
 import numpy as np
 
 from goniotwin.arrays import Floats
-from goniotwin.twin.optics.geometry.scene import detector_frame
+from goniotwin.twin.optics.fast.ray_bundle import HOLE_U, HOLE_V, PUPIL_U, PUPIL_V, TILE
+from goniotwin.twin.optics.geometry.scene import SceneArrays, detector_frame, image_coordinates, reaches_over
+from goniotwin.twin.optics.illumination.slit_image import (
+    ALONG_V,
+    SlitImage,
+    chord_lines,
+    cut_chord,
+    cut_ray_chord,
+    relative_radiance,
+)
 from goniotwin.twin.optics.kernel import kernel
 
 HOLE_NODES, SLOPE_NODES = 12, 16
@@ -46,11 +55,13 @@ def conic(
 
 @kernel(nogil=True)
 def image_measures(
-    centres: Floats, axes: Floats, sizes: Floats, pupil: Floats, transmits: bool, hole: Floats, line: Floats, result: Floats
-) -> None:
+    centres: Floats, axes: Floats, sizes: Floats, pupil: Floats, chords: Floats, transmits: bool, hole: Floats, line: Floats,
+    result: Floats,
+) -> None:  # fmt: skip
     """Fill `result` (n,) with the measures of n detectors, mm^2 sr: 0 for those that do not see the pupil's image.
 
-    `hole` and `line` (n, 2) are nodes over a side of the hole and over a slope; `pupil` (4, 3) as in `place_nodes`.
+    `hole` and `line` (n, 2) are nodes over a side of the hole and over a slope; `pupil` (4, 3) as in `place_nodes`, `chords`
+    those of the lit part of the hole, see `SlitImage`.
     """
     radius, half, tangent = sizes[0], sizes[1], sizes[2] / math.sqrt(1.0 - sizes[2] * sizes[2])
     image = pupil.copy()
@@ -58,7 +69,7 @@ def image_measures(
         for row in range(4):
             image[row, 2] *= -1.0
     square_radius = image[1, 0] ** 2 + image[1, 1] ** 2 + image[1, 2] ** 2
-    e1, e2 = np.zeros(3), np.zeros(3)
+    e1, e2, lines = np.zeros(3), np.zeros(3), chord_lines(chords, ALONG_V)
     for n in range(axes.shape[0]):
         d, centre = axes[n], centres[n]
         result[n] = 0.0
@@ -67,9 +78,15 @@ def image_measures(
         e1[0], e1[1], e1[2], e2[0], e2[1] = detector_frame(d[0], d[1], d[2])
         ahead = centre[0] * d[0] + centre[1] * d[1] + centre[2] * d[2]
         total = 0.0
+        first_u, last_u = chords[ALONG_V, 0, 0], chords[ALONG_V, 0, 1]
         for i in range(hole.shape[0]):
+            u = 0.5 * (first_u + last_u) + 0.5 * (last_u - first_u) * hole[i, 0]
+            first_v, last_v = cut_chord(lines, u, -half, half)
+            if not (last_u > first_u and last_v > first_v):
+                continue
+            lit_mm2 = (last_u - first_u) * (last_v - first_v)
             for j in range(hole.shape[0]):
-                u, v = half * hole[i, 0], half * hole[j, 0]
+                v = 0.5 * (first_v + last_v) + 0.5 * (last_v - first_v) * hole[j, 0]
                 # The disc's centre and radius as slopes from (u, v).
                 distance = ahead - u * d[0] - v * d[1]
                 p0 = ((centre[0] - u) * e1[0] + (centre[1] - v) * e1[1] + centre[2] * e1[2]) / distance
@@ -109,5 +126,67 @@ def image_measures(
                         stretch = 1.0 + p * p + q * q
                         # Radiance is conserved: the measure is area, the cosine with the sample's normal, solid angle.
                         inner += line[k, 1] * (right - left) * abs(d[2] + p * e1[2]) / (stretch * stretch)
-                total += hole[i, 1] * hole[j, 1] * inner * (high - low)
-        result[n] = total * 4.0 * half * half
+                total += hole[i, 1] * hole[j, 1] * inner * (high - low) * lit_mm2
+        result[n] = total
+
+
+@kernel(nogil=True)
+def light_shares(
+    centres: Floats, axes: Floats, sizes: Floats, scene: SceneArrays, half: float, light: SlitImage, transmits: bool,
+    bundle: Floats, result: Floats,
+) -> None:  # fmt: skip
+    """Multiply `result` (n,) by the mean relative radiance of each detector's rays, 0 for those that miss a mirror.
+
+    Over those rays of a `bundle` from pupil to hole that the detector accepts; a detector that accepts none of them keeps its
+    value. `half` is the half side of a mirror.
+    """
+    accepted, carried = np.zeros(result.size), np.zeros(result.size)
+    for j in range(bundle.shape[1]):
+        for sign in (1.0, -1.0):
+            u, v = sign * sizes[1] * bundle[HOLE_U // TILE, j], sign * sizes[1] * bundle[HOLE_V // TILE, j]
+            for other in (1.0, -1.0):
+                a, b = other * bundle[PUPIL_U // TILE, j], other * bundle[PUPIL_V // TILE, j]
+                add_light(centres, axes, sizes, scene, half, light, transmits, result, u, v, a, b, accepted, carried)
+    for n in range(result.size):
+        if accepted[n] > 0.0:
+            result[n] *= carried[n] / accepted[n]
+
+
+@kernel()
+def add_light(
+    centres: Floats, axes: Floats, sizes: Floats, scene: SceneArrays, half: float, light: SlitImage, transmits: bool,
+    result: Floats, u: float, v: float, a: float, b: float, accepted: Floats, carried: Floats,
+) -> None:  # fmt: skip
+    """Add the ray from (a, b) of the pupil to (u, v) of the hole to what the detectors accept, and to what it carries."""
+    low = high = u
+    for k in range(light.edges.shape[0]):
+        low, high = cut_ray_chord(light.edges, k, a, b, v, low, high)
+    if low > high:
+        return
+    pupil = scene.pupil
+    x = pupil[0, 0] + a * pupil[1, 0] + b * pupil[2, 0]
+    y = pupil[0, 1] + a * pupil[1, 1] + b * pupil[2, 1]
+    z = pupil[0, 2] + a * pupil[1, 2] + b * pupil[2, 2]
+    lx, ly, lz = x - u, y - v, z
+    shrink = 1.0 / math.sqrt(lx * lx + ly * ly + lz * lz)
+    lx, ly, lz = lx * shrink, ly * shrink, lz * shrink
+    gain = max(lz, 0.0) * (lx * pupil[3, 0] + ly * pupil[3, 1] + lz * pupil[3, 2]) * shrink * shrink
+    passing = gain
+    for m in range(3):
+        if scene.missed[m] > 0.0:
+            near, far = image_coordinates(scene.images[m], u, v, 0.0), image_coordinates(scene.images[m], x, y, z)
+            passing = passing if reaches_over(near, far, half) else 0.0
+    if passing > 0.0 and not light.slit.even:
+        passing *= relative_radiance(light, a, b, u, v)
+    radius, least = sizes[0], math.sqrt(1.0 - sizes[2] * sizes[2])
+    wx, wy, wz = -lx, -ly, -lz if transmits else lz
+    for n in range(result.size):
+        cosine = wx * axes[n, 0] + wy * axes[n, 1] + wz * axes[n, 2]
+        if result[n] == 0.0 or cosine < least:
+            continue
+        dx, dy, dz = centres[n, 0] - u, centres[n, 1] - v, centres[n, 2]
+        step = (dx * axes[n, 0] + dy * axes[n, 1] + dz * axes[n, 2]) / cosine
+        dx, dy, dz = dx - step * wx, dy - step * wy, dz - step * wz
+        if dx * dx + dy * dy + dz * dz <= radius * radius:
+            accepted[n] += gain
+            carried[n] += passing

@@ -44,20 +44,43 @@ from goniotwin.twin.optics.fast.aperture import (
 )
 from goniotwin.twin.optics.fast.lobe_sums import lobe_sums
 from goniotwin.twin.optics.fast.obstruction import FREE, HIDDEN, PARTLY, find_shadow, mirrors_near, visible_shares
-from goniotwin.twin.optics.fast.ray_bundle import TILE, TILE_ROWS, fill_arrivals, fill_ends, fill_view, hide_ends, ray_bundle
+from goniotwin.twin.optics.fast.ray_bundle import (
+    END_U,
+    END_V,
+    PUPIL_U,
+    PUPIL_V,
+    TILE,
+    TILE_ROWS,
+    fill_arrivals,
+    fill_ends,
+    fill_view,
+    hide_ends,
+    ray_bundle,
+)
 from goniotwin.twin.optics.fast.rays import HEXAGON, NODES, place_nodes
-from goniotwin.twin.optics.fast.regular_component import HOLE_NODES, SLOPE_NODES, image_measures, line_nodes
+from goniotwin.twin.optics.fast.regular_component import HOLE_NODES, SLOPE_NODES, image_measures, light_shares, line_nodes
 from goniotwin.twin.optics.geometry.coordinates import direction_rows
 from goniotwin.twin.optics.geometry.instrument import (
     COMPONENTS,
     ELEMENTS,
     HALF_BLOCKING,
     HALF_MIRROR,
+    HALF_SPOT,
     NOMINAL_DEG,
     Instrument,
     Reflectance,
 )
 from goniotwin.twin.optics.geometry.scene import SceneArrays, empty_scene, fill_detectors, fill_scene, mirror_angle_deg
+from goniotwin.twin.optics.illumination.slit_image import (
+    ALONG_U,
+    Slit,
+    SlitImage,
+    empty_image,
+    place_slit,
+    relative_radiance,
+    slit_of,
+    weigh_rays,
+)
 from goniotwin.twin.optics.kernel import kernel
 
 Rule = tuple[Floats, Floats, Floats, int]
@@ -66,7 +89,11 @@ FINE_RULE: Rule = (cone_nodes(3), side_nodes(6), hole_nodes(8), 1024)
 """For fluxes: the accepted rays are exact to 0.3 %."""
 COARSE_RULE: Rule = (cone_nodes(), side_nodes(), hole_nodes(4), 256)
 """For ratios, in which the error cancels: exact to 3 %."""
+FINEST_RULE: Rule = (cone_nodes(3), side_nodes(12), hole_nodes(16), 1024)
+"""For fluxes where the light ends within the hole: exact to 0.3 %, and to 0.5 % where 2 % of the light are left."""
 TABLE_KINDS = (TABLE, ANISOTROPIC)
+LIGHT_RAYS = 8192
+"""Rays from pupil to hole for the mean of what is not even, of a regular component."""
 HOLE, LINE = line_nodes(HOLE_NODES), side_nodes(SLOPE_NODES)
 PIECE = 4096
 """Detectors of a pose that are computed together, and readings of one task: independent of the number of threads."""
@@ -82,23 +109,34 @@ WHITE = Scatterer(
 Result = TypeVar("Result")
 
 
-class Optics(NamedTuple):
-    """Everything of an instrument but its deviations, as an argument of the kernels.
+class Nodes(NamedTuple):
+    """Nodes over `cone`, `side` and `hole`, and rays of the `bundle`: a `Rule` as an argument of the kernels."""
 
-    `lengths` of the instrument and `sizes` of the aperture; nodes over `cone`, `side`, `hole`, on the `hexagon` and in the
-    `bundle`, over the hole (`image_hole`) and a slope (`image_line`) for an image of the pupil. `bundles` alone, without the
-    seven rays; `wide` cones; `obstruction`. `scale` makes throughputs in m^2 sr of sums.
-    """
-
-    lengths: Floats
-    sizes: Floats
     cone: Floats
     side: Floats
     hole: Floats
-    hexagon: Floats
     bundle: Floats
+
+
+class Optics(NamedTuple):
+    """Everything of an instrument but the deviations of a rig, as an argument of the kernels.
+
+    `lengths` and `exit_pupil` of the instrument, `sizes` of the aperture, the illumination unit's `slit`; `nodes`, and
+    `cut_nodes` where the light ends within the hole; those on the `hexagon`, over the hole (`image_hole`) and a slope
+    (`image_line`) for an image of the pupil, and the rays from it (`image_rays`). `bundles` alone, without the seven rays;
+    `wide` cones; `obstruction`. `scale` makes throughputs in m^2 sr of sums.
+    """
+
+    lengths: Floats
+    exit_pupil: Floats
+    sizes: Floats
+    slit: Slit
+    nodes: Nodes
+    cut_nodes: Nodes
+    hexagon: Floats
     image_hole: Floats
     image_line: Floats
+    image_rays: Floats
     bundles: bool
     wide: bool
     obstruction: bool
@@ -121,12 +159,14 @@ class Spectra(NamedTuple):
 class Block(NamedTuple):
     """Buffers of a block of detectors.
 
-    Rows of the moments `w`, `rays`, `values` of a lobe, one `tile` of a bundle; `sums` by lobe and `lanes` of a bundle's sums;
-    the aperture's share that the seven rays have `taken`, and `status`.
+    Rows of the moments `w`, `rays` and, if the light is not even, their `points` of pupil and hole, `values` of a lobe, one
+    `tile` of a bundle; `sums` by lobe and `lanes` of a bundle's sums; the aperture's share that the seven rays have `taken`,
+    and `status`.
     """
 
     w: Floats
     rays: Floats
+    points: Floats
     values: Floats
     tile: Floats
     sums: Floats
@@ -145,9 +185,10 @@ def score_scenes(
     `deviations` (n, elements, 6); `poses` (p, 2): sigma and gamma, deg; the detectors of pose p have the unit vectors
     `directions` (detectors, 3) from starts[p] to starts[p + 1].
     """
-    lobes, scene = models.heads.shape[0], empty_scene()
+    lobes, scene, (edges, chords, hole) = models.heads.shape[0], empty_scene(), empty_image()
     block = Block(
-        np.empty(ROWS * BLOCK), np.empty((7, NODES * BLOCK)), np.empty(NODES * BLOCK), np.empty(TILE_ROWS * TILE),
+        np.empty(ROWS * BLOCK), np.empty((7, NODES * BLOCK)), np.empty((4, 0 if optics.slit.even else NODES * BLOCK)),
+        np.empty(NODES * BLOCK), np.empty(TILE_ROWS * TILE),
         np.empty((lobes, BLOCK)), np.empty((lobes + 1, TILE)), np.empty(BLOCK), np.empty(BLOCK, np.int64),
     )  # fmt: skip
     most = 0
@@ -157,7 +198,8 @@ def score_scenes(
     acting, mirrors = np.empty(lobes, np.int64), np.empty(spectra.weights.shape[1])
     for rig in range(deviations.shape[0]):
         for p in range(poses.shape[0]):
-            back = fill_scene(optics.lengths, deviations[rig], poses[p, 0], poses[p, 1], scene)
+            back = fill_scene(optics.lengths, optics.exit_pupil, deviations[rig], poses[p, 0], poses[p, 1], scene)
+            light = place_slit(optics.slit, scene.pupil, optics.lengths[HALF_SPOT], 0.0, edges, chords, hole)
             active, above, below = 0, False, False
             for k in range(lobes):
                 if (models.heads[k, ABOVE] == 1) != back:
@@ -180,8 +222,9 @@ def score_scenes(
             for start in range(0, count, BLOCK):
                 size = min(BLOCK, count - start)
                 score_block(
-                    optics, models, scene, centres[start : start + size], axes[start : start + size], acting[:active], block
-                )
+                    optics, models, scene, light, centres[start : start + size], axes[start : start + size],
+                    acting[:active], block,
+                )  # fmt: skip
                 for a in range(active):
                     k = acting[a]
                     for j in range(mirrors.size):
@@ -226,10 +269,12 @@ def mirror_products(spectra: Spectra, scene: SceneArrays, result: Floats) -> Non
 
 @kernel(inline="always")
 def score_block(
-    optics: Optics, models: Models, scene: SceneArrays, centres: Floats, axes: Floats, acting: Ints, block: Block
+    optics: Optics, models: Models, scene: SceneArrays, light: SlitImage, centres: Floats, axes: Floats, acting: Ints,
+    block: Block,
 ) -> None:  # fmt: skip
     """Fill `block.sums` (lobes, BLOCK): throughputs by the lobes `acting` alone, mirrors without loss, of n detectors."""
     count, kept, above, below = axes.shape[0], False, False, False
+    nodes = optics.nodes if light.everywhere else optics.cut_nodes
     for i in range(count):
         above, below = above or axes[i, 2] >= 0.0, below or axes[i, 2] < 0.0
     for i in range(count):
@@ -239,7 +284,7 @@ def score_block(
             block.sums[k, i] = 0.0
         kept = kept or models.heads[k, KIND] in TABLE_KINDS
     if not optics.bundles:
-        fill_nodes(optics, scene, centres, axes, block)
+        fill_nodes(optics, nodes, scene, light, centres, axes, block)
         for k in acting:
             if models.heads[k, KIND] not in TABLE_KINDS and (below if models.heads[k, TRANSMITS] == 1 else above):
                 lobe_sums(models, k, block.rays, NODES, block.values, block.sums[k, :count])
@@ -252,16 +297,18 @@ def score_block(
     for i in range(count):
         partly = block.status[i] == PARTLY
         if partly or (kept and block.status[i] == FREE):
-            add_bundle(optics, models, scene, centres[i], axes[i], acting, partly, i, block)
+            add_bundle(optics, nodes.bundle, models, scene, light, centres[i], axes[i], acting, partly, i, block)
     for k in acting:
         for i in range(count):
             block.sums[k, i] *= optics.scale
         if models.heads[k, KIND] == REGULAR:
-            fill_regular(optics, models, scene, centres, axes, k, block.sums[k, :count])
+            fill_regular(optics, nodes.bundle, models, scene, light, centres, axes, k, block.sums[k, :count])
 
 
 @kernel(inline="always")
-def fill_nodes(optics: Optics, scene: SceneArrays, centres: Floats, axes: Floats, block: Block) -> None:
+def fill_nodes(
+    optics: Optics, nodes: Nodes, scene: SceneArrays, light: SlitImage, centres: Floats, axes: Floats, block: Block
+) -> None:
     """Fill `block.rays` with the seven rays of n detectors, see `place_nodes`, and `block.status`.
 
     PARTLY means that seven are not enough, because a mirror blocks some of the accepted rays; the nodes are filled in all the
@@ -273,10 +320,12 @@ def fill_nodes(optics: Optics, scene: SceneArrays, centres: Floats, axes: Floats
         w[k + DX], w[k + DY], w[k + DZ] = axes[k, 0], axes[k, 1], axes[k, 2]
     fill_frames(w, count)
     if optics.wide:
-        fill_wide_apertures(w, count, optics.hole, optics.sizes)
+        fill_wide_apertures(w, count, nodes.hole, optics.sizes, light.chords)
     else:
-        fill_apertures(w, count, optics.cone, optics.side, optics.sizes)
-    place_nodes(w, count, scene.pupil, optics.hexagon, block.rays)
+        fill_apertures(w, count, nodes.cone, nodes.side, optics.sizes, light.chords)
+    place_nodes(w, count, scene.pupil, optics.hexagon, block.rays, block.points)
+    if not light.slit.even:
+        weigh_rays(light, block.points[:, : NODES * count], block.rays[0, : NODES * count])
     clipped, blocking = scene.missed[0] + scene.missed[1] + scene.missed[2] > 0.0, optics.lengths[HALF_BLOCKING]
     for k in range(count):
         status[k] = PARTLY if clipped else FREE
@@ -291,11 +340,13 @@ def fill_nodes(optics: Optics, scene: SceneArrays, centres: Floats, axes: Floats
 
 @kernel(inline="always")
 def add_bundle(
-    optics: Optics, models: Models, scene: SceneArrays, centre: Floats, d: Floats, acting: Ints, partly: bool, i: int,
-    block: Block,
+    optics: Optics, bundle: Floats, models: Models, scene: SceneArrays, light: SlitImage, centre: Floats, d: Floats,
+    acting: Ints, partly: bool, i: int, block: Block,
 ) -> None:  # fmt: skip
     """Fill the sums of detector i of the block from a whole bundle; unless `partly` those of tables alone."""
-    lengths, sizes, bundle, lanes, t, rays = optics.lengths, optics.sizes, optics.bundle, block.lanes, block.tile, block.rays
+    lengths, sizes, lanes, t, rays = optics.lengths, optics.sizes, block.lanes, block.tile, block.rays
+    first_v, last_v = light.chords[ALONG_U, -1, 0], light.chords[ALONG_U, -1, 1]
+    edges = light.edges[: 0 if light.everywhere else light.edges.shape[0]]
     view, near, whole = np.empty((4, 3)), np.zeros(3), models.heads.shape[0]
     for k in range(whole + 1):
         for lane in range(TILE):
@@ -307,10 +358,14 @@ def add_bundle(
     for first in range(0, bundle.shape[1], TILE):
         count, column = min(TILE, bundle.shape[1] - first), 0
         for sign in (1.0, -1.0):
-            fill_ends(view, bundle, first, count, sign, sizes, t)
-            hide_ends(scene.mirrors, near, lengths[HALF_BLOCKING], count, t)
             for other in (1.0, -1.0):
+                # An edge of the slit's image is elsewhere for another point of the pupil; else both have the same ends.
+                if other > 0.0 or not light.everywhere:
+                    fill_ends(view, bundle, first, count, sign, sizes, first_v, last_v, edges, other, t)
+                    hide_ends(scene.mirrors, near, lengths[HALF_BLOCKING], count, t)
                 fill_arrivals(scene, lengths[HALF_MIRROR], other, share, count, t, rays, column)
+                if not light.slit.even:
+                    weigh_tile(light, other, count, t, rays, column)
                 column += count
         for k in acting:
             on_its_side = (d[2] < 0.0) == (models.heads[k, TRANSMITS] == 1)
@@ -332,12 +387,27 @@ def add_bundle(
 
 
 @kernel(inline="always")
+def weigh_tile(light: SlitImage, other: float, count: int, t: Floats, rays: Floats, column: int) -> None:
+    """Multiply the weights of `count` `rays` from `column` on, those of the tile `t`, by the relative radiance."""
+    for i in range(count):
+        if rays[0, column + i] > 0.0:
+            a, b = other * t[i + PUPIL_U], other * t[i + PUPIL_V]
+            rays[0, column + i] *= relative_radiance(light, a, b, t[i + END_U], t[i + END_V])
+
+
+@kernel(inline="always")
 def fill_regular(
-    optics: Optics, models: Models, scene: SceneArrays, centres: Floats, axes: Floats, k: int, result: Floats
+    optics: Optics, bundle: Floats, models: Models, scene: SceneArrays, light: SlitImage, centres: Floats, axes: Floats, k: int,
+    result: Floats,
 ) -> None:  # fmt: skip
     """Fill `result` (n,) with throughputs in m^2 sr by the REGULAR lobe k."""
     transmits, pupil = models.heads[k, TRANSMITS] == 1, scene.pupil
-    image_measures(centres, axes, optics.sizes, pupil, transmits, optics.image_hole, optics.image_line, result)
+    image_measures(
+        centres, axes, optics.sizes, pupil, light.chords, transmits, optics.image_hole, optics.image_line, result
+    )  # fmt: skip
+    if scene.missed[0] + scene.missed[1] + scene.missed[2] > 0.0 or not light.slit.even:
+        half = optics.lengths[HALF_MIRROR]
+        light_shares(centres, axes, optics.sizes, scene, half, light, transmits, optics.image_rays, result)
     _, params, sig, _, _, _, table = model_arrays(models, k)
     length = math.sqrt(pupil[0, 0] ** 2 + pupil[0, 1] ** 2 + pupil[0, 2] ** 2)
     share = regular_share(params, sig, table, pupil[0, 0] / length, pupil[0, 1] / length, pupil[0, 2] / length)
@@ -345,8 +415,8 @@ def fill_regular(
         if result[i] != 0.0:
             result[i] *= 1e-6 * share
             if optics.obstruction:
-                one, half = slice(i, i + 1), optics.lengths[HALF_BLOCKING]
-                result[i] *= visible_shares(centres[one], axes[one], optics.bundle, optics.sizes, scene.mirrors, half)[0]
+                one, blocking = slice(i, i + 1), optics.lengths[HALF_BLOCKING]
+                result[i] *= visible_shares(centres[one], axes[one], bundle, optics.sizes, scene.mirrors, blocking)[0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -514,13 +584,16 @@ def _check_deviations(deviations: Floats) -> Floats:
 
 @lru_cache(maxsize=16)
 def _optics(instrument: Instrument, rays: int | None, ratios: bool) -> Optics:
-    cone, side, hole, partly = COARSE_RULE if ratios else FINE_RULE
     sizes = aperture_sizes(instrument)
-    seen_sr = math.pi * sizes[2] ** 2
+    sine, seen_sr = float(sizes[2]), math.pi * sizes[2] ** 2
+    nodes, cut_nodes = (
+        Nodes(cone, side, hole, ray_bundle(partly if rays is None else rays, sine))
+        for cone, side, hole, partly in ((COARSE_RULE, FINE_RULE) if ratios else (FINE_RULE, FINEST_RULE))
+    )
     return Optics(
-        instrument.lengths, sizes, cone, side, hole, HEXAGON, ray_bundle(partly if rays is None else rays, float(sizes[2])),
-        HOLE, LINE, rays is not None, bool(sizes[2] * instrument.arc_radius_mm > WIDE * sizes[0]), instrument.obstruction,
-        float(seen_sr * math.pi * instrument.pupil_radius_mm**2 * 1e-6),
+        instrument.lengths, instrument.exit_pupil, sizes, slit_of(instrument), nodes, cut_nodes, HEXAGON, HOLE, LINE,
+        ray_bundle(LIGHT_RAYS, sine), rays is not None, bool(sine * instrument.arc_radius_mm > WIDE * sizes[0]),
+        instrument.obstruction, float(seen_sr * math.pi * instrument.pupil_radius_mm**2 * 1e-6),
     )  # fmt: skip
 
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from goniotwin.arrays import Floats, Singles, Words
 from goniotwin.twin.optics.forward.elementary import cosine_and_sine
+from goniotwin.twin.optics.illumination.slit_image import LINES, SlitImage, relative_radiance
 from goniotwin.twin.optics.kernel import kernel
 from goniotwin.twin.optics.montecarlo import high_16, low_16, word
 
@@ -31,8 +32,8 @@ class Beam(NamedTuple):
 
     `pupil` (4, 3): centre, two axes as long as its radius, and its normal along the light. `aim` (3, 3): the images, in the
     three mirrors, of the hole's centre and of its half sides. `mirrors` (3, 4, 3). `reflectance` (3, 2): that of each mirror
-    for cosine c is r[0] + r[1] c. Half sides of mirrors, hole and frames; the frames' gap. `rays` (n, 6) and `flux` (n,)
-    replace the pupil, if there are any.
+    for cosine c is r[0] + r[1] c. Half sides of mirrors, hole and frames; the frames' gap. `light` is what the illumination
+    unit sends from the pupil into the hole. `rays` (n, 6) and `flux` (n,) replace both, if there are any.
     """
 
     pupil: Floats
@@ -43,6 +44,7 @@ class Beam(NamedTuple):
     hole_half: float
     frame_half: float
     gap: float
+    light: SlitImage
     rays: Floats
     flux: Floats
 
@@ -92,6 +94,37 @@ def leave_pupil(buffer: Singles, count: int, key: np.uint32, pupil: Floats, aim:
         buffer[i + X], buffer[i + Y], buffer[i + Z] = x, y, z
         buffer[i + WX], buffer[i + WY], buffer[i + WZ] = wx, wy, wz
         buffer[i + FLUX] = (wx * p30 + wy * p31 + wz * p32) * inverse * inverse
+
+
+@kernel(fastmath={"contract"})
+def stop_at_slit(buffer: Singles, count: int, key: np.uint32, edge: Floats, half: float) -> None:
+    """Rays from the pupil to PX, PY that are beyond an `edge` (3, 3) of the slit's image have no flux from then on.
+
+    `key` is that of `leave_pupil`; `half` is the hole's half side.
+    """
+    e00, e01, e02 = F32(edge[0, 0]), F32(half * edge[0, 1]), F32(half * edge[0, 2])
+    e10, e11, e12 = F32(edge[1, 0]), F32(half * edge[1, 1]), F32(half * edge[1, 2])
+    e20, e21, e22 = F32(edge[2, 0]), F32(half * edge[2, 1]), F32(half * edge[2, 2])
+    for i in range(count):
+        bits = word(key, i)
+        radius = np.sqrt(low_16(bits))
+        cos, sin = cosine_and_sine(high_16(bits))
+        a, b, s, t = radius * cos, radius * sin, buffer[i + PX], buffer[i + PY]
+        inside = e00 + e01 * s + e02 * t + a * (e10 + e11 * s + e12 * t) + b * (e20 + e21 * s + e22 * t)
+        buffer[i + FLUX] = buffer[i + FLUX] if inside >= ZERO else ZERO
+
+
+@kernel()
+def weigh_paths(buffer: Singles, count: int, key: np.uint32, light: SlitImage, half: float) -> None:
+    """Multiply FLUX of rays from the pupil to PX, PY by the relative radiance of the illumination unit along them."""
+    for i in range(count):
+        if buffer[i + FLUX] > ZERO:
+            bits = word(key, i)
+            radius = np.sqrt(low_16(bits))
+            cos, sin = cosine_and_sine(high_16(bits))
+            a, b = np.float64(radius * cos), np.float64(radius * sin)
+            u, v = half * np.float64(buffer[i + PX]), half * np.float64(buffer[i + PY])
+            buffer[i + FLUX] = F32(np.float64(buffer[i + FLUX]) * relative_radiance(light, a, b, u, v))
 
 
 @kernel()
@@ -163,6 +196,11 @@ def trace_to_sample(buffer: Singles, count: int, keys: Words, beam: Beam, inside
         else:
             aim_beside_hole(buffer, count, keys[0], lit)
         leave_pupil(buffer, count, keys[1], beam.pupil, beam.aim)
+        if inside and not beam.light.everywhere:
+            for k in range(LINES):
+                stop_at_slit(buffer, count, keys[1], beam.light.edges[k], beam.hole_half)
+        if inside and not beam.light.slit.even:
+            weigh_paths(buffer, count, keys[1], beam.light, beam.hole_half)
     for m in range(3):
         reflect_at_mirror(buffer, count, beam.mirrors[m], beam.mirror_half, beam.reflectance[m])
     land(buffer, count, beam.hole_half, beam.frame_half, beam.gap, inside, uniform_pupil)

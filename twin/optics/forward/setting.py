@@ -21,6 +21,7 @@ from goniotwin.twin.optics.geometry.instrument import Instrument, SampleFrames, 
 from goniotwin.twin.optics.geometry.mirrors import pupil, reflect
 from goniotwin.twin.optics.geometry.scene import Scene, scene_at
 from goniotwin.twin.optics.illumination.rayset import RaySource
+from goniotwin.twin.optics.illumination.slit_image import slit_image
 
 SHAPE_SHARE = 0.875
 """Share of a Gaussian's paths that follow its shape."""
@@ -202,7 +203,8 @@ def _beam(
         flux = np.array(source.flux)
     return Beam(
         own, aim, np.array(scene.mirrors), _linear_reflectance(instrument, scene, wavelength_nm),
-        0.5 * instrument.mirror_side_mm, hole, 0.5 * frames.side_mm, frames.gap_mm, rays, flux,
+        0.5 * instrument.mirror_side_mm, hole, 0.5 * frames.side_mm, frames.gap_mm,
+        slit_image(instrument, scene, frames.gap_mm), rays, flux,
     )  # fmt: skip
 
 

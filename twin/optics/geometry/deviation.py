@@ -36,9 +36,8 @@ NO_DEVIATION = Deviation()
 
 def rotation_and_shift(deviation: Deviation) -> tuple[Floats, Floats]:
     """Rotation matrix R (3, 3) and shift (3,) in mm: a point p of an element about c moves to c + R (p - c) + shift."""
-    row, turn = np.array(astuple(deviation)), np.empty((3, 3))
-    fill_rotation(row, turn)
-    return turn, row[3:]
+    row = np.array(astuple(deviation))
+    return rotations(row[None])[0], row[3:]
 
 
 @kernel()
@@ -57,15 +56,26 @@ def fill_rotation(deviation: Floats, turn: Floats) -> None:
     turn[2, 0], turn[2, 1], turn[2, 2] = -sy, cy * sx, cy * cx
 
 
-def check_deviations(deviations: Mapping[str, Deviation], known: Iterable[str]) -> dict[str, Deviation]:
-    """Check deviations by name of the element, and copy them.
+@kernel()
+def rotations(deviations: Floats) -> Floats:
+    """Rotation matrices (n, 3, 3) of deviations (n, 6), see `fill_rotation`."""
+    turns = np.empty((deviations.shape[0], 3, 3))
+    for i in range(deviations.shape[0]):
+        fill_rotation(deviations[i], turns[i])
+    return turns
+
+
+def check_deviations(
+    deviations: Mapping[str, Deviation], known: Iterable[str], table: str = "deviations"
+) -> dict[str, Deviation]:
+    """Check deviations by name of the element, and copy them; `table` is their name in messages.
 
     Raises ValueError, listing the known elements, for an unknown name.
     """
     names = tuple(known)
     for name, deviation in deviations.items():
         if name not in names:
-            raise ValueError(f"deviations of {name!r}: no such element; known are {', '.join(names)}")
+            raise ValueError(f"{table} of {name!r}: no such element; known are {', '.join(names)}")
         if not isinstance(deviation, Deviation):
-            raise ValueError(f"deviations[{name!r}] is {deviation!r}: give a Deviation")
+            raise ValueError(f"{table}[{name!r}] is {deviation!r}: give a Deviation")
     return dict(deviations)

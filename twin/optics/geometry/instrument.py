@@ -1,7 +1,7 @@
 """Dimensions of the instrument: exit pupil, mirrors and their reflectance, the sample's frames, detectors."""
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import astuple, dataclass, field, fields, replace
 from functools import cached_property
 from types import MappingProxyType
@@ -12,8 +12,8 @@ import numpy.typing as npt
 from annotated_types import Ge, Gt, Le, Lt
 
 from goniotwin.arrays import Floats
-from goniotwin.keys import NO_KEY, NonNegative, Positive, Share, check_bounds
-from goniotwin.twin.optics.geometry.deviation import NO_DEVIATION, Deviation, check_deviations
+from goniotwin.keys import LATER, NO_KEY, NonNegative, Positive, Share, check_bounds
+from goniotwin.twin.optics.geometry.deviation import NO_DEVIATION, Deviation, check_deviations, rotation_and_shift
 from goniotwin.twin.optics.geometry.sensor import RealSensor
 
 NOMINAL_DEG = 45.0
@@ -26,6 +26,8 @@ COMPONENTS = tuple(each.name for each in fields(Deviation))
 """Columns of an array of deviations: three angles, deg, and three shifts, mm."""
 MIRROR_DISTANCE, PUPIL_TO_MIRROR, PUPIL_RADIUS, ARC_RADIUS, HALF_SPOT, HALF_MIRROR, HALF_BLOCKING = range(7)
 """Entries of `Instrument.lengths`."""
+ILLUMINATION_ELEMENTS = ("arc", "reflector", "input_condenser", "slit", "output_condenser", "unit")
+"""Elements of the illumination unit with deviations of their own; `unit` is all of them together."""
 LEAST_GAP_MM = 1e-3
 
 
@@ -118,17 +120,19 @@ class Instrument(Dimensions):
     diameter with an acceptance of 0.5 to 2.5 deg. The rest is assumed: a pupil of 5 mm radius at 800 mm makes a beam of 0.7 deg
     (the paper has 0.5 to 1 deg), and an arc of 300 mm clears mirror 2, whose centre is at 283 mm.
 
-    With `obstruction` the mirror unit blocks light on its way to the detectors.
+    With `obstruction` the mirror unit blocks light on its way to the detectors. The light covers the slit's image; with
+    `lit_everywhere` it covers the hole whatever is off, as with a larger slit.
 
     Without a `sensor` the detectors are the paper's virtual ones: discs of `detector_diameter_mm` that count the rays within
     the cone. With a sensor each detector is such a unit, its lens in the place of the disc. `detector_diameter_mm` and
     `field_deg` are then replaced by the lens' diameter and the sensor's field: one instrument cannot have two kinds of
     detectors.
 
-    `deviations` are by element: `pupil` (the illumination unit's end, about its own centre), `mirror_1` to `mirror_3` (each in
-    its own frame: along its sides, then its normal), `mirror_unit` (about the sample's centre, in the frame that turns with
+    `deviations` are by element: `pupil` (the illumination unit, about its exit pupil's centre), `mirror_1` to `mirror_3` (each
+    in its own frame: along its sides, then its normal), `mirror_unit` (about the sample's centre, in the frame that turns with
     sigma: across, along the axis, towards the light), `sample` (in the frame that turns with gamma), `arc` (the rig's frame)
-    and `sensor` (each detector in its own frame: away from the normal, level, along its view).
+    and `sensor` (each detector in its own frame: away from the normal, level, along its view). `illumination` has those of the
+    illumination unit's own elements, within its frame: see `IlluminationUnit`. Its `unit` adds to `pupil`.
 
     Raises ValueError, naming the field, for a value out of range.
     """
@@ -136,7 +140,9 @@ class Instrument(Dimensions):
     pupil_to_mirror_mm: Positive = field(default=200.0, metadata=NO_KEY)
     mirror_reflectance: Share | Reflectance = 0.95
     obstruction: bool = True
+    lit_everywhere: bool = field(default=False, metadata=LATER)
     deviations: Mapping[str, Deviation] = field(default_factory=dict, hash=False, metadata=NO_KEY)
+    illumination: Mapping[str, Deviation] = field(default_factory=dict, hash=False, metadata={**NO_KEY, **LATER})
     sensor: RealSensor | None = field(default=None, metadata=NO_KEY)
 
     def __post_init__(self) -> None:
@@ -144,8 +150,9 @@ class Instrument(Dimensions):
             object.__setattr__(self, "detector_diameter_mm", self.sensor.lens_diameter_mm)
             object.__setattr__(self, "field_deg", self.sensor.field_deg)
         super().__post_init__()
-        known = check_deviations(self.deviations, ELEMENTS)
-        object.__setattr__(self, "deviations", MappingProxyType(dict(sorted(known.items()))))
+        for name, elements in (("deviations", ELEMENTS), ("illumination", ILLUMINATION_ELEMENTS)):
+            known = check_deviations(getattr(self, name), elements, name)
+            object.__setattr__(self, name, MappingProxyType(dict(sorted(known.items()))))
 
     def deviation(self, element: str) -> Deviation:
         """Deviation of one element; zero where none is given."""
@@ -155,6 +162,15 @@ class Instrument(Dimensions):
     def deviation_rows(self) -> Floats:
         """All deviations as an argument of the kernels (elements, 6): see the function of this name. Do not write to it."""
         return deviation_rows(self.deviations)
+
+    @cached_property
+    def exit_pupil(self) -> Floats:
+        """Exit pupil in the illumination unit's frame (3, 3): its centre, mm, and two unit axes. Do not write to it."""
+        # It is the opening of the output condenser, which the whole unit carries.
+        whole, shift = rotation_and_shift(self.illumination.get("unit", NO_DEVIATION))
+        own, offset = rotation_and_shift(self.illumination.get("output_condenser", NO_DEVIATION))
+        turn = whole @ own
+        return np.array([whole @ offset + shift, turn[:, 0], turn[:, 2]])
 
     @cached_property
     def lengths(self) -> Floats:
@@ -201,14 +217,14 @@ class Instrument(Dimensions):
         return not isinstance(self.mirror_reflectance, Reflectance) or self.mirror_reflectance.wavelength_nm.size == 1
 
 
-def deviation_rows(deviations: Mapping[str, Deviation]) -> Floats:
-    """Deviations of one rig as an array (elements, 6): rows in the order of ELEMENTS, columns in that of COMPONENTS.
+def deviation_rows(deviations: Mapping[str, Deviation], elements: Sequence[str] = ELEMENTS) -> Floats:
+    """Deviations of one rig as an array (elements, 6): rows in the order of `elements`, columns in that of COMPONENTS.
 
     Elements that are not in `deviations` have none. Raises ValueError, listing the known elements, for an unknown name.
     """
-    rows = np.zeros((len(ELEMENTS), len(COMPONENTS)))
-    for name, deviation in check_deviations(deviations, ELEMENTS).items():
-        rows[ELEMENTS.index(name)] = astuple(deviation)
+    rows = np.zeros((len(elements), len(COMPONENTS)))
+    for name, deviation in check_deviations(deviations, elements).items():
+        rows[elements.index(name)] = astuple(deviation)
     return rows
 
 

@@ -73,8 +73,15 @@ def mirrors_at(instrument: Instrument, sigma_deg: float) -> Mirrors:
 def pupil(instrument: Instrument) -> tuple[Floats, Floats, Floats]:
     """Centre (mm) and two unit axes, (3,) each, of the exit pupil itself, before mirror 1."""
     rows = np.empty((3, 3))
-    fill_pupil(instrument.lengths, instrument.deviation_rows, rows)
+    place_unit(instrument.lengths, instrument.deviation_rows, instrument.exit_pupil, rows)
     return rows[0], rows[1], rows[2]
+
+
+def illumination_place(instrument: Instrument) -> tuple[Floats, Floats]:
+    """Rotation (3, 3) and origin (3,), mm, of the illumination unit's frame in the rig's: p is at rotation @ p + origin."""
+    rows = np.empty((4, 3))
+    place_unit(instrument.lengths, instrument.deviation_rows, np.eye(4, 3, -1), rows)
+    return np.ascontiguousarray(rows[1:].T), rows[0]
 
 
 def pupil_image(instrument: Instrument, sigma_deg: float) -> tuple[Floats, Floats, Floats]:
@@ -129,12 +136,18 @@ def fill_mirrors(lengths: Floats, deviations: Floats, sigma_deg: float, mirrors:
 
 
 @kernel()
-def fill_pupil(lengths: Floats, deviations: Floats, rows: Floats) -> None:
-    """Fill the first three of `rows` (at least 3, 3): centre and axes of the exit pupil, as in `pupil`."""
+def place_unit(lengths: Floats, deviations: Floats, own: Floats, rows: Floats) -> None:
+    """Fill the first of `rows` (at least n, 3) with `own` (n, 3), a point and vectors of the illumination unit's frame.
+
+    In the rig's frame, before mirror 1: for `Instrument.exit_pupil`, see `pupil`.
+    """
     turn = np.empty((3, 3))
     fill_rotation(deviations[PUPIL], turn)
+    for row in range(own.shape[0]):
+        for c in range(3):
+            rows[row, c] = turn[c, 0] * own[row, 0] + turn[c, 1] * own[row, 1] + turn[c, 2] * own[row, 2]
     for c in range(3):
-        rows[0, c], rows[1, c], rows[2, c] = deviations[PUPIL, 3 + c], turn[c, 0], turn[c, 2]
+        rows[0, c] += deviations[PUPIL, 3 + c]
     rows[0, 1] -= lengths[MIRROR_DISTANCE] + lengths[PUPIL_TO_MIRROR]
 
 

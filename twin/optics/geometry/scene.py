@@ -25,7 +25,7 @@ from goniotwin.twin.optics.geometry.instrument import (
     SENSOR,
     Instrument,
 )
-from goniotwin.twin.optics.geometry.mirrors import fill_mirrors, fill_pupil, is_moved, reflect_rows
+from goniotwin.twin.optics.geometry.mirrors import fill_mirrors, is_moved, place_unit, reflect_rows
 from goniotwin.twin.optics.kernel import kernel
 
 SCENES_KEPT = 64
@@ -112,7 +112,7 @@ def scene_at(instrument: Instrument, sigma_deg: float, gamma_deg: float = 0.0) -
     if not (math.isfinite(sigma_deg) and math.isfinite(gamma_deg)):
         raise ValueError(f"sigma_deg is {sigma_deg!r}, gamma_deg {gamma_deg!r}: give both in degrees")
     arrays = empty_scene()
-    back = fill_scene(instrument.lengths, instrument.deviation_rows, sigma_deg, gamma_deg, arrays)
+    back = fill_scene(instrument.lengths, instrument.exit_pupil, instrument.deviation_rows, sigma_deg, gamma_deg, arrays)
     return Scene(sigma_deg, -1 if back else 1, arrays)
 
 
@@ -125,12 +125,17 @@ def empty_scene() -> SceneArrays:
 
 
 @kernel()
-def fill_scene(lengths: Floats, deviations: Floats, sigma_deg: float, gamma_deg: float, scene: SceneArrays) -> bool:
-    """Fill a scene; whether the light is on the sample's back. `deviations` (elements, 6), `lengths` of the instrument."""
+def fill_scene(
+    lengths: Floats, exit_pupil: Floats, deviations: Floats, sigma_deg: float, gamma_deg: float, scene: SceneArrays
+) -> bool:
+    """Fill a scene; whether the light is on the sample's back.
+
+    `deviations` (elements, 6); `lengths` and `exit_pupil` of the instrument.
+    """
     back = fill_sample_frame(deviations[SAMPLE], sigma_deg, gamma_deg, scene.to_sample, scene.origin)
     pupil, mirrors, images = scene.pupil, scene.mirrors, scene.images
     fill_mirrors(lengths, deviations, sigma_deg, mirrors)
-    fill_pupil(lengths, deviations, pupil)
+    place_unit(lengths, deviations, exit_pupil, pupil)
     for m in range(3):
         reflect_rows(pupil[:3], mirrors[m])
         for row in range(4):

@@ -13,8 +13,8 @@ import numpy as np
 
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics.illumination.beam import Illumination, check_square, mean_and_error, widest_angle
-from goniotwin.twin.optics.illumination.elements import bend, chord, reflect_at_sphere, to_plane
-from goniotwin.twin.optics.illumination.unit import ARC, INPUT, OUTPUT, REFLECTOR, SLIT, IlluminationUnit
+from goniotwin.twin.optics.illumination.elements import along_axes, bend, lit_length, to_plane
+from goniotwin.twin.optics.illumination.unit import OUTPUT, SLIT, IlluminationUnit
 from goniotwin.twin.optics.kernel import kernel
 from goniotwin.twin.optics.montecarlo import check_seed, item_key, run_until, scramble, uniform
 
@@ -29,23 +29,6 @@ MARGIN = 2.0
 CELL_RAYS = 256
 
 
-@kernel(forceinline=True)
-def lit_length(frames: Floats, sizes: Floats, x: Floats, w: Floats) -> float:
-    """Weighted length in mm within the arc of a backward ray that starts between slit and condenser; 0 if vignetted.
-
-    Directly and by the reflector, each times its share of the light; with the change of radiance in the input condenser.
-    """
-    u, v = to_plane(frames[INPUT], x, w)
-    if not u * u + v * v <= sizes[5] * sizes[5]:
-        return 0.0
-    gain = bend(frames[INPUT], u, v, -1.0 / sizes[4], w)
-    length: float = sizes[10] * chord(frames[ARC], sizes[0], sizes[1], x, w)
-    if sizes[11] > 0.0 and reflect_at_sphere(frames[REFLECTOR], sizes[2], sizes[3], x, w):
-        length += sizes[11] * chord(frames[ARC], sizes[0], sizes[1], x, w)
-    weighted: float = length / gain
-    return weighted
-
-
 @kernel(nogil=True)
 def _trace(
     first: int, last: int, seed: np.uint64, frames: Floats, sizes: Floats,
@@ -53,34 +36,29 @@ def _trace(
 ) -> Floats:  # fmt: skip
     """Sums (2, cells^2 + bins) of the weights, in 1/mm, and of their squares over rays first..last-1."""
     sums = np.zeros((2, cells * cells + bins))
-    x, w = np.empty(3), np.empty(3)
-    start = scramble(U64(seed))
+    start, y = scramble(U64(seed)), sizes[12]
     for ray in range(first, last):
         key = item_key(start, ray)
         # Consecutive rays go to consecutive cells, so that all cells have the same number of rays.
         cell = ray % (cells * cells)
         i, j = cell // cells, cell % cells
-        x[0] = ((i + uniform(key, 0)) / cells - 0.5) * side
-        x[1] = sizes[12]
-        x[2] = ((j + uniform(key, 1)) / cells - 0.5) * side
+        x, z = ((i + uniform(key, 0)) / cells - 0.5) * side, ((j + uniform(key, 1)) / cells - 0.5) * side
         radius, turn = sizes[7] * math.sqrt(uniform(key, 2)), 2.0 * math.pi * uniform(key, 3)
         u, v = radius * math.cos(turn), radius * math.sin(turn)
-        square = 0.0
-        for c in range(3):
-            w[c] = frames[OUTPUT, 0, c] + u * frames[OUTPUT, 1, c] + v * frames[OUTPUT, 3, c] - x[c]
-            square += w[c] * w[c]
-        leaving = 0.0
-        for c in range(3):
-            x[c] += w[c]
-            w[c] /= math.sqrt(square)
-            leaving -= w[c] * frames[OUTPUT, 2, c]
-        cosine = -w[1]
-        angle = math.atan(math.hypot(w[0], w[2]) / cosine)
-        gain = bend(frames[OUTPUT], u, v, -1.0 / sizes[6], w)
-        u, v = to_plane(frames[SLIT], x, w)
+        px = frames[OUTPUT, 0, 0] + u * frames[OUTPUT, 1, 0] + v * frames[OUTPUT, 3, 0]
+        py = frames[OUTPUT, 0, 1] + u * frames[OUTPUT, 1, 1] + v * frames[OUTPUT, 3, 1]
+        pz = frames[OUTPUT, 0, 2] + u * frames[OUTPUT, 1, 2] + v * frames[OUTPUT, 3, 2]
+        p, q, r = px - x, py - y, pz - z
+        square = p * p + q * q + r * r
+        shrink = 1.0 / math.sqrt(square)
+        p, q, r = p * shrink, q * shrink, r * shrink
+        leaving, cosine = -along_axes(frames, OUTPUT, p, q, r)[1], -q
+        angle = math.atan(math.sqrt(p * p + r * r) / cosine)
+        p, q, r, gain = bend(frames, OUTPUT, u, v, -1.0 / sizes[6], p, q, r)
+        px, py, pz, u, v = to_plane(frames, SLIT, px, py, pz, p, q, r)
         if not (abs(u) <= sizes[8] and abs(v) <= sizes[9]):
             continue
-        weight = lit_length(frames, sizes, x, w) * cosine * leaving / (square * gain)
+        weight = lit_length(frames, sizes, px, py, pz, p, q, r) * cosine * leaving / (square * gain)
         place = cells * cells + min(bins - 1, int(angle / widest * bins))
         sums[0, cell] += weight
         sums[1, cell] += weight * weight

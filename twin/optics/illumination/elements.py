@@ -1,108 +1,141 @@
 """Elements of the illumination unit: kernels that the estimators in both directions share.
 
-A ray is a point x (3,) in mm and a unit vector w (3,), both changed in place. Frames and sizes are those of `IlluminationUnit`.
-Kernels for one direction only are in the file of its estimator.
+A ray is a point (x, y, z) in mm and a unit vector (p, q, r), as six numbers: these stay in registers, where two small arrays
+would take several times as long. `frames` (elements, 4, 3) and `sizes` are those of `IlluminationUnit`, and `e` is the number
+of an element: a view of one frame would cost more than its use. Kernels for one direction only are in the file of its
+estimator.
 """
 
 import math
 
 from goniotwin.arrays import Floats
+from goniotwin.twin.optics.illumination.unit import ARC, INPUT, REFLECTOR
 from goniotwin.twin.optics.kernel import kernel
 
+Triple = tuple[float, float, float]
+
 
 @kernel(forceinline=True)
-def to_plane(frame: Floats, x: Floats, w: Floats) -> tuple[float, float]:
-    """Propagate the ray, forwards or backwards, to the element's plane.
+def along_axes(frames: Floats, e: int, p: float, q: float, r: float) -> Triple:
+    """Components of a vector along the three axes of an element's frame."""
+    return (
+        p * frames[e, 1, 0] + q * frames[e, 1, 1] + r * frames[e, 1, 2],
+        p * frames[e, 2, 0] + q * frames[e, 2, 1] + r * frames[e, 2, 2],
+        p * frames[e, 3, 0] + q * frames[e, 3, 1] + r * frames[e, 3, 2],
+    )
 
-    Returns its coordinates (x, z) in the element's frame; NaN or inf if it never meets the plane.
+
+@kernel(forceinline=True)
+def to_plane(
+    frames: Floats, e: int, x: float, y: float, z: float, p: float, q: float, r: float
+) -> tuple[float, float, float, float, float]:
+    """Point where the ray, forwards or backwards, meets the element's plane, and its coordinates (x, z) in the element's frame.
+
+    The coordinates are NaN or inf if it never meets the plane.
     """
-    away = along = 0.0
-    for c in range(3):
-        away += (frame[0, c] - x[c]) * frame[2, c]
-        along += w[c] * frame[2, c]
-    step = away / along
-    u = v = 0.0
-    for c in range(3):
-        x[c] += step * w[c]
-        u += (x[c] - frame[0, c]) * frame[1, c]
-        v += (x[c] - frame[0, c]) * frame[3, c]
-    return u, v
+    dx, dy, dz = x - frames[e, 0, 0], y - frames[e, 0, 1], z - frames[e, 0, 2]
+    step = -(dx * frames[e, 2, 0] + dy * frames[e, 2, 1] + dz * frames[e, 2, 2]) / (
+        p * frames[e, 2, 0] + q * frames[e, 2, 1] + r * frames[e, 2, 2]
+    )
+    dx, dy, dz = dx + step * p, dy + step * q, dz + step * r
+    u = dx * frames[e, 1, 0] + dy * frames[e, 1, 1] + dz * frames[e, 1, 2]
+    v = dx * frames[e, 3, 0] + dy * frames[e, 3, 1] + dz * frames[e, 3, 2]
+    return x + step * p, y + step * q, z + step * r, u, v
 
 
 @kernel(forceinline=True)
-def bend(frame: Floats, u: float, v: float, power: float, w: Floats) -> float:
+def bend(
+    frames: Floats, e: int, u: float, v: float, power: float, p: float, q: float, r: float
+) -> tuple[float, float, float, float]:
     """Refract a ray at an ideal lens at its own (u, v): tangents decrease by u and v times the power (1 / focal length).
 
-    A negative power traces light backwards. Returns the fourth power of the cosine before over the cosine after. Along the
-    light the radiance is multiplied by that, and the etendue of a pencil by its inverse: their product, the flux, is conserved.
+    A negative power traces light backwards. Returns the direction, and the fourth power of the cosine before over the cosine
+    after. Along the light the radiance is multiplied by that, and the etendue of a pencil by its inverse: their product, the
+    flux, is conserved.
     """
-    p = q = along = 0.0
-    for c in range(3):
-        p += w[c] * frame[1, c]
-        along += w[c] * frame[2, c]
-        q += w[c] * frame[3, c]
+    s, along, t = along_axes(frames, e, p, q, r)
     before = along * along
-    p, q = p / along - power * u, q / along - power * v
-    after = 1.0 / (1.0 + p * p + q * q)
+    s, t = s / along - power * u, t / along - power * v
+    after = 1.0 / (1.0 + s * s + t * t)
     forward = math.copysign(math.sqrt(after), along)
-    for c in range(3):
-        w[c] = forward * (p * frame[1, c] + frame[2, c] + q * frame[3, c])
-    return (before * before) / (after * after)
+    return (
+        forward * (s * frames[e, 1, 0] + frames[e, 2, 0] + t * frames[e, 3, 0]),
+        forward * (s * frames[e, 1, 1] + frames[e, 2, 1] + t * frames[e, 3, 1]),
+        forward * (s * frames[e, 1, 2] + frames[e, 2, 2] + t * frames[e, 3, 2]),
+        (before * before) / (after * after),
+    )
 
 
 @kernel(forceinline=True)
-def reflect_at_sphere(frame: Floats, radius: float, least: float, x: Floats, w: Floats) -> bool:
-    """Propagate a ray from near the reflector's centre to its sphere and reflect it; False if it misses the reflector.
+def reflect_at_sphere(
+    frames: Floats, e: int, radius: float, least: float, x: float, y: float, z: float, p: float, q: float, r: float
+) -> tuple[bool, float, float, float, float, float, float]:
+    """Propagate a ray from near the reflector's centre to its sphere and reflect it; false if it misses the reflector.
 
     `least` is the cosine of the half-angle at the centre of curvature, which is a radius from the vertex along y.
     """
-    middle = square = 0.0
-    for c in range(3):
-        offset = x[c] - frame[0, c] - radius * frame[2, c]
-        middle += offset * w[c]
-        square += offset * offset
-    root = middle * middle - square + radius * radius
+    cx, cy, cz = (
+        frames[e, 0, 0] + radius * frames[e, 2, 0],
+        frames[e, 0, 1] + radius * frames[e, 2, 1],
+        frames[e, 0, 2] + radius * frames[e, 2, 2],
+    )
+    dx, dy, dz = x - cx, y - cy, z - cz
+    middle = dx * p + dy * q + dz * r
+    root = middle * middle - (dx * dx + dy * dy + dz * dz) + radius * radius
     if not root > 0.0:
-        return False
+        return False, x, y, z, p, q, r
     step = math.sqrt(root) - middle
-    depth = along = 0.0
-    for c in range(3):
-        x[c] += step * w[c]
-        inward = (frame[0, c] + radius * frame[2, c] - x[c]) / radius
-        depth += inward * frame[2, c]
-        along += inward * w[c]
-    for c in range(3):
-        w[c] -= 2.0 * along * (frame[0, c] + radius * frame[2, c] - x[c]) / radius
-    return depth >= least
+    x, y, z = x + step * p, y + step * q, z + step * r
+    inverse = 1.0 / radius
+    nx, ny, nz = (cx - x) * inverse, (cy - y) * inverse, (cz - z) * inverse
+    depth = nx * frames[e, 2, 0] + ny * frames[e, 2, 1] + nz * frames[e, 2, 2]
+    twice = 2.0 * (nx * p + ny * q + nz * r)
+    return depth >= least, x, y, z, p - twice * nx, q - twice * ny, r - twice * nz
 
 
 @kernel(forceinline=True)
-def chord(frame: Floats, radius: float, half: float, x: Floats, w: Floats) -> float:
-    """Length in mm, within the arc's cylinder, of the whole straight line through x along w.
+def chord(
+    frames: Floats, e: int, radius: float, half: float, x: float, y: float, z: float, p: float, q: float, r: float
+) -> float:
+    """Length in mm, within the arc's cylinder, of the whole straight line through the point along the direction.
 
     The cylinder's axis is its own z.
     """
-    a = b = c0 = start = slope = p0 = q0 = p1 = q1 = 0.0
-    for c in range(3):
-        offset = x[c] - frame[0, c]
-        p0 += offset * frame[1, c]
-        q0 += offset * frame[2, c]
-        start += offset * frame[3, c]
-        p1 += w[c] * frame[1, c]
-        q1 += w[c] * frame[2, c]
-        slope += w[c] * frame[3, c]
-    a, b, c0 = p1 * p1 + q1 * q1, p0 * p1 + q0 * q1, p0 * p0 + q0 * q0 - radius * radius
+    p0, q0, start = along_axes(frames, e, x - frames[e, 0, 0], y - frames[e, 0, 1], z - frames[e, 0, 2])
+    p1, q1, slope = along_axes(frames, e, p, q, r)
+    a, b, c = p1 * p1 + q1 * q1, p0 * p1 + q0 * q1, p0 * p0 + q0 * q0 - radius * radius
     low, high = -math.inf, math.inf
     if a > 0.0:
-        root = b * b - a * c0
+        root = b * b - a * c
         if root <= 0.0:
             return 0.0
-        low, high = (-b - math.sqrt(root)) / a, (-b + math.sqrt(root)) / a
-    elif c0 >= 0.0:
+        root, inverse = math.sqrt(root), 1.0 / a
+        low, high = (-b - root) * inverse, (-b + root) * inverse
+    elif c >= 0.0:
         return 0.0
     if slope != 0.0:
-        first, last = (-half - start) / slope, (half - start) / slope
+        inverse = 1.0 / slope
+        first, last = (-half - start) * inverse, (half - start) * inverse
         low, high = max(low, min(first, last)), min(high, max(first, last))
     elif abs(start) >= half:
         return 0.0
     return max(0.0, high - low)
+
+
+@kernel(forceinline=True)
+def lit_length(frames: Floats, sizes: Floats, x: float, y: float, z: float, p: float, q: float, r: float) -> float:
+    """Weighted length in mm within the arc of a backward ray that starts between slit and condenser; 0 if vignetted.
+
+    Directly and by the reflector, each times its share of the light; with the change of radiance in the input condenser.
+    """
+    x, y, z, u, v = to_plane(frames, INPUT, x, y, z, p, q, r)
+    if not u * u + v * v <= sizes[5] * sizes[5]:
+        return 0.0
+    p, q, r, gain = bend(frames, INPUT, u, v, -1.0 / sizes[4], p, q, r)
+    length: float = sizes[10] * chord(frames, ARC, sizes[0], sizes[1], x, y, z, p, q, r)
+    if sizes[11] > 0.0:
+        on, x, y, z, p, q, r = reflect_at_sphere(frames, REFLECTOR, sizes[2], sizes[3], x, y, z, p, q, r)
+        if on:
+            length += sizes[11] * chord(frames, ARC, sizes[0], sizes[1], x, y, z, p, q, r)
+    weighted: float = length / gain
+    return weighted

@@ -28,7 +28,6 @@ def _trace(
 ) -> Floats:  # fmt: skip
     """Sums (2, cells^2 + bins) of the weights and of their squares over rays first..last-1."""
     sums = np.zeros((2, cells * cells + bins))
-    x, w = np.empty(3), np.empty(3)
     start = scramble(U64(seed))
     for ray in range(first, last):
         key = item_key(start, ray)
@@ -39,32 +38,36 @@ def _trace(
         p, q = radius * math.cos(turn), radius * math.sin(turn)
         radius, turn = sizes[0] * math.sqrt(uniform(key, 3)), 2.0 * math.pi * uniform(key, 4)
         a, b, height = radius * math.cos(turn), radius * math.sin(turn), sizes[1] * (2.0 * uniform(key, 5) - 1.0)
-        for c in range(3):
-            x[c] = frames[ARC, 0, c] + a * frames[ARC, 1, c] + b * frames[ARC, 2, c] + height * frames[ARC, 3, c]
-            w[c] = cosine * aim[c] + p * across[0, c] + q * across[1, c]
-            w[c] = -w[c] if backwards else w[c]
+        x = frames[ARC, 0, 0] + a * frames[ARC, 1, 0] + b * frames[ARC, 2, 0] + height * frames[ARC, 3, 0]
+        y = frames[ARC, 0, 1] + a * frames[ARC, 1, 1] + b * frames[ARC, 2, 1] + height * frames[ARC, 3, 1]
+        z = frames[ARC, 0, 2] + a * frames[ARC, 1, 2] + b * frames[ARC, 2, 2] + height * frames[ARC, 3, 2]
+        sign = -1.0 if backwards else 1.0
+        wx = sign * (cosine * aim[0] + p * across[0, 0] + q * across[1, 0])
+        wy = sign * (cosine * aim[1] + p * across[0, 1] + q * across[1, 1])
+        wz = sign * (cosine * aim[2] + p * across[0, 2] + q * across[1, 2])
         weight = sizes[10]
         if backwards:
             weight = sizes[11]
-            if not reflect_at_sphere(frames[REFLECTOR], sizes[2], sizes[3], x, w):
+            on, x, y, z, wx, wy, wz = reflect_at_sphere(frames, REFLECTOR, sizes[2], sizes[3], x, y, z, wx, wy, wz)
+            if not on:
                 continue
-        u, v = to_plane(frames[INPUT], x, w)
+        x, y, z, u, v = to_plane(frames, INPUT, x, y, z, wx, wy, wz)
         if not u * u + v * v <= sizes[5] * sizes[5]:
             continue
-        bend(frames[INPUT], u, v, 1.0 / sizes[4], w)
-        u, v = to_plane(frames[SLIT], x, w)
+        wx, wy, wz, _ = bend(frames, INPUT, u, v, 1.0 / sizes[4], wx, wy, wz)
+        x, y, z, u, v = to_plane(frames, SLIT, x, y, z, wx, wy, wz)
         if not (abs(u) <= sizes[8] and abs(v) <= sizes[9]):
             continue
-        u, v = to_plane(frames[OUTPUT], x, w)
+        x, y, z, u, v = to_plane(frames, OUTPUT, x, y, z, wx, wy, wz)
         if not u * u + v * v <= sizes[7] * sizes[7]:
             continue
-        bend(frames[OUTPUT], u, v, 1.0 / sizes[6], w)
-        step = (sizes[12] - x[1]) / w[1]
-        i = math.floor(((x[0] + step * w[0]) / side + 0.5) * cells)
-        j = math.floor(((x[2] + step * w[2]) / side + 0.5) * cells)
+        wx, wy, wz, _ = bend(frames, OUTPUT, u, v, 1.0 / sizes[6], wx, wy, wz)
+        step = (sizes[12] - y) / wy
+        i = math.floor(((x + step * wx) / side + 0.5) * cells)
+        j = math.floor(((z + step * wz) / side + 0.5) * cells)
         if not (0 <= i < cells and 0 <= j < cells):
             continue
-        place = cells * cells + min(bins - 1, int(math.atan(math.hypot(w[0], w[2]) / w[1]) / widest * bins))
+        place = cells * cells + min(bins - 1, int(math.atan(math.hypot(wx, wz) / wy) / widest * bins))
         sums[0, i * cells + j] += weight
         sums[1, i * cells + j] += weight * weight
         sums[0, place] += weight

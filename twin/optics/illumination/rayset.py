@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from goniotwin.arrays import Flags, Floats
-from goniotwin.twin.optics.illumination.adjoint import emission_per_mm3_sr, lit_length
-from goniotwin.twin.optics.illumination.elements import bend, to_plane
+from goniotwin.twin.optics.illumination.adjoint import emission_per_mm3_sr
+from goniotwin.twin.optics.illumination.elements import along_axes, bend, lit_length, to_plane
 from goniotwin.twin.optics.illumination.unit import OUTPUT, SLIT, IlluminationUnit
 from goniotwin.twin.optics.kernel import kernel
 from goniotwin.twin.optics.montecarlo import check_seed, item_key, scramble, uniform
@@ -93,30 +93,27 @@ class Rayset:
 def _record(rays: int, seed: np.uint64, frames: Floats, sizes: Floats) -> Floats:
     """Rays (rays, 8): point on the plane y = 0 and direction after the lens, weight in 1/mm, a number in 0..1."""
     result = np.zeros((rays, 8))
-    x, w, back = np.empty(3), np.empty(3), np.empty(3)
     start = scramble(U64(seed))
     for ray in range(rays):
         key = item_key(start, ray)
         s, t = sizes[8] * (2.0 * uniform(key, 0) - 1.0), sizes[9] * (2.0 * uniform(key, 1) - 1.0)
         radius, turn = sizes[7] * math.sqrt(uniform(key, 2)), 2.0 * math.pi * uniform(key, 3)
         u, v = radius * math.cos(turn), radius * math.sin(turn)
-        square = 0.0
-        for c in range(3):
-            x[c] = frames[SLIT, 0, c] + s * frames[SLIT, 1, c] + t * frames[SLIT, 3, c]
-            w[c] = frames[OUTPUT, 0, c] + u * frames[OUTPUT, 1, c] + v * frames[OUTPUT, 3, c] - x[c]
-            square += w[c] * w[c]
-        leaving = arriving = 0.0
-        for c in range(3):
-            w[c] /= math.sqrt(square)
-            back[c] = -w[c]
-            leaving += w[c] * frames[SLIT, 2, c]
-            arriving += w[c] * frames[OUTPUT, 2, c]
-        result[ray, 6] = lit_length(frames, sizes, x.copy(), back) * leaving * arriving / square
-        u, v = to_plane(frames[OUTPUT], x, w)
-        bend(frames[OUTPUT], u, v, 1.0 / sizes[6], w)
-        for c in range(3):
-            result[ray, c] = x[c] - x[1] / w[1] * w[c]
-            result[ray, 3 + c] = w[c]
+        x = frames[SLIT, 0, 0] + s * frames[SLIT, 1, 0] + t * frames[SLIT, 3, 0]
+        y = frames[SLIT, 0, 1] + s * frames[SLIT, 1, 1] + t * frames[SLIT, 3, 1]
+        z = frames[SLIT, 0, 2] + s * frames[SLIT, 1, 2] + t * frames[SLIT, 3, 2]
+        p = frames[OUTPUT, 0, 0] + u * frames[OUTPUT, 1, 0] + v * frames[OUTPUT, 3, 0] - x
+        q = frames[OUTPUT, 0, 1] + u * frames[OUTPUT, 1, 1] + v * frames[OUTPUT, 3, 1] - y
+        r = frames[OUTPUT, 0, 2] + u * frames[OUTPUT, 1, 2] + v * frames[OUTPUT, 3, 2] - z
+        square = p * p + q * q + r * r
+        shrink = 1.0 / math.sqrt(square)
+        p, q, r = p * shrink, q * shrink, r * shrink
+        leaving, arriving = along_axes(frames, SLIT, p, q, r)[1], along_axes(frames, OUTPUT, p, q, r)[1]
+        result[ray, 6] = lit_length(frames, sizes, x, y, z, -p, -q, -r) * leaving * arriving / square
+        x, y, z, u, v = to_plane(frames, OUTPUT, x, y, z, p, q, r)
+        p, q, r, _ = bend(frames, OUTPUT, u, v, 1.0 / sizes[6], p, q, r)
+        result[ray, 0], result[ray, 1], result[ray, 2] = x - y / q * p, 0.0, z - y / q * r
+        result[ray, 3], result[ray, 4], result[ray, 5] = p, q, r
         result[ray, 7] = uniform(key, 4)
     return result
 
@@ -135,7 +132,6 @@ def record(unit: IlluminationUnit, rays: int, seed: int) -> Rayset:
     columns = _record(rays, U64(seed), unit.frames, unit.sizes)
     width, height = unit.opening_mm
     scale = emission_per_mm3_sr(unit) * width * height * math.pi * unit.exit_pupil_radius_mm**2 / rays
-    columns[:, 1] = 0.0
     return Rayset(
         positions_mm=columns[:, 0:3],
         directions=columns[:, 3:6],
@@ -163,17 +159,24 @@ class RaySource:
     unit: str
 
 
-def replay(rayset: Rayset, unit: IlluminationUnit, pupil_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> RaySource:
-    """Replay a rayset as a source instead of the uniform exit pupil whose centre is at `pupil_mm` of the rig's frame.
+def replay(
+    rayset: Rayset,
+    unit: IlluminationUnit,
+    origin_mm: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    rotation: Floats | None = None,
+) -> RaySource:
+    """Replay a rayset as a source instead of the uniform exit pupil, with the unit's frame at its place in the rig's.
 
-    That is `twin.optics.geometry.mirrors.pupil(instrument)[0]`; by default the frame remains the unit's. Raises ValueError if
-    the rayset is of another unit: other dimensions, shares, lamp, wavelength or deviations make other rays.
+    `rotation` (3, 3) and `origin_mm` are those of `illumination_place(instrument)`; by default the frame remains the unit's.
+    Raises ValueError if the rayset is of another unit: other dimensions, shares, lamp, wavelength or deviations make other
+    rays.
     """
     if rayset.geometry != unit.fingerprint:
         raise ValueError(
             f"a rayset of another geometry: recorded for {rayset.geometry}, this illumination unit is {unit.fingerprint}; "
             "record it again"
         )
+    turn = np.eye(3) if rotation is None else rotation
     length = np.sqrt(np.einsum("ij,ij->i", rayset.directions, rayset.directions))
-    rays = np.hstack([rayset.positions_mm + np.array(pupil_mm), rayset.directions / length[:, None]])
+    rays = np.hstack([rayset.positions_mm @ turn.T + np.array(origin_mm), rayset.directions / length[:, None] @ turn.T])
     return RaySource(np.ascontiguousarray(rays), rayset.flux, rayset.wavelength_nm, rayset.unit)

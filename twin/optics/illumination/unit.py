@@ -17,10 +17,11 @@ from functools import cached_property
 import numpy as np
 
 from goniotwin.arrays import Floats
-from goniotwin.twin.optics.geometry.deviation import NO_DEVIATION, Deviation, check_deviations, rotation_and_shift
+from goniotwin.twin.optics.geometry.deviation import NO_DEVIATION, Deviation, check_deviations, rotations
+from goniotwin.twin.optics.geometry.instrument import COMPONENTS, ILLUMINATION_ELEMENTS, Instrument, deviation_rows
 from goniotwin.twin.optics.illumination.spectrum import Passband, Spectrum, xenon_spectrum
 
-ELEMENTS = ("arc", "reflector", "input_condenser", "slit", "output_condenser", "unit")
+ELEMENTS = ILLUMINATION_ELEMENTS
 # Order of the frames in the kernels' arguments.
 ARC, REFLECTOR, INPUT, SLIT, OUTPUT = range(5)
 SHARES = ("arc_transmittance", "bulb_transmittance", "reflector_reflectance", "monochromator_transmittance")
@@ -145,15 +146,29 @@ class IlluminationUnit:
 
         For each its reference point, and the unit vectors of its own x, y (along the light) and z.
         """
+        frames: Floats = self.frames_of(deviation_rows(self.deviations, ELEMENTS)[None])[0]
+        return frames
+
+    def frames_of(self, deviations: Floats) -> Floats:
+        """Frames (n, 5, 4, 3) for n sets of `deviations` (n, 6, 6), which replace the unit's own.
+
+        They are of `ELEMENTS` in this order, each with the fields of a `Deviation` in theirs. Raises ValueError for another
+        shape and for values that are not finite.
+        """
+        if deviations.ndim != 3 or deviations.shape[1:] != (len(ELEMENTS), len(COMPONENTS)):
+            raise ValueError(f"deviations has the shape {deviations.shape}: give (n, 6, 6), of {', '.join(ELEMENTS)}")
+        if not np.all(np.isfinite(deviations)):
+            raise ValueError("deviations has one that is not finite: give degrees and mm")
         condenser = -self.slit_distance_mm - self.input_condenser_distance_mm * self.input_condenser_magnification
         arc = condenser - self.input_condenser_distance_mm
-        along = (arc, arc - self.reflector_radius_mm, condenser, -self.slit_distance_mm, 0.0)
-        whole, shift = rotation_and_shift(self.deviations.get("unit", NO_DEVIATION))
-        frames = np.empty((5, 4, 3))
-        for element, name in enumerate(ELEMENTS[:5]):
-            own, offset = rotation_and_shift(self.deviations.get(name, NO_DEVIATION))
-            frames[element, 0] = whole @ (np.array([0.0, along[element], 0.0]) + offset) + shift
-            frames[element, 1:] = (whole @ own).T
+        places = np.zeros((5, 3))
+        places[:, 1] = arc, arc - self.reflector_radius_mm, condenser, -self.slit_distance_mm, 0.0
+        turns = rotations(np.ascontiguousarray(deviations).reshape(-1, len(COMPONENTS))).reshape(-1, len(ELEMENTS), 3, 3)
+        shifts = deviations[:, :, 3:]
+        whole = turns[:, 5]
+        frames = np.empty((len(deviations), 5, 4, 3))
+        frames[:, :, 0] = (places + shifts[:, :5]) @ np.swapaxes(whole, 1, 2) + shifts[:, 5:]
+        frames[:, :, 1:] = np.swapaxes(whole[:, None] @ turns[:, :5], 2, 3)
         return frames
 
     @cached_property
@@ -185,3 +200,26 @@ class IlluminationUnit:
                 sample,
             ]
         )
+
+
+def unit_of(
+    instrument: Instrument, wavelength_nm: float = 555.0, interval_nm: float = 0.0, bandwidth_nm: float = 5.0
+) -> IlluminationUnit:
+    """The illumination unit of an instrument: with its exit pupil, distance, field and deviations.
+
+    A field above 5 mm has a wider slit and height stop, so that the slit's image covers it as it covers 5 mm. Raises ValueError
+    as `IlluminationUnit`.
+    """
+    wider = max(1.0, instrument.spot_side_mm / IlluminationUnit.field_side_mm)
+    return IlluminationUnit(
+        slit_width_mm=wider * IlluminationUnit.slit_width_mm,
+        height_stop_mm=wider * IlluminationUnit.height_stop_mm,
+        slit_height_mm=wider * IlluminationUnit.slit_height_mm,
+        wavelength_nm=wavelength_nm,
+        interval_nm=interval_nm,
+        bandwidth_nm=bandwidth_nm,
+        exit_pupil_radius_mm=instrument.pupil_radius_mm,
+        sample_distance_mm=instrument.pupil_distance_mm,
+        field_side_mm=instrument.spot_side_mm,
+        deviations=instrument.illumination,
+    )

@@ -134,7 +134,7 @@ def true_displacement(model: TwinModel, drawn: Drawn, views: Views, mounting: st
         polar = math.degrees(views.polar[k]) + drawn["shift_zero"] + np.array([0.0, 0.01])
         azimuth = np.full(2, math.degrees(views.azimuth[k]) + drawn["beta_zero"])
         d, ahead = scene.detectors(instrument, arc_direction(polar, azimuth, bool(views.lower[k])))[1]
-        light = scene.towards_light
+        light = scene.pupil[0] / np.linalg.norm(scene.pupil[0])
         along = ahead - (ahead @ d) * d
         along /= np.linalg.norm(along)
         # The sample's own frame has the lit side up: for light from behind it is turned, and across stays d x along.

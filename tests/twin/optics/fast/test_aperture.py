@@ -32,6 +32,7 @@ from goniotwin.twin.optics.fast.aperture import (
     side_nodes,
 )
 from goniotwin.twin.optics.geometry.scene import scene_at
+from goniotwin.twin.optics.illumination.slit_image import slit_image
 from tests.sizes import parted
 
 ZENITHS_DEG = np.array([0.0, 20.0, 40.0, 60.0, 75.0, 85.0])
@@ -41,16 +42,17 @@ SECOND = [5, 7, 12, 14]
 
 def moments(instrument: Instrument, *, wide: bool, nodes: int, rings: int = 0) -> Floats:
     """Moments (zeniths, 15) by one of the two integrations."""
-    sizes = aperture_sizes(instrument)
-    centres, axes = scene_at(instrument, 30.0).detectors(instrument, arc_direction(ZENITHS_DEG, 30.0))
+    sizes, scene = aperture_sizes(instrument), scene_at(instrument, 30.0)
+    centres, axes = scene.detectors(instrument, arc_direction(ZENITHS_DEG, 30.0))
+    chords = slit_image(instrument, scene).chords
     count, w = ZENITHS_DEG.size, np.empty(ROWS * BLOCK)
     rows = w.reshape(ROWS, BLOCK)
     rows[PX // BLOCK : PX // BLOCK + 3, :count], rows[DX // BLOCK : DX // BLOCK + 3, :count] = centres.T, axes.T
     fill_frames(w, count)
     if wide:
-        fill_wide_apertures(w, count, hole_nodes(nodes), sizes)
+        fill_wide_apertures(w, count, hole_nodes(nodes), sizes, chords)
     else:
-        fill_apertures(w, count, cone_nodes(rings), side_nodes(nodes), sizes)
+        fill_apertures(w, count, cone_nodes(rings), side_nodes(nodes), sizes, chords)
     return rows[M // BLOCK : M // BLOCK + MOMENTS, :count].T
 
 

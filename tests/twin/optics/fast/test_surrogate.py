@@ -11,7 +11,7 @@ from goniotwin.app.simulation.paper.worst_corner import TILT_DEG
 from goniotwin.twin.optics import Instrument, Pose, Scenes, Surrogate, factor_blocks, gaussian, lambertian
 from tests.twin.optics.fast.combinations import Lobe, deviations_of, surrogate_error, tilt_parts
 
-OPEN = Instrument(obstruction=False)
+OPEN = Instrument(obstruction=False, lit_everywhere=True)
 
 
 @pytest.mark.parametrize("beam", ["pupil at 800 mm", "collimated"])

@@ -198,7 +198,9 @@ def test_both_agree_with_deviations(element: str, sigma_deg: float, part: int) -
     awry = replace(instrument, deviations=AWRY if element == "all" else {element: AWRY[element]})
     directions, sample = rings(sigma_deg, step_deg, 6), gaussian(5.0, side="both")
     rays = RAYS if part == 1 else FEW_RAYS
-    check_agreement(awry, sigma_deg, directions, sample, 8_000_000, gamma_deg=20.0, sum_error=2e-3, rays=rays, part=part)
+    # All together move the slit's image, and part of the hole is dark: fewer paths arrive.
+    paths = 24_000_000 if element == "all" else 8_000_000
+    check_agreement(awry, sigma_deg, directions, sample, paths, gamma_deg=20.0, sum_error=2e-3, rays=rays, part=part)
     straight, shifted = (throughput(each, sigma_deg, directions, sample, gamma_deg=20.0) for each in (instrument, awry))
     assert np.max(np.abs(shifted / straight - 1.0)) > 5e-3
 

@@ -9,6 +9,7 @@ import pytest
 from goniotwin.twin.optics.illumination.elements import bend, chord, reflect_at_sphere, to_plane
 
 FRAME = np.vstack([np.zeros(3), np.eye(3)])
+FRAMES = FRAME[None]
 COUNTER = np.random.Generator(np.random.Philox(key=7))
 
 
@@ -23,7 +24,7 @@ def test_the_mean_chord_of_the_arc_is_four_volumes_over_its_surface_area() -> No
     rays = directions(400_000)
     place = np.cross(rays, directions(len(rays)))
     place *= (ball * np.sqrt(COUNTER.random(len(rays))) / np.linalg.norm(place, axis=1))[:, None]
-    lengths = np.array([chord(FRAME, radius, half, x, w) for x, w in zip(place, rays, strict=True)])
+    lengths = np.array([chord(FRAMES, 0, radius, half, *x, *w) for x, w in zip(place, rays, strict=True)])
     hit = lengths[lengths > 0.0]
     volume, surface = math.pi * radius**2 * 2 * half, 2 * math.pi * radius * (2 * half + radius)
     # Cauchy: 4 V / S for any convex body.
@@ -46,7 +47,7 @@ def test_the_mean_chord_of_the_arc_is_four_volumes_over_its_surface_area() -> No
     ],
 )
 def test_known_chords(place: list[float], direction: list[float], length: float) -> None:
-    assert chord(FRAME, 0.5, 1.1, np.array(place), np.array(direction)) == pytest.approx(length)
+    assert chord(FRAMES, 0, 0.5, 1.1, *place, *direction) == pytest.approx(length)
 
 
 def test_an_ideal_lens_images_a_point_and_conserves_the_flux() -> None:
@@ -56,26 +57,31 @@ def test_an_ideal_lens_images_a_point_and_conserves_the_flux() -> None:
         x, w = source.copy(), np.array([u, 0.0, v]) - source
         w /= np.linalg.norm(w)
         before = w[1]
-        assert to_plane(FRAME, x, w) == pytest.approx((u, v))
-        gain = bend(FRAME, u, v, 1.0 / focal, w)
+        *met, s, t = to_plane(FRAMES, 0, *x, *w)
+        assert (s, t) == pytest.approx((u, v))
+        *bent, gain = bend(FRAMES, 0, u, v, 1.0 / focal, *w)
+        x, w = np.array(met), np.array(bent)
         assert gain == pytest.approx((before / w[1]) ** 4)
         assert x + far / w[1] * w == pytest.approx([-5.0, 250.0, -3.5])
         # Backwards.
-        back = -w
-        assert bend(FRAME, u, v, -1.0 / focal, back) == pytest.approx(1.0 / gain)
-        assert x + near / abs(back[1]) * back == pytest.approx(source)
+        *back, inverse = bend(FRAMES, 0, u, v, -1.0 / focal, *-w)
+        assert inverse == pytest.approx(1.0 / gain)
+        assert x + near / abs(back[1]) * np.array(back) == pytest.approx(source)
 
 
 def test_the_reflector_images_its_centre_onto_itself() -> None:
     frame = FRAME.copy()
     frame[0] = [0.0, -50.0, 0.0]
     for angle, on in ((0.0, True), (59.0, True), (61.0, False)):
-        x = np.zeros(3)
-        w = np.array([math.sin(math.radians(angle)), -math.cos(math.radians(angle)), 0.0])
-        assert reflect_at_sphere(frame, 50.0, 0.5, x, w) == on
+        ray = reflect_at_sphere(
+            frame[None], 0, 50.0, 0.5, 0.0, 0.0, 0.0, math.sin(math.radians(angle)), -math.cos(math.radians(angle)), 0.0
+        )
+        x, w = np.array(ray[1:4]), np.array(ray[4:])
+        assert ray[0] == on
         assert np.linalg.norm(x) == pytest.approx(50.0)
         assert x + 50.0 * w == pytest.approx(np.zeros(3), abs=1e-12)
     # A point beside the centre is imaged upside down.
-    x, w = np.array([0.1, 0.0, 0.2]), np.array([0.0, -1.0, 0.0])
-    assert reflect_at_sphere(frame, 50.0, 0.5, x, w)
+    ray = reflect_at_sphere(frame[None], 0, 50.0, 0.5, 0.1, 0.0, 0.2, 0.0, -1.0, 0.0)
+    x, w = np.array(ray[1:4]), np.array(ray[4:])
+    assert ray[0]
     assert x - x[1] / w[1] * w == pytest.approx([-0.1, 0.0, -0.2], rel=1e-4)
