@@ -104,7 +104,7 @@ def compute_table3(report: ReportStep = lambda _: None, rays: int | None = None)
 
 
 def collimated(instrument: Instrument) -> Instrument:
-    """An instrument of the same divergence, its exit pupil at infinity, all lit, and mirrors large enough for the tilted beam."""
+    """An instrument of the same divergence, its exit pupil at infinity, all lit; its mirrors hold the tilted beam."""
     distance = FAR_MM + 3.0 * instrument.mirror_distance_mm
     radius = instrument.pupil_radius_mm * distance / instrument.pupil_distance_mm
     return replace(

@@ -19,6 +19,7 @@ from goniotwin.app.campaign.uncertainty.inputs import Input
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import nominal_instrument, read_rig
 from goniotwin.app.rig.alignment import AlignmentFile, aligned_model, alignment_text, parse_alignment
+from goniotwin.app.sweeps.runners import Here
 from goniotwin.arrays import Floats
 from tests.app.campaign.reduction.alignment_bench import (
     PROOF,
@@ -224,7 +225,7 @@ def test_fifty_random_rigs(tmp_path: Path) -> None:
 def test_values_of_a_campaign_that_is_aligned_on_its_lobe_have_smaller_uncertainties_that_hold(tmp_path: Path) -> None:
     """On the lobe's flank a third of u at most; a lobe of another sample, whose tilt stays unknown, gains less."""
     proof = Proof(read_schedule(PROOF / "aligned.toml"), read_rig(PROOF / "rig.toml"), 12, tmp_path / "proof", wires=False)
-    totals = prove(proof, 1)
+    totals = prove(proof, Here())
     assert not totals.failed
     assert totals.whole is not None
     assert totals.whole.coverage > 0.92
