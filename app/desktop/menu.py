@@ -39,10 +39,12 @@ class Menus(QObject):
         self._remembered = remembered
         bar = window.menuBar()
         bar.setAccessibleName("Menus")
-        self._fill_file(bar.addMenu("&File"))
-        self._fill_run(bar.addMenu("&Run"))
-        self._fill_view(bar.addMenu("&View"))
-        self._fill_help(bar.addMenu("&Help"))
+        for text, fill in (
+            ("&File", self._fill_file), ("&Run", self._fill_run), ("&View", self._fill_view), ("&Help", self._fill_help),
+        ):  # fmt: skip
+            menu = QMenu(text, bar)
+            bar.addMenu(menu)
+            fill(menu)
 
     def set_pause(self, resumes: bool) -> None:
         """Name what the pause button does now."""
@@ -122,14 +124,18 @@ class Menus(QObject):
         self._add(menu, "&About goniotwin", self.about_wanted.emit)
 
     def _add(self, menu: QMenu, text: str, act: Callable[[], object], key: str = "") -> QAction:
-        action = menu.addAction(text)
+        # Made here, as menus are, and not by Qt: then Python knows of their end, and never hands out the one of an earlier
+        # window that was at the same address.
+        action = QAction(text, menu)
+        menu.addAction(action)
         action.triggered.connect(lambda _checked=False: act())
         if key:
             action.setShortcut(QKeySequence(key))
         return action
 
     def _recent(self, menu: QMenu, text: str, kind: Kind) -> QMenu:
-        recent = menu.addMenu(text)
+        recent = QMenu(text, menu)
+        menu.addMenu(recent)
         recent.aboutToShow.connect(lambda: self._list_recent(recent, kind))
         return recent
 
