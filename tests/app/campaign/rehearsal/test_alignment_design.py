@@ -12,7 +12,7 @@ from goniotwin.app.campaign.rehearsal import alignment_design
 from goniotwin.app.campaign.rehearsal.alignment_design import design_alignment
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.errors import UserError
-from tests.app.campaign.reduction.alignment_bench import SAMPLE, SCHEDULE, alignment_rig, drawn_plan, judge_alignment, run
+from tests.app.campaign.reduction.alignment_bench import SAMPLE, SCHEDULE, alignment_rig, drawn_plan, model_of, run
 from tests.app.campaign.reduction.test_alignment import SMALL
 
 LITTLE = (
@@ -59,8 +59,11 @@ def test_expected_uncertainties_are_those_of_random_rigs(tmp_path: Path) -> None
         plan = drawn_plan(schedule, alignment_rig(), seed)
         with Journal.open(run(plan, tmp_path / f"{seed}.journal")) as journal:
             result = Reduction(journal).align(SAMPLE)
-        found = judge_alignment(result, plan)
-        scores += [error / u for error, u in zip(found.errors, found.u, strict=True)]
-        ratios.append(np.sort(found.u) / np.sort([each.u for each in design.forecast.combinations]))
+        _, drawn = model_of(plan)
+        for each in result.combinations:
+            truth = sum(c * drawn[name] for name, c in each.coefficients.items())
+            scores.append((each.value - truth) / each.u)
+        found, expected = (np.sort([each.u for each in some]) for some in (result.combinations, design.forecast.combinations))
+        ratios.append(found / expected)
     assert 0.6 < np.mean(np.square(scores)) < 1.5
     assert np.median(ratios, axis=0) == pytest.approx(1.0, abs=0.15)
