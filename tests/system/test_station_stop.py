@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from goniotwin.app.rig import read_rig
+from goniotwin.app.station.client import Refused
 from goniotwin.app.station.connection_file import read_connection
 from goniotwin.drivers.motion.tmcl.module import HEARTBEAT_S
 from goniotwin.mocks.faults import Fault, FaultPlan, ScriptedFaults
@@ -143,8 +144,18 @@ class ServedStation:
         client.wait_for(lambda: not client.snapshot.activity and not client.snapshot.busy)
         self.hang("none")
         if client.snapshot.rig is not None and client.snapshot.rig.not_responding:
-            client.client.do("connect")
+            until(self._connects)
             client.wait_for(lambda: not client.snapshot.activity)
+
+    def _connects(self) -> bool:
+        """Whether the devices are being connected: not while a stop by a key still waits for deaf axes."""
+        try:
+            self.client.client.do("connect")
+        except Refused as refusal:
+            if "being stopped" not in str(refusal):
+                raise
+            return False
+        return True
 
     def move_sigma(self) -> None:
         """Move sigma to the far end of its range."""
