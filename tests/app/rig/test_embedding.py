@@ -1,6 +1,7 @@
 """A rig file with the contents of the files that it names."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -44,4 +45,9 @@ def test_a_rig_on_another_computer_has_the_model_of_this_one(write_rig: Writer, 
 
 def test_a_rig_without_tables_is_its_text(write_rig: Writer) -> None:
     rig = read_rig(write_rig())
-    assert embed_rig(rig) == {"text": rig.text, "files": {}}
+    assert embed_rig(rig) == {"text": rig.text, "alignment": None, "files": {}}
+
+
+def test_the_alignment_goes_with_its_rig(write_rig: Writer, tmp_path: Path) -> None:
+    rig = replace(read_rig(write_rig()), alignment="the text of an alignment file")
+    assert embedded_rig(embed_rig(rig), tmp_path).alignment == rig.alignment

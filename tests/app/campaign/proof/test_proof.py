@@ -23,6 +23,7 @@ from goniotwin.app.formats.content import BsdfFile
 from goniotwin.app.rig import read_rig
 from goniotwin.app.rig.model_hash import model_hash
 from goniotwin.app.rig.uncertainty import UncertaintyTable
+from goniotwin.app.sweeps.environment import one_thread_in_linear_algebra
 from goniotwin.app.sweeps.runners import Here
 from goniotwin.app.sweeps.specification import Specification
 from tests.conftest import Writer
@@ -216,7 +217,8 @@ def test_another_table_of_a_sample_is_another_proof(write_rig: Writer, write_sch
 
 def test_a_result_is_read_as_it_was_written(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
     proof = small_proof(write_rig, write_schedule, tmp_path / "proof")
-    result = proof.result(1)
+    with one_thread_in_linear_algebra():  # as in a sweep
+        result = proof.result(1)
     prove(proof, Here())
     kept = proof.files().read(0)
     assert kept is not None

@@ -124,7 +124,7 @@ def test_the_measured_peak_of_a_lobe_has_a_place_across_the_plane_of_incidence()
 
 
 def test_a_surrogate_of_all_combinations_states_its_measured_error_and_its_worst_is_exact() -> None:
-    instrument = Instrument(obstruction=False)
+    instrument = Instrument(obstruction=False, lit_everywhere=True)
     groups = [DeviationsTable(elements=["mirror_2", "sample", "arc"], angles=["rx", "ry"], limit_deg=0.05)]
     lobe = GaussianLobe(instrument, CRITERION, parameters_of(groups, instrument))
     levels, limits = levels_of_parameters(lobe.parameters), limits_of(lobe.parameters)
