@@ -97,6 +97,7 @@ def alignment_rig(*, aligned: bool = False, further: str = "", stated: dict[str,
     table = {**OF_RIG, **OF_READINGS, **NONE} if stated is None else stated
     entries = "".join(f"{key} = {value}\n" for key, value in table.items())
     text += f"\n[uncertainty]\n{entries}{further}"
+    text += "\n[twin.optics]\nlit_everywhere = true\n"  # the beam is tilted by a shift of the pupil, which takes the slit along
     if aligned:
         text += "\n[twin.disturbances]\n" + "".join(f"{key} = 0.0\n" for key in OF_RIG)
     return parse_rig(text, PROOF, "rig of the alignment")

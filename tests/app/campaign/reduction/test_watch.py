@@ -17,6 +17,8 @@ from tests.app.campaign.reduction.alignment_bench import SAMPLE, SCHEDULE, align
 from tests.app.campaign.reduction.test_alignment import SMALL
 
 TILT_DEG = 0.03
+NEVER = -1
+"""In place of the row from which the sample is tilted."""
 
 
 def tilted(plan: NewPlan, path: Path, row: int, tilt_deg: float, monkeypatch: pytest.MonkeyPatch) -> Path:
@@ -96,13 +98,14 @@ def test_no_misalignment_is_named_on_rigs_that_are_off_as_stated(tmp_path: Path,
     """One campaign in a hundred at most: two alarms of 40 have a probability of 0.06."""
     alarms = 0
     for seed in range(101, 141):
-        found = watch_journal(tilted(small_plan(seed), tmp_path / f"{seed}.journal", 0, 0.0, monkeypatch))
+        found = watch_journal(tilted(small_plan(seed), tmp_path / f"{seed}.journal", NEVER, 0.0, monkeypatch))
         assert found.clear or found.misalignments
         alarms += len(found.misalignments)
     assert alarms < 2
 
 
 @pytest.mark.long
+@pytest.mark.xfail(reason="the change of gamma after it is named, as a tilt of the sample: see docs/alignment.md", strict=True)
 def test_a_tilt_is_found_in_the_example_campaign(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """0.01 deg from the middle of the campaign on: the row is found, and 0.02 deg of light against arc."""
     plan = drawn_plan(parse_schedule(SCHEDULE.read_text(encoding="utf-8"), "alignment"), alignment_rig(), 5)
