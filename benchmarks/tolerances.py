@@ -16,6 +16,7 @@ import json
 import os
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any, TypeVar
 
 import numba
@@ -65,7 +66,7 @@ def measure(*, with_lobe: bool) -> dict[str, Any]:
     for beam, one in beams.items():
         own, moved = Lobe(one, SIGMA, WIDTH), tilt_parts(one)
         name = "exact_in_plane" if one is instrument else "exact_in_plane_collimated"
-        percent = add(name, lambda own=own, moved=moved: own.exact_percent(deviations_of(moved, blocks)))  # type: ignore[misc]
+        percent = add(name, partial(own.exact_percent, deviations_of(moved, blocks)))
         result["worst_rms_percent"][beam] = float(percent.max())
         result["median_rms_percent"][beam] = float(np.median(percent))
         result["passed_percent"][beam] = float(100.0 * np.mean(percent <= LIMIT_PERCENT))

@@ -1,10 +1,11 @@
 """A screen of the window: a page of its own, with a title and an icon in the navigation."""
 
+from collections.abc import Callable
 from typing import ClassVar
 
 from PySide6.QtCore import QEvent, QObject, QSize, Signal, Slot
 from PySide6.QtGui import QShowEvent
-from PySide6.QtWidgets import QWidget
+from PySide6.QtWidgets import QPushButton, QWidget
 
 from goniotwin.app.desktop.theme import Colours
 
@@ -73,3 +74,11 @@ class Screen(QWidget):
         if watched is self._room and event.type() == QEvent.Type.Resize and self.isVisible():
             self.fit(self._room.size())
         return super().eventFilter(watched, event)
+
+    def _button(self, text: str, name: str, act: Callable[[], object]) -> QPushButton:
+        """A button that does `act`; no dialog takes it as its default."""
+        button = QPushButton(text)
+        button.setAccessibleName(name)
+        button.setAutoDefault(False)
+        button.clicked.connect(lambda _checked=False: act())
+        return button

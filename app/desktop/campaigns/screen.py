@@ -1,7 +1,6 @@
 """The campaigns screen: the journals of the folder with their state, and what can be done with one of them."""
 
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,7 +11,6 @@ from PySide6.QtWidgets import (
     QHBoxLayout,
     QHeaderView,
     QLabel,
-    QPushButton,
     QTableWidget,
     QTableWidgetItem,
     QVBoxLayout,
@@ -160,13 +158,6 @@ class CampaignsScreen(Screen):
         super().set_colours(colours)
         self._errors.setStyleSheet(f"color: {colours.bad}")
         self._colour_states()
-
-    def _button(self, text: str, name: str, act: Callable[[], object]) -> QPushButton:
-        button = QPushButton(text)
-        button.setAccessibleName(name)
-        button.setAutoDefault(False)
-        button.clicked.connect(lambda _checked=False: act())
-        return button
 
     def _colour_states(self) -> None:
         colours = self._colours

@@ -1,7 +1,6 @@
 """The tolerances screen: a study file, its computation beside the window, and what it found. Everything on it is simulated."""
 
 import html
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -14,7 +13,6 @@ from PySide6.QtWidgets import (
     QLabel,
     QPlainTextEdit,
     QProgressBar,
-    QPushButton,
     QTabWidget,
     QTextBrowser,
     QVBoxLayout,
@@ -113,13 +111,6 @@ class TolerancesScreen(Screen):
         self.answered.connect(self._take_answer, Qt.ConnectionType.QueuedConnection)
         self.set_colours(colours)
         self._show_nothing()
-
-    def _button(self, text: str, name: str, act: Callable[[], object]) -> QPushButton:
-        button = QPushButton(text)
-        button.setAccessibleName(name)
-        button.setAutoDefault(False)
-        button.clicked.connect(lambda _checked=False: act())
-        return button
 
     def _lay_out(self) -> None:
         label = QLabel("Stud&y")

@@ -156,7 +156,7 @@ def compute_study(study: StudyFile, report: ReportShare = lambda _share, _step: 
     for number, name in enumerate(study.yields.distributions):
         draws = draw_deviations(name, limits, study.yields.draws, study.yields.seed, study.yields.limit_sigmas)
         done = _part(last, number, len(study.yields.distributions) + 1)
-        yields[name] = evaluate_draws(response, draws, within, lambda share, _, n=name, done=done: done(share, f"yield, {n}"))  # type: ignore[misc]
+        yields[name] = evaluate_draws(response, draws, within, _named(done, f"yield, {name}"))
     result = StudyResult(
         study=study,
         case=case,
@@ -172,6 +172,10 @@ def compute_study(study: StudyFile, report: ReportShare = lambda _share, _step: 
 
 def _part(report: ReportShare, number: int, count: int) -> ReportShare:
     return lambda share, step: report((number + share) / count, step)
+
+
+def _named(report: ReportShare, step: str) -> ReportShare:
+    return lambda share, _step: report(share, step)
 
 
 def _compute_case(study: StudyFile, variant: VariantTable | None, report: ReportShare) -> tuple[Case, Response]:
