@@ -13,6 +13,7 @@ import numpy as np
 from goniotwin.app.campaign.geometry.arcs import arc_channels, arc_view, polar_deg
 from goniotwin.app.campaign.geometry.directions import ARCS, Arc, PoseAngles
 from goniotwin.app.campaign.geometry.shadow import blocked_by_mirrors
+from goniotwin.app.desktop.model.axes import GREEK
 from goniotwin.app.rig import AXES, RigFile, arc_clearance, nominal_instrument
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics import arc_direction
@@ -167,6 +168,5 @@ def project(points: Floats, view: View) -> Floats:
 
 def pose_text(positions: Mapping[str, float]) -> str:
     """The positions of the axes as a line of text."""
-    letters = dict(zip(AXES, "γσβΔ", strict=True))
-    known = [f"{letters[axis]} {round(positions[axis], 2) + 0.0:.2f}°".replace("-", "−") for axis in AXES if axis in positions]
+    known = [f"{GREEK[axis]} {round(positions[axis], 2) + 0.0:.2f}°".replace("-", "−") for axis in AXES if axis in positions]
     return ", ".join(known) if known else "positions unknown"

@@ -8,14 +8,13 @@ from PySide6.QtCore import Qt, Signal, Slot
 from PySide6.QtWidgets import QCheckBox, QGridLayout, QGroupBox, QHBoxLayout, QLabel, QPushButton, QVBoxLayout, QWidget
 
 from goniotwin.app.campaign.wording import rounded_duration_text
+from goniotwin.app.desktop.model.axes import GREEK
 from goniotwin.app.desktop.theme import Colours
 from goniotwin.protocols.clock import calendar_stamp
 
 if TYPE_CHECKING:  # the window shows itself before the engine is loaded
     from goniotwin.app.station.messages import DeviceStatus, RigOpened
 
-GREEK = {"gamma": "γ", "sigma": "σ", "beta": "β", "shift": "Δ"}
-"""The letter of each axis, in the order of a pose."""
 DEVICES = ("axes", "monochromator", "photodiodes", "monitor")
 """The devices that a rig usually has."""
 NO_VALUE = "–"

@@ -6,7 +6,8 @@ from PySide6.QtCore import Slot
 from PySide6.QtGui import QResizeEvent
 from PySide6.QtWidgets import QFrame, QHBoxLayout, QLabel
 
-from goniotwin.app.desktop.rig.panels import DEVICES, GREEK, NO_VALUE, angle_text
+from goniotwin.app.desktop.model.axes import GREEK
+from goniotwin.app.desktop.rig.panels import DEVICES, NO_VALUE, angle_text
 from goniotwin.app.desktop.theme import Colours
 
 if TYPE_CHECKING:  # as in the panels

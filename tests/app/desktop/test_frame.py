@@ -30,9 +30,10 @@ from goniotwin.app.desktop.dialogs import FileDialog
 from goniotwin.app.desktop.events.panels import NOTICES, LogEntry
 from goniotwin.app.desktop.events.screen import EventsScreen
 from goniotwin.app.desktop.menu import about_text
+from goniotwin.app.desktop.model.axes import GREEK
 from goniotwin.app.desktop.model.campaigns import list_campaigns
 from goniotwin.app.desktop.remembered import MOST_RECENT, Remembered
-from goniotwin.app.desktop.rig.panels import DEVICES, GREEK
+from goniotwin.app.desktop.rig.panels import DEVICES
 from goniotwin.app.desktop.run.axes import PIXELS_OF_VALUE, LogAxis, log_ticks
 from goniotwin.app.desktop.run.panel import PAUSE, RESUME
 from goniotwin.app.desktop.screen import Screen
