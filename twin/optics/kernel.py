@@ -18,6 +18,8 @@ from typing import Any, TypeVar
 from numba import njit, types
 from numba.core import config
 
+from goniotwin.twin.optics.compilation import LEAN, compiling_kernel, compiling_part
+
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
@@ -30,7 +32,8 @@ def kernel(*, error_model: str = "numpy", **options: Any) -> Callable[[Function]
         dispatcher: Any = njit(**settings)(function)
         if config.DISABLE_JIT:
             return function
-        _compile_for_all_values(dispatcher)
+        part = njit(**{**settings, "cache": False, "no_cpython_wrapper": True})(function) if LEAN else dispatcher
+        _call_from_kernels(dispatcher, part)
         if CACHED:
             dispatcher._cache._cache_file._source_stamp = source_stamp(Path(function.__code__.co_filename).parent)
         _discard_unreadable(dispatcher._cache)
@@ -40,19 +43,27 @@ def kernel(*, error_model: str = "numpy", **options: Any) -> Callable[[Function]
     return compiled
 
 
-def _compile_for_all_values(dispatcher: Any) -> None:
-    """Compile the function once for all values of an argument.
+def _call_from_kernels(dispatcher: Any, part: Any) -> None:
+    """Have other kernels call `part`, compiled once for all values of an argument.
 
     numba takes a constant in a call from another kernel as a type of its own: `f(x, 0)` and `f(x, 1)` would be two functions,
     and a variable that starts as a constant would have the function compiled for that constant first, to no use.
     """
-    template: Any = dispatcher.get_call_template
+    template: Any = part.get_call_template
+    compile_kernel: Any = dispatcher.compile
     plain: Any = types.unliteral
 
     def get_call_template(arguments: tuple[Any, ...], keywords: dict[str, Any]) -> Any:
-        return template(tuple(map(plain, arguments)), {name: plain(each) for name, each in keywords.items()})
+        with compiling_part():
+            return template(tuple(map(plain, arguments)), {name: plain(each) for name, each in keywords.items()})
+
+    def compile_with_parts(signature: Any) -> Any:
+        with compiling_kernel():
+            return compile_kernel(signature)
 
     dispatcher.get_call_template = get_call_template
+    dispatcher.get_overload, dispatcher.part = part.get_overload, part
+    dispatcher.compile = compile_with_parts
 
 
 @cache

@@ -109,7 +109,7 @@ def test_a_kernel_is_compiled_once_for_all_constants(tmp_path: Path, monkeypatch
     (tmp_path / "kernel_of_constants.py").write_text(CONSTANTS, encoding="utf-8")
     module = importlib.import_module("kernel_of_constants")
     assert module.result() == 5
-    assert len(module.added.signatures) == 1
+    assert len(module.added.part.signatures) == 1
     sys.modules.pop("kernel_of_constants")
 
 

@@ -27,7 +27,7 @@ E0, E1, E2, E3, E4 = 0.9999999999997623, 0.6931471805465146, 0.24022650698880404
 E5, E6, E7, E8 = 0.001333345206273817, 0.00015403851761890063, 1.5309737273786115e-05, 1.3175854503915213e-06
 
 
-@kernel(inline="always")
+@kernel(forceinline=True, fastmath={"contract"})
 def arcsine(x: float, square: float) -> float:
     """asin(x) for x from 0 to 0.5, with the square of x given too."""
     low = A0 + square * (A1 + square * (A2 + square * (A3 + square * A4)))
@@ -35,7 +35,7 @@ def arcsine(x: float, square: float) -> float:
     return x * (low + square**5 * high)
 
 
-@kernel(inline="always")
+@kernel(forceinline=True, fastmath={"contract"})
 def power_of_two(y: float) -> float:
     """2^y for y from -1000 to 1000."""
     whole = np.int32(np.floor(y + 0.5))

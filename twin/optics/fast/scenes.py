@@ -233,7 +233,7 @@ def score_scenes(
                             row[first + lit[start + i]] += factor * block.sums[k, i]
 
 
-@kernel(inline="always")
+@kernel()
 def select_lit(centres: Floats, axes: Floats, total: int, above: bool, below: bool, lit: Ints) -> int:
     """Move the detectors above or below the sample's plane, or both, to the front; fill `lit` with their numbers.
 
@@ -249,7 +249,7 @@ def select_lit(centres: Floats, axes: Floats, total: int, above: bool, below: bo
     return count
 
 
-@kernel(inline="always")
+@kernel()
 def mirror_products(spectra: Spectra, scene: SceneArrays, result: Floats) -> None:
     """Fill `result` (w,) with the product of the three mirrors' reflectances, linear between the angles of the table."""
     angles, last = spectra.angles_deg, spectra.angles_deg.size - 1
@@ -267,7 +267,7 @@ def mirror_products(spectra: Spectra, scene: SceneArrays, result: Floats) -> Non
             result[j] *= low + share * (high - low)
 
 
-@kernel(inline="always")
+@kernel()
 def score_block(
     optics: Optics, models: Models, scene: SceneArrays, light: SlitImage, centres: Floats, axes: Floats, acting: Ints,
     block: Block,
@@ -305,7 +305,7 @@ def score_block(
             fill_regular(optics, nodes.bundle, models, scene, light, centres, axes, k, block.sums[k, :count])
 
 
-@kernel(inline="always")
+@kernel()
 def fill_nodes(
     optics: Optics, nodes: Nodes, scene: SceneArrays, light: SlitImage, centres: Floats, axes: Floats, block: Block
 ) -> None:
@@ -338,7 +338,7 @@ def fill_nodes(
                 block.rays[0, j * count + k] = 0.0
 
 
-@kernel(inline="always")
+@kernel()
 def add_bundle(
     optics: Optics, bundle: Floats, models: Models, scene: SceneArrays, light: SlitImage, centre: Floats, d: Floats,
     acting: Ints, partly: bool, i: int, block: Block,
@@ -386,7 +386,7 @@ def add_bundle(
             block.sums[k, i] = block.taken[i] / given * lanes[k, 0] if given > 0.0 else 0.0
 
 
-@kernel(inline="always")
+@kernel()
 def weigh_tile(light: SlitImage, other: float, count: int, t: Floats, rays: Floats, column: int) -> None:
     """Multiply the weights of `count` `rays` from `column` on, those of the tile `t`, by the relative radiance."""
     for i in range(count):
@@ -395,7 +395,7 @@ def weigh_tile(light: SlitImage, other: float, count: int, t: Floats, rays: Floa
             rays[0, column + i] *= relative_radiance(light, a, b, t[i + END_U], t[i + END_V])
 
 
-@kernel(inline="always")
+@kernel()
 def fill_regular(
     optics: Optics, bundle: Floats, models: Models, scene: SceneArrays, light: SlitImage, centres: Floats, axes: Floats, k: int,
     result: Floats,
