@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
-import numba
 import numpy as np
 
 from goniotwin.app.simulation.tolerances.study import FluxTable, Parameter, component_matrix
@@ -12,6 +11,7 @@ from goniotwin.arrays import Floats
 from goniotwin.twin.optics import Deviation, IlluminationUnit, adjoint_illumination
 from goniotwin.twin.optics.geometry.instrument import COMPONENTS
 from goniotwin.twin.optics.illumination.unit import ELEMENTS
+from goniotwin.twin.optics.kernel import thread_count
 
 
 class IlluminationLight:
@@ -42,7 +42,7 @@ class IlluminationLight:
             light = adjoint_illumination(unit, rays=self.criterion.rays, seed=self.criterion.seed)
             return light.flux, light.uniformity if light.flux > 0.0 else 0.0
 
-        with ThreadPoolExecutor(numba.get_num_threads()) as pool:  # the kernel holds no lock
+        with ThreadPoolExecutor(thread_count()) as pool:  # the kernel holds no lock
             found = np.array(list(pool.map(trace, components)))
         return found[:, 0], found[:, 1]
 
