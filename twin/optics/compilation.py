@@ -53,7 +53,7 @@ class _PartLibrary(JITCodeLibrary):  # type: ignore[misc]
         self._finalize_dynamic_globals()
         self._finalized = True
 
-    def get_pointer_to_function(self, name: str) -> int:
+    def get_pointer_to_function(self, _name: str) -> int:
         """0: there is no machine code."""
         self._ensure_finalized()
         return 0

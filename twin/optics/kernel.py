@@ -15,32 +15,50 @@ from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
-from numba import njit, types
-from numba.core import config
-
-from goniotwin.twin.optics.compilation import LEAN, compiling_kernel, compiling_part
+from goniotwin.twin.optics.deferred_kernel import DeferredKernel
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 def kernel(*, error_model: str = "numpy", **options: Any) -> Callable[[Function], Function]:
-    """Compile a function at its first call. `options` are those of `numba.njit`. Division by zero gives inf or nan."""
+    """Compile a function at its first call, for which numba is loaded. Division by zero gives inf or nan.
+
+    `options` are those of `numba.njit`. Within `interpreted()` the function is called as Python.
+    """
+
+    def deferred(function: Function) -> Function:
+        result: Any = DeferredKernel(function, lambda: _dispatcher(function, {"error_model": error_model, **options}))
+        return result  # type: ignore[no-any-return]
+
+    return deferred
+
+
+def _dispatcher(function: Any, options: dict[str, Any]) -> Any:
+    """numba's dispatcher of a function; the function itself where numba's compiler is off."""
+    from numba import njit
+    from numba.core import config
+
+    from goniotwin.twin.optics.compilation import LEAN
+
+    if config.DISABLE_JIT:
+        return function
+    cached = _set_cache_folder()
     # Nothing calls a kernel from C, and numba's entrance for that is a twentieth of the time to compile.
-    settings: dict[str, Any] = {"cache": CACHED, "error_model": error_model, "no_cfunc_wrapper": True, **options}
+    settings: dict[str, Any] = {"cache": cached, "no_cfunc_wrapper": True, **options}
+    dispatcher: Any = njit(**settings)(function)
+    part = njit(**{**settings, "cache": False, "no_cpython_wrapper": True})(function) if LEAN else dispatcher
+    _call_from_kernels(dispatcher, part)
+    if cached:
+        dispatcher._cache._cache_file._source_stamp = source_stamp(Path(function.__code__.co_filename).parent)
+    _discard_unreadable(dispatcher._cache)
+    return dispatcher
 
-    def compiled(function: Function) -> Function:
-        dispatcher: Any = njit(**settings)(function)
-        if config.DISABLE_JIT:
-            return function
-        part = njit(**{**settings, "cache": False, "no_cpython_wrapper": True})(function) if LEAN else dispatcher
-        _call_from_kernels(dispatcher, part)
-        if CACHED:
-            dispatcher._cache._cache_file._source_stamp = source_stamp(Path(function.__code__.co_filename).parent)
-        _discard_unreadable(dispatcher._cache)
-        result: Function = dispatcher
-        return result
 
-    return compiled
+def thread_count() -> int:
+    """Number of threads on which kernels may run at the same time: numba's, so that one setting is for all."""
+    import numba
+
+    return int(numba.get_num_threads())
 
 
 def _call_from_kernels(dispatcher: Any, part: Any) -> None:
@@ -49,6 +67,10 @@ def _call_from_kernels(dispatcher: Any, part: Any) -> None:
     numba takes a constant in a call from another kernel as a type of its own: `f(x, 0)` and `f(x, 1)` would be two functions,
     and a variable that starts as a constant would have the function compiled for that constant first, to no use.
     """
+    from numba import types
+
+    from goniotwin.twin.optics.compilation import compiling_kernel, compiling_part
+
     template: Any = part.get_call_template
     compile_kernel: Any = dispatcher.compile
     plain: Any = types.unliteral
@@ -137,8 +159,11 @@ def _home() -> Path | None:
         return None
 
 
+@cache
 def _set_cache_folder() -> bool:
     """Set the folder of numba's cache before the first kernel is made; False where compiled code cannot be stored."""
+    from numba.core import config
+
     if config.CACHE_DIR:
         return True
     sources = Path(__file__).parent
@@ -146,6 +171,3 @@ def _set_cache_folder() -> bool:
     if folder is not None and folder.parent != sources:  # beside the sources is numba's own first choice
         config.CACHE_DIR = str(folder)
     return folder is not None
-
-
-CACHED = _set_cache_folder()

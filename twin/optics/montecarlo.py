@@ -11,11 +11,10 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
-import numba
 import numpy as np
 
 from goniotwin.arrays import Floats
-from goniotwin.twin.optics.kernel import kernel
+from goniotwin.twin.optics.kernel import kernel, thread_count
 
 U32 = np.uint32
 U64 = np.uint64
@@ -101,7 +100,7 @@ def sum_chunks(trace: Callable[[int, int], Floats], first: int, last: int, chunk
     if last - first <= chunk:
         return trace(first, last)
     starts = range(first, last, chunk)
-    with ThreadPoolExecutor(numba.get_num_threads()) as pool:
+    with ThreadPoolExecutor(thread_count()) as pool:
         sums = pool.map(lambda start: trace(start, min(start + chunk, last)), starts)
         total = next(sums)
         for chunk_sum in sums:

@@ -7,7 +7,8 @@ from PySide6.QtGui import QColor, QPainter, QPaintEvent, QPen, QPolygonF
 from PySide6.QtWidgets import QHBoxLayout, QLabel, QPushButton, QSizePolicy, QVBoxLayout, QWidget
 
 from goniotwin.app.desktop.bench.number_field import NumberField
-from goniotwin.app.desktop.rig.panels import GREEK, angle_text
+from goniotwin.app.desktop.model.axes import GREEK
+from goniotwin.app.desktop.rig.panels import angle_text
 from goniotwin.app.desktop.theme import Colours
 
 if TYPE_CHECKING:  # the window shows itself before the drivers are loaded

@@ -11,7 +11,8 @@ from goniotwin.app.desktop.bench.instrument_view import InstrumentView
 from goniotwin.app.desktop.bench.light_controls import LightControls
 from goniotwin.app.desktop.bench.readings_view import MonitorTrend, SignalBars
 from goniotwin.app.desktop.events.question import Choice, QuestionBox
-from goniotwin.app.desktop.rig.panels import GREEK, angle_text
+from goniotwin.app.desktop.model.axes import GREEK
+from goniotwin.app.desktop.rig.panels import angle_text
 from goniotwin.app.desktop.screen import Screen, WithoutPreferredHeight
 from goniotwin.app.desktop.theme import Colours
 

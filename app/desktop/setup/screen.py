@@ -19,7 +19,8 @@ from PySide6.QtWidgets import (
 )
 
 from goniotwin.app.campaign.wording import rounded_duration_text
-from goniotwin.app.desktop.rig.panels import GREEK, fill, heading, path_label, show_path
+from goniotwin.app.desktop.model.axes import GREEK
+from goniotwin.app.desktop.rig.panels import fill, heading, path_label, show_path
 from goniotwin.app.desktop.screen import Screen
 from goniotwin.app.desktop.theme import Colours
 

@@ -2,6 +2,7 @@
 
 import importlib
 import os
+import subprocess
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -116,7 +117,43 @@ def test_a_kernel_is_compiled_once_for_all_constants(tmp_path: Path, monkeypatch
 def test_without_numbas_compiler_a_kernel_is_the_function(monkeypatch: pytest.MonkeyPatch) -> None:
     """As with NUMBA_DISABLE_JIT=1, for a debugger."""
     monkeypatch.setattr("numba.core.config.DISABLE_JIT", True)
-    assert kernel()(import_anew) is import_anew
+    assert kernel()(import_anew).kernel is import_anew  # type: ignore[attr-defined]
+
+
+FACTORIAL = """
+from called_kernel import factor
+from goniotwin.twin.optics.kernel import kernel
+
+
+@kernel()
+def factorial(number):
+    return factor() if number == 0 else number * factorial(number - 1)
+"""
+DEFERRED = """
+import sys
+
+from factorial_kernel import factorial
+
+from goniotwin.twin.optics.deferred_kernel import interpreted
+
+with interpreted():
+    assert factorial(3) == 6.0
+assert "numba" not in sys.modules
+assert factorial(3) == 6.0
+assert len(factorial.signatures) == 1
+"""
+
+
+def test_numba_is_loaded_at_the_first_call_that_is_not_interpreted(tmp_path: Path) -> None:
+    """In a process of its own. A kernel that calls itself, and one of another module."""
+    (tmp_path / "called_kernel.py").write_text(CALLED.format(factor=1.0), encoding="utf-8")
+    (tmp_path / "factorial_kernel.py").write_text(FACTORIAL, encoding="utf-8")
+    environment = {
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path[1:]]),
+        "NUMBA_CACHE_DIR": str(tmp_path),
+    }
+    subprocess.run([sys.executable, "-c", DEFERRED], env=environment, check=True)
 
 
 def test_a_cache_that_names_a_renamed_class_is_compiled_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

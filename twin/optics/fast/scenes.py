@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import NamedTuple, TypeVar
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
@@ -81,7 +80,7 @@ from goniotwin.twin.optics.illumination.slit_image import (
     slit_of,
     weigh_rays,
 )
-from goniotwin.twin.optics.kernel import kernel
+from goniotwin.twin.optics.kernel import kernel, thread_count
 
 Rule = tuple[Floats, Floats, Floats, int]
 """Nodes over the cone; over a side of the hole; over it where the cone is wide; rays where a mirror blocks some of the view."""
@@ -486,7 +485,7 @@ class Scenes:
             with _one_thread():
                 return function(compute(block))
 
-        threads = numba.get_num_threads()
+        threads = thread_count()
         with ThreadPoolExecutor(threads) as pool:
             waiting: list[Future[Result]] = []
             for block in blocks:
@@ -511,7 +510,7 @@ class Scenes:
                 self._directions, first, result,
             )  # fmt: skip
 
-        threads = 1 if _ALONE.threads else numba.get_num_threads()
+        threads = 1 if _ALONE.threads else thread_count()
         if len(tasks) > 1 and threads > 1:
             # Plain threads: the kernels hold no lock. numba's own threads would add seconds of compilation, and one of its
             # threading layers ends the process if two threads call at the same time.

@@ -13,13 +13,12 @@ grows with the third power of the deviations (`benchmarks.tolerances` states it)
 from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics.fast.scenes import Scenes
-from goniotwin.twin.optics.kernel import kernel
+from goniotwin.twin.optics.kernel import kernel, thread_count
 
 FACTOR_BLOCK = 6561
 """Most rigs in a block of `factor_blocks`."""
@@ -79,7 +78,7 @@ class Surrogate:
             fill_relative_rms(np.ascontiguousarray(block, dtype=np.float64), left, right, result)
             return result
 
-        with ThreadPoolExecutor(numba.get_num_threads()) as pool:
+        with ThreadPoolExecutor(thread_count()) as pool:
             yield from pool.map(rms, blocks)
 
     def _columns(self, reference: Floats) -> tuple[Floats, Floats]:

@@ -9,7 +9,6 @@ differences of a ten-thousandth are real.
 import math
 from concurrent.futures import ThreadPoolExecutor
 
-import numba
 import numpy as np
 
 from goniotwin.arrays import Floats
@@ -17,7 +16,7 @@ from goniotwin.twin.optics.illumination.adjoint import emission_per_mm3_sr
 from goniotwin.twin.optics.illumination.elements import along_axes, bend, lit_length, to_plane
 from goniotwin.twin.optics.illumination.slit_image import cut_polygon
 from goniotwin.twin.optics.illumination.unit import OUTPUT, SLIT, IlluminationUnit
-from goniotwin.twin.optics.kernel import kernel
+from goniotwin.twin.optics.kernel import kernel, thread_count
 
 RINGS, SPOKES = 4, 8
 CHUNK = 256
@@ -175,7 +174,7 @@ def field_fluxes(unit: IlluminationUnit, deviations: Floats, cells: int = 5) -> 
 
     starts = range(0, len(frames), CHUNK)
     if len(starts) > 1:
-        with ThreadPoolExecutor(numba.get_num_threads()) as pool:
+        with ThreadPoolExecutor(thread_count()) as pool:
             list(pool.map(fill, starts))
     else:
         for first in starts:
