@@ -248,7 +248,10 @@ def _is_unknown(detail: Any) -> bool:
 
 def _reason(known: list[str], detail: Any) -> str:
     if _is_unknown(detail):
-        close = difflib.get_close_matches(str(detail["loc"][-1]), known, n=1)
+        key = str(detail["loc"][-1])
+        if key in known:
+            return "there is no such key in this table, only in another one; move or remove it"
+        close = difflib.get_close_matches(key, known, n=1)
         return "there is no such key" + (f"; did you mean {close[0]!r}?" if close else "; remove it, or correct its name")
     if detail["type"] == "missing":
         return "is missing; add it"

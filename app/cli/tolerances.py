@@ -25,11 +25,13 @@ def tolerances(
     Each deviation alone, all combinations, limits with which none fails; the yield, the worst corner, sensitivities, and what
     remains about the measured peak (the paper's section 3.3, Tables 1 and 2). Everything is computed on the optical twin.
     """
-    from goniotwin.app.simulation.tolerances.report import as_dict, print_study, write_report
+    from goniotwin.app.simulation.tolerances.report import as_dict, make_folder, print_study, write_report
     from goniotwin.app.simulation.tolerances.result import compute_study
     from goniotwin.app.simulation.tolerances.study import read_study
 
     file = read_study(study)
+    if out is not None:
+        make_folder(out)
     with ShareProgress(Console(stderr=True), "tolerances") as progress:
         result = compute_study(file, progress)
     files = write_report(result, out, study.stem) if out is not None else {}

@@ -69,7 +69,7 @@ class _QuadraticModel:
         return float(rms_percent(self.nominal + levels @ self.slopes))
 
 
-def search_worst(residuals: Residuals, count: int, seed: int = 0) -> WorstCombination:
+def search_worst(residuals: Residuals, count: int, seed: int = 0, start: Ints | None = None) -> WorstCombination:
     """The combination of `count` deviations, each at -1, 0 or 1 limit, with the largest criterion.
 
     1. Residuals with each deviation alone at both limits, and with each two of them, give a quadratic model.
@@ -80,6 +80,8 @@ def search_worst(residuals: Residuals, count: int, seed: int = 0) -> WorstCombin
 
     More than 13 deviations have too many corners to be ranked by the model. The search then begins at more random corners, and
     one deviation after another takes its worst level; of the worst three results two deviations at a time are changed.
+
+    The search begins at `start` (k,), too: a combination that is known to be bad.
 
     The result is the worst of all that was evaluated; nothing is taken from the model. It is proven to be the worst of all
     combinations only where these are enumerated.
@@ -105,6 +107,8 @@ def search_worst(residuals: Residuals, count: int, seed: int = 0) -> WorstCombin
     listed = count <= MOST_LISTED
     starts = ranked[np.argsort(-percent(ranked), kind="stable")[: CLIMBED if listed else RANDOM_STARTS]]
     starts = np.concatenate([starts, random.choice(np.array([-1, 1]), (RANDOM_STARTS if listed else RESTARTS, count))])
+    if start is not None:
+        starts = np.concatenate([starts, start[None]])
     worst, value = _climb(percent, starts) if listed else _exchange(percent, starts, random)
     # The criterion hardly changes if all signs do: a search on one side alone could miss the slightly worse one.
     for start in (worst, -worst):

@@ -32,6 +32,7 @@ from goniotwin.twin.optics import (
 )
 from goniotwin.twin.optics.geometry.deviation import NO_DEVIATION
 from goniotwin.twin.optics.illumination.unit import ELEMENTS
+from goniotwin.twin.optics.montecarlo import NoLightError
 
 ADJOINT_ERROR = 1e-4
 """Relative standard error of the adjoint flux: it costs little, and makes the profile smooth."""
@@ -89,6 +90,12 @@ def simulate_illumination(
         forward = forward_illumination(unit, relative_error=0.01 * error_percent, seed=seed)
         report(0.8, "rayset" if rays is not None else "done")
         rayset = record(unit, rays, seed) if rays is not None else None
+    except NoLightError:
+        moved = ", ".join(
+            f"{name}.{key}={value:g}" for name, own in describe_deviations(unit).items() for key, value in own.items()
+        )
+        what = f"with {moved} no light reaches" if moved else "no light reaches"
+        raise UserError(f"illumination: {what} the sample; give smaller deviations, or another --wavelength") from None
     except ValueError as error:
         raise UserError(f"illumination: {error}") from None
     report(1.0, "done")
@@ -97,7 +104,7 @@ def simulate_illumination(
 
 def parse_deviations(given: list[str]) -> dict[str, Deviation]:
     """Deviations by element from `ELEMENT.FIELD=NUMBER` each, such as `slit.x_mm=0.02`. Raises UserError."""
-    names, found = [each.name for each in fields(Deviation)], dict[str, Deviation]()
+    names, found, places = [each.name for each in fields(Deviation)], dict[str, Deviation](), set[str]()
     for text in given:
         place, equals, number = text.partition("=")
         element, dot, name = place.partition(".")
@@ -113,6 +120,9 @@ def parse_deviations(given: list[str]) -> dict[str, Deviation]:
             value = math.nan
         if not math.isfinite(value):
             raise UserError(f"--deviation: {text!r} has no number after the equals sign; give degrees or mm")
+        if place in places:
+            raise UserError(f"--deviation: {place} is given twice; remove one of them")
+        places.add(place)
         found[element] = replace(found.get(element, NO_DEVIATION), **{name: value})
     return found
 

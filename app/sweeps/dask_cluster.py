@@ -141,6 +141,7 @@ class DaskCluster:
 
     def _connected(self) -> "Client":
         from distributed import Client, LocalCluster
+        from distributed.comm.addressing import get_address_host_port
 
         address: Any = self._address
         if self._address == LOCAL:
@@ -149,6 +150,8 @@ class DaskCluster:
                 silence_logs=logging.CRITICAL,
             )  # fmt: skip
             address = self._opened.enter_context(cluster)
+        else:  # a client of an address that is none waits for it, and ends with a traceback
+            get_address_host_port(self._address, strict=True)
         client = self._opened.enter_context(Client(address, timeout=CONNECT_S, set_as_default=False))
         if self._address == LOCAL:
             client.run(_ignore_interrupts)

@@ -26,6 +26,10 @@ CHUNK = 65536
 Result = TypeVar("Result")
 
 
+class NoLightError(ValueError):
+    """No ray arrives: a relative error has no meaning."""
+
+
 @kernel()
 def scramble(bits: np.uint64) -> np.uint64:
     """64 pseudo-random bits: the finaliser of splitmix64 (Steele, Lea, Flood 2014)."""
@@ -140,7 +144,7 @@ def run_until(
         if value <= 0.0:
             needed = 16.0 * done
             if done >= dark_rays:
-                raise ValueError(
+                raise NoLightError(
                     f"relative_error {relative_error:g} is undefined without light: none of {done} rays arrived; give rays"
                 )
         elif error <= relative_error * value:

@@ -89,7 +89,9 @@ class GaussianLobe:
         for fit, each in zip(self._peaks, self.directions, strict=True):
             piece = factors[:, first : first + len(each.place_deg)]
             first += len(each.place_deg)
-            height, along, across, bend = (np.log(piece) @ fit.T).T
+            # A value of zero has no logarithm: where a direction has no light, there is no peak.
+            logarithm = np.log(np.where(piece > 0.0, piece, np.nan))
+            height, along, across, bend = (logarithm @ fit.T).T
             place = np.stack([along, across], axis=1) / (-2.0 * bend[:, None])
             places.append(place)
             heights.append(np.exp(height - bend * np.sum(place**2, axis=1)))

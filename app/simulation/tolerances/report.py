@@ -1,6 +1,7 @@
 """Report of a tolerance study: the paper's table beside ours, assumptions, explanations; terminal, JSON and CSV."""
 
 import math
+import tempfile
 import textwrap
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from goniotwin.app.errors import UserError
 from goniotwin.app.formats import PointStream
 from goniotwin.app.formats.registry import Holds
 from goniotwin.app.simulation.files import write_content
+from goniotwin.app.simulation.paper.gaussian_cut import HIGHEST_ZENITH_DEG
 from goniotwin.app.simulation.tolerances.figure import write_figures
 from goniotwin.app.simulation.tolerances.result import AfterRecentring, Case, Sensitivities, StudyResult
 from goniotwin.app.simulation.tolerances.stages import CONFIRMED, Combinations
@@ -74,9 +76,10 @@ def _lobe_assumptions(result: StudyResult) -> dict[str, str]:
     instrument = table.instrument()
     form = "1/e at the width" if criterion.form == "one_over_e" else "half at the width"
     sigmas = ", ".join(f"{each:g}" for each in criterion.sigma_deg)
-    where = (
-        "the plane of incidence, both sides of the specular direction" if criterion.directions == "plane" else "the whole lobe"
-    )
+    where = "the whole lobe"
+    if criterion.directions == "plane":
+        both = max(criterion.sigma_deg) + criterion.widths * criterion.width_deg < HIGHEST_ZENITH_DEG
+        where = f"the plane of incidence, {'both sides' if both else 'cut on one side'} of the specular direction"
     return {
         "criterion": f"formula 5 against a Gaussian of {criterion.width_deg:g} deg ({form}), at most "
         f"{criterion.within_percent[0]:g} %",
@@ -130,18 +133,21 @@ def explanations(result: StudyResult) -> list[str]:
     worst_of, alone = case.worst_alone
     (share, error), *_ = case.combinations.shares
     found = [
-        f"Alone: the largest effect is {worst_of.title}, {alone:.2f} % at +-{worst_of.limit:g} {worst_of.unit}; the limit of "
+        f"Alone: the largest effect is {worst_of.title}, {_criterion(alone)} at +-{worst_of.limit:g} {worst_of.unit}; the limit of "
         f"{within:g} % is reached at {_least_alone(case)}.",
         f"Together: {_percent(share, error)} of the combinations are within {within:g} %, the worst is "
-        f"{case.worst.percent:.2f} %. So limits that hold for each deviation alone do not hold for all of them.",
+        f"{_criterion(case.worst.percent)}. So limits that hold for each deviation alone do not hold for all of them.",
         f"The worst corner was found in {case.worst.evaluated} evaluations, without an enumeration"
         + (
-            f"; the enumeration of all {case.combinations.percent.size} gives {case.combinations.worst_percent:.2f} %."
+            f"; the enumeration of all {case.combinations.percent.size} gives {_criterion(case.combinations.worst_percent)}."
             if case.combinations.complete
             else f"; it is the worst that was found, not proven to be the worst of all. The worst of "
-            f"{case.combinations.percent.size} random corners has {case.combinations.worst_percent:.2f} %."
+            f"{case.combinations.percent.size} random corners has {_criterion(case.combinations.worst_percent)}."
         ),
     ]
+    dark = int(np.count_nonzero(np.isinf(case.combinations.percent)))
+    if dark:
+        found.append(f"{dark} of the combinations have directions without light, and so no value: they fail.")
     if case.common.factor < 1.0:
         found.append(
             f"Reduced until none fails: by one factor, {case.common.factor:.3f}, to {_common_limits(case)}. Starting from the "
@@ -170,7 +176,13 @@ def explanations(result: StudyResult) -> list[str]:
     return found
 
 
+def _criterion(percent: float) -> str:
+    return f"{percent:.2f} %" if math.isfinite(percent) else "without a value"
+
+
 def _explain_recentring(after: AfterRecentring) -> str:
+    if not math.isfinite(after.peak_at_worst_deg):
+        return "At the worst corner some directions have no light: there is no measured peak about which to recentre."
     others = [each for each in after.limitations[2:] if each.factor < 1.0]
     least = min(after.limitations[2:], key=lambda each: each.factor)
     text = (
@@ -205,9 +217,14 @@ def _by_unit(case: Case, values: Floats) -> dict[str, tuple[float, Parameter]]:
 def _least_alone(case: Case) -> str:
     least = _by_unit(case, case.alone.permitted[:, 0])
     return " and ".join(
-        f"{value:.3g} {unit} ({parameter.title})" if math.isfinite(value) else f"no {unit} that was tried"
+        f"{value:.3g} {unit} ({parameter.title})" if math.isfinite(value) else f"more than {_searched_to(case, unit)}"
         for unit, (value, parameter) in least.items()
     )
+
+
+def _searched_to(case: Case, unit: str) -> str:
+    largest = min(float(case.alone.largest[k]) for k, each in enumerate(case.parameters) if each.unit == unit)
+    return f"{largest:g} {unit}"
 
 
 def _common_limits(case: Case) -> str:
@@ -273,7 +290,7 @@ def _paper_table(result: StudyResult) -> Table:
         table.add_row(
             KINDS[unit],
             f"+-{paper[unit]:g} {unit}" if unit in paper else "",
-            f"+-{value:.3f} {unit}" if math.isfinite(value) else "any",
+            f"+-{value:.3f} {unit}" if math.isfinite(value) else f"more than {_searched_to(case, unit)}",
             f"+-{common[unit][0]:.4f} {unit}",
             f"from +-{individual[unit][0]:.4f} {unit}",
         )
@@ -355,7 +372,7 @@ def _print_item(console: Console, text: str) -> None:
 def as_dict(result: StudyResult) -> dict[str, Any]:
     """The result for JSON: values in deg or mm, criteria in percent, shares of 1."""
     recentred, uniformity = result.recentred, result.uniformity
-    return {
+    found = {
         "simulated": True,
         "name": result.study.name,
         "paper": PAPER.get(result.study.paper or 0),
@@ -383,6 +400,16 @@ def as_dict(result: StudyResult) -> dict[str, Any]:
         "assumptions": assumptions(result),
         "explanations": explanations(result),
     }
+    return {name: _without_infinities(each) for name, each in found.items()}
+
+
+def _without_infinities(value: Any) -> Any:
+    """A value for JSON: numbers that are not finite, of combinations without light, are None."""
+    if isinstance(value, dict):
+        return {name: _without_infinities(each) for name, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_without_infinities(each) for each in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _case_as_dict(case: Case) -> dict[str, Any]:
@@ -394,9 +421,9 @@ def _case_as_dict(case: Case) -> dict[str, Any]:
                 "element": each.element,
                 "deviation": each.component,
                 "limit": each.limit,
-                "at_minus_percent": _finite(case.alone.percent[k, 0]),
-                "at_plus_percent": _finite(case.alone.percent[k, 1]),
-                "alone": [_finite(value) for value in case.alone.permitted[k]],
+                "at_minus_percent": float(case.alone.percent[k, 0]),
+                "at_plus_percent": float(case.alone.percent[k, 1]),
+                "alone": case.alone.permitted[k].tolist(),
                 "searched_to": float(case.alone.largest[k]),
                 "common": float(case.common.limits[k]),
                 "individual": float(case.individual.limits[k]),
@@ -417,8 +444,8 @@ def _combinations_as_dict(drawn: Combinations) -> dict[str, Any]:
         "number": drawn.percent.size,
         "complete": drawn.complete,
         "surrogate_error_percent": drawn.surrogate_error_percent,
-        "median_percent": _finite(np.median(drawn.percent)),
-        "worst_percent": _finite(drawn.worst_percent),
+        "median_percent": float(np.median(drawn.percent)),
+        "worst_percent": float(drawn.worst_percent),
         "within": [
             {"percent": limit, "share": share, "standard_error": error}
             for limit, (share, error) in zip(drawn.within, drawn.shares, strict=True)
@@ -426,20 +453,23 @@ def _combinations_as_dict(drawn: Combinations) -> dict[str, Any]:
     }
 
 
-def _finite(value: Any) -> float | None:
-    return float(value) if math.isfinite(value) else None
-
-
 def _or_nan(value: Any) -> float:
     return float(value) if math.isfinite(value) else math.nan
 
 
-def write_report(result: StudyResult, folder: Path, stem: str) -> dict[str, str]:
-    """Write figure and tables into a folder, which is created; their paths by name. Raises UserError."""
+def make_folder(folder: Path) -> None:
+    """Make a folder in which files can be written. Raises UserError."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
     except OSError as error:
         raise UserError(f"{folder}: cannot be written: {error.strerror}; choose another folder with --out") from None
+
+
+def write_report(result: StudyResult, folder: Path, stem: str) -> dict[str, str]:
+    """Write figure and tables into a folder, which is created; their paths by name. Raises UserError."""
+    make_folder(folder)
     paths = {"figure": folder / f"{stem}.png"}
     write_figures(result, paths["figure"], quantity(result))
     heading = [

@@ -192,6 +192,11 @@ def _compute_case(study: StudyFile, variant: VariantTable | None, report: Report
     aligned = float(rms_percent(response.residuals(np.zeros((1, limits.size))))[0])
     if not math.isfinite(aligned):
         raise UserError(f"{title}: the instrument gives no value without deviations; correct its dimensions, or obstruction")
+    if aligned > within[0]:
+        wrong = (
+            f"{title}: without deviations the criterion is {aligned:.3g} % already, more than within_percent = {within[0]:g}"
+        )
+        raise UserError(f"{wrong}; give a larger one, or another range of i")
     report(0.0, f"{title}: deviations alone")
     largest = np.array([study.alone.largest_deg if each.unit == "deg" else study.alone.largest_mm for each in parameters])
     alone = limits_alone(response, limits, largest, within)
@@ -215,6 +220,9 @@ def _compute_case(study: StudyFile, variant: VariantTable | None, report: Report
         combinations = all_combinations(response, levels, within, done, surrogate)
     else:
         combinations = evaluate_draws(response, random_corners(limits, settings.draws, settings.seed), within, done)
+        if combinations.worst_percent > worst.percent:  # a search is no proof
+            worst = worst_combination(response, limits, np.sign(combinations.worst).astype(np.int64))
+            common = reduce_limits(response, limits, within[0], worst)
     return Case(name, parameters, limits, aligned, alone, combinations, worst, common, individual), response
 
 

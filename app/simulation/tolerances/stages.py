@@ -202,9 +202,9 @@ def _evaluate(
     return Combinations(percent, complete, within, surviving, worst)
 
 
-def worst_combination(response: Response, limits: Floats) -> WorstCombination:
+def worst_combination(response: Response, limits: Floats, start: Ints | None = None) -> WorstCombination:
     """The worst combination of deviations at their limits (k,), without an enumeration (see `search_worst`)."""
-    return search_worst(lambda levels: response.residuals(levels * limits), limits.size)
+    return search_worst(lambda levels: response.residuals(levels * limits), limits.size, start=start)
 
 
 def reduce_limits(response: Response, limits: Floats, within: float, worst: WorstCombination | None = None) -> ReducedLimits:

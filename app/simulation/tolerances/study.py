@@ -27,6 +27,8 @@ BEAM = "beam"
 """The whole illumination unit, turned about the sample."""
 MOST_DEVIATIONS = 60
 MOST_LEVELS = 101
+LARGEST_DEG, LARGEST_MM = 20.0, 50.0
+"""Limits beyond these are not deviations of an instrument any more."""
 
 Angle = Literal["rx", "ry", "rz"]
 Shift = Literal["x", "y", "z"]
@@ -94,6 +96,9 @@ class DeviationsTable(TomlTable):
                 raise ValueError(
                     f"limit_{key}: has no {'angles' if key == 'deg' else 'shifts'} to limit; name these, or remove it"
                 )
+            largest = {"deg": LARGEST_DEG, "mm": LARGEST_MM}[key]
+            if limit is not None and limit > largest:
+                raise ValueError(f"limit_{key}: {limit:g} is more than {largest:g} {key}, no deviation; give a smaller one")
             if limit is not None and step is not None and not limit / (MOST_LEVELS // 2) <= step <= limit:
                 raise ValueError(
                     f"step_{key}: {step:g} is not from {limit / (MOST_LEVELS // 2):g} to the limit of {limit:g}; correct it"
@@ -222,8 +227,8 @@ class YieldsTable(TomlTable):
 class AloneTable(TomlTable):
     """`[alone]`: how far a deviation alone is increased to find its limit: up to `largest_deg` or `largest_mm`."""
 
-    largest_deg: Annotated[float, Field(gt=0.0, le=20.0)] = 2.0
-    largest_mm: Annotated[float, Field(gt=0.0, le=50.0)] = 3.0
+    largest_deg: Annotated[float, Field(gt=0.0, le=LARGEST_DEG)] = 2.0
+    largest_mm: Annotated[float, Field(gt=0.0, le=LARGEST_MM)] = 3.0
 
 
 class VariantTable(TomlTable):
@@ -278,6 +283,8 @@ class StudyFile(TomlTable):
                     )
                 if element == BEAM and (group.shifts or "ry" in group.angles):
                     raise ValueError(f"{place}: the beam turns about the sample by rx and rz alone; remove what else it has")
+        self._check_largest([group for _, group in groups])
+        self._check_variants()
         for variant in (None, *self.variants):
             name = "the study" if variant is None else f"the variant {variant.name!r}"
             titles = [each.title for group in self.of_variant(variant) for each in group.parameters()]
@@ -286,6 +293,25 @@ class StudyFile(TomlTable):
             if not 1 <= len(titles) <= MOST_DEVIATIONS:
                 raise ValueError(f"deviations: {name} has {len(titles)} of them; give 1 to {MOST_DEVIATIONS}")
         return self
+
+    def _check_largest(self, groups: Sequence[DeviationsTable]) -> None:
+        """Raise ValueError where a deviation alone is not increased as far as its range."""
+        for key, largest in (("deg", self.alone.largest_deg), ("mm", self.alone.largest_mm)):
+            limit = max((getattr(group, f"limit_{key}") or 0.0 for group in groups), default=0.0)
+            if largest < limit:
+                raise ValueError(f"alone.largest_{key}: {largest:g} is less than a limit, {limit:g} {key}; give at least that")
+
+    def _check_variants(self) -> None:
+        """Raise ValueError for variants of one name, and for one that is the study itself."""
+        names = [each.name for each in self.variants]
+        own = {element for group in self.deviations for element in group.elements}
+        for number, variant in enumerate(self.variants):
+            if variant.name in names[:number]:
+                raise ValueError(f"variants.{number}.name: {variant.name!r} is the name of another variant; give another one")
+            if missing := [each for each in variant.without if each not in own]:
+                raise ValueError(f"variants.{number}.without: the study has no deviation of {missing[0]!r}; remove it")
+            if not (variant.without or variant.deviations or variant.instrument):
+                raise ValueError(f"variants.{number}: {variant.name!r} is the study itself; change something, or remove it")
 
     def of_variant(self, variant: VariantTable | None) -> list[DeviationsTable]:
         """The deviations of a variant, or without one those of the file."""

@@ -181,6 +181,17 @@ def test_impossible_deviations_are_refused_in_one_line(text: str, message: str) 
     assert str(caught.value).isprintable()
 
 
+def test_a_deviation_that_is_given_twice_is_refused() -> None:
+    with pytest.raises(UserError, match=r"^--deviation: slit.x_mm is given twice; remove one"):
+        parse_deviations(["slit.x_mm=0.1", "slit.y_mm=0.1", "slit.x_mm=0.2"])
+
+
+def test_a_unit_that_lights_the_sample_no_more_is_stated_with_its_deviations() -> None:
+    unit = illumination_unit(Instrument(illumination=parse_deviations(["slit.x_mm=4"])), 555.0, 0.0, 5.0)
+    with pytest.raises(UserError, match=r"^illumination: with slit.x_mm=4 no light reaches the sample; give "):
+        simulate_illumination(unit, 1.0, 1, None)
+
+
 def test_impossible_monochromators_and_file_names_are_refused(tmp_path: Path) -> None:
     for wavelength, interval, bandwidth, option in (
         (-1.0, 0.0, 5.0, "--wavelength"), (555.0, -1.0, 5.0, "--interval"), (555.0, 0.0, 0.0, "--bandwidth"),

@@ -121,6 +121,12 @@ def test_a_local_cluster_gives_the_same_bytes_and_listens_on_the_loopback_interf
     assert not [each for each in own.children(recursive=True) if "dask" in " ".join(each.cmdline())]
 
 
+@pytest.mark.parametrize("address", ["nonsense", "", "tcp://[::1", "tcp://127.0.0.1"])
+def test_an_address_that_is_none_is_refused_at_once(address: str) -> None:
+    with pytest.raises(UserError, match=r"^--dask .*check the address, such as tcp://HOST:8786"), DaskCluster(address):
+        pytest.fail("opened")
+
+
 def test_processes_are_for_a_local_cluster_alone() -> None:
     with pytest.raises(UserError, match=r"--processes: is the number of workers of --dask local; leave it out"):
         DaskCluster("tcp://127.0.0.1:8786", 2)

@@ -79,6 +79,48 @@ def test_the_command_gives_text_figure_and_tables(quick: StudyResult, tmp_path: 
     assert {"criterion", "range of i", "beam", "deviations", "combinations"} <= set(done["assumptions"])
 
 
+DARK = """name = "dark"
+criterion = { kind = "gaussian", sigma_deg = [80], step_deg = 2.0 }
+deviations = [{ elements = ["sample"], angles = ["ry"], limit_deg = 20 }]
+alone = { largest_deg = 20 }
+yields = { draws = 100 }
+"""
+
+
+def test_combinations_without_light_fail_and_are_stated(tmp_path: Path) -> None:
+    study = tmp_path / "dark.toml"
+    study.write_text(DARK, encoding="utf-8")
+    done = invoke("tolerances", study, "--json")
+    assert done.returncode == 0, done.stderr
+    assert "Warning" not in done.stderr
+    result = json.loads(done.stdout)
+    assert result["cases"][0]["worst_percent"] is None
+    assert "cut on one side of the specular direction" in result["assumptions"]["range of i"]
+    assert any("have directions without light" in each for each in result["explanations"])
+    assert not any(re.search(r"\b(nan|inf)\b", each) for each in result["explanations"])
+
+
+def test_a_criterion_that_fails_without_deviations_is_refused(tmp_path: Path) -> None:
+    study = tmp_path / "narrow.toml"
+    text = (FOLDER / "quick.toml").read_text(encoding="utf-8")
+    study.write_text(text.replace("within_percent = [5]", "within_percent = [0.1]"), encoding="utf-8")
+    done = invoke("tolerances", study)
+    assert done.returncode == 2
+    assert "without deviations the criterion is 0.614 % already, more than within_percent = 0.1" in " ".join(
+        done.stderr.split()
+    )
+
+
+def test_a_folder_that_cannot_be_written_is_refused_before_anything_is_computed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(computation, "compute_study", lambda *_: pytest.fail("computed"))
+    (tmp_path / "file").touch()
+    done = invoke("tolerances", FOLDER / "quick.toml", "--out", tmp_path / "file")
+    assert done.returncode == 2
+    assert "choose another folder with --out" in done.stderr
+
+
 def test_ctrl_c_in_a_study_is_one_line(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupt(*_: object) -> None:
         raise KeyboardInterrupt

@@ -64,13 +64,21 @@ BAD = [
     (("limit_deg = 0.05\n", "\n"), r"deviations\.0\.limit_deg: is missing; give the range of the angles"),
     (('angles = ["ry"]\n', "\n"), r"deviations\.0\.limit_deg: has no angles to limit"),
     (('"sample"', '"smaple"'), r"deviations\.0\.elements: there is no 'smaple' .*known are pupil, mirror_1"),
-    (('kind = "gaussian"', 'kind = "flux"'), r"criterion\.sigma_deg: there is no such key"),
+    (('kind = "gaussian"', 'kind = "flux"'), r"criterion\.sigma_deg: there is no such key in this table"),
     (('kind = "gaussian"', 'kind = "gauss"'), r"criterion: .*gauss"),
     (("step_deg = 0.025", "step_deg = 0.1"), r"deviations\.0\.step_deg: 0\.1 is not from 0\.001 to the limit"),
     (('angles = ["rz"]', 'angles = ["ry"]'), r"deviations\.1: the beam turns about the sample by rx and rz alone"),
     (('"mirror_3", "sample"', '"sample", "sample"'), r"deviations: the study has sample ry twice"),
     (("draws = 2000", "draws = 3"), r"yields\.draws: .*100"),
     (("within_percent = [5]", "within_percent = [500]"), r"criterion\.within_percent\.0: .*less than 100"),
+    (("limit_deg = 0.05", "limit_deg = 60"), r"deviations\.0\.limit_deg: 60 is more than 20 deg, no deviation"),
+    (("[criterion]", "[alone]\nlargest_deg = 0.01\n[criterion]"), r"alone\.largest_deg: 0\.01 is less than a limit, 0\.05 deg"),
+    (("[criterion]", '[[variants]]\nname = "v"\n[criterion]'), r"variants\.0: 'v' is the study itself"),
+    (("[criterion]", '[[variants]]\nname = "v"\nwithout = ["mirror_1"]\n[criterion]'), r"variants\.0\.without: .*'mirror_1'"),
+    (
+        ("[criterion]", 2 * '[[variants]]\nname = "v"\nwithout = ["beam"]\n' + "[criterion]"),
+        r"variants\.1\.name: 'v' is the name",
+    ),
     (("[criterion]", "[criterion"), r"is not TOML: .*line 4"),
 ]
 
