@@ -41,6 +41,7 @@ class _Depth(threading.local):
 
 
 _DEPTH = _Depth()
+_ERRORS: Any = errors
 
 
 class _PartLibrary(JITCodeLibrary):  # type: ignore[misc]
@@ -103,12 +104,12 @@ def compiling_kernel() -> Iterator[None]:
     """
     enabled = gc.isenabled()
     _DEPTH.kernels += 1
-    colours, errors._termcolor_inst = errors._termcolor_inst, _Plain()
+    colours, _ERRORS._termcolor_inst = _ERRORS._termcolor_inst, _Plain()
     gc.disable()
     try:
         yield
     finally:
-        errors._termcolor_inst = colours
+        _ERRORS._termcolor_inst = colours
         _DEPTH.kernels -= 1
         if enabled:
             gc.enable()
@@ -119,7 +120,8 @@ PLAIN = (types.Integer, types.Float, types.Boolean, types.BaseTuple, types.Array
 
 def _keep_resolved() -> None:
     """Keep the signatures that numba finds for operators and functions of numbers, while kernels are compiled."""
-    usual: Callable[..., Any] = BaseFunction.get_call_type
+    functions: Any = BaseFunction
+    usual: Callable[..., Any] = functions.get_call_type
 
     def get_call_type(self: Any, context: Any, args: tuple[Any, ...], kws: dict[str, Any]) -> Any:
         if not _DEPTH.kernels or kws or not all(isinstance(each, PLAIN) for each in args):
@@ -132,7 +134,7 @@ def _keep_resolved() -> None:
             found = kept[key] = usual(self, context, args, kws)
         return found
 
-    BaseFunction.get_call_type = get_call_type
+    functions.get_call_type = get_call_type
 
 
 _keep_resolved()
