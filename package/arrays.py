@@ -11,6 +11,7 @@ Counts = npt.NDArray[np.uint16]
 Singles = npt.NDArray[np.float32]
 Indices = npt.NDArray[np.int32]
 Words = npt.NDArray[np.uint32]
-"""Keys of 32-bit random numbers."""
+"""32-bit words: random numbers' keys, and indices without a sign."""
+Bytes = npt.NDArray[np.uint8]
 Keys = npt.NDArray[np.uint64]
 """Keys of 64-bit random numbers."""

@@ -10,8 +10,8 @@ import numpy as np
 
 from goniotwin.arrays import Floats, Ints, Singles, Words
 from goniotwin.twin.optics.bsdf.packed_lobes import TRANSMITS, Lobes
-from goniotwin.twin.optics.forward.bounces import Surfaces, cosine_direction, trace_bounces
-from goniotwin.twin.optics.forward.paths import BLOCK, DX, DY, DZ, FLUX, PX, PY, ROWS, STOP, WEIGHT, Beam, trace_to_sample
+from goniotwin.twin.optics.forward.bounces import Surfaces, trace_bounces
+from goniotwin.twin.optics.forward.paths import BLOCK, DX, DY, DZ, PX, PY, ROWS, STOP, WEIGHT, Beam, trace_to_sample
 from goniotwin.twin.optics.forward.scattering import (
     leave_by_cosine,
     leave_by_lobe,
@@ -22,16 +22,18 @@ from goniotwin.twin.optics.forward.scattering import (
     stop_at_mirror,
     weigh_lobe,
 )
-from goniotwin.twin.optics.forward.scoring import HITS, HitBuffer, Targets, find_cells, score
-from goniotwin.twin.optics.forward.spread import BINS, Spread
+from goniotwin.twin.optics.forward.scoring import Targets, find_cells, make_hit_buffer, score
+from goniotwin.twin.optics.forward.spread import BINS, Spread, spread_block
 from goniotwin.twin.optics.kernel import kernel
-from goniotwin.twin.optics.montecarlo import item_key, scramble, uniform, word_key
+from goniotwin.twin.optics.montecarlo import item_key, scramble, word_key
 
 U64 = np.uint64
 COSINE, SHAPE, REST, MODEL, FRAME = range(5)
 """Ways to draw: a Lambertian lobe; the shape of a Gaussian; the rest of a Gaussian, by the cosine; any other lobe;
 the frame.
 """
+SINGLE, STRAY = 0, 2
+"""Columns of the sums: light that the sample scattered once, all other light."""
 FRAMES_STREAM = 1 << 16
 """Stream of the frame's random numbers, independent of the sample's lobes.
 
@@ -53,10 +55,12 @@ class Strata(NamedTuple):
 
 @kernel(nogil=True)
 def scatter_stratum(buffer: Singles, strata: Strata, k: int, key: np.uint64, keys: Words, lobes: Lobes) -> None:
-    """Directions and weights of the paths of stratum k that have arrived at the sample."""
+    """Directions and weights of the paths of stratum k that have arrived at the sample, or on the frame."""
     way, which, count = strata.ways[k, 0], strata.ways[k, 1], strata.ways[k, 2]
     gain, share, transmits = strata.gains[k, 0], strata.gains[k, 1], lobes.models.heads[which, TRANSMITS] == 1
-    if way == SHAPE:
+    if way == FRAME:
+        leave_by_cosine(buffer, count, keys[2:], False, gain)
+    elif way == SHAPE:
         leave_by_lobe(buffer, count, keys[2:], lobes.models.params[which], share, transmits, gain)
     elif way == MODEL:
         leave_by_model(buffer, count, key, k, which, gain, lobes)
@@ -78,46 +82,35 @@ def trace(
     further rows. `longest` is the greatest number of detectors in a cell.
     """
     sums = np.zeros((detectors + BINS if spread.wanted else detectors, 4))
-    buffer, path_cells = np.empty(ROWS * BLOCK, np.float32), np.empty(BLOCK, np.int32)
-    most = HITS + longest + 1
-    hit_buffer = HitBuffer(np.empty(most, np.int32), np.empty(most, np.int32), np.empty(most, np.float32))
+    buffer, path_cells, hit_buffer = np.empty(ROWS * BLOCK, np.float32), np.empty(BLOCK, np.uint32), make_hit_buffer(longest)
     start, keys = scramble(U64(seed)), np.empty(4, np.uint32)
     for block in range(first, last):
         key = item_key(start, block)
         for k in range(strata.ways.shape[0]):
             count, inside = strata.ways[k, 2], strata.ways[k, 0] != FRAME
-            stream = k if inside else FRAMES_STREAM
+            stream, height, column = (k, 0.0, SINGLE) if inside else (FRAMES_STREAM, surfaces.gap, STRAY)
             for n in range(4):
                 keys[n] = word_key(key, 4 * stream + n)
             trace_to_sample(buffer, count, keys, beam, inside, strata.lit)
-            if not inside:
-                for i in range(count):
-                    if buffer[i + FLUX] > 0.0:
-                        own = path_key(key, stream, i)
-                        dx, dy, dz = cosine_direction(True, uniform(own, 0), uniform(own, 1))
-                        weight = buffer[i + FLUX] * strata.gains[k, 0]
-                        trace_bounces(
-                            surfaces, lobes, targets, spread, own, 1, False,
-                            np.float64(buffer[i + PX]), np.float64(buffer[i + PY]), surfaces.gap, dx, dy, dz, weight, sums,
-                        )  # fmt: skip
-                continue
             scatter_stratum(buffer, strata, k, key, keys, lobes)
             reset_stops(buffer, count)
             if surfaces.obstruction:
                 for m in range(3):
-                    stop_at_mirror(buffer, count, surfaces.mirrors[m], surfaces.blocking_half)
-            if surfaces.gap > 0.0:
+                    stop_at_mirror(buffer, count, height, surfaces.mirrors[m], surfaces.blocking_half)
+            if inside and surfaces.gap > 0.0:
                 stop_at_frame(buffer, count, surfaces.hole_half, surfaces.gap)
             if detectors > 0:
                 find_cells(buffer, count, targets.cells, path_cells)
-                score(buffer, count, path_cells, targets, hit_buffer, sums)
+                score(buffer, count, height, path_cells, targets, hit_buffer, sums, column)
+            if spread.wanted and not inside:
+                spread_block(buffer, count, height, spread, sums)
             for i in range(count):
                 if buffer[i + STOP] < np.inf and buffer[i + WEIGHT] > 0.0:
                     weight = np.float64(buffer[i + WEIGHT])
                     dx, dy, dz = np.float64(buffer[i + DX]), np.float64(buffer[i + DY]), np.float64(buffer[i + DZ])
                     trace_bounces(
-                        surfaces, lobes, targets, spread, path_key(key, k, i), 1, True,
-                        np.float64(buffer[i + PX]), np.float64(buffer[i + PY]), 0.0, dx, dy, dz, weight, sums,
+                        surfaces, lobes, targets, spread, path_key(key, stream, i),
+                        np.float64(buffer[i + PX]), np.float64(buffer[i + PY]), height, dx, dy, dz, weight, sums,
                     )  # fmt: skip
     return sums
 

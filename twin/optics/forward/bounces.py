@@ -98,20 +98,19 @@ def interpolate_degrees(table: Floats, cosine: float) -> float:
 
 @kernel()
 def trace_bounces(
-    surfaces: Surfaces, lobes: Lobes, targets: Targets, spread: Spread, key: np.uint64, interactions: int, scored: bool,
+    surfaces: Surfaces, lobes: Lobes, targets: Targets, spread: Spread, key: np.uint64,
     px: float, py: float, pz: float, dx: float, dy: float, dz: float, weight: float, sums: Floats,
 ) -> None:  # fmt: skip
-    """Trace a path from p along d after `interactions`, and score it; its first part only if not `scored`."""
-    mirrored = False
+    """Trace a path from p along d after its first scattering; what it meets there is already scored (`score`)."""
+    interactions, mirrored = 1, False
     while True:
         surface, nearest = next_surface(surfaces, px, py, pz, dx, dy, dz)
-        if not scored:
+        if interactions > 1:
             score_segment(targets, px, py, pz, dx, dy, dz, nearest, weight, sums)
             # The map does not include the mirrors: obstruction is applied where the map is used, and light that returns over
             # the mirrors to the lamp is as narrow as the beam.
             if spread.wanted and not mirrored:
                 spread_segment(spread, px, py, pz, dx, dy, dz, surface >= UPPER and surface != NOTHING, weight, sums)
-        scored = False
         if surface == NOTHING or interactions >= surfaces.most:
             return
         px, py, pz = px + nearest * dx, py + nearest * dy, pz + nearest * dz

@@ -97,9 +97,9 @@ def weigh_lobe(buffer: Singles, count: int, params: Floats, share: float, transm
 
 
 @kernel(fastmath={"contract"})
-def stop_at_mirror(buffer: Singles, count: int, mirror: Floats, half: float) -> None:
-    """Set STOP to the distance to a mirror if that is smaller."""
-    cx, cy, cz = F32(mirror[0, 0]), F32(mirror[0, 1]), F32(mirror[0, 2])
+def stop_at_mirror(buffer: Singles, count: int, height: float, mirror: Floats, half: float) -> None:
+    """Set STOP to the distance to a mirror, from points `height` above the sample, if that is smaller."""
+    cx, cy, cz = F32(mirror[0, 0]), F32(mirror[0, 1]), F32(mirror[0, 2] - height)
     nx, ny, nz = F32(mirror[1, 0]), F32(mirror[1, 1]), F32(mirror[1, 2])
     ux, uy, uz = F32(mirror[2, 0]), F32(mirror[2, 1]), F32(mirror[2, 2])
     vx, vy, vz = F32(mirror[3, 0]), F32(mirror[3, 1]), F32(mirror[3, 2])

@@ -2,9 +2,12 @@
 
 A look-up gives the candidates from the ray's direction. The exact test of disc and cone follows or, for real sensors, of lens,
 diaphragm and detector. Directions of either hemisphere, projected along the normal, fall into square cells. A cell lists every
-detector whose cone contains some direction of it, so that a ray costs the same with 83,000 detectors as with 30. A list holds
-the detectors' frames side by side, and hits are stored before they are added up: no branch depends on a hit, which makes it
-half as fast again.
+detector whose cone contains some direction of it, so that a ray costs the same with 83,000 detectors as with 30.
+
+Most of the time of a forward run is spent here, and most of that by wrong guesses of the processor, so no branch depends on a
+path: each step writes all that may be needed and advances by as many as count. First the paths whose cell has a list, then
+their pairs with its detectors, then the pairs within the cone, then the hits, which are added up last. Indices have no sign
+(64 bits): numba tests any other for being negative, at each access.
 """
 
 import math
@@ -12,12 +15,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from goniotwin.arrays import Floats, Indices, Singles
+from goniotwin.arrays import Bytes, Floats, Indices, Singles, Words
 from goniotwin.twin.optics.forward.paths import BLOCK, DX, DY, DZ, PX, PY, STOP, WEIGHT
 from goniotwin.twin.optics.geometry.sensor import RealSensor, passes_sensor
 from goniotwin.twin.optics.kernel import kernel
 
 F32 = np.float32
+U64 = np.uint64
 I32 = np.int32
 ONE, ZERO = np.float32(1.0), np.float32(0.0)
 FEWEST_CELLS, MOST_CELLS = 8, 460
@@ -25,27 +29,27 @@ FEWEST_CELLS, MOST_CELLS = 8, 460
 core's own cache.
 """
 HITS = 4 * BLOCK
-LENGTH, NOWHERE = 2, 9.0
-"""Lists have a multiple of this length, a power of two: the processor predicts a loop with the same number of passes as last
-time. The padding is in no cone.
-"""
+AT_ONCE = 4
+"""Number of detectors of a list that are copied without a test; `numbers` is that much longer than its lists."""
+AT_PX, AT_PY, AT_DX, AT_DY, AT_DZ, AT_WEIGHT, AT_STOP = (U64(row) for row in (PX, PY, DX, DY, DZ, WEIGHT, STOP))
 # Margin for the rounding of directions to single precision.
 SLACK = 2e-6
 
 
 class Targets(NamedTuple):
-    """Detectors by cells: cell c lists those of `numbers` and rows of `frames` from starts[c] to starts[c + 1].
+    """Detectors by cells: cell c lists those of `numbers` from starts[c] to starts[c + 1]; `listed` is 1 where there are any.
 
-    A row of `frames` (., 6) has viewing direction and centre in mm. `cells` per side; the chord of half a detector's field and
-    its disc's radius in mm, both squared. The last list is empty: it is for rays without weight.
+    A row of `frames` (detectors, 6) has viewing direction and centre in mm. `cells` per side; the chord of half a detector's
+    field and its disc's radius in mm, both squared. The last list is empty: it is for rays without weight.
 
     For real sensors the rows are longer (., 9), with the side of the detector that lies along the arc, and `sensor` has the
     sensor's constants. For virtual detectors `sensor` is None, and numba compiles kernels without sensors: functions that test
     it have it as an argument of its own. A test inside the kernels would cost virtual detectors 3 to 9 % of their speed.
     """
 
-    starts: Indices
-    numbers: Indices
+    starts: Words
+    listed: Bytes
+    numbers: Words
     frames: Singles
     cells: int
     chord2: float
@@ -98,12 +102,15 @@ def make_targets(centres: Floats, axes: Floats, field_deg: float, diameter_mm: f
         raise ValueError(
             f"{len(axes)} detectors with a field of {field_deg:g} deg overlap too much: give fewer, or a smaller one"
         )
-    starts[1:] = np.cumsum((counts + (LENGTH - 1)) & -LENGTH)
-    numbers = np.full(int(starts[-1]), len(axes), np.int32)
+    starts[1:] = np.cumsum(counts)
+    numbers = np.zeros(int(starts[-1]) + AT_ONCE, np.int32)
     _fill_lists(axes, margin, cells, starts, numbers)
-    frames = np.vstack([np.hstack([axes, centres]), np.full((1, 6), NOWHERE)]).astype(np.float32)[numbers]
+    frames = np.hstack([axes, centres]).astype(np.float32)
     chord2 = (2.0 * math.sin(0.5 * half)) ** 2
-    return Targets(starts, numbers, frames, cells, chord2, (0.5 * diameter_mm) ** 2, None)
+    return Targets(
+        starts.astype(np.uint32), (counts > 0).astype(np.uint8), numbers.astype(np.uint32), frames, cells, chord2,
+        (0.5 * diameter_mm) ** 2, None,
+    )  # fmt: skip
 
 
 def make_sensor_targets(centres: Floats, axes: Floats, sides: Floats, sensor: RealSensor) -> Targets:
@@ -112,12 +119,11 @@ def make_sensor_targets(centres: Floats, axes: Floats, sides: Floats, sensor: Re
     The lists are those of a cone that contains every ray that can pass, with a margin for rounding.
     """
     listed = make_targets(centres, axes, sensor.widest_deg + math.degrees(2.0 * SLACK), sensor.lens_diameter_mm)
-    rows = np.vstack([sides, np.zeros(3)]).astype(np.float32)[listed.numbers]
-    return listed._replace(frames=np.hstack([listed.frames, rows]), sensor=sensor.constants)
+    return listed._replace(frames=np.hstack([listed.frames, sides.astype(np.float32)]), sensor=sensor.constants)
 
 
 @kernel(fastmath={"contract"})
-def find_cells(buffer: Singles, count: int, cells: int, path_cells: Indices) -> None:
+def find_cells(buffer: Singles, count: int, cells: int, path_cells: Words) -> None:
     """Cell of each path of a block."""
     scale, last, nowhere = F32(0.5 * cells), I32(cells - 1), I32(2 * cells * cells)
     row, below = I32(cells), I32(cells * cells)
@@ -129,11 +135,21 @@ def find_cells(buffer: Singles, count: int, cells: int, path_cells: Indices) -> 
 
 
 class HitBuffer(NamedTuple):
-    """Buffer for HITS and one list of detectors: index in the lists, path, and the weight of those that count."""
+    """Buffer for a block: `candidates` are the paths whose cell has a list; detector, path and weight of pairs and hits."""
 
-    places: Indices
-    paths: Indices
+    candidates: Words
+    places: Words
+    paths: Words
     weights: Singles
+
+
+@kernel()
+def make_hit_buffer(longest: int) -> HitBuffer:
+    """Buffer for HITS pairs, the longest list of detectors and what is copied beyond."""
+    size = HITS + longest + AT_ONCE
+    return HitBuffer(
+        np.empty(BLOCK, np.uint32), np.empty(size, np.uint32), np.empty(size, np.uint32), np.empty(size, np.float32)
+    )  # fmt: skip
 
 
 @kernel(forceinline=True)
@@ -157,60 +173,98 @@ def is_counted(
 
 
 @kernel()
-def add_sensor_hits(buffer: Singles, hits: int, targets: Targets, hit_buffer: HitBuffer, sums: Floats) -> None:
+def find_candidates(count: int, path_cells: Words, targets: Targets, hit_buffer: HitBuffer) -> np.uint64:
+    """Fill `candidates`; their number."""
+    candidates, listed, found = hit_buffer.candidates, targets.listed, U64(0)
+    for i in range(count):
+        candidates[found] = i
+        found += U64(listed[U64(path_cells[i])])
+    return found
+
+
+@kernel(fastmath={"contract"})
+def select_pairs(buffer: Singles, pairs: np.uint64, targets: Targets, hit_buffer: HitBuffer) -> np.uint64:
+    """Keep those of the first `pairs` of path and detector whose path is within the detector's cone; their number."""
+    frames, places, paths = targets.frames, hit_buffer.places, hit_buffer.paths
+    chord2, kept = F32(targets.chord2), U64(0)
+    for n in range(pairs):
+        path, place = paths[n], places[n]
+        i, j = U64(path), U64(place)
+        ox, oy, oz = buffer[i + AT_DX] - frames[j, 0], buffer[i + AT_DY] - frames[j, 1], buffer[i + AT_DZ] - frames[j, 2]
+        paths[kept], places[kept] = path, place
+        kept += U64(ox * ox + oy * oy + oz * oz <= chord2)
+    return kept
+
+
+@kernel()
+def add_sensor_hits(
+    buffer: Singles, pairs: np.uint64, height: float, targets: Targets, hit_buffer: HitBuffer, sums: Floats, column: int
+) -> None:
     """`add_hits` of real sensors."""
-    for h in range(hits):
-        i, j = hit_buffer.paths[h], hit_buffer.places[h]
+    for n in range(pairs):
+        i, j = int(hit_buffer.paths[n]), int(hit_buffer.places[n])
         px, py, stop = np.float64(buffer[i + PX]), np.float64(buffer[i + PY]), np.float64(buffer[i + STOP])
         dx, dy, dz = np.float64(buffer[i + DX]), np.float64(buffer[i + DY]), np.float64(buffer[i + DZ])
-        if is_counted(targets, targets.sensor, j, px, py, 0.0, dx, dy, dz, stop):
-            k, weight = targets.numbers[j], np.float64(buffer[i + WEIGHT])
-            sums[k, 0] += weight
-            sums[k, 1] += weight * weight
+        if is_counted(targets, targets.sensor, j, px, py, height, dx, dy, dz, stop):
+            weight = np.float64(buffer[i + WEIGHT])
+            sums[j, column] += weight
+            sums[j, column + 1] += weight * weight
 
 
 @kernel(fastmath={"contract"})
-def add_hits(buffer: Singles, hits: int, targets: Targets, sensor: Floats | None, hit_buffer: HitBuffer, sums: Floats) -> None:
-    """Add hits that cross the detector's disc, or pass its sensor, to the first two columns of `sums` (n, 4)."""
+def add_hits(
+    buffer: Singles, pairs: np.uint64, height: float, targets: Targets, sensor: Floats | None, hit_buffer: HitBuffer,
+    sums: Floats, column: int,
+) -> None:  # fmt: skip
+    """Add those of the first `pairs`, within the cone, that cross the detector's disc, or pass its sensor: see `score`."""
     if sensor is not None:
-        add_sensor_hits(buffer, hits, targets, hit_buffer, sums)
+        add_sensor_hits(buffer, pairs, height, targets, hit_buffer, sums, column)
         return
     frames, places, paths, weights = targets.frames, hit_buffer.places, hit_buffer.paths, hit_buffer.weights
-    radius2, accepted = F32(targets.radius2), 0
-    for h in range(hits):
-        i, j = paths[h], places[h]
-        dx, dy, dz = buffer[i + DX], buffer[i + DY], buffer[i + DZ]
+    radius2, above, hits = F32(targets.radius2), F32(height), U64(0)
+    for n in range(pairs):
+        place, i = places[n], U64(paths[n])
+        j = U64(place)
+        dx, dy, dz = buffer[i + AT_DX], buffer[i + AT_DY], buffer[i + AT_DZ]
         ex, ey, ez = frames[j, 0], frames[j, 1], frames[j, 2]
-        x, y, z = buffer[i + PX] - frames[j, 3], buffer[i + PY] - frames[j, 4], -frames[j, 5]
+        x, y, z = buffer[i + AT_PX] - frames[j, 3], buffer[i + AT_PY] - frames[j, 4], above - frames[j, 5]
         distance = -(x * ex + y * ey + z * ez) / (dx * ex + dy * ey + dz * ez)
         x, y, z = x + distance * dx, y + distance * dy, z + distance * dz
-        inside = (x * x + y * y + z * z <= radius2) & (distance > ZERO) & (distance < buffer[i + STOP])
-        places[accepted], weights[accepted] = targets.numbers[j], buffer[i + WEIGHT]
-        accepted += 1 if inside else 0
-    for h in range(accepted):
-        k, weight = places[h], np.float64(weights[h])
-        sums[k, 0] += weight
-        sums[k, 1] += weight * weight
+        inside = (x * x + y * y + z * z <= radius2) & (distance > ZERO) & (distance < buffer[i + AT_STOP])
+        places[hits], weights[hits] = place, buffer[i + AT_WEIGHT]
+        hits += U64(inside)
+    for n in range(hits):
+        j, weight = U64(places[n]), np.float64(weights[n])
+        sums[j, column] += weight
+        sums[j, column + 1] += weight * weight
 
 
-@kernel(fastmath={"contract"})
-def score(buffer: Singles, count: int, path_cells: Indices, targets: Targets, hit_buffer: HitBuffer, sums: Floats) -> None:
-    """Add the paths of a block to the first two columns of `sums`: first select the paths within the detectors' cones."""
-    starts, frames, places, paths = targets.starts, targets.frames, hit_buffer.places, hit_buffer.paths
-    chord2, hits = F32(targets.chord2), 0
-    for i in range(count):
-        first, last = starts[path_cells[i]], starts[path_cells[i] + 1]
-        if first == last:
-            continue
-        dx, dy, dz = buffer[i + DX], buffer[i + DY], buffer[i + DZ]
-        for j in range(first, last):
-            ox, oy, oz = dx - frames[j, 0], dy - frames[j, 1], dz - frames[j, 2]
-            paths[hits], places[hits] = i, j
-            hits += 1 if ox * ox + oy * oy + oz * oz <= chord2 else 0
-        if hits > HITS:
-            add_hits(buffer, hits, targets, targets.sensor, hit_buffer, sums)
-            hits = 0
-    add_hits(buffer, hits, targets, targets.sensor, hit_buffer, sums)
+@kernel()
+def score(
+    buffer: Singles, count: int, height: float, path_cells: Words, targets: Targets, hit_buffer: HitBuffer, sums: Floats,
+    column: int,
+) -> None:  # fmt: skip
+    """Add the paths of a block, from points `height` above the sample, to a column of `sums`, their squares to the next."""
+    starts, numbers, places, paths = targets.starts, targets.numbers, hit_buffer.places, hit_buffer.paths
+    pairs = U64(0)
+    for n in range(find_candidates(count, path_cells, targets, hit_buffer)):
+        i = hit_buffer.candidates[n]
+        cell = U64(path_cells[U64(i)])
+        first = U64(starts[cell])
+        length = U64(starts[cell + U64(1)]) - first
+        a, b, c, d = numbers[first], numbers[first + U64(1)], numbers[first + U64(2)], numbers[first + U64(3)]
+        places[pairs], places[pairs + U64(1)], places[pairs + U64(2)], places[pairs + U64(3)] = a, b, c, d
+        paths[pairs], paths[pairs + U64(1)], paths[pairs + U64(2)], paths[pairs + U64(3)] = i, i, i, i
+        if length > U64(AT_ONCE):
+            for k in range(U64(AT_ONCE), length):
+                places[pairs + k], paths[pairs + k] = numbers[first + k], i
+        pairs += length
+        if pairs > U64(HITS):
+            pairs = select_pairs(buffer, pairs, targets, hit_buffer)
+            add_hits(buffer, pairs, height, targets, targets.sensor, hit_buffer, sums, column)
+            pairs = U64(0)
+    pairs = select_pairs(buffer, pairs, targets, hit_buffer)
+    add_hits(buffer, pairs, height, targets, targets.sensor, hit_buffer, sums, column)
 
 
 @kernel()
@@ -223,11 +277,11 @@ def score_segment(
     cell = min(max(i, 0), cells - 1) * cells + min(max(j, 0), cells - 1)
     if dz < 0.0:
         cell += cells * cells
-    for j in range(targets.starts[cell], targets.starts[cell + 1]):
+    for n in range(targets.starts[cell], targets.starts[cell + 1]):
+        j = int(targets.numbers[n])
         ex, ey, ez = targets.frames[j, 0], targets.frames[j, 1], targets.frames[j, 2]
         if (dx - ex) ** 2 + (dy - ey) ** 2 + (dz - ez) ** 2 > targets.chord2:
             continue
         if is_counted(targets, targets.sensor, j, px, py, pz, dx, dy, dz, stop):
-            k = targets.numbers[j]
-            sums[k, 2] += weight
-            sums[k, 3] += weight * weight
+            sums[j, 2] += weight
+            sums[j, 3] += weight * weight

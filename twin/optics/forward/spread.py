@@ -10,7 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from goniotwin.arrays import Floats
+from goniotwin.arrays import Floats, Singles
+from goniotwin.twin.optics.forward.paths import DX, DY, DZ, PX, PY, WEIGHT
 from goniotwin.twin.optics.kernel import kernel
 
 POLAR_STEP_DEG, AZIMUTH_STEP_DEG = 5.0, 10.0
@@ -61,6 +62,17 @@ def spread_segment(
     row = spread.detectors + (side * POLAR_BINS + i) * AZIMUTH_BINS + j
     sums[row, 2] += weight * area
     sums[row, 3] += (weight * area) ** 2
+
+
+@kernel()
+def spread_block(buffer: Singles, count: int, height: float, spread: Spread, sums: Floats) -> None:
+    """Add the paths of a block from points `height` above the sample; nothing of the sample unit is in their way."""
+    for i in range(count):
+        weight = np.float64(buffer[i + WEIGHT])
+        if weight > 0.0:
+            dx, dy, dz = np.float64(buffer[i + DX]), np.float64(buffer[i + DY]), np.float64(buffer[i + DZ])
+            px, py = np.float64(buffer[i + PX]), np.float64(buffer[i + PY])
+            spread_segment(spread, px, py, height, dx, dy, dz, False, weight, sums)
 
 
 @kernel()

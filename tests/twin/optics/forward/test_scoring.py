@@ -8,7 +8,7 @@ import pytest
 
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics.forward.paths import BLOCK, DX, PX, ROWS, STOP, WEIGHT
-from goniotwin.twin.optics.forward.scoring import HITS, HitBuffer, find_cells, make_targets, score, score_segment
+from goniotwin.twin.optics.forward.scoring import find_cells, make_hit_buffer, make_targets, score, score_segment
 
 
 def random_directions(count: int, seed: int) -> Floats:
@@ -62,11 +62,10 @@ def test_every_ray_is_counted_by_the_detectors_in_whose_cone_and_disc_it_is(fiel
         buffer[DX + c * BLOCK : DX + (c + 1) * BLOCK] = rays[:, c]
     for c in range(2):
         buffer[PX + c * BLOCK : PX + (c + 1) * BLOCK] = places[:, c]
-    cells, most = np.empty(BLOCK, np.int32), HITS + int(np.diff(result.starts).max()) + 1
-    hit_buffer = HitBuffer(np.empty(most, np.int32), np.empty(most, np.int32), np.empty(most, np.float32))
+    cells, hit_buffer = np.empty(BLOCK, np.uint32), make_hit_buffer(int(np.diff(result.starts).max()))
     sums = np.zeros((count, 4))
     find_cells(buffer, BLOCK, result.cells, cells)
-    score(buffer, BLOCK, cells, result, hit_buffer, sums)
+    score(buffer, BLOCK, 0.0, cells, result, hit_buffer, sums, 0)
     unsure = np.count_nonzero(~surely, axis=0)
     assert np.all(np.abs(sums[:, 0] - expected.sum(axis=0)) <= unsure)
     for k in range(BLOCK):
