@@ -46,6 +46,17 @@ class ModbusScripts(Protocol):
         """
 
 
+@runtime_checkable
+class TmclScripts(Protocol):
+    """A serial port that carries out scripts of reads on a TMCL line."""
+
+    def run_script(self, requests: Sequence[tuple[bytes, bytes]]) -> list[Exchanged]:
+        """Make the first exchanges, each when the reply to the one before has arrived.
+
+        Each is a request and the bytes with which its reply has to begin. The clock is left where it is, as in `ModbusScripts`.
+        """
+
+
 def matches(exchanged: Exchanged, unit: int, expected: bytes | None) -> bool:
     """Whether a reply has transaction, protocol, unit and length of its request, and the expected PDU.
 
