@@ -2,8 +2,8 @@
 
 import math
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -33,6 +33,19 @@ SUPPLY_V = 12.0
 
 EARLIEST_CONVERSION = 1.2
 """More than the periods by which the first of a module's last conversions began before it is read: one, and one channel."""
+
+
+@dataclass(frozen=True)
+class ExpectedPose:
+    """A pose that is going to be measured: the sample (None: no sample) and the number of its mounting, what is set at the
+    monochromator, and the counters of the axes, microsteps.
+    """
+
+    sample: str | None
+    mounting: int
+    wavelength_nm: float
+    filter_position: int
+    counters: Mapping[str, float]
 
 
 class Plant:
@@ -167,6 +180,26 @@ class Plant:
         wavelength = self._true_nm(self.wavelength_nm.at(t)) if wavelength_nm is None else wavelength_nm
         aspect = Aspect(self.sample.at(t), self.tilt_deg.at(t), wavelength, sigma, gamma, beta, shift, self.mounting.at(t))
         return self.view.throughputs_m2sr(aspect)
+
+    def expect(self, poses: Iterable[ExpectedPose]) -> None:
+        """Poses that follow, in their order: their throughputs are then computed many at once. Nothing else depends on it."""
+        self.view.expect(aspect for pose in poses for aspect in self._aspects(pose))
+
+    def _aspects(self, pose: ExpectedPose) -> Iterator[Aspect]:
+        """The aspects at an expected pose, one for each wavelength that passes; none where the way there decides."""
+        if self.model.disturbances.position_deg:
+            return
+        angles = []
+        for axis in ("sigma", "gamma", "beta", "shift"):
+            shaft = self.shafts.get(axis)
+            angle = shaft.newest.resting_deg(pose.counters[axis]) if shaft is not None else 0.0
+            if angle is None:
+                return
+            error = self.drawn.axis_error_deg(axis, 0) if shaft is not None else 0.0
+            angles.append(angle + error if error else angle)
+        for wavelength, light in self._passing(pose.wavelength_nm, pose.filter_position):
+            if light != 0.0:
+                yield Aspect(pose.sample, self.tilt_deg.newest, wavelength, *angles, pose.mounting)
 
     def warm_up(self) -> None:
         """Compute everything once: kernels compile at their first use, and a device must not wait for that.
