@@ -371,8 +371,8 @@ class Readings(Scripted):
         if not made:
             return None
         words = np.frombuffer(b"".join([each.reply[-READ_BYTES:] for each in made]), dtype=">u2")
-        values, readings = words ^ self._modules[0].sign_bit, len(made) // modules
-        whole = values[: readings * modules * adam.CHANNELS].reshape(readings, -1)
+        values, readings, channels = words ^ self._modules[0].sign_bit, len(made) // modules, modules * adam.CHANNELS
+        whole = values[: readings * channels].reshape(readings, channels)
         self._counts[self._taken : self._taken + readings] = whole[:, : self._settings.count]
         self._row = values[whole.size :].tolist()
         self._row_started = made[-(len(made) % modules or modules)].sent_s

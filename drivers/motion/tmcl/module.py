@@ -224,7 +224,7 @@ class TmclModule:
         return values
 
     def _run_script(self, requests: Sequence[CommandFrame]) -> list[int]:
-        """The confirmed values of the first requests that the line can look ahead to, all of them checked; mostly all or none.
+        """The confirmed values of the first requests that the line can look ahead to; mostly all or none. Raises Forgotten.
 
         None while anything is in doubt, and while a reply to an earlier GAP could be taken for one of these.
         """
@@ -236,15 +236,16 @@ class TmclModule:
                 return values
             script = [each for request in requests for each in self._confirmed_exchange(request)]
             made = port.run_script(script)
-            for number, (request, exchanged) in enumerate(zip(made[::2], made[1::2], strict=False)):
-                canary = script[2 * number + 1][1]
-                if not is_reply(request.reply, script[2 * number][1]) or exchanged.reply != canary:
-                    self._out_of_step = True
-                    break
-                values.append(reply_value(request.reply))
             if made:
-                last = Command.GAP if len(made) % 2 else Command.GGP
-                self._last = (last, 0, self._clock.now())
+                self._last = (script[len(made) - 1][0][1], 0, self._clock.now())
+            for number, (exchanged, (_, begin)) in enumerate(zip(made, script, strict=False)):
+                if not is_reply(exchanged.reply, begin):
+                    self._out_of_step = True
+                    return values[: number // 2]
+                if number % 2 == 0:
+                    values.append(reply_value(exchanged.reply))
+            if len(made) % 2:
+                self.check_canary(requests[len(made) // 2].address)
         return values
 
     def _confirmed_exchange(self, request: CommandFrame) -> tuple[tuple[bytes, bytes], tuple[bytes, bytes]]:
