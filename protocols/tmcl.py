@@ -82,6 +82,12 @@ def checksum(data: bytes) -> int:
     return sum(data) & 0xFF
 
 
+def pack(first: int, second: int, third: int, fourth: int, value: int) -> bytes:
+    """The nine bytes of a frame: four of one byte each, the value, the checksum. Raises struct.error."""
+    body = _FRAME.pack(first, second, third, fourth, value)
+    return body + bytes((sum(body) & 0xFF,))
+
+
 @dataclass(frozen=True, slots=True)
 class CommandFrame:
     """What the host sends: module address, command, type, motor or bank, signed 32 bit value."""
@@ -95,15 +101,14 @@ class CommandFrame:
     def encode(self) -> bytes:
         """The nine bytes. Raises FrameError for a field that does not fit its bytes."""
         try:
-            body = _FRAME.pack(self.address, self.command, self.type, self.motor, self.value)
+            return pack(self.address, self.command, self.type, self.motor, self.value)
         except struct.error as error:
             raise FrameError(f"{self} does not fit a TMCL request: {error}") from None
-        return body + bytes((checksum(body),))
 
     @classmethod
     def decode(cls, frame: bytes) -> "CommandFrame":
         """A request from its nine bytes. Raises FrameError for a wrong length or checksum."""
-        return cls(*_unpack(frame))
+        return cls(*unpack(frame))
 
     def __str__(self) -> str:
         return f"{_name(Command, self.command)} {_type_name(self.command, self.type)} motor {self.motor} = {self.value}"
@@ -122,15 +127,14 @@ class ReplyFrame:
     def encode(self) -> bytes:
         """The nine bytes. Raises FrameError for a field that does not fit its bytes."""
         try:
-            body = _FRAME.pack(self.host, self.address, self.status, self.command, self.value)
+            return pack(self.host, self.address, self.status, self.command, self.value)
         except struct.error as error:
             raise FrameError(f"{self} does not fit a TMCL reply: {error}") from None
-        return body + bytes((checksum(body),))
 
     @classmethod
     def decode(cls, frame: bytes) -> "ReplyFrame":
         """A reply from its nine bytes. Raises FrameError for a wrong length or checksum."""
-        return cls(*_unpack(frame))
+        return cls(*unpack(frame))
 
     def __str__(self) -> str:
         return f"{_name(Command, self.command)} {_name(ReplyStatus, self.status)} value {self.value}"
@@ -166,12 +170,14 @@ def version_number(module: int, major: int, minor: int) -> int:
     return module << 16 | major << 8 | minor
 
 
-def _unpack(frame: bytes) -> tuple[int, int, int, int, int]:
+def unpack(frame: bytes) -> tuple[int, int, int, int, int]:
+    """What `pack` has packed. Raises FrameError for a wrong length or checksum."""
     if len(frame) != FRAME_BYTES:
         raise FrameError(f"a TMCL frame has {FRAME_BYTES} bytes, not {len(frame)}: {frame.hex(' ')}")
-    if checksum(frame[:-1]) != frame[-1]:
-        raise FrameError(f"checksum {frame[-1]:02x} instead of {checksum(frame[:-1]):02x}: {frame.hex(' ')}")
-    return _FRAME.unpack(frame[:-1])
+    body = frame[:-1]
+    if sum(body) & 0xFF != frame[-1]:
+        raise FrameError(f"checksum {frame[-1]:02x} instead of {checksum(body):02x}: {frame.hex(' ')}")
+    return _FRAME.unpack(body)
 
 
 def _name(names: type[IntEnum], number: int) -> str:

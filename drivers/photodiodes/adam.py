@@ -27,6 +27,7 @@ first fault.
 
 import contextlib
 from collections.abc import Callable, Iterable
+from dataclasses import dataclass
 from functools import partial
 from typing import TypeVar
 
@@ -35,15 +36,52 @@ from pymodbus.pdu import ModbusPDU
 
 from goniotwin.drivers.errors import BadAnswer, DeviceError, Forgotten, NoAnswer, Refused, unless_late
 from goniotwin.drivers.photodiodes.modbus import WIRE_FAULTS, ModbusBus, ModbusUnit, describe_fault
+from goniotwin.drivers.tap import FROM_DEVICE, TO_DEVICE, no_tap
 from goniotwin.protocols import adam
 from goniotwin.protocols.clock import Clock
+from goniotwin.protocols.script import (
+    Exchanged,
+    ModbusScripts,
+    coils,
+    matches,
+    read_coils,
+    read_registers,
+    registers,
+    write_coils,
+)
 
 T = TypeVar("T")
 Call = Callable[[ModbusBaseSyncClient], ModbusPDU]
 Exchange = Callable[[Call, str, int], ModbusPDU]
 """Takes a call of a client, its description, and the function code of the reply."""
-SettingsCheck = Callable[[], None]
 
+
+@dataclass(frozen=True)
+class ScriptedExchange:
+    """An exchange of a module in a script: PDU and expected reply (None: eight registers), and what follows from it."""
+
+    request: bytes
+    expected: bytes | None
+    confirmed: Callable[[], None] = lambda: None
+
+
+@dataclass(frozen=True)
+class SettingsCheck:
+    """A check of settings of a module, in one exchange: `alone` makes it, `script` is what it is in a script."""
+
+    module: "AdamModule"
+    alone: Callable[[], None]
+    script: ScriptedExchange | None = None
+
+    def __call__(self) -> None:
+        """Make it alone. Raises DeviceError."""
+        self.alone()
+
+
+READ_INPUTS = ScriptedExchange(read_registers(adam.AI_VALUE, adam.CHANNELS), None)
+READ_RANGES = read_registers(adam.RANGE_CODE, adam.CHANNELS)
+CONFIRMATION = 5
+"""Bytes of a PDU of function 15 that its confirmation repeats."""
 READ_COILS = 1
 READ_REGISTERS = (3, 4)
 WRITE_COIL, WRITE_REGISTER, WRITE_COILS, WRITE_REGISTERS = 5, 6, 15, 16
@@ -96,7 +134,7 @@ class AdamModule:
         self._last_outputs: list[bool] | None = None
         self._model = model
         self._ranges = [range_code] * adam.CHANNELS
-        self._sign_bit = adam.sign_bit(raw_format)
+        self.sign_bit = adam.sign_bit(raw_format)
         self._clock = clock
         self._outputs: list[bool] | None = None
         self._outputs_written = self._outputs_checked = False
@@ -156,7 +194,7 @@ class AdamModule:
 
     def counts(self) -> list[int]:
         """Raw values of all channels, 0 to 65535 over the range. Raises DeviceError."""
-        return [register ^ self._sign_bit for register in self._read_registers(adam.AI_VALUE, adam.CHANNELS)]
+        return [register ^ self.sign_bit for register in self._read_registers(adam.AI_VALUE, adam.CHANNELS)]
 
     def set_outputs(self, outputs: list[bool]) -> None:
         """Set the digital outputs, lowest first; `checks` confirm them. Raises DeviceError."""
@@ -177,10 +215,65 @@ class AdamModule:
         Forgotten if the module has lost its settings.
         """
         if self._clock.now() - self._checked_s >= CHECK_INTERVAL_S:
-            return [self.check_outputs, self._check_ranges_after_outputs, self._check_name, self._check_rest]
+            alone = [self.check_outputs, self._check_ranges_after_outputs, self._check_name, self._check_rest]
+            return [SettingsCheck(self, each) for each in alone]
         if self._outputs is not None and not self._outputs_checked:
-            return [self.check_outputs, self._check_ranges_after_outputs]
-        return [self.check_outputs if self._outputs is not None and any(self._outputs) else self.check_ranges]
+            ranges = SettingsCheck(self, self._check_ranges_after_outputs, self._ranges_script(after=True))
+            return [self._outputs_check(), ranges]
+        if self._outputs is not None and any(self._outputs):
+            return [self._outputs_check()]
+        return [SettingsCheck(self, self.check_ranges, self._ranges_script(after=False))]
+
+    def _outputs_check(self) -> SettingsCheck:
+        script = None
+        if self._outputs is not None and self._outputs_written:
+            count = self._model.outputs
+            script = ScriptedExchange(read_coils(adam.DIGITAL_OUTPUT, count), coils(self._outputs))
+        return SettingsCheck(self, self.check_outputs, script)
+
+    def _ranges_script(self, *, after: bool) -> ScriptedExchange:
+        return ScriptedExchange(READ_RANGES, registers(self._ranges), self._note_outputs_checked if after else lambda: None)
+
+    def _note_outputs_checked(self) -> None:
+        self._outputs_checked = True
+
+    # ---- scripts ----
+
+    def outputs_script(self, outputs: list[bool]) -> ScriptedExchange | None:
+        """`set_outputs` in a script; None where it takes more than one plain exchange."""
+        if self._last_outputs is not None or self._sets_outputs_singly:
+            return None
+        request = write_coils(adam.DIGITAL_OUTPUT, outputs)
+
+        def confirmed() -> None:
+            self._outputs, self._outputs_written, self._outputs_checked = list(outputs), True, False
+
+        return ScriptedExchange(request, request[:CONFIRMATION], confirmed)
+
+    @property
+    def unit(self) -> int:
+        """Its unit on the wire."""
+        return self._unit
+
+    def scripts(self) -> ModbusScripts | None:
+        """The client of its wire, if that carries out scripts and nothing about the module is doubtful."""
+        return None if self._unverified or self._lost_settings is not None else self._bus.scripts()
+
+    def take(self, script: ScriptedExchange, exchanged: Exchanged) -> bool:
+        """Check the reply to an exchange of a script, and keep what follows from it; False for another reply.
+
+        The module is then in doubt, and its exchange has to be repeated.
+        """
+        if self._tap is not no_tap:
+            self._clock.sleep_until(exchanged.sent_s)
+            self._tap(TO_DEVICE, exchanged.request)
+            self._clock.sleep_until(exchanged.arrived_s)
+            self._tap(FROM_DEVICE, exchanged.reply)
+        if not matches(exchanged, self._unit, script.expected):
+            self._unverified = self._bus.stale = True
+            return False
+        script.confirmed()
+        return True
 
     def check_outputs(self) -> None:
         """Read the outputs back. Raises Forgotten if they differ from those that were set."""
@@ -192,7 +285,7 @@ class AdamModule:
 
     def _check_ranges_after_outputs(self) -> None:
         self.check_ranges()
-        self._outputs_checked = True
+        self._note_outputs_checked()
 
     def _check_rest(self) -> None:
         self._check_enabled()

@@ -4,22 +4,23 @@ Each module sets the gain of its amplifiers by two digital outputs. An ADAM-4117
 fixed gain, and the settings list only this one.
 """
 
-from collections.abc import Callable
+from bisect import bisect_left
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Annotated
 
 import numpy as np
 from annotated_types import Gt, Le, MaxLen, MinLen
 
 from goniotwin.arrays import Counts, Flags, Floats
-from goniotwin.drivers.device import Pending, Until
+from goniotwin.drivers.device import Pending, Scripted, Until
 from goniotwin.drivers.errors import DeviceError, NoAnswer, Refused
-from goniotwin.drivers.photodiodes.adam import CHECK_WIRING, AdamModule, SettingsCheck
+from goniotwin.drivers.photodiodes.adam import CHECK_WIRING, READ_INPUTS, AdamModule, ScriptedExchange, SettingsCheck
 from goniotwin.drivers.photodiodes.modbus import NOT_QUIET, ModbusUnit, explain, explain_rtu
 from goniotwin.keys import Fraction, PolarAngle, Positive
 from goniotwin.protocols import adam
 from goniotwin.protocols.clock import Clock
+from goniotwin.protocols.script import Exchanged, ModbusExchange
 
 __all__ = ["PhotodiodeArray", "PhotodiodeSettings", "Readings", "explain", "explain_rtu"]
 
@@ -27,6 +28,9 @@ NAME = "photodiodes"
 PERIOD_MARGIN = 1.01
 ELEMENTARY_CHARGE_C = 1.602176634e-19
 TCP_EXCHANGE_S = 4.0e-4
+LATE = 0.1
+"""A reading that begins later than planned, by this part of the period, delays those that follow."""
+READ_BYTES = 2 * adam.CHANNELS
 
 
 @dataclass(frozen=True)
@@ -212,9 +216,7 @@ class PhotodiodeArray:
         outputs = [bool(gain >> bit & 1) for bit in range(self.settings.model.outputs)]
         if not outputs:
             return Until(self._clock, self._clock.now())
-        return ExchangeSequence(
-            self._clock, [partial(each.set_outputs, outputs) for each in self._connected_modules("set the gain")]
-        )
+        return GainChange(self._clock, self._connected_modules("set the gain"), outputs)
 
     def start_readings(self, readings: int, *, settled: bool = False) -> "Readings":
         """Start a number of readings of all channels, one per conversion, after the settling time. Raises NoAnswer.
@@ -250,21 +252,67 @@ class PhotodiodeArray:
         return done
 
 
-class ExchangeSequence:
-    """Exchanges in sequence, one per poll."""
+class Script:
+    """Exchanges of modules in sequence that are handed to the wire together, if it carries out scripts."""
 
-    def __init__(self, clock: Clock, exchanges: list[Callable[[], None]]) -> None:
-        self._exchanges = exchanges
+    def __init__(self, clock: Clock) -> None:
+        self._clock = clock
+        self._parts: list[tuple[AdamModule, ScriptedExchange]] = []
+        self._exchanges: list[ModbusExchange] = []
+        self._open = True
+
+    def add(self, module: AdamModule, script: ScriptedExchange | None, due_s: float) -> None:
+        """Append an exchange; the script ends before the first that has to be made singly."""
+        client = module.scripts() if self._open and script is not None else None
+        if script is None or client is None:
+            self._open = False
+            return
+        self._parts.append((module, script))
+        self._exchanges.append(ModbusExchange(due_s, client, module.unit, script.request, script.expected))
+
+    def run(self, slack_s: float) -> list[Exchanged]:
+        """Make the exchanges as far as that gives the expected replies; the time is then that of the last reply."""
+        if not self._exchanges:
+            return []
+        made = self._exchanges[0].client.run_script(self._exchanges, slack_s)
+        for taken, ((module, script), exchanged) in enumerate(zip(self._parts, made, strict=False)):
+            if not module.take(script, exchanged):
+                self._clock.sleep_until(made[-1].arrived_s)
+                return made[:taken]
+        if made:
+            self._clock.sleep_until(made[-1].arrived_s)
+        return made
+
+
+class GainChange(Scripted):
+    """Change of the outputs of all modules, one exchange per poll."""
+
+    def __init__(self, clock: Clock, modules: Sequence[AdamModule], outputs: list[bool]) -> None:
+        self._clock = clock
+        self._left = list(modules)
+        self._outputs = outputs
+        self._tried = False
         self.due = clock.now()
 
     def poll(self) -> bool:
-        """Carry out the next exchange. Raises DeviceError."""
-        if self._exchanges:
-            self._exchanges.pop(0)()
-        return not self._exchanges
+        """Set the outputs of the next module. Raises DeviceError."""
+        if self._left:
+            self._left.pop(0).set_outputs(self._outputs)
+        return not self._left
+
+    def run(self, before: float) -> bool | None:
+        """Set the outputs of all modules that the wire can look ahead to."""
+        if self._tried or self.due >= before:
+            return None
+        self._tried, script = True, Script(self._clock)
+        for each in self._left:
+            script.add(each, each.outputs_script(self._outputs), self.due)
+        made = script.run(float("inf"))
+        self._left = self._left[len(made) :]
+        return not self._left if made else None
 
 
-class Readings:
+class Readings(Scripted):
     """Readings in progress, one exchange per poll; done when the settings of each module have been checked."""
 
     def __init__(
@@ -278,6 +326,7 @@ class Readings:
         self._checks: list[SettingsCheck] | None = None
         self._taken = 0
         self._counts: Counts = np.zeros((readings, settings.count), dtype=np.uint16)
+        self._singly = False
         self.due = self._first = clock.now() + wait_s
 
     @property
@@ -302,11 +351,54 @@ class Readings:
         mean = self._settings.range.volts(self.counts.mean(axis=0))
         return np.where(self.saturated.any(axis=0), np.nan, mean)
 
+    def run(self, before: float) -> bool | None:
+        """Make all readings that are due before a time at once, or all checks, as far as the wire can look ahead to them."""
+        if self._checks is None:
+            if self._taken < len(self._counts):
+                return None if self._row or self._singly else self._run_readings(before)
+            self._singly = False
+        return None if self._singly or self.due >= before else self._run_checks()
+
+    def _run_readings(self, before: float) -> bool | None:
+        period_s, modules = self._settings.period_s, len(self._modules)
+        dues = [self.due, *(self._first + k * period_s for k in range(self._taken + 1, len(self._counts)))]
+        script = Script(self._clock)
+        for due in dues[: bisect_left(dues, before)]:
+            for module in self._modules:
+                script.add(module, READ_INPUTS, due)
+        made = script.run(LATE * period_s)
+        self._singly = not made
+        if not made:
+            return None
+        words = np.frombuffer(b"".join([each.reply[-READ_BYTES:] for each in made]), dtype=">u2")
+        values, readings, channels = words ^ self._modules[0].sign_bit, len(made) // modules, modules * adam.CHANNELS
+        whole = values[: readings * channels].reshape(readings, channels)
+        self._counts[self._taken : self._taken + readings] = whole[:, : self._settings.count]
+        self._row = values[whole.size :].tolist()
+        self._row_started = made[-(len(made) % modules or modules)].sent_s
+        self._taken += readings
+        self.due = dues[min(readings, len(dues) - 1)]
+        return False
+
+    def _run_checks(self) -> bool | None:
+        if self._checks is None:
+            self._checks = self._list_checks()
+        script = Script(self._clock)
+        for check in self._checks:
+            script.add(check.module, check.script, self.due)
+        made = script.run(float("inf"))
+        self._singly = True
+        self._checks = self._checks[len(made) :]
+        return not self._checks if made else None
+
+    def _list_checks(self) -> list[SettingsCheck]:
+        return [check for module in self._modules for check in module.checks()]
+
     def poll(self) -> bool:
         """Read the counts of one module, or after the last reading check its settings. Raises DeviceError."""
         if self._taken == len(self._counts):
             if self._checks is None:
-                self._checks = [check for module in self._modules for check in module.checks()]
+                self._checks = self._list_checks()
             self._checks.pop(0)()
             return not self._checks
         index = len(self._row) // adam.CHANNELS
@@ -320,6 +412,6 @@ class Readings:
             if self._taken < len(self._counts):
                 # A fault that took time delays the rest, so that no conversion is read twice.
                 planned = self._first + self._taken * self._settings.period_s
-                late = self._row_started - (planned - self._settings.period_s) > 0.1 * self._settings.period_s
+                late = self._row_started - (planned - self._settings.period_s) > LATE * self._settings.period_s
                 self.due = self._row_started + self._settings.period_s if late else planned
         return False

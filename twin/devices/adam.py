@@ -9,9 +9,11 @@ The eight inputs have ranges, counts, a maximum and a minimum; a change of range
 import math
 import struct
 from collections import deque
+from collections.abc import Sequence
 
 import numpy as np
 
+from goniotwin.arrays import Floats, Ints
 from goniotwin.protocols import adam
 from goniotwin.twin.plant import Plant
 
@@ -20,12 +22,13 @@ LOOK_BACK = 64
 
 
 class Inputs:
-    """The inputs of module `index` of the plant, at a time t."""
+    """The inputs of module `index` of the plant, at a time t. `changes` is the number of changes of a range."""
 
     def __init__(self, plant: Plant, index: int, power_on: int) -> None:
         self._plant = plant
         self._index = index
         self._power_on = power_on
+        self.changes = 0
         self._period = plant.conversion_period_s
         self.reset(0.0)
 
@@ -41,7 +44,7 @@ class Inputs:
 
     def counts(self, t: float) -> list[int]:
         """The raw values of all channels; 0 for one that is not enabled. The same until the next conversion."""
-        raw: list[int] = adam.quantise(self._plant.volts(self._index, t), self._lows, self._steps).tolist()
+        raw: list[int] = self.quantise(self._plant.volts(self._index, t)).tolist()
         for channel, (value, until) in list(self._held.items()):
             if self._conversion(channel, t) < until:
                 raw[channel] = value
@@ -50,6 +53,15 @@ class Inputs:
         if self.enabled != adam.ALL_CHANNELS:
             raw = [value if self.enabled >> channel & 1 else 0 for channel, value in enumerate(raw)]
         return raw
+
+    @property
+    def steady(self) -> bool:
+        """Whether all channels are enabled and none holds an older value: their raw values are those of the voltages."""
+        return not self._held and self.enabled == adam.ALL_CHANNELS
+
+    def quantise(self, volts: Floats) -> Ints:
+        """The raw values of voltages (..., 8) in the ranges that are set."""
+        return adam.quantise(volts, self._lows, self._steps)
 
     def average(self, t: float) -> int:
         """The mean raw value of the enabled channels, 0 where there is none."""
@@ -61,6 +73,7 @@ class Inputs:
             return
         held = self.counts(t)[channel]
         self.ranges[channel] = code
+        self.changes += 1
         self._held[channel] = (held, self._conversion(channel, t) + 2)
         self._seen_until = self._conversion(adam.CHANNELS - 1, t)
         self._scale()
@@ -156,6 +169,7 @@ class ConverterModule:
         self.silent = False
         self.refusals: deque[int] = deque()
         self.latency_s = electronics.latency_s
+        self._settings_replies: dict[tuple[bytes, int, int], bytes] = {}
         self.inputs = Inputs(plant, index, self.model.power_on)
         self._plant = plant
         self._index = index
@@ -174,6 +188,7 @@ class ConverterModule:
     def reset(self, t: float) -> None:
         """As after power-on: ranges, outputs and so the gain, enabled channels, maximum and minimum are forgotten."""
         self.inputs.reset(t)
+        self._settings_replies.clear()
         self._safety = 0
         if self.model.outputs:
             self._switch([False] * self.model.outputs, t)
@@ -203,6 +218,7 @@ class ConverterModule:
                     raise ModbusFault(adam.ILLEGAL_VALUE)
             elif not (self.model.serial and at in (adam.COMM_SAFETY_ENABLE, adam.COMM_SAFETY_FLAG)):
                 raise ModbusFault(adam.ILLEGAL_ADDRESS)
+        self._settings_replies.clear()
         for at, value in places:
             if at == adam.CHANNEL_ENABLE:
                 self.inputs.enabled = value
@@ -221,6 +237,26 @@ class ConverterModule:
         if not all(at in held for at in wanted):
             raise ModbusFault(adam.ILLEGAL_ADDRESS)
         return [held[at] for at in wanted]
+
+    def settings_reply(self, request: bytes) -> bytes | None:
+        """The reply to a read of settings, if it was made before and no setting has changed since."""
+        if self.refusals:
+            return None
+        return self._settings_replies.get((request, self.inputs.enabled, self.inputs.changes))
+
+    def keep_reply(self, request: bytes, address: int, count: int, reply: bytes) -> None:
+        """Keep the reply to a read, if that is of settings alone."""
+        if request[0] >= 3:
+            settings = address >= adam.RANGE_CODE
+        else:
+            settings = address >= adam.DIGITAL_OUTPUT and address + count <= adam.DIGITAL_OUTPUT + len(self._outputs)
+        if settings:
+            self._settings_replies[request, self.inputs.enabled, self.inputs.changes] = reply
+
+    @property
+    def plain(self) -> bool:
+        """Whether it answers every request, and its registers have the raw values of the voltages."""
+        return not self.silent and not self.refusals and self.inputs.steady
 
     def write_coils(self, address: int, values: list[bool], t: float) -> None:
         """Outputs (0 is the low bit of the gain's number), and the resets of maximum and minimum. Raises ModbusFault."""
@@ -241,6 +277,7 @@ class ConverterModule:
 
     def _switch(self, outputs: list[bool], t: float) -> None:
         self._outputs = outputs
+        self._settings_replies.clear()
         gain = sum(1 << bit for bit, on in enumerate(outputs) if on)
         highest = len(self._plant.model.electronics.gains_v_per_a) - 1
         self._plant.gain[self._index].set(t, min(gain, highest))
@@ -279,6 +316,18 @@ class ConverterModule:
             for first in (adam.HIGH_ALARM, adam.LOW_ALARM):
                 held |= {first + channel: False for channel in range(adam.CHANNELS)}
         return held
+
+    @staticmethod
+    def read_together(modules: Sequence["ConverterModule"], times: Sequence[float]) -> bytes | None:
+        """The eight registers of the inputs of modules at times (n,), s: 16 bytes for each; None unless all is steady."""
+        first = modules[0]
+        own = set(modules)
+        if not all(each.plain and each.inputs.ranges == first.inputs.ranges for each in own):
+            return None
+        volts = first._plant.steady_volts([each._index for each in modules], times)
+        if volts is None:
+            return None
+        return bytes((first.inputs.quantise(volts) ^ first._sign_bit).astype(">u2").tobytes())
 
 
 class Adam6017(ConverterModule):

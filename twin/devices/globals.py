@@ -1,5 +1,7 @@
 """The global parameters of a motion module: its settings, the user's variables, what EEPROM keeps of them."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from goniotwin.protocols.tmcl import Command, ReplyStatus
@@ -34,9 +36,30 @@ BANK_0: dict[int, tuple[int, int, int]] = {
     GlobalParameter.SUPPRESS_REPLY: (0, 0, 1),
 }
 
+REPLY_SETTINGS = (
+    GlobalParameter.HOST_ADDRESS,
+    GlobalParameter.ADDRESS,
+    GlobalParameter.SUPPRESS_REPLY,
+    GlobalParameter.TELEGRAM_PAUSE,
+    GlobalParameter.HEARTBEAT,
+)
+
+
+class ReplySettings(NamedTuple):
+    """What decides on each reply: addresses, whether there is one, the pause before it (ms), and the heartbeat (ms)."""
+
+    host: int
+    address: int
+    suppressed: int
+    pause_ms: int
+    heartbeat_ms: int
+
 
 class Globals:
-    """Bank 0 has the module's settings, bank 2 the user's variables, bank 3 timers and interrupts; bank 1 is empty."""
+    """Bank 0 has the module's settings, bank 2 the user's variables, bank 3 timers and interrupts; bank 1 is empty.
+
+    `reply` is what decides on each reply.
+    """
 
     def __init__(self, factory: dict[int, int]) -> None:
         self._factory = {(0, number): value for number, (value, _, _) in BANK_0.items()}
@@ -48,8 +71,13 @@ class Globals:
     def reset(self, t: float) -> None:
         """Power-on: what EEPROM keeps, else what the module came with."""
         self._values = self._factory | self._eeprom
+        self._changed()
         self._status = STOPPED
         self._ticks_from = t
+
+    def _changed(self) -> None:
+        values = self._values
+        self.reply = ReplySettings(*(values[0, number] for number in REPLY_SETTINGS))
 
     @property
     def locked(self) -> bool:
@@ -96,6 +124,7 @@ class Globals:
             if not lowest <= value <= highest:
                 raise CommandRejected(ReplyStatus.INVALID_VALUE)
         self._values[bank, number] = value
+        self._changed()
         if bank == 0 and number < GlobalParameter.APPLICATION_STATUS:
             self._eeprom[bank, number] = value
 
@@ -106,6 +135,7 @@ class Globals:
             raise CommandRejected(ReplyStatus.WRONG_TYPE)
         if restore:
             self._values[bank, number] = self._eeprom.get((bank, number), self._factory.get((bank, number), 0))
+            self._changed()
         elif self.locked:
             raise CommandRejected(ReplyStatus.EEPROM_LOCKED)
         else:

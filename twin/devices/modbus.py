@@ -12,6 +12,7 @@ from struct import Struct, unpack
 from pymodbus.framer import FramerRTU
 
 from goniotwin.protocols import adam
+from goniotwin.protocols.script import HEADER
 from goniotwin.twin.devices.adam import ConverterModule, ModbusFault
 from goniotwin.twin.devices.line import BITS_A_BYTE
 
@@ -20,8 +21,6 @@ LONGEST_RTU = 256
 GAP_CHARACTERS = 3.5
 BROADCAST = 0
 COIL_VALUES = (0x0000, 0xFF00)
-HEADER = Struct(">HHHB")
-"""Of a TCP frame: transaction, protocol, bytes from the unit on, unit."""
 WORDS = Struct(">HH")
 EIGHT_WORDS = Struct(">8H")
 READS = (1, 2, 3, 4)
@@ -30,7 +29,10 @@ ECHOES = (5, 6, 8, 15, 16)
 
 
 class TcpStation:
-    """The module's end of one Modbus TCP connection: one request after the other; foreign units are silent."""
+    """The module's end of one Modbus TCP connection: one request after the other; foreign units are silent.
+
+    `free` is the time from which it can take the next one, s.
+    """
 
     baudrate = 0
 
@@ -38,7 +40,7 @@ class TcpStation:
         self.device = device
         self.outbox: deque[tuple[float, bytes]] = deque()
         self._buffer = b""
-        self._free = 0.0
+        self.free = 0.0
 
     def receive(self, data: bytes, t: float) -> None:
         """Bytes of which the last has arrived at `t`. What is not Modbus empties the buffer."""
@@ -53,10 +55,15 @@ class TcpStation:
                 return
             self._buffer = self._buffer[len(frame) :]
             if unit in self.device.units and not self.device.silent:
-                self._free = max(self._free, t)
-                answer = answered(self.device, frame[adam.MBAP :], self._free)
-                self._free += 0.5 * self.device.latency_s  # the other half is the way here
-                self.outbox.append((self._free, HEADER.pack(transaction, 0, 1 + len(answer), unit) + answer))
+                self.free = max(self.free, t)
+                answer = answered(self.device, frame[adam.MBAP :], self.free)
+                self.free += 0.5 * self.device.latency_s  # the other half is the way here
+                self.outbox.append((self.free, HEADER.pack(transaction, 0, 1 + len(answer), unit) + answer))
+
+    @property
+    def idle(self) -> bool:
+        """Whether nothing is on its way, and the module answers plainly."""
+        return not self._buffer and not self.outbox and self.device.plain
 
     def reset(self, t: float) -> None:
         """The module loses its power for a moment, and with it incomplete requests and replies."""
@@ -163,6 +170,8 @@ def well_formed(pdu: bytes) -> bool:
 def answered(device: ConverterModule, request: bytes, t: float) -> bytes:
     """The PDU with which a module answers that of a request that arrives at `t`: an exception where it refuses."""
     function = request[0]
+    if (known := device.settings_reply(request)) is not None:
+        return known
     try:
         if (function not in READS and function not in ECHOES) or (function == 8 and request[1:3] != b"\0\0"):
             raise ModbusFault(adam.ILLEGAL_FUNCTION)
@@ -182,7 +191,9 @@ def _read(device: ConverterModule, request: bytes, t: float) -> bytes:
     else:
         bits = sum(1 << place for place, on in enumerate(device.coils(address, count, t)) if on)
         packed = bits.to_bytes(-(-count // 8), "little")
-    return bytes([function, len(packed)]) + packed
+    reply = bytes([function, len(packed)]) + packed
+    device.keep_reply(request, address, count, reply)
+    return reply
 
 
 def _written(device: ConverterModule, request: bytes, t: float) -> bytes:

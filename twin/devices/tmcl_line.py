@@ -53,6 +53,19 @@ class TmclLine:
             elif answers:  # they speak at the same time, and a line that one pulls down is down
                 self._post(t + self._latency_s, _at_once([answer for _, answer in answers]))
 
+    @property
+    def idle(self) -> bool:
+        """Whether nothing is on its way, and nothing comes but replies of its one module."""
+        return not self._rest and not self.outbox and not any(each.reports for each in self.modules.values())
+
+    def reply(self, frame: bytes, t: float) -> tuple[float, bytes] | None:
+        """The one reply to a whole frame that arrives at `t` on an idle line, and when it begins; None if there is another."""
+        self._last_byte = t
+        answers = [each for module in self.modules.values() for each in module.answer(frame, t)]
+        if len(answers) != 1:
+            return None
+        return t + self._latency_s + answers[0][0], answers[0][1]
+
     def reset(self, t: float) -> None:
         """All modules lose their power for a moment: what EEPROM does not keep is forgotten, counters are 0."""
         self._rest = b""

@@ -19,6 +19,8 @@ from goniotwin.protocols.tmcl import (
     ReplyFrame,
     ReplyStatus,
     encode_version_text,
+    pack,
+    unpack,
     version_number,
 )
 from goniotwin.protocols.tmcl_parameters import BAUD_RATES, GlobalParameter
@@ -35,6 +37,7 @@ SUPPLY_DECIVOLT, TEMPERATURE_C = 240, 30
 COORDINATES = 21
 OUTPUTS = 8
 EVENT_AFTER_S = 2.0e-3
+OK, GAP, GGP = int(ReplyStatus.OK), int(Command.GAP), int(Command.GGP)
 Post = Callable[[float, bytes], None]
 Withdraw = Callable[[bytes], None]
 Answers = list[tuple[float, bytes]]
@@ -119,34 +122,47 @@ class MotionModule:
 
     def answer(self, frame: bytes, t: float) -> Answers:
         """Reply to a frame that arrived at `t`: none or one, with its delay."""
-        host, address = self.globals.get(0, GlobalParameter.HOST_ADDRESS, t), self.globals.get(0, GlobalParameter.ADDRESS, t)
-        if t < self._dead_until or (self._strict and frame[0] != address):
+        settings = self.globals.reply
+        if t < self._dead_until or (self._strict and frame[0] != settings.address):
             return []
         self._mind_heartbeat(t)
         if self._event is not None and self._event_due <= t:  # it has been sent, and one is all that was asked for
             self._event, self._event_mask, self._event_due = None, 0, math.inf
-        reply = self._reply(frame, t, host & 0xFF, address & 0xFF)
-        self._plan_event(t, host & 0xFF, address & 0xFF)
-        if reply is None or self.globals.get(0, GlobalParameter.SUPPRESS_REPLY, t):
-            return []
-        return [(self.globals.get(0, GlobalParameter.TELEGRAM_PAUSE, t) * 1.0e-3, reply)]
+        host, address = settings.host & 0xFF, settings.address & 0xFF
+        reply = self._reply(frame, t, host, address)
+        if self._event_mask or self._event is not None:
+            self._plan_event(t, host, address)
+        settings = self.globals.reply
+        return [] if reply is None or settings.suppressed else [(settings.pause_ms * 1.0e-3, reply)]
+
+    @property
+    def reports(self) -> bool:
+        """Whether it may send a frame without a request."""
+        return self._event is not None or self._event_mask != 0
 
     def _reply(self, frame: bytes, t: float, host: int, address: int) -> bytes | None:
         try:
-            request = CommandFrame.decode(frame)
+            fields = unpack(frame)
         except FrameError:
-            return ReplyFrame(host, address, ReplyStatus.WRONG_CHECKSUM, frame[1], 0).encode()
-        if request.command == Command.FIRMWARE_VERSION and request.type == 0:
+            return pack(host, address, ReplyStatus.WRONG_CHECKSUM, frame[1], 0)
+        _, command, number, bank, value = fields
+        if command == Command.FIRMWARE_VERSION and number == 0:
             major, minor = self.kind.firmware
             return encode_version_text(host, f"{self.kind.number}V{major}{minor:02d}")
-        if request.command == Command.FACTORY_RESET and request.value == FACTORY_RESET_CODE:
+        if command == Command.FACTORY_RESET and value == FACTORY_RESET_CODE:
             self._factory_reset(t)
             return None
+        status = OK
         try:
-            value, status = self._execute(request, t), ReplyStatus.OK
+            if command == GGP:
+                value = self.globals.get(bank, number, t)
+            elif command == GAP and bank < len(self.motors):
+                value = self.motors[bank].get(number, t)
+            else:
+                value = self._execute(CommandFrame(*fields), t)
         except CommandRejected as rejected:
             value, status = 0, rejected.status
-        return ReplyFrame(host, address, status, request.command, value).encode()
+        return pack(host, address, status, command, value)
 
     def _factory_reset(self, t: float) -> None:
         self.globals = Globals(dict(self._factory))
@@ -164,7 +180,7 @@ class MotionModule:
         self._extend_heartbeat(t)
 
     def _extend_heartbeat(self, t: float) -> None:
-        heartbeat = self.globals.get(0, GlobalParameter.HEARTBEAT, t)
+        heartbeat = self.globals.reply.heartbeat_ms
         self._heartbeat.until = t + heartbeat * 1.0e-3 if heartbeat > 0 else math.inf
 
     def _execute(self, request: CommandFrame, t: float) -> int:

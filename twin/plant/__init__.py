@@ -19,7 +19,7 @@ from goniotwin.twin.plant.model import (
     TwinModel,
     WheelFilter,
 )
-from goniotwin.twin.plant.plant import Plant
+from goniotwin.twin.plant.plant import ExpectedPose, Plant
 
 __all__ = [
     "AxisController",
@@ -29,6 +29,7 @@ __all__ = [
     "Drawn",
     "Electronics",
     "Estimator",
+    "ExpectedPose",
     "LightSource",
     "Mechanics",
     "ModuleKind",

@@ -92,3 +92,35 @@ def convert_channels(
             spread = _noise_v(current, gains[gain], bandwidth, temperature, amplifier_v)
             v += spread * normal(noise_keys[k], numbers[c])
         volts[c] = v + offset_v
+
+
+@kernel()
+def convert_readings(
+    volts: Floats,
+    modules: Ints,
+    times: Floats,
+    period: float,
+    signal_a: Floats,
+    dark_a: Floats,
+    gains: Floats,
+    deviations: Floats,
+    gain: Ints,
+    old_gain: Ints,
+    changed: Floats,
+    constants: Floats,
+    lamp: Floats,
+    lamp_keys: Keys,
+    dark_keys: Keys,
+    noise_keys: Keys,
+) -> None:
+    """Fill `volts` (n, channels) with the voltages that `modules` (n,) have for `times` (n,), s, of their readings.
+
+    `gain`, `old_gain` and `changed` are those of each reading, the rest as in `convert_channels`.
+    """
+    channels = volts.shape[1]
+    for k in range(times.size):
+        numbers, _, _ = conversions(times[k], period, channels)
+        convert_channels(
+            volts[k], 0, channels, modules[k] * channels, numbers, period, signal_a, dark_a, gains, deviations, gain[k],
+            old_gain[k], changed[k], constants, lamp, lamp_keys, dark_keys, noise_keys,
+        )  # fmt: skip

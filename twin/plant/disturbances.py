@@ -136,6 +136,7 @@ class Drawn(Mapping[str, float]):
             self._keys |= {f"{stem}[{c}]": key for c in range(photodiodes)}
         self._photodiodes = photodiodes
         self._values: dict[str, float] = {}
+        self._mounted: dict[tuple[str | None, int], Deviation] = {}
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._keys)
@@ -174,16 +175,22 @@ class Drawn(Mapping[str, float]):
 
     def axis_error_deg(self, axis: str, moves: int) -> float:
         """The difference of an axis' true angle from that of its motor, after so many moves: its zero and its position."""
-        return self.get(f"{axis}_zero", 0.0) + self[f"position@{axis}#{moves}"]
+        zero = self.get(f"{axis}_zero", 0.0)
+        return zero + self[f"position@{axis}#{moves}"] if self.table.position_deg else zero
 
     def mounted(self, sample: str | None, mounting: int) -> Deviation:
         """The deviation of a sample at one of its mountings, from 1; none for an empty sample unit, or a mounting of 0."""
-        kind, at = self._mounting(sample, mounting)
-        if not kind:
-            return Deviation()
-        return Deviation(
-            rx_deg=self[f"{kind}_tilt_x@{at}"], ry_deg=self[f"{kind}_tilt_y@{at}"], z_mm=self[f"{kind}_height@{at}"]
-        )
+        known = self._mounted.get((sample, mounting))
+        if known is None:
+            kind, at = self._mounting(sample, mounting)
+            known = self._mounted[sample, mounting] = (
+                Deviation()
+                if not kind
+                else Deviation(
+                    rx_deg=self[f"{kind}_tilt_x@{at}"], ry_deg=self[f"{kind}_tilt_y@{at}"], z_mm=self[f"{kind}_height@{at}"]
+                )
+            )
+        return known
 
     def signal_factor(self, sample: str | None, mounting: int, moves: int) -> float:
         """The factor on a sample's light at one of its mountings, after so many moves of all axes together."""

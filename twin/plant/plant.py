@@ -2,13 +2,14 @@
 
 import math
 from collections import Counter
-from dataclasses import replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics.geometry.instrument import nominal_reflectance
-from goniotwin.twin.plant.converter import conversions, convert_channels, noise_v
+from goniotwin.twin.plant.converter import conversions, convert_channels, convert_readings, noise_v
 from goniotwin.twin.plant.disturbances import Drawn
 from goniotwin.twin.plant.history import ChangingQuantity, History, SlewHistory
 from goniotwin.twin.plant.lamp import lamp_constants, lamp_mean
@@ -28,6 +29,23 @@ LINEAR_A, FAINTEST_A = 1e-9, 1e-18
 """Current at which a photodiode that is not linear has its stated responsivity; below the faintest one it does not change."""
 SUPPLY_V = 12.0
 """An amplifier gives no more, so that no more is seen by the other channels of its module."""
+
+
+EARLIEST_CONVERSION = 1.2
+"""More than the periods by which the first of a module's last conversions began before it is read: one, and one channel."""
+
+
+@dataclass(frozen=True)
+class ExpectedPose:
+    """A pose that is going to be measured: the sample (None: no sample) and the number of its mounting, what is set at the
+    monochromator, and the counters of the axes, microsteps.
+    """
+
+    sample: str | None
+    mounting: int
+    wavelength_nm: float
+    filter_position: int
+    counters: Mapping[str, float]
 
 
 class Plant:
@@ -163,6 +181,26 @@ class Plant:
         aspect = Aspect(self.sample.at(t), self.tilt_deg.at(t), wavelength, sigma, gamma, beta, shift, self.mounting.at(t))
         return self.view.throughputs_m2sr(aspect)
 
+    def expect(self, poses: Iterable[ExpectedPose]) -> None:
+        """Poses that follow, in their order: their throughputs are then computed many at once. Nothing else depends on it."""
+        self.view.expect(aspect for pose in poses for aspect in self._aspects(pose))
+
+    def _aspects(self, pose: ExpectedPose) -> Iterator[Aspect]:
+        """The aspects at an expected pose, one for each wavelength that passes; none where the way there decides."""
+        if self.model.disturbances.position_deg:
+            return
+        angles = []
+        for axis in ("sigma", "gamma", "beta", "shift"):
+            shaft = self.shafts.get(axis)
+            angle = shaft.newest.resting_deg(pose.counters[axis]) if shaft is not None else 0.0
+            if angle is None:
+                return
+            error = self.drawn.axis_error_deg(axis, 0) if shaft is not None else 0.0
+            angles.append(angle + error if error else angle)
+        for wavelength, light in self._passing(pose.wavelength_nm, pose.filter_position):
+            if light != 0.0:
+                yield Aspect(pose.sample, self.tilt_deg.newest, wavelength, *angles, pose.mounting)
+
     def warm_up(self) -> None:
         """Compute everything once: kernels compile at their first use, and a device must not wait for that.
 
@@ -256,6 +294,26 @@ class Plant:
                 self._deviation, gain.at(at), before, gain.held_since(at), self._constants, *self._lamp, self._dark_keys,
                 self._noise_keys,
             )  # fmt: skip
+        return self.with_crosstalk(volts)
+
+    def steady_volts(self, modules: Sequence[int], times: Sequence[float]) -> Floats | None:
+        """`volts` of modules at times, s, shape (n, 8), in one call; None where light or gain may have changed meanwhile."""
+        period, earliest = self.conversion_period_s, min(times) - EARLIEST_CONVERSION * self.conversion_period_s
+        light = self._settled(earliest)
+        if light is None or max(self.gain[module].last_change for module in set(modules)) > earliest:
+            return None
+        if light != self._settled_currents[0]:
+            _, _, latest = conversions(times[0], period, MODULE_CHANNELS)
+            self._settled_currents = (light, self.photocurrents_a(latest))
+        end = max(times)
+        gain = [(each.newest, each.before(end)[0], each.last_change) for each in self.gain]
+        volts = np.empty((len(times), MODULE_CHANNELS))
+        own = np.array(modules)
+        now, before, changed = (np.array(each)[own] for each in zip(*gain, strict=True))
+        convert_readings(
+            volts, own, np.array(times), period, self._settled_currents[1], self._dark_a, self._gains, self._deviation, now,
+            before, changed, self._constants, *self._lamp, self._dark_keys, self._noise_keys,
+        )  # fmt: skip
         return self.with_crosstalk(volts)
 
     def monitor_a(self, start: float, end: float) -> float:

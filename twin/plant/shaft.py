@@ -53,6 +53,12 @@ class Drive:
             angle = self._dragged(angle, self._driven_deg(turn))
         return self._dragged(angle, self._driven_deg(t))
 
+    def resting_deg(self, counter: float) -> float | None:
+        """Angle at which the axis comes to rest at a counter value; None where its way there decides."""
+        if self.jammed or self.mechanics.backlash_deg != 0.0:
+            return None
+        return self.mechanics.zero_deg + (self.origin + counter / self.per_full) * self.mechanics.deg_per_full_step
+
     def full_steps(self, t: float) -> float:
         """Position of the motor in full steps, without a jam."""
         return self.origin + self.counter(t) / self.per_full

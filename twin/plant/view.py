@@ -2,9 +2,10 @@
 
 import math
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from hashlib import blake2b
+from itertools import islice
 from typing import TypeVar
 
 import numpy as np
@@ -13,7 +14,9 @@ from goniotwin.arrays import Floats
 from goniotwin.twin.optics import (
     Deviation,
     Instrument,
+    Pose,
     Scatterer,
+    Scenes,
     StrayMap,
     arc_direction,
     forward_throughput,
@@ -27,7 +30,9 @@ from goniotwin.twin.plant.disturbances import Drawn, add_deviations
 from goniotwin.twin.plant.model import TwinModel
 
 Cached = TypeVar("Cached")
-POSES_KEPT = 64
+POSES_KEPT = 512
+POSES_AHEAD = 120
+"""Poses whose throughputs are computed in one call; a call for a single one takes about as long as for ten."""
 MAPS_KEPT = 16
 OPEN_BEAM = regular(transmits=True, side="both")
 """No sample: all light goes straight on."""
@@ -64,44 +69,101 @@ class View:
         self._throughputs: OrderedDict[tuple[object, ...], Floats] = OrderedDict()
         self._maps: OrderedDict[tuple[object, ...], StrayMap] = OrderedDict()
         self._instruments: OrderedDict[tuple[object, ...], Instrument] = OrderedDict()
+        self._expected: Iterator[Aspect] | None = None
+        self._next: dict[tuple[object, ...], Aspect] = {}
 
     def throughputs_m2sr(self, aspect: Aspect) -> Floats:
         """Throughput of each photodiode, m^2 sr: its flux over the radiance of the exit pupil. Shape (photodiodes,)."""
-        sample = OPEN_BEAM if aspect.sample is None else self._model.samples[aspect.sample]
-        grey = sample.spectrum is None and self._instrument.grey
-        wavelength = None if grey else aspect.wavelength_nm
-        mounted = self._drawn.mounted(aspect.sample, aspect.mounting)
-        light = (aspect.sample, aspect.tilt_deg, wavelength, aspect.sigma_deg, aspect.gamma_deg, mounted)
-        return _cached(
-            self._throughputs,
-            (*light, aspect.beta_deg, aspect.shift_deg),
-            POSES_KEPT,
-            lambda: self._compute(sample, light, wavelength, mounted, aspect),
-        )
+        key = self._key(aspect)
+        if self._expected is not None and key not in self._throughputs:
+            self._compute_expected(key)
+        return _cached(self._throughputs, key, POSES_KEPT, lambda: self._compute(aspect))
 
-    def directions(self, beta_deg: float, shift_deg: float) -> Floats:
-        """Directions (photodiodes, 3) of the photodiodes in the rig's frame, each with its own angles."""
-        beta = np.full(self.polar_deg.size, beta_deg)
-        directions = arc_direction(self.polar_deg + self._along_deg + shift_deg, beta, self._lower)
+    def expect(self, aspects: Iterable[Aspect]) -> None:
+        """Aspects that follow, in their order. At the first that is not known yet, many of them are computed in one call.
+
+        The results do not depend on it, nor does it matter if others come, or not all of these.
+        """
+        fast = self._model.estimator.kind == "fast" and not self._model.estimator.stray
+        self._expected, self._next = (iter(aspects) if fast else None), {}
+
+    def _key(self, aspect: Aspect) -> tuple[object, ...]:
+        return (*self._light(aspect), aspect.beta_deg, aspect.shift_deg)
+
+    def _light(self, aspect: Aspect) -> tuple[object, ...]:
+        """What decides on the light that reaches the sample and leaves it."""
+        mounted = self._drawn.mounted(aspect.sample, aspect.mounting)
+        return (aspect.sample, aspect.tilt_deg, self._wavelength(aspect), aspect.sigma_deg, aspect.gamma_deg, mounted)
+
+    def _sample(self, aspect: Aspect) -> Scatterer:
+        return OPEN_BEAM if aspect.sample is None else self._model.samples[aspect.sample]
+
+    def _wavelength(self, aspect: Aspect) -> float | None:
+        """The wavelength, unless it makes no difference."""
+        return None if self._sample(aspect).spectrum is None and self._instrument.grey else aspect.wavelength_nm
+
+    def _compute_expected(self, key: tuple[object, ...]) -> None:
+        """Compute an expected aspect and those that follow it."""
+        assert self._expected is not None
+        for aspect in islice(self._expected, POSES_AHEAD - len(self._next)):
+            expected = self._key(aspect)
+            if expected not in self._throughputs:
+                self._next[expected] = aspect
+        if key not in self._next:
+            return
+        together: dict[tuple[object, ...], list[Aspect]] = {}
+        for aspect in self._next.values():
+            mounted = self._drawn.mounted(aspect.sample, aspect.mounting)
+            together.setdefault((aspect.sample, self._wavelength(aspect), mounted, aspect.tilt_deg), []).append(aspect)
+        self._next = {}
+        for group in together.values():
+            instrument, first = self._mounted_instrument(group[0]), group[0]
+            beta, shift = (np.array([getattr(each, name) for each in group]) for name in ("beta_deg", "shift_deg"))
+            poses = [
+                Pose(*self._turned(each.sigma_deg, each.tilt_deg, directions), each.gamma_deg)
+                for each, directions in zip(group, self.directions(beta, shift), strict=True)
+            ]
+            scenes = Scenes(instrument, poses, [self._sample(first)], self._wavelength(first), self._model.estimator.rays)
+            found = scenes.throughputs()[0, 0, 0].reshape(len(group), -1)
+            for each, throughputs in zip(group, found, strict=True):
+                self._throughputs[self._key(each)] = throughputs
+        while len(self._throughputs) > POSES_KEPT:
+            self._throughputs.popitem(last=False)
+
+    def directions(self, beta_deg: Floats | float, shift_deg: Floats | float) -> Floats:
+        """Directions (..., photodiodes, 3) in the rig's frame, each photodiode with its own angles; of the angles' shape."""
+        beta, shift = (np.asarray(each)[..., None] for each in (beta_deg, shift_deg))
+        directions = arc_direction(self.polar_deg + self._along_deg + shift, beta, self._lower)
         if self._across_deg.any():
-            aside, across = np.radians(beta_deg), np.radians(self._across_deg)[:, None]
-            level = np.array([-math.sin(aside), math.cos(aside), 0.0])
+            aside, across = np.radians(beta), np.radians(self._across_deg)[:, None]
+            level = np.stack([-np.sin(aside), np.cos(aside), np.zeros_like(aside)], axis=-1)
             directions = np.cos(across) * directions + np.sin(across) * level
         return directions
 
-    def _compute(
-        self, sample: Scatterer, light: tuple[object, ...], wavelength: float | None, mounted: Deviation, aspect: Aspect
-    ) -> Floats:
-        model, sigma, instrument = self._model, aspect.sigma_deg, self._instrument
-        if mounted != NO_DEVIATION:
-            instrument = _cached(self._instruments, (mounted,), MAPS_KEPT, lambda: self._with_sample(mounted))
+    def _mounted_instrument(self, aspect: Aspect) -> Instrument:
+        mounted = self._drawn.mounted(aspect.sample, aspect.mounting)
+        if mounted == NO_DEVIATION:
+            return self._instrument
+        return _cached(self._instruments, (mounted,), MAPS_KEPT, lambda: self._with_sample(mounted))
+
+    @staticmethod
+    def _turned(sigma_deg: float, tilt_deg: float, directions: Floats) -> tuple[float, Floats]:
+        """Sigma and directions (n, 3) as the sample sees them where it is tilted.
+
+        A sample tilted about y is equivalent to a rig turned about y by the opposite angle.
+        """
+        if not tilt_deg:
+            return sigma_deg, directions
+        c, s = math.cos(math.radians(tilt_deg)), math.sin(math.radians(tilt_deg))
+        x, z = directions[:, 0].copy(), directions[:, 2].copy()
+        directions[:, 0], directions[:, 2] = c * x - s * z, s * x + c * z
+        return sigma_deg - tilt_deg, directions
+
+    def _compute(self, aspect: Aspect) -> Floats:
+        model, sample, wavelength, light = self._model, self._sample(aspect), self._wavelength(aspect), self._light(aspect)
+        mounted, instrument = self._drawn.mounted(aspect.sample, aspect.mounting), self._mounted_instrument(aspect)
         directions = self.directions(aspect.beta_deg, aspect.shift_deg)
-        if aspect.tilt_deg:
-            # A sample tilted about y is equivalent to a rig turned about y by the opposite angle.
-            c, s = math.cos(math.radians(aspect.tilt_deg)), math.sin(math.radians(aspect.tilt_deg))
-            x, z = directions[:, 0].copy(), directions[:, 2].copy()
-            directions[:, 0], directions[:, 2] = c * x - s * z, s * x + c * z
-            sigma -= aspect.tilt_deg
+        sigma, directions = self._turned(aspect.sigma_deg, aspect.tilt_deg, directions)
         if model.estimator.kind == "forward":
             return self._trace(instrument, sample, sigma, directions, wavelength, mounted, aspect)
         direct = throughput(

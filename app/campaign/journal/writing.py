@@ -47,6 +47,8 @@ from goniotwin.protocols.clock import RealClock, calendar_stamp
 
 CHECKPOINT_ROWS, CHECKPOINT_S = 10, 60.0
 """After so many rows, or so many seconds after the first of them, they are brought from the -wal file into the journal."""
+ROWS_TOGETHER = 50
+"""Rows in a transaction of a journal that is not durable."""
 READERS_END_S = 5.0
 """Longest time that is waited for other programs' reading."""
 QUERY_S = 0.5
@@ -93,6 +95,7 @@ class Journal(JournalReader):
         self._fresh = 0  # committed since the last checkpoint
         self._due_s: float | None = None  # time of the next checkpoint; None if there is nothing to bring into the file
         self._writes = threading.RLock()
+        self._together, self._safe_chain = 0, chain  # rows of the transaction, and the chain before them
 
     @classmethod
     def create(cls, path: Path, plan: Plan, versions: dict[str, str], *, durable: bool = True) -> "Journal":
@@ -191,6 +194,9 @@ class Journal(JournalReader):
         Where that cannot be, `note` has the reason. A journal that has lost its name is kept as a copy under another one.
         """
         with self._writes:  # not in the middle of an event of another thread: Python's SQLite then crashes
+            if self._together:
+                with contextlib.suppress(sqlite3.Error):  # of a rehearsal
+                    self._commit_all()
             moved = self._moved()
             if moved:
                 self._rescue()
@@ -379,9 +385,12 @@ class Journal(JournalReader):
         return [str(text) for (text,) in self._db.execute("SELECT text FROM event WHERE kind = 'fault' ORDER BY id")]
 
     def commit(self, row: Row, data: RowData) -> None:
-        """Write one row in one transaction; it is on the disk on return. Raises JournalError."""
+        """Write one row in one transaction; it is on the disk on return. Raises JournalError.
+
+        A journal that is not durable has many rows in a transaction.
+        """
         positions = None if data.positions is None else json.dumps(data.positions)
-        with self._writing():
+        with self._writing(together=not self._written):
             (attempt,) = self._db.execute(NEXT_ATTEMPT, (row.number, row.number)).fetchone()
             self._db.execute(
                 "INSERT INTO attempt (number, attempt, session, started_s, ended_s, positions, flags)"
@@ -399,16 +408,32 @@ class Journal(JournalReader):
             chain = add_link(self._db, self.chain, row.number, attempt)
             if row.number in self.chain.damaged:
                 self._db.execute("DELETE FROM temp.damaged WHERE number = ?", (row.number,))
-        self.chain = chain
+            self.chain = chain
         self._expect_checkpoint(data.ended_s, rows=1)
         self._check_place()
 
+    def _commit_all(self) -> None:
+        """End the transaction. Raises sqlite3.Error."""
+        self._db.commit()
+        self._safe_chain, self._together = self.chain, 0
+
     @contextlib.contextmanager
-    def _writing(self) -> Iterator[None]:
-        """One transaction, of one thread at a time. Raises JournalError where it cannot be written."""
+    def _writing(self, *, together: bool = False) -> Iterator[None]:
+        """One transaction, of one thread at a time; with `together` one with those before it, if they are not too many.
+
+        Raises JournalError where it cannot be written.
+        """
         try:
-            with self._writes, self._db:
-                yield
+            with self._writes:
+                try:
+                    yield
+                    self._together += 1
+                    if not together or self._together >= ROWS_TOGETHER:
+                        self._commit_all()
+                except BaseException:
+                    self._db.rollback()
+                    self.chain, self._together = self._safe_chain, 0
+                    raise
         except sqlite3.Error as error:
             remedy = _room_on_disk(self.path, error) or "check the disk, its permissions and any limit of the size of files"
             if getattr(error, "sqlite_errorcode", 0) & 0xFF == sqlite3.SQLITE_BUSY:

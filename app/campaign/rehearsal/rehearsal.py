@@ -15,6 +15,7 @@ from typing import Any
 from goniotwin.app.campaign.journal.writing import Journal, software_versions
 from goniotwin.app.campaign.planning.check import check_plan
 from goniotwin.app.campaign.planning.plan import NewPlan, Plan, make_plan
+from goniotwin.app.campaign.rehearsal.expected_poses import expected_poses
 from goniotwin.app.campaign.rehearsal.forecast import forecast
 from goniotwin.app.campaign.rehearsal.row_statistics import RowStatistics
 from goniotwin.app.campaign.rehearsal.warnings import rehearsal_warnings, relevant_photodiodes, value_warnings
@@ -150,6 +151,7 @@ def run_on_twin(plan: Plan, path: Path, statistics: RowStatistics, listeners: li
                 assumed = _assume_referenced(opened)
                 assert opened.virtual is not None
                 work = rest.work if rest else None
+                opened.virtual.plant.expect(expected_poses(plan.rows if work is None else work, opened.rig))
                 engine = Engine(opened.rig, plan, journal, VirtualOperator(opened.virtual), [statistics, *listeners], work=work)
                 state = engine.run()
             faults += engine.faults

@@ -85,7 +85,9 @@ class Engine:
         self._finish_cut = False
         self._cut: Cut | None = None
         self._stop_request = StopRequest(rig)
-        self._executor = RowExecutor(rig, operator, self._stop_request, self._on_poll, self._log_event)
+        # Positions are read between polls, which a script would leave out.
+        scripts = not positions_every_s
+        self._executor = RowExecutor(rig, operator, self._stop_request, self._on_poll, self._log_event, scripts=scripts)
         self._recovery = Recovery(rig, self._stop_request, self._executor.wait)
         self._sleep_watch = sleep_watch or watch_for(rig.clock)
         self._stay_awake = StayAwake()

@@ -42,10 +42,17 @@ CLOSING_ATTEMPTS = 3
 
 
 class RowExecutor:
-    """Executes rows on a rig. `on_poll` is called between polls."""
+    """Executes rows on a rig. `on_poll` is called between polls, and less often where `scripts` are handed to the wires."""
 
     def __init__(
-        self, rig: Rig, operator: Operator, stop_request: StopRequest, on_poll: Callable[[], None], log_event: LogEvent
+        self,
+        rig: Rig,
+        operator: Operator,
+        stop_request: StopRequest,
+        on_poll: Callable[[], None],
+        log_event: LogEvent,
+        *,
+        scripts: bool = False,
     ) -> None:
         self._rig = rig
         self._clock = rig.clock
@@ -53,6 +60,7 @@ class RowExecutor:
         self._stop_request = stop_request
         self._on_poll = on_poll
         self._log_event = log_event
+        self._scripts = scripts
         self._dark_means: dict[float, Floats] = {}
         self._encoder_warnings: set[str] = set()
         self.forget_settings()
@@ -176,7 +184,7 @@ class RowExecutor:
 
     def wait(self, *started: Pending) -> None:
         """Wait until all pending actions are done. Raises DeviceError, Stopped."""
-        wait(self._clock, started, self._on_poll)
+        wait(self._clock, started, self._on_poll, scripts=self._scripts)
         self._stop_request.check()  # the stop may have come with the last answer
 
     def _move(self, row: Row) -> None:

@@ -139,8 +139,7 @@ class TmclAxis:
         if self.unreferenced_reason:
             raise Unreferenced(self.name, f"move to {target_deg:g} deg", self.unreferenced_reason, REMEDY)
         stop_count = self._registers.stop_count if stop_count is None else stop_count
-        here = self._registers.read(Parameter.ACTUAL_POSITION)
-        self._registers.check_canary()
+        here = self._registers.read_confirmed(Parameter.ACTUAL_POSITION)
         legs = self.settings.legs(self.settings.angle_deg(here), target_deg, taken_up=self._taken_up)
         move = self._new_move(f"move to {target_deg:g} deg", legs, here, stop_count)
         move.begin()
@@ -150,8 +149,7 @@ class TmclAxis:
         """Start a turn by an angle, referenced or not. The command is never sent twice. Raises as `start` does."""
         self._check_finite(distance_deg, "turn by")
         stop_count = self._registers.stop_count
-        here = self._registers.read(Parameter.ACTUAL_POSITION)
-        self._registers.check_canary()
+        here = self._registers.read_confirmed(Parameter.ACTUAL_POSITION)
         target_deg = self.settings.angle_deg(here) + distance_deg
         if self.referenced:
             self.check_limits(target_deg)
@@ -231,7 +229,7 @@ class TmclAxis:
         return here, encoder
 
     def _read_and_compare(self) -> tuple[float, float | None]:
-        here, encoder = self.position_deg(), self.encoder_deg()
+        here, encoder = self._registers.places_deg()
         if self._reference.encoder_disagrees(here, encoder):
             here, encoder = self.position_deg(), self.encoder_deg()
             self._reference.compare(here, encoder)

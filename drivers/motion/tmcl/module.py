@@ -40,7 +40,9 @@ from goniotwin.drivers.motion.tmcl.rules import (
     WRITES,
     check_reply,
     is_repeatable,
+    is_reply,
     read_request,
+    reply_value,
     setting_name,
     starts_motion,
     unreferenced_marks,
@@ -94,6 +96,8 @@ class TmclModule:
         self._reply_s, self._attempts = self._timeout_s, ATTEMPTS
         self._frame_s = FRAME_S_BITS / baudrate
         self._patience_s = 3.0 * self._frame_s + SLICE_S
+        self._alike_s = 4.0 * self._frame_s + SLICE_S
+        self._exchanges: dict[CommandFrame, tuple[tuple[bytes, bytes], tuple[bytes, bytes]]] = {}
         self._tap = tap
         self.addresses = tuple(sorted(set(addresses)))
         self.heartbeat_s = heartbeat_s
@@ -209,9 +213,50 @@ class TmclModule:
 
     def read_confirmed(self, request: CommandFrame) -> int:
         """Value of a reply, followed by a read of the canary: the module had its settings. Raises Forgotten as well."""
-        value = self.exchange(request)
-        self.check_canary(request.address)
-        return value
+        return self.read_all_confirmed([request])[0]
+
+    def read_all_confirmed(self, requests: Sequence[CommandFrame]) -> list[int]:
+        """Values of the replies to GAP requests, each followed by a read of the canary, as in `read_confirmed`."""
+        values = self._run_script(requests)
+        for request in requests[len(values) :]:
+            values.append(self.exchange(request))
+            self.check_canary(request.address)
+        return values
+
+    def _run_script(self, requests: Sequence[CommandFrame]) -> list[int]:
+        """The confirmed values of the first requests that the line can look ahead to; mostly all or none. Raises Forgotten.
+
+        None while anything is in doubt, and while a reply to an earlier GAP could be taken for one of these.
+        """
+        values: list[int] = []
+        port, (command, _, when) = self._port, self._last
+        with self._lock.hold():
+            alike = command == Command.GAP and self._clock.now() - when < self._alike_s
+            if port is None or self._taken is not None or self._out_of_step or alike or self._lock.stop_waiting:
+                return values
+            script = [each for request in requests for each in self._confirmed_exchange(request)]
+            made = port.run_script(script)
+            if made:
+                self._last = (script[len(made) - 1][0][1], 0, self._clock.now())
+            for number, (exchanged, (_, begin)) in enumerate(zip(made, script, strict=False)):
+                if not is_reply(exchanged.reply, begin):
+                    self._out_of_step = True
+                    return values[: number // 2]
+                if number % 2 == 0:
+                    values.append(reply_value(exchanged.reply))
+            if len(made) % 2:
+                self.check_canary(requests[len(made) // 2].address)
+        return values
+
+    def _confirmed_exchange(self, request: CommandFrame) -> tuple[tuple[bytes, bytes], tuple[bytes, bytes]]:
+        """Request and begin of the reply of a GAP, and the read of the canary with its whole reply."""
+        known = self._exchanges.get(request)
+        if known is None:
+            canary = CommandFrame(request.address, Command.GGP, CANARY_VARIABLE, USER_BANK)
+            echo = ReplyFrame(HOST_ADDRESS, request.address, ReplyStatus.OK, Command.GGP, self._session).encode()
+            begin = bytes((HOST_ADDRESS, request.address, ReplyStatus.OK, request.command))
+            known = self._exchanges[request] = (request.encode(), begin), (canary.encode(), echo)
+        return known
 
     def check_canary(self, address: int) -> None:
         """Raise Forgotten if a module has reset since it was connected, until it is connected again, and Taken for good."""
@@ -327,7 +372,7 @@ class TmclModule:
         port = self._opened(request)
         command, value, when = self._last
         alike = command == request.command and (command == Command.GAP or (command == Command.SAP and value == request.value))
-        if alike and self._clock.now() - when < 4.0 * self._frame_s + SLICE_S:
+        if alike and self._clock.now() - when < self._alike_s:
             self._once(CommandFrame(request.address, Command.GGP, CANARY_VARIABLE, USER_BANK))
         try:
             stops = self._lock.acquired

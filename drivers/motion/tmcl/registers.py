@@ -35,6 +35,8 @@ class Registers:
         self.settings = settings
         self.name = name
         self.keep_alive_s = module.keep_alive_s
+        places = (Parameter.ACTUAL_POSITION, Parameter.ENCODER_POSITION)
+        self._places = [self.request(Command.GAP, each) for each in places]
 
     @property
     def stop_count(self) -> int:
@@ -67,6 +69,13 @@ class Registers:
     def read_confirmed(self, parameter: Parameter) -> int:
         """Confirmed value of an axis parameter, in CONFIRMED_EXCHANGES. Raises Forgotten as well."""
         return self._module.read_confirmed(self.request(Command.GAP, parameter))
+
+    def places_deg(self) -> tuple[float, float | None]:
+        """Confirmed positions by the motor's counter and by the encoder, None for an axis without one."""
+        if not self.settings.encoder:
+            return self.position_deg(), None
+        counter, encoder = self._module.read_all_confirmed(self._places)
+        return self.settings.angle_deg(counter), self.settings.encoder_angle_deg(encoder)
 
     def check_canary(self) -> None:
         """Raise Forgotten if the module has reset since it was connected."""

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from goniotwin.drivers.errors import BadAnswer, Refused
 from goniotwin.drivers.tap import TO_DEVICE
 from goniotwin.protocols.tmcl import (
+    FRAME_BYTES,
     HOST_ADDRESS,
     Command,
     CommandFrame,
@@ -97,6 +98,16 @@ def check_reply(request: CommandFrame, frame: bytes, device: str, describe: Call
         raise Refused(device, describe(request), f"the module replies: {reply}")
     echoes = request.command in ECHOING or (request.command == Command.MVP and request.type == MoveType.ABSOLUTE)
     return None if echoes and reply.value != request.value else reply
+
+
+def is_reply(frame: bytes, begin: bytes) -> bool:
+    """Whether nine bytes with a right checksum begin with host, module, status and command: `check_reply` of a script."""
+    return len(frame) == FRAME_BYTES and frame.startswith(begin) and sum(frame[:-1]) & 0xFF == frame[-1]
+
+
+def reply_value(frame: bytes) -> int:
+    """The value of a reply."""
+    return int.from_bytes(frame[4:8], "big", signed=True)
 
 
 def explain(direction: str, data: bytes) -> str:

@@ -1,0 +1,98 @@
+"""Exchanges handed to a wire together: what is sent and when, and what comes back.
+
+A wire that can look ahead (the virtual rig's, on a virtual clock) carries out a script at once; what it sends and receives, and
+when, is the same as one exchange after the other. It carries out as many exchanges as give the expected replies, and leaves
+the first other one, and all after it, to be made singly.
+"""
+
+from collections.abc import Sequence
+from struct import Struct
+from typing import NamedTuple, Protocol, runtime_checkable
+
+HEADER = Struct(">HHHB")
+"""Of a Modbus TCP frame: transaction, protocol, bytes from the unit on, unit. Source: Modbus on TCP/IP 1.0b, 3.1.3."""
+EIGHT_REGISTERS, EIGHT_REGISTERS_BYTES = bytes((3, 16)), 18
+"""Begin and length of the PDU that has eight registers."""
+_WORDS = Struct(">BHH")
+
+
+class Exchanged(NamedTuple):
+    """An exchange that was made: bytes out and back, and the times at which the first begins and the second has arrived, s."""
+
+    sent_s: float
+    request: bytes
+    arrived_s: float
+    reply: bytes
+
+
+class ModbusExchange(NamedTuple):
+    """An exchange of PDUs with a unit, not before `due_s`. `expected` is the reply that it must have; None: eight registers."""
+
+    due_s: float
+    client: "ModbusScripts"
+    unit: int
+    request: bytes
+    expected: bytes | None
+
+
+@runtime_checkable
+class ModbusScripts(Protocol):
+    """A Modbus client that carries out scripts, also for other clients of its kind."""
+
+    def run_script(self, script: Sequence[ModbusExchange], slack_s: float) -> list[Exchanged]:
+        """Make the first exchanges of a script, none that would begin more than `slack_s` after it is due.
+
+        The clock is left where it is: the caller moves it to the arrival of the last reply, or to each on the way.
+        """
+
+
+@runtime_checkable
+class TmclScripts(Protocol):
+    """A serial port that carries out scripts of reads on a TMCL line."""
+
+    def run_script(self, requests: Sequence[tuple[bytes, bytes]]) -> list[Exchanged]:
+        """Make the first exchanges, each when the reply to the one before has arrived.
+
+        Each is a request and the bytes with which its reply has to begin. The clock is left where it is, as in `ModbusScripts`.
+        """
+
+
+def matches(exchanged: Exchanged, unit: int, expected: bytes | None) -> bool:
+    """Whether a reply has transaction, protocol, unit and length of its request, and the expected PDU.
+
+    None is one that has eight registers.
+    """
+    reply = exchanged.reply
+    pdu = EIGHT_REGISTERS if expected is None else expected
+    length = HEADER.size + (EIGHT_REGISTERS_BYTES if expected is None else len(expected))
+    head = exchanged.request[:4] + bytes((0, length - 6, unit)) + pdu
+    return len(reply) == length and reply.startswith(head)
+
+
+def read_registers(address: int, count: int) -> bytes:
+    """The PDU of function 03. Source: Modbus Application Protocol 1.1b3, 6.3."""
+    return _WORDS.pack(3, address, count)
+
+
+def registers(values: Sequence[int]) -> bytes:
+    """The reply to `read_registers`."""
+    return bytes((3, 2 * len(values))) + b"".join(value.to_bytes(2, "big") for value in values)
+
+
+def read_coils(address: int, count: int) -> bytes:
+    """The PDU of function 01; 6.1."""
+    return _WORDS.pack(1, address, count)
+
+
+def coils(states: Sequence[bool]) -> bytes:
+    """The reply to `read_coils` with up to eight coils, the first in the lowest bit."""
+    return bytes((1, 1, _packed(states)))
+
+
+def write_coils(address: int, states: Sequence[bool]) -> bytes:
+    """The PDU of function 15 with up to eight coils; 6.11. Its confirmation are its first five bytes."""
+    return _WORDS.pack(15, address, len(states)) + bytes((1, _packed(states)))
+
+
+def _packed(states: Sequence[bool]) -> int:
+    return sum(1 << place for place, on in enumerate(states) if on)
