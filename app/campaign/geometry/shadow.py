@@ -11,7 +11,8 @@ import numpy as np
 
 from goniotwin.app.rig import RigFile, nominal_instrument
 from goniotwin.arrays import Flags, Floats
-from goniotwin.twin.optics import Instrument, arc_direction, visible_fraction
+from goniotwin.twin.optics import Instrument, arc_direction, visible_fraction_of_few
+from goniotwin.twin.optics.deferred_kernel import interpreted
 from goniotwin.twin.optics.geometry.coordinates import round_deg
 from goniotwin.twin.optics.geometry.mirrors import mirrors_at
 
@@ -54,7 +55,7 @@ def _blocked(instrument: Instrument, margin_deg: float, sigma_deg: float, gamma_
     for rays in (RAYS_COARSE, RAYS_FINE):
         if remaining.size:
             directions = _around(zenith[remaining], azimuth[remaining], margin_deg)
-            visible = visible_fraction(instrument, sigma_deg, directions.reshape(-1, 3), rays, gamma_deg)
+            visible = visible_fraction_of_few(instrument, sigma_deg, directions.reshape(-1, 3), rays, gamma_deg)
             cut = np.any(visible.reshape(directions.shape[:-1]) < FULLY_VISIBLE, axis=0)
             blocked[remaining[cut]] = True
             remaining = remaining[~cut]
@@ -77,7 +78,8 @@ def clear_of_mirrors(instrument: Instrument, margin_deg: float, sigma_deg: float
     """
     spot = math.sqrt(0.5) * instrument.spot_side_mm
     disc = 0.5 * instrument.detector_diameter_mm + instrument.arc_radius_mm * math.radians(margin_deg)
-    mirrors = mirrors_at(instrument, sigma_deg)
+    with interpreted():  # for three mirrors
+        mirrors = mirrors_at(instrument, sigma_deg)
     clear = np.abs(directions[:, 2]) > math.sin(math.radians(margin_deg)) + TINY
     for centre, normal, u, v in mirrors.packed:
         # First a sphere around the mirror and a tube around the light: most directions are far from both.
