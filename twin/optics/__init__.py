@@ -23,7 +23,7 @@ from goniotwin.twin.optics.bsdf.scatterer import (
 )
 from goniotwin.twin.optics.bsdf.table_samples import spectral_table, table_sample
 from goniotwin.twin.optics.fast.estimator import luminance_factor, luminance_factors, spectral_throughput, throughput
-from goniotwin.twin.optics.fast.obstruction import ShadowMap, shadow_map, visible_fraction
+from goniotwin.twin.optics.fast.obstruction import ShadowMap, shadow_map, visible_fraction, visible_fraction_of_few
 from goniotwin.twin.optics.fast.scenes import Pose, Scenes
 from goniotwin.twin.optics.fast.surrogate import Surrogate, factor_blocks
 from goniotwin.twin.optics.forward.estimator import Estimate, forward_throughput
@@ -106,6 +106,7 @@ __all__ = [
     "throughput",
     "to_specular",
     "visible_fraction",
+    "visible_fraction_of_few",
     "ward",
     "wide_tailed",
     "without_regular",

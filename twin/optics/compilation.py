@@ -6,7 +6,8 @@ the entry point, which alone is optimised and made machine code of. That is less
 same. numba also looks up what `a * b` of two floats is anew for each product, through all that may be multiplied (lists,
 strings, sets), and colours the text of an error for each that does not fit: the signatures are kept, and the text stays plain.
 
-Nothing here changes what a kernel computes. If a future numba has no such places, kernels are compiled the usual way (`LEAN`).
+Nothing here changes what a kernel computes. With any numba but the one that this was written for (`KNOWN`) kernels are compiled
+the usual way.
 """
 
 import gc
@@ -15,12 +16,16 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
+import numba
 from numba import types
 from numba.core import errors
 from numba.core.codegen import JITCodeLibrary
 from numba.core.registry import cpu_target
 from numba.core.targetconfig import ConfigStack
 from numba.core.types.functions import BaseFunction
+
+KNOWN = "0.68."
+"""The numba whose inner parts this module knows."""
 
 
 class _Plain:
@@ -83,7 +88,8 @@ def _link_parts() -> bool:
     return True
 
 
-LEAN = _link_parts()
+LEAN = numba.__version__.startswith(KNOWN) and _link_parts()
+"""Whether parts are linked; without it kernels are compiled as numba does it, in twice the time, with the same results."""
 
 
 @contextmanager
@@ -137,4 +143,5 @@ def _keep_resolved() -> None:
     functions.get_call_type = get_call_type
 
 
-_keep_resolved()
+if LEAN:
+    _keep_resolved()

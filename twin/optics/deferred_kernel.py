@@ -31,14 +31,14 @@ def interpreted() -> Iterator[None]:
 class DeferredKernel:
     """A function, and the kernel that `make` gives of it: at the first call, or for an attribute of the kernel.
 
-    The kernels that a function calls are globals of its module.
+    `make` takes a function that has to be called before numba compiles the kernel. The kernels that a function calls are
+    globals of its module.
     """
 
-    def __init__(self, function: Callable[..., Any], make: Callable[[], Any]) -> None:
+    def __init__(self, function: Callable[..., Any], make: Callable[[Callable[[], None]], Any]) -> None:
         update_wrapper(self, function)
         self.py_func = function
         self._make = make
-        self._made: Any = None
         self._kernel: Any = None
 
     def __call__(self, *arguments: Any, **keywords: Any) -> Any:
@@ -54,16 +54,20 @@ class DeferredKernel:
 
     @property
     def kernel(self) -> Any:
-        """The kernel. It and all that it calls are then under their names in their modules, where numba looks."""
+        """The kernel. From then on it is under the function's name in its module."""
         with _LOCK:
-            if self._made is None:
+            if self._kernel is None:
                 assert isinstance(self.py_func, FunctionType)
-                self._made = self._make()
-                _resolve(self.py_func.__code__, self.py_func.__globals__)
+                self._kernel = self._make(self._make_called)
                 if self.py_func.__globals__.get(self.py_func.__name__) is self:
-                    self.py_func.__globals__[self.py_func.__name__] = self._made
-                self._kernel = self._made
-        return self._made
+                    self.py_func.__globals__[self.py_func.__name__] = self._kernel
+        return self._kernel
+
+    def _make_called(self) -> None:
+        """Make the kernels that the function calls: numba takes them by name from the function's module."""
+        assert isinstance(self.py_func, FunctionType)
+        with _LOCK:
+            _resolve(self.py_func.__code__, self.py_func.__globals__)
 
 
 def _resolve(code: CodeType, names: dict[str, Any]) -> None:

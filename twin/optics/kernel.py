@@ -12,6 +12,7 @@ import stat
 import tempfile
 from collections.abc import Callable
 from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -27,14 +28,19 @@ def kernel(*, error_model: str = "numpy", **options: Any) -> Callable[[Function]
     """
 
     def deferred(function: Function) -> Function:
-        result: Any = DeferredKernel(function, lambda: _dispatcher(function, {"error_model": error_model, **options}))
+        settings = {"error_model": error_model, **options}
+        result: Any = DeferredKernel(function, lambda make_called: _dispatcher(function, settings, make_called))
         return result  # type: ignore[no-any-return]
 
     return deferred
 
 
-def _dispatcher(function: Any, options: dict[str, Any]) -> Any:
-    """numba's dispatcher of a function; the function itself where numba's compiler is off."""
+def _dispatcher(function: Any, options: dict[str, Any], make_called: Callable[[], None]) -> Any:
+    """numba's dispatcher of a function; the function itself where numba's compiler is off.
+
+    `make_called` makes the kernels that the function calls. Code from the cache does not need them.
+    """
+    _load_numba()
     from numba import njit
     from numba.core import config
 
@@ -48,10 +54,49 @@ def _dispatcher(function: Any, options: dict[str, Any]) -> Any:
     dispatcher: Any = njit(**settings)(function)
     part = njit(**{**settings, "cache": False, "no_cpython_wrapper": True})(function) if LEAN else dispatcher
     _call_from_kernels(dispatcher, part)
+    for each in {id(dispatcher): dispatcher, id(part): part}.values():
+        _before_compiling(each, make_called)
     if cached:
         dispatcher._cache._cache_file._source_stamp = source_stamp(Path(function.__code__.co_filename).parent)
     _discard_unreadable(dispatcher._cache)
     return dispatcher
+
+
+@cache
+def _load_numba() -> None:
+    """Load numba without scipy's linear algebra, which no kernel calls and which is a third of the time.
+
+    numba loads it only to know whether it is there. A function that needs it loads it when it is compiled, as ever.
+    """
+    from numba.np import linalg
+
+    load = getattr(linalg, "ensure_blas", None)
+    if load is None:  # another numba
+        return
+    linalg.ensure_blas = _find_scipy
+    try:
+        from numba.np import arraymath
+
+        arraymath.ensure_blas = load
+    finally:
+        linalg.ensure_blas = load
+
+
+def _find_scipy() -> None:
+    if find_spec("scipy") is None:
+        raise ImportError("scipy is not installed")
+
+
+def _before_compiling(dispatcher: Any, action: Callable[[], None]) -> None:
+    """Call `action` before the function is compiled; its code in the cache is loaded without it."""
+    compiler: Any = dispatcher._compiler
+    compile_function: Any = compiler.compile
+
+    def compile_after_action(*arguments: Any) -> Any:
+        action()
+        return compile_function(*arguments)
+
+    compiler.compile = compile_after_action
 
 
 def thread_count() -> int:

@@ -5,19 +5,21 @@ Most directions are certainly clear, which is found without tracing a ray; rays 
 
 import math
 from functools import lru_cache
-from itertools import product
 
 import numpy as np
 
 from goniotwin.app.rig import RigFile, nominal_instrument
 from goniotwin.arrays import Flags, Floats
-from goniotwin.twin.optics import Instrument, arc_direction, visible_fraction
+from goniotwin.twin.optics import Instrument, arc_direction, visible_fraction_of_few
+from goniotwin.twin.optics.deferred_kernel import interpreted
 from goniotwin.twin.optics.geometry.coordinates import round_deg
 from goniotwin.twin.optics.geometry.mirrors import mirrors_at
 
 TINY = 1e-9
 FULLY_VISIBLE = 1.0 - 1e-9
 """Least visible fraction of a photodiode that is not blocked."""
+SQUARE = np.array([[-1.0, -1.0], [-1.0, 1.0], [1.0, -1.0], [1.0, 1.0]])
+"""Corners."""
 RAYS_COARSE, RAYS_FINE = 16, 256
 """Number of rays from the illuminated spot to a photodiode: few find most blocked directions, many examine the rest."""
 
@@ -54,7 +56,7 @@ def _blocked(instrument: Instrument, margin_deg: float, sigma_deg: float, gamma_
     for rays in (RAYS_COARSE, RAYS_FINE):
         if remaining.size:
             directions = _around(zenith[remaining], azimuth[remaining], margin_deg)
-            visible = visible_fraction(instrument, sigma_deg, directions.reshape(-1, 3), rays, gamma_deg)
+            visible = visible_fraction_of_few(instrument, sigma_deg, directions.reshape(-1, 3), rays, gamma_deg)
             cut = np.any(visible.reshape(directions.shape[:-1]) < FULLY_VISIBLE, axis=0)
             blocked[remaining[cut]] = True
             remaining = remaining[~cut]
@@ -77,14 +79,20 @@ def clear_of_mirrors(instrument: Instrument, margin_deg: float, sigma_deg: float
     """
     spot = math.sqrt(0.5) * instrument.spot_side_mm
     disc = 0.5 * instrument.detector_diameter_mm + instrument.arc_radius_mm * math.radians(margin_deg)
-    mirrors = mirrors_at(instrument, sigma_deg)
     clear = np.abs(directions[:, 2]) > math.sin(math.radians(margin_deg)) + TINY
-    for centre, normal, u, v in mirrors.packed:
+    for centre, normal, u, v in _mirrors(instrument, sigma_deg):
         # First a sphere around the mirror and a tube around the light: most directions are far from both.
         near = np.flatnonzero(clear & _near(instrument, max(spot, disc), centre, directions))
         frame = normal, u, v
         clear[near] = _passes(instrument, centre, frame, directions[near], spot, disc)
     return np.asarray(clear)
+
+
+@lru_cache(maxsize=512)
+def _mirrors(instrument: Instrument, sigma_deg: float) -> Floats:
+    """The three mirrors as in `Mirrors.packed`, without numba."""
+    with interpreted():
+        return mirrors_at(instrument, sigma_deg).packed
 
 
 def _near(instrument: Instrument, light_mm: float, centre: Floats, directions: Floats) -> Flags:
@@ -104,24 +112,17 @@ def _passes(
     where the lines between the corners of two squares around them meet it. If all these points are beyond one edge of the
     mirror, all of the light passes.
     """
-    normal, u, v = frame
     across = np.cross(directions, np.where(np.abs(directions[:, 2:]) < 0.9, [[0.0, 0.0, 1.0]], [[1.0, 0.0, 0.0]]))
     across /= np.linalg.norm(across, axis=1, keepdims=True)
     beside = np.cross(directions, across)
-    low, high = np.full((3, len(directions)), np.inf), np.full((3, len(directions)), -np.inf)
-    for px, py, s, t in product((-1.0, 1.0), repeat=4):
-        start = np.array([spot * px, spot * py, 0.0])
-        ray = instrument.arc_radius_mm * directions + disc * (s * across + t * beside) - start
-        with np.errstate(divide="ignore", invalid="ignore"):
-            fraction = float((centre - start) @ normal) / (ray @ normal)
-            met = np.stack(
-                [
-                    fraction,
-                    fraction * (ray @ u) - float((centre - start) @ u),
-                    fraction * (ray @ v) - float((centre - start) @ v),
-                ]
-            )
-        low, high = np.minimum(low, met), np.maximum(high, met)
+    starts = spot * np.pad(SQUARE, ((0, 0), (0, 1)))[:, None, None]
+    ends = instrument.arc_radius_mm * directions + disc * (SQUARE[:, :1, None] * across + SQUARE[:, 1:, None] * beside)
+    axes = np.stack(frame, axis=1)
+    along, offset = (ends - starts) @ axes, (centre - starts) @ axes  # (corners, corners, n or 1, normal and two sides)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        met = offset[..., :1] / along[..., :1] * along - offset
+        met[..., 0] = offset[..., 0] / along[..., 0]
+    low, high = met.min(axis=(0, 1)).T, met.max(axis=(0, 1)).T
     half = 0.5 * instrument.blocking_side_mm
     beyond_an_edge = (low[1:] > half).any(axis=0) | (high[1:] < -half).any(axis=0)
     between = (low[0] > 0.0) & (high[0] < 1.0)

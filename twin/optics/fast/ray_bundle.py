@@ -2,6 +2,7 @@
 
 import math
 from functools import lru_cache
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -10,6 +11,7 @@ from goniotwin.twin.optics.geometry.scene import SceneArrays, detector_frame, re
 from goniotwin.twin.optics.illumination.slit_image import cut_ray_chord
 from goniotwin.twin.optics.kernel import kernel
 
+Number = TypeVar("Number", float, Floats)
 TILE = 64
 """Rays of a bundle are computed in tiles, in one buffer with a row for each number: see twin.optics.fast.aperture."""
 SHARED_ROWS = 7
@@ -74,6 +76,21 @@ def fill_view(centre: Floats, d: Floats, axes: Floats) -> None:
         axes[3, k] = centre[0] * axes[k, 0] + centre[1] * axes[k, 1] + centre[2] * axes[k, 2]
 
 
+@kernel(forceinline=True, fastmath={"contract"})
+def map_to_disc(
+    e1x: Number, e1y: Number, e2x: Number, e2y: Number, dx: Number, dy: Number, beside1: Number, beside2: Number, ahead: Number,
+    p: Number, q: Number,
+) -> tuple[Number, Number, Number, Number, Number, Number]:  # fmt: skip
+    """Map of the hole to a detector's disc along the slopes p and q, for axes as in `fill_view`: a0, au, av, b0, bu, bv.
+
+    A point (u, v) of the hole meets the disc's plane at (au u + av v + a0, bu u + bv v + b0) from the disc's centre.
+    """
+    return (
+        ahead * p - beside1, e1x - p * dx, e1y - p * dy,
+        ahead * q - beside2, e2x - q * dx, e2y - q * dy,
+    )  # fmt: skip
+
+
 @kernel(nogil=True, fastmath={"contract"})
 def fill_ends(
     axes: Floats, bundle: Floats, first: int, count: int, sign: float, sizes: Floats, first_v: float, last_v: float,
@@ -98,9 +115,7 @@ def fill_ends(
             t[i + row * TILE] = bundle[row, first + i]
     for i in range(count):
         p, q, along = sign * t[i + SLOPE_P], sign * t[i + SLOPE_Q], t[i + ALONG]
-        # A point (u, v) of the hole meets the disc's plane at (au u + av v + a0, bu u + bv v + b0) from the disc's centre.
-        a0, au, av = ahead * p - beside1, e1x - p * dx, e1y - p * dy
-        b0, bu, bv = ahead * q - beside2, e2x - q * dx, e2y - q * dy
+        a0, au, av, b0, bu, bv = map_to_disc(e1x, e1y, e2x, e2y, dx, dy, beside1, beside2, ahead, p, q)
         square = au * au + bu * bu
         area = au * bv - av * bu
         whole, part = 1.0 / area, 1.0 / square  # few divisions and roots: they are half of the time
@@ -139,6 +154,24 @@ def fill_ends(
         t[i + END_LENGTH] = (ahead - u * dx - v * dy) * along * (1.0 + p * p + q * q)
 
 
+@kernel(forceinline=True, fastmath={"contract"})
+def is_blocked(
+    cx: float, cy: float, cz: float, nx: float, ny: float, nz: float, ux: float, uy: float, uz: float,
+    vx: float, vy: float, vz: float, half: float,
+    u: Number, v: Number, wx: Number, wy: Number, wz: Number, length: Number,
+) -> Any:  # fmt: skip
+    """Whether a square of half side `half` (centre c, normal n, axes u and v) blocks a ray.
+
+    The ray is from the point (u, v, 0) in the direction w, a unit vector, and ends at `length`.
+    """
+    hx, hy = cx - u, cy - v
+    # A ray within the mirror's plane divides by zero: the result is inf or NaN, and the condition is false.
+    distance = (hx * nx + hy * ny + cz * nz) / (wx * nx + wy * ny + wz * nz)
+    x, y, z = distance * wx - hx, distance * wy - hy, distance * wz - cz
+    inside = (abs(x * ux + y * uy + z * uz) <= half) & (abs(x * vx + y * vy + z * vz) <= half)
+    return (distance > 0.0) & (distance < length) & inside
+
+
 @kernel(nogil=True, fastmath={"contract"})
 def hide_ends(mirrors: Floats, near: Floats, half: float, count: int, t: Floats) -> None:
     """Set the weight of the rays in `t` to 0 where one of the near mirrors, of half side `half`, blocks them."""
@@ -149,13 +182,10 @@ def hide_ends(mirrors: Floats, near: Floats, half: float, count: int, t: Floats)
             ux, uy, uz = mirrors[m, 2, 0], mirrors[m, 2, 1], mirrors[m, 2, 2]
             vx, vy, vz = mirrors[m, 3, 0], mirrors[m, 3, 1], mirrors[m, 3, 2]
             for i in range(count):
-                wx, wy, wz = t[i + END_X], t[i + END_Y], t[i + END_Z]
-                hx, hy = cx - t[i + END_U], cy - t[i + END_V]
-                # A ray within the mirror's plane divides by zero: the result is inf or NaN, and the condition is false.
-                distance = (hx * nx + hy * ny + cz * nz) / (wx * nx + wy * ny + wz * nz)
-                x, y, z = distance * wx - hx, distance * wy - hy, distance * wz - cz
-                inside = (abs(x * ux + y * uy + z * uz) <= half) & (abs(x * vx + y * vy + z * vz) <= half)
-                blocked = (distance > 0.0) & (distance < t[i + END_LENGTH]) & inside
+                blocked = is_blocked(
+                    cx, cy, cz, nx, ny, nz, ux, uy, uz, vx, vy, vz, half,
+                    t[i + END_U], t[i + END_V], t[i + END_X], t[i + END_Y], t[i + END_Z], t[i + END_LENGTH],
+                )  # fmt: skip
                 t[i + END_WEIGHT] = 0.0 if blocked else t[i + END_WEIGHT]
 
 

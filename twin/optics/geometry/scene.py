@@ -105,6 +105,11 @@ class Scene:
 
 @lru_cache(maxsize=SCENES_KEPT)
 def scene_at(instrument: Instrument, sigma_deg: float, gamma_deg: float = 0.0) -> Scene:
+    """`place_scene`; the last scenes are kept."""
+    return place_scene(instrument, sigma_deg, gamma_deg)
+
+
+def place_scene(instrument: Instrument, sigma_deg: float, gamma_deg: float) -> Scene:
     """Scene with the mirror unit at `sigma_deg` and the sample unit at `gamma_deg`.
 
     A mirror unit with a wrongly set axis may be at any angle. Raises ValueError for angles that are not finite.
