@@ -226,11 +226,11 @@ def _derivatives(values: Floats, known: Stencil) -> tuple[Floats, Floats]:
 def _departure(values: Floats, variance: Floats, known: Stencil) -> Floats:
     """Largest departure of values (poses, wavelengths, n) near each one from its parabola, beyond noise; 0 where unknown."""
     result = np.zeros(values.shape)
-    for k in np.flatnonzero(known.departure.any(axis=(1, 2))).tolist():
-        near, weights = known.nearby[k], known.departure[k]
-        of_noise = CERTAIN**2 * (weights**2 @ variance[:, near])
-        squared = np.max((weights @ values[:, near]) ** 2 - of_noise, axis=1)
-        result[:, k] = np.sqrt(np.maximum(np.nan_to_num(squared), 0.0))
+    some = np.flatnonzero(known.departure.any(axis=(1, 2)))
+    near, weights = known.nearby[some], known.departure[some]
+    of_noise = CERTAIN**2 * (weights**2 @ variance[:, near])
+    squared = np.max((weights @ values[:, near]) ** 2 - of_noise, axis=2)
+    result[:, some] = np.sqrt(np.maximum(np.nan_to_num(squared), 0.0))
     return result
 
 
