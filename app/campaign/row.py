@@ -1,6 +1,7 @@
 """A row: the work between two commits to the journal. As it is planned, and what was recorded: raw counts, times, positions."""
 
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
 from typing import Literal
 
 from goniotwin.arrays import Counts
@@ -90,3 +91,67 @@ class CommittedRow:
 
     row: Row
     data: RowData
+
+
+@dataclass
+class ReadingTable:
+    """The readings of some rows in columns, an element for each `Reading`: there may be a hundred thousand of them.
+
+    `row` is the index of each reading's row, ascending; `rows` their number. The others are those of `Reading`.
+    """
+
+    rows: int = 0
+    row: list[int] = field(default_factory=list)
+    gain_v_per_a: list[float] = field(default_factory=list)
+    first_s: list[float] = field(default_factory=list)
+    period_s: list[float] = field(default_factory=list)
+    monitor_a: list[float] = field(default_factory=list)
+    counts: list[Counts] = field(default_factory=list)
+
+    def begin_row(self) -> None:
+        """Begin a further row: `add` adds to it."""
+        self.rows += 1
+
+    def add(self, gain_v_per_a: float, first_s: float, period_s: float, monitor_a: float, counts: Counts) -> None:
+        """Add a reading to the last row."""
+        self.row.append(self.rows - 1)
+        self.gain_v_per_a.append(gain_v_per_a)
+        self.first_s.append(first_s)
+        self.period_s.append(period_s)
+        self.monitor_a.append(monitor_a)
+        self.counts.append(counts)
+
+    def joined(self, more: "ReadingTable") -> "ReadingTable":
+        """The readings of these rows, and of more after them."""
+        return ReadingTable(
+            self.rows + more.rows,
+            self.row + [self.rows + row for row in more.row],
+            self.gain_v_per_a + more.gain_v_per_a,
+            self.first_s + more.first_s,
+            self.period_s + more.period_s,
+            self.monitor_a + more.monitor_a,
+            self.counts + more.counts,
+        )
+
+
+def reading_table(rows: Iterable[Sequence[Reading]]) -> ReadingTable:
+    """The readings of rows in columns."""
+    table = ReadingTable()
+    for readings in rows:
+        table.begin_row()
+        for each in readings:
+            table.add(each.gain_v_per_a, each.first_s, each.period_s, each.monitor_a, each.counts)
+    return table
+
+
+@dataclass(frozen=True)
+class RecordedRows:
+    """Rows of a journal in columns: their numbers, their starts in s on the rig's clock, and their readings."""
+
+    numbers: list[int]
+    started_s: list[float]
+    readings: ReadingTable
+
+    def joined(self, more: "RecordedRows") -> "RecordedRows":
+        """These rows, and more after them."""
+        return RecordedRows(self.numbers + more.numbers, self.started_s + more.started_s, self.readings.joined(more.readings))

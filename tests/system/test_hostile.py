@@ -851,10 +851,10 @@ def test_the_memory_of_an_export_grows_by_less_than_a_kilobyte_per_row_and_each_
     monkeypatch.setattr(exporting, "PART_POINTS", 64)
     reduced = 0
 
-    def counted(rows: Any, *arguments: Any) -> Any:
+    def counted(table: Any, *arguments: Any) -> Any:
         nonlocal reduced
-        reduced += len(rows)
-        return reduce_readings(rows, *arguments)
+        reduced += table.rows
+        return reduce_readings(table, *arguments)
 
     monkeypatch.setattr(readings, "reduce_readings", counted)
     memory: list[int] = []

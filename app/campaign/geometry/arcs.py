@@ -122,16 +122,24 @@ def arc_views(rig: RigFile, pose: PoseAngles) -> list[ArcView]:
 def arc_view(rig: RigFile, pose: PoseAngles, arc: Arc) -> ArcView:
     """The view of one arc."""
     _, sigma, beta, shift = pose
-    polar, azimuth = polar_and_azimuth(np.array(polar_deg(rig, arc), dtype=float) + shift, beta)
-    back = is_lit_from_behind(sigma)
-    transmitted = arc != lit_arc(sigma)
+    return views_at_sigma(rig, sigma, np.array([beta]), np.array([shift]), arc)[0]
+
+
+def views_at_sigma(rig: RigFile, sigma_deg: float, beta_deg: Floats, shift_deg: Floats, arc: Arc) -> list[ArcView]:
+    """The views of one arc in poses of one sigma, with these beta and shifts (poses,)."""
+    angles = np.array(polar_deg(rig, arc), dtype=float)
+    polar, azimuth = polar_and_azimuth(angles + shift_deg[:, None], beta_deg[:, None])
+    back = is_lit_from_behind(sigma_deg)
+    transmitted = arc != lit_arc(sigma_deg)
     direction = arc_direction(polar, azimuth, lower=arc == "lower")
     if back:
         direction = turn_about_x(direction)
     if transmitted:
         direction = mirror_in_sample_plane(direction)
-    theta, phi = to_specular(incidence_deg(sigma), direction)
-    return ArcView(arc_channels(rig, arc), zenith_deg(polar, arc), azimuth, theta, phi, polar, back, transmitted)
+    theta, phi = to_specular(incidence_deg(sigma_deg), direction)
+    each = zip(zenith_deg(polar, arc), azimuth, theta, phi, polar, strict=True)
+    channels = arc_channels(rig, arc)
+    return [ArcView(channels, *columns, back, transmitted) for columns in each]
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,8 @@ from goniotwin.twin.optics.deferred_kernel import interpreted
 from goniotwin.twin.optics.geometry.coordinates import round_deg
 from goniotwin.twin.optics.geometry.mirrors import mirrors_at
 
+MOST_KEPT = 128
+"""Directions, about those of a pose, of which an answer is kept."""
 TINY = 1e-9
 FULLY_VISIBLE = 1.0 - 1e-9
 """Least visible fraction of a photodiode that is not blocked."""
@@ -37,7 +39,8 @@ def blocked_by_mirrors(
     )
     if not angles.size:
         return np.zeros(np.shape(zenith_deg), dtype=bool)
-    blocked = _blocked(instrument, rig.geometry.shadow_margin_deg, sigma_deg, gamma_deg, angles.tobytes())
+    asked = instrument, rig.geometry.shadow_margin_deg, sigma_deg, gamma_deg, angles.tobytes()
+    blocked = _kept_blocked(*asked) if len(angles) <= MOST_KEPT else _blocked(*asked)
     return blocked[index.ravel()].reshape(np.shape(zenith_deg))
 
 
@@ -47,7 +50,6 @@ def may_be_blocked(rig: RigFile, sigma_deg: float, zenith_deg: Floats, azimuth_d
     return ~clear_of_mirrors(nominal_instrument(rig), rig.geometry.shadow_margin_deg, sigma_deg, directions)
 
 
-@lru_cache(maxsize=4096)
 def _blocked(instrument: Instrument, margin_deg: float, sigma_deg: float, gamma_deg: float, angles: bytes) -> Flags:
     """Flags (n,) of pairs of zenith and azimuth (n, 2), given as bytes so that the cache can use them as a key."""
     zenith, azimuth = np.frombuffer(angles).reshape(-1, 2).T
@@ -61,6 +63,10 @@ def _blocked(instrument: Instrument, margin_deg: float, sigma_deg: float, gamma_
             blocked[remaining[cut]] = True
             remaining = remaining[~cut]
     return blocked
+
+
+_kept_blocked = lru_cache(maxsize=4096)(_blocked)
+"""Kept: the poses of a scan in progress are asked for again and again."""
 
 
 def _around(zenith_deg: Floats, azimuth_deg: Floats, margin_deg: float) -> Floats:

@@ -29,7 +29,8 @@ ROW_NUMBERS = 12
 READING = "gain_v_per_a, first_s, period_s, monitor_a, readings, channels, counts"
 NAMED_ROWS = 5
 """Damaged rows that a message names."""
-_json = json.JSONEncoder(default=repr).encode  # a damaged value may be of any type
+_encoder = json.JSONEncoder(default=repr)  # a damaged value may be of any type
+_json = _encoder.encode
 
 
 class ChainError(ValueError):

@@ -4,6 +4,7 @@ import contextlib
 import itertools
 import json
 import math
+import operator
 import os
 import shutil
 import sqlite3
@@ -19,8 +20,19 @@ import numpy as np
 import numpy.typing as npt
 
 from goniotwin.app.campaign.journal.chain import Chain
-from goniotwin.app.campaign.row import MIRRORED_MARK, SKIPPED, CommittedRow, Reading, Row, RowData, RowKind
+from goniotwin.app.campaign.row import (
+    MIRRORED_MARK,
+    SKIPPED,
+    CommittedRow,
+    Reading,
+    ReadingTable,
+    RecordedRows,
+    Row,
+    RowData,
+    RowKind,
+)
 from goniotwin.app.errors import UserError
+from goniotwin.arrays import Ints
 
 ROW_INDEX = np.dtype(
     [
@@ -57,6 +69,15 @@ SUPER_JOURNAL = bytes.fromhex("d9d505f920a163d7")
 MOST_BESIDE = 1 << 30
 """Bytes of the files beside a journal that are copied with it."""
 LAST_ATTEMPT = "WHERE attempt = (SELECT MAX(attempt) FROM attempt b WHERE b.number = p.number)"
+READINGS_OF = """
+SELECT p.number, p.started_s, r.gain_v_per_a, r.first_s, r.period_s, r.monitor_a, r.readings, r.channels, r.counts
+FROM attempt p LEFT JOIN reading r ON r.number = p.number AND r.attempt = p.attempt
+WHERE p.number IN ({}) AND p.attempt = (SELECT MAX(attempt) FROM attempt b WHERE b.number = p.number)
+"""
+"""The readings of rows by their numbers, of their last attempts."""
+ASKED_AT_ONCE = 256
+"""Rows that are asked for in one statement."""
+NO_ROW = -1
 ATTEMPTED = "EXISTS (SELECT 1 FROM attempt a WHERE a.number = p.number)"
 MOST_ORDERS = 20
 """Safety orders of a session that are listed: a run gives two."""
@@ -272,6 +293,57 @@ class JournalReader:
         with self._reading():
             for number in numbers:
                 yield from self._rows(f"{LAST_ATTEMPT}{self._sound} AND p.number = ?", (number,))
+
+    def recorded(self, numbers: Iterable[int]) -> Iterator[RecordedRows]:
+        """The readings of committed rows by their numbers, in that order, of the last attempts; some hundred rows at once."""
+        left = iter(numbers)
+        statement = f"{READINGS_OF.format(', '.join('?' * ASKED_AT_ONCE))}{self._sound} ORDER BY p.number, r.gain_v_per_a"
+        while asked := list(itertools.islice(left, ASKED_AT_ONCE)):
+            with self._reading():
+                # One statement for any number of rows is prepared once.
+                found = self._db.execute(statement, asked + [NO_ROW] * (ASKED_AT_ONCE - len(asked)))
+                by_row = {number: list(rows) for number, rows in itertools.groupby(found, operator.itemgetter(0))}
+                table, there = ReadingTable(), [number for number in asked if number in by_row]
+                for number in there:
+                    table.begin_row()
+                    for _, _, gain, first, period, monitor, readings, channels, counts in by_row[number]:
+                        if counts is not None:
+                            raw = np.frombuffer(counts, dtype="<u2").reshape(readings, channels)
+                            table.add(gain, first, period, monitor, raw)
+                starts = [by_row[number][0][1] for number in there]
+            yield RecordedRows(there, starts, table)
+
+    def row_numbers(self, *kinds: RowKind) -> Ints:
+        """The numbers (n,) of the committed rows of some kinds, in order of their start."""
+        with self._reading():
+            chosen = f"AND kind IN ({', '.join('?' * len(kinds))})"
+            found = self._db.execute(
+                f"SELECT p.number FROM plan p JOIN attempt a USING (number) {LAST_ATTEMPT}{self._sound} {chosen}"
+                " ORDER BY started_s, p.number",
+                kinds,
+            )
+            return np.fromiter((number for (number,) in found), dtype=np.int64)
+
+    def drift_row_numbers(self) -> list[int]:
+        """Numbers of the mountings, of the drift checks, and of the measured row before each of these, in order of their start.
+
+        Empty without a drift check.
+        """
+        read = "EXISTS (SELECT 1 FROM reading r WHERE r.number = p.number AND r.attempt = a.attempt)"
+        numbers: list[int] = []
+        last: int | None = None
+        some = False
+        with self._reading():
+            for number, kind in self._db.execute(
+                f"SELECT p.number, kind FROM plan p JOIN attempt a USING (number) {LAST_ATTEMPT}{self._sound}"
+                f" AND (kind = 'mount' OR kind IN ('measure', 'drift') AND {read}) ORDER BY started_s, p.number"
+            ):
+                if kind == "measure":
+                    last = number
+                else:
+                    numbers += [number] if last is None else [last, number]
+                    last, some = None, some or kind == "drift"
+        return numbers if some else []
 
     def rows_between(self, after: int, last: int) -> Iterator[CommittedRow]:
         """The rows of the entries of `attempt` after one and up to another, by their internal numbers, in that order."""

@@ -100,7 +100,7 @@ def explain_order(plan: NewPlan) -> str:
 def filter_changes(plan: NewPlan) -> tuple[int, float]:
     """Number of filter changes of a plan, and the seconds that the wheel turns for them."""
     wheel, wavelengths = plan.rig.file.monochromator.wheel, [np.array([np.nan])]
-    for piece in plan.rows.pieces:
+    for piece in plan.rows.ways:
         if isinstance(piece, MeasurementBlock):
             of_grid = piece.scan_pass.grid.wavelengths_nm
             wavelengths.append(of_grid[piece.points % len(of_grid)])
@@ -176,7 +176,7 @@ def _straight(each: dict[str, Any]) -> str:
 
 def _ranges(plan: NewPlan) -> dict[str, list[float]]:
     """Lowest and highest angle of each axis."""
-    single = [piece.pose for piece in plan.rows.pieces if isinstance(piece, Row) and piece.pose is not None]
+    single = [piece.pose for piece in plan.rows.ways if isinstance(piece, Row) and piece.pose is not None]
     blocks = [each.poses.angles for passes in plan.mountings for each in passes]
     poses = np.concatenate([*blocks, np.array(single).reshape(-1, len(AXES))])
     return {axis: [float(column.min()), float(column.max())] for axis, column in zip(AXES, poses.T, strict=True)}

@@ -7,7 +7,7 @@ million rows can be compared; `Timing` takes rows one after the other.
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -115,12 +115,16 @@ class Timing:
         self._photodiodes = rig.photodiodes
         self._monitor = rig.monitor
         self.read_back_s = sum(axis.read_back_s for axis in self.moves.axes)
+        # A plan asks for the same few durations at each of its rows.
+        self._shutter_s = {opened: self._monochromator.shutter_seconds(opened=opened) for opened in (False, True)}
+        self._typical_s: dict[tuple[object, ...], float] = {}
+        self._gains_after: dict[tuple[object, ...], int | None] = {}
 
     def row(self, state: RigState, row: Row) -> tuple[float, RigState]:
         """Duration of a row in s, without the time that the operator takes to mount a sample, and the state after it."""
         lit = row.kind not in ("mount", "dark")
         seconds = self.shutter_s(state, opened=lit)
-        state = replace(state, shutter_open=lit)
+        state = RigState(state.point, lit, state.gain)
         if lit:
             target = state.point.copy()
             target[:WAVELENGTH] = target[:WAVELENGTH] if row.pose is None else row.pose
@@ -128,13 +132,13 @@ class Timing:
             # An unknown position without a target (NaN) does not move.
             before = np.where(np.isnan(target), 0.0, state.point)
             seconds += float(self.moves.seconds(before[None], np.nan_to_num(target)[None])[0])
-            state = replace(state, point=target)
+            state = RigState(target, lit, state.gain)
         if row.kind == "warm-up":
             return seconds + shortest_warm_up_s(row.longest_s), state
         if row.kind == "mount":
             return seconds, state
         seconds += self.reading_s(row, state.gain) + (self.read_back_s if lit else 0.0)
-        return seconds, replace(state, gain=self.gain_after(row, state.gain))
+        return seconds, RigState(state.point, lit, self.gain_after(row, state.gain))
 
     def reading_s(self, row: Row, gain: int | None) -> float:
         """Seconds to read a row at all its gains, from a gain of the amplifiers.
@@ -152,9 +156,13 @@ class Timing:
 
     def gain_after(self, row: Row, gain: int | None, rows: int = 1) -> int | None:
         """Gain of the amplifiers after this number of similar rows, from a gain before them."""
-        for _ in range(2 - rows % 2 if rows else 0):  # every second row leaves the same gain
-            gain = _typical_gains(row, gain)[-1]
-        return gain
+        repeated = 2 - rows % 2 if rows else 0  # every second row leaves the same gain
+        key = row.gains, row.automatic, row.target, gain, repeated
+        if key not in self._gains_after:
+            for _ in range(repeated):
+                gain = _typical_gains(row, gain)[-1]
+            self._gains_after[key] = gain
+        return self._gains_after[key]
 
     def reading_range_s(self, row: Row) -> tuple[float, float]:
         """Shortest and longest time to read a row after a similar row; auto-range may need a single gain."""
@@ -182,11 +190,14 @@ class Timing:
 
     def shutter_s(self, state: RigState, *, opened: bool) -> float:
         """Seconds to open or close the shutter, 0 where it is already so."""
-        return 0.0 if state.shutter_open is opened else self._monochromator.shutter_seconds(opened=opened)
+        return 0.0 if state.shutter_open is opened else self._shutter_s[opened]
 
     def _typical_reading_s(self, row: Row, gain: int | None) -> float:
-        readings = round(math.sqrt(min_readings(row) * max_readings(row, self._photodiodes.period_s)))
-        return self._reading_s(_typical_gains(row, gain), readings, gain)
+        key = row.gains, row.automatic, row.target, row.readings, row.longest_s, gain
+        if key not in self._typical_s:
+            readings = round(math.sqrt(min_readings(row) * max_readings(row, self._photodiodes.period_s)))
+            self._typical_s[key] = self._reading_s(_typical_gains(row, gain), readings, gain)
+        return self._typical_s[key]
 
     def _reading_s(self, gains: tuple[int, ...], readings: int, before: int | None) -> float:
         """Seconds for this number of readings at each of the gains; the monitor is read at the same time."""

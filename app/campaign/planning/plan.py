@@ -106,7 +106,7 @@ def make_plan(schedule: ScheduleDescription, rig: RigDescription) -> NewPlan:
 def first_collision(rows: PlannedRows, clearance: ArcClearance) -> str | None:
     """The first row on the way to which the arc would collide with the beam, and the reason; None without a collision."""
     last = None
-    for piece in rows.pieces:
+    for piece in rows.ways:
         if isinstance(piece, MeasurementBlock):
             points = piece.scan_pass.grid.points[piece.points]
         elif piece.pose is not None:

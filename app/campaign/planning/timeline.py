@@ -3,7 +3,7 @@
 The rows are counted and timed at once, and built only when they are read.
 """
 
-from collections import Counter
+from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -29,6 +29,11 @@ class MeasurementBlock:
     points: Ints
     seconds: Floats
 
+    @property
+    def total_s(self) -> float:
+        """Seconds of all of them."""
+        return float(self.seconds.sum() if len(self.seconds) > 1 else self.seconds[0])
+
 
 @dataclass(frozen=True)
 class RowTemplates:
@@ -45,9 +50,10 @@ class RowTemplates:
             None if averaging is None else averaging.relative_uncertainty, 0.0 if averaging is None else averaging.longest_s,
         )  # fmt: skip
 
-    def dark(self, sample: str, number: int) -> Row:
+    def dark(self, sample: str, number: int, seconds: float = 0.0) -> Row:
         """A dark reading; always at every gain, because any of them may be needed."""
-        return Row(0, f"{sample}/dark {number}", "dark", sample, gains=self.gains, readings=self.file.dark_readings)
+        identity = f"{sample}/dark {number}"
+        return Row(0, identity, "dark", sample, seconds, gains=self.gains, readings=self.file.dark_readings)
 
 
 @dataclass
@@ -64,6 +70,7 @@ class PlanTimeline:
     pieces: list[Row | MeasurementBlock] = field(default_factory=list)
     oldest_dark_s: float = 0.0
     state: RigState = UNKNOWN_STATE
+    _dark_row: Row | None = None
     _dark_count: int = 0
     _drift_count: int = 0
     _since_dark: float = 0.0
@@ -101,10 +108,11 @@ class PlanTimeline:
         timing, row = self.timing, self.templates.measurement(scan_pass.sample)
         similar = timing.similar_reading_s(row)
         moving = timing.moves.seconds(np.concatenate([self.state.point[None], points[:-1]]), points)
-        seconds = moving + (similar + timing.read_back_s)
-        ends = np.cumsum(seconds)
+        of_rows = moving + (similar + timing.read_back_s)
+        # As lists: there may be as many blocks as rows, and a list is read in a tenth of the time of an array's element.
+        seconds, ends = of_rows.tolist(), np.cumsum(of_rows).tolist()
         check_possible = self._check_possible(scan_pass.sample, points)
-        check_places = np.array([-1, *np.flatnonzero(check_possible[1:]) + 1, len(points)])
+        check_places = [-1, *(np.flatnonzero(check_possible[1:]) + 1).tolist(), len(points)]
         begin, moved_away, check_due = 0, False, False
         while begin < len(points):
             # What came before has closed the shutter, moved the axes away, or left another gain.
@@ -114,7 +122,7 @@ class PlanTimeline:
                 extra += float(back[0] - moving[begin])
             until_dark = self.file.dark_every_s - self._since_dark
             until_drift = self._until_drift(scan_pass.sample)
-            next_s = float(seconds[begin]) + extra
+            next_s = seconds[begin] + extra
             # A row that takes longer than one of the intervals is measured directly after the dark reading or drift check.
             overdue = next_s > until_drift and self._measured_since_drift
             if check_due or (overdue and check_possible[begin]):
@@ -124,17 +132,18 @@ class PlanTimeline:
             if next_s > until_dark and self._lit_since_dark:
                 self._dark(scan_pass.sample)
                 continue
-            start = float(ends[begin]) - next_s
-            dark, check = np.searchsorted(ends, (start + until_dark, start + until_drift), side="right").tolist()
-            sooner = int(np.searchsorted(check_places, check, side="right")) - 1
-            check = int(check_places[sooner] if check_places[sooner] > begin else check_places[sooner + 1])
+            start = ends[begin] - next_s
+            dark, check = bisect_right(ends, start + until_dark), bisect_right(ends, start + until_drift)
+            sooner = bisect_right(check_places, check) - 1
+            check = check_places[sooner] if check_places[sooner] > begin else check_places[sooner + 1]
             end = max(begin + 1, min(dark, check))
             check_due = end == check < len(points)
             self.state = RigState(points[end - 1], True, timing.gain_after(row, self.state.gain, end - begin))
-            block_seconds = seconds[begin:end].copy()
+            block_seconds = of_rows[begin:end].copy()
             block_seconds[0] += extra
-            self._advance(float(block_seconds.sum()))
-            self.pieces.append(MeasurementBlock(scan_pass, sequence[begin:end], block_seconds))
+            block = MeasurementBlock(scan_pass, sequence[begin:end], block_seconds)
+            self._advance(block.total_s)
+            self.pieces.append(block)
             self._measured_since_drift = self._lit_since_dark = True
             begin, moved_away = end, False
 
@@ -153,7 +162,12 @@ class PlanTimeline:
 
     def _dark(self, sample: str) -> None:
         self._dark_count += 1
-        self._add(self.templates.dark(sample, self._dark_count))
+        if self._dark_row is None:
+            self._dark_row = self.templates.dark(sample, 0)
+        seconds, self.state = self.timing.row(self.state, self._dark_row)  # of any dark reading
+        self._since_drift += seconds
+        self.pieces.append(self.templates.dark(sample, self._dark_count, seconds))
+        self._advance(0.0)
         self._since_dark = 0.0
         self._lit_since_dark = False
 
@@ -177,8 +191,7 @@ class PlanTimeline:
 
     def _add(self, row: Row) -> None:
         seconds, self.state = self.timing.row(self.state, row)
-        self._advance(0.0 if row.kind in ("dark", "mount") else seconds)
-        self._since_drift += seconds if row.kind == "dark" else 0.0
+        self._advance(0.0 if row.kind == "mount" else seconds)
         self.pieces.append(replace(row, seconds=seconds))
 
     def _advance(self, seconds: float) -> None:
@@ -186,6 +199,12 @@ class PlanTimeline:
         if self._dark_count:
             self._since_dark += seconds
             self.oldest_dark_s = max(self.oldest_dark_s, self._since_dark)
+
+
+def _joined(blocks: list[MeasurementBlock]) -> MeasurementBlock:
+    """Blocks of one pass as one."""
+    points, seconds = (np.concatenate([getattr(each, name) for each in blocks]) for name in ("points", "seconds"))
+    return MeasurementBlock(blocks[0].scan_pass, points, seconds)
 
 
 class PlannedRows(Sequence[Row]):
@@ -198,17 +217,32 @@ class PlannedRows(Sequence[Row]):
     @cached_property
     def kinds(self) -> dict[str, int]:
         """Number of rows of each kind."""
-        counts: Counter[str] = Counter()
+        counts: dict[str, int] = {}
         for piece in self._pieces:
-            counts.update({"measure": len(piece.points)} if isinstance(piece, MeasurementBlock) else {piece.kind: 1})
-        return dict(counts)
+            kind, rows = ("measure", len(piece.points)) if isinstance(piece, MeasurementBlock) else (piece.kind, 1)
+            counts[kind] = counts.get(kind, 0) + rows
+        return counts
 
     @cached_property
     def seconds(self) -> float:
         """Estimated duration of all rows."""
-        return sum(
-            float(piece.seconds.sum()) if isinstance(piece, MeasurementBlock) else piece.seconds for piece in self._pieces
-        )
+        return sum(piece.total_s if isinstance(piece, MeasurementBlock) else piece.seconds for piece in self._pieces)
+
+    @cached_property
+    def ways(self) -> list[Row | MeasurementBlock]:
+        """The pieces with a pose or a wavelength; blocks of one pass, with nothing but dark readings between them, are one."""
+        found: list[Row | MeasurementBlock] = []
+        blocks: list[MeasurementBlock] = []
+        for piece in self._pieces:
+            if isinstance(piece, MeasurementBlock):
+                if blocks and blocks[-1].scan_pass is not piece.scan_pass:
+                    found.append(_joined(blocks))
+                    blocks = []
+                blocks.append(piece)
+            elif piece.pose is not None or piece.wavelength_nm is not None:
+                found += [_joined(blocks), piece] if blocks else [piece]
+                blocks = []
+        return [*found, _joined(blocks)] if blocks else found
 
     @property
     def pieces(self) -> list[Row | MeasurementBlock]:

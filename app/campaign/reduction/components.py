@@ -9,9 +9,9 @@ of sample and etalon). Which inputs a component is made of, and which values sha
 at all.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
@@ -140,3 +140,15 @@ class Signal(Estimate):
 
     gain: Ints
     link: Floats | None = None
+
+    def at(self, index: Ints | Flags) -> "Signal":
+        """The signals (rows, photodiodes) of some rows, or of all in another order."""
+        return self._each(lambda values: values[index])
+
+    def of(self, channels: Ints) -> "Signal":
+        """The signals (rows, photodiodes) of some photodiodes."""
+        return self._each(lambda values: np.take(values, channels, axis=1))
+
+    def _each(self, part: Callable[[Any], Any]) -> "Signal":
+        components = {name: part(each) for name, each in self.components.items()}
+        return Signal(part(self.value), components, part(self.gain), None if self.link is None else part(self.link))

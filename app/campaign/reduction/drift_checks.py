@@ -18,13 +18,13 @@ import numpy as np
 from goniotwin.app.campaign.reduction import pipeline
 from goniotwin.app.campaign.reduction.components import Signal
 from goniotwin.app.campaign.reduction.evidence import RunningEvidence
-from goniotwin.app.campaign.reduction.signals import LIGHT, DarkReadings, dark_readings_by_gain
-from goniotwin.app.campaign.row import CommittedRow, Row, RowData
+from goniotwin.app.campaign.reduction.signals import LIGHT, DarkReadings, dark_readings_by_gain, signals_of_rows
+from goniotwin.app.campaign.row import CommittedRow, Row, RowData, reading_table
 from goniotwin.app.campaign.schedule.file import DriftTable
 from goniotwin.app.campaign.wording import number_list
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigFile
-from goniotwin.arrays import Flags
+from goniotwin.arrays import Flags, Floats
 
 CERTAIN = 4.0
 """A single photodiode has to be beyond the limit by so many standard uncertainties: there are many photodiodes."""
@@ -172,7 +172,10 @@ class DriftWatch:
 
     def _signal(self, data: RowData) -> Signal:
         dark = self._dark_readings()
-        return pipeline.reduce_readings([data], dark, self._settings, self._rig, self._evidence.renewed(dark))[0]
+        table = reading_table([data.readings])
+        return signals_of_rows(pipeline.reduce_readings(table, dark, self._settings, self._rig, self._evidence.renewed(dark)))[
+            0
+        ]
 
 
 @dataclass(frozen=True)
@@ -187,9 +190,9 @@ class DriftInterval:
     photodiodes: Flags
     reason: str
 
-    def flagged_at(self, t: float) -> Flags:
-        """The photodiodes (n,) that are flagged in a row that started at `t`."""
-        return self.photodiodes & (self.begin_s <= t < self.end_s)
+    def flagged_at(self, t: Floats) -> Flags:
+        """The photodiodes (rows, n) that are flagged in rows that started at `t` (rows,)."""
+        return np.asarray(self.photodiodes & ((self.begin_s <= t) & (t < self.end_s))[:, None])
 
     def __str__(self) -> str:
         until = "the end" if math.isinf(self.end_s) else f"{self.end_s:.0f} s"

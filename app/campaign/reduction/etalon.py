@@ -7,21 +7,20 @@ from transmitted light: without a sample it is the direct beam.
 """
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from goniotwin.app.campaign.geometry.arcs import ArcView, arc_views
-from goniotwin.app.campaign.geometry.directions import PoseAngles
+from goniotwin.app.campaign.geometry.arcs import ArcView, polar_deg, views_at_sigma
+from goniotwin.app.campaign.geometry.directions import ARCS, Arc, PoseAngles
 from goniotwin.app.campaign.geometry.shadow import blocked_by_mirrors
 from goniotwin.app.campaign.reduction.components import Estimate, Signal, total_variance
 from goniotwin.app.campaign.reduction.overlaps import CalibrationFactors
 from goniotwin.app.campaign.reduction.points import PLACE, BsdfPoints, join_points, pack_flags
 from goniotwin.app.campaign.reduction.row_history import RowHistory
-from goniotwin.app.campaign.reduction.signals import mean_signal
+from goniotwin.app.campaign.reduction.signals import join_signals, mean_signals, signals_of_rows, stack_signals
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.schedule.certificate import Certificate
 from goniotwin.app.campaign.schedule.file import ScheduleFile
@@ -39,6 +38,8 @@ GRAZING_DEG = 85.0
 """Photodiodes at larger polar angles are not judged as dead."""
 MOST_POSES = 4096
 """Poses whose geometry is kept: some 10 MB."""
+WAVELENGTH, SIGMA = PLACE.index("wavelength_nm"), PLACE.index("sigma_deg")
+POSE = [PLACE.index(f"{axis}_deg") for axis in ("gamma", "sigma", "beta", "shift")]
 PoseKey = tuple[float, PoseAngles]
 
 
@@ -52,29 +53,36 @@ class ArcGeometry:
 
     def views(self, pose: PoseAngles) -> list[tuple[ArcView, Flags]]:
         """The views of the arcs, with the photodiodes whose light the mirror unit blocks at the sample or at the etalon."""
-        if pose not in self._kept:
-            if len(self._kept) >= MOST_POSES:
-                self._kept.clear()
-            self.keep([pose])
-        return self._kept[pose]
+        return self.views_at([pose])[0]
 
-    def keep(self, poses: Iterable[PoseAngles]) -> None:
-        """Compute the views of poses, those of one position of the mirror unit at once, as far as there is room for them."""
-        missing = [pose for pose in dict.fromkeys(poses) if pose not in self._kept][: MOST_POSES - len(self._kept)]
-        views = {pose: arc_views(self._rig, pose) for pose in missing}
-        # For transmitted light the mirror unit has another position at the etalon, and blocks other directions there.
-        at: dict[tuple[float, float], list[ArcView]] = {}
+    def views_at(self, poses: Sequence[PoseAngles]) -> list[list[tuple[ArcView, Flags]]]:
+        """The same at many poses, which together take a tenth of the time."""
+        missing = [pose for pose in dict.fromkeys(poses) if pose not in self._kept]
+        if missing and len(self._kept) + len(missing) > MOST_POSES:
+            self._kept.clear()
+            missing = list(dict.fromkeys(poses))
+        alike: dict[tuple[float, float], list[PoseAngles]] = defaultdict(list)
         for pose in missing:
-            for view in views[pose]:
-                for sigma in {pose[1], view.etalon_pose(pose)[1]}:
-                    at.setdefault((sigma, pose[0]), []).append(view)
-        blocked = {id(view): np.zeros(view.channels.size, dtype=bool) for each in views.values() for view in each}
-        for (sigma, gamma), seen in at.items():
-            zenith, azimuth = (np.concatenate([getattr(view, name) for view in seen]) for name in ("zenith", "azimuth"))
-            flags = blocked_by_mirrors(self._rig, sigma, zenith, azimuth, gamma)
-            for view, own in zip(seen, np.split(flags, np.cumsum([view.channels.size for view in seen])[:-1]), strict=True):
-                blocked[id(view)] |= own
-        self._kept.update({pose: [(view, blocked[id(view)]) for view in each] for pose, each in views.items()})
+            alike[pose[0], pose[1]].append(pose)
+        for same in alike.values():
+            self._kept.update((pose, []) for pose in same)
+            for arc in ARCS:
+                if polar_deg(self._rig, arc):
+                    for pose, view, blocked in self._views_of(same, arc):
+                        self._kept[pose].append((view, blocked))
+        return [self._kept[pose] for pose in poses]
+
+    def _views_of(self, poses: Sequence[PoseAngles], arc: Arc) -> Iterator[tuple[PoseAngles, ArcView, Flags]]:
+        """The views of an arc at poses of one gamma and sigma, and what is blocked."""
+        gamma, sigma, *_ = poses[0]
+        views = views_at_sigma(
+            self._rig, sigma, np.array([pose[2] for pose in poses]), np.array([pose[3] for pose in poses]), arc
+        )
+        zenith, azimuth = (np.stack([getattr(view, name) for view in views]) for name in ("zenith", "azimuth"))
+        # For transmitted light the mirror unit has another position at the etalon, and blocks other directions there.
+        sigmas = {sigma, views[0].etalon_pose(poses[0])[1]}
+        blocked = np.any([blocked_by_mirrors(self._rig, at, zenith, azimuth, gamma) for at in sigmas], axis=0)
+        return zip(poses, views, blocked, strict=True)
 
     def pose_sums(self, poses: Sequence[PoseAngles]) -> Floats:
         """What the variances by the errors of angles need at poses, whatever the slopes: (poses, photodiodes, 2, 6).
@@ -86,7 +94,8 @@ class ArcGeometry:
             self._sums.clear()
             missing = list(dict.fromkeys(poses))
         if missing:
-            views = [(k, pose, view) for k, pose in enumerate(missing) for view, _ in self.views(pose)]
+            seen = enumerate(zip(missing, self.views_at(missing), strict=True))
+            views = [(k, pose, view) for k, (pose, arcs) in seen for view, _ in arcs]
             sums = np.full((len(missing), self._rig.photodiodes.count, 2, 6), np.nan)
             at = np.concatenate([np.full(view.channels.size, k) for k, _, view in views])
             sums[at, np.concatenate([view.channels for _, _, view in views])] = pose_moments(self._rig, views_of_arcs(views))
@@ -158,15 +167,126 @@ class RowSignal:
     monitor_decades: float
 
 
-def mean_row(rows: Sequence[RowSignal]) -> RowSignal:
-    """The mean of repeated measurements of one pose."""
-    return RowSignal(
-        rows[0].row,
-        mean_signal([each.signal for each in rows]),
-        {name: np.any([each.flags[name] for each in rows], axis=0) for name in rows[0].flags},
-        math.fsum(each.hours for each in rows) / len(rows),
-        math.fsum(each.monitor_decades for each in rows) / len(rows),
+@dataclass(frozen=True)
+class RowSignals:
+    """Rows as `RowSignal`, in columns: `signal` and `flags` are of (rows, photodiodes), all others of (rows,).
+
+    `numbers` are those of the rows; `places` (rows, 5) their wavelengths and poses, in the order of PLACE and not rounded;
+    `mirrored` those that only check the symmetry.
+    """
+
+    numbers: Ints
+    places: Floats
+    mirrored: Flags
+    signal: Signal
+    flags: Mapping[str, Flags]
+    hours: Floats
+    monitor_decades: Floats
+
+    def __len__(self) -> int:
+        return len(self.numbers)
+
+    def at(self, index: Ints | Flags) -> "RowSignals":
+        """Some of the rows, or all in another order."""
+        return RowSignals(
+            self.numbers[index], self.places[index], self.mirrored[index], self.signal.at(index),
+            {name: each[index] for name, each in self.flags.items()}, self.hours[index], self.monitor_decades[index],
+        )  # fmt: skip
+
+
+def join_rows(parts: Sequence[RowSignals]) -> RowSignals:
+    """The rows of all parts, of which there is at least one, in order."""
+    if len(parts) == 1:
+        return parts[0]
+    return RowSignals(
+        np.concatenate([each.numbers for each in parts]),
+        np.concatenate([each.places for each in parts]),
+        np.concatenate([each.mirrored for each in parts]),
+        join_signals([each.signal for each in parts]),
+        {name: np.concatenate([each.flags[name] for each in parts]) for name in parts[0].flags},
+        np.concatenate([each.hours for each in parts]),
+        np.concatenate([each.monitor_decades for each in parts]),
     )
+
+
+def rows_in_columns(rows: Sequence[RowSignal]) -> RowSignals | None:
+    """Rows of one sample in columns; None for none."""
+    if not rows:
+        return None
+    return RowSignals(
+        np.array([each.row.number for each in rows]),
+        np.array([_place(each.row) for each in rows]),
+        np.array([each.row.mirrored for each in rows]),
+        stack_signals([each.signal for each in rows]),
+        {name: np.stack([each.flags[name] for each in rows]) for name in rows[0].flags},
+        np.array([each.hours for each in rows]),
+        np.array([each.monitor_decades for each in rows]),
+    )
+
+
+def mean_rows(rows: RowSignals, repeats: Ints) -> RowSignals:
+    """The means of repeated measurements: of the first so many rows, of so many more after them, and so on."""
+    if (repeats == 1).all():
+        return rows
+    begin, parts, places = np.cumsum(repeats) - repeats, [], []
+    for n in np.unique(repeats).tolist():
+        here = np.flatnonzero(repeats == n)
+        index = begin[here, None] + np.arange(n)
+        first = rows.at(index[:, 0])
+        mean = replace(
+            first,
+            signal=mean_signals(rows.signal, index),
+            flags={name: each[index].any(axis=1) for name, each in rows.flags.items()},
+            hours=rows.hours[index].mean(axis=1),
+            monitor_decades=rows.monitor_decades[index].mean(axis=1),
+        )
+        parts.append(mean)
+        places.append(here)
+    return join_rows(parts).at(np.argsort(np.concatenate(places)))
+
+
+def mean_row(rows: Sequence[RowSignal]) -> RowSignal:
+    """The mean of repeated measurements of one pose, of which there is at least one."""
+    columns = rows_in_columns(rows)
+    assert columns is not None
+    mean = mean_rows(columns, np.array([len(rows)]))
+    (signal,) = signals_of_rows(mean.signal)
+    flags = {name: each[0] for name, each in mean.flags.items()}
+    return RowSignal(rows[0].row, signal, flags, float(mean.hours[0]), float(mean.monitor_decades[0]))
+
+
+class PlaceIndex:
+    """Finds rows by wavelength and pose: `places` (rows, 5) in the order of PLACE, compared as `pose_key` rounds them."""
+
+    def __init__(self, places: Floats) -> None:
+        self._columns = [np.unique(column) for column in round_deg(places).T]
+        codes = self._codes(places)
+        self.order: Ints = np.argsort(codes, kind="stable")
+        self._sorted = codes[self.order]
+
+    def range_of(self, places: Floats) -> tuple[Ints, Ints]:
+        """For each of places (n, 5), begin and end (n,) in `order` of the rows there."""
+        codes = self._codes(places)
+        return np.searchsorted(self._sorted, codes, side="left"), np.searchsorted(self._sorted, codes, side="right")
+
+    def has(self, places: Floats) -> Flags:
+        """At which of places (n, 5) there is a row."""
+        begin, end = self.range_of(places)
+        return np.asarray(end > begin)
+
+    def find(self, places: Floats) -> Ints:
+        """For each of places (n, 5) the first row there, -1 for none."""
+        begin, end = self.range_of(places)
+        return np.where(end > begin, np.append(self.order, -1)[begin], -1)
+
+    def _codes(self, places: Floats) -> Ints:
+        """A number for each of the places (n, 5); -1 where a column has not this value, so that no row is there."""
+        codes, known = np.zeros(len(places), dtype=np.int64), np.ones(len(places), dtype=bool)
+        for column, values in zip(round_deg(places).T, self._columns, strict=True):
+            at = np.minimum(np.searchsorted(values, column), max(values.size - 1, 0))
+            known &= values[at] == column if values.size else False
+            codes = codes * values.size + at
+        return np.where(known, codes, -1)
 
 
 def pose_key(row: Row, pose: PoseAngles) -> PoseKey:
@@ -178,16 +298,15 @@ def pose_key(row: Row, pose: PoseAngles) -> PoseKey:
 
 @dataclass(frozen=True)
 class ReferenceSignals:
-    """The signals of the etalon and of the instrument signature, by wavelength and pose, as far as they were measured."""
+    """The signals of the etalon and of the instrument signature, one row for each wavelength and pose; None without any."""
 
-    etalon: Mapping[PoseKey, RowSignal]
-    signature: Mapping[PoseKey, RowSignal]
+    etalon: RowSignals | None
+    signature: RowSignals | None
 
 
 def reference_keys(rows: Sequence[Row], geometry: ArcGeometry) -> tuple[list[PoseKey], list[PoseKey]]:
     """Where rows were measured, and where their photodiodes need a signal of the etalon."""
     own, etalon = [], []
-    geometry.keep(row.pose for row in rows if row.pose is not None)
     for row in rows:
         assert row.pose is not None
         own.append(pose_key(row, row.pose))
@@ -196,21 +315,71 @@ def reference_keys(rows: Sequence[Row], geometry: ArcGeometry) -> tuple[list[Pos
 
 
 @dataclass(frozen=True)
+class ArcViews:
+    """What rows see on one arc: `view` (rows,) is the index of each row's view in `views`; arrays for these.
+
+    `etalon_sigma_deg` is sigma of the rig at the etalon, `blocked` (views, photodiodes) what the mirror unit blocks.
+    """
+
+    views: tuple[ArcView, ...]
+    view: Ints
+    etalon_sigma_deg: Floats
+    blocked: Flags
+
+
+def arcs_of_rows(places: Floats, geometry: "ArcGeometry") -> list[tuple[Ints, ArcViews]]:
+    """What rows at places (rows, 5) see on each arc, the upper one first; each pose once, however many rows have it.
+
+    With each arc come the indices of the rows: an arc without photodiodes sees none.
+    """
+    poses, which = np.unique(places[:, POSE], axis=0, return_inverse=True)
+    angles = [tuple(each) for each in poses.tolist()]
+    found: dict[bool, list[tuple[int, ArcView, Flags, float]]] = {}  # the upper arc is False
+    for k, views in enumerate(geometry.views_at(angles)):
+        for view, blocked in views:
+            sigma = view.etalon_pose(angles[k])[1]
+            found.setdefault(view.transmitted != view.back, []).append((k, view, blocked, sigma))
+    arcs = []
+    for _, seen in sorted(found.items(), key=lambda each: each[0]):
+        of_pose = np.full(len(angles), -1)
+        of_pose[[k for k, *_ in seen]] = np.arange(len(seen))
+        view_of_row = of_pose[which.ravel()]
+        rows = np.flatnonzero(view_of_row >= 0)
+        planned = ArcViews(
+            tuple(each for _, each, _, _ in seen), view_of_row[rows], np.array([sigma for *_, sigma in seen]),
+            np.stack([blocked for _, _, blocked, _ in seen]),
+        )  # fmt: skip
+        arcs.append((rows, planned))
+    return arcs
+
+
+def etalon_places(places: Floats, views: ArcViews) -> Floats:
+    """Where the etalon is seen as rows at places (rows, 5) are seen on an arc: these places, with the etalon's sigma."""
+    at_etalon = places.copy()
+    at_etalon[:, SIGMA] = views.etalon_sigma_deg[views.view]
+    return at_etalon
+
+
+@dataclass(frozen=True)
 class ArcRows:
     """Rows of one sample as one arc sees them: the dataset of the steps. Arrays (rows, photodiodes), or (rows, 1) for a row.
 
+    `numbers`, `places` and `mirrored` are those of `RowSignals`; `view` (rows,) is the index of each row's view in `views`.
     `estimate` is the value so far: the signal of the sample, its quotient by that of the etalon, the BSDF in 1/sr. `flags` are
     those so far, by their names in files. `sample`, `etalon` and the two signatures are the signals; a signature is 0 where it
     was not measured. `common_signature`: both signatures are one measurement, and their error is common to sample and etalon.
-    `etalon_rows` are the numbers of the etalon's rows, of several of one pose the first one. `share` is the signature's share
-    of the sample's signal, NaN where it was not measured. `hours` and `monitor_decades` are the changes of those of `RowSignal`
-    from the etalon's row to the sample's. `wavelength_slope`, `band_correction` and `stray_contrast` are those
+    `etalon_rows` (rows,) are the numbers of the etalon's rows, of several of one pose the first one. `share` is the signature's
+    share of the sample's signal, NaN where it was not measured. `hours` and `monitor_decades` are the changes of those of
+    `RowSignal` from the etalon's row to the sample's. `wavelength_slope`, `band_correction` and `stray_contrast` are those
     of BsdfPoints, NaN where they are unknown.
     """
 
-    rows: tuple[Row, ...]
-    etalon_rows: tuple[int, ...]
+    numbers: Ints
+    places: Floats
+    mirrored: Flags
+    etalon_rows: Ints
     views: tuple[ArcView, ...]
+    view: Ints
     incidence_deg: Floats
     blocked: Flags
     estimate: Estimate
@@ -229,8 +398,12 @@ class ArcRows:
     monitor_decades: Floats
 
     def column(self, name: str) -> Floats:
-        """An array of the views: `polar`, `zenith`, `azimuth`, `theta`, `phi`."""
-        return np.stack([getattr(view, name) for view in self.views])
+        """An array (rows, photodiodes) of the views: `polar`, `zenith`, `azimuth`, `theta`, `phi`."""
+        return np.stack([getattr(view, name) for view in self.views])[self.view]
+
+    def of_views(self, name: str) -> Flags:
+        """A property (rows, 1) of the views: `back`, `transmitted`."""
+        return np.array([getattr(view, name) for view in self.views])[self.view][:, None]
 
     def with_component(self, name: str, variance: Floats) -> "ArcRows":
         """The rows with a further component of the estimate's uncertainty: a variance, in its unit squared."""
@@ -241,96 +414,83 @@ class ArcRows:
         return replace(self, flags={**self.flags, **flags})
 
 
-def join_references(
-    rows: Sequence[RowSignal], references: ReferenceSignals, settings: ReductionSettings
-) -> list[tuple[Ints, ArcRows]]:
+def join_references(rows: RowSignals, references: ReferenceSignals, settings: ReductionSettings) -> list[tuple[Ints, ArcRows]]:
     """For each arc, the rows whose photodiodes have a signal of the etalon, with their indices and all signals they need."""
-    arcs: dict[bool, list[_Joined]] = {}  # the upper arc is False
-    for k, each in enumerate(rows):
-        assert each.row.pose is not None
-        own_key = pose_key(each.row, each.row.pose)
-        for view, blocked in settings.geometry.views(each.row.pose):
-            key = pose_key(each.row, view.etalon_pose(each.row.pose))
-            etalon = references.etalon.get(key)
-            if etalon is not None:
-                own = None if view.transmitted else references.signature.get(own_key)
-                joined = _Joined(k, each, view, blocked, etalon, own, references.signature.get(key))
-                arcs.setdefault(view.transmitted != view.back, []).append(joined)
-    return [(np.array([each.index for each in arc]), _arc_rows(arc)) for _, arc in sorted(arcs.items())]
+    etalon, signature = references.etalon, references.signature
+    if etalon is None:
+        return []
+    of_etalon = PlaceIndex(etalon.places)
+    of_signature = None if signature is None else PlaceIndex(signature.places)
+    arcs = []
+    for index, views in arcs_of_rows(rows.places, settings.geometry):
+        at_etalon = etalon_places(rows.places[index], views)
+        found = of_etalon.find(at_etalon)
+        known = found >= 0
+        if not known.any():
+            continue
+        index, view, found, at_etalon = index[known], views.view[known], found[known], at_etalon[known]
+        own = with_etalon = np.full(index.size, -1)
+        if of_signature is not None:
+            transmitted = np.array([each.transmitted for each in views.views])[view]
+            own = np.where(transmitted, -1, of_signature.find(rows.places[index]))
+            with_etalon = of_signature.find(at_etalon)
+        arcs.append((index, _arc_rows(rows.at(index), replace(views, view=view), etalon, found, signature, own, with_etalon)))
+    return arcs
 
 
-@dataclass(frozen=True)
-class _Joined:
-    """A row of an arc with its references; `index` is its place in the block."""
-
-    index: int
-    sample: RowSignal
-    view: ArcView
-    blocked: Flags
-    etalon: RowSignal
-    signature: RowSignal | None
-    signature_at_etalon: RowSignal | None
-
-
-def _arc_rows(arc: list[_Joined]) -> ArcRows:
-    c = arc[0].view.channels
-    sample = _stack([each.sample for each in arc], c)
+def _arc_rows(
+    rows: RowSignals, views: ArcViews, etalon: RowSignals, found: Ints, signature: RowSignals | None, own: Ints,
+    with_etalon: Ints,
+) -> ArcRows:  # fmt: skip
+    """The rows of an arc with their references: `found`, `own` and `with_etalon` (rows,) are the indices of these, -1: none."""
+    c = views.views[0].channels
+    sample = rows.signal.of(c)
     unknown = np.broadcast_to(np.nan, sample.value.shape)
-    measured = np.array([[each.signature is not None] for each in arc])
-    flags = {
-        name: _taken([each.sample.flags[name] | each.etalon.flags[name] for each in arc], c) for name in arc[0].sample.flags
-    }
+    measured = own >= 0
+    sigmas, which = np.unique(etalon.places[found, SIGMA], return_inverse=True)
+    flags = {name: (each | etalon.flags[name][found])[:, c] for name, each in rows.flags.items()}
     return ArcRows(
-        rows=tuple(each.sample.row for each in arc),
-        etalon_rows=tuple(each.etalon.row.number for each in arc),
-        views=tuple(each.view for each in arc),
-        incidence_deg=np.array([[incidence_deg(each.etalon.row.pose[1])] for each in arc if each.etalon.row.pose is not None]),
-        blocked=np.stack([each.blocked for each in arc]),
+        numbers=rows.numbers,
+        places=rows.places,
+        mirrored=rows.mirrored,
+        etalon_rows=etalon.numbers[found],
+        views=views.views,
+        view=views.view,
+        incidence_deg=np.array([incidence_deg(each) for each in sigmas.tolist()])[which.ravel(), None],
+        blocked=views.blocked[views.view],
         estimate=Estimate(sample.value, sample.components),
         sample=sample,
-        etalon=_stack([each.etalon for each in arc], c),
-        signature=_stack([each.signature for each in arc], c),
-        signature_at_etalon=_stack([each.signature_at_etalon for each in arc], c),
-        signature_measured=measured,
-        common_signature=measured & [[each.signature is each.signature_at_etalon] for each in arc],
+        etalon=etalon.signal.at(found).of(c),
+        signature=_signature(signature, own, c),
+        signature_at_etalon=_signature(signature, with_etalon, c),
+        signature_measured=measured[:, None],
+        common_signature=(measured & (own == with_etalon))[:, None],
         share=unknown,
         wavelength_slope=unknown,
         band_correction=unknown,
         stray_contrast=unknown,
         flags=flags,
-        hours=np.array([[each.sample.hours - each.etalon.hours] for each in arc]),
-        monitor_decades=np.array([[each.sample.monitor_decades - each.etalon.monitor_decades] for each in arc]),
+        hours=(rows.hours - etalon.hours[found])[:, None],
+        monitor_decades=(rows.monitor_decades - etalon.monitor_decades[found])[:, None],
     )
 
 
-def _stack(rows: Sequence[RowSignal | None], channels: Ints) -> Signal:
-    """The signals (rows, photodiodes) of the photodiodes `channels`; 0 for a row that was not measured."""
-    signals = [None if each is None else each.signal for each in rows]
-    first = next((each for each in signals if each is not None), None)
-    if first is None:
-        shape = len(rows), len(channels)
+def _signature(signature: RowSignals | None, index: Ints, channels: Ints) -> Signal:
+    """The signals (rows, photodiodes) of the photodiodes `channels`; 0 for a row that was not measured, of index -1."""
+    known = index >= 0
+    if signature is None or not known.any():
+        shape = index.size, channels.size
         return Signal(np.broadcast_to(0.0, shape), {}, np.broadcast_to(np.int64(0), shape))
-    names = dict.fromkeys(name for each in signals if each is not None for name in each.components)
-    none, unsaturated = np.zeros(first.value.shape), np.zeros(first.gain.shape, dtype=np.int64)
+    found = signature.signal.at(np.where(known, index, 0)).of(channels)
+    if known.all():
+        return found
+    each = known[:, None]
     return Signal(
-        _taken([none if each is None else each.value for each in signals], channels),
-        {name: _taken([none if each is None else each.components[name] for each in signals], channels) for name in names},
-        _taken([unsaturated if each is None else each.gain for each in signals], channels),
-        _stack_links(signals, channels),
+        np.where(each, found.value, 0.0),
+        {name: np.where(each, variance, 0.0) for name, variance in found.components.items()},
+        np.where(each, found.gain, 0),
+        None if found.link is None else np.where(known[:, None, None], found.link, 0.0),
     )
-
-
-def _stack_links(signals: Sequence[Signal | None], channels: Ints) -> Floats | None:
-    known = [each.link for each in signals if each is not None and each.link is not None]
-    if not known:
-        return None
-    none = np.zeros(known[0].shape)
-    return _taken([none if each is None or each.link is None else each.link for each in signals], channels)
-
-
-def _taken(rows: Sequence[npt.NDArray[Any]], channels: Ints) -> npt.NDArray[Any]:
-    """Arrays (photodiodes, ...) of rows as one of the photodiodes `channels`."""
-    return np.take(np.stack(rows), channels, axis=1)
 
 
 # The steps.
@@ -377,9 +537,8 @@ def divide_by_etalon(data: ArcRows, settings: ReductionSettings) -> ArcRows:
 
 def apply_certificate(data: ArcRows, settings: ReductionSettings) -> ArcRows:
     """Multiply by the etalon's certified radiance factor over pi: the BSDF in 1/sr. NaN where the certificate has no value."""
-    wavelength_nm = np.array([[row.wavelength_nm] for row in data.rows], dtype=float)
     factor, _ = settings.certificate.interpolate(
-        wavelength_nm, data.incidence_deg, data.column("polar"), data.column("azimuth")
+        data.places[:, WAVELENGTH, None], data.incidence_deg, data.column("polar"), data.column("azimuth")
     )
     ratio = _absolute_scale(data, settings)
     bsdf = data.estimate.scaled(factor / math.pi).scaled(np.where(np.isnan(ratio), 1.0, ratio))
@@ -389,11 +548,12 @@ def apply_certificate(data: ArcRows, settings: ReductionSettings) -> ArcRows:
 
 def _absolute_scale(data: ArcRows, settings: ReductionSettings) -> Floats:
     """Ratio of the open beam's scale to the certificate's (rows, 1); NaN where the certificate holds."""
-    ratio = np.full((len(data.rows), 1), np.nan)
-    for k, (row, view) in enumerate(zip(data.rows, data.views, strict=True) if settings.absolute else ()):
-        if view.transmitted:
-            wavelength, sigma = round_deg([row.wavelength_nm or 0.0, data.incidence_deg[k, 0]]).tolist()
-            ratio[k], _ = settings.absolute.get((wavelength, sigma, not view.back), (math.nan, 0.0))
+    ratio = np.full((len(data.numbers), 1), np.nan)
+    if settings.absolute:
+        at = round_deg(np.stack([data.places[:, WAVELENGTH], data.incidence_deg[:, 0]], axis=1))
+        transmitted, lower = data.of_views("transmitted")[:, 0], ~data.of_views("back")[:, 0]
+        for (wavelength, sigma, of_lower), (found, _) in settings.absolute.items():
+            ratio[transmitted & (lower == of_lower) & (at == [wavelength, sigma]).all(axis=1)] = found
     return ratio
 
 
@@ -460,18 +620,18 @@ def make_points(arcs: Sequence[tuple[Ints, ArcRows]]) -> tuple[Ints, BsdfPoints]
 def _points(data: ArcRows) -> BsdfPoints:
     n = data.estimate.value.shape[1]
     size = data.estimate.value.size
-    places = np.array([_place(row) for row in data.rows])
+    rows = len(data.numbers)
     return BsdfPoints(
-        places=places,
-        place=np.repeat(np.arange(len(places), dtype=np.int32), n),
-        photodiode=np.concatenate([view.channels for view in data.views]),
+        places=data.places,
+        place=np.repeat(np.arange(rows, dtype=np.int32), n),
+        photodiode=np.tile(data.views[0].channels, rows),
         zenith_deg=data.column("zenith").ravel(),
         azimuth_deg=data.column("azimuth").ravel(),
         theta_deg=data.column("theta").ravel(),
         phi_deg=data.column("phi").ravel(),
-        back=np.repeat([view.back for view in data.views], n),
-        transmitted=np.repeat([view.transmitted for view in data.views], n),
-        mirrored=np.repeat([row.mirrored for row in data.rows], n),
+        back=np.repeat(data.of_views("back"), n),
+        transmitted=np.repeat(data.of_views("transmitted"), n),
+        mirrored=np.repeat(data.mirrored, n),
         bsdf=data.estimate.value.ravel(),
         components={name: each.ravel() for name, each in data.estimate.components.items()},
         marks=pack_flags({name: flag.ravel() for name, flag in data.flags.items()}, size),
@@ -479,7 +639,7 @@ def _points(data: ArcRows) -> BsdfPoints:
         slope_along=np.full(size, np.nan),
         slope_across=np.full(size, np.nan),
         field_correction=np.zeros(size),
-        row=np.repeat([row.number for row in data.rows], n),
+        row=np.repeat(data.numbers, n),
         etalon_row=np.repeat(data.etalon_rows, n),
         gain=data.sample.gain.ravel(),
         etalon_gain=data.etalon.gain.ravel(),

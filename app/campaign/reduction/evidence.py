@@ -26,13 +26,13 @@ from goniotwin.app.campaign.reduction.signals import (
     MOST_VALUES,
     DarkReadings,
     RowReadings,
-    middle_s,
+    middles_s,
     others_volts,
 )
-from goniotwin.app.campaign.row import CommittedRow, Reading
+from goniotwin.app.campaign.row import CommittedRow, ReadingTable, reading_table
 from goniotwin.app.campaign.wording import number_list
 from goniotwin.app.rig import RigFile
-from goniotwin.arrays import Flags, Floats, Ints
+from goniotwin.arrays import Counts, Flags, Floats, Ints
 from goniotwin.drivers import ConverterDescription
 
 WILD, WILD_NOISE = 25.0, 0.1
@@ -185,6 +185,19 @@ class _Block:
     interval: Ints
 
 
+@dataclass(frozen=True)
+class _LitReadings:
+    """Readings of one gain and one number (k,): the rows in a block, the gain that was read before in the row, and what was
+    read: counts (k, readings, photodiodes), time in the middle, the monitor's current.
+    """
+
+    rows: Ints
+    before: Ints
+    counts: Counts
+    middle_s: Floats
+    monitor_a: Floats
+
+
 class EvidenceSums:
     """The sums over the rows so far. `dark` are the dark readings by gain; rows that cannot be reduced do not count."""
 
@@ -213,27 +226,40 @@ class EvidenceSums:
         self._row_weights = np.zeros((2, len(self._pairs), 2, SIGNAL_BINS + 1, modules))  # the last bin: all
         self._crosstalk = _CrosstalkSums(len(self._pairs), n, settings.module_channels)
 
-    def add(self, rows: Sequence[CommittedRow]) -> None:
-        """Add measured rows, in order of time."""
+    def add(self, table: ReadingTable) -> None:
+        """Add the readings of measured rows, in order of time."""
         n, gains = self._settings.count, self._gains.size
-        here: dict[tuple[int, int], list[tuple[int, int, Reading]]] = defaultdict(list)
-        for k, each in enumerate(rows):
-            before = NO_CHANGE
-            for reading in sorted(each.data.readings, key=lambda one: one.first_s):
-                if self._reducible(reading):
-                    index = self._settings.gains_v_per_a.index(reading.gain_v_per_a)
-                    here[index, min(len(reading.counts), MOST_CONVERSIONS)].append((k, before, reading))
-                    before = index
-        shape = (len(rows), gains)
+        known = {gain: k for k, gain in enumerate(self._settings.gains_v_per_a) if gain in self._dark}
+        middles = middles_s(table)
+        timed = (np.abs(middles) < LATEST_S).tolist()
+        here: dict[tuple[int, int], list[tuple[int, int, int]]] = defaultdict(list)
+        row, before = -1, NO_CHANGE
+        for k in np.lexsort([np.array(table.first_s), np.array(table.row)]).tolist():
+            index, (count, channels) = known.get(table.gain_v_per_a[k]), table.counts[k].shape
+            if index is None or not timed[k] or not count or channels != n:
+                continue  # it cannot be reduced
+            if table.row[k] != row:
+                row, before = table.row[k], NO_CHANGE
+            here[index, min(count, MOST_CONVERSIONS)].append((row, before, k))
+            before = index
+        shape = (table.rows, gains)
         volts, noise, dark, resolution, others = np.full((5, *shape, n), np.nan)
-        interval = np.zeros(len(rows), dtype=np.int64)
+        interval = np.zeros(table.rows, dtype=np.int64)
         block = _Block(
             volts, noise, dark, resolution, others, np.full(shape, np.nan), np.zeros(shape), np.ones(shape), interval
         )
         for (gain, count), readings in here.items():
             at_once = max(1, MOST_VALUES // (count * n))
             for begin in range(0, len(readings), at_once):
-                self._add_readings(gain, readings[begin : begin + at_once], block)
+                rows, changes, chosen = np.array(readings[begin : begin + at_once]).T
+                some = _LitReadings(
+                    rows,
+                    changes,
+                    np.stack([table.counts[k][:MOST_CONVERSIONS] for k in chosen.tolist()]),
+                    middles[chosen],
+                    np.array([table.monitor_a[k] for k in chosen.tolist()]),
+                )
+                self._add_readings(gain, some, block)
         for p, (low, high) in enumerate(self._pairs):
             between = np.isfinite(block.monitor[:, low + 1 : high]).any(axis=1)
             both = np.isfinite(block.monitor[:, low]) & np.isfinite(block.monitor[:, high]) & ~between
@@ -241,17 +267,11 @@ class EvidenceSums:
                 self._add_pairs(p, np.flatnonzero(both), block)
                 self._add_crosstalk(p, np.flatnonzero(both), block)
 
-    def _reducible(self, reading: Reading) -> bool:
-        count, channels = reading.counts.shape
-        known = reading.gain_v_per_a in self._dark and reading.gain_v_per_a in self._settings.gains_v_per_a
-        return known and count > 0 and channels == self._settings.count and abs(middle_s(reading)) < LATEST_S
-
-    def _add_readings(self, gain: int, readings: list[tuple[int, int, Reading]], block: _Block) -> None:
+    def _add_readings(self, gain: int, readings: _LitReadings, block: _Block) -> None:
         """Add readings of one gain and one number, and fill in the block."""
         dark, converter = self._dark[float(self._gains[gain])], self._settings.range
-        counts = np.stack([reading.counts[:MOST_CONVERSIONS] for _, _, reading in readings])
+        counts, times, rows = readings.counts, readings.middle_s, readings.rows
         raw = counts.astype(np.float64)
-        times = np.array([middle_s(reading) for _, _, reading in readings])
         dark_counts, dark_monitor, divisor = dark.at(times)
         clipped = np.any(converter.saturated(counts), axis=1)
         volts = (raw.mean(axis=1) - dark_counts) * converter.lsb_v
@@ -263,8 +283,7 @@ class EvidenceSums:
         conversions = new.sum(axis=1)
         own_mean = np.einsum("kjc,kj->kc", raw, new) / conversions[:, None]
         deviations = (raw - own_mean[:, None]) * (converter.lsb_v * new[:, :, None])
-        rows = np.array([k for k, _, _ in readings])
-        monitor = np.array([reading.monitor_a for _, _, reading in readings]) - dark_monitor
+        monitor = readings.monitor_a - dark_monitor
         block.volts[rows, gain] = np.where(clipped, np.nan, volts)
         block.noise[rows, gain] = expected / conversions[:, None]
         block.dark[rows, gain] = dark.variance_v2 / divisor[:, None]
@@ -276,8 +295,7 @@ class EvidenceSums:
         block.interval[rows] = dark.interval(times)
         if raw.shape[1] > 1:
             self._add_scatter(deviations, volts, expected, ~clipped, conversions - 1)
-            before = np.array([each for _, each, _ in readings])
-            self._add_trend(gain, before, raw, volts, expected, clipped)
+            self._add_trend(gain, readings.before, raw, volts, expected, clipped)
 
     def _add_scatter(self, deviations: Floats, volts: Floats, expected: Floats, usable: Flags, degrees: Ints) -> None:
         """Add the scatter about the mean: `deviations` (k, readings, photodiodes) in V, 0 for a repeated conversion."""
@@ -591,7 +609,7 @@ class RunningEvidence:
         if self._sums is None:
             self._sums = EvidenceSums(dark, self._rig)
         self._sums.renew(dark)
-        self._sums.add(self._waiting)
+        self._sums.add(reading_table(each.data.readings for each in self._waiting))
         self._waiting = []
         return self._sums
 

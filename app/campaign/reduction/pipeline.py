@@ -15,7 +15,7 @@ from goniotwin.app.campaign.reduction.etalon import (
     ArcRows,
     ReductionSettings,
     ReferenceSignals,
-    RowSignal,
+    RowSignals,
     add_monitor_changes,
     apply_certificate,
     divide_by_etalon,
@@ -35,16 +35,15 @@ from goniotwin.app.campaign.reduction.signals import (
     DarkReadings,
     add_crosstalk,
     add_tracing_error,
-    check_rows,
+    check_readings,
     choose_gain,
     convert_to_photocurrent,
     divide_by_monitor,
     group_readings,
-    signals_of_rows,
     subtract_dark,
 )
 from goniotwin.app.campaign.reduction.spectrum import correct_band
-from goniotwin.app.campaign.row import RowData
+from goniotwin.app.campaign.row import ReadingTable
 from goniotwin.app.rig import RigFile
 from goniotwin.arrays import Floats, Ints
 from goniotwin.drivers import ConverterDescription
@@ -93,13 +92,13 @@ SETTING_STEPS: Sequence[Callable[[BsdfPoints, ReductionSettings], BsdfPoints]] =
 
 
 def reduce_readings(
-    rows: Sequence[RowData],
+    table: ReadingTable,
     dark: Mapping[float, DarkReadings],
     settings: ConverterDescription,
     rig: RigFile,
     evidence: SignalEvidence | None = None,
-) -> list[Signal]:
-    """The signals of rows: photocurrents over the monitor's current, each photodiode at its highest unsaturated gain.
+) -> Signal:
+    """The signals (rows, photodiodes): photocurrents over the monitor's current, each at its highest unsaturated gain.
 
     `dark` are the dark readings by gain, `evidence` is what the campaign's rows show; None before there are any.
     Raises UserError for a gain without a dark reading, for a gain that the rig does not have, for counts of other photodiodes,
@@ -107,28 +106,29 @@ def reduce_readings(
     """
     at_gains = []
     known = stated(rig) if evidence is None else evidence
-    check_rows(rows, dark, settings)
-    for readings in group_readings([row.readings for row in rows]):
+    check_readings(table, dark, settings)
+    for readings in group_readings(table):
         of_gain = dark[readings.gain_v_per_a]
         volts = subtract_dark(readings, of_gain, settings)
         volts = add_crosstalk(volts, readings, settings, known.crosstalk)
         current = convert_to_photocurrent(volts, readings, settings)
         current = correct_gain(add_scatter(current, readings, settings, known), readings, settings, known)
         at_gains.append((readings, divide_by_monitor(current, readings, of_gain)))
-    return signals_of_rows(link_gains(add_tracing_error(choose_gain(at_gains, len(rows), settings), rig), known))
+    return link_gains(add_tracing_error(choose_gain(at_gains, table.rows, settings), rig), known)
 
 
-def reduce_rows(
-    rows: Sequence[RowSignal], references: ReferenceSignals, settings: ReductionSettings
-) -> tuple[Ints, BsdfPoints] | None:
-    """The points of a sample's rows, and the index of each point's row; None where the etalon was not measured at any pose."""
+def reduce_rows(rows: RowSignals, references: ReferenceSignals, settings: ReductionSettings) -> tuple[Ints, BsdfPoints] | None:
+    """The points of rows of one sample, that of the settings, and the index of each point's row.
+
+    None where the etalon was not measured at any pose.
+    """
     arcs = join_references(rows, references, settings)
     for step in ARC_STEPS:
         arcs = [(index, step(data, settings)) for index, data in arcs]
     if not arcs:
         return None
     index, points = make_points(arcs)
-    return index, add_shared(points, replace(settings, sample=rows[0].row.sample))
+    return index, add_shared(points, settings)
 
 
 def add_shared(points: BsdfPoints, settings: ReductionSettings) -> BsdfPoints:

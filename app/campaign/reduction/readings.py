@@ -19,7 +19,16 @@ from goniotwin.app.campaign.geometry.directions import scan_plane_deg
 from goniotwin.app.campaign.journal.reading import JournalReader
 from goniotwin.app.campaign.reduction.components import Estimate, Signal
 from goniotwin.app.campaign.reduction.drift_checks import DriftInterval, drift_intervals, insensitive_photodiodes
-from goniotwin.app.campaign.reduction.etalon import PoseKey, RowSignal, mean_row
+from goniotwin.app.campaign.reduction.etalon import (
+    PlaceIndex,
+    PoseKey,
+    RowSignal,
+    RowSignals,
+    join_rows,
+    mean_row,
+    mean_rows,
+    rows_in_columns,
+)
 from goniotwin.app.campaign.reduction.evidence import EvidenceSums, RunningEvidence, SignalEvidence, stated
 from goniotwin.app.campaign.reduction.pipeline import reduce_readings
 from goniotwin.app.campaign.reduction.points import PLACE
@@ -30,18 +39,19 @@ from goniotwin.app.campaign.reduction.signals import (
     dark_current_loss_s,
     dark_readings_by_gain,
     group_readings,
-    middle_s,
+    middles_s,
+    signals_of_rows,
     subtract_dark,
 )
-from goniotwin.app.campaign.row import CommittedRow
+from goniotwin.app.campaign.row import CommittedRow, ReadingTable, RecordedRows, reading_table
 from goniotwin.app.campaign.schedule.file import ScheduleFile
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigFile
 from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.twin.optics.geometry.coordinates import round_deg
 
-ROWS_AT_ONCE = 64
-"""Rows whose signals are computed together."""
+ROWS_AT_ONCE, MOST_COUNTS = 1024, 1 << 22
+"""Rows whose signals are computed together, and counts from which on they are fewer."""
 EVIDENCE_ROWS = 256
 """Rows whose readings are in memory together for the evidence."""
 END_OF_RANGE = 0.98
@@ -89,36 +99,55 @@ class DarkHistory:
 
     def signals(self, rows: Sequence[CommittedRow]) -> list[Signal]:
         """The signals of rows with readings. Raises UserError where one cannot be reduced."""
-        return reduce_readings([row.data for row in rows], self._dark, self._settings, self._rig, self.evidence)
+        return signals_of_rows(self._reduced(reading_table(row.data.readings for row in rows)))
+
+    def _reduced(self, table: ReadingTable) -> Signal:
+        return reduce_readings(table, self._dark, self._settings, self._rig, self.evidence)
 
     def volts(self, row: CommittedRow, gain_v_per_a: float) -> Estimate | None:
         """Voltages (photodiodes,) of a row above the dark reading at one gain, NaN where saturated; None if not read there."""
         for reading in row.data.readings:
             if reading.gain_v_per_a == gain_v_per_a and gain_v_per_a in self._dark:
                 check_reading(reading, self._settings)
-                readings = next(group_readings([[reading]]))
+                readings = next(group_readings(reading_table([[reading]])))
                 volts = subtract_dark(readings, self._dark[gain_v_per_a], self._settings)
                 value = np.where(readings.saturated(self._settings), np.nan, volts.value)
                 return Estimate(value[0], {name: each[0] for name, each in volts.components.items()})
         return None
 
     def row_signal(self, row: CommittedRow, signal: Signal, intervals: Sequence[DriftInterval]) -> RowSignal:
-        """The signal of a row, with its flags: see `RowSignal`."""
-        if not abs(row.data.started_s) < LATEST_S:
-            raise UserError(f"row {row.row.number} began at the time {row.data.started_s:g} s: {COPY}")
-        drifted = np.zeros(self._settings.count, dtype=bool)
+        """The signal of a row with readings, with its flags: see `RowSignal`. Raises UserError."""
+        recorded = RecordedRows([row.row.number], [row.data.started_s], reading_table([row.data.readings]))
+        flags, hours, decades = self._describe(recorded, intervals)
+        return RowSignal(row.row, signal, {name: each[0] for name, each in flags.items()}, float(hours[0]), float(decades[0]))
+
+    def rows_in_columns(self, rows: RecordedRows, of_rows: RowTable, intervals: Sequence[DriftInterval]) -> RowSignals:
+        """The signals of rows with readings; `of_rows` are their entries in the journal's index. Raises UserError."""
+        signal = self._reduced(rows.readings)
+        return RowSignals(of_rows["number"], row_places(of_rows), of_rows["mirrored"], signal, *self._describe(rows, intervals))
+
+    def _describe(
+        self, rows: RecordedRows, intervals: Sequence[DriftInterval]
+    ) -> tuple[dict[str, Flags], Floats, Floats]:  # fmt: skip
+        """The flags (rows, photodiodes) of rows with readings, their starts in hours, and the monitor's decades."""
+        started_s, table = np.array(rows.started_s), rows.readings
+        for number in np.array(rows.numbers)[~(np.abs(started_s) < LATEST_S)][:1].tolist():
+            wrong = rows.started_s[rows.numbers.index(number)]
+            raise UserError(f"row {number} began at the time {wrong:g} s: {COPY}")
+        drifted = np.zeros((table.rows, self._settings.count), dtype=bool)
         for drift in intervals:
-            drifted |= drift.flagged_at(row.data.started_s)
-        largest = max(reading.monitor_a for reading in row.data.readings)
+            drifted |= drift.flagged_at(started_s)
+        first = np.flatnonzero(np.diff(table.row, prepend=-1))
+        monitor_a = np.array(table.monitor_a)
+        largest = np.maximum.reduceat(monitor_a, first)
+        light = np.add.reduceat(monitor_a, first) / np.diff(first, append=monitor_a.size)
         flags = {
             "drift": drifted,
-            "dead": self._loss_s < middle_s(row.data.readings[0]),
-            "module": self.evidence.unsound,
-            "monitor": np.full(self._settings.count, largest > END_OF_RANGE * self._rig.monitor.largest_a),
+            "dead": self._loss_s < middles_s(table)[first, None],
+            "module": np.broadcast_to(self.evidence.unsound, drifted.shape),
+            "monitor": np.broadcast_to((largest > END_OF_RANGE * self._rig.monitor.largest_a)[:, None], drifted.shape),
         }
-        light = math.fsum(reading.monitor_a for reading in row.data.readings) / len(row.data.readings)
-        decades = math.log10(light) if light > 0.0 else 0.0
-        return RowSignal(row.row, signal, flags, row.data.started_s / 3600.0, decades)
+        return flags, started_s / 3600.0, np.log10(np.where(light > 0.0, light, 1.0))
 
 
 class Measurements:
@@ -129,13 +158,16 @@ class Measurements:
         self._kept: dict[int, RowSignal] = {}
         with self._path_in_errors():
             self._dark = DarkHistory(list(journal.rows("dark")), rig)
-            self._dark = self._dark.with_evidence(collect(self._dark.sums(), journal.rows("measure", "drift")))
+            lit = journal.row_numbers("measure", "drift").tolist()
+            blocks = (lit[begin : begin + EVIDENCE_ROWS] for begin in range(0, len(lit), EVIDENCE_ROWS))
+            tables = (each.readings for block in blocks for each in journal.recorded(block))
+            self._dark = self._dark.with_evidence(collect(self._dark.sums(), tables))
         self._table, self._names = journal.row_index()
+        self._by_number = np.argsort(self._table["number"], kind="stable")
         limit = None if schedule.drift is None else schedule.drift.limit
         self.insensitive = insensitive_photodiodes(journal.rows("drift"), self._signal)
-        some = next(journal.rows("drift"), None) is not None
-        rows = journal.rows("mount", "measure", "drift") if some else iter(())
-        self.drift_intervals = drift_intervals(rows, self._signal, rig, limit)
+        checked = journal.rows_of(journal.drift_row_numbers())
+        self.drift_intervals = drift_intervals(checked, self._signal, rig, limit)
 
     @property
     def evidence(self) -> SignalEvidence:
@@ -149,16 +181,43 @@ class Measurements:
         return rows
 
     def row_signals(self, numbers: Iterable[int]) -> Iterator[RowSignal]:
-        """The signals of rows, by the rows' numbers."""
+        """The signals of rows, by the rows' numbers: of a few: many are faster in columns."""
         left = iter(numbers)
         while block := list(itertools.islice(left, ROWS_AT_ONCE)):
-            found = {number: self._kept.pop(number) for number in block if number in self._kept}
-            rows = list(self._journal.rows_of(number for number in block if number not in found))
+            rows = list(self._journal.rows_of(block))
             with self._path_in_errors():
                 signals = self._dark.signals(rows)
-            for row, signal in zip(rows, signals, strict=True):
-                found[row.row.number] = self._dark.row_signal(row, signal, self.drift_intervals)
-            yield from (found[number] for number in block if number in found)
+                yield from (
+                    self._dark.row_signal(row, signal, self.drift_intervals) for row, signal in zip(rows, signals, strict=True)
+                )
+
+    def rows_in_columns(self, numbers: Sequence[int]) -> RowSignals | None:
+        """The signals of rows, by the rows' numbers and in their order; None where none of them has been measured."""
+        found = {number: self._kept.pop(number) for number in numbers if number in self._kept}
+        kept = rows_in_columns(list(found.values()))
+        parts = [self._reduced(each) for each in self._recorded([number for number in numbers if number not in found])]
+        if kept is None:
+            return join_rows(parts) if parts else None
+        rows = join_rows([kept, *parts])
+        place = {number: k for k, number in enumerate(rows.numbers.tolist())}
+        return rows.at(np.array([place[number] for number in numbers if number in place]))
+
+    def _reduced(self, rows: RecordedRows) -> RowSignals:
+        found = np.searchsorted(self._table["number"], rows.numbers, sorter=self._by_number)
+        with self._path_in_errors():
+            return self._dark.rows_in_columns(rows, self._table[self._by_number[found]], self.drift_intervals)
+
+    def _recorded(self, numbers: Sequence[int]) -> Iterator[RecordedRows]:
+        """The readings of rows, of so many rows at once as their counts allow."""
+        together: RecordedRows | None = None
+        for each in self._journal.recorded(numbers):
+            together = each if together is None else together.joined(each)
+            counts = sum(part.size for part in together.readings.counts)
+            if len(together.numbers) >= ROWS_AT_ONCE or counts >= MOST_COUNTS:
+                yield together
+                together = None
+        if together is not None and together.numbers:
+            yield together
 
     def keep_signals(self, numbers: Iterable[int]) -> list[RowSignal]:
         """The signals of a few rows, which are then known when they are next asked for: no row is reduced twice for it."""
@@ -193,10 +252,8 @@ class ReferenceMeasurements:
         self._measurements = measurements
         table = measurements.row_table(sample)
         self.places = row_places(table)
-        self._columns = [np.unique(column) for column in round_deg(self.places).T]
-        codes = self._codes(self.places)
-        order = np.argsort(codes, kind="stable")
-        self._sorted, self._numbers = codes[order], table["number"][order]
+        self._index = PlaceIndex(self.places)
+        self._numbers = table["number"][self._index.order]
 
     def __len__(self) -> int:
         return len(self._numbers)
@@ -207,6 +264,20 @@ class ReferenceMeasurements:
         signals = self._measurements.row_signals(number for _, numbers in measured for number in numbers)
         return {key: mean_row(list(itertools.islice(signals, len(numbers)))) for key, numbers in measured}
 
+    def at_places(self, places: Floats) -> RowSignals | None:
+        """The signals at those places (n, 5) that were measured, each place once; None where there are none."""
+        if not len(places) or not len(self):
+            return None
+        begin, end = self._index.range_of(places)
+        measured = end > begin
+        if not measured.any():
+            return None
+        begin, first = np.unique(begin[measured], return_index=True)
+        end = end[measured][first]
+        numbers = np.concatenate([self._numbers[one:other] for one, other in zip(begin.tolist(), end.tolist(), strict=True)])
+        signals = self._measurements.rows_in_columns(numbers.tolist())
+        return None if signals is None else mean_rows(signals, end - begin)
+
     def numbers_at(self, keys: Iterable[PoseKey]) -> list[int]:
         """The numbers of the rows at those keys that were measured."""
         return [number for _, numbers in self._rows_at(keys) for number in numbers]
@@ -216,34 +287,23 @@ class ReferenceMeasurements:
         wanted = list(dict.fromkeys(keys))
         if not wanted or not len(self):
             return
-        codes = self._codes(np.array([(wavelength, *pose) for wavelength, pose in wanted]))
-        first, last = (np.searchsorted(self._sorted, codes, side=side) for side in ("left", "right"))
+        first, last = self._index.range_of(np.array([(wavelength, *pose) for wavelength, pose in wanted]))
         for key, begin, end in zip(wanted, first.tolist(), last.tolist(), strict=True):
             yield key, self._numbers[begin:end].tolist()
 
     def measured(self, places: Floats) -> Flags:
         """Which of the places (n, 5) were measured."""
-        return np.asarray(self._codes(places) >= 0)
+        return self._index.has(places)
 
     def meets(self, other: "ReferenceMeasurements") -> bool:
         """Whether both have a measurement at the same wavelength and pose."""
         return bool(np.any(self.measured(other.places))) if len(self) else False
 
-    def _codes(self, places: Floats) -> Ints:
-        """A number for each of the places (n, 5), which are rounded as in `pose_key`; -1 where nothing was measured."""
-        codes, known = np.zeros(len(places), dtype=np.int64), np.ones(len(places), dtype=bool)
-        for column, values in zip(round_deg(places).T, self._columns, strict=True):
-            at = np.minimum(np.searchsorted(values, column), max(values.size - 1, 0))
-            known &= values[at] == column if values.size else False
-            codes = codes * values.size + at
-        return np.where(known, codes, -1)
 
-
-def collect(sums: EvidenceSums, rows: Iterable[CommittedRow]) -> SignalEvidence:
+def collect(sums: EvidenceSums, tables: Iterable[ReadingTable]) -> SignalEvidence:
     """The evidence of rows, in order of time."""
-    left = iter(rows)
-    while block := list(itertools.islice(left, EVIDENCE_ROWS)):
-        sums.add(block)
+    for table in tables:
+        sums.add(table)
     return sums.result()
 
 

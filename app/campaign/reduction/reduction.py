@@ -28,12 +28,11 @@ from goniotwin.app.campaign.reduction.closure import ClosureReport, ScannedBeam,
 from goniotwin.app.campaign.reduction.drift_checks import DriftInterval, unchecked_note, unchecked_photodiodes
 from goniotwin.app.campaign.reduction.etalon import (
     ArcGeometry,
-    PoseKey,
     ReductionSettings,
     ReferenceSignals,
-    RowSignal,
+    arcs_of_rows,
+    etalon_places,
     monitor_variance,
-    reference_keys,
 )
 from goniotwin.app.campaign.reduction.evidence import SignalEvidence
 from goniotwin.app.campaign.reduction.metadata import journal_metadata
@@ -197,15 +196,15 @@ class Reduction:
             edges = settings[(settings >= begin) & (settings <= end)] - begin
             places = order[begin:end]
             if np.unique(table["wavelength_nm"][places]).size > 1:
-                yield from self._spectral_blocks(table, places, edges, rows)
+                yield from self._spectral_blocks(sample, table, places, edges, rows)
             else:
                 for first, last in _together(edges, rows):
                     cut = np.split(np.arange(first, last), range(BLOCK_ROWS, last - first, BLOCK_ROWS))
-                    if found := list(self._reduced(table, places, cut)):
+                    if found := list(self._reduced(sample, table, places, cut)):
                         at, points = zip(*found, strict=True)
                         yield PointBlock(places[np.concatenate(at)], join_points(list(points)))
 
-    def _spectral_blocks(self, table: RowTable, places: Ints, edges: Ints, rows: int) -> Iterator[PointBlock]:
+    def _spectral_blocks(self, sample: str, table: RowTable, places: Ints, edges: Ints, rows: int) -> Iterator[PointBlock]:
         """The blocks of rows at several wavelengths: reduced pose by pose, and put in a file until all of them are known."""
         by_pose, poses = order_by_pose(table[places])
         parts = (
@@ -214,7 +213,7 @@ class Reduction:
             for k in range(begin, end, MOST_ROWS)
         )
         with PointFile(Path(tempfile.gettempdir())) as file:
-            for at, points in self._reduced(table, places, parts):
+            for at, points in self._reduced(sample, table, places, parts):
                 file.add(at, points)
             for first, last in _together(edges, rows):
                 if (found := file.between(first, last)) is not None:
@@ -394,18 +393,18 @@ class Reduction:
         trusted = {name: tally.trusted for name, tally in tallies.items()}
         return unchecked_photodiodes(self._measurements.insensitive, trusted, self.schedule.etalon)
 
-    def _reduced(self, table: RowTable, places: Ints, parts: Iterable[Ints]) -> Iterator[tuple[Ints, BsdfPoints]]:
+    def _reduced(self, sample: str, table: RowTable, places: Ints, parts: Iterable[Ints]) -> Iterator[tuple[Ints, BsdfPoints]]:
         """The points of some rows at a time, each part a list of indices of `places`, and the index of each point's row."""
-        etalon: dict[PoseKey, RowSignal] = {}
-        signature: dict[PoseKey, RowSignal] = {}
+        settings = replace(self.settings, sample=sample)
         for here in parts:
-            if len(etalon) >= BLOCK_ROWS:  # repeats of a pose are near each other
-                etalon, signature = {}, {}
-            rows = list(self._measurements.row_signals(table["number"][places[here]].tolist()))
-            at_sample, at_etalon = reference_keys([each.row for each in rows], self.settings.geometry)
-            _add_references(etalon, self._etalon, at_etalon)
-            _add_references(signature, self._signature, at_sample + at_etalon)
-            reduced = reduce_rows(rows, ReferenceSignals(etalon, signature), self.settings)
+            rows = self._measurements.rows_in_columns(table["number"][places[here]].tolist())
+            if rows is None:
+                continue
+            views = arcs_of_rows(rows.places, self.settings.geometry)
+            at_etalon = [etalon_places(rows.places[index], each) for index, each in views]
+            etalon = self._etalon.at_places(np.concatenate(at_etalon))
+            signature = self._signature.at_places(np.concatenate([rows.places, *at_etalon]))
+            reduced = reduce_rows(rows, ReferenceSignals(etalon, signature), settings)
             if reduced is not None:
                 yield here[reduced[0]], reduced[1]
 
@@ -429,11 +428,6 @@ def _together(edges: Ints, rows: int) -> Iterator[tuple[int, int]]:
         if end > begin and (end - begin >= rows or end == edges[-1]):
             yield begin, end
             begin = end
-
-
-def _add_references(known: dict[PoseKey, RowSignal], measured: ReferenceMeasurements, keys: Iterable[PoseKey]) -> None:
-    """Add the signals at keys that are not known yet: repeats of one pose are read once for all rows of a block."""
-    known.update(measured.at(key for key in keys if key not in known))
 
 
 def reduction_settings(

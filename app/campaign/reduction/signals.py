@@ -10,7 +10,7 @@ readings, `resolution` of the converter, and for a virtual rig with ray-traced l
 
 import math
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -18,7 +18,7 @@ import numpy as np
 
 from goniotwin.app.campaign.readout import QUANTISATION_VARIANCE
 from goniotwin.app.campaign.reduction.components import Estimate, Signal
-from goniotwin.app.campaign.row import CommittedRow, Reading, RowData
+from goniotwin.app.campaign.row import CommittedRow, Reading, ReadingTable
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigFile
 from goniotwin.arrays import Counts, Flags, Floats, Ints
@@ -131,35 +131,48 @@ class RowReadings:
         return np.asarray(np.any(settings.range.saturated(self.counts), axis=1))
 
 
-def group_readings(rows: Sequence[Sequence[Reading]]) -> Iterator[RowReadings]:
+def group_readings(table: ReadingTable) -> Iterator[RowReadings]:
     """The readings of rows, those of one gain and of one number together, some rows at a time."""
-    alike: dict[tuple[float, tuple[int, ...]], list[tuple[int, Reading]]] = defaultdict(list)
-    for k, readings in enumerate(rows):
-        for each in readings:
-            alike[each.gain_v_per_a, each.counts.shape].append((k, each))
+    alike: dict[tuple[float, tuple[int, ...]], list[int]] = defaultdict(list)
+    for k, (gain, counts) in enumerate(zip(table.gain_v_per_a, table.counts, strict=True)):
+        alike[gain, counts.shape].append(k)
+    row, monitor_a = np.array(table.row, dtype=np.int64), np.array(table.monitor_a)
+    times = middles_s(table)
     for (gain, shape), found in alike.items():
         at_once = max(1, MOST_VALUES // (shape[0] * shape[1]))
         for begin in range(0, len(found), at_once):
             here = found[begin : begin + at_once]
             yield RowReadings(
-                rows=np.array([k for k, _ in here]),
+                rows=row[here],
                 gain_v_per_a=gain,
-                counts=np.stack([each.counts for _, each in here]),
-                middle_s=np.array([middle_s(each) for _, each in here]),
-                monitor_a=np.array([each.monitor_a for _, each in here]),
+                counts=np.concatenate([table.counts[k] for k in here]).reshape(len(here), *shape),
+                middle_s=times[here],
+                monitor_a=monitor_a[here],
             )
 
 
-def check_rows(rows: Iterable[RowData], dark: Mapping[float, DarkReadings], settings: ConverterDescription) -> None:
+def middles_s(table: ReadingTable) -> Floats:
+    """The times (n,) in the middle of readings, s."""
+    number = np.array([len(each) for each in table.counts], dtype=np.int64)
+    with np.errstate(invalid="ignore", over="ignore"):  # of times that cannot be; `check_reading` refuses these
+        return np.asarray(np.array(table.first_s) + 0.5 * (number - 1) * np.array(table.period_s))
+
+
+def check_readings(table: ReadingTable, dark: Mapping[float, DarkReadings], settings: ConverterDescription) -> None:
     """Raise UserError for readings that cannot be reduced: at a gain without a dark reading, or as `check_reading`."""
-    for row in rows:
-        for reading in row.readings:
-            gain = reading.gain_v_per_a
-            check_reading(reading, settings)
-            if gain not in settings.gains_v_per_a:
-                raise UserError(f"a reading was made at {gain:g} V/A, a gain that the rig does not have")
-            if gain not in dark:
-                raise UserError(f"the journal has no dark reading at {gain:g} V/A, so readings at this gain cannot be reduced")
+    sound = bool(np.all(np.abs(middles_s(table)) < LATEST_S) and np.all(np.isfinite(table.monitor_a)))
+    shapes = {each.shape for each in table.counts}
+    sound = sound and all(readings > 0 and channels == settings.count for readings, channels in shapes)
+    if sound and all(gain in settings.gains_v_per_a and gain in dark for gain in set(table.gain_v_per_a)):
+        return
+    for gain, first, period, monitor, counts in zip(
+        table.gain_v_per_a, table.first_s, table.period_s, table.monitor_a, table.counts, strict=True
+    ):
+        check_reading(Reading(gain, first, period, monitor, counts), settings)
+        if gain not in settings.gains_v_per_a:
+            raise UserError(f"a reading was made at {gain:g} V/A, a gain that the rig does not have")
+        if gain not in dark:
+            raise UserError(f"the journal has no dark reading at {gain:g} V/A, so readings at this gain cannot be reduced")
 
 
 def subtract_dark(readings: RowReadings, dark: DarkReadings, settings: ConverterDescription) -> Estimate:
@@ -233,16 +246,40 @@ def signals_of_rows(signals: Signal) -> list[Signal]:
     return [Signal(value, dict(zip(names, own, strict=True)), gain, link) for value, gain, link, *own in each]
 
 
-def mean_signal(signals: list[Signal]) -> Signal:
-    """Mean of repeated measurements of one pose; saturated where any of them is. The gain is that of the first one."""
-    first, n = signals[0], len(signals)
+def stack_signals(rows: Sequence[Signal]) -> Signal:
+    """The signals (rows, photodiodes) of all rows, of which there is at least one, from that of each."""
+    links = [each.link for each in rows if each.link is not None]
+    return Signal(
+        np.stack([each.value for each in rows]),
+        {name: np.stack([each.components[name] for each in rows]) for name in rows[0].components},
+        np.stack([each.gain for each in rows]),
+        np.stack(links) if len(links) == len(rows) else None,
+    )
+
+
+def join_signals(parts: Sequence[Signal]) -> Signal:
+    """The signals (rows, photodiodes) of all parts, of which there is at least one."""
+    links = [each.link for each in parts if each.link is not None]
+    return Signal(
+        np.concatenate([each.value for each in parts]),
+        {name: np.concatenate([each.components[name] for each in parts]) for name in parts[0].components},
+        np.concatenate([each.gain for each in parts]),
+        np.concatenate(links) if len(links) == len(parts) else None,
+    )
+
+
+def mean_signals(signals: Signal, repeats: Ints) -> Signal:
+    """Means of repeated measurements of poses: `repeats` (poses, n) are the rows of each pose.
+
+    A photodiode is saturated where it is so in any of them. The gain is that of the first one.
+    """
+    first, n = signals.at(repeats[:, 0]), repeats.shape[1]
     if n == 1:
         return first
-    clipped_once = np.any([each.gain < 0 for each in signals], axis=0)
     return Signal(
-        np.mean([each.value for each in signals], axis=0),
-        {name: np.sum([each.components[name] for each in signals], axis=0) / n**2 for name in first.components},
-        np.where(clipped_once, -1, first.gain),
+        signals.value[repeats].mean(axis=1),
+        {name: each[repeats].sum(axis=1) / n**2 for name, each in signals.components.items()},
+        np.where((signals.gain[repeats] < 0).any(axis=1), -1, first.gain),
         first.link,
     )
 

@@ -15,9 +15,8 @@ from functools import lru_cache
 import numpy as np
 
 from goniotwin.app.campaign.reduction.components import DETECTED, INDEPENDENT
-from goniotwin.app.campaign.reduction.etalon import ArcRows, ReductionSettings
+from goniotwin.app.campaign.reduction.etalon import POSE, WAVELENGTH, ArcRows, ReductionSettings
 from goniotwin.app.campaign.reduction.points import BsdfPoints
-from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.uncertainty.effects import Dense, Effects
 from goniotwin.app.campaign.uncertainty.inputs import Input
 from goniotwin.app.rig import RigFile
@@ -150,7 +149,7 @@ def correct_band(data: ArcRows, settings: ReductionSettings) -> ArcRows:
     detected = value > DETECTED * np.sqrt(data.estimate.variance)
     slope, effect, contrast = (np.full(value.shape, np.nan) for _ in range(3))
     noise, shape, steep = np.ones(value.shape), np.zeros(value.shape), np.zeros(value.shape, dtype=bool)
-    for wavelengths, rows, cells in _poses(data.rows):
+    for wavelengths, rows, cells in _poses(data.places):
         known = stencil(wavelengths, band)
         f = _means(np.where(detected, value, np.nan)[rows], cells, len(wavelengths))
         s = _means(np.where(data.etalon.value > 0.0, data.etalon.value, np.nan)[rows], cells, len(wavelengths))
@@ -178,12 +177,13 @@ def correct_band(data: ArcRows, settings: ReductionSettings) -> ArcRows:
     return data.flagged({"steep": steep}) if steep.any() else data
 
 
-def _poses(rows: Sequence[Row]) -> Iterator[tuple[tuple[float, ...], Ints, Ints]]:
-    """The poses of several wavelengths, those with the same wavelengths together: these, the rows, and each row's cell.
+def _poses(places: Floats) -> Iterator[tuple[tuple[float, ...], Ints, Ints]]:
+    """The poses of several wavelengths of rows at places (rows, 5), those with the same wavelengths together.
 
-    Cells are numbered by pose, and within it by wavelength; repeats are in one cell.
+    With the wavelengths come the rows, and each row's cell. Cells are numbered by pose, and within it by wavelength; repeats
+    are in one cell.
     """
-    places = round_deg(np.array([(row.wavelength_nm, *row.pose) for row in rows if row.pose is not None], dtype=float))
+    places = round_deg(places[:, [WAVELENGTH, *POSE]])
     light = places[:, 0]
     if (light == light[0]).all():
         return
@@ -226,11 +226,11 @@ def _derivatives(values: Floats, known: Stencil) -> tuple[Floats, Floats]:
 def _departure(values: Floats, variance: Floats, known: Stencil) -> Floats:
     """Largest departure of values (poses, wavelengths, n) near each one from its parabola, beyond noise; 0 where unknown."""
     result = np.zeros(values.shape)
-    for k in np.flatnonzero(known.departure.any(axis=(1, 2))).tolist():
-        near, weights = known.nearby[k], known.departure[k]
-        of_noise = CERTAIN**2 * (weights**2 @ variance[:, near])
-        squared = np.max((weights @ values[:, near]) ** 2 - of_noise, axis=1)
-        result[:, k] = np.sqrt(np.maximum(np.nan_to_num(squared), 0.0))
+    some = np.flatnonzero(known.departure.any(axis=(1, 2)))
+    near, weights = known.nearby[some], known.departure[some]
+    of_noise = CERTAIN**2 * (weights**2 @ variance[:, near])
+    squared = np.max((weights @ values[:, near]) ** 2 - of_noise, axis=2)
+    result[:, some] = np.sqrt(np.maximum(np.nan_to_num(squared), 0.0))
     return result
 
 

@@ -24,14 +24,23 @@ from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.reduction.checks import overlap_check
 from goniotwin.app.campaign.reduction.components import Signal, mostly_added
 from goniotwin.app.campaign.reduction.drift_checks import DriftInterval, drift_intervals
-from goniotwin.app.campaign.reduction.etalon import PoseKey, ReferenceSignals, RowSignal, mean_row, pose_key, reference_keys
+from goniotwin.app.campaign.reduction.etalon import (
+    PoseKey,
+    ReferenceSignals,
+    RowSignal,
+    RowSignals,
+    mean_row,
+    pose_key,
+    reference_keys,
+    rows_in_columns,
+)
 from goniotwin.app.campaign.reduction.evidence import RunningEvidence
 from goniotwin.app.campaign.reduction.overlaps import CalibrationFactors
 from goniotwin.app.campaign.reduction.pipeline import finish_points, reduce_rows
 from goniotwin.app.campaign.reduction.points import BsdfPoints, Marks, pack_flags
 from goniotwin.app.campaign.reduction.readings import EVIDENCE_ROWS, DarkHistory
 from goniotwin.app.campaign.reduction.reduction import reduction_settings
-from goniotwin.app.campaign.row import NO_SAMPLE, CommittedRow, Row
+from goniotwin.app.campaign.row import NO_SAMPLE, CommittedRow, Row, reading_table
 from goniotwin.app.campaign.running.events import RowCommitted, RowStarted
 from goniotwin.app.errors import UserError
 from goniotwin.arrays import Flags, Floats
@@ -289,14 +298,17 @@ class LiveScan:
     def _reduce(self, rows: Sequence[CommittedRow], signal_of: SignalOf) -> BsdfPoints | None:
         """The points of rows of one setting, not finished yet; None where the etalon has not been measured."""
 
-        def measured(sample: str, keys: list[PoseKey]) -> dict[PoseKey, RowSignal]:
-            found = {key: self._row_signals(self._references[sample].get(key, []), signal_of) for key in dict.fromkeys(keys)}
-            return {key: mean_row(repeats) for key, repeats in found.items() if repeats}
+        def measured(sample: str, keys: list[PoseKey]) -> RowSignals | None:
+            found = (self._row_signals(self._references[sample].get(key, []), signal_of) for key in dict.fromkeys(keys))
+            return rows_in_columns([mean_row(repeats) for repeats in found if repeats])
 
         signals = self._row_signals(rows, signal_of)
+        columns = rows_in_columns(signals)
+        if columns is None:
+            return None
         at_sample, at_etalon = reference_keys([each.row for each in signals], self._settings.geometry)
         references = ReferenceSignals(measured(self._schedule.etalon, at_etalon), measured(NO_SAMPLE, at_sample + at_etalon))
-        reduced = reduce_rows(signals, references, self._settings)
+        reduced = reduce_rows(columns, references, replace(self._settings, sample=signals[0].row.sample))
         return None if reduced is None else reduced[1]
 
     def _bsdf(self, setting: Setting, rows: list[CommittedRow]) -> BsdfPoints | None:
@@ -320,7 +332,7 @@ class LiveScan:
         for begin in range(0, len(self._lit_rows), EVIDENCE_ROWS):
             if begin:
                 yield
-            sums.add(self._lit_rows[begin : begin + EVIDENCE_ROWS])
+            sums.add(reading_table(each.data.readings for each in self._lit_rows[begin : begin + EVIDENCE_ROWS]))
         self._dark = self._dark.with_evidence(sums.result())
         if self._settings.calibrates:
             yield from self._calibrate()

@@ -31,15 +31,16 @@ order = ["shift", "beta", "sigma", "gamma", "wavelength"]
 """
 
 
-def write_long_journal(path: Path, wavelengths: int, shifts: int, more: str = "", *, photodiodes: int = 4) -> int:
+def write_long_journal(
+    path: Path, wavelengths: int, shifts: int, more: str = "", *, photodiodes: int = 4, step_deg: float = 0.25
+) -> int:
     """Write the journal of a finished campaign with two sigmas and five betas; give the number of its rows.
 
-    The rig has 4 `photodiodes`, or all 36 of the virtual rig.
+    The shifts are `step_deg` apart. The rig has 4 `photodiodes`, or all 36 of the virtual rig.
     """
     last = 500.0 + 0.05 * (wavelengths - 1)
-    grids = (
-        f"wavelength_nm = {{ start = 500, stop = {last:.2f}, step = 0.05 }}\nshift_deg = {[0.25 * k for k in range(shifts)]}\n"
-    )
+    of_arc = [step_deg * k for k in range(shifts)]
+    grids = f"wavelength_nm = {{ start = 500, stop = {last:.2f}, step = 0.05 }}\nshift_deg = {of_arc}\n"
     text = RIG.read_text(encoding="utf-8")
     rig = parse_rig(changed(text, FEW_PHOTODIODES) if photodiodes == 4 else text, RIG.parent, "rig.toml")
     plan = make_plan(parse_schedule(SCHEDULE + grids + more, "long.toml"), rig)

@@ -21,7 +21,7 @@ from goniotwin.app.campaign.reduction.etalon import linearity_variance
 from goniotwin.app.campaign.reduction.evidence import SignalEvidence
 from goniotwin.app.campaign.reduction.readings import DarkHistory, collect
 from goniotwin.app.campaign.reduction.reduction import reduction_settings
-from goniotwin.app.campaign.row import CommittedRow, Reading, Row, RowData
+from goniotwin.app.campaign.row import CommittedRow, Reading, Row, RowData, reading_table
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.rig import RigFile, read_rig
 from goniotwin.arrays import Floats
@@ -35,6 +35,11 @@ LOW, HIGH = 1e8, 1e10
 N = RIG_FILE.photodiodes.count
 NOISE_V, OFFSET_V, MONITOR_A, PERIOD_S = 4e-4, 1e-3, 1e-7, 0.08
 DARK_EVERY = 40
+
+
+def evidence_of(history: DarkHistory, rows: Sequence[CommittedRow]) -> SignalEvidence:
+    """What rows show."""
+    return collect(history.sums(), [reading_table(each.data.readings for each in rows)])
 
 
 @dataclass
@@ -115,7 +120,7 @@ class Drawn:
     @property
     def evidence(self) -> SignalEvidence:
         """What the lit readings show."""
-        return collect(self.history.sums(), self.lit)
+        return evidence_of(self.history, self.lit)
 
     def signals(self, evidence: SignalEvidence) -> Signal:
         """The signals (rows, photodiodes) of all rows."""
@@ -211,7 +216,7 @@ def test_a_photodiode_with_a_loose_contact_does_not_make_the_others_uncertain() 
         for one in readings:
             one.counts[:, 5] = np.clip(one.counts[:, 5] + drawn.random.normal(0.0, 60.0, len(one.counts)), 0, 65535)
         loose.append(CommittedRow(each.row, replace(each.data, readings=tuple(readings))))
-    evidence = collect(drawn.history.sums(), loose)
+    evidence = evidence_of(drawn.history, loose)
     assert evidence.factor[5] > 100.0
     assert np.delete(evidence.factor, 5) == pytest.approx(np.ones(N - 1), abs=0.1)
     assert math.sqrt(evidence.own) < 2e-3
@@ -323,7 +328,7 @@ CROSSTALK = 1.5e-4
 def crossed(stated: float, **keys: float) -> tuple[Drawn, SignalEvidence]:
     """Readings with more cross-talk than is stated, and what they show."""
     drawn = Drawn(**{"rows": 60, "gains": (HIGH, 1e11), "currents_a": (2e-13, 1e-9), "crosstalk": CROSSTALK, **keys})  # type: ignore[arg-type]
-    return drawn, collect(DarkHistory(drawn.dark, with_uncertainty(crosstalk=stated)).sums(), drawn.lit)
+    return drawn, evidence_of(DarkHistory(drawn.dark, with_uncertainty(crosstalk=stated)), drawn.lit)
 
 
 @pytest.mark.parametrize("stated", [0.0, 1e-5])
@@ -403,7 +408,7 @@ def numbers(evidence: SignalEvidence) -> list[Floats]:
 def in_blocks(rows: Sequence[CommittedRow], size: int) -> SignalEvidence:
     sums = SMALL.history.sums()
     for begin in range(0, len(rows), size):
-        sums.add(rows[begin : begin + size])
+        sums.add(reading_table(each.data.readings for each in rows[begin : begin + size]))
     return sums.result()
 
 

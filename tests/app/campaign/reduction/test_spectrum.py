@@ -21,7 +21,6 @@ from goniotwin.app.campaign.reduction.spectrum import (
     stray_effects,
     wavelength_effects,
 )
-from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.schedule.certificate import constant_certificate
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.rig import read_rig
@@ -54,14 +53,12 @@ def arc_rows(values: Floats, etalon: Floats, at: Floats = AT, noise: float = 1e-
     """Quotients (rows, photodiodes) of these relative noises, and signals of the etalon, at wavelengths (rows,)."""
     unknown, none = np.full(values.shape, np.nan), np.zeros(values.shape, dtype=bool)
     shifts = np.zeros(at.size) if shift is None else shift
-    rows = [
-        Row(k, f"{k}", "measure", "gaussian-5", wavelength_nm=float(wavelength), pose=(0.0, 30.0, 180.0, float(shifts[k])))
-        for k, wavelength in enumerate(at)
-    ]
+    places = np.stack(np.broadcast_arrays(at, 0.0, 30.0, 180.0, shifts), axis=1)
     signal = Signal(etalon, {"noise": np.zeros(values.shape)}, np.zeros(values.shape, dtype=np.int64))
     estimate = Estimate(values, {"noise": (noise * values) ** 2})
     return ArcRows(
-        tuple(rows), tuple(range(len(rows))), (), np.full((at.size, 1), 30.0), none,
+        np.arange(at.size), places, none[:, 0], np.arange(at.size), (), np.zeros(at.size, dtype=np.int64),
+        np.full((at.size, 1), 30.0), none,
         estimate, signal, signal, signal, signal, none[:, :1], none[:, :1],
         unknown, unknown, unknown, unknown, {}, np.zeros((at.size, 1)), np.zeros((at.size, 1)),
     )  # fmt: skip
