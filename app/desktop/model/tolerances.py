@@ -8,7 +8,7 @@ import io
 import json
 import math
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing.connection import Connection
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -19,7 +19,14 @@ import numpy as np
 from goniotwin.app.desktop.model.worker import Worker, WorkerEnded
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats.file import FormatError, write_file
-from goniotwin.app.simulation.tolerances.study import GaussianTable, StudyFile, levels_of_parameters, parameters_of, read_study
+from goniotwin.app.simulation.tolerances.study import (
+    LIGHTS,
+    GaussianTable,
+    StudyFile,
+    levels_of_parameters,
+    parameters_of,
+    read_study,
+)
 
 if TYPE_CHECKING:  # these load matplotlib, which the window does without
     from goniotwin.app.simulation.tolerances.result import Case, StudyResult
@@ -168,6 +175,9 @@ def _topics(study: StudyFile, levels: int) -> Iterable[tuple[str, str]]:
         yield "Combinations", f"{drawn.draws:,} random corners"
     if study.yields.distributions:
         yield "Yields", f"{', '.join(study.yields.distributions)}; {study.yields.draws:,} instruments each"
+    if study.illumination is not None:
+        lights, draws = " and ".join(study.illumination.light), study.illumination.draws
+        yield "Illumination", f"{lights}; {draws:,} combinations each"
     if study.variants:
         yield "Variants", "; ".join(each.name for each in study.variants)
     if study.paper is not None:
@@ -261,6 +271,9 @@ def _distributions(result: "StudyResult") -> Iterable[Distribution]:
         yield _distribution(case.name or f"{len(case.parameters)} deviations", case.combinations, case)
     for name, drawn in result.yields.items():
         yield _distribution(f"yield, {name}", drawn)
+    for each in () if result.lights is None else result.lights.lights[2:]:
+        found = _distribution(f"illumination {LIGHTS[each.light]}", each.combinations)
+        yield replace(found, worst_percent=each.worst.percent)
 
 
 def _distribution(name: str, drawn: "Combinations", case: "Case | None" = None) -> Distribution:

@@ -10,10 +10,14 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from goniotwin.app.simulation.files import write_figure
 from goniotwin.app.simulation.tolerances.result import Case, StudyResult
+from goniotwin.app.simulation.tolerances.study import LIGHTS
 
 COLOURS = ("#1f618d", "#c0392b", "#c08a00", "#1e8449", "#6c3483", "#117a65")
+LIGHT_COLOURS = ("#e67e22", "#2c3e50")
 MARK_COLOUR = "#a93226"
 DOTS_PER_INCH = 130
+Style = str | tuple[int, tuple[int, ...]]
+"""A line's name, or its dashes."""
 MOST_DRAWN = 4000
 """Largest number of points of a line."""
 
@@ -57,6 +61,11 @@ def _draw_distribution(axes: Axes, result: StudyResult, quantity: str) -> None:
         axes.plot([case.worst.percent], [1.0], "o", color=colour, ms=5, clip_on=False)
     for (name, drawn), style in zip(result.yields.items(), ("--", ":"), strict=False):
         _draw_line(axes, drawn.percent, COLOURS[0], style, f"yield, {name}")
+    for each, colour in zip(() if result.lights is None else result.lights.lights[2:], LIGHT_COLOURS, strict=False):
+        label = f"illumination {LIGHTS[each.light]}; worst {each.worst.percent:.1f} %"
+        _draw_line(axes, each.combinations.percent, colour, (0, (5, 1)), label)
+        axes.plot([each.worst.percent], [1.0], "o", color=colour, ms=5, clip_on=False)
+        largest = max(largest, each.worst.percent if np.isfinite(each.worst.percent) else 0.0)
     if result.recentred is not None:
         worst = result.recentred.worst.percent
         axes.axvline(worst, color="0.45", lw=1.2, ls="-.", label=f"worst about the measured peak, {worst:.2f} %")
@@ -68,7 +77,7 @@ def _draw_distribution(axes: Axes, result: StudyResult, quantity: str) -> None:
     axes.grid(alpha=0.25)
 
 
-def _draw_line(axes: Axes, percent: np.ndarray, colour: str, style: str, label: str) -> None:
+def _draw_line(axes: Axes, percent: np.ndarray, colour: str, style: Style, label: str) -> None:
     values = np.sort(percent)
     shares = np.arange(1, values.size + 1) / values.size
     chosen = np.unique(np.linspace(0, values.size - 1, min(values.size, MOST_DRAWN)).astype(np.int64))

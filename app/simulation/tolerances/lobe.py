@@ -59,7 +59,8 @@ class GaussianLobe:
         self.directions = directions_of(criterion)
         self._matrix = component_matrix(parameters, ELEMENTS)
         poses = [Pose(each.sigma_deg, each.axes) for each in self.directions]
-        self.scenes = Scenes(instrument, poses, [gaussian(criterion.width_deg, criterion.form, peak=1.0 / math.pi)])
+        self.sample = gaussian(criterion.width_deg, criterion.form, peak=1.0 / math.pi)
+        self.scenes = Scenes(instrument, poses, [self.sample])
         self.theory = np.concatenate([self._theory(np.hypot(*each.place_deg.T)) for each in self.directions])
         self._peaks = [_peak_fit(each.place_deg, self._theory(np.hypot(*each.place_deg.T))) for each in self.directions]
 

@@ -18,7 +18,8 @@ from goniotwin.app.simulation.paper.gaussian_cut import HIGHEST_ZENITH_DEG
 from goniotwin.app.simulation.tolerances.figure import write_figures
 from goniotwin.app.simulation.tolerances.result import AfterRecentring, Case, Sensitivities, StudyResult
 from goniotwin.app.simulation.tolerances.stages import CONFIRMED, Combinations
-from goniotwin.app.simulation.tolerances.study import FluxTable, GaussianTable, InstrumentTable, Parameter
+from goniotwin.app.simulation.tolerances.study import LIGHTS, FluxTable, GaussianTable, InstrumentTable, Parameter
+from goniotwin.app.simulation.tolerances.unit_light import LightComparison
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics import IlluminationUnit
 
@@ -49,6 +50,13 @@ def assumptions(result: StudyResult) -> dict[str, str]:
         "yields": f"{study.yields.draws} instruments; uniform within the limits, or normal with the limits at "
         f"{study.yields.limit_sigmas:g} standard deviations",
     }
+    if study.illumination is not None:
+        common["illumination unit"] = (
+            f"{study.illumination.draws} random combinations of the steps, the same in every light; deviations of the unit: "
+            f"{describe_deviations(_light_of(result).parameters)}; anew: at random limits, others for each combination; "
+            "frozen: at their worst corner for the flux, as the paper's rayset; slit's image and radiance are exact, as those "
+            "of a rayset without end"
+        )
     return {
         **(_flux_assumptions(study.criterion) if isinstance(study.criterion, FluxTable) else _lobe_assumptions(result)),
         **common,
@@ -100,6 +108,11 @@ def _describe_surrogate(drawn: Combinations) -> str:
         f", by a surrogate to the second order of the deviations; at {CONFIRMED} random ones and at the worst it is within "
         f"{error:.2g} percentage points of the exact values, and the worst is exact"
     )
+
+
+def _light_of(result: StudyResult) -> LightComparison:
+    assert result.lights is not None
+    return result.lights
 
 
 def describe_beam(table: InstrumentTable) -> str:
@@ -162,6 +175,8 @@ def explanations(result: StudyResult) -> list[str]:
         )
     if result.recentred is not None:
         found.append(_explain_recentring(result.recentred))
+    if result.lights is not None:
+        found += _explain_lights(result.lights)
     if result.uniformity is not None:
         even = result.uniformity
         found.append(
@@ -178,6 +193,43 @@ def explanations(result: StudyResult) -> list[str]:
 
 def _criterion(percent: float) -> str:
     return f"{percent:.2f} %" if math.isfinite(percent) else "without a value"
+
+
+def _explain_lights(lights: LightComparison) -> list[str]:
+    even, aligned = lights.of("even"), lights.of("aligned")
+    assert even is not None
+    assert aligned is not None
+    found = [
+        f"The slit's image: with its edges the worst corner is {aligned.worst.percent:.2f} %, with an evenly lit hole "
+        f"{even.worst.percent:.2f} %; where a part of the hole is dark, the middle of the light is off as well. The median "
+        f"flux is {np.median(aligned.flux):.3f}, the least {aligned.flux.min():.2f}."
+    ]
+    anew, frozen, difference = lights.of("anew"), lights.of("frozen"), lights.difference
+    if difference is None or anew is None or frozen is None:
+        return found
+    (share, error), *_ = difference.shares
+    found.append(
+        f"Illumination frozen at its worst corner, which has {lights.frozen_flux:.2f} of the flux, minus anew: median "
+        f"{_points(difference.median_percent)}, share within {anew.combinations.within[0]:g} % {100.0 * share:+.1f}"
+        f"({100.0 * error:.1f}) points, worst corner {_points(difference.worst_percent)}, median of the flux "
+        f"{difference.median_flux:+.3f}, least flux {difference.least_flux:+.2f}. One combination changes by up to "
+        f"{difference.largest_percent:.2f} points."
+    )
+    worse = (
+        "so the paper's rayset is not the worst light for formula 5"
+        if anew.worst.percent > frozen.worst.percent
+        else "so here the worst light for the flux is the worst for formula 5 as well"
+    )
+    found.append(
+        "Formula 5 is about a ratio of sample and etalon in the same light: the unit changes it only as far as it moves the "
+        f"middle of the light within the hole, {worse}. The flux follows the unit in full: frozen, every combination begins "
+        "with the loss of the unit's worst corner."
+    )
+    return found
+
+
+def _points(value: float) -> str:
+    return f"{value:+.2f} points"
 
 
 def _explain_recentring(after: AfterRecentring) -> str:
@@ -263,6 +315,8 @@ def _tables(result: StudyResult) -> list[Table]:
     tables.append(_case_table(result))
     if result.recentred is not None:
         tables.append(_limitation_table(result.recentred))
+    if result.lights is not None:
+        tables.append(_light_table(result.lights))
     return tables
 
 
@@ -364,6 +418,40 @@ def _limitation_table(after: AfterRecentring) -> Table:
     return table
 
 
+def _light_table(lights: LightComparison) -> Table:
+    within = lights.lights[0].combinations.within
+    table = _new_table(
+        "all deviations in the light of the illumination unit; relative RMS in %, flux relative to that without deviations",
+        "light", "median", "worst drawn", "worst found", *(f"within {each:g}" for each in within),
+        "median flux", "least flux", "flux at worst",
+    )  # fmt: skip
+    for each in lights.lights:
+        drawn = each.combinations
+        table.add_row(
+            LIGHTS[each.light],
+            f"{np.median(drawn.percent):.2f}",
+            f"{drawn.worst_percent:.2f}",
+            f"{each.worst.percent:.2f}",
+            *(_percent(*share).removesuffix(" %") for share in drawn.shares),
+            f"{np.median(each.flux):.3f}",
+            f"{each.flux.min():.3f}",
+            f"{each.flux_at_worst:.3f}",
+        )
+    difference = lights.difference
+    if difference is not None:
+        table.add_row(
+            "frozen - anew",
+            f"{difference.median_percent:+.2f}",
+            "",
+            f"{difference.worst_percent:+.2f}",
+            *(f"{100.0 * share:+.1f}({100.0 * error:.1f})" for share, error in difference.shares),
+            f"{difference.median_flux:+.3f}",
+            f"{difference.least_flux:+.3f}",
+            "",
+        )
+    return table
+
+
 def _print_item(console: Console, text: str) -> None:
     lines = textwrap.wrap(text, max(40, min(console.width, 120) - 2), initial_indent="- ", subsequent_indent="  ")
     console.print("\n".join(lines), markup=False, soft_wrap=True)
@@ -397,6 +485,7 @@ def as_dict(result: StudyResult) -> dict[str, Any]:
             "limitations": [vars(each) for each in recentred.limitations],
         },
         "uniformity": None if uniformity is None else {**vars(uniformity), "by_rays": vars(uniformity.by_rays)},
+        "illumination": None if result.lights is None else _lights_as_dict(result.lights),
         "assumptions": assumptions(result),
         "explanations": explanations(result),
     }
@@ -439,6 +528,33 @@ def _case_as_dict(case: Case) -> dict[str, Any]:
     }
 
 
+def _lights_as_dict(lights: LightComparison) -> dict[str, Any]:
+    difference = lights.difference
+    return {
+        "frozen_unit": {
+            "change_of_flux_percent": lights.frozen.percent,
+            "relative_flux": lights.frozen_flux,
+            "deviations": [
+                {"element": each.element, "deviation": each.component, "value": float(level * each.limit)}
+                for each, level in zip(lights.parameters, lights.frozen.levels, strict=True)
+            ],
+        },
+        "lights": [
+            {
+                "light": each.light,
+                "combinations": _combinations_as_dict(each.combinations),
+                "worst_percent": each.worst.percent,
+                "worst_levels": each.worst.levels.tolist(),
+                "median_flux": float(np.median(each.flux)),
+                "least_flux": float(each.flux.min()),
+                "flux_at_worst": each.flux_at_worst,
+            }
+            for each in lights.lights
+        ],
+        "frozen_minus_anew": None if difference is None else vars(difference),
+    }
+
+
 def _combinations_as_dict(drawn: Combinations) -> dict[str, Any]:
     return {
         "number": drawn.percent.size,
@@ -476,7 +592,15 @@ def write_report(result: StudyResult, folder: Path, stem: str) -> dict[str, str]
         f"SIMULATED: {result.study.name} (paper, section 3.3), computed with the virtual prototype; nothing is measured",
         *(f"{topic}: {text}" for topic, text in assumptions(result).items()),
     ]
-    for name, columns in (("deviations", _deviation_columns(result)), ("combinations", _combination_columns(result))):
+    tables = {"deviations": _deviation_columns(result), "combinations": _combination_columns(result)}
+    if result.recentred is not None:
+        tables["limitations"] = {
+            name: np.array([vars(each)[name] for each in result.recentred.limitations])
+            for name in ("name", "unit", "limit", "worst", "factor")
+        }
+    if result.lights is not None:
+        tables["illumination"] = _light_columns(result.lights)
+    for name, columns in tables.items():
         paths[name] = folder / f"{stem}-{name}.csv"
         write_content(paths[name], Holds.COLUMNS, PointStream(heading, [columns]))
     return {name: str(path) for name, path in paths.items()}
@@ -510,6 +634,7 @@ def _combination_columns(result: StudyResult) -> dict[str, Any]:
     """The distribution of the criterion: for each set of combinations the share of those within each of 200 values."""
     sets = [*((case.name or "study", case.combinations) for case in result.cases)]
     sets += [(f"yield {name}", drawn) for name, drawn in result.yields.items()]
+    sets += [(f"light {each.light}", each.combinations) for each in (() if result.lights is None else result.lights.lights)]
     names, percents, shares = [], [], []
     for name, drawn in sets:
         values = np.sort(drawn.percent)
@@ -520,3 +645,29 @@ def _combination_columns(result: StudyResult) -> dict[str, Any]:
     return {
         "set": np.concatenate(names), "criterion_percent": np.concatenate(percents), "share_within": np.concatenate(shares)
     }  # fmt: skip
+
+
+def _light_columns(lights: LightComparison) -> dict[str, Any]:
+    """One row for each light, and their difference."""
+    rows: list[tuple[str | float, ...]] = [
+        (
+            each.light,
+            float(np.median(each.combinations.percent)),
+            each.combinations.worst_percent,
+            each.worst.percent,
+            *each.combinations.shares[0],
+            float(np.median(each.flux)),
+            float(each.flux.min()),
+            each.flux_at_worst,
+        )
+        for each in lights.lights
+    ]
+    difference = lights.difference
+    if difference is not None:
+        criteria = (difference.median_percent, math.nan, difference.worst_percent, *difference.shares[0])
+        rows.append(("frozen minus anew", *criteria, difference.median_flux, difference.least_flux, math.nan))
+    names = (
+        "light", "median_percent", "worst_drawn_percent", "worst_found_percent", "share_within", "standard_error",
+        "median_flux", "least_flux", "flux_at_worst",
+    )  # fmt: skip
+    return {name: np.array(column) for name, column in zip(names, zip(*rows, strict=True), strict=True)}

@@ -36,6 +36,7 @@ from goniotwin.app.simulation.tolerances.study import (
     limits_of,
     parameters_of,
 )
+from goniotwin.app.simulation.tolerances.unit_light import LightComparison, compare_lights
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics import IlluminationUnit
 
@@ -131,7 +132,7 @@ class Uniformity:
 
 @dataclass(frozen=True, eq=False)
 class StudyResult:
-    """All numbers of a study. `yields` are by distribution."""
+    """All numbers of a study. `yields` are by distribution; `lights` compares the light of illumination units."""
 
     study: StudyFile
     case: Case
@@ -140,6 +141,7 @@ class StudyResult:
     sensitivities: Sensitivities | None
     recentred: AfterRecentring | None
     uniformity: Uniformity | None
+    lights: LightComparison | None
 
     @property
     def cases(self) -> tuple[Case, ...]:
@@ -149,11 +151,14 @@ class StudyResult:
 
 def compute_study(study: StudyFile, report: ReportShare = lambda _share, _step: None) -> StudyResult:
     """Compute a study. Raises UserError for an instrument without a value where nothing deviates."""
-    steps = len(study.variants) + 2
+    steps = len(study.variants) + 2 + (study.illumination is not None)
     case, response = _compute_case(study, None, _part(report, 0, steps))
     variants = tuple(
         _compute_case(study, variant, _part(report, number, steps))[0] for number, variant in enumerate(study.variants, 1)
     )
+    lights = None
+    if study.illumination is not None:
+        lights = compare_lights(study, study.illumination, case.parameters, _part(report, steps - 2, steps))
     last = _part(report, steps - 1, steps)
     limits, within = limits_of(case.parameters), case.combinations.within
     yields = {}
@@ -169,6 +174,7 @@ def compute_study(study: StudyFile, report: ReportShare = lambda _share, _step: 
         sensitivities=_sensitivities(response, limits) if isinstance(response, GaussianLobe) else None,
         recentred=_recentre(response, case) if isinstance(response, GaussianLobe) else None,
         uniformity=_uniformity(response, case) if isinstance(response, IlluminationLight) else None,
+        lights=lights,
     )
     report(1.0, "done")
     return result

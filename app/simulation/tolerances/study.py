@@ -25,6 +25,14 @@ from goniotwin.twin.optics.illumination.unit import ELEMENTS as ILLUMINATION_ELE
 
 BEAM = "beam"
 """The whole illumination unit, turned about the sample."""
+Light = Literal["even", "aligned", "anew", "frozen"]
+LIGHTS: dict[Light, str] = {
+    "even": "evenly lit hole",
+    "aligned": "aligned unit",
+    "frozen": "frozen",
+    "anew": "anew",
+}
+"""An evenly lit hole, the light of a unit without deviations, of another unit for each combination, or of the worst unit."""
 MOST_DEVIATIONS = 60
 MOST_LEVELS = 101
 LARGEST_DEG, LARGEST_MM = 20.0, 50.0
@@ -231,6 +239,22 @@ class AloneTable(TomlTable):
     largest_mm: Annotated[float, Field(gt=0.0, le=LARGEST_MM)] = 3.0
 
 
+class IlluminationTable(TomlTable):
+    """`[illumination]`: combinations of the study again, in the light of an illumination unit whose elements deviate as well.
+
+    `light`: "anew", for each combination a unit with deviations of its own, at random limits; "frozen", as in the paper: all
+    combinations have the unit at the worst corner of its deviations, as a rayset recorded there; or both, with their
+    difference. An evenly lit hole and a unit without deviations are beside them. `deviations` are those of the unit, as in a
+    study with the criterion "flux". `draws` combinations of the study's steps, the same for every light, are drawn with random
+    numbers of `seed`.
+    """
+
+    light: Annotated[list[Literal["anew", "frozen"]], Field(min_length=1)] = ["anew", "frozen"]
+    deviations: Annotated[list[DeviationsTable], Field(min_length=1)]
+    draws: Draws = 10_000
+    seed: Seed = 3
+
+
 class VariantTable(TomlTable):
     """`[[variants]]`: the study again with something else, beside it under its `name`.
 
@@ -247,9 +271,9 @@ class VariantTable(TomlTable):
 class StudyFile(TomlTable):
     """The whole file: the `name` of the study, and `paper`, the number of the paper's table beside it (1 or 2).
 
-    `criterion` is what a combination of deviations has to keep, `deviations` which elements deviate and by how much.
-    `instrument` has the dimensions, for a Gaussian criterion. `alone`, `combinations` and `yields` are settings of the stages.
-    `variants` are studies beside this one.
+    `criterion` is what a combination of deviations has to keep, `deviations` which elements deviate and by how much. For a
+    Gaussian criterion `instrument` has the dimensions, and `illumination` the deviations of the light. `alone`, `combinations`
+    and `yields` are settings of the stages. `variants` are studies beside this one.
     """
 
     name: Annotated[str, Field(min_length=1)]
@@ -260,6 +284,7 @@ class StudyFile(TomlTable):
     alone: AloneTable = AloneTable()
     combinations: CombinationsTable = CombinationsTable()
     yields: YieldsTable = YieldsTable()
+    illumination: IlluminationTable | None = None
     variants: list[VariantTable] = []
 
     @model_validator(mode="after")
@@ -267,6 +292,7 @@ class StudyFile(TomlTable):
         flux = self.criterion.kind == "flux"
         if flux and self.combinations.evaluator == "surrogate":
             raise ValueError('combinations.evaluator: a flux has no surrogate; write "exact", or remove it')
+        self._check_light(flux)
         known = ILLUMINATION_ELEMENTS if flux else (*INSTRUMENT_ELEMENTS, BEAM)
         groups = [(f"deviations.{k}", each) for k, each in enumerate(self.deviations)]
         groups += [
@@ -275,12 +301,8 @@ class StudyFile(TomlTable):
             for k, each in enumerate(variant.deviations)
         ]
         for place, group in groups:
+            _check_known(place, group, known, f'with the criterion "{self.criterion.kind}"')
             for element in group.elements:
-                if element not in known:
-                    raise ValueError(
-                        f'{place}.elements: there is no {element!r} with the criterion "{self.criterion.kind}"; '
-                        f"known are {', '.join(known)}"
-                    )
                 if element == BEAM and (group.shifts or "ry" in group.angles):
                     raise ValueError(f"{place}: the beam turns about the sample by rx and rz alone; remove what else it has")
         self._check_largest([group for _, group in groups])
@@ -313,6 +335,31 @@ class StudyFile(TomlTable):
             if not (variant.without or variant.deviations or variant.instrument):
                 raise ValueError(f"variants.{number}: {variant.name!r} is the study itself; change something, or remove it")
 
+    def _check_light(self, flux: bool) -> None:
+        instruments = [("instrument", self.instrument)]
+        instruments += [
+            (f"variants.{v}.instrument", each.instrument) for v, each in enumerate(self.variants) if each.instrument
+        ]
+        for place, each in instruments:
+            if self.combinations.evaluator == "surrogate" and not each.lit_everywhere:
+                raise ValueError(
+                    f"{place}.lit_everywhere: the surrogate knows no edge of the slit's image; "
+                    'write combinations.evaluator = "exact", or lit_everywhere = true'
+                )
+        if self.illumination is None:
+            return
+        if flux:
+            raise ValueError('illumination: a study with the criterion "flux" is that of the unit itself; remove it')
+        if self.instrument.collimated:
+            raise ValueError("illumination: a collimated beam has no illumination unit; remove it, or collimated")
+        for k, group in enumerate(self.illumination.deviations):
+            _check_known(f"illumination.deviations.{k}", group, ILLUMINATION_ELEMENTS, "of the illumination unit")
+        titles = [each.title for group in self.illumination.deviations for each in group.parameters()]
+        if twice := sorted({each for each in titles if titles.count(each) > 1}):
+            raise ValueError(f"illumination.deviations: {twice[0]} is in it twice; remove one of them")
+        if len(titles) > MOST_DEVIATIONS:
+            raise ValueError(f"illumination.deviations: there are {len(titles)} of them; give 1 to {MOST_DEVIATIONS}")
+
     def of_variant(self, variant: VariantTable | None) -> list[DeviationsTable]:
         """The deviations of a variant, or without one those of the file."""
         if variant is None:
@@ -323,6 +370,12 @@ class StudyFile(TomlTable):
             if elements:
                 kept.append(group.model_copy(update={"elements": elements}))
         return [*kept, *variant.deviations]
+
+
+def _check_known(place: str, group: DeviationsTable, known: Sequence[str], kind: str) -> None:
+    for element in group.elements:
+        if element not in known:
+            raise ValueError(f"{place}.elements: there is no {element!r} {kind}; known are {', '.join(known)}")
 
 
 def parameters_of(groups: Sequence[DeviationsTable], instrument: Instrument) -> tuple[Parameter, ...]:

@@ -37,7 +37,12 @@ def test_the_examples_have_the_deviations_of_the_papers_tables() -> None:
     assert {(each.unit, each.limit) for each in rig} == {("deg", 0.05)}
     assert {each.element for each in rig} == {"mirror_1", "mirror_2", "mirror_3", "sample", "arc", "beam"}
     counts = [len(parameters_of(two.of_variant(each), InstrumentTable().instrument())) for each in two.variants]
-    assert counts == [12, 10, 27]  # collimated, the paper's own elements, with the shifts of +-0.1 mm
+    assert counts == [
+        12,
+        12,
+        10,
+        27,
+    ]  # with the slit's image, collimated, the paper's own elements, with the shifts of +-0.1 mm
     assert math.prod(each.size for each in levels_of_parameters(rig)) == 531_441
 
 
@@ -101,6 +106,37 @@ def test_a_flux_has_no_surrogate(tmp_path: Path) -> None:
     text = (FOLDER / "table1.toml").read_text(encoding="utf-8")
     with pytest.raises(UserError, match=r"combinations\.evaluator: a flux has no surrogate; write .exact."):
         study_of(text.replace("[combinations]", '[combinations]\nevaluator = "surrogate"'), tmp_path)
+
+
+LIGHT = """
+[illumination]
+[[illumination.deviations]]
+elements = ["unit"]
+angles = ["rx"]
+limit_deg = 0.05
+"""
+BAD_LIGHT = [
+    ((LIGHT, '[combinations]\nevaluator = "surrogate"\n[instrument]\nlit_everywhere = false\n'),
+     r"instrument\.lit_everywhere: the surrogate knows no edge of the slit's image; write combinations\.evaluator = .exact."),
+    (('["unit"]', '["mirror_1"]'), r"illumination\.deviations\.0\.elements: there is no 'mirror_1' of the illumination unit"),
+    (('["unit"]', '["unit", "unit"]'), r"illumination\.deviations: unit rx is in it twice"),
+    ((LIGHT, LIGHT + "[instrument]\ncollimated = true\n"), r"illumination: a collimated beam has no illumination unit"),
+    (("[illumination]\n", '[illumination]\nlight = ["warm"]\n'), r"illumination\.light\.0: .*anew.*frozen"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("change", "message"), BAD_LIGHT)
+def test_a_light_that_a_study_cannot_have_is_refused_in_one_line(tmp_path: Path, change: tuple[str, str], message: str) -> None:
+    assert change[0] in LIGHT
+    assert study_of(QUICK + LIGHT, tmp_path).illumination is not None
+    with pytest.raises(UserError, match=message):
+        study_of(QUICK + LIGHT.replace(*change), tmp_path)
+
+
+def test_the_illumination_unit_by_itself_has_no_light_of_another(tmp_path: Path) -> None:
+    text = (FOLDER / "table1.toml").read_text(encoding="utf-8")
+    with pytest.raises(UserError, match=r"illumination: a study with the criterion .flux. is that of the unit itself"):
+        study_of(text + LIGHT, tmp_path)
 
 
 def test_every_key_of_a_study_has_a_description() -> None:
