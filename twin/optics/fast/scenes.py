@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from goniotwin.arrays import Floats, Ints
 from goniotwin.twin.optics.bsdf.lobes import Lobe, parameters
-from goniotwin.twin.optics.bsdf.models import ANISOTROPIC, LAMBERTIAN, REGULAR, TABLE, regular_share
+from goniotwin.twin.optics.bsdf.models import ANISOTROPIC, GAUSSIAN, LAMBERTIAN, REGULAR, TABLE, regular_share
 from goniotwin.twin.optics.bsdf.packed_lobes import ABOVE, KIND, TRANSMITS, Models, model_arrays, pack_models
 from goniotwin.twin.optics.bsdf.scatterer import Scatterer
 from goniotwin.twin.optics.fast.aperture import (
@@ -91,7 +91,7 @@ COARSE_RULE: Rule = (cone_nodes(), side_nodes(), hole_nodes(4), 256)
 """For ratios, in which the error cancels: exact to 3 %."""
 FINEST_RULE: Rule = (cone_nodes(3), side_nodes(12), hole_nodes(16), 1024)
 """For fluxes where the light ends within the hole: exact to 0.3 %, and to 0.5 % where 2 % of the light are left."""
-TABLE_KINDS = (TABLE, ANISOTROPIC)
+TABLE_KINDS, PLAIN_KINDS = (TABLE, ANISOTROPIC), (GAUSSIAN, LAMBERTIAN)
 LIGHT_RAYS = 8192
 """Rays from pupil to hole for the mean of what is not even, of a regular component."""
 HOLE, LINE = line_nodes(HOLE_NODES), side_nodes(SLOPE_NODES)
@@ -178,10 +178,12 @@ class Block(NamedTuple):
 @kernel(nogil=True)
 def score_scenes(
     optics: Optics, models: Models, spectra: Spectra, deviations: Floats, poses: Floats, starts: Ints, directions: Floats,
-    first_rig: int, result: Floats,
+    first_rig: int, result: Floats, general: bool | None,
 ) -> None:  # fmt: skip
     """Fill `result` (rigs, samples, w, detectors) with throughputs in m^2 sr, from `first_rig` on.
 
+    `general` is True, or None for GAUSSIAN and LAMBERTIAN lobes, narrow cones and an even light: numba then leaves out the code
+    for all others, which takes as long to compile as the rest.
     `deviations` (n, elements, 6); `poses` (p, 2): sigma and gamma, deg; the detectors of pose p have the unit vectors
     `directions` (detectors, 3) from starts[p] to starts[p + 1].
     """
@@ -223,7 +225,7 @@ def score_scenes(
                 size = min(BLOCK, count - start)
                 score_block(
                     optics, models, scene, light, centres[start : start + size], axes[start : start + size],
-                    acting[:active], block,
+                    acting[:active], block, general,
                 )  # fmt: skip
                 for a in range(active):
                     k = acting[a]
@@ -270,7 +272,7 @@ def mirror_products(spectra: Spectra, scene: SceneArrays, result: Floats) -> Non
 @kernel()
 def score_block(
     optics: Optics, models: Models, scene: SceneArrays, light: SlitImage, centres: Floats, axes: Floats, acting: Ints,
-    block: Block,
+    block: Block, general: bool | None,
 ) -> None:  # fmt: skip
     """Fill `block.sums` (lobes, BLOCK): throughputs by the lobes `acting` alone, mirrors without loss, of n detectors."""
     count, kept, above, below = axes.shape[0], False, False, False
@@ -282,12 +284,13 @@ def score_block(
     for k in acting:
         for i in range(count):
             block.sums[k, i] = 0.0
-        kept = kept or models.heads[k, KIND] in TABLE_KINDS
+        if general is not None:
+            kept = kept or models.heads[k, KIND] in TABLE_KINDS
     if not optics.bundles:
-        fill_nodes(optics, nodes, scene, light, centres, axes, block)
+        fill_nodes(optics, nodes, scene, light, centres, axes, block, general)
         for k in acting:
             if models.heads[k, KIND] not in TABLE_KINDS and (below if models.heads[k, TRANSMITS] == 1 else above):
-                lobe_sums(models, k, block.rays, NODES, block.values, block.sums[k, :count])
+                lobe_sums(models, k, block.rays, NODES, block.values, block.sums[k, :count], general)
     # Tables have kinks, which seven rays do not resolve: their mean is taken over a bundle, times what the seven rays take, as
     # sample and etalon must have the same accepted rays.
     if kept and not optics.bundles:
@@ -297,18 +300,19 @@ def score_block(
     for i in range(count):
         partly = block.status[i] == PARTLY
         if partly or (kept and block.status[i] == FREE):
-            add_bundle(optics, nodes.bundle, models, scene, light, centres[i], axes[i], acting, partly, i, block)
+            add_bundle(optics, nodes.bundle, models, scene, light, centres[i], axes[i], acting, partly, i, block, general)
     for k in acting:
         for i in range(count):
             block.sums[k, i] *= optics.scale
-        if models.heads[k, KIND] == REGULAR:
+        if general is not None and models.heads[k, KIND] == REGULAR:
             fill_regular(optics, nodes.bundle, models, scene, light, centres, axes, k, block.sums[k, :count])
 
 
 @kernel()
 def fill_nodes(
-    optics: Optics, nodes: Nodes, scene: SceneArrays, light: SlitImage, centres: Floats, axes: Floats, block: Block
-) -> None:
+    optics: Optics, nodes: Nodes, scene: SceneArrays, light: SlitImage, centres: Floats, axes: Floats, block: Block,
+    general: bool | None,
+) -> None:  # fmt: skip
     """Fill `block.rays` with the seven rays of n detectors, see `place_nodes`, and `block.status`.
 
     PARTLY means that seven are not enough, because a mirror blocks some of the accepted rays; the nodes are filled in all the
@@ -319,12 +323,12 @@ def fill_nodes(
         w[k + PX], w[k + PY], w[k + PZ] = centres[k, 0], centres[k, 1], centres[k, 2]
         w[k + DX], w[k + DY], w[k + DZ] = axes[k, 0], axes[k, 1], axes[k, 2]
     fill_frames(w, count)
-    if optics.wide:
-        fill_wide_apertures(w, count, nodes.hole, optics.sizes, light.chords)
-    else:
+    if not optics.wide:
         fill_apertures(w, count, nodes.cone, nodes.side, optics.sizes, light.chords)
+    elif general is not None:
+        fill_wide_apertures(w, count, nodes.hole, optics.sizes, light.chords)
     place_nodes(w, count, scene.pupil, optics.hexagon, block.rays, block.points)
-    if not light.slit.even:
+    if general is not None and not light.slit.even:
         weigh_rays(light, block.points[:, : NODES * count], block.rays[0, : NODES * count])
     clipped, blocking = scene.missed[0] + scene.missed[1] + scene.missed[2] > 0.0, optics.lengths[HALF_BLOCKING]
     for k in range(count):
@@ -341,7 +345,7 @@ def fill_nodes(
 @kernel()
 def add_bundle(
     optics: Optics, bundle: Floats, models: Models, scene: SceneArrays, light: SlitImage, centre: Floats, d: Floats,
-    acting: Ints, partly: bool, i: int, block: Block,
+    acting: Ints, partly: bool, i: int, block: Block, general: bool | None,
 ) -> None:  # fmt: skip
     """Fill the sums of detector i of the block from a whole bundle; unless `partly` those of tables alone."""
     lengths, sizes, lanes, t, rays = optics.lengths, optics.sizes, block.lanes, block.tile, block.rays
@@ -364,13 +368,13 @@ def add_bundle(
                     fill_ends(view, bundle, first, count, sign, sizes, first_v, last_v, edges, other, t)
                     hide_ends(scene.mirrors, near, lengths[HALF_BLOCKING], count, t)
                 fill_arrivals(scene, lengths[HALF_MIRROR], other, share, count, t, rays, column)
-                if not light.slit.even:
+                if general is not None and not light.slit.even:
                     weigh_tile(light, other, count, t, rays, column)
                 column += count
         for k in acting:
             on_its_side = (d[2] < 0.0) == (models.heads[k, TRANSMITS] == 1)
             if on_its_side and (partly or models.heads[k, KIND] in TABLE_KINDS):
-                lobe_sums(models, k, rays, 4, block.values, lanes[k, :count])
+                lobe_sums(models, k, rays, 4, block.values, lanes[k, :count], general)
         if not partly:
             for j in range(4):
                 for lane in range(count):
@@ -503,12 +507,14 @@ class Scenes:
         spectra = _spectra(instrument, samples, owners, self._wavelengths_nm)
         result = np.empty((len(rigs), len(samples), spectra.weights.shape[1], self.detectors))
         tasks = list(_tasks(len(rigs), self._starts))
+        plain = not optics.wide and optics.slit.even and bool(np.isin(models.heads[:, KIND], PLAIN_KINDS).all())
+        general = None if plain else True
 
         def run(task: tuple[int, int, int, int]) -> None:
             first, last, begin, end = task
             score_scenes(
                 optics, models, spectra, rigs[first:last], self._poses[begin:end], self._starts[begin : end + 1],
-                self._directions, first, result,
+                self._directions, first, result, general,
             )  # fmt: skip
 
         threads = 1 if _ALONE.threads else numba.get_num_threads()
