@@ -99,7 +99,7 @@ def _has_rig() -> bool:
     from goniotwin.twin.optics.kernel import is_compiled
     from goniotwin.twin.plant.converter import convert_channels
 
-    return all(map(is_compiled, (visible_shares, convert_channels, _fit)))
+    return is_compiled(visible_shares) and is_compiled(convert_channels) and is_compiled(_fit)
 
 
 def _has_forward() -> bool:

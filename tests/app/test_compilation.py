@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -14,14 +15,16 @@ from goniotwin.app.errors import UserError
 
 
 class Compiler:
-    """Parts that note who compiled them; the other process ends as it is told."""
+    """Parts that note in which process they were compiled; the other process executes `code`."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, *done: str, code: str = "") -> None:
         self.here: list[str] = []
         self.there: list[str] = []
         self._code = code
-        parts = {name: Part(each.title, lambda name=name: self.here.append(name), lambda name=name: name in done, each.seconds)
-                 for name, each in PARTS.items()}  # fmt: skip
+        parts = {
+            name: Part(each.title, partial(self.here.append, name), partial(done.__contains__, name), each.seconds)
+            for name, each in PARTS.items()
+        }
         monkeypatch.setattr(compilation, "PARTS", parts)
         monkeypatch.setattr(compilation, "_start", self._start)
 
@@ -30,7 +33,7 @@ class Compiler:
         return subprocess.Popen([sys.executable, "-c", self._code], stderr=subprocess.PIPE, text=True)
 
 
-def test_two_processes_compile_what_is_missing_and_one_line_says_so(
+def test_two_processes_compile_what_is_missing_and_one_line_states_it(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:  # fmt: skip
     compiler = Compiler(monkeypatch, "illumination")
@@ -65,7 +68,7 @@ def test_a_part_that_the_other_process_cannot_compile_is_a_fault(monkeypatch: py
         compile_ahead()
 
 
-def test_without_a_folder_for_compiled_code_a_command_goes_on_and_compile_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_folder_for_compiled_code_a_command_goes_on_and_compile_states_it(monkeypatch: pytest.MonkeyPatch) -> None:
     compiler = Compiler(monkeypatch)
     monkeypatch.setattr("goniotwin.twin.optics.kernel.CACHED", False)
     assert compile_ahead() == []
