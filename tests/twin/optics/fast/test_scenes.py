@@ -20,6 +20,7 @@ from goniotwin.twin.optics import (
     Deviation,
     Instrument,
     Pose,
+    Poses,
     Reflectance,
     Scatterer,
     Scenes,
@@ -110,6 +111,29 @@ def test_the_instruments_own_deviations_are_used_where_none_are_given() -> None:
     straight = Scenes(SHADED, poses, [gaussian(5.0)])
     np.testing.assert_array_equal(bent.throughputs(), straight.throughputs(deviation_array([TILTED])))
     np.testing.assert_array_equal(straight.throughputs(), bent.throughputs(np.zeros((1, len(ELEMENTS), len(COMPONENTS)))))
+
+
+@pytest.mark.parametrize("count", [0, 36, PIECE + 5])
+def test_poses_as_arrays_are_the_same_as_one_by_one(count: int) -> None:
+    sigma, gamma = np.array([30.0, 0.0, 140.0]), np.array([0.0, 25.0, 0.0])
+    directions = np.random.default_rng(3).normal(size=(3, count, 3)) * [0.3, 0.3, 1.0]
+    arrays = Scenes(SHADED, Poses(sigma, directions, gamma), SAMPLES[:1])
+    listed = Scenes(SHADED, [Pose(*each) for each in zip(sigma, directions, gamma, strict=True)], SAMPLES[:1])
+    assert arrays.pieces == listed.pieces
+    assert arrays.detectors == listed.detectors == 3 * count
+    np.testing.assert_array_equal(arrays.throughputs(), listed.throughputs())
+
+
+def test_poses_that_do_not_fit_are_refused() -> None:
+    up = np.tile([0.0, 0.0, 1.0], (2, 4, 1))
+    for poses, fault in (
+        (Poses([0.0, 30.0], up[0]), r"directions has the shape \(4, 3\)"),
+        (Poses([0.0], up), r"sigma_deg has the shape \(1,\): give \(2,\)"),
+        (Poses([0.0, 30.0], up, [0.0, math.nan]), "not finite"),
+        (Poses([0.0, 30.0], 0.0 * up), "give a finite vector with a length"),
+    ):
+        with pytest.raises(ValueError, match=fault):
+            Scenes(SHADED, poses, SAMPLES[:1])
 
 
 def test_the_kernel_is_compiled_once_for_all_calls() -> None:
