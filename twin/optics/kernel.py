@@ -5,6 +5,7 @@ stored in the user's own cache folder. A user without a home (a service, a conta
 Without even that, each program compiles for itself. numba's own `NUMBA_CACHE_DIR` takes precedence.
 """
 
+import contextlib
 import hashlib
 import os
 import pickle
@@ -18,6 +19,8 @@ from typing import Any, TypeVar
 
 from goniotwin.twin.optics.deferred_kernel import DeferredKernel
 
+UNREADABLE = (AttributeError, ImportError, EOFError, pickle.UnpicklingError)
+"""What reading files of an earlier version raises."""
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
@@ -154,7 +157,7 @@ def _discard_unreadable(cache: Any) -> None:
     def load_overload(*arguments: Any) -> Any:
         try:
             return load(*arguments)
-        except (AttributeError, ImportError, EOFError, pickle.UnpicklingError):
+        except UNREADABLE:
             try:
                 cache.flush()
             except OSError:  # a read-only folder
@@ -177,6 +180,33 @@ def find_cache(sources: Path, home: Path | None, temporary: Path) -> Path | None
     own = temporary / f"goniotwin-{_user()}"
     # Compiled code is loaded from there and run: other users must not have access to it.
     return own if _writable(own, mode=0o700) and _private(own) else None
+
+
+def is_compiled(function: Callable[..., Any], last: str = "") -> bool:
+    """Whether the files have code of a kernel for this computer, these sources and this numba; or it need not be compiled.
+
+    With `last` code whose last argument has that type, by numba's name of it.
+    """
+    from numba.core import config
+
+    dispatcher: Any = function
+    if config.DISABLE_JIT:
+        return True
+    found = [*dispatcher.signatures]
+    if _set_cache_folder():
+        with contextlib.suppress(*UNREADABLE, OSError):
+            computer = dispatcher.targetctx.codegen().magic_tuple()
+            found += [key[0] for key in dispatcher._cache._cache_file._load_index() if key[1] == computer]
+    return any(not last or str(each[-1]) == last for each in found)
+
+
+def cache_folder() -> Path | None:
+    """Folder of compiled code, or that of the optics if each folder of sources has its own; None where none is kept."""
+    from numba.core import config
+
+    if not _set_cache_folder():
+        return None
+    return Path(config.CACHE_DIR) if config.CACHE_DIR else Path(__file__).parent / "__pycache__"
 
 
 def _writable(folder: Path, mode: int = 0o777) -> bool:

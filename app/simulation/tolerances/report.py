@@ -146,8 +146,8 @@ def explanations(result: StudyResult) -> list[str]:
     worst_of, alone = case.worst_alone
     (share, error), *_ = case.combinations.shares
     found = [
-        f"Alone: the largest effect is {worst_of.title}, {_criterion(alone)} at +-{worst_of.limit:g} {worst_of.unit}; the limit "
-        f"of {within:g} % is reached at {_least_alone(case)}.",
+        f"Alone: the largest effect is {worst_of.title}, {_criterion(alone)} at +-{worst_of.limit:g} {worst_of.unit}; the "
+        f"limit of {within:g} % is reached at {_least_alone(case)}.",
         f"Together: {_percent(share, error)} of the combinations are within {within:g} %, the worst is "
         f"{_criterion(case.worst.percent)}. So limits that hold for each deviation alone do not hold for all of them.",
         f"The worst corner was found in {case.worst.evaluated} evaluations, without an enumeration"

@@ -14,7 +14,7 @@ import numpy as np
 
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics.bsdf.models import GAUSSIAN, LAMBERTIAN, bsdf
-from goniotwin.twin.optics.bsdf.packed_lobes import TRANSMITS, Models, model_arrays
+from goniotwin.twin.optics.bsdf.packed_lobes import KIND, TRANSMITS, Models, model_arrays
 from goniotwin.twin.optics.kernel import kernel
 
 LOG2_E = 1.0 / math.log(2.0)
@@ -70,13 +70,15 @@ def gaussian_values(
 
 
 @kernel(nogil=True)
-def lobe_sums(models: Models, lobe: int, rays: Floats, each: int, values: Floats, result: Floats) -> None:
+def lobe_sums(
+    models: Models, lobe: int, rays: Floats, each: int, values: Floats, result: Floats, general: bool | None
+) -> None:  # fmt: skip
     """Add to `result` (n,): sums of weight times value of a lobe over `each` rays of n detectors.
 
     `rays` (7, at least n each) has the first ray of every detector, then the second of every one, and so on. `values` (at least
-    n each) is a buffer.
+    n each) is a buffer. With `general` None, see `score_scenes`, there are GAUSSIAN and LAMBERTIAN lobes alone.
     """
-    kind, params, sig, ph, th, psi, table = model_arrays(models, lobe)
+    kind, params = models.heads[lobe, KIND], models.params[lobe]
     transmits, count = models.heads[lobe, TRANSMITS] == 1, result.size
     if kind == GAUSSIAN:
         gaussian_values(params[0], params[1], params[2] == 1.0, params[4], transmits, rays, values[: each * count])
@@ -88,7 +90,8 @@ def lobe_sums(models: Models, lobe: int, rays: Floats, each: int, values: Floats
             for k in range(count):
                 lit = (rays[6, i * count + k] < 0.0) == transmits
                 result[k] += rays[0, i * count + k] * params[0] if lit else 0.0
-    else:
+    elif general is not None:
+        _, _, sig, ph, th, psi, table = model_arrays(models, lobe)
         for i in range(each):
             for k in range(count):
                 ray = i * count + k
