@@ -21,13 +21,9 @@ MOST_LISTED = 13
 MODEL_STARTS = 64
 """Number of corners from which the model is climbed."""
 RANKED, CLIMBED, RANDOM_STARTS = 48, 12, 4
-"""Number of combinations that are evaluated first; of those, and of random corners, from which the search climbs.
-
-Of more deviations than are listed, as few of the first as of the random ones: a step then takes twice their number of
-evaluations.
-"""
-MOST_PAIRED = 16
-"""Largest number of deviations of which two at a time are changed at the end."""
+"""Number of combinations that are evaluated first; of those, and of random corners, from which the search climbs."""
+RESTARTS, EXCHANGED = 16, 3
+"""Of more deviations than are listed: number of random corners, and of results of which two deviations are exchanged."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +78,11 @@ def search_worst(residuals: Residuals, count: int, seed: int = 0) -> WorstCombin
     3. From the worst of them, single deviations are changed to another level as long as that is worse; then two at a time,
        also with all signs changed, and with the deviations that matter least at zero.
 
-    The result is the worst of all that was evaluated; nothing is taken from the model.
+    More than 13 deviations have too many corners to be ranked by the model. The search then begins at more random corners, and
+    one deviation after another takes its worst level; of the worst three results two deviations at a time are changed.
+
+    The result is the worst of all that was evaluated; nothing is taken from the model. It is proven to be the worst of all
+    combinations only where these are enumerated.
     """
     known: dict[bytes, float] = {}
 
@@ -102,15 +102,16 @@ def search_worst(residuals: Residuals, count: int, seed: int = 0) -> WorstCombin
     model = _QuadraticModel(found[0], found[1 : count + 1], found[count + 1 : 2 * count + 1], found[2 * count + 1 :])
     random = np.random.Generator(np.random.Philox(seed))
     ranked = _rank_combinations(model, count, random)
-    starts = ranked[np.argsort(-percent(ranked), kind="stable")[: CLIMBED if count <= MOST_LISTED else RANDOM_STARTS]]
-    starts = np.concatenate([starts, random.choice(np.array([-1, 1]), (RANDOM_STARTS, count))])
-    worst, value = _climb(percent, starts)
+    listed = count <= MOST_LISTED
+    starts = ranked[np.argsort(-percent(ranked), kind="stable")[: CLIMBED if listed else RANDOM_STARTS]]
+    starts = np.concatenate([starts, random.choice(np.array([-1, 1]), (RANDOM_STARTS if listed else RESTARTS, count))])
+    worst, value = _climb(percent, starts) if listed else _exchange(percent, starts, random)
     # The criterion hardly changes if all signs do: a search on one side alone could miss the slightly worse one.
     for start in (worst, -worst):
         now, reached = _climb(percent, start[None])
         while True:
             near = _zeroed(percent, now)
-            if count <= MOST_PAIRED:
+            if listed:
                 near = np.concatenate([near, _pairs_changed(now[None])[0]])
             values = percent(near)
             if not values.max() > reached:
@@ -164,6 +165,51 @@ def _climb_all(percent: Callable[[Ints], Floats], starts: Ints) -> tuple[Ints, F
         now[places[rising]] = near[np.arange(len(places)), best][rising]
         value[places[rising]] = reached[rising]
         moving[places[~rising]] = False
+    return now, value
+
+
+def _exchange(percent: Callable[[Ints], Floats], starts: Ints, random: np.random.Generator) -> tuple[Ints, float]:
+    """The worst combination from any start (s, k) by changes of single deviations, and of the worst ones two at a time."""
+    reached, values = _sweep_all(percent, starts, random)
+    _, first = np.unique(reached, axis=0, return_index=True)
+    chosen = first[np.argsort(-values[first], kind="stable")[:EXCHANGED]]
+    best = int(chosen[0])
+    worst, value = reached[best], float(values[best])
+    for place in chosen:
+        now, current = reached[place], float(values[place])
+        while True:
+            near = _pairs_changed(now[None])[0]
+            found = percent(near)
+            if not found.max() > current:
+                break
+            swept, risen = _sweep_all(percent, near[np.argmax(found)][None], random)
+            now, current = swept[0], float(risen[0])
+        if current > value:
+            worst, value = now, current
+    return worst, value
+
+
+def _sweep_all(percent: Callable[[Ints], Floats], starts: Ints, random: np.random.Generator) -> tuple[Ints, Floats]:
+    """From every start (s, k) one deviation after another to its worst level, in random order, until none changes.
+
+    A step costs two evaluations, where a climb by the best of all changes takes two for each deviation.
+    """
+    now, value = starts.copy(), percent(starts)
+    moving = np.ones(len(now), dtype=bool)
+    while moving.any():
+        changed = np.zeros(len(now), dtype=bool)
+        places = np.flatnonzero(moving)
+        for k in random.permutation(starts.shape[1]):
+            near = np.repeat(now[places], 2, axis=0)
+            near[0::2, k], near[1::2, k] = (now[places, k] + 2) % 3 - 1, (now[places, k] + 3) % 3 - 1
+            values = percent(near).reshape(-1, 2)
+            best = np.argmax(values, axis=1)
+            risen = values[np.arange(len(places)), best]
+            rising = risen > value[places]
+            now[places[rising]] = near.reshape(len(places), 2, -1)[np.arange(len(places)), best][rising]
+            value[places[rising]] = risen[rising]
+            changed[places[rising]] = True
+        moving = changed
     return now, value
 
 

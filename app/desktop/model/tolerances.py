@@ -159,7 +159,7 @@ def _topics(study: StudyFile, levels: int) -> Iterable[tuple[str, str]]:
         yield "Light", "collimated" if table.collimated else pupil
     else:
         yield "Criterion", f"flux into the central 5 × 5 mm within {limits} of that without deviations"
-        yield "Estimator", f"adjoint, {criterion.rays:,} rays"
+        yield "Estimator", f"quadrature; the worst corner by {criterion.rays:,} rays as well"
     drawn = study.combinations
     if levels <= drawn.enumerate_up_to:
         how = ", by a surrogate" if drawn.evaluator == "surrogate" else ""

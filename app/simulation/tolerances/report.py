@@ -62,7 +62,8 @@ def _flux_assumptions(criterion: FluxTable) -> dict[str, str]:
         "light": f"the slit's image is {width:g} x {height:g} mm, so that the square has a margin of "
         f"{0.5 * (width - unit.field_side_mm):g} mm; ideal lenses; {unit.wavelength_nm:g} nm; the condensers and the height "
         "stop are assumed, the paper does not state them",
-        "estimator": f"adjoint, {criterion.rays} rays, the same for all combinations",
+        "estimator": "a quadrature over pupil and square, without random numbers; the worst corner is confirmed by "
+        f"{criterion.rays} adjoint rays",
         "uniformity": "lowest irradiance over the mean, of 5 x 5 cells; it is stated beside, the paper has no limit for it",
     }
 
@@ -137,7 +138,8 @@ def explanations(result: StudyResult) -> list[str]:
         + (
             f"; the enumeration of all {case.combinations.percent.size} gives {case.combinations.worst_percent:.2f} %."
             if case.combinations.complete
-            else f"; the worst of {case.combinations.percent.size} random corners has {case.combinations.worst_percent:.2f} %."
+            else f"; it is the worst that was found, not proven to be the worst of all. The worst of "
+            f"{case.combinations.percent.size} random corners has {case.combinations.worst_percent:.2f} %."
         ),
     ]
     if case.common.factor < 1.0:
@@ -156,6 +158,10 @@ def explanations(result: StudyResult) -> list[str]:
         found.append(_explain_recentring(result.recentred))
     if result.uniformity is not None:
         even = result.uniformity
+        found.append(
+            f"By {even.by_rays.rays} adjoint rays the worst corner of the flux loses {100.0 * (1.0 - even.by_rays.flux):.2f}"
+            f"({100.0 * even.by_rays.flux_error:.2f}) %."
+        )
         found.append(
             f"Uniformity beside the flux: {even.aligned:.2f} without deviations, {even.at_worst:.2f} at the worst corner of "
             f"the flux, which has {even.flux_at_worst:.2f} of it, and {even.lowest:.2f} at its own worst corner. A corner of "
@@ -373,7 +379,7 @@ def as_dict(result: StudyResult) -> dict[str, Any]:
             "worst_percent": recentred.worst.percent,
             "limitations": [vars(each) for each in recentred.limitations],
         },
-        "uniformity": None if uniformity is None else vars(uniformity),
+        "uniformity": None if uniformity is None else {**vars(uniformity), "by_rays": vars(uniformity.by_rays)},
         "assumptions": assumptions(result),
         "explanations": explanations(result),
     }

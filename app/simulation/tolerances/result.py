@@ -10,7 +10,7 @@ from goniotwin.app.errors import UserError
 from goniotwin.app.simulation.corner_search import WorstCombination, rms_percent
 from goniotwin.app.simulation.tolerances.beam_on_sample import LIT_SIDE_MM, BeamOnSample, Scaled
 from goniotwin.app.simulation.tolerances.drawing import Distribution, draw_deviations
-from goniotwin.app.simulation.tolerances.light import Evenness, IlluminationLight
+from goniotwin.app.simulation.tolerances.light import Evenness, IlluminationLight, LightByRays
 from goniotwin.app.simulation.tolerances.lobe import GaussianLobe, LobeSurrogate, Recentred
 from goniotwin.app.simulation.tolerances.stages import (
     Combinations,
@@ -117,12 +117,16 @@ class AfterRecentring:
 
 @dataclass(frozen=True, eq=False)
 class Uniformity:
-    """Uniformity of the light: without deviations, at the worst corner of the flux, and at its own worst corner."""
+    """Uniformity of the light: without deviations, at the worst corner of the flux, and at its own worst corner.
+
+    `by_rays` is the light at the worst corner of the flux by random rays.
+    """
 
     aligned: float
     at_worst: float
     lowest: float
     flux_at_worst: float
+    by_rays: LightByRays
 
 
 @dataclass(frozen=True, eq=False)
@@ -273,4 +277,5 @@ def _uniformity(light: IlluminationLight, case: Case) -> Uniformity:
     evenness = Evenness(light)
     worst = worst_combination(evenness, case.limits)
     lowest = light.relative((worst.levels * case.limits)[None])[1]
-    return Uniformity(light.uniformity, float(uniformity[0]), float(lowest[0]), float(flux[0]))
+    by_rays = light.by_rays(case.worst_values)
+    return Uniformity(light.uniformity, float(uniformity[0]), float(lowest[0]), float(flux[0]), by_rays)

@@ -114,7 +114,7 @@ def test_a_study_is_shown_before_it_is_computed(screen: TolerancesScreen) -> Non
     screen.choice.setCurrentIndex(1)
     assert len(cells(screen, 0)) == 30
     assert "flux into the central 5 × 5 mm within 5 % or 10 %" in screen.study_text.toPlainText()
-    assert "5,000 random corners" in screen.study_text.toPlainText()
+    assert "20,000 random corners" in screen.study_text.toPlainText()
 
 
 def test_a_file_that_is_no_study_is_refused_with_the_reason(screen: TolerancesScreen, tmp_path: Path) -> None:

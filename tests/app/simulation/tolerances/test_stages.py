@@ -136,6 +136,20 @@ def test_the_search_finds_the_worst_corner_where_the_response_is_flat_about_zero
     assert found.percent >= best_of_many
 
 
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_the_search_of_many_deviations_does_not_depend_on_where_it_begins(seed: int) -> None:
+    """Thirty deviations with a margin in two directions, each of which moves the light a little: many corners nearly alike."""
+    slopes = np.random.Generator(np.random.Philox(9)).uniform(0.0, 1.0, (2, 30)) ** 3
+
+    def loss(x: Floats) -> Floats:
+        left = [np.clip(1.0 - 0.05 * np.maximum(np.abs(x @ each) - 3.0, 0.0), 0.0, 1.0) for each in slopes]
+        return np.asarray((1.0 - left[0] * left[1] * (1.0 - 1e-3 * np.abs(x).sum(axis=1)))[:, None])
+
+    found = search_worst(loss, 30, seed)
+    # All deviations to one side: the largest sums of both directions and of the third term at once.
+    assert found.percent == pytest.approx(float(rms_percent(loss(np.ones((1, 30))))[0]), rel=1e-12)
+
+
 def test_the_yield_is_that_of_the_normal_distribution() -> None:
     slopes, limits = np.array([0.3, 0.4]), np.array([0.1, 0.1])
     draws = draw_deviations("normal", limits, 40_000, 1)

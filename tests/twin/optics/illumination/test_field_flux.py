@@ -41,6 +41,23 @@ def test_flux_and_uniformity_are_those_of_the_adjoint_estimator(scale: float, pa
         assert uniformity[n] == pytest.approx(rays.uniformity, abs=noise + 0.03)
 
 
+@parted(4)
+@pytest.mark.parametrize(("element", "shift_mm", "loss"), [("slit", 1.5, 0.0324), ("output_condenser", 1.55, 0.0530)])
+def test_an_image_of_the_slit_before_or_behind_the_field_is_as_dark_as_by_rays(
+    element: str, shift_mm: float, loss: float, part: int
+) -> None:
+    """300 mm out of focus; within Table 1 it is 5 mm."""
+    sets = np.zeros((2, 6, 6))
+    sets[1, ELEMENTS.index(element), PARTS.index("y_mm")] = shift_mm
+    (aligned, flux), (_, uniformity) = field_fluxes(UNIT, sets)
+    unit = replace(UNIT, deviations={element: Deviation(y_mm=shift_mm)})
+    rays = adjoint_illumination(unit, rays=400_000 // part)
+    # 32 points of the pupil resolve its blur to 0.5 %.
+    assert flux == pytest.approx(rays.flux, abs=4.5 * rays.flux_error + 5e-3 * rays.flux)
+    assert uniformity == pytest.approx(rays.uniformity, abs=4.5 * rays.irradiance_error.max() / rays.irradiance.mean() + 0.03)
+    assert 1.0 - flux / aligned == pytest.approx(loss, abs=2e-3)
+
+
 def test_alone_nothing_within_table_1_changes_the_flux_by_more_than_half_a_percent() -> None:
     largest = {
         (element, name): np.abs(alone(np.array([-1.0, 1.0]) * limit, element, name)).max()
