@@ -13,8 +13,8 @@ import numpy as np
 
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics.illumination.beam import Illumination, check_square, mean_and_error, widest_angle
-from goniotwin.twin.optics.illumination.elements import along_axes, bend, lit_length, to_plane
-from goniotwin.twin.optics.illumination.unit import OUTPUT, SLIT, IlluminationUnit
+from goniotwin.twin.optics.illumination.elements import field_ray
+from goniotwin.twin.optics.illumination.unit import IlluminationUnit
 from goniotwin.twin.optics.kernel import kernel
 from goniotwin.twin.optics.montecarlo import check_seed, item_key, run_until, scramble, uniform
 
@@ -27,10 +27,9 @@ MOST_RAYS = 1 << 30
 MARGIN = 2.0
 # Least number of rays of a cell of the map: its error is then below 1 %.
 CELL_RAYS = 256
-
-
+# Rays that are computed at once, without a branch or a call, so that the loops over them are vectorised. Their rows: the point
+# (x, z) of the square and (u, v) of the exit pupil, mm, weight in 1/mm, tangent of the angle to the axis.
 TILE = 64
-# Rows of a tile of rays: the point (x, z) of the square and (u, v) of the exit pupil, mm, weight in 1/mm, tangent to the axis.
 X, Z, U, V, WEIGHT, TANGENT = (row * TILE for row in range(6))
 ROWS = 6
 SINE = tuple((-1.0) ** k / math.factorial(2 * k + 1) for k in range(10))
@@ -56,7 +55,7 @@ def _cosine_and_sine(share: float) -> tuple[float, float]:
 
 @kernel()
 def _draw(tile: Floats, first: int, count: int, key: np.uint64, radius: float, side: float, cells: int) -> None:
-    """Fill X, Z, U, V for rays first..first+count-1: consecutive rays go to consecutive cells, so that all have the same number."""
+    """Fill X, Z, U, V for `count` rays from `first` on. Consecutive rays go to consecutive cells: all have the same number."""
     cell = first % (cells * cells)
     i, j = cell // cells, cell % cells
     for n in range(count):
@@ -74,23 +73,12 @@ def _draw(tile: Floats, first: int, count: int, key: np.uint64, radius: float, s
 
 
 @kernel()
-def _weigh(tile: Floats, count: int, frames: Floats, sizes: Floats) -> None:
+def weigh_tile(tile: Floats, count: int, frames: Floats, sizes: Floats) -> None:
     """Fill WEIGHT and TANGENT: each ray from (U, V) of the exit pupil to (X, Z) of the square, back to the arc."""
     for n in range(count):
-        x, z, u, v = tile[n + X], tile[n + Z], tile[n + U], tile[n + V]
-        px = frames[OUTPUT, 0, 0] + u * frames[OUTPUT, 1, 0] + v * frames[OUTPUT, 3, 0]
-        py = frames[OUTPUT, 0, 1] + u * frames[OUTPUT, 1, 1] + v * frames[OUTPUT, 3, 1]
-        pz = frames[OUTPUT, 0, 2] + u * frames[OUTPUT, 1, 2] + v * frames[OUTPUT, 3, 2]
-        p, q, r = px - x, py - sizes[12], pz - z
-        square = p * p + q * q + r * r
-        shrink = 1.0 / math.sqrt(square)
-        p, q, r = p * shrink, q * shrink, r * shrink
-        leaving, cosine = -along_axes(frames, OUTPUT, p, q, r)[1], -q
-        tile[n + TANGENT] = math.sqrt(p * p + r * r) / cosine
-        p, q, r, gain = bend(frames, OUTPUT, u, v, -1.0 / sizes[6], p, q, r)
-        px, py, pz, s, t = to_plane(frames, SLIT, px, py, pz, p, q, r)
+        weight, s, t, tangent = field_ray(frames, sizes, tile[n + U], tile[n + V], tile[n + X], tile[n + Z])
         passes = (abs(s) <= sizes[8]) & (abs(t) <= sizes[9])
-        weight = lit_length(frames, sizes, px, py, pz, p, q, r) * cosine * leaving / (square * gain)
+        tile[n + TANGENT] = tangent
         tile[n + WEIGHT] = weight if passes else 0.0
 
 
@@ -105,7 +93,7 @@ def _trace(
     for ray in range(first, last, TILE):
         count = min(TILE, last - ray)
         _draw(tile, ray, count, start, sizes[7], side, cells)
-        _weigh(tile, count, frames, sizes)
+        weigh_tile(tile, count, frames, sizes)
         for n in range(count):
             weight, place = tile[n + WEIGHT], places + min(bins - 1, int(math.atan(tile[n + TANGENT]) * scale))
             sums[0, cell] += weight

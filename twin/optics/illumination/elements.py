@@ -9,7 +9,7 @@ estimator.
 import math
 
 from goniotwin.arrays import Floats
-from goniotwin.twin.optics.illumination.unit import ARC, INPUT, REFLECTOR
+from goniotwin.twin.optics.illumination.unit import ARC, INPUT, OUTPUT, REFLECTOR, SLIT
 from goniotwin.twin.optics.kernel import kernel
 
 Triple = tuple[float, float, float]
@@ -129,3 +129,25 @@ def lit_length(frames: Floats, sizes: Floats, x: float, y: float, z: float, p: f
     reflected = chord(frames, ARC, sizes[0], sizes[1], x, y, z, p, q, r)
     length: float = sizes[10] * direct + (sizes[11] * reflected if on else 0.0)
     return length / gain if passes else 0.0
+
+
+@kernel(forceinline=True)
+def field_ray(
+    frames: Floats, sizes: Floats, u: float, v: float, x: float, z: float
+) -> tuple[float, float, float, float]:  # fmt: skip
+    """Backward ray from (x, z) of the field to (u, v) of the exit pupil, in mm, bent there, and on to the arc.
+
+    Its weight in 1/mm, wherever it crosses the slit's plane; its point (s, t) there, mm; the tangent of its angle to the axis
+    at the field.
+    """
+    px = frames[OUTPUT, 0, 0] + u * frames[OUTPUT, 1, 0] + v * frames[OUTPUT, 3, 0]
+    py = frames[OUTPUT, 0, 1] + u * frames[OUTPUT, 1, 1] + v * frames[OUTPUT, 3, 1]
+    pz = frames[OUTPUT, 0, 2] + u * frames[OUTPUT, 1, 2] + v * frames[OUTPUT, 3, 2]
+    p, q, r = px - x, py - sizes[12], pz - z
+    square = p * p + q * q + r * r
+    shrink = 1.0 / math.sqrt(square)
+    p, q, r = p * shrink, q * shrink, r * shrink
+    leaving, cosine, tangent = -along_axes(frames, OUTPUT, p, q, r)[1], -q, math.sqrt(p * p + r * r) / -q
+    p, q, r, gain = bend(frames, OUTPUT, u, v, -1.0 / sizes[6], p, q, r)
+    px, py, pz, s, t = to_plane(frames, SLIT, px, py, pz, p, q, r)
+    return lit_length(frames, sizes, px, py, pz, p, q, r) * cosine * leaving / (square * gain), s, t, tangent
