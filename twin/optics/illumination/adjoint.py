@@ -13,8 +13,8 @@ import numpy as np
 
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics.illumination.beam import Illumination, check_square, mean_and_error, widest_angle
-from goniotwin.twin.optics.illumination.elements import along_axes, bend, lit_length, to_plane
-from goniotwin.twin.optics.illumination.unit import OUTPUT, SLIT, IlluminationUnit
+from goniotwin.twin.optics.illumination.elements import field_ray
+from goniotwin.twin.optics.illumination.unit import IlluminationUnit
 from goniotwin.twin.optics.kernel import kernel
 from goniotwin.twin.optics.montecarlo import check_seed, item_key, run_until, scramble, uniform
 
@@ -27,6 +27,59 @@ MOST_RAYS = 1 << 30
 MARGIN = 2.0
 # Least number of rays of a cell of the map: its error is then below 1 %.
 CELL_RAYS = 256
+# Rays that are computed at once, without a branch or a call, so that the loops over them are vectorised. Their rows: the point
+# (x, z) of the square and (u, v) of the exit pupil, mm, weight in 1/mm, tangent of the angle to the axis.
+TILE = 64
+X, Z, U, V, WEIGHT, TANGENT = (row * TILE for row in range(6))
+ROWS = 6
+SINE = tuple((-1.0) ** k / math.factorial(2 * k + 1) for k in range(10))
+COSINE = tuple((-1.0) ** k / math.factorial(2 * k) for k in range(11))
+
+
+@kernel(forceinline=True)
+def _sum_powers(terms: tuple[float, ...], square: float) -> float:
+    total = terms[-1]
+    for k in range(len(terms) - 1, 0, -1):
+        total = terms[k - 1] + square * total
+    return total
+
+
+@kernel(forceinline=True)
+def _cosine_and_sine(share: float) -> tuple[float, float]:
+    """Cosine and sine of a share of the whole turn, 0 to 1, to 4e-16: as series, for calls are not vectorised."""
+    half = math.pi * (share - 0.5)
+    square = half * half
+    sin, cos = half * _sum_powers(SINE, square), _sum_powers(COSINE, square)
+    return 2.0 * sin * sin - 1.0, -2.0 * sin * cos
+
+
+@kernel()
+def _draw(tile: Floats, first: int, count: int, key: np.uint64, radius: float, side: float, cells: int) -> None:
+    """Fill X, Z, U, V for `count` rays from `first` on. Consecutive rays go to consecutive cells: all have the same number."""
+    cell = first % (cells * cells)
+    i, j = cell // cells, cell % cells
+    for n in range(count):
+        tile[n + X], tile[n + Z] = i, j
+        j += 1
+        if j == cells:
+            i, j = (i + 1 if i + 1 < cells else 0), 0
+    for n in range(count):
+        own = item_key(key, first + n)
+        tile[n + X] = ((tile[n + X] + uniform(own, 0)) / cells - 0.5) * side
+        tile[n + Z] = ((tile[n + Z] + uniform(own, 1)) / cells - 0.5) * side
+        reach = radius * math.sqrt(uniform(own, 2))
+        cos, sin = _cosine_and_sine(uniform(own, 3))
+        tile[n + U], tile[n + V] = reach * cos, reach * sin
+
+
+@kernel()
+def weigh_tile(tile: Floats, count: int, frames: Floats, sizes: Floats) -> None:
+    """Fill WEIGHT and TANGENT: each ray from (U, V) of the exit pupil to (X, Z) of the square, back to the arc."""
+    for n in range(count):
+        weight, s, t, tangent = field_ray(frames, sizes, tile[n + U], tile[n + V], tile[n + X], tile[n + Z])
+        passes = (abs(s) <= sizes[8]) & (abs(t) <= sizes[9])
+        tile[n + TANGENT] = tangent
+        tile[n + WEIGHT] = weight if passes else 0.0
 
 
 @kernel(nogil=True)
@@ -35,35 +88,19 @@ def _trace(
     side: float, cells: int, bins: int, widest: float,
 ) -> Floats:  # fmt: skip
     """Sums (2, cells^2 + bins) of the weights, in 1/mm, and of their squares over rays first..last-1."""
-    sums = np.zeros((2, cells * cells + bins))
-    start, y = scramble(U64(seed)), sizes[12]
-    for ray in range(first, last):
-        key = item_key(start, ray)
-        # Consecutive rays go to consecutive cells, so that all cells have the same number of rays.
-        cell = ray % (cells * cells)
-        i, j = cell // cells, cell % cells
-        x, z = ((i + uniform(key, 0)) / cells - 0.5) * side, ((j + uniform(key, 1)) / cells - 0.5) * side
-        radius, turn = sizes[7] * math.sqrt(uniform(key, 2)), 2.0 * math.pi * uniform(key, 3)
-        u, v = radius * math.cos(turn), radius * math.sin(turn)
-        px = frames[OUTPUT, 0, 0] + u * frames[OUTPUT, 1, 0] + v * frames[OUTPUT, 3, 0]
-        py = frames[OUTPUT, 0, 1] + u * frames[OUTPUT, 1, 1] + v * frames[OUTPUT, 3, 1]
-        pz = frames[OUTPUT, 0, 2] + u * frames[OUTPUT, 1, 2] + v * frames[OUTPUT, 3, 2]
-        p, q, r = px - x, py - y, pz - z
-        square = p * p + q * q + r * r
-        shrink = 1.0 / math.sqrt(square)
-        p, q, r = p * shrink, q * shrink, r * shrink
-        leaving, cosine = -along_axes(frames, OUTPUT, p, q, r)[1], -q
-        angle = math.atan(math.sqrt(p * p + r * r) / cosine)
-        p, q, r, gain = bend(frames, OUTPUT, u, v, -1.0 / sizes[6], p, q, r)
-        px, py, pz, u, v = to_plane(frames, SLIT, px, py, pz, p, q, r)
-        if not (abs(u) <= sizes[8] and abs(v) <= sizes[9]):
-            continue
-        weight = lit_length(frames, sizes, px, py, pz, p, q, r) * cosine * leaving / (square * gain)
-        place = cells * cells + min(bins - 1, int(angle / widest * bins))
-        sums[0, cell] += weight
-        sums[1, cell] += weight * weight
-        sums[0, place] += weight
-        sums[1, place] += weight * weight
+    sums, tile, places = np.zeros((2, cells * cells + bins)), np.empty(ROWS * TILE), cells * cells
+    start, scale, cell = scramble(U64(seed)), bins / widest, first % places
+    for ray in range(first, last, TILE):
+        count = min(TILE, last - ray)
+        _draw(tile, ray, count, start, sizes[7], side, cells)
+        weigh_tile(tile, count, frames, sizes)
+        for n in range(count):
+            weight, place = tile[n + WEIGHT], places + min(bins - 1, int(math.atan(tile[n + TANGENT]) * scale))
+            sums[0, cell] += weight
+            sums[1, cell] += weight * weight
+            sums[0, place] += weight
+            sums[1, place] += weight * weight
+            cell = cell + 1 if cell + 1 < places else 0
     return sums
 
 

@@ -9,7 +9,7 @@ estimator.
 import math
 
 from goniotwin.arrays import Floats
-from goniotwin.twin.optics.illumination.unit import ARC, INPUT, REFLECTOR
+from goniotwin.twin.optics.illumination.unit import ARC, INPUT, OUTPUT, REFLECTOR, SLIT
 from goniotwin.twin.optics.kernel import kernel
 
 Triple = tuple[float, float, float]
@@ -82,15 +82,14 @@ def reflect_at_sphere(
     dx, dy, dz = x - cx, y - cy, z - cz
     middle = dx * p + dy * q + dz * r
     root = middle * middle - (dx * dx + dy * dy + dz * dz) + radius * radius
-    if not root > 0.0:
-        return False, x, y, z, p, q, r
-    step = math.sqrt(root) - middle
+    met = root > 0.0
+    step = math.sqrt(root if met else 0.0) - middle
     x, y, z = x + step * p, y + step * q, z + step * r
     inverse = 1.0 / radius
     nx, ny, nz = (cx - x) * inverse, (cy - y) * inverse, (cz - z) * inverse
     depth = nx * frames[e, 2, 0] + ny * frames[e, 2, 1] + nz * frames[e, 2, 2]
     twice = 2.0 * (nx * p + ny * q + nz * r)
-    return depth >= least, x, y, z, p - twice * nx, q - twice * ny, r - twice * nz
+    return met & (depth >= least), x, y, z, p - twice * nx, q - twice * ny, r - twice * nz
 
 
 @kernel(forceinline=True)
@@ -104,22 +103,16 @@ def chord(
     p0, q0, start = along_axes(frames, e, x - frames[e, 0, 0], y - frames[e, 0, 1], z - frames[e, 0, 2])
     p1, q1, slope = along_axes(frames, e, p, q, r)
     a, b, c = p1 * p1 + q1 * q1, p0 * p1 + q0 * q1, p0 * p0 + q0 * q0 - radius * radius
-    low, high = -math.inf, math.inf
-    if a > 0.0:
-        root = b * b - a * c
-        if root <= 0.0:
-            return 0.0
-        root, inverse = math.sqrt(root), 1.0 / a
-        low, high = (-b - root) * inverse, (-b + root) * inverse
-    elif c >= 0.0:
-        return 0.0
-    if slope != 0.0:
-        inverse = 1.0 / slope
-        first, last = (-half - start) * inverse, (half - start) * inverse
-        low, high = max(low, min(first, last)), min(high, max(first, last))
-    elif abs(start) >= half:
-        return 0.0
-    return max(0.0, high - low)
+    # Conditional values instead of branches, so that a loop over rays is vectorised. A ray along the axis has a = 0.
+    root = b * b - a * c
+    met = root > 0.0 if a > 0.0 else c < 0.0
+    root, inverse = math.sqrt(root if root > 0.0 else 0.0), 1.0 / a
+    low, high = ((-b - root) * inverse, (-b + root) * inverse) if a > 0.0 else (-math.inf, math.inf)
+    inverse = 1.0 / slope
+    first, last = (-half - start) * inverse, (half - start) * inverse
+    near, far = (first, last) if first < last else (last, first)
+    low, high = (near if near > low else low), (far if far < high else high)
+    return high - low if met & (high > low) else 0.0
 
 
 @kernel(forceinline=True)
@@ -129,13 +122,32 @@ def lit_length(frames: Floats, sizes: Floats, x: float, y: float, z: float, p: f
     Directly and by the reflector, each times its share of the light; with the change of radiance in the input condenser.
     """
     x, y, z, u, v = to_plane(frames, INPUT, x, y, z, p, q, r)
-    if not u * u + v * v <= sizes[5] * sizes[5]:
-        return 0.0
+    passes = u * u + v * v <= sizes[5] * sizes[5]
     p, q, r, gain = bend(frames, INPUT, u, v, -1.0 / sizes[4], p, q, r)
-    length: float = sizes[10] * chord(frames, ARC, sizes[0], sizes[1], x, y, z, p, q, r)
-    if sizes[11] > 0.0:
-        on, x, y, z, p, q, r = reflect_at_sphere(frames, REFLECTOR, sizes[2], sizes[3], x, y, z, p, q, r)
-        if on:
-            length += sizes[11] * chord(frames, ARC, sizes[0], sizes[1], x, y, z, p, q, r)
-    weighted: float = length / gain
-    return weighted
+    direct = chord(frames, ARC, sizes[0], sizes[1], x, y, z, p, q, r)
+    on, x, y, z, p, q, r = reflect_at_sphere(frames, REFLECTOR, sizes[2], sizes[3], x, y, z, p, q, r)
+    reflected = chord(frames, ARC, sizes[0], sizes[1], x, y, z, p, q, r)
+    length: float = sizes[10] * direct + (sizes[11] * reflected if on else 0.0)
+    return length / gain if passes else 0.0
+
+
+@kernel(forceinline=True)
+def field_ray(
+    frames: Floats, sizes: Floats, u: float, v: float, x: float, z: float
+) -> tuple[float, float, float, float]:  # fmt: skip
+    """Backward ray from (x, z) of the field to (u, v) of the exit pupil, in mm, bent there, and on to the arc.
+
+    Its weight in 1/mm, wherever it crosses the slit's plane; its point (s, t) there, mm; the tangent of its angle to the axis
+    at the field.
+    """
+    px = frames[OUTPUT, 0, 0] + u * frames[OUTPUT, 1, 0] + v * frames[OUTPUT, 3, 0]
+    py = frames[OUTPUT, 0, 1] + u * frames[OUTPUT, 1, 1] + v * frames[OUTPUT, 3, 1]
+    pz = frames[OUTPUT, 0, 2] + u * frames[OUTPUT, 1, 2] + v * frames[OUTPUT, 3, 2]
+    p, q, r = px - x, py - sizes[12], pz - z
+    square = p * p + q * q + r * r
+    shrink = 1.0 / math.sqrt(square)
+    p, q, r = p * shrink, q * shrink, r * shrink
+    leaving, cosine, tangent = -along_axes(frames, OUTPUT, p, q, r)[1], -q, math.sqrt(p * p + r * r) / -q
+    p, q, r, gain = bend(frames, OUTPUT, u, v, -1.0 / sizes[6], p, q, r)
+    px, py, pz, s, t = to_plane(frames, SLIT, px, py, pz, p, q, r)
+    return lit_length(frames, sizes, px, py, pz, p, q, r) * cosine * leaving / (square * gain), s, t, tangent

@@ -11,9 +11,9 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
-from goniotwin.arrays import Floats
-from goniotwin.twin.optics.illumination.adjoint import emission_per_mm3_sr
-from goniotwin.twin.optics.illumination.elements import along_axes, bend, lit_length, to_plane
+from goniotwin.arrays import Floats, Ints
+from goniotwin.twin.optics.illumination.adjoint import ROWS, TILE, WEIGHT, U, V, X, Z, emission_per_mm3_sr, weigh_tile
+from goniotwin.twin.optics.illumination.elements import along_axes
 from goniotwin.twin.optics.illumination.slit_image import cut_polygon
 from goniotwin.twin.optics.illumination.unit import OUTPUT, SLIT, IlluminationUnit
 from goniotwin.twin.optics.kernel import kernel, thread_count
@@ -40,7 +40,8 @@ def _fill_fluxes(all_frames: Floats, sizes: Floats, nodes: Floats, side: float, 
     """Fill `result` (n, 2): sum and least of the weights of the cells, in mm^2 / mm, for frames (n, 5, 4, 3)."""
     cell, least_corner = side / cells, -0.5 * side
     edges, points, cut = np.empty((CORNERS, 3)), np.empty((12, 2)), np.empty((12, 2))
-    images, weights = np.empty((CORNERS, 3)), np.empty((cells, cells))
+    images, weights = np.empty((CORNERS, 3)), np.empty(cells * cells)
+    tile, areas, places, count = np.empty(ROWS * TILE), np.empty(TILE), np.empty(TILE, np.int64), 0
     for n in range(all_frames.shape[0]):
         frames = all_frames[n]
         _fill_images(frames, sizes, images)
@@ -56,12 +57,19 @@ def _fill_fluxes(all_frames: Floats, sizes: Floats, nodes: Floats, side: float, 
                     if not (whole or _within(edges, x0, z0, cell)):
                         area, x, z = _lit_part(edges, x0, z0, cell, points, cut)
                     if area > 0.0:
-                        weights[i, j] += area * nodes[m, 2] * _node_weight(frames, sizes, a, b, x, z)
+                        tile[count + U], tile[count + V] = sizes[7] * a, sizes[7] * b
+                        tile[count + X], tile[count + Z] = x, z
+                        areas[count], places[count] = area * nodes[m, 2], i * cells + j
+                        count += 1
+                    if count == TILE:
+                        _add_rays(tile, count, frames, sizes, areas, places, weights)
+                        count = 0
+        _add_rays(tile, count, frames, sizes, areas, places, weights)
+        count = 0
         total, least = 0.0, math.inf
-        for i in range(cells):
-            for j in range(cells):
-                total += weights[i, j]
-                least = min(least, weights[i, j])
+        for place in range(cells * cells):
+            total += weights[place]
+            least = min(least, weights[place])
         result[n, 0], result[n, 1] = total, least
 
 
@@ -138,21 +146,13 @@ def _lit_part(edges: Floats, x: float, z: float, side: float, points: Floats, cu
 
 
 @kernel()
-def _node_weight(frames: Floats, sizes: Floats, a: float, b: float, x: float, z: float) -> float:
-    """Weight in 1/mm of the ray from (a, b) of the pupil's unit disc to (x, z) of the field, through the slit's plane."""
-    u, v = sizes[7] * a, sizes[7] * b
-    px = frames[OUTPUT, 0, 0] + u * frames[OUTPUT, 1, 0] + v * frames[OUTPUT, 3, 0]
-    py = frames[OUTPUT, 0, 1] + u * frames[OUTPUT, 1, 1] + v * frames[OUTPUT, 3, 1]
-    pz = frames[OUTPUT, 0, 2] + u * frames[OUTPUT, 1, 2] + v * frames[OUTPUT, 3, 2]
-    p, q, r = px - x, py - sizes[12], pz - z
-    square = p * p + q * q + r * r
-    shrink = 1.0 / math.sqrt(square)
-    p, q, r = p * shrink, q * shrink, r * shrink
-    leaving, cosine = -along_axes(frames, OUTPUT, p, q, r)[1], -q
-    p, q, r, gain = bend(frames, OUTPUT, u, v, -1.0 / sizes[6], p, q, r)
-    px, py, pz, _, _ = to_plane(frames, SLIT, px, py, pz, p, q, r)
-    weight: float = lit_length(frames, sizes, px, py, pz, p, q, r) * cosine * leaving / (square * gain)
-    return weight
+def _add_rays(
+    tile: Floats, count: int, frames: Floats, sizes: Floats, areas: Floats, places: Ints, weights: Floats
+) -> None:  # fmt: skip
+    """Add `count` rays of a tile, times the areas that they stand for, to the weights of their cells."""
+    weigh_tile(tile, count, frames, sizes)
+    for n in range(count):
+        weights[places[n]] += areas[n] * tile[n + WEIGHT]
 
 
 def field_fluxes(unit: IlluminationUnit, deviations: Floats, cells: int = 5) -> tuple[Floats, Floats]:
