@@ -197,9 +197,10 @@ class Plant:
                 return
             error = self.drawn.axis_error_deg(axis, 0) if shaft is not None else 0.0
             angles.append(angle + error if error else angle)
+        sigma, gamma, beta, shift = angles
         for wavelength, light in self._passing(pose.wavelength_nm, pose.filter_position):
             if light != 0.0:
-                yield Aspect(pose.sample, self.tilt_deg.newest, wavelength, *angles, pose.mounting)
+                yield Aspect(pose.sample, self.tilt_deg.newest, wavelength, sigma, gamma, beta, shift, pose.mounting)
 
     def warm_up(self) -> None:
         """Compute everything once: kernels compile at their first use, and a device must not wait for that.
