@@ -134,6 +134,7 @@ class AdamModule:
         self._last_outputs: list[bool] | None = None
         self._model = model
         self._ranges = [range_code] * adam.CHANNELS
+        self._ranges_reply = registers(self._ranges)
         self.sign_bit = adam.sign_bit(raw_format)
         self._clock = clock
         self._outputs: list[bool] | None = None
@@ -232,7 +233,7 @@ class AdamModule:
         return SettingsCheck(self, self.check_outputs, script)
 
     def _ranges_script(self, *, after: bool) -> ScriptedExchange:
-        return ScriptedExchange(READ_RANGES, registers(self._ranges), self._note_outputs_checked if after else lambda: None)
+        return ScriptedExchange(READ_RANGES, self._ranges_reply, self._note_outputs_checked if after else lambda: None)
 
     def _note_outputs_checked(self) -> None:
         self._outputs_checked = True
