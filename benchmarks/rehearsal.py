@@ -96,7 +96,7 @@ class LightTimes:
             self._poses.add(aspect)
             return found
 
-        View.throughputs_m2sr = timed  # type: ignore[method-assign]  # measures, then does the same
+        View.throughputs_m2sr = timed  # type: ignore[method-assign, assignment]  # measures, then does the same
 
     @property
     def of_a_pose(self) -> float:

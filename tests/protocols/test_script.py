@@ -1,5 +1,7 @@
 """Frames of scripts: the bytes that pymodbus makes of the same requests and replies, and reads as the same values."""
 
+from typing import Any
+
 from hypothesis import given
 from hypothesis import strategies as st
 from pymodbus.framer import FramerSocket
@@ -33,7 +35,7 @@ def test_the_reply_with_registers_is_that_of_pymodbus(transaction: int, unit: in
 
 @given(WORD, BYTE, WORD, STATES)
 def test_reads_and_writes_of_coils_are_those_of_pymodbus(transaction: int, unit: int, address: int, states: list[bool]) -> None:
-    about = {"dev_id": unit, "transaction_id": transaction}
+    about: dict[str, Any] = {"dev_id": unit, "transaction_id": transaction}
     read = ReadCoilsRequest(address=address, count=len(states), **about)
     written = WriteMultipleCoilsRequest(address=address, bits=states, **about)
     confirmed = WriteMultipleCoilsResponse(address=address, count=len(states), **about)
