@@ -1,13 +1,16 @@
 """Time per row of a rehearsal, through all the wires; and the memory of a long rehearsal.
 
-    python -m benchmarks.rehearsal [--rounds 5] [--json]
+    python -m benchmarks.rehearsal [--rounds 5] [--against FOLDER] [--json]
     python -m benchmarks.rehearsal --memory 10000 100000 [--json]
 
-Time: the rows of `quick.toml`, with 36 photodiodes, four axes and two gains of four readings; the journal does not wait for the
-disk (synchronous=OFF). The first rehearsal is a warm-up and does not count. The wall time of a row is taken from commit to
-commit; the result is the median of all rows that measure. Two reference times are reported with it: pymodbus's own share, that
-is, as many reads of eight registers through its client and its server's framing and PDUs, with no device behind them; and a
-measure of the machine, nine bytes through pyserial's own `loop://`. Compare machines or versions by the ratio to the latter.
+Time: the rows of `quick.toml`, with 36 photodiodes, four axes and two gains of four readings. The first rehearsal is a warm-up
+and does not count. `row_ms` is the median of the rows that measure, from commit to commit; `photodiodes_us` what the light on
+the photodiodes takes for each pose, within the rehearsal, the poses that are computed ahead included. Both are processor time.
+`row_ms_two_processes` is time that passes: what a row more costs in a longer rehearsal of two samples with `--processes 2`,
+without the start of the processes, and `row_ms_one_process` that with one. Each run has a process of its own; a figure is the
+least of the rounds. `load` is the machine's load before and after. `--against` is the folder of another version, with
+`goniotwin` under `.venv/links`: both versions take turns, and `ratio` is that of this one to the other, which has one process
+where it knows no others.
 
 Memory (`--memory`, Linux): a schedule of so many rows (shifts and wavelengths, one gain, one reading) is rehearsed, each in a
 process of its own, as the command does it, with the forecast of every direction as CSV. The result is the largest increase of
@@ -16,6 +19,7 @@ the resident memory after row 1000, up to the end of the process. The plan exist
 
 import argparse
 import json
+import os
 import platform
 import resource
 import statistics
@@ -23,30 +27,27 @@ import subprocess
 import sys
 import tempfile
 import time
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-
-import serial
-from pymodbus.client import ModbusTcpClient
-from pymodbus.framer import FramerSocket
-from pymodbus.pdu import DecodePDU
-from pymodbus.pdu.register_message import ReadHoldingRegistersResponse
+from typing import Any
 
 from goniotwin.app.campaign.planning.plan import Plan
+from goniotwin.app.campaign.rehearsal import rehearsal
 from goniotwin.app.campaign.rehearsal.rehearsal import plan_rehearsal, rehearse, run_on_twin
 from goniotwin.app.campaign.rehearsal.row_statistics import RowStatistics
 from goniotwin.app.campaign.rehearsal.warnings import relevant_photodiodes
 from goniotwin.app.campaign.running.events import Event, RowCommitted
-from goniotwin.app.campaign.schedule.file import parse_schedule, read_schedule
+from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.rig import read_rig
-from goniotwin.drivers.photodiodes.modbus import ModbusBus
+from goniotwin.twin.plant.view import Aspect, View
 
-EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
+HERE = Path(__file__).resolve().parents[1]
+EXAMPLES = HERE / "examples"
 RIG = EXAMPLES / "rigs" / "virtual.toml"
 QUICK = EXAMPLES / "schedules" / "quick.toml"
 STATM, STATUS, CLEAR_REFS = (Path("/proc/self") / name for name in ("statm", "status", "clear_refs"))
-FRAME = bytes(9)
+SHORT, LONGER = 0.5, 0.1
+"""Steps of the arc's shift, deg: of `quick.toml`, and of a rehearsal five times as long."""
 FROM_ROW = 1000
 LONG = """
 name = "long"
@@ -66,121 +67,105 @@ WAVELENGTHS_NM, MEASURED = 300.0, 2 * 5
 
 
 class RowTimes:
-    """A listener that records the wall time of each row that measures."""
+    """A listener that records the processor time of each row that measures, s."""
 
     def __init__(self) -> None:
         self.seconds: list[float] = []
-        self._last = time.perf_counter()
+        self._last = time.process_time()
 
     def __call__(self, event: Event) -> None:
         """Take the commits; other events are ignored."""
         if isinstance(event, RowCommitted):
-            now = time.perf_counter()
+            now = time.process_time()
             if event.row.kind == "measure":
                 self.seconds.append(now - self._last)
             self._last = now
 
 
-class ClientWithoutDevice(ModbusTcpClient):
-    """pymodbus's client; pymodbus's framing and PDUs answer each request with eight zeros."""
+class LightTimes:
+    """Processor time of the throughputs of poses, s, and the number of poses, since it was made."""
 
     def __init__(self) -> None:
-        super().__init__("nowhere", retries=0)
-        self._framer, self._decoder, self._answer = FramerSocket(DecodePDU(True)), DecodePDU(True), b""
+        self.seconds, self._poses = 0.0, set[Aspect]()
+        compute = View.throughputs_m2sr
 
-    def connect(self) -> bool:
-        """There is no device to connect to."""
-        return True
+        def timed(view: View, aspect: Aspect) -> Any:
+            begin = time.process_time()
+            found = compute(view, aspect)
+            self.seconds += time.process_time() - begin
+            self._poses.add(aspect)
+            return found
 
-    def send(self, request: bytes, addr: tuple[str, int] | None = None) -> int:
-        """Take a request, and make the answer to it."""
-        del addr
-        _, unit, transaction, pdu = self._framer.decode(request)
-        assert self._decoder.decode(pdu) is not None
-        answer = ReadHoldingRegistersResponse(registers=[0] * 8, dev_id=unit, transaction_id=transaction)
-        self._answer = self._framer.buildFrame(answer)
-        return len(request)
-
-    def recv(self, size: int | None) -> bytes:
-        """The answer to the last request."""
-        del size
-        return self._answer
-
-
-@dataclass(frozen=True)
-class Figures:
-    """Wall times in ms; `exchanges` is the number of Modbus exchanges in a row, `floor_ms` their time in pymodbus alone."""
-
-    rows: int
-    median_ms: float
-    lowest_ms: float
-    highest_ms: float
-    exchanges: float
-    floor_ms: float
-    loop_us: float
+        View.throughputs_m2sr = timed  # type: ignore[method-assign, assignment]  # measures, then does the same
 
     @property
-    def of_loop(self) -> float:
-        """The median over the measure of the machine."""
-        return 1e3 * self.median_ms / self.loop_us
+    def of_a_pose(self) -> float:
+        """Of a pose, s."""
+        return self.seconds / len(self._poses)
+
+
+def statistics_of(plan: Plan) -> RowStatistics:
+    """As a rehearsal has them."""
+    return RowStatistics(plan.rig.file.photodiodes, partial(relevant_photodiodes, plan))
 
 
 def row_seconds(plan: Plan) -> list[float]:
-    """Run one rehearsal; the wall times of its rows in s."""
+    """Run one rehearsal; the processor times of its rows, s."""
     rows = RowTimes()
     with tempfile.TemporaryDirectory() as folder:
-        run_on_twin(
-            plan,
-            Path(folder) / "rehearsal.journal",
-            RowStatistics(plan.rig.file.photodiodes, partial(relevant_photodiodes, plan)),
-            [rows],
-        )
+        run_on_twin(plan, Path(folder) / "rehearsal.journal", statistics_of(plan), [rows])
     return rows.seconds
 
 
-def modbus_exchanges_per_row(plan: Plan) -> float:
-    """Modbus exchanges per row, counted in the drivers."""
-    asked = 0
-    exchange = ModbusBus.exchange
-
-    def counted(self: ModbusBus, *arguments: object) -> object:
-        nonlocal asked
-        asked += 1
-        return exchange(self, *arguments)  # type: ignore[arg-type]  # passed on as they are
-
-    ModbusBus.exchange = counted  # type: ignore[method-assign, assignment]  # counts, then does the same
-    try:
-        rows = len(row_seconds(plan))
-    finally:
-        ModbusBus.exchange = exchange  # type: ignore[method-assign]  # as it was
-    return asked / rows
+def quick_plan(step_deg: float = SHORT) -> Plan:
+    """The plan of `quick.toml` with another step of the shift."""
+    text = QUICK.read_text(encoding="utf-8").replace(f"step = {SHORT}", f"step = {step_deg}")
+    return plan_rehearsal(parse_schedule(text, QUICK.name), read_rig(RIG), {})[0]
 
 
-def seconds_per_call(call: object, calls: int = 2000) -> float:
-    """Mean wall time of a call, s."""
-    assert callable(call)
-    start = time.perf_counter()
-    for _ in range(calls):
-        call()
-    return (time.perf_counter() - start) / calls
+def wall_ms_of_a_row(processes: int) -> float:
+    """Time that passes for each row by which one rehearsal is longer than another, ms."""
+    run = getattr(rehearsal, "run_in_processes", None)
+    taken, rows = [], []
+    for plan in (quick_plan(SHORT), quick_plan(LONGER)):
+        with tempfile.TemporaryDirectory() as folder:
+            begin, path = time.perf_counter(), Path(folder) / "rehearsal.journal"
+            if run is None:
+                run_on_twin(plan, path, statistics_of(plan), [])
+            else:
+                run(plan, path, statistics_of(plan), [], processes)
+            taken.append(time.perf_counter() - begin)
+            rows.append(len(plan.rows))
+    return 1e3 * (taken[1] - taken[0]) / (rows[1] - rows[0])
 
 
-def measure(rounds: int) -> Figures:
-    """Measure the rehearsals, interleaved with the reference times."""
-    plan, _ = plan_rehearsal(read_schedule(QUICK), read_rig(RIG), {})
-    exchanges = modbus_exchanges_per_row(plan)
-    client = ClientWithoutDevice()
-    port = serial.serial_for_url("loop://", timeout=1.0)
-    rows, floors, loops = [], [], []
+def measure() -> dict[str, float]:
+    """The figures of the version that is imported."""
+    plan = quick_plan()
+    row_seconds(plan)
+    row_ms = 1e3 * statistics.median(row_seconds(plan))
+    one, two = wall_ms_of_a_row(1), wall_ms_of_a_row(2)
+    light = LightTimes()
+    row_seconds(plan)
+    return {
+        "row_ms": row_ms, "row_ms_one_process": one, "row_ms_two_processes": two, "photodiodes_us": 1e6 * light.of_a_pose,
+    }  # fmt: skip
+
+
+def compare(versions: dict[str, Path], rounds: int) -> dict[str, Any]:
+    """The figures of each version, and their ratios."""
+    found: dict[str, list[dict[str, float]]] = {name: [] for name in versions}
+    before = os.getloadavg()[0]
+    program = "import json\nfrom benchmarks.rehearsal import measure\nprint(json.dumps(measure()))"
     for _ in range(rounds):
-        rows.append(row_seconds(plan))
-        floors.append(seconds_per_call(lambda: client.read_holding_registers(0, count=8, device_id=1)))
-        loops.append(seconds_per_call(lambda: (port.write(FRAME), port.read(len(FRAME)))))
-    medians = [1e3 * statistics.median(each) for each in rows]
-    return Figures(
-        sum(len(each) for each in rows), statistics.median(medians), min(medians), max(medians), exchanges,
-        1e3 * exchanges * statistics.median(floors), 1e6 * statistics.median(loops),
-    )  # fmt: skip
+        for name, version in versions.items():
+            environment = {**os.environ, "PYTHONPATH": os.pathsep.join((str(version / ".venv" / "links"), str(HERE)))}
+            done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True)
+            found[name].append(json.loads(done.stdout.splitlines()[-1]))
+    best: dict[str, Any] = {name: {key: min(each[key] for each in runs) for key in runs[0]} for name, runs in found.items()}
+    if "against" in best:
+        best["ratio"] = {key: best["here"][key] / best["against"][key] for key in best["here"]}
+    return {"rounds": rounds, "load": [before, os.getloadavg()[0]], **best}
 
 
 def resident_bytes() -> int:
@@ -225,11 +210,12 @@ def memory(rows: int) -> dict[str, float]:
 def main() -> None:
     """Print a table, or JSON."""
     parser = argparse.ArgumentParser(description="Time per row and memory of a rehearsal.")
-    parser.add_argument("--rounds", type=int, default=5, help="number of rehearsals")
+    parser.add_argument("--rounds", type=int, default=5, help="number of runs of each version")
+    parser.add_argument("--against", type=Path, help="folder of another version")
     parser.add_argument("--memory", type=int, nargs="+", metavar="ROWS", help="rehearse so many rows and print the memory")
     parser.add_argument("--json", action="store_true", help="print JSON")
     options = parser.parse_args()
-    machine = {"python": platform.python_version(), "machine": platform.machine(), "system": platform.system()}
+    machine = {"python": platform.python_version(), "machine": platform.machine(), "cores": os.cpu_count()}
     if options.memory and len(options.memory) > 1:
         for rows in options.memory:
             command = [sys.executable, "-m", "benchmarks.rehearsal", "--memory", str(rows)]
@@ -244,16 +230,14 @@ def main() -> None:
             each = f"{found['bytes_a_row']:.0f} bytes per row; {found['grown_in_rows_mb']:.1f} MB more at the last row"
             print(f"{found['rows']:.0f} rows in {found['seconds']:.0f} s: {peak}, {each}")
         return
-    figures = measure(options.rounds)
+    versions = {"here": HERE} | ({"against": options.against.resolve()} if options.against else {})
+    results = compare(versions, options.rounds)
     if options.json:
-        print(json.dumps({**machine, "rounds": options.rounds, **vars(figures), "of_loop": figures.of_loop}, indent=2))
+        print(json.dumps({**machine, **results}, indent=2))
         return
-    print(f"Python {machine['python']}, {machine['machine']}; {options.rounds} rehearsals, {figures.rows} rows that measure")
-    print(
-        f"a row                 {figures.median_ms:7.2f} ms in the median ({figures.lowest_ms:.2f} to {figures.highest_ms:.2f})"
-    )
-    print(f"of it, in pymodbus    {figures.floor_ms:7.2f} ms ({figures.exchanges:.0f} exchanges)")
-    print(f"9 bytes, loop://      {1e-3 * figures.loop_us:7.4f} ms; a row is {figures.of_loop:.0f} of them")
+    print(f"Python {machine['python']}, {machine['machine']}; load {results['load'][0]:.1f} to {results['load'][1]:.1f}")
+    for name in (*versions, *(["ratio"] if options.against else [])):
+        print(f"    {name:8} {', '.join(f'{key} {value:.3f}' for key, value in results[name].items())}")
 
 
 if __name__ == "__main__":

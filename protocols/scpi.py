@@ -13,6 +13,7 @@ OVERRANGE = 9.9e37
 NOT_A_NUMBER = 9.91e37
 MAX_MESSAGE = 4096
 LONGEST_MNEMONIC = 12
+MESSAGES_KEPT = 256
 
 _NUMBER = re.compile(r"[+-]?(?:\d+(?:\.\d*)?|\.\d+)(?:\s*[eE]\s*[+-]?\d{1,5})?")
 _NODE = re.compile(r"[A-Z][A-Z0-9_]*")
@@ -49,6 +50,25 @@ def units(message: bytes) -> Iterator[MessageUnit]:
     Raises ScpiError where the message goes wrong, after the units before that: -101 for characters that are not ASCII,
     -102 for a header that is none, -103 for a separator too many, -112 for a mnemonic of more than twelve characters.
     """
+    known, error = _parsed(message)
+    yield from known
+    if error is not None:
+        raise ScpiError(*error)
+
+
+@lru_cache(maxsize=MESSAGES_KEPT)
+def _parsed(message: bytes) -> tuple[tuple[MessageUnit, ...], tuple[int, str] | None]:
+    """The units of a message, and number and text of the error after them: an instrument is asked the same again and again."""
+    found: list[MessageUnit] = []
+    try:
+        for each in _units(message):
+            found.append(each)
+    except ScpiError as error:
+        return tuple(found), (error.code, error.text)
+    return tuple(found), None
+
+
+def _units(message: bytes) -> Iterator[MessageUnit]:
     try:
         text = message.decode("ascii")
     except UnicodeDecodeError:

@@ -11,8 +11,8 @@ from typing import NamedTuple, Protocol, runtime_checkable
 
 HEADER = Struct(">HHHB")
 """Of a Modbus TCP frame: transaction, protocol, bytes from the unit on, unit. Source: Modbus on TCP/IP 1.0b, 3.1.3."""
-EIGHT_REGISTERS, EIGHT_REGISTERS_BYTES = bytes((3, 16)), 18
-"""Begin and length of the PDU that has eight registers."""
+EIGHT_REGISTERS, EIGHT_REGISTERS_BYTES = bytes((3, 16)), 25
+"""Begin of the PDU, and length of the frame, that has eight registers."""
 _WORDS = Struct(">BHH")
 
 
@@ -62,11 +62,12 @@ def matches(exchanged: Exchanged, unit: int, expected: bytes | None) -> bool:
 
     None is one that has eight registers.
     """
-    reply = exchanged.reply
-    pdu = EIGHT_REGISTERS if expected is None else expected
-    length = HEADER.size + (EIGHT_REGISTERS_BYTES if expected is None else len(expected))
-    head = exchanged.request[:4] + bytes((0, length - 6, unit)) + pdu
-    return len(reply) == length and reply.startswith(head)
+    _, request, _, reply = exchanged
+    if expected is None:
+        pdu, length = EIGHT_REGISTERS, EIGHT_REGISTERS_BYTES
+    else:
+        pdu, length = expected, HEADER.size + len(expected)
+    return len(reply) == length and reply.startswith(request[:4] + bytes((0, length - 6, unit)) + pdu)
 
 
 def read_registers(address: int, count: int) -> bytes:

@@ -62,7 +62,7 @@ class ScriptedExchange:
 
     request: bytes
     expected: bytes | None
-    confirmed: Callable[[], None] = lambda: None
+    confirmed: Callable[[], None] | None = None
 
 
 @dataclass(frozen=True)
@@ -112,8 +112,8 @@ class ModuleRefused(Refused):
 class AdamModule:
     """One module. A call takes one exchange, unless there is a fault; connect and reconnect take several.
 
-    After a fault the module is *unverified*: the wire is resynchronised and the settings are read back before the next
-    value is accepted.
+    `unit` is its own on the wire. After a fault the module is *unverified*: the wire is resynchronised and the settings are
+    read back before the next value is accepted.
     """
 
     def __init__(
@@ -128,12 +128,13 @@ class AdamModule:
         self.name = name
         self.identity = ""
         self._bus = unit.bus
-        self._unit = unit.unit
+        self.unit = unit.unit
         self._tap = unit.tap
         self._found = unit.found
         self._last_outputs: list[bool] | None = None
         self._model = model
         self._ranges = [range_code] * adam.CHANNELS
+        self._ranges_reply = registers(self._ranges)
         self.sign_bit = adam.sign_bit(raw_format)
         self._clock = clock
         self._outputs: list[bool] | None = None
@@ -232,7 +233,7 @@ class AdamModule:
         return SettingsCheck(self, self.check_outputs, script)
 
     def _ranges_script(self, *, after: bool) -> ScriptedExchange:
-        return ScriptedExchange(READ_RANGES, registers(self._ranges), self._note_outputs_checked if after else lambda: None)
+        return ScriptedExchange(READ_RANGES, self._ranges_reply, self._note_outputs_checked if after else None)
 
     def _note_outputs_checked(self) -> None:
         self._outputs_checked = True
@@ -250,11 +251,6 @@ class AdamModule:
 
         return ScriptedExchange(request, request[:CONFIRMATION], confirmed)
 
-    @property
-    def unit(self) -> int:
-        """Its unit on the wire."""
-        return self._unit
-
     def scripts(self) -> ModbusScripts | None:
         """The client of its wire, if that carries out scripts and nothing about the module is doubtful."""
         return None if self._unverified or self._lost_settings is not None else self._bus.scripts()
@@ -269,10 +265,11 @@ class AdamModule:
             self._tap(TO_DEVICE, exchanged.request)
             self._clock.sleep_until(exchanged.arrived_s)
             self._tap(FROM_DEVICE, exchanged.reply)
-        if not matches(exchanged, self._unit, script.expected):
+        if not matches(exchanged, self.unit, script.expected):
             self._unverified = self._bus.stale = True
             return False
-        script.confirmed()
+        if script.confirmed is not None:
+            script.confirmed()
         return True
 
     def check_outputs(self) -> None:
@@ -394,7 +391,7 @@ class AdamModule:
 
         On a serial line some modules do not confirm the longer request in a legible way; that counts as a refusal.
         """
-        call: Call = lambda client: client.write_registers(address, values, device_id=self._unit)  # noqa: E731
+        call: Call = lambda client: client.write_registers(address, values, device_id=self.unit)  # noqa: E731
         if not self._writes_singly:
             try:
                 self._repeat_once(lambda: self._write(call, doing, WRITE_REGISTERS, address, len(values)))
@@ -410,13 +407,13 @@ class AdamModule:
         self._writes_singly = True
 
     def _write_register(self, address: int, value: int, doing: str) -> None:
-        reply = self._ask(lambda client: client.write_register(address, value, device_id=self._unit), doing, WRITE_REGISTER)
+        reply = self._ask(lambda client: client.write_register(address, value, device_id=self.unit), doing, WRITE_REGISTER)
         if (reply.address, reply.registers) != (address, [value]):
             self._reject(doing, f"{reply.registers} in {reply.address} confirmed instead of {value} in {address}")
 
     def _write_outputs(self, outputs: list[bool], doing: str) -> None:
         """Write the outputs at once, or one by one where the module refuses function 15."""
-        call: Call = lambda client: client.write_coils(adam.DIGITAL_OUTPUT, outputs, device_id=self._unit)  # noqa: E731
+        call: Call = lambda client: client.write_coils(adam.DIGITAL_OUTPUT, outputs, device_id=self.unit)  # noqa: E731
         if not self._sets_outputs_singly:
             try:
                 self._repeat_once(lambda: self._write(call, doing, WRITE_COILS, adam.DIGITAL_OUTPUT, len(outputs)))
@@ -429,7 +426,7 @@ class AdamModule:
         self._sets_outputs_singly = True
 
     def _write_output(self, at: int, on: bool, doing: str) -> None:
-        reply = self._ask(lambda client: client.write_coil(at, on, device_id=self._unit), doing, WRITE_COIL)
+        reply = self._ask(lambda client: client.write_coil(at, on, device_id=self.unit), doing, WRITE_COIL)
         if (reply.address, reply.bits) != (at, [on]):
             self._reject(doing, f"{reply.bits} in {reply.address} confirmed instead of {on} in {at}")
 
@@ -450,13 +447,13 @@ class AdamModule:
     def _register_call(self, function_index: int, address: int, count: int) -> Call:
         def call(client: ModbusBaseSyncClient) -> ModbusPDU:
             read = client.read_input_registers if function_index else client.read_holding_registers
-            return read(address, count=count, device_id=self._unit)
+            return read(address, count=count, device_id=self.unit)
 
         return call
 
     def _coils(self, exchange: Exchange) -> list[bool]:
         doing, count = "read its outputs back", self._model.outputs
-        call: Call = lambda client: client.read_coils(adam.DIGITAL_OUTPUT, count=count, device_id=self._unit)  # noqa: E731
+        call: Call = lambda client: client.read_coils(adam.DIGITAL_OUTPUT, count=count, device_id=self.unit)  # noqa: E731
         reply = exchange(call, doing, READ_COILS)
         if len(reply.bits) != 8:  # one byte carries them
             self._reject(doing, f"{len(reply.bits)} coils received instead of {count}")
@@ -499,7 +496,7 @@ class AdamModule:
             self._unverified = self._bus.stale = True
             happened = unless_late(self._bus.late_s, self._bus.timeout_s, describe_fault(error), CHECK_WIRING)
             raise NoAnswer(self.name, doing, *happened) from None
-        if reply.function_code & 0x7F != function or reply.dev_id != self._unit:
+        if reply.function_code & 0x7F != function or reply.dev_id != self.unit:
             self._reject(doing, f"a reply to function {reply.function_code} of unit {reply.dev_id} instead of {function}")
         if reply.isError():
             raise ModuleRefused(self.name, doing, reply.exception_code)

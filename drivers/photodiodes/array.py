@@ -5,7 +5,7 @@ fixed gain, and the settings list only this one.
 """
 
 from bisect import bisect_left
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -20,7 +20,7 @@ from goniotwin.drivers.photodiodes.modbus import NOT_QUIET, ModbusUnit, explain,
 from goniotwin.keys import Fraction, PolarAngle, Positive
 from goniotwin.protocols import adam
 from goniotwin.protocols.clock import Clock
-from goniotwin.protocols.script import Exchanged, ModbusExchange
+from goniotwin.protocols.script import Exchanged, ModbusExchange, ModbusScripts
 
 __all__ = ["PhotodiodeArray", "PhotodiodeSettings", "Readings", "explain", "explain_rtu"]
 
@@ -252,36 +252,32 @@ class PhotodiodeArray:
         return done
 
 
-class Script:
-    """Exchanges of modules in sequence that are handed to the wire together, if it carries out scripts."""
+def run_script(
+    clock: Clock, parts: Iterable[tuple[AdamModule, ScriptedExchange | None, float]], slack_s: float = float("inf")
+) -> list[Exchanged]:
+    """Hand exchanges of modules, each with the time at which it is due, to the wire as far as it can look ahead to them.
 
-    def __init__(self, clock: Clock) -> None:
-        self._clock = clock
-        self._parts: list[tuple[AdamModule, ScriptedExchange]] = []
-        self._exchanges: list[ModbusExchange] = []
-        self._open = True
-
-    def add(self, module: AdamModule, script: ScriptedExchange | None, due_s: float) -> None:
-        """Append an exchange; the script ends before the first that has to be made singly."""
-        client = module.scripts() if self._open and script is not None else None
-        if script is None or client is None:
-            self._open = False
-            return
-        self._parts.append((module, script))
-        self._exchanges.append(ModbusExchange(due_s, client, module.unit, script.request, script.expected))
-
-    def run(self, slack_s: float) -> list[Exchanged]:
-        """Make the exchanges as far as that gives the expected replies; the time is then that of the last reply."""
-        if not self._exchanges:
-            return []
-        made = self._exchanges[0].client.run_script(self._exchanges, slack_s)
-        for taken, ((module, script), exchanged) in enumerate(zip(self._parts, made, strict=False)):
-            if not module.take(script, exchanged):
-                self._clock.sleep_until(made[-1].arrived_s)
-                return made[:taken]
-        if made:
-            self._clock.sleep_until(made[-1].arrived_s)
-        return made
+    The exchanges that were made, and whose replies are the expected ones; the time is then that of the last reply.
+    """
+    known: list[tuple[AdamModule, ScriptedExchange]] = []
+    script: list[ModbusExchange] = []
+    clients: dict[AdamModule, ModbusScripts | None] = {}
+    for module, exchange, due_s in parts:
+        client = clients[module] if module in clients else clients.setdefault(module, module.scripts())
+        if exchange is None or client is None:
+            break
+        known.append((module, exchange))
+        script.append(ModbusExchange(due_s, client, module.unit, exchange.request, exchange.expected))
+    if not script:
+        return []
+    made = script[0].client.run_script(script, slack_s)
+    for taken, ((module, exchange), exchanged) in enumerate(zip(known, made, strict=False)):
+        if not module.take(exchange, exchanged):
+            clock.sleep_until(made[-1].arrived_s)
+            return made[:taken]
+    if made:
+        clock.sleep_until(made[-1].arrived_s)
+    return made
 
 
 class GainChange(Scripted):
@@ -304,10 +300,8 @@ class GainChange(Scripted):
         """Set the outputs of all modules that the wire can look ahead to."""
         if self._tried or self.due >= before:
             return None
-        self._tried, script = True, Script(self._clock)
-        for each in self._left:
-            script.add(each, each.outputs_script(self._outputs), self.due)
-        made = script.run(float("inf"))
+        self._tried = True
+        made = run_script(self._clock, [(each, each.outputs_script(self._outputs), self.due) for each in self._left])
         self._left = self._left[len(made) :]
         return not self._left if made else None
 
@@ -362,11 +356,8 @@ class Readings(Scripted):
     def _run_readings(self, before: float) -> bool | None:
         period_s, modules = self._settings.period_s, len(self._modules)
         dues = [self.due, *(self._first + k * period_s for k in range(self._taken + 1, len(self._counts)))]
-        script = Script(self._clock)
-        for due in dues[: bisect_left(dues, before)]:
-            for module in self._modules:
-                script.add(module, READ_INPUTS, due)
-        made = script.run(LATE * period_s)
+        parts = [(module, READ_INPUTS, due) for due in dues[: bisect_left(dues, before)] for module in self._modules]
+        made = run_script(self._clock, parts, LATE * period_s)
         self._singly = not made
         if not made:
             return None
@@ -383,10 +374,7 @@ class Readings(Scripted):
     def _run_checks(self) -> bool | None:
         if self._checks is None:
             self._checks = self._list_checks()
-        script = Script(self._clock)
-        for check in self._checks:
-            script.add(check.module, check.script, self.due)
-        made = script.run(float("inf"))
+        made = run_script(self._clock, [(each.module, each.script, self.due) for each in self._checks])
         self._singly = True
         self._checks = self._checks[len(made) :]
         return not self._checks if made else None

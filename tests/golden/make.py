@@ -11,7 +11,7 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
-from tests.golden import contents, files, product
+from tests.golden import contents, files, product, wires
 
 
 def _in_a_folder(make: Callable[[Path], object]) -> object:
@@ -57,12 +57,17 @@ def _table3() -> None:
     files.write("table3", product.table3_noise_free().tolist())
 
 
+def _wires() -> None:
+    files.write("wires", _in_a_folder(lambda folder: {name: wires.record(name, folder) for name in wires.SCHEDULES}))
+
+
 MAKERS: dict[str, Callable[[], None]] = {
     **{f"points-{name}": lambda name=name: _campaign(name) for name in contents.JOURNALS},  # type: ignore[misc]
     "plans": _plans,
     "simulations": _simulations,
     "table3": _table3,
     "read-journals": _read_journals,
+    "wires": _wires,
 }
 
 

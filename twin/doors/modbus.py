@@ -92,11 +92,7 @@ class TwinModbusClient(ModbusTcpClient):
         if not isinstance(clock, VirtualClock):
             return []
         with self._rig.lock:
-            run = _Script(clock.now(), clock.next_event(), slack_s)
-            for exchange in script:
-                if not run.add(exchange):
-                    break
-            return run.made()
+            return _carry_out(script, clock.now(), clock.next_event(), slack_s)
 
     @property
     def station(self) -> TcpStation | None:
@@ -106,87 +102,80 @@ class TwinModbusClient(ModbusTcpClient):
             return None
         return wire
 
-    def next_transaction(self) -> int:
-        """The identifier of the next request, which counts as answered: the state of pymodbus after an exchange."""
-        self.transaction.count_until_disconnect = self.transaction.max_until_disconnect
-        return int(self.transaction.getNextTID())
+
+class _End:
+    """One client's end of a script, and its station's: `free_s` is when that can take the next request."""
+
+    __slots__ = ("device", "free_s", "half_s", "station", "transactions")
+
+    def __init__(self, client: TwinModbusClient, station: TcpStation) -> None:
+        self.station, self.device, self.transactions = station, station.device, client.transaction
+        self.half_s, self.free_s = 0.5 * self.device.latency_s, station.free
+
+    def note(self, made: list[Exchanged], exchange: ModbusExchange, sent_s: float, arrived_s: float, reply: bytes) -> None:
+        """An exchange that was made: pymodbus and the station are as after it."""
+        _, _, unit, request, _ = exchange
+        transaction = self.transactions.getNextTID()
+        self.station.free = arrived_s
+        sent = HEADER.pack(transaction, 0, 1 + len(request), unit) + request
+        made.append(Exchanged(sent_s, sent, arrived_s, HEADER.pack(transaction, 0, 1 + len(reply), unit) + reply))
 
 
-class _Script:
-    """A script in progress on stations of one rig, which began at `now`, s; an event is due at `until`."""
+_Reading = tuple[_End, ModbusExchange, float, float, float]
+"""A reading of registers to be made with others: sent, reached the module, arrived, s."""
 
-    def __init__(self, now: float, until: float, slack_s: float) -> None:
-        self._now, self._until, self._slack_s = now, until, slack_s
-        self._stations: dict[object, TcpStation | None] = {}
-        self._free: dict[object, float] = {}
-        self._made: list[Exchanged] = []
-        self._readings: list[tuple[ModbusExchange, float, float, float]] = []
-        self._modules: list[ConverterModule] = []
 
-    def add(self, exchange: ModbusExchange) -> bool:
-        """Make an exchange, or read its registers later with those of others; False where it has to be made singly."""
+def _carry_out(script: Sequence[ModbusExchange], now: float, until: float, slack_s: float) -> list[Exchanged]:
+    """Make the first exchanges of a script on stations of one rig, from `now` on; an event is due at `until`.
+
+    A module refuses before it changes anything, so that a reply other than the expected one has no effect.
+    """
+    made: list[Exchanged] = []
+    readings: list[_Reading] = []
+    ends: dict[object, _End] = {}
+    for exchange in script:
         due, client, unit, request, expected = exchange
-        if client not in self._stations:
-            station = self._stations[client] = client.station if isinstance(client, TwinModbusClient) else None
-            self._free[client] = station.free if station is not None else 0.0
-        else:
-            station = self._stations[client]
-        sent = max(self._now, due)
-        if station is None or unit not in station.device.units or sent > due + self._slack_s:
-            return False
-        device = station.device
-        begins = max(self._free[client], sent + 0.5 * device.latency_s)
-        arrived = begins + 0.5 * device.latency_s
-        if arrived >= self._until:
-            return False
+        end = ends.get(client)
+        if end is None:
+            station = client.station if isinstance(client, TwinModbusClient) else None
+            if station is None:
+                break
+            assert isinstance(client, TwinModbusClient)
+            end = ends[client] = _End(client, station)
+        sent = due if due > now else now
+        reached = sent + end.half_s
+        begins = reached if reached > end.free_s else end.free_s
+        arrived = begins + end.half_s
+        if sent > due + slack_s or arrived >= until or unit not in end.device.units:
+            break
         if expected is None:
             if request != READ_INPUTS:
-                return False
-            self._readings.append((exchange, sent, begins, arrived))
-            self._modules.append(device)
+                break
+            readings.append((end, exchange, sent, begins, arrived))
         else:
-            if not self._read() or not self._exchange(exchange, device, sent, begins, arrived):
-                return False
-        self._now = self._free[client] = arrived
-        return True
+            if readings and not _read(readings, made):
+                break
+            readings = []
+            reply = answered(end.device, request, begins)
+            if reply != expected:
+                break
+            end.note(made, exchange, sent, arrived, reply)
+        now = end.free_s = arrived
+    if readings:
+        _read(readings, made)
+    for end in ends.values():
+        end.transactions.count_until_disconnect = end.transactions.max_until_disconnect
+    return made
 
-    def made(self) -> list[Exchanged]:
-        """The exchanges that were made."""
-        self._read()
-        return self._made
 
-    def _exchange(self, exchange: ModbusExchange, device: ConverterModule, sent: float, begins: float, arrived: float) -> bool:
-        """One exchange. A module refuses before it changes anything, so that another reply than the expected has no effect."""
-        reply = answered(device, exchange.request, begins)
-        if reply != exchange.expected:
-            return False
-        self._note(exchange, sent, arrived, reply)
-        return True
-
-    def _read(self) -> bool:
-        """The registers that are still to be read, all at once; False where they change meanwhile."""
-        if not self._readings:
-            return True
-        data = ConverterModule.read_together(self._modules, [begins for _, _, begins, _ in self._readings])
-        if data is not None:
-            for k, (exchange, sent, _, arrived) in enumerate(self._readings):
-                self._note(exchange, sent, arrived, EIGHT_REGISTERS + data[16 * k : 16 * k + 16])
-        self._readings, self._modules = [], []
-        return data is not None
-
-    def _note(self, exchange: ModbusExchange, sent: float, arrived: float, reply: bytes) -> None:
-        client, unit, request = exchange.client, exchange.unit, exchange.request
-        station = self._stations[client]
-        assert isinstance(client, TwinModbusClient)
-        assert station is not None
-        station.free = arrived
-        transaction = client.next_transaction()
-        self._made.append(
-            Exchanged(
-                sent, HEADER.pack(transaction, 0, 1 + len(request), unit) + request,
-                arrived, HEADER.pack(transaction, 0, 1 + len(reply), unit) + reply,
-            )
-        )  # fmt: skip
+def _read(readings: Sequence[_Reading], made: list[Exchanged]) -> bool:
+    """The registers of many readings at once; False, and none of them, where they change meanwhile."""
+    data = ConverterModule.read_together([each[0].device for each in readings], [each[3] for each in readings])
+    if data is None:
+        return False
+    for k, (end, exchange, sent, _, arrived) in enumerate(readings):
+        end.note(made, exchange, sent, arrived, EIGHT_REGISTERS + data[16 * k : 16 * k + 16])
+    return True
 
 
 class TwinRtuClient(ModbusSerialClient):

@@ -148,6 +148,10 @@ class Plant:
             changed[0] = drift_per_hour
         self._lamp = (changed, keys)
 
+    def count_mountings(self, earlier: Mapping[str, int]) -> None:
+        """Count mountings of samples before those that follow."""
+        self._mountings.update(earlier)
+
     def tilt_sample(self, tilt_deg: float, t: float) -> None:
         """Tilt the sample's normal in the plane of incidence, towards the light for positive angles."""
         self.tilt_deg.set(t, tilt_deg)

@@ -1,7 +1,8 @@
 """The poses that a virtual rig is going to be asked for: the plan knows them before their rows."""
 
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
+from types import MappingProxyType
 
 from goniotwin.app.campaign.row import NO_SAMPLE, Row
 from goniotwin.app.rig import AXES
@@ -9,11 +10,16 @@ from goniotwin.drivers import Rig
 from goniotwin.drivers.motion.settings import AxisSettings
 from goniotwin.twin.plant import ExpectedPose
 
+NONE: Mapping[str, int] = MappingProxyType({})
 
-def expected_poses(rows: Iterable[Row], rig: Rig) -> Iterator[ExpectedPose]:
-    """The poses of rows that begin with a mounting, as the drivers of a rig set them; none for an axis of another make."""
+
+def expected_poses(rows: Iterable[Row], rig: Rig, before: Mapping[str, int] = NONE) -> Iterator[ExpectedPose]:
+    """The poses of rows that begin with a mounting, as the drivers of a rig set them; none for an axis of another make.
+
+    `before` is how often each sample was mounted before.
+    """
     settings = {name: axis.settings for name, axis in rig.axes.items()}
-    mounted, mountings, position = None, Counter[str](), 1
+    mounted, mountings, position = None, Counter(before), 1
     for row in rows:
         if row.kind == "mount":
             if mounted != row.sample and row.sample != NO_SAMPLE:

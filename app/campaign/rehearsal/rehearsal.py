@@ -7,7 +7,7 @@ operator some time.
 
 import tempfile
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -15,18 +15,21 @@ from typing import Any
 from goniotwin.app.campaign.journal.writing import Journal, software_versions
 from goniotwin.app.campaign.planning.check import check_plan
 from goniotwin.app.campaign.planning.plan import NewPlan, Plan, make_plan
+from goniotwin.app.campaign.rehearsal.assumed_references import assume_referenced
+from goniotwin.app.campaign.rehearsal.blocks import divide, run_blocks, why_in_one_process
 from goniotwin.app.campaign.rehearsal.expected_poses import expected_poses
 from goniotwin.app.campaign.rehearsal.forecast import forecast
 from goniotwin.app.campaign.rehearsal.row_statistics import RowStatistics
 from goniotwin.app.campaign.rehearsal.warnings import rehearsal_warnings, relevant_photodiodes, value_warnings
 from goniotwin.app.campaign.running.engine import Engine
-from goniotwin.app.campaign.running.events import Listener, State
+from goniotwin.app.campaign.running.events import Event, Listener, State
 from goniotwin.app.campaign.running.operator import VirtualOperator
 from goniotwin.app.campaign.running.resume import RemainingWork, remaining_work
 from goniotwin.app.campaign.schedule.file import ScheduleDescription
 from goniotwin.app.errors import UserError
-from goniotwin.app.rig import OpenRig, RigDescription, open_rig
+from goniotwin.app.rig import RigDescription, open_rig
 from goniotwin.app.rig.described_twin import described_twin
+from goniotwin.app.sweeps.runners import on_this_computer
 from goniotwin.protocols.clock import VirtualClock
 
 
@@ -83,16 +86,18 @@ def rehearse(
     out: Path | None = None,
     points: Path | None = None,
     listeners: list[Listener] | None = None,
+    processes: int = 1,
 ) -> Rehearsal:
     """Run a plan of `plan_rehearsal` on the twin, and evaluate its journal.
 
-    The journal is written to `out`, or deleted. `points` is a CSV for the predicted uncertainty of each direction. Raises
-    UserError, and KeyboardInterrupt for a Ctrl-C.
+    The journal is written to `out`, or deleted. `points` is a CSV for the predicted uncertainty of each direction. With more
+    than one of `processes` the rows are rehearsed in blocks (see `rehearsal.blocks`), where that is possible; the result
+    states it. Raises UserError, and KeyboardInterrupt for a Ctrl-C.
     """
     statistics = RowStatistics(plan.rig.file.photodiodes, partial(relevant_photodiodes, plan))
     with tempfile.TemporaryDirectory(prefix="goniotwin-rehearsal-") as folder:
         path = out if out is not None else Path(folder) / "rehearsal.journal"
-        run = run_on_twin(plan, path, statistics, listeners or [])
+        run = run_in_processes(plan, path, statistics, listeners or [], processes)
         warnings = [*check_plan(plan)["warnings"], *rehearsal_warnings(plan, statistics)]
         heading = f"SIMULATED: {plan.schedule.file.name} rehearsed on {plan.rig.file.name}; nothing here is real"
         about = [heading, *(f"assumed: {each}" for each in (*assumed, *run.assumed))]
@@ -135,6 +140,32 @@ def rehearse(
     return Rehearsal(plan, result)
 
 
+def run_in_processes(
+    plan: Plan, path: Path, statistics: RowStatistics, listeners: list[Listener], processes: int
+) -> RehearsalRun:
+    """`run_on_twin`, in blocks of rows where there are several processes and the plan can be divided. Raises as `rehearse`."""
+    if processes < 2:
+        return run_on_twin(plan, path, statistics, listeners)
+    reason = why_in_one_process(plan)
+    blocks = divide(plan, processes)
+    if not reason:
+        counted: list[Event] = []
+        try:
+            seconds = run_blocks(plan, blocks, path, on_this_computer(processes, len(blocks)), [counted.append, *listeners])
+        except UserError as error:
+            path.unlink(missing_ok=True)
+            reason = str(error)
+        else:
+            for each in counted:
+                statistics(each)
+            first = plan.rows[blocks[1].first]
+            about = f"{len(blocks)} blocks of rows, each in a process of its own: from {first.identity} on, lamp and noise are "
+            assumed = (f"{about}those of the times that the plan expects, not of those in one process",)
+            return RehearsalRun(State.DONE, "", len(plan.rows), 1, seconds, (), assumed)
+    run = run_on_twin(plan, path, statistics, listeners)
+    return replace(run, assumed=(*run.assumed, f"rehearsed in one process, because {reason}"))
+
+
 def run_on_twin(plan: Plan, path: Path, statistics: RowStatistics, listeners: list[Listener]) -> RehearsalRun:
     """Run the plan on its virtual rig, with `statistics` and other listeners; the journal is left at `path`.
 
@@ -148,7 +179,7 @@ def run_on_twin(plan: Plan, path: Path, statistics: RowStatistics, listeners: li
         while True:
             with open_rig(plan.rig, VirtualClock(rest.start_s if rest else 0.0)) as opened:
                 opened.connect()
-                assumed = _assume_referenced(opened)
+                assumed = assume_referenced(opened)
                 assert opened.virtual is not None
                 work = rest.work if rest else None
                 opened.virtual.plant.expect(expected_poses(plan.rows if work is None else work, opened.rig))
@@ -164,13 +195,3 @@ def run_on_twin(plan: Plan, path: Path, statistics: RowStatistics, listeners: li
                     state, engine.ended_by_schedule, done, sessions, journal.seconds, tuple(faults), tuple(assumed)
                 )
             rest = remaining_work(journal, plan.rig)
-
-
-def _assume_referenced(opened: OpenRig) -> list[str]:
-    """Reference the axes that are unreferenced after power-up, at the twin's positions; give the assumptions."""
-    unreferenced = [name for name, axis in opened.rig.axes.items() if axis.unreferenced_reason]
-    for name in unreferenced:
-        opened.rig.axes[name].set_position()
-    return [
-        f"{name} has been referenced before the campaign begins (goniotwin home, goniotwin here)" for name in unreferenced
-    ]  # fmt: skip

@@ -7,7 +7,7 @@ import contextlib
 import threading
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from functools import partial
+from functools import lru_cache, partial
 from itertools import accumulate, islice
 from typing import TypeVar
 
@@ -468,4 +468,9 @@ class Engine:
 def _cut_of(row: Row) -> Cut:
     assert row.pose is not None
     gamma, sigma, beta, _shift = row.pose
-    return row.sample, gamma, sigma, float(scan_plane_deg(np.array(beta)))
+    return row.sample, gamma, sigma, _scan_plane_of(beta)
+
+
+@lru_cache
+def _scan_plane_of(beta_deg: float) -> float:
+    return float(scan_plane_deg(np.array(beta_deg)))

@@ -8,7 +8,7 @@ import pytest
 from goniotwin.app.rig import read_rig
 from goniotwin.twin import TwinModel
 from goniotwin.twin.optics import SampleFrames
-from goniotwin.twin.plant import Estimator
+from goniotwin.twin.plant import Disturbances, Estimator
 from goniotwin.twin.plant.view import Aspect, View
 from tests.conftest import RIG
 
@@ -70,3 +70,38 @@ def test_each_pose_has_its_own_reproducible_random_numbers(model: TwinModel) -> 
     first, other = (View(traced).throughputs_m2sr(each) for each in (ACROSS, again))
     assert np.any(first[:UPPER] != other[:UPPER])
     np.testing.assert_array_equal(View(traced).throughputs_m2sr(ACROSS), first)
+
+
+def poses(samples: tuple[str | None, ...] = ("etalon", "gaussian-5")) -> list[Aspect]:
+    return [
+        Aspect(sample, tilt_deg, 550.0, sigma_deg, 0.0, beta_deg, shift_deg, mounting=1)
+        for sample in samples
+        for tilt_deg in (0.0, 0.1)
+        for sigma_deg in (0.0, 42.0)
+        for beta_deg in (0.0, 117.3)
+        for shift_deg in (0.0, 1.25, 2.5)
+    ]
+
+
+def test_expected_poses_have_the_throughputs_of_poses_one_by_one_to_the_bit(model: TwinModel) -> None:
+    off = Disturbances(sample_tilt_deg=0.2, photodiode_angle_deg=0.02, photodiode_across_deg=0.03, sigma_zero_deg=0.1)
+    model = replace(model, disturbances=off)
+    ahead, singly = View(model), View(model)
+    ahead.expect(poses())
+    for each in poses():
+        np.testing.assert_array_equal(ahead.throughputs_m2sr(each), singly.throughputs_m2sr(each))
+
+
+def test_poses_that_were_not_expected_and_expected_ones_that_do_not_come_change_nothing(model: TwinModel) -> None:
+    view = View(model)
+    view.expect(poses(("gaussian-5",)))
+    for each in (*poses(("etalon", None))[::2], *poses(("gaussian-5",))[::-3]):
+        np.testing.assert_array_equal(view.throughputs_m2sr(each), View(model).throughputs_m2sr(each))
+
+
+def test_expected_poses_are_computed_in_one_call(model: TwinModel, monkeypatch: pytest.MonkeyPatch) -> None:
+    view = View(model)
+    view.expect(poses())
+    view.throughputs_m2sr(poses()[0])
+    monkeypatch.setattr(View, "_compute", None)
+    assert all(view.throughputs_m2sr(each).shape == (2 * UPPER,) for each in poses())
