@@ -7,7 +7,7 @@ from transmitted light: without a sample it is the direct beam.
 """
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -55,26 +55,8 @@ class ArcGeometry:
         if pose not in self._kept:
             if len(self._kept) >= MOST_POSES:
                 self._kept.clear()
-            self.keep([pose])
+            self._kept[pose] = [(view, self._blocked(view, pose)) for view in arc_views(self._rig, pose)]
         return self._kept[pose]
-
-    def keep(self, poses: Iterable[PoseAngles]) -> None:
-        """Compute the views of poses, those of one position of the mirror unit at once, as far as there is room for them."""
-        missing = [pose for pose in dict.fromkeys(poses) if pose not in self._kept][: MOST_POSES - len(self._kept)]
-        views = {pose: arc_views(self._rig, pose) for pose in missing}
-        # For transmitted light the mirror unit has another position at the etalon, and blocks other directions there.
-        at: dict[tuple[float, float], list[ArcView]] = {}
-        for pose in missing:
-            for view in views[pose]:
-                for sigma in {pose[1], view.etalon_pose(pose)[1]}:
-                    at.setdefault((sigma, pose[0]), []).append(view)
-        blocked = {id(view): np.zeros(view.channels.size, dtype=bool) for each in views.values() for view in each}
-        for (sigma, gamma), seen in at.items():
-            zenith, azimuth = (np.concatenate([getattr(view, name) for view in seen]) for name in ("zenith", "azimuth"))
-            flags = blocked_by_mirrors(self._rig, sigma, zenith, azimuth, gamma)
-            for view, own in zip(seen, np.split(flags, np.cumsum([view.channels.size for view in seen])[:-1]), strict=True):
-                blocked[id(view)] |= own
-        self._kept.update({pose: [(view, blocked[id(view)]) for view in each] for pose, each in views.items()})
 
     def pose_sums(self, poses: Sequence[PoseAngles]) -> Floats:
         """What the variances by the errors of angles need at poses, whatever the slopes: (poses, photodiodes, 2, 6).
@@ -92,6 +74,12 @@ class ArcGeometry:
             sums[at, np.concatenate([view.channels for _, _, view in views])] = pose_moments(self._rig, views_of_arcs(views))
             self._sums.update(zip(missing, sums, strict=True))
         return np.stack([self._sums[pose] for pose in poses])
+
+    def _blocked(self, view: ArcView, pose: PoseAngles) -> Flags:
+        # For transmitted light the mirror unit has another position at the etalon, and blocks other directions there.
+        sigmas = {pose[1], view.etalon_pose(pose)[1]}
+        blocked = [blocked_by_mirrors(self._rig, at, view.zenith, view.azimuth, pose[0]) for at in sigmas]
+        return np.asarray(np.any(blocked, axis=0))
 
 
 def views_of_arcs(views: Sequence[tuple[int, PoseAngles, ArcView]]) -> Views:
@@ -187,7 +175,6 @@ class ReferenceSignals:
 def reference_keys(rows: Sequence[Row], geometry: ArcGeometry) -> tuple[list[PoseKey], list[PoseKey]]:
     """Where rows were measured, and where their photodiodes need a signal of the etalon."""
     own, etalon = [], []
-    geometry.keep(row.pose for row in rows if row.pose is not None)
     for row in rows:
         assert row.pose is not None
         own.append(pose_key(row, row.pose))
