@@ -9,11 +9,10 @@ import os
 from collections.abc import Collection
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
-from matplotlib.figure import Figure
 
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats import BsdfTable, FormatError, PointStream, registry
@@ -30,6 +29,9 @@ from goniotwin.twin.optics.geometry.coordinates import (
     round_deg,
     wrap_azimuth,
 )
+
+if TYPE_CHECKING:  # tables need nothing that draws
+    from matplotlib.figure import Figure
 
 KINDS = registry.BSDF
 """A simulation is written as a table of the output grid, as points of all detectors, or as the regular component alone."""
@@ -441,7 +443,7 @@ def _block(simulation: Simulation, at: SigmaResult, row: int) -> dict[str, npt.N
     }
 
 
-def write_figure(figure: Figure, path: Path, dots_per_inch: int | None = None) -> None:
+def write_figure(figure: "Figure", path: Path, dots_per_inch: int | None = None) -> None:
     """Write a figure as a PNG, completely or not at all; by default with the figure's own resolution. Raises UserError."""
     content = io.BytesIO()
     figure.savefig(content, format="png", dpi="figure" if dots_per_inch is None else dots_per_inch)

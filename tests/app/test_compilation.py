@@ -70,7 +70,7 @@ def test_a_part_that_the_other_process_cannot_compile_is_a_fault(monkeypatch: py
 
 def test_without_a_folder_for_compiled_code_a_command_goes_on_and_compile_states_it(monkeypatch: pytest.MonkeyPatch) -> None:
     compiler = Compiler(monkeypatch)
-    monkeypatch.setattr("goniotwin.twin.optics.kernel.CACHED", False)
+    monkeypatch.setattr("goniotwin.twin.optics.kernel._set_cache_folder", lambda: False)
     assert compile_ahead() == []
     with pytest.raises(UserError, match="set NUMBA_CACHE_DIR"):
         compile_optics()

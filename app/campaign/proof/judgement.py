@@ -32,7 +32,7 @@ from goniotwin.app.campaign.reduction.points import BsdfPoints, join_points
 from goniotwin.app.campaign.reduction.reduction import Reduction
 from goniotwin.app.campaign.reduction.reflectance import components_of_sum, integration_settings, quadrature
 from goniotwin.app.campaign.uncertainty.effects import Effects
-from goniotwin.app.campaign.uncertainty.fit import Fit, fit_inputs
+from goniotwin.app.campaign.uncertainty.fit import Fit, ValuesCovariance
 from goniotwin.app.rig import AXES
 from goniotwin.arrays import Flags, Floats
 from goniotwin.twin.optics import Scatterer
@@ -222,7 +222,8 @@ def _fit(scatterer: Scatterer, points: BsdfPoints, truth: Floats, settings: Redu
     own = {name: variance for name, variance in effects.independent.items() if name not in OF_ANGLES}
     effects = replace(effects, independent=own)
     residual = relative_residuals(points, truth)
-    fit = fit_inputs(effects, residual)
+    covariance = ValuesCovariance(effects)
+    fit = covariance.fit(residual)
     none = np.zeros(points.size)
     by_slopes = [
         angles(replace(points, slope_along=none + along, slope_across=none + across), settings)
@@ -232,7 +233,7 @@ def _fit(scatterer: Scatterer, points: BsdfPoints, truth: Floats, settings: Redu
         estimate = dict(zip((each.name for each in fit.inputs), fit.estimate.tolist(), strict=True))
         diffuse, *moved = (effect_of(each, estimate) for each in by_slopes)
         along, across = (each - diffuse for each in moved)
-        fit = fit_inputs(effects, residual - share * _second_order(scatterer, points, along, across))
+        fit = covariance.fit(residual - share * _second_order(scatterer, points, along, across))
     return effects, fit
 
 

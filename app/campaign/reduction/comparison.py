@@ -61,7 +61,8 @@ def true_bsdf(scatterer: Scatterer, points: BsdfPoints) -> Floats:
     """BSDF (n,) in 1/sr of a model at the nominal wavelengths, incidences and directions of points."""
     result = np.empty(points.size)
     places, which = np.unique(np.stack([points.wavelength_nm, points.gamma_deg], axis=1), axis=0, return_inverse=True)
-    lights = np.array([light_direction(sigma) for sigma in points.sigma_deg.tolist()]).reshape(-1, 3)
+    sigmas, light = np.unique(points.sigma_deg, return_inverse=True)
+    lights = np.array([light_direction(sigma) for sigma in sigmas.tolist()]).reshape(-1, 3)[light.ravel()]
     directions = arc_direction(points.zenith_deg, points.azimuth_deg)
     for k, (wavelength_nm, gamma_deg) in enumerate(places.tolist()):
         at = which.ravel() == k

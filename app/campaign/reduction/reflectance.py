@@ -8,6 +8,7 @@ what these add is stated apart.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Protocol
 
 import numpy as np
@@ -170,6 +171,13 @@ def _azimuth_shares(azimuth_deg: Floats, good: Flags, folded: bool) -> tuple[Flo
 
     Values of one direction share its part. Third: the widest gap between measured directions, deg.
     """
+    return _shares_of(azimuth_deg.tobytes(), good.tobytes(), folded)
+
+
+@lru_cache(maxsize=256)
+def _shares_of(azimuths: bytes, flags: bytes, folded: bool) -> tuple[Floats, Floats, float]:
+    """`_azimuth_shares`: most rings have the same azimuths, as most rigs of a proof have. Do not write to the arrays."""
+    azimuth_deg, good = np.frombuffer(azimuths), np.frombuffer(flags, dtype=bool)
     nodes, node = np.unique(azimuth_deg, return_inverse=True)
     having = np.zeros(nodes.size, dtype=bool)
     having[node[good]] = True

@@ -10,7 +10,10 @@ without any count of free parameters:
 The group with the most inputs (the readings of the etalon) is eliminated block by block; all other inputs stand in one matrix.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -95,15 +98,21 @@ class ValuesCovariance:
         fitted = inverse @ (self._scaled.T @ solved)
         # C^-1 r and the diagonal of C^-1, with C = W^-1 + scaled scaled'.
         whole = solved - weighted @ fitted
-        diagonal = self._blocks.diagonal - np.sum((weighted @ inverse) * weighted, axis=1)
         return Fit(
             chi_square=v * whole**2,
-            expected=v * diagonal,
+            expected=self._expected,
             inputs=tuple(self._inputs),
             estimate=u * fitted,
             expected_variance=u**2 * np.maximum(1.0 - np.diag(inverse), 0.0),
             covariance=u[:, None] * inverse * u,
         )
+
+    @cached_property
+    def _expected(self) -> Floats:
+        """The expected squares (n,) of what a fit leaves, over the independent variances."""
+        weighted = self._weighted
+        diagonal = self._blocks.diagonal - np.sum((weighted @ self._inverse) * weighted, axis=1)
+        return np.asarray(self._v * diagonal)
 
 
 @dataclass(frozen=True)
@@ -119,7 +128,7 @@ class _Shared:
 def _known(group: Group) -> _Shared:
     u = {number: each.u for number, each in group.inputs.items()}
     member = group.member.copy()
-    of_each = np.array([u.get(int(k), 0.0) for k in member.ravel()]).reshape(member.shape)
+    of_each = _of_members(member, u, 0.0)
     member[(of_each == 0.0) | (group.sensitivity == 0.0)] = -1
     # An input that a value has twice counts once, with the sum of its sensitivities.
     effect = np.where(member >= 0, group.sensitivity * of_each, 0.0)
@@ -132,8 +141,14 @@ def _known(group: Group) -> _Shared:
     return _Shared(dict(group.inputs), member, effect, dict(zip(numbers.tolist(), counts.tolist(), strict=True)))
 
 
+def _of_members(member: Ints, numbers: Mapping[int, Any], none: Any) -> Any:
+    """What `numbers` has for each member, `none` for the others: an array of the shape of `member`."""
+    distinct, place = np.unique(member, return_inverse=True)
+    return np.array([numbers.get(k, none) for k in distinct.tolist()])[place].reshape(member.shape)
+
+
 def _alone(group: _Shared) -> Flags:
-    return np.array([group.count.get(int(k), 0) < ALONE for k in group.member.ravel()]).reshape(group.member.shape)
+    return np.asarray(_of_members(group.member, group.count, 0) < ALONE)
 
 
 def _alone_variance(group: _Shared) -> Floats:
@@ -180,7 +195,7 @@ def _matrix(effects: Effects, groups: list[_Shared]) -> tuple[list[Input], Float
     for group in groups:
         numbers = sorted(number for number, count in group.count.items() if count >= ALONE)
         at = {number: k for k, number in enumerate(numbers)}
-        place = np.array([at.get(int(k), -1) for k in group.member.ravel()], dtype=np.int64).reshape(group.member.shape)
+        place = _of_members(group.member, at, -1)
         block = np.zeros((effects.value.size, len(numbers)))
         u = np.array([group.inputs[number].u for number in numbers])
         row, column = np.nonzero(place >= 0)
