@@ -234,17 +234,8 @@ def _named_channels(path: StrPath, values: ScatteredBsdf) -> tuple[list[str], In
 
 
 def _rows(angles: Floats, table: Floats) -> Iterator[str]:
-    texts = [_texts(each) for each in angles]
-    line = ",".join(["%s"] * 4 + ["%.9g"] * len(table)) + "\n"
+    # With eleven decimals pi / 2 is not above itself, as it is with nine.
+    line = ",".join(["%.11f"] * len(angles) + ["%.9g"] * len(table)) + "\n"
     for start in range(0, angles.shape[1], ROWS_AT_ONCE):
-        stop = start + ROWS_AT_ONCE
-        columns = [each[start:stop] for each in texts] + [each[start:stop].tolist() for each in table]
-        yield "".join([line % row for row in zip(*columns, strict=True)])
-
-
-def _texts(angles: Floats) -> list[str]:
-    """Each angle in rad; most are there many times. With eleven decimals pi / 2 is not above itself, as it is with nine."""
-    known, of_known = np.unique(angles, return_inverse=True)
-    spelled = np.array([f"{each:.11f}" for each in known.tolist()], dtype=object)
-    found: list[str] = spelled[of_known].tolist()
-    return found
+        some = np.concatenate([each[:, start : start + ROWS_AT_ONCE] for each in (angles, table)]).T
+        yield line * len(some) % tuple(some.ravel().tolist())  # one call for many rows

@@ -49,10 +49,12 @@ class Lines:
 
     def separate(self, chosen: Ints, separators: str) -> None:
         """Take characters that separate the numbers of some lines as blanks."""
-        blanks = str.maketrans(separators, " " * len(separators))
-        for at in chosen.tolist():
-            self.lines[at] = self.lines[at].translate(blanks)
-            self.counts[at] = len(self.lines[at].split())
+        lines = [self.lines[at] for at in chosen.tolist()]
+        for separator in separators:
+            lines = [line.replace(separator, " ") for line in lines]
+        for at, line in zip(chosen.tolist(), lines, strict=True):
+            self.lines[at] = line
+        self.counts[chosen] = np.fromiter((len(line.split()) for line in lines), np.int64, len(lines))
 
     def error(self, index: int, wrong: str, remedy: str) -> FormatError:
         """A FormatError at a line."""
@@ -74,7 +76,7 @@ class Lines:
         text = "\n".join([self.lines[each] for each in chosen.tolist()])
         try:
             if PLAIN.fullmatch(text):
-                found = np.array([float(word) for word in text.split()])
+                found = np.array(list(map(float, text.split())))
                 if np.isfinite(found).all():
                     return found
         except ValueError:

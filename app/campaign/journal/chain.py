@@ -9,7 +9,7 @@ import itertools
 import json
 import operator
 import sqlite3
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -29,8 +29,9 @@ ROW_NUMBERS = 12
 READING = "gain_v_per_a, first_s, period_s, monitor_a, readings, channels, counts"
 NAMED_ROWS = 5
 """Damaged rows that a message names."""
-_encoder = json.JSONEncoder(default=repr)  # a damaged value may be of any type
-_json = _encoder.encode
+ENCODED_TOGETHER = 64
+"""Rows of which the numbers are encoded in one call: one by one takes twice the time."""
+_json = json.JSONEncoder(default=repr).encode  # a damaged value may be of any type
 
 
 class ChainError(ValueError):
@@ -165,22 +166,34 @@ class _Links:
         self.count = self.last = self.gap = 0
         self.tip = tip
         repaired: str | None = None  # the hash of the last link as computed, where it differs from the stored one
-        readings = _readings_by_link(db)
-        following = next(readings, (0, []))
-        for link, stored, *row in db.execute(f"SELECT link, sha256, {ROW.format('chain')} ORDER BY link"):
-            counted: list[Any] = []
-            if following[0] == link:
-                counted, following = following[1], next(readings, (0, []))
-            computed = _link_hash(self.tip, link, row, counted)
-            sound = computed == _text(stored)
+        for link, stored, row, counted, computed in _computed_links(db, tip):
+            sound = computed == stored
             if not sound and repaired is not None:  # the damage may be that of the hash before
-                sound = _link_hash(repaired, link, row, counted) == _text(stored)
+                sound = _link_hash(repaired, link, row, counted) == stored
             if link != self.last + 1:
                 self.gap, sound = link, False
             if not sound:
                 self.bad.add(link)
             repaired = None if sound else computed
-            self.tip, self.last, self.count = _text(stored), link, self.count + 1
+            self.tip, self.last, self.count = stored, link, self.count + 1
+
+
+def _computed_links(db: sqlite3.Connection, tip: str) -> Iterator[tuple[int, str, Sequence[Any], list[Any], str]]:
+    """Of each link its number, the stored hash, its row and readings, and the hash of these after the stored hash before it."""
+    readings = _readings_by_link(db)
+    following = next(readings, (0, []))
+    found = db.execute(f"SELECT link, sha256, {ROW.format('chain')} ORDER BY link")
+    while block := found.fetchmany(ENCODED_TOGETHER):
+        links = []
+        for link, stored, *row in block:
+            counted: list[Any] = []
+            if following[0] == link:
+                counted, following = following[1], next(readings, (0, []))
+            links.append((tip, link, row, counted))
+            tip = _text(stored)
+        encoded = _encoded_rows([_link_contents(*each) for each in links])
+        for (_, link, row, counted), (_, stored, *_), content in zip(links, block, encoded, strict=True):
+            yield link, _text(stored), row, counted, hashlib.sha256(content).hexdigest()
 
 
 def _readings_by_link(db: sqlite3.Connection) -> Iterator[tuple[int, list[Any]]]:
@@ -245,10 +258,10 @@ def _check_sessions(db: sqlite3.Connection, after: int, links: _Links, *, rows: 
 
 def _plan_hash(db: sqlite3.Connection) -> str:
     found = hashlib.sha256()
-    for number, *row in db.execute(
-        f"SELECT number, {PLAN_NUMBERS}, {PLAN_TEXTS} FROM plan WHERE session IS NULL ORDER BY number"
-    ):
-        found.update(_encoded([number, *row[:6]], row[6:]))
+    rows = db.execute(f"SELECT number, {PLAN_NUMBERS}, {PLAN_TEXTS} FROM plan WHERE session IS NULL ORDER BY number")
+    while block := rows.fetchmany(ENCODED_TOGETHER):
+        for content in _encoded_rows([(row[:7], row[7:]) for row in block]):
+            found.update(content)
     return found.hexdigest()
 
 
@@ -261,19 +274,38 @@ def _session_hash(row: Sequence[Any]) -> str:
 
 
 def _link_hash(previous: str, link: int, row: Sequence[Any], readings: Sequence[Sequence[Any]]) -> str:
+    return _hash(*_link_contents(previous, link, row, readings))
+
+
+def _link_contents(
+    previous: str, link: int, row: Sequence[Any], readings: Sequence[Sequence[Any]]
+) -> tuple[Sequence[Any], Sequence[Any]]:
+    """Numbers and contents of a link."""
     numbers = [previous, link, *row[:ROW_NUMBERS], *(each for reading in readings for each in reading[:-1])]
-    return _hash(numbers, [*row[ROW_NUMBERS:], *(reading[-1] for reading in readings)])
+    return numbers, [*row[ROW_NUMBERS:], *(reading[-1] for reading in readings)]
 
 
-def _hash(numbers: Sequence[Any], contents: Iterable[Any]) -> str:
-    return hashlib.sha256(_encoded(numbers, contents)).hexdigest()
+def _hash(numbers: Sequence[Any], contents: Sequence[Any]) -> str:
+    (content,) = _encoded_rows([(numbers, contents)])
+    return hashlib.sha256(content).hexdigest()
 
 
-def _encoded(numbers: Sequence[Any], contents: Iterable[Any]) -> bytes:
-    """A JSON list of the numbers and of the contents' lengths in bytes (null for NULL); then the contents."""
-    parts = [each if isinstance(each, bytes) or each is None else str(each).encode() for each in contents]
-    lengths = [None if each is None else len(each) for each in parts]
-    return b"".join([_json([*numbers, *lengths]).encode(), *(each for each in parts if each is not None)])
+def _encoded_rows(rows: Sequence[tuple[Sequence[Any], Sequence[Any]]]) -> Iterator[bytes]:
+    """Of each row a JSON list of the numbers and of the contents' lengths in bytes (null for NULL); then the contents."""
+    contents = [[_bytes(each) for each in row] for _, row in rows]
+    lists = [
+        [*numbers, *(None if each is None else len(each) for each in row)]
+        for (numbers, _), row in zip(rows, contents, strict=True)
+    ]
+    texts = _json(lists)[2:-2].split("], [")
+    if len(texts) != len(rows):  # a damaged value has this in its text
+        texts = [_json(each)[1:-1] for each in lists]
+    for text, row in zip(texts, contents, strict=True):
+        yield b"".join([b"[", text.encode(), b"]", *(each for each in row if each is not None)])
+
+
+def _bytes(value: Any) -> bytes | None:
+    return value if isinstance(value, bytes) or value is None else str(value).encode()
 
 
 def _parse(about: str | bytes) -> tuple[int, dict[str, str]]:

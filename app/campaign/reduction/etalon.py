@@ -332,8 +332,13 @@ def arcs_of_rows(places: Floats, geometry: "ArcGeometry") -> list[tuple[Ints, Ar
 
     With each arc come the indices of the rows: an arc without photodiodes sees none.
     """
-    poses, which = np.unique(places[:, POSE], axis=0, return_inverse=True)
-    angles = [tuple(each) for each in poses.tolist()]
+    poses = places[:, POSE]
+    order = np.lexsort(poses.T)
+    begins = np.ones(len(order), dtype=bool)
+    begins[1:] = (poses[order[1:]] != poses[order[:-1]]).any(axis=1)
+    which = np.empty(len(order), dtype=np.int64)
+    which[order] = np.cumsum(begins) - 1
+    angles = [tuple(each) for each in poses[order[begins]].tolist()]
     found: dict[bool, list[tuple[int, ArcView, Flags, float]]] = {}  # the upper arc is False
     for k, views in enumerate(geometry.views_at(angles)):
         for view, blocked in views:
@@ -343,7 +348,7 @@ def arcs_of_rows(places: Floats, geometry: "ArcGeometry") -> list[tuple[Ints, Ar
     for _, seen in sorted(found.items(), key=lambda each: each[0]):
         of_pose = np.full(len(angles), -1)
         of_pose[[k for k, *_ in seen]] = np.arange(len(seen))
-        view_of_row = of_pose[which.ravel()]
+        view_of_row = of_pose[which]
         rows = np.flatnonzero(view_of_row >= 0)
         planned = ArcViews(
             tuple(each for _, each, _, _ in seen), view_of_row[rows], np.array([sigma for *_, sigma in seen]),

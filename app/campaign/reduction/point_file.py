@@ -18,8 +18,8 @@ from goniotwin.app.campaign.reduction.points import COLUMNS, PLACE, BsdfPoints, 
 from goniotwin.app.errors import UserError, room_on_disk
 from goniotwin.arrays import Ints
 
-ROW = np.dtype([("rank", "i8"), ("block", "i4"), ("begin", "i8"), ("count", "i8"), ("place", "f8", len(PLACE))])
-"""A row: its place in order of time, the block with its points, where they begin in the file, their number, and its pose."""
+ROW = np.dtype([("rank", "i8"), ("kind", "i4"), ("begin", "i8"), ("count", "i8"), ("place", "f8", len(PLACE))])
+"""A row: its place in order of time, the kind of its block, where its points begin in the file, their number, and its pose."""
 COMPONENT = "component "
 Table = npt.NDArray[np.void]
 
@@ -34,7 +34,7 @@ class PointFile:
         except OSError as error:
             raise self._unwritable(error) from None
         self._end = 0
-        self._blocks: list[np.dtype[Any]] = []
+        self._kinds: list[np.dtype[Any]] = []
         self._added: list[Table] = []
         self._sorted: Table | None = None
 
@@ -60,7 +60,10 @@ class PointFile:
             records[name] = each
         begin = np.flatnonzero(np.diff(rank, prepend=-1))
         rows = np.zeros(begin.size, dtype=ROW)
-        rows["rank"], rows["block"], rows["count"] = rank[begin], len(self._blocks), np.diff(begin, append=points.size)
+        if records.dtype not in self._kinds:
+            self._kinds.append(records.dtype)
+        kind = self._kinds.index(records.dtype)
+        rows["rank"], rows["kind"], rows["count"] = rank[begin], kind, np.diff(begin, append=points.size)
         rows["begin"] = self._end + begin * records.itemsize
         rows["place"] = points.places[points.place[begin]]
         try:
@@ -70,9 +73,6 @@ class PointFile:
         except OSError as error:
             raise self._unwritable(error) from None
         self._end += records.nbytes
-        # A type of so many columns takes kilobytes: blocks of one kind have one.
-        same = bool(self._blocks) and self._blocks[-1] == records.dtype
-        self._blocks.append(self._blocks[-1] if same else records.dtype)
         self._added.append(rows)
         self._sorted = None
 
@@ -114,10 +114,12 @@ class PointFile:
     def _read(self, rows: Table) -> BsdfPoints:
         """The points of rows, in their order."""
         pieces, index = [], []
-        for block in np.unique(rows["block"]).tolist():
-            here = np.flatnonzero(rows["block"] == block)
-            pieces.append(self._points(rows[here], self._blocks[block]))
+        for kind in np.unique(rows["kind"]).tolist():
+            here = np.flatnonzero(rows["kind"] == kind)
+            pieces.append(self._points(rows[here], self._kinds[kind]))
             index.append(np.repeat(here, rows["count"][here]))
+        if len(pieces) == 1:  # as it usually is: all blocks of a sample have the same components
+            return pieces[0]
         points = join_points(pieces)
         order = np.concatenate(index)
         return points if np.all(order[1:] >= order[:-1]) else points.where(np.argsort(order, kind="stable"))
