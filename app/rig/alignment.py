@@ -5,6 +5,7 @@ combinations, each with its value, its standard uncertainty and the coefficients
 What it leaves unknown stays as `[uncertainty]` of the rig file states it.
 """
 
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -25,6 +26,14 @@ LEAST_SHOWN = 0.1
 """Terms below this share of the largest one are not in a combination's words."""
 SMALLEST = 1e-20
 """A smaller covariance is none: it is far below the rounding of the others."""
+DOUBTED_CHI_SQUARE = 1.5
+"""Residuals beyond this, per degree of freedom, are not only those of displaced lobes: uncertainties are widened."""
+REFUSED_CHI_SQUARE = 5.0
+"""Residuals beyond this are those of no displaced lobe, and make no alignment.
+
+Inputs with a rectangular distribution that are all at its ends give 3, the largest that displacements within what is stated
+can give. Up to 5 there is room for the noise of few values: with 3 degrees of freedom it exceeds that once in 500 campaigns.
+"""
 
 
 @dataclass(frozen=True)
@@ -54,6 +63,21 @@ class Combination:
         least = LEAST_SHOWN * abs(terms[0][1]) if terms else 0.0
         shown = [f"{'+' if c > 0.0 else '-'} {abs(c):.2f} {name}" for name, c in terms if abs(c) >= least]
         return " ".join([*shown, *(["+ ..."] if len(shown) < len(terms) else [])]).removeprefix("+ ")
+
+
+def residual_words(chi_square: float) -> str:
+    """What residuals with a chi-square beyond those of displaced lobes can come from."""
+    return (
+        f"the residuals are not those of a lobe that is displaced (chi-square {chi_square:.3g} per degree of freedom): the "
+        "beam is clipped, or light misses the hole, or the lobe is not round; or noise or positions are worse than stated"
+    )
+
+
+def residual_findings(chi_square: float) -> tuple[str, ...]:
+    """What is stated of an alignment with such residuals, wherever it is used; empty for those of displaced lobes."""
+    if chi_square <= DOUBTED_CHI_SQUARE:
+        return ()
+    return (f"{residual_words(chi_square)}; the uncertainties of the alignment are {math.sqrt(chi_square):.2g} times as large",)
 
 
 @with_config(FILE)
@@ -108,9 +132,16 @@ def parse_alignment(text: str, name: str) -> AlignmentFile:
     return validate_table(AlignmentFile, content, name)
 
 
+def refused_residuals(file: AlignmentFile) -> str | None:
+    """Why a file is no alignment, by the residuals that it states; None for one that is."""
+    return residual_words(file.chi_square) if not 0.0 <= file.chi_square <= REFUSED_CHI_SQUARE else None
+
+
 def check_alignment(text: str, name: str, rig: str, *, simulated: bool) -> None:
-    """Refuse the alignment of another rig, and that of a virtual rig for a real one. Raises UserError."""
+    """Refuse the alignment of another rig, of a virtual rig for a real one, and of no displaced lobe. Raises UserError."""
     file = parse_alignment(text, f"{name}: alignment.file")
+    if (reason := refused_residuals(file)) is not None:
+        raise UserError(f"{name}: alignment.file: {reason}; name another one, or remove [alignment]")
     if file.simulated and not simulated:
         raise UserError(
             f"{name}: alignment.file: is SIMULATED, of a virtual rig, and this rig is real; name one that was measured on it"
