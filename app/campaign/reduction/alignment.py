@@ -114,6 +114,7 @@ class AlignmentResult:
 
 def alignment_file(result: AlignmentResult, journal: JournalReader, rig: RigDescription, measured: str) -> AlignmentFile:
     """The alignment file of a result; `measured` is the day of the measurement, or empty."""
+    identity = rig.identity
     return AlignmentFile(
         alignment=1,
         simulated=journal.simulated,
@@ -131,6 +132,8 @@ def alignment_file(result: AlignmentResult, journal: JournalReader, rig: RigDesc
         combinations=result.combinations,
         covariance=tuple(map(tuple, result.covariance.tolist())),
         inputs={name: value for name, value in result.alignment.values.items() if "@" not in name},
+        geometry_sha256=identity.geometry,
+        tables_sha256=dict(identity.tables),
     )
 
 

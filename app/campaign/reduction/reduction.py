@@ -70,7 +70,6 @@ from goniotwin.app.rig.alignment import (
     AlignmentFile,
     parse_alignment,
     refused_residuals,
-    residual_findings,
 )
 from goniotwin.arrays import Ints
 from goniotwin.protocols.clock import calendar_stamp
@@ -148,11 +147,11 @@ class Reduction:
                 "export the rest with --without-damaged"
             )
         self.journal = journal
-        self.rig = parse_rig(journal.value("rig"), Path(), f"{journal.path} (rig)")
+        alignment = journal.optional_value("alignment")
+        self.rig = parse_rig(journal.value("rig"), Path(), f"{journal.path} (rig)", alignment)
         self.schedule = parse_schedule(journal.value("schedule"), f"{journal.path} (schedule)").file
         text = None if self.schedule.certificate is None else journal.value("certificate")
         name = f"{journal.path} (certificate)"
-        alignment = journal.optional_value("alignment")
         settings = reduction_settings(self.rig.file, self.schedule, text, name, _first_day(journal), alignment)
         self.settings = replace(settings, history=RowHistory(journal))
         self._measurements = Measurements(journal, self.schedule, self.rig.file)
@@ -353,7 +352,7 @@ class Reduction:
     def findings(self) -> list[str]:
         """What the campaign shows that is wrong with modules, gains, light or scale, in words."""
         found = [*self.evidence.findings, *(str(interval) for interval in self.drift_intervals)]
-        found += [] if self._of_file is None else self._of_file.findings
+        found += [] if self._of_file is None else self.rig.alignment_notes
         found += [] if self._aligned is None else self._aligned.findings
         return found + ([] if self.schedule.open_beam_scan is None else self.closure().alarms)
 
@@ -479,11 +478,7 @@ def _why_not_aligned(text: str | None) -> str:
     file = None if text is None else parse_alignment(text, "alignment")
     if file is None or (reason := refused_residuals(file)) is None:
         return ""
-    return f"not corrected by {_file_source(file)}: {reason}"
-
-
-def _file_source(file: AlignmentFile) -> str:
-    return f"[alignment] {file.campaign}, {file.measured or 'undated'}"
+    return f"not corrected by {file.source}: {reason}"
 
 
 def rig_alignment(text: str, rig: RigFile) -> Alignment:
@@ -495,9 +490,7 @@ def rig_alignment(text: str, rig: RigFile) -> Alignment:
     table = rig.uncertainty
     of_rig = rig_inputs(table)
     of_sample = [each for name in file.mountings for each in mounting_inputs(table, "sample", name)]
-    known = Alignment.of_file(file, [*of_rig, *of_sample], _file_source(file)).only([each.name for each in of_rig])
-    findings = tuple(f"{known.source}: {each}" for each in residual_findings(file.chi_square))
-    return replace(known, findings=findings)
+    return Alignment.of_file(file, [*of_rig, *of_sample], file.source).only([each.name for each in of_rig])
 
 
 def reduce_journal(journal: JournalReader, *, without_damaged: bool = False) -> BsdfDataset:

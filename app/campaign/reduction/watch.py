@@ -79,8 +79,8 @@ class Misalignment:
     """A misalignment of `size` with the standard uncertainty `u`, in the unit of the pattern, since `row`.
 
     The beginning is between the rows `earliest` and `latest`, with some 95 %. `always`: it is that of all rows of the sample.
-    `statistic` is compared with `limit`. `alike` are patterns that explain the residuals nearly as well. `chi_square` is that of
-    the residuals beside it, per degree of freedom: where it is that of no displaced lobe, there is nothing to watch.
+    `statistic` is compared with `limit`. `alike` are patterns that explain the residuals nearly as well. `chi_square` is that
+    of the residuals beside it, per degree of freedom: where it is that of no displaced lobe, there is nothing to watch.
     """
 
     sample: str

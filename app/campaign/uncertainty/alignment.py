@@ -34,14 +34,13 @@ FLOOR = 1e-12
 class Alignment:
     """Inputs with the uncertainties stated before, their values (n,) as found, and their covariance (n, n), each in its unit.
 
-    `source` names the file or the journal that they are from. `findings` state what is wrong with it.
+    `source` names the file or the journal that they are from.
     """
 
     inputs: tuple[Input, ...]
     value: Floats
     covariance: Floats
     source: str
-    findings: tuple[str, ...] = ()
 
     @classmethod
     def stated(cls, inputs: Sequence[Input]) -> "Alignment":

@@ -90,7 +90,6 @@ def test_a_lobe_on_a_pedestal_and_a_flat_sample_are_not_watched(tmp_path: Path) 
 
 def test_a_round_lobe_has_residuals_of_its_noise_alone(lobe: AlignmentFile) -> None:
     assert 0.5 < lobe.chi_square < 1.5
-    assert not rig_alignment(alignment_text(lobe), read_rig(PROOF / "rig.toml").file).findings
 
 
 def test_residuals_of_worse_positions_than_stated_widen_the_uncertainties(lobe: AlignmentFile, tmp_path: Path) -> None:
