@@ -327,7 +327,7 @@ def _watch(journal: Path, sample: str | None, as_json: bool) -> None:
     mark = "SIMULATED, " if found.simulated else ""
     lines = [f"{mark}{each.sample}: {each.text}" for each in found.misalignments]
     lines += [f"{mark}{name}: the residuals show no misalignment" for name in found.clear]
-    lines += [f"{mark}{name}: has no lobe of reflected light so far" for name in found.without]
+    lines += [f"{mark}{name}: has no lobe that could be watched so far" for name in found.without]
     answer(as_json, found.as_dict(), lambda: print("\n".join(lines)))
     if found.misalignments:
         raise typer.Exit(1)

@@ -6,7 +6,7 @@ The operator's part has the addresses of the devices and their nominal propertie
 
 import re
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields, make_dataclass, replace
+from dataclasses import asdict, dataclass, field, fields, make_dataclass, replace
 from datetime import date
 from functools import cache
 from types import GenericAlias
@@ -439,6 +439,22 @@ def axis_timings(file: RigFile) -> dict[str, AxisTiming]:
 def nominal_instrument(file: RigFile) -> Instrument:
     """The instrument with the operator's nominal dimensions, for the directions blocked by the mirror unit."""
     return Instrument(**values_of(file.geometry, Dimensions))
+
+
+def tables_without_ports(file: RigFile) -> dict[str, Any]:
+    """The tables of a rig file by name, as dictionaries, without its virtual rig and without addresses.
+
+    Only addresses may change during an interruption of a campaign.
+    """
+    tables = {key: value for key, value in vars(file).items() if value is not None and key not in ("twin", "simulated")}
+    content: dict[str, Any] = {key: value if isinstance(value, str) else asdict(value) for key, value in tables.items()}
+    for place in {place for device in file.devices for place in device.places}:
+        *path, key = (part for part in place if isinstance(part, str))
+        table = content
+        for part in path:
+            table = table[part]
+        table.pop(key, None)
+    return content
 
 
 def arc_clearance(file: RigFile) -> ArcClearance:

@@ -1,6 +1,7 @@
 """Opening of a rig file: drivers on their wires, and the virtual rig behind them."""
 
 import hashlib
+import json
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
@@ -9,8 +10,8 @@ from typing import Any
 
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig.addresses import TWIN, InvalidAddress, device_names, resolve_port
-from goniotwin.app.rig.alignment import check_alignment, read_alignment
-from goniotwin.app.rig.file import AXES, Controller, RigFile, arc_clearance, rig_file_table
+from goniotwin.app.rig.alignment import RigIdentity, alignment_notes, check_alignment, parse_alignment, read_alignment
+from goniotwin.app.rig.file import AXES, Controller, RigFile, arc_clearance, rig_file_table, tables_without_ports
 from goniotwin.app.rig.kinds import ROLES, Role, device_kind, load_plugins
 from goniotwin.app.rig.last_rig import remember_rig
 from goniotwin.app.rig.lock import RigLock
@@ -22,6 +23,13 @@ from goniotwin.drivers import Device, Rig, Transcript
 from goniotwin.protocols.clock import Clock
 from goniotwin.twin import TwinModel, VirtualRig
 from goniotwin.twin.doors import register, unregister
+
+ARC_KEYS = ("upper_deg", "lower_deg")
+"""Keys of [photodiodes] that are angles on the arc."""
+AXIS_KEYS = ("gear", "sense", "zero_offset_deg")
+"""Keys of an axis that decide where it is, whatever its kind."""
+WITHOUT_ANGLES = ("shadow_margin_deg",)
+"""Keys of [geometry] that change no angle."""
 
 
 @dataclass(frozen=True)
@@ -48,6 +56,26 @@ class RigDescription:
     def seed(self) -> int | None:
         """The seed of a simulated rig, None for a real one."""
         return self.file.simulated.seed if self.file.simulated is not None else None
+
+    @property
+    def identity(self) -> RigIdentity:
+        """What an alignment states of its rig, and what it depends on."""
+        content = tables_without_ports(self.file)
+        content.pop("alignment", None)
+        name = content.pop("name")
+        photodiodes, axes = content["photodiodes"], content["axes"]
+        geometry = {
+            **{key: value for key, value in content.pop("geometry").items() if key not in WITHOUT_ANGLES},
+            **{key: photodiodes.pop(key, None) for key in ARC_KEYS},
+            **{f"{axis}.{key}": axes[axis].pop(key, None) for axis in AXES for key in AXIS_KEYS},
+        }
+        digests = {table: _digest(each) for table, each in content.items()}
+        return RigIdentity(name, self.simulated, self.seed, _digest(geometry), digests)
+
+    @property
+    def alignment_notes(self) -> list[str]:
+        """What is stated wherever the rig's alignment is used: doubtful residuals, and tables that have changed since it."""
+        return [] if self.alignment is None else alignment_notes(parse_alignment(self.alignment, self.name), self.identity)
 
     def model(self) -> TwinModel | None:
         """The model of the virtual rig, None where the file has no [twin].
@@ -80,13 +108,17 @@ def read_rig(path: Path) -> RigDescription:
     alignment = None
     if file.alignment is not None:
         alignment = read_alignment(path.parent, file.alignment)
-        check_alignment(alignment, str(path), file.name, simulated=file.simulated is not None)
+        check_alignment(alignment, str(path), RigDescription(text, file, path.parent, str(path)).identity)
     return RigDescription(text, file, path.parent, str(path), alignment)
 
 
 def parse_rig(text: str, folder: Path, name: str, alignment: str | None = None) -> RigDescription:
     """Parse the text of a rig file, such as a journal contains, with that of its alignment file. Raises UserError."""
     return RigDescription(text, _file(parse_toml(text, name), name), folder, name, alignment)
+
+
+def _digest(table: dict[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(table, sort_keys=True, default=str).encode()).hexdigest()
 
 
 def _file(content: dict[str, Any], name: str) -> RigFile:

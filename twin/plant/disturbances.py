@@ -107,6 +107,8 @@ _KEYS = {
     "monochromator_stray": "monochromator_stray",
 }
 """The key of each input that the rig has once."""
+POSE_INPUTS = frozenset(name for name in _KEYS if "_tilt_" in name or "_shift_" in name or name.endswith("_zero"))
+"""Inputs of the rig that are a tilt or a shift of an element, or an axis' zero."""
 _PHOTODIODE_KEYS = {"photodiode_angle": "photodiode_angle_deg", "photodiode_across": "photodiode_across_deg"}
 _REPEATED_KEYS = {
     **{f"{each}_tilt_{axis}": f"{each}_tilt_deg" for each in ("sample", "etalon") for axis in "xy"},

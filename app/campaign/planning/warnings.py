@@ -46,6 +46,7 @@ def plan_warnings(plan: NewPlan, arcs: list[ArcDirections]) -> list[str]:
         *scan_notes(plan.schedule.file, plan.rig.file),
         *_second_order(plan),
         *_uncertain_duration(plan),
+        *plan.rig.alignment_notes,
     ]
 
 

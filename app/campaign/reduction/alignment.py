@@ -44,7 +44,14 @@ from goniotwin.app.campaign.uncertainty.pose import (
 from goniotwin.app.campaign.uncertainty.slopes import Directions
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription, nominal_instrument
-from goniotwin.app.rig.alignment import AlignmentFile, Combination
+from goniotwin.app.rig.alignment import (
+    DOUBTED_CHI_SQUARE,
+    REFUSED_CHI_SQUARE,
+    AlignmentFile,
+    Combination,
+    residual_findings,
+    residual_words,
+)
 from goniotwin.arrays import Flags, Floats
 from goniotwin.twin.optics import Instrument
 from goniotwin.twin.optics.geometry.coordinates import SPECULAR_AZIMUTH_DEG
@@ -66,8 +73,6 @@ SETTLED = 0.05
 """A step that changes no mode by more than this share of its uncertainty is the last one."""
 CENTROID_U_DEG = 0.002
 """Standard uncertainty of a scan's centroid by its steps; assumed."""
-LARGEST_CHI_SQUARE = 1.5
-"""Residuals beyond this are not those of displaced lobes."""
 ROW_GROUPS = ("lamp", "monitor", "repeatability")
 """Groups whose inputs all values of a row have in common, at the sample and at the etalon."""
 
@@ -109,6 +114,7 @@ class AlignmentResult:
 
 def alignment_file(result: AlignmentResult, journal: JournalReader, rig: RigDescription, measured: str) -> AlignmentFile:
     """The alignment file of a result; `measured` is the day of the measurement, or empty."""
+    identity = rig.identity
     return AlignmentFile(
         alignment=1,
         simulated=journal.simulated,
@@ -126,6 +132,8 @@ def alignment_file(result: AlignmentResult, journal: JournalReader, rig: RigDesc
         combinations=result.combinations,
         covariance=tuple(map(tuple, result.covariance.tolist())),
         inputs={name: value for name, value in result.alignment.values.items() if "@" not in name},
+        geometry_sha256=identity.geometry,
+        tables_sha256=dict(identity.tables),
     )
 
 
@@ -145,26 +153,23 @@ def estimate_alignment(
 ) -> AlignmentResult:
     """The alignment by the points of one sample at one wavelength, before their corrections, and by scans of the open beam.
 
-    Raises UserError, without the name of the journal, where they determine nothing.
+    Where the residuals are larger than those of displaced lobes the uncertainties are widened. Raises UserError, without the
+    name of the journal, where they are those of no displaced lobe, or the points determine nothing.
     """
     found = fit_lobe(points, settings, beams, source)
-    aligned = found.alignment
+    aligned, whole, chi_square = found.alignment, found.whole, found.chi_square
+    if chi_square > REFUSED_CHI_SQUARE:
+        raise UserError(f"{settings.sample}: {residual_words(chi_square)}; no alignment is made of it")
+    if chi_square > DOUBTED_CHI_SQUARE:
+        aligned, whole = (each.widened(chi_square) for each in (aligned, whole))
     combinations, covariance = aligned.combinations(nominal_instrument(settings.rig))
     if not combinations:
         raise UserError(
             f"{settings.sample}: its values determine no misalignment; measure a lobe some degrees wide, with less noise"
         )
-    of_values = slice(0, found.points.size)
-    chi_square = float(found.fit.chi_square[of_values].sum() / found.fit.expected[of_values].sum())
-    findings = []
-    if chi_square > LARGEST_CHI_SQUARE:
-        findings.append(
-            f"the residuals are not those of a lobe that is displaced (chi-square {chi_square:.2f} per degree of freedom): the "
-            "beam is clipped, or light misses the hole, or the lobe is not round; or noise or positions are worse than stated"
-        )
     return AlignmentResult(
-        settings.sample, found.mountings, aligned, found.whole, combinations, covariance, chi_square, found.points.size,
-        found.scans, tuple(findings),
+        settings.sample, found.mountings, aligned, whole, combinations, covariance, chi_square, found.points.size,
+        found.scans, residual_findings(chi_square),
     )  # fmt: skip
 
 
@@ -196,6 +201,12 @@ class LobeFit:
     fit: Fit
     sensitivities: PoseSensitivities
     step: tuple[float, float]
+
+    @property
+    def chi_square(self) -> float:
+        """That of the values' residuals over its expectation: per degree of freedom."""
+        of_values = slice(0, self.points.size)
+        return float(self.fit.chi_square[of_values].sum() / self.fit.expected[of_values].sum())
 
 
 @dataclass(frozen=True)

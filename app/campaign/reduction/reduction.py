@@ -18,6 +18,7 @@ from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.reduction.alignment import (
     TERMS,
     AlignmentResult,
+    LobeFit,
     alignment_file,
     estimate_alignment,
     fit_lobe,
@@ -62,8 +63,13 @@ from goniotwin.app.campaign.uncertainty.alignment import Alignment
 from goniotwin.app.campaign.uncertainty.pose import mounting_inputs, rig_inputs
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats.metadata import Metadata
-from goniotwin.app.rig import RigDescription, RigFile, parse_rig
-from goniotwin.app.rig.alignment import AlignmentFile, parse_alignment
+from goniotwin.app.rig import RigDescription, RigFile, nominal_instrument, parse_rig
+from goniotwin.app.rig.alignment import (
+    REFUSED_CHI_SQUARE,
+    AlignmentFile,
+    parse_alignment,
+    refused_residuals,
+)
 from goniotwin.arrays import Ints
 from goniotwin.protocols.clock import calendar_stamp
 
@@ -140,11 +146,11 @@ class Reduction:
                 "export the rest with --without-damaged"
             )
         self.journal = journal
-        self.rig = parse_rig(journal.value("rig"), Path(), f"{journal.path} (rig)")
+        alignment = journal.optional_value("alignment")
+        self.rig = parse_rig(journal.value("rig"), Path(), f"{journal.path} (rig)", alignment)
         self.schedule = parse_schedule(journal.value("schedule"), f"{journal.path} (schedule)").file
         text = None if self.schedule.certificate is None else journal.value("certificate")
         name = f"{journal.path} (certificate)"
-        alignment = journal.optional_value("alignment")
         settings = reduction_settings(self.rig.file, self.schedule, text, name, _first_day(journal), alignment)
         self.settings = replace(settings, history=RowHistory(journal))
         self._measurements = Measurements(journal, self.schedule, self.rig.file)
@@ -161,7 +167,7 @@ class Reduction:
             self.settings = scan_settings(self.settings, self.closure())
         self._of_file = self.settings.alignment
         self._aligned: AlignmentResult | None = None
-        self._not_aligned = ""
+        self._not_aligned = _why_not_aligned(alignment)
         if self.schedule.align is not None:
             self._align_itself(self.schedule.align)
 
@@ -252,11 +258,20 @@ class Reduction:
             lobe = fit_lobe(points, settings, self.beams)
             refit = partial(fit_lobe, points, settings, self.beams, "")
             misalignment = find_misalignment(lobe, refit, sample, len(self.schedule.samples))
-            if misalignment is None:
+            beside = lobe.chi_square if misalignment is None else misalignment.chi_square
+            if beside > REFUSED_CHI_SQUARE or not self._determines(lobe, settings):
+                without.append(sample)
+            elif misalignment is None:
                 clear.append(sample)
             else:
                 found.append(misalignment)
         return WatchResult(tuple(found), tuple(clear), tuple(without), self.journal.simulated)
+
+    def _determines(self, lobe: LobeFit, settings: ReductionSettings) -> bool:
+        """Whether the values of a lobe determine a misalignment by themselves, beside what is known and without the scans."""
+        if settings.alignment is not None or lobe.scans:
+            lobe = fit_lobe(lobe.points, replace(settings, alignment=None))
+        return bool(lobe.alignment.combinations(nominal_instrument(self.rig.file))[0])
 
     def lobe(self, sample: str) -> BsdfPoints | None:
         """The points of a sample that an alignment can use; None without any."""
@@ -336,6 +351,7 @@ class Reduction:
     def findings(self) -> list[str]:
         """What the campaign shows that is wrong with modules, gains, light or scale, in words."""
         found = [*self.evidence.findings, *(str(interval) for interval in self.drift_intervals)]
+        found += [] if self._of_file is None else self.rig.alignment_notes
         found += [] if self._aligned is None else self._aligned.findings
         return found + ([] if self.schedule.open_beam_scan is None else self.closure().alarms)
 
@@ -444,8 +460,19 @@ def reduction_settings(
     years = parsed.years(measured or date.fromisoformat(calendar_stamp()[:10]))
     return ReductionSettings(
         rig, ArcGeometry(rig), schedule, parsed, etalon_years=ASSUMED_YEARS if years is None else years,
-        alignment=None if alignment is None else rig_alignment(alignment, rig),
+        alignment=None if alignment is None or _why_not_aligned(alignment) else rig_alignment(alignment, rig),
     )  # fmt: skip
+
+
+def _why_not_aligned(text: str | None) -> str:
+    """Why the values of a journal are not corrected by the alignment file in it; empty where they are, or without one.
+
+    A rig file that names such a file is refused; journals of earlier versions have them.
+    """
+    file = None if text is None else parse_alignment(text, "alignment")
+    if file is None or (reason := refused_residuals(file)) is None:
+        return ""
+    return f"not corrected by {file.source}: {reason}"
 
 
 def rig_alignment(text: str, rig: RigFile) -> Alignment:
@@ -457,8 +484,7 @@ def rig_alignment(text: str, rig: RigFile) -> Alignment:
     table = rig.uncertainty
     of_rig = rig_inputs(table)
     of_sample = [each for name in file.mountings for each in mounting_inputs(table, "sample", name)]
-    source = f"[alignment] {file.campaign}, {file.measured or 'undated'}"
-    return Alignment.of_file(file, [*of_rig, *of_sample], source).only([each.name for each in of_rig])
+    return Alignment.of_file(file, [*of_rig, *of_sample], file.source).only([each.name for each in of_rig])
 
 
 def reduce_journal(journal: JournalReader, *, without_damaged: bool = False) -> BsdfDataset:

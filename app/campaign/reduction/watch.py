@@ -22,6 +22,7 @@ import numpy as np
 from goniotwin.app.campaign.reduction.alignment import LobeFit, PoseSensitivities, Step
 from goniotwin.app.campaign.uncertainty.fit import ValuesCovariance
 from goniotwin.app.campaign.uncertainty.pose import LIGHT, MOUNTED, VIEW
+from goniotwin.app.rig.alignment import DOUBTED_CHI_SQUARE, REFUSED_CHI_SQUARE
 from goniotwin.arrays import Flags, Floats, Ints
 
 FALSE_ALARMS = 0.01
@@ -78,7 +79,8 @@ class Misalignment:
     """A misalignment of `size` with the standard uncertainty `u`, in the unit of the pattern, since `row`.
 
     The beginning is between the rows `earliest` and `latest`, with some 95 %. `always`: it is that of all rows of the sample.
-    `statistic` is compared with `limit`. `alike` are patterns that explain the residuals nearly as well.
+    `statistic` is compared with `limit`. `alike` are patterns that explain the residuals nearly as well. `chi_square` is that
+    of the residuals beside it, per degree of freedom: where it is that of no displaced lobe, there is nothing to watch.
     """
 
     sample: str
@@ -92,6 +94,7 @@ class Misalignment:
     statistic: float
     limit: float
     alike: tuple[Pattern, ...]
+    chi_square: float
 
     @property
     def text(self) -> str:
@@ -116,6 +119,7 @@ class Misalignment:
             "all_rows": self.always,
             "statistic": self.statistic,
             "limit": self.limit,
+            "chi2": self.chi_square,
             "alike": [each.words for each in self.alike],
             "text": self.text,
         }
@@ -125,7 +129,7 @@ class Misalignment:
 class WatchResult:
     """What the watch has found, at most one misalignment of a sample; `simulated`: of a virtual rig.
 
-    `clear` are samples whose residuals show none, `without` those without a lobe so far.
+    `clear` are samples whose residuals show none, `without` those without a lobe that could be watched, so far.
     """
 
     misalignments: tuple[Misalignment, ...]
@@ -187,10 +191,15 @@ def find_misalignment(lobe: LobeFit, refit: Callable[[Step], LobeFit], sample: s
     # A row without values of the lobe shows nothing: it may have begun there.
     earliest = int(rows[within[0] - 1]) + 1 if within[0] > 0 else int(rows[0])
     names = [f"sample_{pattern.input}@{each}" for each in lobe.mountings] if pattern.mounting else [pattern.input]
-    size, u = refit(Step(tuple(names), row)).step
+    stepped = refit(Step(tuple(names), row))
+    size, u = stepped.step
+    if stepped.chi_square > DOUBTED_CHI_SQUARE:
+        limit, u = (math.sqrt(stepped.chi_square) * each for each in (limit, u))
+    if stepped.chi_square <= REFUSED_CHI_SQUARE and abs(statistic[k]) <= limit:
+        return None
     return Misalignment(
         sample, pattern, size, u, row, earliest, int(rows[within[-1]]), begin + k == 0, float(statistic[k]), limit,
-        tuple(PATTERNS[each] for each in alike),
+        tuple(PATTERNS[each] for each in alike), stepped.chi_square,
     )  # fmt: skip
 
 

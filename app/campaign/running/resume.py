@@ -1,7 +1,7 @@
 """Resuming a campaign that was stopped, failed, or killed: at the first planned row that is not in its journal."""
 
 import json
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,7 @@ from goniotwin.app.campaign.row import NO_SAMPLE, RESUME_PREFIX, Row
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription, parse_rig
+from goniotwin.app.rig.file import tables_without_ports
 from goniotwin.protocols.clock import calendar_stamp
 
 
@@ -79,7 +80,7 @@ def check_same_rig(journal: JournalReader, recorded: RigDescription, rig: RigDes
 
 def changed_keys(recorded: RigDescription, rig: RigDescription) -> list[str]:
     """The keys, other than of ports, in which a rig differs from the one of a journal, without those of its [twin]."""
-    changed = sorted(_differences(_without_ports(recorded), _without_ports(rig)))
+    changed = sorted(_differences(tables_without_ports(recorded.file), tables_without_ports(rig.file)))
     if recorded.alignment != rig.alignment and "alignment" not in changed:
         changed.append("alignment")
     return changed if (recorded.seed, recorded.simulated) == (rig.seed, rig.simulated) else [*changed, "simulated"]
@@ -99,20 +100,6 @@ def _same_model(stated: str, recorded: RigDescription, rig: RigDescription) -> b
     except UserError:  # files of samples that do not exist any more
         return False
     return stated in known and not set(known).isdisjoint(hashes)
-
-
-def _without_ports(rig: RigDescription) -> dict[str, Any]:
-    """The tables of a rig file without its virtual rig and without addresses, which may change during an interruption."""
-    tables = {key: value for key, value in vars(rig.file).items() if value is not None}
-    tables = {key: value for key, value in tables.items() if key not in ("twin", "simulated")}
-    content: dict[str, Any] = {key: value if isinstance(value, str) else asdict(value) for key, value in tables.items()}
-    for place in {place for device in rig.file.devices for place in device.places}:
-        *path, key = (part for part in place if isinstance(part, str))
-        table = content
-        for part in path:
-            table = table[part]
-        table.pop(key, None)
-    return content
 
 
 def _differences(old: dict[str, Any], new: dict[str, Any], place: str = "") -> list[str]:

@@ -79,6 +79,16 @@ class Alignment:
             tuple(self.inputs[k] for k in chosen), self.value[chosen], self.covariance[np.ix_(chosen, chosen)], self.source
         )
 
+    def widened(self, chi_square: float) -> "Alignment":
+        """The same where the residuals have a chi-square above 1 per degree of freedom: variances in proportion (Birge).
+
+        None becomes larger than it is stated, where it is not so already.
+        """
+        values, vectors = self._eigen
+        wide = np.minimum(chi_square * values, np.maximum(values, 1.0))
+        u = self._stated
+        return replace(self, covariance=u[:, None] * (vectors * wide @ vectors.T) * u)
+
     def with_inputs(self, inputs: Sequence[Input]) -> "Alignment":
         """The same with further inputs as they are stated; those that it has already stay as they are."""
         further = Alignment.stated([each for each in inputs if each.name not in self.values])

@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 import tomlkit
 
-from goniotwin.app.campaign.running.resume import _without_ports
 from goniotwin.app.cli.device_search import find_devices
 from goniotwin.app.cli.instrument import home_axes
 from goniotwin.app.cli.replay import replay_transcripts
@@ -15,6 +14,7 @@ from goniotwin.app.errors import UserError
 from goniotwin.app.rig import AXES, OpenRig, open_rig, parse_rig, read_rig
 from goniotwin.app.rig import kinds as registry
 from goniotwin.app.rig.described_twin import described_twin
+from goniotwin.app.rig.file import tables_without_ports
 from goniotwin.app.rig.served_file import served_rig
 from goniotwin.app.rig.wires import Wires
 from goniotwin.drivers import wait
@@ -226,7 +226,9 @@ def test_a_twin_with_one_controller_has_the_hash_of_before_and_further_ones_have
 def test_the_port_of_each_controller_may_change_before_a_resume_and_nothing_else(write_rig: Writer) -> None:
     operator = OWN[1]
     port, speed = operator.replace("virtual/second", "virtual/axes-2"), operator.replace("57600", "9600")
-    one, moved, slower = (_without_ports(read_rig(write_rig((OWN[0], each), TWIN))) for each in (operator, port, speed))
+    one, moved, slower = (
+        tables_without_ports(read_rig(write_rig((OWN[0], each), TWIN)).file) for each in (operator, port, speed)
+    )
     assert one == moved
     assert one != slower
 
