@@ -2,7 +2,9 @@
 
 import json
 import math
+import os
 import time
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
 import numba
@@ -20,7 +22,7 @@ from goniotwin.twin.optics.montecarlo import U64
 
 SIGMA_DEG = 30.0
 SAMPLES = {"lambertian": lambertian(), "gaussian": gaussian(5.0)}
-GEOMETRY_BLOCKS, SCORED_BLOCKS, REPEATS = 16384, 4096, 5
+GEOMETRY_BLOCKS, SCORED_BLOCKS, REPEATS = 2048, 2048, 20
 
 
 def detector_grid(sigma_deg: float = SIGMA_DEG) -> Floats:
@@ -41,26 +43,28 @@ def _setting(scatterer: Scatterer, directions: Floats, frames: SampleFrames) -> 
     return set_up(Instrument(), SIGMA_DEG, directions, scatterer, 0.0, None, None, 8, frames)
 
 
-def geometry_rate(scatterer: Scatterer) -> float:
-    """Paths per second on one core: pupil, three mirrors, hole, direction and weight, without detectors; the
-    fastest of five.
-    """
+def _seconds(action: Callable[[], object]) -> tuple[float, float]:
+    """Minimum processor time and minimum elapsed time of several calls, after one that compiles."""
+    action()
+    used, elapsed = [], []
+    for _ in range(REPEATS):
+        start, clock = time.process_time(), time.perf_counter()
+        action()
+        used.append(time.process_time() - start)
+        elapsed.append(time.perf_counter() - clock)
+    return min(used), min(elapsed)
+
+
+def geometry_rates(scatterer: Scatterer) -> tuple[float, float]:
+    """Paths per second of processor time and elapsed, one thread: pupil, three mirrors, hole, direction and weight alone."""
     setting = _setting(scatterer, np.zeros((0, 3)), SampleFrames(lit=1.0))
     arguments = U64(1), setting.beam, setting.strata, setting.lobes
-    trace_geometry(1, *arguments)
-    seconds = []
-    for _ in range(REPEATS):
-        start = time.process_time()
-        trace_geometry(GEOMETRY_BLOCKS, *arguments)
-        seconds.append(time.process_time() - start)
-    return GEOMETRY_BLOCKS * BLOCK / min(seconds)
+    used, elapsed = _seconds(lambda: trace_geometry(GEOMETRY_BLOCKS, *arguments))
+    return GEOMETRY_BLOCKS * BLOCK / used, GEOMETRY_BLOCKS * BLOCK / elapsed
 
 
-def scored_rate(scatterer: Scatterer, threads: int = 1) -> float:
-    """Paths per second with detectors, obstruction, frames and stray light; the fastest of five.
-
-    On one core the time is the process time, on more cores the elapsed time.
-    """
+def scored_rates(scatterer: Scatterer, threads: int = 1) -> tuple[float, float]:
+    """Paths per second of processor time and elapsed, with detectors, obstruction, frames and stray light."""
     setting = _setting(scatterer, detector_grid(), SampleFrames())
 
     def trace_blocks(first: int) -> None:
@@ -69,32 +73,26 @@ def scored_rate(scatterer: Scatterer, threads: int = 1) -> float:
             setting.targets, setting.spread, setting.longest, setting.detectors,
         )  # fmt: skip
 
-    trace_blocks(0)
-    seconds = []
-    for _ in range(REPEATS):
-        start, elapsed_start = time.process_time(), time.perf_counter()
-        if threads == 1:
-            trace_blocks(0)
-            seconds.append(time.process_time() - start)
-        else:
-            with ThreadPoolExecutor(threads) as pool:
-                list(pool.map(trace_blocks, range(0, threads * SCORED_BLOCKS, SCORED_BLOCKS)))
-            seconds.append(time.perf_counter() - elapsed_start)
-    return threads * SCORED_BLOCKS * BLOCK / min(seconds)
+    def trace_all() -> None:
+        with ThreadPoolExecutor(threads) as pool:
+            list(pool.map(trace_blocks, range(0, threads * SCORED_BLOCKS, SCORED_BLOCKS)))
+
+    used, elapsed = _seconds(trace_all if threads > 1 else lambda: trace_blocks(0))
+    return threads * SCORED_BLOCKS * BLOCK / used, threads * SCORED_BLOCKS * BLOCK / elapsed
 
 
 def measure() -> dict[str, float]:
-    """Millions of paths per second, warm: the slower of a Lambertian sample and a Gaussian of 5 deg, and each of them."""
-    figures: dict[str, float] = {"forward_detectors": float(len(detector_grid()))}
-    for kind, rate in (
-        ("geometry", geometry_rate),
-        ("scored", scored_rate),
-        ("scored_threads", lambda sample: scored_rate(sample, numba.get_num_threads())),
-    ):
-        rates = {name: 1e-6 * rate(sample) for name, sample in SAMPLES.items()}
-        key = "forward_scored_{}mpaths_per_s_all_threads" if kind == "scored_threads" else f"forward_{kind}_{{}}mpaths_per_s"
-        figures[key.format("")] = min(rates.values())
-        figures |= {key.format(f"{name}_"): each for name, each in rates.items()}
+    """Millions of paths per second, warm, the fastest of several runs, for a Lambertian sample and a Gaussian of 5 deg.
+
+    One thread: scored, and geometry alone, per second of processor time, and elapsed (`_wall_`); then all threads. `load` is
+    that of the machine before: a busy neighbour of a core slows both times.
+    """
+    figures: dict[str, float] = {"forward_load": os.getloadavg()[0], "forward_detectors": float(len(detector_grid()))}
+    for name, sample in SAMPLES.items():
+        for kind, rates in (("", scored_rates(sample)), ("geometry_", geometry_rates(sample))):
+            for clock, rate in zip(("", "wall_"), rates, strict=True):
+                figures[f"forward_{name}_{kind}{clock}mpaths"] = 1e-6 * rate
+        figures[f"forward_{name}_all_threads_wall_mpaths"] = 1e-6 * scored_rates(sample, numba.get_num_threads())[1]
     return figures
 
 
