@@ -58,6 +58,13 @@ class RequestStatus(IntEnum):
     SPLIT_IN_PROGRESS = 0x83
 
 
+_ATTRIBUTES_OF_A_HOST: dict[int, int] = {
+    MsgId.DEV_DEP_MSG_OUT: 0x01, MsgId.DEV_DEP_MSG_IN: 0x02,
+    MsgId.VENDOR_OUT: 0x00, MsgId.VENDOR_IN: 0x00, MsgId.TRIGGER: 0x00,
+}  # fmt: skip
+"""By MsgID, the bits of bmTransferAttributes that a host may set."""
+
+
 class StatusByte(IntFlag):
     """IEEE 488.2 status byte, with SCPI's summaries of the error queue and of the two status groups."""
 
@@ -111,14 +118,11 @@ class Header:
     def from_host(cls, data: bytes) -> "Header":
         """A header that a host may send: known MsgID, no bit set that its kind does not have. Raises HeaderError."""
         header = cls.decode(data)
-        allowed = {
-            MsgId.DEV_DEP_MSG_OUT: 0x01, MsgId.DEV_DEP_MSG_IN: 0x02,
-            MsgId.VENDOR_OUT: 0x00, MsgId.VENDOR_IN: 0x00, MsgId.TRIGGER: 0x00,
-        }  # fmt: skip
-        if header.msg_id not in allowed:
+        allowed = _ATTRIBUTES_OF_A_HOST.get(header.msg_id)
+        if allowed is None:
             raise HeaderError(f"MsgID {header.msg_id} is none of a host")
         attributes = data[8]
-        if attributes & ~allowed[MsgId(header.msg_id)]:
+        if attributes & ~allowed:
             raise HeaderError(f"bmTransferAttributes {attributes:02x} with MsgID {header.msg_id}")
         if data[9] and not attributes & 2:
             raise HeaderError(f"a TermChar {data[9]:02x} that is not enabled")

@@ -134,7 +134,12 @@ class AdamModule:
         self._last_outputs: list[bool] | None = None
         self._model = model
         self._ranges = [range_code] * adam.CHANNELS
-        self._ranges_reply = registers(self._ranges)
+        ranges = registers(self._ranges)
+        self._outputs_checks: dict[tuple[bool, ...], SettingsCheck] = {}
+        self._ranges_check = SettingsCheck(self, self.check_ranges, ScriptedExchange(READ_RANGES, ranges))
+        self._ranges_check_after_outputs = SettingsCheck(
+            self, self._check_ranges_after_outputs, ScriptedExchange(READ_RANGES, ranges, self._note_outputs_checked)
+        )
         self.sign_bit = adam.sign_bit(raw_format)
         self._clock = clock
         self._outputs: list[bool] | None = None
@@ -219,21 +224,20 @@ class AdamModule:
             alone = [self.check_outputs, self._check_ranges_after_outputs, self._check_name, self._check_rest]
             return [SettingsCheck(self, each) for each in alone]
         if self._outputs is not None and not self._outputs_checked:
-            ranges = SettingsCheck(self, self._check_ranges_after_outputs, self._ranges_script(after=True))
-            return [self._outputs_check(), ranges]
+            return [self._outputs_check(), self._ranges_check_after_outputs]
         if self._outputs is not None and any(self._outputs):
             return [self._outputs_check()]
-        return [SettingsCheck(self, self.check_ranges, self._ranges_script(after=False))]
+        return [self._ranges_check]
 
     def _outputs_check(self) -> SettingsCheck:
-        script = None
-        if self._outputs is not None and self._outputs_written:
-            count = self._model.outputs
-            script = ScriptedExchange(read_coils(adam.DIGITAL_OUTPUT, count), coils(self._outputs))
-        return SettingsCheck(self, self.check_outputs, script)
-
-    def _ranges_script(self, *, after: bool) -> ScriptedExchange:
-        return ScriptedExchange(READ_RANGES, self._ranges_reply, self._note_outputs_checked if after else None)
+        if self._outputs is None or not self._outputs_written:
+            return SettingsCheck(self, self.check_outputs)
+        key = tuple(self._outputs)
+        known = self._outputs_checks.get(key)
+        if known is None:
+            script = ScriptedExchange(read_coils(adam.DIGITAL_OUTPUT, self._model.outputs), coils(self._outputs))
+            known = self._outputs_checks[key] = SettingsCheck(self, self.check_outputs, script)
+        return known
 
     def _note_outputs_checked(self) -> None:
         self._outputs_checked = True

@@ -169,11 +169,11 @@ class ConverterModule:
         self.silent = False
         self.refusals: deque[int] = deque()
         self.latency_s = electronics.latency_s
-        self._settings_replies: dict[tuple[bytes, int, int], bytes] = {}
+        self._settings_replies: dict[tuple[bytes, int, int, int], bytes] = {}
         self.inputs = Inputs(plant, index, self.model.power_on)
         self._plant = plant
         self._index = index
-        self._outputs = [False] * self.model.outputs
+        self._outputs, self._gain = [False] * self.model.outputs, 0
         self._safety = 0
         self._writable = {*range(adam.DIGITAL_OUTPUT, adam.DIGITAL_OUTPUT + self.model.outputs)}
         if self.model.statistics:
@@ -239,10 +239,10 @@ class ConverterModule:
         return [held[at] for at in wanted]
 
     def settings_reply(self, request: bytes) -> bytes | None:
-        """The reply to a read of settings, if it was made before and no setting has changed since."""
+        """The reply to a read of settings, if it was made before with the same settings."""
         if self.refusals:
             return None
-        return self._settings_replies.get((request, self.inputs.enabled, self.inputs.changes))
+        return self._settings_replies.get((request, self._gain, self.inputs.enabled, self.inputs.changes))
 
     def keep_reply(self, request: bytes, address: int, count: int, reply: bytes) -> None:
         """Keep the reply to a read, if that is of settings alone."""
@@ -251,7 +251,7 @@ class ConverterModule:
         else:
             settings = address >= adam.DIGITAL_OUTPUT and address + count <= adam.DIGITAL_OUTPUT + len(self._outputs)
         if settings:
-            self._settings_replies[request, self.inputs.enabled, self.inputs.changes] = reply
+            self._settings_replies[request, self._gain, self.inputs.enabled, self.inputs.changes] = reply
 
     @property
     def plain(self) -> bool:
@@ -277,10 +277,9 @@ class ConverterModule:
 
     def _switch(self, outputs: list[bool], t: float) -> None:
         self._outputs = outputs
-        self._settings_replies.clear()
-        gain = sum(1 << bit for bit, on in enumerate(outputs) if on)
+        self._gain = sum(1 << bit for bit, on in enumerate(outputs) if on)
         highest = len(self._plant.model.electronics.gains_v_per_a) - 1
-        self._plant.gain[self._index].set(t, min(gain, highest))
+        self._plant.gain[self._index].set(t, min(self._gain, highest))
 
     def _refuse(self) -> None:
         if self.refusals:

@@ -147,12 +147,13 @@ class Drawn(Mapping[str, float]):
         return len(self._keys)
 
     def __getitem__(self, name: str) -> float:
+        if (known := self._values.get(name)) is not None:
+            return known
         stem, again, _ = name.partition("@")
         if again:
             return self._draw(name, _REPEATED_KEYS[stem])
-        if name not in self._values:
-            self._values[name] = self._draw(name, self._keys[name])
-        return self._values[name]
+        drawn = self._values[name] = self._draw(name, self._keys[name])
+        return drawn
 
     def _draw(self, name: str, key: str) -> float:
         width: float = getattr(self.table, key)
