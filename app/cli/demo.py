@@ -16,6 +16,7 @@ from goniotwin.app.campaign.reduction.comparison import Comparison, compare, cut
 from goniotwin.app.campaign.reduction.reduction import BsdfDataset, reduce_journal
 from goniotwin.app.campaign.running.events import State
 from goniotwin.app.campaign.schedule.file import read_schedule
+from goniotwin.app.cli.compilation import compile_ahead
 from goniotwin.app.cli.output import RowProgress
 from goniotwin.app.data.conversion import Choice, convert_reduced, format_to_write
 from goniotwin.app.data.report.report import write_report
@@ -40,6 +41,7 @@ def run_demo(
             file.unlink(missing_ok=True)
     except OSError as error:
         raise UserError(f"{out}: cannot be written: {error.strerror}; choose another folder with --out") from None
+    compile_ahead()
     plan = make_plan(schedule, rig)
     reduced, seconds = _measure(plan, files["journal"], transcript, console, "with noise")
     with tempfile.TemporaryDirectory() as folder:

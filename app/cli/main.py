@@ -21,7 +21,7 @@ from typer.exceptions import TyperException
 
 import goniotwin
 from goniotwin import examples
-from goniotwin.app.cli import campaign, data, instrument, render, serving, simulation, station, tolerances, views
+from goniotwin.app.cli import campaign, compilation, data, instrument, render, serving, simulation, station, tolerances, views
 from goniotwin.app.cli.output import Json, Speed, TranscriptOption, answer, errors, print_error
 from goniotwin.app.end_signals import ignore_end_signals, interrupt_on_end_signal
 from goniotwin.app.errors import UserError, room_on_disk, unexpected_error
@@ -35,7 +35,7 @@ UNREACHABLE = frozenset({errno.ENAMETOOLONG, errno.EACCES, errno.ELOOP, errno.EN
 COMMANDS = (
     "devices", "home", "here", "move", "read", "check", "rehearse", "prove", "run", "runs", "align", "verify", "budget",
     "closure", "export", "convert", "info", "report", "plot", "compare", "render", "copy", "simulate", "tolerances",
-    "demo", "examples", "schema", "serve", "usb", "replay", "station", "desktop",
+    "demo", "examples", "compile", "schema", "serve", "usb", "replay", "station", "desktop",
 )  # fmt: skip
 """In the order of an operator's day; then what is needed less often."""
 
@@ -69,7 +69,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-for group in (instrument, station, campaign, data, views, render, serving, tolerances):
+for group in (instrument, station, campaign, data, views, render, serving, tolerances, compilation):
     app.add_typer(group.app)
 app.add_typer(simulation.app, name="simulate")
 

@@ -5,6 +5,7 @@ stored in the user's own cache folder. A user without a home (a service, a conta
 Without even that, each program compiles for itself. numba's own `NUMBA_CACHE_DIR` takes precedence.
 """
 
+import contextlib
 import hashlib
 import os
 import pickle
@@ -18,6 +19,8 @@ from typing import Any, TypeVar
 
 from goniotwin.twin.optics.deferred_kernel import DeferredKernel
 
+UNREADABLE = (AttributeError, ImportError, EOFError, pickle.UnpicklingError)
+"""What reading files of an earlier version raises."""
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
@@ -44,13 +47,17 @@ def _dispatcher(function: Any, options: dict[str, Any], make_called: Callable[[]
     from numba import njit
     from numba.core import config
 
+    from goniotwin.twin.optics.compilation import LEAN
+
     if config.DISABLE_JIT:
         return function
     cached = _set_cache_folder()
     # Nothing calls a kernel from C, and numba's entrance for that is a twentieth of the time to compile.
     dispatcher: Any = njit(cache=cached, no_cfunc_wrapper=True, **options)(function)
-    _compile_for_all_values(dispatcher)
-    _before_compiling(dispatcher, make_called)
+    part = njit(no_cpython_wrapper=True, no_cfunc_wrapper=True, **options)(function) if LEAN else dispatcher
+    for each in {id(dispatcher): dispatcher, id(part): part}.values():
+        _before_compiling(each, make_called)
+    _call_from_kernels(dispatcher, part)
     if cached:
         dispatcher._cache._cache_file._source_stamp = source_stamp(Path(function.__code__.co_filename).parent)
     _discard_unreadable(dispatcher._cache)
@@ -99,21 +106,31 @@ def thread_count() -> int:
     return int(numba.get_num_threads())
 
 
-def _compile_for_all_values(dispatcher: Any) -> None:
-    """Compile the function once for all values of an argument.
+def _call_from_kernels(dispatcher: Any, part: Any) -> None:
+    """Have other kernels call `part`, compiled once for all values of an argument.
 
     numba takes a constant in a call from another kernel as a type of its own: `f(x, 0)` and `f(x, 1)` would be two functions,
     and a variable that starts as a constant would have the function compiled for that constant first, to no use.
     """
     from numba import types
 
-    template: Any = dispatcher.get_call_template
+    from goniotwin.twin.optics.compilation import compiling_kernel, compiling_part
+
+    template: Any = part.get_call_template
+    compile_kernel: Any = dispatcher.compile
     plain: Any = types.unliteral
 
     def get_call_template(arguments: tuple[Any, ...], keywords: dict[str, Any]) -> Any:
-        return template(tuple(map(plain, arguments)), {name: plain(each) for name, each in keywords.items()})
+        with compiling_part():
+            return template(tuple(map(plain, arguments)), {name: plain(each) for name, each in keywords.items()})
+
+    def compile_with_parts(signature: Any) -> Any:
+        with compiling_kernel():
+            return compile_kernel(signature)
 
     dispatcher.get_call_template = get_call_template
+    dispatcher.get_overload, dispatcher.part = part.get_overload, part
+    dispatcher.compile = compile_with_parts
 
 
 @cache
@@ -137,7 +154,7 @@ def _discard_unreadable(cache: Any) -> None:
     def load_overload(*arguments: Any) -> Any:
         try:
             return load(*arguments)
-        except (AttributeError, ImportError, EOFError, pickle.UnpicklingError):
+        except UNREADABLE:
             try:
                 cache.flush()
             except OSError:  # a read-only folder
@@ -160,6 +177,33 @@ def find_cache(sources: Path, home: Path | None, temporary: Path) -> Path | None
     own = temporary / f"goniotwin-{_user()}"
     # Compiled code is loaded from there and run: other users must not have access to it.
     return own if _writable(own, mode=0o700) and _private(own) else None
+
+
+def is_compiled(function: Callable[..., Any], last: str = "") -> bool:
+    """Whether the files have code of a kernel for this computer, these sources and this numba; or it need not be compiled.
+
+    With `last` code whose last argument has that type, by numba's name of it.
+    """
+    from numba.core import config
+
+    dispatcher: Any = function
+    if config.DISABLE_JIT:
+        return True
+    found = [*dispatcher.signatures]
+    if _set_cache_folder():
+        with contextlib.suppress(*UNREADABLE, OSError):
+            computer = dispatcher.targetctx.codegen().magic_tuple()
+            found += [key[0] for key in dispatcher._cache._cache_file._load_index() if key[1] == computer]
+    return any(not last or str(each[-1]) == last for each in found)
+
+
+def cache_folder() -> Path | None:
+    """Folder of compiled code, or that of the optics if each folder of sources has its own; None where none is kept."""
+    from numba.core import config
+
+    if not _set_cache_folder():
+        return None
+    return Path(config.CACHE_DIR) if config.CACHE_DIR else Path(__file__).parent / "__pycache__"
 
 
 def _writable(folder: Path, mode: int = 0o777) -> bool:

@@ -9,7 +9,7 @@ from types import ModuleType
 
 import pytest
 
-from goniotwin.twin.optics.kernel import kernel, source_stamp
+from goniotwin.twin.optics.kernel import is_compiled, kernel, source_stamp
 
 SOURCE = """
 from typing import NamedTuple
@@ -110,8 +110,42 @@ def test_a_kernel_is_compiled_once_for_all_constants(tmp_path: Path, monkeypatch
     (tmp_path / "kernel_of_constants.py").write_text(CONSTANTS, encoding="utf-8")
     module = importlib.import_module("kernel_of_constants")
     assert module.result() == 5
-    assert len(module.added.signatures) == 1
+    assert len(module.added.part.signatures) == 1
     sys.modules.pop("kernel_of_constants")
+
+
+def test_it_is_known_whether_a_kernel_has_to_be_compiled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """By the files alone, of these sources; and by the type of the last argument."""
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr("numba.core.config.CACHE_DIR", str(tmp_path / "cache"))
+    module = import_anew(tmp_path, "Value", 3.0, 1_000_000_000)
+    assert not is_compiled(module.scaled)
+    module.result()
+    assert is_compiled(module.scaled)
+    module = fresh_module(MODULE)
+    assert is_compiled(module.scaled)
+    assert is_compiled(module.scaled, "float64")
+    assert not is_compiled(module.scaled, "none")
+    assert not module.scaled.signatures
+    assert not is_compiled(import_anew(tmp_path, "Value", 5.0, 1_100_000_000).scaled)
+    sys.modules.pop(MODULE)
+
+
+def test_what_one_kernel_alone_calls_has_no_machine_code_and_gives_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:  # fmt: skip
+    """Its code is linked into the one that calls it. Called from Python it is a kernel like any other."""
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr("numba.core.config.CACHE_DIR", str(tmp_path / "cache"))
+    (tmp_path / "called_kernel.py").write_text(CALLED.format(factor=3.0), encoding="utf-8")
+    (tmp_path / "calling_kernel.py").write_text(CALLER, encoding="utf-8")
+    called, calling = fresh_module("called_kernel"), fresh_module("calling_kernel")
+    assert calling.result() == 6.0
+    assert [each.name.partition("-")[0] for each in (tmp_path / "cache").rglob("*.nbi")] == ["calling_kernel.result"]
+    assert called.factor() == 3.0
+    assert len(list((tmp_path / "cache").rglob("*.nbi"))) == 2
+    for name in ("called_kernel", "calling_kernel"):
+        sys.modules.pop(name)
 
 
 def test_without_numbas_compiler_a_kernel_is_the_function(monkeypatch: pytest.MonkeyPatch) -> None:

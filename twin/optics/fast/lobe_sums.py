@@ -14,7 +14,7 @@ import numpy as np
 
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics.bsdf.models import GAUSSIAN, LAMBERTIAN, bsdf
-from goniotwin.twin.optics.bsdf.packed_lobes import TRANSMITS, Models, model_arrays
+from goniotwin.twin.optics.bsdf.packed_lobes import KIND, TRANSMITS, Models, model_arrays
 from goniotwin.twin.optics.kernel import kernel
 
 LOG2_E = 1.0 / math.log(2.0)
@@ -27,7 +27,7 @@ E0, E1, E2, E3, E4 = 0.9999999999997623, 0.6931471805465146, 0.24022650698880404
 E5, E6, E7, E8 = 0.001333345206273817, 0.00015403851761890063, 1.5309737273786115e-05, 1.3175854503915213e-06
 
 
-@kernel(inline="always")
+@kernel(forceinline=True, fastmath={"contract"})
 def arcsine(x: float, square: float) -> float:
     """asin(x) for x from 0 to 0.5, with the square of x given too."""
     low = A0 + square * (A1 + square * (A2 + square * (A3 + square * A4)))
@@ -35,7 +35,7 @@ def arcsine(x: float, square: float) -> float:
     return x * (low + square**5 * high)
 
 
-@kernel(inline="always")
+@kernel(forceinline=True, fastmath={"contract"})
 def power_of_two(y: float) -> float:
     """2^y for y from -1000 to 1000."""
     whole = np.int32(np.floor(y + 0.5))
@@ -70,13 +70,15 @@ def gaussian_values(
 
 
 @kernel(nogil=True)
-def lobe_sums(models: Models, lobe: int, rays: Floats, each: int, values: Floats, result: Floats) -> None:
+def lobe_sums(
+    models: Models, lobe: int, rays: Floats, each: int, values: Floats, result: Floats, general: bool | None
+) -> None:  # fmt: skip
     """Add to `result` (n,): sums of weight times value of a lobe over `each` rays of n detectors.
 
     `rays` (7, at least n each) has the first ray of every detector, then the second of every one, and so on. `values` (at least
-    n each) is a buffer.
+    n each) is a buffer. With `general` None, see `score_scenes`, there are GAUSSIAN and LAMBERTIAN lobes alone.
     """
-    kind, params, sig, ph, th, psi, table = model_arrays(models, lobe)
+    kind, params = models.heads[lobe, KIND], models.params[lobe]
     transmits, count = models.heads[lobe, TRANSMITS] == 1, result.size
     if kind == GAUSSIAN:
         gaussian_values(params[0], params[1], params[2] == 1.0, params[4], transmits, rays, values[: each * count])
@@ -88,7 +90,8 @@ def lobe_sums(models: Models, lobe: int, rays: Floats, each: int, values: Floats
             for k in range(count):
                 lit = (rays[6, i * count + k] < 0.0) == transmits
                 result[k] += rays[0, i * count + k] * params[0] if lit else 0.0
-    else:
+    elif general is not None:
+        _, _, sig, ph, th, psi, table = model_arrays(models, lobe)
         for i in range(each):
             for k in range(count):
                 ray = i * count + k

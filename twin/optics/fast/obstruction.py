@@ -186,7 +186,8 @@ def _visible_shares(centres: Floats, directions: Floats, bundle: Floats, sizes: 
             wx, wy, wz = along * (dx + p * e1x + q * e2x), along * (dy + p * e1y + q * e2y), along * (dz + p * e1z)
             weight = np.where((share_v > 0.0) & (wz * dz > 0.0) & (share_u > 0.0), np.abs(area) * share_v * share_u, 0.0)
             length = (ahead - u * dx - v * dy) * along * (1.0 + p * p + q * q)
-            hidden = [is_blocked(*mirror.ravel(), half, u, v, wx, wy, wz, length) for mirror in mirrors]
+            rays = u, v, wx, wy, wz, length
+            hidden = [is_blocked(*mirror.ravel(), half, *rays) for mirror in mirrors]  # type: ignore[call-arg]  # 19 in all
         total += weight.sum(axis=1)
         free += np.where(np.any(hidden, axis=0), 0.0, weight).sum(axis=1)
     return np.divide(free, total, out=np.zeros(len(total)), where=total > 0.0)

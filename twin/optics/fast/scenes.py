@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 from goniotwin.arrays import Floats, Ints
 from goniotwin.twin.optics.bsdf.lobes import Lobe, parameters
-from goniotwin.twin.optics.bsdf.models import ANISOTROPIC, LAMBERTIAN, REGULAR, TABLE, regular_share
+from goniotwin.twin.optics.bsdf.models import ANISOTROPIC, GAUSSIAN, LAMBERTIAN, REGULAR, TABLE, regular_share
 from goniotwin.twin.optics.bsdf.packed_lobes import ABOVE, KIND, TRANSMITS, Models, model_arrays, pack_models
 from goniotwin.twin.optics.bsdf.scatterer import Scatterer
 from goniotwin.twin.optics.fast.aperture import (
@@ -90,7 +90,7 @@ COARSE_RULE: Rule = (cone_nodes(), side_nodes(), hole_nodes(4), 256)
 """For ratios, in which the error cancels: exact to 3 %."""
 FINEST_RULE: Rule = (cone_nodes(3), side_nodes(12), hole_nodes(16), 1024)
 """For fluxes where the light ends within the hole: exact to 0.3 %, and to 0.5 % where 2 % of the light are left."""
-TABLE_KINDS = (TABLE, ANISOTROPIC)
+TABLE_KINDS, PLAIN_KINDS = (TABLE, ANISOTROPIC), (GAUSSIAN, LAMBERTIAN)
 LIGHT_RAYS = 8192
 """Rays from pupil to hole for the mean of what is not even, of a regular component."""
 HOLE, LINE = line_nodes(HOLE_NODES), side_nodes(SLOPE_NODES)
@@ -177,10 +177,12 @@ class Block(NamedTuple):
 @kernel(nogil=True)
 def score_scenes(
     optics: Optics, models: Models, spectra: Spectra, deviations: Floats, poses: Floats, starts: Ints, directions: Floats,
-    first_rig: int, result: Floats,
+    first_rig: int, result: Floats, general: bool | None,
 ) -> None:  # fmt: skip
     """Fill `result` (rigs, samples, w, detectors) with throughputs in m^2 sr, from `first_rig` on.
 
+    `general` is True, or None for GAUSSIAN and LAMBERTIAN lobes, narrow cones and an even light: numba then leaves out the code
+    for all others, which takes as long to compile as the rest.
     `deviations` (n, elements, 6); `poses` (p, 2): sigma and gamma, deg; the detectors of pose p have the unit vectors
     `directions` (detectors, 3) from starts[p] to starts[p + 1].
     """
@@ -222,7 +224,7 @@ def score_scenes(
                 size = min(BLOCK, count - start)
                 score_block(
                     optics, models, scene, light, centres[start : start + size], axes[start : start + size],
-                    acting[:active], block,
+                    acting[:active], block, general,
                 )  # fmt: skip
                 for a in range(active):
                     k = acting[a]
@@ -232,7 +234,7 @@ def score_scenes(
                             row[first + lit[start + i]] += factor * block.sums[k, i]
 
 
-@kernel(inline="always")
+@kernel()
 def select_lit(centres: Floats, axes: Floats, total: int, above: bool, below: bool, lit: Ints) -> int:
     """Move the detectors above or below the sample's plane, or both, to the front; fill `lit` with their numbers.
 
@@ -248,7 +250,7 @@ def select_lit(centres: Floats, axes: Floats, total: int, above: bool, below: bo
     return count
 
 
-@kernel(inline="always")
+@kernel()
 def mirror_products(spectra: Spectra, scene: SceneArrays, result: Floats) -> None:
     """Fill `result` (w,) with the product of the three mirrors' reflectances, linear between the angles of the table."""
     angles, last = spectra.angles_deg, spectra.angles_deg.size - 1
@@ -266,10 +268,10 @@ def mirror_products(spectra: Spectra, scene: SceneArrays, result: Floats) -> Non
             result[j] *= low + share * (high - low)
 
 
-@kernel(inline="always")
+@kernel()
 def score_block(
     optics: Optics, models: Models, scene: SceneArrays, light: SlitImage, centres: Floats, axes: Floats, acting: Ints,
-    block: Block,
+    block: Block, general: bool | None,
 ) -> None:  # fmt: skip
     """Fill `block.sums` (lobes, BLOCK): throughputs by the lobes `acting` alone, mirrors without loss, of n detectors."""
     count, kept, above, below = axes.shape[0], False, False, False
@@ -281,12 +283,13 @@ def score_block(
     for k in acting:
         for i in range(count):
             block.sums[k, i] = 0.0
-        kept = kept or models.heads[k, KIND] in TABLE_KINDS
+        if general is not None:
+            kept = kept or models.heads[k, KIND] in TABLE_KINDS
     if not optics.bundles:
-        fill_nodes(optics, nodes, scene, light, centres, axes, block)
+        fill_nodes(optics, nodes, scene, light, centres, axes, block, general)
         for k in acting:
             if models.heads[k, KIND] not in TABLE_KINDS and (below if models.heads[k, TRANSMITS] == 1 else above):
-                lobe_sums(models, k, block.rays, NODES, block.values, block.sums[k, :count])
+                lobe_sums(models, k, block.rays, NODES, block.values, block.sums[k, :count], general)
     # Tables have kinks, which seven rays do not resolve: their mean is taken over a bundle, times what the seven rays take, as
     # sample and etalon must have the same accepted rays.
     if kept and not optics.bundles:
@@ -296,18 +299,19 @@ def score_block(
     for i in range(count):
         partly = block.status[i] == PARTLY
         if partly or (kept and block.status[i] == FREE):
-            add_bundle(optics, nodes.bundle, models, scene, light, centres[i], axes[i], acting, partly, i, block)
+            add_bundle(optics, nodes.bundle, models, scene, light, centres[i], axes[i], acting, partly, i, block, general)
     for k in acting:
         for i in range(count):
             block.sums[k, i] *= optics.scale
-        if models.heads[k, KIND] == REGULAR:
+        if general is not None and models.heads[k, KIND] == REGULAR:
             fill_regular(optics, nodes.bundle, models, scene, light, centres, axes, k, block.sums[k, :count])
 
 
-@kernel(inline="always")
+@kernel()
 def fill_nodes(
-    optics: Optics, nodes: Nodes, scene: SceneArrays, light: SlitImage, centres: Floats, axes: Floats, block: Block
-) -> None:
+    optics: Optics, nodes: Nodes, scene: SceneArrays, light: SlitImage, centres: Floats, axes: Floats, block: Block,
+    general: bool | None,
+) -> None:  # fmt: skip
     """Fill `block.rays` with the seven rays of n detectors, see `place_nodes`, and `block.status`.
 
     PARTLY means that seven are not enough, because a mirror blocks some of the accepted rays; the nodes are filled in all the
@@ -318,12 +322,12 @@ def fill_nodes(
         w[k + PX], w[k + PY], w[k + PZ] = centres[k, 0], centres[k, 1], centres[k, 2]
         w[k + DX], w[k + DY], w[k + DZ] = axes[k, 0], axes[k, 1], axes[k, 2]
     fill_frames(w, count)
-    if optics.wide:
-        fill_wide_apertures(w, count, nodes.hole, optics.sizes, light.chords)
-    else:
+    if not optics.wide:
         fill_apertures(w, count, nodes.cone, nodes.side, optics.sizes, light.chords)
+    elif general is not None:
+        fill_wide_apertures(w, count, nodes.hole, optics.sizes, light.chords)
     place_nodes(w, count, scene.pupil, optics.hexagon, block.rays, block.points)
-    if not light.slit.even:
+    if general is not None and not light.slit.even:
         weigh_rays(light, block.points[:, : NODES * count], block.rays[0, : NODES * count])
     clipped, blocking = scene.missed[0] + scene.missed[1] + scene.missed[2] > 0.0, optics.lengths[HALF_BLOCKING]
     for k in range(count):
@@ -337,10 +341,10 @@ def fill_nodes(
                 block.rays[0, j * count + k] = 0.0
 
 
-@kernel(inline="always")
+@kernel()
 def add_bundle(
     optics: Optics, bundle: Floats, models: Models, scene: SceneArrays, light: SlitImage, centre: Floats, d: Floats,
-    acting: Ints, partly: bool, i: int, block: Block,
+    acting: Ints, partly: bool, i: int, block: Block, general: bool | None,
 ) -> None:  # fmt: skip
     """Fill the sums of detector i of the block from a whole bundle; unless `partly` those of tables alone."""
     lengths, sizes, lanes, t, rays = optics.lengths, optics.sizes, block.lanes, block.tile, block.rays
@@ -363,13 +367,13 @@ def add_bundle(
                     fill_ends(view, bundle, first, count, sign, sizes, first_v, last_v, edges, other, t)
                     hide_ends(scene.mirrors, near, lengths[HALF_BLOCKING], count, t)
                 fill_arrivals(scene, lengths[HALF_MIRROR], other, share, count, t, rays, column)
-                if not light.slit.even:
+                if general is not None and not light.slit.even:
                     weigh_tile(light, other, count, t, rays, column)
                 column += count
         for k in acting:
             on_its_side = (d[2] < 0.0) == (models.heads[k, TRANSMITS] == 1)
             if on_its_side and (partly or models.heads[k, KIND] in TABLE_KINDS):
-                lobe_sums(models, k, rays, 4, block.values, lanes[k, :count])
+                lobe_sums(models, k, rays, 4, block.values, lanes[k, :count], general)
         if not partly:
             for j in range(4):
                 for lane in range(count):
@@ -385,7 +389,7 @@ def add_bundle(
             block.sums[k, i] = block.taken[i] / given * lanes[k, 0] if given > 0.0 else 0.0
 
 
-@kernel(inline="always")
+@kernel()
 def weigh_tile(light: SlitImage, other: float, count: int, t: Floats, rays: Floats, column: int) -> None:
     """Multiply the weights of `count` `rays` from `column` on, those of the tile `t`, by the relative radiance."""
     for i in range(count):
@@ -394,7 +398,7 @@ def weigh_tile(light: SlitImage, other: float, count: int, t: Floats, rays: Floa
             rays[0, column + i] *= relative_radiance(light, a, b, t[i + END_U], t[i + END_V])
 
 
-@kernel(inline="always")
+@kernel()
 def fill_regular(
     optics: Optics, bundle: Floats, models: Models, scene: SceneArrays, light: SlitImage, centres: Floats, axes: Floats, k: int,
     result: Floats,
@@ -427,13 +431,27 @@ class Pose:
     gamma_deg: float = 0.0
 
 
+@dataclass(frozen=True, eq=False)
+class Poses:
+    """Many poses with as many detectors each, as arrays: a list of `Pose` costs 10 microseconds more for each of them.
+
+    `sigma_deg` (p,); `directions` (p, n, 3) in the rig's frame; `gamma_deg` (p,) or one for all. Such as the poses of a plan
+    that are ahead: `Scenes(instrument, Poses(...), [sample]).throughputs()[0, 0, 0].reshape(p, n)`.
+    """
+
+    sigma_deg: npt.ArrayLike
+    directions: npt.ArrayLike
+    gamma_deg: npt.ArrayLike = 0.0
+
+
 class Scenes:
     """Poses, samples and wavelengths of one instrument, for any number of rigs: the same instrument with other deviations.
 
     Deviations are an array (rigs, elements, 6), see `deviation_array`; they replace the instrument's own, which are used where
     none are given. Results (rigs, samples, w, detectors) have the detectors of all poses one after the other, see `pieces`;
-    without wavelengths w is 1. Every reading is independent of all others: results are bit-identical for any number of
-    threads, and for any other rigs and poses beside it. `rays` as in `twin.optics.throughput`.
+    without wavelengths w is 1. With `Poses` of p poses, result.reshape(rigs, samples, w, p, -1) has those of each in the last
+    axis. Every reading is independent of all others: results are bit-identical for any number of threads, and for any other
+    rigs and poses beside it. `rays` as in `twin.optics.throughput`.
 
     Raises ValueError for a wrong shape, a direction of length zero, angles that are not finite, a number of rays that is not a
     multiple of 4, a sample with a spectrum without wavelengths, or a sensor that is not a simple detector, a disc with an
@@ -443,7 +461,7 @@ class Scenes:
     def __init__(
         self,
         instrument: Instrument,
-        poses: Sequence[Pose],
+        poses: Sequence[Pose] | Poses,
         samples: Sequence[Scatterer],
         wavelengths_nm: npt.ArrayLike | None = None,
         rays: int | None = None,
@@ -454,7 +472,8 @@ class Scenes:
         self._samples, self._etalon = tuple(samples), etalon
         wavelengths = None if wavelengths_nm is None else np.atleast_1d(np.asarray(wavelengths_nm, dtype=np.float64))
         self._wavelengths_nm = wavelengths
-        self._poses, self._starts, self._directions, self.pieces = _pack_poses(poses)
+        packed = _pack_arrays(poses) if isinstance(poses, Poses) else _pack_poses(poses)
+        self._poses, self._starts, self._directions, self.pieces = packed
 
     @property
     def detectors(self) -> int:
@@ -498,16 +517,17 @@ class Scenes:
     def _compute(self, samples: tuple[Scatterer, ...], deviations: Floats | None, *, ratios: bool) -> Floats:
         instrument = self._instrument
         rigs = instrument.deviation_rows[None] if deviations is None else _check_deviations(deviations)
-        optics, (models, owners) = _optics(instrument, self._rays, ratios), _pack_samples(samples)
+        optics, (models, owners, plain) = _optics(instrument, self._rays, ratios), _pack_samples(samples)
         spectra = _spectra(instrument, samples, owners, self._wavelengths_nm)
         result = np.empty((len(rigs), len(samples), spectra.weights.shape[1], self.detectors))
         tasks = list(_tasks(len(rigs), self._starts))
+        general = None if plain and optics.slit.even and not optics.wide else True
 
         def run(task: tuple[int, int, int, int]) -> None:
             first, last, begin, end = task
             score_scenes(
                 optics, models, spectra, rigs[first:last], self._poses[begin:end], self._starts[begin : end + 1],
-                self._directions, first, result,
+                self._directions, first, result, general,
             )  # fmt: skip
 
         threads = 1 if _ALONE.threads else thread_count()
@@ -557,6 +577,26 @@ def _pack_poses(poses: Sequence[Pose]) -> tuple[Floats, Ints, Floats, tuple[slic
     return np.array(angles, dtype=np.float64).reshape(-1, 2), np.array(starts), directions, tuple(pieces)
 
 
+def _pack_arrays(poses: Poses) -> tuple[Floats, Ints, Floats, tuple[slice, ...]]:
+    """`_pack_poses` of arrays."""
+    directions = np.asarray(poses.directions, dtype=np.float64)
+    if directions.ndim != 3 or directions.shape[2] != 3:
+        raise ValueError(f"directions has the shape {directions.shape}: give (poses, detectors, 3)")
+    count, each = directions.shape[:2]
+    angles = np.empty((count, 2))
+    for column, name in enumerate(("sigma_deg", "gamma_deg")):
+        given = np.asarray(getattr(poses, name), dtype=np.float64)
+        if given.shape not in ((), (count,)):
+            raise ValueError(f"{name} has the shape {given.shape}: give ({count},), an angle for each pose")
+        angles[:, column] = given
+    if not np.all(np.isfinite(angles)):
+        raise ValueError("sigma_deg or gamma_deg has an entry that is not finite: give both in degrees")
+    pieces = tuple(slice(first, first + each) for first in range(0, count * each, each)) if each else (slice(0, 0),) * count
+    steps = range(0, each, PIECE) if each > PIECE else (0,)
+    starts = np.append((np.arange(count)[:, None] * each + np.array(steps)).ravel(), count * each)
+    return np.repeat(angles, len(steps), axis=0), starts, direction_rows(directions.reshape(-1, 3)), pieces
+
+
 def _tasks(rigs: int, starts: Ints) -> Iterator[tuple[int, int, int, int]]:
     """Ranges of rigs and of poses of at most about PIECE readings each."""
     begin, poses = 0, len(starts) - 1
@@ -597,9 +637,11 @@ def _optics(instrument: Instrument, rays: int | None, ratios: bool) -> Optics:
 
 
 @lru_cache(maxsize=16)
-def _pack_samples(samples: tuple[Scatterer, ...]) -> tuple[Models, Ints]:
+def _pack_samples(samples: tuple[Scatterer, ...]) -> tuple[Models, Ints, bool]:
+    """Models of all lobes, the number of each one's sample, and whether all are of PLAIN_KINDS."""
     owners = np.repeat(np.arange(len(samples)), [len(each.lobes) for each in samples])
-    return pack_models([lobe for each in samples for lobe in each.lobes]), owners
+    lobes = [lobe for each in samples for lobe in each.lobes]
+    return pack_models(lobes), owners, all(lobe.kind in PLAIN_KINDS for lobe in lobes)
 
 
 def _spectra(instrument: Instrument, samples: tuple[Scatterer, ...], owners: Ints, wavelengths_nm: Floats | None) -> Spectra:

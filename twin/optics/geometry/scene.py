@@ -164,7 +164,7 @@ def fill_scene(
     return back
 
 
-@kernel(inline="always")
+@kernel()
 def fill_sample_frame(deviation: Floats, sigma_deg: float, gamma_deg: float, to_sample: Floats, origin: Floats) -> bool:
     """Fill `to_sample` and `origin` of a scene; whether the light is on the sample's back."""
     cosine, sine = math.cos(math.radians(gamma_deg)), math.sin(math.radians(gamma_deg))
@@ -237,7 +237,7 @@ def mirror_angle_deg(pupil: Floats, images: Floats, m: int) -> float:
     return math.degrees(math.acos(min(abs(along) / length, 1.0)))
 
 
-@kernel(inline="always")
+@kernel()
 def find_missed(images: Floats, pupil: Floats, hole: float, half: float, missed: Floats) -> None:
     """Fill `missed` (3,) of a scene; `hole` and `half` are half sides of hole and mirrors, mm.
 

@@ -20,6 +20,7 @@ from goniotwin.twin.optics import (
     Deviation,
     Instrument,
     Pose,
+    Poses,
     Reflectance,
     Scatterer,
     Scenes,
@@ -112,6 +113,29 @@ def test_the_instruments_own_deviations_are_used_where_none_are_given() -> None:
     np.testing.assert_array_equal(straight.throughputs(), bent.throughputs(np.zeros((1, len(ELEMENTS), len(COMPONENTS)))))
 
 
+@pytest.mark.parametrize("count", [0, 36, PIECE + 5])
+def test_poses_as_arrays_are_the_same_as_one_by_one(count: int) -> None:
+    sigma, gamma = np.array([30.0, 0.0, 140.0]), np.array([0.0, 25.0, 0.0])
+    directions = np.random.default_rng(3).normal(size=(3, count, 3)) * [0.3, 0.3, 1.0]
+    arrays = Scenes(SHADED, Poses(sigma, directions, gamma), SAMPLES[:1])
+    listed = Scenes(SHADED, [Pose(*each) for each in zip(sigma, directions, gamma, strict=True)], SAMPLES[:1])
+    assert arrays.pieces == listed.pieces
+    assert arrays.detectors == listed.detectors == 3 * count
+    np.testing.assert_array_equal(arrays.throughputs(), listed.throughputs())
+
+
+def test_poses_that_do_not_fit_are_refused() -> None:
+    up = np.tile([0.0, 0.0, 1.0], (2, 4, 1))
+    for poses, fault in (
+        (Poses([0.0, 30.0], up[0]), r"directions has the shape \(4, 3\)"),
+        (Poses([0.0], up), r"sigma_deg has the shape \(1,\): give \(2,\)"),
+        (Poses([0.0, 30.0], up, [0.0, math.nan]), "not finite"),
+        (Poses([0.0, 30.0], 0.0 * up), "give a finite vector with a length"),
+    ):
+        with pytest.raises(ValueError, match=fault):
+            Scenes(SHADED, poses, SAMPLES[:1])
+
+
 def test_the_kernel_is_compiled_once_for_all_calls() -> None:
     """Another type of an argument would cost as many seconds again at its first use."""
     fixed = deviation_array([TILTED, {}])
@@ -124,7 +148,10 @@ def test_the_kernel_is_compiled_once_for_all_calls() -> None:
             assert scenes.throughputs().shape[0] == 1
             assert scenes.ratios(fixed[:, :, :]).shape[0] == scenes.ratios(np.repeat(fixed, 2, axis=0)[::2]).shape[0] == 2
     throughput(OPEN, 30.0, [[0.0, 0.0, 1.0]], gaussian(5.0), wavelength_nm=500.0)
-    assert len(score_scenes.signatures) == 1  # type: ignore[attr-defined]
+    # Two at most: with the code for every lobe, cone and light, and without what is rare.
+    signatures = score_scenes.signatures  # type: ignore[attr-defined]
+    assert len({each[:-1] for each in signatures}) == 1
+    assert {str(each[-1]) for each in signatures} <= {"none", "bool"}
 
 
 def random_rigs(count: int) -> Floats:
