@@ -24,7 +24,17 @@ import numpy as np
 from benchmarks import forward as forward_costs
 from benchmarks import illumination as illumination_costs
 from goniotwin.arrays import Floats
-from goniotwin.twin.optics import Instrument, Pose, arc_direction, from_specular, gaussian, luminance_factors, throughput
+from goniotwin.twin.optics import (
+    Instrument,
+    Pose,
+    Poses,
+    Scenes,
+    arc_direction,
+    from_specular,
+    gaussian,
+    luminance_factors,
+    throughput,
+)
 
 SIGMA_DEG = (*np.arange(0.0, 86.0, 5.0), 87.0)
 OPEN = Instrument(obstruction=False)
@@ -95,6 +105,45 @@ def photodiodes_at_poses() -> None:
             throughput(instrument, float(sigma_deg), np.concatenate(arcs), sample)
 
 
+def costs(action: Callable[[], object], rounds: int = ROUNDS) -> tuple[float, float]:
+    """Minimum wall time and minimum processor time of several rounds, warm, s."""
+    action()
+    wall, cpu = [], []
+    for _ in range(rounds):
+        start, used = time.perf_counter(), time.process_time()
+        action()
+        wall.append(time.perf_counter() - start)
+        cpu.append(time.process_time() - used)
+    return min(wall), min(cpu)
+
+
+def scene_costs() -> dict[str, float]:
+    """A full BSDF; 36 photodiodes at each of 120 poses in one call; a reading of a beam that a mirror clips over an open one.
+
+    `_cpu_` are processor times of all threads, and the ratio is of these; `load` is that of the machine before.
+    """
+    load = os.getloadavg()[0]
+    polar_deg, betas_deg, sample = np.arange(0.0, 86.0, 5.0), np.linspace(0.0, 180.0, 15), gaussian(5.0)
+    arcs = [np.concatenate([arc_direction(polar_deg, b, lower=lower) for lower in (False, True)]) for b in betas_deg]
+    planned = Poses(np.repeat(np.linspace(5.0, 80.0, 8), len(arcs)), np.tile(arcs, (8, 1, 1)))
+    count = np.asarray(planned.sigma_deg).size
+    full, full_cpu = costs(lambda: luminance_factors(OPEN, poses(), sample))
+    ahead, ahead_cpu = costs(lambda: Scenes(Instrument(), planned, [sample]).throughputs())
+    lobe = Pose(30.0, from_specular(30.0, np.tile(np.arange(0.0, 16.0, 0.25), 4), np.repeat(np.arange(4.0) * 90.0, 64)))
+    readings = [
+        costs(Scenes(each, [lobe] * 16, [sample]).throughputs)[1]
+        for each in (OPEN, Instrument(obstruction=False, mirror_side_mm=15.0))
+    ]
+    return {
+        "load": load,
+        "full_bsdf_ms": 1e3 * full,
+        "full_bsdf_cpu_ms": 1e3 * full_cpu,
+        "photodiodes_us": 1e6 * ahead / count,
+        "photodiodes_cpu_us": 1e6 * ahead_cpu / count,
+        "clipped_ratio": readings[1] / readings[0],
+    }
+
+
 FIRST_CALLS = """
 import time
 from goniotwin.twin.optics import Instrument, forward_throughput, gaussian, luminance_factor
@@ -131,6 +180,7 @@ def measure() -> dict[str, Any]:
         "full_bsdf_alpha2_ms": least_ms(lambda: luminance_factors(OPEN, poses(), gaussian(2.0))),
         "full_bsdf_alpha2_p95_error_percent": percentile_95_error(2.0),
         "photodiodes_at_pose_ms": least_ms(photodiodes_at_poses, 20) / (PLACES * ARC_POSES),
+        **scene_costs(),
         **forward_costs.measure(),
         **illumination_costs.measure(),
         "peak_memory_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1e6 if sys.platform == "darwin" else 1e3),

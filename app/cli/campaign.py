@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from goniotwin.app.cli.compilation import compile_ahead
+from goniotwin.app.cli.compilation import compile_ahead, parts_of_rehearsal
 from goniotwin.app.cli.output import (
     CommandWithFormats,
     Json,
@@ -100,8 +100,9 @@ def rehearse(
     from goniotwin.app.rig import read_rig
 
     _check_writable(points, out)
-    compile_ahead()
-    plan, assumed = plan_rehearsal(read_schedule(schedule), read_rig(rig), _sample_models(sample or []))
+    described, on = read_schedule(schedule), read_rig(rig)
+    compile_ahead(parts_of_rehearsal(described.file, on.model()))
+    plan, assumed = plan_rehearsal(described, on, _sample_models(sample or []))
     with RowProgress(errors, f"{plan.schedule.file.name} (rehearsal)", len(plan.rows)) as progress:
         rehearsal = rehearse(plan, assumed, out=out, points=points, listeners=[progress])
     answer(as_json, rehearsal.result, lambda: print(report_text(rehearsal)))
@@ -148,7 +149,7 @@ def prove(
 
     folder = out if out is not None else Path(f"{schedule.stem}.proof")
     proof = Proof(read_schedule(schedule), read_rig(rig), rigs, folder, wires=not without_wires)
-    compile_ahead()
+    compile_ahead(parts_of_rehearsal(proof.schedule.file, proof.rig.model()))
     with (
         runner_of(processes, dask, rigs) as runner,
         kept(folder, "rigs"),

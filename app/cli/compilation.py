@@ -9,12 +9,16 @@ import subprocess
 import sys
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from goniotwin.app.cli.output import Json, answer, print_note
 from goniotwin.app.errors import UserError
+
+if TYPE_CHECKING:
+    from goniotwin.app.campaign.schedule.file import ScheduleFile
+    from goniotwin.twin.plant.model import TwinModel
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
 
@@ -125,7 +129,17 @@ PARTS = {
     "illumination": Part("illumination unit", _illumination, _has_illumination, 5.0),
 }
 REHEARSAL = ("scenes", "rig")
-"""What a rehearsal on the virtual rig needs, with a sample of the examples."""
+"""What every rehearsal needs; Gaussian and diffuse samples need no more."""
+
+
+def parts_of_rehearsal(schedule: "ScheduleFile", model: "TwinModel | None") -> tuple[str, ...]:
+    """Names of the parts that a rehearsal of the schedule needs on the virtual rig `model`, if there is one."""
+    from goniotwin.twin.optics.fast.scenes import PLAIN_KINDS
+
+    samples = () if model is None else [model.samples.get(name) for name in (schedule.etalon, *schedule.samples)]
+    lobes = [lobe for each in samples if each is not None for lobe in each.lobes]
+    through = bool(schedule.open_beam or schedule.signature)  # no sample: all light goes straight on
+    return (*REHEARSAL, "every-scene") if through or any(lobe.kind not in PLAIN_KINDS for lobe in lobes) else REHEARSAL
 
 
 @app.command("compile")

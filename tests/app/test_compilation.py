@@ -9,9 +9,12 @@ from pathlib import Path
 
 import pytest
 
+from goniotwin import examples
+from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.cli import compilation
-from goniotwin.app.cli.compilation import PARTS, REHEARSAL, Part, compile_ahead, compile_optics
+from goniotwin.app.cli.compilation import PARTS, REHEARSAL, Part, compile_ahead, compile_optics, parts_of_rehearsal
 from goniotwin.app.errors import UserError
+from goniotwin.app.rig import read_rig
 
 
 class Compiler:
@@ -49,6 +52,14 @@ def test_a_rehearsal_compiles_what_it_needs_alone(monkeypatch: pytest.MonkeyPatc
     compiler = Compiler(monkeypatch)
     assert sorted(compile_ahead()) == sorted(REHEARSAL)
     assert len(compiler.here) == len(compiler.there) == 1
+
+
+@pytest.mark.parametrize(("rewrite", "every"), [("", False), ("open_beam = true\n", True), ("signature = true\n", True)])
+def test_without_a_sample_the_light_of_a_clear_sheet_is_compiled_too(rewrite: str, every: bool, tmp_path: Path) -> None:
+    model = read_rig(examples.RIG).model()
+    path = tmp_path / "some.toml"
+    path.write_text(rewrite + examples.SCHEDULE.read_text(encoding="utf-8"), encoding="utf-8")
+    assert parts_of_rehearsal(read_schedule(path).file, model) == (*REHEARSAL, *["every-scene"] * every)
 
 
 def test_what_is_compiled_is_not_compiled_again(
