@@ -17,10 +17,20 @@ from goniotwin.app.cli import device_search
 from goniotwin.app.cli.main import COMMANDS, INTERRUPTED, app, main
 from goniotwin.app.cli.output import RowProgress
 from goniotwin.drivers import DeviceError, Rig
-from tests.conftest import REPOSITORY, RIG, Writer
+from tests.conftest import REPOSITORY, RIG, SCHEDULE, Writer
 from tests.system.command import invoke
 
 HEAVY = ("numpy", "numba", "PySide6", "matplotlib", "h5py")
+LIGHT = ("numba", "llvmlite", "scipy", "PySide6", "matplotlib", "h5py")
+"""What a command without light does without."""
+TABLE = """
+import sys
+from goniotwin.app.cli.main import app
+
+app(["simulate", *sys.argv[1:]], standalone_mode=False)
+loaded = [name for name in ("scipy.linalg", "matplotlib", "h5py") if name in sys.modules]
+assert not loaded, loaded
+"""
 HELP = f"""
 import sys
 from goniotwin.app.cli.main import app
@@ -28,6 +38,14 @@ from goniotwin.app.cli.main import app
 for command in sys.argv[1:]:
     app([*command.split(), "--help"], standalone_mode=False)
 loaded = [name for name in {HEAVY} if name in sys.modules]
+assert not loaded, loaded
+"""
+CHECK = f"""
+import sys
+from goniotwin.app.cli.main import app
+
+app(["check", *sys.argv[1:]], standalone_mode=False)
+loaded = [name for name in {LIGHT} if name in sys.modules]
 assert not loaded, loaded
 """
 LATE_CTRL_C = """
@@ -69,6 +87,22 @@ def test_help_loads_no_heavy_library() -> None:
         [sys.executable, "-c", HELP, "", *COMMANDS, *SUBCOMMANDS], capture_output=True, text=True, timeout=300, check=False
     )
     assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_check_loads_no_compiler_and_nothing_that_draws() -> None:
+    """Some hundred questions about shadows are answered in less time than it takes to load numba."""
+    command = [sys.executable, "-c", CHECK, str(SCHEDULE), "--rig", str(RIG)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "blocked" in done.stdout
+
+
+def test_a_table_is_simulated_without_what_draws(tmp_path: Path) -> None:
+    """Nor does numba load the linear algebra of scipy, where that is installed."""
+    sample = ["--sample", "lambertian", "--sigma", "30", "--polar", "0,30", "--azimuth", "0,90", "--out", "table.csv"]
+    command = [sys.executable, "-c", TABLE, *sample]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
 
 
 def test_ctrl_c_in_a_command_is_one_line_and_status_130(
