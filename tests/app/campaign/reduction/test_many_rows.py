@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from goniotwin.app.campaign.geometry.arcs import arc_views
+from goniotwin.app.campaign.geometry.arcs import arc_views, views_at_sigma
 from goniotwin.app.campaign.geometry.shadow import blocked_by_mirrors
 from goniotwin.app.campaign.journal import reading
 from goniotwin.app.campaign.journal.writing import Journal
@@ -38,11 +38,10 @@ def test_a_pose_is_computed_once_however_many_wavelengths_it_has(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, wavelengths: int
 ) -> None:
     computed = []
-    plain = etalon.views_at_sigma
 
     def count(*arguments: object) -> object:
         computed.extend(arguments[2].tolist())  # type: ignore[attr-defined]  # the betas of the poses
-        return plain(*arguments)  # type: ignore[arg-type]
+        return views_at_sigma(*arguments)  # type: ignore[arg-type]
 
     monkeypatch.setattr(etalon, "views_at_sigma", count)
     write_long_journal(tmp_path / "a.journal", wavelengths, 3)
