@@ -28,6 +28,8 @@ from goniotwin.app.campaign.reduction.checks import CheckResults, ConsistencyChe
 from goniotwin.app.campaign.reduction.closure import ClosureReport, ScannedBeam, journal_closure
 from goniotwin.app.campaign.reduction.drift_checks import DriftInterval, unchecked_note, unchecked_photodiodes
 from goniotwin.app.campaign.reduction.etalon import (
+    MOST_POSES,
+    POSE,
     ArcGeometry,
     ReductionSettings,
     ReferenceSignals,
@@ -213,6 +215,9 @@ class Reduction:
     def _spectral_blocks(self, sample: str, table: RowTable, places: Ints, edges: Ints, rows: int) -> Iterator[PointBlock]:
         """The blocks of rows at several wavelengths: reduced pose by pose, and put in a file until all of them are known."""
         by_pose, poses = order_by_pose(table[places])
+        of_poses = row_places(table[places[by_pose[poses[:-1]]]])[:, POSE]
+        if len(of_poses) <= MOST_POSES:  # together, and not a few for each part of the rows
+            self.settings.geometry.views_at([tuple(each) for each in of_poses.tolist()])
         parts = (
             by_pose[k : min(k + MOST_ROWS, end)]
             for begin, end in _together(poses, BLOCK_ROWS // 2)

@@ -195,3 +195,11 @@ def test_a_journal_without_a_chain_states_it_and_its_chain_begins_with_the_resum
     )
     with Journal.open(path) as journal:
         assert len(journal.chain.damaged) == 1
+
+
+def test_a_changed_entry_that_looks_like_two_is_found(copy: Path) -> None:
+    """Some rows are encoded together, as lists one after the other."""
+    change(copy, "UPDATE chain SET sha256 = '], [' WHERE link = 3")
+    with Journal.open(copy) as journal:
+        assert len(journal.chain.damaged) == 1
+        assert journal.chain.length == len(journal.planned_rows())

@@ -1,0 +1,70 @@
+"""What many rows of a journal take, by its structure: geometry by poses, readings some rows at a time."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from goniotwin.app.campaign.geometry.arcs import arc_views, views_at_sigma
+from goniotwin.app.campaign.geometry.shadow import blocked_by_mirrors
+from goniotwin.app.campaign.journal import reading
+from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.reduction import etalon
+from goniotwin.app.campaign.reduction.etalon import ArcGeometry
+from goniotwin.app.campaign.reduction.reduction import reduce_to_files
+from goniotwin.app.rig import read_rig
+from tests.app.campaign.reduction.long_journal import write_long_journal
+from tests.conftest import RIG
+
+BESIDE, BEHIND = (0.0, 30.0, 90.0, 0.5), (0.0, 150.0, 180.0, 0.0)
+POSES = [(0.0, 30.0, 180.0, 0.0), BESIDE, (20.0, 30.0, 180.0, 0.0), BEHIND, BESIDE]
+POSES_OF_JOURNAL = 2 * 5 * 3
+"""Sigmas, betas and shifts."""
+
+
+def test_views_of_many_poses_together_are_those_of_each_alone() -> None:
+    rig = read_rig(RIG).file
+    for pose, views in zip(POSES, ArcGeometry(rig).views_at(POSES), strict=True):
+        for (view, blocked), alone in zip(views, arc_views(rig, pose), strict=True):
+            sigmas = {pose[1], alone.etalon_pose(pose)[1]}
+            hidden = [blocked_by_mirrors(rig, sigma, alone.zenith, alone.azimuth, pose[0]) for sigma in sigmas]
+            assert np.array_equal(blocked, np.any(hidden, axis=0))
+            for name, value in vars(alone).items():
+                assert np.array_equal(getattr(view, name), value), name
+
+
+@pytest.mark.parametrize("wavelengths", [1, 4])
+def test_a_pose_is_computed_once_however_many_wavelengths_it_has(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, wavelengths: int
+) -> None:
+    computed = []
+
+    def count(*arguments: object) -> object:
+        computed.extend(arguments[2].tolist())  # type: ignore[attr-defined]  # the betas of the poses
+        return views_at_sigma(*arguments)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(etalon, "views_at_sigma", count)
+    write_long_journal(tmp_path / "a.journal", wavelengths, 3)
+    with Journal.open(tmp_path / "a.journal") as journal, reduce_to_files(journal, tmp_path) as found:
+        assert found.samples["gaussian-5"].size > 0
+    assert len(computed) == 2 * POSES_OF_JOURNAL  # for each arc
+
+
+def test_rows_are_recorded_in_the_order_asked_for_and_a_few_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(reading, "ASKED_AT_ONCE", 7)
+    write_long_journal(tmp_path / "a.journal", 2, 2)
+    with Journal.open(tmp_path / "a.journal") as journal:
+        numbers = journal.row_numbers("measure", "dark").tolist()[::-1]
+        numbers.insert(3, 10_000_000)  # no such row
+        blocks = list(journal.recorded(numbers))
+        assert max(len(each.numbers) for each in blocks) == 7
+        assert [number for each in blocks for number in each.numbers] == numbers[:3] + numbers[4:]
+        one_by_one = journal.rows_of(numbers)
+        for block in blocks:
+            for k, started_s in enumerate(block.started_s):
+                row = next(one_by_one).data
+                here = [j for j, of_row in enumerate(block.readings.row) if of_row == k]
+                assert started_s == row.started_s
+                assert [block.readings.first_s[j] for j in here] == [each.first_s for each in row.readings]
+                for j, each in zip(here, row.readings, strict=True):
+                    assert np.array_equal(block.readings.counts[j], each.counts)
