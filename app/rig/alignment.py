@@ -139,6 +139,14 @@ def read_alignment(folder: Path, table: AlignmentTable) -> str:
     return text
 
 
+def is_alignment(content: bytes) -> bool:
+    """Whether a file is an alignment file: in a rig file `alignment` is a table."""
+    try:
+        return isinstance(parse_toml(content.decode("utf-8-sig"), "").get("alignment"), int)
+    except (UnicodeDecodeError, UserError):
+        return False
+
+
 def parse_alignment(text: str, name: str) -> AlignmentFile:
     """The content of an alignment file. Raises UserError: file, key, reason."""
     content = parse_toml(text, name)
