@@ -2,6 +2,7 @@
 
 import math
 import os
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -255,7 +256,7 @@ def align(
     output: Annotated[
         Path | None,
         typer.Option("--output", metavar="FILE", help="File to write: the alignment, for [alignment] of the rig file; with "
-                     "--plan the schedule.", show_default=False),
+                     "--plan the schedule. Only a file of its kind is replaced.", show_default=False),
     ] = None,
     sample: SampleOption = None,
     watch: Annotated[
@@ -285,11 +286,7 @@ def align(
     With --plan: levels of sigma, gamma, beta and shift, for the least uncertainty in the time, beginning with those of a
     schedule; and the uncertainties that are expected of them, and of the schedule's own at equal time.
     """
-    from goniotwin.app.formats.file import check_writable, write_file
-
     check_alignment_options(watch=watch, plan=plan, minutes=minutes, rig=rig, output=output)
-    if output is not None:
-        check_writable(output)
     if plan and minutes is not None and rig is not None:
         _plan_alignment(journal, rig, minutes, sample, output, as_json)
         return
@@ -297,11 +294,11 @@ def align(
         _watch(journal, sample, as_json)
         return
     from goniotwin.app.campaign.reduction.reduction import align_journal
-    from goniotwin.app.rig.alignment import alignment_text
+    from goniotwin.app.rig.alignment import alignment_text, is_alignment
 
+    write = _checked_output(output, "an alignment file", is_alignment)
     result, file = align_journal(journal, sample)
-    if output is not None:
-        write_file(output, alignment_text(file).encode())
+    write(alignment_text(file))
     as_object = {**result.as_dict(), "simulated": file.simulated, "file": None if output is None else str(output)}
     answer(as_json, as_object, lambda: _print_alignment(Console(highlight=False), result, file.simulated))
     for finding in result.findings:
@@ -320,6 +317,24 @@ def check_alignment_options(*, watch: bool, plan: bool, minutes: float | None, r
         raise UserError("--watch writes no file; leave out --output")
 
 
+def _checked_output(output: Path | None, words: str, is_one: Callable[[bytes], bool]) -> Callable[[str], None]:
+    """What writes a text to a file, which is checked now: a new one, or one of its kind, named by `words`. Raises UserError."""
+    from goniotwin.app.data.conversion import user_errors
+    from goniotwin.app.formats.file import Replaceable, check_writable, write_file
+
+    replaceable = Replaceable(words, is_one)
+
+    def write(text: str) -> None:
+        if output is not None:
+            with user_errors():
+                write_file(output, text.encode(), replaceable)
+
+    if output is not None:
+        with user_errors():
+            check_writable(output, replaceable)
+    return write
+
+
 def _watch(journal: Path, sample: str | None, as_json: bool) -> None:
     from goniotwin.app.campaign.reduction.reduction import watch_journal
 
@@ -334,14 +349,13 @@ def _watch(journal: Path, sample: str | None, as_json: bool) -> None:
 
 
 def _plan_alignment(schedule: Path, rig: Path, minutes: float, sample: str | None, output: Path | None, as_json: bool) -> None:
-    from goniotwin.app.campaign.rehearsal.alignment_design import design_alignment
+    from goniotwin.app.campaign.rehearsal.alignment_design import design_alignment, is_planned
     from goniotwin.app.campaign.schedule.file import read_schedule
-    from goniotwin.app.formats.file import write_file
     from goniotwin.app.rig import read_rig
 
+    write = _checked_output(output, "a schedule that align --plan has written", is_planned)
     design = design_alignment(read_schedule(schedule), read_rig(rig), minutes, sample)
-    if output is not None:
-        write_file(output, design.text.encode())
+    write(design.text)
     as_object = {**design.as_dict(), "file": None if output is None else str(output)}
     answer(as_json, as_object, lambda: _print_design(Console(highlight=False), design))
 
@@ -382,6 +396,8 @@ def _print_alignment(console: Console, result: "AlignmentResult", simulated: boo
     for each in result.combinations:
         table.add_row(f"{each.value:+.4f}", f"{each.u:.4f}", f"{each.prior_u:.3f}", Text(each.words))
     console.print(table)
+    if result.before:
+        console.print(f"it begins with {result.before}", markup=False, soft_wrap=True)
     if not result.scans:
         console.print("light and arc are one sum in the plane of incidence: a scan of the open beam separates them",
                       soft_wrap=True)  # fmt: skip

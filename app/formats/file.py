@@ -6,7 +6,8 @@ import os
 import re
 import tempfile
 import threading
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
 from io import BufferedReader
 from pathlib import Path
 
@@ -125,15 +126,24 @@ def read_file(path: StrPath, most: int = MOST_BYTES) -> bytes:
         return content.read(os.fstat(content.fileno()).st_size)
 
 
-def check_writable(path: StrPath) -> None:
+@dataclass(frozen=True)
+class Replaceable:
+    """The only files that are overwritten: those of which `is_one` holds, by their content; `words` name such a file."""
+
+    words: str
+    is_one: Callable[[bytes], bool]
+
+
+def check_writable(path: StrPath, replaceable: Replaceable | None = None) -> None:
     """Check that `write_file` can write to `path`, so that a long computation does not end without its result.
 
     Raises FormatError if the name, the folder or its permissions do not permit it, or if the file is a database such as a
-    journal. The file is not touched.
+    journal, or any other than a `replaceable` one. The file is not touched.
     """
     try:
         file = _file_at(path)
         _refuse_database(path, file)
+        _refuse_other(path, file, replaceable)
         if not file.parent.is_dir():
             raise FormatError(path, f"there is no folder {file.parent}", "make it first")
         with tempfile.TemporaryFile(dir=file.parent):
@@ -143,16 +153,18 @@ def check_writable(path: StrPath) -> None:
         raise FormatError(path, wrong, room_on_disk(error) or "check its permissions") from error
 
 
-def write_file(path: StrPath, content: bytes | Iterable[bytes]) -> None:
+def write_file(path: StrPath, content: bytes | Iterable[bytes], replaceable: Replaceable | None = None) -> None:
     """Write a file atomically: under another name in the same folder, synced to the disk, then renamed to `path`.
 
     A large content may be an iterable of parts; an error raised by the iterable is passed on, and no file is left. Raises
-    FormatError if the file cannot be written, or is a database such as a journal; an earlier file at `path` is then unchanged.
+    FormatError if the file cannot be written, is a database such as a journal, or any other than a `replaceable` one; an
+    earlier file at `path` is then unchanged.
     """
     spare = None
     try:
         file = _file_at(path)  # a link stays a link
         _refuse_database(path, file)
+        _refuse_other(path, file, replaceable)
         spare = file.parent / f".{os.getpid()}-{threading.get_ident()}.tmp"
         with spare.open("wb") as out:
             for part in [content] if isinstance(content, bytes) else content:
@@ -175,6 +187,11 @@ def _refuse_database(path: StrPath, file: Path) -> None:
     if any(each.exists() and read_head(each, len(SQLITE)) == SQLITE for each in (file, owner)):
         wrong = "is a data file (journal) or another database, or belongs to one, and is not overwritten"
         raise FormatError(path, wrong, "choose another name")
+
+
+def _refuse_other(path: StrPath, file: Path, replaceable: Replaceable | None) -> None:
+    if replaceable is not None and file.exists() and not replaceable.is_one(read_file(file)):
+        raise FormatError(path, f"exists, is not {replaceable.words}, and is not overwritten", "choose another name")
 
 
 def name_new_file(spare: Path, path: Path) -> None:

@@ -53,8 +53,8 @@ class AlignmentTable:
 class Combination:
     """A combination of inputs that the data determine: its `value` and `u` (standard), both in degrees.
 
-    It is the sum of the inputs, each in deg or mm, times their `coefficients`, by name. `prior_u` is its uncertainty by
-    `[uncertainty]` alone.
+    It is the sum of the inputs, each in deg or mm, times their `coefficients`, by name. `prior_u` is its uncertainty
+    before: by `[uncertainty]`, or by the alignment that the rig named.
     """
 
     value: float
@@ -93,8 +93,8 @@ class AlignmentFile:
 
     `rig` is the name of the rig, and `rig_sha256` the hash of its file. `geometry_sha256` is that of the dimensions and nominal
     angles that the alignment depends on, `tables_sha256` those of the file's other tables without addresses; files of earlier
-    versions have none. `campaign` is the name of the campaign, `journal` the
-    tip of its data file's chain of checksums, and `measured` the day on which it began. `sample` and its `mountings` have tilts
+    versions have none. `campaign` is the name of the campaign, `journal` the tip of its data file's chain of checksums, and
+    `measured` the day on which it began; `before` names the alignment that was known. `sample` and its `mountings` have tilts
     of their own: these hold for them alone. `values` is the number of measured values, and `chi_square` that of the residuals
     of the predictions, over its expectation. `open_beam` is the number of its scans that were used. `combinations` are those
     that the data determine, with their `covariance`, in deg^2. `inputs` are values of the rig's inputs that make these
@@ -117,6 +117,7 @@ class AlignmentFile:
     combinations: tuple[Combination, ...]
     covariance: tuple[tuple[float, ...], ...]
     inputs: dict[str, float]
+    before: str | None = None
     geometry_sha256: str | None = None
     tables_sha256: dict[str, str] = field(default_factory=dict)
 
@@ -137,6 +138,14 @@ def read_alignment(folder: Path, table: AlignmentTable) -> str:
     text = read_text(path, MOST_BYTES)
     parse_alignment(text, str(path))
     return text
+
+
+def is_alignment(content: bytes) -> bool:
+    """Whether a file is an alignment file: in a rig file `alignment` is a table."""
+    try:
+        return isinstance(parse_toml(content.decode("utf-8-sig"), "").get("alignment"), int)
+    except (UnicodeDecodeError, UserError):
+        return False
 
 
 def parse_alignment(text: str, name: str) -> AlignmentFile:

@@ -84,7 +84,8 @@ class AlignmentResult:
 
     `combinations` are those that the data determine, with their `covariance` in deg^2. `chi_square` is that of the residuals of
     the predictions over its expectation, of `values` values. `scans` is the number of scans of the open beam in it. `findings`
-    state what the residuals show that no displacement of a lobe explains.
+    state what the residuals show that no displacement of a lobe explains. `before` names the alignment that it began with; it
+    is empty where that is `[uncertainty]`.
     """
 
     sample: str
@@ -97,6 +98,7 @@ class AlignmentResult:
     values: int
     scans: int
     findings: tuple[str, ...]
+    before: str = ""
 
     def as_dict(self) -> dict[str, Any]:
         """The result for JSON; angles in deg."""
@@ -109,6 +111,7 @@ class AlignmentResult:
             "combinations": [vars(each) for each in self.combinations],
             "covariance": self.covariance.tolist(),
             "findings": list(self.findings),
+            "before": self.before or None,
         }
 
 
@@ -132,6 +135,7 @@ def alignment_file(result: AlignmentResult, journal: JournalReader, rig: RigDesc
         combinations=result.combinations,
         covariance=tuple(map(tuple, result.covariance.tolist())),
         inputs={name: value for name, value in result.alignment.values.items() if "@" not in name},
+        before=result.before or None,
         geometry_sha256=identity.geometry,
         tables_sha256=dict(identity.tables),
     )
@@ -162,7 +166,8 @@ def estimate_alignment(
         raise UserError(f"{settings.sample}: {residual_words(chi_square)}; no alignment is made of it")
     if chi_square > DOUBTED_CHI_SQUARE:
         aligned, whole = (each.widened(chi_square) for each in (aligned, whole))
-    combinations, covariance = aligned.combinations(nominal_instrument(settings.rig))
+    before = None if settings.alignment is None else settings.alignment.with_inputs(aligned.inputs)
+    combinations, covariance = aligned.combinations(nominal_instrument(settings.rig), before)
     if not combinations:
         raise UserError(
             f"{settings.sample}: its values determine no misalignment; measure a lobe some degrees wide, with less noise"
@@ -170,6 +175,7 @@ def estimate_alignment(
     return AlignmentResult(
         settings.sample, found.mountings, aligned, whole, combinations, covariance, chi_square, found.points.size,
         found.scans, residual_findings(chi_square),
+        "" if settings.alignment is None else settings.alignment.source,
     )  # fmt: skip
 
 

@@ -233,18 +233,34 @@ class Reduction:
     def align(self, sample: str, before: Alignment | None = None) -> AlignmentResult:
         """The alignment by a narrow lobe, at the wavelength of the scans of the open beam, and by these scans.
 
-        `before` is what is known without them; None for what the rig file states. Raises UserError where the sample's values
-        determine nothing.
+        `before` is what is known without them; None for what the rig file states. It is not used where the values contradict
+        it. Raises UserError where the sample's values determine nothing.
         """
         wavelength = scan_wavelength_nm(self.schedule)
         try:
             points = self.lobe(sample)
             if points is None:
                 raise UserError(f"{sample}: has no lobe of reflected light at {wavelength:g} nm that an alignment could use")
-            settings = replace(self.settings, sample=sample, alignment=before)
-            return estimate_alignment(points, settings, self.beams, f"alignment on {sample} of {self.schedule.name}")
+            anew = self._estimated(points, sample, None)
+            if before is None:
+                return anew
+            if anew.alignment.agrees_with(before):
+                return self._estimated(points, sample, before)
+            return replace(anew, findings=(*anew.findings, self._moved(anew, before)))
         except UserError as error:
             raise UserError(f"{self.journal.path}: {error}") from None
+
+    def _estimated(self, points: BsdfPoints, sample: str, before: Alignment | None) -> AlignmentResult:
+        settings = replace(self.settings, sample=sample, alignment=before)
+        return estimate_alignment(points, settings, self.beams, f"alignment on {sample} of {self.schedule.name}")
+
+    def _moved(self, anew: AlignmentResult, before: Alignment) -> str:
+        """That the rig is not where an alignment has it, and what the one that begins anew does not determine."""
+        instrument = nominal_instrument(self.rig.file)
+        names = [each.name for each in before.inputs]
+        counts = [len(each.combinations(instrument)[0]) for each in (anew.alignment.only(names), before)]
+        fewer = f"; it determines {counts[0]} combinations of the rig, that one {counts[1]}" if counts[0] < counts[1] else ""
+        return f"the rig is not where {before.source} has it, and has moved since: this alignment begins anew{fewer}"
 
     def watch(self, names: Sequence[str] | None = None) -> WatchResult:
         """What the residuals show of misalignments that no alignment or uncertainty of the rig states, by each sample's lobe.
@@ -271,6 +287,11 @@ class Reduction:
             else:
                 found.append(misalignment)
         return WatchResult(tuple(found), tuple(clear), tuple(without), self.journal.simulated)
+
+    @property
+    def known_alignment(self) -> Alignment | None:
+        """What the alignment file that the rig names has of the rig; None without one."""
+        return self._of_file
 
     def _determines(self, lobe: LobeFit, settings: ReductionSettings) -> bool:
         """Whether the values of a lobe determine a misalignment by themselves, beside what is known and without the scans."""
@@ -558,7 +579,8 @@ def _reduce(reduction: Reduction, keep: Keep) -> ReducedJournal:
 def align_journal(path: Path, sample: str | None = None) -> tuple[AlignmentResult, AlignmentFile]:
     """The alignment by a sample of a journal, and its file; without a name by the one sample that the journal has.
 
-    Raises UserError where the journal cannot be reduced, or determines nothing.
+    It begins with what the alignment file that the rig names has. Raises UserError where the journal cannot be reduced, or
+    determines nothing.
     """
     with Journal.open(path) as journal:
         reduction = Reduction(journal)
@@ -566,7 +588,7 @@ def align_journal(path: Path, sample: str | None = None) -> tuple[AlignmentResul
         _refuse_unknown(reduction, sample)
         if sample is None and len(samples) > 1:
             raise UserError(f"{path}: has several samples; name one with --sample: {', '.join(samples)}")
-        result = reduction.align(sample or samples[0])
+        result = reduction.align(sample or samples[0], reduction.known_alignment)
         first = _first_day(journal)
         return result, alignment_file(result, journal, reduction.rig, "" if first is None else first.isoformat())
 

@@ -44,6 +44,8 @@ from goniotwin.app.rig.alignment import Combination
 from goniotwin.arrays import Floats, Ints
 from goniotwin.twin.optics.geometry.coordinates import SPECULAR_AZIMUTH_DEG, round_deg
 
+FIRST_LINE = "# Planned by goniotwin align --plan."
+"""Of a schedule that was planned; no other one is overwritten."""
 GRIDS = ("sigma_deg", "gamma_deg", "beta_deg", "shift_deg")
 FURTHER: Mapping[str, tuple[float, ...]] = {
     "sigma_deg": (5.0, 15.0, 25.0, 35.0, 45.0, 55.0, 65.0, 75.0),
@@ -124,7 +126,7 @@ def design_alignment(
     """
     search = _Search(schedule, rig, _named(schedule, sample))
     levels = search.exchange(search.shortened(search.first, 60.0 * minutes), 60.0 * minutes)
-    text = search.text(levels)
+    text = f"{FIRST_LINE}\n{search.text(levels).removeprefix(FIRST_LINE).lstrip()}"
     plan = search.plan(levels)
     began = search.plan(search.first)
     after, of_schedule = search.alignment(plan), search.alignment(began)
@@ -139,6 +141,11 @@ def design_alignment(
     forecast = Forecast(len(plan.rows), plan.seconds, combinations, tuple(u_before.tolist()))
     gain = search.determinant(at_equal_time) - search.determinant(after.covariance)
     return AlignmentDesign(text, plan, search.sample, levels, forecast, 60.0 * minutes, began.seconds, gain / len(combinations))
+
+
+def is_planned(content: bytes) -> bool:
+    """Whether a file is a schedule that was planned."""
+    return content.startswith(FIRST_LINE.encode())
 
 
 def _named(schedule: ScheduleDescription, sample: str | None) -> str:

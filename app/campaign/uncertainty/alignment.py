@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.special import chdtrc
 
 from goniotwin.app.campaign.uncertainty.inputs import Input
 from goniotwin.app.campaign.uncertainty.pose import LIGHT, VIEW, Displacement, PoseEffects, Views, pose_effects
@@ -20,6 +21,8 @@ from goniotwin.twin.optics import Instrument
 
 DETERMINED = 0.5
 """The data determine a combination whose u is below this share of that stated before."""
+MOVED = 1e-3
+"""Probability of a difference from an earlier alignment, below which the rig has moved since."""
 LARGEST_NAMED = 3
 """Inputs that the description of a mode names."""
 LEAST_COEFFICIENT = 1e-4
@@ -135,10 +138,25 @@ class Alignment:
         found = (vectors.T @ (difference / self._stated)).tolist()
         return {each.name: value for each, value in zip(modes, found, strict=True)}
 
-    def combinations(self, instrument: Instrument) -> tuple[tuple[Combination, ...], Floats]:
+    def agrees_with(self, other: "Alignment") -> bool:
+        """Whether the combinations that are determined here are, within both uncertainties, where another alignment has them.
+
+        That is of other data. It fails once in a thousand where nothing has moved (chi-square of all combinations).
+        """
+        known = other.with_inputs(self.inputs)
+        order = [[each.name for each in known.inputs].index(each.name) for each in self.inputs]
+        values, vectors = self._eigen
+        rows = (vectors[:, values < DETERMINED**2] / self._stated[:, None]).T
+        difference = rows @ (self.value - known.value[order])
+        covariance = rows @ (self.covariance + known.covariance[np.ix_(order, order)]) @ rows.T
+        statistic = float(difference @ np.linalg.solve(covariance + FLOOR * np.eye(len(rows)), difference))
+        return bool(chdtrc(len(rows), statistic) > MOVED) if len(rows) else True
+
+    def combinations(self, instrument: Instrument, before: "Alignment | None" = None) -> tuple[tuple[Combination, ...], Floats]:
         """The combinations that are determined, and their covariance (m, m) in deg^2.
 
-        Their coefficients have the length 1, where an input in mm counts by the angle that it makes.
+        Their coefficients have the length 1, where an input in mm counts by the angle that it makes. `before` is what was known
+        of the same inputs before; None for what is stated.
         """
         values, vectors = self._eigen
         determined = np.flatnonzero(values < DETERMINED**2)
@@ -152,7 +170,7 @@ class Alignment:
             largest = LEAST_COEFFICIENT * float(np.abs(row / self._turns(instrument)).max())
             kept = np.abs(row / self._turns(instrument)) >= largest
             coefficients = {self.inputs[k].name: float(row[k]) for k in np.flatnonzero(kept).tolist()}
-            prior_u = float(np.linalg.norm(row * self._stated))
+            prior_u = float(np.linalg.norm(row * self._stated) if before is None else np.sqrt(row @ before.covariance @ row))
             found.append(Combination(float(row @ self.value), float(np.sqrt(variance)), prior_u, coefficients))
         return tuple(found), covariance
 

@@ -51,6 +51,11 @@ gains_v_per_a = [1e8, 1e10]
 readings = 2
 dark_every_s = 6000
 """
+FEW = (
+    SMALL.replace('side = "both"', 'side = "front"').replace("[5, 30, 60]", "[5, 30]").replace("[0, 180]", "[0]")
+    .replace("small alignment", "few")
+)  # fmt: skip
+"""Of the front alone, at one azimuth of the sample."""
 MOST_U = 4.0
 """Largest of ten errors over their u: a normal law exceeds it once in 1,600 rigs."""
 
@@ -185,6 +190,34 @@ def test_an_alignment_of_another_rig_is_refused(small: Small, tmp_path: Path) ->
     (tmp_path / "found.toml").write_text("name = 1\n", encoding="utf-8")
     with pytest.raises(UserError, match="is not an alignment file"):
         read_rig(tmp_path / "rig.toml")
+
+
+def test_a_second_alignment_begins_with_the_first_one_as_long_as_the_rig_has_not_moved(small: Small, tmp_path: Path) -> None:
+    """A few rows of the same rig keep and sharpen what is known; those of a rig that was drawn anew begin anew."""
+    text = alignment_text(small.file)
+    first = rig_alignment(text, small.plan.rig.file)
+    of_first = first.combinations(nominal_instrument(small.plan.rig.file))[0]
+    before = 0.0
+    for seed in (3, 4):
+        plan = drawn_plan(parse_schedule(FEW, "few"), alignment_rig(), seed)
+        plan = replace(plan, rig=replace(plan.rig, alignment=text))
+        result, file = align_journal(run(plan, tmp_path / f"{seed}.journal"))
+        if seed == 3:
+            assert file.before == result.before == first.source
+            assert not result.findings
+            known = rig_alignment(alignment_text(file), plan.rig.file)
+            u = np.array([each.u for each in first.inputs])
+            assert np.all(np.linalg.eigvalsh((first.covariance - known.covariance) / np.outer(u, u)) > -1e-3)
+            assert len(known.combinations(nominal_instrument(plan.rig.file))[0]) >= len(of_first)
+            before = min(each.prior_u for each in result.combinations)
+            scores = np.array(judge_alignment(result, plan).errors) / [each.u for each in result.combinations]
+            assert np.max(np.abs(scores)) < MOST_U
+        else:
+            assert file.before is None
+            (finding,) = result.findings
+            assert finding.startswith(f"the rig is not where {first.source} has it")
+            assert f"combinations of the rig, that one {len(of_first)}" in finding
+            assert before < 0.5 * min(each.prior_u for each in result.combinations)
 
 
 def test_the_twin_of_a_prediction_is_off_by_what_was_found(small: Small) -> None:
