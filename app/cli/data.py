@@ -382,6 +382,8 @@ def _print_alignment(console: Console, result: "AlignmentResult", simulated: boo
     for each in result.combinations:
         table.add_row(f"{each.value:+.4f}", f"{each.u:.4f}", f"{each.prior_u:.3f}", Text(each.words))
     console.print(table)
+    if result.light is not None and not result.light.missing:
+        console.print(result.light.text, soft_wrap=True)
     if not result.scans:
         console.print("light and arc are one sum in the plane of incidence: a scan of the open beam separates them",
                       soft_wrap=True)  # fmt: skip
