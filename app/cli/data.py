@@ -398,6 +398,8 @@ def _print_alignment(console: Console, result: "AlignmentResult", simulated: boo
     console.print(table)
     if result.before:
         console.print(f"it begins with {result.before}", markup=False, soft_wrap=True)
+    if result.light is not None and not result.light.missing:
+        console.print(result.light.text, soft_wrap=True)
     if not result.scans:
         console.print("light and arc are one sum in the plane of incidence: a scan of the open beam separates them",
                       soft_wrap=True)  # fmt: skip

@@ -54,18 +54,22 @@ def serve(
     # Before the imports, which load compiled code, or compile it.
     print_note(f"preparing the virtual rig of {rig}; the first start on a computer compiles the twin: half a minute or more")
     from goniotwin.app.rig import read_rig
-    from goniotwin.app.rig.served_file import check_served_rig, served_rig, write_served_rig
+    from goniotwin.app.rig.served_file import FIRST_LINE, check_served_rig, served_alignment, served_rig, write_served_rig
     from goniotwin.mocks.served import ServedRig
 
     description = read_rig(rig)
     folder = ptys if ptys is not None else default_folder(description.file.name)
-    if write_rig is not None:
-        check_served_rig(write_rig)
+    alignment = None if write_rig is None else served_alignment(write_rig, description)
+    for path in (write_rig, alignment):
+        if path is not None:
+            check_served_rig(path)
     served = ServedRig(_twin_model(description), speed, folder.absolute(), control=control)
     try:
         served.start()
         if write_rig is not None:
-            write_served_rig(write_rig, served_rig(description, served.endpoints, speed))
+            if alignment is not None:
+                write_served_rig(alignment, f"{FIRST_LINE}\n{description.alignment}")
+            write_served_rig(write_rig, served_rig(description, served.endpoints, speed, alignment))
         for endpoint in served.endpoints:
             print(json.dumps(endpoint.as_dict()), flush=True)
         threading.Event().wait()

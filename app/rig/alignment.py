@@ -258,7 +258,7 @@ def _contradiction(file: AlignmentFile) -> str | None:
 
 def aligned_model(model: TwinModel, file: AlignmentFile) -> TwinModel:
     """The model of a virtual rig that is off by what an alignment has found, in place of deviations of its own."""
-    instrument = replace(model.instrument, deviations=element_deviations(file.inputs))
+    instrument = replace(model.instrument, deviations=element_deviations(file.inputs, model.instrument.pupil_distance_mm))
     axes = {
         name: replace(each, zero_deg=each.zero_deg + file.inputs.get(f"{name}_zero", 0.0)) for name, each in model.axes.items()
     }

@@ -16,7 +16,7 @@ from tomlkit.items import AbstractTable
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig.addresses import RTU, TWIN, rtu_address
 from goniotwin.app.rig.alignment import AlignmentFile, parse_alignment
-from goniotwin.app.rig.file import AXES, DEFAULT_KIND, RigFile, set_addresses
+from goniotwin.app.rig.file import AXES, DEFAULT_KIND, RigFile, nominal_instrument, set_addresses
 from goniotwin.app.rig.kinds import OWN_KINDS, ROLES, MonitorTable, MonochromatorTable, PhotodiodesTable, device_kind
 from goniotwin.app.rig.opening import RigDescription, parse_rig
 from goniotwin.app.rig.samples import sample_table
@@ -67,7 +67,8 @@ def described_twin(real: RigDescription, etalon: str, samples: Iterable[str], mo
     if real.file.twin is None:
         document["twin"] = _twin_table(real.file, assumptions)
         if real.alignment is not None:
-            _misalign(document, parse_alignment(real.alignment, real.name))
+            far = nominal_instrument(real.file).pupil_distance_mm
+            _misalign(document, parse_alignment(real.alignment, real.name), far)
         _set_twin_devices(document, real.file, assumptions)
         for name in (etalon, *samples):
             if name not in models:
@@ -81,10 +82,11 @@ def described_twin(real: RigDescription, etalon: str, samples: Iterable[str], mo
     return DescribedTwin(parse_rig(tomlkit.dumps(document), real.folder, real.name, real.alignment), tuple(assumptions))
 
 
-def _misalign(document: tomlkit.TOMLDocument, alignment: AlignmentFile) -> None:
+def _misalign(document: tomlkit.TOMLDocument, alignment: AlignmentFile, pupil_distance_mm: float) -> None:
     """Set the described twin off by what the rig's alignment has found: its values are corrected by that."""
     twin = _table(document, "twin")
-    twin["deviations"] = {element: vars(each) for element, each in element_deviations(alignment.inputs).items()}
+    found = element_deviations(alignment.inputs, pupil_distance_mm)
+    twin["deviations"] = {element: vars(each) for element, each in found.items()}
     for axis, table in _table(twin, "axes").items():
         table["zero_deg"] = table.get("zero_deg", 0.0) + alignment.inputs.get(f"{axis}_zero", 0.0)
 

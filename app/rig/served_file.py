@@ -16,10 +16,11 @@ from goniotwin.protocols import adam
 FIRST_LINE = "# Written by goniotwin serve, which writes it anew at every start. SIMULATED."
 
 
-def served_rig(description: RigDescription, endpoints: Iterable[Endpoint], speed: float) -> str:
+def served_rig(description: RigDescription, endpoints: Iterable[Endpoint], speed: float, alignment: Path | None = None) -> str:
     """The text of the rig file: the operator's part with the addresses of the endpoints, marked as simulated.
 
-    Of the [twin] table it has only the hash of the model, in both versions.
+    Of the [twin] table it has only the hash of the model, in both versions. `alignment` is the file beside it that has the
+    rig's alignment.
     """
     addresses: dict[str, str] = {}
     control: Endpoint | None = None
@@ -37,6 +38,8 @@ def served_rig(description: RigDescription, endpoints: Iterable[Endpoint], speed
     if control is not None:
         simulated.update({"control_port": control.port, "control_token": control.token})
     document["simulated"] = simulated
+    if alignment is not None:
+        document["alignment"] = {"file": alignment.name}
     return f"{FIRST_LINE}\n{tomlkit.dumps(document)}"
 
 
@@ -55,6 +58,11 @@ def endpoint_address(endpoint: Endpoint) -> str:
             return port
 
 
+def served_alignment(path: Path, description: RigDescription) -> Path | None:
+    """The file of the rig's alignment beside the rig file to be written; None for a rig without one."""
+    return None if description.alignment is None else path.with_name(f"{path.stem}-alignment.toml")
+
+
 def check_served_rig(path: Path) -> None:
     """Check that the file can be written and replaces no other file. Raises UserError; changes nothing."""
     try:
@@ -68,7 +76,7 @@ def check_served_rig(path: Path) -> None:
 
 
 def write_served_rig(path: Path, text: str) -> None:
-    """Write the file, for this user alone: it has the token of the control port.
+    """Write the rig file, or that of its alignment, for this user alone: the former has the token of the control port.
 
     Raises UserError; a file that was not written by `goniotwin serve` is not replaced.
     """

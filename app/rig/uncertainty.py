@@ -27,7 +27,8 @@ class UncertaintyTable:
     `sample_tilt_deg` and `sample_height_mm` are those of each mounting of a sample, `etalon_tilt_deg` and `etalon_height_mm` of
     the etalon. Tilts (`mirror_tilt_deg`, `arc_tilt_deg`, `sensor_tilt_deg`) count about each of two axes, of the arc three;
     shifts (`mirror_shift_mm`, `arc_shift_mm`, `sensor_shift_mm`) along each of three. `illumination_shift_mm` is that of the
-    exit pupil, `sigma_zero_deg`, `beta_zero_deg` and `shift_zero_deg` are those of the axes' zeros. `photodiode_angle_deg` and
+    exit pupil, `beam_tilt_deg` that of the whole illumination unit about the sample's centre, about each of two axes.
+    `sigma_zero_deg`, `beta_zero_deg` and `shift_zero_deg` are those of the axes' zeros. `photodiode_angle_deg` and
     `photodiode_across_deg` are each photodiode's own angle, along the arc and across it. `position_deg` is that of an axis
     after each of its moves, and `backlash_deg` the play of an axis whose backlash is not taken up.
 
@@ -47,6 +48,7 @@ class UncertaintyTable:
     mirror_tilt_deg: Tilt = 0.05
     mirror_shift_mm: Shift = 0.1
     illumination_shift_mm: Shift = 0.1
+    beam_tilt_deg: Tilt = 0.0
     arc_tilt_deg: Tilt = 0.05
     arc_shift_mm: Shift = 0.1
     sensor_tilt_deg: Tilt = 0.05

@@ -4,6 +4,7 @@ Each key has the name of one of `[uncertainty]`: what an operator states as the 
 input is off. The values are drawn by name from the rig's seed, so that a further input changes none of the others.
 """
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
 from typing import Annotated, Any
@@ -12,7 +13,7 @@ import numpy as np
 from annotated_types import Ge, Le
 
 from goniotwin.arrays import Floats
-from goniotwin.keys import Fraction, NonNegative, check_bounds
+from goniotwin.keys import LATER, Fraction, NonNegative, check_bounds
 from goniotwin.twin.optics import Deviation, Instrument
 from goniotwin.twin.optics.geometry.field import scale_field
 from goniotwin.twin.plant.noise import mix, normal, process_key
@@ -31,10 +32,11 @@ class Disturbances:
     `sample_height_mm` are drawn at each mounting of a sample, `etalon_tilt_deg` and `etalon_height_mm` at each of the sample
     called `etalon`. Tilts (`mirror_tilt_deg`, `arc_tilt_deg`, `sensor_tilt_deg`) are about each of two axes, of the arc about
     three; shifts (`mirror_shift_mm`, `arc_shift_mm`, `sensor_shift_mm`, and the exit pupil's `illumination_shift_mm`) along
-    each of three. All are added to `[twin.deviations]`. The zeros `sigma_zero_deg`, `beta_zero_deg` and `shift_zero_deg` are
-    added to the true angles, unseen by switches and encoders. `photodiode_angle_deg` and `photodiode_across_deg` are drawn for
-    each photodiode, along the arc and across it. `position_deg` is drawn for an axis at each of its moves; `backlash_deg` is
-    not drawn: each axis has so much more play.
+    each of three. `beam_tilt_deg` turns the illumination unit about the sample's centre, where the light stays, about each of
+    the two axes across the beam. All are added to `[twin.deviations]`. The zeros `sigma_zero_deg`, `beta_zero_deg` and
+    `shift_zero_deg` are added to the true angles, unseen by switches and encoders. `photodiode_angle_deg` and
+    `photodiode_across_deg` are drawn for each photodiode, along the arc and across it. `position_deg` is drawn for an axis at
+    each of its moves; `backlash_deg` is not drawn: each axis has so much more play.
 
     Standard deviations, relative where no unit is named: `field_of_view` of the logarithm of the variance of the directions
     in the field of view, `wavelength_nm` of the true wavelength, `linearity_per_decade` of the photodiodes' current,
@@ -54,6 +56,7 @@ class Disturbances:
     mirror_tilt_deg: Tilt = 0.0
     mirror_shift_mm: Shift = 0.0
     illumination_shift_mm: Shift = 0.0
+    beam_tilt_deg: Tilt = field(default=0.0, metadata=LATER)
     arc_tilt_deg: Tilt = 0.0
     arc_shift_mm: Shift = 0.0
     sensor_tilt_deg: Tilt = 0.0
@@ -94,6 +97,7 @@ _ELEMENTS: dict[str, tuple[str, str | None, str, str]] = {
 _KEYS = {
     **{f"{name}_tilt_{axis}": tilt for name, (_, tilt, axes, _) in _ELEMENTS.items() for axis in axes if tilt is not None},
     **{f"{name}_shift_{axis}": shift for name, (_, _, _, shift) in _ELEMENTS.items() for axis in "xyz"},
+    **{f"beam_tilt_{axis}": "beam_tilt_deg" for axis in "xz"},
     **{f"{axis}_zero": f"{axis}_zero_deg" for axis in ("sigma", "beta", "shift")},
     "field": "field_of_view",
     "wavelength": "wavelength_nm",
@@ -167,7 +171,7 @@ class Drawn(Mapping[str, float]):
     def instrument(self, instrument: Instrument) -> Instrument:
         """The instrument with the deviations of its elements, and the field of view, as drawn."""
         deviations = dict(instrument.deviations)
-        for element, drawn in element_deviations(self).items():
+        for element, drawn in element_deviations(self, instrument.pupil_distance_mm).items():
             deviations[element] = add_deviations(instrument.deviation(element), drawn)
         return scale_field(replace(instrument, deviations=deviations), self["field"])
 
@@ -215,14 +219,22 @@ class Drawn(Mapping[str, float]):
         return "etalon" if sample == self.table.etalon else "sample", f"{sample}#{mounting}"
 
 
-def element_deviations(values: Mapping[str, float]) -> dict[str, Deviation]:
-    """The deviations of the instrument's elements by the values of inputs, such as `mirror_2_tilt_x`; those that are 0 not."""
+def element_deviations(values: Mapping[str, float], pupil_distance_mm: float) -> dict[str, Deviation]:
+    """The deviations of the instrument's elements by the values of inputs, such as `mirror_2_tilt_x`; those that are 0 not.
+
+    `pupil_distance_mm` is the length of the beam from the exit pupil to the sample: the beam tilts about the sample's centre.
+    """
     found = {}
     for name, (element, _, axes, _) in _ELEMENTS.items():
         own = {f"r{axis}_deg": values.get(f"{name}_tilt_{axis}", 0.0) for axis in axes}
         own |= {f"{axis}_mm": values.get(f"{name}_shift_{axis}", 0.0) for axis in "xyz"}
         if any(own.values()):
             found[element] = Deviation(**own)
+    about_x, about_z = (values.get(f"beam_tilt_{axis}", 0.0) for axis in "xz")
+    if about_x or about_z:
+        sideways, upwards = (pupil_distance_mm * math.sin(math.radians(each)) for each in (about_z, -about_x))
+        tilted = Deviation(rx_deg=about_x, rz_deg=about_z, x_mm=sideways, z_mm=upwards)
+        found["pupil"] = add_deviations(found.get("pupil", Deviation()), tilted)
     return found
 
 

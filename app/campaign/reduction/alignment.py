@@ -22,13 +22,23 @@ from goniotwin.app.campaign.reduction.closure import EDGE_SHARE, ScannedBeam
 from goniotwin.app.campaign.reduction.components import INDEPENDENT
 from goniotwin.app.campaign.reduction.effects_of_points import angles, displacement_of, effects_of, views_of_points
 from goniotwin.app.campaign.reduction.etalon import ReductionSettings
-from goniotwin.app.campaign.reduction.points import BsdfPoints
+from goniotwin.app.campaign.reduction.light_search import (
+    LightSeen,
+    LobeData,
+    PlaceOfImage,
+    flux_chi_square,
+    image_by_inputs,
+    nearest_lit,
+    search_place,
+)
+from goniotwin.app.campaign.reduction.points import BITS, BsdfPoints
 from goniotwin.app.campaign.reduction.scale import mounted
 from goniotwin.app.campaign.uncertainty.alignment import Alignment, known_displacement
 from goniotwin.app.campaign.uncertainty.effects import Dense, Effects, Group, group_variance
 from goniotwin.app.campaign.uncertainty.field import correct_logarithm, directions_covariance
-from goniotwin.app.campaign.uncertainty.fit import Fit, fit_inputs
+from goniotwin.app.campaign.uncertainty.fit import Fit, ValuesCovariance
 from goniotwin.app.campaign.uncertainty.inputs import Input
+from goniotwin.app.campaign.uncertainty.light_place import distinct_poses, light_place, lit_spots, of_centres, spot_weights
 from goniotwin.app.campaign.uncertainty.pose import (
     MOUNTED,
     POSITIONS,
@@ -52,7 +62,7 @@ from goniotwin.app.rig.alignment import (
     residual_findings,
     residual_words,
 )
-from goniotwin.arrays import Flags, Floats
+from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.twin.optics import Instrument
 from goniotwin.twin.optics.geometry.coordinates import SPECULAR_AZIMUTH_DEG
 
@@ -73,8 +83,47 @@ SETTLED = 0.05
 """A step that changes no mode by more than this share of its uncertainty is the last one."""
 CENTROID_U_DEG = 0.002
 """Standard uncertainty of a scan's centroid by its steps; assumed."""
+LEAST_DARK = 0.01
+"""Share of the hole from which on light is stated to miss it."""
 ROW_GROUPS = ("lamp", "monitor", "repeatability")
 """Groups whose inputs all values of a row have in common, at the sample and at the etalon."""
+
+
+@dataclass(frozen=True)
+class FoundLight:
+    """Where the slit's image is on the sample: its `place` in mm, in the plane of incidence and along y, and its `u`.
+
+    `dark` is the largest share of the hole that it leaves dark, at `sigma_deg`.
+    """
+
+    place: tuple[float, float]
+    u: tuple[float, float]
+    dark: float
+    sigma_deg: float
+
+    @property
+    def missing(self) -> bool:
+        """Whether light misses part of the hole."""
+        return self.dark > LEAST_DARK
+
+    @property
+    def text(self) -> str:
+        """The same in plain words."""
+        ways = " and ".join(
+            f"{x:+.1f} mm (u {u:.1f}) {way}"
+            for x, u, way in zip(self.place, self.u, ("in the plane of incidence", "across it"), strict=True)
+        )
+        image = f"the slit's image on the sample is off by {ways}"
+        if not self.missing:
+            return f"{image}; no dark part of the hole is seen"
+        return (
+            f"light misses part of the hole: {image}; at sigma {self.sigma_deg:g} deg {100.0 * self.dark:.0f} % of the hole is "
+            "dark. Values are corrected for its direction; align the mirrors"
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        """The light for JSON; mm, deg."""
+        return {**vars(self), "missing": self.missing}
 
 
 @dataclass(frozen=True)
@@ -83,9 +132,10 @@ class AlignmentResult:
     angles of the photodiodes that have seen the lobe, which are correlated with the others.
 
     `combinations` are those that the data determine, with their `covariance` in deg^2. `chi_square` is that of the residuals of
-    the predictions over its expectation, of `values` values. `scans` is the number of scans of the open beam in it. `findings`
-    state what the residuals show that no displacement of a lobe explains. `before` names the alignment that it began with; it
-    is empty where that is `[uncertainty]`.
+    the predictions over its expectation, of `values` values. `scans` is the number of scans of the open beam in it. `light` is
+    that on the sample; None where the rig file states no tilt of a mirror. `findings` state what the residuals show that no
+    displacement of a lobe explains, and that part of the hole is dark. `before` names the alignment that it began with; it is
+    empty where that is `[uncertainty]`.
     """
 
     sample: str
@@ -97,6 +147,7 @@ class AlignmentResult:
     chi_square: float
     values: int
     scans: int
+    light: FoundLight | None
     findings: tuple[str, ...]
     before: str = ""
 
@@ -110,6 +161,7 @@ class AlignmentResult:
             "scans": self.scans,
             "combinations": [vars(each) for each in self.combinations],
             "covariance": self.covariance.tolist(),
+            "light": None if self.light is None else self.light.as_dict(),
             "findings": list(self.findings),
             "before": self.before or None,
         }
@@ -143,7 +195,9 @@ def alignment_file(result: AlignmentResult, journal: JournalReader, rig: RigDesc
 
 def lobe_points(points: BsdfPoints) -> BsdfPoints:
     """The points that an alignment can use: trusted values of reflected light in the upper part of each incidence's lobe."""
-    near = points.good & ~points.transmitted & ~points.flag("under-range") & (points.bsdf > 0.0)
+    # The scale of a lobe is free: a doubt about that of the etalon is no reason.
+    trusted = replace(points, marks=points.marks & ~BITS["scale"])
+    near = trusted.good & ~points.transmitted & ~points.flag("under-range") & (points.bsdf > 0.0)
     near &= points.theta_deg <= WIDEST_DEG
     _, which = np.unique(points.sigma_deg, return_inverse=True)
     peak = np.full(int(which.max(initial=-1)) + 1, math.inf)
@@ -153,14 +207,15 @@ def lobe_points(points: BsdfPoints) -> BsdfPoints:
 
 
 def estimate_alignment(
-    points: BsdfPoints, settings: ReductionSettings, beams: Sequence[ScannedBeam] = (), source: str = ""
-) -> AlignmentResult:
+    points: BsdfPoints, settings: ReductionSettings, beams: Sequence[ScannedBeam] = (), source: str = "",
+    seen: LightSeen | None = None,
+) -> AlignmentResult:  # fmt: skip
     """The alignment by the points of one sample at one wavelength, before their corrections, and by scans of the open beam.
 
     Where the residuals are larger than those of displaced lobes the uncertainties are widened. Raises UserError, without the
     name of the journal, where they are those of no displaced lobe, or the points determine nothing.
     """
-    found = fit_lobe(points, settings, beams, source)
+    found = fit_lobe(points, settings, beams, source, seen=seen)
     aligned, whole, chi_square = found.alignment, found.whole, found.chi_square
     if chi_square > REFUSED_CHI_SQUARE:
         raise UserError(f"{settings.sample}: {residual_words(chi_square)}; no alignment is made of it")
@@ -172,10 +227,12 @@ def estimate_alignment(
         raise UserError(
             f"{settings.sample}: its values determine no misalignment; measure a lobe some degrees wide, with less noise"
         )
+    light, findings = None if found.place is None else found_light(found, settings), residual_findings(chi_square)
+    if light is not None and light.missing:
+        findings = (*findings, light.text)
     return AlignmentResult(
         settings.sample, found.mountings, aligned, whole, combinations, covariance, chi_square, found.points.size,
-        found.scans, residual_findings(chi_square),
-        "" if settings.alignment is None else settings.alignment.source,
+        found.scans, light, findings, "" if settings.alignment is None else settings.alignment.source,
     )  # fmt: skip
 
 
@@ -194,7 +251,9 @@ class LobeFit:
     `whole` is the `alignment` with the photodiodes' own angles.
     `effects` and `residual` are those of the points, then those of `scans` scans: all inputs with their uncertainties before
     the fit, and what the values are beside a prediction without the modes of the prior. `step` is the size of a step in the
-    fit, and its standard uncertainty.
+    fit, and its standard uncertainty. `place` is that of the slit's image by the values; None where the rig file states no tilt
+    of a mirror. `lit`: the hole is taken as lit everywhere. `light` is the instrument by which the light on the sample is
+    known.
     """
 
     points: BsdfPoints
@@ -207,12 +266,28 @@ class LobeFit:
     fit: Fit
     sensitivities: PoseSensitivities
     step: tuple[float, float]
+    place: PlaceOfImage | None
+    lit: bool
+    light: Instrument
 
     @property
     def chi_square(self) -> float:
         """That of the values' residuals over its expectation: per degree of freedom."""
         of_values = slice(0, self.points.size)
         return float(self.fit.chi_square[of_values].sum() / self.fit.expected[of_values].sum())
+
+
+def found_light(found: LobeFit, settings: ReductionSettings) -> FoundLight:
+    """The light on the sample by a fit, at its incidences with the hole's sides along and across the plane of incidence."""
+    instrument, aligned = nominal_instrument(settings.rig), found.alignment
+    by_inputs = image_by_inputs(instrument, aligned)
+    sigmas = np.unique(found.points.sigma_deg)
+    poses = np.stack([sigmas, np.zeros(sigmas.size)], axis=1)
+    dark = 1.0 - (np.ones(sigmas.size) if found.lit else lit_spots(found.light, poses, aligned.values).share)
+    most = int(np.argmax(dark))
+    place, covariance = by_inputs @ aligned.value, by_inputs @ aligned.covariance @ by_inputs.T
+    u = tuple(math.sqrt(each) for each in np.diag(covariance).tolist())
+    return FoundLight((float(place[0]), float(place[1])), (u[0], u[1]), float(dark[most]), float(sigmas[most]))
 
 
 @dataclass(frozen=True)
@@ -225,48 +300,32 @@ class Step:
 
 def fit_lobe(
     points: BsdfPoints, settings: ReductionSettings, beams: Sequence[ScannedBeam] = (), source: str = "",
-    step: Step | None = None,
+    step: Step | None = None, *, seen: LightSeen | None = None,
 ) -> LobeFit:  # fmt: skip
     """Fit the inputs of pose to the points of one sample at one wavelength, before their corrections, and to scans.
 
-    With a `step` its size is fitted too, and a change of the light at that row. Raises UserError, without the name of the
-    journal, where there is no lobe.
+    With a `step` its size is fitted too, and a change of the light at that row. `seen` is what else shows the light on the
+    sample. Raises UserError, without the name of the journal, where there is no lobe.
     """
     points = lobe_points(points)
     if points.size < TERMS:
         raise UserError(f"{settings.sample}: has no lobe of reflected light that an alignment could use")
-    values = LobeValues(points, settings)
+    seen = seen or LightSeen({}, nominal_instrument(settings.rig))
+    values = LobeValues(points, settings, seen.instrument)
     scans = [each for each in beams if each.edge <= EDGE_SHARE]
     before = settings.alignment or Alignment.stated(rig_inputs(settings.rig.uncertainty))
     mountings = [each for name in values.mountings for each in mounting_inputs(settings.rig.uncertainty, "sample", name)]
     before = replace(before.with_inputs(mountings), source=source)
     if not before.inputs:
         raise UserError(f"{settings.sample}: the rig file states no misalignment in [uncertainty] that could be found")
+    lobe = _Fitting(values, scans, before, settings, step)
+    state, place = lobe.with_light(lobe.settle(before.value, lit=True), seen)
     modes, of_modes = before.modes
-    value = before.value
-    error, size = np.zeros(len(modes)), 0.0
-    for _ in range(MOST_STEPS):
-        known = dict(zip((each.name for each in before.inputs), value.tolist(), strict=True))
-        if step is None:
-            effects, residual = values.linearised(known, before, error)
-        else:
-            effects, residual = values.with_step(step, size, known, before, error)
-        if scans:
-            effects, residual = _with_scans(effects, residual, scans, known, before, error, settings)
-        fit = fit_inputs(effects, residual)
-        place = {each.name: k for k, each in enumerate(fit.inputs)}
-        used = [k for k, each in enumerate(modes) if each.name in place]
-        columns = [place[modes[k].name] for k in used]
-        found = np.zeros(len(modes))
-        found[used] = fit.estimate[columns]
-        values.correct_lobe({each.name: x for each, x in zip(fit.inputs, fit.estimate.tolist(), strict=True)})
-        after = np.diag([each.u**2 for each in modes])
-        after[np.ix_(used, used)] = fit.covariance[np.ix_(columns, columns)]
-        way = float(np.max(np.abs(found - error) / np.sqrt(np.maximum(np.diag(after), np.finfo(float).tiny)), initial=0.0))
-        error, value, size = found, before.value + of_modes @ found, fit.of(SIZE)
-        if way < SETTLED:
-            break
-    aligned = Alignment(before.inputs, value, of_modes @ after @ of_modes.T, source)
+    fit, value, after, size = state.fit, state.value, state.covariance, state.size
+    place_of = {each.name: k for k, each in enumerate(fit.inputs)}
+    used = [k for k, each in enumerate(modes) if each.name in place_of]
+    columns = [place_of[modes[k].name] for k in used]
+    aligned = Alignment(before.inputs, value, after, source)
     photodiodes = [k for k, each in enumerate(fit.inputs) if each.name.startswith("photodiode_")]
     crossed = np.zeros((len(modes), len(photodiodes)))
     crossed[used] = fit.covariance[np.ix_(columns, photodiodes)]
@@ -276,9 +335,105 @@ def fit_lobe(
         np.block([[aligned.covariance, crossed], [crossed.T, fit.covariance[np.ix_(photodiodes, photodiodes)]]]), source,
     )  # fmt: skip
     return LobeFit(
-        points, tuple(values.mountings), len(scans), aligned, whole, effects, residual, fit, values.sensitivities,
-        (size, math.sqrt(fit.variance_of(SIZE))),
+        points, tuple(values.mountings), len(scans), aligned, whole, state.effects, state.residual, fit, values.sensitivities,
+        (size, math.sqrt(fit.variance_of(SIZE))), place, state.lit, seen.instrument,
     )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Settled:
+    """Where a fit has settled: `value` (inputs,) and their `covariance`; effects and residual of its last step.
+
+    `chi_square` is that of the residuals and of the inputs together, `size` that of a step. `lit`: the hole is taken as
+    lit everywhere.
+    """
+
+    value: Floats
+    covariance: Floats
+    effects: Effects
+    residual: Floats
+    fit: Fit
+    size: float
+    lit: bool
+    chi_square: float
+
+
+class _Fitting:
+    """The fit of a lobe and of scans: the same values, from one place of the light or another."""
+
+    def __init__(
+        self, values: "LobeValues", scans: Sequence[ScannedBeam], before: Alignment, settings: ReductionSettings,
+        step: Step | None,
+    ) -> None:  # fmt: skip
+        self._values, self._scans, self._before, self._settings, self._step = values, scans, before, settings, step
+        self._instrument = nominal_instrument(settings.rig)
+
+    def settle(self, value: Floats, *, lit: bool) -> _Settled:
+        """The fit that begins with a value (inputs,), step by step until nothing changes."""
+        before, values = self._before, self._values
+        modes, of_modes = before.modes
+        error, size = np.asarray(np.linalg.solve(of_modes, value - before.value), dtype=np.float64), 0.0
+        for _ in range(MOST_STEPS):
+            known = dict(zip((each.name for each in before.inputs), value.tolist(), strict=True))
+            if self._step is None:
+                effects, residual = values.linearised(known, before, error, lit=lit)
+            else:
+                effects, residual = values.with_step(self._step, size, known, before, error, lit=lit)
+            if self._scans:
+                effects, residual = _with_scans(
+                    effects, residual, self._scans, known, before, error, self._settings, values.light(lit=lit)
+                )  # fmt: skip
+            weight = ValuesCovariance(effects)
+            fit = weight.fit(residual)
+            place = {each.name: k for k, each in enumerate(fit.inputs)}
+            used = [k for k, each in enumerate(modes) if each.name in place]
+            columns = [place[modes[k].name] for k in used]
+            found = np.zeros(len(modes))
+            found[used] = fit.estimate[columns]
+            values.correct_lobe({each.name: x for each, x in zip(fit.inputs, fit.estimate.tolist(), strict=True)})
+            after = np.diag([each.u**2 for each in modes])
+            after[np.ix_(used, used)] = fit.covariance[np.ix_(columns, columns)]
+            way = float(np.max(np.abs(found - error) / np.sqrt(np.maximum(np.diag(after), np.finfo(float).tiny)), initial=0.0))
+            error, value, size = found, before.value + of_modes @ found, fit.of(SIZE)
+            if way < SETTLED:
+                break
+        chi_square = float(residual @ weight.solve(residual[:, None])[:, 0])
+        return _Settled(value, of_modes @ after @ of_modes.T, effects, residual, fit, size, lit, chi_square)
+
+    def with_light(self, plain: _Settled, seen: LightSeen) -> tuple[_Settled, PlaceOfImage | None]:
+        """The same with the place of the slit's image that the values show, from a fit with a hole that is lit."""
+        before = self._before
+        by_inputs = image_by_inputs(self._instrument, before)
+        prior = by_inputs @ before.covariance @ by_inputs.T
+        if np.min(np.diag(prior)) <= 0.0:
+            return plain, None
+        known = dict(zip((each.name for each in before.inputs), plain.value.tolist(), strict=True))
+        poses, columns = self._values.of_light(self._scans, known)
+        modes, of_modes = before.modes
+        common = plain.effects.dense[0].sensitivity * [each.u**2 for each in modes] @ of_modes.T @ by_inputs.T
+        table = np.concatenate([common, columns, plain.residual[:, None]], axis=1)
+        white = table.T @ ValuesCovariance(plain.effects).solve(table)
+        etalon = self._settings.rig.uncertainty.standard("etalon_tilt_deg")
+        place = search_place(seen, LobeData(poses, white), prior, etalon)
+        gain = before.covariance @ by_inputs.T @ np.linalg.inv(prior)
+        if not place.seen and place.upright:
+            lit = nearest_lit(seen.instrument, poses, by_inputs @ plain.value)
+            return _with_image_at(plain, by_inputs, lit), place
+        # A search about one fit is no more than a guess: the fits themselves decide.
+        begins = (plain.value + gain @ (each - by_inputs @ plain.value) for each in place.places)
+        settled = [self.settle(each, lit=False) for each in begins]
+        spots = [spot_weights(seen.instrument, sigma, gamma) for sigma, gamma in poses.tolist()]
+        at = np.array([by_inputs @ each.value for each in settled])
+        share = np.stack([spot.lit(at)[0] for spot in spots], axis=1)
+        flux = flux_chi_square(poses, share, seen.shares, etalon)
+        return settled[int(np.argmin(flux + [each.chi_square for each in settled]))], place
+
+
+def _with_image_at(plain: _Settled, by_inputs: Floats, place: Floats) -> _Settled:
+    """The fit with values of the inputs that have the slit's image at a place (2,); their uncertainty stays."""
+    way = place - by_inputs @ plain.value
+    gain = plain.covariance @ by_inputs.T @ np.linalg.inv(by_inputs @ plain.covariance @ by_inputs.T)
+    return replace(plain, value=plain.value + gain @ way)
 
 
 def lobe_effects(
@@ -294,14 +449,15 @@ def lobe_effects(
     effects, residual = values.linearised(known, before, error)
     scans = [each for each in beams if each.edge <= EDGE_SHARE]
     if scans:
-        effects, _ = _with_scans(effects, residual, scans, known, before, error, settings)
+        effects, _ = _with_scans(effects, residual, scans, known, before, error, settings, values.light(lit=True))
     return effects, before
 
 
 class LobeValues:
     """The values of a lobe, with its form as known so far."""
 
-    def __init__(self, points: BsdfPoints, settings: ReductionSettings) -> None:
+    def __init__(self, points: BsdfPoints, settings: ReductionSettings, light: Instrument | None = None) -> None:
+        self._light = light or nominal_instrument(settings.rig)
         self._points, self._settings = points, settings
         self._instrument = nominal_instrument(settings.rig)
         self._views = views_of_points(points)
@@ -347,25 +503,29 @@ class LobeValues:
             for k in range(self._settings_count):
                 self._form[k, j] += found.get(_of_one(j, k), 0.0)
 
-    def _displaced(self, known: Mapping[str, float]) -> tuple[Displacement, PoseEffects]:
+    def light(self, *, lit: bool) -> Instrument:
+        """The instrument by which the light on the sample is known; with a hole that is `lit` everywhere."""
+        return replace(self._light, lit_everywhere=True) if lit else self._light
+
+    def _displaced(self, known: Mapping[str, float], *, lit: bool) -> tuple[Displacement, PoseEffects]:
         table = self._settings.rig.uncertainty
         of_mounting = np.array(
             [[known.get(each.name, 0.0) for each in mounting_inputs(table, "sample", name)] for name in self.mountings]
         )
-        return known_displacement(self._instrument, self._views, known, of_mounting[self._mounting])
+        return known_displacement(self._instrument, self._views, known, of_mounting[self._mounting], lit=self.light(lit=lit))
 
     def linearised(
         self, known: Mapping[str, float], before: Alignment, error: Floats,
-        changed: tuple[Mapping[str, float], Flags] | None = None,
+        changed: tuple[Mapping[str, float], Flags] | None = None, *, lit: bool = True,
     ) -> tuple[Effects, Floats]:  # fmt: skip
         """The effects of all inputs about `known` values, and what the values are beside a prediction without the modes.
 
         The modes have the values `error` there. In some of the values inputs may have `changed` by so much.
         """
         points, table = self._points, self._settings.rig.uncertainty
-        moved, effects = self._displaced(known)
+        moved, effects = self._displaced(known, lit=lit)
         if changed is not None:
-            other, _ = self._displaced({**known, **{name: known.get(name, 0.0) + by for name, by in changed[0].items()}})
+            other, _ = self._displaced({**known, **{k: known.get(k, 0.0) + by for k, by in changed[0].items()}}, lit=lit)
             moved = Displacement(
                 *(np.where(changed[1][:, None], getattr(other, name), each) for name, each in vars(moved).items())
             )
@@ -380,6 +540,7 @@ class LobeValues:
         )
         columns = displacement_of(before, [(rig_inputs(table), effects.common), *own])
         sensitivity = columns.relative(seen.slope_along, seen.slope_across)
+        self._slopes = np.stack([seen.slope_along, seen.slope_across], axis=1)
         self.sensitivities = PoseSensitivities(
             *(each.relative(seen.slope_along, seen.slope_across) for each in (effects.common, effects.sample))
         )
@@ -387,17 +548,48 @@ class LobeValues:
         by_mode = sensitivity @ of_modes
         dense = [Dense(modes, by_mode), *self._dense, *self._lobe_inputs(basis), *self._etalon_inputs(of_angles)]
         field = table.standard("field_of_view")
-        dense.append(Dense([_free("field", field)], lobe.blur[:, None]))
+        of_field = lobe.blur
+        if not lit:
+            by_field = light_place(self._light, self._views, effects.common, known).by_field
+            of_field = of_field + seen.slope_along * by_field[:, 0] + seen.slope_across * by_field[:, 1]
+        dense.append(Dense([_free("field", field)], of_field[:, None]))
         groups = [*(_of_sample(each) for each in of_angles.groups), self._row]
         residual = self._logarithm - lobe.logarithm - lobe.blur - moved.diffuse[:, 0] + by_mode @ error
         return Effects(points.bsdf, self._independent, groups, dense), residual
 
+    def of_light(self, scans: Sequence[ScannedBeam], known: Mapping[str, float]) -> tuple[Floats, Floats]:
+        """The poses (m, 2) of sigma and gamma, and what a middle of the light at each of them does, for a mm along x and y.
+
+        The latter is (n, 2 m), of the values and then of the scans, with the slopes of the last step.
+        """
+        views = self._views
+        _, at = self._displaced(known, lit=True)
+        own, which = distinct_poses(views)
+        along, across = of_centres(self._instrument, own, which, at.common)
+        moved = self._slopes[:, :1] * along + self._slopes[:, 1:] * across
+        poses, columns = [own], [_spread(moved, which, len(own))]
+        if scans:
+            seen = _scan_views(scans)
+            _, beside = known_displacement(
+                self._instrument, seen, known, np.zeros((len(scans), len(MOUNTED))), lit=self.light(lit=True)
+            )
+            theirs, of_scan = distinct_poses(seen)
+            both = of_centres(self._instrument, theirs, of_scan, beside.common)
+            poses.append(theirs)
+            columns.append(np.concatenate([_spread(each, of_scan, len(theirs)) for each in both]))
+        count = sum(each.shape[0] for each in columns)
+        table, row, column = np.zeros((count, sum(each.shape[1] for each in columns))), 0, 0
+        for each in columns:
+            table[row : row + each.shape[0], column : column + each.shape[1]] = each
+            row, column = row + each.shape[0], column + each.shape[1]
+        return np.concatenate(poses), table
+
     def with_step(
-        self, step: Step, size: float, known: Mapping[str, float], before: Alignment, error: Floats
+        self, step: Step, size: float, known: Mapping[str, float], before: Alignment, error: Floats, *, lit: bool
     ) -> tuple[Effects, Floats]:
         """The same with a step of about a `size`, which is an input, beside a change of the light."""
         since = self._points.row >= step.row
-        effects, residual = self.linearised(known, before, error, (dict.fromkeys(step.inputs, size), since))
+        effects, residual = self.linearised(known, before, error, (dict.fromkeys(step.inputs, size), since), lit=lit)
         names = [each.name for each in rig_inputs(self._settings.rig.uncertainty)]
         if step.inputs[0] in names:
             column = self.sensitivities.rig[:, names.index(step.inputs[0])]
@@ -422,7 +614,7 @@ class LobeValues:
 
 def _with_scans(
     effects: Effects, residual: Floats, scans: Sequence[ScannedBeam], known: Mapping[str, float], before: Alignment,
-    error: Floats, settings: ReductionSettings,
+    error: Floats, settings: ReductionSettings, light: Instrument,
 ) -> tuple[Effects, Floats]:  # fmt: skip
     """The effects and residuals, in deg, of the scans' centroids after those of the values: two for each, along and across.
 
@@ -431,13 +623,10 @@ def _with_scans(
     """
     table, photodiode = settings.rig.uncertainty, np.array([each.scan.photodiode for each in scans])
     lower = np.array([each.scan.arc == "lower" for each in scans])
-    poses = np.array([each.scan.poses[each.scan.middle] for each in scans])
-    none = np.zeros(len(scans), dtype=bool)
-    views = Views(
-        sigma_deg=poses[:, 1], gamma_deg=poses[:, 0], polar=np.radians([each.scan.at_deg for each in scans]),
-        azimuth=np.full(len(scans), math.radians(SPECULAR_AZIMUTH_DEG)), lower=lower, transmitted=~none, reverse=none,
-    )  # fmt: skip
-    moved, at = known_displacement(nominal_instrument(settings.rig), views, known, np.zeros((len(scans), len(MOUNTED))))
+    views = _scan_views(scans)
+    moved, at = known_displacement(
+        nominal_instrument(settings.rig), views, known, np.zeros((len(scans), len(MOUNTED))), lit=light
+    )
     up = np.where(lower, -1.0, 1.0)
     seen = np.array([each.centroid_deg for each in scans])
     columns = displacement_of(before, [(rig_inputs(table), at.common)])
@@ -469,6 +658,24 @@ def _with_scans(
     independent["centroid"] = np.append(np.zeros(residual.size), np.concatenate(variances))
     value = np.append(effects.value, np.ones(count))
     return Effects(value, independent, groups, dense), np.append(residual, np.concatenate(left))
+
+
+def _scan_views(scans: Sequence[ScannedBeam]) -> Views:
+    """The views of scans, each in the middle of its poses."""
+    poses = np.array([each.scan.poses[each.scan.middle] for each in scans])
+    lower = np.array([each.scan.arc == "lower" for each in scans])
+    none = np.zeros(len(scans), dtype=bool)
+    return Views(
+        sigma_deg=poses[:, 1], gamma_deg=poses[:, 0], polar=np.radians([each.scan.at_deg for each in scans]),
+        azimuth=np.full(len(scans), math.radians(SPECULAR_AZIMUTH_DEG)), lower=lower, transmitted=~none, reverse=none,
+    )  # fmt: skip
+
+
+def _spread(moved: Floats, which: Ints, poses: int) -> Floats:
+    """Effects (n, 3) of a middle of the light, each of x and y in the columns of its pose: (n, 2 poses)."""
+    table = np.zeros((len(moved), poses, 2))
+    table[np.arange(len(moved)), which] = moved[:, :2]
+    return table.reshape(len(moved), -1)
 
 
 def _continued(group: Group, further: Group | None, count: int) -> Group:

@@ -19,6 +19,7 @@ from goniotwin.app.campaign.reduction.scale import SHARED, EffectsOf, Kind, inci
 from goniotwin.app.campaign.uncertainty.alignment import Alignment, known_displacement
 from goniotwin.app.campaign.uncertainty.effects import Dense, Effects, Group, group_variance
 from goniotwin.app.campaign.uncertainty.inputs import Input
+from goniotwin.app.campaign.uncertainty.light_place import light_place
 from goniotwin.app.campaign.uncertainty.pose import (
     POSITIONS,
     Displacement,
@@ -334,7 +335,11 @@ def angles(points: BsdfPoints, settings: ReductionSettings) -> Effects:
     """The components `pose`, `position` and `photodiode_angle`: rig and mountings, the axes' positions, each photodiode."""
     table = settings.rig.uncertainty
     views = views_of_points(points)
-    effects = pose_effects(nominal_instrument(settings.rig), views)
+    instrument = nominal_instrument(settings.rig)
+    effects = pose_effects(instrument, views)
+    if settings.alignment is not None:
+        place = light_place(instrument, views, effects.common, settings.alignment.values)
+        effects = replace(effects, common=place.added_to(effects.common))
     along, across = slopes(points)
 
     def relative(part: Displacement) -> Floats:

@@ -1,6 +1,7 @@
 """The reduction of a journal: its rows, in blocks, through the steps of pipeline.py; and notes for the reader of the values."""
 
 import contextlib
+import math
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -38,6 +39,7 @@ from goniotwin.app.campaign.reduction.etalon import (
     monitor_variance,
 )
 from goniotwin.app.campaign.reduction.evidence import SignalEvidence
+from goniotwin.app.campaign.reduction.light_search import LightSeen, Shares
 from goniotwin.app.campaign.reduction.metadata import journal_metadata
 from goniotwin.app.campaign.reduction.overlaps import Overlaps
 from goniotwin.app.campaign.reduction.pipeline import finish_points, reduce_rows
@@ -72,8 +74,10 @@ from goniotwin.app.rig.alignment import (
     parse_alignment,
     refused_residuals,
 )
-from goniotwin.arrays import Ints
+from goniotwin.arrays import Floats, Ints
 from goniotwin.protocols.clock import calendar_stamp
+from goniotwin.twin.optics.geometry.coordinates import round_deg
+from goniotwin.twin.optics.geometry.field import scale_field
 
 BLOCK_ROWS = 256
 """Rows in a block, and rows whose signals are in memory together: they take some megabytes."""
@@ -252,7 +256,8 @@ class Reduction:
 
     def _estimated(self, points: BsdfPoints, sample: str, before: Alignment | None) -> AlignmentResult:
         settings = replace(self.settings, sample=sample, alignment=before)
-        return estimate_alignment(points, settings, self.beams, f"alignment on {sample} of {self.schedule.name}")
+        source = f"alignment on {sample} of {self.schedule.name}"
+        return estimate_alignment(points, settings, self.beams, source, self.light_seen())
 
     def _moved(self, anew: AlignmentResult, before: Alignment) -> str:
         """That the rig is not where an alignment has it, and what the one that begins anew does not determine."""
@@ -276,8 +281,9 @@ class Reduction:
                 without.append(sample)
                 continue
             settings = replace(self.settings, sample=sample, alignment=self._of_file)
-            lobe = fit_lobe(points, settings, self.beams)
-            refit = partial(fit_lobe, points, settings, self.beams, "")
+            seen = self.light_seen()
+            lobe = fit_lobe(points, settings, self.beams, seen=seen)
+            refit = partial(fit_lobe, points, settings, self.beams, "", seen=seen)
             misalignment = find_misalignment(lobe, refit, sample, len(self.schedule.samples))
             beside = lobe.chi_square if misalignment is None else misalignment.chi_square
             if beside > REFUSED_CHI_SQUARE or not self._determines(lobe, settings):
@@ -298,6 +304,30 @@ class Reduction:
         if settings.alignment is not None or lobe.scans:
             lobe = fit_lobe(lobe.points, replace(settings, alignment=None))
         return bool(lobe.alignment.combinations(nominal_instrument(self.rig.file))[0])
+
+    def light_seen(self) -> LightSeen:
+        """What etalon and scans of the open beam show of the light on the sample."""
+        instrument = nominal_instrument(self.rig.file)
+        field = None if self.schedule.open_beam_scan is None else self.closure().field
+        if field is not None:
+            instrument = scale_field(instrument, round(math.log(field.ratio), 3))
+        return LightSeen(self._shares(), instrument)
+
+    def _shares(self) -> Shares:
+        places = self._etalon.places[self._etalon.places[:, 0] == scan_wavelength_nm(self.schedule)]
+        signals = self._etalon.at((float(each[0]), tuple(each[1:])) for each in round_deg(places).tolist())
+        by_pose: dict[tuple[float, float, float], dict[float, Floats]] = {}
+        for (_, (gamma, sigma, beta, shift)), each in signals.items():
+            by_pose.setdefault((sigma, beta, shift), {})[gamma] = each.signal.value
+        found: dict[tuple[float, float, float], list[float]] = {}
+        for (sigma, _, _), turned in by_pose.items():
+            first = min(turned)
+            for gamma, light in turned.items():
+                both = np.isfinite(light) & np.isfinite(turned[first])
+                here, there = float(light[both].sum()), float(turned[first][both].sum())
+                if gamma != first and min(here, there) > 0.0:
+                    found.setdefault((sigma, gamma, first), []).append(math.log(here / there))
+        return {(sigma, gamma): (float(np.mean(each)), first) for (sigma, gamma, first), each in found.items()}
 
     def lobe(self, sample: str) -> BsdfPoints | None:
         """The points of a sample that an alignment can use; None without any."""

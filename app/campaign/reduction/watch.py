@@ -35,6 +35,8 @@ LEAST_ROWS = 8
 """Rows of a sample before the first look."""
 ROWS_WITHIN = 4.0
 """Rows whose squared statistic is so near to the largest one may be that of the beginning."""
+POSSIBLE = 0.7
+"""Patterns whose largest statistic by places is above this share of the largest of all are compared row by row."""
 ALIKE = 9.0
 """Patterns whose largest squared statistic is so near to the largest of all are named too."""
 
@@ -175,16 +177,20 @@ def find_misalignment(lobe: LobeFit, refit: Callable[[Step], LobeFit], sample: s
     columns = [_column(each, lobe.sensitivities, lobe.residual.size) for each in PATTERNS]
     edges = np.unique(np.linspace(0, rows.size, PLACES + 1)[:-1].astype(np.int64))
     found = _since(covariance, lobe.residual, columns, np.searchsorted(edges, which, side="right") - 1)
-    best, place = divmod(int(np.argmax(np.abs(found.statistic))), found.statistic.shape[1])
-    if abs(found.statistic[best, place]) <= limit:
+    if np.max(np.abs(found.statistic)) <= limit:
         return None
-    largest = np.max(found.statistic**2, axis=1)
-    alike = [k for k in np.flatnonzero(largest > largest[best] - ALIKE).tolist() if k != best]
-    # Each row near that place, and beside them all others at once.
-    begin, end = int(edges[max(place - 1, 0)]), int(edges[place + 2]) if place + 2 < edges.size else rows.size
-    every = _since(covariance, lobe.residual, [columns[best]], np.clip(which, begin - 1, end) - (begin - 1))
-    statistic = every.statistic[0, 1 : 1 + end - begin]
-    k = int(np.argmax(np.abs(statistic)))
+    # A pattern that begins between two places has less than it explains: those that may be the largest are compared row by row.
+    largest = np.max(np.abs(found.statistic), axis=1)
+    possible = np.flatnonzero(largest > POSSIBLE * largest.max()).tolist()
+    beginnings = [
+        _beginning(covariance, lobe.residual, columns[k], which, edges, int(np.argmax(np.abs(found.statistic[k]))))
+        for k in possible
+    ]
+    first = max(range(len(possible)), key=lambda k: abs(beginnings[k].statistic[beginnings[k].row]))
+    best, begin = possible[first], beginnings[first].first
+    k, statistic = beginnings[first].row, beginnings[first].statistic
+    squared = [float(np.max(each.statistic**2)) for each in beginnings]
+    alike = [each for each, own in zip(possible, squared, strict=True) if each != best and own > squared[first] - ALIKE]
     # Sums with the sensitivities fail at second order: the size is that of a fit with the step in it.
     pattern, row = PATTERNS[best], int(rows[begin + k])
     within = begin + np.flatnonzero(statistic**2 > statistic[k] ** 2 - ROWS_WITHIN)
@@ -201,6 +207,29 @@ def find_misalignment(lobe: LobeFit, refit: Callable[[Step], LobeFit], sample: s
         sample, pattern, size, u, row, earliest, int(rows[within[-1]]), begin + k == 0, float(statistic[k]), limit,
         tuple(PATTERNS[each] for each in alike), stepped.chi_square,
     )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Beginning:
+    """The statistic (n,) of a pattern since each of some rows, of which the sample's row `first` is the first one."""
+
+    first: int
+    statistic: Floats
+
+    @property
+    def row(self) -> int:
+        """The place of the row with the largest one."""
+        return int(np.argmax(np.abs(self.statistic)))
+
+
+def _beginning(
+    covariance: ValuesCovariance, residual: Floats, column: Floats, which: Ints, edges: Ints, place: int
+) -> _Beginning:
+    """A pattern since each row near a place, and beside them since all others at once."""
+    rows = int(which.max()) + 1
+    begin, end = int(edges[max(place - 1, 0)]), int(edges[place + 2]) if place + 2 < edges.size else rows
+    every = _since(covariance, residual, [column], np.clip(which, begin - 1, end) - (begin - 1))
+    return _Beginning(begin, every.statistic[0, 1 : 1 + end - begin])
 
 
 def _column(pattern: Pattern, sensitivities: PoseSensitivities, count: int) -> Floats:

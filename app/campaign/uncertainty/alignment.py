@@ -14,6 +14,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from goniotwin.app.campaign.uncertainty.inputs import Input
+from goniotwin.app.campaign.uncertainty.light_place import light_place
 from goniotwin.app.campaign.uncertainty.pose import LIGHT, VIEW, Displacement, PoseEffects, Views, pose_effects
 from goniotwin.app.rig.alignment import AlignmentFile, Combination
 from goniotwin.arrays import Floats
@@ -56,7 +57,8 @@ class Alignment:
         """Inputs with the combinations of a file; what these do not determine is as stated.
 
         With the combinations a = A x, of prior covariance A U A', where the file has a = m with the covariance S: the values
-        are G m with G = U A' (A U A')^-1, and the covariance is U - G (A U A' - S) G'.
+        are G m with G = U A' (A U A')^-1, and the covariance is U - G (A U A' - S) G'. The `inputs` of the file come before
+        these values.
         """
         before = cls.stated(inputs)
         names = [each.name for each in before.inputs]
@@ -73,7 +75,10 @@ class Alignment:
         prior = unit @ unit.T
         gain = np.linalg.solve(prior + FLOOR * np.eye(len(prior)), unit).T
         covariance = np.eye(len(names)) - gain @ (prior - after) @ gain.T
-        return replace(before, value=scale * (gain @ value), covariance=scale[:, None] * covariance * scale, source=source)
+        found = scale * (gain @ value)
+        # The file's own values make the same combinations, and have the slit's image where it is.
+        found = np.array([file.inputs.get(name, each) for name, each in zip(names, found.tolist(), strict=True)])
+        return replace(before, value=found, covariance=scale[:, None] * covariance * scale, source=source)
 
     def only(self, names: Sequence[str]) -> "Alignment":
         """What is known of some of the inputs alone."""
@@ -196,23 +201,24 @@ def halfway(views: Views, rig: Mapping[str, float]) -> Views:
 
 
 def known_displacement(
-    instrument: Instrument, views: Views, rig: Mapping[str, float], mounted: Floats
+    instrument: Instrument, views: Views, rig: Mapping[str, float], mounted: Floats, *, lit: Instrument | None = None
 ) -> tuple[Displacement, PoseEffects]:
     """The displacement (n, 1) by known values of the `rig`'s inputs and of the sample's mounting (n, 3), and the sensitivities.
 
-    `along` and `across` are in deg, `diffuse` is relative; the sensitivities are those `halfway`.
+    `along` and `across` are in deg, `diffuse` is relative; the sensitivities are those `halfway`. Both have the
+    light's place on the sample of the instrument `lit`, by default the same; without one where that is `lit_everywhere`.
     """
     effects = pose_effects(instrument, halfway(views, rig))
+    lit = lit or instrument
+    place = None if lit.lit_everywhere else light_place(lit, views, effects.common, rig)
     common = np.array([rig.get(name, 0.0) for name in (*LIGHT, *VIEW)])
 
-    def total(of_rig: Floats, of_sample: Floats) -> Floats:
-        return np.asarray(of_rig @ common + np.sum(of_sample * mounted, axis=1))[:, None]
+    def total(of_rig: Floats, of_sample: Floats, beside: Floats | float = 0.0) -> Floats:
+        return np.asarray(of_rig @ common + np.sum(of_sample * mounted, axis=1) + beside)[:, None]
 
-    return (
-        Displacement(
-            total(effects.common.along, effects.sample.along),
-            total(effects.common.across, effects.sample.across),
-            total(effects.common.diffuse, effects.sample.diffuse),
-        ),
-        effects,
+    moved = Displacement(
+        total(effects.common.along, effects.sample.along, 0.0 if place is None else place.along),
+        total(effects.common.across, effects.sample.across, 0.0 if place is None else place.across),
+        total(effects.common.diffuse, effects.sample.diffuse),
     )
+    return moved, effects if place is None else replace(effects, common=place.added_to(effects.common))

@@ -30,6 +30,8 @@ LIGHT = (
     *(f"mirror_{m}_{each}" for m in MIRRORS for each in ("tilt_x", "tilt_y", "shift_z")),
     "illumination_shift_x",
     "illumination_shift_z",
+    "beam_tilt_x",
+    "beam_tilt_z",
 )
 """Inputs that move the light, and with it the middle of the lobe."""
 VIEW = (
@@ -236,14 +238,11 @@ def _light_at(instrument: Instrument, sigma_deg: float) -> tuple[Floats, Floats,
     sigma = math.radians(sigma_deg)
     cosine = math.cos(sigma)
     cosine = cosine if abs(cosine) > GRAZING else math.copysign(GRAZING, cosine)
-    light, y = np.array([math.sin(sigma), 0.0, cosine]), np.array([0.0, 1.0, 0.0])
+    light = np.array([math.sin(sigma), 0.0, cosine])
     side, total = instrument.mirror_distance_mm, _distance_mm(instrument)
-    first = np.array([-light[2], 0.0, light[0]])
-    # Directions of the beam before and after each mirror; the normal halves the angle. A mirror's sides are `first`, level in
-    # all three, and `second`: a turn about one moves the normal along the other. The arm is that from the pupil's image.
-    legs, seconds = [(y, light), (light, y), (y, -light)], [y + light, -y - light, y - light]
+    legs, seconds, first, normals = _beam(light)
+    # The arm of a mirror's tilt is that from the pupil's image.
     arms = [instrument.pupil_to_mirror_mm + k * side for k in range(len(MIRRORS))]
-    normals = [(after - before) / math.sqrt(2.0) for before, after in legs]
     images: list[Floats] = [total * np.array([light[2], 0.0, -light[0]])]  # the mirror unit turned about y by a radian
     for k, normal in enumerate(normals):
         back = -arms[k] * legs[k][0]  # from the mirror to the image of the pupil that it sees
@@ -251,6 +250,8 @@ def _light_at(instrument: Instrument, sigma_deg: float) -> tuple[Floats, Floats,
             images.append(_onward(-2.0 * ((back @ turned) * normal + (back @ normal) * turned), normals[k + 1 :]))
         images.append(_onward(2.0 * normal, normals[k + 1 :]))
     images += [_onward(np.eye(3)[axis], normals) for axis in (0, 2)]
+    # The unit turned about the sample's centre, unfolded, about x and z.
+    images += [_onward(np.array(each), normals) for each in ((0.0, 0.0, -total), (total, 0.0, 0.0))]
     moved = np.stack(images)
     in_mm = np.array(["shift" in name for name in LIGHT])
     ahead = moved @ light
@@ -258,6 +259,41 @@ def _light_at(instrument: Instrument, sigma_deg: float) -> tuple[Floats, Floats,
     change = (moved - ahead[:, None] * light) / total * np.where(in_mm, 1.0 / RAD, 1.0)[:, None]
     level = change[:, 2] * RAD / light[2] - 2.0 * ahead / total * np.where(in_mm, 1.0, RAD)
     return light, change, level
+
+
+def light_changes(instrument: Instrument, sigma_deg: float) -> tuple[Floats, Floats]:
+    """Towards the light (3,), and its change (inputs, 3), in deg, for one unit of each of LIGHT."""
+    towards, change, _ = _light_at(instrument, sigma_deg)
+    return towards, change
+
+
+def image_shifts(instrument: Instrument, sigma_deg: float) -> Floats:
+    """The way (inputs, 3) of the slit's image on the sample for one unit of each of LIGHT, in mm, in the rig's frame.
+
+    The image stays where the light is aimed at: a tilt of the beam, or of the mirror unit as a whole, does not move it.
+    """
+    sigma = math.radians(sigma_deg)
+    legs, seconds, first, normals = _beam(np.array([math.sin(sigma), 0.0, math.cos(sigma)]))
+    moved: list[Floats] = [np.zeros(3)]
+    for k, normal in enumerate(normals):
+        ahead = (len(MIRRORS) - k) * instrument.mirror_distance_mm * legs[k][0]  # from the mirror to the image that it sees
+        for turned in (-seconds[k] / math.sqrt(2.0), first):
+            turn = -2.0 * RAD * ((ahead @ turned) * normal + (ahead @ normal) * turned)
+            moved.append(_onward(turn, normals[k + 1 :]))
+        moved.append(_onward(2.0 * normal, normals[k + 1 :]))
+    moved += [_onward(np.eye(3)[axis], normals) for axis in (0, 2)]
+    return np.stack([*moved, np.zeros(3), np.zeros(3)])
+
+
+def _beam(light: Floats) -> tuple[list[tuple[Floats, Floats]], list[Floats], Floats, list[Floats]]:
+    """Directions of the beam before and after each mirror; the mirrors' sides `second` and `first`; their normals.
+
+    `light` (3,) is towards it. `first` is level in all three mirrors; a turn about one side moves the normal along the other.
+    """
+    y = np.array([0.0, 1.0, 0.0])
+    legs, seconds = [(y, light), (light, y), (y, -light)], [y + light, -y - light, y - light]
+    normals = [(after - before) / math.sqrt(2.0) for before, after in legs]
+    return legs, seconds, np.array([-light[2], 0.0, light[0]]), normals
 
 
 def _onward(vector: Floats, normals: list[Floats]) -> Floats:

@@ -7,33 +7,44 @@ import math
 import tempfile
 from pathlib import Path
 
+from goniotwin.app.campaign.geometry.open_beam import scan_wavelength_nm
 from goniotwin.app.campaign.journal.writing import Journal, software_versions
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.reduction.reduction import watch_journal
 from goniotwin.app.campaign.reduction.watch import LOOKS, Misalignment
+from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.running.events import RowCommitted
 from goniotwin.app.errors import UserError
 
 MOST_ROWS = 5000
-"""Longer campaigns are not watched in progress: a look takes some milliseconds a row."""
+"""Campaigns with more rows at the wavelength of the watch are not watched in progress: a look takes some milliseconds a row."""
 LEAST_BETWEEN = 16
 """Least number of rows between two looks."""
 
 
 class RunWatch:
-    """The rows of a run so far, and looks at their residuals: LOOKS at most, evenly over the plan's rows."""
+    """The rows of a run so far, and looks at their residuals: LOOKS at most, evenly over the plan's rows.
+
+    The watch compares values of one wavelength, and needs the rows at others no more than a journal that has none of them.
+    """
 
     def __init__(self, plan: Plan) -> None:
         self._plan = plan
         self._rows: list[RowCommitted] = []
-        self._every = max(LEAST_BETWEEN, math.ceil(len(plan.rows) / LOOKS))
+        self._wavelength = scan_wavelength_nm(plan.schedule.file)
+        count = sum(map(self._is_needed, plan.rows))
+        self._watched = count <= MOST_ROWS
+        self._every = max(LEAST_BETWEEN, math.ceil(count / LOOKS))
         self._seen, self._looks = 0, 0
         self._named: set[str] = set()
 
     def add_row(self, event: RowCommitted) -> None:
         """Add a row."""
-        if len(self._plan.rows) <= MOST_ROWS:
+        if self._watched and self._is_needed(event.row):
             self._rows.append(event)
+
+    def _is_needed(self, row: Row) -> bool:
+        return row.wavelength_nm is None or row.wavelength_nm == self._wavelength
 
     @property
     def due(self) -> bool:

@@ -15,6 +15,8 @@ from goniotwin.arrays import Floats
 from goniotwin.twin import TwinModel
 from goniotwin.twin.optics import Deviation, Instrument, apply_spectrum, arc_direction, gaussian, lambertian
 from goniotwin.twin.optics.geometry.field import field_variance, scale_field
+from goniotwin.twin.optics.geometry.scene import scene_at
+from goniotwin.twin.optics.illumination.slit_image import slit_image
 from goniotwin.twin.plant import (
     Disturbances,
     Drawn,
@@ -85,7 +87,7 @@ def test_each_uncertainty_of_the_rig_file_is_a_disturbance_of_the_same_distribut
 def test_without_disturbances_everything_is_zero() -> None:
     drawn = Drawn(Disturbances(), 5, 36)
     assert not any(drawn.values())
-    assert len(drawn) == len(set(drawn)) == 15 + 3 + 6 + 5 + 3 + 2 * 36 + 10
+    assert len(drawn) == len(set(drawn)) == 15 + 3 + 2 + 6 + 5 + 3 + 2 * 36 + 10
     assert drawn.mounted("paint", 1) == Deviation()
     assert drawn.signal_factor("etalon", 2, 40) == 1.0
     assert drawn.instrument(Instrument()) == Instrument()
@@ -170,6 +172,22 @@ def test_elements_are_off_by_the_drawn_values_besides_their_deviations(changed: 
     explicit = changed({**parts, "instrument": replace(own, deviations=deviations)})
     np.testing.assert_array_equal(seen(model), seen(explicit))
     assert change(seen(model), seen(changed(parts))) > 1e-3
+
+
+def test_a_tilt_of_the_beam_turns_the_light_about_the_samples_centre(changed: Changed) -> None:
+    """The unit with the pupil and the slit's image: the light comes from 800 mm times the tilt aside, to the same place."""
+    model = changed(beam_tilt_deg=0.3)
+    drawn = Plant(model).drawn
+    instrument = drawn.instrument(model.instrument)
+    assert set(instrument.deviations) == {"pupil"}
+    for sigma in (5.0, 60.0):
+        plain, tilted = (scene_at(each, sigma) for each in (model.instrument, instrument))
+        towards = [each.pupil[0] / np.linalg.norm(each.pupil[0]) for each in (plain, tilted)]
+        turned = math.degrees(math.acos(float(towards[0] @ towards[1])))
+        assert turned == pytest.approx(math.hypot(drawn["beam_tilt_x"], drawn["beam_tilt_z"]), rel=1e-4)
+        edges = [slit_image(*each).edges[:, 0, 0] for each in ((model.instrument, plain), (instrument, tilted))]
+        # In mm from each edge of the slit's image to the middle of the hole.
+        assert edges[1] == pytest.approx(edges[0], abs=1e-3)
 
 
 def test_each_mounting_of_a_sample_has_its_own_deviation_in_the_frame_that_turns_with_gamma(changed: Changed) -> None:

@@ -21,6 +21,7 @@ from goniotwin.app.campaign.reduction.reduction import Reduction, reduction_sett
 from goniotwin.app.campaign.rehearsal.without_wires import run_without_wires
 from goniotwin.app.campaign.schedule.file import ScheduleDescription, parse_schedule
 from goniotwin.app.campaign.uncertainty.alignment import Alignment, known_displacement
+from goniotwin.app.campaign.uncertainty.light_place import lit_spot
 from goniotwin.app.campaign.uncertainty.pose import Views, mounting_inputs, rig_inputs
 from goniotwin.app.rig import RigDescription, nominal_instrument, parse_rig
 from goniotwin.app.simulation.paper.gaussian_cut import relative_rms_percent
@@ -36,14 +37,15 @@ SCHEDULE = PROOF / "alignment.toml"
 SAMPLE = "two-sided-5"
 OF_RIG = {
     "sample_tilt_deg": 0.1, "etalon_tilt_deg": 0.1, "mirror_tilt_deg": 0.1, "arc_tilt_deg": 0.1,
-    "illumination_shift_mm": round(math.radians(0.1) * 800.0, 3),
+    "beam_tilt_deg": 0.1,
     "sigma_zero_deg": 0.2, "beta_zero_deg": 0.2, "shift_zero_deg": 0.2,
 }  # fmt: skip
-"""Half widths of the angles that are found: a tilt of the beam is a shift of the exit pupil, 800 mm from the sample."""
+"""Half widths of the angles that are found: a tilt of the beam is one of the whole unit about the sample's centre."""
 OF_READINGS = {"photodiode_angle_deg": 0.02, "photodiode_across_deg": 0.02, "position_deg": 0.005}
 NONE = dict.fromkeys(
     (
-        "sensor_tilt_deg", "sample_height_mm", "etalon_height_mm", "mirror_shift_mm", "arc_shift_mm", "sensor_shift_mm",
+        "sensor_tilt_deg", "sample_height_mm", "etalon_height_mm", "mirror_shift_mm", "illumination_shift_mm", "arc_shift_mm",
+        "sensor_shift_mm",
     ), 0.0
 )  # fmt: skip
 CUT = """
@@ -73,9 +75,10 @@ class RigFindings:
     `errors` are those of the combinations, `u` their uncertainties. `direction` is the median error of the specular direction
     against the photodiode of the arc that is next to it, at poses that were not measured; `from_nominal` is that against the
     arc as if its photodiodes had no angles of their own. `predictions` is chi-square per degree of freedom of the latter,
-    `residuals` that of the values. `cut_percent` is the relative RMS of the corrected cut in the plane of incidence against
-    that of the same rig without tilts and zeros; `cuts_percent` are those of the cut as measured, corrected and aligned,
-    against the theory.
+    `residuals` that of the values. `dark` is the largest share of the hole that is dark at the measured incidences, with its
+    sides along and across the plane of incidence, and `found_dark` that by the alignment. `cut_percent` is the
+    relative RMS of the corrected cut in the plane of incidence against that of the same rig without tilts and zeros;
+    `cuts_percent` are those of the cut as measured, corrected and aligned, against the theory.
     """
 
     seed: int
@@ -86,6 +89,8 @@ class RigFindings:
     from_nominal: float
     predictions: float
     residuals: float
+    dark: float
+    found_dark: float
     findings: tuple[str, ...]
     cut_percent: float = math.nan
     cuts_percent: tuple[float, float, float] = (math.nan, math.nan, math.nan)
@@ -97,7 +102,6 @@ def alignment_rig(*, aligned: bool = False, further: str = "", stated: dict[str,
     table = {**OF_RIG, **OF_READINGS, **NONE} if stated is None else stated
     entries = "".join(f"{key} = {value}\n" for key, value in table.items())
     text += f"\n[uncertainty]\n{entries}{further}"
-    text += "\n[twin.optics]\nlit_everywhere = true\n"  # the beam is tilted by a shift of the pupil, which takes the slit along
     if aligned:
         text += "\n[twin.disturbances]\n" + "".join(f"{key} = 0.0\n" for key in OF_RIG)
     return parse_rig(text, PROOF, "rig of the alignment")
@@ -135,7 +139,9 @@ def true_displacement(model: TwinModel, drawn: Drawn, views: Views, mounting: st
         polar = math.degrees(views.polar[k]) + drawn["shift_zero"] + np.array([0.0, 0.01])
         azimuth = np.full(2, math.degrees(views.azimuth[k]) + drawn["beta_zero"])
         d, ahead = scene.detectors(instrument, arc_direction(polar, azimuth, bool(views.lower[k])))[1]
-        light = scene.pupil[0] / np.linalg.norm(scene.pupil[0])
+        _, middle = lit_spot(instrument, sigma, float(views.gamma_deg[k]))
+        light = scene.pupil[0] - scene.to_sample @ middle
+        light /= np.linalg.norm(light)
         along = ahead - (ahead @ d) * d
         along /= np.linalg.norm(along)
         # The sample's own frame has the lit side up: for light from behind it is turned, and across stays d x along.
@@ -145,6 +151,13 @@ def true_displacement(model: TwinModel, drawn: Drawn, views: Views, mounting: st
         way = _logarithm(d, specular, along, across) - nominal
         found.append(-way)
     return np.degrees(np.array(found))
+
+
+def dark_share(model: TwinModel, drawn: Drawn) -> float:
+    """The largest share of the hole that the slit's image of a virtual rig leaves dark."""
+    instrument = drawn.instrument(model.instrument)
+    sigmas = (5.0, 17.0, 30.0, 42.0, 60.0, 75.0)
+    return 1.0 - min(lit_spot(instrument, sigma + drawn["sigma_zero"], 0.0)[0] for sigma in sigmas)
 
 
 def photodiode_error(model: TwinModel, drawn: Drawn, views: Views, found: Alignment) -> Floats:
@@ -227,7 +240,8 @@ def judge_alignment(result: AlignmentResult, plan: NewPlan) -> RigFindings:
     return RigFindings(
         plan.rig.seed, len(plan.rows), errors, tuple(each.u for each in result.combinations),
         float(np.median(np.linalg.norm(difference + own, axis=1))),
-        float(np.median(np.linalg.norm(difference, axis=1))), float(np.mean(scores)), result.chi_square, result.findings,
+        float(np.median(np.linalg.norm(difference, axis=1))), float(np.mean(scores)), result.chi_square,
+        dark_share(model, drawn), 0.0 if result.light is None else result.light.dark, result.findings,
     )  # fmt: skip
 
 

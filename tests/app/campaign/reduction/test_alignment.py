@@ -1,5 +1,6 @@
 """The alignment: what it finds of misaligned rigs against the twin's own geometry, its file, and corrected values."""
 
+import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import pytest
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import NewPlan
 from goniotwin.app.campaign.proof.proof import Proof, prove
+from goniotwin.app.campaign.reduction.alignment import LEAST_DARK
 from goniotwin.app.campaign.reduction.budget import budget_of_value, finished_blocks, parse_place
 from goniotwin.app.campaign.reduction.comparison import true_bsdf
 from goniotwin.app.campaign.reduction.points import join_points
@@ -56,6 +58,8 @@ FEW = (
     .replace("small alignment", "few")
 )  # fmt: skip
 """Of the front alone, at one azimuth of the sample."""
+LIT, PART_DARK = 6, 8
+"""Seeds of rigs with a hole that is lit, and with one of which a fifth is dark."""
 MOST_U = 4.0
 """Largest of ten errors over their u: a normal law exceeds it once in 1,600 rigs."""
 
@@ -73,7 +77,7 @@ class Small:
 
 @pytest.fixture(scope="module")
 def small(tmp_path_factory: pytest.TempPathFactory) -> Small:
-    plan = drawn_plan(parse_schedule(SMALL, "small"), alignment_rig(), 3)
+    plan = drawn_plan(parse_schedule(SMALL, "small"), alignment_rig(), LIT)
     path = run(plan, tmp_path_factory.mktemp("small") / "small.journal")
     result, file = align_journal(path)
     return Small(path, plan, judge_alignment(result, plan), result.alignment, file)
@@ -88,6 +92,20 @@ def test_nine_combinations_are_found_within_their_uncertainties(small: Small) ->
     assert found.direction < 0.01
     assert 0.5 < found.residuals < 1.5
     assert not found.findings
+
+
+def test_a_hole_that_is_dark_in_part_is_found_and_said(tmp_path: Path) -> None:
+    """With the sample turned by 45 deg too; the directions hold as those of a lit one do."""
+    turned = SMALL.replace("gamma_deg = [0, 180]", "gamma_deg = [0, 45]")
+    plan = drawn_plan(parse_schedule(turned, "turned"), alignment_rig(), PART_DARK)
+    result, _ = align_journal(run(plan, tmp_path / "dark.journal"))
+    found = judge_alignment(result, plan)
+    assert found.dark > 0.2
+    assert found.found_dark > 0.1
+    assert found.direction < 0.015
+    (finding,) = found.findings
+    assert re.match(r"light misses part of the hole: the slit.s image .* at sigma \d+ deg \d+ % of the hole is dark", finding)
+    assert result.as_dict()["light"]["missing"]
 
 
 def test_the_reduction_reads_the_rig_from_the_file_without_the_sample(small: Small) -> None:
@@ -233,23 +251,29 @@ def test_the_twin_of_a_prediction_is_off_by_what_was_found(small: Small) -> None
 def test_an_alignment_through_the_wires_is_the_same(seed: int, tmp_path: Path) -> None:
     found = find(seed, tmp_path, wires=True, cut=False)
     assert found.rows <= 800
-    assert len(found.errors) == 10
+    assert len(found.errors) >= 10
     assert np.max(np.abs(np.array(found.errors) / found.u)) < MOST_U
     assert found.direction < 0.006
 
 
 @pytest.mark.long
 def test_fifty_random_rigs(tmp_path: Path) -> None:
-    """Each combination has a median error below 0.005 deg; directions at other poses, and the corrected cut, as documented.
+    """Each of ten combinations has a median error below 0.005 deg; directions at other poses, and the cut, as documented.
 
-    The photodiodes' own angles, 0.0115 deg each, limit the directions: see docs/alignment.md.
+    The photodiodes' own angles, 0.0115 deg each, limit the directions: see docs/alignment.md. Chi-square of the predictions
+    holds for rigs whose hole is lit; of others it is stated that light is missing.
     """
     rigs = [find(seed, tmp_path) for seed in range(1, 51)]
-    assert all(each.rows <= 800 and len(each.errors) == 10 and not each.findings for each in rigs)
-    assert np.max(np.median(np.abs([each.errors for each in rigs]), axis=0)) < 0.005
+    assert all(each.rows <= 800 and len(each.errors) >= 10 for each in rigs)
+    lit = [each for each in rigs if each.dark <= LEAST_DARK]
+    dark = [each for each in rigs if each.dark > 2.0 * LEAST_DARK]
+    assert len(lit) + len(dark) > 40
+    assert all(each.findings for each in dark)
+    assert sum(bool(each.findings) for each in lit) <= 2
+    assert np.max(np.median(np.abs([each.errors[:10] for each in rigs]), axis=0)) < 0.005
     assert np.median([each.direction for each in rigs]) < 0.003
     assert np.median([each.from_nominal for each in rigs]) < 0.0035
-    assert 0.8 < np.mean([each.predictions for each in rigs]) < 1.25
+    assert 0.8 < np.mean([each.predictions for each in lit]) < 1.25
     assert 0.8 < np.mean([each.residuals for each in rigs]) < 1.25
     assert np.median([each.cuts_percent[1] - each.cuts_percent[2] for each in rigs]) < 0.1
 

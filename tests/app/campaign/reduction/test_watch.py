@@ -105,12 +105,15 @@ def test_no_misalignment_is_named_on_rigs_that_are_off_as_stated(tmp_path: Path,
 
 
 @pytest.mark.long
-@pytest.mark.xfail(reason="the change of gamma after it is named, as a tilt of the sample: see docs/alignment.md", strict=True)
-def test_a_tilt_is_found_in_the_example_campaign(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """0.01 deg from the middle of the campaign on: the row is found, and 0.02 deg of light against arc."""
-    plan = drawn_plan(parse_schedule(SCHEDULE.read_text(encoding="utf-8"), "alignment"), alignment_rig(), 5)
-    rows = rows_of_sample(plan)
-    row = rows[len(rows) // 3]
+@pytest.mark.parametrize("gammas", ["[0, 45, 180]", "[0, 90, 180]"])
+@pytest.mark.parametrize("place", [96, 150])
+def test_a_tilt_is_found_in_the_example_campaign(
+    place: int, gammas: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """0.01 deg from where gamma changes, or between: the row is found, and 0.02 deg of light against arc."""
+    text = SCHEDULE.read_text(encoding="utf-8").replace("gamma_deg = [0, 45, 180]", f"gamma_deg = {gammas}")
+    plan = drawn_plan(parse_schedule(text, "alignment"), alignment_rig(), 5)
+    row = rows_of_sample(plan)[place]
     (found,) = watch_journal(tilted(plan, tmp_path / "tilted.journal", row, 0.01, monkeypatch)).misalignments
     assert found.earliest <= row <= found.latest
     assert abs(abs(found.size) - 0.02) < 3.0 * found.u + 0.001

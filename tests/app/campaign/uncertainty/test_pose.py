@@ -58,6 +58,8 @@ INPUTS = (
     *(position_input(TABLE, axis, 1) for axis in (*POSITIONS, *POSITIONS)), *photodiode_inputs(TABLE, 3),
 )  # fmt: skip
 U = np.array([each.u for each in INPUTS])
+TILT_U = 0.05 / 3.0**0.5
+"""Of the beam, whose tilt has no uncertainty by default."""
 CERTIFICATE = 0.002
 """That of the examples' etalon: the largest component of a diffuser."""
 DIFFUSER = lambertian(1.0, side="both")
@@ -186,6 +188,9 @@ def test_a_cone_alone_follows_its_axis_and_a_disc_alone_its_place() -> None:
 
 def deviation(name: str, size: float) -> tuple[str, Deviation]:
     """The element of the estimator and its deviation, for an input."""
+    if name.startswith("beam_tilt_"):  # the unit about the sample's centre, 800 mm from the exit pupil
+        far = INSTRUMENT.pupil_distance_mm * math.sin(math.radians(size))
+        return "pupil", Deviation(rx_deg=size, z_mm=-far) if name.endswith("x") else Deviation(rz_deg=size, x_mm=far)
     found = re.fullmatch(r"(mirror_\d|arc|sensor|illumination|sample|etalon)_(tilt|shift|height)_?([xyz]?)", name)
     assert found is not None
     element = {"illumination": "pupil", "etalon": "sample"}.get(found[1], found[1])
@@ -265,7 +270,8 @@ def compare(sample: Scatterer, at: Views, step: float = 0.02) -> None:
     ]  # fmt: skip
     computed = np.concatenate([part.relative(along, across) for part in parts], axis=1)
     differences = [np.log(twin.value(name, step) / twin.value(name, -step)) / (2.0 * step) for name in NAMES]
-    component, found = computed * U, np.stack(differences, axis=1) * U
+    u = np.where(np.array([name.startswith("beam_tilt") for name in NAMES]), TILT_U, U)
+    component, found = computed * u, np.stack(differences, axis=1) * u
     largest = np.maximum(np.abs(found).max(axis=1, keepdims=True), CERTIFICATE)
     wrong = np.abs(component - found) > np.maximum(0.05 * np.abs(found), 0.02 * largest)
     assert [(NAMES[k], i, component[i, k], found[i, k]) for i, k in zip(*np.nonzero(wrong), strict=True)] == []
