@@ -18,6 +18,8 @@ from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.cli import compilation
 from goniotwin.app.rig import read_rig
+from goniotwin.protocols.clock import RealClock
+from goniotwin.twin import VirtualRig
 from goniotwin.twin.optics import (
     Deviation,
     IlluminationUnit,
@@ -49,6 +51,9 @@ DIRECTIONS = from_specular(SIGMA_DEG, np.array([1.0, 5.0]), np.array([0.0, 90.0]
 
 def rig() -> None:
     """The light and the electronics of the virtual rig, and the uncertainties of a reduction."""
+    model = read_rig(RIG).model()
+    assert model is not None
+    VirtualRig.build(model, RealClock())
     compilation.PARTS["rig"].call()
 
 

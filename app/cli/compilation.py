@@ -55,17 +55,20 @@ def _rig() -> None:
     from goniotwin import examples
     from goniotwin.app.campaign.uncertainty.slopes import Directions, slopes_of
     from goniotwin.app.rig import read_rig
-    from goniotwin.protocols.clock import RealClock
+    from goniotwin.protocols.clock import VirtualClock
     from goniotwin.twin import VirtualRig
     from goniotwin.twin.optics import Instrument, evaluate, gaussian, light_direction, shadow_map
     from goniotwin.twin.optics.geometry.mirrors import mirrors_at
+    from goniotwin.twin.plant.lamp import lamp_constants, lamp_mean
 
     shadow_map(Instrument(), 30.0, 45.0)
     mirrors_at(Instrument(), 30.0)
     evaluate(gaussian(5.0), light_direction(30.0), UPWARDS)
     model = read_rig(examples.RIG).model()
     assert model is not None
-    VirtualRig.build(model, RealClock())
+    plant = VirtualRig.build(model, VirtualClock()).plant  # on a real clock the light on the photodiodes would be computed
+    plant.volts(0, 0.0)
+    lamp_mean(0.0, plant.conversion_period_s, *lamp_constants(model.light, model.seed, model.noise))
     same, angles = np.zeros(5, dtype=np.int64), np.linspace(0.1, 0.2, 5)
     slopes_of(Directions(same, same, *[angles] * 6), angles, angles, 0.1)
 
@@ -122,9 +125,9 @@ def _has_illumination() -> bool:
 
 UPWARDS = [[0.0, 0.0, 1.0]]
 PARTS = {
-    "scenes": Part("light on the detectors", _scenes, _has_scenes, 8.0),
+    "scenes": Part("light on the detectors", _scenes, _has_scenes, 9.0),
     "rig": Part("shadows, electronics, uncertainties", _rig, _has_rig, 6.0),
-    "every-scene": Part("light by every kind of sample", _every_scene, _has_every_scene, 12.0),
+    "every-scene": Part("light by every kind of sample", _every_scene, _has_every_scene, 13.0),
     "forward": Part("forward estimator", _forward, _has_forward, 12.0),
     "illumination": Part("illumination unit", _illumination, _has_illumination, 5.0),
 }

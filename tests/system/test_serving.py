@@ -165,7 +165,7 @@ def test_serve_states_what_it_does_before_it_loads_the_twin(tmp_path: Path) -> N
     before, note, after = done.stderr.partition("goniotwin: preparing the virtual rig")
     assert note
     assert not re.search(r"\| +(numba|numpy|goniotwin\.(twin|drivers|app\.rig))\b", before)
-    assert re.search(r"\| +numba\b", after)
+    assert re.search(r"\| +goniotwin\.twin\b", after)
 
 
 @pytest.mark.parametrize("call", CALLS)

@@ -426,12 +426,18 @@ class Journal(JournalReader):
         try:
             with self._writes:
                 try:
-                    yield
-                    self._together += 1
-                    if not together or self._together >= ROWS_TOGETHER:
-                        self._commit_all()
+                    if together:
+                        yield
+                        self._together += 1
+                        if self._together >= ROWS_TOGETHER:
+                            self._commit_all()
+                    else:
+                        with self._db:
+                            yield
+                        self._safe_chain, self._together = self.chain, 0
                 except BaseException:
-                    self._db.rollback()
+                    if together:
+                        self._db.rollback()
                     self.chain, self._together = self._safe_chain, 0
                     raise
         except sqlite3.Error as error:

@@ -6,12 +6,12 @@ own; in a budget these take the place of the inputs. A mode is in units of the u
 one that the data do not determine is 1.
 """
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.special import chdtrc
 
 from goniotwin.app.campaign.uncertainty.inputs import Input
 from goniotwin.app.campaign.uncertainty.light_place import light_place
@@ -22,8 +22,8 @@ from goniotwin.twin.optics import Instrument
 
 DETERMINED = 0.5
 """The data determine a combination whose u is below this share of that stated before."""
-MOVED = 1e-3
-"""Probability of a difference from an earlier alignment, below which the rig has moved since."""
+MOVED = 3.09
+"""Beyond so many standard deviations of a normal variable, which one in a thousand exceeds, the rig has moved."""
 LARGEST_NAMED = 3
 """Inputs that the description of a mode names."""
 LEAST_COEFFICIENT = 1e-4
@@ -155,7 +155,10 @@ class Alignment:
         difference = rows @ (self.value - known.value[order])
         covariance = rows @ (self.covariance + known.covariance[np.ix_(order, order)]) @ rows.T
         statistic = float(difference @ np.linalg.solve(covariance + FLOOR * np.eye(len(rows)), difference))
-        return bool(chdtrc(len(rows), statistic) > MOVED) if len(rows) else True
+        if not len(rows):
+            return True
+        spread = 2.0 / (9.0 * len(rows))  # the cube root of a chi-square is nearly normal (Wilson, Hilferty 1931)
+        return math.cbrt(statistic / len(rows)) < 1.0 - spread + MOVED * math.sqrt(spread)
 
     def combinations(self, instrument: Instrument, before: "Alignment | None" = None) -> tuple[tuple[Combination, ...], Floats]:
         """The combinations that are determined, and their covariance (m, m) in deg^2.

@@ -8,7 +8,7 @@ import pytest
 
 from goniotwin.twin.optics.forward.elementary import arcsine, cosine, cosine_and_sine, exp_minus, minus_log, sine_ratio
 from goniotwin.twin.optics.kernel import kernel
-from goniotwin.twin.optics.montecarlo import high_16, low_16, scramble, uniform, upper_24, word, word_key
+from goniotwin.twin.optics.montecarlo import circle_point, high_16, low_16, scramble, uniform, upper_24, word, word_key
 from tests.sizes import parted
 
 COUNT = 1 << 20
@@ -100,3 +100,9 @@ def test_values_far_below_a_peak_are_zero_instead_of_denormal() -> None:
     drawn = applied(3, np.array([55.0, 56.0, 200.0, 1e9, np.inf], dtype=np.float32))
     assert drawn[0] == pytest.approx(math.exp(-55.0), rel=1e-5)
     assert not np.any(drawn[1:])
+
+
+def test_a_point_of_the_circle_is_exact_to_the_last_digits() -> None:
+    for share in np.linspace(0.0, 1.0, 1001):
+        turn = 2.0 * math.pi * share
+        assert circle_point(share) == pytest.approx((math.cos(turn), math.sin(turn)), abs=2e-15)

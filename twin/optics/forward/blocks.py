@@ -16,6 +16,7 @@ from goniotwin.twin.optics.forward.scattering import (
     leave_by_cosine,
     leave_by_lobe,
     leave_by_model,
+    leave_frame,
     path_key,
     reset_stops,
     stop_at_frame,
@@ -59,7 +60,7 @@ def scatter_stratum(buffer: Singles, strata: Strata, k: int, key: np.uint64, key
     way, which, count = strata.ways[k, 0], strata.ways[k, 1], strata.ways[k, 2]
     gain, share, transmits = strata.gains[k, 0], strata.gains[k, 1], lobes.models.heads[which, TRANSMITS] == 1
     if way == FRAME:
-        leave_by_cosine(buffer, count, keys[2:], False, gain)
+        leave_frame(buffer, count, key, FRAMES_STREAM, gain)
     elif way == SHAPE:
         leave_by_lobe(buffer, count, keys[2:], lobes.models.params[which], share, transmits, gain)
     elif way == MODEL:

@@ -16,7 +16,7 @@ from goniotwin.twin.optics.bsdf.sampling import scatter
 from goniotwin.twin.optics.forward.elementary import arcsine, cosine, cosine_and_sine, exp_minus, minus_log, sine_ratio
 from goniotwin.twin.optics.forward.paths import DX, DY, DZ, FLUX, PX, PY, STOP, WEIGHT, WX, WY, WZ
 from goniotwin.twin.optics.kernel import kernel
-from goniotwin.twin.optics.montecarlo import item_key, uniform, upper_24, word
+from goniotwin.twin.optics.montecarlo import circle_point, item_key, uniform, upper_24, word
 
 F32 = np.float32
 U64 = np.uint64
@@ -137,6 +137,19 @@ def reset_stops(buffer: Singles, count: int) -> None:
 def path_key(key: np.uint64, stratum: int, i: int) -> np.uint64:
     """Key of one path of a block, for numbers that are drawn path by path."""
     return item_key(key, stratum * 65536 + i + 1)
+
+
+@kernel()
+def leave_frame(buffer: Singles, count: int, key: np.uint64, stratum: int, gain: float) -> None:
+    """Draw directions from the frame by Lambert's law, with two numbers of each path; the weight is FLUX times `gain`."""
+    factor = F32(gain)
+    for i in range(count):
+        own = path_key(key, stratum, i)
+        square = uniform(own, 0)
+        cos, sin = circle_point(uniform(own, 1))
+        radius = math.sqrt(square)
+        buffer[i + DX], buffer[i + DY], buffer[i + DZ] = radius * cos, radius * sin, math.sqrt(1.0 - square)
+        buffer[i + WEIGHT] = buffer[i + FLUX] * factor
 
 
 @kernel()

@@ -16,7 +16,7 @@ from goniotwin.twin.optics.illumination.beam import Illumination, check_square, 
 from goniotwin.twin.optics.illumination.elements import field_ray
 from goniotwin.twin.optics.illumination.unit import IlluminationUnit
 from goniotwin.twin.optics.kernel import kernel
-from goniotwin.twin.optics.montecarlo import check_seed, item_key, run_until, scramble, uniform
+from goniotwin.twin.optics.montecarlo import check_seed, circle_point, item_key, run_until, scramble, uniform
 
 U64 = np.uint64
 # Few enough to be fast, and enough for an estimate of their standard deviation.
@@ -32,25 +32,6 @@ CELL_RAYS = 256
 TILE = 64
 X, Z, U, V, WEIGHT, TANGENT = (row * TILE for row in range(6))
 ROWS = 6
-SINE = tuple((-1.0) ** k / math.factorial(2 * k + 1) for k in range(10))
-COSINE = tuple((-1.0) ** k / math.factorial(2 * k) for k in range(11))
-
-
-@kernel(forceinline=True)
-def _sum_powers(terms: tuple[float, ...], square: float) -> float:
-    total = terms[-1]
-    for k in range(len(terms) - 1, 0, -1):
-        total = terms[k - 1] + square * total
-    return total
-
-
-@kernel(forceinline=True)
-def _cosine_and_sine(share: float) -> tuple[float, float]:
-    """Cosine and sine of a share of the whole turn, 0 to 1, to 4e-16: as series, for calls are not vectorised."""
-    half = math.pi * (share - 0.5)
-    square = half * half
-    sin, cos = half * _sum_powers(SINE, square), _sum_powers(COSINE, square)
-    return 2.0 * sin * sin - 1.0, -2.0 * sin * cos
 
 
 @kernel()
@@ -68,7 +49,7 @@ def _draw(tile: Floats, first: int, count: int, key: np.uint64, radius: float, s
         tile[n + X] = ((tile[n + X] + uniform(own, 0)) / cells - 0.5) * side
         tile[n + Z] = ((tile[n + Z] + uniform(own, 1)) / cells - 0.5) * side
         reach = radius * math.sqrt(uniform(own, 2))
-        cos, sin = _cosine_and_sine(uniform(own, 3))
+        cos, sin = circle_point(uniform(own, 3))
         tile[n + U], tile[n + V] = reach * cos, reach * sin
 
 

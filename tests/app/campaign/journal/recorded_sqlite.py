@@ -97,6 +97,9 @@ class Cursor:
     def fetchone(self) -> tuple[Any, ...] | None:
         return next(self._rows, None)
 
+    def fetchmany(self, size: int) -> list[tuple[Any, ...]]:
+        return list(itertools.islice(self._rows, size))
+
     def fetchall(self) -> list[tuple[Any, ...]]:
         return list(self._rows)
 
