@@ -267,7 +267,8 @@ def align(
     ] = False,
     minutes: Annotated[
         float | None,
-        typer.Option("--minutes", metavar="N", min=1.0, help="With --plan: time on the rig's clock.", show_default=False),
+        typer.Option("--minutes", metavar="N", min=1.0, help="With --plan: time on the rig's clock, at most 180.",
+                     show_default=False),
     ] = None,
     rig: Annotated[
         Path | None, typer.Option("--rig", metavar="RIG.toml", help="With --plan: rig file.", show_default=False)
@@ -358,6 +359,8 @@ def _plan_alignment(schedule: Path, rig: Path, minutes: float, sample: str | Non
     write(design.text)
     as_object = {**design.as_dict(), "file": None if output is None else str(output)}
     answer(as_json, as_object, lambda: _print_design(Console(highlight=False), design))
+    if design.ended_early:
+        print_warning("the search has ended after a bounded number of plans, and better levels may exist; give fewer minutes")
 
 
 def _print_design(console: Console, design: "AlignmentDesign") -> None:

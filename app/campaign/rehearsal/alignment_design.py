@@ -60,6 +60,10 @@ BETWEEN_SIGMA_DEG, BETWEEN_GAMMA_DEG = (11.0, 24.0, 36.0, 51.0, 68.0), (45.0, 13
 LEAST_GAIN = 0.02
 """Least gain of the logarithm of the determinant for which a level is exchanged."""
 MOST_EXCHANGES = 40
+MOST_MINUTES = 180.0
+"""Longest design, and longest schedule to begin with: the estimator takes the cube of their rows."""
+MOST_PLANNED_ROWS = 300_000
+"""Rows of all plans of a search, after which it ends with what it has: some two minutes of computing."""
 SAME_INCIDENCE = 0.02
 """A degree of the angle of incidence counts as much as this of the angle from the specular direction, where light is alike."""
 LEAST_KNOWN = 1e-9
@@ -86,7 +90,8 @@ class AlignmentDesign:
     """A schedule for an alignment: its `text`, the `plan`, what it is expected to find, and the seconds that were allowed.
 
     `began_s` is the duration of the schedule that the design began with, and `gain` how much the determinant's logarithm of
-    the predictions' covariance is below that of it at equal time, for each combination.
+    the predictions' covariance is below that of it at equal time, for each combination. `ended_early`: the search ended because
+    it had planned MOST_PLANNED_ROWS, and there may be better levels.
     """
 
     text: str
@@ -97,6 +102,7 @@ class AlignmentDesign:
     allowed_s: float
     began_s: float
     gain: float
+    ended_early: bool
 
     def as_dict(self) -> dict[str, Any]:
         """The design for JSON; angles in deg."""
@@ -113,6 +119,7 @@ class AlignmentDesign:
                 {"u": each.u, "prior_u": each.prior_u, "schedule_u": u, "coefficients": each.coefficients} for each, u in found
             ],
             "log_determinant_gain": self.gain,
+            "ended_early": self.ended_early,
             "schedule": self.text,
         }
 
@@ -122,8 +129,11 @@ def design_alignment(
 ) -> AlignmentDesign:
     """The design that begins with a schedule, of at most so many minutes on the rig's clock, without mountings.
 
-    Raises UserError where the rig file describes no light of the sample, or the time is too short.
+    Raises UserError where the rig file describes no light of the sample, or the time, or the schedule's own, is too short or
+    above MOST_MINUTES.
     """
+    if minutes > MOST_MINUTES:
+        raise UserError(f"--minutes {minutes:g}: an alignment is planned for at most {MOST_MINUTES:g} min; give fewer")
     search = _Search(schedule, rig, _named(schedule, sample))
     levels = search.exchange(search.shortened(search.first, 60.0 * minutes), 60.0 * minutes)
     text = f"{FIRST_LINE}\n{search.text(levels).removeprefix(FIRST_LINE).lstrip()}"
@@ -140,7 +150,9 @@ def design_alignment(
     u_before = np.sqrt(np.einsum("ki,ij,kj->k", rows, at_equal_time, rows))
     forecast = Forecast(len(plan.rows), plan.seconds, combinations, tuple(u_before.tolist()))
     gain = search.determinant(at_equal_time) - search.determinant(after.covariance)
-    return AlignmentDesign(text, plan, search.sample, levels, forecast, 60.0 * minutes, began.seconds, gain / len(combinations))
+    return AlignmentDesign(
+        text, plan, search.sample, levels, forecast, 60.0 * minutes, began.seconds, gain / len(combinations), search.ended
+    )
 
 
 def is_planned(content: bytes) -> bool:
@@ -260,9 +272,15 @@ class _Search:
         self._kept = set(schedule.file.scanned_sigmas_deg) if schedule.file.open_beam_scan is not None else set()
         if schedule.file.open_beam_scan is not None and schedule.file.open_beam_scan.sigma_deg is None:
             self._kept = set()
+        self._plans: dict[str, NewPlan] = {}
+        self._planned_rows = 0
+        if (own_minutes := self.plan(self.first).seconds / 60.0) > MOST_MINUTES:
+            raise UserError(
+                f"{schedule.name}: takes {math.ceil(own_minutes)} min, and a design begins with at most {MOST_MINUTES:g}; take "
+                "a schedule with fewer levels"
+            )
         light, self._beams = self._read_light()
         self._light = _Light(light)
-        self._plans: dict[str, NewPlan] = {}
         self._pool = {key: self._possible(key) for key in GRIDS}
         self._collect()
 
@@ -286,6 +304,7 @@ class _Search:
         if text not in self._plans:
             described = parse_schedule(text, self._schedule.name)
             self._plans[text] = make_plan(replace(described, certificate=self._schedule.certificate), self._rig)
+            self._planned_rows += len(self._plans[text].rows)
         return self._plans[text]
 
     def _read_light(self) -> tuple[BsdfPoints, Sequence[ScannedBeam]]:
@@ -447,11 +466,16 @@ class _Search:
         for near in (self._swapped(levels), self._with_one_for_another(levels)):
             scored = sorted(((self._score(each), each) for each in near), key=lambda each: each[0])
             for score, each in scored:
-                if score > here - LEAST_GAIN:
+                if score > here - LEAST_GAIN or self.ended:
                     break
                 if self._fits(each, allowed_s):
                     return score, each
         return None
+
+    @property
+    def ended(self) -> bool:
+        """Whether the search has planned as many rows as it may."""
+        return self._planned_rows > MOST_PLANNED_ROWS
 
     def _fits(self, levels: Levels, allowed_s: float) -> bool:
         try:

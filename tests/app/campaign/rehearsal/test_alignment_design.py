@@ -44,6 +44,25 @@ def test_too_short_a_time_is_refused_with_the_shortest_one(monkeypatch: pytest.M
         design_alignment(parse_schedule(LITTLE, "little"), alignment_rig(), 0.1)
 
 
+def test_times_in_which_no_design_is_computed_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The design's own time, and that of the schedule that it begins with."""
+    schedule = parse_schedule(LITTLE, "little")
+    with pytest.raises(UserError, match=r"^--minutes 1e\+06: an alignment is planned for at most 180 min; give fewer$"):
+        design_alignment(schedule, alignment_rig(), 1e6)
+    monkeypatch.setattr(alignment_design, "MOST_MINUTES", 1.0)
+    with pytest.raises(UserError, match=r"^little: takes \d min, and a design begins with at most 1; "):
+        design_alignment(schedule, alignment_rig(), 0.5)
+
+
+def test_a_search_ends_with_what_it_has_after_so_many_planned_rows(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(alignment_design, "FURTHER", FEW)
+    monkeypatch.setattr(alignment_design, "MOST_PLANNED_ROWS", 1)
+    design = design_alignment(parse_schedule(LITTLE, "little"), alignment_rig(), 10.0)
+    assert design.ended_early
+    assert design.levels["sigma_deg"] == (5, 30)
+    assert design.forecast.combinations
+
+
 @pytest.mark.long
 def test_expected_uncertainties_are_those_of_random_rigs(tmp_path: Path) -> None:
     """The example's time: what an alignment states after the campaign is as expected, and its errors are as stated.
