@@ -83,6 +83,8 @@ SETTLED = 0.05
 """A step that changes no mode by more than this share of its uncertainty is the last one."""
 CENTROID_U_DEG = 0.002
 """Standard uncertainty of a scan's centroid by its steps; assumed."""
+MIDDLE_U_MM = 0.01
+"""Standard uncertainty of the light's middle at a pose by the model of a hole that is lit in part; assumed."""
 LEAST_DARK = 0.01
 """Share of the hole from which on light is stated to miss it."""
 ROW_GROUPS = ("lamp", "monitor", "repeatability")
@@ -552,6 +554,10 @@ class LobeValues:
         if not lit:
             by_field = light_place(self._light, self._views, effects.common, known).by_field
             of_field = of_field + seen.slope_along * by_field[:, 0] + seen.slope_across * by_field[:, 1]
+            poses, which = distinct_poses(self._views)
+            ways = of_centres(self._instrument, poses, which, effects.common)
+            middle = _spread(seen.slope_along[:, None] * ways[0] + seen.slope_across[:, None] * ways[1], which, len(poses))
+            dense.append(Dense([_free(f"middle[{k}]", MIDDLE_U_MM) for k in range(middle.shape[1])], middle))
         dense.append(Dense([_free("field", field)], of_field[:, None]))
         groups = [*(_of_sample(each) for each in of_angles.groups), self._row]
         residual = self._logarithm - lobe.logarithm - lobe.blur - moved.diffuse[:, 0] + by_mode @ error
