@@ -59,7 +59,7 @@ def test_a_search_ends_with_what_it_has_after_so_many_planned_rows(monkeypatch: 
     monkeypatch.setattr(alignment_design, "MOST_PLANNED_ROWS", 1)
     design = design_alignment(parse_schedule(LITTLE, "little"), alignment_rig(), 10.0)
     assert design.ended_early
-    assert design.levels["sigma_deg"] == (5, 30)
+    assert list(design.levels["sigma_deg"]) == [5, 30]
     assert design.forecast.combinations
 
 
