@@ -57,8 +57,8 @@ class Alignment:
         """Inputs with the combinations of a file; what these do not determine is as stated.
 
         With the combinations a = A x, of prior covariance A U A', where the file has a = m with the covariance S: the values
-        are G m with G = U A' (A U A')^-1, and the covariance is U - G (A U A' - S) G'. The `inputs` of the file come before
-        these values.
+        are G m with G = U A' (A U A')^-1, and the covariance is U - G (A U A' - S) G'. The file's `inputs` come before these
+        values.
         """
         before = cls.stated(inputs)
         names = [each.name for each in before.inputs]
