@@ -14,7 +14,7 @@ from goniotwin.arrays import Floats
 from goniotwin.twin.optics import (
     Deviation,
     Instrument,
-    Pose,
+    Poses,
     Scatterer,
     Scenes,
     StrayMap,
@@ -111,22 +111,21 @@ class View:
                 self._next[expected] = aspect
         if key not in self._next:
             return
-        together: dict[tuple[object, ...], list[Aspect]] = {}
-        for aspect in self._next.values():
-            mounted = self._drawn.mounted(aspect.sample, aspect.mounting)
-            together.setdefault((aspect.sample, self._wavelength(aspect), mounted, aspect.tilt_deg), []).append(aspect)
+        together: dict[tuple[object, ...], dict[tuple[object, ...], Aspect]] = {}
+        for expected, aspect in self._next.items():
+            name, tilt, wavelength, _, _, mounted, _, _ = expected
+            together.setdefault((name, tilt, wavelength, mounted), {})[expected] = aspect
         self._next = {}
         for group in together.values():
-            instrument, first = self._mounted_instrument(group[0]), group[0]
-            beta, shift = (np.array([getattr(each, name) for each in group]) for name in ("beta_deg", "shift_deg"))
-            poses = [
-                Pose(*self._turned(each.sigma_deg, each.tilt_deg, directions), each.gamma_deg)
-                for each, directions in zip(group, self.directions(beta, shift), strict=True)
-            ]
-            scenes = Scenes(instrument, poses, [self._sample(first)], self._wavelength(first), self._model.estimator.rays)
+            first = next(iter(group.values()))
+            angles = [(each.sigma_deg, each.gamma_deg, each.beta_deg, each.shift_deg) for each in group.values()]
+            sigma_deg, gamma_deg, beta_deg, shift_deg = np.array(angles).T
+            directions = self._turned(first.tilt_deg, self.directions(beta_deg, shift_deg))
+            poses = Poses(sigma_deg - first.tilt_deg, directions, gamma_deg)
+            instrument, rays = self._mounted_instrument(first), self._model.estimator.rays
+            scenes = Scenes(instrument, poses, [self._sample(first)], self._wavelength(first), rays)
             found = scenes.throughputs()[0, 0, 0].reshape(len(group), -1)
-            for each, throughputs in zip(group, found, strict=True):
-                self._throughputs[self._key(each)] = throughputs
+            self._throughputs.update(zip(group, found, strict=True))
         while len(self._throughputs) > POSES_KEPT:
             self._throughputs.popitem(last=False)
 
@@ -147,23 +146,22 @@ class View:
         return _cached(self._instruments, (mounted,), MAPS_KEPT, lambda: self._with_sample(mounted))
 
     @staticmethod
-    def _turned(sigma_deg: float, tilt_deg: float, directions: Floats) -> tuple[float, Floats]:
-        """Sigma and directions (n, 3) as the sample sees them where it is tilted.
+    def _turned(tilt_deg: float, directions: Floats) -> Floats:
+        """Directions (..., 3) as a sample that is tilted sees them; it sees a sigma that is smaller by the tilt.
 
         A sample tilted about y is equivalent to a rig turned about y by the opposite angle.
         """
-        if not tilt_deg:
-            return sigma_deg, directions
-        c, s = math.cos(math.radians(tilt_deg)), math.sin(math.radians(tilt_deg))
-        x, z = directions[:, 0].copy(), directions[:, 2].copy()
-        directions[:, 0], directions[:, 2] = c * x - s * z, s * x + c * z
-        return sigma_deg - tilt_deg, directions
+        if tilt_deg:
+            c, s = math.cos(math.radians(tilt_deg)), math.sin(math.radians(tilt_deg))
+            x, z = directions[..., 0].copy(), directions[..., 2].copy()
+            directions[..., 0], directions[..., 2] = c * x - s * z, s * x + c * z
+        return directions
 
     def _compute(self, aspect: Aspect) -> Floats:
         model, sample, wavelength, light = self._model, self._sample(aspect), self._wavelength(aspect), self._light(aspect)
         mounted, instrument = self._drawn.mounted(aspect.sample, aspect.mounting), self._mounted_instrument(aspect)
-        directions = self.directions(aspect.beta_deg, aspect.shift_deg)
-        sigma, directions = self._turned(aspect.sigma_deg, aspect.tilt_deg, directions)
+        directions = self._turned(aspect.tilt_deg, self.directions(aspect.beta_deg, aspect.shift_deg))
+        sigma = aspect.sigma_deg - aspect.tilt_deg
         if model.estimator.kind == "forward":
             return self._trace(instrument, sample, sigma, directions, wavelength, mounted, aspect)
         direct = throughput(
