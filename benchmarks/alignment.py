@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from goniotwin.app.campaign.reduction.alignment import LEAST_DARK
 from tests.app.campaign.reduction.alignment_bench import RigFindings, find
 
 CUTS = ("measured", "corrected", "aligned")
@@ -21,7 +22,8 @@ CUTS = ("measured", "corrected", "aligned")
 
 def summary(rigs: list[RigFindings]) -> dict[str, object]:
     """Medians and means over the rigs."""
-    errors, u = np.abs([each.errors for each in rigs]), np.array([each.u for each in rigs])
+    common = min(len(each.errors) for each in rigs)
+    errors, u = np.abs([each.errors[:common] for each in rigs]), np.array([each.u[:common] for each in rigs])
     cuts = np.array([each.cuts_percent for each in rigs])
     return {
         "rigs": len(rigs),
@@ -34,6 +36,8 @@ def summary(rigs: list[RigFindings]) -> dict[str, object]:
         "largest_direction_deg": float(np.max([each.direction for each in rigs])),
         "median_direction_from_nominal_deg": float(np.median([each.from_nominal for each in rigs])),
         "chi2_predictions": float(np.mean([each.predictions for each in rigs])),
+        "chi2_predictions_lit": float(np.mean([each.predictions for each in rigs if each.dark <= LEAST_DARK] or [np.nan])),
+        "lit": sum(each.dark <= LEAST_DARK for each in rigs),
         "chi2_residuals": float(np.mean([each.residuals for each in rigs])),
         "median_cut_rms_percent": dict(zip(CUTS, np.median(cuts, axis=0).tolist(), strict=True)),
         "median_corrected_less_aligned_percent": float(np.median(cuts[:, 1] - cuts[:, 2])),

@@ -270,12 +270,11 @@ def test_fifty_random_rigs(tmp_path: Path) -> None:
     dark = [each for each in rigs if each.dark > 2.0 * LEAST_DARK]
     assert len(lit) + len(dark) > 40
     assert all(each.findings for each in dark)
-    assert sum(bool(each.findings) for each in lit) <= 2
+    assert sum(bool(each.findings) for each in lit if each.dark < 0.5 * LEAST_DARK) <= 1
     assert np.max(np.median(np.abs([each.errors[:10] for each in rigs]), axis=0)) < 0.005
     assert np.median([each.direction for each in rigs]) < 0.003
     assert np.median([each.from_nominal for each in rigs]) < 0.0035
-    # 1 where all is as stated: what is left beside it is the corners of a turned hole, see docs/alignment.md.
-    assert 0.8 < np.mean([each.predictions for each in lit]) < 1.6
+    assert 0.8 < np.mean([each.predictions for each in lit]) < 1.25
     assert 0.8 < np.mean([each.residuals for each in rigs]) < 1.25
     assert np.median([each.cuts_percent[1] - each.cuts_percent[2] for each in rigs]) < 0.1
 

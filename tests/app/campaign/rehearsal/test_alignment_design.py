@@ -83,6 +83,6 @@ def test_expected_uncertainties_are_those_of_random_rigs(tmp_path: Path) -> None
             truth = sum(c * drawn[name] for name, c in each.coefficients.items())
             scores.append((each.value - truth) / each.u)
         found, expected = (np.sort([each.u for each in some]) for some in (result.combinations, design.forecast.combinations))
-        ratios.append(found / expected)
+        ratios.append(found[: len(expected)] / expected)  # beyond those of the forecast: the place of the slit's image
     assert 0.6 < np.mean(np.square(scores)) < 1.5
     assert np.median(ratios, axis=0) == pytest.approx(1.0, abs=0.15)
