@@ -23,6 +23,7 @@ import math
 import numpy as np
 
 from goniotwin.arrays import Floats
+from goniotwin.twin.optics.fast.clipped_pupil import CLIPPED, clip_terms, clip_value
 from goniotwin.twin.optics.geometry.instrument import Instrument
 from goniotwin.twin.optics.geometry.scene import detector_frame
 from goniotwin.twin.optics.illumination.slit_image import ALONG_U, ALONG_V, chord_lines, cut_chord, is_cut
@@ -41,14 +42,24 @@ A0, AU, AV, B0, BU, BV, MIDDLE, HALF, INVERSE, SHARE = (row * BLOCK for row in r
 S, SU, SV, SUU, SUV, SVV = (row * BLOCK for row in range(39, 45))
 # For the nodes: means, covariances of each number with the offsets along and across, square root of the covariance.
 U0, V0, P0, Q0, GU1, GU2, GV1, GV2, GP1, GP2, GQ1, GQ2 = (row * BLOCK for row in range(29, 41))
-GA1, GA2, GB1, GB2, T11, T21, T22, RADIUS = (row * BLOCK for row in range(41, 49))
+GA1, GA2, GB1, GB2, ONE11, T21, ONE22, RADIUS = (row * BLOCK for row in range(41, 49))
 # One ray: weight, direction of the light, direction of the observer.
 RAY = 49 * BLOCK
 WEIGHT, LX, LY, LZ, WX, WY, WZ = (row * BLOCK for row in range(49, 56))
 # Its points of the pupil's unit disc and of the hole.
 POINT = 56 * BLOCK
 A, B, U, V = (row * BLOCK for row in range(56, 60))
-ROWS = 60
+# Moments with the point of the pupil's unit disc (a, b), and its mean.
+MA, MB, MAA, MAB, MBB, MUA, MUB, MVA, MVB, MPA, MPB, MQA, MQB, MEAN_A, MEAN_B = (row * BLOCK for row in range(60, 75))
+PUPIL_MOMENTS = 13
+# Sums over the strip with the pupil's point, where mirrors clip the beam; a chord; one of its points, and the terms there.
+CA, CAU, CAV, CB, CBU, CBV, CAA, CAB, CBB = (row * BLOCK for row in range(75, 84))
+CLIP_V, MIDDLE_U, HALF_U, CLIP_U, CLIP_PART, TERM = (row * BLOCK for row in range(84, 90))
+# For one slope: what INVERSE is of. For the nodes: weight of the outer ones.
+SQUARE, PART = 95 * BLOCK, 96 * BLOCK
+ROWS = 97
+CHORD_PLACE = math.sqrt(0.6)
+"""Outer place of three Gauss-Legendre nodes."""
 
 
 CLOSER = 1.1
@@ -111,7 +122,7 @@ def _chord(w: Floats, k: int, place: float, radius: float, half: float) -> tuple
     a1, b1 = w[k + A0] + w[k + AV] * v, w[k + B0] + w[k + BV] * v
     beside = a1 * bu - b1 * au
     foot = -(a1 * au + b1 * bu) * inverse
-    inside = radius * radius / inverse - beside * beside
+    inside = radius * radius * w[k + SQUARE] - beside * beside
     chord = math.sqrt(inside if inside > 0.0 else 0.0) * inverse
     left, right = foot - chord, foot + chord
     return v, (left if left > -half else -half), (right if right < half else half)
@@ -131,16 +142,21 @@ def _add_chord(w: Floats, k: int, v: float, left: float, right: float, weight: f
 
 
 @kernel(nogil=True, fastmath={"contract"})
-def fill_apertures(w: Floats, count: int, cone: Floats, side: Floats, sizes: Floats, chords: Floats) -> None:
+def fill_apertures(
+    w: Floats, count: int, cone: Floats, side: Floats, sizes: Floats, chords: Floats, clip: Floats
+) -> None:  # fmt: skip
     """Fill the moments of detectors whose frames are in `w`; the first is in mm^2.
 
     `sizes`: the disc's radius, the hole's half side, mm, and the sine of half the field. See `cone_nodes`, `side_nodes`.
-    `chords` (2, 10, 2) are those of the lit part of the hole, see `SlitImage`.
+    `chords` (2, 10, 2) are those of the lit part of the hole, see `SlitImage`. `clip` has what the mirrors leave of the
+    pupil, see `fill_clip`; no rows for all of it.
     """
     radius, half, sine = sizes[0], sizes[1], sizes[2]
     first, last, lines = chords[ALONG_U, 0, 0], chords[ALONG_U, 0, 1], chord_lines(chords, ALONG_U)
     cut = is_cut(chords)
     w[M : M + MOMENTS * BLOCK] = 0.0
+    if clip.shape[0] > 0:
+        w[MA : MA + PUPIL_MOMENTS * BLOCK] = 0.0
     for c in range(cone.shape[0]):
         away, level = sine * cone[c, 0], sine * cone[c, 1]
         along = math.sqrt(1.0 - away * away - level * level)
@@ -160,13 +176,27 @@ def fill_apertures(w: Floats, count: int, cone: Floats, side: Floats, sizes: Flo
             seen = (high > low) & ((dz + p * w[k + E1Z]) * dz > 0.0)
             low, high = (low if seen else 0.0), (high if seen else 0.0)
             w[k + A0], w[k + AU], w[k + AV], w[k + B0], w[k + BU], w[k + BV] = a0, au, av, b0, bu, bv
-            w[k + MIDDLE], w[k + HALF], w[k + INVERSE] = 0.5 * (high + low), 0.5 * (high - low), 1.0 / square
+            w[k + MIDDLE], w[k + HALF], w[k + SQUARE], w[k + INVERSE] = (
+                0.5 * (high + low),
+                0.5 * (high - low),
+                square,
+                1.0 / square,
+            )
             w[k + SHARE] = share * abs(area) * (high - low)
         w[S : S + 6 * BLOCK] = 0.0
+        if clip.shape[0] > 0:
+            w[CA : CA + 9 * BLOCK] = 0.0
         for node in range(side.shape[0]):
             place, weight = side[node, 0], side[node, 1]
             # Two loops: four lines of the slit's image cost a seventh of the time, and most scenes have none.
-            if cut:
+            if clip.shape[0] > 0:
+                for k in range(count):
+                    v, left, right = _chord(w, k, place, radius, half)
+                    left, right = cut_chord(lines, v, left, right)
+                    w[k + CLIP_V], w[k + MIDDLE_U] = v, 0.5 * (right + left)
+                    w[k + HALF_U] = 0.5 * (right - left) if right > left else 0.0
+                _add_clipped(w, count, weight, 1.0 / half, clip)
+            elif cut:
                 for k in range(count):
                     v, left, right = _chord(w, k, place, radius, half)
                     left, right = cut_chord(lines, v, left, right)
@@ -193,6 +223,64 @@ def fill_apertures(w: Floats, count: int, cone: Floats, side: Floats, sizes: Flo
             w[k + MPP] += s * p * p
             w[k + MPQ] += s * p * q
             w[k + MQQ] += s * q * q
+        if clip.shape[0] > 0:
+            for k in range(count):
+                taken = w[k + SHARE]
+                sa, sb = w[k + CA] * taken, w[k + CB] * taken
+                w[k + MA] += sa
+                w[k + MB] += sb
+                w[k + MAA] += w[k + CAA] * taken
+                w[k + MAB] += w[k + CAB] * taken
+                w[k + MBB] += w[k + CBB] * taken
+                w[k + MUA] += w[k + CAU] * taken
+                w[k + MUB] += w[k + CBU] * taken
+                w[k + MVA] += w[k + CAV] * taken
+                w[k + MVB] += w[k + CBV] * taken
+                w[k + MPA] += sa * p
+                w[k + MPB] += sb * p
+                w[k + MQA] += sa * q
+                w[k + MQB] += sb * q
+    if clip.shape[0] == 0:
+        fill_whole_pupil(w, count)
+
+
+@kernel()
+def fill_whole_pupil(w: Floats, count: int) -> None:
+    """Fill the moments with the point of the pupil where the light comes from all of it."""
+    w[MA : MA + PUPIL_MOMENTS * BLOCK] = 0.0
+    for k in range(count):
+        w[k + MAA] = w[k + MBB] = 0.25 * w[k + M]
+
+
+@kernel(nogil=True, fastmath={"contract"})
+def _add_clipped(w: Floats, count: int, weight: float, scale: float, clip: Floats) -> None:
+    """Add chords of the hole to the sums over the strip, each point with what is left of the pupil there."""
+    for node in range(3):
+        place = 0.0 if node == 0 else CHORD_PLACE if node == 1 else -CHORD_PLACE
+        share = 2.0 * weight * (4.0 / 9.0 if node == 0 else 5.0 / 18.0)
+        for k in range(count):
+            w[k + CLIP_U], w[k + CLIP_PART] = w[k + MIDDLE_U] + place * w[k + HALF_U], share * w[k + HALF_U]
+        for m in range(CLIPPED):
+            terms, row = clip_terms(clip, m), TERM + m * BLOCK
+            for k in range(count):
+                w[k + row] = w[k + CLIP_PART] * clip_value(terms, w[k + CLIP_U] * scale, w[k + CLIP_V] * scale)
+        for k in range(count):
+            u, v, part, a, b = w[k + CLIP_U], w[k + CLIP_V], w[k + TERM], w[k + TERM + BLOCK], w[k + TERM + 2 * BLOCK]
+            w[k + S] += part
+            w[k + SU] += part * u
+            w[k + SV] += part * v
+            w[k + SUU] += part * u * u
+            w[k + SUV] += part * u * v
+            w[k + SVV] += part * v * v
+            w[k + CA] += a
+            w[k + CAU] += a * u
+            w[k + CAV] += a * v
+            w[k + CB] += b
+            w[k + CBU] += b * u
+            w[k + CBV] += b * v
+            w[k + CAA] += w[k + TERM + 3 * BLOCK]
+            w[k + CAB] += w[k + TERM + 4 * BLOCK]
+            w[k + CBB] += w[k + TERM + 5 * BLOCK]
 
 
 def hole_nodes(count: int) -> Floats:
@@ -247,6 +335,7 @@ def fill_wide_apertures(w: Floats, count: int, hole: Floats, sizes: Floats, chor
     w[M : M + MOMENTS * BLOCK] = 0.0
     for k in range(count):
         _fill_wide_aperture(w, k, hole, sizes, chords)
+    fill_whole_pupil(w, count)
 
 
 @kernel()

@@ -6,6 +6,8 @@ on the exit pupil. So their covariance follows from the aperture's moments, and 
 Secrest 1963) replaces the distribution. Its radius follows from the fourth moments, which for discs and squares are smaller
 than a Gaussian's. Each node is a real ray: the six numbers are the expected ones for its offsets.
 
+The moments of a beam that a mirror clips are over what is left of the pupil (twin.optics.fast.clipped_pupil).
+
 A detector that a mirror partly hides has a whole bundle of rays instead (twin.optics.fast.ray_bundle); one that is hidden
 completely has none.
 """
@@ -40,28 +42,44 @@ from goniotwin.twin.optics.fast.aperture import (  # fmt: skip
     LX,
     LY,
     LZ,
+    MA,
+    MAA,
+    MAB,
+    MB,
+    MBB,
+    MEAN_A,
+    MEAN_B,
     MP,
+    MPA,
+    MPB,
     MPP,
     MPQ,
     MQ,
+    MQA,
+    MQB,
     MQQ,
     MU,
+    MUA,
+    MUB,
     MUP,
     MUQ,
     MUU,
     MUV,
     MV,
+    MVA,
+    MVB,
     MVP,
     MVQ,
     MVV,
+    ONE11,
+    ONE22,
     P0,
+    PART,
     POINT,
     Q0,
     RADIUS,
     RAY,
-    T11,
     T21,
-    T22,
     U0,
     V0,
     WEIGHT,
@@ -106,8 +124,14 @@ def place_nodes(w: Floats, count: int, pupil: Floats, hexagon: Floats, rays: Flo
         up, uq = w[k + MUP] * one - u0 * p0, w[k + MUQ] * one - u0 * q0
         vp, vq = w[k + MVP] * one - v0 * p0, w[k + MVQ] * one - v0 * q0
         pp, pq, qq = w[k + MPP] * one - p0 * p0, w[k + MPQ] * one - p0 * q0, w[k + MQQ] * one - q0 * q0
+        a0, b0 = w[k + MA] * one, w[k + MB] * one
+        aa, ab, bb = w[k + MAA] * one - a0 * a0, w[k + MAB] * one - a0 * b0, w[k + MBB] * one - b0 * b0
+        ua, ub = w[k + MUA] * one - u0 * a0, w[k + MUB] * one - u0 * b0
+        va, vb = w[k + MVA] * one - v0 * a0, w[k + MVB] * one - v0 * b0
+        pa, pb = w[k + MPA] * one - p0 * a0, w[k + MPB] * one - p0 * b0
+        qa, qb = w[k + MQA] * one - q0 * a0, w[k + MQB] * one - q0 * b0
         # The mean ray: mirrored light r, observer o, and the great circle between them with its normal n.
-        rx, ry, rz = u0 - cx, v0 - cy, cz
+        rx, ry, rz = u0 - cx - a0 * ax - b0 * bx, v0 - cy - a0 * ay - b0 * by, cz + a0 * az + b0 * bz
         inverse = 1.0 / math.sqrt(rx * rx + ry * ry + rz * rz)
         rx, ry, rz = rx * inverse, ry * inverse, rz * inverse
         up_side = 1.0 if dz > 0.0 else -1.0  # transmitted light is mirrored in the sample's plane
@@ -130,42 +154,49 @@ def place_nodes(w: Floats, count: int, pupil: Floats, hexagon: Floats, rays: Flo
         kb = (nx * bx + ny * by - nz * bz) * inverse
         jp, jq = tx * e1x + ty * e1y + up_side * tz * e1z, tx * e2x + ty * e2y
         kp, kq = nx * e1x + ny * e1y + up_side * nz * e1z, nx * e2x + ny * e2y
-        gu1, gu2 = uu * ju + uv * jv + up * jp + uq * jq, uu * ku + uv * kv + up * kp + uq * kq
-        gv1, gv2 = uv * ju + vv * jv + vp * jp + vq * jq, uv * ku + vv * kv + vp * kp + vq * kq
-        gp1, gp2 = up * ju + vp * jv + pp * jp + pq * jq, up * ku + vp * kv + pp * kp + pq * kq
-        gq1, gq2 = uq * ju + vq * jv + pq * jp + qq * jq, uq * ku + vq * kv + pq * kp + qq * kq
-        ga1, ga2, gb1, gb2 = 0.25 * ja, 0.25 * ka, 0.25 * jb, 0.25 * kb
+        gu1 = uu * ju + uv * jv + up * jp + uq * jq + ua * ja + ub * jb
+        gu2 = uu * ku + uv * kv + up * kp + uq * kq + ua * ka + ub * kb
+        gv1 = uv * ju + vv * jv + vp * jp + vq * jq + va * ja + vb * jb
+        gv2 = uv * ku + vv * kv + vp * kp + vq * kq + va * ka + vb * kb
+        gp1 = up * ju + vp * jv + pp * jp + pq * jq + pa * ja + pb * jb
+        gp2 = up * ku + vp * kv + pp * kp + pq * kq + pa * ka + pb * kb
+        gq1 = uq * ju + vq * jv + pq * jp + qq * jq + qa * ja + qb * jb
+        gq2 = uq * ku + vq * kv + pq * kp + qq * kq + qa * ka + qb * kb
+        # What the pupil alone does, and what comes with hole and slopes.
+        oa1, ob1, oa2, ob2 = aa * ja + ab * jb, ab * ja + bb * jb, aa * ka + ab * kb, ab * ka + bb * kb
+        ga1, gb1 = oa1 + ua * ju + va * jv + pa * jp + qa * jq, ob1 + ub * ju + vb * jv + pb * jp + qb * jq
+        ga2, gb2 = oa2 + ua * ku + va * kv + pa * kp + qa * kq, ob2 + ub * ku + vb * kv + pb * kp + qb * kq
         s11 = ju * gu1 + jv * gv1 + ja * ga1 + jb * gb1 + jp * gp1 + jq * gq1
         s12 = ju * gu2 + jv * gv2 + ja * ga2 + jb * gb2 + jp * gp2 + jq * gq2
         s22 = ku * gu2 + kv * gv2 + ka * ga2 + kb * gb2 + kp * gp2 + kq * gq2
-        t11 = math.sqrt(s11)
-        t21 = s12 / t11
+        one11 = 1.0 / math.sqrt(s11)
+        t21 = s12 * one11
         rest, least = s22 - t21 * t21, 1e-12 * s22 + 1e-30
-        t22 = math.sqrt(rest if rest > least else least)
-        # Fourth cumulants: of a disc -r^4/16 along each of its axes, of a side of the hole -6/5 of its variance squared.
-        # Where the disc limits the rays the slopes are correlated with the point in the hole; the rest is due to the disc.
-        j2, k2 = ja * ja + jb * jb, ka * ka + kb * kb
+        one22 = 1.0 / math.sqrt(rest if rest > least else least)
+        # Fourth cumulants, over the square of the variance: of a disc -1, of a side of the hole -6/5. A clipped disc is taken
+        # as a smaller one. Where the detector's disc limits the rays the slopes are correlated with the point in the hole; the
+        # rest is due to the disc.
+        j2, k2 = ja * oa1 + jb * ob1, ka * oa2 + kb * ob2
         ru, rv = 1.0 / (uu if uu > TINY else TINY), 1.0 / (vv if vv > TINY else TINY)
         slope2 = pp + qq - (up * up + uq * uq) * ru - (vp * vp + vq * vq) * rv
         slope2 = slope2 if slope2 > 0.0 else 0.0
         sides = (gu1 * gu1 * ru) ** 2 + (gv1 * gv1 * rv) ** 2 + (gu2 * gu2 * ru) ** 2 + (gv2 * gv2 * rv) ** 2
-        fourth = 3.0 - ((j2 * j2 + k2 * k2) / 16.0 + 0.5 * slope2 * slope2 + 1.2 * sides) / (s11 * s11 + s22 * s22)
+        fourth = 3.0 - (j2 * j2 + k2 * k2 + 0.5 * slope2 * slope2 + 1.2 * sides) / (s11 * s11 + s22 * s22)
         fourth = fourth if fourth > FLATTEST else FLATTEST
-        radius = math.sqrt(4.0 / 3.0 * fourth)
+        w[k + MEAN_A], w[k + MEAN_B], w[k + RADIUS], w[k + PART] = a0, b0, math.sqrt(4.0 / 3.0 * fourth), 0.25 / fourth
         w[k + U0], w[k + V0], w[k + P0], w[k + Q0] = u0, v0, p0, q0
         w[k + GU1], w[k + GU2], w[k + GV1], w[k + GV2] = gu1, gu2, gv1, gv2
         w[k + GA1], w[k + GA2], w[k + GB1], w[k + GB2] = ga1, ga2, gb1, gb2
         w[k + GP1], w[k + GP2], w[k + GQ1], w[k + GQ2] = gp1, gp2, gq1, gq2
-        w[k + T11], w[k + T21], w[k + T22], w[k + RADIUS] = t11, t21, t22, radius
+        w[k + ONE11], w[k + T21], w[k + ONE22] = one11, t21, one22
     for j in range(NODES):
         away, level = (0.0, 0.0) if j == 0 else (hexagon[j - 1, 0], hexagon[j - 1, 1])
         for k in range(count):
-            radius = w[k + RADIUS]
-            share = 1.0 / (3.0 * radius * radius)
-            y2 = radius * level / w[k + T22]
-            y1 = (radius * away - w[k + T21] * y2) / w[k + T11]
+            radius, share = w[k + RADIUS], w[k + PART]
+            y2 = radius * level * w[k + ONE22]
+            y1 = (radius * away - w[k + T21] * y2) * w[k + ONE11]
             u, v = w[k + U0] + w[k + GU1] * y1 + w[k + GU2] * y2, w[k + V0] + w[k + GV1] * y1 + w[k + GV2] * y2
-            a, b = w[k + GA1] * y1 + w[k + GA2] * y2, w[k + GB1] * y1 + w[k + GB2] * y2
+            a, b = w[k + MEAN_A] + w[k + GA1] * y1 + w[k + GA2] * y2, w[k + MEAN_B] + w[k + GB1] * y1 + w[k + GB2] * y2
             p, q = w[k + P0] + w[k + GP1] * y1 + w[k + GP2] * y2, w[k + Q0] + w[k + GQ1] * y1 + w[k + GQ2] * y2
             lx = cx + a * ax + b * bx - u
             ly = cy + a * ay + b * by - v

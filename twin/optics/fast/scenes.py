@@ -41,6 +41,7 @@ from goniotwin.twin.optics.fast.aperture import (
     hole_nodes,
     side_nodes,
 )
+from goniotwin.twin.optics.fast.clipped_pupil import CLIPPED, TERMS, clip_fit, clip_grid, fill_clip
 from goniotwin.twin.optics.fast.lobe_sums import lobe_sums
 from goniotwin.twin.optics.fast.obstruction import FREE, HIDDEN, PARTLY, find_shadow, mirrors_near, visible_shares
 from goniotwin.twin.optics.fast.ray_bundle import (
@@ -58,7 +59,7 @@ from goniotwin.twin.optics.fast.ray_bundle import (
 )
 from goniotwin.twin.optics.fast.rays import HEXAGON, NODES, place_nodes
 from goniotwin.twin.optics.fast.regular_component import HOLE_NODES, SLOPE_NODES, image_measures, light_shares, line_nodes
-from goniotwin.twin.optics.geometry.coordinates import direction_rows
+from goniotwin.twin.optics.geometry.coordinates import direction_rows, direction_table, fill_unit_vectors
 from goniotwin.twin.optics.geometry.instrument import (
     COMPONENTS,
     ELEMENTS,
@@ -90,7 +91,10 @@ COARSE_RULE: Rule = (cone_nodes(), side_nodes(), hole_nodes(4), 256)
 """For ratios, in which the error cancels: exact to 3 %."""
 FINEST_RULE: Rule = (cone_nodes(3), side_nodes(12), hole_nodes(16), 1024)
 """For fluxes where the light ends within the hole: exact to 0.3 %, and to 0.5 % where 2 % of the light are left."""
+CLIP_RULE: Rule = (cone_nodes(2), side_nodes(5), hole_nodes(8), 1024)
+"""For fluxes of a beam that a mirror clips."""
 TABLE_KINDS, PLAIN_KINDS = (TABLE, ANISOTROPIC), (GAUSSIAN, LAMBERTIAN)
+GRID = clip_grid()
 LIGHT_RAYS = 8192
 """Rays from pupil to hole for the mean of what is not even, of a regular component."""
 HOLE, LINE = line_nodes(HOLE_NODES), side_nodes(SLOPE_NODES)
@@ -130,8 +134,11 @@ class Optics(NamedTuple):
     exit_pupil: Floats
     sizes: Floats
     slit: Slit
+    clip_grid: Floats
+    clip_fit: Floats
     nodes: Nodes
     cut_nodes: Nodes
+    clip_nodes: Nodes
     hexagon: Floats
     image_hole: Floats
     image_line: Floats
@@ -170,6 +177,7 @@ class Block(NamedTuple):
     tile: Floats
     sums: Floats
     lanes: Floats
+    clip: Floats
     taken: Floats
     status: Ints
 
@@ -190,7 +198,8 @@ def score_scenes(
     block = Block(
         np.empty(ROWS * BLOCK), np.empty((7, NODES * BLOCK)), np.empty((4, 0 if optics.slit.even else NODES * BLOCK)),
         np.empty(NODES * BLOCK), np.empty(TILE_ROWS * TILE),
-        np.empty((lobes, BLOCK)), np.empty((lobes + 1, TILE)), np.empty(BLOCK), np.empty(BLOCK, np.int64),
+        np.empty((lobes, BLOCK)), np.empty((lobes + 1, TILE)), np.empty((CLIPPED, TERMS)),
+        np.empty(BLOCK), np.empty(BLOCK, np.int64),
     )  # fmt: skip
     most = 0
     for p in range(poses.shape[0]):
@@ -220,11 +229,15 @@ def score_scenes(
             )
             count = select_lit(centres, axes, total, above, below, lit)
             mirror_products(spectra, scene, mirrors)
+            fitted = 0
+            if count > 0 and scene.missed[0] + scene.missed[1] + scene.missed[2] > 0.0 and not (optics.bundles or optics.wide):
+                half, spot = optics.lengths[HALF_MIRROR], optics.lengths[HALF_SPOT]
+                fitted = CLIPPED if fill_clip(scene, half, spot, optics.clip_grid, optics.clip_fit, block.clip) else 0
             for start in range(0, count, BLOCK):
                 size = min(BLOCK, count - start)
                 score_block(
                     optics, models, scene, light, centres[start : start + size], axes[start : start + size],
-                    acting[:active], block, general,
+                    acting[:active], block, block.clip[:fitted], general,
                 )  # fmt: skip
                 for a in range(active):
                     k = acting[a]
@@ -271,11 +284,13 @@ def mirror_products(spectra: Spectra, scene: SceneArrays, result: Floats) -> Non
 @kernel()
 def score_block(
     optics: Optics, models: Models, scene: SceneArrays, light: SlitImage, centres: Floats, axes: Floats, acting: Ints,
-    block: Block, general: bool | None,
+    block: Block, clip: Floats, general: bool | None,
 ) -> None:  # fmt: skip
     """Fill `block.sums` (lobes, BLOCK): throughputs by the lobes `acting` alone, mirrors without loss, of n detectors."""
     count, kept, above, below = axes.shape[0], False, False, False
     nodes = optics.nodes if light.everywhere else optics.cut_nodes
+    if clip.shape[0] > 0 and nodes.cone.shape[0] > optics.clip_nodes.cone.shape[0]:
+        nodes = optics.clip_nodes
     for i in range(count):
         above, below = above or axes[i, 2] >= 0.0, below or axes[i, 2] < 0.0
     for i in range(count):
@@ -286,7 +301,7 @@ def score_block(
         if general is not None:
             kept = kept or models.heads[k, KIND] in TABLE_KINDS
     if not optics.bundles:
-        fill_nodes(optics, nodes, scene, light, centres, axes, block, general)
+        fill_nodes(optics, nodes, scene, light, centres, axes, block, clip, general)
         for k in acting:
             if models.heads[k, KIND] not in TABLE_KINDS and (below if models.heads[k, TRANSMITS] == 1 else above):
                 lobe_sums(models, k, block.rays, NODES, block.values, block.sums[k, :count], general)
@@ -310,7 +325,7 @@ def score_block(
 @kernel()
 def fill_nodes(
     optics: Optics, nodes: Nodes, scene: SceneArrays, light: SlitImage, centres: Floats, axes: Floats, block: Block,
-    general: bool | None,
+    clip: Floats, general: bool | None,
 ) -> None:  # fmt: skip
     """Fill `block.rays` with the seven rays of n detectors, see `place_nodes`, and `block.status`.
 
@@ -323,13 +338,14 @@ def fill_nodes(
         w[k + DX], w[k + DY], w[k + DZ] = axes[k, 0], axes[k, 1], axes[k, 2]
     fill_frames(w, count)
     if not optics.wide:
-        fill_apertures(w, count, nodes.cone, nodes.side, optics.sizes, light.chords)
+        fill_apertures(w, count, nodes.cone, nodes.side, optics.sizes, light.chords, clip)
     elif general is not None:
         fill_wide_apertures(w, count, nodes.hole, optics.sizes, light.chords)
     place_nodes(w, count, scene.pupil, optics.hexagon, block.rays, block.points)
     if general is not None and not light.slit.even:
         weigh_rays(light, block.points[:, : NODES * count], block.rays[0, : NODES * count])
-    clipped, blocking = scene.missed[0] + scene.missed[1] + scene.missed[2] > 0.0, optics.lengths[HALF_BLOCKING]
+    blocking = optics.lengths[HALF_BLOCKING]
+    clipped = scene.missed[0] + scene.missed[1] + scene.missed[2] > 0.0 and clip.shape[0] == 0
     for k in range(count):
         status[k] = PARTLY if clipped else FREE
         if optics.obstruction and w[k + M] > 0.0:
@@ -491,7 +507,8 @@ class Scenes:
         """
         flux = self._compute((*self._samples, self._etalon), deviations, ratios=True)
         sample, etalon = flux[:, :-1], flux[:, -1:]
-        return np.divide(sample, etalon, out=np.full_like(sample, np.nan), where=etalon > 0.0)
+        etalon[etalon <= 0.0] = np.nan
+        return np.asarray(sample / etalon)
 
     def map(self, function: Callable[[Floats], Result], blocks: Iterable[Floats], *, ratios: bool = False) -> Iterator[Result]:
         """Results of `function`, in order, of throughputs or `ratios` of each block of deviations.
@@ -530,15 +547,23 @@ class Scenes:
                 self._directions, first, result, general,
             )  # fmt: skip
 
-        threads = 1 if _ALONE.threads else thread_count()
-        if len(tasks) > 1 and threads > 1:
-            # Plain threads: the kernels hold no lock. numba's own threads would add seconds of compilation, and one of its
-            # threading layers ends the process if two threads call at the same time.
-            with ThreadPoolExecutor(threads) as pool:
-                list(pool.map(run, tasks))
-        else:
-            for task in tasks:
+        threads = 1 if _ALONE.threads else min(thread_count(), len(tasks))
+        waiting = iter(tasks)
+
+        def work() -> None:
+            for task in waiting:
                 run(task)
+
+        if threads > 1:
+            # Plain threads: the kernels hold no lock. numba's own threads would add seconds of compilation, and one of its
+            # threading layers ends the process if two threads call at the same time. This thread is one of them.
+            with ThreadPoolExecutor(threads - 1) as pool:
+                others = [pool.submit(work) for _ in range(threads - 1)]
+                work()
+                for each in others:
+                    each.result()
+        else:
+            work()
         return result
 
 
@@ -562,18 +587,19 @@ def _one_thread() -> Iterator[None]:
 
 def _pack_poses(poses: Sequence[Pose]) -> tuple[Floats, Ints, Floats, tuple[slice, ...]]:
     """Angles (p, 2), starts (p + 1,) and unit vectors (n, 3) of pieces of poses, and the range of each pose's detectors."""
-    angles, starts, rows, pieces = [], [0], [], []
+    angles, starts, given, pieces = [], [0], [], []
     for pose in poses:
         if not (math.isfinite(pose.sigma_deg) and math.isfinite(pose.gamma_deg)):
             raise ValueError(f"sigma_deg is {pose.sigma_deg!r}, gamma_deg {pose.gamma_deg!r}: give both in degrees")
-        directions = direction_rows(pose.directions)
-        first, last = starts[-1], starts[-1] + len(directions)
+        given.append(direction_table(pose.directions))
+        first, last = starts[-1], starts[-1] + len(given[-1])
         for start in range(first, last, PIECE):
             angles.append((pose.sigma_deg, pose.gamma_deg))
             starts.append(min(start + PIECE, last))
-        rows.append(directions)
         pieces.append(slice(first, last))
-    directions = rows[0] if len(rows) == 1 else np.concatenate([np.empty((0, 3)), *rows])
+    directions = np.empty((starts[-1], 3))
+    for rows, piece in zip(given, pieces, strict=True):
+        fill_unit_vectors(rows, directions[piece])
     return np.array(angles, dtype=np.float64).reshape(-1, 2), np.array(starts), directions, tuple(pieces)
 
 
@@ -625,12 +651,13 @@ def _check_deviations(deviations: Floats) -> Floats:
 def _optics(instrument: Instrument, rays: int | None, ratios: bool) -> Optics:
     sizes = aperture_sizes(instrument)
     sine, seen_sr = float(sizes[2]), math.pi * sizes[2] ** 2
-    nodes, cut_nodes = (
+    nodes, cut_nodes, clip_nodes = (
         Nodes(cone, side, hole, ray_bundle(partly if rays is None else rays, sine))
-        for cone, side, hole, partly in ((COARSE_RULE, FINE_RULE) if ratios else (FINE_RULE, FINEST_RULE))
+        for cone, side, hole, partly in ((COARSE_RULE, FINE_RULE, CLIP_RULE) if ratios else (FINE_RULE, FINEST_RULE, CLIP_RULE))
     )
     return Optics(
-        instrument.lengths, instrument.exit_pupil, sizes, slit_of(instrument), nodes, cut_nodes, HEXAGON, HOLE, LINE,
+        instrument.lengths, instrument.exit_pupil, sizes, slit_of(instrument), GRID, clip_fit(GRID), nodes, cut_nodes,
+        clip_nodes, HEXAGON, HOLE, LINE,
         ray_bundle(LIGHT_RAYS, sine), rays is not None, bool(sine * instrument.arc_radius_mm > WIDE * sizes[0]),
         instrument.obstruction, float(seen_sr * math.pi * instrument.pupil_radius_mm**2 * 1e-6),
     )  # fmt: skip

@@ -41,15 +41,28 @@ def direction_rows(directions: npt.ArrayLike) -> Floats:
 
     Raises ValueError for a wrong shape or a vector without a direction.
     """
+    vectors = direction_table(directions)
+    result = np.empty(vectors.shape)
+    fill_unit_vectors(vectors, result)
+    return result
+
+
+def direction_table(directions: npt.ArrayLike) -> Floats:
+    """`directions` as an array (n, 3). Raises ValueError for a wrong shape."""
     vectors = _directions(directions)
     if vectors.ndim != 2:
         raise ValueError(f"directions has the shape {vectors.shape}: give (n, 3), one row per detector")
+    return vectors
+
+
+def fill_unit_vectors(vectors: Floats, result: Floats) -> None:
+    """Fill `result` (n, 3) with the unit vectors of `vectors` (n, 3). Raises ValueError for a vector without a direction."""
     length = np.sqrt(np.einsum("ij,ij->i", vectors, vectors))
-    good = (length > 0.0) & (length < np.inf)
-    if not good.all():
-        wrong = int(np.argmin(good))
+    # A vector that is not finite has a length that is not: two reductions are quicker than three masks.
+    if length.size and not (length.min() > 0.0 and length.max() < np.inf):
+        wrong = int(np.argmin((length > 0.0) & (length < np.inf)))
         raise ValueError(f"directions[{wrong}] is {vectors[wrong]}: give a finite vector with a length")
-    return np.ascontiguousarray(vectors / length[:, None])
+    np.divide(vectors, length[:, None], out=result)
 
 
 def round_deg(angles_deg: npt.ArrayLike) -> Floats:

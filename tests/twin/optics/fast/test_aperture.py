@@ -31,6 +31,7 @@ from goniotwin.twin.optics.fast.aperture import (
     hole_nodes,
     side_nodes,
 )
+from goniotwin.twin.optics.fast.clipped_pupil import TERMS
 from goniotwin.twin.optics.geometry.scene import scene_at
 from goniotwin.twin.optics.illumination.slit_image import slit_image
 from tests.sizes import parted
@@ -52,7 +53,7 @@ def moments(instrument: Instrument, *, wide: bool, nodes: int, rings: int = 0) -
     if wide:
         fill_wide_apertures(w, count, hole_nodes(nodes), sizes, chords)
     else:
-        fill_apertures(w, count, cone_nodes(rings), side_nodes(nodes), sizes, chords)
+        fill_apertures(w, count, cone_nodes(rings), side_nodes(nodes), sizes, chords, np.empty((0, TERMS)))
     return rows[M // BLOCK : M // BLOCK + MOMENTS, :count].T
 
 
