@@ -143,19 +143,19 @@ def _add_chord(w: Floats, k: int, v: float, left: float, right: float, weight: f
 
 @kernel(nogil=True, fastmath={"contract"})
 def fill_apertures(
-    w: Floats, count: int, cone: Floats, side: Floats, sizes: Floats, chords: Floats, clip: Floats
+    w: Floats, count: int, cone: Floats, side: Floats, sizes: Floats, chords: Floats, clip: Floats | None
 ) -> None:  # fmt: skip
     """Fill the moments of detectors whose frames are in `w`; the first is in mm^2.
 
     `sizes`: the disc's radius, the hole's half side, mm, and the sine of half the field. See `cone_nodes`, `side_nodes`.
     `chords` (2, 10, 2) are those of the lit part of the hole, see `SlitImage`. `clip` has what the mirrors leave of the
-    pupil, see `fill_clip`; no rows for all of it.
+    pupil, see `fill_clip`; None, or no rows, for all of it.
     """
     radius, half, sine = sizes[0], sizes[1], sizes[2]
     first, last, lines = chords[ALONG_U, 0, 0], chords[ALONG_U, 0, 1], chord_lines(chords, ALONG_U)
     cut = is_cut(chords)
     w[M : M + MOMENTS * BLOCK] = 0.0
-    if clip.shape[0] > 0:
+    if clip is not None:
         w[MA : MA + PUPIL_MOMENTS * BLOCK] = 0.0
     for c in range(cone.shape[0]):
         away, level = sine * cone[c, 0], sine * cone[c, 1]
@@ -184,19 +184,20 @@ def fill_apertures(
             )
             w[k + SHARE] = share * abs(area) * (high - low)
         w[S : S + 6 * BLOCK] = 0.0
-        if clip.shape[0] > 0:
+        if clip is not None:
             w[CA : CA + 9 * BLOCK] = 0.0
         for node in range(side.shape[0]):
             place, weight = side[node, 0], side[node, 1]
             # Two loops: four lines of the slit's image cost a seventh of the time, and most scenes have none.
-            if clip.shape[0] > 0:
+            if clip is not None and clip.shape[0] > 0:
                 for k in range(count):
                     v, left, right = _chord(w, k, place, radius, half)
                     left, right = cut_chord(lines, v, left, right)
                     w[k + CLIP_V], w[k + MIDDLE_U] = v, 0.5 * (right + left)
                     w[k + HALF_U] = 0.5 * (right - left) if right > left else 0.0
                 _add_clipped(w, count, weight, 1.0 / half, clip)
-            elif cut:
+                continue
+            if cut:
                 for k in range(count):
                     v, left, right = _chord(w, k, place, radius, half)
                     left, right = cut_chord(lines, v, left, right)
@@ -223,7 +224,7 @@ def fill_apertures(
             w[k + MPP] += s * p * p
             w[k + MPQ] += s * p * q
             w[k + MQQ] += s * q * q
-        if clip.shape[0] > 0:
+        if clip is not None:
             for k in range(count):
                 taken = w[k + SHARE]
                 sa, sb = w[k + CA] * taken, w[k + CB] * taken
@@ -240,7 +241,7 @@ def fill_apertures(
                 w[k + MPB] += sb * p
                 w[k + MQA] += sa * q
                 w[k + MQB] += sb * q
-    if clip.shape[0] == 0:
+    if clip is None or clip.shape[0] == 0:
         fill_whole_pupil(w, count)
 
 

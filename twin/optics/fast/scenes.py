@@ -186,11 +186,12 @@ class Block(NamedTuple):
 def score_scenes(
     optics: Optics, models: Models, spectra: Spectra, deviations: Floats, poses: Floats, starts: Ints, directions: Floats,
     first_rig: int, result: Floats, general: bool | None,
-) -> None:  # fmt: skip
+) -> bool:  # fmt: skip
     """Fill `result` (rigs, samples, w, detectors) with throughputs in m^2 sr, from `first_rig` on.
 
     `general` is True, or None for GAUSSIAN and LAMBERTIAN lobes, narrow cones and an even light: numba then leaves out the code
-    for all others, which takes as long to compile as the rest.
+    for all others, which takes as long to compile as the rest; that of a beam which a mirror clips too. It leaves such scenes
+    to a call with False, which fills these alone. Returns whether there are any of them.
     `deviations` (n, elements, 6); `poses` (p, 2): sigma and gamma, deg; the detectors of pose p have the unit vectors
     `directions` (detectors, 3) from starts[p] to starts[p + 1].
     """
@@ -206,9 +207,17 @@ def score_scenes(
         most = max(most, starts[p + 1] - starts[p])
     centres, axes, lit = np.empty((most, 3)), np.empty((most, 3)), np.empty(most, np.int64)
     acting, mirrors = np.empty(lobes, np.int64), np.empty(spectra.weights.shape[1])
+    skipped = False
     for rig in range(deviations.shape[0]):
         for p in range(poses.shape[0]):
             back = fill_scene(optics.lengths, optics.exit_pupil, deviations[rig], poses[p, 0], poses[p, 1], scene)
+            clipped = scene.missed[0] + scene.missed[1] + scene.missed[2] > 0.0 and not optics.bundles
+            if general is None:
+                if clipped:
+                    skipped = True
+                    continue
+            elif not (general or clipped):
+                continue
             light = place_slit(optics.slit, scene.pupil, optics.lengths[HALF_SPOT], 0.0, edges, chords, hole)
             active, above, below = 0, False, False
             for k in range(lobes):
@@ -230,7 +239,7 @@ def score_scenes(
             count = select_lit(centres, axes, total, above, below, lit)
             mirror_products(spectra, scene, mirrors)
             fitted = 0
-            if count > 0 and scene.missed[0] + scene.missed[1] + scene.missed[2] > 0.0 and not (optics.bundles or optics.wide):
+            if general is not None and clipped and count > 0 and not optics.wide:
                 half, spot = optics.lengths[HALF_MIRROR], optics.lengths[HALF_SPOT]
                 fitted = CLIPPED if fill_clip(scene, half, spot, optics.clip_grid, optics.clip_fit, block.clip) else 0
             for start in range(0, count, BLOCK):
@@ -245,6 +254,7 @@ def score_scenes(
                         factor, row = spectra.weights[k, j] * mirrors[j], result[first_rig + rig, spectra.owners[k], j]
                         for i in range(size):
                             row[first + lit[start + i]] += factor * block.sums[k, i]
+    return skipped
 
 
 @kernel()
@@ -337,9 +347,11 @@ def fill_nodes(
         w[k + PX], w[k + PY], w[k + PZ] = centres[k, 0], centres[k, 1], centres[k, 2]
         w[k + DX], w[k + DY], w[k + DZ] = axes[k, 0], axes[k, 1], axes[k, 2]
     fill_frames(w, count)
-    if not optics.wide:
+    if general is None:
+        fill_apertures(w, count, nodes.cone, nodes.side, optics.sizes, light.chords, None)
+    elif not optics.wide:
         fill_apertures(w, count, nodes.cone, nodes.side, optics.sizes, light.chords, clip)
-    elif general is not None:
+    else:
         fill_wide_apertures(w, count, nodes.hole, optics.sizes, light.chords)
     place_nodes(w, count, scene.pupil, optics.hexagon, block.rays, block.points)
     if general is not None and not light.slit.even:
@@ -542,10 +554,9 @@ class Scenes:
 
         def run(task: tuple[int, int, int, int]) -> None:
             first, last, begin, end = task
-            score_scenes(
-                optics, models, spectra, rigs[first:last], self._poses[begin:end], self._starts[begin : end + 1],
-                self._directions, first, result, general,
-            )  # fmt: skip
+            some = rigs[first:last], self._poses[begin:end], self._starts[begin : end + 1]
+            if score_scenes(optics, models, spectra, *some, self._directions, first, result, general):
+                score_scenes(optics, models, spectra, *some, self._directions, first, result, False)
 
         threads = 1 if _ALONE.threads else min(thread_count(), len(tasks))
         waiting = iter(tasks)
