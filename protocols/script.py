@@ -5,41 +5,55 @@ when, is the same as one exchange after the other. It carries out as many exchan
 the first other one, and all after it, to be made singly.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from struct import Struct
 from typing import NamedTuple, Protocol, runtime_checkable
 
 HEADER = Struct(">HHHB")
 """Of a Modbus TCP frame: transaction, protocol, bytes from the unit on, unit. Source: Modbus on TCP/IP 1.0b, 3.1.3."""
+TRANSACTION = 2
+"""Bytes of a Modbus TCP frame that name its transaction."""
 EIGHT_REGISTERS, EIGHT_REGISTERS_BYTES = bytes((3, 16)), 25
 """Begin of the PDU, and length of the frame, that has eight registers."""
 _WORDS = Struct(">BHH")
 
 
-class Exchanged(NamedTuple):
-    """An exchange that was made: bytes out and back, and the times at which the first begins and the second has arrived, s."""
-
-    sent_s: float
-    request: bytes
-    arrived_s: float
-    reply: bytes
+Exchanged = tuple[float, bytes, float, bytes]
+"""An exchange that was made: when its first byte goes out, s, and the request; when its last byte has come, s, and the reply."""
 
 
 class ModbusExchange(NamedTuple):
-    """An exchange of PDUs with a unit, not before `due_s`. `expected` is the reply that it must have; None: eight registers."""
+    """An exchange of PDUs with a unit, prepared: see `modbus_exchange`.
 
-    due_s: float
-    client: "ModbusScripts"
+    `expected` is the reply that it must have; None: eight registers. `sent` is the frame of the request after its transaction,
+    `begins` what the frame of the reply has after the same transaction, up to the values, and `length` that of the frame.
+    """
+
     unit: int
     request: bytes
     expected: bytes | None
+    sent: bytes
+    begins: bytes
+    length: int
+
+
+def modbus_exchange(unit: int, request: bytes, expected: bytes | None) -> ModbusExchange:
+    """An exchange with its frames."""
+    pdu, length = (EIGHT_REGISTERS, EIGHT_REGISTERS_BYTES) if expected is None else (expected, HEADER.size + len(expected))
+    sent = HEADER.pack(0, 0, 1 + len(request), unit) + request
+    begins = HEADER.pack(0, 0, length - HEADER.size + 1, unit) + pdu
+    return ModbusExchange(unit, request, expected, sent[TRANSACTION:], begins[TRANSACTION:], length)
+
+
+ModbusScript = Sequence[tuple[float, "ModbusScripts", ModbusExchange]]
+"""Exchanges in their order, each with the time before which it does not begin, s, and its client."""
 
 
 @runtime_checkable
 class ModbusScripts(Protocol):
     """A Modbus client that carries out scripts, also for other clients of its kind."""
 
-    def run_script(self, script: Sequence[ModbusExchange], slack_s: float) -> list[Exchanged]:
+    def run_script(self, script: ModbusScript, slack_s: float) -> list[Exchanged]:
         """Make the first exchanges of a script, none that would begin more than `slack_s` after it is due.
 
         The clock is left where it is: the caller moves it to the arrival of the last reply, or to each on the way.
@@ -57,17 +71,15 @@ class TmclScripts(Protocol):
         """
 
 
-def matches(exchanged: Exchanged, unit: int, expected: bytes | None) -> bool:
-    """Whether a reply has transaction, protocol, unit and length of its request, and the expected PDU.
+def count_matching(exchanges: Iterable[ModbusExchange], made: Sequence[Exchanged]) -> int:
+    """How many of the first exchanges have the reply that they must have.
 
-    None is one that has eight registers.
+    It has the transaction of its request, protocol, unit and length, and the expected PDU; without that, one of eight registers.
     """
-    _, request, _, reply = exchanged
-    if expected is None:
-        pdu, length = EIGHT_REGISTERS, EIGHT_REGISTERS_BYTES
-    else:
-        pdu, length = expected, HEADER.size + len(expected)
-    return len(reply) == length and reply.startswith(request[:4] + bytes((0, length - 6, unit)) + pdu)
+    for k, ((_, _, _, _, begins, length), (_, request, _, reply)) in enumerate(zip(exchanges, made, strict=False)):
+        if len(reply) != length or not reply.startswith(request[:TRANSACTION] + begins):
+            return k
+    return len(made)
 
 
 def read_registers(address: int, count: int) -> bytes:

@@ -41,9 +41,10 @@ from goniotwin.protocols import adam
 from goniotwin.protocols.clock import Clock
 from goniotwin.protocols.script import (
     Exchanged,
+    ModbusExchange,
     ModbusScripts,
     coils,
-    matches,
+    modbus_exchange,
     read_coils,
     read_registers,
     registers,
@@ -56,12 +57,11 @@ Exchange = Callable[[Call, str, int], ModbusPDU]
 """Takes a call of a client, its description, and the function code of the reply."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class ScriptedExchange:
-    """An exchange of a module in a script: PDU and expected reply (None: eight registers), and what follows from it."""
+    """An exchange of a module in a script, and what follows from it."""
 
-    request: bytes
-    expected: bytes | None
+    modbus: ModbusExchange
     confirmed: Callable[[], None] | None = None
 
 
@@ -78,7 +78,7 @@ class SettingsCheck:
         self.alone()
 
 
-READ_INPUTS = ScriptedExchange(read_registers(adam.AI_VALUE, adam.CHANNELS), None)
+READ_INPUTS = read_registers(adam.AI_VALUE, adam.CHANNELS)
 READ_RANGES = read_registers(adam.RANGE_CODE, adam.CHANNELS)
 CONFIRMATION = 5
 """Bytes of a PDU of function 15 that its confirmation repeats."""
@@ -136,9 +136,12 @@ class AdamModule:
         self._ranges = [range_code] * adam.CHANNELS
         ranges = registers(self._ranges)
         self._outputs_checks: dict[tuple[bool, ...], SettingsCheck] = {}
-        self._ranges_check = SettingsCheck(self, self.check_ranges, ScriptedExchange(READ_RANGES, ranges))
+        self._outputs_scripts: dict[tuple[bool, ...], ScriptedExchange] = {}
+        self.read_inputs = ScriptedExchange(modbus_exchange(self.unit, READ_INPUTS, None))
+        read_ranges = modbus_exchange(self.unit, READ_RANGES, ranges)
+        self._ranges_check = SettingsCheck(self, self.check_ranges, ScriptedExchange(read_ranges))
         self._ranges_check_after_outputs = SettingsCheck(
-            self, self._check_ranges_after_outputs, ScriptedExchange(READ_RANGES, ranges, self._note_outputs_checked)
+            self, self._check_ranges_after_outputs, ScriptedExchange(read_ranges, self._note_outputs_checked)
         )
         self.sign_bit = adam.sign_bit(raw_format)
         self._clock = clock
@@ -235,7 +238,8 @@ class AdamModule:
         key = tuple(self._outputs)
         known = self._outputs_checks.get(key)
         if known is None:
-            script = ScriptedExchange(read_coils(adam.DIGITAL_OUTPUT, self._model.outputs), coils(self._outputs))
+            read = read_coils(adam.DIGITAL_OUTPUT, self._model.outputs)
+            script = ScriptedExchange(modbus_exchange(self.unit, read, coils(self._outputs)))
             known = self._outputs_checks[key] = SettingsCheck(self, self.check_outputs, script)
         return known
 
@@ -248,33 +252,38 @@ class AdamModule:
         """`set_outputs` in a script; None where it takes more than one plain exchange."""
         if self._last_outputs is not None or self._sets_outputs_singly:
             return None
-        request = write_coils(adam.DIGITAL_OUTPUT, outputs)
+        key = tuple(outputs)
+        known = self._outputs_scripts.get(key)
+        if known is None:
+            request = write_coils(adam.DIGITAL_OUTPUT, outputs)
 
-        def confirmed() -> None:
-            self._outputs, self._outputs_written, self._outputs_checked = list(outputs), True, False
+            def confirmed() -> None:
+                self._outputs, self._outputs_written, self._outputs_checked = list(key), True, False
 
-        return ScriptedExchange(request, request[:CONFIRMATION], confirmed)
+            exchange = modbus_exchange(self.unit, request, request[:CONFIRMATION])
+            known = self._outputs_scripts[key] = ScriptedExchange(exchange, confirmed)
+        return known
 
     def scripts(self) -> ModbusScripts | None:
         """The client of its wire, if that carries out scripts and nothing about the module is doubtful."""
         return None if self._unverified or self._lost_settings is not None else self._bus.scripts()
 
-    def take(self, script: ScriptedExchange, exchanged: Exchanged) -> bool:
-        """Check the reply to an exchange of a script, and keep what follows from it; False for another reply.
+    @property
+    def recorded(self) -> bool:
+        """Whether what is on its wire is recorded, by `record`."""
+        return self._tap is not no_tap
 
-        The module is then in doubt, and its exchange has to be repeated.
-        """
-        if self._tap is not no_tap:
-            self._clock.sleep_until(exchanged.sent_s)
-            self._tap(TO_DEVICE, exchanged.request)
-            self._clock.sleep_until(exchanged.arrived_s)
-            self._tap(FROM_DEVICE, exchanged.reply)
-        if not matches(exchanged, self.unit, script.expected):
-            self._unverified = self._bus.stale = True
-            return False
-        if script.confirmed is not None:
-            script.confirmed()
-        return True
+    def record(self, exchanged: Exchanged) -> None:
+        """Let the clock go on to an exchange of a script, and record it."""
+        sent_s, request, arrived_s, reply = exchanged
+        self._clock.sleep_until(sent_s)
+        self._tap(TO_DEVICE, request)
+        self._clock.sleep_until(arrived_s)
+        self._tap(FROM_DEVICE, reply)
+
+    def distrust(self) -> None:
+        """A script has brought a reply other than the one that it must have: the exchange has to be repeated."""
+        self._unverified = self._bus.stale = True
 
     def check_outputs(self) -> None:
         """Read the outputs back. Raises Forgotten if they differ from those that were set."""

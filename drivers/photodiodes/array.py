@@ -15,12 +15,12 @@ from annotated_types import Gt, Le, MaxLen, MinLen
 from goniotwin.arrays import Counts, Flags, Floats
 from goniotwin.drivers.device import Pending, Scripted, Until
 from goniotwin.drivers.errors import DeviceError, NoAnswer, Refused
-from goniotwin.drivers.photodiodes.adam import CHECK_WIRING, READ_INPUTS, AdamModule, ScriptedExchange, SettingsCheck
+from goniotwin.drivers.photodiodes.adam import CHECK_WIRING, AdamModule, ScriptedExchange, SettingsCheck
 from goniotwin.drivers.photodiodes.modbus import NOT_QUIET, ModbusUnit, explain, explain_rtu
 from goniotwin.keys import Fraction, PolarAngle, Positive
 from goniotwin.protocols import adam
 from goniotwin.protocols.clock import Clock
-from goniotwin.protocols.script import Exchanged, ModbusExchange, ModbusScripts
+from goniotwin.protocols.script import Exchanged, ModbusExchange, ModbusScripts, count_matching
 
 __all__ = ["PhotodiodeArray", "PhotodiodeSettings", "Readings", "explain", "explain_rtu"]
 
@@ -253,30 +253,40 @@ class PhotodiodeArray:
 
 
 def run_script(
-    clock: Clock, parts: Iterable[tuple[AdamModule, ScriptedExchange | None, float]], slack_s: float = float("inf")
+    clock: Clock, parts: Iterable[tuple[float, AdamModule, ScriptedExchange | None]], slack_s: float = float("inf")
 ) -> list[Exchanged]:
     """Hand exchanges of modules, each with the time at which it is due, to the wire as far as it can look ahead to them.
 
     The exchanges that were made, and whose replies are the expected ones; the time is then that of the last reply.
     """
     known: list[tuple[AdamModule, ScriptedExchange]] = []
-    script: list[ModbusExchange] = []
-    clients: dict[AdamModule, ModbusScripts | None] = {}
-    for module, exchange, due_s in parts:
-        client = clients[module] if module in clients else clients.setdefault(module, module.scripts())
+    script: list[tuple[float, ModbusScripts, ModbusExchange]] = []
+    clients: dict[AdamModule, ModbusScripts] = {}
+    for due_s, module, exchange in parts:
+        client = clients.get(module) or module.scripts()
         if exchange is None or client is None:
             break
+        clients[module] = client
         known.append((module, exchange))
-        script.append(ModbusExchange(due_s, client, module.unit, exchange.request, exchange.expected))
+        script.append((due_s, client, exchange.modbus))
     if not script:
         return []
-    made = script[0].client.run_script(script, slack_s)
-    for taken, ((module, exchange), exchanged) in enumerate(zip(known, made, strict=False)):
-        if not module.take(exchange, exchanged):
-            clock.sleep_until(made[-1].arrived_s)
-            return made[:taken]
-    if made:
-        clock.sleep_until(made[-1].arrived_s)
+    made = script[0][1].run_script(script, slack_s)
+    if not made:
+        return made
+    matching = count_matching([exchange for _, _, exchange in script], made)
+    recorded = {module for module in clients if module.recorded}
+    for (module, exchange), exchanged in zip(known, made[: matching + 1], strict=False):
+        if module in recorded:
+            module.record(exchanged)
+    for module, exchange in known[:matching]:
+        if exchange.confirmed is not None:
+            exchange.confirmed()
+    _, _, arrived_s, _ = made[-1]
+    clock.sleep_until(arrived_s)
+    if matching < len(made):
+        known[matching][0].distrust()
+        return made[:matching]
     return made
 
 
@@ -301,7 +311,7 @@ class GainChange(Scripted):
         if self._tried or self.due >= before:
             return None
         self._tried = True
-        made = run_script(self._clock, [(each, each.outputs_script(self._outputs), self.due) for each in self._left])
+        made = run_script(self._clock, [(self.due, each, each.outputs_script(self._outputs)) for each in self._left])
         self._left = self._left[len(made) :]
         return not self._left if made else None
 
@@ -356,17 +366,17 @@ class Readings(Scripted):
     def _run_readings(self, before: float) -> bool | None:
         period_s, modules = self._settings.period_s, len(self._modules)
         dues = [self.due, *(self._first + k * period_s for k in range(self._taken + 1, len(self._counts)))]
-        parts = [(module, READ_INPUTS, due) for due in dues[: bisect_left(dues, before)] for module in self._modules]
+        parts = [(due, module, module.read_inputs) for due in dues[: bisect_left(dues, before)] for module in self._modules]
         made = run_script(self._clock, parts, LATE * period_s)
         self._singly = not made
         if not made:
             return None
-        words = np.frombuffer(b"".join([each.reply[-READ_BYTES:] for each in made]), dtype=">u2")
+        words = np.frombuffer(b"".join([reply[-READ_BYTES:] for _, _, _, reply in made]), dtype=">u2")
         values, readings, channels = words ^ self._modules[0].sign_bit, len(made) // modules, modules * adam.CHANNELS
         whole = values[: readings * channels].reshape(readings, channels)
         self._counts[self._taken : self._taken + readings] = whole[:, : self._settings.count]
         self._row = values[whole.size :].tolist()
-        self._row_started = made[-(len(made) % modules or modules)].sent_s
+        self._row_started = made[-(len(made) % modules or modules)][0]
         self._taken += readings
         self.due = dues[min(readings, len(dues) - 1)]
         return False
@@ -374,7 +384,7 @@ class Readings(Scripted):
     def _run_checks(self) -> bool | None:
         if self._checks is None:
             self._checks = self._list_checks()
-        made = run_script(self._clock, [(each.module, each.script, self.due) for each in self._checks])
+        made = run_script(self._clock, [(self.due, each.module, each.script) for each in self._checks])
         self._singly = True
         self._checks = self._checks[len(made) :]
         return not self._checks if made else None

@@ -10,7 +10,7 @@ from pymodbus.pdu.bit_message import ReadCoilsRequest, ReadCoilsResponse, WriteM
 from pymodbus.pdu.register_message import ReadHoldingRegistersRequest, ReadHoldingRegistersResponse
 
 from goniotwin.protocols import script
-from goniotwin.protocols.script import HEADER, Exchanged
+from goniotwin.protocols.script import HEADER
 
 WORD, BYTE = st.integers(0, 0xFFFF), st.integers(0, 0xFF)
 SERVER = FramerSocket(DecodePDU(True))
@@ -48,14 +48,21 @@ def test_reads_and_writes_of_coils_are_those_of_pymodbus(transaction: int, unit:
 
 @given(WORD, BYTE, st.lists(WORD, min_size=8, max_size=8), st.data())
 def test_a_reply_matches_its_request_alone(transaction: int, unit: int, values: list[int], data: st.DataObject) -> None:
-    request, pdu = frame(transaction, unit, script.read_registers(0, 8)), script.registers(values)
-    reply = frame(transaction, unit, pdu)
-    assert script.matches(Exchanged(0.0, request, 1.0, reply), unit, None)
-    assert script.matches(Exchanged(0.0, request, 1.0, reply), unit, pdu)
+    pdu = script.registers(values)
+    request, reply = frame(transaction, unit, script.read_registers(0, 8)), frame(transaction, unit, pdu)
+    exact, any_values = (script.modbus_exchange(unit, script.read_registers(0, 8), each) for each in (pdu, None))
+    assert request[2:] == exact.sent
+    assert matches(exact, request, reply)
+    assert matches(any_values, request, reply)
     place = data.draw(st.integers(0, len(reply) - 1))
     other = reply[:place] + bytes((reply[place] ^ data.draw(st.integers(1, 0xFF)),)) + reply[place + 1 :]
-    assert not script.matches(Exchanged(0.0, request, 1.0, other), unit, pdu)
-    if place < len(reply) - 16:
-        assert not script.matches(Exchanged(0.0, request, 1.0, other), unit, None)
+    assert not matches(exact, request, other)
+    assert matches(any_values, request, other) is (place >= len(reply) - 16)
     for wrong in (reply[:-1], reply + b"\0", b""):
-        assert not script.matches(Exchanged(0.0, request, 1.0, wrong), unit, None)
+        assert not matches(any_values, request, wrong)
+    made = [(0.0, request, 1.0, each) for each in (reply, reply, other, reply)]
+    assert script.count_matching([exact] * 4, made) == 2
+
+
+def matches(exchange: script.ModbusExchange, request: bytes, reply: bytes) -> bool:
+    return script.count_matching([exchange], [(0.0, request, 1.0, reply)]) == 1

@@ -14,7 +14,7 @@ from pymodbus.exceptions import ConnectionException
 
 from goniotwin.protocols import adam
 from goniotwin.protocols.clock import VirtualClock
-from goniotwin.protocols.script import EIGHT_REGISTERS, HEADER, Exchanged, ModbusExchange, read_registers
+from goniotwin.protocols.script import TRANSACTION, Exchanged, ModbusExchange, ModbusScript, read_registers
 from goniotwin.twin.devices.adam import ConverterModule
 from goniotwin.twin.devices.line import BITS_A_BYTE, SerialDevice
 from goniotwin.twin.devices.modbus import GAP_CHARACTERS, TcpStation, answered
@@ -23,6 +23,9 @@ from goniotwin.twin.rig import CONVERTER_LINE
 
 Trace = Callable[[bool, bytes], bytes]
 CHUNK = 256
+READ_BYTES = 2 * adam.CHANNELS
+LAST_TRANSACTION = 65_000
+"""pymodbus begins again with 1 after it."""
 READ_INPUTS = read_registers(adam.AI_VALUE, adam.CHANNELS)
 LEAST_TIMEOUT_S = 0.05
 """A client that waits less may give up on an answer: its exchanges are made singly."""
@@ -86,7 +89,7 @@ class TwinModbusClient(ModbusTcpClient):
         self._clock.sleep_until(ready)
         return data
 
-    def run_script(self, script: Sequence[ModbusExchange], slack_s: float) -> list[Exchanged]:
+    def run_script(self, script: ModbusScript, slack_s: float) -> list[Exchanged]:
         """Make the first exchanges of a script: see `ModbusScripts`. None on a clock of real time, or on a wire between."""
         clock = self._clock
         if not isinstance(clock, VirtualClock):
@@ -106,35 +109,27 @@ class TwinModbusClient(ModbusTcpClient):
 class _End:
     """One client's end of a script, and its station's: `free_s` is when that can take the next request."""
 
-    __slots__ = ("device", "free_s", "half_s", "station", "transactions")
+    __slots__ = ("device", "free_s", "half_s", "station", "transactions", "units")
 
     def __init__(self, client: TwinModbusClient, station: TcpStation) -> None:
         self.station, self.device, self.transactions = station, station.device, client.transaction
-        self.half_s, self.free_s = 0.5 * self.device.latency_s, station.free
-
-    def note(self, made: list[Exchanged], exchange: ModbusExchange, sent_s: float, arrived_s: float, reply: bytes) -> None:
-        """An exchange that was made: pymodbus and the station are as after it."""
-        _, _, unit, request, _ = exchange
-        transaction = self.transactions.getNextTID()
-        self.station.free = arrived_s
-        sent = HEADER.pack(transaction, 0, 1 + len(request), unit) + request
-        made.append(Exchanged(sent_s, sent, arrived_s, HEADER.pack(transaction, 0, 1 + len(reply), unit) + reply))
+        self.half_s, self.free_s, self.units = 0.5 * self.device.latency_s, station.free, self.device.units
 
 
 _Reading = tuple[_End, ModbusExchange, float, float, float]
 """A reading of registers to be made with others: sent, reached the module, arrived, s."""
 
 
-def _carry_out(script: Sequence[ModbusExchange], now: float, until: float, slack_s: float) -> list[Exchanged]:
+def _carry_out(script: ModbusScript, now: float, until: float, slack_s: float) -> list[Exchanged]:
     """Make the first exchanges of a script on stations of one rig, from `now` on; an event is due at `until`.
 
-    A module refuses before it changes anything, so that a reply other than the expected one has no effect.
+    A module refuses before it changes anything, so that a reply other than the expected one has no effect. pymodbus and the
+    stations are left as after these exchanges.
     """
     made: list[Exchanged] = []
     readings: list[_Reading] = []
     ends: dict[object, _End] = {}
-    for exchange in script:
-        due, client, unit, request, expected = exchange
+    for due, client, exchange in script:
         end = ends.get(client)
         if end is None:
             station = client.station if isinstance(client, TwinModbusClient) else None
@@ -143,10 +138,12 @@ def _carry_out(script: Sequence[ModbusExchange], now: float, until: float, slack
             assert isinstance(client, TwinModbusClient)
             end = ends[client] = _End(client, station)
         sent = due if due > now else now
-        reached = sent + end.half_s
-        begins = reached if reached > end.free_s else end.free_s
+        begins = sent + end.half_s
+        if begins < end.free_s:
+            begins = end.free_s
         arrived = begins + end.half_s
-        if sent > due + slack_s or arrived >= until or unit not in end.device.units:
+        unit, request, expected, request_frame, reply_frame, _ = exchange
+        if sent > due + slack_s or arrived >= until or unit not in end.units:
             break
         if expected is None:
             if request != READ_INPUTS:
@@ -156,10 +153,11 @@ def _carry_out(script: Sequence[ModbusExchange], now: float, until: float, slack
             if readings and not _read(readings, made):
                 break
             readings = []
-            reply = answered(end.device, request, begins)
-            if reply != expected:
+            if answered(end.device, request, begins) != expected:
                 break
-            end.note(made, exchange, sent, arrived, reply)
+            transaction = _next_transaction(end)
+            end.station.free = arrived
+            made.append((sent, transaction + request_frame, arrived, transaction + reply_frame))
         now = end.free_s = arrived
     if readings:
         _read(readings, made)
@@ -168,13 +166,26 @@ def _carry_out(script: Sequence[ModbusExchange], now: float, until: float, slack
     return made
 
 
+def _next_transaction(end: _End) -> bytes:
+    """The transaction of the next request, as pymodbus numbers them."""
+    transactions = end.transactions
+    number = transactions.next_tid + 1 if transactions.next_tid < LAST_TRANSACTION else 1
+    transactions.next_tid = number
+    return number.to_bytes(TRANSACTION, "big")
+
+
 def _read(readings: Sequence[_Reading], made: list[Exchanged]) -> bool:
     """The registers of many readings at once; False, and none of them, where they change meanwhile."""
     data = ConverterModule.read_together([each[0].device for each in readings], [each[3] for each in readings])
     if data is None:
         return False
-    for k, (end, exchange, sent, _, arrived) in enumerate(readings):
-        end.note(made, exchange, sent, arrived, EIGHT_REGISTERS + data[16 * k : 16 * k + 16])
+    place = 0
+    for end, exchange, sent, _, arrived in readings:
+        transaction = _next_transaction(end)
+        end.station.free = arrived
+        following = place + READ_BYTES
+        made.append((sent, transaction + exchange.sent, arrived, transaction + exchange.begins + data[place:following]))
+        place = following
     return True
 
 

@@ -112,7 +112,7 @@ class Serial(SerialBase):
                 if arrived >= until or arrived > now + slice_s:
                     break
                 self._sent_until, self._received_until = sent_until, arrived
-                made.append(Exchanged(now, request, arrived, reply))
+                made.append((now, request, arrived, reply))
                 now = arrived
         return made
 

@@ -238,12 +238,12 @@ class TmclModule:
             made = port.run_script(script)
             if made:
                 self._last = (script[len(made) - 1][0][1], 0, self._clock.now())
-            for number, (exchanged, (_, begin)) in enumerate(zip(made, script, strict=False)):
-                if not is_reply(exchanged.reply, begin):
+            for number, ((_, _, _, reply), (_, begin)) in enumerate(zip(made, script, strict=False)):
+                if not is_reply(reply, begin):
                     self._out_of_step = True
                     return values[: number // 2]
                 if number % 2 == 0:
-                    values.append(reply_value(exchanged.reply))
+                    values.append(reply_value(reply))
             if len(made) % 2:
                 self.check_canary(requests[len(made) // 2].address)
         return values

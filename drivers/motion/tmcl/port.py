@@ -73,13 +73,13 @@ class TmclPort:
             return []
         made = self._scripts.run_script(requests)
         if self._tap is not no_tap:
-            for each in made:
-                self._clock.sleep_until(each.sent_s)
-                self._tap(TO_DEVICE, each.request)
-                self._clock.sleep_until(each.arrived_s)
-                self._tap(FROM_DEVICE, each.reply)
+            for sent_s, request, arrived_s, reply in made:
+                self._clock.sleep_until(sent_s)
+                self._tap(TO_DEVICE, request)
+                self._clock.sleep_until(arrived_s)
+                self._tap(FROM_DEVICE, reply)
         elif made:
-            self._clock.sleep_until(made[-1].arrived_s)
+            self._clock.sleep_until(made[-1][2])
         return made
 
     def frame(self, deadline: float, give_up: GiveUp) -> bytes | None:
