@@ -50,14 +50,14 @@ def units(message: bytes) -> Iterator[MessageUnit]:
     Raises ScpiError where the message goes wrong, after the units before that: -101 for characters that are not ASCII,
     -102 for a header that is none, -103 for a separator too many, -112 for a mnemonic of more than twelve characters.
     """
-    known, error = _parsed(message)
+    known, error = parsed(message)
     yield from known
     if error is not None:
         raise ScpiError(*error)
 
 
 @lru_cache(maxsize=MESSAGES_KEPT)
-def _parsed(message: bytes) -> tuple[tuple[MessageUnit, ...], tuple[int, str] | None]:
+def parsed(message: bytes) -> tuple[tuple[MessageUnit, ...], tuple[int, str] | None]:
     """The units of a message, and number and text of the error after them: an instrument is asked the same again and again."""
     found: list[MessageUnit] = []
     try:
@@ -169,6 +169,7 @@ def encode_number(value: float) -> bytes:
     return f"{value:.8E}".encode("ascii")
 
 
+@lru_cache(maxsize=MESSAGES_KEPT)
 def decode_number(answer: bytes) -> float:
     """The number of an answer: digits and nothing else. Raises ScpiError -104."""
     try:

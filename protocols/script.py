@@ -71,6 +71,26 @@ class TmclScripts(Protocol):
         """
 
 
+@runtime_checkable
+class UsbScripts(Protocol):
+    """The end of an open USB device that carries out scripts."""
+
+    def run_script(self, transfers: Sequence[bytes], timeout_s: float) -> list[Exchanged]:
+        """Make the first transfers, each at once after the one before: what is written to bulk OUT, and what bulk IN then has.
+
+        A transfer that requests an answer is made where that is whole and comes within `timeout_s`. Of others the reply is
+        empty, and comes when they go out. The clock is left where it is, as in `ModbusScripts`.
+        """
+
+
+@runtime_checkable
+class UsbScriptBackend(Protocol):
+    """A backend of pyusb whose devices may carry out scripts."""
+
+    def scripts(self, address: int) -> UsbScripts | None:
+        """The end of the device with an address on the bus, which is open now; None where it carries out none."""
+
+
 def count_matching(exchanges: Iterable[ModbusExchange], made: Sequence[Exchanged]) -> int:
     """How many of the first exchanges have the reply that they must have.
 

@@ -226,20 +226,19 @@ class AdamModule:
         if self._clock.now() - self._checked_s >= CHECK_INTERVAL_S:
             alone = [self.check_outputs, self._check_ranges_after_outputs, self._check_name, self._check_rest]
             return [SettingsCheck(self, each) for each in alone]
-        if self._outputs is not None and not self._outputs_checked:
-            return [self._outputs_check(), self._ranges_check_after_outputs]
-        if self._outputs is not None and any(self._outputs):
-            return [self._outputs_check()]
-        return [self._ranges_check]
+        outputs = self._outputs
+        if outputs is not None and not self._outputs_checked:
+            return [self._outputs_check(outputs), self._ranges_check_after_outputs]
+        return [self._ranges_check] if outputs is None or not any(outputs) else [self._outputs_check(outputs)]
 
-    def _outputs_check(self) -> SettingsCheck:
-        if self._outputs is None or not self._outputs_written:
+    def _outputs_check(self, outputs: list[bool]) -> SettingsCheck:
+        if not self._outputs_written:
             return SettingsCheck(self, self.check_outputs)
-        key = tuple(self._outputs)
+        key = tuple(outputs)
         known = self._outputs_checks.get(key)
         if known is None:
             read = read_coils(adam.DIGITAL_OUTPUT, self._model.outputs)
-            script = ScriptedExchange(modbus_exchange(self.unit, read, coils(self._outputs)))
+            script = ScriptedExchange(modbus_exchange(self.unit, read, coils(outputs)))
             known = self._outputs_checks[key] = SettingsCheck(self, self.check_outputs, script)
         return known
 

@@ -36,7 +36,7 @@ class Inputs:
         """As after power-on: all inputs enabled, the range `power_on`, no maximum and no minimum yet."""
         self.ranges = [self._power_on] * adam.CHANNELS
         self.enabled = adam.ALL_CHANNELS
-        self._held: dict[int, tuple[int, int]] = {}
+        self.held: dict[int, tuple[int, int]] = {}
         self._scale()
         self._seen_until = self._conversion(adam.CHANNELS - 1, t)
         self._highest = np.full(adam.CHANNELS + 1, -1)
@@ -45,19 +45,14 @@ class Inputs:
     def counts(self, t: float) -> list[int]:
         """The raw values of all channels; 0 for one that is not enabled. The same until the next conversion."""
         raw: list[int] = self.quantise(self._plant.volts(self._index, t)).tolist()
-        for channel, (value, until) in list(self._held.items()):
+        for channel, (value, until) in list(self.held.items()):
             if self._conversion(channel, t) < until:
                 raw[channel] = value
             else:
-                del self._held[channel]
+                del self.held[channel]
         if self.enabled != adam.ALL_CHANNELS:
             raw = [value if self.enabled >> channel & 1 else 0 for channel, value in enumerate(raw)]
         return raw
-
-    @property
-    def steady(self) -> bool:
-        """Whether all channels are enabled and none holds an older value: their raw values are those of the voltages."""
-        return not self._held and self.enabled == adam.ALL_CHANNELS
 
     def quantise(self, volts: Floats) -> Ints:
         """The raw values of voltages (..., 8) in the ranges that are set."""
@@ -74,7 +69,7 @@ class Inputs:
         held = self.counts(t)[channel]
         self.ranges[channel] = code
         self.changes += 1
-        self._held[channel] = (held, self._conversion(channel, t) + 2)
+        self.held[channel] = (held, self._conversion(channel, t) + 2)
         self._seen_until = self._conversion(adam.CHANNELS - 1, t)
         self._scale()
 
@@ -113,10 +108,10 @@ class Inputs:
     def _look(self, t: float) -> None:
         """Update maximum and minimum with the conversions since the last update, `LOOK_BACK` at most, and the present one."""
         last = self._conversion(adam.CHANNELS - 1, t)
-        held = dict(self._held)
+        held = dict(self.held)
         for conversion in range(max(self._seen_until + 1, last - LOOK_BACK), last):
             self._see((conversion + 2.0) * self._period)
-            self._held = dict(held)
+            self.held = dict(held)
         self._see(t)
         self._seen_until = last
 
@@ -256,11 +251,15 @@ class ConverterModule:
     @property
     def plain(self) -> bool:
         """Whether it answers every request, and its registers have the raw values of the voltages."""
-        return not self.silent and not self.refusals and self.inputs.steady
+        inputs = self.inputs
+        return not self.silent and not self.refusals and not inputs.held and inputs.enabled == adam.ALL_CHANNELS
 
     def write_coils(self, address: int, values: list[bool], t: float) -> None:
         """Outputs (0 is the low bit of the gain's number), and the resets of maximum and minimum. Raises ModbusFault."""
         self._refuse()
+        if address == adam.DIGITAL_OUTPUT and len(values) == len(self._outputs):
+            self._switch(list(values), t)
+            return
         places = list(enumerate(values, address))
         if not all(at in self._writable for at, _ in places):
             raise ModbusFault(adam.ILLEGAL_ADDRESS)
@@ -277,7 +276,7 @@ class ConverterModule:
 
     def _switch(self, outputs: list[bool], t: float) -> None:
         self._outputs = outputs
-        self._gain = sum(1 << bit for bit, on in enumerate(outputs) if on)
+        self._gain = sum([1 << bit for bit, on in enumerate(outputs) if on])
         highest = len(self._plant.model.electronics.gains_v_per_a) - 1
         self._plant.gain[self._index].set(t, min(self._gain, highest))
 
@@ -320,9 +319,9 @@ class ConverterModule:
     def read_together(modules: Sequence["ConverterModule"], times: Sequence[float]) -> bytes | None:
         """The eight registers of the inputs of modules at times (n,), s: 16 bytes for each; None unless all is steady."""
         first = modules[0]
-        own = set(modules)
-        if not all(each.plain and each.inputs.ranges == first.inputs.ranges for each in own):
-            return None
+        for each in set(modules):
+            if not each.plain or each.inputs.ranges != first.inputs.ranges:
+                return None
         volts = first._plant.steady_volts([each._index for each in modules], times)
         if volts is None:
             return None

@@ -25,6 +25,7 @@ from goniotwin.protocols.script import Exchanged
 from goniotwin.twin import VirtualRig
 from goniotwin.twin.doors import TwinModbusClient
 from goniotwin.twin.doors.protocol_twin import Serial
+from goniotwin.twin.doors.usb import Scripts
 from tests.conftest import Writer
 
 TABLES = (
@@ -152,20 +153,23 @@ def record(plan: Plan, folder: Path, disturb: Disturb) -> tuple[object, ...]:
     return state, engine.faults, ended, tables, wires
 
 
-def both_ways(plan: Plan, folder: Path, disturb: Disturb) -> list[int]:
-    """Hold both ways against each other; the numbers of exchanges in each script that was carried out."""
+def both_ways(plan: Plan, folder: Path, disturb: Disturb) -> tuple[list[int], list[int]]:
+    """Hold both ways against each other; the numbers of exchanges in each script that was carried out, and of transfers on USB."""
     sizes: list[int] = []
-    modbus_script, serial_script = TwinModbusClient.run_script, Serial.run_script
+    modbus_script, serial_script, usb_script = TwinModbusClient.run_script, Serial.run_script, Scripts.run_script
+    messages: list[int] = []
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(TwinModbusClient, "run_script", lambda *each: noted(modbus_script(*each), sizes))
         patch.setattr(Serial, "run_script", lambda *each: noted(serial_script(*each), sizes))
+        patch.setattr(Scripts, "run_script", lambda *each: noted(usb_script(*each), messages))
         together = record(plan, folder / "together", disturb)
         patch.setattr(TwinModbusClient, "run_script", lambda *_: [])
         patch.setattr(Serial, "run_script", lambda *_: [])
+        patch.setattr(Scripts, "run_script", lambda *_: [])
         singly = record(plan, folder / "singly", disturb)
     assert together == singly
-    return sizes
+    return sizes, messages
 
 
 def noted(made: list[Exchanged], sizes: list[int]) -> list[Exchanged]:
@@ -174,10 +178,11 @@ def noted(made: list[Exchanged], sizes: list[int]) -> list[Exchanged]:
 
 
 def test_a_campaign_without_faults_is_the_same_both_ways_and_its_readings_are_one_script(small: Plan, tmp_path: Path) -> None:
-    sizes = both_ways(small, tmp_path, lambda *_: None)
+    sizes, messages = both_ways(small, tmp_path, lambda *_: None)
     modules = -(-small.rig.file.photodiodes.count // adam.CHANNELS)
     assert {2 * modules, 4 * modules} <= set(sizes)  # the readings of a row, those of a dark row
     assert sizes.count(0) == 0
+    assert set(messages) == {1, 2}  # READ? and later its value; the canary
 
 
 @pytest.mark.parametrize("kind", [modbus(ON_MODBUS, 17), axes(ON_A_SERIAL_LINE, 23), monitor(ON_USB, 5)])
