@@ -62,12 +62,13 @@ class ModbusScripts(Protocol):
 
 @runtime_checkable
 class TmclScripts(Protocol):
-    """A serial port that carries out scripts of reads on a TMCL line."""
+    """A serial port that carries out scripts on a TMCL line."""
 
     def run_script(self, requests: Sequence[tuple[bytes, bytes]]) -> list[Exchanged]:
         """Make the first exchanges, each when the reply to the one before has arrived.
 
-        Each is a request and the bytes with which its reply has to begin. The clock is left where it is, as in `ModbusScripts`.
+        Each is a request, which is either refused without any effect or has one reply, and the bytes with which that has to
+        begin. The clock is left where it is, as in `ModbusScripts`.
         """
 
 

@@ -123,12 +123,13 @@ def within_limits(axis: AxisDescription, target_deg: Floats | float) -> Flags:
 
 def limit_violation(axis: AxisDescription, target_deg: float) -> str | None:
     """What is outside the soft limits in a move to an angle; None if nothing is."""
-    if within_limits(axis, target_deg):
-        return None
+    start_deg = target_deg + axis.overshoot_deg
+    if axis.lower_deg <= min(target_deg, start_deg) and max(target_deg, start_deg) <= axis.upper_deg:
+        return None  # `within_limits` of one target
     limits = f"outside its soft limits {axis.lower_deg:g} to {axis.upper_deg:g} deg"
     if not axis.lower_deg <= target_deg <= axis.upper_deg:
         return limits
-    start = f"starting at {target_deg + axis.overshoot_deg:g} deg, which is {limits}"
+    start = f"starting at {start_deg:g} deg, which is {limits}"
     return f"against backlash it approaches from {axis.approach_from}, {start}"
 
 

@@ -25,6 +25,8 @@ class ArcClearance:
 
     def collision(self, beta_deg: Sequence[float], shift_deg: Sequence[float]) -> str | None:
         """Collision of a sweep over these beta at any of these shifts, as a message; None for a free path. Degrees."""
+        if self.top_polar_deg + max(shift_deg) <= self.highest_deg:  # as on most moves
+            return None
         if not self.collides(min(beta_deg), max(beta_deg), max(shift_deg)):
             return None
         top = self.top_polar_deg + max(shift_deg)

@@ -1,6 +1,7 @@
 """Settings of an axis in degrees, their values in microsteps, and the durations of its moves."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Annotated, Literal
 
 import numpy as np
@@ -14,6 +15,7 @@ OVERSHOOT = 2.0
 """Overshoot of a move against backlash, as a multiple of the stated backlash."""
 ENCODER_TOLERANCE_DEG = 0.05
 SEARCH_MODES = (*range(1, 9), *range(65, 69), *range(133, 137))
+MOVES_KEPT = 1024
 ENCODER_MICROSTEPS = 256
 """Microsteps per full step in the encoder position of a module (*)."""
 
@@ -169,9 +171,21 @@ class AxisSettings:
 
     def legs(self, here_deg: float, target_deg: float, *, taken_up: bool = True) -> tuple[float, ...]:
         """Targets of the legs of a move."""
+        if self.approach == 0:
+            return (target_deg,)
         first_deg = float(self.first_target_deg(here_deg, target_deg, taken_up=taken_up))
         return (target_deg,) if first_deg == target_deg else (first_deg, target_deg)
 
     def ramp_seconds(self, distance_deg: Floats | float) -> Floats:
         """Seconds (n,) of moves over distances (n,), without communication and settling."""
         return move_seconds(distance_deg, self.speed_deg_s, self.acceleration_deg_s2)
+
+    def ramp_s(self, microsteps: int) -> float:
+        """`ramp_seconds` of one move, by its microsteps."""
+        return _one_move_s(microsteps / self.microsteps_per_deg, self.speed_deg_s, self.acceleration_deg_s2)
+
+
+@lru_cache(maxsize=MOVES_KEPT)
+def _one_move_s(distance: float, speed: float, acceleration: float) -> float:
+    """`move_seconds` of one move: a scan has the same again and again."""
+    return float(move_seconds(distance, speed, acceleration))

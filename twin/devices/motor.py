@@ -10,6 +10,7 @@ from goniotwin.twin.devices.switches import Place
 from goniotwin.twin.plant.motion import ramp_to_velocity
 from goniotwin.twin.plant.shaft import Heartbeat, Shaft
 
+ACTUAL_POSITION, ENCODER_POSITION = int(AxisParameter.ACTUAL_POSITION), int(AxisParameter.ENCODER_POSITION)
 UNLOADED = 512
 POWER_DOWN_UNIT_S = 0.01
 REPLANNED = frozenset(
@@ -71,6 +72,10 @@ class Motor(RampGenerator):
     def get(self, number: int, t: float) -> int:
         """GAP. Raises CommandRejected for a parameter that is not there."""
         self.catch_up(t)
+        if number == ACTUAL_POSITION:
+            return signed(round(self._trajectory.position(t)))
+        if number == ENCODER_POSITION:
+            return signed(self._encoder_position(t))
         if number in COMPUTED:
             return signed(self._computed(number, t))
         if number not in self._values:
@@ -107,6 +112,9 @@ class Motor(RampGenerator):
                 return int(self.faults | self._driver_flags(t))
             case 180:
                 return self.current(t) >> 3
+        return self._encoder_position(t)
+
+    def _encoder_position(self, t: float) -> int:
         if self.encoder is None:
             raise CommandRejected(ReplyStatus.WRONG_TYPE)
         return round(self.encoder.read(t, self._resolution()) + self._encoder_offset)

@@ -56,15 +56,19 @@ class TmclLine:
     @property
     def idle(self) -> bool:
         """Whether nothing is on its way, and nothing comes but replies of its one module."""
-        return not self._rest and not self.outbox and not any(each.reports for each in self.modules.values())
+        return not (self._rest or self.outbox or any([each.reports for each in self.modules.values()]))
 
-    def reply(self, frame: bytes, t: float) -> tuple[float, bytes] | None:
-        """The one reply to a whole frame that arrives at `t` on an idle line, and when it begins; None if there is another."""
+    def reply_begins(self, frame: bytes, t: float) -> float | None:
+        """When the one reply to a whole frame begins that arrives at `t` on an idle line; None where there may be another."""
+        hearing = [each for each in self.modules.values() if each.hears(frame, t)]
+        settings = hearing[0].globals.reply if len(hearing) == 1 else None
+        return None if settings is None or settings.suppressed else t + self._latency_s + settings.pause_ms * 1.0e-3
+
+    def reply(self, frame: bytes, t: float) -> bytes:
+        """The reply to a frame that has one by `reply_begins`; empty where it has none all the same."""
         self._last_byte = t
-        answers = [each for module in self.modules.values() for each in module.answer(frame, t)]
-        if len(answers) != 1:
-            return None
-        return t + self._latency_s + answers[0][0], answers[0][1]
+        answers = [answer for module in self.modules.values() for _, answer in module.answer(frame, t)]
+        return answers[0] if len(answers) == 1 else b""
 
     def reset(self, t: float) -> None:
         """All modules lose their power for a moment: what EEPROM does not keep is forgotten, counters are 0."""

@@ -120,12 +120,16 @@ class MotionModule:
         for motor in self.motors:
             motor.reset(t)
 
+    def hears(self, frame: bytes, t: float) -> bool:
+        """Whether it takes a frame for one to itself."""
+        return t >= self._dead_until and (not self._strict or frame[0] == self.globals.reply.address)
+
     def answer(self, frame: bytes, t: float) -> Answers:
         """Reply to a frame that arrived at `t`: none or one, with its delay."""
         settings = self.globals.reply
-        if t < self._dead_until or (self._strict and frame[0] != settings.address):
+        if not self.hears(frame, t):
             return []
-        self._mind_heartbeat(t)
+        self._mind_heartbeat(t, settings.heartbeat_ms)
         if self._event is not None and self._event_due <= t:  # it has been sent, and one is all that was asked for
             self._event, self._event_mask, self._event_due = None, 0, math.inf
         host, address = settings.host & 0xFF, settings.address & 0xFF
@@ -146,18 +150,18 @@ class MotionModule:
         except FrameError:
             return pack(host, address, ReplyStatus.WRONG_CHECKSUM, frame[1], 0)
         _, command, number, bank, value = fields
-        if command == Command.FIRMWARE_VERSION and number == 0:
-            major, minor = self.kind.firmware
-            return encode_version_text(host, f"{self.kind.number}V{major}{minor:02d}")
-        if command == Command.FACTORY_RESET and value == FACTORY_RESET_CODE:
-            self._factory_reset(t)
-            return None
         status = OK
         try:
             if command == GGP:
                 value = self.globals.get(bank, number, t)
             elif command == GAP and bank < len(self.motors):
                 value = self.motors[bank].get(number, t)
+            elif command == Command.FIRMWARE_VERSION and number == 0:
+                major, minor = self.kind.firmware
+                return encode_version_text(host, f"{self.kind.number}V{major}{minor:02d}")
+            elif command == Command.FACTORY_RESET and value == FACTORY_RESET_CODE:
+                self._factory_reset(t)
+                return None
             else:
                 value = self._execute(CommandFrame(*fields), t)
         except CommandRejected as rejected:
@@ -171,17 +175,16 @@ class MotionModule:
         self.reset(t)
         self._dead_until = t + FACTORY_RESET_S
 
-    def _mind_heartbeat(self, t: float) -> None:
+    def _mind_heartbeat(self, t: float, heartbeat_ms: int) -> None:
         """Stop the motors at the time of a missed heartbeat."""
         if t > self._heartbeat.until:
             for motor in self.motors:
                 if motor.is_moving(self._heartbeat.until):
                     motor.turn(0, self._heartbeat.until)
-        self._extend_heartbeat(t)
+        self._extend_heartbeat(t, heartbeat_ms)
 
-    def _extend_heartbeat(self, t: float) -> None:
-        heartbeat = self.globals.reply.heartbeat_ms
-        self._heartbeat.until = t + heartbeat * 1.0e-3 if heartbeat > 0 else math.inf
+    def _extend_heartbeat(self, t: float, heartbeat_ms: int) -> None:
+        self._heartbeat.until = t + heartbeat_ms * 1.0e-3 if heartbeat_ms > 0 else math.inf
 
     def _execute(self, request: CommandFrame, t: float) -> int:
         number, bank, value = request.type, request.motor, request.value
@@ -192,7 +195,7 @@ class MotionModule:
                 return version_number(self.kind.number, *self.kind.firmware)
             case Command.SGP:
                 self.globals.set(bank, number, value, t)
-                self._extend_heartbeat(t)
+                self._extend_heartbeat(t, self.globals.reply.heartbeat_ms)
                 return value
             case Command.GGP:
                 return self.globals.get(bank, number, t)

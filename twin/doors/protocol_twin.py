@@ -13,6 +13,7 @@ from serial.serialutil import PortNotOpenError, SerialBase, SerialException
 
 from goniotwin.protocols.clock import Clock, VirtualClock
 from goniotwin.protocols.script import Exchanged
+from goniotwin.protocols.tmcl import FRAME_BYTES
 from goniotwin.twin.devices import TmclLine
 from goniotwin.twin.devices.line import BITS_A_BYTE, SerialDevice
 from goniotwin.twin.doors.registry import NoSuchTwin, find, missing
@@ -91,7 +92,7 @@ class Serial(SerialBase):
         return bytes([self._arriving.popleft()[1] for _ in range(there)])
 
     def run_script(self, requests: Sequence[tuple[bytes, bytes]]) -> list[Exchanged]:
-        """Make the first exchanges of a script of TMCL reads: see `TmclScripts`. None on a clock of real time."""
+        """Make the first exchanges of a script on a TMCL line: see `TmclScripts`. None on a clock of real time."""
         device, clock, made = self._device, self._clock, list[Exchanged]()
         if not isinstance(clock, VirtualClock) or type(device) is not TmclLine or self.baudrate != device.baudrate:
             return made
@@ -102,14 +103,16 @@ class Serial(SerialBase):
                 return made
             for request, begin in requests:
                 sent_until = max(now, self._sent_until) + len(request) * byte_s
-                answer = device.reply(request, sent_until)
-                if answer is None or not answer[1].startswith(begin):
+                ready = device.reply_begins(request, sent_until)
+                if ready is None:
                     break
-                ready, reply = answer
                 arrived = max(ready, self._received_until)
-                for _ in reply:
+                for _ in range(FRAME_BYTES):
                     arrived += byte_s
                 if arrived >= until or arrived > now + slice_s:
+                    break
+                reply = device.reply(request, sent_until)
+                if len(reply) != FRAME_BYTES or not reply.startswith(begin):
                     break
                 self._sent_until, self._received_until = sent_until, arrived
                 made.append((now, request, arrived, reply))

@@ -40,6 +40,7 @@ from goniotwin.drivers.motion.tmcl.rules import (
     WRITES,
     check_reply,
     is_repeatable,
+    is_plain,
     is_reply,
     read_request,
     reply_value,
@@ -254,8 +255,7 @@ class TmclModule:
         if known is None:
             canary = CommandFrame(request.address, Command.GGP, CANARY_VARIABLE, USER_BANK)
             echo = ReplyFrame(HOST_ADDRESS, request.address, ReplyStatus.OK, Command.GGP, self._session).encode()
-            begin = bytes((HOST_ADDRESS, request.address, ReplyStatus.OK, request.command))
-            known = self._exchanges[request] = (request.encode(), begin), (canary.encode(), echo)
+            known = self._exchanges[request] = (request.encode(), _begin(request)), (canary.encode(), echo)
         return known
 
     def check_canary(self, address: int) -> None:
@@ -375,11 +375,13 @@ class TmclModule:
         if alike and self._clock.now() - when < self._alike_s:
             self._once(CommandFrame(request.address, Command.GGP, CANARY_VARIABLE, USER_BANK))
         try:
-            stops = self._lock.acquired
-            port.send(request.encode())
-            started = self._clock.now()
+            stops, started = self._lock.acquired, self._clock.now()
+            sent = request.encode()
+            made = port.run_script([(sent, _begin(request))]) if is_plain(request) else []
+            if not made:
+                port.send(sent)
             while True:
-                frame = port.frame(started + self._reply_s, lambda: self._gives_way(stops, started))
+                frame = made.pop()[3] if made else port.frame(started + self._reply_s, lambda: self._gives_way(stops, started))
                 if stops != self._lock.acquired:
                     raise NoAnswer(self.name, self._describe(request), "a stop came between request and reply")
                 if frame is None:
@@ -427,3 +429,8 @@ class TmclModule:
 
     def _describe(self, request: CommandFrame) -> str:
         return str(request) if len(self.addresses) == 1 else f"{request} of module {request.address}"
+
+
+def _begin(request: CommandFrame) -> bytes:
+    """What the reply to a request that is carried out begins with."""
+    return bytes((HOST_ADDRESS, request.address, ReplyStatus.OK, request.command))

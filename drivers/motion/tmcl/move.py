@@ -1,8 +1,7 @@
 """A move in progress: polled when its ramp ends, and often enough for the module's heartbeat until then."""
 
 from collections.abc import Callable
-
-import numpy as np
+from itertools import pairwise
 
 from goniotwin.drivers.errors import DeviceError
 from goniotwin.drivers.motion.tmcl.reference import Reference
@@ -58,8 +57,8 @@ class Move:
         target = settings.counter(self._legs.pop(0))
         kind, value = (MoveType.ABSOLUTE, target) if relative is None else (MoveType.RELATIVE, relative)
         self._reference.send_motion_command(self._registers.request(Command.MVP, kind, value), self._stop_count)
-        places = np.array([self._here, target, *(settings.counter(leg) for leg in self._legs)])
-        ramp, *later = settings.ramp_seconds(np.diff(places) / settings.microsteps_per_deg).tolist()
+        places = [self._here, target, *(settings.counter(leg) for leg in self._legs)]
+        ramp, *later = [settings.ramp_s(there - here) for here, there in pairwise(places)]
         self._leg_arrival = self._clock.now() + ramp + ARRIVED_AFTER_S
         self._overdue_at = self._leg_arrival + ramp + OVERDUE_S
         self._here = target

@@ -67,6 +67,16 @@ def is_repeatable(request: CommandFrame) -> bool:
     return request.command in REPEATABLE
 
 
+def is_plain(request: CommandFrame) -> bool:
+    """True if a request may be handed over as a script: the module either refuses it, without effect, or sends one reply."""
+    match request.command:
+        case Command.GAP | Command.GGP:
+            return True
+        case Command.MVP:
+            return request.type == MoveType.ABSOLUTE
+    return False
+
+
 def starts_motion(request: CommandFrame) -> bool:
     """True if a request sets a motor in motion."""
     match request.command:
