@@ -31,8 +31,8 @@ from goniotwin.app.rig import read_rig
 PHOTODIODES = 36
 
 
-def no_link(_db: object, chain: Chain, _number: int, _attempt: int) -> Chain:
-    """In the place of `add_link`."""
+def no_links(_db: object, chain: Chain, _attempts: object) -> Chain:
+    """In the place of `add_links`."""
     return chain
 
 
@@ -49,7 +49,7 @@ def row_ratio(plan: Plan, rounds: int) -> tuple[float, float]:
     times: tuple[list[float], list[float]] = ([], [])
     for _ in range(rounds):
         times[0].append(rehearsal_row_seconds(plan))
-        with mock.patch.object(writing, "add_link", no_link):
+        with mock.patch.object(writing, "add_links", no_links):
             times[1].append(rehearsal_row_seconds(plan))
     return statistics.median(times[0]), statistics.median(times[1])
 

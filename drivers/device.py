@@ -116,11 +116,13 @@ def wait(
     called less often, which costs no time on a clock that jumps.
     """
     left = list(started)
+    scripted = [each for each in left if isinstance(each, Scripted)] if scripts else []
     while left:
         between()
         first = min(left, key=DUE) if len(left) > 1 else left[0]
-        if scripts and isinstance(first, Scripted):
-            outcome = first.run(min((each.due for each in left if each is not first), default=float("inf")))
+        ahead = next((each for each in scripted if each is first), None)
+        if ahead is not None:
+            outcome = ahead.run(min([each.due for each in left if each is not first], default=float("inf")))
             if outcome:
                 left.remove(first)
             if outcome is not None:

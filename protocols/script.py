@@ -19,7 +19,7 @@ _WORDS = Struct(">BHH")
 
 
 Exchanged = tuple[float, bytes, float, bytes]
-"""An exchange that was made: when its first byte goes out, s, and the request; when its last byte has come, s, and the reply."""
+"""An exchange that was made: the time at which it begins, s, the request, the time at which all has come back, s, the reply."""
 
 
 class ModbusExchange(NamedTuple):
@@ -95,7 +95,7 @@ class UsbScriptBackend(Protocol):
 def count_matching(exchanges: Iterable[ModbusExchange], made: Sequence[Exchanged]) -> int:
     """How many of the first exchanges have the reply that they must have.
 
-    It has the transaction of its request, protocol, unit and length, and the expected PDU; without that, one of eight registers.
+    It has the transaction of its request, protocol, unit, length, and the expected PDU; without that, one of eight registers.
     """
     for k, ((_, _, _, _, begins, length), (_, request, _, reply)) in enumerate(zip(exchanges, made, strict=False)):
         if len(reply) != length or not reply.startswith(request[:TRANSACTION] + begins):

@@ -47,7 +47,7 @@ def shows_light(counts: Counts, dark: Floats) -> bool:
 
 def saturation(counts: Counts, converter: ConverterRange) -> Flags:
     """Flags of the photodiodes that are saturated in any of the readings (readings, photodiodes) of a converter."""
-    return np.asarray(np.any(converter.saturated(counts), axis=0))
+    return np.asarray(np.logical_or.reduce(converter.saturated(counts), axis=0))
 
 
 def gain_order(row: Row, current: int | None) -> tuple[int, ...]:

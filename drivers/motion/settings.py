@@ -1,7 +1,7 @@
 """Settings of an axis in degrees, their values in microsteps, and the durations of its moves."""
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Annotated, Literal
 
 import numpy as np
@@ -120,7 +120,7 @@ class AxisSettings:
         """Binary logarithm of `microsteps`, as a module wants it."""
         return self.microsteps.bit_length() - 1
 
-    @property
+    @cached_property
     def microsteps_per_deg(self) -> float:
         """Microsteps per degree, signed by `sense`."""
         return self.sense * self.full_steps * float(self.microsteps) * self.gear / WHOLE_TURN_DEG

@@ -7,6 +7,7 @@ fixed gain, and the settings list only this one.
 from bisect import bisect_left
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Annotated
 
 import numpy as np
@@ -82,7 +83,7 @@ class PhotodiodeSettings:
             return self.exchange_s
         return adam.RTU_EXCHANGE_S if self.model.serial else TCP_EXCHANGE_S
 
-    @property
+    @cached_property
     def count(self) -> int:
         """Number of photodiodes."""
         return len(self.upper_deg) + len(self.lower_deg)
@@ -102,7 +103,7 @@ class PhotodiodeSettings:
         """Model of the modules."""
         return adam.MODELS[self.kind]
 
-    @property
+    @cached_property
     def period_s(self) -> float:
         """Interval of two readings, s: slightly longer than a round of conversions, so that no conversion is read twice.
 
@@ -110,7 +111,7 @@ class PhotodiodeSettings:
         """
         return PERIOD_MARGIN * max(adam.CHANNELS / self.conversions_per_s, self.modules * self.request_s)
 
-    @property
+    @cached_property
     def wait_s(self) -> float:
         """From a change of gain or pose to the first reading, s: its conversion must begin after the settling time.
 
@@ -132,7 +133,7 @@ class PhotodiodeSettings:
         """Variance (n,) of one reading by the shot noise of photocurrents (n,), A^2."""
         return 2.0 * ELEMENTARY_CHARGE_C * np.abs(current_a) * (0.5 / self.period_s)
 
-    @property
+    @cached_property
     def range(self) -> adam.Range:
         """Input range of all channels, with the code of the model."""
         chosen = self.model.range(self.range_code)
@@ -276,10 +277,10 @@ def run_script(
         return made
     matching = count_matching([exchange for _, _, exchange in script], made)
     recorded = {module for module in clients if module.recorded}
-    for (module, exchange), exchanged in zip(known, made[: matching + 1], strict=False):
+    for (module, _), exchanged in zip(known, made[: matching + 1] if recorded else [], strict=False):
         if module in recorded:
             module.record(exchanged)
-    for module, exchange in known[:matching]:
+    for _, exchange in known[:matching]:
         if exchange.confirmed is not None:
             exchange.confirmed()
     _, _, arrived_s, _ = made[-1]

@@ -156,7 +156,7 @@ def compute_chain(db: sqlite3.Connection) -> None:
     db.execute("DELETE FROM chain")
     found = chain.Chain(tip=chain.campaign_hash(db))
     for number, attempt in db.execute("SELECT number, attempt FROM attempt ORDER BY session, number, attempt").fetchall():
-        found = chain.add_link(db, found, number, attempt)
+        found = chain.add_links(db, found, [(number, attempt)])
     db.execute("UPDATE session SET first_link = 1, last_link = ?, tip = ?", (found.length, found.tip))
     for (session,) in db.execute("SELECT id FROM session").fetchall():
         chain.seal_session(db, session)

@@ -7,7 +7,17 @@ is in `complaints`; every transfer is in `log`. Source: USB-IF, USBTMC 1.0 secti
 from collections import deque
 from functools import lru_cache
 
-from goniotwin.protocols.usbtmc import HEADER_BYTES, Header, HeaderError, MsgId, RequestStatus, StatusByte, message, next_tag, take_message
+from goniotwin.protocols.usbtmc import (
+    HEADER_BYTES,
+    Header,
+    HeaderError,
+    MsgId,
+    RequestStatus,
+    StatusByte,
+    message,
+    next_tag,
+    take_message,
+)
 from goniotwin.twin.devices.scpi_instrument import OUTPUT_QUEUE_BYTES, ScpiInstrument
 from goniotwin.twin.devices.usb_standard import BULK_IN, BULK_OUT, INTERRUPT_IN, MAX_PACKET
 
@@ -116,7 +126,7 @@ class Transfers:
     # ---- scripts ----
 
     def take_message(self, data: bytes, t: float) -> bool:
-        """`bulk_out` of a whole message, if nothing is pending and nothing in it is unusual; else False, and nothing is done."""
+        """`bulk_out` of a whole message, where nothing is pending and nothing in it unusual; else False, with no effect."""
         whole = _whole(data[:1] + data[3:])
         if whole is None or whole[0] != MsgId.DEV_DEP_MSG_OUT or self._input or self._answers or not self._is_next(data):
             return False

@@ -80,6 +80,8 @@ class Plant:
         mirrors = nominal_reflectance(self.model.instrument.mirror_reflectance) ** 3
         self._radiance = light.radiance * light.band_nm * light.throughput / mirrors
         self._lamp_spectrum = np.transpose(light.spectrum)
+        self._passed: tuple[tuple[float, int], list[tuple[float, float]]] = ((0.0, 0), [])
+        self._monitor_key = process_key(self.model.seed, "monitor")
         self._white_nm = np.linspace(self._lamp_spectrum[0, 0], self._lamp_spectrum[0, -1], WHITE_NODES).tolist()
         self._responsivity = np.transpose(self.model.photodiodes.responsivity)
         light_path = (self.wavelength_nm, self.wheel, self.shutter_open, self.sample, self.mounting, self.tilt_deg)
@@ -229,7 +231,7 @@ class Plant:
                 responsivity = float(np.interp(wavelength, *self._responsivity))
                 seen = self.throughputs_m2sr(t, wavelength)
                 currents[: self.model.photodiodes.count] += responsivity * (self._radiance * light) * seen
-        moves = sum(shaft.drive(t).moves for shaft in self.shafts.values())
+        moves = sum([shaft.drive(t).moves for shaft in self.shafts.values()])
         pose = self.sample.at(t), self.mounting.at(t), self.angle_deg("sigma", t)
         return self._disturbed(currents, *pose, moves) * self._sensitivity
 
@@ -305,7 +307,7 @@ class Plant:
         """`volts` of modules at times, s, shape (n, 8), in one call; None where light or gain may have changed meanwhile."""
         period, earliest = self.conversion_period_s, min(times) - EARLIEST_CONVERSION * self.conversion_period_s
         light = self._settled(earliest)
-        if light is None or max(self.gain[module].last_change for module in set(modules)) > earliest:
+        if light is None or max([self.gain[module].last_change for module in set(modules)]) > earliest:
             return None
         if light != self._settled_currents[0]:
             _, _, latest = conversions(times[0], period, MODULE_CHANNELS)
@@ -326,18 +328,17 @@ class Plant:
         monitor, drawn = self.model.monitor, self.drawn
         drift, linearity = drawn["monitor_drift"], drawn["monitor_linearity"]
         current = monitor.dark_a
-        changing = max(each.last_change for each in (self.wavelength_nm, self.wheel, self.shutter_open)) > start
+        changing = max(self.wavelength_nm.last_change, self.wheel.last_change, self.shutter_open.last_change) > start
         pieces = MONITOR_PIECES if changing else 1
         for k in range(pieces):
             first, last = (start + (end - start) * each / pieces for each in (k, k + 1))
             middle = 0.5 * (first + last)
             if self.shutter_open.at(middle):
                 level = lamp_mean(first, last, *self._lamp)
-                light_a = monitor.current_a * sum(light for _, light in self._light(middle)) * level
+                light_a = monitor.current_a * sum([light for _, light in self._light(middle)]) * level
                 current += monitor.measured_a(light_a, middle, drift, linearity) / pieces
         if self.model.noise:
-            key = process_key(self.model.seed, "monitor")
-            current *= 1.0 + monitor.noise * normal(key, np.int64(math.floor(end * monitor.samples_per_s)))
+            current *= 1.0 + monitor.noise * normal(self._monitor_key, np.int64(math.floor(end * monitor.samples_per_s)))
         return current
 
     def _light(self, t: float) -> list[tuple[float, float]]:
@@ -346,6 +347,9 @@ class Plant:
 
     def _passing(self, set_nm: float, position: int) -> list[tuple[float, float]]:
         """`_light` for a set wavelength and a position of the filter wheel."""
+        known, passing = self._passed
+        if known == (set_nm, position) and passing:
+            return passing
         sorting, true_nm = self.model.order_sorting, self._true_nm(set_nm)
         result: list[tuple[float, float]] = []
         for offset_nm, part in self.model.light.nodes:
@@ -356,6 +360,7 @@ class Plant:
             white = [(nm, float(np.interp(nm, *self._lamp_spectrum))) for nm in self._white_nm]
             total = sum(light for _, light in white)
             result += [(nm, stray * light / total * sorting.transmittance(nm, position)) for nm, light in white]
+        self._passed = ((set_nm, position), result)
         return result
 
     def _true_nm(self, set_nm: float) -> float:

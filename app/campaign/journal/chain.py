@@ -31,6 +31,8 @@ NAMED_ROWS = 5
 """Damaged rows that a message names."""
 ENCODED_TOGETHER = 64
 """Rows of which the numbers are encoded in one call: one by one takes twice the time."""
+NO_TIP = b'""'
+"""The hash of the link before, in the JSON of one that is not known yet: its first element."""
 _json = json.JSONEncoder(default=repr).encode  # a damaged value may be of any type
 
 
@@ -93,17 +95,27 @@ def campaign_hash(db: sqlite3.Connection) -> str:
     return _campaign_hash(*_parse(about))
 
 
-def add_link(db: sqlite3.Connection, chain: Chain, number: int, attempt: int) -> Chain:
-    """Add the link of a committed attempt; return the longer chain. The rows that it replaces are not damaged any more."""
-    (row,) = db.execute(f"SELECT {ROW.format('(SELECT ? AS number, ? AS attempt)')}", (number, attempt))
-    readings = db.execute(
-        f"SELECT {READING} FROM reading WHERE number = ? AND attempt = ? ORDER BY gain_v_per_a", (number, attempt)
-    )
-    link = chain.length + 1
-    tip = _link_hash(chain.tip, link, row, readings.fetchall())
-    db.execute("INSERT INTO chain VALUES (?, ?, ?, ?)", (link, number, attempt, tip))
-    damaged = {key: name for key, name in chain.damaged.items() if key != number}
-    return replace(chain, length=link, tip=tip, damaged=damaged)
+def add_links(db: sqlite3.Connection, chain: Chain, attempts: Sequence[tuple[int, int]]) -> Chain:
+    """Add the links of committed attempts (number, attempt), each once; return the longer chain.
+
+    The rows that they replace are not damaged any more.
+    """
+    values, given = ", ".join(["(?, ?)"] * len(attempts)), list(itertools.chain.from_iterable(attempts))
+    source = f"(SELECT column1 AS number, column2 AS attempt FROM (VALUES {values}))"
+    rows = {row[:2]: row for row in db.execute(f"SELECT {ROW.format(source)}", given)}
+    readings: dict[tuple[int, int], list[Any]] = {each: [] for each in attempts}
+    found = f"SELECT number, attempt, {READING} FROM reading WHERE (number, attempt) IN (VALUES {values}) ORDER BY gain_v_per_a"
+    for number, attempt, *reading in db.execute(found, given):
+        readings[number, attempt].append(reading)
+    contents = [_link_contents("", link, rows[each], readings[each]) for link, each in enumerate(attempts, chain.length + 1)]
+    tip, links = chain.tip, []
+    for link, (each, content) in enumerate(zip(attempts, _encoded_rows(contents), strict=True), chain.length + 1):
+        tip = hashlib.sha256(content.replace(NO_TIP, _json(tip).encode(), 1)).hexdigest()
+        links.append((link, *each, tip))
+    db.executemany("INSERT INTO chain VALUES (?, ?, ?, ?)", links)
+    replaced = {number for number, _ in attempts}
+    damaged = {key: name for key, name in chain.damaged.items() if key not in replaced}
+    return replace(chain, length=chain.length + len(attempts), tip=tip, damaged=damaged)
 
 
 def seal_session(db: sqlite3.Connection, session: int) -> None:

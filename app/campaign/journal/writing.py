@@ -20,7 +20,7 @@ from importlib import metadata
 from pathlib import Path
 from types import TracebackType
 
-from goniotwin.app.campaign.journal.chain import Chain, add_link, begin_chain, campaign_hash, check_chain, seal_session
+from goniotwin.app.campaign.journal.chain import Chain, add_links, begin_chain, campaign_hash, check_chain, seal_session
 from goniotwin.app.campaign.journal.reading import (
     DETAIL_KEYS,
     JournalReader,
@@ -96,6 +96,7 @@ class Journal(JournalReader):
         self._due_s: float | None = None  # time of the next checkpoint; None if there is nothing to bring into the file
         self._writes = threading.RLock()
         self._together, self._safe_chain = 0, chain  # rows of the transaction, and the chain before them
+        self._unlinked: list[tuple[int, int]] = []  # rows of the transaction that are not in the chain yet, and their attempts
 
     @classmethod
     def create(cls, path: Path, plan: Plan, versions: dict[str, str], *, durable: bool = True) -> "Journal":
@@ -301,9 +302,8 @@ class Journal(JournalReader):
 
     def tend(self, t: float) -> None:
         """Bring the rows into the journal's one file if it is time; `t` is on the rig's clock. Raises JournalError."""
-        with self._writes:
-            if self._due_s is not None and t >= self._due_s:
-                self.checkpoint()
+        if self._due_s is not None and t >= self._due_s:
+            self.checkpoint()
 
     def checkpoint(self) -> None:
         """Bring the rows into the journal's one file as far as readers permit, so that a plain copy of it has them.
@@ -387,7 +387,7 @@ class Journal(JournalReader):
     def commit(self, row: Row, data: RowData) -> None:
         """Write one row in one transaction; it is on the disk on return. Raises JournalError.
 
-        A journal that is not durable has many rows in a transaction.
+        A journal that is not durable has many rows in a transaction, and `chain` has them at its end.
         """
         positions = None if data.positions is None else json.dumps(data.positions)
         with self._writing(together=not self._written):
@@ -405,15 +405,23 @@ class Journal(JournalReader):
                     for each in data.readings
                 ],
             )  # fmt: skip
-            chain = add_link(self._db, self.chain, row.number, attempt)
-            if row.number in self.chain.damaged:
-                self._db.execute("DELETE FROM temp.damaged WHERE number = ?", (row.number,))
-            self.chain = chain
+            self._unlinked.append((row.number, attempt))
+            if self._written:
+                if row.number in self.chain.damaged:
+                    self._db.execute("DELETE FROM temp.damaged WHERE number = ?", (row.number,))
+                self._link()
         self._expect_checkpoint(data.ended_s, rows=1)
         self._check_place()
 
+    def _link(self) -> None:
+        """Add the links of the rows that have none yet. Raises sqlite3.Error."""
+        if self._unlinked:
+            self.chain = add_links(self._db, self.chain, self._unlinked)
+            self._unlinked = []
+
     def _commit_all(self) -> None:
         """End the transaction. Raises sqlite3.Error."""
+        self._link()
         self._db.commit()
         self._safe_chain, self._together = self.chain, 0
 
@@ -433,12 +441,13 @@ class Journal(JournalReader):
                             self._commit_all()
                     else:
                         with self._db:
+                            self._link()
                             yield
                         self._safe_chain, self._together = self.chain, 0
                 except BaseException:
                     if together:
                         self._db.rollback()
-                    self.chain, self._together = self._safe_chain, 0
+                    self.chain, self._together, self._unlinked = self._safe_chain, 0, []
                     raise
         except sqlite3.Error as error:
             remedy = _room_on_disk(self.path, error) or "check the disk, its permissions and any limit of the size of files"

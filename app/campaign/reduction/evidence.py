@@ -29,7 +29,7 @@ from goniotwin.app.campaign.reduction.signals import (
     middles_s,
     others_volts,
 )
-from goniotwin.app.campaign.row import CommittedRow, ReadingTable, reading_table
+from goniotwin.app.campaign.row import CommittedRow, Reading, ReadingTable, reading_table
 from goniotwin.app.campaign.wording import number_list
 from goniotwin.app.rig import RigFile
 from goniotwin.arrays import Counts, Flags, Floats, Ints
@@ -597,19 +597,19 @@ class RunningEvidence:
     def __init__(self, rig: RigFile) -> None:
         self._rig = rig
         self._sums: EvidenceSums | None = None
-        self._waiting: list[CommittedRow] = []
+        self._waiting: list[tuple[Reading, ...]] = []
 
     def add(self, row: CommittedRow) -> None:
         """Add a row; the last rows wait for a dark reading after them."""
         if row.row.kind in ("measure", "drift") and row.data.readings:
-            self._waiting.append(replace(row, data=replace(row.data, positions=None)))
+            self._waiting.append(row.data.readings)
 
     def count(self, dark: Mapping[float, DarkReadings]) -> EvidenceSums:
         """Count the rows that wait, with all dark readings so far."""
         if self._sums is None:
             self._sums = EvidenceSums(dark, self._rig)
         self._sums.renew(dark)
-        self._sums.add(reading_table(each.data.readings for each in self._waiting))
+        self._sums.add(reading_table(self._waiting))
         self._waiting = []
         return self._sums
 

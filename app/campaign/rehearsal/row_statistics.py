@@ -1,16 +1,19 @@
 """Statistics of a rehearsal's rows, updated at each commit: sums and extremes; no row is kept."""
 
+from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from goniotwin.app.campaign.readout import GainSequence
-from goniotwin.app.campaign.row import Row, RowData
+from goniotwin.app.campaign.row import Reading, Row, RowData
 from goniotwin.app.campaign.running.events import Event, RowCommitted
 from goniotwin.app.rig import AXES
-from goniotwin.arrays import Flags, Floats
+from goniotwin.arrays import Counts, Flags, Floats
 from goniotwin.drivers import ConverterDescription
+
+ROWS_TOGETHER = 64
+"""Rows whose counts are added in one step."""
 
 
 @dataclass
@@ -25,8 +28,7 @@ class MountingBlock:
 class RowStatistics:
     """A listener of the engine. `relevant` gives for a row the photodiodes (n,) that may not be saturated.
 
-    `axes_deg` is the range of each axis. `largest` is the largest count by gain, `steps` by sample and gain the largest mean
-    count above zero of each photodiode (n,). `saturated` is the number of saturated values, `flagged` that of rows by flag.
+    `axes_deg` is the range of each axis, `flagged` the number of rows by flag. Some rows wait to be counted together.
     """
 
     def __init__(self, settings: ConverterDescription, relevant: Callable[[Row], Flags]) -> None:
@@ -36,9 +38,10 @@ class RowStatistics:
         self.span = settings.range.highest - self._zero
         self.blocks: list[MountingBlock] = []
         self.axes_deg: dict[str, list[float]] = {}
-        self.largest: dict[float, int] = {}
-        self.saturated = 0
-        self.steps: dict[tuple[str, float], Floats] = {}
+        self._largest: dict[float, int] = {}
+        self._saturated = 0
+        self._steps: dict[tuple[str, float], Floats] = {}
+        self._waiting: list[tuple[Row, tuple[Reading, ...]]] = []
         self.flagged: dict[str, int] = {}
 
     def __call__(self, event: Event) -> None:
@@ -53,8 +56,10 @@ class RowStatistics:
             for flag in data.flags:
                 self.flagged[flag] = self.flagged.get(flag, 0) + 1
             self._add_positions(data)
-            if row.kind == "measure":
-                self._add_counts(row, data)
+            if row.kind == "measure" and data.readings:
+                self._waiting.append((row, data.readings))
+                if len(self._waiting) >= ROWS_TOGETHER:
+                    self._add_waiting()
 
     def _add_positions(self, data: RowData) -> None:
         for axis in AXES:
@@ -63,18 +68,41 @@ class RowStatistics:
                 low, high = self.axes_deg.get(axis, (angle, angle))
                 self.axes_deg[axis] = [min(low, angle), max(high, angle)]
 
-    def _add_counts(self, row: Row, data: RowData) -> None:
-        if not data.readings:
-            return
-        gains = GainSequence(row, self._settings, None)
-        for reading in data.readings:
-            gains.add(reading.counts)
-            gain = reading.gain_v_per_a
-            highest = reading.counts.max(axis=0)
-            self.largest[gain] = max(self.largest.get(gain, 0), int(highest.max()))
-            steps = np.abs(reading.counts.mean(axis=0) - self._zero)
-            self.steps[row.sample, gain] = np.maximum(self.steps.get((row.sample, gain), steps), steps)
-        self.saturated += int((gains.saturated & self._relevant(row)).sum())
+    def _add_waiting(self) -> None:
+        """Add the counts of rows that wait: many at once."""
+        rows, self._waiting = self._waiting, []
+        alike: dict[tuple[str, float, tuple[int, ...]], list[tuple[int, Counts]]] = defaultdict(list)
+        for place, (row, readings) in enumerate(rows):
+            for each in readings:
+                alike[row.sample, each.gain_v_per_a, each.counts.shape].append((place, each.counts))
+        saturated = np.ones((len(rows), self._settings.count), dtype=bool)
+        for (sample, gain, _), found in alike.items():
+            places, counts = [place for place, _ in found], np.stack([each for _, each in found])
+            saturated[places] &= self._settings.range.saturated(counts).any(axis=1)
+            self._largest[gain] = max(self._largest.get(gain, 0), int(counts.max()))
+            steps = np.abs(counts.mean(axis=1) - self._zero).max(axis=0)
+            self._steps[sample, gain] = np.maximum(self._steps.get((sample, gain), steps), steps)
+        self._saturated += sum(
+            int((flags & self._relevant(row)).sum()) for flags, (row, _) in zip(saturated, rows, strict=True)
+        )
+
+    @property
+    def largest(self) -> dict[float, int]:
+        """The largest count by gain."""
+        self._add_waiting()
+        return self._largest
+
+    @property
+    def steps(self) -> dict[tuple[str, float], Floats]:
+        """By sample and gain, the largest mean count above zero of each photodiode (n,)."""
+        self._add_waiting()
+        return self._steps
+
+    @property
+    def saturated(self) -> int:
+        """The number of values that are saturated at every gain of their row."""
+        self._add_waiting()
+        return self._saturated
 
     @property
     def share_of_range(self) -> dict[float, float]:

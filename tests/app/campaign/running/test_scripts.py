@@ -154,7 +154,7 @@ def record(plan: Plan, folder: Path, disturb: Disturb) -> tuple[object, ...]:
 
 
 def both_ways(plan: Plan, folder: Path, disturb: Disturb) -> tuple[list[int], list[int]]:
-    """Hold both ways against each other; the numbers of exchanges in each script that was carried out, and of transfers on USB."""
+    """Hold both ways against each other; the numbers of exchanges in the scripts that were made, and of USB transfers."""
     sizes: list[int] = []
     modbus_script, serial_script, usb_script = TwinModbusClient.run_script, Serial.run_script, Scripts.run_script
     messages: list[int] = []
