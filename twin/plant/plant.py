@@ -25,6 +25,8 @@ MONITOR_PIECES = 16
 
 WHITE_NODES = 9
 """Wavelengths, evenly over the lamp's spectrum, that stand for white light."""
+WAVELENGTHS_KEPT = 512
+"""Settings of the monochromator whose passing wavelengths are known at a time, of poses that are expected."""
 LINEAR_A, FAINTEST_A = 1e-9, 1e-18
 """Current at which a photodiode that is not linear has its stated responsivity; below the faintest one it does not change."""
 SUPPLY_V = 12.0
@@ -189,24 +191,32 @@ class Plant:
 
     def expect(self, poses: Iterable[ExpectedPose]) -> None:
         """Poses that follow, in their order: their throughputs are then computed many at once. Nothing else depends on it."""
-        self.view.expect(aspect for pose in poses for aspect in self._aspects(pose))
+        self.view.expect(self._aspects(poses))
 
-    def _aspects(self, pose: ExpectedPose) -> Iterator[Aspect]:
-        """The aspects at an expected pose, one for each wavelength that passes; none where the way there decides."""
+    def _aspects(self, poses: Iterable[ExpectedPose]) -> Iterator[Aspect]:
+        """The aspects at expected poses, one for each wavelength that passes; none of a pose where the way there decides."""
         if self.model.disturbances.position_deg:
             return
-        angles = []
-        for axis in ("sigma", "gamma", "beta", "shift"):
-            shaft = self.shafts.get(axis)
-            angle = shaft.newest.resting_deg(pose.counters[axis]) if shaft is not None else 0.0
-            if angle is None:
-                return
-            error = self.drawn.axis_error_deg(axis, 0) if shaft is not None else 0.0
-            angles.append(angle + error if error else angle)
-        sigma, gamma, beta, shift = angles
-        for wavelength, light in self._passing(pose.wavelength_nm, pose.filter_position):
-            if light != 0.0:
-                yield Aspect(pose.sample, self.tilt_deg.newest, wavelength, sigma, gamma, beta, shift, pose.mounting)
+        axes = ("sigma", "gamma", "beta", "shift")
+        shafts = [(name, self.shafts.get(name)) for name in axes]
+        errors = [self.drawn.axis_error_deg(name, 0) if shaft is not None else 0.0 for name, shaft in shafts]
+        passing: dict[tuple[float, int], list[float]] = {}
+        for pose in poses:
+            angles: list[float] = []
+            for (name, shaft), error in zip(shafts, errors, strict=True):
+                angle = shaft.newest.resting_deg(pose.counters[name]) if shaft is not None else 0.0
+                if angle is None:
+                    break
+                angles.append(angle + error if error else angle)
+            else:
+                set_at = pose.wavelength_nm, pose.filter_position
+                if set_at not in passing:
+                    if len(passing) >= WAVELENGTHS_KEPT:
+                        passing.clear()
+                    passing[set_at] = [nm for nm, light in self._passing(*set_at) if light != 0.0]
+                sigma, gamma, beta, shift = angles
+                for wavelength in passing[set_at]:
+                    yield Aspect(pose.sample, self.tilt_deg.newest, wavelength, sigma, gamma, beta, shift, pose.mounting)
 
     def warm_up(self) -> None:
         """Compute everything once: kernels compile at their first use, and a device must not wait for that.
@@ -245,7 +255,7 @@ class Plant:
             light = self._radiance * share
             if light != 0.0:
                 responsivity = float(np.interp(wavelength, *self._responsivity))
-                currents += responsivity * light * self.view.throughputs_m2sr(replace(aspect, wavelength_nm=wavelength))
+                currents += responsivity * light * self.view.throughputs_m2sr(aspect._replace(wavelength_nm=wavelength))
         return self._disturbed(currents, aspect.sample, aspect.mounting, aspect.sigma_deg, moves)
 
     def _disturbed(self, currents: Floats, sample: str | None, mounting: int, sigma_deg: float, moves: int) -> Floats:

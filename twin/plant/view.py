@@ -3,10 +3,10 @@
 import math
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from hashlib import blake2b
-from itertools import islice
-from typing import TypeVar
+from itertools import count, islice
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -34,12 +34,13 @@ POSES_KEPT = 512
 POSES_AHEAD = 120
 """Poses whose throughputs are computed in one call; a call for a single one takes about as long as for ten."""
 MAPS_KEPT = 16
+LIGHTS_KEPT = 1024
+"""Numbers of what decides on the light, see `View._light`: some for each wavelength."""
 OPEN_BEAM = regular(transmits=True, side="both")
 """No sample: all light goes straight on."""
 
 
-@dataclass(frozen=True)
-class Aspect:
+class Aspect(NamedTuple):
     """Everything that determines the light on the photodiodes except the lamp.
 
     The sample's name (None: no sample), the angle by which it is tilted, the wavelength in nm, the axes' true angles in
@@ -56,6 +57,10 @@ class Aspect:
     mounting: int = 0
 
 
+SIGMA, MOUNTING = Aspect._fields.index("sigma_deg"), Aspect._fields.index("mounting")
+"""Where the angles of the axes begin in an aspect, and where they end."""
+
+
 class View:
     """Throughputs of a rig's photodiodes. Recent results are stored; the result does not depend on earlier calls."""
 
@@ -66,14 +71,21 @@ class View:
         self._along_deg, self._across_deg = self._drawn.photodiode_angles_deg()
         self.polar_deg = np.array(model.photodiodes.upper_deg + model.photodiodes.lower_deg)
         self._lower = np.repeat([False, True], [len(model.photodiodes.upper_deg), len(model.photodiodes.lower_deg)])
+        self._numbers = count()  # none is given twice
+        self._lights: dict[tuple[object, ...], int] = {}
+        self._known_lights: dict[tuple[object, ...], int] = {}
         self._throughputs: OrderedDict[tuple[object, ...], Floats] = OrderedDict()
         self._maps: OrderedDict[tuple[object, ...], StrayMap] = OrderedDict()
         self._instruments: OrderedDict[tuple[object, ...], Instrument] = OrderedDict()
         self._expected: Iterator[Aspect] | None = None
         self._next: dict[tuple[object, ...], Aspect] = {}
+        self._computed: dict[Aspect, Floats] = {}
 
     def throughputs_m2sr(self, aspect: Aspect) -> Floats:
         """Throughput of each photodiode, m^2 sr: its flux over the radiance of the exit pupil. Shape (photodiodes,)."""
+        known = self._computed.get(aspect)
+        if known is not None:
+            return known
         key = self._key(aspect)
         if self._expected is not None and key not in self._throughputs:
             self._compute_expected(key)
@@ -88,12 +100,23 @@ class View:
         self._expected, self._next = (iter(aspects) if fast else None), {}
 
     def _key(self, aspect: Aspect) -> tuple[object, ...]:
-        return (*self._light(aspect), aspect.beta_deg, aspect.shift_deg)
+        return (self._light(aspect), *aspect[SIGMA:MOUNTING])
 
-    def _light(self, aspect: Aspect) -> tuple[object, ...]:
-        """What decides on the light that reaches the sample and leaves it."""
-        mounted = self._drawn.mounted(aspect.sample, aspect.mounting)
-        return (aspect.sample, aspect.tilt_deg, self._wavelength(aspect), aspect.sigma_deg, aspect.gamma_deg, mounted)
+    def _light(self, aspect: Aspect) -> int:
+        """Number of what decides on the light besides the axes: sample, tilt, wavelength, deviation of the mounting.
+
+        Equal numbers mean equal ones. They are made once for many poses: the deviation alone has six numbers to compare.
+        """
+        given = (*aspect[:SIGMA], aspect.mounting)
+        known = self._known_lights.get(given)
+        if known is None:
+            if len(self._known_lights) >= LIGHTS_KEPT:
+                self._known_lights.clear()
+                self._lights.clear()
+            mounted = self._drawn.mounted(aspect.sample, aspect.mounting)
+            light = (aspect.sample, aspect.tilt_deg, self._wavelength(aspect), mounted)
+            known = self._known_lights[given] = self._lights.setdefault(light, next(self._numbers))
+        return known
 
     def _sample(self, aspect: Aspect) -> Scatterer:
         return OPEN_BEAM if aspect.sample is None else self._model.samples[aspect.sample]
@@ -111,21 +134,20 @@ class View:
                 self._next[expected] = aspect
         if key not in self._next:
             return
-        together: dict[tuple[object, ...], dict[tuple[object, ...], Aspect]] = {}
+        together: dict[object, dict[tuple[object, ...], Aspect]] = {}
         for expected, aspect in self._next.items():
-            name, tilt, wavelength, _, _, mounted, _, _ = expected
-            together.setdefault((name, tilt, wavelength, mounted), {})[expected] = aspect
-        self._next = {}
+            together.setdefault(expected[0], {})[expected] = aspect
+        self._next, self._computed = {}, {}
         for group in together.values():
             first = next(iter(group.values()))
-            angles = [(each.sigma_deg, each.gamma_deg, each.beta_deg, each.shift_deg) for each in group.values()]
-            sigma_deg, gamma_deg, beta_deg, shift_deg = np.array(angles).T
+            sigma_deg, gamma_deg, beta_deg, shift_deg = np.array([each[SIGMA:MOUNTING] for each in group.values()]).T
             directions = self._turned(first.tilt_deg, self.directions(beta_deg, shift_deg))
             poses = Poses(sigma_deg - first.tilt_deg, directions, gamma_deg)
             instrument, rays = self._mounted_instrument(first), self._model.estimator.rays
             scenes = Scenes(instrument, poses, [self._sample(first)], self._wavelength(first), rays)
             found = scenes.throughputs()[0, 0, 0].reshape(len(group), -1)
             self._throughputs.update(zip(group, found, strict=True))
+            self._computed.update(zip(group.values(), found, strict=True))
         while len(self._throughputs) > POSES_KEPT:
             self._throughputs.popitem(last=False)
 
@@ -158,7 +180,8 @@ class View:
         return directions
 
     def _compute(self, aspect: Aspect) -> Floats:
-        model, sample, wavelength, light = self._model, self._sample(aspect), self._wavelength(aspect), self._light(aspect)
+        model, sample, wavelength = self._model, self._sample(aspect), self._wavelength(aspect)
+        light = (self._light(aspect), aspect.sigma_deg, aspect.gamma_deg)
         mounted, instrument = self._drawn.mounted(aspect.sample, aspect.mounting), self._mounted_instrument(aspect)
         directions = self._turned(aspect.tilt_deg, self.directions(aspect.beta_deg, aspect.shift_deg))
         sigma = aspect.sigma_deg - aspect.tilt_deg

@@ -193,12 +193,12 @@ def test_a_tilt_of_the_beam_turns_the_light_about_the_samples_centre(changed: Ch
 def test_each_mounting_of_a_sample_has_its_own_deviation_in_the_frame_that_turns_with_gamma(changed: Changed) -> None:
     model = changed(sample_tilt_deg=0.3, sample_height_mm=0.5, etalon_tilt_deg=0.2)
     drawn = Plant(model).drawn
-    first, second = (seen(model, replace(LOBE, mounting=number)) for number in (1, 2))
+    first, second = (seen(model, LOBE._replace(mounting=number)) for number in (1, 2))
     assert change(first, second) > 1e-3
     own = Deviation(drawn["sample_tilt_x@paint#2"], drawn["sample_tilt_y@paint#2"], z_mm=drawn["sample_height@paint#2"])
     assert min(abs(own.rx_deg), abs(own.ry_deg), abs(own.z_mm)) > 0.0
     np.testing.assert_array_equal(second, seen(changed({"instrument": Instrument(deviations={"sample": own})})))
-    white = replace(LOBE, sample="etalon", mounting=1)
+    white = LOBE._replace(sample="etalon", mounting=1)
     assert drawn.mounted("etalon", 1) == Deviation(drawn["etalon_tilt_x@etalon#1"], drawn["etalon_tilt_y@etalon#1"])
     assert change(seen(model, white), seen(changed(), white)) > 1e-4
     np.testing.assert_array_equal(seen(model), seen(changed()))  # a mounting of 0 has none
@@ -217,7 +217,7 @@ def test_mountings_of_a_sample_are_counted(changed: Changed) -> None:
 def test_the_forward_estimator_sees_mountings_each_with_its_own_random_numbers(changed: Changed) -> None:
     parts = {"estimator": Estimator("forward", relative_error=0.3)}
     tilted = changed(parts, sample_tilt_deg=2.0)
-    values = [seen(tilted, replace(LOBE, mounting=number)) for number in (0, 1, 2)]
+    values = [seen(tilted, LOBE._replace(mounting=number)) for number in (0, 1, 2)]
     np.testing.assert_array_equal(values[0], seen(changed(parts)))
     assert np.any(values[1] != values[0])
     assert np.any(values[1] != values[2])
@@ -291,7 +291,7 @@ def test_a_wider_field_lowers_the_peak_of_a_lobe_and_not_the_ratio_for_a_diffuse
     assert (wider := Plant(model).drawn["field"]) != 0.0
     peak = Aspect("paint", 0.0, 550.0, 30.0, 0.0, 180.0, 0.0)
     at = int(np.argmax(seen(plain, peak)))
-    ratio = [float(seen(each, peak)[at] / seen(each, replace(peak, sample="etalon"))[at]) for each in (model, plain)]
+    ratio = [float(seen(each, peak)[at] / seen(each, peak._replace(sample="etalon"))[at]) for each in (model, plain)]
     lost = field_variance(model.instrument) / math.radians(2.0) ** 2 * 2.0
     assert math.log(ratio[0] / ratio[1]) == pytest.approx(-lost * (math.exp(wider) - 1.0) / (1.0 + lost), rel=0.15)
 
@@ -305,7 +305,7 @@ def test_the_light_has_the_wavelength_set_and_the_drawn_error(changed: Changed) 
     model = changed(parts, wavelength_nm=3.0)
     error = Plant(model).drawn["wavelength"]
     assert abs(error) > 0.01
-    shifted = currents(changed(parts), replace(LOBE, wavelength_nm=550.0 + error))
+    shifted = currents(changed(parts), LOBE._replace(wavelength_nm=550.0 + error))
     np.testing.assert_allclose(currents(model), shifted, rtol=1e-12)
     plant = Plant(model)
     plant.mount("paint", 0.0)
@@ -326,7 +326,7 @@ def test_a_triangular_band_takes_the_mean_over_its_wavelengths(changed: Changed,
     diodes = Photodiodes(responsivity=((300.0, 0.3), (800.0, 0.3)))
     parts = {"samples": {"paint": kink}, "light": light, "photodiodes": diodes}
     for set_nm in (600.0, 560.0):
-        aspect = replace(LOBE, wavelength_nm=set_nm)
+        aspect = LOBE._replace(wavelength_nm=set_nm)
         line = currents(changed({**parts, "light": replace(light, band="line")}), aspect)
         band = currents(changed(parts), aspect)
         places = np.linspace(-width_nm, width_nm, 20_001)
@@ -342,8 +342,8 @@ def test_white_light_strays_through_the_monochromator(changed: Changed) -> None:
     red = apply_spectrum([599.0, 601.0], [0.0, 1.0], lambertian())
     model = changed({"samples": {"etalon": lambertian(), "paint": red}}, monochromator_stray=1e-3)
     share = Plant(model).drawn["monochromator_stray"]
-    green = replace(LOBE, wavelength_nm=550.0)
-    stray, full = currents(model, green), currents(model, replace(green, sample="etalon"))
+    green = LOBE._replace(wavelength_nm=550.0)
+    stray, full = currents(model, green), currents(model, green._replace(sample="etalon"))
     lit = full > 0.0
     ratio = stray[lit] / full[lit]
     np.testing.assert_allclose(ratio, ratio[0], rtol=1e-9)
@@ -371,7 +371,7 @@ def test_polarised_light_counts_for_a_sample_with_diattenuation(changed: Changed
             total += share * np.array([s_sample**2, vector @ vector - s_sample**2])
         q = (total[0] - total[1]) / total.sum()
         assert light.polarised(sigma) == pytest.approx(q, abs=1e-12)
-        aspect = replace(LOBE, sigma_deg=sigma)
+        aspect = LOBE._replace(sigma_deg=sigma)
         np.testing.assert_allclose(currents(model, aspect), currents(plain, aspect) * (1.0 + 0.3 * q), rtol=1e-12)
     assert LightSource().polarised(30.0) == 0.0
 
@@ -412,7 +412,7 @@ def test_the_etalon_and_each_mounting_have_factors(changed: Changed) -> None:
     drawn = Plant(model).drawn
 
     def factor(sample: str, mounting: int, moves: int) -> float:
-        aspect = replace(LOBE, sample=sample, mounting=mounting)
+        aspect = LOBE._replace(sample=sample, mounting=mounting)
         return float(np.max(currents(model, aspect, moves)) / np.max(currents(changed(), aspect)))
 
     at = "@paint#2"

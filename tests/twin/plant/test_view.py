@@ -28,15 +28,15 @@ def with_stray_light(model: TwinModel, **changes: object) -> TwinModel:
 
 
 def test_the_open_beam_reaches_the_photodiode_on_the_axis_alone(model: TwinModel) -> None:
-    seen = View(model).throughputs_m2sr(replace(ACROSS, sample=None, sigma_deg=0.0))
+    seen = View(model).throughputs_m2sr(ACROSS._replace(sample=None, sigma_deg=0.0))
     assert np.flatnonzero(seen).tolist() == [UPPER]  # on the lower arc, below the sample's normal
-    white = View(model).throughputs_m2sr(replace(ACROSS, sigma_deg=0.0))
+    white = View(model).throughputs_m2sr(ACROSS._replace(sigma_deg=0.0))
     assert seen[UPPER] > 1e3 * white[UPPER - 1]
 
 
 def test_the_signature_without_a_sample_is_stray_light_of_the_frames(model: TwinModel) -> None:
     """Proportional to the frames' reflectance, and zero with black frames."""
-    bare = replace(ACROSS, sample=None)
+    bare = ACROSS._replace(sample=None)
     dim, bright, black = (
         View(with_stray_light(model, frames=SampleFrames(reflectance=each))).throughputs_m2sr(bare)[:UPPER]
         for each in (0.1, 0.4, 0.0)
@@ -66,7 +66,7 @@ def test_added_stray_light_of_a_sample_agrees_with_the_forward_estimator(model: 
 
 def test_each_pose_has_its_own_reproducible_random_numbers(model: TwinModel) -> None:
     traced = replace(model, estimator=Estimator("forward", relative_error=0.3))
-    again = replace(ACROSS, gamma_deg=90.0)  # the same light for an isotropic sample
+    again = ACROSS._replace(gamma_deg=90.0)  # the same light for an isotropic sample
     first, other = (View(traced).throughputs_m2sr(each) for each in (ACROSS, again))
     assert np.any(first[:UPPER] != other[:UPPER])
     np.testing.assert_array_equal(View(traced).throughputs_m2sr(ACROSS), first)

@@ -37,8 +37,9 @@ E1X, E1Y, E1Z, E2X, E2Y, BESIDE1, BESIDE2, AHEAD = (row * BLOCK for row in range
 # Moments of the accepted rays: point in the hole (u, v), mm, and slopes to the detector's axis (p, q).
 MOMENTS = 15
 M, MU, MV, MP, MQ, MUU, MUV, MVV, MUP, MUQ, MVP, MVQ, MPP, MPQ, MQQ = (row * BLOCK for row in range(14, 29))
-# For one slope: map of the hole to the disc, the strip of the hole within the disc; and the sums over it.
-A0, AU, AV, B0, BU, BV, MIDDLE, HALF, INVERSE, SHARE = (row * BLOCK for row in range(29, 39))
+# For one slope, lengths along u: middle of a chord of the hole and distance from the disc's centre (and their slopes over v),
+# square of the disc's radius; the strip of the hole within the disc; and the sums over it.
+FOOT, FOOT_V, BESIDE, BESIDE_V, REACH2, MIDDLE, HALF, SHARE = (row * BLOCK for row in range(29, 37))
 S, SU, SV, SUU, SUV, SVV = (row * BLOCK for row in range(39, 45))
 # For the nodes: means, covariances of each number with the offsets along and across, square root of the covariance.
 U0, V0, P0, Q0, GU1, GU2, GV1, GV2, GP1, GP2, GQ1, GQ2 = (row * BLOCK for row in range(29, 41))
@@ -55,9 +56,11 @@ PUPIL_MOMENTS = 13
 # Sums over the strip with the pupil's point, where mirrors clip the beam; a chord; one of its points, and the terms there.
 CA, CAU, CAV, CB, CBU, CBV, CAA, CAB, CBB = (row * BLOCK for row in range(75, 84))
 CLIP_V, MIDDLE_U, HALF_U, CLIP_U, CLIP_PART, TERM = (row * BLOCK for row in range(84, 90))
-# For one slope: what INVERSE is of. For the nodes: weight of the outer ones.
-SQUARE, PART = 95 * BLOCK, 96 * BLOCK
-ROWS = 97
+# For the nodes: weight of the outer ones.
+PART = 95 * BLOCK
+ROWS = 96
+AT_ONCE = 3
+"""Number of chords whose sums are added at once."""
 CHORD_PLACE = math.sqrt(0.6)
 """Outer place of three Gauss-Legendre nodes."""
 
@@ -102,10 +105,19 @@ def side_nodes(count: int = 3) -> Floats:
     return np.stack([0.5 * t * (3.0 - t * t), 0.75 * (1.0 - t * t) * weights], axis=1)
 
 
+@kernel(forceinline=True)
+def whole_lanes(count: int) -> int:
+    """Number of detectors up to which loops run: a multiple of 8, so that none of them is computed by itself.
+
+    Rows have the room. What is computed beyond `count` is of no meaning.
+    """
+    return (count + 7) & -8
+
+
 @kernel(nogil=True)
 def fill_frames(w: Floats, count: int) -> None:
     """Fill the frames of detectors whose positions and viewing directions are in `w`."""
-    for k in range(count):
+    for k in range(whole_lanes(count)):
         dx, dy, dz = w[k + DX], w[k + DY], w[k + DZ]
         e1x, e1y, e1z, e2x, e2y = detector_frame(dx, dy, dz)
         x, y, z = w[k + PX], w[k + PY], w[k + PZ]
@@ -115,30 +127,24 @@ def fill_frames(w: Floats, count: int) -> None:
 
 
 @kernel(forceinline=True)
-def _chord(w: Floats, k: int, place: float, radius: float, half: float) -> tuple[float, float, float]:
+def _chord(w: Floats, k: int, place: float, half: float) -> tuple[float, float, float]:
     """v at `place` of the strip of the hole that detector k sees, and the ends along u of what it sees there."""
-    au, bu, inverse = w[k + AU], w[k + BU], w[k + INVERSE]
     v = w[k + MIDDLE] + w[k + HALF] * place
-    a1, b1 = w[k + A0] + w[k + AV] * v, w[k + B0] + w[k + BV] * v
-    beside = a1 * bu - b1 * au
-    foot = -(a1 * au + b1 * bu) * inverse
-    inside = radius * radius * w[k + SQUARE] - beside * beside
-    chord = math.sqrt(inside if inside > 0.0 else 0.0) * inverse
+    foot, beside = w[k + FOOT] + w[k + FOOT_V] * v, w[k + BESIDE] + w[k + BESIDE_V] * v
+    inside = w[k + REACH2] - beside * beside
+    chord = math.sqrt(inside if inside > 0.0 else 0.0)
     left, right = foot - chord, foot + chord
     return v, (left if left > -half else -half), (right if right < half else half)
 
 
 @kernel(forceinline=True)
-def _add_chord(w: Floats, k: int, v: float, left: float, right: float, weight: float) -> None:
-    """Add a chord of the hole to the sums over the strip."""
+def _chord_sums(
+    v: float, left: float, right: float, weight: float
+) -> tuple[float, float, float, float, float, float]:  # fmt: skip
+    """What a chord of the hole adds to the sums over the strip."""
     width = right - left if right > left else 0.0
     u, part = 0.5 * (right + left), weight * width
-    w[k + S] += part
-    w[k + SU] += part * u
-    w[k + SV] += part * v
-    w[k + SUU] += part * (u * u + width * width / 12.0)
-    w[k + SUV] += part * u * v
-    w[k + SVV] += part * v * v
+    return part, part * u, part * v, part * (u * u + width * width * (1.0 / 12.0)), part * u * v, part * v * v
 
 
 @kernel(nogil=True, fastmath={"contract"})
@@ -153,7 +159,7 @@ def fill_apertures(
     """
     radius, half, sine = sizes[0], sizes[1], sizes[2]
     first, last, lines = chords[ALONG_U, 0, 0], chords[ALONG_U, 0, 1], chord_lines(chords, ALONG_U)
-    cut = is_cut(chords)
+    cut, count = is_cut(chords), whole_lanes(count)
     w[M : M + MOMENTS * BLOCK] = 0.0
     if clip is not None:
         w[MA : MA + PUPIL_MOMENTS * BLOCK] = 0.0
@@ -168,44 +174,63 @@ def fill_apertures(
             b0, bu, bv = ahead * q - w[k + BESIDE2], w[k + E2X] - q * dx, w[k + E2Y] - q * dy
             square = au * au + bu * bu
             area = au * bv - av * bu
-            middle, reach = (bu * a0 - au * b0) / area, radius * math.sqrt(square) / abs(area)
+            inverse, one = 1.0 / square, 1.0 / area
+            middle, reach = (bu * a0 - au * b0) * one, radius * math.sqrt(square) * abs(one)
             low, high = middle - reach, middle + reach
             # Plain comparisons: Python's max and min prevent vectorisation of the loop.
             low, high = (low if low > first else first), (high if high < last else last)
             # NaN (a detector in the sample's plane) and rays from the other side of the sample do not count.
             seen = (high > low) & ((dz + p * w[k + E1Z]) * dz > 0.0)
             low, high = (low if seen else 0.0), (high if seen else 0.0)
-            w[k + A0], w[k + AU], w[k + AV], w[k + B0], w[k + BU], w[k + BV] = a0, au, av, b0, bu, bv
-            w[k + MIDDLE], w[k + HALF], w[k + SQUARE], w[k + INVERSE] = (
-                0.5 * (high + low),
-                0.5 * (high - low),
-                square,
-                1.0 / square,
-            )
-            w[k + SHARE] = share * abs(area) * (high - low)
-        w[S : S + 6 * BLOCK] = 0.0
+            w[k + FOOT], w[k + FOOT_V] = -(a0 * au + b0 * bu) * inverse, -(av * au + bv * bu) * inverse
+            w[k + BESIDE], w[k + BESIDE_V] = (a0 * bu - b0 * au) * inverse, -area * inverse
+            w[k + MIDDLE], w[k + HALF] = 0.5 * (high + low), 0.5 * (high - low)
+            w[k + REACH2], w[k + SHARE] = radius * radius * inverse, share * abs(area) * (high - low)
+            w[k + S] = w[k + SU] = w[k + SV] = w[k + SUU] = w[k + SUV] = w[k + SVV] = 0.0
         if clip is not None:
             w[CA : CA + 9 * BLOCK] = 0.0
-        for node in range(side.shape[0]):
-            place, weight = side[node, 0], side[node, 1]
-            # Two loops: four lines of the slit's image cost a seventh of the time, and most scenes have none.
-            if clip is not None and clip.shape[0] > 0:
+        # Two loops: four lines of the slit's image cost a seventh of the time, and most scenes have none.
+        if cut or (clip is not None and clip.shape[0] > 0):
+            for node in range(side.shape[0]):
+                place, weight = side[node, 0], side[node, 1]
+                if clip is not None and clip.shape[0] > 0:
+                    for k in range(count):
+                        v, left, right = _chord(w, k, place, half)
+                        left, right = cut_chord(lines, v, left, right)
+                        w[k + CLIP_V], w[k + MIDDLE_U] = v, 0.5 * (right + left)
+                        w[k + HALF_U] = 0.5 * (right - left) if right > left else 0.0
+                    _add_clipped(w, count, weight, 1.0 / half, clip)
+                    continue
                 for k in range(count):
-                    v, left, right = _chord(w, k, place, radius, half)
+                    v, left, right = _chord(w, k, place, half)
                     left, right = cut_chord(lines, v, left, right)
-                    w[k + CLIP_V], w[k + MIDDLE_U] = v, 0.5 * (right + left)
-                    w[k + HALF_U] = 0.5 * (right - left) if right > left else 0.0
-                _add_clipped(w, count, weight, 1.0 / half, clip)
-                continue
-            if cut:
+                    s, su, sv, suu, suv, svv = _chord_sums(v, left, right, weight)
+                    w[k + S] += s
+                    w[k + SU] += su
+                    w[k + SV] += sv
+                    w[k + SUU] += suu
+                    w[k + SUV] += suv
+                    w[k + SVV] += svv
+        else:
+            # Three chords at once: what is stored is a third, and storing takes longer than computing.
+            for node in range(0, side.shape[0], AT_ONCE):
+                place, weight = side[node, 0], side[node, 1]
+                place1, weight1 = (side[node + 1, 0], side[node + 1, 1]) if node + 1 < side.shape[0] else (0.0, 0.0)
+                place2, weight2 = (side[node + 2, 0], side[node + 2, 1]) if node + 2 < side.shape[0] else (0.0, 0.0)
                 for k in range(count):
-                    v, left, right = _chord(w, k, place, radius, half)
-                    left, right = cut_chord(lines, v, left, right)
-                    _add_chord(w, k, v, left, right, weight)
-            else:
-                for k in range(count):
-                    v, left, right = _chord(w, k, place, radius, half)
-                    _add_chord(w, k, v, left, right, weight)
+                    v, left, right = _chord(w, k, place, half)
+                    s, su, sv, suu, suv, svv = _chord_sums(v, left, right, weight)
+                    v, left, right = _chord(w, k, place1, half)
+                    t, tu, tv, tuu, tuv, tvv = _chord_sums(v, left, right, weight1)
+                    s, su, sv, suu, suv, svv = s + t, su + tu, sv + tv, suu + tuu, suv + tuv, svv + tvv
+                    v, left, right = _chord(w, k, place2, half)
+                    t, tu, tv, tuu, tuv, tvv = _chord_sums(v, left, right, weight2)
+                    w[k + S] += s + t
+                    w[k + SU] += su + tu
+                    w[k + SV] += sv + tv
+                    w[k + SUU] += suu + tuu
+                    w[k + SUV] += suv + tuv
+                    w[k + SVV] += svv + tvv
         for k in range(count):
             taken = w[k + SHARE]
             s, su, sv = w[k + S] * taken, w[k + SU] * taken, w[k + SV] * taken
@@ -249,7 +274,7 @@ def fill_apertures(
 def fill_whole_pupil(w: Floats, count: int) -> None:
     """Fill the moments with the point of the pupil where the light comes from all of it."""
     w[MA : MA + PUPIL_MOMENTS * BLOCK] = 0.0
-    for k in range(count):
+    for k in range(whole_lanes(count)):
         w[k + MAA] = w[k + MBB] = 0.25 * w[k + M]
 
 
@@ -334,7 +359,7 @@ def fill_wide_apertures(w: Floats, count: int, hole: Floats, sizes: Floats, chor
     symmetrical in them: for cones of some degrees both are accurate to 1e-5.
     """
     w[M : M + MOMENTS * BLOCK] = 0.0
-    for k in range(count):
+    for k in range(whole_lanes(count)):
         _fill_wide_aperture(w, k, hole, sizes, chords)
     fill_whole_pupil(w, count)
 

@@ -46,11 +46,11 @@ def power_of_two(y: float) -> float:
 
 @kernel(nogil=True, fastmath={"contract"})
 def gaussian_values(
-    peak: float, exponent: float, intensity: bool, ratio: float, transmits: bool, rays: Floats, values: Floats
+    peak: float, exponent: float, intensity: bool, ratio: float, transmits: bool, rays: Floats, count: int, values: Floats
 ) -> None:
-    """Fill `values` (n,) with weight times value of the first n `rays` (7, at least n), as in `lobe_sums`."""
+    """Fill `values` (at least n) with weight times value of the first `count` = n `rays` (7, at least n), see `lobe_sums`."""
     sign, inverse, scale = -1.0 if transmits else 1.0, 1.0 / ratio, -exponent * LOG2_E
-    for i in range(values.size):
+    for i in range(count):
         lx, ly, lz = rays[1, i] * inverse, rays[2, i] * inverse, rays[3, i]
         lit = lz > 0.0
         if ratio != 1.0:
@@ -69,34 +69,49 @@ def gaussian_values(
         values[i] = value if lit & (lz > 0.0) & (dz > 0.0) else 0.0
 
 
-@kernel(nogil=True)
-def lobe_sums(
-    models: Models, lobe: int, rays: Floats, each: int, values: Floats, result: Floats, general: bool | None
+@kernel(forceinline=True)
+def plain_sums(
+    kind: int, transmits: bool, params: Floats, lobe: int, rays: Floats, each: int, count: int, values: Floats, sums: Floats,
+    row: int,
 ) -> None:  # fmt: skip
-    """Add to `result` (n,): sums of weight times value of a lobe over `each` rays of n detectors.
-
-    `rays` (7, at least n each) has the first ray of every detector, then the second of every one, and so on. `values` (at least
-    n each) is a buffer. With `general` None, see `score_scenes`, there are GAUSSIAN and LAMBERTIAN lobes alone.
-    """
-    kind, params = models.heads[lobe, KIND], models.params[lobe]
-    transmits, count = models.heads[lobe, TRANSMITS] == 1, result.size
+    """`lobe_sums` of a lobe that is GAUSSIAN or LAMBERTIAN."""
     if kind == GAUSSIAN:
-        gaussian_values(params[0], params[1], params[2] == 1.0, params[4], transmits, rays, values[: each * count])
+        gaussian_values(
+            params[lobe, 0], params[lobe, 1], params[lobe, 2] == 1.0, params[lobe, 4], transmits, rays, each * count, values
+        )
         for i in range(each):
             for k in range(count):
-                result[k] += values[i * count + k]
+                sums[row, k] += values[i * count + k]
     elif kind == LAMBERTIAN:
+        albedo = params[lobe, 0]
         for i in range(each):
             for k in range(count):
                 lit = (rays[6, i * count + k] < 0.0) == transmits
-                result[k] += rays[0, i * count + k] * params[0] if lit else 0.0
-    elif general is not None:
-        _, _, sig, ph, th, psi, table = model_arrays(models, lobe)
+                sums[row, k] += rays[0, i * count + k] * albedo if lit else 0.0
+
+
+@kernel(nogil=True)
+def lobe_sums(
+    models: Models, lobe: int, rays: Floats, each: int, count: int, values: Floats, sums: Floats, row: int, general: bool | None
+) -> None:  # fmt: skip
+    """Add to a row of `sums` (rows, at least n): sums of weight times value of a lobe over `each` rays of n detectors.
+
+    `count` is n. `rays` (7, at least n each) has the first ray of every detector, then the second of every one, and so on.
+    `values` (at least n each) is a buffer. With `general` None, see `score_scenes`, there are GAUSSIAN and LAMBERTIAN lobes
+    alone.
+
+    A slice, and an array that a function with branches takes, is counted as a reference, which costs as much as five rays:
+    therefore rows and numbers are arguments, and `plain_sums` is a part of the function that calls it.
+    """
+    kind, transmits = models.heads[lobe, KIND], models.heads[lobe, TRANSMITS] == 1
+    plain_sums(kind, transmits, models.params, lobe, rays, each, count, values, sums, row)
+    if general is not None and kind != GAUSSIAN and kind != LAMBERTIAN:
+        _, own, sig, ph, th, psi, table = model_arrays(models, lobe)
         for i in range(each):
             for k in range(count):
                 ray = i * count + k
                 if (rays[6, ray] < 0.0) == transmits and rays[0, ray] > 0.0:
-                    result[k] += rays[0, ray] * bsdf(
-                        kind, params, sig, ph, th, psi, table,
+                    sums[row, k] += rays[0, ray] * bsdf(
+                        kind, own, sig, ph, th, psi, table,
                         rays[1, ray], rays[2, ray], rays[3, ray], rays[4, ray], rays[5, ray], abs(rays[6, ray]),
                     )  # fmt: skip

@@ -18,7 +18,6 @@ import numpy as np
 
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics.fast.aperture import (  # fmt: skip
-    BLOCK,
     DX,
     DY,
     DZ,
@@ -75,10 +74,8 @@ from goniotwin.twin.optics.fast.aperture import (  # fmt: skip
     ONE22,
     P0,
     PART,
-    POINT,
     Q0,
     RADIUS,
-    RAY,
     T21,
     U0,
     V0,
@@ -91,6 +88,7 @@ from goniotwin.twin.optics.fast.aperture import (  # fmt: skip
     M,
     U,
     V,
+    whole_lanes,
 )
 from goniotwin.twin.optics.kernel import kernel
 
@@ -98,23 +96,23 @@ NODES = 7
 TINY = 1e-30
 FLATTEST = 1.8
 """Fourth moment over the square of the second of a uniform distribution: no sum of discs and sides has a smaller ratio."""
-HEXAGON = np.array([[math.cos(0.26 + k * math.pi / 3), math.sin(0.26 + k * math.pi / 3)] for k in range(6)])
-"""Turned out of the plane of incidence, so that no two nodes are mirror images in it."""
+PLACES = np.array([[0.0, 0.0], *([math.cos(0.26 + k * math.pi / 3), math.sin(0.26 + k * math.pi / 3)] for k in range(6))])
+"""Places of the nodes: in the middle, and on a hexagon.
+
+It is turned out of the plane of incidence, so that no two nodes are mirror images in it.
+"""
 
 
 @kernel(nogil=True, fastmath={"contract"})
-def place_nodes(w: Floats, count: int, pupil: Floats, hexagon: Floats, rays: Floats, points: Floats) -> None:
-    """Fill `rays` (7, at least 7 count) for the detectors in `w`: weight, light's direction (3), observer's direction (3).
+def find_offsets(w: Floats, count: int, pupil: Floats) -> None:
+    """Fill what `place_node` needs of the detectors in `w`, whose frames and moments are there.
 
-    Node j of detector k is ray j * count + k. The detectors' frames and moments are in `w`, see
-    twin.optics.fast.aperture. `pupil` (4, 3) is the exit pupil's centre, its two axes as long as its radius, its normal, mm.
-    Weights include the beam's solid angle, cos(light) cos(pupil) / r^2, 1/mm^2, and the aperture's mm^2. A detector that
-    accepts no rays has weights of 0. `points` (4, at least 7 count), if it is not (4, 0), is filled with each ray's
-    point of the pupil's unit disc and of the hole, mm.
+    See twin.optics.fast.aperture. `pupil` (4, 3) is the exit pupil's centre, its two axes as long as its radius, its normal,
+    mm.
     """
     cx, cy, cz, ax, ay, az = pupil[0, 0], pupil[0, 1], pupil[0, 2], pupil[1, 0], pupil[1, 1], pupil[1, 2]
-    bx, by, bz, fx, fy, fz = pupil[2, 0], pupil[2, 1], pupil[2, 2], pupil[3, 0], pupil[3, 1], pupil[3, 2]
-    for k in range(count):
+    bx, by, bz = pupil[2, 0], pupil[2, 1], pupil[2, 2]
+    for k in range(whole_lanes(count)):
         dx, dy, dz = w[k + DX], w[k + DY], w[k + DZ]
         e1x, e1y, e1z, e2x, e2y = w[k + E1X], w[k + E1Y], w[k + E1Z], w[k + E2X], w[k + E2Y]
         taken = w[k + M]
@@ -189,34 +187,45 @@ def place_nodes(w: Floats, count: int, pupil: Floats, hexagon: Floats, rays: Flo
         w[k + GA1], w[k + GA2], w[k + GB1], w[k + GB2] = ga1, ga2, gb1, gb2
         w[k + GP1], w[k + GP2], w[k + GQ1], w[k + GQ2] = gp1, gp2, gq1, gq2
         w[k + ONE11], w[k + T21], w[k + ONE22] = one11, t21, one22
-    for j in range(NODES):
-        away, level = (0.0, 0.0) if j == 0 else (hexagon[j - 1, 0], hexagon[j - 1, 1])
+
+
+@kernel(nogil=True, fastmath={"contract"})
+def place_node(w: Floats, count: int, pupil: Floats, away: float, level: float, points: bool) -> None:
+    """Fill the rows of one ray in `w` for each detector: weight, light's direction (3), observer's direction (3).
+
+    `away` and `level` are the node's place on the unit circle, 0 and 0 for the one in the middle. Weights include the beam's
+    solid angle, cos(light) cos(pupil) / r^2, 1/mm^2, and the aperture's mm^2. A detector that accepts no rays has weights of
+    0. With `points` also each ray's point of the pupil's unit disc and of the hole, mm.
+    """
+    cx, cy, cz, ax, ay, az = pupil[0, 0], pupil[0, 1], pupil[0, 2], pupil[1, 0], pupil[1, 1], pupil[1, 2]
+    bx, by, bz, fx, fy, fz = pupil[2, 0], pupil[2, 1], pupil[2, 2], pupil[3, 0], pupil[3, 1], pupil[3, 2]
+    middle, count = away == 0.0 and level == 0.0, whole_lanes(count)
+    own, others = (1.0, -6.0) if middle else (0.0, 1.0)
+    for k in range(count):
+        y2 = w[k + RADIUS] * level * w[k + ONE22]
+        y1 = (w[k + RADIUS] * away - w[k + T21] * y2) * w[k + ONE11]
+        u, v = w[k + U0] + w[k + GU1] * y1 + w[k + GU2] * y2, w[k + V0] + w[k + GV1] * y1 + w[k + GV2] * y2
+        a, b = w[k + MEAN_A] + w[k + GA1] * y1 + w[k + GA2] * y2, w[k + MEAN_B] + w[k + GB1] * y1 + w[k + GB2] * y2
+        p, q = w[k + P0] + w[k + GP1] * y1 + w[k + GP2] * y2, w[k + Q0] + w[k + GQ1] * y1 + w[k + GQ2] * y2
+        lx = cx + a * ax + b * bx - u
+        ly = cy + a * ay + b * by - v
+        lz = cz + a * az + b * bz
+        inverse = 1.0 / math.sqrt(lx * lx + ly * ly + lz * lz)
+        lx, ly, lz = lx * inverse, ly * inverse, lz * inverse
+        cosine = lx * fx + ly * fy + lz * fz
+        wx = w[k + DX] + p * w[k + E1X] + q * w[k + E2X]
+        wy = w[k + DY] + p * w[k + E1Y] + q * w[k + E2Y]
+        wz = w[k + DZ] + p * w[k + E1Z]
+        shrink = 1.0 / math.sqrt(wx * wx + wy * wy + wz * wz)
+        part = own + others * w[k + PART]
+        w[k + WEIGHT] = part * w[k + M] * (lz if lz > 0.0 else 0.0) * cosine * inverse * inverse
+        w[k + LX], w[k + LY], w[k + LZ] = lx, ly, lz
+        w[k + WX], w[k + WY], w[k + WZ] = wx * shrink, wy * shrink, wz * shrink
+    if points:
         for k in range(count):
-            radius, share = w[k + RADIUS], w[k + PART]
-            y2 = radius * level * w[k + ONE22]
-            y1 = (radius * away - w[k + T21] * y2) * w[k + ONE11]
-            u, v = w[k + U0] + w[k + GU1] * y1 + w[k + GU2] * y2, w[k + V0] + w[k + GV1] * y1 + w[k + GV2] * y2
-            a, b = w[k + MEAN_A] + w[k + GA1] * y1 + w[k + GA2] * y2, w[k + MEAN_B] + w[k + GB1] * y1 + w[k + GB2] * y2
-            p, q = w[k + P0] + w[k + GP1] * y1 + w[k + GP2] * y2, w[k + Q0] + w[k + GQ1] * y1 + w[k + GQ2] * y2
-            lx = cx + a * ax + b * bx - u
-            ly = cy + a * ay + b * by - v
-            lz = cz + a * az + b * bz
-            inverse = 1.0 / math.sqrt(lx * lx + ly * ly + lz * lz)
-            lx, ly, lz = lx * inverse, ly * inverse, lz * inverse
-            cosine = lx * fx + ly * fy + lz * fz
-            wx = w[k + DX] + p * w[k + E1X] + q * w[k + E2X]
-            wy = w[k + DY] + p * w[k + E1Y] + q * w[k + E2Y]
-            wz = w[k + DZ] + p * w[k + E1Z]
-            shrink = 1.0 / math.sqrt(wx * wx + wy * wy + wz * wz)
-            part = 1.0 - 6.0 * share if j == 0 else share
-            w[k + WEIGHT] = part * w[k + M] * (lz if lz > 0.0 else 0.0) * cosine * inverse * inverse
-            w[k + LX], w[k + LY], w[k + LZ] = lx, ly, lz
-            w[k + WX], w[k + WY], w[k + WZ] = wx * shrink, wy * shrink, wz * shrink
-            w[k + A], w[k + B], w[k + U], w[k + V] = a, b, u, v
-        for row in range(7):
-            for k in range(count):
-                rays[row, j * count + k] = w[k + RAY + row * BLOCK]
-        if points.shape[1] > 0:
-            for row in range(4):
-                for k in range(count):
-                    points[row, j * count + k] = w[k + POINT + row * BLOCK]
+            y2 = w[k + RADIUS] * level * w[k + ONE22]
+            y1 = (w[k + RADIUS] * away - w[k + T21] * y2) * w[k + ONE11]
+            w[k + A] = w[k + MEAN_A] + w[k + GA1] * y1 + w[k + GA2] * y2
+            w[k + B] = w[k + MEAN_B] + w[k + GB1] * y1 + w[k + GB2] * y2
+            w[k + U] = w[k + U0] + w[k + GU1] * y1 + w[k + GU2] * y2
+            w[k + V] = w[k + V0] + w[k + GV1] * y1 + w[k + GV2] * y2

@@ -27,9 +27,11 @@ from goniotwin.twin.optics.fast.aperture import (
     DX,
     DY,
     DZ,
+    POINT,
     PX,
     PY,
     PZ,
+    RAY,
     ROWS,
     WIDE,
     M,
@@ -40,9 +42,10 @@ from goniotwin.twin.optics.fast.aperture import (
     fill_wide_apertures,
     hole_nodes,
     side_nodes,
+    whole_lanes,
 )
 from goniotwin.twin.optics.fast.clipped_pupil import CLIPPED, TERMS, clip_fit, clip_grid, fill_clip
-from goniotwin.twin.optics.fast.lobe_sums import lobe_sums
+from goniotwin.twin.optics.fast.lobe_sums import lobe_sums, plain_sums
 from goniotwin.twin.optics.fast.obstruction import FREE, HIDDEN, PARTLY, find_shadow, mirrors_near, visible_shares
 from goniotwin.twin.optics.fast.ray_bundle import (
     END_U,
@@ -57,7 +60,7 @@ from goniotwin.twin.optics.fast.ray_bundle import (
     hide_ends,
     ray_bundle,
 )
-from goniotwin.twin.optics.fast.rays import HEXAGON, NODES, place_nodes
+from goniotwin.twin.optics.fast.rays import PLACES, find_offsets, place_node
 from goniotwin.twin.optics.fast.regular_component import HOLE_NODES, SLOPE_NODES, image_measures, light_shares, line_nodes
 from goniotwin.twin.optics.geometry.coordinates import direction_rows, direction_table, fill_unit_vectors
 from goniotwin.twin.optics.geometry.instrument import (
@@ -125,7 +128,7 @@ class Optics(NamedTuple):
     """Everything of an instrument but the deviations of a rig, as an argument of the kernels.
 
     `lengths` and `exit_pupil` of the instrument, `sizes` of the aperture, the illumination unit's `slit`; `nodes`, and
-    `cut_nodes` where the light ends within the hole; those on the `hexagon`, over the hole (`image_hole`) and a slope
+    `cut_nodes` where the light ends within the hole; the nodes' `places`, those over the hole (`image_hole`) and a slope
     (`image_line`) for an image of the pupil, and the rays from it (`image_rays`). `bundles` alone, without the seven rays;
     `wide` cones; `obstruction`. `scale` makes throughputs in m^2 sr of sums.
     """
@@ -139,7 +142,7 @@ class Optics(NamedTuple):
     nodes: Nodes
     cut_nodes: Nodes
     clip_nodes: Nodes
-    hexagon: Floats
+    places: Floats
     image_hole: Floats
     image_line: Floats
     image_rays: Floats
@@ -165,14 +168,15 @@ class Spectra(NamedTuple):
 class Block(NamedTuple):
     """Buffers of a block of detectors.
 
-    Rows of the moments `w`, `rays` and, if the light is not even, their `points` of pupil and hole, `values` of a lobe, one
-    `tile` of a bundle; `sums` by lobe and `lanes` of a bundle's sums; the aperture's share that the seven rays have `taken`,
-    and `status`.
+    Rows `w` of the moments, among them those of one `node` of each detector and its `points` of pupil and hole; `rays` of a
+    bundle, `values` of a lobe, one `tile` of a bundle; `sums` by lobe and `lanes` of a bundle's sums; the aperture's share that
+    the seven rays have `taken`, and `status`.
     """
 
     w: Floats
-    rays: Floats
+    node: Floats
     points: Floats
+    rays: Floats
     values: Floats
     tile: Floats
     sums: Floats
@@ -196,9 +200,10 @@ def score_scenes(
     `directions` (detectors, 3) from starts[p] to starts[p + 1].
     """
     lobes, scene, (edges, chords, hole) = models.heads.shape[0], empty_scene(), empty_image()
+    w = np.empty(ROWS * BLOCK)
     block = Block(
-        np.empty(ROWS * BLOCK), np.empty((7, NODES * BLOCK)), np.empty((4, 0 if optics.slit.even else NODES * BLOCK)),
-        np.empty(NODES * BLOCK), np.empty(TILE_ROWS * TILE),
+        w, w[RAY : RAY + 7 * BLOCK].reshape(7, BLOCK), w[POINT : POINT + 4 * BLOCK].reshape(4, BLOCK), np.empty((7, 4 * TILE)),
+        np.empty(4 * TILE), np.empty(TILE_ROWS * TILE),
         np.empty((lobes, BLOCK)), np.empty((lobes + 1, TILE)), np.empty((CLIPPED, TERMS)),
         np.empty(BLOCK), np.empty(BLOCK, np.int64),
     )  # fmt: skip
@@ -306,21 +311,32 @@ def score_block(
     for i in range(count):
         block.taken[i], block.status[i] = 0.0, PARTLY
     for k in acting:
-        for i in range(count):
+        for i in range(whole_lanes(count)):
             block.sums[k, i] = 0.0
         if general is not None:
             kept = kept or models.heads[k, KIND] in TABLE_KINDS
     if not optics.bundles:
-        fill_nodes(optics, nodes, scene, light, centres, axes, block, clip, general)
-        for k in acting:
-            if models.heads[k, KIND] not in TABLE_KINDS and (below if models.heads[k, TRANSMITS] == 1 else above):
-                lobe_sums(models, k, block.rays, NODES, block.values, block.sums[k, :count], general)
-    # Tables have kinks, which seven rays do not resolve: their mean is taken over a bundle, times what the seven rays take, as
-    # sample and etalon must have the same accepted rays.
-    if kept and not optics.bundles:
-        for j in range(NODES):
-            for i in range(count):
-                block.taken[i] += block.rays[0, j * count + i]
+        fill_offsets(optics, nodes, scene, light, centres, axes, block, clip, general)
+        uneven, lanes = general is not None and not light.slit.even, whole_lanes(count)
+        heads, params, w, node, values, sums = models.heads, models.params, block.w, block.node, block.values, block.sums
+        places, pupil = optics.places, scene.pupil
+        for j in range(places.shape[0]):
+            place_node(w, count, pupil, places[j, 0], places[j, 1], uneven)
+            if general is not None and uneven:
+                weigh_rays(light, block.points[:, :count], node[0, :count])
+            for k in acting:
+                kind, transmits = heads[k, KIND], heads[k, TRANSMITS] == 1
+                if not (below if transmits else above):
+                    continue
+                if kind in PLAIN_KINDS:
+                    plain_sums(kind, transmits, params, k, node, 1, lanes, values, sums, k)
+                elif general is not None and kind not in TABLE_KINDS:
+                    lobe_sums(models, k, node, 1, count, values, sums, k, general)
+            # Tables have kinks, which seven rays do not resolve: their mean is taken over a bundle, times what the seven rays
+            # take, as sample and etalon must have the same accepted rays.
+            if kept:
+                for i in range(count):
+                    block.taken[i] += node[0, i]
     for i in range(count):
         partly = block.status[i] == PARTLY
         if partly or (kept and block.status[i] == FREE):
@@ -333,19 +349,20 @@ def score_block(
 
 
 @kernel()
-def fill_nodes(
+def fill_offsets(
     optics: Optics, nodes: Nodes, scene: SceneArrays, light: SlitImage, centres: Floats, axes: Floats, block: Block,
     clip: Floats, general: bool | None,
 ) -> None:  # fmt: skip
-    """Fill `block.rays` with the seven rays of n detectors, see `place_nodes`, and `block.status`.
+    """Fill `block.w` for the seven rays of n detectors, see `place_node`, and `block.status`.
 
-    PARTLY means that seven are not enough, because a mirror blocks some of the accepted rays; the nodes are filled in all the
+    PARTLY means that seven are not enough, because a mirror blocks some of the accepted rays; the rest is filled in all the
     same.
     """
     count, w, status, near = axes.shape[0], block.w, block.status, np.zeros(3)
-    for k in range(count):
-        w[k + PX], w[k + PY], w[k + PZ] = centres[k, 0], centres[k, 1], centres[k, 2]
-        w[k + DX], w[k + DY], w[k + DZ] = axes[k, 0], axes[k, 1], axes[k, 2]
+    for k in range(whole_lanes(count)):
+        i = min(k, count - 1)
+        w[k + PX], w[k + PY], w[k + PZ] = centres[i, 0], centres[i, 1], centres[i, 2]
+        w[k + DX], w[k + DY], w[k + DZ] = axes[i, 0], axes[i, 1], axes[i, 2]
     fill_frames(w, count)
     if general is None:
         fill_apertures(w, count, nodes.cone, nodes.side, optics.sizes, light.chords, None)
@@ -353,9 +370,7 @@ def fill_nodes(
         fill_apertures(w, count, nodes.cone, nodes.side, optics.sizes, light.chords, clip)
     else:
         fill_wide_apertures(w, count, nodes.hole, optics.sizes, light.chords)
-    place_nodes(w, count, scene.pupil, optics.hexagon, block.rays, block.points)
-    if general is not None and not light.slit.even:
-        weigh_rays(light, block.points[:, : NODES * count], block.rays[0, : NODES * count])
+    find_offsets(w, count, scene.pupil)
     blocking = optics.lengths[HALF_BLOCKING]
     clipped = scene.missed[0] + scene.missed[1] + scene.missed[2] > 0.0 and clip.shape[0] == 0
     for k in range(count):
@@ -365,8 +380,7 @@ def fill_nodes(
             if near[0] + near[1] + near[2] > 0.0:
                 status[k] = max(status[k], find_shadow(scene.mirrors, near, blocking, centres[k], axes[k], optics.sizes))
         if status[k] == HIDDEN:
-            for j in range(NODES):
-                block.rays[0, j * count + k] = 0.0
+            w[k + M] = 0.0
 
 
 @kernel()
@@ -401,7 +415,7 @@ def add_bundle(
         for k in acting:
             on_its_side = (d[2] < 0.0) == (models.heads[k, TRANSMITS] == 1)
             if on_its_side and (partly or models.heads[k, KIND] in TABLE_KINDS):
-                lobe_sums(models, k, rays, 4, block.values, lanes[k, :count], general)
+                lobe_sums(models, k, rays, 4, count, block.values, lanes, k, general)
         if not partly:
             for j in range(4):
                 for lane in range(count):
@@ -668,7 +682,7 @@ def _optics(instrument: Instrument, rays: int | None, ratios: bool) -> Optics:
     )
     return Optics(
         instrument.lengths, instrument.exit_pupil, sizes, slit_of(instrument), GRID, clip_fit(GRID), nodes, cut_nodes,
-        clip_nodes, HEXAGON, HOLE, LINE,
+        clip_nodes, PLACES, HOLE, LINE,
         ray_bundle(LIGHT_RAYS, sine), rays is not None, bool(sine * instrument.arc_radius_mm > WIDE * sizes[0]),
         instrument.obstruction, float(seen_sr * math.pi * instrument.pupil_radius_mm**2 * 1e-6),
     )  # fmt: skip

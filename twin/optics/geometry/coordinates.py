@@ -140,9 +140,10 @@ def arc_direction(polar_deg: npt.ArrayLike, azimuth_deg: npt.ArrayLike, lower: n
     `polar_deg` is the photodiode's angle on the arc plus the arc's shift, `azimuth_deg` the arc's beta. The lower arc is the
     upper one mirrored in the sample's plane; `lower` is of a shape that broadcasts with theirs.
     """
-    polar, azimuth = np.broadcast_arrays(np.radians(polar_deg), np.radians(azimuth_deg))
-    z = np.where(lower, -np.cos(polar), np.cos(polar))
-    return np.stack([np.sin(polar) * np.cos(azimuth), np.sin(polar) * np.sin(azimuth), z], axis=-1)
+    polar, azimuth = np.radians(polar_deg), np.radians(azimuth_deg)
+    sine, z = np.sin(polar), np.cos(polar)  # of each angle once, before they are broadcast
+    x, y, z = np.broadcast_arrays(sine * np.cos(azimuth), sine * np.sin(azimuth), np.where(lower, -z, z))
+    return np.stack([x, y, z], axis=-1)
 
 
 def zenith_and_azimuth(directions: npt.ArrayLike) -> tuple[Floats, Floats]:

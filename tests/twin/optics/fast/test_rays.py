@@ -136,5 +136,7 @@ def test_the_vectorised_gaussian_equals_the_model(sample: Scatterer) -> None:
     weights = random.random(4096)
     rays, values = np.concatenate([weights[None], light.T, observer.T]), np.empty(4096)
     lobe = sample.lobes[0]
-    gaussian_values(lobe.params[0], lobe.params[1], lobe.params[2] == 1.0, lobe.params[4], lobe.transmits, rays, values)
+    gaussian_values(
+        lobe.params[0], lobe.params[1], lobe.params[2] == 1.0, lobe.params[4], lobe.transmits, rays, values.size, values
+    )
     np.testing.assert_allclose(values, weights * evaluate(sample, light, observer), rtol=1e-9, atol=1e-290)
