@@ -7,6 +7,7 @@ Without even that, each program compiles for itself. numba's own `NUMBA_CACHE_DI
 
 import contextlib
 import hashlib
+import logging
 import os
 import pickle
 import stat
@@ -21,6 +22,11 @@ from goniotwin.twin.optics.deferred_kernel import DeferredKernel
 
 UNREADABLE = (AttributeError, ImportError, EOFError, pickle.UnpicklingError)
 """What reading files of an earlier version raises."""
+LOG = logging.getLogger("goniotwin.compilation")
+"""Has a record of each kernel before it is compiled, for programs that state it: its name, and the type of its last argument.
+
+A program that listens sets the level INFO. Code that comes from the files has no record.
+"""
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
@@ -128,6 +134,9 @@ def _call_from_kernels(dispatcher: Any, part: Any) -> None:
             return template(tuple(map(plain, arguments)), {name: plain(each) for name, each in keywords.items()})
 
     def compile_with_parts(signature: Any) -> Any:
+        if LOG.isEnabledFor(logging.INFO) and signature not in dispatcher.overloads and not _is_kept(dispatcher, signature):
+            name = f"{dispatcher.py_func.__module__}.{dispatcher.py_func.__qualname__}".removeprefix("goniotwin.")
+            LOG.info("%s %s", name, signature[-1] if signature else "")
         with compiling_kernel():
             return compile_kernel(signature)
 
@@ -198,6 +207,15 @@ def is_compiled(function: Callable[..., Any], last: str = "") -> bool:
             computer = dispatcher.targetctx.codegen().magic_tuple()
             found += [key[0] for key in dispatcher._cache._cache_file._load_index() if key[1] == computer]
     return any(not last or str(each[-1]) == last for each in found)
+
+
+def _is_kept(dispatcher: Any, signature: Any) -> bool:
+    """Whether the files have code of a kernel for a signature."""
+    with contextlib.suppress(*UNREADABLE, OSError):
+        dispatcher.targetctx.refresh()
+        key = dispatcher._cache._index_key(signature, dispatcher.targetctx.codegen())
+        return key in dispatcher._cache._cache_file._load_index()
+    return False
 
 
 def cache_folder() -> Path | None:
