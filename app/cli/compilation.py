@@ -73,13 +73,10 @@ def _rig() -> None:
     from goniotwin.app.rig import read_rig
     from goniotwin.protocols.clock import VirtualClock
     from goniotwin.twin import VirtualRig
-    from goniotwin.twin.optics import Instrument, evaluate, gaussian, light_direction, shadow_map
-    from goniotwin.twin.optics.geometry.mirrors import mirrors_at
+    from goniotwin.twin.optics import evaluate, gaussian, light_direction
     from goniotwin.twin.plant.lamp import lamp_constants, lamp_mean
     from goniotwin.twin.plant.noise import mix, process_key
 
-    shadow_map(Instrument(), 30.0, 45.0)
-    mirrors_at(Instrument(), 30.0)
     evaluate(gaussian(5.0), light_direction(30.0), UPWARDS)
     model = read_rig(examples.RIG).model()
     assert model is not None
@@ -88,6 +85,14 @@ def _rig() -> None:
     plant.steady_volts([0], [1e3])
     lamp_mean(0.0, plant.conversion_period_s, *lamp_constants(model.light, model.seed, model.noise))
     mix(process_key(model.seed, "encoder"), np.int64(0))
+
+
+def _shadows() -> None:
+    from goniotwin.twin.optics import Instrument, shadow_map
+    from goniotwin.twin.optics.geometry.mirrors import mirrors_at
+
+    shadow_map(Instrument(), 30.0, 45.0)
+    mirrors_at(Instrument(), 30.0)
 
 
 def _uncertainties() -> None:
@@ -155,18 +160,25 @@ PARTS = {
         9.0,
     ),
     "rig": Part(
-        "shadows, electronics",
+        "electronics",
         _rig,
         (
-            f"{OPTICS}.fast.obstruction.visible_shares",
-            *(f"{OPTICS}.geometry.scene.{each}" for each in ("empty_scene", "fill_scene", "fill_detectors")),
-            f"{OPTICS}.geometry.mirrors.fill_mirrors",
             f"{OPTICS}.bsdf.models.evaluate_all",
             *(f"{PLANT}.converter.{each}" for each in ("conversions", "convert_channels", "convert_readings")),
             f"{PLANT}.lamp.lamp_mean",
             *(f"{PLANT}.noise.{each}" for each in ("normal", "mix")),
         ),
-        6.0,
+        2.5,
+    ),
+    "shadows": Part(
+        "shadows",
+        _shadows,
+        (
+            f"{OPTICS}.fast.obstruction.visible_shares",
+            *(f"{OPTICS}.geometry.scene.{each}" for each in ("empty_scene", "fill_scene", "fill_detectors")),
+            f"{OPTICS}.geometry.mirrors.fill_mirrors",
+        ),
+        3.5,
     ),
     "uncertainties": Part(
         "uncertainties",
@@ -225,9 +237,9 @@ VIRTUAL_RIG = (*REHEARSAL, "every-scene")
 NEEDS = {
     **dict.fromkeys(("run", "serve", "station", "move", "read", "usb", "replay", "desktop"), VIRTUAL_RIG),
     **dict.fromkeys(("demo", "rehearse", "prove"), REHEARSAL),
-    "simulate": ("scenes", "rig", "forward"),
-    "tolerances": ("scenes", "rig", "sequences"),
-    "render": ("scenes", "rig"),
+    "simulate": ("scenes", "shadows", "forward"),
+    "tolerances": ("scenes", "sequences"),
+    "render": ("scenes", "shadows"),
 }
 """What commands need of the parts. Any other command states what it compiles, one part after the other."""
 LOG = logging.getLogger("goniotwin.compilation")

@@ -44,10 +44,12 @@ def kernel(*, error_model: str = "numpy", **options: Any) -> Callable[[Function]
     return deferred
 
 
-def _dispatcher(function: Any, options: dict[str, Any], make_called: Callable[[], None]) -> Any:
+def _dispatcher(
+    function: Any, options: dict[str, Any], make_called: Callable[[], contextlib.AbstractContextManager[None]]
+) -> Any:  # fmt: skip
     """numba's dispatcher of a function; the function itself where numba's compiler is off.
 
-    `make_called` makes the kernels that the function calls. Code from the cache does not need them.
+    Within `make_called` there are the kernels that the function calls. Code from the cache does not need them.
     """
     _load_numba()
     from numba import njit
@@ -64,7 +66,7 @@ def _dispatcher(function: Any, options: dict[str, Any], make_called: Callable[[]
     part = njit(**{**settings, "cache": False, "no_cpython_wrapper": True})(function) if LEAN else dispatcher
     _call_from_kernels(dispatcher, part)
     for each in {id(dispatcher): dispatcher, id(part): part}.values():
-        _before_compiling(each, make_called)
+        _compile_within(each, make_called)
     if cached:
         dispatcher._cache._cache_file._source_stamp = source_stamp(Path(function.__code__.co_filename).parent)
     _discard_unreadable(dispatcher._cache)
@@ -96,16 +98,16 @@ def _find_scipy() -> None:
         raise ImportError("scipy is not installed")
 
 
-def _before_compiling(dispatcher: Any, action: Callable[[], None]) -> None:
-    """Call `action` before the function is compiled; its code in the cache is loaded without it."""
+def _compile_within(dispatcher: Any, context: Callable[[], contextlib.AbstractContextManager[None]]) -> None:
+    """Compile the function within `context`; its code in the cache is loaded without it."""
     compiler: Any = dispatcher._compiler
     compile_function: Any = compiler.compile
 
-    def compile_after_action(*arguments: Any) -> Any:
-        action()
-        return compile_function(*arguments)
+    def compile_in_context(*arguments: Any) -> Any:
+        with context():
+            return compile_function(*arguments)
 
-    compiler.compile = compile_after_action
+    compiler.compile = compile_in_context
 
 
 def thread_count() -> int:
