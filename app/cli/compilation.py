@@ -2,13 +2,17 @@
 
 numba compiles a kernel when it is first called, and keeps it in files. A *part* here calls some kernels of the product, once
 and as small as can be, so that they exist before they are needed; two processes share the parts. Whether a part is done is seen
-in the files. What is missing all the same is compiled when it is called.
+in the files. What is missing all the same is compiled when it is called: `state_compilation` has every command state that, and
+has another process compile the rest of what the command needs meanwhile.
 """
 
+import atexit
+import logging
 import subprocess
 import sys
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 import typer
@@ -27,13 +31,24 @@ app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_mar
 class Part:
     """Kernels that are needed together.
 
-    What calls them, whether the files have them, and about how long it takes to compile them, s of one core.
+    What calls them; their names in `goniotwin`, some with the type of their last argument behind a space; and about how long it
+    takes to compile them, s of one core.
     """
 
     title: str
     call: Callable[[], object]
-    done: Callable[[], bool]
+    kernels: tuple[str, ...]
     seconds: float
+
+    def done(self) -> bool:
+        """Whether the files have all of them."""
+        from goniotwin.twin.optics.kernel import is_compiled
+
+        for name, _, last in (each.partition(" ") for each in self.kernels):
+            module, _, function = name.rpartition(".")
+            if not is_compiled(getattr(import_module(f"goniotwin.{module}"), function), last):
+                return False
+        return True
 
 
 def _scenes() -> None:
@@ -43,96 +58,191 @@ def _scenes() -> None:
 
 
 def _every_scene() -> None:
-    from goniotwin.twin.optics import Instrument, evaluate, light_direction, regular, throughput, ward
+    from goniotwin.twin.optics import Instrument, albedo, evaluate, gaussian, light_direction, regular, throughput, ward
 
     throughput(Instrument(), 30.0, UPWARDS, regular(1.0))
     evaluate(ward(1.0, 0.1, 0.2), light_direction(30.0), UPWARDS)
+    albedo(regular(1.0), 30.0)
+    albedo(gaussian(5.0, transmits=True, refraction=1.5), 30.0, transmitted=True)
 
 
 def _rig() -> None:
     import numpy as np
 
     from goniotwin import examples
-    from goniotwin.app.campaign.uncertainty.slopes import Directions, slopes_of
     from goniotwin.app.rig import read_rig
     from goniotwin.protocols.clock import VirtualClock
     from goniotwin.twin import VirtualRig
-    from goniotwin.twin.optics import Instrument, evaluate, gaussian, light_direction, shadow_map
-    from goniotwin.twin.optics.geometry.mirrors import mirrors_at
+    from goniotwin.twin.optics import evaluate, gaussian, light_direction
     from goniotwin.twin.plant.lamp import lamp_constants, lamp_mean
+    from goniotwin.twin.plant.noise import mix, process_key
 
-    shadow_map(Instrument(), 30.0, 45.0)
-    mirrors_at(Instrument(), 30.0)
     evaluate(gaussian(5.0), light_direction(30.0), UPWARDS)
     model = read_rig(examples.RIG).model()
     assert model is not None
     plant = VirtualRig.build(model, VirtualClock()).plant  # on a real clock the light on the photodiodes would be computed
     plant.volts(0, 0.0)
+    plant.steady_volts([0], [1e3])
     lamp_mean(0.0, plant.conversion_period_s, *lamp_constants(model.light, model.seed, model.noise))
+    mix(process_key(model.seed, "encoder"), np.int64(0))
+
+
+def _shadows() -> None:
+    from goniotwin.twin.optics import Instrument, shadow_map
+    from goniotwin.twin.optics.geometry.mirrors import mirrors_at
+
+    shadow_map(Instrument(), 30.0, 45.0)
+    mirrors_at(Instrument(), 30.0)
+
+
+def _uncertainties() -> None:
+    import numpy as np
+
+    from goniotwin.app.campaign.uncertainty.slopes import Directions, slopes_of
+
     same, angles = np.zeros(5, dtype=np.int64), np.linspace(0.1, 0.2, 5)
     slopes_of(Directions(same, same, *[angles] * 6), angles, angles, 0.1)
 
 
 def _forward() -> None:
-    from goniotwin.twin.optics import Instrument, forward_throughput, gaussian
+    import numpy as np
+
+    from goniotwin.twin.optics import Instrument, draw_directions, forward_throughput, gaussian, light_direction
+    from goniotwin.twin.optics.forward.stray_light import stray_map
 
     forward_throughput(Instrument(), 30.0, UPWARDS, gaussian(5.0), 2)
+    stray_map(Instrument(), 30.0, gaussian(5.0), 2)
+    draw_directions(gaussian(5.0), light_direction(30.0), np.full((1, 4), 0.5))
 
 
 def _illumination() -> None:
-    from goniotwin.twin.optics import IlluminationUnit, adjoint_illumination, forward_illumination
+    import numpy as np
+
+    from goniotwin.twin.optics import (
+        IlluminationUnit,
+        Instrument,
+        adjoint_illumination,
+        field_fluxes,
+        forward_illumination,
+        pupil_image,
+        record,
+    )
+    from goniotwin.twin.optics.geometry.scene import scene_at
+    from goniotwin.twin.optics.illumination.slit_image import lit_corners
 
     forward_illumination(IlluminationUnit(), rays=2)
     adjoint_illumination(IlluminationUnit(), rays=2)
+    field_fluxes(IlluminationUnit(), np.zeros((1, 6, 6)))
+    record(IlluminationUnit(), rays=2, seed=1)
+    pupil_image(Instrument(), 30.0)
+    lit_corners(Instrument(), scene_at(Instrument(), 30.0))
 
 
-def _has_scenes() -> bool:
-    from goniotwin.twin.optics.fast.scenes import score_scenes
-    from goniotwin.twin.optics.kernel import is_compiled
+def _sequences() -> None:
+    import numpy as np
 
-    return is_compiled(score_scenes, "none")
+    from goniotwin.app.campaign.planning.path_search import shorten_path
+    from goniotwin.twin.optics.bsdf.point_samples import plane_through_points
+    from goniotwin.twin.optics.fast.surrogate import fill_relative_rms
 
-
-def _has_every_scene() -> bool:
-    from goniotwin.twin.optics.fast.scenes import score_scenes
-    from goniotwin.twin.optics.kernel import is_compiled
-
-    return is_compiled(score_scenes, "bool")
-
-
-def _has_rig() -> bool:
-    from goniotwin.app.campaign.uncertainty.slopes import _fit
-    from goniotwin.twin.optics.fast.obstruction import visible_shares
-    from goniotwin.twin.optics.kernel import is_compiled
-    from goniotwin.twin.plant.converter import convert_channels
-
-    return is_compiled(visible_shares) and is_compiled(convert_channels) and is_compiled(_fit)
-
-
-def _has_forward() -> bool:
-    from goniotwin.twin.optics.forward.blocks import trace
-    from goniotwin.twin.optics.kernel import is_compiled
-
-    return is_compiled(trace)
-
-
-def _has_illumination() -> bool:
-    from goniotwin.twin.optics.illumination import adjoint, forward
-    from goniotwin.twin.optics.kernel import is_compiled
-
-    return is_compiled(forward._trace) and is_compiled(adjoint._trace)
+    shorten_path(np.arange(3), np.ones((4, 4)), 10)
+    plane_through_points(np.array(UPWARDS), np.array(UPWARDS), np.ones(1), 1.0)
+    fill_relative_rms(np.zeros((1, 1)), np.zeros((3, 4)), np.zeros((4, 1)), np.empty(1))
 
 
 UPWARDS = [[0.0, 0.0, 1.0]]
+OPTICS, PLANT = "twin.optics", "twin.plant"
 PARTS = {
-    "scenes": Part("light on the detectors", _scenes, _has_scenes, 9.0),
-    "rig": Part("shadows, electronics, uncertainties", _rig, _has_rig, 6.0),
-    "every-scene": Part("light by every kind of sample", _every_scene, _has_every_scene, 13.0),
-    "forward": Part("forward estimator", _forward, _has_forward, 12.0),
-    "illumination": Part("illumination unit", _illumination, _has_illumination, 5.0),
+    "scenes": Part(
+        "light on the detectors",
+        _scenes,
+        (f"{OPTICS}.geometry.deviation.rotations", f"{OPTICS}.fast.scenes.score_scenes none"),
+        9.0,
+    ),
+    "rig": Part(
+        "electronics",
+        _rig,
+        (
+            f"{OPTICS}.bsdf.models.evaluate_all",
+            *(f"{PLANT}.converter.{each}" for each in ("conversions", "convert_channels", "convert_readings")),
+            f"{PLANT}.lamp.lamp_mean",
+            *(f"{PLANT}.noise.{each}" for each in ("normal", "mix")),
+        ),
+        2.5,
+    ),
+    "shadows": Part(
+        "shadows",
+        _shadows,
+        (
+            f"{OPTICS}.fast.obstruction.visible_shares",
+            *(f"{OPTICS}.geometry.scene.{each}" for each in ("empty_scene", "fill_scene", "fill_detectors")),
+            f"{OPTICS}.geometry.mirrors.fill_mirrors",
+        ),
+        3.5,
+    ),
+    "uncertainties": Part(
+        "uncertainties",
+        _uncertainties,
+        tuple(f"app.campaign.uncertainty.slopes.{each}" for each in ("_fit", "_mix")),
+        1.0,
+    ),
+    "every-scene": Part(
+        "light by every kind of sample",
+        _every_scene,
+        (f"{OPTICS}.fast.scenes.score_scenes bool", *(f"{OPTICS}.bsdf.models.{each}" for each in ("refract", "regular_share"))),
+        13.0,
+    ),
+    "forward": Part(
+        "forward estimator",
+        _forward,
+        (
+            f"{OPTICS}.forward.blocks.trace",
+            f"{OPTICS}.forward.scoring._fill_lists",
+            f"{OPTICS}.forward.spread.projected_solid_angles",
+            f"{OPTICS}.bsdf.packed_lobes.lobe_share",
+            f"{OPTICS}.bsdf.sampling.scatter_all",
+            f"{OPTICS}.bsdf.models.to_canonical",
+            f"{OPTICS}.geometry.scene.mirror_angle_deg",
+        ),
+        12.0,
+    ),
+    "illumination": Part(
+        "illumination unit",
+        _illumination,
+        (
+            f"{OPTICS}.illumination.forward._trace",
+            f"{OPTICS}.illumination.adjoint._trace",
+            f"{OPTICS}.illumination.field_flux._fill_fluxes",
+            f"{OPTICS}.illumination.rayset._record",
+            *(f"{OPTICS}.illumination.slit_image.{each}" for each in ("empty_image", "place_slit", "_lit_polygon")),
+            *(f"{OPTICS}.geometry.mirrors.{each}" for each in ("place_unit", "reflect_rows")),
+        ),
+        8.0,
+    ),
+    "sequences": Part(
+        "path search, measured points, tolerances",
+        _sequences,
+        (
+            "app.campaign.planning.path_search._shorten",
+            f"{OPTICS}.bsdf.point_samples.plane_through_points",
+            f"{OPTICS}.fast.surrogate.fill_relative_rms",
+        ),
+        2.0,
+    ),
 }
-REHEARSAL = ("scenes", "rig")
+REHEARSAL = ("scenes", "rig", "uncertainties")
 """What every rehearsal needs; Gaussian and diffuse samples need no more."""
+VIRTUAL_RIG = (*REHEARSAL, "every-scene")
+"""What the devices of a virtual rig need: without a sample all light goes straight on."""
+NEEDS = {
+    **dict.fromkeys(("run", "serve", "station", "move", "read", "usb", "replay", "desktop"), VIRTUAL_RIG),
+    **dict.fromkeys(("demo", "rehearse", "prove"), REHEARSAL),
+    "simulate": ("scenes", "shadows", "forward"),
+    "tolerances": ("scenes", "sequences"),
+    "render": ("scenes", "shadows"),
+}
+"""What commands need of the parts. Any other command states what it compiles, one part after the other."""
+LOG = logging.getLogger("goniotwin.compilation")
 
 
 def parts_of_rehearsal(schedule: "ScheduleFile", model: "TwinModel | None") -> tuple[str, ...]:
@@ -181,18 +291,68 @@ def compile_ahead(names: Collection[str] = REHEARSAL) -> list[str]:
     if not missing:
         return []
     here, there = _halves(missing)
-    seconds = max(sum(PARTS[name].seconds for name in half) for half in (here, there))
-    print_note(f"compiling the optics, once: {'; '.join(PARTS[name].title for name in missing)}; about {seconds:.0f} s")
+    _state(missing, here, there)
     other = _start(there) if there else None
+    stated, LOG.disabled = LOG.disabled, True
     try:
         _compile(here)
         if other is not None and (fault := _end_of(other)):
             raise UserError(f"the optics cannot be compiled: {fault}")
     finally:
-        if other is not None and other.poll() is None:  # stopped: what is compiled is kept, the rest is for the next time
-            other.kill()
-            other.wait()
+        LOG.disabled = stated
+        _kill(other)
     return missing
+
+
+class CompilationNotes(logging.Handler):
+    """States that kernels are compiled when a first one is, and has another process compile what else `names` lack.
+
+    A kernel of which the other process has the part is waited for, and then comes from the files. Kernels are told as log
+    records by `twin.optics.kernel`, in the thread that needs them.
+    """
+
+    def __init__(self, names: Collection[str]) -> None:
+        super().__init__(logging.INFO)
+        self._names = names
+        self._stated = False
+        self._there: list[str] = []
+        self._other: subprocess.Popen[str] | None = None
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Take the record of a kernel that is about to be compiled (logging calls this)."""
+        kernel = record.getMessage()
+        part = next((name for name, each in PARTS.items() if any(f"{kernel} ".startswith(f"{k} ") for k in each.kernels)), None)
+        if part in self._there and self._other is not None:
+            _end_of(self._other)  # what it could not compile is compiled here, and gives its own error
+        elif not self._stated:
+            self._stated = True
+            self._begin(part, kernel)
+
+    def _begin(self, part: str | None, kernel: str) -> None:
+        from goniotwin.twin.optics.kernel import cache_folder
+
+        if cache_folder() is not None:
+            self._there = [name for name in self._names if name != part and not PARTS[name].done()]
+        here = [part] if part is not None else []
+        _state([*here, *self._there], here, self._there, "" if part is not None else kernel)
+        if self._there:
+            self._other = _start(self._there)
+            atexit.register(_kill, self._other)
+
+
+def state_compilation(command: str) -> None:
+    """Have a command state that it compiles, where it does, and compile on both cores. Costs nothing where all is compiled."""
+    for each in [each for each in LOG.handlers if isinstance(each, CompilationNotes)]:
+        LOG.removeHandler(each)
+    LOG.addHandler(CompilationNotes(NEEDS.get(command, ())))
+    LOG.setLevel(logging.INFO)
+    LOG.propagate = False
+
+
+def _state(names: Collection[str], here: Collection[str], there: Collection[str], kernel: str = "") -> None:
+    seconds = max(sum(PARTS[name].seconds for name in half) for half in (here, there))
+    titles = [*(PARTS[name].title for name in names), *([kernel] if kernel else [])]
+    print_note(f"compiling the optics, once: {'; '.join(titles)}; about {max(seconds, 1.0):.0f} s")
 
 
 def _halves(names: list[str]) -> tuple[list[str], list[str]]:
@@ -223,3 +383,10 @@ def _end_of(process: Any) -> str:
     _, text = process.communicate()
     lines = text.strip().splitlines()
     return "" if process.returncode == 0 else (lines[-1] if lines else f"process ended with {process.returncode}")
+
+
+def _kill(process: "subprocess.Popen[str] | None") -> None:
+    """End the process if it compiles still: what is compiled is kept, the rest is for the next time."""
+    if process is not None and process.poll() is None:
+        process.kill()
+        process.wait()

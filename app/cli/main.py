@@ -89,6 +89,7 @@ def start(
     ] = False,
 ) -> None:
     """Open the window if there is no command."""
+    compilation.state_compilation(context.invoked_subcommand or "desktop")
     if context.invoked_subcommand is None:
         desktop(examples.FIRST_RIG, examples.FIRST_SCHEDULE)
 

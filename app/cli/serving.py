@@ -51,8 +51,7 @@ def serve(
 
     Programs that use USB but not USB/IP reach the monitor with `goniotwin usb`.
     """
-    # Before the imports, which load compiled code, or compile it.
-    print_note(f"preparing the virtual rig of {rig}; the first start on a computer compiles the twin: half a minute or more")
+    print_note(f"preparing the virtual rig of {rig}")  # before the imports, which load compiled code
     from goniotwin.app.rig import read_rig
     from goniotwin.app.rig.served_file import FIRST_LINE, check_served_rig, served_alignment, served_rig, write_served_rig
     from goniotwin.mocks.served import ServedRig

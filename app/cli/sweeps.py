@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.progress import MofNCompleteColumn, TextColumn
 from rich.table import Column
 
+from goniotwin.app.cli.compilation import compile_ahead
 from goniotwin.app.cli.output import ProgressBar, errors
 from goniotwin.app.errors import UserError
 
@@ -51,6 +52,7 @@ def runner_of(processes: int | None, dask: str | None, chunks: int) -> "Iterator
     if dask is None:
         from goniotwin.app.sweeps.runners import on_this_computer
 
+        compile_ahead()  # or each of its processes would
         yield on_this_computer(processes, chunks)
         return
     from goniotwin.app.sweeps.dask_cluster import DaskCluster

@@ -5,7 +5,7 @@ Most commands compute no light. Loading numba takes them longer than all they do
 
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from functools import update_wrapper
 from types import CodeType, FunctionType
 from typing import Any
@@ -31,21 +31,27 @@ def interpreted() -> Iterator[None]:
 class DeferredKernel:
     """A function, and the kernel that `make` gives of it: at the first call, or for an attribute of the kernel.
 
-    `make` takes a function that has to be called before numba compiles the kernel. The kernels that a function calls are
-    globals of its module.
+    `make` takes a context within which numba has to compile the kernel. The kernels that a function calls are globals of its
+    module.
     """
 
-    def __init__(self, function: Callable[..., Any], make: Callable[[Callable[[], None]], Any]) -> None:
+    def __init__(
+        self, function: Callable[..., Any], make: Callable[[Callable[[], AbstractContextManager[None]]], Any]
+    ) -> None:  # fmt: skip
         update_wrapper(self, function)
         self.py_func = function
         self._make = make
         self._kernel: Any = None
 
     def __call__(self, *arguments: Any, **keywords: Any) -> Any:
-        """Call the kernel, or within `interpreted()` the function."""
+        """Call the kernel, or within `interpreted()` the function. Once called, the kernel has its name in its module."""
         if getattr(_MODE, "interpreted", False):
             return self.py_func(*arguments, **keywords)
-        return (self._kernel or self.kernel)(*arguments, **keywords)
+        kernel = self._kernel or self.kernel
+        assert isinstance(self.py_func, FunctionType)
+        if self.py_func.__globals__.get(self.py_func.__name__) is self:
+            self.py_func.__globals__[self.py_func.__name__] = kernel
+        return kernel(*arguments, **keywords)
 
     def __getattr__(self, name: str) -> Any:
         if name.startswith("__"):
@@ -54,27 +60,34 @@ class DeferredKernel:
 
     @property
     def kernel(self) -> Any:
-        """The kernel. From then on it is under the function's name in its module."""
+        """The kernel."""
         with _LOCK:
             if self._kernel is None:
-                assert isinstance(self.py_func, FunctionType)
                 self._kernel = self._make(self._make_called)
-                if self.py_func.__globals__.get(self.py_func.__name__) is self:
-                    self.py_func.__globals__[self.py_func.__name__] = self._kernel
         return self._kernel
 
-    def _make_called(self) -> None:
-        """Make the kernels that the function calls: numba takes them by name from the function's module."""
+    @contextmanager
+    def _make_called(self) -> Iterator[None]:
+        """Have the kernels that the function calls under their names, where numba finds them in the function's module.
+
+        Afterwards what was there is back: for Python they stay deferred, and within `interpreted()` functions.
+        """
         assert isinstance(self.py_func, FunctionType)
+        names = self.py_func.__globals__
         with _LOCK:
-            _resolve(self.py_func.__code__, self.py_func.__globals__)
+            deferred = _deferred(self.py_func.__code__, names)
+            names.update({name: each.kernel for name, each in deferred.items()})
+        try:
+            yield
+        finally:
+            with _LOCK:
+                names.update({name: each for name, each in deferred.items() if names.get(name) is each.kernel})
 
 
-def _resolve(code: CodeType, names: dict[str, Any]) -> None:
-    """Replace the deferred kernels that a function's code names by their kernels, in the module of the function."""
-    for name in code.co_names:
-        if isinstance(named := names.get(name), DeferredKernel):
-            names[name] = named.kernel
+def _deferred(code: CodeType, names: dict[str, Any]) -> dict[str, DeferredKernel]:
+    """The deferred kernels that a function's code names, by their names in the module of the function."""
+    found = {name: names[name] for name in code.co_names if isinstance(names.get(name), DeferredKernel)}
     for constant in code.co_consts:
         if isinstance(constant, CodeType):
-            _resolve(constant, names)
+            found |= _deferred(constant, names)
+    return found

@@ -7,6 +7,7 @@ Without even that, each program compiles for itself. numba's own `NUMBA_CACHE_DI
 
 import contextlib
 import hashlib
+import logging
 import os
 import pickle
 import stat
@@ -21,6 +22,11 @@ from goniotwin.twin.optics.deferred_kernel import DeferredKernel
 
 UNREADABLE = (AttributeError, ImportError, EOFError, pickle.UnpicklingError)
 """What reading files of an earlier version raises."""
+LOG = logging.getLogger("goniotwin.compilation")
+"""Has a record of each kernel before it is compiled, for programs that state it: its name, and the type of its last argument.
+
+A program that listens sets the level INFO. Code that comes from the files has no record.
+"""
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
@@ -38,10 +44,12 @@ def kernel(*, error_model: str = "numpy", **options: Any) -> Callable[[Function]
     return deferred
 
 
-def _dispatcher(function: Any, options: dict[str, Any], make_called: Callable[[], None]) -> Any:
+def _dispatcher(
+    function: Any, options: dict[str, Any], make_called: Callable[[], contextlib.AbstractContextManager[None]]
+) -> Any:  # fmt: skip
     """numba's dispatcher of a function; the function itself where numba's compiler is off.
 
-    `make_called` makes the kernels that the function calls. Code from the cache does not need them.
+    Within `make_called` there are the kernels that the function calls. Code from the cache does not need them.
     """
     _load_numba()
     from numba import njit
@@ -58,7 +66,7 @@ def _dispatcher(function: Any, options: dict[str, Any], make_called: Callable[[]
     part = njit(**{**settings, "cache": False, "no_cpython_wrapper": True})(function) if LEAN else dispatcher
     _call_from_kernels(dispatcher, part)
     for each in {id(dispatcher): dispatcher, id(part): part}.values():
-        _before_compiling(each, make_called)
+        _compile_within(each, make_called)
     if cached:
         dispatcher._cache._cache_file._source_stamp = source_stamp(Path(function.__code__.co_filename).parent)
     _discard_unreadable(dispatcher._cache)
@@ -90,16 +98,16 @@ def _find_scipy() -> None:
         raise ImportError("scipy is not installed")
 
 
-def _before_compiling(dispatcher: Any, action: Callable[[], None]) -> None:
-    """Call `action` before the function is compiled; its code in the cache is loaded without it."""
+def _compile_within(dispatcher: Any, context: Callable[[], contextlib.AbstractContextManager[None]]) -> None:
+    """Compile the function within `context`; its code in the cache is loaded without it."""
     compiler: Any = dispatcher._compiler
     compile_function: Any = compiler.compile
 
-    def compile_after_action(*arguments: Any) -> Any:
-        action()
-        return compile_function(*arguments)
+    def compile_in_context(*arguments: Any) -> Any:
+        with context():
+            return compile_function(*arguments)
 
-    compiler.compile = compile_after_action
+    compiler.compile = compile_in_context
 
 
 def thread_count() -> int:
@@ -128,6 +136,9 @@ def _call_from_kernels(dispatcher: Any, part: Any) -> None:
             return template(tuple(map(plain, arguments)), {name: plain(each) for name, each in keywords.items()})
 
     def compile_with_parts(signature: Any) -> Any:
+        if LOG.isEnabledFor(logging.INFO) and signature not in dispatcher.overloads and not _is_kept(dispatcher, signature):
+            name = f"{dispatcher.py_func.__module__}.{dispatcher.py_func.__qualname__}".removeprefix("goniotwin.")
+            LOG.info("%s %s", name, signature[-1] if signature else "")
         with compiling_kernel():
             return compile_kernel(signature)
 
@@ -198,6 +209,15 @@ def is_compiled(function: Callable[..., Any], last: str = "") -> bool:
             computer = dispatcher.targetctx.codegen().magic_tuple()
             found += [key[0] for key in dispatcher._cache._cache_file._load_index() if key[1] == computer]
     return any(not last or str(each[-1]) == last for each in found)
+
+
+def _is_kept(dispatcher: Any, signature: Any) -> bool:
+    """Whether the files have code of a kernel for a signature."""
+    with contextlib.suppress(*UNREADABLE, OSError):
+        dispatcher.targetctx.refresh()
+        key = dispatcher._cache._index_key(signature, dispatcher.targetctx.codegen())
+        return key in dispatcher._cache._cache_file._load_index()
+    return False
 
 
 def cache_folder() -> Path | None:
