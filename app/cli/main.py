@@ -15,14 +15,13 @@ from typing import Annotated, Any, Literal
 
 import typer
 import typer.main
-from rich.console import Console
 from typer.core import TyperGroup
 from typer.exceptions import TyperException
 
 import goniotwin
 from goniotwin import examples
 from goniotwin.app.cli import campaign, compilation, data, instrument, render, serving, simulation, station, tolerances, views
-from goniotwin.app.cli.output import Json, Speed, TranscriptOption, answer, errors, print_error
+from goniotwin.app.cli.output import Json, Speed, TranscriptOption, answer, error_console, print_error
 from goniotwin.app.end_signals import ignore_end_signals, interrupt_on_end_signal
 from goniotwin.app.errors import UserError, room_on_disk, unexpected_error
 
@@ -130,9 +129,11 @@ def demo(
     The sample is a Gaussian of 5 deg. The devices are driven over their real protocols. Writes a journal, a .ddr, a CSV and a
     figure into a folder; files of an earlier demo there are replaced.
     """
+    from rich.console import Console
+
     from goniotwin.app.cli.demo import run_demo
 
-    result, show = run_demo(examples.RIG, examples.SCHEDULE, out, transcript, errors)
+    result, show = run_demo(examples.RIG, examples.SCHEDULE, out, transcript, error_console())
     answer(as_json, result, lambda: show(Console(highlight=False)))
 
 
@@ -248,7 +249,7 @@ def schema(
     from goniotwin.app.toml_file import json_schema
 
     for fault in load_all_plugins():
-        errors.print(f"goniotwin: {fault}; the schema does not have it", markup=False)
+        error_console().print(f"goniotwin: {fault}; the schema does not have it", markup=False)
     text = json.dumps(
         json_schema(
             {"rig": rig_file_table(), "schedule": ScheduleFile, "tolerances": StudyFile}[kind], f"goniotwin {kind} file"
