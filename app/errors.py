@@ -1,15 +1,9 @@
 """Errors that the user sees: those of input, a full disk, and the last resort for those of the program."""
 
 import errno
-import platform
 import sys
-import tempfile
-import traceback
 from collections.abc import Callable
-from importlib.metadata import version
 from pathlib import Path
-
-from platformdirs import user_log_path
 
 from goniotwin.protocols.clock import calendar_stamp
 
@@ -50,6 +44,13 @@ def printable(text: str) -> str:
 
 def unexpected_error(error: BaseException) -> str:
     """One line about an error that nothing else has handled; its details go to a file, which the line names."""
+    import platform
+    import tempfile
+    import traceback
+    from importlib.metadata import version
+
+    from platformdirs import user_log_path
+
     what = "there is not enough memory" if isinstance(error, MemoryError) else "".join(traceback.format_exception_only(error))
     line = f"unexpected error: {what.strip()}"
     about = f"goniotwin {version('goniotwin')}, Python {sys.version}, {platform.platform()}, {calendar_stamp()}"

@@ -10,6 +10,7 @@ import inspect
 import math
 import re
 import tomllib
+from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
 from functools import cache
 from pathlib import Path
@@ -208,24 +209,27 @@ def _as_in_a_file(node: Any) -> Any:
         node["strict"] = False  # else only instances and tuples of Python are accepted; the values in them stay strict
     if node.get("type") == "dataclass":
         keys = {each.name: each.metadata["key"] for each in fields(node["cls"]) if "key" in each.metadata}
-        for field in _parts(node, "dataclass-args")[0]["fields"]:
+        for field in next(_parts(node, "dataclass-args"))["fields"] if keys else ():
             if field["name"] in keys:
                 key = keys[field["name"]]
                 field.update({"init": False} if key is None else {"validation_alias": key})
     if node.get("type") == "union":  # no file can have an object of Python
-        choices = [each for each in node["choices"] if not _parts(each, "is-instance")]
+        choices = [each for each in node["choices"] if next(_parts(each, "is-instance"), None) is None]
         return {**node, "choices": choices} if len(choices) > 1 else choices[0]
     return node
 
 
-def _parts(node: Any, kind: str) -> list[dict[str, Any]]:
+def _parts(node: Any, kind: str) -> Iterator[dict[str, Any]]:
     """All parts of a kind in a part of pydantic's schema, the outer ones first."""
-    if isinstance(node, list):
-        return [found for each in node for found in _parts(each, kind)]
-    if not isinstance(node, dict):
-        return []
-    inner = [found for each in node.values() for found in _parts(each, kind)]
-    return [node, *inner] if node.get("type") == kind else inner
+    if isinstance(node, dict):
+        if node.get("type") == kind:
+            yield node
+        node = node.values()
+    elif not isinstance(node, list):
+        return
+    for each in node:
+        if isinstance(each, dict | list):
+            yield from _parts(each, kind)
 
 
 def _place(content: dict[str, Any], detail: Any) -> list[str]:

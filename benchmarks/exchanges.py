@@ -21,8 +21,8 @@ import serial
 import usb.core
 
 from goniotwin.app.rig import parse_rig
-from goniotwin.app.rig.addresses import ModbusUnits
 from goniotwin.app.rig.file import axis_settings
+from goniotwin.app.rig.modbus_units import ModbusUnits
 from goniotwin.drivers import (
     AxisSettings,
     Monitor,

@@ -23,9 +23,9 @@ from goniotwin.protocols import adam
 from goniotwin.protocols.clock import Clock
 from goniotwin.protocols.loopback import LOOPBACK
 from goniotwin.twin import VirtualRig
+from goniotwin.twin.addresses import CONVERTER_LINE
 from goniotwin.twin.devices.line import SerialDevice
 from goniotwin.twin.devices.modbus import RtuStation, TcpStation
-from goniotwin.twin.rig import CONVERTER_LINE
 
 GAP_S = 0.02
 """What ends a frame on an endpoint: its bytes come when the system brings them, not when the baud rate would."""

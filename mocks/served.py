@@ -15,10 +15,10 @@ from goniotwin.mocks.usb_endpoints import UsbEndpoints
 from goniotwin.protocols.clock import RealClock
 from goniotwin.protocols.loopback import LOOPBACK
 from goniotwin.twin import TwinModel, VirtualRig
+from goniotwin.twin.addresses import CONVERTER_LINE
 from goniotwin.twin.devices import RtuStation, TmclLine
 from goniotwin.twin.devices.line import SerialDevice
 from goniotwin.twin.devices.tmcl_line import IDLE_GAP_S
-from goniotwin.twin.rig import CONVERTER_LINE
 
 CONTROL = "control"
 

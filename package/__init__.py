@@ -12,7 +12,6 @@ Whatever a file or an argument can do wrong is raised as `GoniotwinError`: one l
 """
 
 from importlib import import_module
-from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -55,6 +54,8 @@ _HOMES = {
 def __getattr__(name: str) -> Any:
     """Load a public name at its first use (PEP 562)."""
     if name == "__version__":
+        from importlib.metadata import version
+
         value: Any = version("goniotwin")
     elif name in _HOMES:
         module, attribute = _HOMES[name]

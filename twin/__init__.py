@@ -2,7 +2,19 @@
 buses.
 """
 
-from goniotwin.twin.plant import Plant, TwinModel
-from goniotwin.twin.rig import VirtualRig
+from typing import TYPE_CHECKING
 
-__all__ = ["Plant", "TwinModel", "VirtualRig"]
+from goniotwin.first_use import first_use
+
+if TYPE_CHECKING:
+    from goniotwin.twin.plant import Plant as Plant
+    from goniotwin.twin.plant import TwinModel as TwinModel
+    from goniotwin.twin.rig import VirtualRig as VirtualRig
+else:
+    __getattr__ = first_use(
+        __name__,
+        {
+            "plant": ("Plant", "TwinModel"),
+            "rig": ("VirtualRig",),
+        },
+    )

@@ -7,6 +7,7 @@ from typing import Any
 
 from goniotwin.protocols import adam
 from goniotwin.protocols.clock import Clock, VirtualClock
+from goniotwin.twin.addresses import AXES, CONVERTER, CONVERTER_LINE, MONITOR, MONOCHROMATOR
 from goniotwin.twin.devices import (
     Adam4117,
     Adam6017,
@@ -19,10 +20,6 @@ from goniotwin.twin.devices import (
 )
 from goniotwin.twin.devices.line import SerialDevice
 from goniotwin.twin.plant import Plant, TwinModel
-
-AXES, MONOCHROMATOR, MONITOR = "axes", "mono", "monitor"
-CONVERTER = "adc-{}"
-CONVERTER_LINE = "adcs"
 
 
 @dataclass

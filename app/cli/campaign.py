@@ -9,25 +9,21 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
-from rich.table import Table
-from rich.text import Text
 
 from goniotwin.app.cli.compilation import compile_ahead, parts_of_rehearsal
 from goniotwin.app.cli.output import (
     CommandWithFormats,
     Json,
     RigOption,
-    RowProgress,
     TranscriptOption,
     answer,
-    errors,
+    error_console,
     print_error,
     print_note,
     print_order,
     print_warning,
 )
-from goniotwin.app.cli.sweeps import Dask, Processes, SweepProgress, kept, runner_of
+from goniotwin.app.cli.sweeps import Dask, Processes, kept, runner_of
 from goniotwin.app.errors import UserError, one_line
 from goniotwin.protocols.clock import GREATEST_SPEED, LEAST_SPEED
 
@@ -104,13 +100,14 @@ def rehearse(
     from goniotwin.app.campaign.rehearsal.rehearsal import plan_rehearsal, rehearse
     from goniotwin.app.campaign.rehearsal.report import report_text
     from goniotwin.app.campaign.schedule.file import read_schedule
+    from goniotwin.app.cli.progress import RowProgress
     from goniotwin.app.rig import read_rig
 
     _check_writable(points, out)
     described, on = read_schedule(schedule), read_rig(rig)
     compile_ahead(parts_of_rehearsal(described.file, on.model()))
     plan, assumed = plan_rehearsal(described, on, _sample_models(sample or []))
-    with RowProgress(errors, f"{plan.schedule.file.name} (rehearsal)", len(plan.rows)) as progress:
+    with RowProgress(error_console(), f"{plan.schedule.file.name} (rehearsal)", len(plan.rows)) as progress:
         rehearsal = rehearse(plan, assumed, out=out, points=points, listeners=[progress], processes=processes)
     answer(as_json, rehearsal.result, lambda: print(report_text(rehearsal)))
     for fault in rehearsal.result["faults"]:
@@ -152,6 +149,7 @@ def prove(
     from goniotwin.app.campaign.proof.proof import prove as prove_rigs
     from goniotwin.app.campaign.proof.report import proof_text
     from goniotwin.app.campaign.schedule.file import read_schedule
+    from goniotwin.app.cli.progress import SweepProgress
     from goniotwin.app.rig import read_rig
 
     folder = out if out is not None else Path(f"{schedule.stem}.proof")
@@ -160,7 +158,7 @@ def prove(
     with (
         runner_of(processes, dask, rigs) as runner,
         kept(folder, "rigs"),
-        SweepProgress(errors, f"{proof.schedule.file.name} (proof)", rigs, "rigs") as progress,
+        SweepProgress(error_console(), f"{proof.schedule.file.name} (proof)", rigs, "rigs") as progress,
     ):
         totals = prove_rigs(proof, runner, progress, print_note)
     answer(as_json, totals.as_dict(), lambda: print(proof_text(proof, totals)))
@@ -214,13 +212,14 @@ def run(
     from goniotwin.app.campaign.campaign import resume_campaign, run_campaign
     from goniotwin.app.campaign.reduction.reduction import check_journal
     from goniotwin.app.campaign.running.events import State
+    from goniotwin.app.cli.progress import RowProgress
     from goniotwin.app.rig import read_rig
 
     _check_arguments(schedule, rig, out, resume)
     if resume is not None:
         journal, title = resume, str(resume)
         rig_now = read_rig(rig) if rig is not None else None
-        with RowProgress(errors, title, None) as progress, _hosted(speed, _rig_of(resume, rig_now)) as (host, ask):
+        with RowProgress(error_console(), title, None) as progress, _hosted(speed, _rig_of(resume, rig_now)) as (host, ask):
             outcome = resume_campaign(
                 resume, rig_now, listeners=[progress], transcript=transcript, ask=ask, host=host,
                 accept_rig=(lambda _: True) if accept_rig else _ask_rig if sys.stdin.isatty() else None,
@@ -232,7 +231,10 @@ def run(
         assert rig is not None
         assert out is not None
         plan, journal = _make_plan(schedule, rig), out
-        with RowProgress(errors, plan.schedule.file.name, len(plan.rows)) as progress, _hosted(speed, plan.rig) as (host, ask):
+        with (
+            RowProgress(error_console(), plan.schedule.file.name, len(plan.rows)) as progress,
+            _hosted(speed, plan.rig) as (host, ask),
+        ):
             outcome = run_campaign(plan, out, listeners=[progress], transcript=transcript, ask=ask, host=host)
             _report_end(host, outcome)
     moved, journal = outcome.journal != journal, outcome.journal
@@ -274,7 +276,7 @@ def run(
     if outcome.ended_by_schedule:
         print_warning(f"ended by the schedule: {outcome.ended_by_schedule}")
     if outcome.rows < outcome.planned:
-        errors.print(f"to continue: goniotwin run --resume {journal}", markup=False)
+        error_console().print(f"to continue: goniotwin run --resume {journal}", markup=False)
     for order in progress.orders:
         print_order(order)
     if outcome.state is State.DONE and (moved or unread):
@@ -295,7 +297,7 @@ def runs(
     answer(
         as_json,
         {"campaigns": [each.as_dict() for each in found], "unreadable": refused},
-        lambda: _print_campaigns(Console(highlight=False), folder, found),
+        lambda: _print_campaigns(folder, found),
     )
     for reason in refused:
         print_error(one_line(reason))
@@ -304,10 +306,15 @@ def runs(
             print_order(f"of {each.journal}, not acknowledged: {order}")
 
 
-def _print_campaigns(console: Console, folder: Path, campaigns: "list[CampaignSummary]") -> None:
+def _print_campaigns(folder: Path, campaigns: "list[CampaignSummary]") -> None:
     """Print one line for each campaign."""
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
     from goniotwin.app.campaign.wording import duration_text
 
+    console = Console(highlight=False)
     if not campaigns:
         console.print(f"{folder}: no journals (*.journal)", markup=False)
         return
@@ -505,10 +512,10 @@ def _answer_of(line: str, question: "Question") -> "Answer | None":
 def _print_question(question: "Question") -> None:
     from goniotwin.app.campaign.running.question import EFFECTS
 
-    errors.print(f"{question.title}. {question.text}", style="bold", markup=False)
+    error_console().print(f"{question.title}. {question.text}", style="bold", markup=False)
     for each in _answers(question):
-        errors.print(f"  {each}: {EFFECTS[each]}", markup=False)
+        error_console().print(f"  {each}: {EFFECTS[each]}", markup=False)
 
 
 def _print_choices(question: "Question") -> None:
-    errors.print(f"Type {' or '.join(_answers(question))}, or the beginning of it, then Enter.", markup=False)
+    error_console().print(f"Type {' or '.join(_answers(question))}, or the beginning of it, then Enter.", markup=False)

@@ -8,9 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
-from rich.console import Console
-from rich.table import Table
-from rich.text import Text
 
 from goniotwin.app.cli.output import CommandWithFormats, Json, answer, print_error, print_warning
 from goniotwin.app.errors import UserError
@@ -213,11 +210,16 @@ def budget(
     with Journal.open(journal) as opened:
         simulated = opened.simulated
         found = (budget_of_reflectance if reflectance else budget_of_value)(Reduction(opened), place)
-    show = partial(_print_budget, Console(highlight=False), found, simulated, every)
+    show = partial(_print_budget, found, simulated, every)
     answer(as_json, {**found.as_dict(), "simulated": simulated}, show)
 
 
-def _print_budget(console: Console, budget: "Budget", simulated: bool, every: bool) -> None:
+def _print_budget(budget: "Budget", simulated: bool, every: bool) -> None:
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    console = Console(highlight=False)
     result = budget.as_dict()
     unit = "" if budget.unit == "1" else f" {budget.unit}"
     relative = f" ({100.0 * result['relative_u']:.3g} %)" if result["relative_u"] is not None else ""
@@ -301,7 +303,7 @@ def align(
     result, file = align_journal(journal, sample)
     write(alignment_text(file))
     as_object = {**result.as_dict(), "simulated": file.simulated, "file": None if output is None else str(output)}
-    answer(as_json, as_object, lambda: _print_alignment(Console(highlight=False), result, file.simulated))
+    answer(as_json, as_object, lambda: _print_alignment(result, file.simulated))
     for finding in result.findings:
         print_warning(finding)
 
@@ -358,14 +360,19 @@ def _plan_alignment(schedule: Path, rig: Path, minutes: float, sample: str | Non
     design = design_alignment(read_schedule(schedule), read_rig(rig), minutes, sample)
     write(design.text)
     as_object = {**design.as_dict(), "file": None if output is None else str(output)}
-    answer(as_json, as_object, lambda: _print_design(Console(highlight=False), design))
+    answer(as_json, as_object, lambda: _print_design(design))
     if design.ended_early:
         print_warning("the search has ended after a bounded number of plans, and better levels may exist; give fewer minutes")
 
 
-def _print_design(console: Console, design: "AlignmentDesign") -> None:
+def _print_design(design: "AlignmentDesign") -> None:
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
     from goniotwin.app.campaign.wording import duration_text
 
+    console = Console(highlight=False)
     mark = "SIMULATED, " if design.plan.rig.simulated else ""
     forecast = design.forecast
     console.print(
@@ -384,7 +391,12 @@ def _print_design(console: Console, design: "AlignmentDesign") -> None:
     console.print(table)
 
 
-def _print_alignment(console: Console, result: "AlignmentResult", simulated: bool) -> None:
+def _print_alignment(result: "AlignmentResult", simulated: bool) -> None:
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    console = Console(highlight=False)
     mark = "SIMULATED, " if simulated else ""
     scans = f" and {result.scans} scan{'s' if result.scans > 1 else ''} of the open beam" if result.scans else ""
     console.print(
@@ -431,6 +443,9 @@ def verify(
     result = {"simulated": simulated, "holds": holds, "verdicts": [each.as_dict() for each in verdicts]}
 
     def show() -> None:
+        from rich.console import Console
+        from rich.text import Text
+
         console = Console(highlight=False)
         if simulated:
             console.print("SIMULATED")

@@ -17,7 +17,7 @@ from goniotwin.app.campaign.reduction.reduction import BsdfDataset, reduce_journ
 from goniotwin.app.campaign.running.events import State
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.cli.compilation import compile_ahead
-from goniotwin.app.cli.output import RowProgress
+from goniotwin.app.cli.progress import RowProgress
 from goniotwin.app.data.conversion import Choice, convert_reduced, format_to_write
 from goniotwin.app.data.report.report import write_report
 from goniotwin.app.errors import MissingPackage, UserError

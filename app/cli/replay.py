@@ -16,8 +16,8 @@ from goniotwin.mocks.replay_usb import UsbReplay
 from goniotwin.mocks.transcript import TO_DEVICE, TranscriptError, Transfer, merge_transcripts, read_transcript
 from goniotwin.protocols.clock import VirtualClock
 from goniotwin.twin import VirtualRig
+from goniotwin.twin.addresses import CONVERTER_LINE
 from goniotwin.twin.devices.modbus import TcpStation
-from goniotwin.twin.rig import CONVERTER_LINE
 
 
 @dataclass(frozen=True)

@@ -5,10 +5,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
-from rich.console import Console
 
-from goniotwin.app.cli.output import GroupWithFormats, Json, ShareProgress, answer, print_note
-from goniotwin.app.cli.sweeps import Dask, Processes, SweepProgress, kept, runner_of
+from goniotwin.app.cli.output import GroupWithFormats, Json, answer, error_console, print_note
+from goniotwin.app.cli.sweeps import Dask, Processes, kept, runner_of
 from goniotwin.app.errors import UserError
 
 if TYPE_CHECKING:  # the optics are compiled code, which a command's help does not need
@@ -158,6 +157,7 @@ def simulate(
         raise UserError(
             f"simulate: {missing} is missing; write goniotwin simulate --sample gaussian:width_deg=5 --out FILE.ddr"
         )
+    from goniotwin.app.cli.progress import ShareProgress
     from goniotwin.app.rig.samples import parse_sample, table_files
     from goniotwin.app.simulation.detectors import parse_list
     from goniotwin.app.simulation.estimate import EstimatorSettings
@@ -195,7 +195,7 @@ def simulate(
         given = [name for name, value in (("--processes", processes), ("--dask", dask)) if value is not None]
         if given:
             raise UserError(f"{given[0]}: computes batches of paths that are kept; give --folder DIR too, or leave it out")
-        with ShareProgress(Console(stderr=True), "simulating") as progress:
+        with ShareProgress("simulating") as progress:
             simulation = simulate_task(task, progress)
     files = [file for path in out for file in write_simulation(simulation, path, form)]
     result = summary(simulation, files)
@@ -236,6 +236,7 @@ def rigs(
     """
     import numpy as np
 
+    from goniotwin.app.cli.progress import SweepProgress
     from goniotwin.app.formats.registry import Holds
     from goniotwin.app.rig.samples import parse_sample
     from goniotwin.app.simulation.detectors import parse_list
@@ -257,7 +258,7 @@ def rigs(
     with (
         runner_of(processes, dask, chunks) as runner,
         kept(place, "chunks of rigs"),
-        SweepProgress(Console(stderr=True), f"{count} rigs", chunks, "chunks") as progress,
+        SweepProgress(error_console(), f"{count} rigs", chunks, "chunks") as progress,
     ):
         results = simulate_rigs(sweep, count, files, runner, progress)
     heading = [
@@ -324,6 +325,7 @@ def illumination(
     if rays is not None and rayset is None:
         raise UserError("--rays: is the number of rays in a rayset; give --rayset FILE.h5 too")
 
+    from goniotwin.app.cli.progress import ShareProgress
     from goniotwin.app.formats.registry import Holds
     from goniotwin.app.simulation.files import write_content
     from goniotwin.app.simulation.illumination import (
@@ -342,7 +344,7 @@ def illumination(
     instrument = replace(instrument, illumination={**instrument.illumination, **own})
     unit = illumination_unit(instrument, wavelength, interval, bandwidth)
     count = None if rayset is None else (RAYSET_RAYS if rays is None else rays)
-    with ShareProgress(Console(stderr=True), "illumination") as progress:
+    with ShareProgress("illumination") as progress:
         light = simulate_illumination(unit, error, seed, count, progress)
     write_illumination(light, out)
     if rayset is not None and light.rayset is not None:
@@ -375,6 +377,9 @@ def table3(
     Noise-free, tilted, and at the worst corner, beside the paper's values; with the assumptions of each column, and what
     explains the paper's values and what does not.
     """
+    from rich.console import Console
+
+    from goniotwin.app.cli.progress import ShareProgress
     from goniotwin.app.simulation.paper.table3 import STEPS, compute_table3
     from goniotwin.app.simulation.paper.table3_report import as_dict, print_table3, write_figures
 
@@ -385,7 +390,7 @@ def table3(
         progress(done / STEPS, text)
         done += 1
 
-    with ShareProgress(Console(stderr=True), "table 3") as progress:
+    with ShareProgress("table 3") as progress:
         table = compute_table3(step)
         progress(1.0, "done")
     files = {name: str(path) for name, path in write_figures(table, out).items()} if out is not None else {}
@@ -425,6 +430,7 @@ def shadow(
 
 def _simulate_in_chunks(task: "Task", folder: Path, processes: int | None, dask: str | None) -> "Simulation":
     """Simulate by batches of paths that are kept in a folder. Raises UserError."""
+    from goniotwin.app.cli.progress import SweepProgress
     from goniotwin.app.simulation.forward_sweep import ForwardSweep, simulate_in_chunks
     from goniotwin.app.sweeps.chunk_files import ChunkFiles
 
@@ -434,7 +440,7 @@ def _simulate_in_chunks(task: "Task", folder: Path, processes: int | None, dask:
     with (
         runner_of(1 if processes is None and dask is None else processes, dask, sweep.chunks) as runner,
         kept(folder, "batches"),
-        SweepProgress(Console(stderr=True), "simulating", sweep.chunks, "batches") as progress,
+        SweepProgress(error_console(), "simulating", sweep.chunks, "batches") as progress,
     ):
         return simulate_in_chunks(sweep, files, runner, progress)
 

@@ -1,4 +1,4 @@
-"""What commands with a sweep share: the options of its runner, its progress, and the line after Ctrl-C."""
+"""What commands with a sweep share: the options of its runner, and the line after Ctrl-C."""
 
 import contextlib
 from collections.abc import Iterator
@@ -6,12 +6,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
-from rich.progress import MofNCompleteColumn, TextColumn
-from rich.table import Column
 
 from goniotwin.app.cli.compilation import compile_ahead
-from goniotwin.app.cli.output import ProgressBar, errors
+from goniotwin.app.cli.output import error_console
 from goniotwin.app.errors import UserError
 
 if TYPE_CHECKING:  # the runners load numpy, which a command's help does not need
@@ -31,17 +28,6 @@ Dask = Annotated[
         show_default=False,
     ),
 ]
-
-
-class SweepProgress(ProgressBar):
-    """Progress of a sweep in its chunks, which are `rigs` or such."""
-
-    def __init__(self, console: Console, title: str, chunks: int, name: str) -> None:
-        super().__init__(console, title, chunks, MofNCompleteColumn(table_column=Column(no_wrap=True)), TextColumn(f"{name},"))
-
-    def __call__(self, done: int, now: str) -> None:
-        """Show the number of chunks that are done, and what computes."""
-        self._update(now, done)
 
 
 @contextlib.contextmanager
@@ -67,5 +53,5 @@ def kept(folder: Path, name: str) -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt:
-        errors.print(f"to continue: the same command; finished {name} are in {folder}", markup=False)
+        error_console().print(f"to continue: the same command; finished {name} are in {folder}", markup=False)
         raise

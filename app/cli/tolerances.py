@@ -4,9 +4,8 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
 
-from goniotwin.app.cli.output import Json, ShareProgress, answer
+from goniotwin.app.cli.output import Json, answer
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
 
@@ -25,6 +24,9 @@ def tolerances(
     Each deviation alone, all combinations, limits with which none fails; the yield, the worst corner, sensitivities, and what
     remains about the measured peak (the paper's section 3.3, Tables 1 and 2). Everything is computed on the optical twin.
     """
+    from rich.console import Console
+
+    from goniotwin.app.cli.progress import ShareProgress
     from goniotwin.app.simulation.tolerances.report import as_dict, make_folder, print_study, write_report
     from goniotwin.app.simulation.tolerances.result import compute_study
     from goniotwin.app.simulation.tolerances.study import read_study
@@ -32,7 +34,7 @@ def tolerances(
     file = read_study(study)
     if out is not None:
         make_folder(out)
-    with ShareProgress(Console(stderr=True), "tolerances") as progress:
+    with ShareProgress("tolerances") as progress:
         result = compute_study(file, progress)
     files = write_report(result, out, study.stem) if out is not None else {}
 

@@ -22,22 +22,11 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import parse_qsl
 
-import serial
-import serial.tools.list_ports
-from pymodbus.client import ModbusTcpClient
-from pymodbus.client.base import ModbusBaseSyncClient
-from pymodbus.framer import FramerType
-
 from goniotwin.app.errors import UserError
-from goniotwin.drivers.photodiodes.modbus import ModbusBus, ModbusOpener, ModbusUnit, RtuClient, Trace, explain, explain_rtu
-from goniotwin.drivers.tap import Explain
-from goniotwin.protocols import adam, usbip
-from goniotwin.twin import VirtualRig
-from goniotwin.twin.doors import TwinModbusClient, TwinRtuClient
+from goniotwin.protocols import adam
 
 TWIN, RTU, USBIP, HWGREP = "twin://", "rtu:", "usbip:", "hwgrep://"
-MODBUS_PORT, USBIP_PORT = "502", str(usbip.PORT)
-MODBUS_TIMEOUT_S = 1.0
+MODBUS_PORT = "502"
 BAUDRATES = (1200, 2400, 4800, 9600, 19200, 38400, 57600, 115200)
 LONGEST_ADDRESS = 300
 _HOST = r"(?:[A-Za-z0-9_][A-Za-z0-9_.-]*|\[[0-9A-Fa-f:.]+(?:%[A-Za-z0-9]+)?\])"
@@ -95,8 +84,10 @@ def resolve_port(address: str) -> str:
         return address
     bus, text, query = found[1] or "", found[2], found[3]
     check_serial_port(f"{HWGREP}{text}")
+    from serial.tools import list_ports
+
     try:
-        ports = sorted({str(port.device) for port in serial.tools.list_ports.grep(text)})
+        ports = sorted({str(port.device) for port in list_ports.grep(text)})
     except re.error as error:
         raise UserError(f"{address!r} is not a valid pattern ({error}); correct it in the rig file") from None
     if len(ports) != 1:
@@ -127,8 +118,10 @@ def device_names(address: str) -> frozenset[str]:
     if match := re.match(r"(?i)(socket|rfc2217)://", plain):
         return _tcp_names(plain[match.end() :].partition("/")[0], "")
     if plain.startswith(USBIP):
+        from goniotwin.protocols import usbip
+
         place, slash, bus_id = plain.removeprefix(USBIP).partition("/")
-        return frozenset(f"{each}{slash}{bus_id}" for each in _tcp_names(place, USBIP_PORT))
+        return frozenset(f"{each}{slash}{bus_id}" for each in _tcp_names(place, str(usbip.PORT)))
     if match := re.fullmatch(r"(?i)(?:\\\\[.?]\\)?(com[0-9]+)", plain):
         return frozenset({f"serial:{match[1].upper()}"})
     if plain.startswith("/") or Path(plain).exists():
@@ -184,65 +177,14 @@ def is_port(text: str) -> bool:
     return text.isascii() and text.isdecimal() and 0 < int(text) < 65536
 
 
-class ModbusUnits:
-    """Units of Modbus addresses, with one bus for all units of a serial line; `virtual` is the rig behind `twin://`."""
-
-    def __init__(self, virtual: VirtualRig | None) -> None:
-        self._virtual = virtual
-        self._lines: dict[str, tuple[ModbusBus, int, dict[int, str]]] = {}
-
-    def unit(self, address: str) -> ModbusUnit:
-        """The unit of an address. Raises UserError with an address that is not valid."""
-        if address.startswith(TWIN):
-            return self._twin(address)
-        if address.startswith(RTU):
-            port, unit, baudrate = rtu_address(address)
-            return self._on_line(port, unit, baudrate, address, _serial_opener(port, baudrate))
-        place, _, query = address.partition("?")
-        host, number = host_and_port(place, MODBUS_PORT)
-        if not host or not is_port(number):
-            raise InvalidAddress(address, "is neither HOST, HOST:PORT nor rtu:PORT?unit=N")
-        unit = _whole_number(address, "unit", _query(address, query, "unit").get("unit", str(adam.UNIT)))
-        if unit > adam.LAST_TCP_UNIT:
-            raise InvalidAddress(address, f"unit is 0 to {adam.LAST_TCP_UNIT} over TCP, not {unit}")
-        return ModbusUnit(ModbusBus(_tcp_opener(host, int(number))), unit)
-
-    @staticmethod
-    def explain(unit: ModbusUnit) -> Explain:
-        """The function that describes the bytes on a unit's wire as text, for transcripts."""
-        return explain_rtu if unit.bus.rtu else explain
-
-    def _twin(self, address: str) -> ModbusUnit:
-        device = self._virtual.modbus.get(address.rsplit("/", 1)[1]) if self._virtual is not None else None
-        if device is None or not device.model.serial:
-            bus = ModbusBus(lambda trace: TwinModbusClient(address, timeout=MODBUS_TIMEOUT_S, trace_packet=trace))
-            return ModbusUnit(bus, adam.UNIT if device is None else device.unit)
-        assert self._virtual is not None
-        baudrate = self._virtual.plant.model.electronics.baudrate
-
-        def opener(trace: Trace | None) -> ModbusBaseSyncClient:
-            return TwinRtuClient(address, baudrate=baudrate, timeout=MODBUS_TIMEOUT_S, trace_packet=trace)
-
-        return self._on_line(address.rsplit("/", 1)[0], device.unit, baudrate, address, opener)
-
-    def _on_line(self, port: str, unit: int, baudrate: int, address: str, opener: ModbusOpener) -> ModbusUnit:
-        bus, line_baudrate, used = self._lines.setdefault(port, (ModbusBus(opener, rtu=True), baudrate, {}))
-        if line_baudrate != baudrate:
-            raise InvalidAddress(address, f"another unit on {port} has {line_baudrate} baud, and a line has one speed")
-        if unit in used:
-            raise InvalidAddress(address, f"{used[unit]} is unit {unit} of the same line")
-        used[unit] = address
-        return ModbusUnit(bus, unit)
-
-
 def rtu_address(address: str) -> tuple[str, int, int]:
     """Port, unit and baud rate of `rtu:PORT?unit=N&baudrate=B`; the defaults are unit 1 and 9600 baud. Raises UserError."""
     port, _, query = address.removeprefix(RTU).partition("?")
     if not _SERIAL_PORT.fullmatch(port) or port.startswith(TWIN):
         raise InvalidAddress(address, "has no serial port")
-    settings = _query(address, query, "unit", "baudrate")
-    unit = _whole_number(address, "unit", settings.get("unit", str(adam.UNIT)))
-    baudrate = _whole_number(address, "baudrate", settings.get("baudrate", str(adam.BAUDRATE)))
+    settings = address_settings(address, query, "unit", "baudrate")
+    unit = whole_number(address, "unit", settings.get("unit", str(adam.UNIT)))
+    baudrate = whole_number(address, "baudrate", settings.get("baudrate", str(adam.BAUDRATE)))
     if not 1 <= unit <= adam.LAST_UNIT:
         raise InvalidAddress(address, f"unit is 1 to {adam.LAST_UNIT}, not {unit}")
     if baudrate not in BAUDRATES:
@@ -250,7 +192,7 @@ def rtu_address(address: str) -> tuple[str, int, int]:
     return port, unit, baudrate
 
 
-def _query(address: str, query: str, *known: str) -> dict[str, str]:
+def address_settings(address: str, query: str, *known: str) -> dict[str, str]:
     """The settings after the ? of an address. Raises InvalidAddress."""
     try:
         pairs = parse_qsl(query, keep_blank_values=True, strict_parsing=True) if query else []
@@ -266,30 +208,17 @@ def _query(address: str, query: str, *known: str) -> dict[str, str]:
 
 def usbip_address(address: str) -> tuple[str, int, str]:
     """Host, port and bus id of `usbip:HOST:PORT/BUSID`; the default port is 3240. Raises UserError."""
+    from goniotwin.protocols import usbip
+
     place, _, bus_id = address.removeprefix(USBIP).partition("/")
-    host, number = host_and_port(place, USBIP_PORT)
+    host, number = host_and_port(place, str(usbip.PORT))
     if not host or not bus_id or not is_port(number):
         raise InvalidAddress(address, "is not usbip:HOST:PORT/BUSID, such as usbip:127.0.0.1:3240/1-1")
     return host, int(number), bus_id
 
 
-def _whole_number(address: str, name: str, text: str) -> int:
+def whole_number(address: str, name: str, text: str) -> int:
+    """The whole number of a setting. Raises InvalidAddress."""
     if not (text.isascii() and text.isdecimal()):
         raise InvalidAddress(address, f"{name} is a whole number, not {text!r}")
     return int(text)
-
-
-def _tcp_opener(host: str, port: int) -> ModbusOpener:
-    def opener(trace: Trace | None) -> ModbusBaseSyncClient:
-        return ModbusTcpClient(host, port=port, timeout=MODBUS_TIMEOUT_S, retries=0, trace_packet=trace)
-
-    return opener
-
-
-def _serial_opener(port: str, baudrate: int) -> ModbusOpener:
-    def opener(trace: Trace | None) -> ModbusBaseSyncClient:
-        return RtuClient(
-            port, framer=FramerType.RTU, baudrate=baudrate, timeout=MODBUS_TIMEOUT_S, retries=0, trace_packet=trace
-        )
-
-    return opener

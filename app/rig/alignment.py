@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
-import tomlkit
 from pydantic import with_config
 
 from goniotwin.app.errors import UserError
@@ -267,6 +266,8 @@ def aligned_model(model: TwinModel, file: AlignmentFile) -> TwinModel:
 
 def alignment_text(file: AlignmentFile) -> str:
     """The text of an alignment file."""
+    import tomlkit
+
     document = tomlkit.document()
     document.add(tomlkit.comment("An alignment by goniotwin align. To use it, name this file in the rig file:"))
     document.add(tomlkit.comment("    [alignment]"))

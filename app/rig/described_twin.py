@@ -22,11 +22,11 @@ from goniotwin.app.rig.opening import RigDescription, parse_rig
 from goniotwin.app.rig.samples import sample_table
 from goniotwin.drivers import AxisSettings
 from goniotwin.keys import values_of
+from goniotwin.twin.addresses import AXES as AXES_LINE
 from goniotwin.twin.optics import Dimensions
 from goniotwin.twin.plant import Electronics, MonitorPhotodiode, MonochromatorDrive, WheelFilter
 from goniotwin.twin.plant.converter import SETTLED
 from goniotwin.twin.plant.disturbances import element_deviations
-from goniotwin.twin.rig import AXES as AXES_LINE
 
 NAME = "described"
 DEFAULT_SAMPLE = "gaussian:width_deg=5,reflectance=0.9"

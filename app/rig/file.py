@@ -42,9 +42,9 @@ from goniotwin.drivers import (
 from goniotwin.drivers.motion import AxisTiming
 from goniotwin.drivers.tap import Explain
 from goniotwin.keys import Fraction, Positive, values_of
+from goniotwin.twin.addresses import AXES as AXES_LINE
+from goniotwin.twin.addresses import CONVERTER, MONITOR, MONOCHROMATOR
 from goniotwin.twin.optics import Dimensions, Instrument
-from goniotwin.twin.rig import AXES as AXES_LINE
-from goniotwin.twin.rig import CONVERTER, MONITOR, MONOCHROMATOR
 
 AXES = ("gamma", "sigma", "beta", "shift")
 DEFAULT_KIND, SHARED, OWN_KINDS = "tmcl", "that of [axes]", "those of the axes"

@@ -9,38 +9,29 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import EntryPoint, entry_points
-from typing import Annotated, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol
 
 from annotated_types import MinLen
 
 from goniotwin.app.errors import UserError
-from goniotwin.app.rig.wires import Wires
-from goniotwin.drivers import (
-    AxisSettings,
-    ConverterDescription,
-    Device,
-    Monitor,
-    MonitorDescription,
-    MonitorSettings,
-    Monochromator,
-    MonochromatorDescription,
-    MonochromatorSettings,
-    MotionController,
-    PhotodiodeArray,
-    PhotodiodeSettings,
-    TmclController,
-    TmclModule,
-)
-from goniotwin.drivers.device import PortOpener
-from goniotwin.drivers.motion import AxisTiming, tmcl
-from goniotwin.drivers.motion.tmcl import TmclSettings
-from goniotwin.drivers.photodiodes.modbus import explain
+from goniotwin.drivers.monitor.settings import MonitorDescription, MonitorSettings
+from goniotwin.drivers.monochromator.settings import MonochromatorDescription, MonochromatorSettings
+from goniotwin.drivers.motion.settings import AxisSettings
+from goniotwin.drivers.motion.tmcl import TmclSettings, axis_timing, exchange_seconds
+from goniotwin.drivers.motion.tmcl import explain as explain_tmcl
+from goniotwin.drivers.photodiodes.description import ConverterDescription
+from goniotwin.drivers.photodiodes.settings import PhotodiodeSettings
 from goniotwin.drivers.tap import Explain, as_text
-from goniotwin.drivers.usb import usbtmc
 from goniotwin.protocols import adam
-from goniotwin.protocols.clock import Clock
 from goniotwin.twin.devices import FurtherTmclLine
-from goniotwin.twin.plant import ControllerModel, DeviceModel
+
+if TYPE_CHECKING:  # the libraries of the buses are loaded when a rig is opened
+    from goniotwin.app.rig.wires import Wires
+    from goniotwin.drivers import Device, Monitor, Monochromator, MotionController, PhotodiodeArray, TmclController
+    from goniotwin.drivers.device import PortOpener
+    from goniotwin.drivers.motion import AxisTiming
+    from goniotwin.protocols.clock import Clock
+    from goniotwin.twin.plant import ControllerModel, DeviceModel
 
 GROUP = "goniotwin.devices"
 Role = Literal["axes", "monochromator", "photodiodes", "monitor"]
@@ -49,7 +40,7 @@ ROLES: tuple[Role, ...] = ("axes", "monochromator", "photodiodes", "monitor")
 SWITCHES_BEYOND_DEG = 1.0
 
 
-Probe = tuple[str, Callable[[PortOpener, Clock], str]]
+Probe = tuple[str, Callable[["PortOpener", "Clock"], str]]
 """A name, and a function for the identity of the device at a serial port; nothing moves. It raises DeviceError."""
 
 
@@ -68,11 +59,11 @@ class MotionKind:
     name: str
     controller: type[Any]
     axis: type[Any]
-    open: Callable[[Wires, str, Any, Mapping[str, Any]], MotionController]
-    timing: Callable[[Any, Any], AxisTiming]
+    open: Callable[["Wires", str, Any, Mapping[str, Any]], "MotionController"]
+    timing: Callable[[Any, Any], "AxisTiming"]
     check: Callable[[Mapping[str, Any]], object] = len
     explain: Explain = as_text
-    twins: tuple[type[ControllerModel], ...] = ()
+    twins: "tuple[type[ControllerModel], ...]" = ()
     describe: Callable[[Any, Mapping[str, Any], list[str]], tuple[dict[str, Any], dict[str, dict[str, Any]]]] | None = None
     probes: tuple[Probe, ...] = ()
     role: Role = "axes"
@@ -100,9 +91,9 @@ class DeviceKind:
     role: Role
     name: str
     table: type[Any]
-    open: Callable[[Wires, Any], Device]
+    open: Callable[["Wires", Any], "Device"]
     explain: Explain = as_text
-    twins: tuple[type[DeviceModel], ...] = ()
+    twins: "tuple[type[DeviceModel], ...]" = ()
     probes: tuple[Probe, ...] = ()
 
 
@@ -263,8 +254,10 @@ class MonitorTable(MonitorSettings):
     usb: str
 
 
-def _open_tmcl(wires: Wires, name: str, table: Any, axes: Mapping[str, AxisSettings]) -> TmclController:
-    tap = wires.tap(name, tmcl.explain)
+def _open_tmcl(wires: "Wires", name: str, table: Any, axes: Mapping[str, AxisSettings]) -> "TmclController":
+    from goniotwin.drivers import TmclController
+
+    tap = wires.tap(name, explain_tmcl)
     opener, found = wires.serial(table.port), wires.found(table.port)
     return TmclController(name, opener, wires.clock, table, axes, tap, wires.session, found)
 
@@ -307,22 +300,42 @@ def _tmcl_mechanics(name: str, axis: AxisSettings, assumptions: list[str]) -> di
     return mechanics
 
 
-def _open_cornerstone(wires: Wires, table: Any) -> Monochromator:
+def _open_cornerstone(wires: "Wires", table: Any) -> "Monochromator":
+    from goniotwin.drivers import Monochromator
+
     tap, found = wires.tap("monochromator", as_text), wires.found(table.port)
     return Monochromator(wires.serial(table.port), table, wires.clock, tap, found)
 
 
-def _open_adam(wires: Wires, table: Any) -> PhotodiodeArray:
+def _open_adam(wires: "Wires", table: Any) -> "PhotodiodeArray":
+    from goniotwin.drivers import PhotodiodeArray
+
     units = [wires.modbus(address, f"photodiodes-{k}") for k, address in enumerate(table.units)]
     return PhotodiodeArray(units, table, wires.clock)
 
 
-def _open_pm100d(wires: Wires, table: Any) -> Monitor:
-    tap, found = wires.tap("monitor", usbtmc.explain), wires.found(table.usb)
+def _open_pm100d(wires: "Wires", table: Any) -> "Monitor":
+    from goniotwin.drivers import Monitor
+
+    tap, found = wires.tap("monitor", _explain_usbtmc), wires.found(table.usb)
     return Monitor(wires.usb(table.usb), table, wires.clock, tap, found)
 
 
-def _probe_tmcl(open_port: PortOpener, clock: Clock, baudrate: int) -> str:
+def _explain_modbus(direction: str, data: bytes) -> str:
+    from goniotwin.drivers.photodiodes.modbus import explain
+
+    return explain(direction, data)
+
+
+def _explain_usbtmc(direction: str, data: bytes) -> str:
+    from goniotwin.drivers.usb.usbtmc import explain
+
+    return explain(direction, data)
+
+
+def _probe_tmcl(open_port: "PortOpener", clock: "Clock", baudrate: int) -> str:
+    from goniotwin.drivers import TmclModule
+
     module = TmclModule(open_port, clock, baudrate)
     try:
         return f"TMCM-{module.identify()}"
@@ -330,7 +343,9 @@ def _probe_tmcl(open_port: PortOpener, clock: Clock, baudrate: int) -> str:
         module.close()
 
 
-def _probe_cornerstone(open_port: PortOpener, clock: Clock) -> str:
+def _probe_cornerstone(open_port: "PortOpener", clock: "Clock") -> str:
+    from goniotwin.drivers import Monochromator
+
     monochromator = Monochromator(open_port, MonochromatorSettings(), clock)
     try:
         return monochromator.identify()
@@ -341,16 +356,16 @@ def _probe_cornerstone(open_port: PortOpener, clock: Clock) -> str:
 OWN_KINDS: tuple[Kind, ...] = (
     MotionKind(
         "tmcl", controller=TmclSettings, axis=AxisSettings, open=_open_tmcl,
-        timing=lambda controller, axis: tmcl.axis_timing(axis, tmcl.exchange_seconds(controller.baudrate)),
-        check=_check_motors, explain=tmcl.explain, twins=(FurtherTmclLine,), describe=_describe_tmcl,
+        timing=lambda controller, axis: axis_timing(axis, exchange_seconds(controller.baudrate)),
+        check=_check_motors, explain=explain_tmcl, twins=(FurtherTmclLine,), describe=_describe_tmcl,
         probes=tuple((f"TMCL at {rate} Bd", partial(_probe_tmcl, baudrate=rate)) for rate in (115200, 9600)),
     ),
     DeviceKind(
         "monochromator", "cornerstone", MonochromatorTable, _open_cornerstone,
         probes=(("Cornerstone at 9600 Bd", _probe_cornerstone),),
     ),
-    *(DeviceKind("photodiodes", model, PhotodiodesTable, _open_adam, explain) for model in adam.MODELS),
-    DeviceKind("monitor", "pm100d", MonitorTable, _open_pm100d, usbtmc.explain),
+    *(DeviceKind("photodiodes", model, PhotodiodesTable, _open_adam, _explain_modbus) for model in adam.MODELS),
+    DeviceKind("monitor", "pm100d", MonitorTable, _open_pm100d, _explain_usbtmc),
 )  # fmt: skip
 for _kind in OWN_KINDS:
     register(_kind)

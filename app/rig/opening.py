@@ -6,23 +6,23 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig.addresses import TWIN, InvalidAddress, device_names, resolve_port
 from goniotwin.app.rig.alignment import RigIdentity, alignment_notes, check_alignment, parse_alignment, read_alignment
 from goniotwin.app.rig.file import AXES, Controller, RigFile, arc_clearance, rig_file_table, tables_without_ports
 from goniotwin.app.rig.kinds import ROLES, Role, device_kind, load_plugins
-from goniotwin.app.rig.last_rig import remember_rig
-from goniotwin.app.rig.lock import RigLock
 from goniotwin.app.rig.model_hash import model_hashes
 from goniotwin.app.rig.twin_file import twin_model
-from goniotwin.app.rig.wires import Wires
 from goniotwin.app.toml_file import parse_toml, read_toml, validate_table
-from goniotwin.drivers import Device, Rig, Transcript
-from goniotwin.protocols.clock import Clock
-from goniotwin.twin import TwinModel, VirtualRig
-from goniotwin.twin.doors import register, unregister
+
+if TYPE_CHECKING:  # the libraries of the buses are loaded when a rig is opened
+    from goniotwin.app.rig.lock import RigLock
+    from goniotwin.app.rig.wires import Wires
+    from goniotwin.drivers import Device, Rig, Transcript
+    from goniotwin.protocols.clock import Clock
+    from goniotwin.twin import TwinModel, VirtualRig
 
 ARC_KEYS = ("upper_deg", "lower_deg")
 """Keys of [photodiodes] that are angles on the arc."""
@@ -77,7 +77,7 @@ class RigDescription:
         """What is stated wherever the rig's alignment is used: doubtful residuals, and tables that have changed since it."""
         return [] if self.alignment is None else alignment_notes(parse_alignment(self.alignment, self.name), self.identity)
 
-    def model(self) -> TwinModel | None:
+    def model(self) -> "TwinModel | None":
         """The model of the virtual rig, None where the file has no [twin].
 
         Raises UserError for the file of a sample that cannot be read.
@@ -132,12 +132,12 @@ def _file(content: dict[str, Any], name: str) -> RigFile:
 class OpenRig:
     """Drivers with their wires, not connected yet, and the virtual rig behind them, if any."""
 
-    rig: Rig
+    rig: "Rig"
     file: RigFile
-    virtual: VirtualRig | None
+    virtual: "VirtualRig | None"
     _name: str | None
-    _transcript: Transcript | None
-    _lock: RigLock | None = None
+    _transcript: "Transcript | None"
+    _lock: "RigLock | None" = None
 
     def connect(self) -> None:
         """Connect every device. Raises UserError for the first that does not respond, after closing everything."""
@@ -145,12 +145,16 @@ class OpenRig:
             if error is not None:
                 self.close()
                 raise UserError(str(error))
+        from goniotwin.app.rig.last_rig import remember_rig
+
         remember_rig(self.file)
 
     def close(self) -> None:
         """Close all devices, files and locks. No axis moves."""
         self.rig.close()
         if self._name is not None:
+            from goniotwin.twin.doors import unregister
+
             unregister(self._name)
             self._name = None
         if self._transcript is not None:
@@ -166,6 +170,8 @@ class OpenRig:
 
     def lock(self, addresses: list[str], purpose: str) -> None:
         """Lock real devices against other programs until `close`. Raises RigInUse with the program that has one."""
+        from goniotwin.app.rig.lock import RigLock
+
         self._lock = RigLock(addresses, purpose)
 
     def __enter__(self) -> "OpenRig":
@@ -175,11 +181,16 @@ class OpenRig:
         self.close()
 
 
-def open_rig(description: RigDescription, clock: Clock, transcript: Path | None = None) -> OpenRig:
+def open_rig(description: RigDescription, clock: "Clock", transcript: Path | None = None) -> OpenRig:
     """Drivers of a rig on `clock`, and the devices of a virtual rig. Nothing is connected yet.
 
     With a folder in `transcript` every byte on every wire is written to files there. Raises UserError.
     """
+    from goniotwin.app.rig.wires import Wires
+    from goniotwin.drivers import Transcript
+    from goniotwin.twin import VirtualRig
+    from goniotwin.twin.doors import register, unregister
+
     file = description.file
     try:
         transcripts = Transcript(transcript, clock) if transcript is not None else None
@@ -218,8 +229,10 @@ def open_rig(description: RigDescription, clock: Clock, transcript: Path | None 
     return opened
 
 
-def _rig(description: RigDescription, wires: Wires) -> Rig:
+def _rig(description: RigDescription, wires: "Wires") -> "Rig":
     """Drivers of a rig. Raises UserError for an address that is not valid."""
+    from goniotwin.drivers import Rig
+
     file = description.file
     lines: dict[str, Controller] = {}
     for each in file.axes.controllers:
@@ -248,5 +261,5 @@ def _rig(description: RigDescription, wires: Wires) -> Rig:
     )
 
 
-def _open(wires: Wires, role: Role, table: Any) -> Device:
+def _open(wires: "Wires", role: Role, table: Any) -> "Device":
     return device_kind(role, table.kind).open(wires, table)

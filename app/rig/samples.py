@@ -17,17 +17,13 @@ import math
 import re
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
 
 from goniotwin.app.errors import UserError
-from goniotwin.app.formats import BsdfTable, FormatError, registry
-from goniotwin.app.formats.content import BsdfFile, separate
-from goniotwin.app.formats.content import RegularTable as RegularFactors
-from goniotwin.app.formats.gridding import grid_table
-from goniotwin.app.formats.holes import Fill
+from goniotwin.app.formats.fills import Fill
 from goniotwin.app.toml_file import TomlTable, validate_table
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics import (
@@ -46,6 +42,11 @@ from goniotwin.twin.optics import (
 from goniotwin.twin.optics.bsdf.analytic_samples import Form, Side
 from goniotwin.twin.optics.bsdf.lobes import GaussianQuantity
 from goniotwin.twin.optics.bsdf.table_samples import Symmetry
+
+if TYPE_CHECKING:  # the formats are loaded for a sample that is a file
+    from goniotwin.app.formats import BsdfTable
+    from goniotwin.app.formats.content import BsdfFile
+    from goniotwin.app.formats.content import RegularTable as RegularFactors
 
 
 def default_of(sample: Callable[..., Scatterer], key: str) -> Any:
@@ -253,6 +254,8 @@ def sample_scatterer(sample: FormulaTable | MeasuredTable | SumTable, folder: Pa
         return sum_samples(*[sample_scatterer(lobe, folder, f"{place}.lobes.{i}") for i, lobe in enumerate(sample.lobes)])
     if not isinstance(sample, MeasuredTable):
         return sample.scatterer()
+    from goniotwin.app.formats import FormatError, registry
+
     path = folder / sample.file
     try:
         content = registry.read(path)
@@ -310,6 +313,8 @@ def _model_entries(part: str) -> dict[str, Any]:
     name, colon, rest = (word.strip() for word in part.partition(":"))
     place = f"sample {name or part!r}"
     if name not in MODELS:
+        from goniotwin.app.formats import registry
+
         tables = ", ".join(registry.suffixes(each for each in registry.readers() if each.holds & registry.BSDF))
         known = (
             "gaussian:width_deg=5, lambertian:reflectance=0.9, regular:reflectance=0.04, wide-tailed:width_deg=2, "
@@ -348,8 +353,12 @@ def _value(text: str) -> bool | float | str:
         return text
 
 
-def _file_sample(content: BsdfFile, path: Path, sample: MeasuredTable) -> Scatterer:
+def _file_sample(content: "BsdfFile", path: Path, sample: MeasuredTable) -> Scatterer:
     """The sample of a file: all of its lobes. Raises FormatError, and ValueError for values that no sample has."""
+    from goniotwin.app.formats import FormatError, registry
+    from goniotwin.app.formats.content import separate
+    from goniotwin.app.formats.gridding import grid_table
+
     if sample.sample is not None:
         content = content.of(sample.sample)
     if len(content.samples) != 1:
@@ -371,7 +380,7 @@ def _side(sample: MeasuredTable, back: bool) -> Side:
     return opposite[sample.side] if back else sample.side
 
 
-def _grey(part: BsdfTable | RegularFactors) -> Floats:
+def _grey(part: "BsdfTable | RegularFactors") -> Floats:
     """The values of a part of colours as one channel: their luminance, or their mean where that is not known."""
     weights = [LUMINANCE.get(name.lower(), math.nan) for name in part.colours]
     if np.isnan(weights).any():
@@ -380,7 +389,7 @@ def _grey(part: BsdfTable | RegularFactors) -> Floats:
     return grey
 
 
-def _table_sample(table: BsdfTable, name: str, sample: MeasuredTable) -> Scatterer:
+def _table_sample(table: "BsdfTable", name: str, sample: MeasuredTable) -> Scatterer:
     """The sample of a table, with 0 in place of noise below zero. Raises ValueError for values that no sample has."""
     values = _grey(table) if table.colours else table.values
     noise = (values < 0.0) & (values >= -NOISE * np.max(values))
@@ -395,7 +404,7 @@ def _table_sample(table: BsdfTable, name: str, sample: MeasuredTable) -> Scatter
     return spectral_table(table.wavelengths_nm, *axes, values, name, psi, *acts)
 
 
-def _regular_lobes(part: RegularFactors, sample: MeasuredTable) -> list[Scatterer]:
+def _regular_lobes(part: "RegularFactors", sample: MeasuredTable) -> list[Scatterer]:
     """The regular lobes of a part, one a wavelength, linear between them; the mean of several azimuths of the light."""
     values = (_grey(part) if part.colours else part.values).mean(axis=1)
     acts = (part.transmitted, _side(sample, part.back), part.sigma_deg)

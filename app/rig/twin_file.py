@@ -13,6 +13,7 @@ from typing import Any
 from goniotwin.app.rig.samples import SampleTable, sample_scatterer
 from goniotwin.drivers.monochromator.settings import refuse_repeated_positions
 from goniotwin.keys import values_of
+from goniotwin.twin.addresses import AXES, CONVERTER, CONVERTER_LINE, MONITOR, MONOCHROMATOR
 from goniotwin.twin.devices import MODULE_KINDS
 from goniotwin.twin.optics import Deviation, Instrument, RealSensor
 from goniotwin.twin.optics.geometry.field import scale_field
@@ -29,7 +30,6 @@ from goniotwin.twin.plant import (
     TwinModel,
     WheelFilter,
 )
-from goniotwin.twin.rig import AXES, CONVERTER, CONVERTER_LINE, MONITOR, MONOCHROMATOR
 
 NAME = re.compile(r"[A-Za-z0-9_-]+")
 """The name of a device in an address `twin://RIG/NAME`."""

@@ -14,8 +14,9 @@ from typing import Any
 import serial
 import usb.core
 
-from goniotwin.app.rig.addresses import TWIN, USBIP, InvalidAddress, ModbusUnits, check_serial_port, device_names, usbip_address
+from goniotwin.app.rig.addresses import TWIN, USBIP, InvalidAddress, check_serial_port, device_names, usbip_address
 from goniotwin.app.rig.lock import file_stem
+from goniotwin.app.rig.modbus_units import ModbusUnits
 from goniotwin.drivers import Transcript
 from goniotwin.drivers.device import PortOpener
 from goniotwin.drivers.found import FoundSettings

@@ -15,23 +15,18 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Literal
 
 from goniotwin.drivers.device import Pending, Poll
 from goniotwin.drivers.errors import BadAnswer, DeviceError, Forgotten, NoAnswer, Refused
 from goniotwin.drivers.found import FoundSettings
+from goniotwin.drivers.monitor.settings import ANSWER_MARGIN_S, MonitorSettings
 from goniotwin.drivers.tap import Tap, no_tap
 from goniotwin.drivers.usb.usbtmc import UsbOpener, UsbTmc
-from goniotwin.keys import Fraction, Positive
 from goniotwin.protocols.clock import Clock
 from goniotwin.protocols.scpi import ScpiError, decode_error, decode_number, overloaded
 
 NAME = "monitor"
-ANSWER_MARGIN_S = 2.0e-3
-TRANSFER_S = 0.8e-3
-"""Typical duration of a USB transfer."""
-TRANSFERS_AT_END = 5
-"""Number of USB transfers at the end of a mean: request and reply of the value; query, request and reply of the canary."""
 LONGEST_READING_S = 1.0
 OVERRANGE = 1.1
 NEXT_ERROR = "SYST:ERR?"
@@ -96,45 +91,6 @@ B2980 = Dialect(
     before=("FORM ASC", "FORM:ELEM:SENS CURR", "INP ON"),
 )
 DIALECTS = {each.name: each for each in (PM100D, B2980)}
-
-
-class MonitorDescription(Protocol):
-    """A monitor of any make as its driver knows it without a wire: the operator's table of it.
-
-    `relative_uncertainty` is the standard one of a reading, `largest_a` the end of its range in A, inf where it has none. A
-    mean is read and checked `fetching_seconds` after its end.
-    """
-
-    @property
-    def relative_uncertainty(self) -> float: ...
-    @property
-    def largest_a(self) -> float: ...
-    @property
-    def fetching_seconds(self) -> float: ...
-
-
-@dataclass(frozen=True)
-class MonitorSettings:
-    """The instrument of the monitor photodiode: range `range_a`, rate `samples_per_s`, `relative_uncertainty` of one reading.
-
-    `wavelength_nm` is the wavelength at which it gives power. `dialect` is a key of DIALECTS.
-    """
-
-    range_a: Positive = 500e-9
-    samples_per_s: Positive = 3000.0
-    relative_uncertainty: Fraction = 3.0e-4
-    wavelength_nm: Positive = 550.0
-    dialect: Literal["pm100d", "b2980"] = "pm100d"
-
-    @property
-    def largest_a(self) -> float:
-        """The end of its range, A."""
-        return self.range_a
-
-    @property
-    def fetching_seconds(self) -> float:
-        """From the end of a mean until it is read and checked, s."""
-        return ANSWER_MARGIN_S + TRANSFERS_AT_END * TRANSFER_S
 
 
 class Monitor:

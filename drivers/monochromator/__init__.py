@@ -3,7 +3,21 @@
 `Monochromator` is the device, `MonochromatorSettings` its configuration, `FilterWheel` the filter for each wavelength.
 """
 
-from goniotwin.drivers.monochromator.monochromator import Monochromator
-from goniotwin.drivers.monochromator.settings import FilterWheel, MonochromatorDescription, MonochromatorSettings, OrderFilter
+from typing import TYPE_CHECKING
 
-__all__ = ["FilterWheel", "Monochromator", "MonochromatorDescription", "MonochromatorSettings", "OrderFilter"]
+from goniotwin.first_use import first_use
+
+if TYPE_CHECKING:
+    from goniotwin.drivers.monochromator.monochromator import Monochromator as Monochromator
+    from goniotwin.drivers.monochromator.settings import FilterWheel as FilterWheel
+    from goniotwin.drivers.monochromator.settings import MonochromatorDescription as MonochromatorDescription
+    from goniotwin.drivers.monochromator.settings import MonochromatorSettings as MonochromatorSettings
+    from goniotwin.drivers.monochromator.settings import OrderFilter as OrderFilter
+else:
+    __getattr__ = first_use(
+        __name__,
+        {
+            "monochromator": ("Monochromator",),
+            "settings": ("FilterWheel", "MonochromatorDescription", "MonochromatorSettings", "OrderFilter"),
+        },
+    )

@@ -9,13 +9,13 @@ import sys
 import tempfile
 from pathlib import Path
 
+import platformdirs
 import pytest
 
-from goniotwin.app import errors
 from goniotwin.app.campaign.running.events import Event, RowStarted
 from goniotwin.app.cli import device_search
 from goniotwin.app.cli.main import COMMANDS, INTERRUPTED, app, main
-from goniotwin.app.cli.output import RowProgress
+from goniotwin.app.cli.progress import RowProgress
 from goniotwin.drivers import DeviceError, Rig
 from tests.conftest import REPOSITORY, RIG, SCHEDULE, Writer
 from tests.system.command import invoke
@@ -219,7 +219,7 @@ def test_where_no_folder_can_be_written_the_line_has_the_place(tmp_path: Path, m
 
     (tmp_path / "file").touch()
     monkeypatch.setattr(device_search, "find_devices", fail)
-    monkeypatch.setattr(errors, "user_log_path", lambda name: tmp_path / "file" / name)
+    monkeypatch.setattr(platformdirs, "user_log_path", lambda name: tmp_path / "file" / name)
     monkeypatch.setattr(tempfile, "gettempdir", lambda: str(tmp_path / "file" / "temporary"))
     done = invoke("devices")
     assert done.returncode == 1

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from goniotwin.app.rig import axis_timings, read_rig
 from goniotwin.drivers import Pending, Rig, wait
-from goniotwin.drivers.monitor.monitor import TRANSFERS_AT_END
+from goniotwin.drivers.monitor.settings import TRANSFERS_AT_END
 from goniotwin.drivers.motion.settings import move_seconds
 from tests.app.campaign.filter_rig import RIG_FILTERS, TWIN_FILTERS
 from tests.conftest import Change, RigOpener, Writer, tmcl_axis, tmcl_exchange_s

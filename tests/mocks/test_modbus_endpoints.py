@@ -14,7 +14,7 @@ from pymodbus.client import ModbusSerialClient, ModbusTcpClient
 from pymodbus.exceptions import ModbusException, ModbusIOException
 
 from goniotwin.app.rig import OpenRig
-from goniotwin.app.rig.addresses import ModbusUnits
+from goniotwin.app.rig.modbus_units import ModbusUnits
 from goniotwin.drivers import PhotodiodeArray, PhotodiodeSettings, wait
 from goniotwin.mocks.modbus_endpoints import ModbusEndpoints
 from goniotwin.protocols import adam

@@ -1,11 +1,14 @@
 """An incremental encoder on an axis: its counts are the axis' angle, its eccentricity and its noise, in whole counts."""
 
 import math
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from goniotwin.twin.plant import Plant
 from goniotwin.twin.plant.noise import normal, process_key
+
+if TYPE_CHECKING:
+    from goniotwin.twin.plant import Plant
 
 PERIOD_S = 1.0e-3
 MICROSTEPS = 256
@@ -18,7 +21,7 @@ class Encoder:
     `resolution` is what the module believes of its counts a turn of the motor.
     """
 
-    def __init__(self, plant: Plant, axis: str, noise: float) -> None:
+    def __init__(self, plant: "Plant", axis: str, noise: float) -> None:
         self._shaft = plant.shafts[axis]
         self._noise = noise if plant.model.noise else 0.0
         self._key = process_key(plant.model.seed, f"encoder {axis}")

@@ -4,10 +4,14 @@ import math
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 from goniotwin.protocols.tmcl import FRAME_BYTES, split
 from goniotwin.twin.devices.tmcm6214 import MotionModule, UnsolicitedReply
-from goniotwin.twin.plant import AxisController, Mechanics, ModuleKind, Plant
+from goniotwin.twin.plant import AxisController, Mechanics, ModuleKind
+
+if TYPE_CHECKING:
+    from goniotwin.twin.plant import Plant
 
 IDLE_GAP_S = 0.05
 
@@ -24,7 +28,7 @@ class TmclLine:
     the system brings them, it has to be as much longer as the clock is faster.
     """
 
-    def __init__(self, plant: Plant, controller: AxisController | None = None, axes: tuple[str, ...] | None = None) -> None:
+    def __init__(self, plant: "Plant", controller: AxisController | None = None, axes: tuple[str, ...] | None = None) -> None:
         controller = plant.model.controller if controller is None else controller
         axes = plant.model.controller_axes if axes is None else axes
         self.baudrate = controller.baudrate
@@ -104,7 +108,7 @@ class FurtherTmclLine(AxisController):
     kind: ModuleKind = field()  # without the default of the line that every rig has
     axes: tuple[str, ...]
 
-    def build(self, plant: Plant) -> TmclLine:
+    def build(self, plant: "Plant") -> TmclLine:
         """The line on a plant."""
         return TmclLine(plant, self, self.axes)
 

@@ -8,7 +8,7 @@ them, the unit of the telegram pause (ms), and the states of a stand-alone progr
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from goniotwin.protocols.tmcl import (
     HOST_ADDRESS,
@@ -29,8 +29,11 @@ from goniotwin.twin.devices.encoder import Encoder
 from goniotwin.twin.devices.globals import Globals
 from goniotwin.twin.devices.motor import Motor
 from goniotwin.twin.devices.ramp_generator import CommandRejected
-from goniotwin.twin.plant import AxisController, Plant
+from goniotwin.twin.plant import AxisController
 from goniotwin.twin.plant.shaft import Heartbeat
+
+if TYPE_CHECKING:
+    from goniotwin.twin.plant import Plant
 
 FACTORY_RESET_CODE, FACTORY_RESET_S = 1234, 5.0
 SUPPLY_DECIVOLT, TEMPERATURE_C = 240, 30
@@ -71,7 +74,7 @@ class MotionModule:
 
     def __init__(
         self,
-        plant: Plant,
+        plant: "Plant",
         controller: AxisController,
         axes: Mapping[int, str],
         address: int,
@@ -104,7 +107,7 @@ class MotionModule:
                 raise ValueError(f"{name} is motor {motor} of module {address}, and a TMCM-{number} has {motors}")
         self.motors = [self._motor(plant, axes.get(number)) for number in range(self.kind.motors)]
 
-    def _motor(self, plant: Plant, name: str | None) -> Motor:
+    def _motor(self, plant: "Plant", name: str | None) -> Motor:
         shaft = plant.shafts[name] if name is not None else None
         with_encoder = name is not None and plant.shafts[name].mechanics.encoder
         encoder = Encoder(plant, name, self._encoder_noise) if name is not None and with_encoder else None

@@ -15,11 +15,11 @@ from pymodbus.exceptions import ConnectionException
 from goniotwin.protocols import adam
 from goniotwin.protocols.clock import VirtualClock
 from goniotwin.protocols.script import TRANSACTION, Exchanged, ModbusExchange, ModbusScript, read_registers
+from goniotwin.twin.addresses import CONVERTER_LINE
 from goniotwin.twin.devices.adam import ConverterModule
 from goniotwin.twin.devices.line import BITS_A_BYTE, SerialDevice
 from goniotwin.twin.devices.modbus import GAP_CHARACTERS, TcpStation, answered
 from goniotwin.twin.doors.registry import NoSuchTwin, find, missing, split
-from goniotwin.twin.rig import CONVERTER_LINE
 
 Trace = Callable[[bool, bytes], bytes]
 CHUNK = 256

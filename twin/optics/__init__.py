@@ -7,109 +7,111 @@ package needs numpy and numba alone, and annotated-types, a module of names for 
 app/formats.
 """
 
-from goniotwin.twin.optics.bsdf.analytic_samples import anisotropic_gaussian, gaussian, lambertian, regular, ward, wide_tailed
-from goniotwin.twin.optics.bsdf.lobes import Lobe
-from goniotwin.twin.optics.bsdf.point_samples import scattered_points
-from goniotwin.twin.optics.bsdf.scatterer import (
-    Scatterer,
-    albedo,
-    apply_spectrum,
-    combine_sides,
-    draw_directions,
-    evaluate,
-    lobe_shares,
-    sum_samples,
-    without_regular,
-)
-from goniotwin.twin.optics.bsdf.table_samples import spectral_table, table_sample
-from goniotwin.twin.optics.fast.estimator import luminance_factor, luminance_factors, spectral_throughput, throughput
-from goniotwin.twin.optics.fast.obstruction import ShadowMap, shadow_map, visible_fraction, visible_fraction_of_few
-from goniotwin.twin.optics.fast.scenes import Pose, Poses, Scenes
-from goniotwin.twin.optics.fast.surrogate import Surrogate, factor_blocks
-from goniotwin.twin.optics.forward.estimator import Estimate, forward_throughput
-from goniotwin.twin.optics.forward.stray_light import StrayMap, stray_map, stray_throughput
-from goniotwin.twin.optics.geometry.coordinates import (
-    arc_direction,
-    from_specular,
-    light_direction,
-    specular_direction,
-    to_specular,
-)
-from goniotwin.twin.optics.geometry.deviation import Deviation
-from goniotwin.twin.optics.geometry.instrument import Dimensions, Instrument, Reflectance, SampleFrames, deviation_array
-from goniotwin.twin.optics.geometry.mirrors import pupil_image
-from goniotwin.twin.optics.geometry.sensor import RealSensor
-from goniotwin.twin.optics.illumination.adjoint import IlluminationFigure, adjoint_illumination, illumination_figure
-from goniotwin.twin.optics.illumination.beam import Illumination
-from goniotwin.twin.optics.illumination.field_flux import field_fluxes
-from goniotwin.twin.optics.illumination.forward import forward_illumination
-from goniotwin.twin.optics.illumination.rayset import Rayset, RaySource, record, replay
-from goniotwin.twin.optics.illumination.spectrum import Spectrum, luminous_spectrum, xenon_spectrum
-from goniotwin.twin.optics.illumination.unit import IlluminationUnit
+from typing import TYPE_CHECKING
 
-__all__ = [
-    "Deviation",
-    "Dimensions",
-    "Estimate",
-    "Illumination",
-    "IlluminationFigure",
-    "IlluminationUnit",
-    "Instrument",
-    "Lobe",
-    "Pose",
-    "Poses",
-    "RaySource",
-    "Rayset",
-    "RealSensor",
-    "Reflectance",
-    "SampleFrames",
-    "Scatterer",
-    "Scenes",
-    "ShadowMap",
-    "Spectrum",
-    "StrayMap",
-    "Surrogate",
-    "adjoint_illumination",
-    "albedo",
-    "anisotropic_gaussian",
-    "apply_spectrum",
-    "arc_direction",
-    "combine_sides",
-    "deviation_array",
-    "draw_directions",
-    "evaluate",
-    "factor_blocks",
-    "field_fluxes",
-    "forward_illumination",
-    "forward_throughput",
-    "from_specular",
-    "gaussian",
-    "illumination_figure",
-    "lambertian",
-    "light_direction",
-    "lobe_shares",
-    "luminance_factor",
-    "luminance_factors",
-    "luminous_spectrum",
-    "pupil_image",
-    "record",
-    "regular",
-    "replay",
-    "scattered_points",
-    "shadow_map",
-    "spectral_table",
-    "spectral_throughput",
-    "specular_direction",
-    "stray_map",
-    "stray_throughput",
-    "sum_samples",
-    "table_sample",
-    "throughput",
-    "to_specular",
-    "visible_fraction",
-    "visible_fraction_of_few",
-    "ward",
-    "wide_tailed",
-    "without_regular",
-    "xenon_spectrum",
-]
+from goniotwin.first_use import first_use
+
+if TYPE_CHECKING:
+    from goniotwin.twin.optics.bsdf.analytic_samples import anisotropic_gaussian as anisotropic_gaussian
+    from goniotwin.twin.optics.bsdf.analytic_samples import gaussian as gaussian
+    from goniotwin.twin.optics.bsdf.analytic_samples import lambertian as lambertian
+    from goniotwin.twin.optics.bsdf.analytic_samples import regular as regular
+    from goniotwin.twin.optics.bsdf.analytic_samples import ward as ward
+    from goniotwin.twin.optics.bsdf.analytic_samples import wide_tailed as wide_tailed
+    from goniotwin.twin.optics.bsdf.lobes import Lobe as Lobe
+    from goniotwin.twin.optics.bsdf.point_samples import scattered_points as scattered_points
+    from goniotwin.twin.optics.bsdf.scatterer import Scatterer as Scatterer
+    from goniotwin.twin.optics.bsdf.scatterer import albedo as albedo
+    from goniotwin.twin.optics.bsdf.scatterer import apply_spectrum as apply_spectrum
+    from goniotwin.twin.optics.bsdf.scatterer import combine_sides as combine_sides
+    from goniotwin.twin.optics.bsdf.scatterer import draw_directions as draw_directions
+    from goniotwin.twin.optics.bsdf.scatterer import evaluate as evaluate
+    from goniotwin.twin.optics.bsdf.scatterer import lobe_shares as lobe_shares
+    from goniotwin.twin.optics.bsdf.scatterer import sum_samples as sum_samples
+    from goniotwin.twin.optics.bsdf.scatterer import without_regular as without_regular
+    from goniotwin.twin.optics.bsdf.table_samples import spectral_table as spectral_table
+    from goniotwin.twin.optics.bsdf.table_samples import table_sample as table_sample
+    from goniotwin.twin.optics.fast.estimator import luminance_factor as luminance_factor
+    from goniotwin.twin.optics.fast.estimator import luminance_factors as luminance_factors
+    from goniotwin.twin.optics.fast.estimator import spectral_throughput as spectral_throughput
+    from goniotwin.twin.optics.fast.estimator import throughput as throughput
+    from goniotwin.twin.optics.fast.obstruction import ShadowMap as ShadowMap
+    from goniotwin.twin.optics.fast.obstruction import shadow_map as shadow_map
+    from goniotwin.twin.optics.fast.obstruction import visible_fraction as visible_fraction
+    from goniotwin.twin.optics.fast.obstruction import visible_fraction_of_few as visible_fraction_of_few
+    from goniotwin.twin.optics.fast.scenes import Pose as Pose
+    from goniotwin.twin.optics.fast.scenes import Poses as Poses
+    from goniotwin.twin.optics.fast.scenes import Scenes as Scenes
+    from goniotwin.twin.optics.fast.surrogate import Surrogate as Surrogate
+    from goniotwin.twin.optics.fast.surrogate import factor_blocks as factor_blocks
+    from goniotwin.twin.optics.forward.estimator import Estimate as Estimate
+    from goniotwin.twin.optics.forward.estimator import forward_throughput as forward_throughput
+    from goniotwin.twin.optics.forward.stray_light import StrayMap as StrayMap
+    from goniotwin.twin.optics.forward.stray_light import stray_map as stray_map
+    from goniotwin.twin.optics.forward.stray_light import stray_throughput as stray_throughput
+    from goniotwin.twin.optics.geometry.coordinates import arc_direction as arc_direction
+    from goniotwin.twin.optics.geometry.coordinates import from_specular as from_specular
+    from goniotwin.twin.optics.geometry.coordinates import light_direction as light_direction
+    from goniotwin.twin.optics.geometry.coordinates import specular_direction as specular_direction
+    from goniotwin.twin.optics.geometry.coordinates import to_specular as to_specular
+    from goniotwin.twin.optics.geometry.deviation import Deviation as Deviation
+    from goniotwin.twin.optics.geometry.instrument import Dimensions as Dimensions
+    from goniotwin.twin.optics.geometry.instrument import Instrument as Instrument
+    from goniotwin.twin.optics.geometry.instrument import Reflectance as Reflectance
+    from goniotwin.twin.optics.geometry.instrument import SampleFrames as SampleFrames
+    from goniotwin.twin.optics.geometry.instrument import deviation_array as deviation_array
+    from goniotwin.twin.optics.geometry.mirrors import pupil_image as pupil_image
+    from goniotwin.twin.optics.geometry.sensor import RealSensor as RealSensor
+    from goniotwin.twin.optics.illumination.adjoint import IlluminationFigure as IlluminationFigure
+    from goniotwin.twin.optics.illumination.adjoint import adjoint_illumination as adjoint_illumination
+    from goniotwin.twin.optics.illumination.adjoint import illumination_figure as illumination_figure
+    from goniotwin.twin.optics.illumination.beam import Illumination as Illumination
+    from goniotwin.twin.optics.illumination.field_flux import field_fluxes as field_fluxes
+    from goniotwin.twin.optics.illumination.forward import forward_illumination as forward_illumination
+    from goniotwin.twin.optics.illumination.rayset import Rayset as Rayset
+    from goniotwin.twin.optics.illumination.rayset import RaySource as RaySource
+    from goniotwin.twin.optics.illumination.rayset import record as record
+    from goniotwin.twin.optics.illumination.rayset import replay as replay
+    from goniotwin.twin.optics.illumination.spectrum import Spectrum as Spectrum
+    from goniotwin.twin.optics.illumination.spectrum import luminous_spectrum as luminous_spectrum
+    from goniotwin.twin.optics.illumination.spectrum import xenon_spectrum as xenon_spectrum
+    from goniotwin.twin.optics.illumination.unit import IlluminationUnit as IlluminationUnit
+else:
+    __getattr__ = first_use(
+        __name__,
+        {
+            "bsdf.analytic_samples": ("anisotropic_gaussian", "gaussian", "lambertian", "regular", "ward", "wide_tailed"),
+            "bsdf.lobes": ("Lobe",),
+            "bsdf.point_samples": ("scattered_points",),
+            "bsdf.scatterer": (
+                "Scatterer",
+                "albedo",
+                "apply_spectrum",
+                "combine_sides",
+                "draw_directions",
+                "evaluate",
+                "lobe_shares",
+                "sum_samples",
+                "without_regular",
+            ),
+            "bsdf.table_samples": ("spectral_table", "table_sample"),
+            "fast.estimator": ("luminance_factor", "luminance_factors", "spectral_throughput", "throughput"),
+            "fast.obstruction": ("ShadowMap", "shadow_map", "visible_fraction", "visible_fraction_of_few"),
+            "fast.scenes": ("Pose", "Poses", "Scenes"),
+            "fast.surrogate": ("Surrogate", "factor_blocks"),
+            "forward.estimator": ("Estimate", "forward_throughput"),
+            "forward.stray_light": ("StrayMap", "stray_map", "stray_throughput"),
+            "geometry.coordinates": ("arc_direction", "from_specular", "light_direction", "specular_direction", "to_specular"),
+            "geometry.deviation": ("Deviation",),
+            "geometry.instrument": ("Dimensions", "Instrument", "Reflectance", "SampleFrames", "deviation_array"),
+            "geometry.mirrors": ("pupil_image",),
+            "geometry.sensor": ("RealSensor",),
+            "illumination.adjoint": ("IlluminationFigure", "adjoint_illumination", "illumination_figure"),
+            "illumination.beam": ("Illumination",),
+            "illumination.field_flux": ("field_fluxes",),
+            "illumination.forward": ("forward_illumination",),
+            "illumination.rayset": ("Rayset", "RaySource", "record", "replay"),
+            "illumination.spectrum": ("Spectrum", "luminous_spectrum", "xenon_spectrum"),
+            "illumination.unit": ("IlluminationUnit",),
+        },
+    )

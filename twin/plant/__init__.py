@@ -1,45 +1,53 @@
 """State of the instrument at a given time: mechanics, light, electronics; without threads and without ticks."""
 
-from goniotwin.twin.plant.disturbances import Disturbances, Drawn
-from goniotwin.twin.plant.model import (
-    AxisController,
-    ControllerModel,
-    DeviceModel,
-    Electronics,
-    Estimator,
-    LightSource,
-    Mechanics,
-    ModuleKind,
-    MonitorPhotodiode,
-    MonochromatorDrive,
-    OrderSorting,
-    Parts,
-    Photodiodes,
-    SecondOrder,
-    TwinModel,
-    WheelFilter,
-)
-from goniotwin.twin.plant.plant import ExpectedPose, Plant
+from typing import TYPE_CHECKING
 
-__all__ = [
-    "AxisController",
-    "ControllerModel",
-    "DeviceModel",
-    "Disturbances",
-    "Drawn",
-    "Electronics",
-    "Estimator",
-    "ExpectedPose",
-    "LightSource",
-    "Mechanics",
-    "ModuleKind",
-    "MonitorPhotodiode",
-    "MonochromatorDrive",
-    "OrderSorting",
-    "Parts",
-    "Photodiodes",
-    "Plant",
-    "SecondOrder",
-    "TwinModel",
-    "WheelFilter",
-]
+from goniotwin.first_use import first_use
+
+if TYPE_CHECKING:
+    from goniotwin.twin.plant.disturbances import Disturbances as Disturbances
+    from goniotwin.twin.plant.disturbances import Drawn as Drawn
+    from goniotwin.twin.plant.model import AxisController as AxisController
+    from goniotwin.twin.plant.model import ControllerModel as ControllerModel
+    from goniotwin.twin.plant.model import DeviceModel as DeviceModel
+    from goniotwin.twin.plant.model import Electronics as Electronics
+    from goniotwin.twin.plant.model import Estimator as Estimator
+    from goniotwin.twin.plant.model import LightSource as LightSource
+    from goniotwin.twin.plant.model import Mechanics as Mechanics
+    from goniotwin.twin.plant.model import ModuleKind as ModuleKind
+    from goniotwin.twin.plant.model import MonitorPhotodiode as MonitorPhotodiode
+    from goniotwin.twin.plant.model import MonochromatorDrive as MonochromatorDrive
+    from goniotwin.twin.plant.model import OrderSorting as OrderSorting
+    from goniotwin.twin.plant.model import Parts as Parts
+    from goniotwin.twin.plant.model import Photodiodes as Photodiodes
+    from goniotwin.twin.plant.model import SecondOrder as SecondOrder
+    from goniotwin.twin.plant.model import TwinModel as TwinModel
+    from goniotwin.twin.plant.model import WheelFilter as WheelFilter
+    from goniotwin.twin.plant.plant import ExpectedPose as ExpectedPose
+    from goniotwin.twin.plant.plant import Plant as Plant
+else:
+    __getattr__ = first_use(
+        __name__,
+        {
+            "disturbances": ("Disturbances", "Drawn"),
+            "model": (
+                "AxisController",
+                "ControllerModel",
+                "DeviceModel",
+                "Electronics",
+                "Estimator",
+                "LightSource",
+                "Mechanics",
+                "ModuleKind",
+                "MonitorPhotodiode",
+                "MonochromatorDrive",
+                "OrderSorting",
+                "Parts",
+                "Photodiodes",
+                "SecondOrder",
+                "TwinModel",
+                "WheelFilter",
+            ),
+            "plant": ("ExpectedPose", "Plant"),
+        },
+    )

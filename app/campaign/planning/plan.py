@@ -11,7 +11,6 @@ import numpy as np
 
 from goniotwin.app.campaign.geometry.collision import crosses_beam
 from goniotwin.app.campaign.planning.durations import Timing
-from goniotwin.app.campaign.planning.exposure import expected_reading_s, exposure_twin
 from goniotwin.app.campaign.planning.lower_bound import plan_lower_bound_s
 from goniotwin.app.campaign.planning.mountings import Pass, mountings
 from goniotwin.app.campaign.planning.scan_grid import ScanGrid
@@ -32,6 +31,7 @@ from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.schedule.file import ScheduleDescription, ScheduleFile
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription, arc_clearance
+from goniotwin.arrays import Floats
 from goniotwin.drivers import ArcClearance
 
 CROSS_CHECKS = ("overlap", "symmetry_check")
@@ -167,7 +167,7 @@ def _build_plan(
     refuse_too_many_checks(schedule, min_rows(mounted, templates, timing), "at least ")
     timing = Timing(rig.file, _expected_readings(schedule, rig, mounted, templates, timing))
     timeline = PlanTimeline(file, templates, timing, clearance)
-    timeline.warm_up(float(np.median(mounted[0][0].grid.wavelengths_nm)))
+    timeline.warm_up(_median(mounted[0][0].grid.wavelengths_nm))
     grids = dict.fromkeys(each.grid for passes in mounted for each in passes)
     candidates = {grid: fastest_scan_order(grid, file, timing.moves, clearance) for grid in grids}
     orders, sequences = PassOrder(mounted, file, timing.moves, clearance).fastest(candidates, timeline.state.point)
@@ -183,6 +183,12 @@ def _build_plan(
     return NewPlan(schedule, rig, rows, templates, mounted, orders, timeline.oldest_dark_s, timing.expected_reading_s, omitted)
 
 
+def _median(values: Floats) -> float:
+    """The median; numpy's own loads its masked arrays first."""
+    ordered, middle = np.sort(values), len(values) // 2
+    return float(0.5 * (ordered[(len(values) - 1) // 2] + ordered[middle]))
+
+
 def _expected_readings(
     schedule: ScheduleDescription, rig: RigDescription, mounted: list[list[Pass]], templates: RowTemplates, timing: Timing
 ) -> dict[str, float]:
@@ -190,6 +196,8 @@ def _expected_readings(
     file = schedule.file
     if file.averaging is None and file.gains_v_per_a != "automatic":
         return {}
+    from goniotwin.app.campaign.planning.exposure import expected_reading_s, exposure_twin  # loads the twin's optics
+
     model = exposure_twin(rig, file.etalon, file.samples)
     if model is None:
         return {}

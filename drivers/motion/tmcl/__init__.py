@@ -5,25 +5,33 @@ before anything else. `TmclAxis` is one motor as an angle; it starts a `Move` or
 `axis_timing` gives the durations of its moves, `explain` a frame as text for transcripts.
 """
 
-from goniotwin.drivers.motion.tmcl.axis import TmclAxis, axis_timing
-from goniotwin.drivers.motion.tmcl.controller import TmclController, TmclSettings
-from goniotwin.drivers.motion.tmcl.homing import HomingSearch
-from goniotwin.drivers.motion.tmcl.module import TmclModule
-from goniotwin.drivers.motion.tmcl.move import Move
-from goniotwin.drivers.motion.tmcl.port import exchange_seconds
-from goniotwin.drivers.motion.tmcl.registers import Switches
-from goniotwin.drivers.motion.tmcl.rules import CANARY, explain
+from typing import TYPE_CHECKING
 
-__all__ = [
-    "CANARY",
-    "HomingSearch",
-    "Move",
-    "Switches",
-    "TmclAxis",
-    "TmclController",
-    "TmclModule",
-    "TmclSettings",
-    "axis_timing",
-    "exchange_seconds",
-    "explain",
-]
+from goniotwin.first_use import first_use
+
+if TYPE_CHECKING:
+    from goniotwin.drivers.motion.tmcl.axis import TmclAxis as TmclAxis
+    from goniotwin.drivers.motion.tmcl.axis import axis_timing as axis_timing
+    from goniotwin.drivers.motion.tmcl.controller import TmclController as TmclController
+    from goniotwin.drivers.motion.tmcl.controller import TmclSettings as TmclSettings
+    from goniotwin.drivers.motion.tmcl.homing import HomingSearch as HomingSearch
+    from goniotwin.drivers.motion.tmcl.module import TmclModule as TmclModule
+    from goniotwin.drivers.motion.tmcl.move import Move as Move
+    from goniotwin.drivers.motion.tmcl.port import exchange_seconds as exchange_seconds
+    from goniotwin.drivers.motion.tmcl.registers import Switches as Switches
+    from goniotwin.drivers.motion.tmcl.rules import CANARY as CANARY
+    from goniotwin.drivers.motion.tmcl.rules import explain as explain
+else:
+    __getattr__ = first_use(
+        __name__,
+        {
+            "axis": ("TmclAxis", "axis_timing"),
+            "controller": ("TmclController", "TmclSettings"),
+            "homing": ("HomingSearch",),
+            "module": ("TmclModule",),
+            "move": ("Move",),
+            "port": ("exchange_seconds",),
+            "registers": ("Switches",),
+            "rules": ("CANARY", "explain"),
+        },
+    )

@@ -10,8 +10,9 @@ from serial.tools.list_ports_common import ListPortInfo
 
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import open_rig, read_rig
-from goniotwin.app.rig.addresses import ModbusUnits, check_address, device_names, resolve_port, rtu_address
+from goniotwin.app.rig.addresses import check_address, device_names, resolve_port, rtu_address
 from goniotwin.app.rig.lock import RigLock
+from goniotwin.app.rig.modbus_units import ModbusUnits
 from goniotwin.app.rig.served_file import endpoint_address
 from goniotwin.app.rig.wires import FoundNote, Wires
 from goniotwin.mocks.served import Endpoint, Wire
