@@ -4,14 +4,16 @@ It shows damage: a changed bit, a missing row, a copy that is torn. It does not 
 compute the chain anew. docs/journal.md describes what is hashed, so that any program can check it.
 """
 
+import bisect
 import hashlib
-import itertools
 import json
 import operator
 import sqlite3
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
+
+from goniotwin.app.campaign.journal.canonical import CanonicalColumns, encode
 
 ENTRY = "chain"
 """Key in the table `campaign` of the hashes of the other entries and of the plan, and of the last session before the chain."""
@@ -29,9 +31,9 @@ ROW_NUMBERS = 12
 READING = "gain_v_per_a, first_s, period_s, monitor_a, readings, channels, counts"
 NAMED_ROWS = 5
 """Damaged rows that a message names."""
-ENCODED_TOGETHER = 64
-"""Rows of which the numbers are encoded in one call: one by one takes twice the time."""
-_json = json.JSONEncoder(default=repr).encode  # a damaged value may be of any type
+CHECKED_TOGETHER = 512
+"""Rows that are compared with their links together, and whose readings are in memory."""
+READING_NUMBERS, PLAN_ROW_NUMBERS = 6, 7
 
 
 class ChainError(ValueError):
@@ -169,7 +171,7 @@ class _Links:
         for link, stored, row, counted, computed in _computed_links(db, tip):
             sound = computed == stored
             if not sound and repaired is not None:  # the damage may be that of the hash before
-                sound = _link_hash(repaired, link, row, counted) == stored
+                sound = _link_hash(repaired, link, row, [reading[1:] for reading in counted]) == stored
             if link != self.last + 1:
                 self.gap, sound = link, False
             if not sound:
@@ -179,30 +181,53 @@ class _Links:
 
 
 def _computed_links(db: sqlite3.Connection, tip: str) -> Iterator[tuple[int, str, Sequence[Any], list[Any], str]]:
-    """Of each link its number, the stored hash, its row and readings, and the hash of these after the stored hash before it."""
+    """Of each link its number, the stored hash, its row, its readings (each after the link), and the hash of these after
+    the stored hash before it.
+    """
     readings = _readings_by_link(db)
-    following = next(readings, (0, []))
     found = db.execute(f"SELECT link, sha256, {ROW.format('chain')} ORDER BY link")
-    while block := found.fetchmany(ENCODED_TOGETHER):
-        links = []
-        for link, stored, *row in block:
-            counted: list[Any] = []
-            if following[0] == link:
-                counted, following = following[1], next(readings, (0, []))
-            links.append((tip, link, row, counted))
-            tip = _text(stored)
-        encoded = _encoded_rows([_link_contents(*each) for each in links])
-        for (_, link, row, counted), (_, stored, *_), content in zip(links, block, encoded, strict=True):
-            yield link, _text(stored), row, counted, hashlib.sha256(content).hexdigest()
+    next(readings)
+    while block := found.fetchmany(CHECKED_TOGETHER):
+        links, stored, *columns = zip(*block, strict=True)
+        hashes = [_text(each) for each in stored]
+        rows = CanonicalColumns([[tip, *hashes[:-1]], links, *columns[:ROW_NUMBERS]], columns[ROW_NUMBERS:])
+        tip = hashes[-1]
+        counted = readings.send(links[-1])
+        begin, last = 0, len(counted)
+        if counted:
+            of_link, *read = zip(*counted, strict=True)
+            of_readings = CanonicalColumns(read[:READING_NUMBERS], read[READING_NUMBERS:])
+        for k, link in enumerate(links):
+            end = begin
+            while end < last and of_link[end] == link:
+                end += 1
+            if end > begin:
+                some = slice(begin, end)
+                numbers = ", ".join((rows.numbers[k], *of_readings.numbers[some], rows.lengths[k], *of_readings.lengths[some]))
+                contents = (rows.contents[k], *of_readings.contents[some])
+            else:
+                numbers, contents = f"{rows.numbers[k]}, {rows.lengths[k]}", (rows.contents[k],)
+            digest = hashlib.sha256(b"".join((f"[{numbers}]".encode(), *contents))).hexdigest()
+            yield link, hashes[k], block[k][2:], counted[begin:end], digest
+            begin = end
 
 
-def _readings_by_link(db: sqlite3.Connection) -> Iterator[tuple[int, list[Any]]]:
-    """The readings of each link that has some, in the order of the chain."""
+def _readings_by_link(db: sqlite3.Connection) -> Generator[list[Any], int, None]:
+    """In the order of the chain the readings up to the link that is sent, of those that were not given before."""
     found = db.execute(
         f"SELECT link, {READING} FROM chain CROSS JOIN reading USING (number, attempt) ORDER BY link, gain_v_per_a"
     )
-    for link, readings in itertools.groupby(found, operator.itemgetter(0)):
-        yield link, [reading[1:] for reading in readings]
+    known: list[Any] = []
+    last = yield known
+    while True:
+        while not known or known[-1][0] <= last:
+            more = found.fetchmany(CHECKED_TOGETHER)
+            if not more:
+                break
+            known += more
+        end = bisect.bisect_right(known, last, key=operator.itemgetter(0))
+        some, known = known[:end], known[end:]
+        last = yield some
 
 
 def _damaged_rows(db: sqlite3.Connection, after: int, bad: set[int]) -> dict[int, str]:
@@ -259,8 +284,9 @@ def _check_sessions(db: sqlite3.Connection, after: int, links: _Links, *, rows: 
 def _plan_hash(db: sqlite3.Connection) -> str:
     found = hashlib.sha256()
     rows = db.execute(f"SELECT number, {PLAN_NUMBERS}, {PLAN_TEXTS} FROM plan WHERE session IS NULL ORDER BY number")
-    while block := rows.fetchmany(ENCODED_TOGETHER):
-        for content in _encoded_rows([(row[:7], row[7:]) for row in block]):
+    while block := rows.fetchmany(CHECKED_TOGETHER):
+        columns = list(zip(*block, strict=True))
+        for content in CanonicalColumns(columns[:PLAN_ROW_NUMBERS], columns[PLAN_ROW_NUMBERS:]).encoded():
             found.update(content)
     return found.hexdigest()
 
@@ -286,26 +312,7 @@ def _link_contents(
 
 
 def _hash(numbers: Sequence[Any], contents: Sequence[Any]) -> str:
-    (content,) = _encoded_rows([(numbers, contents)])
-    return hashlib.sha256(content).hexdigest()
-
-
-def _encoded_rows(rows: Sequence[tuple[Sequence[Any], Sequence[Any]]]) -> Iterator[bytes]:
-    """Of each row a JSON list of the numbers and of the contents' lengths in bytes (null for NULL); then the contents."""
-    contents = [[_bytes(each) for each in row] for _, row in rows]
-    lists = [
-        [*numbers, *(None if each is None else len(each) for each in row)]
-        for (numbers, _), row in zip(rows, contents, strict=True)
-    ]
-    texts = _json(lists)[2:-2].split("], [")
-    if len(texts) != len(rows):  # a damaged value has this in its text
-        texts = [_json(each)[1:-1] for each in lists]
-    for text, row in zip(texts, contents, strict=True):
-        yield b"".join([b"[", text.encode(), b"]", *(each for each in row if each is not None)])
-
-
-def _bytes(value: Any) -> bytes | None:
-    return value if isinstance(value, bytes) or value is None else str(value).encode()
+    return hashlib.sha256(encode(numbers, contents)).hexdigest()
 
 
 def _parse(about: str | bytes) -> tuple[int, dict[str, str]]:
