@@ -119,12 +119,14 @@ class ReadingTable:
         """The first `readings` counts (k, readings, photodiodes) of some readings, all of which have so many or more."""
         channels = int(self.channels[which[0]]) if which.size else 0
         here = self.begin[which, None] + np.arange(readings * channels)
-        return self.counts[here].reshape(which.size, readings, channels)
+        found: Counts = self.counts[here]
+        return found.reshape(which.size, readings, channels)
 
     def reading(self, k: int) -> Reading:
         """One of the readings."""
         counts = self.counts_of(np.array([k]), int(self.readings[k]))[0]
-        return Reading(*(float(each[k]) for each in (self.gain_v_per_a, self.first_s, self.period_s, self.monitor_a)), counts)
+        gain, first, period, monitor = (float(getattr(self, name)[k]) for name in COLUMNS[:4])
+        return Reading(gain, first, period, monitor, counts)
 
     def of_rows(self, which: Ints) -> "ReadingTable":
         """The readings of some of the rows, by their indices and in that order."""

@@ -167,57 +167,93 @@ class _Links:
         self.bad: set[int] = set()
         self.count = self.last = self.gap = 0
         self.tip = tip
-        repaired: str | None = None  # the hash of the last link as computed, where it differs from the stored one
-        for link, stored, row, counted, computed in _computed_links(db, tip):
+        self._repaired: str | None = None  # the hash of the last link as computed, where it differs from the stored one
+        for block in _linked_rows(db, tip):
+            without_gap = range(self.last + 1, self.last + 1 + len(block.links))
+            if block.computed == block.stored and block.links == list(without_gap):
+                self.tip, self.last, self.count = block.stored[-1], block.links[-1], self.count + len(block.links)
+                self._repaired = None
+            else:
+                self._compare(block)
+
+    def _compare(self, block: "_LinkedRows") -> None:
+        """Compare the links of a block one by one."""
+        for link, stored, row, computed in zip(block.links, block.stored, block.rows, block.computed, strict=True):
             sound = computed == stored
-            if not sound and repaired is not None:  # the damage may be that of the hash before
-                sound = _link_hash(repaired, link, row, [reading[1:] for reading in counted]) == stored
+            if not sound and self._repaired is not None:  # the damage may be that of the hash before
+                sound = _link_hash(self._repaired, link, row, block.readings_of(link)) == stored
             if link != self.last + 1:
                 self.gap, sound = link, False
             if not sound:
                 self.bad.add(link)
-            repaired = None if sound else computed
+            self._repaired = None if sound else computed
             self.tip, self.last, self.count = stored, link, self.count + 1
 
 
-def _computed_links(db: sqlite3.Connection, tip: str) -> Iterator[tuple[int, str, Sequence[Any], list[Any], str]]:
-    """Of each link its number, the stored hash, its row, its readings (each after the link), and the hash of these after
-    the stored hash before it.
+@dataclass(frozen=True)
+class _LinkedRows:
+    """Some links after each other: their numbers, the stored hashes, their rows, and the readings of these.
+
+    Each reading follows the number of its link. `computed` is for each link the hash of row and readings, after the stored
+    hash of the link before.
     """
+
+    links: list[int]
+    stored: list[str]
+    rows: list[Sequence[Any]]
+    readings: list[Sequence[Any]]
+    computed: list[str]
+
+    def readings_of(self, link: int) -> list[Sequence[Any]]:
+        """The readings of one of the links."""
+        return [reading[1:] for reading in self.readings if reading[0] == link]
+
+
+def _linked_rows(db: sqlite3.Connection, tip: str) -> Iterator[_LinkedRows]:
+    """All links with their rows, some at a time. Each has the hash before it as it is stored."""
     readings = _readings_by_link(db)
     found = db.execute(f"SELECT link, sha256, {ROW.format('chain')} ORDER BY link")
     next(readings)
     while block := found.fetchmany(CHECKED_TOGETHER):
-        links, stored, *columns = zip(*block, strict=True)
-        hashes = [_text(each) for each in stored]
-        rows = CanonicalColumns([[tip, *hashes[:-1]], links, *columns[:ROW_NUMBERS]], columns[ROW_NUMBERS:])
-        tip = hashes[-1]
+        links, hashes, *columns = map(list, zip(*block, strict=True))
+        stored = list(map(_text, hashes))
+        rows = CanonicalColumns([[tip, *stored[:-1]], links, *columns[:ROW_NUMBERS]], columns[ROW_NUMBERS:])
+        tip = stored[-1]
         counted = readings.send(links[-1])
-        begin, last = 0, len(counted)
-        if counted:
-            of_link, *read = zip(*counted, strict=True)
-            of_readings = CanonicalColumns(read[:READING_NUMBERS], read[READING_NUMBERS:])
-        for k, link in enumerate(links):
-            end = begin
-            while end < last and of_link[end] == link:
-                end += 1
-            if end > begin:
-                some = slice(begin, end)
-                numbers = ", ".join((rows.numbers[k], *of_readings.numbers[some], rows.lengths[k], *of_readings.lengths[some]))
-                contents = (rows.contents[k], *of_readings.contents[some])
-            else:
-                numbers, contents = f"{rows.numbers[k]}, {rows.lengths[k]}", (rows.contents[k],)
-            digest = hashlib.sha256(b"".join((f"[{numbers}]".encode(), *contents))).hexdigest()
-            yield link, hashes[k], block[k][2:], counted[begin:end], digest
-            begin = end
+        of_readings = zip(*_canonical_readings(links, counted), strict=True)
+        computed = [
+            hashlib.sha256(b"".join((f"[{numbers}{more}, {lengths}{further}]".encode(), contents, counts))).hexdigest()
+            for numbers, lengths, contents, (more, further, counts) in zip(
+                rows.numbers, rows.lengths, rows.contents, of_readings, strict=True
+            )
+        ]
+        yield _LinkedRows(links, stored, [each[2:] for each in block], counted, computed)
 
 
-def _readings_by_link(db: sqlite3.Connection) -> Generator[list[Any], int, None]:
+def _canonical_readings(links: list[int], counted: list[Sequence[Any]]) -> tuple[list[str], list[str], list[bytes]]:
+    """For each link what the numbers, the lengths and the contents of its row are continued with: those of its readings."""
+    numbers, lengths, contents = [""] * len(links), [""] * len(links), [b""] * len(links)
+    if counted:
+        of_link: list[int]
+        of_link, *read = map(list, zip(*counted, strict=True))
+        found = CanonicalColumns(read[:READING_NUMBERS], read[READING_NUMBERS:])
+        if of_link == links:  # one reading each, as it often is
+            return [f", {each}" for each in found.numbers], [f", {each}" for each in found.lengths], found.contents
+        place = {link: k for k, link in enumerate(links)}
+        for link, number, length, content in zip(of_link, found.numbers, found.lengths, found.contents, strict=True):
+            k = place[link]
+            numbers[k] += f", {number}"
+            lengths[k] += f", {length}"
+            contents[k] += content
+    return numbers, lengths, contents
+
+
+def _readings_by_link(db: sqlite3.Connection) -> Generator[list[Sequence[Any]], int, None]:
     """In the order of the chain the readings up to the link that is sent, of those that were not given before."""
     found = db.execute(
         f"SELECT link, {READING} FROM chain CROSS JOIN reading USING (number, attempt) ORDER BY link, gain_v_per_a"
     )
-    known: list[Any] = []
+    known: list[Sequence[Any]] = []
     last = yield known
     while True:
         while not known or known[-1][0] <= last:

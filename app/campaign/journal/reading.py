@@ -78,6 +78,11 @@ ORDER BY p.number, r.gain_v_per_a
 ASKED_AT_ONCE, RECORDED_TOGETHER = 256, 1024
 """Rows that are asked for in one statement, and readings that are made into columns together."""
 NO_ROW = -1
+PLAN_FIRST = "CROSS JOIN"
+"""A join in which SQLite begins with the plan: rows of other kinds are left out before their attempts are looked for."""
+NUMBER_AND_START = np.dtype([("number", np.int64), ("started_s", np.float64)])
+INDEXED_TOGETHER = 1024
+"""Rows that are made into entries of the index together."""
 ATTEMPTED = "EXISTS (SELECT 1 FROM attempt a WHERE a.number = p.number)"
 MOST_ORDERS = 20
 """Safety orders of a session that are listed: a run gives two."""
@@ -286,7 +291,7 @@ class JournalReader:
         """Committed rows, of all kinds or of some, in order of their start; each with its last attempt."""
         with self._reading():
             chosen = f"AND kind IN ({', '.join('?' * len(kinds))})" if kinds else ""
-            yield from self._rows(f"{LAST_ATTEMPT}{self._sound} {chosen} ORDER BY started_s, p.number", kinds)
+            yield from self._rows(f"{LAST_ATTEMPT}{self._sound} {chosen} ORDER BY started_s, p.number", kinds, PLAN_FIRST)
 
     def rows_of(self, numbers: Iterable[int]) -> Iterator[CommittedRow]:
         """Committed rows by their numbers, in that order; each with its last attempt."""
@@ -323,11 +328,12 @@ class JournalReader:
         with self._reading():
             chosen = f"AND kind IN ({', '.join('?' * len(kinds))})"
             found = self._db.execute(
-                f"SELECT p.number FROM plan p JOIN attempt a USING (number) {LAST_ATTEMPT}{self._sound} {chosen}"
-                " ORDER BY started_s, p.number",
+                f"SELECT p.number, started_s FROM plan p {PLAN_FIRST} attempt a USING (number) {LAST_ATTEMPT}{self._sound}"
+                f" {chosen}",
                 kinds,
             )
-            return np.fromiter((number for (number,) in found), dtype=np.int64)
+            rows = np.fromiter(found, dtype=NUMBER_AND_START)
+        return np.ascontiguousarray(rows["number"][np.lexsort([rows["number"], rows["started_s"]])])
 
     def drift_row_numbers(self) -> list[int]:
         """Numbers of the mountings, of the drift checks, and of the measured row before each of these, in order of their start.
@@ -360,17 +366,25 @@ class JournalReader:
     def row_index(self) -> tuple[npt.NDArray[np.void], list[str]]:
         """Index (ROW_INDEX) of the measured rows that have readings, in order of their start, and the names of the samples."""
         names: dict[str, int] = {}
+        parts, starts = [np.zeros(0, dtype=ROW_INDEX)], [np.zeros(0)]
         with self._reading():
             found = self._db.execute(
-                "SELECT p.number, sample, instr(identity, ?) > 0, wavelength_nm, gamma_deg, sigma_deg, beta_deg, shift_deg"
-                " FROM plan p JOIN attempt a USING (number) WHERE kind = 'measure'"
-                " AND attempt = (SELECT MAX(attempt) FROM attempt b WHERE b.number = p.number)"
-                f" AND EXISTS (SELECT 1 FROM reading r WHERE r.number = p.number AND r.attempt = a.attempt){self._sound}"
-                " ORDER BY started_s, p.number",
+                "SELECT p.number, sample, instr(identity, ?) > 0, wavelength_nm, gamma_deg, sigma_deg, beta_deg, shift_deg,"
+                f" started_s FROM plan p {PLAN_FIRST} attempt a USING (number) {LAST_ATTEMPT} AND kind = 'measure'"
+                f" AND EXISTS (SELECT 1 FROM reading r WHERE r.number = p.number AND r.attempt = a.attempt){self._sound}",
                 (MIRRORED_MARK,),
             )
-            rows = ((number, names.setdefault(sample, len(names)), *rest) for number, sample, *rest in found)
-            return np.fromiter(rows, dtype=ROW_INDEX), list(names)
+            while block := found.fetchmany(INDEXED_TOGETHER):
+                number, sample, *columns, started = zip(*block, strict=True)
+                part = np.empty(len(block), dtype=ROW_INDEX)
+                codes = [names.setdefault(each, len(names)) for each in sample]
+                for name, column in zip(ROW_INDEX.names or (), (number, codes, *columns), strict=True):
+                    part[name] = column
+                parts.append(part)
+                starts.append(np.array(started, dtype=np.float64))
+        index = np.concatenate(parts)
+        order = np.lexsort([index["number"], np.concatenate(starts)])
+        return index[order], list(names)
 
     def executed_rows(self) -> Iterator[ExecutedRow]:
         """All rows that were executed, damaged ones too, in order of their start."""
@@ -394,10 +408,10 @@ class JournalReader:
         with report_damage(self.path):
             yield
 
-    def _rows(self, which: str, values: Sequence[Any]) -> Iterator[CommittedRow]:
+    def _rows(self, which: str, values: Sequence[Any], join: str = "JOIN") -> Iterator[CommittedRow]:
         found = self._db.execute(
             f"SELECT {ROW_COLUMNS}, attempt, started_s, ended_s, positions, flags"
-            f" FROM plan p JOIN attempt a USING (number) {which}",
+            f" FROM plan p {join} attempt a USING (number) {which}",
             values,
         )
         for *planned, attempt, started, ended, positions, flags in found:
