@@ -1,10 +1,12 @@
 """A row: the work between two commits to the journal. As it is planned, and what was recorded: raw counts, times, positions."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Literal
 
-from goniotwin.arrays import Counts
+import numpy as np
+
+from goniotwin.arrays import Counts, Floats, Ints
 
 RowKind = Literal["mount", "dark", "measure", "drift", "warm-up"]
 NO_SAMPLE = "nothing"
@@ -93,65 +95,99 @@ class CommittedRow:
     data: RowData
 
 
-@dataclass
+@dataclass(frozen=True)
 class ReadingTable:
     """The readings of some rows in columns, an element for each `Reading`: there may be a hundred thousand of them.
 
-    `row` is the index of each reading's row, ascending; `rows` their number. The others are those of `Reading`.
+    `row` (n,) is the index of each reading's row, ascending; `rows` their number. `readings` and `channels` (n,) are the shape
+    of each one's counts, which begin at its `begin` (n,) in `counts`; that may have those of other readings, too. The other
+    columns are those of `Reading`.
     """
 
-    rows: int = 0
-    row: list[int] = field(default_factory=list)
-    gain_v_per_a: list[float] = field(default_factory=list)
-    first_s: list[float] = field(default_factory=list)
-    period_s: list[float] = field(default_factory=list)
-    monitor_a: list[float] = field(default_factory=list)
-    counts: list[Counts] = field(default_factory=list)
+    rows: int
+    row: Ints
+    gain_v_per_a: Floats
+    first_s: Floats
+    period_s: Floats
+    monitor_a: Floats
+    readings: Ints
+    channels: Ints
+    begin: Ints
+    counts: Counts
 
-    def begin_row(self) -> None:
-        """Begin a further row: `add` adds to it."""
-        self.rows += 1
+    def counts_of(self, which: Ints, readings: int) -> Counts:
+        """The first `readings` counts (k, readings, photodiodes) of some readings, all of which have so many or more."""
+        channels = int(self.channels[which[0]]) if which.size else 0
+        here = self.begin[which, None] + np.arange(readings * channels)
+        found: Counts = self.counts[here]
+        return found.reshape(which.size, readings, channels)
 
-    def add(self, gain_v_per_a: float, first_s: float, period_s: float, monitor_a: float, counts: Counts) -> None:
-        """Add a reading to the last row."""
-        self.row.append(self.rows - 1)
-        self.gain_v_per_a.append(gain_v_per_a)
-        self.first_s.append(first_s)
-        self.period_s.append(period_s)
-        self.monitor_a.append(monitor_a)
-        self.counts.append(counts)
+    def reading(self, k: int) -> Reading:
+        """One of the readings."""
+        counts = self.counts_of(np.array([k]), int(self.readings[k]))[0]
+        gain, first, period, monitor = (float(getattr(self, name)[k]) for name in COLUMNS[:4])
+        return Reading(gain, first, period, monitor, counts)
+
+    def of_rows(self, which: Ints) -> "ReadingTable":
+        """The readings of some of the rows, by their indices and in that order."""
+        first, last = np.searchsorted(self.row, which, side="left"), np.searchsorted(self.row, which, side="right")
+        each = last - first
+        row = np.repeat(np.arange(which.size), each)
+        here = np.arange(row.size) + np.repeat(first - (np.cumsum(each) - each), each)
+        columns = {name: getattr(self, name)[here] for name in COLUMNS}
+        return ReadingTable(rows=which.size, row=row, counts=self.counts, **columns)
 
     def joined(self, more: "ReadingTable") -> "ReadingTable":
         """The readings of these rows, and of more after them."""
-        return ReadingTable(
-            self.rows + more.rows,
-            self.row + [self.rows + row for row in more.row],
-            self.gain_v_per_a + more.gain_v_per_a,
-            self.first_s + more.first_s,
-            self.period_s + more.period_s,
-            self.monitor_a + more.monitor_a,
-            self.counts + more.counts,
-        )
+        columns = {name: np.concatenate([getattr(self, name), getattr(more, name)]) for name in COLUMNS}
+        columns["begin"][self.row.size :] += self.counts.size
+        row, counts = np.concatenate([self.row, self.rows + more.row]), np.concatenate([self.counts, more.counts])
+        return ReadingTable(rows=self.rows + more.rows, row=row, counts=counts, **columns)
+
+
+COLUMNS = ("gain_v_per_a", "first_s", "period_s", "monitor_a", "readings", "channels", "begin")
+"""The columns of `ReadingTable` with an element for each reading, besides `row`."""
+
+
+def table_of_columns(rows: int, row: Ints, numbers: Floats, shapes: Ints, counts: Counts) -> ReadingTable:
+    """A table of readings: `numbers` (4, n) are gain, first, period, monitor; `shapes` (n, 2); `counts` follow each other."""
+    gain, first, period, monitor = numbers
+    readings, channels = shapes.T
+    begin = np.cumsum(readings * channels) - readings * channels
+    return ReadingTable(rows, row, gain, first, period, monitor, readings, channels, begin, counts)
 
 
 def reading_table(rows: Iterable[Sequence[Reading]]) -> ReadingTable:
     """The readings of rows in columns."""
-    table = ReadingTable()
-    for readings in rows:
-        table.begin_row()
-        for each in readings:
-            table.add(each.gain_v_per_a, each.first_s, each.period_s, each.monitor_a, each.counts)
-    return table
+    every = list(rows)
+    found = [each for readings in every for each in readings]
+    row = np.repeat(np.arange(len(every)), [len(readings) for readings in every])
+    numbers = np.array([[getattr(each, name) for each in found] for name in COLUMNS[:4]], dtype=np.float64)
+    shapes = np.array([each.counts.shape for each in found], dtype=np.int64).reshape(-1, 2)
+    counts = np.concatenate([np.zeros(0, dtype=np.uint16), *(each.counts.ravel() for each in found)])
+    return table_of_columns(len(every), row, numbers, shapes, counts)
 
 
 @dataclass(frozen=True)
 class RecordedRows:
-    """Rows of a journal in columns: their numbers, their starts in s on the rig's clock, and their readings."""
+    """Rows of a journal in columns: their numbers (n,), their starts (n,) in s on the rig's clock, and their readings."""
 
-    numbers: list[int]
-    started_s: list[float]
+    numbers: Ints
+    started_s: Floats
     readings: ReadingTable
+
+    def of(self, numbers: Ints) -> "RecordedRows":
+        """Some of the rows, by their numbers (n,) and in that order, as far as they are here: in the order of their numbers."""
+        places = np.searchsorted(self.numbers, numbers)
+        there = places < self.numbers.size
+        there[there] = self.numbers[places[there]] == numbers[there]
+        places = places[there]
+        return RecordedRows(self.numbers[places], self.started_s[places], self.readings.of_rows(places))
 
     def joined(self, more: "RecordedRows") -> "RecordedRows":
         """These rows, and more after them."""
-        return RecordedRows(self.numbers + more.numbers, self.started_s + more.started_s, self.readings.joined(more.readings))
+        return RecordedRows(
+            np.concatenate([self.numbers, more.numbers]),
+            np.concatenate([self.started_s, more.started_s]),
+            self.readings.joined(more.readings),
+        )

@@ -4,14 +4,16 @@ It shows damage: a changed bit, a missing row, a copy that is torn. It does not 
 compute the chain anew. docs/journal.md describes what is hashed, so that any program can check it.
 """
 
+import bisect
 import hashlib
-import itertools
 import json
 import operator
 import sqlite3
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
+
+from goniotwin.app.campaign.journal.canonical import CanonicalColumns, encode
 
 ENTRY = "chain"
 """Key in the table `campaign` of the hashes of the other entries and of the plan, and of the last session before the chain."""
@@ -29,11 +31,9 @@ ROW_NUMBERS = 12
 READING = "gain_v_per_a, first_s, period_s, monitor_a, readings, channels, counts"
 NAMED_ROWS = 5
 """Damaged rows that a message names."""
-ENCODED_TOGETHER = 64
-"""Rows of which the numbers are encoded in one call: one by one takes twice the time."""
-NO_TIP = b'""'
-"""The hash of the link before, in the JSON of one that is not known yet: its first element."""
-_json = json.JSONEncoder(default=repr).encode  # a damaged value may be of any type
+CHECKED_TOGETHER = 512
+"""Rows that are compared with their links together, and whose readings are in memory."""
+READING_NUMBERS, PLAN_ROW_NUMBERS = 6, 7
 
 
 class ChainError(ValueError):
@@ -100,19 +100,20 @@ def add_links(db: sqlite3.Connection, chain: Chain, attempts: Sequence[tuple[int
 
     The rows that they replace are not damaged any more.
     """
-    values, given = ", ".join(["(?, ?)"] * len(attempts)), list(itertools.chain.from_iterable(attempts))
+    values, given = ", ".join(["(?, ?)"] * len(attempts)), [each for attempt in attempts for each in attempt]
     source = f"(SELECT column1 AS number, column2 AS attempt FROM (VALUES {values}))"
     rows = {row[:2]: row for row in db.execute(f"SELECT {ROW.format(source)}", given)}
-    readings: dict[tuple[int, int], list[Any]] = {each: [] for each in attempts}
+    links = {each: link for link, each in enumerate(attempts, chain.length + 1)}
     found = f"SELECT number, attempt, {READING} FROM reading WHERE (number, attempt) IN (VALUES {values}) ORDER BY gain_v_per_a"
-    for number, attempt, *reading in db.execute(found, given):
-        readings[number, attempt].append(reading)
-    contents = [_link_contents("", link, rows[each], readings[each]) for link, each in enumerate(attempts, chain.length + 1)]
-    tip, links = chain.tip, []
-    for link, (each, content) in enumerate(zip(attempts, _encoded_rows(contents), strict=True), chain.length + 1):
-        tip = hashlib.sha256(content.replace(NO_TIP, _json(tip).encode(), 1)).hexdigest()
-        links.append((link, *each, tip))
-    db.executemany("INSERT INTO chain VALUES (?, ?, ?, ?)", links)
+    counted: list[Sequence[Any]] = [(links[each[:2]], *each[2:]) for each in db.execute(found, given)]
+    counted.sort(key=operator.itemgetter(0))
+    tip, added = chain.tip, []
+    for (each, link), content in zip(
+        links.items(), _after_tip(list(links.values()), [rows[each] for each in attempts], counted), strict=True
+    ):
+        tip = _tip(tip, *content)
+        added.append((link, *each, tip))
+    db.executemany("INSERT INTO chain VALUES (?, ?, ?, ?)", added)
     replaced = {number for number, _ in attempts}
     damaged = {key: name for key, name in chain.damaged.items() if key not in replaced}
     return replace(chain, length=chain.length + len(attempts), tip=tip, damaged=damaged)
@@ -177,44 +178,111 @@ class _Links:
         self.bad: set[int] = set()
         self.count = self.last = self.gap = 0
         self.tip = tip
-        repaired: str | None = None  # the hash of the last link as computed, where it differs from the stored one
-        for link, stored, row, counted, computed in _computed_links(db, tip):
+        self._repaired: str | None = None  # the hash of the last link as computed, where it differs from the stored one
+        for block in _linked_rows(db, tip):
+            without_gap = range(self.last + 1, self.last + 1 + len(block.links))
+            if block.computed == block.stored and block.links == list(without_gap):
+                self.tip, self.last, self.count = block.stored[-1], block.links[-1], self.count + len(block.links)
+                self._repaired = None
+            else:
+                self._compare(block)
+
+    def _compare(self, block: "_LinkedRows") -> None:
+        """Compare the links of a block one by one."""
+        for link, stored, row, computed in zip(block.links, block.stored, block.rows, block.computed, strict=True):
             sound = computed == stored
-            if not sound and repaired is not None:  # the damage may be that of the hash before
-                sound = _link_hash(repaired, link, row, counted) == stored
+            if not sound and self._repaired is not None:  # the damage may be that of the hash before
+                sound = _link_hash(self._repaired, link, row, block.readings_of(link)) == stored
             if link != self.last + 1:
                 self.gap, sound = link, False
             if not sound:
                 self.bad.add(link)
-            repaired = None if sound else computed
+            self._repaired = None if sound else computed
             self.tip, self.last, self.count = stored, link, self.count + 1
 
 
-def _computed_links(db: sqlite3.Connection, tip: str) -> Iterator[tuple[int, str, Sequence[Any], list[Any], str]]:
-    """Of each link its number, the stored hash, its row and readings, and the hash of these after the stored hash before it."""
+@dataclass(frozen=True)
+class _LinkedRows:
+    """Some links after each other: their numbers, the stored hashes, their rows, and the readings of these.
+
+    Each reading follows the number of its link. `computed` is for each link the hash of row and readings, after the stored
+    hash of the link before.
+    """
+
+    links: list[int]
+    stored: list[str]
+    rows: list[Sequence[Any]]
+    readings: list[Sequence[Any]]
+    computed: list[str]
+
+    def readings_of(self, link: int) -> list[Sequence[Any]]:
+        """The readings of one of the links."""
+        return [reading[1:] for reading in self.readings if reading[0] == link]
+
+
+def _linked_rows(db: sqlite3.Connection, tip: str) -> Iterator[_LinkedRows]:
+    """All links with their rows, some at a time. Each has the hash before it as it is stored."""
     readings = _readings_by_link(db)
-    following = next(readings, (0, []))
     found = db.execute(f"SELECT link, sha256, {ROW.format('chain')} ORDER BY link")
-    while block := found.fetchmany(ENCODED_TOGETHER):
-        links = []
-        for link, stored, *row in block:
-            counted: list[Any] = []
-            if following[0] == link:
-                counted, following = following[1], next(readings, (0, []))
-            links.append((tip, link, row, counted))
-            tip = _text(stored)
-        encoded = _encoded_rows([_link_contents(*each) for each in links])
-        for (_, link, row, counted), (_, stored, *_), content in zip(links, block, encoded, strict=True):
-            yield link, _text(stored), row, counted, hashlib.sha256(content).hexdigest()
+    next(readings)
+    while block := found.fetchmany(CHECKED_TOGETHER):
+        links, stored = [each[0] for each in block], [_text(each[1]) for each in block]
+        rows, counted = [each[2:] for each in block], readings.send(block[-1][0])
+        before = [tip, *stored[:-1]]
+        tip = stored[-1]
+        computed = [_tip(each, *content) for each, content in zip(before, _after_tip(links, rows, counted), strict=True)]
+        yield _LinkedRows(links, stored, rows, counted, computed)
 
 
-def _readings_by_link(db: sqlite3.Connection) -> Iterator[tuple[int, list[Any]]]:
-    """The readings of each link that has some, in the order of the chain."""
+def _after_tip(links: list[int], rows: Sequence[Sequence[Any]], counted: list[Sequence[Any]]) -> Iterator[tuple[str, bytes]]:
+    """Of each link what is hashed after the hash before it: the rest of the JSON list, and the contents."""
+    columns = list(zip(*rows, strict=True))
+    found = CanonicalColumns([links, *columns[:ROW_NUMBERS]], columns[ROW_NUMBERS:])
+    read = zip(*_canonical_readings(links, counted), strict=True)
+    of_rows = zip(found.numbers, found.lengths, found.contents, strict=True)
+    for (numbers, lengths, contents), (more, further, counts) in zip(of_rows, read, strict=True):
+        yield f"{numbers}{more}, {lengths}{further}]", contents + counts
+
+
+def _tip(before: str, text: str, contents: bytes) -> str:
+    """The hash of a link after the hash before it, see `_after_tip`."""
+    return hashlib.sha256(b"".join((f"[{json.dumps(before)}, {text}".encode(), contents))).hexdigest()
+
+
+def _canonical_readings(links: list[int], counted: list[Sequence[Any]]) -> tuple[list[str], list[str], list[bytes]]:
+    """For each link what the numbers, the lengths and the contents of its row are continued with: those of its readings."""
+    numbers, lengths, contents = [""] * len(links), [""] * len(links), [b""] * len(links)
+    if counted:
+        of_link: list[int]
+        of_link, *read = map(list, zip(*counted, strict=True))
+        found = CanonicalColumns(read[:READING_NUMBERS], read[READING_NUMBERS:])
+        if of_link == links:  # one reading each, as it often is
+            return [f", {each}" for each in found.numbers], [f", {each}" for each in found.lengths], found.contents
+        place = {link: k for k, link in enumerate(links)}
+        for link, number, length, content in zip(of_link, found.numbers, found.lengths, found.contents, strict=True):
+            k = place[link]
+            numbers[k] += f", {number}"
+            lengths[k] += f", {length}"
+            contents[k] += content
+    return numbers, lengths, contents
+
+
+def _readings_by_link(db: sqlite3.Connection) -> Generator[list[Sequence[Any]], int, None]:
+    """In the order of the chain the readings up to the link that is sent, of those that were not given before."""
     found = db.execute(
         f"SELECT link, {READING} FROM chain CROSS JOIN reading USING (number, attempt) ORDER BY link, gain_v_per_a"
     )
-    for link, readings in itertools.groupby(found, operator.itemgetter(0)):
-        yield link, [reading[1:] for reading in readings]
+    known: list[Sequence[Any]] = []
+    last = yield known
+    while True:
+        while not known or known[-1][0] <= last:
+            more = found.fetchmany(CHECKED_TOGETHER)
+            if not more:
+                break
+            known += more
+        end = bisect.bisect_right(known, last, key=operator.itemgetter(0))
+        some, known = known[:end], known[end:]
+        last = yield some
 
 
 def _damaged_rows(db: sqlite3.Connection, after: int, bad: set[int]) -> dict[int, str]:
@@ -271,8 +339,9 @@ def _check_sessions(db: sqlite3.Connection, after: int, links: _Links, *, rows: 
 def _plan_hash(db: sqlite3.Connection) -> str:
     found = hashlib.sha256()
     rows = db.execute(f"SELECT number, {PLAN_NUMBERS}, {PLAN_TEXTS} FROM plan WHERE session IS NULL ORDER BY number")
-    while block := rows.fetchmany(ENCODED_TOGETHER):
-        for content in _encoded_rows([(row[:7], row[7:]) for row in block]):
+    while block := rows.fetchmany(CHECKED_TOGETHER):
+        columns = list(zip(*block, strict=True))
+        for content in CanonicalColumns(columns[:PLAN_ROW_NUMBERS], columns[PLAN_ROW_NUMBERS:]).encoded():
             found.update(content)
     return found.hexdigest()
 
@@ -298,26 +367,7 @@ def _link_contents(
 
 
 def _hash(numbers: Sequence[Any], contents: Sequence[Any]) -> str:
-    (content,) = _encoded_rows([(numbers, contents)])
-    return hashlib.sha256(content).hexdigest()
-
-
-def _encoded_rows(rows: Sequence[tuple[Sequence[Any], Sequence[Any]]]) -> Iterator[bytes]:
-    """Of each row a JSON list of the numbers and of the contents' lengths in bytes (null for NULL); then the contents."""
-    contents = [[_bytes(each) for each in row] for _, row in rows]
-    lists = [
-        [*numbers, *(None if each is None else len(each) for each in row)]
-        for (numbers, _), row in zip(rows, contents, strict=True)
-    ]
-    texts = _json(lists)[2:-2].split("], [")
-    if len(texts) != len(rows):  # a damaged value has this in its text
-        texts = [_json(each)[1:-1] for each in lists]
-    for text, row in zip(texts, contents, strict=True):
-        yield b"".join([b"[", text.encode(), b"]", *(each for each in row if each is not None)])
-
-
-def _bytes(value: Any) -> bytes | None:
-    return value if isinstance(value, bytes) or value is None else str(value).encode()
+    return hashlib.sha256(encode(numbers, contents)).hexdigest()
 
 
 def _parse(about: str | bytes) -> tuple[int, dict[str, str]]:

@@ -4,7 +4,6 @@ import contextlib
 import itertools
 import json
 import math
-import operator
 import os
 import shutil
 import sqlite3
@@ -25,14 +24,14 @@ from goniotwin.app.campaign.row import (
     SKIPPED,
     CommittedRow,
     Reading,
-    ReadingTable,
     RecordedRows,
     Row,
     RowData,
     RowKind,
+    table_of_columns,
 )
 from goniotwin.app.errors import UserError
-from goniotwin.arrays import Ints
+from goniotwin.arrays import Counts, Floats, Ints
 
 ROW_INDEX = np.dtype(
     [
@@ -72,12 +71,18 @@ LAST_ATTEMPT = "WHERE attempt = (SELECT MAX(attempt) FROM attempt b WHERE b.numb
 READINGS_OF = """
 SELECT p.number, p.started_s, r.gain_v_per_a, r.first_s, r.period_s, r.monitor_a, r.readings, r.channels, r.counts
 FROM attempt p LEFT JOIN reading r ON r.number = p.number AND r.attempt = p.attempt
-WHERE p.number IN ({}) AND p.attempt = (SELECT MAX(attempt) FROM attempt b WHERE b.number = p.number)
+WHERE {} AND p.attempt = (SELECT MAX(attempt) FROM attempt b WHERE b.number = p.number)
+ORDER BY p.number, r.gain_v_per_a
 """
-"""The readings of rows by their numbers, of their last attempts."""
-ASKED_AT_ONCE = 256
-"""Rows that are asked for in one statement."""
+"""The readings of rows, of their last attempts."""
+ASKED_AT_ONCE, RECORDED_TOGETHER = 256, 1024
+"""Rows that are asked for in one statement, and readings that are made into columns together."""
 NO_ROW = -1
+PLAN_FIRST = "CROSS JOIN"
+"""A join in which SQLite begins with the plan: rows of other kinds are left out before their attempts are looked for."""
+NUMBER_AND_START = np.dtype([("number", np.int64), ("started_s", np.float64)])
+INDEXED_TOGETHER = 1024
+"""Rows that are made into entries of the index together."""
 ATTEMPTED = "EXISTS (SELECT 1 FROM attempt a WHERE a.number = p.number)"
 MOST_ORDERS = 20
 """Safety orders of a session that are listed: a run gives two."""
@@ -286,7 +291,7 @@ class JournalReader:
         """Committed rows, of all kinds or of some, in order of their start; each with its last attempt."""
         with self._reading():
             chosen = f"AND kind IN ({', '.join('?' * len(kinds))})" if kinds else ""
-            yield from self._rows(f"{LAST_ATTEMPT}{self._sound} {chosen} ORDER BY started_s, p.number", kinds)
+            yield from self._rows(f"{LAST_ATTEMPT}{self._sound} {chosen} ORDER BY started_s, p.number", kinds, PLAN_FIRST)
 
     def rows_of(self, numbers: Iterable[int]) -> Iterator[CommittedRow]:
         """Committed rows by their numbers, in that order; each with its last attempt."""
@@ -297,32 +302,38 @@ class JournalReader:
     def recorded(self, numbers: Iterable[int]) -> Iterator[RecordedRows]:
         """The readings of committed rows by their numbers, in that order, of the last attempts; some hundred rows at once."""
         left = iter(numbers)
-        statement = f"{READINGS_OF.format(', '.join('?' * ASKED_AT_ONCE))}{self._sound} ORDER BY p.number, r.gain_v_per_a"
+        statement = READINGS_OF.format(f"p.number IN ({', '.join('?' * ASKED_AT_ONCE)}){self._sound}")
         while asked := list(itertools.islice(left, ASKED_AT_ONCE)):
             with self._reading():
                 # One statement for any number of rows is prepared once.
-                found = self._db.execute(statement, asked + [NO_ROW] * (ASKED_AT_ONCE - len(asked)))
-                by_row = {number: list(rows) for number, rows in itertools.groupby(found, operator.itemgetter(0))}
-                table, there = ReadingTable(), [number for number in asked if number in by_row]
-                for number in there:
-                    table.begin_row()
-                    for _, _, gain, first, period, monitor, readings, channels, counts in by_row[number]:
-                        if counts is not None:
-                            raw = np.frombuffer(counts, dtype="<u2").reshape(readings, channels)
-                            table.add(gain, first, period, monitor, raw)
-                starts = [by_row[number][0][1] for number in there]
-            yield RecordedRows(there, starts, table)
+                found = self._db.execute(statement, asked + [NO_ROW] * (ASKED_AT_ONCE - len(asked))).fetchall()
+                rows = _recorded_rows([_columns_of_readings(found)] if found else [])
+            yield rows.of(np.array(asked, dtype=np.int64))
+
+    def all_recorded(self, most_bytes: int, *kinds: RowKind) -> RecordedRows | None:
+        """The readings of all committed rows of some kinds, in the order of their numbers; None where they take more memory."""
+        left, parts = most_bytes, []
+        of_kinds = f"(SELECT kind FROM plan q WHERE q.number = p.number) IN ({', '.join('?' * len(kinds))})"
+        with self._reading():
+            found = self._db.execute(READINGS_OF.format(f"{of_kinds}{self._sound}"), kinds)
+            while block := found.fetchmany(RECORDED_TOGETHER):
+                parts.append(_columns_of_readings(block))
+                left -= sum(each.nbytes for each in parts[-1])
+                if left < 0:
+                    return None
+            return _recorded_rows(parts)
 
     def row_numbers(self, *kinds: RowKind) -> Ints:
         """The numbers (n,) of the committed rows of some kinds, in order of their start."""
         with self._reading():
             chosen = f"AND kind IN ({', '.join('?' * len(kinds))})"
             found = self._db.execute(
-                f"SELECT p.number FROM plan p JOIN attempt a USING (number) {LAST_ATTEMPT}{self._sound} {chosen}"
-                " ORDER BY started_s, p.number",
+                f"SELECT p.number, started_s FROM plan p {PLAN_FIRST} attempt a USING (number) {LAST_ATTEMPT}{self._sound}"
+                f" {chosen}",
                 kinds,
             )
-            return np.fromiter((number for (number,) in found), dtype=np.int64)
+            rows = np.fromiter(found, dtype=NUMBER_AND_START)
+        return np.ascontiguousarray(rows["number"][np.lexsort([rows["number"], rows["started_s"]])])
 
     def drift_row_numbers(self) -> list[int]:
         """Numbers of the mountings, of the drift checks, and of the measured row before each of these, in order of their start.
@@ -355,17 +366,25 @@ class JournalReader:
     def row_index(self) -> tuple[npt.NDArray[np.void], list[str]]:
         """Index (ROW_INDEX) of the measured rows that have readings, in order of their start, and the names of the samples."""
         names: dict[str, int] = {}
+        parts, starts = [np.zeros(0, dtype=ROW_INDEX)], [np.zeros(0)]
         with self._reading():
             found = self._db.execute(
-                "SELECT p.number, sample, instr(identity, ?) > 0, wavelength_nm, gamma_deg, sigma_deg, beta_deg, shift_deg"
-                " FROM plan p JOIN attempt a USING (number) WHERE kind = 'measure'"
-                " AND attempt = (SELECT MAX(attempt) FROM attempt b WHERE b.number = p.number)"
-                f" AND EXISTS (SELECT 1 FROM reading r WHERE r.number = p.number AND r.attempt = a.attempt){self._sound}"
-                " ORDER BY started_s, p.number",
+                "SELECT p.number, sample, instr(identity, ?) > 0, wavelength_nm, gamma_deg, sigma_deg, beta_deg, shift_deg,"
+                f" started_s FROM plan p {PLAN_FIRST} attempt a USING (number) {LAST_ATTEMPT} AND kind = 'measure'"
+                f" AND EXISTS (SELECT 1 FROM reading r WHERE r.number = p.number AND r.attempt = a.attempt){self._sound}",
                 (MIRRORED_MARK,),
             )
-            rows = ((number, names.setdefault(sample, len(names)), *rest) for number, sample, *rest in found)
-            return np.fromiter(rows, dtype=ROW_INDEX), list(names)
+            while block := found.fetchmany(INDEXED_TOGETHER):
+                number, sample, *columns, started = zip(*block, strict=True)
+                part = np.empty(len(block), dtype=ROW_INDEX)
+                codes = [names.setdefault(each, len(names)) for each in sample]
+                for name, column in zip(ROW_INDEX.names or (), (number, codes, *columns), strict=True):
+                    part[name] = column
+                parts.append(part)
+                starts.append(np.array(started, dtype=np.float64))
+        index = np.concatenate(parts)
+        order = np.lexsort([index["number"], np.concatenate(starts)])
+        return index[order], list(names)
 
     def executed_rows(self) -> Iterator[ExecutedRow]:
         """All rows that were executed, damaged ones too, in order of their start."""
@@ -389,10 +408,10 @@ class JournalReader:
         with report_damage(self.path):
             yield
 
-    def _rows(self, which: str, values: Sequence[Any]) -> Iterator[CommittedRow]:
+    def _rows(self, which: str, values: Sequence[Any], join: str = "JOIN") -> Iterator[CommittedRow]:
         found = self._db.execute(
             f"SELECT {ROW_COLUMNS}, attempt, started_s, ended_s, positions, flags"
-            f" FROM plan p JOIN attempt a USING (number) {which}",
+            f" FROM plan p {join} attempt a USING (number) {which}",
             values,
         )
         for *planned, attempt, started, ended, positions, flags in found:
@@ -511,6 +530,39 @@ def report_damage(path: Path) -> Iterator[None]:
     except (sqlite3.Error, ValueError, TypeError, LookupError, AttributeError, RecursionError, OverflowError) as error:
         line, *more = str(error).splitlines() or [type(error).__name__]
         raise DamagedJournal(f"{path}: is damaged: {line}{' ...' if more else ''}; {USE_A_COPY}") from None
+
+
+def _columns_of_readings(found: Sequence[tuple[Any, ...]]) -> tuple[Ints, Floats, Ints, Counts]:
+    """Entries of READINGS_OF, in columns: numbers (n,), times and currents (n, 5), shapes (n, 2), and all counts.
+
+    A row without a reading has an entry with the shape 0, 0. Raises ValueError for counts that have not the stated shape.
+    """
+    number, *numbers, readings, channels, counts = zip(*found, strict=True)
+    if None in counts:
+        readings, channels = (tuple(each or 0 for each in column) for column in (readings, channels))
+        counts = tuple(each or b"" for each in counts)
+    shapes = np.array((readings, channels), dtype=np.int64)
+    sizes = np.fromiter(map(len, counts), dtype=np.int64, count=len(counts))
+    for k in np.flatnonzero(sizes != 2 * shapes[0] * shapes[1])[:1].tolist():
+        raise ValueError(
+            f"row {number[k]} has {sizes[k]} bytes of counts, for {readings[k]} readings of {channels[k]} photodiodes"
+        )
+    raw = np.frombuffer(b"".join(counts), dtype="<u2")
+    return np.array(number, dtype=np.int64), np.array(numbers, dtype=np.float64).T, shapes.T, raw
+
+
+def _recorded_rows(parts: Sequence[tuple[Ints, Floats, Ints, Counts]]) -> RecordedRows:
+    """Rows with their readings, of the columns of all of them, which are in the order of the rows' numbers."""
+    if not parts:
+        parts = [
+            (np.zeros(0, dtype=np.int64), np.zeros((0, 5)), np.zeros((0, 2), dtype=np.int64), np.zeros(0, dtype=np.uint16))
+        ]
+    number, numbers, shapes, counts = (np.concatenate(each) for each in zip(*parts, strict=True))
+    first = np.flatnonzero(np.diff(number, prepend=NO_ROW - 1))
+    row = np.repeat(np.arange(first.size), np.diff(first, append=number.size))
+    read = ~np.isnan(numbers[:, 1])  # of a row without readings the gain is NULL
+    table = table_of_columns(first.size, row[read], numbers[read, 1:].T, shapes[read], counts)
+    return RecordedRows(number[first], numbers[first, 0], table)
 
 
 def _session(number: int, started: float, ended: float, outcome: str | None, *about: Any) -> Session:

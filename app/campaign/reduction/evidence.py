@@ -13,7 +13,6 @@ not fit is a verdict on the module, for all its channels and rows.
 """
 
 import math
-from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -26,6 +25,7 @@ from goniotwin.app.campaign.reduction.signals import (
     MOST_VALUES,
     DarkReadings,
     RowReadings,
+    alike,
     middles_s,
     others_volts,
 )
@@ -231,33 +231,28 @@ class EvidenceSums:
         n, gains = self._settings.count, self._gains.size
         known = {gain: k for k, gain in enumerate(self._settings.gains_v_per_a) if gain in self._dark}
         middles = middles_s(table)
-        timed = (np.abs(middles) < LATEST_S).tolist()
-        here: dict[tuple[int, int], list[tuple[int, int, int]]] = defaultdict(list)
-        row, before = -1, NO_CHANGE
-        for k in np.lexsort([np.array(table.first_s), np.array(table.row)]).tolist():
-            index, (count, channels) = known.get(table.gain_v_per_a[k]), table.counts[k].shape
-            if index is None or not timed[k] or not count or channels != n:
-                continue  # it cannot be reduced
-            if table.row[k] != row:
-                row, before = table.row[k], NO_CHANGE
-            here[index, min(count, MOST_CONVERSIONS)].append((row, before, k))
-            before = index
+        different, which = np.unique(table.gain_v_per_a, return_inverse=True)
+        index = np.array([known.get(gain, NO_CHANGE) for gain in different.tolist()], dtype=np.int64)[which.ravel()]
+        usable = (np.abs(middles) < LATEST_S) & (index != NO_CHANGE) & (table.readings > 0) & (table.channels == n)
+        order = np.lexsort([table.first_s, table.row])
+        order = order[usable[order]]  # without what cannot be reduced
+        row, index = table.row[order], index[order]
+        before = np.where(np.diff(row, prepend=-1) != 0, NO_CHANGE, np.roll(index, 1))
         shape = (table.rows, gains)
         volts, noise, dark, resolution, others = np.full((5, *shape, n), np.nan)
         interval = np.zeros(table.rows, dtype=np.int64)
         block = _Block(
             volts, noise, dark, resolution, others, np.full(shape, np.nan), np.zeros(shape), np.ones(shape), interval
         )
-        for (gain, count), readings in here.items():
+        counts = np.minimum(table.readings[order], MOST_CONVERSIONS)
+        for found in alike(np.stack([index, counts])):
+            gain, count = int(index[found[0]]), int(counts[found[0]])
             at_once = max(1, MOST_VALUES // (count * n))
-            for begin in range(0, len(readings), at_once):
-                rows, changes, chosen = np.array(readings[begin : begin + at_once]).T
+            for begin in range(0, found.size, at_once):
+                here = found[begin : begin + at_once]
+                chosen = order[here]
                 some = _LitReadings(
-                    rows,
-                    changes,
-                    np.stack([table.counts[k][:MOST_CONVERSIONS] for k in chosen.tolist()]),
-                    middles[chosen],
-                    np.array([table.monitor_a[k] for k in chosen.tolist()]),
+                    row[here], before[here], table.counts_of(chosen, count), middles[chosen], table.monitor_a[chosen]
                 )
                 self._add_readings(gain, some, block)
         for p, (low, high) in enumerate(self._pairs):

@@ -125,16 +125,23 @@ class PointFile:
         return points if np.all(order[1:] >= order[:-1]) else points.where(np.argsort(order, kind="stable"))
 
     def _points(self, rows: Table, record: np.dtype[Any]) -> BsdfPoints:
-        content = bytearray()
-        for begin, count in zip(rows["begin"].tolist(), rows["count"].tolist(), strict=True):
-            self._file.seek(begin)
-            content += self._file.read(count * record.itemsize)
-        records = np.frombuffer(content, dtype=record)
+        records = np.frombuffer(self._content(rows, record.itemsize), dtype=record)
         assert record.names is not None
         columns = {name: np.ascontiguousarray(records[name]) for name in record.names}
         components = {name.removeprefix(COMPONENT): columns.pop(name) for name in record.names if name.startswith(COMPONENT)}
         place = np.repeat(np.arange(len(rows), dtype=np.int32), rows["count"])
         return BsdfPoints(places=np.ascontiguousarray(rows["place"]), place=place, components=components, **columns)
+
+    def _content(self, rows: Table, size: int) -> bytearray:
+        """The records of rows, of so many bytes each; rows that follow each other in the file are read together."""
+        content = bytearray()
+        end = rows["begin"] + rows["count"] * size
+        first = np.flatnonzero(np.append(True, rows["begin"][1:] != end[:-1]))
+        last = np.append(first[1:], len(rows)) - 1
+        for begin, to in zip(rows["begin"][first].tolist(), end[last].tolist(), strict=True):
+            self._file.seek(begin)
+            content += self._file.read(to - begin)
+        return content
 
     def _unwritable(self, error: OSError) -> UserError:
         wrong = f"{self._folder}: a temporary file with the points cannot be written: {error.strerror}"

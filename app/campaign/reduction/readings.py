@@ -43,7 +43,7 @@ from goniotwin.app.campaign.reduction.signals import (
     signals_of_rows,
     subtract_dark,
 )
-from goniotwin.app.campaign.row import CommittedRow, ReadingTable, RecordedRows, reading_table
+from goniotwin.app.campaign.row import CommittedRow, ReadingTable, RecordedRows, RowKind, reading_table
 from goniotwin.app.campaign.schedule.file import ScheduleFile
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigFile
@@ -54,6 +54,10 @@ ROWS_AT_ONCE, MOST_COUNTS = 1024, 1 << 22
 """Rows whose signals are computed together, and counts from which on they are fewer."""
 EVIDENCE_ROWS = 256
 """Rows whose readings are in memory together for the evidence."""
+MOST_BYTES = 1 << 28
+"""Memory that the readings of all rows with light may take; where they take more, they are read from the journal each time."""
+LIT: tuple[RowKind, ...] = ("measure", "drift")
+"""Kinds of rows with light on the photodiodes."""
 END_OF_RANGE = 0.98
 """From this share of its range on the monitor may not follow the light."""
 MOST_REPEATED = 12
@@ -117,7 +121,8 @@ class DarkHistory:
 
     def row_signal(self, row: CommittedRow, signal: Signal, intervals: Sequence[DriftInterval]) -> RowSignal:
         """The signal of a row with readings, with its flags: see `RowSignal`. Raises UserError."""
-        recorded = RecordedRows([row.row.number], [row.data.started_s], reading_table([row.data.readings]))
+        table = reading_table([row.data.readings])
+        recorded = RecordedRows(np.array([row.row.number]), np.array([row.data.started_s]), table)
         flags, hours, decades = self._describe(recorded, intervals)
         return RowSignal(row.row, signal, {name: each[0] for name, each in flags.items()}, float(hours[0]), float(decades[0]))
 
@@ -130,15 +135,14 @@ class DarkHistory:
         self, rows: RecordedRows, intervals: Sequence[DriftInterval]
     ) -> tuple[dict[str, Flags], Floats, Floats]:  # fmt: skip
         """The flags (rows, photodiodes) of rows with readings, their starts in hours, and the monitor's decades."""
-        started_s, table = np.array(rows.started_s), rows.readings
-        for number in np.array(rows.numbers)[~(np.abs(started_s) < LATEST_S)][:1].tolist():
-            wrong = rows.started_s[rows.numbers.index(number)]
-            raise UserError(f"row {number} began at the time {wrong:g} s: {COPY}")
+        started_s, table = rows.started_s, rows.readings
+        for k in np.flatnonzero(~(np.abs(started_s) < LATEST_S))[:1].tolist():
+            raise UserError(f"row {rows.numbers[k]} began at the time {started_s[k]:g} s: {COPY}")
         drifted = np.zeros((table.rows, self._settings.count), dtype=bool)
         for drift in intervals:
             drifted |= drift.flagged_at(started_s)
         first = np.flatnonzero(np.diff(table.row, prepend=-1))
-        monitor_a = np.array(table.monitor_a)
+        monitor_a = table.monitor_a
         largest = np.maximum.reduceat(monitor_a, first)
         light = np.add.reduceat(monitor_a, first) / np.diff(first, append=monitor_a.size)
         flags = {
@@ -158,9 +162,10 @@ class Measurements:
         self._kept: dict[int, RowSignal] = {}
         with self._path_in_errors():
             self._dark = DarkHistory(list(journal.rows("dark")), rig)
-            lit = journal.row_numbers("measure", "drift").tolist()
-            blocks = (lit[begin : begin + EVIDENCE_ROWS] for begin in range(0, len(lit), EVIDENCE_ROWS))
-            tables = (each.readings for block in blocks for each in journal.recorded(block))
+            self._in_memory = journal.all_recorded(MOST_BYTES, *LIT)
+            lit = journal.row_numbers(*LIT)
+            blocks = (lit[begin : begin + EVIDENCE_ROWS] for begin in range(0, lit.size, EVIDENCE_ROWS))
+            tables = (each.readings for block in blocks for each in self._recorded(block, EVIDENCE_ROWS))
             self._dark = self._dark.with_evidence(collect(self._dark.sums(), tables))
         self._table, self._names = journal.row_index()
         self._by_number = np.argsort(self._table["number"], kind="stable")
@@ -195,7 +200,8 @@ class Measurements:
         """The signals of rows, by the rows' numbers and in their order; None where none of them has been measured."""
         found = {number: self._kept.pop(number) for number in numbers if number in self._kept}
         kept = rows_in_columns(list(found.values()))
-        parts = [self._reduced(each) for each in self._recorded([number for number in numbers if number not in found])]
+        left = [number for number in numbers if number not in found] if found else numbers
+        parts = [self._reduced(each) for each in self._recorded(np.array(left, dtype=np.int64), ROWS_AT_ONCE)]
         if kept is None:
             return join_rows(parts) if parts else None
         rows = join_rows([kept, *parts])
@@ -207,16 +213,19 @@ class Measurements:
         with self._path_in_errors():
             return self._dark.rows_in_columns(rows, self._table[self._by_number[found]], self.drift_intervals)
 
-    def _recorded(self, numbers: Sequence[int]) -> Iterator[RecordedRows]:
-        """The readings of rows, of so many rows at once as their counts allow."""
+    def _recorded(self, numbers: Ints, rows: int) -> Iterator[RecordedRows]:
+        """The readings of rows with light, of so many rows at once, or fewer where they have many counts."""
+        if self._in_memory is not None:
+            found = (self._in_memory.of(numbers[begin : begin + rows]) for begin in range(0, numbers.size, rows))
+            yield from (each for each in found if each.numbers.size)
+            return
         together: RecordedRows | None = None
-        for each in self._journal.recorded(numbers):
+        for each in self._journal.recorded(numbers.tolist()):
             together = each if together is None else together.joined(each)
-            counts = sum(part.size for part in together.readings.counts)
-            if len(together.numbers) >= ROWS_AT_ONCE or counts >= MOST_COUNTS:
+            if together.numbers.size >= rows or together.readings.counts.size >= MOST_COUNTS:
                 yield together
                 together = None
-        if together is not None and together.numbers:
+        if together is not None and together.numbers.size:
             yield together
 
     def keep_signals(self, numbers: Iterable[int]) -> list[RowSignal]:

@@ -133,46 +133,50 @@ class RowReadings:
 
 def group_readings(table: ReadingTable) -> Iterator[RowReadings]:
     """The readings of rows, those of one gain and of one number together, some rows at a time."""
-    alike: dict[tuple[float, tuple[int, ...]], list[int]] = defaultdict(list)
-    for k, (gain, counts) in enumerate(zip(table.gain_v_per_a, table.counts, strict=True)):
-        alike[gain, counts.shape].append(k)
-    row, monitor_a = np.array(table.row, dtype=np.int64), np.array(table.monitor_a)
     times = middles_s(table)
-    for (gain, shape), found in alike.items():
-        at_once = max(1, MOST_VALUES // (shape[0] * shape[1]))
-        for begin in range(0, len(found), at_once):
+    keys = np.stack([table.gain_v_per_a, table.readings, table.channels])
+    for found in alike(keys):
+        gain, readings, channels = keys[:, found[0]].tolist()
+        at_once = max(1, MOST_VALUES // int(readings * channels))
+        for begin in range(0, found.size, at_once):
             here = found[begin : begin + at_once]
             yield RowReadings(
-                rows=row[here],
+                rows=table.row[here],
                 gain_v_per_a=gain,
-                counts=np.concatenate([table.counts[k] for k in here]).reshape(len(here), *shape),
+                counts=table.counts_of(here, int(readings)),
                 middle_s=times[here],
-                monitor_a=monitor_a[here],
+                monitor_a=table.monitor_a[here],
             )
+
+
+def alike(keys: Floats | Ints) -> list[Ints]:
+    """The indices of equal columns of keys (m, n): a list for each different one, in the order of its first."""
+    if not keys.shape[1] or (keys == keys[:, :1]).all():
+        return [np.arange(keys.shape[1])] if keys.shape[1] else []
+    _, first, which = np.unique(keys, axis=1, return_index=True, return_inverse=True)
+    return [np.flatnonzero(which.ravel() == k) for k in np.argsort(first).tolist()]
 
 
 def middles_s(table: ReadingTable) -> Floats:
     """The times (n,) in the middle of readings, s."""
-    number = np.array([len(each) for each in table.counts], dtype=np.int64)
     with np.errstate(invalid="ignore", over="ignore"):  # of times that cannot be; `check_reading` refuses these
-        return np.asarray(np.array(table.first_s) + 0.5 * (number - 1) * np.array(table.period_s))
+        return np.asarray(table.first_s + 0.5 * (table.readings - 1) * table.period_s)
 
 
 def check_readings(table: ReadingTable, dark: Mapping[float, DarkReadings], settings: ConverterDescription) -> None:
     """Raise UserError for readings that cannot be reduced: at a gain without a dark reading, or as `check_reading`."""
     sound = bool(np.all(np.abs(middles_s(table)) < LATEST_S) and np.all(np.isfinite(table.monitor_a)))
-    shapes = {each.shape for each in table.counts}
-    sound = sound and all(readings > 0 and channels == settings.count for readings, channels in shapes)
-    if sound and all(gain in settings.gains_v_per_a and gain in dark for gain in set(table.gain_v_per_a)):
+    sound = sound and bool(np.all(table.readings > 0) and np.all(table.channels == settings.count))
+    if sound and all(gain in settings.gains_v_per_a and gain in dark for gain in np.unique(table.gain_v_per_a).tolist()):
         return
-    for gain, first, period, monitor, counts in zip(
-        table.gain_v_per_a, table.first_s, table.period_s, table.monitor_a, table.counts, strict=True
-    ):
-        check_reading(Reading(gain, first, period, monitor, counts), settings)
-        if gain not in settings.gains_v_per_a:
-            raise UserError(f"a reading was made at {gain:g} V/A, a gain that the rig does not have")
-        if gain not in dark:
-            raise UserError(f"the journal has no dark reading at {gain:g} V/A, so readings at this gain cannot be reduced")
+    for k in range(table.row.size):
+        reading = table.reading(k)
+        check_reading(reading, settings)
+        if reading.gain_v_per_a not in settings.gains_v_per_a:
+            raise UserError(f"a reading was made at {reading.gain_v_per_a:g} V/A, a gain that the rig does not have")
+        if reading.gain_v_per_a not in dark:
+            gain = f"{reading.gain_v_per_a:g} V/A"
+            raise UserError(f"the journal has no dark reading at {gain}, so readings at this gain cannot be reduced")
 
 
 def subtract_dark(readings: RowReadings, dark: DarkReadings, settings: ConverterDescription) -> Estimate:

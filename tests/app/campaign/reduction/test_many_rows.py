@@ -9,9 +9,10 @@ from goniotwin.app.campaign.geometry.arcs import arc_views, views_at_sigma
 from goniotwin.app.campaign.geometry.shadow import blocked_by_mirrors
 from goniotwin.app.campaign.journal import reading
 from goniotwin.app.campaign.journal.writing import Journal
-from goniotwin.app.campaign.reduction import etalon
+from goniotwin.app.campaign.reduction import etalon, readings
 from goniotwin.app.campaign.reduction.etalon import ArcGeometry
-from goniotwin.app.campaign.reduction.reduction import reduce_to_files
+from goniotwin.app.campaign.reduction.points import COLUMNS
+from goniotwin.app.campaign.reduction.reduction import reduce_journal, reduce_to_files
 from goniotwin.app.rig import read_rig
 from tests.app.campaign.reduction.long_journal import write_long_journal
 from tests.conftest import RIG
@@ -57,14 +58,34 @@ def test_rows_are_recorded_in_the_order_asked_for_and_a_few_at_once(tmp_path: Pa
         numbers = journal.row_numbers("measure", "dark").tolist()[::-1]
         numbers.insert(3, 10_000_000)  # no such row
         blocks = list(journal.recorded(numbers))
-        assert max(len(each.numbers) for each in blocks) == 7
-        assert [number for each in blocks for number in each.numbers] == numbers[:3] + numbers[4:]
-        one_by_one = journal.rows_of(numbers)
-        for block in blocks:
-            for k, started_s in enumerate(block.started_s):
-                row = next(one_by_one).data
-                here = [j for j, of_row in enumerate(block.readings.row) if of_row == k]
-                assert started_s == row.started_s
-                assert [block.readings.first_s[j] for j in here] == [each.first_s for each in row.readings]
-                for j, each in zip(here, row.readings, strict=True):
-                    assert np.array_equal(block.readings.counts[j], each.counts)
+        assert max(each.numbers.size for each in blocks) == 7
+        assert [number for each in blocks for number in each.numbers.tolist()] == numbers[:3] + numbers[4:]
+        everything = journal.all_recorded(10**9, "measure", "dark")
+        assert everything is not None
+        one_by_one = list(journal.rows_of(numbers))
+        for rows in (blocks, [everything.of(np.array(numbers))]):
+            found = iter(one_by_one)
+            for block in rows:
+                for k, started_s in enumerate(block.started_s.tolist()):
+                    row = next(found).data
+                    here = [block.readings.reading(j) for j in np.flatnonzero(block.readings.row == k).tolist()]
+                    assert started_s == row.started_s
+                    assert [vars(each) | {"counts": each.counts.tolist()} for each in here] == [
+                        vars(each) | {"counts": each.counts.tolist()} for each in row.readings
+                    ]
+            assert next(found, None) is None
+
+
+def test_readings_beyond_the_memory_for_them_are_read_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write_long_journal(tmp_path / "a.journal", 2, 2)
+    found = []
+    for most in (10**9, 100):
+        monkeypatch.setattr(readings, "MOST_BYTES", most)
+        with Journal.open(tmp_path / "a.journal") as journal:
+            assert (journal.all_recorded(most, "measure") is None) == (most == 100)
+            found.append(reduce_journal(journal).samples["gaussian-5"])
+    one, other = found
+    for name in (*COLUMNS, "places"):
+        assert np.array_equal(getattr(one, name), getattr(other, name), equal_nan=True), name
+    for name, variance in one.components.items():
+        assert np.array_equal(variance, other.components[name]), name

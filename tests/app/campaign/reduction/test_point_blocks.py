@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from goniotwin.app.campaign.campaign import run_campaign
+from goniotwin.app.campaign.journal import chain, reading
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.reduction import readings
@@ -113,6 +114,10 @@ def test_the_memory_of_a_forecast_grows_by_much_less_than_a_kilobyte_per_row(
         (reducing, "MOST_ROWS"),
         (readings, "EVIDENCE_ROWS"),
         (readings, "ROWS_AT_ONCE"),
+        (readings, "MOST_BYTES"),
+        (chain, "CHECKED_TOGETHER"),
+        (reading, "RECORDED_TOGETHER"),
+        (reading, "INDEXED_TOGETHER"),
     ):
         monkeypatch.setattr(module, name, 16)  # with small blocks a short journal shows what a long one takes
     rig, memory, rows = read_rig(write_rig()), [], []
