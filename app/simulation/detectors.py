@@ -124,10 +124,10 @@ def output_theta(theta_deg: Floats | None) -> Floats:
 
 
 def output_phi(phi_deg: Floats | None, mirrored: bool) -> Floats:
-    """Nodes of phi (n,) from 0 to 180 for a sample with mirror symmetry, to 360 for another. Raises UserError."""
+    """Nodes of phi (n,) from 0 to 180 where sample and rig have mirror symmetry, else to 360. Raises UserError."""
     last = 180.0 if mirrored else 360.0
     given = np.arange(0.0, last + 1.0, PHI_STEP_DEG) if phi_deg is None else phi_deg
     if given[-1] > last:
         wrong = f"--phi: {given[-1]:g} is out of range"
-        raise UserError(f"{wrong}; this sample is symmetric about the plane of incidence: give 0 to 180")
+        raise UserError(f"{wrong}; sample and rig are symmetric about the plane of incidence: give 0 to 180")
     return np.unique(np.concatenate([[0.0], given, [last]]))

@@ -36,6 +36,7 @@ from goniotwin.arrays import Flags, Floats
 from goniotwin.twin.optics import Instrument, Lobe, SampleFrames, Scatterer, arc_direction, visible_fraction
 from goniotwin.twin.optics.bsdf.models import ANISOTROPIC, GAUSSIAN, REGULAR
 from goniotwin.twin.optics.geometry.coordinates import SPECULAR_AZIMUTH_DEG, TURN_DEG, opposite_sigma_deg, round_deg
+from goniotwin.twin.optics.geometry.deviation import NO_DEVIATION
 
 WAVELENGTH_LIMITS_NM = (200.0, 2500.0)
 """Wavelengths of a simulation."""
@@ -54,10 +55,11 @@ class Task:
     the mirror unit at 180 deg - sigma. With `transmitted` the detectors are on the other side. `wavelengths_nm` is (w,), or
     None for a grey table (a sample with a spectrum then has its own list). `polar_deg` and `azimuth_deg` are the grid of the
     detectors, both or neither; the default is fine near the specular direction of each sigma. `theta_deg` and `phi_deg` are
-    the output grid. With `stray` the light of the `frames`, and light that was scattered more than once, counts. A `source`
-    replaces the uniform exit pupil. `psi_deg` (p,), 0 to less than 360, ascending, are azimuths of the light in the frame of an
-    anisotropic sample; by default those of its tables, and steps of 15 deg for formulas. The `regular` component is in the
-    values as "seen" by the detectors, or "apart" from them; "alone" there are no others.
+    the output grid. Where sample and rig are symmetric about the plane of incidence, azimuths and phi are 0 to 180. With
+    `stray` the light of the `frames`, and light that was scattered more than once, counts. A `source` replaces the uniform exit
+    pupil. `psi_deg` (p,), 0 to less than 360, ascending, are azimuths of the light in the frame of an anisotropic sample; by
+    default those of its tables, and steps of 15 deg for formulas. The `regular` component is in the values as "seen" by the
+    detectors, or "apart" from them; "alone" there are no others.
     """
 
     sample: Scatterer
@@ -374,7 +376,7 @@ def check_task(task: Task) -> None:
             raise UserError("--polar and --azimuth: the values are interpolated; give at least two angles each")
         last = 180.0 if _is_mirrored(task) else 360.0
         if task.azimuth_deg[-1] > last:
-            raise UserError(f"--azimuth: this sample is symmetric about the plane of incidence; give 0 to {last:g}")
+            raise UserError(f"--azimuth: sample and rig are symmetric about the plane of incidence; give 0 to {last:g}")
     if task.source is not None and task.estimator.kind == "fast":
         raise UserError("--source: the fast estimator has only the uniform exit pupil; give --estimator forward")
     if not task.acting_lobes:
@@ -389,5 +391,13 @@ def check_task(task: Task) -> None:
 
 
 def _is_mirrored(task: Task) -> bool:
-    """Whether the sample is symmetric about the plane of incidence."""
-    return all(lobe.mirrored for lobe in task.counted_lobes)
+    """Whether sample and rig are symmetric about the plane of incidence, so that half of the azimuths are computed.
+
+    A rig with any deviation counts as one that is not.
+    """
+    return not _is_off(task.instrument) and all(lobe.mirrored for lobe in task.counted_lobes)
+
+
+def _is_off(instrument: Instrument) -> bool:
+    """Whether any element of an instrument is off its place."""
+    return any(each != NO_DEVIATION for of in (instrument.deviations, instrument.illumination) for each in of.values())

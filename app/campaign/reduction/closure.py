@@ -16,6 +16,7 @@ not that of the rig file, `field_deg` is the one that explains the scan.
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -25,15 +26,29 @@ from goniotwin.app.campaign.reduction.components import Signal, total_variance
 from goniotwin.app.campaign.reduction.effects_of_points import gain_input
 from goniotwin.app.campaign.reduction.etalon import ReductionSettings, RowSignal, pose_key
 from goniotwin.app.campaign.reduction.readings import Measurements, ReferenceMeasurements
-from goniotwin.app.campaign.reduction.signals import LIGHT
+from goniotwin.app.campaign.reduction.signals import LIGHT as LEAST_LIGHT
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.schedule.grids import grid_values
 from goniotwin.app.campaign.uncertainty.effects import Component
 from goniotwin.app.campaign.uncertainty.field import directions_covariance
 from goniotwin.app.campaign.uncertainty.inputs import Input
-from goniotwin.app.campaign.uncertainty.pose import POSITIONS, mounting_inputs, photodiode_inputs, position_input, rig_inputs
+from goniotwin.app.campaign.uncertainty.light_place import across_beam, place_law, seen_light
+from goniotwin.app.campaign.uncertainty.pose import (
+    LIGHT,
+    MOUNTED,
+    POSITIONS,
+    Views,
+    disc_moves,
+    image_shifts,
+    mounting_inputs,
+    photodiode_inputs,
+    position_input,
+    rig_inputs,
+    standard_uncertainties,
+)
 from goniotwin.app.campaign.uncertainty.slopes import Directions
 from goniotwin.app.rig import RigFile, nominal_instrument
+from goniotwin.app.rig.uncertainty import UncertaintyTable
 from goniotwin.arrays import Floats, Ints
 from goniotwin.twin.optics import Instrument
 from goniotwin.twin.optics.geometry.coordinates import SPECULAR_AZIMUTH_DEG, round_deg
@@ -49,9 +64,13 @@ CERTAIN = 5.0
 SMALLEST_U = 1e-12
 """A rig file may state that everything is exact."""
 AGREES, DIFFERS = 2.0, 4.0
-"""Up to so many combined uncertainties two scales agree; beyond so many they certainly do not."""
+"""Up to so many combined uncertainties two scales agree; beyond so many they certainly do not, see BY_CHANCE."""
+BY_CHANCE = 2e-3
+"""A difference that the light's place explains on more than this share of all rigs shows nothing else."""
 MOMENT_U = 0.02
 """Relative standard uncertainty of a scan's second moment against the expected one: on the virtual rig 0 to 1.8 % apart."""
+SCANS_KEPT = 64
+"""A campaign has few scans, each at many wavelengths."""
 FIELDS_DEG = (0.05, 6.0)
 """Fields of view that a scan can show: of a wider one the beam is not within the scan."""
 
@@ -93,7 +112,7 @@ class Closure:
     """The etalon's radiance factor by its certificate and by the open beam, at one incidence and wavelength.
 
     `absolute` is corrected for the centroid of the scan by the relative `correction`. `components` are relative, of the ratio
-    of the two; those in CERTIFICATE_INPUTS belong to the route by the etalon.
+    of the two; those in CERTIFICATE_INPUTS belong to the route by the etalon, those of `light` to the light's place.
     """
 
     beam: ScannedBeam
@@ -102,6 +121,7 @@ class Closure:
     absolute: float
     correction: float
     components: tuple[Component, ...]
+    light: "LightEffects"
 
     @property
     def ratio(self) -> float:
@@ -125,9 +145,15 @@ class Closure:
         return (self.ratio - 1.0) / max(self.u, SMALLEST_U)
 
     @property
+    def apart(self) -> bool:
+        """Whether the two routes certainly do not agree, and the light's place hardly explains it."""
+        own = math.fsum(each.u**2 for each in self.components if not each.name.startswith(SLIT_IMAGE))
+        return abs(self.z) > DIFFERS and self.light.chance(self.ratio - 1.0, own) < BY_CHANCE
+
+    @property
     def word(self) -> str:
         """The comparison in a word, for a table."""
-        return "agree" if abs(self.z) <= AGREES else "do NOT agree" if abs(self.z) > DIFFERS else "differ"
+        return "agree" if abs(self.z) <= AGREES else "do NOT agree" if self.apart else "differ"
 
     @property
     def verdict(self) -> str:
@@ -137,16 +163,20 @@ class Closure:
             return "the two scales agree"
         side = "above" if self.ratio > 1.0 else "below"
         difference = f"the open beam gives {100.0 * abs(self.ratio - 1.0):.2f} % {side} the certificate, {size:.1f} u"
-        return f"{difference}: they do NOT agree" if size > DIFFERS else f"{difference}: more than expected"
+        return f"{difference}: they do NOT agree" if self.apart else f"{difference}: more than expected"
 
 
 @dataclass(frozen=True)
 class JointClosure:
-    """The closures of several scans together: their best mean `ratio`, with its relative standard uncertainty `u`."""
+    """The closures of several scans together: their best mean `ratio`, with its relative standard uncertainty `u`.
+
+    `chance`: how often the ratio is as far from 1 on rigs whose scales agree.
+    """
 
     sigmas_deg: tuple[float, ...]
     ratio: float
     u: float
+    chance: float
 
     @classmethod
     def of(cls, closures: Sequence[Closure]) -> "JointClosure | None":
@@ -155,21 +185,32 @@ class JointClosure:
         if len(scanned) < 2:
             return None
         effects: dict[str, Floats] = {}
+        by_light = np.stack([each.light.by_place for each in scanned])
         for k, each in enumerate(scanned):
             for part in each.components:
+                if part.name.startswith(SLIT_IMAGE):  # with the place that the image has at all scans
+                    continue
                 own = part.name in OWN_OF_A_SCAN or part.name.startswith("position@")
                 effect = effects.setdefault(f"{k} {part.name}" if own else part.name, np.zeros(len(scanned)))
                 effect[k] = math.copysign(part.u, part.sensitivity)
         columns = np.array(list(effects.values()))
-        covariance = columns.T @ columns + SMALLEST_U**2 * np.eye(len(scanned))
-        weight = np.linalg.solve(covariance, np.ones(len(scanned)))
-        ratio = float(weight @ [each.ratio for each in scanned] / weight.sum())
-        return cls(tuple(each.beam.scan.at_deg for each in scanned), ratio, 1.0 / math.sqrt(float(weight.sum())))
+        own = columns.T @ columns + SMALLEST_U**2 * np.eye(len(scanned))
+        weight = np.linalg.solve(own + by_light @ by_light.T, np.ones(len(scanned)))
+        total, weight = float(weight.sum()), weight / weight.sum()
+        ratio = float(weight @ [each.ratio for each in scanned])
+        light = LightEffects.mean([each.light for each in scanned], weight)
+        chance = light.chance(ratio - 1.0, float(weight @ own @ weight))
+        return cls(tuple(each.beam.scan.at_deg for each in scanned), ratio, 1.0 / math.sqrt(total), chance)
 
     @property
     def z(self) -> float:
         """The difference of the two routes in combined uncertainties."""
         return (self.ratio - 1.0) / max(self.u, SMALLEST_U)
+
+    @property
+    def apart(self) -> bool:
+        """Whether the two routes certainly do not agree."""
+        return abs(self.z) > DIFFERS and self.chance < BY_CHANCE
 
     def as_dict(self) -> dict[str, Any]:
         """The result for JSON."""
@@ -180,6 +221,8 @@ class JointClosure:
         return f"all scans together (sigma {sigmas} deg): ratio {self.ratio:.4f}, u {100.0 * self.u:.2f} %, z {signed(self.z)}"
 
 
+SLIT_IMAGE = "slit_image"
+"""The component of the light's place, and with a star and an input those of the place and that input together."""
 OWN_OF_A_SCAN = frozenset({"scan", "noise", "dark", "etalon_reading", "signature", "monitor"})
 """Components of which each scan has an error of its own, beside the positions of its axes."""
 CERTIFICATE_INPUTS = ("certificate", "etalon_age", "etalon_edge")
@@ -304,7 +347,7 @@ class ClosureReport:
     @property
     def apart(self) -> list[Closure]:
         """The closures that certainly do not agree."""
-        return [each for each in self.closures if abs(each.z) > DIFFERS]
+        return [each for each in self.closures if each.apart]
 
     @property
     def together(self) -> JointClosure | None:
@@ -318,7 +361,7 @@ class ClosureReport:
 
     @property
     def _apart_together(self) -> bool:
-        return self.together is not None and abs(self.together.z) > DIFFERS
+        return self.together is not None and self.together.apart
 
     @property
     def alarms(self) -> list[str]:
@@ -459,7 +502,7 @@ class _Readings:
             return reason
         signal = _of_photodiode(measured, self._scan.photodiode)
         brightest = int(np.argmax(signal.value))
-        if not signal.value[brightest] > LIGHT * math.sqrt(signal.variance[brightest]) or signal.value.sum() <= 0.0:
+        if not signal.value[brightest] > LEAST_LIGHT * math.sqrt(signal.variance[brightest]) or signal.value.sum() <= 0.0:
             return f"photodiode {self._scan.photodiode} has no light in any pose of the scan: was the sample unit empty?"
         return ""
 
@@ -634,9 +677,11 @@ def compare(
     seen = float(etalon.value[0])
     plain = math.pi * seen / (math.cos(math.radians(scan.at_deg)) * beam.total * spectral)
     inputs, correction = pose_effects(scan, rig, float(beam.centroid_deg[0]))
+    light = light_effects(scan, rig)
     mean_beam = float(beam.share @ scanned.value) * spectral
     components = [
         *inputs,
+        *light.components,
         *_scan_positions(beam, scanned, middle, moves, rig),
         *_gain_effects(beam, scanned, middle, etalon, rig),
         *_noise(beam, scanned, middle, etalon, rig),
@@ -649,7 +694,7 @@ def compare(
         *certificate,
     ]  # fmt: skip
     found = tuple(sorted(components, key=lambda each: -each.u))
-    return Closure(beam, wavelength_nm, certified, plain * math.exp(correction), correction, found)
+    return Closure(beam, wavelength_nm, certified, plain * math.exp(correction), correction, found, light)
 
 
 @dataclass(frozen=True)
@@ -708,6 +753,96 @@ def pose_effects(scan: BeamScan, rig: RigFile, centroid_deg: float) -> tuple[lis
         left = each.of_value - per_deg * each.of_centroid
         components.append(Component(each.input.name, abs(left) * each.input.u, left, each.input))
     return components, -per_deg * centroid_deg
+
+
+@dataclass(frozen=True)
+class LightEffects:
+    """What the light's place does to the ratio of the two routes, in `components` of a budget, and place by place.
+
+    `effect` (k, n): the relative change of the ratio with the slit's image at n places, of a `probability` (n,) each: by the
+    place alone, and for one standard uncertainty of each further input. The square of a component is the mean of its effect's.
+    """
+
+    components: tuple[Component, ...]
+    probability: Floats
+    effect: Floats
+
+    @classmethod
+    def mean(cls, several: "Sequence[LightEffects]", weight: Floats) -> "LightEffects":
+        """The effects on a weighted mean of several scans, all with the image at one place."""
+        return cls((), several[0].probability, np.einsum("s,skn->kn", weight, np.stack([each.effect for each in several])))
+
+    @property
+    def by_place(self) -> Floats:
+        """The effects (k n,) times the root of the probability: the product of those of two scans is their covariance."""
+        return (self.effect * np.sqrt(self.probability)).ravel()
+
+    def chance(self, difference: float, variance: float) -> float:
+        """How often a difference is as large by chance, with the `variance` of all but the light's place.
+
+        A hole is lit everywhere on most rigs, and dark by much on few: that is no normal law.
+        """
+        u = np.sqrt(2.0 * np.maximum(variance + np.sum(self.effect[1:] ** 2, axis=0), SMALLEST_U**2))
+        beyond = [math.erfc(each) for side in (1.0, -1.0) for each in ((abs(difference) + side * self.effect[0]) / u).tolist()]
+        return 0.5 * float(np.tile(self.probability, 2) @ beyond)
+
+
+def light_effects(scan: BeamScan, rig: RigFile) -> LightEffects:
+    """The effects of the light's place, by the tilts of the mirrors that the rig file states.
+
+    Where an edge of the slit's image is within the hole, part of it is dark. The mirror unit carries the image's place: what is
+    off in the plane of incidence is off to the other side of the hole at 180 deg - sigma, what is off along y to the same. The
+    image's sides do not turn with the unit, and are inclined against the hole by sigma at both. So an image that is off in both
+    directions has one of its corners in the hole at the etalon, and another one at the open beam: the lit shares differ. One
+    that is off in one direction has the same share at both, but in the plane of incidence on opposite sides: a photodiode
+    accepts from each point what its cone and its disc have in common, and a disc that is off sees more of one side. A hole that
+    is lifted, and a shift of the exit pupil, move the image against the hole by different ways.
+    """
+    sigmas = scan.etalon_pose[1], float(scan.poses[scan.middle, 1])
+    return _light_effects(
+        nominal_instrument(rig), rig.uncertainty, scan.etalon_pose[0], sigmas, scan.at_deg, scan.arc == "lower"
+    )
+
+
+@lru_cache(maxsize=SCANS_KEPT)
+def _light_effects(
+    instrument: Instrument, table: UncertaintyTable, gamma: float, sigmas: tuple[float, float], at_deg: float, lower: bool
+) -> LightEffects:
+    one, no = np.ones(1), np.zeros(1, dtype=bool)
+    views = Views(
+        sigmas[0] * one, gamma * one, math.radians(at_deg) * one, math.radians(SPECULAR_AZIMUTH_DEG) * one, no | lower, no, no
+    )
+    (view,), (disc,) = disc_moves(instrument, views)
+    of_rig = rig_inputs(table)
+    of_light, of_view = of_rig[: len(LIGHT)], of_rig[len(LIGHT) :]
+    ways = [image_shifts(instrument, sigma) @ across_beam(sigma).T for sigma in sigmas]
+    law = place_law(0.5 * (ways[0] + ways[1]), math.sqrt(3.0) * standard_uncertainties(of_light))
+    etalon, beam = (seen_light(instrument, (sigma, gamma), view, law.places) for sigma in sigmas)
+    image = etalon.logarithm - beam.logarithm
+    alone = Input(
+        SLIT_IMAGE, "1", math.sqrt(float(law.probability @ image**2)), "normal", "all scans", "[uncertainty] mirror_tilt_deg",
+        "disturbances.mirror_tilt_deg",
+    )  # fmt: skip
+    components, effects = [Component(SLIT_IMAGE, alone.u, 1.0, alone)], [image]
+    by_lift = [
+        -(each.by_place @ across_beam(sigma)[:, 2]) - each.by_disc[:, 2]
+        for each, sigma in zip((etalon, beam), sigmas, strict=True)
+    ]
+    mounted = [mounting_inputs(table, *each)[MOUNTED.index("height")] for each in (("etalon", "etalon"), ("sample", "nothing"))]
+    with_image = [
+        *zip(of_view, ((etalon.by_disc - beam.by_disc) @ disc.T).T, strict=True),
+        # What moves the image alike at both sigmas is in the law of its place.
+        *zip(of_light, ((etalon.by_place + beam.by_place) @ (0.5 * (ways[0] - ways[1])).T).T, strict=True),
+        # A hole that is lifted meets the beam beside its middle, and the photodiode sees it from there.
+        (mounted[0], by_lift[0]), (mounted[1], -by_lift[1]),
+    ]  # fmt: skip
+    for each, effect in with_image:
+        sensitivity = math.sqrt(float(law.probability @ effect**2))
+        effects.append(effect * each.u)
+        if sensitivity * each.u > SMALLEST_U:
+            both = replace(each, name=f"{SLIT_IMAGE}*{each.name}", distribution="normal")
+            components.append(Component(both.name, sensitivity * each.u, sensitivity, both))
+    return LightEffects(tuple(components), law.probability, np.stack(effects))
 
 
 def centroid_uncertainty_deg(scan: BeamScan, rig: RigFile) -> float:

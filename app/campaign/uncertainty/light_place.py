@@ -32,6 +32,10 @@ NODES = 8
 LEAST_CORNERS = 3
 CELLS = 20
 """Cells of the hole along either side, for a search."""
+DISC_STEP_MM, PLACE_STEP_MM = 0.05, 0.1
+"""Steps of derivatives over the place of a photodiode's disc, and of the slit's image."""
+PLACES, ORDERS = 31, 30
+"""Places along either direction in a law of the image's place, and terms of its series."""
 SMALLEST = 1e-12
 
 
@@ -177,12 +181,14 @@ class SpotWeights:
     """The hole at one pose in cells, for many places of the slit's image at once.
 
     `across` (n, 2): the cells' places along the image's sides, which turn with sigma against the plane of incidence. `sides`
-    (2, 2): the image's sides by the directions in the plane of incidence and along y. `weight` (n,) is what a photodiode at the
-    lobe's middle sees of a cell, `moment` (n, 2) its part in the middle of the light, along x and y of the rig. `half` is half
-    the image's side, `cell` (2,) what a cell measures along the image's sides, mm.
+    (2, 2): the image's sides by the directions in the plane of incidence and along y. `points` (n, 3) are the cells in the
+    rig's frame. `weight` (n,) is what a photodiode at the lobe's middle sees of a cell, `moment` (n, 2) its part in the middle
+    of the light, along x and y of the rig. `half` is half the image's side, `cell` (2,) what a cell measures along the image's
+    sides, mm.
     """
 
     across: Floats
+    points: Floats
     weight: Floats
     moment: Floats
     sides: Floats
@@ -191,14 +197,19 @@ class SpotWeights:
 
     def lit(self, places: Floats) -> tuple[Floats, Floats]:
         """Share (n,) of the light that a photodiode sees, and its middle (n, 2), with the image at `places` (n, 2)."""
+        lit = self.lit_cells(places)
+        whole = float(self.weight.sum())
+        some = np.maximum(lit @ self.weight, SMALLEST * whole)
+        return some / whole, lit @ self.moment / some[:, None]
+
+    def lit_cells(self, places: Floats) -> Floats:
+        """Lit part (n, cells) of each cell, with the image at `places` (n, 2)."""
         lit = np.ones((len(places), len(self.weight)))
         moved = places @ self.sides.T
         for k in (0, 1):
             inside = self.half - np.abs(self.across[:, k] - moved[:, k, None])
             lit *= np.clip(inside / self.cell[k] + 0.5, 0.0, 1.0)
-        whole = float(self.weight.sum())
-        some = np.maximum(lit @ self.weight, SMALLEST * whole)
-        return some / whole, lit @ self.moment / some[:, None]
+        return lit
 
 
 @lru_cache(maxsize=KEPT)
@@ -215,15 +226,85 @@ def spot_weights(instrument: Instrument, sigma_deg: float, gamma_deg: float) -> 
     # A turned cell ends over a range as wide as its shadow.
     cell = 2.0 * half / CELLS * np.sum(np.abs(axes[:, :2]), axis=1)
     size = float(np.mean(slit_image(instrument, scene).edges[:, 0, 0]))
-    return SpotWeights(points @ axes[:, :2].T, weight, moved[:, None] * at_rig[:, :2], sides.T, size, cell)
+    return SpotWeights(points @ axes[:, :2].T, at_rig, weight, moved[:, None] * at_rig[:, :2], sides.T, size, cell)
 
 
 def _seen_of(instrument: Instrument, points: Floats, pupil: Floats) -> tuple[Floats, Floats]:
     """What a photodiode at the lobe's middle sees of `points` (n, 2) of the hole: area, and weight in the light's middle."""
     towards = pupil / np.linalg.norm(pupil)
-    # Its cone and its disc are two circles whose centres are that far apart.
-    ahead = points @ (towards[:2] * [-1.0, -1.0])
+    apart, area, turned = _cone_and_disc(instrument, points, towards[:2] * [-1.0, -1.0])
+    return area, area + instrument.pupil_distance_mm / instrument.arc_radius_mm * turned / apart
+
+
+def _cone_and_disc(instrument: Instrument, points: Floats, view: Floats) -> tuple[Floats, Floats, Floats]:
+    """How far a photodiode's cone and disc are apart, the area that they have in common, and its sum towards the disc (n,).
+
+    Seen from `points` (n, k), against the disc's place, mm, both are circles of directions about the unit vector `view` (k,).
+    """
+    ahead = points @ view
     apart = np.sqrt(np.maximum(np.sum(points**2, axis=1) - ahead**2, SMALLEST)) / instrument.arc_radius_mm
     cone = math.tan(math.radians(0.5 * instrument.field_deg))
-    area, turned = common_disc(cone, 0.5 * instrument.detector_diameter_mm / instrument.arc_radius_mm, apart)
-    return area, area + instrument.pupil_distance_mm / instrument.arc_radius_mm * turned / apart
+    return apart, *common_disc(cone, 0.5 * instrument.detector_diameter_mm / instrument.arc_radius_mm, apart)
+
+
+@dataclass(frozen=True)
+class SeenLight:
+    """What a photodiode at the lobe's middle sees of a diffuser or of the open beam, at places (n, 2) of the slit's image.
+
+    `logarithm` (n,) of the light, against a hole that is lit everywhere; its change `by_place` (n, 2) for a mm of the image, in
+    the plane of incidence and along y; and `by_disc` (n, 3) for a mm of the photodiode's disc against its cone, along the rig's
+    axes.
+    """
+
+    logarithm: Floats
+    by_place: Floats
+    by_disc: Floats
+
+
+def seen_light(instrument: Instrument, pose: tuple[float, float], view: Floats, places: Floats) -> SeenLight:
+    """The light at a pose of sigma and gamma in the direction `view` (3,): of each lit point, as much as cone and disc share.
+
+    An open beam that is scanned has the same weights: each of its rays is seen from a solid angle of the photodiode's
+    directions that is what cone and disc share from the ray's point of the hole.
+    """
+    spot = spot_weights(instrument, *pose)
+    steps = DISC_STEP_MM * np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
+    weight = np.stack([_cone_and_disc(instrument, spot.points - step, view)[1] for step in steps], axis=1)
+    least = SMALLEST * weight.sum(axis=0)
+
+    def logarithm(at: Floats, columns: slice = slice(None)) -> Floats:
+        return np.asarray(np.log(np.maximum(spot.lit_cells(at) @ weight[:, columns], least[columns])))
+
+    found = logarithm(places)
+    moved = [logarithm(places + sign * PLACE_STEP_MM * way, slice(1))[:, 0] for way in np.eye(2) for sign in (1.0, -1.0)]
+    return SeenLight(
+        found[:, 0] - math.log(float(weight[:, 0].sum())),
+        np.stack([moved[0] - moved[1], moved[2] - moved[3]], axis=1) / (2.0 * PLACE_STEP_MM),
+        (found[:, 1:4] - found[:, 4:]) / (2.0 * DISC_STEP_MM),
+    )
+
+
+@dataclass(frozen=True)
+class PlaceLaw:
+    """Places (n, 2) of the slit's image across the beam, in the plane of incidence and along y, and their probability (n,)."""
+
+    places: Floats
+    probability: Floats
+
+
+def place_law(ways: Floats, half_widths: Floats) -> PlaceLaw:
+    """The law of the place by inputs that move it by `ways` (inputs, 2), mm for one unit, each rectangular with a half width.
+
+    The sum of a few rectangular inputs has no tails, and it is the tails of a place that count: so no normal law. Along either
+    direction it is the Fourier series of the characteristic function; no input moves the image along both.
+    """
+    places, probability = [], []
+    for widths in np.abs(ways * half_widths[:, None]).T:
+        furthest = float(widths.sum())
+        at = furthest * ((2.0 * np.arange(PLACES) + 1.0) / PLACES - 1.0)
+        order = np.arange(1, ORDERS)[:, None] / max(furthest, SMALLEST)
+        series = 1.0 + 2.0 * np.sum(np.prod(np.sinc(order * widths), axis=1)[:, None] * np.cos(math.pi * order * at), axis=0)
+        places.append(at)
+        probability.append(np.maximum(series, 0.0))
+    both = np.outer(*probability).ravel()
+    return PlaceLaw(np.stack(np.meshgrid(*places, indexing="ij"), axis=-1).reshape(-1, 2), both / both.sum())

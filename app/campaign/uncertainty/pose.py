@@ -127,13 +127,8 @@ class PoseEffects:
 def pose_effects(instrument: Instrument, views: Views) -> PoseEffects:
     """The effects of all inputs of pose on the values at `views`."""
     up = np.where(views.lower, -1.0, 1.0)
-    cos, sin = np.cos(views.polar), np.sin(views.polar)
-    level = np.stack([-np.sin(views.azimuth), np.cos(views.azimuth), np.zeros_like(cos)], axis=1)
-    ahead = np.stack([level[:, 1], -level[:, 0], np.zeros_like(cos)], axis=1)
-    d = _mix(sin, ahead, cos * up)
-    along = _mix(cos, ahead, -sin * up)
-    cosine = up * np.where(np.abs(cos) < GRAZING, np.copysign(GRAZING, cos), cos)
-    frame = _Frame(d, along, up[:, None] * level, cosine, -up * sin, np.where(views.reverse, -1.0, 1.0))
+    frame, ahead = _frame(views)
+    cos = np.cos(views.polar)
     accepted = acceptance(instrument).at(views.polar)
     light, at_etalon = _lights(instrument, views)
     moved = _light_displacement(frame, light, views.transmitted)
@@ -169,6 +164,28 @@ def pose_effects(instrument: Instrument, views: Views) -> PoseEffects:
         ),
         lifted=_lifted(instrument, frame, accepted, views),
     )
+
+
+def _frame(views: Views) -> "tuple[_Frame, Floats]":
+    """The viewing directions with those along the arc and across it, and the level directions (n, 3) away from the pole."""
+    up = np.where(views.lower, -1.0, 1.0)
+    cos, sin = np.cos(views.polar), np.sin(views.polar)
+    level = np.stack([-np.sin(views.azimuth), np.cos(views.azimuth), np.zeros_like(cos)], axis=1)
+    ahead = np.stack([level[:, 1], -level[:, 0], np.zeros_like(cos)], axis=1)
+    d = _mix(sin, ahead, cos * up)
+    along = _mix(cos, ahead, -sin * up)
+    cosine = up * np.where(np.abs(cos) < GRAZING, np.copysign(GRAZING, cos), cos)
+    return _Frame(d, along, up[:, None] * level, cosine, -up * sin, np.where(views.reverse, -1.0, 1.0)), ahead
+
+
+def disc_moves(instrument: Instrument, views: Views) -> tuple[Floats, Floats]:
+    """The views' directions (n, 3), and the way (n, inputs, 3) of the disc against the cone for one unit of VIEW, in mm.
+
+    Both are in the rig's frame.
+    """
+    frame, _ = _frame(views)
+    _, disc = _view_moves(instrument, frame, views)
+    return frame.d, disc[0][:, :, None] * frame.along[:, None] + disc[1][:, :, None] * frame.across[:, None]
 
 
 def _mix(horizontal: Floats, ahead: Floats, vertical: Floats) -> Floats:

@@ -1,6 +1,7 @@
 """Simulations by the scheme of figure 7: both estimators, obstructed directions, files."""
 
 import dataclasses
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from goniotwin.app.rig.samples import parse_sample
 from goniotwin.app.simulation.estimate import EstimatorSettings
 from goniotwin.app.simulation.files import bsdf_table, check_file_names, summary, write_simulation
 from goniotwin.app.simulation.simulate import Simulation, Task, simulate
-from goniotwin.twin.optics import Instrument, evaluate, from_specular, light_direction, luminance_factor
+from goniotwin.twin.optics import Deviation, Instrument, evaluate, from_specular, light_direction, luminance_factor
 from tests.conftest import Writer
 from tests.sizes import few_check_rays
 from tests.twin.optics.agreement import agree
@@ -61,6 +62,44 @@ def test_the_table_has_the_values_of_detectors_at_its_nodes(some: Simulation) ->
         relative = some.table[0, k][near] / expected - 1.0
         assert np.sqrt(np.mean(relative**2)) < 0.002
         assert np.max(np.abs(relative)) < 0.01
+
+
+OFF = replace(OPEN, deviations={"mirror_3": Deviation(rx_deg=0.1)})
+"""A tilt of a mirror out of the plane of incidence: the lobe is 0.2 deg beside it."""
+
+
+@pytest.mark.usefixtures("quick_errors")
+def test_a_rig_that_is_off_is_simulated_at_all_azimuths() -> None:
+    """Against single detectors; one half of the azimuths and its mirror image would be 10 % wrong on the other side."""
+    whole: dict[str, Any] = {"polar_deg": np.arange(24.0, 36.5, 1.0), "azimuth_deg": np.arange(170.0, 191.0, 2.0)}
+    found = simulate(task(instrument=OFF, **whole, phi_deg=np.arange(0.0, 361.0, 30.0), theta_deg=np.arange(0.0, 5.0)))
+    at = found.at[0]
+    expected = luminance_factor(OFF, 30.0, at.directions, found.task.sample)
+    np.testing.assert_allclose(at.ratio.factor[0], expected, rtol=1e-4)  # seven rays against 1,024
+    sides = expected.reshape(13, 11)
+    assert np.max(np.abs(sides[:, ::-1] / sides - 1.0)) > 0.1
+    below = (found.phi_deg > 180.0) & (found.phi_deg < 360.0)
+    near = found.theta_deg <= 4.0
+    nodes = from_specular(30.0, found.theta_deg[None, near], found.phi_deg[below][:, None])
+    table = found.table[0, 0][np.ix_(below, near)]
+    expected = luminance_factor(OFF, 30.0, nodes.reshape(-1, 3), found.task.sample).reshape(table.shape)
+    np.testing.assert_allclose(table, expected, rtol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("instrument", "symmetric"),
+    [(OPEN, True), (replace(OPEN, deviations={"arc": Deviation()}), True), (OFF, False),
+     (replace(OPEN, illumination={"unit": Deviation(rx_deg=0.02)}), False)],
+)  # fmt: skip
+def test_half_of_the_azimuths_is_enough_where_sample_and_rig_are_symmetric(instrument: Instrument, symmetric: bool) -> None:
+    beyond = task(instrument=instrument, polar_deg=np.array([29.0, 31.0]), azimuth_deg=np.array([179.0, 181.0]))
+    if symmetric:
+        with pytest.raises(
+            UserError, match="--azimuth: sample and rig are symmetric about the plane of incidence; give 0 to 180"
+        ):
+            simulate(beyond)
+    else:
+        assert simulate(beyond).phi_deg[-1] == 360.0
 
 
 @pytest.mark.usefixtures("quick_errors")

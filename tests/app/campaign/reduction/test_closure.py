@@ -2,7 +2,7 @@
 
 import json
 import math
-from dataclasses import fields, replace
+from dataclasses import astuple, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +13,8 @@ from goniotwin.app.campaign.geometry.open_beam import BeamScan, beam_scans
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.reduction.closure import (
-    DIFFERS,
     OWN_OF_A_SCAN,
+    SLIT_IMAGE,
     Closure,
     ClosureReport,
     JointClosure,
@@ -23,6 +23,7 @@ from goniotwin.app.campaign.reduction.closure import (
     closure_text,
     compare,
     journal_closure,
+    light_effects,
     moment_deg2,
     pose_effects,
     pose_inputs,
@@ -41,6 +42,8 @@ from goniotwin.app.campaign.rehearsal.without_wires import run_without_wires
 from goniotwin.app.campaign.row import NO_SAMPLE
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.campaign.uncertainty.effects import Component
+from goniotwin.app.campaign.uncertainty.light_place import SeenLight, across_beam, place_law, seen_light
+from goniotwin.app.campaign.uncertainty.pose import LIGHT, VIEW, Views, disc_moves, image_shifts
 from goniotwin.app.rig import RigFile, parse_rig, read_rig
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics import Deviation, Instrument, arc_direction, lambertian, regular, throughput
@@ -270,18 +273,21 @@ def test_scans_together_have_the_uncertainty_of_what_they_share() -> None:
         signal, etalon = beam_signal(scan, Instrument()), etalon_signal(scan, Instrument())
         beam = scanned_beam(scan, 550.0, signal)
         closures.append(compare(beam, 550.0, signal, None, etalon, 1.0, (CERTIFICATE,), FILE))
-    joint = JointClosure.of(closures)
+    joint, lit = JointClosure.of(closures), JointClosure.of([lit_everywhere(each) for each in closures])
     assert joint is not None
-    assert 0.007 < joint.u < min(each.u for each in closures)
+    assert lit is not None
+    assert 0.007 < lit.u < min(lit_everywhere(each).u for each in closures)
+    # What a dark corner does at a small sigma has the other sign at a large one.
+    assert lit.u < joint.u < 0.7 * min(each.u for each in (closures[0], closures[2]))
     assert JointClosure.of(closures[:1]) is None
     same = JointClosure.of([closures[0], closures[0]])
     assert same is not None
     own = [each.u for each in closures[0].components if each.name in OWN_OF_A_SCAN or each.name.startswith("position@")]
     assert same.u == pytest.approx(math.sqrt(closures[0].u ** 2 - 0.5 * math.hypot(*own) ** 2), rel=1e-6)
-    low = ClosureReport(tuple(replace(each, certified=1.0 / (1.0 - 4.5 * joint.u)) for each in closures), (), ())
+    low = ClosureReport(tuple(replace(each, certified=1.0 / (1.0 - 5.0 * joint.u)) for each in closures), (), ())
     assert low.contradicts_etalon
     assert "all scans together (sigma 17, 42, 67 deg)" in low.alarms[-1]
-    only = [replace(each, certified=each.absolute / (1.0 - 4.02 * joint.u)) for each in closures]
+    only = [replace(each, certified=each.absolute / (1.0 - 4.3 * joint.u)) for each in closures]
     together = ClosureReport(tuple(only), (), ())
     assert together.apart == []
     assert together.contradicts_etalon
@@ -292,23 +298,31 @@ def test_scans_together_have_the_uncertainty_of_what_they_share() -> None:
     assert not scan_settings(settings, ClosureReport(tuple(closures), (), ())).doubted
 
 
+def lit_everywhere(closure: Closure) -> Closure:
+    """The closure with a hole that is known to be lit everywhere."""
+    parts = tuple(each for each in closure.components if not each.name.startswith(SLIT_IMAGE))
+    return replace(closure, components=parts, light=replace(closure.light, components=(), effect=0.0 * closure.light.effect))
+
+
 class DrawnRig:
     """A rig within Table 2: all deviations, zeros and the photodiode's angles drawn from what the rig file states.
 
-    With a `slit` whose image does not cover the hole any more where mirrors are tilted; else the hole is lit everywhere.
+    With the slit's image, which does not cover the hole any more where mirrors are tilted; or with a hole that is `lit`
+    everywhere. `times`: all mirrors are off by as much more than the rig file states.
     """
 
-    def __init__(self, seed: int, file: RigFile = FILE, *, slit: bool = False) -> None:
+    def __init__(self, seed: int, file: RigFile = FILE, *, lit: bool = False, times: float = 1.0) -> None:
         self._rng, self._table = np.random.default_rng(seed), file.uncertainty
         tilts = ("mirror_tilt_deg", "mirror_shift_mm")
-        common = {f"mirror_{k}": self._deviation(*tilts, "xy", "z") for k in (1, 2, 3)}
+        mirrors = {f"mirror_{k}": self._deviation(*tilts, "xy", "z") for k in (1, 2, 3)}
+        common = {name: Deviation(*(times * each for each in astuple(off))) for name, off in mirrors.items()}
         common["pupil"] = self._deviation("mirror_tilt_deg", "illumination_shift_mm", "", "xy")
         common["arc"] = self._deviation("arc_tilt_deg", "arc_shift_mm", "xyz", "xyz")
         common["sensor"] = self._deviation("sensor_tilt_deg", "sensor_shift_mm", "xy", "xyz")
         etalon = self._deviation("etalon_tilt_deg", "etalon_height_mm", "xy", "z")
         empty = self._deviation("sample_tilt_deg", "sample_height_mm", "xy", "z")
-        self.with_etalon = Instrument(deviations={**common, "sample": etalon}, lit_everywhere=not slit)
-        self.empty = Instrument(deviations={**common, "sample": empty}, lit_everywhere=not slit)
+        self.with_etalon = Instrument(deviations={**common, "sample": etalon}, lit_everywhere=lit)
+        self.empty = Instrument(deviations={**common, "sample": empty}, lit_everywhere=lit)
         self.zeros = {name: self._draw(f"{name}_zero_deg") for name in ("sigma", "beta", "shift")}
 
     def _draw(self, key: str) -> float:
@@ -337,23 +351,141 @@ class DrawnRig:
         return found, plain_ratio(scan, beam, etalon)
 
 
-LIT = "[twin.optics]\nlit_everywhere = true"
-"""Without it mirrors tilted by 0.05 deg each move the edge of the slit's image into the hole."""
+def by_tilts(scan: BeamScan, tilts: dict[str, float], off: dict[str, Deviation], *, lit: bool = False) -> float:
+    """ln of the ratio of the two routes on a rig whose mirror 1 has `tilts`, with other deviations `off`."""
+    deviations = {"mirror_1": Deviation(**tilts), **off}
+    instrument = Instrument(deviations=deviations, lit_everywhere=lit)
+    return plain_ratio(scan, scanned_beam(scan, 550.0, beam_signal(scan, instrument)), etalon_signal(scan, instrument))
+
+
+def at_places(scan: BeamScan, tilts: dict[str, float]) -> tuple[SeenLight, SeenLight]:
+    """The light at the etalon and of the open beam, with the slit's image where tilts of mirror 1 bring it."""
+    found, nominal = [], Instrument()
+    view = arc_direction(scan.at_deg, 180.0, False)
+    for sigma in (scan.etalon_pose[1], float(scan.poses[0, 1])):
+        ways = image_shifts(nominal, sigma) @ across_beam(sigma).T
+        place = sum(angle * ways[LIGHT.index(f"mirror_1_tilt_{name[1]}")] for name, angle in tilts.items())
+        found.append(seen_light(nominal, (sigma, 0.0), view, np.atleast_2d(place)))
+    return found[0], found[1]
+
+
+@pytest.mark.parametrize(
+    ("sigmas", "tilts", "least"),
+    [
+        ("[15]", {"rx_deg": 0.1}, 0.0), ("[15]", {"ry_deg": 0.1}, 0.0),
+        ("[15]", {"rx_deg": 0.05, "ry_deg": 0.07}, 0.004), ("[15]", {"rx_deg": 0.08, "ry_deg": -0.1}, -0.015),
+        ("[65]", {"rx_deg": 0.05, "ry_deg": 0.07}, -0.025), ("[65]", {"rx_deg": 0.08, "ry_deg": -0.1}, 0.13),
+    ],
+)  # fmt: skip
+def test_a_dark_corner_of_the_hole_is_another_one_at_the_open_beam(sigmas: str, tilts: dict[str, float], least: float) -> None:
+    """Against the twin with the slit's image, and without. An image that is off in one direction alone does nothing."""
+    (scan,) = scans_of(sigmas)
+    seen = by_tilts(scan, tilts, {}) - by_tilts(scan, tilts, {}, lit=True)
+    etalon, beam = at_places(scan, tilts)
+    known = float(etalon.logarithm[0] - beam.logarithm[0])
+    assert known == pytest.approx(seen, rel=0.05, abs=2.5e-3)
+    assert min(float(np.exp(each.logarithm[0])) for each in (etalon, beam)) < 0.98
+    assert abs(known) >= abs(least)
+    assert known * least >= 0.0
+
+
+@pytest.mark.parametrize(
+    ("tilts", "off"),
+    [
+        ({"ry_deg": 0.1}, {"ry_deg": 0.05}), ({"ry_deg": 0.1}, {"rx_deg": 0.05}), ({"ry_deg": 0.1}, {"x_mm": 0.1}),
+        ({"rx_deg": 0.1}, {"ry_deg": 0.05}),
+    ],
+)  # fmt: skip
+def test_a_disc_that_is_off_sees_two_dark_sides_unlike(tilts: dict[str, float], off: dict[str, float]) -> None:
+    """Both ways, against the twin: the part of the hole that is lit at the etalon is opposite to that of the open beam."""
+    (scan,) = scans_of("[15]")
+    seen = 0.0
+    for sign in (1.0, -1.0):
+        rig = {"sensor": Deviation(**{name: sign * each for name, each in off.items()})}
+        seen += sign * (by_tilts(scan, tilts, rig) - by_tilts(scan, tilts, rig, lit=True))
+    etalon, beam = at_places(scan, tilts)
+    no = np.zeros(1, dtype=bool)
+    at, zero = np.full(1, scan.at_deg), np.zeros(1)
+    views = Views(at, zero, np.radians(at), np.full(1, math.pi), no, no, no)
+    (disc,) = disc_moves(Instrument(), views)[1]
+    names = {"rx_deg": "sensor_tilt_x", "ry_deg": "sensor_tilt_y", "x_mm": "sensor_shift_x"}
+    known = sum(float((etalon.by_disc - beam.by_disc)[0] @ disc[VIEW.index(names[name])]) * each for name, each in off.items())
+    assert known == pytest.approx(0.5 * seen, rel=0.1, abs=1e-3)
+
+
+def test_the_law_of_the_images_place_is_that_of_its_inputs() -> None:
+    """Variance of a sum of rectangular inputs, and its range; one input alone is rectangular itself."""
+    ways, half = np.array([[1.0, 0.0], [0.0, 2.0], [0.0, 3.0], [0.5, 0.0]]), np.array([0.3, 0.2, 0.1, 0.4])
+    law = place_law(ways, half)
+    assert law.probability.sum() == pytest.approx(1.0, rel=1e-12)
+    variances = np.sum((ways * half[:, None]) ** 2, axis=0) / 3.0
+    assert law.probability @ law.places**2 == pytest.approx(variances, rel=0.01)
+    assert np.abs(law.places).max(axis=0) == pytest.approx([0.5, 0.7], rel=0.04)
+    still = place_law(ways, 0.0 * half)
+    assert not still.places.any()
+
+
+def test_a_rig_without_tilts_has_no_component_of_the_lights_place() -> None:
+    (scan,) = scans_of("[42]")
+    still = replace(FILE.uncertainty, mirror_tilt_deg=0.0, mirror_shift_mm=0.0, illumination_shift_mm=0.0)
+    assert math.hypot(*(each.u for each in light_effects(scan, replace(FILE, uncertainty=still)).components)) < 1e-9
+    stated = {each.name: each for each in light_effects(scan, FILE).components}
+    assert stated[SLIT_IMAGE].u > 2e-3
+    assert "slit_image*sensor_tilt_y" in stated
 
 
 @pytest.mark.long
-def test_a_hole_that_is_dark_in_part_is_beyond_the_budget_of_a_closure_and_below_a_contradiction() -> None:
-    """The budget has no part for the light's place: with the slit's image the ratio scatters by 0.7 %, three times as much."""
+def test_the_stated_uncertainty_covers_rigs_whose_hole_is_dark_in_part() -> None:
+    """100 rigs within what the rig file states, stops of the axes and errors of the signals drawn too.
+
+    Of each sigma 95 % within 1.96 u, by the scatter of a share of 100 rigs; the chance of a difference is one in as many rigs.
+    Mirrors that are tilted by up to three times as much are covered, or differ in the table; those far off are a contradiction.
+    """
+    rng, count = np.random.default_rng(5), 100
+    joint: list[list[Closure]] = [[] for _ in range(count)]
+    print("\n  sigma  u of the light  u of the ratio  sd of the ratio  coverage  chance below 0.05  apart")
+    for scan in scans_of("[15, 40, 65, 80]"):
+        found = [DrawnRig(seed).closure(scan, stops=True)[0] for seed in range(count)]
+        lit = lit_everywhere(found[0])
+        light = math.sqrt(found[0].u ** 2 - lit.u**2)
+        angles = ("position", "scan", *(each.input.name for each in pose_inputs(scan, FILE)))
+        of_signals = math.hypot(*(each.u for each in lit.components if not each.name.startswith(angles)))
+        drawn = np.array([each.ratio for each in found]) * np.exp(of_signals * rng.standard_normal((40, count))) - 1.0
+        chances = np.array([[each.light.chance(d, lit.u**2) for d in row] for each, row in zip(found, drawn.T, strict=True)])
+        covered, unlikely = float(np.mean(np.abs(drawn) < 1.96 * found[0].u)), float(np.mean(chances < 0.05))
+        apart = sum(each.apart for each in found)
+        print(
+            f"  {scan.at_deg:5.1f}  {light:14.4f}  {found[0].u:14.4f}  {np.std([each.ratio for each in found]):15.4f}  "
+            f"{covered:8.3f}  {unlikely:17.3f}  {apart:5d}"
+        )
+        assert 0.90 < covered < 0.99
+        assert 0.01 < unlikely < 0.10
+        assert apart <= 2
+        for each, closure in zip(joint, found, strict=True):
+            each += [closure] if scan.at_deg < 70.0 else []
+    together = [each for each in map(JointClosure.of, joint) if each is not None]
+    assert len(together) == count
+    assert sum(abs(each.z) < 1.96 for each in together) > 90
+    assert sum(each.apart for each in together) <= 1
+
+
+@pytest.mark.long
+def test_mirrors_beyond_what_the_rig_file_states_are_covered_or_a_finding() -> None:
+    """Tilts of two and of three times as much: what is not covered is in the comparison's words, or a contradiction."""
     (scan,) = scans_of("[15]")
-    lit, part_dark = (np.array([DrawnRig(seed, slit=slit).closure(scan)[0].z for seed in range(20)]) for slit in (False, True))
-    assert np.abs(lit).max() < 1.0
-    assert 2.0 < part_dark.std() / lit.std() < 4.0
-    assert np.abs(part_dark).max() < DIFFERS
+    for times, most in ((2.0, 20), (3.0, 30)):
+        found = [DrawnRig(seed, times=times).closure(scan)[0] for seed in range(40)]
+        beyond = [each for each in found if abs(each.z) > 2.0]
+        apart = [each for each in found if each.apart]
+        print(f"\n  {times:g} times: beyond 2 u {len(beyond)} of 40, apart {len(apart)}")
+        assert all("more than expected" in each.verdict or "do NOT agree" in each.verdict for each in beyond)
+        assert all(each.apart for each in found if abs(each.ratio - 1.0) > 0.2)
+        assert len(beyond) < most
 
 
 @pytest.mark.long
 def test_both_scales_close_on_twenty_rigs_and_an_etalon_that_is_low_is_found() -> None:
-    """Sigma 15, 40, 65 and 80, all angles drawn: within u; with the errors of the signals drawn as well: z has variance 1."""
+    """A hole lit everywhere, sigma 15, 40, 65 and 80, all angles drawn: within u; with signals drawn too z has variance 1."""
     rng = np.random.default_rng(11)
     print(
         "\n  sigma  sd, uncorrected  sd, corrected  u of pose, scan  u of the ratio  worst z  sd with stops  u of stops  "
@@ -361,14 +493,15 @@ def test_both_scales_close_on_twenty_rigs_and_an_etalon_that_is_low_is_found() -
     )
     together: list[list[Closure]] = [[] for _ in range(20)]
     for scan in scans_of("[15, 40, 65, 80]"):
-        found = [DrawnRig(seed).closure(scan) for seed in range(20)]
+        found = [(lit_everywhere(each), value) for each, value in (DrawnRig(k, lit=True).closure(scan) for k in range(20))]
         plain = np.array([value for _, value in found])
         corrected = plain + [each.correction for each, _ in found]
         u, parts = found[0][0].u, {each.name: each.u for each in found[0][0].components}
         of_pose = math.hypot(parts["scan"], *(parts[each.input.name] for each in pose_inputs(scan, FILE)))
         of_stops = math.hypot(parts["position@shift#scan"], parts["position@beta#scan"])
         z = np.array([each.z for each, _ in found])
-        stopped = [DrawnRig(seed).closure(scan, stops=True) for seed in range(20)]
+        stopped = [DrawnRig(seed, lit=True).closure(scan, stops=True) for seed in range(20)]
+        stopped = [(lit_everywhere(each), value) for each, value in stopped]
         with_stops = np.array([value + each.correction for each, value in stopped])
         low = np.array([replace(each, certified=1.0 / 0.95).z for each, _ in found])
         for each, (closure, _) in zip(together, stopped, strict=True):
@@ -417,7 +550,7 @@ def test_a_campaign_closes_at_the_scans_wavelength_and_at_the_other(closed: tupl
     assert (report.missing, report.alarms) == ((), [])
     for each in report.closures:
         assert each.ratio == pytest.approx(1.0, abs=0.004)  # the virtual rig has no errors of angles, holes or linearity
-        assert 0.006 < each.u < 0.01
+        assert 0.006 < lit_everywhere(each).u < 0.01 < each.u < 0.016
         assert each.u_absolute == pytest.approx(
             math.sqrt(each.u**2 - 0.002**2 - 0.001**2 - 0.002**2), rel=1e-9
         )  # certificate, age, edge
@@ -440,36 +573,69 @@ def test_a_campaign_closes_at_the_scans_wavelength_and_at_the_other(closed: tupl
         assert abs(value) < 4.0 * u < 4e-4
 
 
-@pytest.mark.long
-def test_campaigns_on_twenty_rigs_within_the_papers_tolerances_close(tmp_path: Path) -> None:
-    """0.05 deg and 0.1 mm of all that [uncertainty] has, drawn, with noise and gains within their certificate.
+def closures_of_drawn_rigs(folder: Path, twin: str = "") -> list[ClosureReport]:
+    """Twenty campaigns with 0.05 deg and 0.1 mm of all that [uncertainty] has, drawn, with noise and the gains' errors.
 
-    Each sigma within its u; an etalon that is 5 % low beyond 4 u. A stop of an axis is no tolerance of the paper's.
+    A stop of an axis is no tolerance of the paper's.
     """
     table = FILE.uncertainty
     keys = [each.name for each in fields(table) if each.name.endswith(("_deg", "_mm"))]
     drawn = "".join(f"{key} = {getattr(table, key)}\n" for key in keys if key not in ("position_deg", "backlash_deg"))
     text = changed(HEAD + SCAN_OF_THREE, (("dark_readings = 4", "dark_readings = 32"), ("\nreadings = 2", "\nreadings = 8")))
-    z, low = [], []
+    reports = []
     for seed in range(1, 21):
-        changes = (("[twin.light]", f"[twin.disturbances]\n{drawn}\n{LIT}\n[twin.light]"), ("seed = 1\n", f"seed = {seed}\n"))
+        changes = (
+            ("[twin.light]", f"[twin.disturbances]\n{drawn}\n{twin}\n[twin.light]"),
+            ("seed = 1\n", f"seed = {seed}\n"),
+        )
         rig = parse_rig(changed(RIG.read_text(encoding="utf-8"), changes), RIG.parent, "rig")
-        path = tmp_path / f"{seed}.journal"
+        path = folder / f"{seed}.journal"
         run_without_wires(make_plan(parse_schedule(text, "closure.toml"), rig), path)
         with Journal.open(path) as journal:
-            report = Reduction(journal).closure()
-        assert [each.beam.scan.at_deg for each in report.closures] == [15.8, 40.8, 65.8]
-        assert max(each.u for each in report.closures) < 0.01
-        z += [each.z for each in report.closures]
-        low += [replace(each, certified=each.certified / 0.95).z for each in report.closures]
+            reports.append(Reduction(journal).closure())
+        assert [each.beam.scan.at_deg for each in reports[-1].closures] == [15.8, 40.8, 65.8]
+    return reports
+
+
+@pytest.mark.long
+def test_campaigns_on_twenty_rigs_within_the_papers_tolerances_close(tmp_path: Path) -> None:
+    """Each comparison within 4 u, nearly all within 2 u; all scans together agree, and an etalon that is 10 % low is found."""
+    reports = closures_of_drawn_rigs(tmp_path)
+    z = np.array([[each.z for each in report.closures] for report in reports])
+    together = [report.together for report in reports]
+    low = [
+        replace(report, closures=tuple(replace(each, certified=each.certified / 0.9) for each in report.closures))
+        for report in reports
+    ]
+    joint, low_z = [each.z for each in together if each], [each.together.z for each in low if each.together]
+    print(f"\n  z {z.min():+.2f} to {z.max():+.2f}, sd {z.std():.2f}, beyond 1.96: {np.sum(np.abs(z) > 1.96)} of {z.size}")
+    print(f"  together z {min(joint):+.2f} to {max(joint):+.2f}; 10 % low {min(low_z):+.2f} to {max(low_z):+.2f}")
+    assert np.mean(np.abs(z) < 1.96) > 0.9
+    assert not any(report.contradicts_etalon for report in reports)
+    assert all(report.contradicts_etalon for report in low)
+
+
+@pytest.mark.long
+def test_campaigns_close_better_where_the_hole_is_lit_everywhere(tmp_path: Path) -> None:
+    """Without the component of the light's place, with which an etalon that is 5 % low is found at each sigma."""
+    reports = closures_of_drawn_rigs(tmp_path, "[twin.optics]\nlit_everywhere = true")
+    closures = [lit_everywhere(each) for report in reports for each in report.closures]
+    z = [each.z for each in closures]
+    low = [replace(each, certified=each.certified / 0.95).z for each in closures]
     print(f"\n  z {min(z):+.2f} to {max(z):+.2f}, mean {np.mean(z):+.2f}; 5 % low {min(low):+.2f} to {max(low):+.2f}")
+    assert max(each.u for each in closures) < 0.01
     assert max(map(abs, z)) < 1.0
     assert max(low) < -4.0
 
 
-def test_an_etalon_that_is_five_percent_low_is_found(closed: tuple[Path, ClosureReport]) -> None:
+def test_an_etalon_that_is_ten_percent_low_is_found(closed: tuple[Path, ClosureReport]) -> None:
+    """And one of 5 % where the hole is known to be lit: at sigma 22 a dark corner does as much on one rig in a hundred."""
     _, report = closed
-    low = replace(report, closures=tuple(replace(each, certified=each.certified / 0.95) for each in report.closures))
+    low = replace(report, closures=tuple(replace(each, certified=each.certified / 0.9) for each in report.closures))
+    for each in report.closures:
+        less = replace(each, certified=each.certified / 0.95)
+        assert less.word == "differ"
+        assert lit_everywhere(less).word == "do NOT agree"
     for each in low.closures:
         assert each.z < -4.0
         assert "% below the certificate" in each.verdict
