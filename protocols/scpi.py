@@ -58,7 +58,7 @@ def units(message: bytes) -> Iterator[MessageUnit]:
 
 @lru_cache(maxsize=MESSAGES_KEPT)
 def parsed(message: bytes) -> tuple[tuple[MessageUnit, ...], tuple[int, str] | None]:
-    """The units of a message, and number and text of the error after them: an instrument is asked the same again and again."""
+    """The units of a message, in order, and number and text of the error after them: the same is asked again and again."""
     found: list[MessageUnit] = []
     try:
         for each in _units(message):

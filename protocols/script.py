@@ -98,7 +98,8 @@ def count_matching(exchanges: Iterable[ModbusExchange], made: Sequence[Exchanged
     It has the transaction of its request, protocol, unit, length, and the expected PDU; without that, one of eight registers.
     """
     for k, ((_, _, _, _, begins, length), (_, request, _, reply)) in enumerate(zip(exchanges, made, strict=False)):
-        if len(reply) != length or not reply.startswith(request[:TRANSACTION] + begins):
+        begin = request[:TRANSACTION] + begins
+        if reply != begin and (len(begin) == length or len(reply) != length or not reply.startswith(begin)):
             return k
     return len(made)
 

@@ -60,24 +60,26 @@ class Here:
 class Processes:
     """Processes of this computer, each with its share of the cores."""
 
-    def __init__(self, count: int) -> None:
-        """`count`: how many at once."""
-        self._count = count
+    def __init__(self, count: int, *, beside: int = 0) -> None:
+        """`count`: how many at once. `beside`: other processes that compute at the same time."""
+        self._count, self._beside = count, beside
         self.title = f"{count} processes"
 
     def environments(self) -> Mapping[str, Environment]:
         """This computer: the processes are of the same program."""
         return {HERE: environment()}
 
-    def run(self, work: Work, specification: Specification, chunks: Iterable[int]) -> Generator[Computed]:
-        """The chunks as they are done. At the end, and at a Ctrl-C, the processes are ended.
+    def run(self, work: Work, specification: Specification, chunks: Iterable[int]) -> Generator[Computed | None]:
+        """The chunks as they are done, after a None once the first are begun.
+
+        At the end, and at a Ctrl-C, the processes are ended.
 
         Raises UserError where a process was ended from outside.
         """
         context = multiprocessing.get_context("spawn")  # a fork would copy the locks of other threads
-        cores = max(1, numba.get_num_threads() // self._count)
+        cores = max(1, numba.get_num_threads() // (self._count + self._beside))
         pool = ProcessPoolExecutor(self._count, mp_context=context, initializer=_begin, initargs=(work, specification, cores))
-        waiting, running = iter(chunks), set[Future[Computed]]()
+        waiting, running, begun = iter(chunks), set[Future[Computed]](), False
         try:
             while True:
                 for chunk in waiting:
@@ -86,6 +88,9 @@ class Processes:
                         break
                 if not running:
                     return
+                if not begun:
+                    begun = True
+                    yield None
                 done, running = wait(running, return_when=FIRST_COMPLETED)
                 for each in done:
                     yield each.result()

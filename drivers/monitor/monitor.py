@@ -15,7 +15,8 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Literal
+from functools import lru_cache
+from typing import Literal, Protocol
 
 from goniotwin.drivers.device import Pending, Poll
 from goniotwin.drivers.errors import BadAnswer, DeviceError, Forgotten, NoAnswer, Refused
@@ -36,6 +37,7 @@ MOST_ERRORS = 40
 LONGEST_ERRORS_S = 1.0
 """Longest time for reading the error queue."""
 COMMAND_ERRORS = range(-199, -99)
+SETTINGS_KEPT = 64
 ZERO_POLL_S = 0.2
 LONGEST_ZERO_S = 30.0
 Quantity = Literal["current", "power"]
@@ -291,10 +293,9 @@ class Monitor:
             raise Forgotten(NAME, "check its settings", "it has reset; its settings are restored", "measure again")
 
     def _has_reset(self) -> bool:
-        query = self._dialect.averaging.partition(" ")[0] + "?"
         if not self._averages:
             return False
-        written = float(self._averaging_command().partition(" ")[2])
+        query, written = _query_of(self._averaging_command())
         return not math.isclose(self._query_number(query), written, rel_tol=1e-3)
 
     def _write_settings(self) -> None:
@@ -368,6 +369,13 @@ class Monitor:
         if command is None:
             raise Refused(NAME, "write its settings", f"a {self._dialect.name} has no {what}", "change the rig file")
         return command
+
+
+@lru_cache(maxsize=SETTINGS_KEPT)
+def _query_of(command: str) -> tuple[str, float]:
+    """The query of a setting that a command writes, and the number that it writes."""
+    name, _, value = command.partition(" ")
+    return f"{name}?", float(value)
 
 
 def _settings_of(command: str) -> list[tuple[str, str]]:

@@ -5,7 +5,7 @@ fixed gain, and the settings list only this one.
 """
 
 from bisect import bisect_left
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -140,21 +140,18 @@ class PhotodiodeArray:
 
 
 def run_script(
-    clock: Clock, parts: Iterable[tuple[float, AdamModule, ScriptedExchange | None]], slack_s: float = float("inf")
+    clock: Clock, parts: Sequence[tuple[float, AdamModule, ScriptedExchange | None]], slack_s: float = float("inf")
 ) -> list[Exchanged]:
     """Hand exchanges of modules, each with the time at which it is due, to the wire as far as it can look ahead to them.
 
     The exchanges that were made, and whose replies are the expected ones; the time is then that of the last reply.
     """
-    known: list[tuple[AdamModule, ScriptedExchange]] = []
+    clients = {module: module.scripts() for module in {module: None for _, module, _ in parts}}
     script: list[tuple[float, ModbusScripts, ModbusExchange]] = []
-    clients: dict[AdamModule, ModbusScripts] = {}
     for due_s, module, exchange in parts:
-        client = clients.get(module) or module.scripts()
+        client = clients[module]
         if exchange is None or client is None:
             break
-        clients[module] = client
-        known.append((module, exchange))
         script.append((due_s, client, exchange.modbus))
     if not script:
         return []
@@ -162,17 +159,17 @@ def run_script(
     if not made:
         return made
     matching = count_matching([exchange for _, _, exchange in script], made)
-    recorded = {module for module in clients if module.recorded}
-    for (module, _), exchanged in zip(known, made[: matching + 1] if recorded else [], strict=False):
-        if module in recorded:
-            module.record(exchanged)
-    for _, exchange in known[:matching]:
-        if exchange.confirmed is not None:
+    if any([module.recorded for module in clients]):  # noqa: C419  (five modules: a generator takes twice the time)
+        for (_, module, _), exchanged in zip(parts, made[: matching + 1], strict=False):
+            if module.recorded:
+                module.record(exchanged)
+    for _, _, exchange in parts[:matching]:
+        if exchange is not None and exchange.confirmed is not None:
             exchange.confirmed()
     _, _, arrived_s, _ = made[-1]
     clock.sleep_until(arrived_s)
     if matching < len(made):
-        known[matching][0].distrust()
+        parts[matching][1].distrust()
         return made[:matching]
     return made
 

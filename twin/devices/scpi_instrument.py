@@ -11,7 +11,16 @@ from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 
-from goniotwin.protocols.scpi import MAX_MESSAGE, MessageUnit, ScpiError, decode_quantity, encode_error, spellings, units, words
+from goniotwin.protocols.scpi import (
+    MAX_MESSAGE,
+    MessageUnit,
+    ScpiError,
+    decode_quantity,
+    encode_error,
+    parsed,
+    spellings,
+    words,
+)
 from goniotwin.protocols.usbtmc import StatusByte
 
 
@@ -123,11 +132,14 @@ class ScpiInstrument:
         try:
             if len(message) > self.max_message:
                 raise ScpiError(-223, "Too much data")
-            for unit in units(message):
+            known, wrong = parsed(message)
+            for unit in known:
                 self._settle()
                 answer = self._perform(unit)
                 if answer is not None:
                     answers.append(answer)
+            if wrong is not None:
+                raise ScpiError(*wrong)
         except ScpiError as error:
             self.report(error.code, error.text)
         self._settle()

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from goniotwin.protocols.tmcl import FRAME_BYTES, split
-from goniotwin.twin.devices.tmcm6214 import MotionModule, UnsolicitedReply
+from goniotwin.twin.devices.tmcm6214 import Answers, MotionModule, UnsolicitedReply
 from goniotwin.twin.plant import AxisController, Mechanics, ModuleKind
 
 if TYPE_CHECKING:
@@ -69,15 +69,22 @@ class TmclLine:
 
     def reply_begins(self, frame: bytes, t: float) -> float | None:
         """When the one reply to a whole frame begins that arrives at `t` on an idle line; None where there may be another."""
-        hearing = [each for each in self.modules.values() if each.hears(frame, t)]
-        settings = hearing[0].globals.reply if len(hearing) == 1 else None
+        hearing = None
+        for each in self.modules.values():
+            if each.hears(frame, t):
+                if hearing is not None:
+                    return None
+                hearing = each
+        settings = hearing.globals.reply if hearing is not None else None
         return None if settings is None or settings.suppressed else t + self._latency_s + settings.pause_ms * 1.0e-3
 
     def reply(self, frame: bytes, t: float) -> bytes:
         """The reply to a frame that has one by `reply_begins`; empty where it has none all the same."""
         self._last_byte = t
-        answers = [answer for module in self.modules.values() for _, answer in module.answer(frame, t)]
-        return answers[0] if len(answers) == 1 else b""
+        answers: Answers = []
+        for module in self.modules.values():
+            answers += module.answer(frame, t)
+        return answers[0][1] if len(answers) == 1 else b""
 
     def reset(self, t: float) -> None:
         """All modules lose their power for a moment: what EEPROM does not keep is forgotten, counters are 0."""

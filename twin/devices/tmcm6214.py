@@ -8,6 +8,7 @@ them, the unit of the telegram pause (ms), and the states of a stand-alone progr
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, ClassVar
 
 from goniotwin.protocols.tmcl import (
@@ -38,12 +39,17 @@ if TYPE_CHECKING:
 FACTORY_RESET_CODE, FACTORY_RESET_S = 1234, 5.0
 SUPPLY_DECIVOLT, TEMPERATURE_C = 240, 30
 COORDINATES = 21
+FRAMES_KEPT = 1024
 OUTPUTS = 8
 EVENT_AFTER_S = 2.0e-3
 OK, GAP, GGP = int(ReplyStatus.OK), int(Command.GAP), int(Command.GGP)
 Post = Callable[[float, bytes], None]
 Withdraw = Callable[[bytes], None]
 Answers = list[tuple[float, bytes]]
+
+
+_fields, _packed = lru_cache(FRAMES_KEPT)(unpack), lru_cache(FRAMES_KEPT)(pack)
+"""The host asks the same again and again, and most replies are the same."""
 
 
 class UnsolicitedReply(bytes):
@@ -132,7 +138,9 @@ class MotionModule:
         settings = self.globals.reply
         if not self.hears(frame, t):
             return []
-        self._mind_heartbeat(t, settings.heartbeat_ms)
+        if t > self._heartbeat.until:
+            self._miss_heartbeat()
+        self._extend_heartbeat(t, settings.heartbeat_ms)
         if self._event is not None and self._event_due <= t:  # it has been sent, and one is all that was asked for
             self._event, self._event_mask, self._event_due = None, 0, math.inf
         host, address = settings.host & 0xFF, settings.address & 0xFF
@@ -149,7 +157,7 @@ class MotionModule:
 
     def _reply(self, frame: bytes, t: float, host: int, address: int) -> bytes | None:
         try:
-            fields = unpack(frame)
+            fields = _fields(frame)
         except FrameError:
             return pack(host, address, ReplyStatus.WRONG_CHECKSUM, frame[1], 0)
         _, command, number, bank, value = fields
@@ -169,7 +177,7 @@ class MotionModule:
                 value = self._execute(CommandFrame(*fields), t)
         except CommandRejected as rejected:
             value, status = 0, rejected.status
-        return pack(host, address, status, command, value)
+        return _packed(host, address, status, command, value)
 
     def _factory_reset(self, t: float) -> None:
         self.globals = Globals(dict(self._factory))
@@ -178,13 +186,11 @@ class MotionModule:
         self.reset(t)
         self._dead_until = t + FACTORY_RESET_S
 
-    def _mind_heartbeat(self, t: float, heartbeat_ms: int) -> None:
+    def _miss_heartbeat(self) -> None:
         """Stop the motors at the time of a missed heartbeat."""
-        if t > self._heartbeat.until:
-            for motor in self.motors:
-                if motor.is_moving(self._heartbeat.until):
-                    motor.turn(0, self._heartbeat.until)
-        self._extend_heartbeat(t, heartbeat_ms)
+        for motor in self.motors:
+            if motor.is_moving(self._heartbeat.until):
+                motor.turn(0, self._heartbeat.until)
 
     def _extend_heartbeat(self, t: float, heartbeat_ms: int) -> None:
         self._heartbeat.until = t + heartbeat_ms * 1.0e-3 if heartbeat_ms > 0 else math.inf

@@ -155,7 +155,9 @@ def _carry_out(script: ModbusScript, now: float, until: float, slack_s: float) -
             readings = []
             if answered(end.device, request, begins) != expected:
                 break
-            transaction = _next_transaction(end)
+            transactions = end.transactions
+            transactions.next_tid = number = transactions.next_tid + 1 if transactions.next_tid < LAST_TRANSACTION else 1
+            transaction = number.to_bytes(TRANSACTION, "big")
             end.station.free = arrived
             made.append((sent, transaction + request_frame, arrived, transaction + reply_frame))
         now = end.free_s = arrived
@@ -166,14 +168,6 @@ def _carry_out(script: ModbusScript, now: float, until: float, slack_s: float) -
     return made
 
 
-def _next_transaction(end: _End) -> bytes:
-    """The transaction of the next request, as pymodbus numbers them."""
-    transactions = end.transactions
-    number = transactions.next_tid + 1 if transactions.next_tid < LAST_TRANSACTION else 1
-    transactions.next_tid = number
-    return number.to_bytes(TRANSACTION, "big")
-
-
 def _read(readings: Sequence[_Reading], made: list[Exchanged]) -> bool:
     """The registers of many readings at once; False, and none of them, where they change meanwhile."""
     data = ConverterModule.read_together([each[0].device for each in readings], [each[3] for each in readings])
@@ -181,7 +175,9 @@ def _read(readings: Sequence[_Reading], made: list[Exchanged]) -> bool:
         return False
     place = 0
     for end, exchange, sent, _, arrived in readings:
-        transaction = _next_transaction(end)
+        transactions = end.transactions
+        transactions.next_tid = number = transactions.next_tid + 1 if transactions.next_tid < LAST_TRANSACTION else 1
+        transaction = number.to_bytes(TRANSACTION, "big")
         end.station.free = arrived
         following = place + READ_BYTES
         made.append((sent, transaction + exchange.sent, arrived, transaction + exchange.begins + data[place:following]))

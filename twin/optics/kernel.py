@@ -9,7 +9,6 @@ import contextlib
 import hashlib
 import logging
 import os
-import pickle
 import stat
 import tempfile
 from collections.abc import Callable
@@ -20,8 +19,6 @@ from typing import Any, TypeVar
 
 from goniotwin.twin.optics.deferred_kernel import DeferredKernel
 
-UNREADABLE = (AttributeError, ImportError, EOFError, pickle.UnpicklingError)
-"""What reading files of an earlier version raises."""
 LOG = logging.getLogger("goniotwin.compilation")
 """Has a record of each kernel before it is compiled, for programs that state it: its name, and the type of its last argument.
 
@@ -159,7 +156,7 @@ def source_stamp(folder: Path) -> str:
 
 
 def _discard_unreadable(cache: Any) -> None:
-    """Recompile the function if its cache names a class of an earlier version of the program.
+    """Recompile the function if its cache names a class of an earlier version of the program, or is damaged.
 
     numba unpickles an index of the cache, with the types in it, before it compares the index with the source file.
     """
@@ -168,7 +165,7 @@ def _discard_unreadable(cache: Any) -> None:
     def load_overload(*arguments: Any) -> Any:
         try:
             return load(*arguments)
-        except UNREADABLE:
+        except Exception:  # noqa: BLE001  (unpickling a file of an earlier version, or a damaged one, may raise anything)
             try:
                 cache.flush()
             except OSError:  # a read-only folder
@@ -205,7 +202,7 @@ def is_compiled(function: Callable[..., Any], last: str = "") -> bool:
         return True
     found = [*dispatcher.signatures]
     if _set_cache_folder():
-        with contextlib.suppress(*UNREADABLE, OSError):
+        with contextlib.suppress(Exception):  # as in `_discard_unreadable`
             computer = dispatcher.targetctx.codegen().magic_tuple()
             found += [key[0] for key in dispatcher._cache._cache_file._load_index() if key[1] == computer]
     return any(not last or str(each[-1]) == last for each in found)
@@ -213,7 +210,7 @@ def is_compiled(function: Callable[..., Any], last: str = "") -> bool:
 
 def _is_kept(dispatcher: Any, signature: Any) -> bool:
     """Whether the files have code of a kernel for a signature."""
-    with contextlib.suppress(*UNREADABLE, OSError):
+    with contextlib.suppress(Exception):  # as in `_discard_unreadable`
         dispatcher.targetctx.refresh()
         key = dispatcher._cache._index_key(signature, dispatcher.targetctx.codegen())
         return key in dispatcher._cache._cache_file._load_index()
@@ -260,7 +257,7 @@ def _set_cache_folder() -> bool:
     from numba.core import config
 
     if config.CACHE_DIR:
-        return True
+        return _writable(Path(config.CACHE_DIR))  # as numba does, which otherwise takes another folder
     sources = Path(__file__).parent
     folder = find_cache(sources, _home(), Path(tempfile.gettempdir()))
     if folder is not None and folder.parent != sources:  # beside the sources is numba's own first choice

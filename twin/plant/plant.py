@@ -67,6 +67,7 @@ class Plant:
         self.sample: History[str | None] = History(None)
         self.mounting: History[int] = History(0)
         self._mountings: Counter[str] = Counter()
+        self._axis_errors_deg: dict[str, float] = {}
         self.tilt_deg: History[float] = History(0.0)
         diodes = model.photodiodes
         self.modules = math.ceil(diodes.count / MODULE_CHANNELS)
@@ -172,8 +173,17 @@ class Plant:
         shaft = self.shafts.get(axis)
         if shaft is None:
             return 0.0
-        error = self.drawn.axis_error_deg(axis, shaft.drive(t).moves)
+        error = self._axis_error_deg(axis, shaft, t)
         return shaft.angle_deg(t) + error if error else shaft.angle_deg(t)
+
+    def _axis_error_deg(self, axis: str, shaft: Shaft, t: float) -> float:
+        """`Drawn.axis_error_deg`, once for each axis where its moves make no difference."""
+        if self.model.disturbances.position_deg:
+            return self.drawn.axis_error_deg(axis, shaft.drive(t).moves)
+        known = self._axis_errors_deg.get(axis)
+        if known is None:
+            known = self._axis_errors_deg[axis] = self.drawn.axis_error_deg(axis, 0)
+        return known
 
     def filter_position(self, t: float) -> int:
         """Position of the filter wheel in the beam at `t`; the nearest one while the wheel turns."""
@@ -323,10 +333,11 @@ class Plant:
             _, _, latest = conversions(times[0], period, MODULE_CHANNELS)
             self._settled_currents = (light, self.photocurrents_a(latest))
         end = max(times)
-        gain = [(each.newest, each.before(end)[0], each.last_change) for each in self.gain]
         volts = np.empty((len(times), MODULE_CHANNELS))
         own = np.array(modules)
-        now, before, changed = (np.array(each)[own] for each in zip(*gain, strict=True))
+        now = np.array([each.newest for each in self.gain])[own]
+        before = np.array([each.before(end)[0] for each in self.gain])[own]
+        changed = np.array([each.last_change for each in self.gain])[own]
         convert_readings(
             volts, own, np.array(times), period, self._settled_currents[1], self._dark_a, self._gains, self._deviation, now,
             before, changed, self._constants, *self._lamp, self._dark_keys, self._noise_keys,

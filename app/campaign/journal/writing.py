@@ -393,12 +393,11 @@ class Journal(JournalReader):
         with self._writing(together=not self._written):
             (attempt,) = self._db.execute(NEXT_ATTEMPT, (row.number, row.number)).fetchone()
             self._db.execute(
-                "INSERT INTO attempt (number, attempt, session, started_s, ended_s, positions, flags)"
-                " VALUES (?, ?, ?, ?, ?, ?, ?)",
-                (row.number, attempt, self._session, data.started_s, data.ended_s, positions, json.dumps(data.flags)),
+                INSERT_ATTEMPT,
+                (row.number, attempt, data.started_s, data.ended_s, positions, json.dumps(data.flags), self._session),
             )
             self._db.executemany(
-                "INSERT INTO reading VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)",
+                INSERT_READING,
                 [
                     (row.number, attempt, each.gain_v_per_a, each.first_s, each.period_s, each.monitor_a,
                      *each.counts.shape, each.counts.astype("<u2").tobytes())
@@ -412,6 +411,32 @@ class Journal(JournalReader):
                 self._link()
         self._expect_checkpoint(data.ended_s, rows=1)
         self._check_place()
+
+    def append_session(self, path: Path, rig: str, rows: Sequence[Row]) -> None:
+        """Append the one session of another journal of this plan, made by this program just now: `rows`, and its events.
+
+        `rig` is the text of the rig file. Raises UserError where it has other rows, or begins before the last one here ends.
+        """
+        with contextlib.closing(open_read_only(path)) as part:
+            ((begin, end, versions),) = part.execute("SELECT started_s, ended_s, versions FROM session").fetchall()
+            (last,) = self._db.execute("SELECT MAX(ended_s) FROM session").fetchone()
+            if last is not None and begin < last:
+                raise UserError("its blocks overlap in time")
+            attempts = part.execute(f"SELECT {ATTEMPT} FROM attempt ORDER BY rowid").fetchall()
+            if [number for number, *_ in attempts] != [row.number for row in rows]:
+                raise UserError(f"{path}: does not have the rows of its block")
+            session = self.begin_session(begin, rig, json.loads(versions))
+            with self._writing():
+                self._db.executemany(INSERT_ATTEMPT, [(*attempt, session) for attempt in attempts])
+                self._db.executemany(INSERT_READING, part.execute("SELECT * FROM reading"))
+                self._db.executemany(
+                    "INSERT INTO event (session, t_s, kind, text) VALUES (?, ?, ?, ?)",
+                    [(session, *event) for event in part.execute("SELECT t_s, kind, text FROM event ORDER BY id")],
+                )
+                for first in range(0, len(attempts), ROWS_TOGETHER):
+                    self._unlinked = [(number, attempt) for number, attempt, *_ in attempts[first : first + ROWS_TOGETHER]]
+                    self._link()
+        self.end_session(session, end, "done")
 
     def _link(self) -> None:
         """Add the links of the rows that have none yet. Raises sqlite3.Error."""
@@ -676,6 +701,9 @@ SELECT 1 + MAX(
 )
 """
 """A damaged journal may have readings without their attempt."""
+ATTEMPT = "number, attempt, started_s, ended_s, positions, flags"
+INSERT_ATTEMPT = f"INSERT INTO attempt ({ATTEMPT}, session) VALUES (?, ?, ?, ?, ?, ?, ?)"
+INSERT_READING = "INSERT INTO reading VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?)"
 INSERT_ROW = (
     "INSERT INTO plan (number, identity, kind, sample, wavelength_nm, gamma_deg, sigma_deg, beta_deg, shift_deg, seconds,"
     " detail, session) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)"

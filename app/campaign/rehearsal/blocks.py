@@ -1,18 +1,23 @@
-"""A rehearsal in blocks of rows, each in a process of its own, then put together in one journal.
+"""A rehearsal in blocks of rows, this process and others at the same time, then put together in one journal.
 
-A block begins with a mounting that a dark reading follows, so that nothing of the rows before it is needed: each is a session
-of the journal, as in a campaign that was interrupted there. It begins at the time at which the plan expects it, and a little
-later: lamp and noise are those of other times than in one process. The axes come from their reference and the monochromator
-from its start, which takes some seconds more. With noise and drift off, the values of the rows are the same.
+A block begins with a dark reading, or the mounting before it, so that nothing of the rows before it is needed: each is a
+session of the journal, as in a campaign that was interrupted there. It begins at the time at which the plan expects it, and a
+little later: lamp and noise are those of other times than in one process. The axes come from their reference and the
+monochromator from its start, which takes some seconds more. With noise and drift off, the values of the rows are the same.
+
+This process rehearses the first block and writes its rows to the journal. It has no start, and so the longest block. The others
+send their rows as their journals keep them; they get a place in the chain here, and nothing else is made again.
 """
 
 import base64
 import contextlib
+import json
 import tempfile
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import accumulate
+from functools import partial
+from itertools import accumulate, chain
 from pathlib import Path
 
 import numpy as np
@@ -21,9 +26,11 @@ from goniotwin.app.campaign.journal.writing import Journal, software_versions
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.rehearsal.assumed_references import assume_referenced
 from goniotwin.app.campaign.rehearsal.expected_poses import expected_poses
+from goniotwin.app.campaign.rehearsal.row_statistics import RowStatistics
+from goniotwin.app.campaign.rehearsal.warnings import relevant_photodiodes
 from goniotwin.app.campaign.row import NO_SAMPLE, Row
 from goniotwin.app.campaign.running.engine import Engine
-from goniotwin.app.campaign.running.events import Listener, RowCommitted, State
+from goniotwin.app.campaign.running.events import Event, Listener, RowCommitted, State
 from goniotwin.app.campaign.running.operator import VirtualOperator
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.errors import UserError
@@ -33,8 +40,10 @@ from goniotwin.app.sweeps.runners import Runner
 from goniotwin.app.sweeps.specification import Arrays, Specification
 from goniotwin.protocols.clock import VirtualClock
 
-VERSION = 1
-LATER_S, LATER = 5.0, 0.02
+VERSION = 2
+STARTING_ROWS = 1200
+"""Rows that a process rehearses in the time in which another one starts: imports, and the kernels of the optics."""
+LATER_S, LATER = 30.0, 0.02
 """By how much a block begins after the time that the plan expects, s, and as a share of it: not before the one before ends."""
 NAME = "the schedule"
 
@@ -53,13 +62,18 @@ def why_in_one_process(plan: Plan) -> str:
     file = plan.schedule.file
     if file.stop is not None or file.drift is not None:
         return "its stop conditions and drift checks compare rows with earlier ones"
-    return "" if len(_beginnings(plan.rows)) > 1 else "it mounts one sample"
+    return "" if len(_beginnings(plan.rows)) > 1 else "it has one dark reading"
 
 
-def divide(plan: Plan, count: int) -> list[Block]:
-    """The plan in `count` blocks of about as many rows each, or fewer."""
+def divide(plan: Plan, count: int, starting_rows: int = STARTING_ROWS) -> list[Block]:
+    """The plan in `count` blocks, or fewer: a single one where the start of a process takes longer than its rows.
+
+    The first block has as many rows more as are rehearsed while the process of another one starts.
+    """
     beginnings, rows = _beginnings(plan.rows), len(plan.rows)
-    firsts = sorted({0, *(min(beginnings, key=lambda at: abs(at - rows * k / count)) for k in range(1, count))})
+    share = (rows - starting_rows) / count
+    wanted = [rows - share * k for k in range(1, count)] if share > 0.0 else []
+    firsts = sorted({0, *(min(beginnings, key=lambda at: abs(at - row)) for row in wanted)})
     before = list(accumulate((row.seconds for row in plan.rows), initial=0.0))
     starts = [before[first] * (1.0 + LATER) + LATER_S * k for k, first in enumerate(firsts)]
     starts[0] = 0.0
@@ -67,13 +81,8 @@ def divide(plan: Plan, count: int) -> list[Block]:
 
 
 def _beginnings(rows: Sequence[Row]) -> list[int]:
-    """The first row, and the mountings after which a dark reading comes before anything is measured."""
-    after = [*rows[1:], None]
-    dark = [
-        row.kind == "mount" and next_row is not None and next_row.kind == "dark"
-        for row, next_row in zip(rows, after, strict=True)
-    ]
-    return [k for k, begins in enumerate(dark) if begins or k == 0]
+    """The first row, and the dark readings, or in their place the mounting right before."""
+    return [0] + [k - (rows[k - 1].kind == "mount") for k, row in enumerate(rows) if row.kind == "dark" and k > 1]
 
 
 def specification(plan: Plan, blocks: Sequence[Block], folder: Path) -> Specification:
@@ -90,16 +99,25 @@ def specification(plan: Plan, blocks: Sequence[Block], folder: Path) -> Specific
     return Specification.of("rehearsal", VERSION, 1, plan.rig.seed or 0, content)
 
 
+def statistics_of(plan: Plan) -> RowStatistics:
+    """Statistics of a plan's rows, none counted yet."""
+    return RowStatistics(plan.rig.file.photodiodes, partial(relevant_photodiodes, plan))
+
+
 def rehearse_block(of: Specification, chunk: int) -> Arrays:
-    """The journal of one block, as the bytes of its file. Raises UserError where the block does not come to its end."""
+    """The journal of one block, as the bytes of its file, and the statistics of its rows.
+
+    Raises UserError where the block does not come to its end.
+    """
     with tempfile.TemporaryDirectory(prefix="goniotwin-block-") as name:
         folder = Path(name)
         plan = _plan(of, folder)
         block = Block(**of.data["blocks"][chunk])
-        path = folder / "block.journal"
+        path, statistics = folder / "block.journal", statistics_of(plan)
         with Journal.create(path, plan, software_versions(), durable=False) as journal:
-            _run(plan, block, journal)
-        return {"journal": np.frombuffer(path.read_bytes(), np.uint8)}
+            _run(plan, block, journal, [statistics])
+        found = json.dumps(statistics.as_data()).encode()
+        return {"journal": np.frombuffer(path.read_bytes(), np.uint8), "statistics": np.frombuffer(found, np.uint8)}
 
 
 def _plan(of: Specification, folder: Path) -> Plan:
@@ -113,17 +131,25 @@ def _plan(of: Specification, folder: Path) -> Plan:
         return Plan(schedule, embedded_rig(data["rig"], tables), journal.planned_rows())
 
 
-def _run(plan: Plan, block: Block, journal: Journal) -> None:
+def _run(plan: Plan, block: Block, journal: Journal, listeners: list[Listener]) -> None:
+    """Rehearse a block. Raises UserError where it does not come to its end, KeyboardInterrupt after a Ctrl-C."""
     rows = plan.rows[block.first : block.last]
-    mountings = _mountings(plan.rows[: block.first])
+    mounted = next((k for k in range(block.first, -1, -1) if plan.rows[k].kind == "mount"), None)
+    mountings = _mountings(plan.rows[: block.first if mounted is None else mounted])
     with open_rig(plan.rig, VirtualClock(block.start_s)) as opened:
         opened.connect()
         assume_referenced(opened)
         assert opened.virtual is not None
+        operator, coming = VirtualOperator(opened.virtual), rows
         opened.virtual.plant.count_mountings(mountings)
-        opened.virtual.plant.expect(expected_poses(rows, opened.rig, mountings))
-        engine = Engine(opened.rig, plan, journal, VirtualOperator(opened.virtual), work=rows)
+        if mounted is not None and mounted != block.first:
+            operator.mount(plan.rows[mounted].sample)
+            coming = (plan.rows[mounted], *rows)
+        opened.virtual.plant.expect(expected_poses(coming, opened.rig, mountings))
+        engine = Engine(opened.rig, plan, journal, operator, listeners, work=rows)
         state = engine.run()
+    if state is State.IDLE and not engine.faults:
+        raise KeyboardInterrupt
     if state is not State.DONE or engine.faults:
         raise UserError("; ".join(engine.faults) or f"the rows from {rows[0].identity} on end as {state}")
 
@@ -134,43 +160,46 @@ def _mountings(rows: Sequence[Row]) -> Counter[str]:
     return Counter(sample for before, sample in zip(["", *mounts], mounts, strict=False) if sample not in (before, NO_SAMPLE))
 
 
-def run_blocks(plan: Plan, blocks: Sequence[Block], path: Path, runner: Runner, listeners: Sequence[Listener]) -> float:
-    """Rehearse the blocks, and write their rows to a new journal, in the order of the plan; their simulated time together, s.
+def run_blocks(
+    plan: Plan, blocks: Sequence[Block], path: Path, runner: Runner, statistics: RowStatistics, listeners: Sequence[Listener]
+) -> float:
+    """Rehearse the first block here and the others by a runner; their simulated time together, s.
 
-    Listeners get the committed rows. Raises UserError for a block that fails, and for two that overlap: the plan then has to be
-    rehearsed in one process.
+    Their rows are in a new journal, in the order of the plan. Listeners get the committed rows. Raises UserError for a block
+    that fails, and for two that overlap: the plan then has to be rehearsed in one process.
     """
     left = list(accumulate((row.seconds for row in reversed(plan.rows)), initial=0.0))[::-1]
+
+    def tell(event: Event) -> None:
+        """An event of the first block, counted as one of the whole."""
+        if isinstance(event, RowCommitted):
+            done = event.row.number + 1
+            event = RowCommitted(event.row, event.data, done, len(plan.rows), left[done])
+        for listener in listeners:
+            listener(event)
+
     with (
         tempfile.TemporaryDirectory(prefix="goniotwin-blocks-") as name,
         Journal.create(path, plan, software_versions(), durable=False) as journal,
     ):
         folder = Path(name)
-        of = specification(plan, blocks, folder)
-        waiting: dict[int, Path] = {}
-        done, ended, joined = 0, 0.0, 0
-        with contextlib.closing(runner.run(rehearse_block, of, range(len(blocks)))) as computed:
-            for each in computed:
+        of, waiting, joined = specification(plan, blocks, folder), dict[int, Arrays](), 1
+        with contextlib.closing(runner.run(rehearse_block, of, range(1, len(blocks)))) as computed:
+            begun = next(computed, None)  # from now on they are being computed
+            _run(plan, blocks[0], journal, [statistics, tell])
+            for each in chain([begun], computed):
                 if each is None:
                     continue
                 if each.failure:
                     raise UserError(each.failure)
-                waiting[each.chunk] = folder / f"{each.chunk}.journal"
-                waiting[each.chunk].write_bytes(each.arrays["journal"].tobytes())
+                waiting[each.chunk] = each.arrays
                 while joined in waiting:
-                    with Journal.open(waiting.pop(joined)) as part:
-                        (session,) = part.sessions()
-                        if session.started_s < ended:
-                            raise UserError("its blocks overlap in time")
-                        ended = session.ended_s
-                        number = journal.begin_session(session.started_s, plan.rig.text, software_versions())
-                        for row in part.rows():
-                            journal.commit(row.row, row.data)
-                            done += 1
-                            for listener in listeners:
-                                listener(RowCommitted(row.row, row.data, done, len(plan.rows), left[done]))
-                        for t, kind, text in part.events():
-                            journal.event(t, kind, text)
-                        journal.end_session(number, ended, "done")
+                    arrays, part = waiting.pop(joined), folder / f"{joined}.journal"
+                    part.write_bytes(arrays["journal"].tobytes())
+                    own = plan.rows[blocks[joined].first : blocks[joined].last]
+                    journal.append_session(part, plan.rig.text, own)
+                    statistics.add(json.loads(arrays["statistics"].tobytes()))
+                    for row in journal.rows_of([row.number for row in own] if listeners else []):
+                        tell(RowCommitted(row.row, row.data, 0, 0, 0.0))
                     joined += 1
         return journal.seconds

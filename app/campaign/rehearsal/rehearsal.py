@@ -8,7 +8,6 @@ operator some time.
 import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,20 +15,20 @@ from goniotwin.app.campaign.journal.writing import Journal, software_versions
 from goniotwin.app.campaign.planning.check import check_plan
 from goniotwin.app.campaign.planning.plan import NewPlan, Plan, make_plan
 from goniotwin.app.campaign.rehearsal.assumed_references import assume_referenced
-from goniotwin.app.campaign.rehearsal.blocks import divide, run_blocks, why_in_one_process
+from goniotwin.app.campaign.rehearsal.blocks import divide, run_blocks, statistics_of, why_in_one_process
 from goniotwin.app.campaign.rehearsal.expected_poses import expected_poses
 from goniotwin.app.campaign.rehearsal.forecast import forecast
 from goniotwin.app.campaign.rehearsal.row_statistics import RowStatistics
-from goniotwin.app.campaign.rehearsal.warnings import rehearsal_warnings, relevant_photodiodes, value_warnings
+from goniotwin.app.campaign.rehearsal.warnings import rehearsal_warnings, value_warnings
 from goniotwin.app.campaign.running.engine import Engine
-from goniotwin.app.campaign.running.events import Event, Listener, State
+from goniotwin.app.campaign.running.events import Listener, State
 from goniotwin.app.campaign.running.operator import VirtualOperator
 from goniotwin.app.campaign.running.resume import RemainingWork, remaining_work
 from goniotwin.app.campaign.schedule.file import ScheduleDescription
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription, open_rig
 from goniotwin.app.rig.described_twin import described_twin
-from goniotwin.app.sweeps.runners import on_this_computer
+from goniotwin.app.sweeps.runners import Processes
 from goniotwin.protocols.clock import VirtualClock
 
 
@@ -94,7 +93,7 @@ def rehearse(
     than one of `processes` the rows are rehearsed in blocks (see `rehearsal.blocks`), where that is possible; the result
     states it. Raises UserError, and KeyboardInterrupt for a Ctrl-C.
     """
-    statistics = RowStatistics(plan.rig.file.photodiodes, partial(relevant_photodiodes, plan))
+    statistics = statistics_of(plan)
     with tempfile.TemporaryDirectory(prefix="goniotwin-rehearsal-") as folder:
         path = out if out is not None else Path(folder) / "rehearsal.journal"
         run = run_in_processes(plan, path, statistics, listeners or [], processes)
@@ -148,16 +147,17 @@ def run_in_processes(
         return run_on_twin(plan, path, statistics, listeners)
     reason = why_in_one_process(plan)
     blocks = divide(plan, processes)
+    if len(blocks) == 1:
+        reason = reason or "its rows take less time than the start of a process"
     if not reason:
-        counted: list[Event] = []
+        counted = statistics_of(plan)
         try:
-            seconds = run_blocks(plan, blocks, path, on_this_computer(processes, len(blocks)), [counted.append, *listeners])
+            seconds = run_blocks(plan, blocks, path, Processes(len(blocks) - 1, beside=1), counted, listeners)
         except UserError as error:
             path.unlink(missing_ok=True)
             reason = str(error)
         else:
-            for each in counted:
-                statistics(each)
+            statistics.add(counted.as_data())
             first = plan.rows[blocks[1].first]
             about = f"{len(blocks)} blocks of rows, each in a process of its own: from {first.identity} on, lamp and noise are "
             assumed = (f"{about}those of the times that the plan expects, not of those in one process",)

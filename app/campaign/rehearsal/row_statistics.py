@@ -3,6 +3,7 @@
 from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -43,6 +44,39 @@ class RowStatistics:
         self._steps: dict[tuple[str, float], Floats] = {}
         self._waiting: list[tuple[Row, tuple[Reading, ...]]] = []
         self.flagged: dict[str, int] = {}
+
+    def as_data(self) -> dict[str, Any]:
+        """All of it as dictionaries, lists, texts and numbers, for `add`."""
+        self._add_waiting()
+        return {
+            "blocks": [vars(block) for block in self.blocks],
+            "axes_deg": self.axes_deg,
+            "flagged": self.flagged,
+            "largest": list(self._largest.items()),
+            "saturated": self._saturated,
+            "steps": [(*key, each.tolist()) for key, each in self._steps.items()],
+        }
+
+    def add(self, later: dict[str, Any]) -> None:
+        """Add the statistics of rows that follow, of `as_data`."""
+        self._add_waiting()
+        for block in later["blocks"]:
+            if self.blocks and self.blocks[-1].name == block["name"]:  # it began within a mounting
+                self.blocks[-1].rows += block["rows"]
+                self.blocks[-1].duration_s += block["duration_s"]
+            else:
+                self.blocks.append(MountingBlock(**block))
+        for axis, (low, high) in later["axes_deg"].items():
+            first, last = self.axes_deg.get(axis, (low, high))
+            self.axes_deg[axis] = [min(low, first), max(high, last)]
+        for flag, rows in later["flagged"].items():
+            self.flagged[flag] = self.flagged.get(flag, 0) + rows
+        for gain, count in later["largest"]:
+            self._largest[gain] = max(self._largest.get(gain, 0), count)
+        self._saturated += later["saturated"]
+        for sample, gain, values in later["steps"]:
+            steps = np.array(values)
+            self._steps[sample, gain] = np.maximum(self._steps.get((sample, gain), steps), steps)
 
     def __call__(self, event: Event) -> None:
         """Take a committed row; other events are ignored."""

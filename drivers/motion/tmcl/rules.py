@@ -111,7 +111,12 @@ def check_reply(request: CommandFrame, frame: bytes, device: str, describe: Call
 
 
 def is_reply(frame: bytes, begin: bytes) -> bool:
-    """Whether nine bytes with a right checksum begin with host, module, status and command: `check_reply` of a script."""
+    """Whether nine bytes with a right checksum begin with host, module, status and command: `check_reply` of a script.
+
+    `begin` may be the whole reply.
+    """
+    if len(begin) == FRAME_BYTES:
+        return frame == begin
     return len(frame) == FRAME_BYTES and frame.startswith(begin) and sum(frame[:-1]) & 0xFF == frame[-1]
 
 
