@@ -69,25 +69,18 @@ def gaussian_values(
         values[i] = value if lit & (lz > 0.0) & (dz > 0.0) else 0.0
 
 
-@kernel(forceinline=True)
-def plain_sums(
-    kind: int, transmits: bool, params: Floats, lobe: int, rays: Floats, each: int, count: int, values: Floats, sums: Floats,
-    row: int,
-) -> None:  # fmt: skip
-    """`lobe_sums` of a lobe that is GAUSSIAN or LAMBERTIAN."""
-    if kind == GAUSSIAN:
-        gaussian_values(
-            params[lobe, 0], params[lobe, 1], params[lobe, 2] == 1.0, params[lobe, 4], transmits, rays, each * count, values
-        )
-        for i in range(each):
-            for k in range(count):
-                sums[row, k] += values[i * count + k]
-    elif kind == LAMBERTIAN:
-        albedo = params[lobe, 0]
-        for i in range(each):
-            for k in range(count):
-                lit = (rays[6, i * count + k] < 0.0) == transmits
-                sums[row, k] += rays[0, i * count + k] * albedo if lit else 0.0
+@kernel(nogil=True)
+def lambertian_values(value: float, transmits: bool, rays: Floats, count: int, values: Floats) -> None:
+    """`gaussian_values` of a lobe with the same value in all directions of its side."""
+    for i in range(count):
+        values[i] = rays[0, i] * value if (rays[6, i] < 0.0) == transmits else 0.0
+
+
+@kernel(nogil=True)
+def add_values(values: Floats, first: int, count: int, sums: Floats, row: int) -> None:
+    """Add `count` = n `values` from `first` on to a row of `sums` (rows, at least n)."""
+    for k in range(count):
+        sums[row, k] += values[first + k]
 
 
 @kernel(nogil=True)
@@ -101,17 +94,24 @@ def lobe_sums(
     alone.
 
     A slice, and an array that a function with branches takes, is counted as a reference, which costs as much as five rays:
-    therefore rows and numbers are arguments, and `plain_sums` is a part of the function that calls it.
+    therefore rows and numbers are arguments, and a loop over rays calls the functions above.
     """
-    kind, transmits = models.heads[lobe, KIND], models.heads[lobe, TRANSMITS] == 1
-    plain_sums(kind, transmits, models.params, lobe, rays, each, count, values, sums, row)
-    if general is not None and kind != GAUSSIAN and kind != LAMBERTIAN:
+    kind, params, transmits = models.heads[lobe, KIND], models.params, models.heads[lobe, TRANSMITS] == 1
+    if kind == GAUSSIAN:
+        gaussian_values(
+            params[lobe, 0], params[lobe, 1], params[lobe, 2] == 1.0, params[lobe, 4], transmits, rays, each * count, values
+        )
+    elif kind == LAMBERTIAN:
+        lambertian_values(params[lobe, 0], transmits, rays, each * count, values)
+    elif general is not None:
         _, own, sig, ph, th, psi, table = model_arrays(models, lobe)
-        for i in range(each):
-            for k in range(count):
-                ray = i * count + k
-                if (rays[6, ray] < 0.0) == transmits and rays[0, ray] > 0.0:
-                    sums[row, k] += rays[0, ray] * bsdf(
-                        kind, own, sig, ph, th, psi, table,
-                        rays[1, ray], rays[2, ray], rays[3, ray], rays[4, ray], rays[5, ray], abs(rays[6, ray]),
-                    )  # fmt: skip
+        for ray in range(each * count):
+            lit = (rays[6, ray] < 0.0) == transmits and rays[0, ray] > 0.0
+            values[ray] = 0.0
+            if lit:
+                values[ray] = rays[0, ray] * bsdf(
+                    kind, own, sig, ph, th, psi, table,
+                    rays[1, ray], rays[2, ray], rays[3, ray], rays[4, ray], rays[5, ray], abs(rays[6, ray]),
+                )  # fmt: skip
+    for i in range(each):
+        add_values(values, i * count, count, sums, row)

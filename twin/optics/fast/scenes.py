@@ -45,7 +45,7 @@ from goniotwin.twin.optics.fast.aperture import (
     whole_lanes,
 )
 from goniotwin.twin.optics.fast.clipped_pupil import CLIPPED, TERMS, clip_fit, clip_grid, fill_clip
-from goniotwin.twin.optics.fast.lobe_sums import lobe_sums, plain_sums
+from goniotwin.twin.optics.fast.lobe_sums import add_values, gaussian_values, lambertian_values, lobe_sums
 from goniotwin.twin.optics.fast.obstruction import FREE, HIDDEN, PARTLY, find_shadow, mirrors_near, visible_shares
 from goniotwin.twin.optics.fast.ray_bundle import (
     END_U,
@@ -257,8 +257,12 @@ def score_scenes(
                     k = acting[a]
                     for j in range(mirrors.size):
                         factor, row = spectra.weights[k, j] * mirrors[j], result[first_rig + rig, spectra.owners[k], j]
-                        for i in range(size):
-                            row[first + lit[start + i]] += factor * block.sums[k, i]
+                        if count == total:
+                            for i in range(size):
+                                row[first + start + i] += factor * block.sums[k, i]
+                        else:
+                            for i in range(size):
+                                row[first + lit[start + i]] += factor * block.sums[k, i]
     return skipped
 
 
@@ -268,7 +272,13 @@ def select_lit(centres: Floats, axes: Floats, total: int, above: bool, below: bo
 
     Returns their number: the others receive nothing.
     """
-    count = 0
+    count, all_lit = 0, True
+    for k in range(total):
+        all_lit = all_lit & (below if axes[k, 2] < 0.0 else above)
+    if all_lit:
+        for k in range(total):
+            lit[k] = k
+        return total
     for k in range(total):
         if below if axes[k, 2] < 0.0 else above:
             for c in range(3):
@@ -328,8 +338,13 @@ def score_block(
                 kind, transmits = heads[k, KIND], heads[k, TRANSMITS] == 1
                 if not (below if transmits else above):
                     continue
-                if kind in PLAIN_KINDS:
-                    plain_sums(kind, transmits, params, k, node, 1, lanes, values, sums, k)
+                if kind == GAUSSIAN:
+                    intensity, ratio = params[k, 2] == 1.0, params[k, 4]
+                    gaussian_values(params[k, 0], params[k, 1], intensity, ratio, transmits, node, lanes, values)
+                    add_values(values, 0, lanes, sums, k)
+                elif kind == LAMBERTIAN:
+                    lambertian_values(params[k, 0], transmits, node, lanes, values)
+                    add_values(values, 0, lanes, sums, k)
                 elif general is not None and kind not in TABLE_KINDS:
                     lobe_sums(models, k, node, 1, count, values, sums, k, general)
             # Tables have kinks, which seven rays do not resolve: their mean is taken over a bundle, times what the seven rays
