@@ -20,15 +20,19 @@ CAMPAIGN = (
 Graph = dict[str, set[str]]
 
 
+def sources(name: str) -> list[Path]:
+    """The sources of the product with a name, a pattern."""
+    return [path for folder in ("app", "drivers", "mocks", "protocols", "twin") for path in (REPOSITORY / folder).rglob(name)]
+
+
 def imports(rooms: tuple[str, ...]) -> Graph:
     """Which rooms each room imports, by the sources; `if TYPE_CHECKING` and imports inside functions count."""
     graph: Graph = {room: set() for room in rooms}
-    for folder in ("app", "drivers", "mocks", "protocols", "twin"):
-        for path in (REPOSITORY / folder).rglob("*.py"):
-            here = room_of(".".join(path.relative_to(REPOSITORY).with_suffix("").parts), rooms)
-            if here is None:
-                continue
-            graph[here] |= {room for name in own_imports(path) if (room := room_of(name, rooms)) is not None}
+    for path in sources("*.py"):
+        here = room_of(".".join(path.relative_to(REPOSITORY).with_suffix("").parts), rooms)
+        if here is None:
+            continue
+        graph[here] |= {room for name in own_imports(path) if (room := room_of(name, rooms)) is not None}
     return {room: others - {room} for room, others in graph.items()}
 
 
@@ -105,3 +109,21 @@ def test_no_test_imports_a_benchmark() -> None:
             names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
             names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
             assert not [name for name in names if name.partition(".")[0] == "benchmarks"], path
+
+
+def test_names_that_a_package_loads_at_their_first_use_are_those_that_it_has_for_types() -> None:
+    packages = [path for path in sources("__init__.py") if "first_use" in path.read_text(encoding="utf-8")]
+    assert len(packages) > 10
+    for path in packages:
+        (choice,) = (node for node in ast.parse(path.read_text(encoding="utf-8")).body if isinstance(node, ast.If))
+        package = ".".join(("goniotwin", *path.parent.relative_to(REPOSITORY).parts))
+        typed = {
+            (alias.name, alias.asname, node.module)
+            for node in choice.body
+            if isinstance(node, ast.ImportFrom)
+            for alias in node.names
+        }
+        (assigned,) = (node for node in choice.orelse if isinstance(node, ast.Assign))
+        assert isinstance(assigned.value, ast.Call)
+        homes = ast.literal_eval(assigned.value.args[1])
+        assert typed == {(name, name, f"{package}.{module}") for module, names in homes.items() for name in names}, path

@@ -206,8 +206,8 @@ def command(name: str = "") -> Callable[..., Any]:
     groups = [app, *(each.typer_instance for each in app.registered_groups if not isinstance(each.name, str))]
     commands = [each for group in groups if group is not None for each in group.registered_commands]
     one = [each for each in commands if each.callback and name == (each.name or get_command_name(each.callback.__name__))]
-    if len(one) != 1:
-        return typer.main.get_command(app)
+    if not one:
+        return command() if name else typer.main.get_command(app)
     alone = without_commands()
     alone.registered_callback, alone.registered_commands = app.registered_callback, one
     return typer.main.get_command(alone)

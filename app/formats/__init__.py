@@ -5,8 +5,9 @@ arrays: BSDF in 1/sr, angles in degrees, in specular coordinates (radial = theta
 format holds. A codec is loaded at its first use, and so are the names of this package: the help of commands needs neither.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from goniotwin.first_use import first_use
 
 if TYPE_CHECKING:
     from goniotwin.app.formats.ddr import DdrTable as DdrTable
@@ -24,21 +25,15 @@ if TYPE_CHECKING:
     from goniotwin.app.formats.zemax import ZemaxBsdf as ZemaxBsdf
     from goniotwin.app.formats.zemax import read_zemax as read_zemax
     from goniotwin.app.formats.zemax import write_zemax as write_zemax
-
-_NAMES = {
-    "ddr": ("DdrTable", "bsdf", "read_ddr", "write_ddr"),
-    "file": ("FormatError",),
-    "points": ("PointStream", "Points", "read_points_csv", "write_points_csv"),
-    "rayset": ("read_rayset", "write_rayset"),
-    "table": ("BsdfTable",),
-    "zemax": ("ZemaxBsdf", "read_zemax", "write_zemax"),
-}
-
-
-def __getattr__(name: str) -> Any:
-    """Load a public name at its first use (PEP 562)."""
-    for module, names in _NAMES.items():
-        if name in names:
-            value = globals()[name] = getattr(import_module(f"goniotwin.app.formats.{module}"), name)
-            return value
-    raise AttributeError(f"module 'goniotwin.app.formats' has no attribute {name!r}")
+else:
+    __getattr__ = first_use(
+        __name__,
+        {
+            "ddr": ("DdrTable", "bsdf", "read_ddr", "write_ddr"),
+            "file": ("FormatError",),
+            "points": ("PointStream", "Points", "read_points_csv", "write_points_csv"),
+            "rayset": ("read_rayset", "write_rayset"),
+            "table": ("BsdfTable",),
+            "zemax": ("ZemaxBsdf", "read_zemax", "write_zemax"),
+        },
+    )

@@ -14,15 +14,22 @@ import pytest
 
 from goniotwin.app.campaign.running.events import Event, RowStarted
 from goniotwin.app.cli import device_search
-from goniotwin.app.cli.main import COMMANDS, INTERRUPTED, app, main
+from goniotwin.app.cli.main import COMMANDS, INTERRUPTED, app, command, main
 from goniotwin.app.cli.progress import RowProgress
 from goniotwin.drivers import DeviceError, Rig
 from tests.conftest import REPOSITORY, RIG, SCHEDULE, Writer
 from tests.system.command import invoke
 
-HEAVY = ("numpy", "numba", "PySide6", "matplotlib", "h5py")
-LIGHT = ("numba", "llvmlite", "scipy", "PySide6", "matplotlib", "h5py")
-"""What a command without light does without."""
+HEAVY = ("numpy", "numba", "PySide6", "matplotlib", "h5py", "rich")
+"""What the help of a command does without."""
+HEAVIER = (*HEAVY, "pydantic", "importlib.metadata")
+"""What the help of the program does without."""
+LIGHT = (
+    "numba", "llvmlite", "scipy", "PySide6", "matplotlib", "h5py", "rich", "pymodbus", "asyncio", "concurrent", "usb",
+    "tomlkit", "filelock", "goniotwin.twin.plant.plant", "goniotwin.twin.devices.adam", "goniotwin.drivers.rig",
+    "goniotwin.twin.optics.forward.estimator", "goniotwin.app.formats.registry",
+)  # fmt: skip
+"""What a command without light and devices does without."""
 TABLE = """
 import sys
 from goniotwin.app.cli.main import app
@@ -37,8 +44,8 @@ from goniotwin.app.cli.main import app
 
 for command in sys.argv[1:]:
     app([*command.split(), "--help"], standalone_mode=False)
-loaded = [name for name in {HEAVY} if name in sys.modules]
-assert not loaded, loaded
+    loaded = [name for name in ({HEAVY} if command else {HEAVIER}) if name in sys.modules]
+    assert not loaded, (command, loaded)
 """
 CHECK = f"""
 import sys
@@ -71,13 +78,23 @@ def test_help_lists_the_commands_in_the_order_of_a_day(capsys: pytest.CaptureFix
     assert tuple(line.split()[0] for line in lines if line) == COMMANDS
 
 
+def test_a_command_that_is_made_alone_has_the_help_that_it_has_among_all(capsys: pytest.CaptureFixture[str]) -> None:
+    alone = [name for name in COMMANDS if command(name) is not command()]
+    assert set(COMMANDS) - set(alone) == {"simulate"}  # a group of commands
+    for name in alone:
+        for line in (command(name), command()):
+            line([name, "--help"], prog_name="goniotwin", standalone_mode=False)
+        text = capsys.readouterr().out
+        assert text[: len(text) // 2] * 2 == text, name
+
+
 def test_help_fits_a_terminal_of_80_columns(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     """No line is longer, and the sentence of no command is cut off."""
     monkeypatch.setenv("COLUMNS", "80")
-    for command in ("", *COMMANDS, *SUBCOMMANDS):
-        app([*command.split(), "--help"], standalone_mode=False)
+    for name in ("", *COMMANDS, *SUBCOMMANDS):
+        app([*name.split(), "--help"], standalone_mode=False)
         text = capsys.readouterr().out
-        assert max(map(len, text.splitlines())) <= 80, command
+        assert max(map(len, text.splitlines())) <= 80, name
         for line in text.partition("Commands:")[2].splitlines():
             assert not line.endswith("..."), line
 
