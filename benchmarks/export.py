@@ -4,8 +4,9 @@
 
 `rows_4` and `rows_36`: a journal of about so many rows, written without a rig, of two sigmas, five betas, ten shifts and many
 wavelengths, with 4 photodiodes, where the work for each row counts, or 36, where that for each value does. It is reduced to
-files and exported as CSV, the budget of each value included. `one_wavelength`: such a journal of 4 photodiodes with a pose for
-each row, a tenth as long. `check`: the plan and the check of 108,900 rows with a dark reading every second. `csv` and `astm`:
+files and exported as CSV, the budget of each value included. `million`: the same with 4 photodiodes and ten times as many rows;
+only where it is named, for its journal alone takes minutes. `report`: the report of a journal of 36 photodiodes. `one_wavelength`:
+such a journal of 4 photodiodes with a pose for each row, a tenth as long. `check`: the plan and the check of 108,900 rows with a dark reading every second. `csv` and `astm`:
 a million values written and read, as `python -m benchmarks.formats` does.
 
 Each run has a process of its own. A figure is the least of some rounds: processor time (`_s`) and time that passed (`_wall_s`);
@@ -55,6 +56,13 @@ with Journal.open(journal) as opened, reduce_to_files(opened, out.parent) as red
     values = convert_reduced(reduced, out, format_to_write(out), Choice()).values
 found = {{**spent("reduction", begin, between), **spent("with_export", begin, now()), "values": values}}
 {END}"""
+REPORT = f"""{TIMES}
+from goniotwin.app.data.report.report import write_report
+journal, out = map(Path, sys.argv[1:])
+begin = now()
+write_report(journal, out)
+found = spent("report", begin, now())
+{END}"""
 CHECK = f"""{TIMES}
 from goniotwin.app.campaign.planning.check import check_plan
 from goniotwin.app.campaign.planning.plan import make_plan
@@ -82,7 +90,10 @@ readings = 1
 dark_readings = 4
 dark_every_s = 1
 """
-CASES = ("rows_4", "rows_36", "one_wavelength", "check", "csv", "astm")
+CASES = ("rows_4", "rows_36", "one_wavelength", "report", "check", "csv", "astm")
+LONG = "million"
+MORE_ROWS = 10
+"""Times the rows of the others."""
 
 
 def run(version: Path, folder: Path, program: str, *arguments: str) -> dict[str, float]:
@@ -104,13 +115,15 @@ def prepared(case: str, rows: int, folder: Path) -> Callable[[Path], dict[str, f
         return lambda version: run(version, folder, CHECK, str(schedule), str(HERE / "examples" / "rigs" / "virtual.toml"))
     if case in ("csv", "astm"):
         return lambda version: run(version, folder, FORMAT, case, str(MILLION))
-    journal, out = folder / "long.journal", folder / "long.csv"
+    journal, out = folder / "long.journal", folder / ("long.html" if case == "report" else "long.csv")
     each = ROWS_AT_EACH * SHIFTS
     if case == "one_wavelength":
         write_long_journal(journal, 1, max(1, round(rows / POSES_SHARE / ROWS_AT_EACH)), step_deg=4.0 / rows)
     else:
-        write_long_journal(journal, max(1, round(rows / each)), SHIFTS, photodiodes=4 if case == "rows_4" else 36)
-    return lambda version: run(version, folder, REDUCE, str(journal), str(out))
+        # With dark readings a journal has a little more than these rows, and the most that a campaign may have is a million.
+        wavelengths = round(rows / each) if case != LONG else round(MORE_ROWS * rows / each * 0.9984)
+        write_long_journal(journal, max(1, wavelengths), SHIFTS, photodiodes=4 if case in ("rows_4", LONG) else 36)
+    return lambda version: run(version, folder, REPORT if case == "report" else REDUCE, str(journal), str(out))
 
 
 def compare(case: str, versions: Mapping[str, Path], rows: int, rounds: int) -> dict[str, Any]:
@@ -137,7 +150,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description="Time and memory of the reduction, the export and the check of long campaigns."
     )
-    parser.add_argument("cases", nargs="*", choices=[[], *CASES], help="cases; all of them by default")
+    parser.add_argument("cases", nargs="*", choices=[[], *CASES, LONG], help=f"cases; all but {LONG} by default")
     parser.add_argument("--rows", type=int, default=100_000, help="number of rows, about")
     parser.add_argument("--rounds", type=int, default=3, help="number of runs of each version")
     parser.add_argument("--against", type=Path, help="folder of another version")

@@ -6,7 +6,7 @@ A missing number is an empty field, never a number. The file is UTF-8, with a de
 import csv
 import itertools
 import re
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -27,6 +27,8 @@ MOST_BYTES = 250_000_000
 MOST_TEXT_BYTES = 400_000_000
 """Bytes of a column of texts, each of which takes as many as the longest."""
 NO_NUMBER = re.compile(r"[^0-9eE+\-.,]")
+FEW = 4
+"""A value of a column is spelled once where the different ones are fewer than all by this factor."""
 TO_QUOTE = re.compile(r'[,"\r\n]')
 
 
@@ -285,27 +287,39 @@ def _fields(path: StrPath, name: str, column: NDArray[Any]) -> list[str]:
             path, f"column {quote_word(name)} is not a plain list", "give one dimension, and NaN for a missing value"
         )
     if column.dtype.kind in "biu":
-        return [str(int(value)) for value in column]
+        return _spelled_once(column, lambda different: [str(int(value)) for value in different])
     if column.dtype.kind == "f":
         if np.isinf(column).any():
             raise FormatError(path, f"column {quote_word(name)} has an infinite value", "write NaN for a missing value")
-        return _number_fields(column.astype(np.float64))
+        bits = column.astype(np.float64).view(np.int64)  # -0 is written as such
+        return _spelled_once(bits, lambda different: _number_fields(different.view(np.float64)))
     if column.dtype.kind == "U":
-        distinct, which = np.unique(column, return_inverse=True)
+        alike = column.size and (column == column[0]).all()  # as samples and sides often are
+        distinct, which = np.unique(column[:1] if alike else column, return_inverse=True)
         for value in distinct:
             if _unwritable(value):
                 raise FormatError(path, f"column {quote_word(name)} has the text {quote_word(value)}", "write plain text")
         texts = [_quoted(str(value)) for value in distinct]
-        return [texts[k] for k in which.tolist()]
+        return texts * column.size if alike else _each(texts, which)
     raise FormatError(path, f"column {quote_word(name)} is of the type {column.dtype}", "give numbers or strings")
+
+
+def _spelled_once(column: NDArray[Any], spelled: Callable[[NDArray[Any]], list[str]]) -> list[str]:
+    """The fields of a column of whole numbers; where most of them repeat, each different one is spelled once."""
+    ordered = np.sort(column)
+    if FEW * np.count_nonzero(ordered[1:] != ordered[:-1]) >= column.size:
+        return spelled(column)
+    different, which = np.unique(column, return_inverse=True)
+    return _each(spelled(different), which)
+
+
+def _each(texts: list[str], which: NDArray[np.intp]) -> list[str]:
+    fields: list[str] = np.array(texts, dtype=object)[which.ravel()].tolist()
+    return fields
 
 
 def _number_fields(column: Floats) -> list[str]:
     missing = np.isnan(column)
-    if not column.size or missing.all():
-        return [""] * column.size
-    if (bits := column.view(np.int64)).min() == bits.max():  # -0 is written as such
-        return [format_number(float(column[0]))] * column.size
     fields = ("%.9g " * column.size % tuple(column.tolist())).split()  # in one call
     for k in np.flatnonzero(missing).tolist():
         fields[k] = ""

@@ -64,14 +64,13 @@ def _scattered(
 def _scattered_columns(points: BsdfPoints) -> dict[str, np.ndarray]:
     """The columns of scattered values, in the sample's frame; that of one lit on its back is turned about x."""
     psi = psi_of_gamma(points.gamma_deg, points.back)
-    checks = np.where(points.mirrored, CHECK, "")
     return {
         "sigma_deg": np.where(points.back, HALF_TURN_DEG - points.sigma_deg, points.sigma_deg), "psi_deg": psi,
         "polar_deg": polar_from_zenith(points.zenith_deg),
         "azimuth_deg": wrap_azimuth(np.where(points.back, -points.azimuth_deg, points.azimuth_deg) + psi),
         "values": points.bsdf, "u": points.u_bsdf, "u_shared": np.sqrt(shared_variance(points.components)),
         "wavelength_nm": points.wavelength_nm, "transmitted": points.transmitted, "back": points.back,
-        "photodiode": points.photodiode, "flags": np.char.strip(np.char.add(np.char.add(_flags(points), " "), checks)),
+        "photodiode": points.photodiode, "flags": _flags(points, CHECK),
     }  # fmt: skip
 
 
@@ -180,8 +179,13 @@ def _columns(name: str, points: BsdfPoints) -> dict[str, np.ndarray]:
     return columns
 
 
-def _flags(points: BsdfPoints) -> Texts:
-    """The flags of each point in words."""
-    distinct, which = np.unique(points.marks, return_inverse=True)
-    words = [" ".join(name for name in FLAGS if mark & BITS[name]) for mark in distinct]
-    return np.array(words, dtype=np.str_)[which.ravel()]
+def _flags(points: BsdfPoints, of_checks: str = "") -> Texts:
+    """The flags of each point in words; with the word `of_checks` for one that only checks the symmetry."""
+    marks = points.marks.astype(np.int64) << 1 | (points.mirrored if of_checks else 0)
+    distinct, which = np.unique(marks, return_inverse=True)
+    words = [
+        " ".join([*(name for name in FLAGS if mark >> 1 & int(BITS[name])), *([of_checks] if mark & 1 else [])])
+        for mark in distinct.tolist()
+    ]
+    texts: Texts = np.array(words, dtype=np.str_)
+    return np.asarray(texts[which.ravel()])

@@ -16,11 +16,13 @@ import numpy.typing as npt
 
 from goniotwin.app.campaign.reduction.points import COLUMNS, PLACE, BsdfPoints, join_points, order_by_light
 from goniotwin.app.errors import UserError, room_on_disk
-from goniotwin.arrays import Ints
+from goniotwin.arrays import Floats, Indices, Ints
 
 ROW = np.dtype([("rank", "i8"), ("kind", "i4"), ("begin", "i8"), ("count", "i8"), ("place", "f8", len(PLACE))])
 """A row: its place in order of time, the kind of its block, where its points begin in the file, their number, and its pose."""
 COMPONENT = "component "
+PART_POINTS = 20_000
+"""Points that are read together where all are brought into memory."""
 Table = npt.NDArray[np.void]
 
 
@@ -87,6 +89,23 @@ class PointFile:
         edges = [0, *(1 + np.flatnonzero(np.diff(part))).tolist(), len(part)] if len(part) else [0]
         return (self._read(self._rows[begin:end]) for begin, end in itertools.pairwise(edges))
 
+    def everything(self) -> BsdfPoints:
+        """All points in order of time, in memory, which takes little more than they do."""
+        parts = self.parts(PART_POINTS)
+        if len(self._kinds) != 1:
+            return join_points(list(parts))
+        columns = {name: np.empty(self.size, dtype=self._kinds[0][name]) for name in self._kinds[0].names or ()}
+        place = np.empty(self.size, dtype=np.int32)
+        end, rows = 0, 0
+        for points in parts:
+            here = slice(end, end + points.size)
+            for name, column in columns.items():
+                of_part = points.components if name.startswith(COMPONENT) else vars(points)
+                column[here] = of_part[name.removeprefix(COMPONENT)]
+            place[here] = points.place + np.int32(rows)
+            end, rows = end + points.size, rows + len(points.places)
+        return _points_of(columns, np.ascontiguousarray(self._rows["place"]), place)
+
     def settings(self, wavelength_nm: float | None = None) -> Iterator[BsdfPoints]:
         """The points of each wavelength, or of one, and sigma, in the order of these."""
         wavelength, sigma = (self._rows["place"][:, PLACE.index(name)] for name in ("wavelength_nm", "sigma_deg"))
@@ -126,11 +145,9 @@ class PointFile:
 
     def _points(self, rows: Table, record: np.dtype[Any]) -> BsdfPoints:
         records = np.frombuffer(self._content(rows, record.itemsize), dtype=record)
-        assert record.names is not None
-        columns = {name: np.ascontiguousarray(records[name]) for name in record.names}
-        components = {name.removeprefix(COMPONENT): columns.pop(name) for name in record.names if name.startswith(COMPONENT)}
+        columns = {name: np.ascontiguousarray(records[name]) for name in record.names or ()}
         place = np.repeat(np.arange(len(rows), dtype=np.int32), rows["count"])
-        return BsdfPoints(places=np.ascontiguousarray(rows["place"]), place=place, components=components, **columns)
+        return _points_of(columns, np.ascontiguousarray(rows["place"]), place)
 
     def _content(self, rows: Table, size: int) -> bytearray:
         """The records of rows, of so many bytes each; rows that follow each other in the file are read together."""
@@ -146,3 +163,10 @@ class PointFile:
     def _unwritable(self, error: OSError) -> UserError:
         wrong = f"{self._folder}: a temporary file with the points cannot be written: {error.strerror}"
         return UserError(f"{wrong}; {room_on_disk(error) or 'check the folder and its permissions'}")
+
+
+def _points_of(columns: dict[str, npt.NDArray[Any]], places: Floats, place: Indices) -> BsdfPoints:
+    """Points of the columns of a file."""
+    components = {name.removeprefix(COMPONENT): each for name, each in columns.items() if name.startswith(COMPONENT)}
+    others = {name: each for name, each in columns.items() if not name.startswith(COMPONENT)}
+    return BsdfPoints(places=places, place=place, components=components, **others)

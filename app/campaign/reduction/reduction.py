@@ -549,15 +549,16 @@ def reduce_journal(journal: JournalReader, *, without_damaged: bool = False) -> 
 
 
 def reduce_to_memory(reduction: Reduction) -> BsdfDataset:
-    """Reduce all samples of a journal that is already known. Raises UserError."""
-    blocks: dict[str, list[tuple[Ints, BsdfPoints]]] = {}
-    reduced = _reduce(reduction, lambda name, rank, points: blocks.setdefault(name, []).append((rank, points)))
-    samples = {}
-    for name in list(blocks):
-        ranks, points = map(list, zip(*blocks.pop(name), strict=True))
-        joined = join_points(points)
-        del points  # of a long journal there is memory for two of these, not for three
-        samples[name] = joined.where(np.argsort(np.concatenate(ranks), kind="stable"))
+    """Reduce all samples of a journal that is already known. Raises UserError.
+
+    The points are in temporary files meanwhile: joined in memory, the blocks of a long journal would take twice as much.
+    """
+    with _files(Path(tempfile.gettempdir())) as (files, keep):
+        reduced = _reduce(reduction, keep)
+        samples = {}
+        for name in list(files):
+            with files.pop(name) as file:
+                samples[name] = file.everything()
     return BsdfDataset(**{**vars(reduced), "samples": samples})
 
 
@@ -567,6 +568,14 @@ def reduce_to_files(journal: JournalReader, folder: Path, *, without_damaged: bo
 
     Raises UserError as `reduce_journal`, and where the folder cannot hold the files.
     """
+    with _files(folder) as (files, keep):
+        reduced = _reduce(Reduction(journal, without_damaged=without_damaged), keep)
+        yield replace(reduced, samples=files)
+
+
+@contextlib.contextmanager
+def _files(folder: Path) -> Iterator[tuple[dict[str, PointFile], Keep]]:
+    """Temporary files in a folder, by sample, and what adds points to them."""
     with contextlib.ExitStack() as stack:
         files: dict[str, PointFile] = {}
 
@@ -575,8 +584,7 @@ def reduce_to_files(journal: JournalReader, folder: Path, *, without_damaged: bo
                 files[name] = stack.enter_context(PointFile(folder))
             files[name].add(rank, points)
 
-        reduced = _reduce(Reduction(journal, without_damaged=without_damaged), keep)
-        yield replace(reduced, samples=files)
+        yield files, keep
 
 
 def _reduce(reduction: Reduction, keep: Keep) -> ReducedJournal:

@@ -184,15 +184,16 @@ def _relative(dataset: Dataset) -> np.ndarray:
 
 
 def _clear(dataset: Dataset) -> np.ndarray:
-    lost = np.char.find(dataset.flags, "under-range") >= 0
+    measured = dataset.only.measured
+    assert measured is not None  # it is a journal's
+    lost = measured.points.flag("under-range")
     return np.asarray(dataset.good & ~lost & (dataset.bsdf > 0.0) & np.isfinite(dataset.u))
 
 
 def _sample(dataset: Dataset, metadata: Metadata) -> dict[str, Any]:
     """One sample's part of the report."""
-    texts, numbers = np.unique(dataset.flags, return_counts=True)
-    words = [(each.split(), count) for each, count in zip(texts.tolist(), numbers.tolist(), strict=True)]
-    counts = {name: sum(count for each, count in words if name in each) for name in FLAGS}
+    measured = dataset.only.measured
+    counts = {} if measured is None else {name: int(measured.points.flag(name).sum()) for name in FLAGS}
     return {
         "name": dataset.sample,
         "about": [(_words(key), value) for key, value in metadata.as_dict().get("sample", {}).items()],
@@ -226,20 +227,33 @@ def _lights(dataset: Dataset) -> Iterator[dict[str, Any]]:
     """By the light: number of values and relative uncertainties; of many wavelengths by sigma alone."""
     nm = np.nan_to_num(dataset.wavelength_nm, nan=0.0)
     columns = [dataset.transmitted.astype(float), dataset.back.astype(float), nm, dataset.sigma_deg]
-    keys = np.round(np.stack(columns, axis=1), 6)
-    if len(np.unique(keys, axis=0)) > MOST_LIGHTS:
-        keys[:, 2] = 0.0
-    places, which = np.unique(keys, axis=0, return_inverse=True)
-    for k, (transmitted, back, wavelength, sigma) in enumerate(places.tolist()):
-        here = dataset.where(which.ravel() == k)
-        relative = _relative(here)
+    columns = [np.round(each, 6) for each in columns]
+    places, which = _distinct(columns)
+    if len(places) > MOST_LIGHTS:
+        columns[2] = np.zeros(dataset.size)
+        places, which = _distinct(columns)
+    clear, good = _clear(dataset), dataset.good
+    for k, (transmitted, back, wavelength, sigma) in enumerate(places):
+        here = which == k
+        trusted, above = here & good, here & clear
+        relative = dataset.u[above] / dataset.bsdf[above]
         low, middle, high = np.quantile(relative, [0.05, 0.5, 0.95]).tolist() if relative.size else [math.nan] * 3
         yield {
             "light": f"{'transmitted' if transmitted else 'reflected'}{', lit on the back' if back else ''}",
-            "wavelength": f"{wavelength:g} nm" if wavelength else "all", "sigma": sigma, "values": here.size,
-            "trusted": int(here.good.sum()), "above_noise": relative.size, "low": low, "middle": middle, "high": high,
-            "largest": float(np.max(here.bsdf[here.good], initial=0.0)),
+            "wavelength": f"{wavelength:g} nm" if wavelength else "all", "sigma": sigma, "values": int(here.sum()),
+            "trusted": int(trusted.sum()), "above_noise": relative.size, "low": low, "middle": middle, "high": high,
+            "largest": float(np.max(dataset.bsdf[trusted], initial=0.0)),
         }  # fmt: skip
+
+
+def _distinct(columns: Sequence[np.ndarray]) -> tuple[list[tuple[float, ...]], np.ndarray]:
+    """The different rows of some columns, ascending, and which of them each row is. One column after the other is sorted."""
+    code = np.zeros(columns[0].size, dtype=np.int64)
+    for column in columns:
+        there, which = np.unique(column, return_inverse=True)
+        code = code * there.size + which.ravel()
+    _, first, which = np.unique(code, return_index=True, return_inverse=True)
+    return list(zip(*(column[first].tolist() for column in columns), strict=True)), which.ravel()
 
 
 def _mean_shares(dataset: Dataset) -> list[_Line]:
@@ -249,7 +263,9 @@ def _mean_shares(dataset: Dataset) -> list[_Line]:
     if measured is None or not clear.any():
         return []
     components = measured.points.components
-    total = np.sum([each[clear] for each in components.values()], axis=0)
+    total = np.zeros(int(clear.sum()))
+    for each in components.values():
+        total += each[clear]
     shares = {name: float(np.mean(each[clear] / total)) for name, each in components.items()}
     relative = {name: float(np.median(np.sqrt(each[clear]) / dataset.bsdf[clear])) for name, each in components.items()}
     ordered = sorted(shares, key=lambda name: -shares[name])

@@ -149,3 +149,14 @@ def test_a_long_text_among_many_rows_is_refused(tmp_path: Path, monkeypatch: pyt
     path.write_text("a\n" + "x\n" * 100 + "y" * 30 + "\n")
     with pytest.raises(FormatError, match="the column 'a' has a text of 30 characters, among 101 rows"):
         read_points_csv(path)
+
+
+def test_a_column_of_repeated_numbers_is_written_as_one_of_different_numbers(tmp_path: Path) -> None:
+    """Repeated numbers are spelled once: each field still is that of its own value, with the sign of a zero."""
+    few = np.array([0.0, -0.0, np.nan, 1.0 / 3.0, 500.05])
+    repeated = np.tile(few, 40)
+    number = np.arange(repeated.size)
+    write_points_csv(tmp_path / "a.csv", [], {"x": repeated, "n": number % 3, "k": number})
+    lines = (tmp_path / "a.csv").read_text(encoding="utf-8").splitlines()[1:]
+    texts = ["0", "-0", "", "0.333333333", "500.05"]
+    assert lines == [f"{texts[k % 5]},{k % 3},{k}" for k in range(repeated.size)]
