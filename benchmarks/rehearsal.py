@@ -31,6 +31,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from benchmarks.versions import HERE, add_options, in_turns, positive, versions_of
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.rehearsal import rehearsal
 from goniotwin.app.campaign.rehearsal.rehearsal import plan_rehearsal, rehearse, run_on_twin
@@ -41,7 +42,6 @@ from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.rig import read_rig
 from goniotwin.twin.plant.view import Aspect, View
 
-HERE = Path(__file__).resolve().parents[1]
 EXAMPLES = HERE / "examples"
 RIG = EXAMPLES / "rigs" / "virtual.toml"
 QUICK = EXAMPLES / "schedules" / "quick.toml"
@@ -154,14 +154,8 @@ def measure() -> dict[str, float]:
 
 def compare(versions: dict[str, Path], rounds: int) -> dict[str, Any]:
     """The figures of each version, and their ratios."""
-    found: dict[str, list[dict[str, float]]] = {name: [] for name in versions}
     before = os.getloadavg()[0]
-    program = "import json\nfrom benchmarks.rehearsal import measure\nprint(json.dumps(measure()))"
-    for _ in range(rounds):
-        for name, version in versions.items():
-            environment = {**os.environ, "PYTHONPATH": os.pathsep.join((str(version / ".venv" / "links"), str(HERE)))}
-            done = subprocess.run([sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=True)
-            found[name].append(json.loads(done.stdout.splitlines()[-1]))
+    found = in_turns(versions, rounds, "import json\nfrom benchmarks.rehearsal import measure\nprint(json.dumps(measure()))")
     best: dict[str, Any] = {name: {key: min(each[key] for each in runs) for key in runs[0]} for name, runs in found.items()}
     if "against" in best:
         best["ratio"] = {key: best["here"][key] / best["against"][key] for key in best["here"]}
@@ -210,11 +204,12 @@ def memory(rows: int) -> dict[str, float]:
 def main() -> None:
     """Print a table, or JSON."""
     parser = argparse.ArgumentParser(description="Time per row and memory of a rehearsal.")
-    parser.add_argument("--rounds", type=int, default=5, help="number of runs of each version")
-    parser.add_argument("--against", type=Path, help="folder of another version")
-    parser.add_argument("--memory", type=int, nargs="+", metavar="ROWS", help="rehearse so many rows and print the memory")
+    add_options(parser, rounds=5)
+    parser.add_argument("--memory", type=positive, nargs="+", metavar="ROWS", help="rehearse so many rows and print the memory")
     parser.add_argument("--json", action="store_true", help="print JSON")
     options = parser.parse_args()
+    if options.memory and min(options.memory) <= FROM_ROW:
+        parser.error(f"--memory: more than {FROM_ROW} rows, from which on the memory is compared")
     machine = {"python": platform.python_version(), "machine": platform.machine(), "cores": os.cpu_count()}
     if options.memory and len(options.memory) > 1:
         for rows in options.memory:
@@ -230,7 +225,7 @@ def main() -> None:
             each = f"{found['bytes_a_row']:.0f} bytes per row; {found['grown_in_rows_mb']:.1f} MB more at the last row"
             print(f"{found['rows']:.0f} rows in {found['seconds']:.0f} s: {peak}, {each}")
         return
-    versions = {"here": HERE} | ({"against": options.against.resolve()} if options.against else {})
+    versions = versions_of(options.against)
     results = compare(versions, options.rounds)
     if options.json:
         print(json.dumps({**machine, **results}, indent=2))

@@ -27,6 +27,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from benchmarks.versions import LINKS, add_options
 from goniotwin import examples
 
 CHECK = (str(examples.SCHEDULE), "--rig", str(examples.RIG))
@@ -39,7 +40,6 @@ WARM = {
 PROVE = ["prove", *CHECK, "--processes", "1", "--out", "proof", "--rigs"]
 PROVED = (3, 1)
 FIRST_USE = "first_use"
-LINKS = Path(".venv", "links")
 
 
 @dataclass(frozen=True)
@@ -104,15 +104,10 @@ def main() -> None:
     """Measure and print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", action="store_true", help="print one JSON object")
-    parser.add_argument("--rounds", type=int, default=5, help="number of runs of each command")
-    parser.add_argument("--against", type=Path, metavar="FOLDER", help="another checkout, measured in turns with this one")
+    add_options(parser, rounds=5)
     parser.add_argument("--without-first-use", action="store_true", help="without the compilation, the longest")
     options = parser.parse_args()
-    against = options.against
-    if against is not None:
-        against = (against / LINKS).resolve()
-        if not (against / "goniotwin" / "__init__.py").exists():
-            parser.error(f"{against}: has no sources under their import name; make the links first")
+    against = None if options.against is None else options.against / LINKS
     works = {}
     for name, figures in measure(options.rounds, not options.without_first_use, against):
         works[name] = figures
