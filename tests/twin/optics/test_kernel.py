@@ -9,7 +9,8 @@ from types import ModuleType
 
 import pytest
 
-from goniotwin.twin.optics.kernel import is_compiled, kernel, source_stamp
+from goniotwin.twin.optics.kernel import _set_cache_folder as set_cache_folder
+from goniotwin.twin.optics.kernel import cache_folder, is_compiled, kernel, source_stamp
 
 SOURCE = """
 from typing import NamedTuple
@@ -203,3 +204,31 @@ def test_a_cache_that_names_a_renamed_class_is_compiled_anew(tmp_path: Path, mon
     assert again.result() == 10.0
     assert sum(again.scaled.stats.cache_hits.values()) == 1
     sys.modules.pop(MODULE)
+
+
+@pytest.mark.parametrize("kind", ["nbi", "nbc"])
+@pytest.mark.parametrize("content", [b"some text\n", b"", bytes(64), bytes(range(256))])
+def test_a_damaged_cache_is_compiled_anew(kind: str, content: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The index, or the code: text, nothing, zeros, anything."""
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr("numba.core.config.CACHE_DIR", str(tmp_path / "cache"))
+    (tmp_path / "called_kernel.py").write_text(CALLED.format(factor=3.0), encoding="utf-8")
+    assert fresh_module("called_kernel").factor() == 3.0
+    (damaged,) = (tmp_path / "cache").rglob(f"*.{kind}")
+    damaged.write_bytes(content)
+    is_compiled(fresh_module("called_kernel").factor)
+    for misses in (1, 0):
+        module = fresh_module("called_kernel")
+        assert module.factor() == 3.0
+        assert sum(module.factor.stats.cache_misses.values()) == misses
+    sys.modules.pop("called_kernel")
+
+
+def test_a_folder_of_numba_that_cannot_be_written_keeps_no_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not another folder instead, as numba would have it: `goniotwin compile` names the one that is set."""
+    (tmp_path / "file").touch()
+    for place, kept in ((tmp_path / "file" / "cache", None), (tmp_path / "cache", tmp_path / "cache")):
+        monkeypatch.setattr("numba.core.config.CACHE_DIR", str(place))
+        set_cache_folder.cache_clear()
+        assert cache_folder() == kept
+    set_cache_folder.cache_clear()
