@@ -104,9 +104,8 @@ def rehearse(
     from goniotwin.app.rig import read_rig
 
     _check_writable(points, out)
-    described, on = read_schedule(schedule), read_rig(rig)
-    compile_ahead(parts_of_rehearsal(described.file, on.model()))
-    plan, assumed = plan_rehearsal(described, on, _sample_models(sample or []))
+    plan, assumed = plan_rehearsal(read_schedule(schedule), read_rig(rig), _sample_models(sample or []))
+    compile_ahead(parts_of_rehearsal(plan.schedule.file, plan.rig.model()))  # what is refused is not waited for
     with RowProgress(error_console(), f"{plan.schedule.file.name} (rehearsal)", len(plan.rows)) as progress:
         rehearsal = rehearse(plan, assumed, out=out, points=points, listeners=[progress], processes=processes)
     answer(as_json, rehearsal.result, lambda: print(report_text(rehearsal)))
@@ -154,7 +153,7 @@ def prove(
 
     folder = out if out is not None else Path(f"{schedule.stem}.proof")
     proof = Proof(read_schedule(schedule), read_rig(rig), rigs, folder, wires=not without_wires)
-    compile_ahead(parts_of_rehearsal(proof.schedule.file, proof.rig.model()))
+    compile_ahead(parts_of_rehearsal(proof.plan.schedule.file, proof.rig.model()))  # what is refused is not waited for
     with (
         runner_of(processes, dask, rigs) as runner,
         kept(folder, "rigs"),
