@@ -4,11 +4,13 @@ import contextlib
 import multiprocessing
 import os
 import signal
+import tempfile
 import threading
 from collections.abc import Generator, Iterable, Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing.connection import wait as wait_for
+from pathlib import Path
 from types import FrameType
 from typing import Protocol
 
@@ -16,7 +18,14 @@ import numba
 
 from goniotwin.app.errors import UserError
 from goniotwin.app.sweeps.environment import Environment, environment
-from goniotwin.app.sweeps.specification import Computed, Specification, Work, compute
+from goniotwin.app.sweeps.specification import (
+    Computed,
+    Specification,
+    Work,
+    compute,
+    read_specification,
+    write_specification,
+)
 
 HERE = "this computer"
 AHEAD = 2
@@ -78,7 +87,9 @@ class Processes:
         """
         context = multiprocessing.get_context("spawn")  # a fork would copy the locks of other threads
         cores = max(1, numba.get_num_threads() // (self._count + self._beside))
-        pool = ProcessPoolExecutor(self._count, mp_context=context, initializer=_begin, initargs=(work, specification, cores))
+        folder = tempfile.TemporaryDirectory(prefix="goniotwin-sweep-")
+        path = write_specification(Path(folder.name) / "specification.json", specification)
+        pool = ProcessPoolExecutor(self._count, mp_context=context, initializer=_begin, initargs=(work, path, cores))
         waiting, running, begun = iter(chunks), set[Future[Computed]](), False
         try:
             while True:
@@ -103,6 +114,7 @@ class Processes:
                 for process in multiprocessing.active_children():
                     process.terminate()  # an interrupt there: see `_Process`
             pool.shutdown(wait=True)
+            folder.cleanup()
 
 
 def on_this_computer(processes: int | None, chunks: int) -> Runner:
@@ -128,15 +140,19 @@ class _Process:
             raise KeyboardInterrupt
 
 
-def _begin(work: Work, specification: Specification, cores: int) -> None:
-    """Prepare a process. A Ctrl-C is the parent's business; after its death the process ends."""
+def _begin(work: Work, path: Path, cores: int) -> None:
+    """Prepare a process. A Ctrl-C is the parent's business; after its death the process ends.
+
+    The specification comes in a file: it is too long for the pipe from which a process takes its arguments, and the parent
+    would wait forever to write it to a process that has died.
+    """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, _Process.stop)
     parent = multiprocessing.parent_process()
     if parent is not None:
         threading.Thread(target=_end_with, args=(parent.sentinel,), daemon=True).start()
     numba.set_num_threads(cores)
-    _Process.work, _Process.specification = staticmethod(work), specification
+    _Process.work, _Process.specification = staticmethod(work), read_specification(path)
 
 
 def _end_with(sentinel: int) -> None:

@@ -5,6 +5,7 @@ import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -54,6 +55,17 @@ class Specification:
     def chunks(self, items: int) -> int:
         """The number of chunks that have the first `items` items."""
         return -(-items // self.size)
+
+
+def write_specification(path: Path, specification: Specification) -> Path:
+    """Write a specification to a file, for a process of this computer; its path."""
+    path.write_text(json.dumps(asdict(specification)), encoding="utf-8")
+    return path
+
+
+def read_specification(path: Path) -> Specification:
+    """A specification that was written by `write_specification`."""
+    return Specification(**json.loads(path.read_text(encoding="utf-8")))
 
 
 Work = Callable[[Specification, int], Arrays]

@@ -1,7 +1,10 @@
 """Sweeps on this computer: the same bytes by any runner and after any interruption; files that are whole or not there."""
 
 import json
+import os
+import shutil
 from dataclasses import fields, replace
+from multiprocessing import resource_tracker
 from pathlib import Path
 
 import numpy as np
@@ -225,6 +228,15 @@ def test_a_process_that_is_killed_is_one_line_and_the_sweep_continues(tmp_path: 
     run_sweep(numbers, files, 8, Processes(2))
     run_sweep(numbers, files_of(tmp_path / "one", killing), 8, Here())
     assert contents(tmp_path / "sweep") == contents(tmp_path / "one")
+
+
+@pytest.mark.skipif(os.name == "nt", reason="there is no program that ends at once")
+def test_a_process_that_ends_while_it_starts_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With a specification that is longer than what a pipe holds, which nobody would read."""
+    resource_tracker.ensure_running()  # a process of multiprocessing's own
+    monkeypatch.setattr("multiprocessing.spawn._python_exe", os.fsencode(shutil.which("false") or ""))
+    with pytest.raises(UserError, match="was ended from outside"):
+        list(Processes(1).run(numbers, specification(text="x" * 1_000_000), [0]))
 
 
 def test_without_dask_one_line_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
