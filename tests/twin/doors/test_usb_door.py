@@ -37,6 +37,7 @@ QUERY = message(MsgId.DEV_DEP_MSG_OUT, 1, b"*IDN?\n"), request_in(2, 100)
 
 
 def scripts(rig: VirtualRig) -> Scripts:
+    rig.usb["monitor"].new_host()
     found = TwinUsbBackend(rig).scripts(1)
     assert found is not None
     return found
