@@ -46,7 +46,7 @@ EXAMPLES = HERE / "examples"
 RIG = EXAMPLES / "rigs" / "virtual.toml"
 QUICK = EXAMPLES / "schedules" / "quick.toml"
 STATM, STATUS, CLEAR_REFS = (Path("/proc/self") / name for name in ("statm", "status", "clear_refs"))
-SHORT, LONG_DEG, LONGER_DEG = 0.5, 0.04, 0.02
+SHORT, LONG_DEG, LONGER_DEG = 0.5, 0.03, 0.015
 """Steps of the arc's shift, deg: of `quick.toml`, and of two rehearsals of some thousand rows."""
 FROM_ROW = 1000
 LONG = """

@@ -50,7 +50,7 @@ class MonitorBench:
     def hang(self) -> None:
         """From now on there is nothing to read."""
         self.device.bulk_in_ready = lambda: None  # type: ignore[method-assign]
-        self.device.answer_due = lambda _: None  # type: ignore[method-assign]
+        self.device.answer_due = lambda _: None  # type: ignore[method-assign, assignment]
 
 
 @pytest.fixture
