@@ -45,7 +45,7 @@ def test_other_bytes_are_header_errors(data: bytes) -> None:
 
 
 @given(TAG, st.binary(max_size=40), st.integers(0, 12 + 44), st.integers(0, 255), st.integers(0, 3))
-def test_a_plain_answer_is_what_the_header_says(tag: int, payload: bytes, place: int, value: int, padding: int) -> None:
+def test_a_plain_answer_is_what_its_header_names(tag: int, payload: bytes, place: int, value: int, padding: int) -> None:
     data = bytearray(usbtmc.message(usbtmc.MsgId.DEV_DEP_MSG_IN, tag, payload)[: 12 + len(payload)] + bytes(padding))
     assert usbtmc.plain_answer(bytes(data), tag) == payload
     if place < len(data):
