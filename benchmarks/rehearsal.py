@@ -6,7 +6,7 @@
 Time: the rows of `quick.toml`, with 36 photodiodes, four axes and two gains of four readings. The first rehearsal is a warm-up
 and does not count. `row_ms` is the median of the rows that measure, from commit to commit; `photodiodes_us` what the light on
 the photodiodes takes for each pose, within the rehearsal, the poses that are computed ahead included. Both are processor time.
-`row_ms_two_processes` is time that passes: what a row more costs in a longer rehearsal of two samples with `--processes 2`,
+`row_ms_two_processes` is time that passes: what a row more costs in a rehearsal of some thousand rows with `--processes 2`,
 without the start of the processes, and `row_ms_one_process` that with one. Each run has a process of its own; a figure is the
 least of the rounds. `load` is the machine's load before and after. `--against` is the folder of another version, with
 `goniotwin` under `.venv/links`: both versions take turns, and `ratio` is that of this one to the other, which has one process
@@ -46,8 +46,8 @@ EXAMPLES = HERE / "examples"
 RIG = EXAMPLES / "rigs" / "virtual.toml"
 QUICK = EXAMPLES / "schedules" / "quick.toml"
 STATM, STATUS, CLEAR_REFS = (Path("/proc/self") / name for name in ("statm", "status", "clear_refs"))
-SHORT, LONGER = 0.5, 0.1
-"""Steps of the arc's shift, deg: of `quick.toml`, and of a rehearsal five times as long."""
+SHORT, LONG_DEG, LONGER_DEG = 0.5, 0.03, 0.015
+"""Steps of the arc's shift, deg: of `quick.toml`, and of two rehearsals of some thousand rows."""
 FROM_ROW = 1000
 LONG = """
 name = "long"
@@ -127,7 +127,7 @@ def wall_ms_of_a_row(processes: int) -> float:
     """Time that passes for each row by which one rehearsal is longer than another, ms."""
     run = getattr(rehearsal, "run_in_processes", None)
     taken, rows = [], []
-    for plan in (quick_plan(SHORT), quick_plan(LONGER)):
+    for plan in (quick_plan(LONG_DEG), quick_plan(LONGER_DEG)):
         with tempfile.TemporaryDirectory() as folder:
             begin, path = time.perf_counter(), Path(folder) / "rehearsal.journal"
             if run is None:

@@ -82,9 +82,7 @@ def rehearse(
     ] = None,
     processes: Annotated[
         int,
-        typer.Option(
-            "--processes", metavar="P", min=1, help="Rehearse the samples of a long schedule in so many blocks at once."
-        ),
+        typer.Option("--processes", metavar="P", min=1, help="Rehearse a long schedule in so many blocks of rows at once."),
     ] = 1,
     as_json: Json = False,
 ) -> None:

@@ -67,7 +67,7 @@ def test_a_reply_that_came_while_the_computer_was_late_is_accepted(opened: RigOp
     expected, first = question.ask(rig), clock.looks
     assert question.ask(rig) == expected
     looks = clock.looks - first
-    assert looks > 1
+    assert looks > 0
     for look in range(1, looks + 1):
         clock.leap_at = clock.looks + look
         assert question.ask(rig) == expected

@@ -170,7 +170,7 @@ def run_blocks(
     """
     left = list(accumulate((row.seconds for row in reversed(plan.rows)), initial=0.0))[::-1]
 
-    def tell(event: Event) -> None:
+    def notify(event: Event) -> None:
         """An event of the first block, counted as one of the whole."""
         if isinstance(event, RowCommitted):
             done = event.row.number + 1
@@ -186,7 +186,7 @@ def run_blocks(
         of, waiting, joined = specification(plan, blocks, folder), dict[int, Arrays](), 1
         with contextlib.closing(runner.run(rehearse_block, of, range(1, len(blocks)))) as computed:
             begun = next(computed, None)  # from now on they are being computed
-            _run(plan, blocks[0], journal, [statistics, tell])
+            _run(plan, blocks[0], journal, [statistics, notify])
             for each in chain([begun], computed):
                 if each is None:
                     continue
@@ -200,6 +200,6 @@ def run_blocks(
                     journal.append_session(part, plan.rig.text, own)
                     statistics.add(json.loads(arrays["statistics"].tobytes()))
                     for row in journal.rows_of([row.number for row in own] if listeners else []):
-                        tell(RowCommitted(row.row, row.data, 0, 0, 0.0))
+                        notify(RowCommitted(row.row, row.data, 0, 0, 0.0))
                     joined += 1
         return journal.seconds

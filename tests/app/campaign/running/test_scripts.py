@@ -23,6 +23,7 @@ from goniotwin.protocols import adam
 from goniotwin.protocols.clock import VirtualClock
 from goniotwin.protocols.script import Exchanged
 from goniotwin.twin import VirtualRig
+from goniotwin.twin.devices.usbtmc import BULK_IN
 from goniotwin.twin.doors import TwinModbusClient
 from goniotwin.twin.doors.protocol_twin import Serial
 from goniotwin.twin.doors.usb import Scripts
@@ -106,6 +107,11 @@ def fall_silent(rig: VirtualRig, _engine: Engine, _t: float) -> None:
     rig.clock.at(rig.clock.now() + 1.5, lambda: setattr(rig.modbus[OTHER], "silent", False))
 
 
+def unplug(rig: VirtualRig, _engine: Engine, t: float) -> None:
+    rig.usb["monitor"].unplug()
+    rig.clock.at(t + 0.3, rig.usb["monitor"].replug)
+
+
 EVENTS: dict[str, Callable[[VirtualRig, Engine, float], object]] = {
     "a module refuses": refuse,
     "a module falls silent": fall_silent,
@@ -117,6 +123,9 @@ EVENTS: dict[str, Callable[[VirtualRig, Engine, float], object]] = {
     "the shutter falls": lambda rig, _, t: rig.plant.shutter_open.set(t, False),
     "the axes' module resets": lambda rig, _, t: rig.serial["axes"].reset(t),
     "an axis is jammed": lambda rig, _, t: rig.plant.shafts["beta"].jam(t),
+    "the monitor resets": lambda rig, _, t: rig.usb["monitor"].instrument.power_cycle(t),
+    "the monitor's endpoint halts": lambda rig, _, __: rig.usb["monitor"].halt(BULK_IN),
+    "the monitor is unplugged": unplug,
     "the run is stopped": lambda _, engine, __: engine.stop(),
 }
 FAULTS = [
@@ -192,7 +201,7 @@ def test_a_campaign_on_a_wire_with_every_kind_of_fault_is_the_same_both_ways(
     both_ways(small, tmp_path, kind)
 
 
-@pytest.mark.parametrize("each", DUE[::9], ids=str)
+@pytest.mark.parametrize("each", DUE[::11], ids=str)
 def test_an_event_between_is_met_at_the_same_exchange_both_ways(small: Plan, tmp_path: Path, each: Disturbance) -> None:
     both_ways(small, tmp_path, each.disturb)
 
