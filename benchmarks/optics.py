@@ -64,7 +64,7 @@ def poses() -> list[Pose]:
     for sigma in SIGMA_DEG:
         cos, sin = math.cos(math.radians(sigma)), math.sin(math.radians(sigma))
         turned = about_the_normal @ np.array([[cos, 0.0, sin], [0.0, 1.0, 0.0], [-sin, 0.0, cos]])
-        grids.append(Pose(float(sigma), turned[turned[:, 2] > math.cos(math.radians(89.0))]))
+        grids.append(Pose(float(sigma), turned.compress(turned[:, 2] > math.cos(math.radians(89.0)), axis=0)))
     return grids
 
 

@@ -77,21 +77,22 @@ def lambertian_values(value: float, transmits: bool, rays: Floats, count: int, v
 
 
 @kernel(nogil=True)
-def add_values(values: Floats, first: int, count: int, sums: Floats, row: int) -> None:
-    """Add `count` = n `values` from `first` on to a row of `sums` (rows, at least n)."""
+def add_values(values: Floats, first: int, count: int, sums: Floats, row: int, start: int) -> None:
+    """Add `count` = n `values` from `first` on to a row of `sums` (rows, at least start + n) from `start` on."""
     for k in range(count):
-        sums[row, k] += values[first + k]
+        sums[row, start + k] += values[first + k]
 
 
 @kernel(nogil=True)
 def lobe_sums(
-    models: Models, lobe: int, rays: Floats, each: int, count: int, values: Floats, sums: Floats, row: int, general: bool | None
+    models: Models, lobe: int, rays: Floats, each: int, count: int, values: Floats, sums: Floats, row: int, start: int,
+    general: bool | None,
 ) -> None:  # fmt: skip
-    """Add to a row of `sums` (rows, at least n): sums of weight times value of a lobe over `each` rays of n detectors.
+    """Add sums of weight times value of a lobe over `each` rays of n detectors to a row of `sums`, from `start` on.
 
-    `count` is n. `rays` (7, at least n each) has the first ray of every detector, then the second of every one, and so on.
-    `values` (at least n each) is a buffer. With `general` None, see `score_scenes`, there are GAUSSIAN and LAMBERTIAN lobes
-    alone.
+    `sums` (rows, at least start + n); `count` is n. `rays` (7, at least n each) has the first ray of every detector, then the
+    second of every one, and so on. `values` (at least n each) is a buffer. With `general` None, see `score_scenes`, there are
+    GAUSSIAN and LAMBERTIAN lobes alone.
 
     A slice, and an array that a function with branches takes, is counted as a reference, which costs as much as five rays:
     therefore rows and numbers are arguments, and a loop over rays calls the functions above.
@@ -114,4 +115,4 @@ def lobe_sums(
                     rays[1, ray], rays[2, ray], rays[3, ray], rays[4, ray], rays[5, ray], abs(rays[6, ray]),
                 )  # fmt: skip
     for i in range(each):
-        add_values(values, i * count, count, sums, row)
+        add_values(values, i * count, count, sums, row, start)

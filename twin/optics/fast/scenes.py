@@ -169,8 +169,8 @@ class Block(NamedTuple):
     """Buffers of a block of detectors.
 
     Rows `w` of the moments, among them those of one `node` of each detector and its `points` of pupil and hole; `rays` of a
-    bundle, `values` of a lobe, one `tile` of a bundle; `sums` by lobe and `lanes` of a bundle's sums; the aperture's share that
-    the seven rays have `taken`, and `status`.
+    bundle, `values` of a lobe, one `tile` of a bundle; `sums` by lobe, of all blocks, and `lanes` of a bundle's sums; the
+    aperture's share that the seven rays have `taken`, and `status`.
     """
 
     w: Floats
@@ -200,16 +200,16 @@ def score_scenes(
     `directions` (detectors, 3) from starts[p] to starts[p + 1].
     """
     lobes, scene, (edges, chords, hole) = models.heads.shape[0], empty_scene(), empty_image()
+    most = 0
+    for p in range(poses.shape[0]):
+        most = max(most, starts[p + 1] - starts[p])
     w = np.empty(ROWS * BLOCK)
     block = Block(
         w, w[RAY : RAY + 7 * BLOCK].reshape(7, BLOCK), w[POINT : POINT + 4 * BLOCK].reshape(4, BLOCK), np.empty((7, 4 * TILE)),
         np.empty(4 * TILE), np.empty(TILE_ROWS * TILE),
-        np.empty((lobes, BLOCK)), np.empty((lobes + 1, TILE)), np.empty((CLIPPED, TERMS)),
+        np.empty((lobes, most + BLOCK)), np.empty((lobes + 1, TILE)), np.empty((CLIPPED, TERMS)),
         np.empty(BLOCK), np.empty(BLOCK, np.int64),
     )  # fmt: skip
-    most = 0
-    for p in range(poses.shape[0]):
-        most = max(most, starts[p + 1] - starts[p])
     centres, axes, lit = np.empty((most, 3)), np.empty((most, 3)), np.empty(most, np.int64)
     acting, mirrors = np.empty(lobes, np.int64), np.empty(spectra.weights.shape[1])
     skipped = False
@@ -247,22 +247,28 @@ def score_scenes(
             if general is not None and clipped and count > 0 and not optics.wide:
                 half, spot = optics.lengths[HALF_MIRROR], optics.lengths[HALF_SPOT]
                 fitted = CLIPPED if fill_clip(scene, half, spot, optics.clip_grid, optics.clip_fit, block.clip) else 0
-            for start in range(0, count, BLOCK):
-                size = min(BLOCK, count - start)
-                score_block(
-                    optics, models, scene, light, centres[start : start + size], axes[start : start + size],
-                    acting[:active], block, block.clip[:fitted], general,
-                )  # fmt: skip
-                for a in range(active):
-                    k = acting[a]
-                    for j in range(mirrors.size):
-                        factor, row = spectra.weights[k, j] * mirrors[j], result[first_rig + rig, spectra.owners[k], j]
-                        if count == total:
-                            for i in range(size):
-                                row[first + start + i] += factor * block.sums[k, i]
-                        else:
-                            for i in range(size):
-                                row[first + lit[start + i]] += factor * block.sums[k, i]
+            score_detectors(
+                optics,
+                models,
+                scene,
+                light,
+                centres[:count],
+                axes[:count],
+                acting[:active],
+                block,
+                block.clip[:fitted],
+                general,
+            )
+            for a in range(active):
+                k = acting[a]
+                for j in range(mirrors.size):
+                    factor, row = spectra.weights[k, j] * mirrors[j], result[first_rig + rig, spectra.owners[k], j]
+                    if count == total:
+                        for i in range(count):
+                            row[first + i] += factor * block.sums[k, i]
+                    else:
+                        for i in range(count):
+                            row[first + lit[i]] += factor * block.sums[k, i]
     return skipped
 
 
@@ -307,60 +313,70 @@ def mirror_products(spectra: Spectra, scene: SceneArrays, result: Floats) -> Non
 
 
 @kernel()
-def score_block(
+def score_detectors(
     optics: Optics, models: Models, scene: SceneArrays, light: SlitImage, centres: Floats, axes: Floats, acting: Ints,
     block: Block, clip: Floats, general: bool | None,
 ) -> None:  # fmt: skip
-    """Fill `block.sums` (lobes, BLOCK): throughputs by the lobes `acting` alone, mirrors without loss, of n detectors."""
-    count, kept, above, below = axes.shape[0], False, False, False
+    """Fill `block.sums` (lobes, at least n): throughputs by the lobes `acting` alone, mirrors without loss, of n detectors.
+
+    Block by block within one call: each array of the arguments is counted as a reference, which for a call of every block was a
+    tenth of all time.
+    """
     nodes = optics.nodes if light.everywhere else optics.cut_nodes
     if clip.shape[0] > 0 and nodes.cone.shape[0] > optics.clip_nodes.cone.shape[0]:
         nodes = optics.clip_nodes
-    for i in range(count):
-        above, below = above or axes[i, 2] >= 0.0, below or axes[i, 2] < 0.0
-    for i in range(count):
-        block.taken[i], block.status[i] = 0.0, PARTLY
-    for k in acting:
-        for i in range(whole_lanes(count)):
-            block.sums[k, i] = 0.0
-        if general is not None:
-            kept = kept or models.heads[k, KIND] in TABLE_KINDS
-    if not optics.bundles:
-        fill_offsets(optics, nodes, scene, light, centres, axes, block, clip, general)
-        uneven, lanes = general is not None and not light.slit.even, whole_lanes(count)
-        heads, params, w, node, values, sums = models.heads, models.params, block.w, block.node, block.values, block.sums
-        places, pupil = optics.places, scene.pupil
-        for j in range(places.shape[0]):
-            place_node(w, count, pupil, places[j, 0], places[j, 1], uneven)
-            if general is not None and uneven:
-                weigh_rays(light, block.points[:, :count], node[0, :count])
-            for k in acting:
-                kind, transmits = heads[k, KIND], heads[k, TRANSMITS] == 1
-                if not (below if transmits else above):
-                    continue
-                if kind == GAUSSIAN:
-                    intensity, ratio = params[k, 2] == 1.0, params[k, 4]
-                    gaussian_values(params[k, 0], params[k, 1], intensity, ratio, transmits, node, lanes, values)
-                    add_values(values, 0, lanes, sums, k)
-                elif kind == LAMBERTIAN:
-                    lambertian_values(params[k, 0], transmits, node, lanes, values)
-                    add_values(values, 0, lanes, sums, k)
-                elif general is not None and kind not in TABLE_KINDS:
-                    lobe_sums(models, k, node, 1, count, values, sums, k, general)
-            # Tables have kinks, which seven rays do not resolve: their mean is taken over a bundle, times what the seven rays
-            # take, as sample and etalon must have the same accepted rays.
-            if kept:
-                for i in range(count):
-                    block.taken[i] += node[0, i]
-    for i in range(count):
-        partly = block.status[i] == PARTLY
-        if partly or (kept and block.status[i] == FREE):
-            add_bundle(optics, nodes.bundle, models, scene, light, centres[i], axes[i], acting, partly, i, block, general)
-    for k in acting:
+    for start in range(0, axes.shape[0], BLOCK):
+        end = min(start + BLOCK, axes.shape[0])
+        count, kept, above, below = end - start, False, False, False
         for i in range(count):
-            block.sums[k, i] *= optics.scale
-        if general is not None and models.heads[k, KIND] == REGULAR:
-            fill_regular(optics, nodes.bundle, models, scene, light, centres, axes, k, block.sums[k, :count])
+            above, below = above or axes[start + i, 2] >= 0.0, below or axes[start + i, 2] < 0.0
+        for i in range(count):
+            block.taken[i], block.status[i] = 0.0, PARTLY
+        for k in acting:
+            for i in range(whole_lanes(count)):
+                block.sums[k, start + i] = 0.0
+            if general is not None:
+                kept = kept or models.heads[k, KIND] in TABLE_KINDS
+        if not optics.bundles:
+            fill_offsets(optics, nodes, scene, light, centres[start:end], axes[start:end], block, clip, general)
+            uneven, lanes = general is not None and not light.slit.even, whole_lanes(count)
+            heads, params, w, node, values, sums = models.heads, models.params, block.w, block.node, block.values, block.sums
+            places, pupil = optics.places, scene.pupil
+            for j in range(places.shape[0]):
+                place_node(w, count, pupil, places[j, 0], places[j, 1], uneven)
+                if general is not None and uneven:
+                    weigh_rays(light, block.points[:, :count], node[0, :count])
+                for k in acting:
+                    kind, transmits = heads[k, KIND], heads[k, TRANSMITS] == 1
+                    if not (below if transmits else above):
+                        continue
+                    if kind == GAUSSIAN:
+                        intensity, ratio = params[k, 2] == 1.0, params[k, 4]
+                        gaussian_values(params[k, 0], params[k, 1], intensity, ratio, transmits, node, lanes, values)
+                        add_values(values, 0, lanes, sums, k, start)
+                    elif kind == LAMBERTIAN:
+                        lambertian_values(params[k, 0], transmits, node, lanes, values)
+                        add_values(values, 0, lanes, sums, k, start)
+                    elif general is not None and kind not in TABLE_KINDS:
+                        lobe_sums(models, k, node, 1, count, values, sums, k, start, general)
+                # Tables have kinks, which seven rays do not resolve: their mean is taken over a bundle, times what the seven
+                # rays take, as sample and etalon must have the same accepted rays.
+                if kept:
+                    for i in range(count):
+                        block.taken[i] += node[0, i]
+        for i in range(count):
+            partly = block.status[i] == PARTLY
+            if partly or (kept and block.status[i] == FREE):
+                add_bundle(
+                    optics, nodes.bundle, models, scene, light, centres[start + i], axes[start + i], acting, partly, i,
+                    start + i, block, general,
+                )  # fmt: skip
+        for k in acting:
+            for i in range(count):
+                block.sums[k, start + i] *= optics.scale
+            if general is not None and models.heads[k, KIND] == REGULAR:
+                regular = block.sums[k, start:end]
+                fill_regular(optics, nodes.bundle, models, scene, light, centres[start:end], axes[start:end], k, regular)
 
 
 @kernel()
@@ -401,9 +417,9 @@ def fill_offsets(
 @kernel()
 def add_bundle(
     optics: Optics, bundle: Floats, models: Models, scene: SceneArrays, light: SlitImage, centre: Floats, d: Floats,
-    acting: Ints, partly: bool, i: int, block: Block, general: bool | None,
+    acting: Ints, partly: bool, i: int, column_of_sums: int, block: Block, general: bool | None,
 ) -> None:  # fmt: skip
-    """Fill the sums of detector i of the block from a whole bundle; unless `partly` those of tables alone."""
+    """Fill a column of the sums, of detector i of the block, from a whole bundle; unless `partly` those of tables alone."""
     lengths, sizes, lanes, t, rays = optics.lengths, optics.sizes, block.lanes, block.tile, block.rays
     first_v, last_v = light.chords[ALONG_U, -1, 0], light.chords[ALONG_U, -1, 1]
     edges = light.edges[: 0 if light.everywhere else light.edges.shape[0]]
@@ -430,7 +446,7 @@ def add_bundle(
         for k in acting:
             on_its_side = (d[2] < 0.0) == (models.heads[k, TRANSMITS] == 1)
             if on_its_side and (partly or models.heads[k, KIND] in TABLE_KINDS):
-                lobe_sums(models, k, rays, 4, count, block.values, lanes, k, general)
+                lobe_sums(models, k, rays, 4, count, block.values, lanes, k, 0, general)
         if not partly:
             for j in range(4):
                 for lane in range(count):
@@ -441,9 +457,9 @@ def add_bundle(
     given = lanes[whole, 0]
     for k in acting:
         if partly:
-            block.sums[k, i] = lanes[k, 0]
+            block.sums[k, column_of_sums] = lanes[k, 0]
         elif models.heads[k, KIND] in TABLE_KINDS:
-            block.sums[k, i] = block.taken[i] / given * lanes[k, 0] if given > 0.0 else 0.0
+            block.sums[k, column_of_sums] = block.taken[i] / given * lanes[k, 0] if given > 0.0 else 0.0
 
 
 @kernel()

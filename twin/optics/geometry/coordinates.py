@@ -189,7 +189,9 @@ def to_specular(sigma_deg: npt.ArrayLike, directions: npt.ArrayLike) -> tuple[Fl
 
 def from_specular(sigma_deg: npt.ArrayLike, theta_deg: npt.ArrayLike, phi_deg: npt.ArrayLike) -> Floats:
     """Unit vectors (..., 3) of specular coordinates, arguments broadcast: the inverse of `to_specular`."""
-    sigma, theta, phi = np.broadcast_arrays(np.radians(sigma_deg), np.radians(theta_deg), np.radians(phi_deg))
-    inward, y, along = np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)
-    cos, sin = np.cos(sigma), np.sin(sigma)
-    return np.stack([cos * inward - sin * along, y, sin * inward + cos * along], axis=-1)
+    sigma, theta, phi = np.radians(sigma_deg), np.radians(theta_deg), np.radians(phi_deg)
+    sine, along, cos, sin = np.sin(theta), np.cos(theta), np.cos(sigma), np.sin(sigma)  # of each angle once, see above
+    inward = sine * np.cos(phi)
+    return np.stack(
+        np.broadcast_arrays(cos * inward - sin * along, sine * np.sin(phi), sin * inward + cos * along), axis=-1
+    )  # fmt: skip
