@@ -11,6 +11,7 @@ Hypothesis takes its number of examples from a profile: few in `make test`, many
 import contextlib
 import gc
 import json
+import logging
 import os
 import signal
 import sys
@@ -30,6 +31,7 @@ from tests.sizes import few_check_rays
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 RIG, SCHEDULE = examples.RIG, examples.SCHEDULE
+LOG = logging.getLogger("goniotwin.compilation")
 BARE_NAMES = {"app", "drivers", "examples", "mocks", "protocols", "twin"}
 
 Change = tuple[str, str]
@@ -52,6 +54,12 @@ dark_readings = 4
 hypothesis.settings.register_profile("quick", max_examples=20, deadline=None)
 hypothesis.settings.register_profile("long", max_examples=200, deadline=None)
 hypothesis.settings.load_profile("quick")  # `pytest --hypothesis-profile=long` takes the other
+
+
+@pytest.fixture(scope="session", autouse=True)
+def silent_compiler() -> None:
+    """A command within a test states nothing where a worker of the tests is the first to compile some kernel."""
+    LOG.disabled = True
 
 
 def pytest_configure() -> None:

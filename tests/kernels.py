@@ -54,7 +54,8 @@ def rig() -> None:
     model = read_rig(RIG).model()
     assert model is not None
     VirtualRig.build(model, RealClock())
-    compilation.PARTS["rig"].call()
+    for name in ("rig", "shadows", "uncertainties", "sequences"):
+        compilation.PARTS[name].call()
 
 
 def plan() -> None:

@@ -156,7 +156,7 @@ PARTS = {
     "scenes": Part(
         "light on the detectors",
         _scenes,
-        (f"{OPTICS}.geometry.deviation.rotations", f"{OPTICS}.fast.scenes.score_scenes none"),
+        (f"{OPTICS}.fast.scenes.score_scenes none",),
         9.0,
     ),
     "rig": Part(
@@ -214,6 +214,7 @@ PARTS = {
             f"{OPTICS}.illumination.adjoint._trace",
             f"{OPTICS}.illumination.field_flux._fill_fluxes",
             f"{OPTICS}.illumination.rayset._record",
+            f"{OPTICS}.geometry.deviation.rotations",
             *(f"{OPTICS}.illumination.slit_image.{each}" for each in ("empty_image", "place_slit", "_lit_polygon")),
             *(f"{OPTICS}.geometry.mirrors.{each}" for each in ("place_unit", "reflect_rows")),
         ),

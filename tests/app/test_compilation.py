@@ -136,9 +136,10 @@ def test_a_rehearsal_compiles_what_it_needs_alone(monkeypatch: pytest.MonkeyPatc
 @pytest.fixture
 def notes() -> Iterator[None]:
     """The logger as it was before, at the end."""
-    before = LOG.handlers[:], LOG.level, LOG.propagate
+    before = LOG.handlers[:], LOG.level, LOG.propagate, LOG.disabled
+    LOG.disabled = False
     yield
-    LOG.handlers[:], LOG.propagate = before[0], before[2]
+    LOG.handlers[:], LOG.propagate, LOG.disabled = before[0], before[2], before[3]
     LOG.setLevel(before[1])
 
 

@@ -3,8 +3,9 @@
 numba optimises a function by itself, makes machine code of it and an entrance from Python, although only other kernels call it;
 then each of these has it once more. Here a kernel that another one calls is a *part*: its code is written down and linked into
 the entry point, which alone is optimised and made machine code of. That is less than half of the work; what is executed is the
-same. numba also looks up what `a * b` of two floats is anew for each product, through all that may be multiplied (lists,
-strings, sets), and colours the text of an error for each that does not fit: the signatures are kept, and the text stays plain.
+same. So are numba's own functions that a kernel calls. numba also looks up what `a * b` of two floats is anew for each product,
+through all that may be multiplied (lists, strings, sets), and colours the text of an error for each that does not fit: the
+signatures are kept, and the text stays plain.
 
 Nothing here changes what a kernel computes. With any numba but the one that this was written for (`KNOWN`) kernels are compiled
 the usual way.
@@ -12,17 +13,19 @@ the usual way.
 
 import gc
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
 import numba
 from numba import types
-from numba.core import errors
+from numba.core import compiler_machinery, dispatcher, errors, ir, typeinfer
 from numba.core.codegen import JITCodeLibrary
 from numba.core.registry import cpu_target
 from numba.core.targetconfig import ConfigStack
+from numba.core.types import functions
 from numba.core.types.functions import BaseFunction
+from numba.core.typing import typeof
 
 KNOWN = "0.68."
 """The numba whose inner parts this module knows."""
@@ -47,6 +50,8 @@ class _Depth(threading.local):
 
 _DEPTH = _Depth()
 _ERRORS: Any = errors
+_COLOURED: tuple[Any, ...] = (compiler_machinery, functions, ir, typeinfer, typeof)
+"""Modules with texts of errors that are made, and colours for them, although no error is raised."""
 
 
 class _PartLibrary(JITCodeLibrary):  # type: ignore[misc]
@@ -111,11 +116,16 @@ def compiling_kernel() -> Iterator[None]:
     enabled = gc.isenabled()
     _DEPTH.kernels += 1
     colours, _ERRORS._termcolor_inst = _ERRORS._termcolor_inst, _Plain()
+    coloured = [(module, module._termcolor) for module in _COLOURED if hasattr(module, "_termcolor")]
+    for module, _ in coloured:
+        module._termcolor = _Plain()
     gc.disable()
     try:
         yield
     finally:
         _ERRORS._termcolor_inst = colours
+        for module, before in coloured:
+            module._termcolor = before
         _DEPTH.kernels -= 1
         if enabled:
             gc.enable()
@@ -143,5 +153,54 @@ def _keep_resolved() -> None:
     functions.get_call_type = get_call_type
 
 
+def _link_numbas_own() -> None:
+    """Have numba's own functions, which a kernel calls, be parts too."""
+    kernels: Any = dispatcher._DispatcherBase
+    usual: Callable[..., Any] = kernels.get_call_template
+
+    def get_call_template(self: Any, args: Any, kws: Any) -> Any:
+        if not _DEPTH.kernels:
+            return usual(self, args, kws)
+        with compiling_part():
+            return usual(self, args, kws)
+
+    kernels.get_call_template = get_call_template
+
+
+NOTHING, VARIABLE, INSTRUCTION, SEQUENCE, TABLE = range(5)
+
+
+def _list_variables_at_once() -> None:
+    """Have numba list the variables of its instructions with a look at each value's type: it asks a million times."""
+    kinds: dict[type, int] = {}
+
+    def kind_of(value: object) -> int:
+        order = ((ir.Var, VARIABLE), (ir.Inst, INSTRUCTION), ((list, tuple), SEQUENCE), (dict, TABLE))
+        kind = kinds[type(value)] = next((kind for classes, kind in order if isinstance(value, classes)), NOTHING)
+        return kind
+
+    def collect(values: Iterable[Any], found: list[Any]) -> list[Any]:
+        for value in values:
+            kind = kinds.get(type(value))
+            if kind is None:
+                kind = kind_of(value)
+            if kind == NOTHING:
+                continue
+            if kind == VARIABLE:
+                found.append(value)
+            elif kind == INSTRUCTION:
+                found.extend(value.list_vars())
+            else:
+                collect(value if kind == SEQUENCE else value.values(), found)
+        return found
+
+    instructions: tuple[Any, Any, Any] = ir.Inst, ir.Stmt, ir.Expr
+    instructions[0]._rec_list_vars = lambda _, value: collect((value,), [])
+    instructions[1].list_vars = lambda self: collect(self.__dict__.values(), [])
+    instructions[2].list_vars = lambda self: collect(self._kws.values(), [])
+
+
 if LEAN:
     _keep_resolved()
+    _link_numbas_own()
+    _list_variables_at_once()

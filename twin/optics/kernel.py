@@ -48,7 +48,6 @@ def _dispatcher(
 
     Within `make_called` there are the kernels that the function calls. Code from the cache does not need them.
     """
-    _load_numba()
     from numba import njit
     from numba.core import config
 
@@ -66,13 +65,14 @@ def _dispatcher(
         _compile_within(each, make_called)
     if cached:
         dispatcher._cache._cache_file._source_stamp = source_stamp(Path(function.__code__.co_filename).parent)
+        _load_alone(dispatcher._cache)
     _discard_unreadable(dispatcher._cache)
     return dispatcher
 
 
 @cache
-def _load_numba() -> None:
-    """Load numba without scipy's linear algebra, which no kernel calls and which is a third of the time.
+def _load_compiler() -> None:
+    """Load numba's compiler without scipy's linear algebra, which no kernel calls and which is a third of the time.
 
     numba loads it only to know whether it is there. A function that needs it loads it when it is compiled, as ever.
     """
@@ -96,11 +96,12 @@ def _find_scipy() -> None:
 
 
 def _compile_within(dispatcher: Any, context: Callable[[], contextlib.AbstractContextManager[None]]) -> None:
-    """Compile the function within `context`; its code in the cache is loaded without it."""
+    """Compile the function within `context`; its code in the cache is loaded without it, and without the compiler."""
     compiler: Any = dispatcher._compiler
     compile_function: Any = compiler.compile
 
     def compile_in_context(*arguments: Any) -> Any:
+        _load_compiler()
         with context():
             return compile_function(*arguments)
 
@@ -153,6 +154,28 @@ def source_stamp(folder: Path) -> str:
     sources = {*folder.glob("*.py"), *Path(__file__).parent.rglob("*.py")}
     about = sorted((each.parent.name, each.name, each.stat().st_mtime_ns, each.stat().st_size) for each in sources)
     return hashlib.sha256(repr(about).encode()).hexdigest()
+
+
+def _load_alone(cache: Any) -> None:
+    """Load compiled code without what only the compiler needs: numba's own functions, a tenth of a second.
+
+    numba loads them with the first kernel. The compiler does so itself.
+    """
+    from numba.core.runtime import rtsys
+
+    from goniotwin.twin.optics.compilation import LEAN
+
+    guarded, load = (getattr(cache, name, None) for name in ("_guard_against_spurious_io_errors", "_load_overload"))
+    if not LEAN or guarded is None or load is None:
+        return
+
+    def load_overload(signature: Any, context: Any) -> Any:
+        rtsys.initialize(context)  # memory of arrays, which the code links to
+        with guarded():
+            return load(signature, context)
+        return None
+
+    cache.load_overload = load_overload
 
 
 def _discard_unreadable(cache: Any) -> None:
@@ -211,7 +234,6 @@ def is_compiled(function: Callable[..., Any], last: str = "") -> bool:
 def _is_kept(dispatcher: Any, signature: Any) -> bool:
     """Whether the files have code of a kernel for a signature."""
     with contextlib.suppress(Exception):  # as in `_discard_unreadable`
-        dispatcher.targetctx.refresh()
         key = dispatcher._cache._index_key(signature, dispatcher.targetctx.codegen())
         return key in dispatcher._cache._cache_file._load_index()
     return False

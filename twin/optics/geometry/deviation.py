@@ -8,6 +8,7 @@ import numpy as np
 
 from goniotwin.arrays import Floats
 from goniotwin.keys import check_bounds
+from goniotwin.twin.optics.deferred_kernel import interpreted
 from goniotwin.twin.optics.kernel import kernel
 
 
@@ -37,7 +38,8 @@ NO_DEVIATION = Deviation()
 def rotation_and_shift(deviation: Deviation) -> tuple[Floats, Floats]:
     """Rotation matrix R (3, 3) and shift (3,) in mm: a point p of an element about c moves to c + R (p - c) + shift."""
     row = np.array(astuple(deviation))
-    return rotations(row[None])[0], row[3:]
+    with interpreted():  # once for an instrument: the kernel takes longer to load
+        return rotations(row[None])[0], row[3:]
 
 
 @kernel()
