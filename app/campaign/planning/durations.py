@@ -7,7 +7,7 @@ million rows can be compared; `Timing` takes rows one after the other.
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -89,8 +89,7 @@ def shortest_warm_up_s(longest_s: float) -> float:
     return (readings - 1) * WARM_UP_PERIOD_S + MONITOR_MEAN_S
 
 
-@dataclass(frozen=True)
-class RigState:
+class RigState(NamedTuple):
     """State in which a row leaves the rig: point (5,), shutter, gain of the amplifiers; NaN and None where unknown."""
 
     point: Floats

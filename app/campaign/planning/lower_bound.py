@@ -16,7 +16,7 @@ import numpy as np
 from goniotwin.app.campaign.planning.durations import TINY, UNKNOWN_STATE, Moves, Timing, shortest_warm_up_s
 from goniotwin.app.campaign.planning.mountings import Pass
 from goniotwin.app.campaign.planning.scan_grid import WAVELENGTH, ScanGrid
-from goniotwin.app.campaign.planning.timeline import RowTemplates
+from goniotwin.app.campaign.planning.timeline import DarkReading, RowTemplates
 from goniotwin.app.campaign.planning.validation import min_rows
 from goniotwin.app.rig import RigFile
 from goniotwin.arrays import Floats, Ints
@@ -97,7 +97,7 @@ def _mounting_seconds(templates: RowTemplates, passes: list[Pass], moving: dict[
     if _longest_row_seconds(templates, passes, timing) <= file.dark_every_s:
         intervals = max(intervals, math.ceil(measuring / file.dark_every_s - TINY))
     shutter = sum(timing.shutter_s(UNKNOWN_STATE, opened=opened) for opened in (True, False))
-    dark = templates.dark("", 0)
+    dark = templates.dark(DarkReading("", 0, 0.0))
     return measuring + (intervals + 1) * timing.similar_reading_s(dark) + intervals * shutter
 
 

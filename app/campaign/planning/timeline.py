@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import repeat
-from typing import overload
+from typing import NamedTuple, overload
 
 import numpy as np
 
@@ -21,8 +21,7 @@ from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.drivers import ArcClearance
 
 
-@dataclass(frozen=True)
-class MeasurementBlock:
+class MeasurementBlock(NamedTuple):
     """Consecutive measurements: points of a pass, given by number, in order, with their seconds."""
 
     scan_pass: Pass
@@ -33,6 +32,20 @@ class MeasurementBlock:
     def total_s(self) -> float:
         """Seconds of all of them."""
         return float(self.seconds.sum() if len(self.seconds) > 1 else self.seconds[0])
+
+
+class DarkReading(NamedTuple):
+    """A dark reading of a mounting, with its `number` among those of the plan and its seconds."""
+
+    sample: str
+    number: int
+    seconds: float
+
+
+Piece = Row | MeasurementBlock | DarkReading
+"""A part of a plan. Rows are built of it when they are read: every second row may be a dark reading."""
+TimeOfDark = tuple[float, int | None]
+"""Seconds of a dark reading, and the gain after it."""
 
 
 @dataclass(frozen=True)
@@ -50,10 +63,10 @@ class RowTemplates:
             None if averaging is None else averaging.relative_uncertainty, 0.0 if averaging is None else averaging.longest_s,
         )  # fmt: skip
 
-    def dark(self, sample: str, number: int, seconds: float = 0.0) -> Row:
-        """A dark reading; always at every gain, because any of them may be needed."""
-        identity = f"{sample}/dark {number}"
-        return Row(0, identity, "dark", sample, seconds, gains=self.gains, readings=self.file.dark_readings)
+    def dark(self, reading: DarkReading, number: int = 0) -> Row:
+        """A dark reading as row `number`; always at every gain, because any of them may be needed."""
+        sample, identity = reading.sample, f"{reading.sample}/dark {reading.number}"
+        return Row(number, identity, "dark", sample, reading.seconds, gains=self.gains, readings=self.file.dark_readings)
 
 
 @dataclass
@@ -67,10 +80,10 @@ class PlanTimeline:
     templates: RowTemplates
     timing: Timing
     clearance: ArcClearance
-    pieces: list[Row | MeasurementBlock] = field(default_factory=list)
+    pieces: list[Piece] = field(default_factory=list)
     oldest_dark_s: float = 0.0
     state: RigState = UNKNOWN_STATE
-    _dark_row: Row | None = None
+    _times_of_darks: dict[tuple[bool | None, int | None], TimeOfDark] = field(default_factory=dict)
     _dark_count: int = 0
     _drift_count: int = 0
     _since_dark: float = 0.0
@@ -109,19 +122,26 @@ class PlanTimeline:
         similar = timing.similar_reading_s(row)
         moving = timing.moves.seconds(np.concatenate([self.state.point[None], points[:-1]]), points)
         of_rows = moving + (similar + timing.read_back_s)
+        timed = of_rows.copy()
         # As lists: there may be as many blocks as rows, and a list is read in a tenth of the time of an array's element.
         seconds, ends = of_rows.tolist(), np.cumsum(of_rows).tolist()
         check_possible = self._check_possible(scan_pass.sample, points)
         check_places = [-1, *(np.flatnonzero(check_possible[1:]) + 1).tolist(), len(points)]
+        # There are as many dark readings as rows at most, and the same few states before them.
+        extra_s: dict[tuple[bool | None, int | None], float] = {}
+        dark_every_s, drift_every_s = self.file.dark_every_s, self._drift_every_s(scan_pass.sample)
         begin, moved_away, check_due = 0, False, False
         while begin < len(points):
             # What came before has closed the shutter, moved the axes away, or left another gain.
-            extra = timing.shutter_s(self.state, opened=True) + timing.reading_s(row, self.state.gain) - similar
+            _, shutter_open, gain = self.state
+            if (shutter_open, gain) not in extra_s:
+                reading_s = timing.reading_s(row, gain)
+                extra_s[shutter_open, gain] = timing.shutter_s(self.state, opened=True) + reading_s - similar
+            extra = extra_s[shutter_open, gain]
             if moved_away:
                 back = timing.moves.seconds(self.state.point[None], points[begin : begin + 1])
                 extra += float(back[0] - moving[begin])
-            until_dark = self.file.dark_every_s - self._since_dark
-            until_drift = self._until_drift(scan_pass.sample)
+            until_dark, until_drift = dark_every_s - self._since_dark, drift_every_s - self._since_drift
             next_s = seconds[begin] + extra
             # A row that takes longer than one of the intervals is measured directly after the dark reading or drift check.
             overdue = next_s > until_drift and self._measured_since_drift
@@ -138,11 +158,10 @@ class PlanTimeline:
             check = check_places[sooner] if check_places[sooner] > begin else check_places[sooner + 1]
             end = max(begin + 1, min(dark, check))
             check_due = end == check < len(points)
-            self.state = RigState(points[end - 1], True, timing.gain_after(row, self.state.gain, end - begin))
-            block_seconds = of_rows[begin:end].copy()
-            block_seconds[0] += extra
-            block = MeasurementBlock(scan_pass, sequence[begin:end], block_seconds)
-            self._advance(block.total_s)
+            self.state = RigState(points[end - 1], True, timing.gain_after(row, gain, end - begin))
+            timed[begin] = next_s
+            block = MeasurementBlock(scan_pass, sequence[begin:end], timed[begin:end])
+            self._advance(next_s if end == begin + 1 else block.total_s)
             self.pieces.append(block)
             self._measured_since_drift = self._lit_since_dark = True
             begin, moved_away = end, False
@@ -157,16 +176,19 @@ class PlanTimeline:
         possible[1:] &= ~crosses_beam_between(self.clearance, points[:-1], checks[1:])
         return possible
 
-    def _until_drift(self, sample: str) -> float:
-        return float("inf") if self.file.drift is None or sample == NO_SAMPLE else self.file.drift.every_s - self._since_drift
+    def _drift_every_s(self, sample: str) -> float:
+        return float("inf") if self.file.drift is None or sample == NO_SAMPLE else self.file.drift.every_s
 
     def _dark(self, sample: str) -> None:
         self._dark_count += 1
-        if self._dark_row is None:
-            self._dark_row = self.templates.dark(sample, 0)
-        seconds, self.state = self.timing.row(self.state, self._dark_row)  # of any dark reading
+        point, shutter_open, gain = self.state
+        if (shutter_open, gain) not in self._times_of_darks:  # which are those of any dark reading
+            seconds, after = self.timing.row(self.state, self.templates.dark(DarkReading(sample, 0, 0.0)))
+            self._times_of_darks[shutter_open, gain] = seconds, after.gain
+        seconds, gain = self._times_of_darks[shutter_open, gain]
+        self.state = RigState(point, False, gain)
         self._since_drift += seconds
-        self.pieces.append(self.templates.dark(sample, self._dark_count, seconds))
+        self.pieces.append(DarkReading(sample, self._dark_count, seconds))
         self._advance(0.0)
         self._since_dark = 0.0
         self._lit_since_dark = False
@@ -203,14 +225,14 @@ class PlanTimeline:
 
 def _joined(blocks: list[MeasurementBlock]) -> MeasurementBlock:
     """Blocks of one pass as one."""
-    points, seconds = (np.concatenate([getattr(each, name) for each in blocks]) for name in ("points", "seconds"))
+    points, seconds = np.concatenate([each.points for each in blocks]), np.concatenate([each.seconds for each in blocks])
     return MeasurementBlock(blocks[0].scan_pass, points, seconds)
 
 
 class PlannedRows(Sequence[Row]):
     """Rows of a plan, like a tuple. They are built at the first access, so that a million can be counted and timed quickly."""
 
-    def __init__(self, pieces: list[Row | MeasurementBlock], templates: RowTemplates) -> None:
+    def __init__(self, pieces: list[Piece], templates: RowTemplates) -> None:
         self._pieces = pieces
         self._templates = templates
 
@@ -219,7 +241,10 @@ class PlannedRows(Sequence[Row]):
         """Number of rows of each kind."""
         counts: dict[str, int] = {}
         for piece in self._pieces:
-            kind, rows = ("measure", len(piece.points)) if isinstance(piece, MeasurementBlock) else (piece.kind, 1)
+            if isinstance(piece, MeasurementBlock):
+                kind, rows = "measure", len(piece.points)
+            else:
+                kind, rows = "dark" if isinstance(piece, DarkReading) else piece.kind, 1
             counts[kind] = counts.get(kind, 0) + rows
         return counts
 
@@ -239,14 +264,16 @@ class PlannedRows(Sequence[Row]):
                     found.append(_joined(blocks))
                     blocks = []
                 blocks.append(piece)
+            elif isinstance(piece, DarkReading):
+                continue
             elif piece.pose is not None or piece.wavelength_nm is not None:
                 found += [_joined(blocks), piece] if blocks else [piece]
                 blocks = []
         return [*found, _joined(blocks)] if blocks else found
 
     @property
-    def pieces(self) -> list[Row | MeasurementBlock]:
-        """Single rows (their number still 0) and blocks of measurements."""
+    def pieces(self) -> list[Piece]:
+        """Single rows (their number still 0), dark readings, and blocks of measurements."""
         return self._pieces
 
     def __len__(self) -> int:
@@ -271,6 +298,8 @@ class PlannedRows(Sequence[Row]):
         for piece in self._pieces:
             if isinstance(piece, MeasurementBlock):
                 rows += self._block_rows(piece, len(rows))
+            elif isinstance(piece, DarkReading):
+                rows.append(self._templates.dark(piece, len(rows)))
             else:
                 rows.append(replace(piece, number=len(rows)))
         return tuple(rows)

@@ -18,6 +18,7 @@ from goniotwin.app.campaign.planning.plan import NewPlan
 from goniotwin.app.campaign.planning.poses import overlapping_step_deg
 from goniotwin.app.campaign.planning.timeline import MeasurementBlock, PlannedRows
 from goniotwin.app.campaign.planning.validation import certified_directions
+from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.schedule.certificate import parse_certificate
 from goniotwin.app.campaign.schedule.file import DriftTable, ScheduleDescription
 from goniotwin.app.campaign.schedule.grids import grid_values
@@ -257,6 +258,6 @@ def _rows_by_sample(rows: PlannedRows) -> Counter[str]:
     for piece in rows.pieces:
         if isinstance(piece, MeasurementBlock):
             counts[piece.scan_pass.sample] += len(piece.points)
-        elif piece.kind == "drift":
+        elif isinstance(piece, Row) and piece.kind == "drift":
             counts[piece.sample] += 1
     return counts
