@@ -4,10 +4,11 @@
 
 `rows_4` and `rows_36`: a journal of about so many rows, written without a rig, of two sigmas, five betas, ten shifts and many
 wavelengths, with 4 photodiodes, where the work for each row counts, or 36, where that for each value does. It is reduced to
-files and exported as CSV, the budget of each value included. `million`: the same with 4 photodiodes and ten times as many rows;
-only where it is named, for its journal alone takes minutes. `report`: the report of a journal of 36 photodiodes. `one_wavelength`:
-such a journal of 4 photodiodes with a pose for each row, a tenth as long. `check`: the plan and the check of 108,900 rows with a dark reading every second. `csv` and `astm`:
-a million values written and read, as `python -m benchmarks.formats` does.
+files and exported as CSV, the budget of each value included. `million`: the same with 4 photodiodes and ten times the rows;
+only where it is named, for its journal alone takes minutes. `one_wavelength`: such a journal of 4 photodiodes with a pose for
+each row, a tenth as long. `report`: the report of the journal of 36 photodiodes. `check`: the plan and the check of 108,900
+rows with a dark reading every second. `csv` and `astm`: a million values written and read, as `python -m benchmarks.formats`
+does.
 
 Each run has a process of its own. A figure is the least of some rounds: processor time (`_s`) and time that passed (`_wall_s`);
 of the memory, `peak_mb`, it is the largest. `load` is the machine's load before and after. `--against` is the folder of another

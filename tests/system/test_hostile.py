@@ -27,6 +27,8 @@ import pytest
 import usb.core
 
 from goniotwin.app.campaign.campaign import run_campaign
+from goniotwin.app.campaign.journal import chain as journal_chain
+from goniotwin.app.campaign.journal import reading
 from goniotwin.app.campaign.journal.reading import DamagedJournal
 from goniotwin.app.campaign.journal.summary import campaign_summary
 from goniotwin.app.campaign.journal.writing import CHECKPOINT_ROWS, Journal, copy_journal
@@ -848,6 +850,9 @@ def test_the_memory_of_an_export_grows_by_less_than_a_kilobyte_per_row_and_each_
     monkeypatch.setattr(reduction, "BLOCK_ROWS", 16)
     monkeypatch.setattr(readings, "EVIDENCE_ROWS", 16)
     monkeypatch.setattr(readings, "ROWS_AT_ONCE", 16)
+    monkeypatch.setattr(journal_chain, "CHECKED_TOGETHER", 16)
+    monkeypatch.setattr(reading, "RECORDED_TOGETHER", 16)
+    monkeypatch.setattr(reading, "INDEXED_TOGETHER", 16)
     monkeypatch.setattr(exporting, "PART_POINTS", 64)
     reduced = 0
 

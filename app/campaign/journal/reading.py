@@ -79,7 +79,7 @@ ASKED_AT_ONCE, RECORDED_TOGETHER = 256, 1024
 """Rows that are asked for in one statement, and readings that are made into columns together."""
 NO_ROW = -1
 PLAN_FIRST = "CROSS JOIN"
-"""A join in which SQLite begins with the plan: rows of other kinds are left out before their attempts are looked for."""
+"""A join in which SQLite begins with the plan: it looks for no attempts of rows of other kinds."""
 NUMBER_AND_START = np.dtype([("number", np.int64), ("started_s", np.float64)])
 INDEXED_TOGETHER = 1024
 """Rows that are made into entries of the index together."""
