@@ -145,10 +145,15 @@ class Closure:
         return (self.ratio - 1.0) / max(self.u, SMALLEST_U)
 
     @property
+    def chance(self) -> float:
+        """How often the ratio is as far from 1 on rigs whose scales agree."""
+        own = math.fsum(each.u**2 for each in self.components if not each.name.startswith(SLIT_IMAGE))
+        return self.light.chance(self.ratio - 1.0, own)
+
+    @property
     def apart(self) -> bool:
         """Whether the two routes certainly do not agree, and the light's place hardly explains it."""
-        own = math.fsum(each.u**2 for each in self.components if not each.name.startswith(SLIT_IMAGE))
-        return abs(self.z) > DIFFERS and self.light.chance(self.ratio - 1.0, own) < BY_CHANCE
+        return abs(self.z) > DIFFERS and self.chance < BY_CHANCE
 
     @property
     def word(self) -> str:
@@ -214,7 +219,9 @@ class JointClosure:
 
     def as_dict(self) -> dict[str, Any]:
         """The result for JSON."""
-        return {"sigmas_deg": list(self.sigmas_deg), "ratio": self.ratio, "u": self.u, "z": self.z}
+        return {
+            "sigmas_deg": list(self.sigmas_deg), "ratio": self.ratio, "u": self.u, "z": self.z, "chance": self.chance,
+        }  # fmt: skip
 
     def __str__(self) -> str:
         sigmas = ", ".join(f"{each:g}" for each in self.sigmas_deg)
@@ -319,6 +326,7 @@ class ClosureReport:
                     "u": each.u,
                     "u_absolute": each.u_absolute,
                     "z": each.z,
+                    "chance": each.chance,
                     "verdict": each.verdict,
                     "components": {part.name: part.u for part in each.components},
                 }

@@ -5,8 +5,8 @@ the directions that it measures, with light and noise as in some rows that the t
 gamma, beta and shift, as the schedule's grids have them. Levels are exchanged for others, added and removed, as long as the
 plan of the rig takes no longer, for the smallest determinant of the covariance of the predictions: of the specular direction
 against the arc, on both sides, at incidences and azimuths of their own (D-optimality). While designs are compared, each row has
-positions of its own for all axes; what is stated of the design, and of the schedule that it began with, is by the whole
-estimator and the rows of their plans.
+positions of its own for all axes, but for those that have one level and are not moved; what is stated of the design, and of the
+schedule that it began with, is by the whole estimator and the rows of their plans.
 """
 
 import math
@@ -37,7 +37,7 @@ from goniotwin.app.campaign.schedule.file import ScheduleDescription, parse_sche
 from goniotwin.app.campaign.schedule.grids import grid_values
 from goniotwin.app.campaign.uncertainty.alignment import Alignment
 from goniotwin.app.campaign.uncertainty.effects import Effects, group_variance
-from goniotwin.app.campaign.uncertainty.pose import Views, mounting_inputs, pose_effects, rig_inputs
+from goniotwin.app.campaign.uncertainty.pose import POSITIONS, Views, mounting_inputs, pose_effects, rig_inputs
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription, nominal_instrument
 from goniotwin.app.rig.alignment import Combination
@@ -431,6 +431,9 @@ class _Search:
         for key, values in levels.items():
             chosen &= np.isin(np.round(self._levels[key], 6), values)
         some = self._white[np.append(np.flatnonzero(chosen), np.arange(chosen.size, len(self._white)))]
+        # An axis with one level is not moved: its position is the same in all rows.
+        moved = np.array([len(levels[f"{axis}_deg"]) > 1 for axis in POSITIONS])
+        some = some[:, np.append(np.ones(some.shape[1] - moved.size, dtype=bool), ~moved)]
         covariance = np.asarray(np.linalg.inv(np.eye(some.shape[1]) + some.T @ some), dtype=np.float64)
         return self._logarithm(covariance[: self._modes, : self._modes])
 
@@ -513,8 +516,10 @@ class _Search:
 def _decorrelated(effects: Effects, rows: Ints) -> Floats:
     """Sensitivities (n, inputs) to what rows share, in units of the inputs' u, over the square root of each row's covariance.
 
-    What a row alone has in common is in that covariance: its light and the positions of the axes. The dense inputs come first.
+    What a row alone has in common is in that covariance: its light and the positions of the axes. The dense inputs come first,
+    and a position of each of POSITIONS that all rows have in common last.
     """
+    still = np.zeros((effects.value.size, len(POSITIONS)))
     count = effects.value.size
     variance = np.sum(list(effects.independent.values()), axis=0)
     columns = [part.sensitivity * [each.u for each in part.inputs] for part in effects.dense]
@@ -524,6 +529,9 @@ def _decorrelated(effects: Effects, rows: Ints) -> Floats:
         effect = group.sensitivity * u
         if group.name in (OWN_POSITIONS, OF_ROW):
             of_row.append(effect)
+            for axis in range(len(POSITIONS) if group.name == OWN_POSITIONS else 0):
+                of_axis = (group.member >= 0) & (group.member % len(POSITIONS) == axis)
+                still[:, axis] += np.sum(np.where(of_axis, effect, 0.0), axis=1)
         elif group.name == OF_PHOTODIODE:
             numbers = sorted({int(k) for k in group.member.ravel()} - {-1})
             own = np.zeros((count, len(numbers)))
@@ -532,7 +540,7 @@ def _decorrelated(effects: Effects, rows: Ints) -> Floats:
             columns.append(own)
         else:
             variance = variance + group_variance(group)
-    shared, common = np.concatenate(columns, axis=1), np.concatenate(of_row, axis=1)
+    shared, common = np.concatenate([*columns, still], axis=1), np.concatenate(of_row, axis=1)
     white = shared / np.sqrt(variance)[:, None]
     for here in np.split(np.arange(rows.size), np.flatnonzero(np.diff(rows)) + 1):
         covariance = np.diag(variance[here]) + common[here] @ common[here].T

@@ -64,6 +64,17 @@ def test_a_search_ends_with_what_it_has_after_so_many_planned_rows(monkeypatch: 
 
 
 @pytest.mark.long
+def test_a_shorter_design_knows_no_combination_less_well_than_the_schedule_at_equal_time() -> None:
+    """45 min in place of 65. With the shift at one place, its position would be taken for a turn of the arc."""
+    design = design_alignment(parse_schedule(SCHEDULE.read_text(encoding="utf-8"), "alignment"), alignment_rig(), 45.0)
+    found = np.array([each.u for each in design.forecast.combinations]) / design.forecast.u_before
+    print("\n  u over that of the schedule at equal time:", *(f"{each:.2f}" for each in found))
+    assert design.gain > 0.2
+    assert len(design.levels["shift_deg"]) > 1
+    assert np.max(found) < 1.05
+
+
+@pytest.mark.long
 def test_expected_uncertainties_are_those_of_random_rigs(tmp_path: Path) -> None:
     """The example's time: what an alignment states after the campaign is as expected, and its errors are as stated.
 
