@@ -174,9 +174,10 @@ def _load_alone(cache: Any) -> None:
 
     def load_overload(signature: Any, context: Any) -> Any:
         rtsys.initialize(context)  # memory of arrays, which the code links to
+        found = None
         with guarded():
-            return load(signature, context)
-        return None
+            found = load(signature, context)
+        return found
 
     cache.load_overload = load_overload
 
