@@ -174,10 +174,10 @@ def _load_alone(cache: Any) -> None:
 
     def load_overload(signature: Any, context: Any) -> Any:
         rtsys.initialize(context)  # memory of arrays, which the code links to
-        found = None
+        found: list[Any] = []
         with guarded():
-            found = load(signature, context)
-        return found
+            found.append(load(signature, context))
+        return found[0] if found else None
 
     cache.load_overload = load_overload
 
