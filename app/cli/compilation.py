@@ -308,7 +308,7 @@ def compile_ahead(names: Collection[str] = REHEARSAL) -> list[str]:
 class CompilationNotes(logging.Handler):
     """States that kernels are compiled when a first one is, and has another process compile what else `names` lack.
 
-    A kernel of which the other process has the part is waited for, and then comes from the files. Kernels are told as log
+    A kernel of which the other process has the part is waited for, and then comes from the files. Kernels come as log
     records by `twin.optics.kernel`, in the thread that needs them.
     """
 

@@ -158,28 +158,28 @@ def test_every_command_states_that_it_compiles_and_uses_both_cores(
 
 
 @pytest.mark.usefixtures("notes")
-def test_a_kernel_is_told_before_it_is_compiled_and_not_where_the_files_have_it(
+def test_a_kernel_is_stated_before_it_is_compiled_and_not_where_the_files_have_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:  # fmt: skip
     state_compilation("export")
     monkeypatch.syspath_prepend(tmp_path)
-    (tmp_path / "told_kernel.py").write_text(
+    (tmp_path / "stated_kernel.py").write_text(
         "from goniotwin.twin.optics.kernel import kernel\n\n\n@kernel()\ndef double(x):\n    return x + x\n", encoding="utf-8"
     )
-    for expected in (["goniotwin: compiling the optics, once: told_kernel.double float64; about 1 s"], []):
+    for expected in (["goniotwin: compiling the optics, once: stated_kernel.double float64; about 1 s"], []):
         state_compilation("export")
-        sys.modules.pop("told_kernel", None)
-        assert importlib.import_module("told_kernel").double(2.0) == 4.0
+        sys.modules.pop("stated_kernel", None)
+        assert importlib.import_module("stated_kernel").double(2.0) == 4.0
         assert capsys.readouterr().err.splitlines() == expected
 
 
 def test_the_program_listens_to_the_compiler_whatever_the_command(monkeypatch: pytest.MonkeyPatch) -> None:
-    told: list[str] = []
-    monkeypatch.setattr(compilation, "state_compilation", told.append)
+    stated: list[str] = []
+    monkeypatch.setattr(compilation, "state_compilation", stated.append)
     for name in ("info", "simulate"):
         with pytest.raises(TyperException):
             command()([name, "--no-such-option"], standalone_mode=False)
-    assert told == ["info", "simulate"]
+    assert stated == ["info", "simulate"]
 
 
 @pytest.mark.parametrize(("rewrite", "every"), [("", False), ("open_beam = true\n", True), ("signature = true\n", True)])
