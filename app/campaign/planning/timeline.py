@@ -83,7 +83,7 @@ class PlanTimeline:
     pieces: list[Piece] = field(default_factory=list)
     oldest_dark_s: float = 0.0
     state: RigState = UNKNOWN_STATE
-    _times_of_darks: dict[tuple[bool | None, int | None], TimeOfDark] = field(default_factory=dict)
+    _dark_times: dict[tuple[bool | None, int | None], TimeOfDark] = field(default_factory=dict)
     _dark_count: int = 0
     _drift_count: int = 0
     _since_dark: float = 0.0
@@ -182,10 +182,10 @@ class PlanTimeline:
     def _dark(self, sample: str) -> None:
         self._dark_count += 1
         point, shutter_open, gain = self.state
-        if (shutter_open, gain) not in self._times_of_darks:  # which are those of any dark reading
+        if (shutter_open, gain) not in self._dark_times:  # which are those of any dark reading
             seconds, after = self.timing.row(self.state, self.templates.dark(DarkReading(sample, 0, 0.0)))
-            self._times_of_darks[shutter_open, gain] = seconds, after.gain
-        seconds, gain = self._times_of_darks[shutter_open, gain]
+            self._dark_times[shutter_open, gain] = seconds, after.gain
+        seconds, gain = self._dark_times[shutter_open, gain]
         self.state = RigState(point, False, gain)
         self._since_drift += seconds
         self.pieces.append(DarkReading(sample, self._dark_count, seconds))
