@@ -232,7 +232,7 @@ def test_a_process_that_is_killed_is_one_line_and_the_sweep_continues(tmp_path: 
 
 @pytest.mark.skipif(os.name == "nt", reason="there is no program that ends at once")
 def test_a_process_that_ends_while_it_starts_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With a specification that is longer than what a pipe holds, which nobody would read."""
+    """With a specification that is longer than what a pipe holds, of which no process would read anything."""
     resource_tracker.ensure_running()  # a process of multiprocessing's own
     monkeypatch.setattr("multiprocessing.spawn._python_exe", os.fsencode(shutil.which("false") or ""))
     with pytest.raises(UserError, match="was ended from outside"):
