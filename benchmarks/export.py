@@ -19,16 +19,14 @@ import argparse
 import json
 import os
 import platform
-import subprocess
-import sys
 import tempfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
+from benchmarks.versions import HERE, add_options, positive, run_version, versions_of
 from tests.app.campaign.reduction.long_journal import write_long_journal
 
-HERE = Path(__file__).resolve().parents[1]
 SHIFTS, ROWS_AT_EACH = 10, 2 * 2 * 5
 """Shifts; rows at each shift and wavelength: sample and etalon, two sigmas, five betas."""
 POSES_SHARE = 10
@@ -97,25 +95,15 @@ MORE_ROWS = 10
 """Times the rows of the others."""
 
 
-def run(version: Path, folder: Path, program: str, *arguments: str) -> dict[str, float]:
-    """Run a program of a version in a process of its own; what it prints."""
-    links = version / ".venv" / "links"
-    paths = (str(links if links.is_dir() else version), str(HERE))
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
-    command = [sys.executable, "-c", program, *arguments]
-    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=True)
-    found: dict[str, float] = json.loads(done.stdout.splitlines()[-1])
-    return found
-
-
 def prepared(case: str, rows: int, folder: Path) -> Callable[[Path], dict[str, float]]:
     """Make what a case needs in a folder; the function that runs it in a version."""
     if case == "check":
         schedule = folder / "dark.toml"
         schedule.write_text(SCHEDULE, encoding="utf-8")
-        return lambda version: run(version, folder, CHECK, str(schedule), str(HERE / "examples" / "rigs" / "virtual.toml"))
+        rig = HERE / "examples" / "rigs" / "virtual.toml"
+        return lambda version: run_version(version, CHECK, str(schedule), str(rig), folder=folder)
     if case in ("csv", "astm"):
-        return lambda version: run(version, folder, FORMAT, case, str(MILLION))
+        return lambda version: run_version(version, FORMAT, case, str(MILLION), folder=folder)
     journal, out = folder / "long.journal", folder / ("long.html" if case == "report" else "long.csv")
     each = ROWS_AT_EACH * SHIFTS
     if case == "one_wavelength":
@@ -124,7 +112,8 @@ def prepared(case: str, rows: int, folder: Path) -> Callable[[Path], dict[str, f
         # With dark readings a journal has a little more than these rows, and the most that a campaign may have is a million.
         wavelengths = round(rows / each) if case != LONG else round(MORE_ROWS * rows / each * 0.9984)
         write_long_journal(journal, max(1, wavelengths), SHIFTS, photodiodes=4 if case in ("rows_4", LONG) else 36)
-    return lambda version: run(version, folder, REPORT if case == "report" else REDUCE, str(journal), str(out))
+    program = REPORT if case == "report" else REDUCE
+    return lambda version: run_version(version, program, str(journal), str(out), folder=folder)
 
 
 def compare(case: str, versions: Mapping[str, Path], rows: int, rounds: int) -> dict[str, Any]:
@@ -151,13 +140,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description="Time and memory of the reduction, the export and the check of long campaigns."
     )
-    parser.add_argument("cases", nargs="*", choices=[[], *CASES, LONG], help=f"cases; all but {LONG} by default")
-    parser.add_argument("--rows", type=int, default=100_000, help="number of rows, about")
-    parser.add_argument("--rounds", type=int, default=3, help="number of runs of each version")
-    parser.add_argument("--against", type=Path, help="folder of another version")
+    parser.add_argument(
+        "cases", nargs="*", metavar="CASE", help=f"{', '.join(CASES)}; {LONG}, which is not among them by default"
+    )
+    parser.add_argument("--rows", type=positive, default=100_000, help="number of rows, about")
+    add_options(parser, rounds=3)
     parser.add_argument("--json", action="store_true", help="print JSON")
     options = parser.parse_args()
-    versions = {"here": HERE} | ({"against": options.against.resolve()} if options.against else {})
+    if unknown := set(options.cases) - {*CASES, LONG}:
+        parser.error(f"no case {', '.join(sorted(unknown))}; they are {', '.join((*CASES, LONG))}")
+    versions = versions_of(options.against)
     machine = {"python": platform.python_version(), "machine": platform.machine(), "cores": os.cpu_count()}
     results = []
     for case in options.cases or CASES:

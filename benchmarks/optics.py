@@ -1,10 +1,11 @@
-"""Times and errors of the optical twin: `python -m benchmarks.optics [--json]`.
+"""Times and errors of the optical twin: `python -m benchmarks.optics [--rounds 3] [--against FOLDER] [--json]`.
 
 A full grey BSDF is 19 angles of incidence (0 to 85 deg in steps of 5, and 87) with a grid of detectors about the specular
 direction: 0.5 deg apart out to 12 deg, then wider, to 5 deg; sample and etalon, with the grid and its look-ups built anew each
 time. Its error is the relative difference of the luminance factor from that of 16,384 rays per detector, over a sample of all
 readings whose zenith angle is below 85 deg and within four widths of the specular direction (beyond, a Gaussian is below 1e-7
-of its peak). Times are the minimum of several runs, warm, on all cores; paths are counted on one core.
+of its peak). Times are the minimum of several runs, warm, on all cores; paths are counted on one core. With `--against` another
+version is measured in turns with this one, and each figure is the median of the rounds; `ratio` is that of this one to the other.
 """
 
 import argparse
@@ -12,6 +13,7 @@ import json
 import math
 import os
 import resource
+import statistics
 import subprocess
 import sys
 import tempfile
@@ -23,6 +25,7 @@ import numpy as np
 
 from benchmarks import forward as forward_costs
 from benchmarks import illumination as illumination_costs
+from benchmarks.versions import add_options, in_turns, versions_of
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics import (
     Instrument,
@@ -191,8 +194,22 @@ def main() -> None:
     """Print a line for each figure, or with --json one object."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
+    add_options(parser, rounds=3)
     chosen = parser.parse_args()
-    result = {**compilation(), **measure()}
+    if chosen.against is None:
+        result = {**compilation(), **measure()}
+    else:
+        program = "import json\nfrom benchmarks.optics import measure\nprint(json.dumps(measure()))"
+        found = in_turns(versions_of(chosen.against), chosen.rounds, program)
+        here, against = (
+            {key: statistics.median(each[key] for each in rounds) for key in rounds[0]} for rounds in found.values()
+        )
+        ratio = {key: here[key] / against[key] for key in here if against[key]}
+        result = {
+            f"{name} {key}": value
+            for key in here
+            for name, value in (("here", here[key]), ("against", against[key]), ("ratio", ratio.get(key, math.nan)))
+        }
     if chosen.json:
         print(json.dumps(result, indent=2))
     else:

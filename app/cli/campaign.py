@@ -90,8 +90,8 @@ def rehearse(
 
     Gives the duration, the predicted uncertainty and warnings. Drivers, bytes and plan are those of the campaign. For the
     file of a real rig, the twin is built from that file; no device is opened. An error in the rig file (a direction of
-    rotation, a gear ratio) is in the twin too, so a rehearsal cannot show it. With several processes lamp and noise are those
-    of other times; with noise and drift off the values are the same.
+    rotation, a gear ratio) is in the twin too, so a rehearsal cannot show it. With several processes lamp, noise and random
+    positions are those of other times; without noise, drift and disturbances the values are the same.
 
     Exit status: 0 if all rows are done, 1 after a fault, 3 if the schedule's [stop] ended it.
     """

@@ -34,6 +34,10 @@ LONGEST_END_S = 10.0
 """After the death of its parent a process has this time to remove what its chunk has put on the disk."""
 
 
+class EndedFromOutside(UserError):
+    """A process was killed, or could not start."""
+
+
 class Runner(Protocol):
     """Computes the chunks of a sweep, in any order."""
 
@@ -83,7 +87,7 @@ class Processes:
 
         At the end, and at a Ctrl-C, the processes are ended.
 
-        Raises UserError where a process was ended from outside.
+        Raises EndedFromOutside.
         """
         context = multiprocessing.get_context("spawn")  # a fork would copy the locks of other threads
         cores = max(1, numba.get_num_threads() // (self._count + self._beside))
@@ -107,7 +111,7 @@ class Processes:
                     yield each.result()
         except BrokenProcessPool:
             remedy = "for want of memory perhaps; run the same command again, with fewer --processes"
-            raise UserError(f"a process of the {specification.work} was ended from outside, {remedy}") from None
+            raise EndedFromOutside(f"a process of the {specification.work} was ended from outside, {remedy}") from None
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
             if running:

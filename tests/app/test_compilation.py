@@ -15,7 +15,6 @@ from pathlib import Path
 import pytest
 from typer.exceptions import TyperException
 
-import goniotwin
 from goniotwin import examples
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.cli import compilation
@@ -33,6 +32,7 @@ from goniotwin.app.cli.compilation import (
 from goniotwin.app.cli.main import command
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import read_rig
+from tests.conftest import REPOSITORY
 
 NO_PART = {
     "twin.optics.fast.ray_bundle.fill_view": "called as Python, for some questions about shadows without numba",
@@ -61,9 +61,8 @@ def named(tree: ast.AST) -> Iterator[str]:
 
 def sources() -> dict[str, str]:
     """The text of the modules of twin and app, by the module's name in `goniotwin`."""
-    package = Path(str(goniotwin.__path__[0]))
-    paths = [path for name in ("twin", "app") for path in (package / name).rglob("*.py")]
-    return {".".join(each.relative_to(package).with_suffix("").parts): each.read_text(encoding="utf-8") for each in paths}
+    paths = [path for name in ("twin", "app") for path in (REPOSITORY / name).rglob("*.py")]
+    return {".".join(each.relative_to(REPOSITORY).with_suffix("").parts): each.read_text(encoding="utf-8") for each in paths}
 
 
 def entry_points() -> set[str]:

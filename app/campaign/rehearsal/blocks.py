@@ -2,8 +2,9 @@
 
 A block begins with a dark reading, or the mounting before it, so that nothing of the rows before it is needed: each is a
 session of the journal, as in a campaign that was interrupted there. It begins at the time at which the plan expects it, and a
-little later: lamp and noise are those of other times than in one process. The axes come from their reference and the
-monochromator from its start, which takes some seconds more. With noise and drift off, the values of the rows are the same.
+little later: lamp and noise are those of other times than in one process, and the disturbances that a twin draws for each move
+are others. The axes come from their reference and the monochromator from its start, which takes some seconds more. With noise,
+drift and disturbances off, the values of the rows are the same.
 
 This process rehearses the first block and writes its rows to the journal. It has no start, and so the longest block. The others
 send their rows as their journals keep them; they get a place in the chain here, and nothing else is made again.
@@ -46,6 +47,7 @@ STARTING_ROWS = 1200
 LATER_S, LATER = 30.0, 0.02
 """By how much a block begins after the time that the plan expects, s, and as a share of it: not before the one before ends."""
 NAME = "the schedule"
+OTHER_TIMES = "lamp, noise and random positions are those of the times that the plan expects, not of those in one process"
 
 
 @dataclass(frozen=True)
@@ -71,6 +73,7 @@ def divide(plan: Plan, count: int, starting_rows: int = STARTING_ROWS) -> list[B
     The first block has as many rows more as are rehearsed while the process of another one starts.
     """
     beginnings, rows = _beginnings(plan.rows), len(plan.rows)
+    count = min(count, len(beginnings))
     share = (rows - starting_rows) / count
     wanted = [rows - share * k for k in range(1, count)] if share > 0.0 else []
     firsts = sorted({0, *(min(beginnings, key=lambda at: abs(at - row)) for row in wanted)})
@@ -198,6 +201,7 @@ def run_blocks(
                     part.write_bytes(arrays["journal"].tobytes())
                     own = plan.rows[blocks[joined].first : blocks[joined].last]
                     journal.append_session(part, plan.rig.text, own)
+                    journal.event(blocks[joined].start_s, "block", f"from {own[0].identity} on: {OTHER_TIMES}")
                     statistics.add(json.loads(arrays["statistics"].tobytes()))
                     for row in journal.rows_of([row.number for row in own] if listeners else []):
                         notify(RowCommitted(row.row, row.data, 0, 0, 0.0))

@@ -15,7 +15,7 @@ from goniotwin.app.campaign.journal.writing import Journal, software_versions
 from goniotwin.app.campaign.planning.check import check_plan
 from goniotwin.app.campaign.planning.plan import NewPlan, Plan, make_plan
 from goniotwin.app.campaign.rehearsal.assumed_references import assume_referenced
-from goniotwin.app.campaign.rehearsal.blocks import divide, run_blocks, statistics_of, why_in_one_process
+from goniotwin.app.campaign.rehearsal.blocks import OTHER_TIMES, divide, run_blocks, statistics_of, why_in_one_process
 from goniotwin.app.campaign.rehearsal.expected_poses import expected_poses
 from goniotwin.app.campaign.rehearsal.forecast import forecast
 from goniotwin.app.campaign.rehearsal.row_statistics import RowStatistics
@@ -28,7 +28,7 @@ from goniotwin.app.campaign.schedule.file import ScheduleDescription
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription, open_rig
 from goniotwin.app.rig.described_twin import described_twin
-from goniotwin.app.sweeps.runners import Processes
+from goniotwin.app.sweeps.runners import EndedFromOutside, Processes
 from goniotwin.protocols.clock import VirtualClock
 
 
@@ -155,12 +155,11 @@ def run_in_processes(
             seconds = run_blocks(plan, blocks, path, Processes(len(blocks) - 1, beside=1), counted, listeners)
         except UserError as error:
             path.unlink(missing_ok=True)
-            reason = str(error)
+            reason = "one of several was ended from outside" if isinstance(error, EndedFromOutside) else str(error)
         else:
             statistics.add(counted.as_data())
             first = plan.rows[blocks[1].first]
-            about = f"{len(blocks)} blocks of rows, each in a process of its own: from {first.identity} on, lamp and noise are "
-            assumed = (f"{about}those of the times that the plan expects, not of those in one process",)
+            assumed = (f"{len(blocks)} blocks of rows, each in a process of its own: from {first.identity} on, {OTHER_TIMES}",)
             return RehearsalRun(State.DONE, "", len(plan.rows), 1, seconds, (), assumed)
     run = run_on_twin(plan, path, statistics, listeners)
     return replace(run, assumed=(*run.assumed, f"rehearsed in one process, because {reason}"))
