@@ -12,7 +12,7 @@ does.
 
 Each run has a process of its own. A figure is the least of some rounds: processor time (`_s`) and time that passed (`_wall_s`);
 of the memory, `peak_mb`, it is the largest. `load` is the machine's load before and after. `--against` is the folder of another
-version, with `goniotwin` in it or under `.venv/links`: both versions take turns, and `ratio` is that of this one to the other.
+version: both versions take turns, and `ratio` is that of this one to the other.
 """
 
 import argparse
@@ -140,9 +140,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description="Time and memory of the reduction, the export and the check of long campaigns."
     )
-    parser.add_argument(
-        "cases", nargs="*", metavar="CASE", help=f"{', '.join(CASES)}; {LONG}, which is not among them by default"
-    )
+    parser.add_argument("cases", nargs="*", metavar="CASE", help=f"{', '.join(CASES)}; {LONG} if it is named")
     parser.add_argument("--rows", type=positive, default=100_000, help="number of rows, about")
     add_options(parser, rounds=3)
     parser.add_argument("--json", action="store_true", help="print JSON")

@@ -4,8 +4,10 @@ A full grey BSDF is 19 angles of incidence (0 to 85 deg in steps of 5, and 87) w
 direction: 0.5 deg apart out to 12 deg, then wider, to 5 deg; sample and etalon, with the grid and its look-ups built anew each
 time. Its error is the relative difference of the luminance factor from that of 16,384 rays per detector, over a sample of all
 readings whose zenith angle is below 85 deg and within four widths of the specular direction (beyond, a Gaussian is below 1e-7
-of its peak). Times are the minimum of several runs, warm, on all cores; paths are counted on one core. With `--against` another
-version is measured in turns with this one, and each figure is the median of the rounds; `ratio` is that of this one to the other.
+of its peak). Times are the minimum of several runs, warm, on all cores; paths are counted on one core.
+
+With `--against` another version is measured in turns with this one: figures are medians of the rounds, `ratio` is this one's over
+the other's.
 """
 
 import argparse
@@ -200,16 +202,11 @@ def main() -> None:
         result = {**compilation(), **measure()}
     else:
         program = "import json\nfrom benchmarks.optics import measure\nprint(json.dumps(measure()))"
-        found = in_turns(versions_of(chosen.against), chosen.rounds, program)
-        here, against = (
-            {key: statistics.median(each[key] for each in rounds) for key in rounds[0]} for rounds in found.values()
-        )
-        ratio = {key: here[key] / against[key] for key in here if against[key]}
-        result = {
-            f"{name} {key}": value
-            for key in here
-            for name, value in (("here", here[key]), ("against", against[key]), ("ratio", ratio.get(key, math.nan)))
-        }
+        result = {}
+        for name, rounds in in_turns(versions_of(chosen.against), chosen.rounds, program).items():
+            result |= {f"{name} {key}": statistics.median(each[key] for each in rounds) for key in rounds[0]}
+        for key in [key.removeprefix("here ") for key in result if key.startswith("here ")]:
+            result[f"ratio {key}"] = result[f"here {key}"] / result[f"against {key}"] if result[f"against {key}"] else math.nan
     if chosen.json:
         print(json.dumps(result, indent=2))
     else:
