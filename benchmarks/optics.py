@@ -6,8 +6,8 @@ time. Its error is the relative difference of the luminance factor from that of 
 readings whose zenith angle is below 85 deg and within four widths of the specular direction (beyond, a Gaussian is below 1e-7
 of its peak). Times are the minimum of several runs, warm, on all cores; paths are counted on one core.
 
-With `--against` another version is measured in turns with this one: figures are medians of the rounds, `ratio` is this one's
-over the other's.
+With `--against` another version is measured in turns with this one, each by its own benchmarks: figures are medians of the rounds,
+`ratio` is this one's over the other's, of what both measure.
 """
 
 import argparse
@@ -203,10 +203,11 @@ def main() -> None:
     else:
         program = "import json\nfrom benchmarks.optics import measure\nprint(json.dumps(measure()))"
         result = {}
-        for name, rounds in in_turns(versions_of(chosen.against), chosen.rounds, program).items():
+        for name, rounds in in_turns(versions_of(chosen.against), chosen.rounds, program, own=True).items():
             result |= {f"{name} {key}": statistics.median(each[key] for each in rounds) for key in rounds[0]}
         for key in [key.removeprefix("here ") for key in result if key.startswith("here ")]:
-            result[f"ratio {key}"] = result[f"here {key}"] / result[f"against {key}"] if result[f"against {key}"] else math.nan
+            if result.get(f"against {key}"):
+                result[f"ratio {key}"] = result[f"here {key}"] / result[f"against {key}"]
     if chosen.json:
         print(json.dumps(result, indent=2))
     else:

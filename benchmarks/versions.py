@@ -42,10 +42,15 @@ def versions_of(against: Path | None) -> dict[str, Path]:
     return {"here": HERE} | ({} if against is None else {"against": against})
 
 
-def run_version(version: Path, program: str, *arguments: str, folder: Path | None = None) -> dict[str, float]:
-    """Run a program with a version in a process of its own; the JSON of its last line. Benchmarks and tests are those here."""
+def run_version(
+    version: Path, program: str, *arguments: str, folder: Path | None = None, own: bool = False
+) -> dict[str, float]:
+    """Run a program with a version in a process of its own; the JSON of its last line.
+
+    Benchmarks and tests are those here, or with `own` the version's.
+    """
     links = version / LINKS
-    paths = (str(links if links.is_dir() else version), str(HERE))
+    paths = (str(links if links.is_dir() else version), str(version if own else HERE))
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
     command = [sys.executable, "-c", program, *arguments]
     done = subprocess.run(command, cwd=folder, env=environment, stdout=subprocess.PIPE, text=True)
@@ -55,10 +60,10 @@ def run_version(version: Path, program: str, *arguments: str, folder: Path | Non
     return found
 
 
-def in_turns(versions: dict[str, Path], rounds: int, program: str) -> dict[str, list[dict[str, Any]]]:
-    """The figures of a program in each round, by version."""
+def in_turns(versions: dict[str, Path], rounds: int, program: str, *, own: bool = False) -> dict[str, list[dict[str, Any]]]:
+    """The figures of a program in each round, by version; as in `run_version`."""
     found: dict[str, list[dict[str, Any]]] = {name: [] for name in versions}
     for _ in range(rounds):
         for name, version in versions.items():
-            found[name].append(run_version(version, program))
+            found[name].append(run_version(version, program, own=own))
     return found
