@@ -6,8 +6,8 @@ time. Its error is the relative difference of the luminance factor from that of 
 readings whose zenith angle is below 85 deg and within four widths of the specular direction (beyond, a Gaussian is below 1e-7
 of its peak). Times are the minimum of several runs, warm, on all cores; paths are counted on one core.
 
-With `--against` another version is measured in turns with this one, each by its own benchmarks: figures are medians of the rounds,
-`ratio` is this one's over the other's, of what both measure.
+With `--against` another version is measured in turns with this one, each by its own benchmarks. Figures are medians of the
+rounds; `ratio` is this one's over the other's, of what both measure.
 """
 
 import argparse

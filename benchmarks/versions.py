@@ -52,7 +52,7 @@ def run_version(
     links = version / LINKS
     paths = (str(links if links.is_dir() else version), str(version if own else HERE))
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(paths)}
-    command = [sys.executable, "-c", program, *arguments]
+    command = [sys.executable, "-P", "-c", program, *arguments]  # not the sources of this folder
     done = subprocess.run(command, cwd=folder, env=environment, stdout=subprocess.PIPE, text=True)
     if done.returncode:
         sys.exit(f"{version}: status {done.returncode}")  # its error is on standard error
