@@ -160,7 +160,7 @@ PARTS = {
         9.0,
     ),
     "rig": Part(
-        "electronics",
+        "samples, electronics",
         _rig,
         (
             f"{OPTICS}.bsdf.models.evaluate_all",
