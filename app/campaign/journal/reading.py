@@ -543,7 +543,8 @@ def _columns_of_readings(found: Sequence[tuple[Any, ...]]) -> tuple[Ints, Floats
         counts = tuple(each or b"" for each in counts)
     shapes = np.array((readings, channels), dtype=np.int64)
     sizes = np.fromiter(map(len, counts), dtype=np.int64, count=len(counts))
-    for k in np.flatnonzero(sizes != 2 * shapes[0] * shapes[1])[:1].tolist():
+    wrong = (2.0 * shapes[0] * shapes[1] != sizes) | (shapes < 0).any(axis=0)  # of floats, which do not overflow
+    for k in np.flatnonzero(wrong)[:1].tolist():
         raise ValueError(
             f"row {number[k]} has {sizes[k]} bytes of counts, for {readings[k]} readings of {channels[k]} photodiodes"
         )

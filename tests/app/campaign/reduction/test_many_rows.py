@@ -8,6 +8,7 @@ import pytest
 from goniotwin.app.campaign.geometry.arcs import arc_views, views_at_sigma
 from goniotwin.app.campaign.geometry.shadow import blocked_by_mirrors
 from goniotwin.app.campaign.journal import reading
+from goniotwin.app.campaign.journal.reading import _columns_of_readings
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.reduction import etalon, readings
 from goniotwin.app.campaign.reduction.etalon import ArcGeometry
@@ -42,7 +43,7 @@ def test_a_pose_is_computed_once_however_many_wavelengths_it_has(
 
     def count(*arguments: object) -> object:
         computed.extend(arguments[2].tolist())  # type: ignore[attr-defined]  # the betas of the poses
-        return views_at_sigma(*arguments)  # type: ignore[arg-type]
+        return views_at_sigma(*arguments)  # type: ignore[arg-type]  # handed on as they are
 
     monkeypatch.setattr(etalon, "views_at_sigma", count)
     write_long_journal(tmp_path / "a.journal", wavelengths, 3)
@@ -89,3 +90,11 @@ def test_readings_beyond_the_memory_for_them_are_read_again(tmp_path: Path, monk
         assert np.array_equal(getattr(one, name), getattr(other, name), equal_nan=True), name
     for name, variance in one.components.items():
         assert np.array_equal(variance, other.components[name]), name
+
+
+@pytest.mark.parametrize("shape", [(-1, -4), (1 << 62, 8)], ids=["negative", "larger than any"])
+def test_counts_of_a_shape_that_cannot_be_are_damage(shape: tuple[int, int]) -> None:
+    """Where the product of the two is right all the same: of two negative numbers, or of one that does not fit in 64 bits."""
+    counts = bytes(2 * shape[0] * shape[1] % (1 << 64))
+    with pytest.raises(ValueError, match="row 7 has .* bytes of counts"):
+        _columns_of_readings([(7, 0.0, 1e8, 0.0, 0.08, 1e-9, *shape, counts)])
