@@ -96,5 +96,5 @@ def test_readings_beyond_the_memory_for_them_are_read_again(tmp_path: Path, monk
 def test_counts_of_a_shape_that_cannot_be_are_damage(shape: tuple[int, int]) -> None:
     """Where the product of the two is right all the same: of two negative numbers, or of one that does not fit in 64 bits."""
     counts = bytes(2 * shape[0] * shape[1] % (1 << 64))
-    with pytest.raises(ValueError, match="row 7 has .* bytes of counts"):
+    with pytest.raises(ValueError, match=r"row 7 has .* bytes of counts"):
         _columns_of_readings([(7, 0.0, 1e8, 0.0, 0.08, 1e-9, *shape, counts)])
