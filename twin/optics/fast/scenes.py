@@ -95,7 +95,7 @@ COARSE_RULE: Rule = (cone_nodes(), side_nodes(), hole_nodes(4), 256)
 FINEST_RULE: Rule = (cone_nodes(3), side_nodes(12), hole_nodes(16), 1024)
 """For fluxes where the light ends within the hole: exact to 0.3 %, and to 0.5 % where 2 % of the light are left."""
 CLIP_RULE: Rule = (cone_nodes(2), side_nodes(5), hole_nodes(8), 1024)
-"""For fluxes of a beam that a mirror clips."""
+"""For fluxes of a beam that a mirror clips, where the hole is lit everywhere."""
 TABLE_KINDS, PLAIN_KINDS = (TABLE, ANISOTROPIC), (GAUSSIAN, LAMBERTIAN)
 GRID = clip_grid()
 LIGHT_RAYS = 8192
@@ -323,7 +323,7 @@ def score_detectors(
     tenth of all time.
     """
     nodes = optics.nodes if light.everywhere else optics.cut_nodes
-    if clip.shape[0] > 0 and nodes.cone.shape[0] > optics.clip_nodes.cone.shape[0]:
+    if clip.shape[0] > 0 and light.everywhere and nodes.cone.shape[0] > optics.clip_nodes.cone.shape[0]:
         nodes = optics.clip_nodes
     for start in range(0, axes.shape[0], BLOCK):
         end = min(start + BLOCK, axes.shape[0])
