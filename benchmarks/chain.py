@@ -19,6 +19,7 @@ from unittest import mock
 import numpy as np
 
 from benchmarks.rehearsal import QUICK, RIG, row_seconds
+from benchmarks.versions import positive
 from goniotwin.app.campaign.journal import writing
 from goniotwin.app.campaign.journal.chain import Chain
 from goniotwin.app.campaign.journal.writing import Journal
@@ -76,7 +77,7 @@ def opening_seconds(plan: Plan, rows: int, folder: Path) -> float:
 def main() -> None:
     """Print the costs, as text or JSON."""
     parser = argparse.ArgumentParser(description="Cost of a journal's chain of hashes.")
-    parser.add_argument("--rounds", type=int, default=5, help="number of rehearsals with and without the chain")
+    parser.add_argument("--rounds", type=positive, default=5, help="number of rehearsals with and without the chain")
     parser.add_argument("--rows", type=int, default=1_000_000, help="rows of the journal that is opened")
     parser.add_argument("--json", action="store_true", help="print JSON")
     options = parser.parse_args()
