@@ -1,6 +1,7 @@
 """The command `goniotwin`: its groups of commands, the entry point and the last-resort error handler."""
 
 import atexit
+import contextlib
 import errno
 import functools
 import io
@@ -183,7 +184,8 @@ def main() -> None:
     threading.excepthook = lambda fault: print_error(unexpected_error(fault.exc_value or fault.exc_type()))
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):  # a letter that a terminal does not have must not break off a command
-            stream.reconfigure(errors="backslashreplace")
+            with contextlib.suppress(OSError):  # of what is written before it: reported below
+                stream.reconfigure(errors="backslashreplace")
     interrupt_on_end_signal()  # a stop in order: axes at rest, journal closed
     status = _run_command()
     try:

@@ -152,7 +152,7 @@ def test_every_command_states_that_it_compiles_and_uses_both_cores(
     for kernel in ("twin.plant.lamp.lamp_mean array(float64, 1d, C)", "twin.optics.fast.scenes.score_scenes none"):
         LOG.info(kernel)
     (line,) = capsys.readouterr().err.splitlines()
-    assert line.startswith("goniotwin: compiling the optics, once: electronics")
+    assert line.startswith("goniotwin: compiling the optics, once: samples, electronics")
     assert compiler.there == [each for each in NEEDS.get(name, ()) if each not in ("rig", "uncertainties")]
 
 
