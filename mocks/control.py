@@ -4,8 +4,8 @@
     {"do": "tilt", "deg": 0.05}                 {"do": "jam", "axis": "beta", "jammed": true}
     {"do": "state"}                             {"do": "faults", ...} and the plugs: see `mocks.faulty_wires`
 
-Each gets `{"ok": true, ...}` or `{"ok": false, "error": "..."}`, as does the hello with the server's token, which comes first:
-see `protocols.channel`.
+Each gets `{"ok": true, ...}` or `{"ok": false, "error": "..."}`. Before the first one both sides prove the server's token: see
+`protocols.channel`.
 """
 
 import contextlib
@@ -13,7 +13,7 @@ import reprlib
 from collections.abc import Callable
 from typing import Any
 
-from goniotwin.protocols.channel import PROTOCOL, Channel, ChannelServer, connect, new_token
+from goniotwin.protocols.channel import Channel, ChannelServer, connect, new_token
 from goniotwin.protocols.clock import Clock
 from goniotwin.twin import VirtualRig
 
@@ -123,7 +123,6 @@ class ControlServer(ChannelServer):
 
     def __init__(self, door: ControlPort, port: int = 0) -> None:
         def serve(channel: Channel) -> None:
-            channel.send({"ok": True, "protocol": PROTOCOL})
             while (order := channel.receive()) is not None:
                 channel.send(door.obey(order))
 
@@ -134,14 +133,8 @@ class ControlClient:
     """A client: the operator of a rig that another process serves."""
 
     def __init__(self, port: int, token: str, timeout_s: float = 10.0) -> None:
-        """Connect. Raises OSError where nothing is served, or another server that has another token."""
+        """Connect. Raises OSError where nothing is served, or by a program that does not prove the token."""
         self._channel = connect(port, token, timeout_s)
-        try:
-            if self._channel.receive() is None:
-                raise ConnectionRefusedError("the token is not that of the server at this port")
-        except OSError:
-            self.close()
-            raise
 
     def do(self, what: str, **order: object) -> dict[str, Any]:
         """Carry out an order. Raises OrderRefused where it cannot be, OSError after the end of the server."""

@@ -11,6 +11,7 @@ import asyncio
 import threading
 from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 from pymodbus.framer import FramerType
 from pymodbus.server import ModbusSerialServer, ModbusTcpServer
@@ -21,7 +22,7 @@ from pymodbus.simulator import DataType, SimData, SimDevice
 from goniotwin.mocks.serial_ends import HEARD_AT_ONCE, OWED_AT_MOST, owed
 from goniotwin.protocols import adam
 from goniotwin.protocols.clock import Clock
-from goniotwin.protocols.loopback import LOOPBACK
+from goniotwin.protocols.loopback import LOOPBACK, listening_socket
 from goniotwin.twin import VirtualRig
 from goniotwin.twin.addresses import CONVERTER_LINE
 from goniotwin.twin.devices.line import SerialDevice
@@ -71,7 +72,7 @@ class ModbusEndpoints:
 
     def start(self) -> None:
         """Start serving. Raises OSError for a port that cannot be opened; then nothing is served."""
-        self._loop = asyncio.new_event_loop()
+        self._loop = _Loop()
         self._thread = threading.Thread(target=self._loop.run_forever, name="Modbus endpoints", daemon=True)
         self._thread.start()
         try:
@@ -159,6 +160,15 @@ class ModbusEndpoints:
             return between(end) if between is not None else end
 
         return station
+
+
+class _Loop(asyncio.SelectorEventLoop):
+    """A loop whose servers have their ports alone: pymodbus asks for one that is shared on Windows."""
+
+    async def create_server(self, *args: Any, **options: Any) -> asyncio.Server:
+        """Listen at the port of `(protocol_factory, host, port)` on loopback. Raises OSError."""
+        factory, _, port = args
+        return await super().create_server(factory, sock=listening_socket(port), **{**options, "reuse_address": None})
 
 
 class _Handler(ServerRequestHandler):

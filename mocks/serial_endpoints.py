@@ -17,7 +17,7 @@ from pathlib import Path
 
 from goniotwin.mocks.serial_ends import OWED_AT_MOST, Line, OpenEnd, PtyNames, baudrate, owed
 from goniotwin.protocols.clock import RealClock
-from goniotwin.protocols.loopback import LOOPBACK
+from goniotwin.protocols.loopback import listening_socket
 from goniotwin.twin.devices.line import SerialDevice
 from goniotwin.twin.devices.tmcm6214 import UnsolicitedReply
 
@@ -50,7 +50,7 @@ class SerialEndpoints:
 
     def add_tcp(self, name: str, device: SerialDevice, port: int = 0) -> int:
         """A listening socket on loopback; returns its port. Any number of clients may come and go."""
-        listener = socket.create_server((LOOPBACK, port))
+        listener = listening_socket(port)
         listener.setblocking(False)
         self._selector.register(listener, selectors.EVENT_READ, self._line(name, device))
         return int(listener.getsockname()[1])

@@ -1,33 +1,66 @@
 """The channel between programs of one computer: JSON objects, one a line, over TCP on loopback, opened by a token.
 
-The first line of a client is `{"protocol": 1, "token": ...}`, within `HELLO_S`. Any other first line, any later line that is
-not a JSON object and any line longer than `LONGEST_LINE` end the connection without an answer: everything on this computer
-can connect to the port, a web page's POST included, and none of it may be obeyed or learn what it is talking to.
+Both sides prove that they know the token; neither sends it. The first line of a client is `{"protocol": 2, "nonce": ...}`,
+the server answers `{"protocol": 2, "nonce": ..., "proof": ...}`, and only after that proof the client sends its own,
+`{"proof": ...}`: see `proof`. Both lines of a client have to come within `HELLO_S`. Any other line in their places, any later
+line that is not a JSON object and any line longer than `LONGEST_LINE` end the connection without an answer: everything on this
+computer can connect to the port, a web page's POST included, and none of it may be obeyed. And the port of a server that has
+died may be another program's, of another user too: a client sends it no secret and no command, and believes nothing of it.
 """
 
 import contextlib
 import hmac
 import json
+import re
 import secrets
 import socket
 import socketserver
-from collections.abc import Callable
-from typing import Any
+import threading
+from collections import deque
+from collections.abc import Callable, Iterator
+from typing import Any, Literal, TypeGuard
 
 from goniotwin.protocols.clock import RealClock
 from goniotwin.protocols.loopback import LOOPBACK, LoopbackServer
 
-PROTOCOL = 1
+PROTOCOL = 2
 LONGEST_LINE = 65_536
 HELLO_S = 2.0
-"""Real time in which the first line has to come, whole."""
+"""Real time in which a client has to prove the token."""
+MOST_UNPROVED = 64
+"""Connections that have not proved the token yet: one more ends the oldest of them."""
 CHUNK = 65_536
+NONCE_BYTES = 32
+NONCE = re.compile(f"[0-9a-f]{{{2 * NONCE_BYTES}}}")
 Message = dict[str, Any]
+Role = Literal["client", "server"]
+
+
+class NotProved(ConnectionError):
+    """What answers at a port has not proved that it knows the token."""
+
+    def __init__(self, port: int) -> None:
+        super().__init__(f"what answers at port {port} does not have the token of the server that this program looks for")
 
 
 def new_token() -> str:
     """A token that cannot be guessed, for one server."""
     return secrets.token_urlsafe(24)
+
+
+def proof(token: str, role: Role, port: int, client_nonce: str, server_nonce: str) -> str:
+    """The proof of a side that it knows the token: HMAC-SHA256 with the token as the key, 64 hexadecimal digits.
+
+    The role in it keeps a side from sending back the other's proof, the nonces keep it to one connection. The port is the
+    one that the client connects to and the server listens at: a program at another port cannot pass the proofs on.
+    """
+    line = f"goniotwin {PROTOCOL} {role} {port} {client_nonce} {server_nonce}"
+    return hmac.new(token.encode(errors="replace"), line.encode(), "sha256").hexdigest()
+
+
+def is_protocol(value: object) -> bool:
+    """Whether a value of JSON is the number of this protocol: the integer, neither 2.0 nor "2" nor true."""
+    return type(value) is int and value == PROTOCOL
 
 
 class Channel:
@@ -38,7 +71,7 @@ class Channel:
         self._connection = connection
         self._received = b""
         self.hello: Message = {}
-        """The first line of a client, on its server's side."""
+        """The line of a client with its proof, on its server's side: what it states of itself."""
         self._clock = RealClock()
 
     def send(self, message: Message) -> None:
@@ -74,9 +107,9 @@ class Channel:
         with contextlib.suppress(OSError):
             self._connection.shutdown(socket.SHUT_RDWR)
 
-    def wait_without_limit(self) -> None:
-        """From now on `send` and `receive` wait as long as it takes."""
-        self._connection.settimeout(None)
+    def wait_at_most(self, timeout_s: float | None) -> None:
+        """From now on `send` and each part of `receive` wait so long, or without a limit."""
+        self._connection.settimeout(timeout_s)
 
 
 def parse_object(line: bytes) -> Message | None:
@@ -89,36 +122,84 @@ def parse_object(line: bytes) -> Message | None:
 
 
 class ChannelServer(LoopbackServer):
-    """A server of channels, one thread for each client: `serve` has its channel from the right hello until it returns."""
+    """A server of channels, one thread for each client: `serve` has its channel from the client's proof until it returns."""
 
     def __init__(self, name: str, token: str, serve: Callable[[Channel], None], port: int = 0) -> None:
+        def handle(connection: socket.socket) -> None:
+            with contextlib.suppress(OSError):
+                channel = Channel(connection)
+                with self._waiting_for_proof(channel):
+                    proved = self._prove(channel)
+                if proved:
+                    channel.wait_at_most(None)
+                    serve(channel)
+
         class Handler(socketserver.BaseRequestHandler):
             def handle(self) -> None:
-                with contextlib.suppress(OSError):
-                    channel = Channel(self.request)
-                    hello = channel.receive(HELLO_S)
-                    if hello is not None and _is_hello(hello, token):
-                        channel.hello = hello
-                        channel.wait_without_limit()
-                        serve(channel)
+                handle(self.request)
 
         super().__init__(name, Handler, port)
         self.token = token
+        self._unproved = deque[Channel]()
+        self._lock = threading.Lock()
+
+    @contextlib.contextmanager
+    def _waiting_for_proof(self, channel: Channel) -> Iterator[None]:
+        """Count a connection without a proof. The oldest of too many is ended: one that has the token needs no time."""
+        with self._lock:
+            self._unproved.append(channel)
+            oldest = self._unproved.popleft() if len(self._unproved) > MOST_UNPROVED else None
+        if oldest is not None:
+            oldest.hang_up()
+        try:
+            yield
+        finally:
+            with self._lock, contextlib.suppress(ValueError):
+                self._unproved.remove(channel)
+
+    def _prove(self, channel: Channel) -> bool:
+        """Prove the token to a client, then have it do so. Raises OSError, TimeoutError for a slow client included."""
+        clock, within_s = RealClock(), HELLO_S
+        first = channel.receive(within_s)
+        if first is None or not is_protocol(first.get("protocol")) or not _is_nonce(nonce := first.get("nonce")):
+            return False
+        own = _new_nonce()
+        answer = proof(self.token, "server", self.port, nonce, own)
+        channel.send({"protocol": PROTOCOL, "nonce": own, "proof": answer})
+        channel.hello = channel.receive(within_s - clock.now()) or {}
+        return _is_proof(channel.hello.get("proof"), proof(self.token, "client", self.port, nonce, own))
 
 
 def connect(port: int, token: str, timeout_s: float, **about: object) -> Channel:
-    """A client's end, its hello sent, with what else it states. Its waits last at most `timeout_s`. Raises OSError."""
+    """A client's end, after both proofs, with what else it states. Its waits last at most `timeout_s`.
+
+    Raises NotProved where what answers does not prove the token, and other OSErrors.
+    """
     channel = Channel(socket.create_connection((LOOPBACK, port), timeout=timeout_s))
     try:
-        channel.send({"protocol": PROTOCOL, "token": token, **about})
+        own = _new_nonce()
+        channel.send({"protocol": PROTOCOL, "nonce": own})
+        answer = channel.receive(timeout_s) or {}
+        if not is_protocol(answer.get("protocol")) or not _is_nonce(nonce := answer.get("nonce")):
+            raise NotProved(port)
+        if not _is_proof(answer.get("proof"), proof(token, "server", port, own, nonce)):
+            raise NotProved(port)
+        channel.wait_at_most(timeout_s)
+        channel.send({"proof": proof(token, "client", port, own, nonce), **about})
     except OSError:
         channel.close()
         raise
     return channel
 
 
-def _is_hello(message: Message, token: str) -> bool:
-    if message.get("protocol") is True or message.get("protocol") != PROTOCOL:
-        return False
-    given = message.get("token")
-    return isinstance(given, str) and hmac.compare_digest(given.encode(errors="replace"), token.encode())
+def _new_nonce() -> str:
+    return secrets.token_hex(NONCE_BYTES)
+
+
+def _is_nonce(value: object) -> TypeGuard[str]:
+    return isinstance(value, str) and NONCE.fullmatch(value) is not None
+
+
+def _is_proof(given: object, right: str) -> bool:
+    """Whether a value of JSON is a proof, compared in constant time."""
+    return isinstance(given, str) and hmac.compare_digest(given.encode(errors="replace"), right.encode())

@@ -229,8 +229,8 @@ def operator_for(opened: OpenRig, rig: RigFile, ask: Ask | None, *, person: bool
     program: Operator | None = None
     if opened.virtual is not None:
         program = VirtualOperator(opened.virtual)
-    elif rig.simulated is not None and rig.simulated.control_port is not None:
-        program = ServedOperator(rig.simulated.control_port, rig.simulated.control_token or "")
+    elif (served := rig.simulated) is not None and served.control_port is not None and served.control_token:
+        program = ServedOperator(served.control_port, served.control_token, served.server)
     if program is not None and not person:
         return program
     if ask is None:

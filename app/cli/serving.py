@@ -4,6 +4,7 @@ import getpass
 import json
 import re
 import runpy
+import secrets
 import sys
 import tempfile
 import threading
@@ -53,6 +54,7 @@ def serve(
     """
     print_note(f"preparing the virtual rig of {rig}")  # before the imports, which load compiled code
     from goniotwin.app.rig import read_rig
+    from goniotwin.app.rig.lock import lock_served_rig
     from goniotwin.app.rig.served_file import FIRST_LINE, check_served_rig, served_alignment, served_rig, write_served_rig
     from goniotwin.mocks.served import ServedRig
 
@@ -63,12 +65,15 @@ def serve(
         if path is not None:
             check_served_rig(path)
     served = ServedRig(_twin_model(description), speed, folder.absolute(), control=control)
+    lock = None
     try:
         served.start()
         if write_rig is not None:
             if alignment is not None:
                 write_served_rig(alignment, f"{FIRST_LINE}\n{description.alignment}")
-            write_served_rig(write_rig, served_rig(description, served.endpoints, speed, alignment))
+            server = secrets.token_hex(8)
+            lock = lock_served_rig(server, f"goniotwin serve of {description.name}")
+            write_served_rig(write_rig, served_rig(description, served.endpoints, speed, alignment, server))
         for endpoint in served.endpoints:
             print(json.dumps(endpoint.as_dict()), flush=True)
         threading.Event().wait()
@@ -79,6 +84,8 @@ def serve(
         print("goniotwin: serving ended", file=sys.stderr)
     finally:
         served.stop()
+        if lock is not None:
+            lock.release(remove=True)
 
 
 @app.command(context_settings={"allow_extra_args": True, "ignore_unknown_options": True, "allow_interspersed_args": False})
@@ -122,6 +129,7 @@ def _usb_backend(rig: "RigDescription") -> "IBackend":
     import usb.core
 
     from goniotwin.app.rig.addresses import USBIP, usbip_address
+    from goniotwin.app.rig.lock import check_server
     from goniotwin.drivers.usb.usbip import UsbIpBackend, exported_devices
     from goniotwin.protocols.clock import RealClock
     from goniotwin.twin import VirtualRig
@@ -136,6 +144,8 @@ def _usb_backend(rig: "RigDescription") -> "IBackend":
             "virtual rig, or the one that goniotwin serve --write-rig has written"
         )
     host, port, bus_id = usbip_address(address)
+    if rig.file.simulated is not None:
+        check_server(rig.file.simulated.server, rig.name)
     try:
         exported = {each.bus_id for each in exported_devices(host, port)}
     except usb.core.USBError as error:

@@ -65,16 +65,21 @@ class SimulatedTable:
     """The mark of a simulated rig, with the `seed` of the virtual rig.
 
     A rig that another process serves has no [twin] in its file. Its table has the hash of the `model` (`old_model` is the hash
-    in its first version, which older journals have), the simulation `speed`, and the simulation `control_port`, through which
-    samples are mounted, with its `control_token`.
+    in its first version, which older journals have), the simulation `speed`, the key of the process that is its `server`, and
+    the simulation `control_port`, through which samples are mounted, with its `control_token`.
     """
 
     seed: int = 1
     model: str | None = None
     old_model: str | None = None
     speed: Positive = 1.0
+    server: str | None = None
     control_port: Annotated[int, Ge(1), Le(65535)] | None = None
     control_token: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.control_port is not None and not self.control_token:
+            raise ValueError("control_token: is missing, and anything could answer at control_port; serve the rig again")
 
 
 @dataclass(frozen=True)

@@ -45,11 +45,11 @@ class RigInUse(UserError):
 class LockFile:
     """A lock file, locked until `release` or until the process ends, also if it is killed."""
 
-    def __init__(self, path: Path, what: str, purpose: str, mode: int) -> None:
+    def __init__(self, path: Path, what: str, purpose: str, mode: int, patience_s: float = PROBE_S) -> None:
         """Lock the file; `what` it stands for is in the errors. Raises RigInUse with the holder's note, OSError."""
         self._path = path
         self._note = _note_of(path)
-        self._lock = FileLock(path, PROBE_S, mode, thread_local=False, fallback_to_soft=False, poll_interval=0.01)
+        self._lock = FileLock(path, patience_s, mode, thread_local=False, fallback_to_soft=False, poll_interval=0.01)
         try:
             self._lock.acquire()
         except Timeout:
@@ -147,6 +147,26 @@ class RigLock:
 
     def _path(self, name: str) -> Path:
         return self._folder / f"{file_stem(name)}.lock"
+
+
+def lock_served_rig(server: str, purpose: str) -> LockFile:
+    """The lock that shows that the process which serves a rig lives; `server` is its key in the rig file. Raises OSError."""
+    path = _served_lock(server)
+    make_own_folder(path.parent)
+    return LockFile(path, purpose, purpose, 0o600)
+
+
+def check_server(server: str | None, rig: str) -> None:
+    """Raise UserError if the process that served a rig has ended: its ports may be another program's by now.
+
+    Nothing is checked without the key of a process: such a rig file was not written by `goniotwin serve`.
+    """
+    if server is not None and holder_of(_served_lock(server)) is None:
+        raise UserError(f"{rig}: the goniotwin serve that served this rig has ended; serve it again, and use the new rig file")
+
+
+def _served_lock(server: str) -> Path:
+    return _lock_folder() / f"{file_stem(f'served:{server}')}.lock"
 
 
 FileIdentity = tuple[int, int]

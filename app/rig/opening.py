@@ -186,12 +186,15 @@ def open_rig(description: RigDescription, clock: "Clock", transcript: Path | Non
 
     With a folder in `transcript` every byte on every wire is written to files there. Raises UserError.
     """
+    from goniotwin.app.rig.lock import check_server
     from goniotwin.app.rig.wires import Wires
     from goniotwin.drivers import Transcript
     from goniotwin.twin import VirtualRig
     from goniotwin.twin.doors import register, unregister
 
     file = description.file
+    if file.simulated is not None and not file.in_process:
+        check_server(file.simulated.server, description.name)
     try:
         transcripts = Transcript(transcript, clock) if transcript is not None else None
     except OSError as error:

@@ -16,11 +16,14 @@ from goniotwin.protocols import adam
 FIRST_LINE = "# Written by goniotwin serve, which writes it anew at every start. SIMULATED."
 
 
-def served_rig(description: RigDescription, endpoints: Iterable[Endpoint], speed: float, alignment: Path | None = None) -> str:
+def served_rig(
+    description: RigDescription, endpoints: Iterable[Endpoint], speed: float, alignment: Path | None = None,
+    server: str | None = None,
+) -> str:  # fmt: skip
     """The text of the rig file: the operator's part with the addresses of the endpoints, marked as simulated.
 
     Of the [twin] table it has only the hash of the model, in both versions. `alignment` is the file beside it that has the
-    rig's alignment.
+    rig's alignment, `server` the key of `lock_served_rig`.
     """
     addresses: dict[str, str] = {}
     control: Endpoint | None = None
@@ -35,6 +38,8 @@ def served_rig(description: RigDescription, endpoints: Iterable[Endpoint], speed
     simulated = tomlkit.table()
     hashes = zip(("model", "old_model"), description.model_hashes(), strict=False)  # not every model has an old hash
     simulated.update({"seed": description.seed, **dict(hashes), "speed": speed})
+    if server is not None:
+        simulated["server"] = server
     if control is not None:
         simulated.update({"control_port": control.port, "control_token": control.token})
     document["simulated"] = simulated

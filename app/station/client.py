@@ -10,10 +10,10 @@ from typing import Any
 from goniotwin.app.errors import UserError
 from goniotwin.app.station.messages import Message, Snapshot, advance, decode
 from goniotwin.app.station.permissions import OF_BENCH
-from goniotwin.protocols.channel import PROTOCOL, Channel, connect
+from goniotwin.protocols.channel import Channel, NotProved, connect
 
 ATTACH_S = 5.0
-"""Longest time in which a station answers the hello."""
+"""Longest time of each answer until a client is attached."""
 ANSWER_S = 10.0
 """The same for a command that is waited for."""
 
@@ -42,7 +42,7 @@ class StationClient:
         on_event: Callable[[Message], None] = lambda _: None,
         on_end: Callable[[], None] = lambda: None,
     ) -> None:
-        """Attach. Raises NoStation where nothing answers as a station with this token does, TimeoutError where it is silent.
+        """Attach. Raises NoStation where nothing that proves the token answers, TimeoutError where it is silent.
 
         Raises Refused where the station takes no more clients, or is of another version.
         """
@@ -55,9 +55,11 @@ class StationClient:
                 otherwise.pop_all()
         except TimeoutError:
             raise
+        except NotProved as error:
+            raise NoStation(str(error)) from None
         except OSError as error:
             raise NoStation(f"no station answers at port {port}: {error.strerror or error}") from None
-        self._channel.wait_without_limit()
+        self._channel.wait_at_most(None)
         self.name = str(first.get("client", name))
         self.dropped = str(first.get("dropped", ""))
         self.attached_s = float(first.get("t_s", 0.0))
@@ -143,8 +145,8 @@ class StationClient:
 
 def _snapshot_of(first: dict[str, Any], port: int) -> Snapshot:
     """The snapshot of a station's first line. Raises NoStation, Refused."""
-    if first.get("protocol") != PROTOCOL:
-        raise NoStation(f"what answers at port {port} is no station with this token")
+    if not first:
+        raise NoStation(f"the station at port {port} has ended")
     if "error" in first:
         raise Refused(str(first["error"]))
     try:

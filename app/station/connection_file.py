@@ -1,22 +1,22 @@
 """How a client finds a station: a file for each rig in the user's state folder, readable by this user alone.
 
-It has port and token, as the connection files of Jupyter's kernels have. Whether a rig is taken is decided by a lock beside
-the file, and by those of its devices; a file is only an address, and one at which no station answers is stale. Light: it loads
-no driver.
+It has port and token, as the connection files of Jupyter's kernels have. The station holds a lock beside the file as long as it
+lives, and the file is its own, for it removes that of an earlier one first: a file whose lock is free is stale, and nothing
+connects to its port, which another program may have by now. Light: it loads no driver.
 """
 
 import contextlib
 import json
 import os
 import socket
-import sys
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from pydantic import TypeAdapter, ValidationError
 
-from goniotwin.app.station.client import NoStation, StationClient
+from goniotwin.app.rig.lock import holder_of
+from goniotwin.app.station.client import NoStation, Refused, StationClient
 from goniotwin.app.station.messages import Message
 from goniotwin.own_files import replace_text, state_folder
 from goniotwin.protocols.channel import PROTOCOL, parse_object
@@ -42,7 +42,7 @@ class Connection:
 def read_connection(path: Path) -> Connection | None:
     """The content of a connection file; None where there is none, or it is none of this version."""
     try:
-        found = TypeAdapter(Connection).validate_json(_content(path))
+        found = TypeAdapter(Connection).validate_json(_content(path), strict=True)
     except (OSError, ValidationError):
         return None
     return found if found.protocol == PROTOCOL else None
@@ -66,17 +66,9 @@ def _read_or_remove(path: Path) -> Connection | None:
     return connection
 
 
-def _has_ended(pid: int) -> bool:
-    """Whether there is no process of this number; not known on Windows."""
-    if sys.platform == "win32":
-        return False
-    try:
-        os.kill(pid, 0)
-    except (ProcessLookupError, OverflowError):
-        return True
-    except PermissionError:
-        pass
-    return False
+def lock_of(path: Path) -> Path:
+    """The lock that the station of a connection file holds."""
+    return path.with_suffix(".lock")
 
 
 def known_stations() -> dict[Path, Connection]:
@@ -97,20 +89,24 @@ def attach(
 ) -> StationClient | None:
     """Attach to the station of a connection file; None where there is none. A stale file is removed.
 
-    Raises TimeoutError where something listens and is silent, and Refused as `StationClient` does: such a station keeps its
-    file.
+    Raises TimeoutError where the station is silent, and Refused as `StationClient` does, and where another program answers at
+    the port: a station that lives keeps its file.
     """
     connection = _read_or_remove(path)
     if connection is None or connection.host != socket.gethostname():
         return None
     try:
-        return StationClient(connection.port, connection.token, name, on_event, on_end)
+        if holder_of(lock_of(path)) is not None:
+            return StationClient(connection.port, connection.token, name, on_event, on_end)
     except (NoStation, TimeoutError) as error:
-        if isinstance(error, TimeoutError) and not _has_ended(connection.pid):
-            raise
-        if read_connection(path) == connection:  # a new station may have taken its place
-            path.unlink(missing_ok=True)
-        return None
+        holder = holder_of(lock_of(path))  # it may have ended, or another one have begun, meanwhile
+        if holder is not None and read_connection(path) == connection:
+            if isinstance(error, TimeoutError):
+                raise
+            raise Refused(f"{connection.rig}: {error}; the rig is in use by {holder}: wait for it, or end it") from None
+    if read_connection(path) == connection:  # a new station may have taken its place
+        path.unlink(missing_ok=True)
+    return None
 
 
 def connection_folder() -> Path:

@@ -11,11 +11,12 @@ from pathlib import Path
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import OpenRig, RigDescription, read_rig
 from goniotwin.app.rig.addresses import device_names
-from goniotwin.app.rig.lock import LockFile
+from goniotwin.app.rig.lock import PROBE_S, LockFile
 from goniotwin.app.station.connection_file import (
     Connection,
     connection_folder,
     known_stations,
+    lock_of,
     read_connection,
     write_connection,
 )
@@ -25,6 +26,9 @@ from goniotwin.app.station.station import Station
 from goniotwin.own_files import make_own_folder
 from goniotwin.protocols.channel import PROTOCOL
 from goniotwin.protocols.clock import calendar_stamp
+
+LEAVING_S = 5.0
+"""Longest time in which a run's program that has given back the devices ends."""
 
 
 def connection_path(rig: RigDescription) -> Path:
@@ -52,16 +56,18 @@ def station_of(rig: Path) -> Path | None:
 def serving(station: Station, rig: RigDescription) -> Iterator[StationServer]:
     """Serve a station, whose rig is open, to clients that find it by its file.
 
-    The devices of a rig have locks of their own; for a virtual rig in this process there is one beside the file. Raises
-    RigInUse where another station has it, and UserError where its file cannot be written.
+    The lock beside the file is held until the end: it shows clients that the station lives, and keeps a virtual rig of this
+    process for this one. Other rigs are kept by the locks of their devices, so that a station which still has this one is
+    ending. Raises RigInUse where another station has it, and UserError where its file cannot be written.
     """
     path = connection_path(rig)
     with contextlib.ExitStack() as stack:
         with _writing(path):
             make_own_folder(path.parent)
-            if rig.file.in_process:
-                lock = LockFile(path.with_suffix(".lock"), rig.name, f"station of {rig.file.name} ({rig.name})", 0o600)
-                stack.callback(lock.release, remove=True)
+            patience_s = PROBE_S if rig.file.in_process else LEAVING_S
+            lock = LockFile(lock_of(path), rig.name, f"station of {rig.file.name} ({rig.name})", 0o600, patience_s)
+            stack.callback(lock.release, remove=True)
+            path.unlink(missing_ok=True)  # of a station that has died: with this lock it would seem alive
         server = StationServer(station)
         about = Connection(
             PROTOCOL, os.getpid(), socket.gethostname(), server.port, server.token, str(Path(rig.name).absolute()), "",

@@ -4,7 +4,7 @@ A client sends `{"do": COMMAND, "id": NUMBER, ...}` with the arguments of the co
 or `{"answer": NUMBER, "error": REASON}`. A command that begins something may have `stops`, the number of stops that its client
 knew; it is refused after another. A stop is carried out by the thread that reads its line, at once; it gets
 `{"received": NUMBER}` before, and its answer when the axes have confirmed. What lasts is reported by events,
-`{"event": NUMBER, "type": ..., ...}`, which follow the snapshot that answers the client's hello.
+`{"event": NUMBER, "type": ..., ...}`, which follow the snapshot that answers the client's proof.
 """
 
 import json
@@ -19,7 +19,7 @@ from goniotwin.app.errors import one_line
 from goniotwin.app.station.messages import NEWEST_ONLY, Message, encode
 from goniotwin.app.station.permissions import COMMANDS, EVERYBODYS, OF_BENCH, STOPPED, watching
 from goniotwin.app.station.station import CommandRefused, Station
-from goniotwin.protocols.channel import LONGEST_LINE, PROTOCOL, Channel, ChannelServer, new_token
+from goniotwin.protocols.channel import LONGEST_LINE, Channel, ChannelServer, new_token
 from goniotwin.protocols.clock import RealClock
 
 MOST_WAITING = 2000
@@ -146,7 +146,7 @@ class StationServer:
 
     def _serve(self, channel: Channel) -> None:
         if len(self.clients) >= MOST_CLIENTS:
-            channel.send({"protocol": PROTOCOL, "error": f"{MOST_CLIENTS} clients are attached to the station; close one"})
+            channel.send({"error": f"{MOST_CLIENTS} clients are attached to the station; close one"})
             return
         client = ""
         outbox = Outbox(channel, lambda: self._drop(client))
@@ -161,10 +161,7 @@ class StationServer:
                 client = self._name(channel.hello)
                 self._clients[client] = channel, outbox
                 left = self._dropped.pop(client, "")
-            outbox.put({
-                "protocol": PROTOCOL, "client": client, "dropped": left, "t_s": self._station.now_s,
-                "snapshot": encode(snapshot),
-            })  # fmt: skip
+            outbox.put({"client": client, "dropped": left, "t_s": self._station.now_s, "snapshot": encode(snapshot)})
         try:
             while (line := channel.receive()) is not None:
                 self._obey(client, line, outbox)

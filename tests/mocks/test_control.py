@@ -110,7 +110,7 @@ def test_the_port_obeys_a_client_with_its_token_and_no_other(door: ControlPort) 
     try:
         client = ControlClient(server.port, server.token)
         client.mount("etalon")
-        with pytest.raises(ConnectionError, match="the token is not that"):
+        with pytest.raises(ConnectionError, match="does not have the token"):
             ControlClient(server.port, server.token[:-1])
         assert client.do("state")["sample"] == "etalon"
         client.close()

@@ -6,7 +6,9 @@ the program: they send plain bytes with pyserial and sockets.
 """
 
 import contextlib
+import hmac
 import json
+import secrets
 import socket
 import struct
 import sys
@@ -107,9 +109,16 @@ def control(address: str, abrupt: bool) -> Iterator[None]:
     place, _, token = address.partition("/")
     host, _, port = place.rpartition(":")
     with socket.create_connection((host, int(port)), timeout=TIMEOUT_S) as connection, connection.makefile("rb") as answers:
-        connection.sendall(json.dumps({"protocol": 1, "token": token}).encode() + b"\n")
-        if json.loads(answers.readline()).get("ok") is not True:
-            raise WrongAnswer("the token is refused")
+        own = secrets.token_hex(32)
+        connection.sendall(json.dumps({"protocol": 2, "nonce": own}).encode() + b"\n")
+        first = json.loads(answers.readline())
+        right, mine = (
+            hmac.digest(token.encode(), f"goniotwin 2 {role} {port} {own} {first['nonce']}".encode(), "sha256").hex()
+            for role in ("server", "client")
+        )
+        if first["protocol"] != 2 or first["proof"] != right:
+            raise WrongAnswer("it does not have the token")
+        connection.sendall(json.dumps({"proof": mine}).encode() + b"\n")
         for number in range(QUESTIONS):
             connection.sendall(b'{"do": "state"}\n' if number % 2 else b'{"do": "mount", "sample": "etalon"}\n')
             if json.loads(answers.readline()).get("ok") is not True:

@@ -6,6 +6,7 @@ from goniotwin.app.campaign.row import NO_SAMPLE
 from goniotwin.app.campaign.running.question import Answer, Ask, Question
 from goniotwin.app.campaign.running.stop import Stopped
 from goniotwin.app.errors import UserError
+from goniotwin.app.rig.lock import check_server
 from goniotwin.mocks.control import ControlClient, OrderRefused
 from goniotwin.twin import VirtualRig
 
@@ -39,11 +40,13 @@ class VirtualOperator:
 class ServedOperator:
     """Operator of a virtual rig that another process serves: mounts through the simulation control port, fixes nothing."""
 
-    def __init__(self, port: int, token: str) -> None:
-        self._port, self._token = port, token
+    def __init__(self, port: int, token: str, server: str | None) -> None:
+        """`server` is the key of the process that serves the rig, as in `check_server`."""
+        self._port, self._token, self._server = port, token, server
 
     def mount(self, sample: str) -> None:
         """Mount a sample. Raises UserError where the rig is not served any more, or has no such sample."""
+        check_server(self._server, f"mounting {sample!r}")
         try:
             control = ControlClient(self._port, self._token)
             try:

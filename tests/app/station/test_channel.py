@@ -1,7 +1,6 @@
 """The channel of a station over loopback: attach, commands, one operator, clients that are silent or never read, a flood."""
 
 import contextlib
-import json
 import socket
 import threading
 from collections.abc import Callable, Iterator
@@ -22,7 +21,7 @@ from goniotwin.app.station.messages import (
 from goniotwin.app.station.server import StationServer
 from goniotwin.app.station.station import Station
 from goniotwin.protocols import channel
-from goniotwin.protocols.channel import LONGEST_LINE, PROTOCOL, connect
+from goniotwin.protocols.channel import LONGEST_LINE, connect
 from goniotwin.protocols.clock import RealClock
 from goniotwin.protocols.loopback import LOOPBACK
 
@@ -120,7 +119,7 @@ def test_an_event_of_another_version_does_not_end_the_connection(
 
 
 def test_a_wrong_token_is_no_station(server: StationServer) -> None:
-    with pytest.raises(NoStation, match="no station with this token"):
+    with pytest.raises(NoStation, match="does not have the token"):
         StationClient(server.port, "another", "x")
     server.stop()
     with pytest.raises(NoStation, match="no station answers"):
@@ -128,14 +127,15 @@ def test_a_wrong_token_is_no_station(server: StationServer) -> None:
 
 
 @pytest.mark.parametrize("first", [
-    b"POST / HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n", b"{}\n", b'{"protocol": true, "token": "TOKEN"}\n',
-    b" " * (LONGEST_LINE + 2) + b"\n", b'{"do": "stop"}\n',
-], ids=["POST", "no token", "protocol", "long", "stop"])  # fmt: skip
+    b"POST / HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n", b"{}\n", b'{"protocol": true, "nonce": "NONCE"}\n',
+    b'{"protocol": 1, "token": "TOKEN"}\n', b" " * (LONGEST_LINE + 2) + b"\n", b'{"do": "stop"}\n',
+], ids=["POST", "no nonce", "protocol", "token", "long", "stop"])  # fmt: skip
 def test_what_is_no_hello_learns_nothing(server: StationServer, first: bytes, station: Station) -> None:
     stopped: list[int] = []
     note_stops(station, stopped)
     with socket.create_connection((LOOPBACK, server.port), timeout=LONGEST_S) as end:
-        end.sendall(first.replace(b"TOKEN", server.token.encode()) + b'{"do": "stop", "id": 1}\n')
+        first = first.replace(b"TOKEN", server.token.encode()).replace(b"NONCE", b"0c" * 32)
+        end.sendall(first + b'{"do": "stop", "id": 1}\n')
         with contextlib.suppress(ConnectionError):
             assert end.recv(100) == b""
     assert server.clients == []
@@ -390,11 +390,3 @@ def test_events_and_snapshot_of_the_server_are_those_of_one_function(
         watcher.wait_for(lambda watcher=watcher: watcher.client.snapshot.number == 1000)  # type: ignore[misc]
     assert done.is_set()
     assert advance(station.snapshot, EventLogged("a", "b")).number == 1001
-
-
-def test_the_hello_is_the_channels(server: StationServer) -> None:
-    with socket.create_connection((LOOPBACK, server.port), timeout=LONGEST_S) as end:
-        end.sendall(json.dumps({"protocol": PROTOCOL, "token": server.token}).encode() + b"\n")
-        first = json.loads(end.makefile("rb").readline())
-    assert first["snapshot"]["type"] == "Snapshot"
-    assert first["client"] == "client"

@@ -3,11 +3,12 @@
 import contextlib
 import io
 import json
+import os
 import socket
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -17,9 +18,18 @@ from goniotwin.app.campaign.running.question import Answer, Question
 from goniotwin.app.cli.campaign import TerminalAsk
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import open_rig, parse_rig, read_rig
+from goniotwin.app.rig.lock import LockFile
 from goniotwin.app.station import connection_file, hosting, starting
-from goniotwin.app.station.client import StationClient
-from goniotwin.app.station.connection_file import Connection, attach, connection_folder, known_stations, write_connection
+from goniotwin.app.station.client import Refused, StationClient
+from goniotwin.app.station.connection_file import (
+    Connection,
+    attach,
+    connection_folder,
+    known_stations,
+    lock_of,
+    read_connection,
+    write_connection,
+)
 from goniotwin.app.station.hosting import HostedRun, connection_path, serving, station_of
 from goniotwin.app.station.messages import QuestionAsked, RunBegun
 from goniotwin.app.station.process import run_station
@@ -130,7 +140,9 @@ def raise_timeout(*_: object, **_more: object) -> None:
 
 
 @pytest.mark.parametrize(
-    "content", ["", "{{{", "[]", "x" * 100_000, '{"protocol": true}'], ids=["empty", "braces", "list", "long", "true"]
+    "content",
+    ["", "{{{", "[]", "x" * 100_000, *(f'{{"protocol": {each}}}' for each in ("true", f"{PROTOCOL}.0", f'"{PROTOCOL}"'))],
+    ids=["empty", "braces", "list", "long", "true", "float", "text"],
 )
 def test_a_connection_file_that_is_none_is_removed(tmp_path: Path, content: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(connection_file, "connection_folder", lambda: tmp_path)
@@ -139,7 +151,7 @@ def test_a_connection_file_that_is_none_is_removed(tmp_path: Path, content: str,
         path.write_text(content, encoding="utf-8")
         assert not find()
         assert not path.exists()
-    path.write_text('{"protocol": 2}', encoding="utf-8")
+    path.write_text(f'{{"protocol": {PROTOCOL + 1}}}', encoding="utf-8")
     assert not known_stations()
     assert attach(path, "client") is None
     assert path.exists()  # of another version
@@ -210,20 +222,102 @@ def test_a_station_that_does_not_come_up_is_ended(write_rig: Writer, monkeypatch
     process.stdin.close()
 
 
-def test_a_station_that_hangs_is_named(write_rig: Writer, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture
+def held(write_rig: Writer) -> Iterator[Callable[[int], tuple[Path, Path]]]:
+    """Function that makes the connection file of a station that lives, at any port; returns it and its rig file."""
+    with contextlib.ExitStack() as stack:
+
+        def hold(port: int) -> tuple[Path, Path]:
+            rig = write_rig()
+            path = connection_path(read_rig(rig))
+            path.parent.mkdir(parents=True, exist_ok=True)
+            stack.callback(LockFile(lock_of(path), str(rig), "station", 0o600).release, remove=True)
+            about = Connection(PROTOCOL, os.getpid(), socket.gethostname(), port, "a token", str(rig), "", "")
+            write_connection(path, about)
+            stack.callback(path.unlink, missing_ok=True)
+            return path, rig
+
+        yield hold
+
+
+Held = Callable[[int], tuple[Path, Path]]
+
+
+def test_a_station_that_hangs_is_named(held: Held, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("goniotwin.app.station.client.ATTACH_S", 0.1)
-    rig = write_rig()
-    path = connection_path(read_rig(rig))
     with socket.create_server(("127.0.0.1", 0)) as silent:
-        port = silent.getsockname()[1]
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_connection(path, Connection(PROTOCOL, 1, socket.gethostname(), port, "x", str(rig), "", ""))
+        path, rig = held(silent.getsockname()[1])
         hung = invoke("here", "--rig", rig, "sigma", "0")
         assert (hung.returncode, "its station does not answer" in hung.stderr) == (2, True)
-        dead = subprocess.run([sys.executable, "-S", "-c", "import os; print(os.getpid())"], capture_output=True, check=True)
-        write_connection(path, Connection(PROTOCOL, int(dead.stdout), socket.gethostname(), port, "x", str(rig), "", ""))
-        assert attach(path, "next") is None
-        assert not path.exists()  # of a process that has ended: its port is another program's
+        assert path.exists()
+
+
+def test_nothing_connects_to_the_port_of_a_station_that_has_died(held: Held) -> None:
+    """Another program may have it by now. The file is removed, whichever process has the station's number."""
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        other.settimeout(0.0)
+        path, _ = held(other.getsockname()[1])
+        about = path.read_text(encoding="utf-8")
+        dead = path.with_name("dead.json")
+        dead.write_text(about, encoding="utf-8")
+        assert attach(dead, "client") is None
+        assert not dead.exists()
+        with pytest.raises(BlockingIOError):
+            other.accept()
+
+
+@pytest.mark.parametrize("number", [float(PROTOCOL), str(PROTOCOL), True], ids=repr)
+def test_the_protocol_of_a_connection_file_is_an_integer(held: Held, number: object) -> None:
+    path, _ = held(1)
+    assert read_connection(path) is not None
+    path.write_text(json.dumps({**json.loads(path.read_text(encoding="utf-8")), "protocol": number}), encoding="utf-8")
+    assert read_connection(path) is None
+    assert path not in known_stations()
+
+
+def test_a_station_that_lives_keeps_its_file_where_another_program_answers_at_its_port(held: Held) -> None:
+    """It gets no more than a nonce: neither the token nor a command."""
+    received: list[bytes] = []
+
+    def answer() -> None:
+        for _ in range(2):
+            connection, _address = other.accept()
+            with connection, connection.makefile("rwb", buffering=0) as end:
+                received.append(end.readline())
+                end.write(b'{"protocol": 2, "ok": true, "client": "x", "snapshot": {"type": "Snapshot"}}\n')
+                received.append(end.readline())
+
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        path, rig = held(other.getsockname()[1])
+        thread = threading.Thread(target=answer)
+        thread.start()
+        with pytest.raises(Refused, match=rf"does not have the token.*in use by process {os.getpid()} .*station: wait for it"):
+            attach(path, "client")
+        moved = invoke("move", "--rig", rig, "beta", "12")
+        assert (moved.returncode, moved.stdout, "does not have the token" in moved.stderr) == (2, "", True)
+        thread.join()
+    assert path.exists()
+    assert [set(json.loads(each)) for each in received[::2]] == [{"protocol", "nonce"}] * 2
+    assert received[1::2] == [b"", b""]
+
+
+def test_a_station_removes_the_file_of_one_that_has_died_before_it_seems_to_live(
+    write_rig: Writer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig = read_rig(write_rig())
+    path = connection_path(rig)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_connection(path, Connection(PROTOCOL, 1, socket.gethostname(), 9, "old", rig.name, "", ""))
+    seen: list[bool] = []
+
+    def write(at: Path, about: Connection) -> None:
+        seen.append(at.exists())
+        write_connection(at, about)
+
+    monkeypatch.setattr(hosting, "write_connection", write)
+    with serving(Station(), rig):
+        assert seen == [False]
+        assert known_stations()[path].pid == os.getpid()
 
 
 def test_a_second_station_of_a_virtual_rig_is_refused(station: tuple[Station, Path]) -> None:
