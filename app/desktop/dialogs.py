@@ -1,20 +1,21 @@
-"""Windows beside the main one block nothing and pass the release of Esc on: the keys of Stop hold in each of them."""
+"""Windows beside the main one, which block nothing: the keys of Stop hold in each of them. Esc, once it is up, closes them."""
 
 from collections.abc import Callable
 from pathlib import Path
 
 from PySide6.QtCore import Qt
-from PySide6.QtGui import QKeyEvent
 from PySide6.QtWidgets import QApplication, QDialog, QFileDialog, QWidget
 
 
-def pass_on_escape(dialog: QDialog, event: QKeyEvent) -> bool:
-    """Give the release of Esc, which a window of its own does not pass on, to the main window; return whether it was that."""
-    released = event.key() == Qt.Key.Key_Escape and not event.isAutoRepeat()
-    parent = dialog.parentWidget()
-    if released and parent is not None:
-        QApplication.sendEvent(parent.window(), event)
-    return released
+def close_dialog() -> None:
+    """Close the dialog that is in front, if there is one: Esc was pressed and released.
+
+    Not by its press, from which on Esc may be held, nor by any release that a dialog gets: that of auto-repeat comes while the
+    key is down.
+    """
+    window = QApplication.activeWindow()
+    if isinstance(window, QDialog):
+        window.reject()
 
 
 class FileDialog(QFileDialog):
@@ -44,10 +45,3 @@ class FileDialog(QFileDialog):
             self.setOption(QFileDialog.Option.ShowDirsOnly)
         self.fileSelected.connect(lambda name: chosen(Path(name)))
         self.show()
-
-    def keyReleaseEvent(self, event: QKeyEvent) -> None:
-        """Close with Esc, and report its release; Qt calls it."""
-        if pass_on_escape(self, event):
-            self.reject()
-        else:
-            super().keyReleaseEvent(event)

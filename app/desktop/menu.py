@@ -5,11 +5,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 from PySide6.QtCore import QObject, Qt, Signal, qVersion
-from PySide6.QtGui import QAction, QActionGroup, QKeyEvent, QKeySequence
+from PySide6.QtGui import QAction, QActionGroup, QKeySequence
 from PySide6.QtWidgets import QDialog, QDialogButtonBox, QMainWindow, QMenu, QTextBrowser, QVBoxLayout, QWidget
 
 import goniotwin
-from goniotwin.app.desktop.dialogs import pass_on_escape
 from goniotwin.app.desktop.remembered import Kind, Remembered
 from goniotwin.app.desktop.run.panel import FINISH_KEY, HOLD_KEY, PAUSE_KEY, START_KEY, STOP_KEY
 from goniotwin.app.desktop.theme import Scheme
@@ -189,13 +188,6 @@ class TextBox(QDialog):
         document = shown.document()
         document.setTextWidth(TEXT_WIDTH)
         self.resize(TEXT_WIDTH + 50, min(round(document.size().height()) + 80, parent.height() - 20))
-
-    def keyReleaseEvent(self, event: QKeyEvent) -> None:
-        """Close with Esc, and report its release; Qt calls it."""
-        if pass_on_escape(self, event):
-            self.close()
-        else:
-            super().keyReleaseEvent(event)
 
 
 def keys_text(view: MainView) -> str:

@@ -13,13 +13,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from PySide6.QtCore import QEvent, Qt, QTimer, QUrl, Signal, Slot
-from PySide6.QtGui import QCloseEvent, QDesktopServices, QKeyEvent
+from PySide6.QtGui import QCloseEvent, QDesktopServices
 from PySide6.QtWidgets import QApplication, QMainWindow, QPushButton
 
 from goniotwin import examples
 from goniotwin.app.campaign.running.question import EFFECTS, Answer
 from goniotwin.app.desktop.campaigns.screen import CampaignsScreen
-from goniotwin.app.desktop.dialogs import FileDialog
+from goniotwin.app.desktop.dialogs import FileDialog, close_dialog
 from goniotwin.app.desktop.event_loop import GarbageCollector
 from goniotwin.app.desktop.events.question import Choice, QuestionBox
 from goniotwin.app.desktop.menu import QUIT_KEY, Menus, TextBox, about_text, keys_text
@@ -99,6 +99,7 @@ class MainWindow(QMainWindow):
         menus.scheme_chosen.connect(self._choose_scheme)
         menus.help_wanted.connect(self._show_keys)
         menus.about_wanted.connect(self._show_about)
+        self.view.run.hold.ended.connect(close_dialog)
         self.theme.changed.connect(self._recolour)
         self.imported.connect(self.complete, Qt.ConnectionType.QueuedConnection)
 
@@ -384,12 +385,6 @@ class MainWindow(QMainWindow):
         if self.close_question is not None:
             self.close_question.dismiss()
         self.close_question = None
-
-    def keyReleaseEvent(self, event: QKeyEvent) -> None:
-        """Esc is held no longer; Qt calls it."""
-        if event.key() == Qt.Key.Key_Escape and not event.isAutoRepeat():
-            self.view.run.release_hold()
-        super().keyReleaseEvent(event)
 
     # The files.
 

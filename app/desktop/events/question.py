@@ -4,10 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from PySide6.QtCore import Qt, Signal, Slot
-from PySide6.QtGui import QKeyEvent
 from PySide6.QtWidgets import QApplication, QDialog, QGridLayout, QLabel, QPushButton, QVBoxLayout, QWidget
-
-from goniotwin.app.desktop.dialogs import pass_on_escape
 
 WIDTH = 540
 
@@ -103,13 +100,6 @@ class QuestionBox(QDialog):
         """Remove the question."""
         self.hide()
         self.deleteLater()
-
-    def keyReleaseEvent(self, event: QKeyEvent) -> None:
-        """Close with Esc, and report its release; Qt calls it."""
-        if pass_on_escape(self, event):
-            self.reject()
-        else:
-            super().keyReleaseEvent(event)
 
     def _button(self, choice: Choice) -> QPushButton:
         button = QPushButton(choice.label)

@@ -2,7 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-from PySide6.QtCore import Qt, QTimer, Signal, Slot
+from PySide6.QtCore import Qt, Signal, Slot
 from PySide6.QtGui import QGuiApplication, QKeySequence, QShortcut
 from PySide6.QtWidgets import (
     QComboBox,
@@ -16,6 +16,7 @@ from PySide6.QtWidgets import (
 )
 
 from goniotwin.app.campaign.wording import rounded_duration_text
+from goniotwin.app.desktop.held_key import HeldKeyFilter
 from goniotwin.app.desktop.theme import Colours
 
 if TYPE_CHECKING:  # the window shows itself before the engine is loaded
@@ -63,7 +64,7 @@ class RunPanel(QWidget):
         self.stop_button.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self._stop_keys = QLabel()
         self._stop_keys.setAlignment(Qt.AlignmentFlag.AlignCenter)
-        self._hold = QTimer(self, interval=HOLD_MS, singleShot=True)
+        self.hold = HeldKeyFilter(self, Qt.Key.Key_Escape, HOLD_MS)
         self.progress = QProgressBar()
         self.progress.setAccessibleName("Rows done")
         self.progress.setMinimumWidth(120)
@@ -87,14 +88,19 @@ class RunPanel(QWidget):
         self.pause_button.clicked.connect(self._pause_or_resume)
         self.finish_button.clicked.connect(self.finish_cut)
         self.speeds.currentIndexChanged.connect(self._choose_speed)
-        self._hold.timeout.connect(self._stop_held)
-        # In every window of the program, and also while the key repeats.
-        for key, slot in ((STOP_KEY, self.stop_button.click), (HOLD_KEY, self._start_hold)):
-            QShortcut(QKeySequence(key), self, context=Qt.ShortcutContext.ApplicationShortcut).activated.connect(slot)
+        self.hold.begun.connect(self._show_hold)
+        self.hold.held.connect(self._stop_held)
+        self.hold.ended.connect(self._show_no_hold)
+        # In every window of the program, and also while the key repeats. The press of HOLD_KEY is for the hold alone: it
+        # would close a question at once.
+        stop, _ = (
+            QShortcut(QKeySequence(key), self, context=Qt.ShortcutContext.ApplicationShortcut) for key in (STOP_KEY, HOLD_KEY)
+        )
+        stop.activated.connect(self.stop_button.click)
         application = QGuiApplication.instance()
         assert isinstance(application, QGuiApplication)
-        application.applicationStateChanged.connect(self.release_hold)  # another program may get the release
-        self.release_hold()
+        application.applicationStateChanged.connect(self._forget_hold)  # another program may get the release
+        self._show_no_hold()
         self._show_speeds()
         self._show_texts()
         self.set_colours(colours)
@@ -144,18 +150,6 @@ class RunPanel(QWidget):
     def resumes(self) -> bool:
         """Whether the pause button resumes now."""
         return self._resumes
-
-    @property
-    def holding(self) -> bool:
-        """Whether the key that has to be held is down."""
-        return self._hold.isActive()
-
-    @Slot()
-    def release_hold(self) -> None:
-        """The key that has to be held is up again."""
-        self._hold.stop()
-        self.stop_button.setDown(False)
-        self._stop_keys.setText(f"hold {HOLD_KEY}, or {STOP_KEY}")
 
     def set_progress(self, done: int, of: int, left_s: float | None) -> None:
         """Show the rows done and planned, and the instrument time of the rest, s."""
@@ -273,16 +267,25 @@ class RunPanel(QWidget):
         self.left.setText((f"{about} {wait}{band} to wait{simulated}" if simulated else f"{wait}{band} left") + more)
 
     @Slot()
-    def _start_hold(self) -> None:
-        if self.stop_button.isEnabled() and not self._hold.isActive():  # it repeats while it is down
-            self._hold.start()
+    def _show_hold(self) -> None:
+        if self.stop_button.isEnabled():
             self.stop_button.setDown(True)
             self._stop_keys.setText(f"keep {HOLD_KEY} down …")
 
     @Slot()
+    def _show_no_hold(self) -> None:
+        self.stop_button.setDown(False)
+        self._stop_keys.setText(f"hold {HOLD_KEY}, or {STOP_KEY}")
+
+    @Slot()
     def _stop_held(self) -> None:
-        self.release_hold()
+        self._show_no_hold()
         self.stop_button.click()
+
+    @Slot()
+    def _forget_hold(self) -> None:
+        self.hold.forget()
+        self._show_no_hold()
 
     @Slot()
     def _pause_or_resume(self) -> None:

@@ -415,13 +415,13 @@ def test_esc_has_to_be_held(qtbot: QtBot, open_window: WindowOpener, monkeypatch
         widget.window().activateWindow()
         qtbot.waitUntil(widget.window().isActiveWindow)
         qtbot.keyPress(widget, Qt.Key.Key_Escape)
-        assert run.holding
+        assert run.stop_button.isDown()
         qtbot.keyRelease(widget, Qt.Key.Key_Escape)
-        assert not run.holding
-    assert not box.isVisible()
+        qtbot.waitUntil(lambda: not run.stop_button.isDown())
+        assert box.isVisible() == (widget is window)
     assert window.question is box
     assert window.presenter.state is State.RUNNING
-    run._hold.setInterval(1)
+    run.hold.rule.hold_ms = 1
     qtbot.keyPress(box, Qt.Key.Key_Escape)
     wait_for_end(qtbot, window, State.IDLE)
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PySide6.QtCore import Qt, QTimer
-from PySide6.QtTest import QSignalSpy, QTest
+from PySide6.QtTest import QSignalSpy
 from PySide6.QtWidgets import QApplication, QWidget
 from pytestqt.qtbot import QtBot
 
@@ -686,8 +686,10 @@ def test_the_status_keeps_the_question_and_the_pause_key_takes_its_pause_back(qt
     closing = window.close_question
     assert closing is not None
     assert all(each.accessibleName() for each in closing.findChildren(QWidget) if each.focusPolicy() & Qt.FocusPolicy.TabFocus)
-    QTest.keyRelease(closing, Qt.Key.Key_Escape)
-    assert not closing.isVisible()
+    closing.activateWindow()
+    qtbot.waitUntil(closing.isActiveWindow)
+    press("Esc")
+    qtbot.waitUntil(lambda: window.close_question is None)
     assert window.isVisible()
     press("Ctrl+Q", "Ctrl+Q")
     assert not window.isVisible()
