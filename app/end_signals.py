@@ -20,10 +20,14 @@ END_SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP")
 
 
 class EndSignalHandlers:
-    """Signal handlers. The first signal calls `act`; `received` is True from then on."""
+    """Signal handlers. The first signal calls `act`; `received` is True from then on.
 
-    def __init__(self, act: Callable[[], None]) -> None:
+    `of_program`: the process is this program, which ends after the signal, and no host that has called a command of it.
+    """
+
+    def __init__(self, act: Callable[[], None], *, of_program: bool) -> None:
         self.received = False
+        self.of_program = of_program
         self._act = act
         self._overdue = threading.Event()
 
@@ -42,8 +46,9 @@ class EndSignalHandlers:
         timer = threading.Timer(LONGEST_STOP_S, self._overdue.set)
         timer.daemon = True
         timer.start()
-        atexit.register(ignore_end_signals)
-        _leave_closed_terminal()
+        if self.of_program:
+            atexit.register(ignore_end_signals)
+            _leave_closed_terminal()
         with contextlib.suppress(OSError):  # a full disk: the stop comes first
             os.write(2, STOPPING_MESSAGE)
         self._act()
@@ -57,8 +62,8 @@ class EndSignalHandlers:
 
 
 def interrupt_on_end_signal() -> None:
-    """Install handlers: the first signal raises KeyboardInterrupt in the main thread, later ones are ignored."""
-    EndSignalHandlers(_raise_interrupt).install()
+    """Install the program's handlers: the first signal raises KeyboardInterrupt in the main thread, later ones are ignored."""
+    EndSignalHandlers(_raise_interrupt, of_program=True).install()
 
 
 @contextlib.contextmanager
@@ -66,16 +71,18 @@ def call_on_end_signal(act: Callable[[], None]) -> Iterator[EndSignalHandlers]:
     """Install handlers for the time of the context: the first signal calls `act` in the main thread, between two statements.
 
     Later signals are ignored. For an event loop, in which a KeyboardInterrupt is lost. `act` must be quick and not raise.
-    On exit the previous handlers are restored, unless a signal came: then the program is about to end, and later signals
-    stay ignored.
+    On exit the previous handlers are restored; but where they are the program's (`interrupt_on_end_signal`) and a signal came,
+    it is about to end, and later signals stay ignored.
     """
     previous = {number: signal.getsignal(number) for number in END_SIGNALS}
-    handlers = EndSignalHandlers(act)
+    owners = [getattr(handler, "__self__", None) for handler in previous.values()]
+    of_program = any(isinstance(owner, EndSignalHandlers) and owner.of_program for owner in owners)
+    handlers = EndSignalHandlers(act, of_program=of_program)
     handlers.install()
     try:
         yield handlers
     finally:
-        if not handlers.received:
+        if not (handlers.received and of_program):
             for number, handler in previous.items():
                 signal.signal(number, handler)
 

@@ -6,7 +6,6 @@ in the files. What is missing all the same is compiled when it is called: `state
 has another process compile the rest of what the command needs meanwhile.
 """
 
-import atexit
 import logging
 import subprocess
 import sys
@@ -338,16 +337,28 @@ class CompilationNotes(logging.Handler):
         _state([*here, *self._there], here, self._there, "" if part is not None else kernel)
         if self._there:
             self._other = _start(self._there)
-            atexit.register(_kill, self._other)
+
+    def close(self) -> None:
+        """State nothing more, and end the other process."""
+        LOG.removeHandler(self)
+        _kill(self._other)
+        super().close()
 
 
 def state_compilation(command: str) -> None:
     """Have a command state that it compiles, where it does, and compile on both cores. Costs nothing where all is compiled."""
-    for each in [each for each in LOG.handlers if isinstance(each, CompilationNotes)]:
-        LOG.removeHandler(each)
+    state_no_more()
     LOG.addHandler(CompilationNotes(NEEDS.get(command, ())))
     LOG.setLevel(logging.INFO)
     LOG.propagate = False
+
+
+def state_no_more() -> None:
+    """Leave the compiler's log as it was before `state_compilation`, at the end of a command."""
+    for each in [each for each in LOG.handlers if isinstance(each, CompilationNotes)]:
+        each.close()
+    LOG.setLevel(logging.NOTSET)
+    LOG.propagate = True
 
 
 def _state(names: Collection[str], here: Collection[str], there: Collection[str], kernel: str = "") -> None:

@@ -58,9 +58,17 @@ class CommandGroup(TyperGroup):
             raise typer.Exit(INTERRUPTED) from None
 
 
+class CommandLine(typer.Typer):
+    """A command line that a program of another's may call, too: of that process it changes nothing."""
+
+    def __call__(self, *args: Any, **kwargs: Any) -> Any:
+        """Run the command. Typer's own way takes over `sys.excepthook`."""
+        return typer.main.get_command(self)(*args, **kwargs)
+
+
 def without_commands() -> typer.Typer:
     """The command line, to which commands are added."""
-    return typer.Typer(
+    return CommandLine(
         cls=CommandGroup,
         name="goniotwin",
         help=(
@@ -96,6 +104,7 @@ def start(
 ) -> None:
     """Open the window if there is no command."""
     compilation.state_compilation(context.invoked_subcommand or "desktop")
+    context.call_on_close(compilation.state_no_more)
     if context.invoked_subcommand is None:
         desktop(examples.FIRST_RIG, examples.FIRST_SCHEDULE)
 
@@ -177,7 +186,7 @@ def copy_examples(
 def main() -> None:
     """Run the command. An error of the user's is one line on standard error, with its status: 2, or 1 for a damaged journal.
 
-    Any other error is one line too, with status 1.
+    Any other error is one line too, with status 1. The process is this program: its signals, hooks and streams are set here.
     """
     logging.getLogger("pymodbus.logging").addHandler(logging.NullHandler())  # its errors are raised as exceptions too
     sys.excepthook = lambda _kind, error, _trace: print_error(unexpected_error(error))  # of the window's slots
@@ -203,7 +212,7 @@ def main() -> None:
 def command(name: str = "") -> Callable[..., Any]:
     """The command line, with one command alone if `name` is one: typer takes 20 ms to make all of them.
 
-    Called in place of `app`, which makes it anew and takes over `sys.excepthook`.
+    Called in place of `app`, which makes it anew.
     """
     groups = [app, *(each.typer_instance for each in app.registered_groups if not isinstance(each.name, str))]
     commands = [each for group in groups if group is not None for each in group.registered_commands]

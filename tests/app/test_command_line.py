@@ -55,6 +55,43 @@ app(["check", *sys.argv[1:]], standalone_mode=False)
 loaded = [name for name in {LIGHT} if name in sys.modules]
 assert not loaded, loaded
 """
+HOST = """
+import contextlib, logging, os, signal, sys, threading
+from goniotwin.app.cli.main import app
+from goniotwin.app.station import process
+
+schedule, rig = sys.argv[1:]
+numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+sys.excepthook = lambda *error: sys.__excepthook__(*error)
+threading.excepthook = lambda _: None
+for number in numbers:
+    signal.signal(number, lambda *_: None)
+
+def state():
+    logs = [logging.getLogger(name) for name in (None, "goniotwin.compilation", "pymodbus.logging")]
+    return [
+        sys.excepthook, threading.excepthook, *map(signal.getsignal, numbers), signal.set_wakeup_fd(-1),
+        sys.stdout.errors, sys.stderr.errors, *[(log.handlers[:], log.level, log.propagate, log.disabled) for log in logs],
+    ]
+
+before = state()
+for command in (
+    ["--version"], ["schema", "rig", "--out", "a.json"], ["info", "nothing.csv"], ["check", "--no-such-option"],
+    ["check", schedule, "--rig", rig], ["run", schedule, "--rig", rig, "--out", "a.journal"],
+    ["export", "a.journal", "--out", "a.csv"],
+):
+    try:
+        app(command, standalone_mode=False)
+    except Exception as error:
+        assert "nothing.csv" in command or "--no-such-option" in command, error
+    assert state() == before, command
+note = process.Station.serve
+process.Station.serve = lambda station: (os.kill(os.getpid(), signal.SIGTERM), note(station))
+with contextlib.suppress(SystemExit):
+    app(["station", "--rig", rig])
+assert state() == before
+print("kept")
+"""
 LATE_CTRL_C = """
 import os, signal
 from goniotwin.app.cli import main
@@ -293,3 +330,16 @@ def test_closed_standard_streams_lead_nowhere(tmp_path: Path, closed: str) -> No
     )  # fmt: skip
     assert "Error" not in done.stderr
     assert (tmp_path / "first").read_text() == "0 True\n"
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="this system sends no signals to a process")
+def test_a_host_process_that_calls_a_command_keeps_its_hooks_signals_streams_and_logs(
+    tmp_path: Path, write_schedule: Writer
+) -> None:
+    """Commands that succeed, that are refused, that measure; and a station that a signal ends."""
+    done = subprocess.run(
+        [sys.executable, "-c", HOST, str(write_schedule()), str(RIG)],
+        capture_output=True, text=True, timeout=300, check=False, cwd=tmp_path,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.splitlines()[-1] == "kept"

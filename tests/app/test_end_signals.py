@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from goniotwin.app.end_signals import END_SIGNALS, call_on_end_signal
+from goniotwin.app.end_signals import END_SIGNALS, call_on_end_signal, interrupt_on_end_signal
 
 pytestmark = [
     pytest.mark.skipif(sys.platform == "win32", reason="this system sends no signals to a process"),
@@ -24,7 +24,7 @@ with end_signals.call_on_end_signal(lambda: print("stopping", flush=True)):
 """
 LATE_SIGNAL = """
 import os, signal, sys
-from goniotwin.app.end_signals import call_on_end_signal
+from goniotwin.app.end_signals import call_on_end_signal, interrupt_on_end_signal
 
 class Last:
     kill, number, process = os.kill, signal.SIGTERM, os.getpid()
@@ -32,6 +32,7 @@ class Last:
         Last.kill(Last.process, Last.number)
 
 last = Last()
+interrupt_on_end_signal()
 with call_on_end_signal(lambda: None):
     signal.raise_signal(signal.SIGTERM)
 sys.exit(130)
@@ -51,6 +52,7 @@ def test_the_first_signal_calls_the_function_and_later_signals_are_ignored(numbe
     before = {each: signal.getsignal(each) for each in END_SIGNALS}
     calls: list[str] = []
     try:
+        interrupt_on_end_signal()
         with call_on_end_signal(lambda: calls.append("stop")) as handlers:
             os.kill(os.getpid(), number)
             for each in (*END_SIGNALS, number):
@@ -62,6 +64,21 @@ def test_the_first_signal_calls_the_function_and_later_signals_are_ignored(numbe
             signal.signal(each, handler)
     assert calls == ["stop"]
     assert handlers.received
+
+
+def test_after_a_signal_the_handlers_of_a_host_are_restored() -> None:
+    """A process that is not this program, and has called a command of it, goes on."""
+    calls: list[str] = []
+    before = {each: signal.signal(each, lambda *_: calls.append("host")) for each in END_SIGNALS}
+    try:
+        with call_on_end_signal(lambda: calls.append("stop")):
+            os.kill(os.getpid(), signal.SIGTERM)
+            os.kill(os.getpid(), signal.SIGTERM)
+        os.kill(os.getpid(), signal.SIGTERM)
+    finally:
+        for each, handler in before.items():
+            signal.signal(each, handler)
+    assert calls == ["stop", "host"]
 
 
 def test_a_signal_that_is_ignored_stays_ignored() -> None:
