@@ -12,17 +12,20 @@ LONGEST_MESSAGE = 2000
 FULL_DISK = frozenset({errno.ENOSPC, errno.EDQUOT})
 
 
-class GoniotwinError(Exception):
-    """What a file or an argument can do wrong: one printable line that names it, the fault and the remedy."""
+class UserError(Exception):
+    """What a person can do wrong with a file, an argument or a device: one printable line with what, where and the remedy.
+
+    No traceback. The command ends with `status`.
+    """
+
+    status = 2
 
     def __str__(self) -> str:
         return one_line(super().__str__())
 
 
-class UserError(GoniotwinError):
-    """User-facing error of a command, option or device; no traceback. The command ends with `status`."""
-
-    status = 2
+GoniotwinError = UserError
+"""Its name in the public API."""
 
 
 class MissingPackage(UserError):

@@ -6,12 +6,9 @@ content, which is checked first, as that of a rayset: the HDF5 library can crash
 https://manual.nexusformat.org/classes/base_classes/NXdata.html.
 """
 
-import hashlib
-import itertools
 import json
 import math
 import re
-import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -20,24 +17,22 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
-from goniotwin.app.errors import room_on_disk
 from goniotwin.app.formats.content import COLUMNS, BsdfFile, Part, RegularTable, ScatteredBsdf
-from goniotwin.app.formats.file import FormatError, StrPath, check_writable, name_file, open_file, quote_word, write_file
+from goniotwin.app.formats.file import FormatError, StrPath, check_writable, quote_word
+from goniotwin.app.formats.hdf5 import open_hdf5, write_hdf5
 from goniotwin.app.formats.metadata import metadata_from_dict
 from goniotwin.app.formats.table import BsdfTable
 
 FORMAT = "goniotwin archive"
 VERSION = 1
-BLOCK = 512
-"""Bytes of the user block: the HDF5 library looks for its signature after it."""
 HEADING = "goniotwin archive; HDF5 from byte 512 on, of which sha256="
-HEADING_PATTERN = re.compile(re.escape(HEADING).encode() + rb"([0-9a-f]{64})\n *\n")
 MOST_BYTES = 4_000_000_000
 MOST_VALUES = 20_000_000
 """Values of all parts together that are read."""
 MOST_PARTS = 10_000
 COPY_AGAIN = "write the archive again, or copy the file again"
-CHUNK_BYTES = 1 << 20
+LEAST_PACKED = 512
+"""Values from which an array is compressed."""
 PACKED = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
 WORDS = ("channel", "flags")
 """Columns of texts: stored as numbers of words, whose list is in NAME_words."""
@@ -59,34 +54,31 @@ def recognise(head: bytes) -> bool:
 def write(path: Path, content: BsdfFile) -> None:
     """Write a content with all of its parts, completely or not at all. Raises FormatError."""
 
-    def fill(entry: h5py.Group) -> None:
+    def fill(entry: h5py.Group) -> Iterator[None]:
         for k, part in enumerate(content.parts, 1):
             group = put_part(entry, f"part_{k}", part)
             if part.sample in content.of_samples:
                 group["metadata"] = json.dumps(content.of_samples[part.sample].as_dict(), ensure_ascii=False)
+            yield
         put_about(entry, content)
 
     write_entry(path, fill)
 
 
-def write_entry(path: StrPath, fill: Callable[[h5py.Group], None]) -> None:
-    """Write an archive whose group `entry` is filled by a function, completely or not at all. Raises FormatError."""
+def write_entry(path: StrPath, fill: Callable[[h5py.Group], Iterator[None]]) -> None:
+    """Write an archive whose group `entry` is filled by a function, which yields after each part of it.
+
+    The file is written completely or not at all. Raises FormatError.
+    """
+
+    def fill_file(file: h5py.File) -> Iterator[None]:
+        file.attrs.update({"NX_class": "NXroot", "default": "entry", "format": FORMAT, "version": VERSION})
+        entry = file.create_group("entry")
+        entry.attrs["NX_class"] = "NXentry"
+        yield from fill(entry)
+
     check_writable(path)
-    try:
-        with tempfile.NamedTemporaryFile(dir=Path(path).resolve().parent, prefix=".", suffix=".tmp") as spare:
-            with h5py.File(spare.name, "w", userblock_size=BLOCK) as file:
-                file.attrs.update({"NX_class": "NXroot", "default": "entry", "format": FORMAT, "version": VERSION})
-                entry = file.create_group("entry")
-                entry.attrs["NX_class"] = "NXentry"
-                fill(entry)
-            spare.seek(BLOCK)
-            heading = f"{HEADING}{hashlib.file_digest(spare, 'sha256').hexdigest()}\n".encode()
-            spare.seek(BLOCK)
-            rest = iter(lambda: spare.read(CHUNK_BYTES), b"")
-            write_file(path, itertools.chain([heading.ljust(BLOCK - 1) + b"\n"], rest))
-    except OSError as error:
-        wrong = f"cannot be written ({error.strerror or error})"
-        raise FormatError(path, wrong, room_on_disk(error) or "check the folder and its permissions") from error
+    write_hdf5(path, HEADING, fill_file)
 
 
 def put_about(entry: h5py.Group, content: BsdfFile) -> None:
@@ -110,7 +102,7 @@ def put_texts(group: h5py.Group, name: str, texts: Sequence[str]) -> None:
 
 def put_array(group: h5py.Group, name: str, values: npt.NDArray[Any]) -> None:
     """Write an array, packed where it is large."""
-    given = group.create_dataset(name, data=values, **(PACKED if values.size > BLOCK else {}))
+    given = group.create_dataset(name, data=values, **(PACKED if values.size > LEAST_PACKED else {}))
     if name in UNITS:
         given.attrs["units"] = UNITS[name]
 
@@ -218,17 +210,8 @@ def read(path: StrPath) -> BsdfFile:
 
     Raises FormatError for another kind of file, and for a file that changed after it was written.
     """
-    with open_file(path, MOST_BYTES) as content:
-        heading = HEADING_PATTERN.fullmatch(content.read(BLOCK))
-        if heading is None:
-            raise FormatError(path, "is not an archive of goniotwin", "give an archive that was written by goniotwin")
-        if hashlib.file_digest(content, "sha256").hexdigest().encode() != heading[1]:
-            raise FormatError(path, "is damaged: its content does not match the sha256 in its first line", COPY_AGAIN)
-        try:
-            with name_file(path, COPY_AGAIN), h5py.File(content, "r") as file:
-                return _content(path, file)
-        except (OSError, KeyError, RuntimeError, TypeError, AttributeError) as error:
-            raise FormatError(path, "cannot be read as an archive", COPY_AGAIN) from error
+    with open_hdf5(path, HEADING, "an archive of goniotwin", COPY_AGAIN, MOST_BYTES) as file:
+        return _content(path, file)
 
 
 def _content(path: StrPath, file: h5py.File) -> BsdfFile:

@@ -8,10 +8,10 @@ import tempfile
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from io import BufferedReader
+from io import BufferedRandom, BufferedReader
 from pathlib import Path
 
-from goniotwin.app.errors import GoniotwinError, one_line, room_on_disk
+from goniotwin.app.errors import UserError, one_line, room_on_disk
 
 StrPath = str | os.PathLike[str]
 LONGEST_WORD = 40
@@ -31,7 +31,7 @@ NO_LINKS = frozenset({errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS
 """What a disk without hard links answers, as those of memory sticks."""
 
 
-class FormatError(GoniotwinError, ValueError):
+class FormatError(UserError, ValueError):
     """A file that cannot be read or written.
 
     The message is one printable line: the file, the line in it where known, what is wrong and what to do.
@@ -154,11 +154,18 @@ def check_writable(path: StrPath, replaceable: Replaceable | None = None) -> Non
 
 
 def write_file(path: StrPath, content: bytes | Iterable[bytes], replaceable: Replaceable | None = None) -> None:
-    """Write a file atomically: under another name in the same folder, synced to the disk, then renamed to `path`.
+    """Write a file atomically, see `replace_file`. A large content may be an iterable of parts. Raises FormatError."""
+    with replace_file(path, replaceable) as out:
+        for part in [content] if isinstance(content, bytes) else content:
+            out.write(part)
 
-    A large content may be an iterable of parts; an error raised by the iterable is passed on, and no file is left. Raises
-    FormatError if the file cannot be written, is a database such as a journal, or any other than a `replaceable` one; an
-    earlier file at `path` is then unchanged.
+
+@contextlib.contextmanager
+def replace_file(path: StrPath, replaceable: Replaceable | None = None) -> Iterator[BufferedRandom]:
+    """A file to write: under another name in the same folder, and at the end synced to the disk and renamed to `path`.
+
+    Raises FormatError if the file cannot be written, is a database such as a journal, or any other than a `replaceable` one.
+    After any error no file is left, and an earlier file at `path` is unchanged.
     """
     spare = None
     try:
@@ -166,20 +173,23 @@ def write_file(path: StrPath, content: bytes | Iterable[bytes], replaceable: Rep
         _refuse_database(path, file)
         _refuse_other(path, file, replaceable)
         spare = file.parent / f".{os.getpid()}-{threading.get_ident()}.tmp"
-        with spare.open("wb") as out:
-            for part in [content] if isinstance(content, bytes) else content:
-                out.write(part)
+        with spare.open("w+b") as out:
+            yield out
             out.flush()
             os.fsync(out.fileno())
         spare.replace(file)
         sync_folder(file.parent)
     except OSError as error:
-        wrong = f"cannot be written ({error.strerror})"
-        raise FormatError(path, wrong, room_on_disk(error) or "check the folder and its permissions") from error
+        raise _unwritable(path, error) from error
     finally:
         if spare is not None:
             with contextlib.suppress(OSError):  # after the renaming there is nothing left to remove
                 spare.unlink(missing_ok=True)
+
+
+def _unwritable(path: StrPath, error: OSError) -> FormatError:
+    wrong = f"cannot be written ({error.strerror or error})"
+    return FormatError(path, wrong, room_on_disk(error) or "check the folder and its permissions")
 
 
 def _refuse_database(path: StrPath, file: Path) -> None:

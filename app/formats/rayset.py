@@ -1,18 +1,17 @@
 """Rayset files: HDF5 after one line of text, with the columns and units that docs/rayset.md describes.
 
-The line has the SHA-256 of the HDF5 content, which is checked first: the HDF5 library can crash on a damaged file.
+The line has the SHA-256 of the HDF5 content, see `hdf5`.
 """
 
-import hashlib
-import io
-import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import h5py
 import numpy as np
 
-from goniotwin.app.formats.file import FormatError, StrPath, name_file, open_file, quote_word, write_file
+from goniotwin.app.formats.file import FormatError, StrPath, quote_word
+from goniotwin.app.formats.hdf5 import open_hdf5, write_hdf5
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics.illumination.rayset import Rayset
 
@@ -47,12 +46,9 @@ ATTRIBUTES: dict[str, tuple[str, type]] = {
     "emitted_flux": ("emitted_flux", float),
     "seed": ("seed", int),
 }
-# The user block of HDF5: the library ignores it and looks for its signature after it.
-BLOCK = 512
 MOST_BYTES = 330_000_000
 """Bytes of a file: five million rays, the most that are recorded, have 320 MB."""
 HEADING = "goniotwin rayset, simulated; HDF5 from byte 512 on, of which sha256="
-HEADING_PATTERN = re.compile(re.escape(HEADING).encode() + rb"([0-9a-f]{64})\n *\n")
 
 
 def recognise(head: bytes) -> bool:
@@ -62,8 +58,8 @@ def recognise(head: bytes) -> bool:
 
 def write_rayset(path: StrPath, rayset: Rayset) -> None:
     """Write a rayset, marked as simulated, completely or not at all. Raises FormatError."""
-    content = io.BytesIO()
-    with h5py.File(content, "w", userblock_size=BLOCK) as file:
+
+    def fill(file: h5py.File) -> Iterator[None]:
         file.attrs["format"] = FORMAT
         file.attrs["version"] = VERSION
         file.attrs["simulated"] = True
@@ -74,24 +70,15 @@ def write_rayset(path: StrPath, rayset: Rayset) -> None:
             data = file.create_dataset(name, data=np.asarray(getattr(rayset, column.field), dtype="<f8"))
             data.attrs["unit"] = column.unit or rayset.unit
             data.attrs["meaning"] = column.meaning
-    body = content.getvalue()[BLOCK:]
-    heading = f"{HEADING}{hashlib.sha256(body).hexdigest()}\n".encode()
-    write_file(path, heading.ljust(BLOCK - 1) + b"\n" + body)
+            yield
+
+    write_hdf5(path, HEADING, fill)
 
 
 def read_rayset(path: StrPath) -> Rayset:
     """Read a rayset. Raises FormatError for another kind of file, and for a file that changed after it was written."""
-    with open_file(path, MOST_BYTES) as content:
-        heading = HEADING_PATTERN.fullmatch(content.read(BLOCK))
-        if heading is None:
-            raise FormatError(path, "is not a rayset", "give a rayset that was written by goniotwin")
-        if hashlib.file_digest(content, "sha256").hexdigest().encode() != heading[1]:
-            raise FormatError(path, "is damaged: its content does not match the sha256 in its first line", RECORD_AGAIN)
-        try:
-            with name_file(path, RECORD_AGAIN), h5py.File(content, "r") as file:
-                return Rayset(**_fields(path, file))
-        except (OSError, KeyError, RuntimeError, TypeError) as error:
-            raise FormatError(path, "cannot be read as HDF5", RECORD_AGAIN) from error
+    with open_hdf5(path, HEADING, "a rayset", RECORD_AGAIN, MOST_BYTES) as file:
+        return Rayset(**_fields(path, file))
 
 
 def _fields(path: StrPath, file: h5py.File) -> dict[str, Any]:

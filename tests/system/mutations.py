@@ -19,7 +19,8 @@ from goniotwin.app.campaign.journal import chain
 from goniotwin.app.campaign.journal.schema import migrate
 from goniotwin.app.formats import BsdfTable, registry, write_rayset
 from goniotwin.app.formats.content import BsdfFile
-from goniotwin.app.formats.rayset import BLOCK, HEADING
+from goniotwin.app.formats.hdf5 import BLOCK
+from goniotwin.app.formats.rayset import HEADING
 from goniotwin.twin.optics.illumination.rayset import record
 from goniotwin.twin.optics.illumination.unit import IlluminationUnit
 from tests.conftest import REPOSITORY, RIG, SMALL

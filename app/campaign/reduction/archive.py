@@ -8,7 +8,7 @@ the input: what has one name is one input in the whole file, so a covariance is 
 import itertools
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -80,20 +80,21 @@ def write_archive(
                 else:
                     tables.append(found)
 
-    def put(entry: h5py.Group) -> None:
+    def put(entry: h5py.Group) -> Iterator[None]:
         inputs = _Inputs()
         for k, (name, source) in enumerate(reduced.samples.items(), 1):
             group = archive.put_part(entry, f"part_{k}", _empty(reduced, name))
             group["metadata"] = json.dumps(reduced.metadata[name].as_dict(), ensure_ascii=False)
-            _put_points(group, name, source, reduction, inputs)
+            yield from _put_points(group, name, source, reduction, inputs)
         for k, table in enumerate(tables, 1 + len(reduced.samples)):
             archive.put_part(entry, f"part_{k}", table)
+            yield
         comments = dict.fromkeys([*heading(reduced), *reduced.notes, *missing])
         about = common_metadata(reduced.metadata.values()) if reduced.metadata else Metadata(title=reduced.name)
         archive.put_about(entry, BsdfFile((), about, tuple(comments)))
         entry.attrs.update({"simulated": reduced.simulated, "default": "part_1"})
         inputs.put(entry.create_group("inputs"))
-        _put_journal(entry.create_group("journal"), journal, reduction)
+        yield from _put_journal(entry.create_group("journal"), journal, reduction)
 
     archive.write_entry(path, put)
     return Archived(good, tuple(tables), tuple(missing))
@@ -129,7 +130,7 @@ class _Inputs:
 
 def _put_points(
     group: h5py.Group, name: str, source: PointSource, reduction: Reduction, inputs: _Inputs
-) -> None:  # fmt: skip
+) -> Iterator[None]:  # fmt: skip
     """Fill a part with the points of a sample, in the order of wavelength and sigma, and what their uncertainty is made of."""
     columns: dict[str, archive.Column] = {}
     words: dict[str, dict[str, int]] = {column: {} for column in archive.WORDS}
@@ -158,6 +159,7 @@ def _put_points(
                 columns[each].add(values)
             components.add(part.size, part.budget)
             effects.add(part, reduction.settings)
+            yield
         for setting in integration_settings(points):
             if _put_reflectance(group, f"reflectance_{integrals + 1}", name, begin, points, setting, reduction.settings):
                 integrals += 1
@@ -249,7 +251,7 @@ def _put_reflectance(
     return True
 
 
-def _put_journal(group: h5py.Group, journal: JournalReader, reduction: Reduction) -> None:
+def _put_journal(group: h5py.Group, journal: JournalReader, reduction: Reduction) -> Iterator[None]:
     """Write the files of a campaign as they were, its rows, and the raw counts."""
     group.attrs["NX_class"] = "NXcollection"
     files: Mapping[str, str] = {key: journal.value(key) for key in ("name", "rig", "schedule", "versions")}
@@ -285,7 +287,9 @@ def _put_journal(group: h5py.Group, journal: JournalReader, reduction: Reduction
             begin += each.counts.size
         if len(of_rows) >= ROWS_TOGETHER:
             flush()
+            yield
     flush()
+    yield
 
 
 ROWS_TOGETHER = 1000

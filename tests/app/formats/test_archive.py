@@ -2,6 +2,7 @@
 
 import contextlib
 import tracemalloc
+from collections.abc import Iterator
 from dataclasses import fields
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -137,7 +138,7 @@ def test_a_file_that_others_wrote_is_read_or_refused(data: st.DataObject) -> Non
         names = ["values", "values_errors", "sigma_deg", "psi_deg", "comments", "wavelengths_nm"]
         strange = [np.zeros((2, 2)), np.array(3), b"text", np.array([1.0, np.inf]), np.zeros(0), np.array(["a"], dtype="S1")]
 
-        def fill(entry: h5py.Group) -> None:
+        def fill(entry: h5py.Group) -> Iterator[None]:
             archive.put_about(entry, BsdfFile(()))
             group = archive.put_part(entry, "part_1", table())
             name = data.draw(st.sampled_from(names))
@@ -146,6 +147,7 @@ def test_a_file_that_others_wrote_is_read_or_refused(data: st.DataObject) -> Non
                 group[name] = data.draw(st.sampled_from(strange))
             if data.draw(st.booleans()):
                 del group.attrs[data.draw(st.sampled_from(["kind", "sample", "transmitted"]))]
+            yield
 
         archive.write_entry(path, fill)
         with contextlib.suppress(FormatError):
@@ -153,11 +155,12 @@ def test_a_file_that_others_wrote_is_read_or_refused(data: st.DataObject) -> Non
 
 
 def test_a_dataset_without_its_values_takes_no_memory(tmp_path: Path) -> None:
-    def fill(entry: h5py.Group) -> None:
+    def fill(entry: h5py.Group) -> Iterator[None]:
         archive.put_about(entry, BsdfFile(()))
         group = archive.put_part(entry, "part_1", table())
         del group["values"]
         group.create_dataset("values", (15_000_000,), "<f8", chunks=(1000,))
+        yield
 
     archive.write_entry(tmp_path / "empty.h5", fill)
     tracemalloc.start()

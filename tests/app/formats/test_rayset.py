@@ -16,7 +16,8 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from goniotwin.app.formats import FormatError, rayset, read_rayset, write_rayset
-from goniotwin.app.formats.rayset import BLOCK, HEADING
+from goniotwin.app.formats.hdf5 import BLOCK
+from goniotwin.app.formats.rayset import HEADING
 from goniotwin.twin.optics.illumination.rayset import Rayset, record
 from goniotwin.twin.optics.illumination.unit import IlluminationUnit
 
