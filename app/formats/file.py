@@ -187,6 +187,32 @@ def replace_file(path: StrPath, replaceable: Replaceable | None = None) -> Itera
                 spare.unlink(missing_ok=True)
 
 
+@contextlib.contextmanager
+def replace_files(*paths: Path) -> Iterator[tuple[Path, ...]]:
+    """Names under which files are written that belong together; at the end each is renamed to its path, and a path whose name
+    was not written is removed.
+
+    After any error the files at `paths` are unchanged. A FormatError about one of the names is about the first path.
+    """
+    file = Path(os.path.realpath(paths[0]))
+    spares: dict[Path, Path] = {}
+    try:
+        with tempfile.TemporaryDirectory(dir=file.parent, prefix=".", suffix=".tmp") as folder:
+            spares = {Path(folder) / path.name: path for path in paths}
+            yield tuple(spares)
+            for spare, path in spares.items():
+                if spare.exists():
+                    spare.replace(os.path.realpath(path))
+                else:
+                    path.unlink(missing_ok=True)
+        sync_folder(file.parent)
+    except FormatError as error:
+        about = paths[0] if Path(error.path) in spares else error.path
+        raise FormatError(about, error.wrong, error.remedy, error.line) from None
+    except OSError as error:
+        raise _unwritable(paths[0], error) from error
+
+
 def _unwritable(path: StrPath, error: OSError) -> FormatError:
     wrong = f"cannot be written ({error.strerror or error})"
     return FormatError(path, wrong, room_on_disk(error) or "check the folder and its permissions")

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol, cast
 
 from goniotwin.app.errors import UserError
-from goniotwin.app.formats.file import FormatError, begins_as, check_writable, describe, read_head
+from goniotwin.app.formats.file import FormatError, begins_as, check_writable, describe, read_head, replace_files
 
 if TYPE_CHECKING:
     from goniotwin.app.formats.content import BsdfFile, Part
@@ -148,7 +148,7 @@ class Format:
         """Raise FormatError, which names the format, where the codec of another package raises anything else."""
         try:
             yield
-        except (FormatError, UserError):
+        except UserError:
             raise
         except Exception as error:
             if self in BUILT_IN:  # a fault of this program
@@ -491,22 +491,20 @@ def write(path: Path, content: "BsdfFile", found: Format, reported: list[str] | 
     check_holds(path, found, content_needs(content))
     check_files(path, found)
     content = write_gaps(content)
+    places = files_beside(path, found)
     files, notes = [path], []
-    for about, beside in files_beside(path, found).items():
-        mark = f"{about}{path.name}, in the place of the values: same unit, same grid"
-        mark += "; 0 where measured, 1 where not" if about is ABOUT_MASK else ""
-        parts = tuple(made for part in content.parts if (made := _beside(part, about, mark)) is not None)
-        if not parts:
-            beside.unlink(missing_ok=True)  # of an earlier result
-            continue
-        try:
-            found.write(beside, replace(content, parts=parts))
-        except FormatError as error:  # of what the table itself has
-            raise FormatError(path if error.path == str(beside) else error.path, error.wrong, error.remedy) from None
-        files.append(beside)
-        what = "standard uncertainties of the values" if about is ABOUT_UNCERTAINTY else "mask of what was not measured"
-        notes.append(f"{what}: in {beside.name}, on the same grid")
-    written = found.write(path, replace(content, parts=tuple(_with_notes(part, notes) for part in content.parts)))
+    with replace_files(path, *places.values()) as (spare, *spares):
+        for (about, beside), other in zip(places.items(), spares, strict=True):
+            mark = f"{about}{path.name}, in the place of the values: same unit, same grid"
+            mark += "; 0 where measured, 1 where not" if about is ABOUT_MASK else ""
+            parts = tuple(made for part in content.parts if (made := _beside(part, about, mark)) is not None)
+            if not parts:
+                continue
+            found.write(other, replace(content, parts=parts))
+            files.append(beside)
+            what = "standard uncertainties of the values" if about is ABOUT_UNCERTAINTY else "mask of what was not measured"
+            notes.append(f"{what}: in {beside.name}, on the same grid")
+        written = found.write(spare, replace(content, parts=tuple(_with_notes(part, notes) for part in content.parts)))
     if reported is not None:
         reported += written
     return tuple(files)

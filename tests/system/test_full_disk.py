@@ -20,6 +20,15 @@ from tests.app.campaign.campaign_bench import QUIET, THREE_SHIFTS, planned_value
 from tests.conftest import Writer
 from tests.system.command_process import FORKED, CommandProcess, Limits, check_committed
 from tests.system.conftest import ForkedServe, control_client
+from tests.system.full_disks import (
+    as_markdown,
+    bytes_needed,
+    on_a_disk,
+    sizes_of_disks,
+    small_disks,
+    with_a_limit,
+    writings,
+)
 
 pytestmark = FORKED
 SPEED = 10
@@ -152,6 +161,36 @@ def test_without_space_for_a_journal_no_file_is_left(
     assert f"{path}: cannot be written: " in line
     assert line.endswith("; check the folder and the disk")
     assert list(folder.iterdir()) == []
+
+
+SLOW = ("rayset", "rgl", "picture (png)", "picture (svg)", "comparison", "report")
+"""Files that take seconds each."""
+
+
+def test_a_file_without_room_is_one_line_and_status_2_and_leaves_nothing(tmp_path: Path) -> None:
+    """With 5000 bytes: each needs twice as many, or more. HDF5 ends in a segmentation fault where it cannot write."""
+    folder = tmp_path / "files"
+    folder.mkdir()
+    outcomes = [with_a_limit(each, 5000, folder, tmp_path) for each in writings(tmp_path) if each.name not in SLOW]
+    assert [(each.writing, each.fault) for each in outcomes if each.fault or each.status != 2] == []
+    assert len(outcomes) > 12
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("sizes", [50])
+def test_files_on_disks_of_many_sizes_are_whole_or_not_there(tmp_path: Path, sizes: int) -> None:
+    """On small disks, or, where mounting is not permitted, with limits of the size of a file."""
+    free, place = tmp_path / "free", tmp_path / "disk"
+    free.mkdir()
+    place.mkdir()
+    outcomes = []
+    with small_disks(place) as disk:
+        for writing in writings(tmp_path):
+            for size in sizes_of_disks(bytes_needed(writing, free, tmp_path), sizes):
+                found = on_a_disk(writing, size, disk, tmp_path) if disk else with_a_limit(writing, size, free, tmp_path)
+                outcomes.append(found)
+    print(f"\n{as_markdown(outcomes)}")
+    assert [each for each in outcomes if each.fault] == []
 
 
 def test_on_a_full_disk_a_rig_is_locked_without_the_name_of_the_holder(small_disk: SmallDisk) -> None:
