@@ -199,8 +199,7 @@ class Engine:
             return
         for each in self._journal.rows():
             self._stop_conditions.add_earlier_row(each.row, each.data)
-            if each.row.kind == "dark":
-                self._executor.remember_dark(each.data)
+            self._executor.remember(each.row, each.data)
 
     def _home_unreferenced(self) -> None:
         """On resume, home unreferenced axes first; not to close the shutter alone."""

@@ -6,11 +6,14 @@ from functools import partial
 import numpy as np
 
 from goniotwin.app.campaign.readout import (
+    CONTRADICTION,
     MONITOR_MEAN_S,
     NOT_WARM,
+    READING_ATTEMPTS,
     UNDER_RANGE,
     WARM_UP_PERIOD_S,
     GainSequence,
+    ReadingComparison,
     WarmUpTrace,
     further_readings,
     min_readings,
@@ -20,7 +23,7 @@ from goniotwin.app.campaign.row import NO_SAMPLE, Reading, Row, RowData
 from goniotwin.app.campaign.running.operator import Operator
 from goniotwin.app.campaign.running.stop import StopRequest
 from goniotwin.app.rig import AXES
-from goniotwin.arrays import Counts, Flags, Floats
+from goniotwin.arrays import Counts, Flags
 from goniotwin.drivers import AxisDescription, DeviceError, Pending, Rig, Until, wait
 from goniotwin.drivers.motion import Axis
 from goniotwin.drivers.motion.settings import ENCODER_TOLERANCE_DEG
@@ -32,6 +35,8 @@ ENCODER_POLL_S = 0.03
 """Time between two polls of the encoders."""
 MAX_REST_TIME_S = 5.0
 """Longest time after the settling time in which the encoders must come to rest."""
+MAX_LISTED_COUNTS = 16
+"""Number of contradicting counts that an event has: a changed count is one, a changed request a module's eight."""
 WARM_UP_EVENT_PERIOD_S = 60.0
 """Time between two events of a warm-up in the journal."""
 LogEvent = Callable[[str, str, str], None]
@@ -61,7 +66,7 @@ class RowExecutor:
         self._on_poll = on_poll
         self._log_event = log_event
         self._scripts = scripts
-        self._dark_means: dict[float, Floats] = {}
+        self._comparison = ReadingComparison(rig.photodiodes.settings)
         self._encoder_warnings: set[str] = set()
         self.forget_settings()
 
@@ -78,10 +83,9 @@ class RowExecutor:
         """The gain of all amplifiers, by its index; None where it is not known."""
         return self._gain
 
-    def remember_dark(self, dark: RowData) -> None:
-        """Use a dark reading for the rows that follow."""
-        for reading in dark.readings:
-            self._dark_means[reading.gain_v_per_a] = reading.counts.mean(axis=0)
+    def remember(self, row: Row, data: RowData) -> None:
+        """Use what a row shows for the rows that follow: the level of a dark reading, the scatter of the light."""
+        self._comparison.remember(data.readings, lit=row.kind != "dark")
 
     def execute(self, row: Row) -> RowData:
         """Execute one row. Raises DeviceError where a device fails (the row then has no data), Stopped, UserError."""
@@ -95,7 +99,7 @@ class RowExecutor:
             self.set_shutter(opened=False)
             readings, flags = self._read(row)
             dark = RowData(started, self._clock.now(), None, readings, flags)
-            self.remember_dark(dark)
+            self.remember(row, dark)
             return dark
         self._move(row)
         if row.kind == "warm-up":
@@ -103,7 +107,9 @@ class RowExecutor:
             return RowData(started, self._clock.now(), None, (), flags)
         readings, flags = self._read(row)
         positions = self.read_back()
-        return RowData(started, self._clock.now(), positions, readings, flags)
+        data = RowData(started, self._clock.now(), positions, readings, flags)
+        self.remember(row, data)
+        return data
 
     def set_shutter(self, *, opened: bool) -> None:
         """Open or close the shutter, unless it is in this state already."""
@@ -216,30 +222,63 @@ class RowExecutor:
     def _read(self, row: Row) -> tuple[tuple[Reading, ...], tuple[str, ...]]:
         """Read all photodiodes at each gain that the row needs; return the readings by ascending gain, and the row's flags."""
         gains = GainSequence(row, self._rig.photodiodes.settings, self._gain)
-        taken = {}
+        taken, contradiction = {}, False
         for gain in gains:
-            reading = self._read_to_target(row, gain, gains.saturated)
-            taken[gain] = reading
-            gains.add(reading.counts)
+            taken[gain], contradicts = self._read_to_target(row, gain, gains.saturated)
+            contradiction |= contradicts
+            gains.add(taken[gain].counts)
         readings = tuple(taken[gain] for gain in sorted(taken))
-        return readings, (*gains.flags, *self._under_range(row, readings))
+        flags = (*gains.flags, *self._under_range(row, readings))
+        return readings, (*flags, CONTRADICTION) if contradiction else flags
 
     def _under_range(self, row: Row, readings: tuple[Reading, ...]) -> tuple[str, ...]:
         """The flag UNDER_RANGE where the row should show light and does not. Without a dark reading there is no flag."""
         if row.kind == "dark" or row.sample == NO_SAMPLE or not readings:
             return ()
-        dark = self._dark_means.get(readings[-1].gain_v_per_a)
-        return () if dark is None or shows_light(readings[-1].counts, dark) else (UNDER_RANGE,)
+        dark = self._comparison.darks.get(readings[-1].gain_v_per_a)
+        return () if dark is None or shows_light(readings[-1].counts, dark.mean) else (UNDER_RANGE,)
 
-    def _read_to_target(self, row: Row, gain: int, selected: Flags) -> Reading:
-        """Read at one gain: the row's number of readings, or as many as its target uncertainty needs."""
-        reading = self._take_readings(gain, min_readings(row))
+    def _read_to_target(self, row: Row, gain: int, selected: Flags) -> tuple[Reading, bool]:
+        """Read at one gain: the row's number of readings, or as many as its target uncertainty needs.
+
+        Returns also whether there are readings that contradict each other in every attempt.
+        """
+        reading, contradiction = self._take_consistent_readings(row, gain, min_readings(row))
         settings = self._rig.photodiodes.settings
-        zero = np.full(settings.count, settings.range.zero)
-        dark = self._dark_means.get(settings.gains_v_per_a[gain], zero)
-        while further := further_readings(row, reading.counts, dark, selected, settings):
-            reading = _merge(reading, self._take_readings(gain, further))
-        return reading
+        dark = self._comparison.darks.get(settings.gains_v_per_a[gain])
+        level = np.full(settings.count, settings.range.zero) if dark is None else dark.mean
+        while further := further_readings(row, reading.counts, level, selected, settings):
+            reading, contradicts = self._take_consistent_readings(row, gain, further, reading)
+            contradiction |= contradicts
+        return reading, contradiction
+
+    def _take_consistent_readings(self, row: Row, gain: int, count: int, before: Reading | None = None) -> tuple[Reading, bool]:
+        """Take readings after those `before`, and again where they contradict; all of them, and whether they still do."""
+        for attempt in range(1, READING_ATTEMPTS + 1):
+            taken = self._take_readings(gain, count)
+            reading = taken if before is None else _merge(before, taken)
+            contradicting = self._comparison.contradictions(reading, lit=row.kind != "dark")
+            contradicting[: len(reading.counts) - count] = False  # accepted before
+            if not contradicting.any():
+                return reading, False
+            self._log_contradiction(row, reading, contradicting, attempt)
+        return reading, True
+
+    def _log_contradiction(self, row: Row, reading: Reading, contradicting: Flags, attempt: int) -> None:
+        """Log an event with the counts that contradict the others, as they were read."""
+        counts, number = reading.counts, len(reading.counts)
+        others = (counts.sum(axis=0) - counts.astype(np.float64)) / (number - 1)
+        places = np.argwhere(contradicting).tolist()
+        found = "; ".join(
+            f"photodiode {channel} has the count {counts[k, channel]} in reading {k + 1} of {number}, the others "
+            f"{others[k, channel]:.1f}"
+            for k, channel in places[:MAX_LISTED_COUNTS]
+        )
+        found += f"; and {len(places) - MAX_LISTED_COUNTS} more counts" if len(places) > MAX_LISTED_COUNTS else ""
+        last = attempt == READING_ATTEMPTS
+        end = f"attempt {attempt}: kept, and the row is flagged; check the wire" if last else "the readings are taken again"
+        what = f"readings at {reading.gain_v_per_a:g} V/A contradict each other: {found}"
+        self._log_event(CONTRADICTION, f"{row.identity}: {what} ({end})", row.identity, end, what)
 
     def _take_readings(self, gain: int, count: int) -> Reading:
         """Read all photodiodes `count` times, and the mean of the monitor over the same time."""
