@@ -20,8 +20,6 @@ UNDER_RANGE = "under range"
 """Flag of a row in which no photodiode shows light at the highest gain."""
 NOT_WARM = "not warm"
 """Flag of a warm-up that reached its time limit before the monitor was steady."""
-CONTRADICTION = "contradiction"
-"""Flag of a row whose readings contradict each other in READING_ATTEMPTS attempts; also the kind of the events of these."""
 
 LIGHT_THRESHOLD_STEPS = 4.0
 """Difference from the dark reading, in converter steps, from which a mean counts as light."""
@@ -44,12 +42,14 @@ FIRST_LIGHT_VARIANCE = 0.005**2
 """Relative variance of a lit reading, which is that of the lamp, before the first lit row."""
 REMEMBERED_ROWS = 16
 """Number of lit rows that determine the relative variance of a lit reading."""
-MAX_VARIANCE_GROWTH = 16.0
-"""Largest ratio of a row's relative variance to the remembered one with which it is remembered: a changed count is no light."""
+LEAST_LIGHT_VARIANCE, MAX_VARIANCE_GROWTH = 1e-4**2, 100.0
+"""A row is remembered with at most this many times the variance before it, or the least one: a changed count is no light."""
 BRIGHT = 0.25
 """From this share of the brightest photodiode's signal on the scatter of a photodiode is that of the lamp."""
 BRIGHT_SIGNAL = 50.0
 """From so many standard deviations of its dark reading on."""
+SIGNIFICANT_EXCESS = 4.0
+"""Ratio of the variance of the light to that of all other noise from which it is known where it is not expected."""
 FEWEST_BRIGHT = 3
 """Number of bright photodiodes from which their median scatter is not that of one of them with a changed count."""
 
@@ -175,9 +175,10 @@ def contradictions(
     """Flags (readings, photodiodes) of the counts at one gain that contradict the others of their photodiode.
 
     A count contradicts the mean of the others if it differs by more than CONTRADICTION_LIMIT standard deviations: of the dark
-    reading's scatter, of the shot noise, and of the light, whose relative variance is `light_variance`. A count that a wire
-    has changed is one of many. So a count does not contradict if most photodiodes that would show the same relative change do
-    change in the same reading: that is the lamp, or amplifiers that settle.
+    reading's scatter, of the shot noise, and of the light, whose relative variance is `light_variance`. Of each photodiode the
+    count that differs most is flagged. A count that a wire has changed is one of many: so a count does not contradict if most
+    photodiodes that would show the same relative change do show at least half of it in the same reading. That is the lamp, or
+    amplifiers that settle.
 
     False alarms: 2e-9 of the counts with normal noise of a known variance (one in a thousand campaigns of 10,000 rows of 18
     photodiodes and two readings), 2e-7 where the standard deviation of the dark reading is 13 % too low. A false alarm costs a
@@ -190,13 +191,16 @@ def contradictions(
     difference = (values - values.mean(axis=0)) * readings / (readings - 1)  # from the mean of the others
     signal, noise = _signal_and_noise(values, gain_v_per_a, dark, settings)
     limit = CONTRADICTION_LIMIT * np.sqrt((noise + light_variance * signal**2) * readings / (readings - 1))
-    beyond = np.abs(difference) > limit
-    result = beyond.copy()
-    for reading, photodiode in np.argwhere(beyond).tolist():
-        relative = np.abs(difference[reading, photodiode]) / max(signal[photodiode], 1.0)
-        showing = relative * signal > 2.0 * limit
+    result: Flags = (np.abs(difference) > limit) & (np.abs(difference) == np.abs(difference).max(axis=0))
+    for reading, photodiode in np.argwhere(result).tolist():
+        here, change = values[reading] - dark.mean, np.abs(difference[reading])
+        level = np.maximum(np.abs(here), np.abs(here - difference[reading]))  # with the light, if it was there once
+        expected = level * (change[photodiode] / level[photodiode])
+        showing = expected > limit
         showing[photodiode] = False
-        result[reading, photodiode] = not showing.any() or float(beyond[reading, showing].mean()) <= 0.5
+        result[reading, photodiode] = (
+            float(np.mean(change[showing] > 0.5 * expected[showing])) <= 0.5 if showing.any() else True
+        )
     return result
 
 
@@ -219,7 +223,7 @@ class ReadingComparison:
     def __init__(self, settings: ConverterDescription) -> None:
         self._settings = settings
         self.darks: dict[float, DarkLevel] = {}
-        self._light_variance, self._lit_rows = FIRST_LIGHT_VARIANCE, 1
+        self._light_variance, self._lit_rows = FIRST_LIGHT_VARIANCE, 0
 
     def contradictions(self, reading: Reading, *, lit: bool) -> Flags:
         """Flags (readings, photodiodes) of the counts that contradict the others: see the function of this name."""
@@ -231,7 +235,7 @@ class ReadingComparison:
             return contradictions(counts, gain, dark, 0.0, self._settings)
         found = contradictions(counts, gain, dark, self._light_variance, self._settings)
         if found.any():
-            of_row, bright = self._light_variance_of(reading, dark)
+            of_row, _, bright = self._light_variance_of(reading, dark)
             if bright >= FEWEST_BRIGHT and of_row > self._light_variance:
                 found = contradictions(counts, gain, dark, of_row, self._settings)
         return found
@@ -251,23 +255,23 @@ class ReadingComparison:
             if not lit:
                 self.darks[each.gain_v_per_a] = dark_level(each.counts)
             elif each.gain_v_per_a in self.darks and len(each.counts) > 1:
-                of_row, bright = self._light_variance_of(each, self.darks[each.gain_v_per_a])
-                if bright:
+                of_row, resolution, bright = self._light_variance_of(each, self.darks[each.gain_v_per_a])
+                if bright and (resolution <= self._light_variance or of_row > SIGNIFICANT_EXCESS * resolution):
                     self._lit_rows = min(self._lit_rows + 1, REMEMBERED_ROWS)
-                    change = min(of_row, MAX_VARIANCE_GROWTH * self._light_variance) - self._light_variance
-                    self._light_variance += change / self._lit_rows
+                    most = MAX_VARIANCE_GROWTH * max(self._light_variance, LEAST_LIGHT_VARIANCE)
+                    self._light_variance += (min(max(of_row, resolution), most) - self._light_variance) / self._lit_rows
 
-    def _light_variance_of(self, reading: Reading, dark: DarkLevel) -> tuple[float, int]:
-        """The typical relative variance of the light in readings, and the number of bright photodiodes that show it."""
+    def _light_variance_of(self, reading: Reading, dark: DarkLevel) -> tuple[float, float, int]:
+        """The typical relative variance of the light in readings, that of all other noise, and the number of bright photodiodes."""
         values = reading.counts.astype(np.float64)
-        if len(values) < LEAST_COMPARED_READINGS:
-            return 0.0, 0
         signal, noise = _signal_and_noise(values, reading.gain_v_per_a, dark, self._settings)
         bright = (signal >= BRIGHT * signal.max()) & (signal >= BRIGHT_SIGNAL * np.sqrt(noise))
+        bright &= ~saturation(reading.counts, self._settings.range)  # these do not scatter
         if not bright.any():
-            return 0.0, 0
-        scatter = np.maximum(values[:, bright].var(axis=0, ddof=1) - noise[bright], 0.0) / signal[bright] ** 2
-        return _typical(scatter, len(values) - 1), int(bright.sum())
+            return 0.0, 0.0, 0
+        other = noise[bright] / signal[bright] ** 2
+        scatter = np.maximum(values[:, bright].var(axis=0, ddof=1) / signal[bright] ** 2 - other, 0.0)
+        return _typical(scatter, len(values) - 1), float(other.mean()), int(bright.sum())
 
 
 def _typical_counts(counts: Counts | Floats) -> Floats:

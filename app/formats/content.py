@@ -29,8 +29,8 @@ CHECK = "mirrored"
 """Flag of a direction that was measured only to check the stated symmetry."""
 UNTRUSTED = frozenset(
     {
-        FILLED, "shadowed", "clipped", "no-etalon", "dead", "uncertified", "drift", "module", "monitor", "scale", "hidden",
-        "no-hits",
+        FILLED, "shadowed", "clipped", "no-etalon", "dead", "uncertified", "drift", "module", "monitor", "contradiction",
+        "scale", "hidden", "no-hits",
     }
 )  # fmt: skip
 """Flags of values that are not to be trusted."""

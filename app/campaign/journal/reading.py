@@ -20,6 +20,7 @@ import numpy.typing as npt
 
 from goniotwin.app.campaign.journal.chain import Chain
 from goniotwin.app.campaign.row import (
+    CONTRADICTION,
     MIRRORED_MARK,
     SKIPPED,
     CommittedRow,
@@ -38,6 +39,7 @@ ROW_INDEX = np.dtype(
         ("number", np.int64),
         ("sample", np.int32),
         ("mirrored", np.bool_),
+        ("contradiction", np.bool_),
         ("wavelength_nm", np.float64),
         ("gamma_deg", np.float64),
         ("sigma_deg", np.float64),
@@ -369,10 +371,11 @@ class JournalReader:
         parts, starts = [np.zeros(0, dtype=ROW_INDEX)], [np.zeros(0)]
         with self._reading():
             found = self._db.execute(
-                "SELECT p.number, sample, instr(identity, ?) > 0, wavelength_nm, gamma_deg, sigma_deg, beta_deg, shift_deg,"
-                f" started_s FROM plan p {PLAN_FIRST} attempt a USING (number) {LAST_ATTEMPT} AND kind = 'measure'"
+                "SELECT p.number, sample, instr(identity, ?) > 0, instr(a.flags, ?) > 0, wavelength_nm, gamma_deg, sigma_deg,"
+                f" beta_deg, shift_deg, started_s FROM plan p {PLAN_FIRST} attempt a USING (number) {LAST_ATTEMPT}"
+                " AND kind = 'measure'"
                 f" AND EXISTS (SELECT 1 FROM reading r WHERE r.number = p.number AND r.attempt = a.attempt){self._sound}",
-                (MIRRORED_MARK,),
+                (MIRRORED_MARK, CONTRADICTION),
             )
             while block := found.fetchmany(INDEXED_TOGETHER):
                 number, sample, *columns, started = zip(*block, strict=True)

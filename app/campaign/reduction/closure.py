@@ -238,6 +238,7 @@ TROUBLES = {
     "drift": "is flagged for drift",
     "module": "is of a module that did not pass its tests: see the notes of the reduction",
     "monitor": "was read with the monitor at the end of its range",
+    "contradiction": "has readings that contradict each other",
 }
 """Flags of a row's signal with which it is not used."""
 

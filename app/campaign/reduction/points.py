@@ -69,6 +69,11 @@ FLAGS: dict[str, Flag] = {
     ),
     "monitor": Flag("the monitor was at the end of its range", "measured with the monitor at the end of its range",
                     "set a wider range of the monitor in the rig file"),
+    # Of the row, or of a dark reading beside it: in every attempt a count was far from the others of its photodiode.
+    "contradiction": Flag(
+        "readings of the row, or of its dark reading, contradict each other",
+        "of rows whose readings contradict each other", "check the wire of the photodiodes, and measure these rows again",
+    ),
     # By the scan of the open beam. All values that the etalon scales have it.
     "scale": Flag(
         "the etalon and the scan of the open beam do not agree, see the notes",
@@ -86,7 +91,18 @@ FLAGS: dict[str, Flag] = {
 """The flags of a point by their names in files. Where a point has no value, a flag gives the reason."""
 BITS = {name: np.uint16(1 << k) for k, name in enumerate(FLAGS)}
 UNTRUSTED = np.uint16(sum(int(BITS[name]) for name in FLAGS if name in content.UNTRUSTED))
-REASON_ORDER = ("shadowed", "uncertified", "no-etalon", "clipped", "dead", "module", "monitor", "drift", "scale")
+REASON_ORDER = (
+    "shadowed",
+    "uncertified",
+    "no-etalon",
+    "clipped",
+    "dead",
+    "module",
+    "monitor",
+    "contradiction",
+    "drift",
+    "scale",
+)
 """Flags by which a tally counts a point: the first one that it has."""
 
 

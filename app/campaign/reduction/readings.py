@@ -36,6 +36,7 @@ from goniotwin.app.campaign.reduction.signals import (
     COPY,
     LATEST_S,
     check_reading,
+    contradictory_dark_intervals,
     dark_current_loss_s,
     dark_readings_by_gain,
     group_readings,
@@ -43,7 +44,7 @@ from goniotwin.app.campaign.reduction.signals import (
     signals_of_rows,
     subtract_dark,
 )
-from goniotwin.app.campaign.row import CommittedRow, ReadingTable, RecordedRows, RowKind, reading_table
+from goniotwin.app.campaign.row import CONTRADICTION, CommittedRow, ReadingTable, RecordedRows, RowKind, reading_table
 from goniotwin.app.campaign.schedule.file import ScheduleFile
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigFile
@@ -82,6 +83,7 @@ class DarkHistory:
         self.evidence = stated(rig)
         self._dark = dark_readings_by_gain(dark_rows, self._settings)
         self._loss_s = dark_current_loss_s(dark_rows, self._settings)
+        self._contradictory = contradictory_dark_intervals(dark_rows)
 
     def sums(self) -> EvidenceSums:
         """Sums for the evidence of rows, none of which is added yet."""
@@ -123,24 +125,31 @@ class DarkHistory:
         """The signal of a row with readings, with its flags: see `RowSignal`. Raises UserError."""
         table = reading_table([row.data.readings])
         recorded = RecordedRows(np.array([row.row.number]), np.array([row.data.started_s]), table)
-        flags, hours, decades = self._describe(recorded, intervals)
+        contradictory = np.array([CONTRADICTION in row.data.flags])
+        flags, hours, decades = self._describe(recorded, contradictory, intervals)
         return RowSignal(row.row, signal, {name: each[0] for name, each in flags.items()}, float(hours[0]), float(decades[0]))
 
     def rows_in_columns(self, rows: RecordedRows, of_rows: RowTable, intervals: Sequence[DriftInterval]) -> RowSignals:
         """The signals of rows with readings; `of_rows` are their entries in the journal's index. Raises UserError."""
         signal = self._reduced(rows.readings)
-        return RowSignals(of_rows["number"], row_places(of_rows), of_rows["mirrored"], signal, *self._describe(rows, intervals))
+        described = self._describe(rows, of_rows["contradiction"], intervals)
+        return RowSignals(of_rows["number"], row_places(of_rows), of_rows["mirrored"], signal, *described)
 
     def _describe(
-        self, rows: RecordedRows, intervals: Sequence[DriftInterval]
-    ) -> tuple[dict[str, Flags], Floats, Floats]:  # fmt: skip
-        """The flags (rows, photodiodes) of rows with readings, their starts in hours, and the monitor's decades."""
+        self, rows: RecordedRows, contradictory: Flags, intervals: Sequence[DriftInterval]
+    ) -> tuple[dict[str, Flags], Floats, Floats]:
+        """The flags (rows, photodiodes) of rows with readings, their starts in hours, and the monitor's decades.
+
+        `contradictory` (rows,) are those with that flag in the journal.
+        """
         started_s, table = rows.started_s, rows.readings
         for k in np.flatnonzero(~(np.abs(started_s) < LATEST_S))[:1].tolist():
             raise UserError(f"row {rows.numbers[k]} began at the time {started_s[k]:g} s: {COPY}")
         drifted = np.zeros((table.rows, self._settings.count), dtype=bool)
         for drift in intervals:
             drifted |= drift.flagged_at(started_s)
+        for begin_s, end_s in self._contradictory:
+            contradictory = contradictory | ((started_s > begin_s) & (started_s < end_s))
         first = np.flatnonzero(np.diff(table.row, prepend=-1))
         monitor_a = table.monitor_a
         largest = np.maximum.reduceat(monitor_a, first)
@@ -149,6 +158,7 @@ class DarkHistory:
             "drift": drifted,
             "dead": self._loss_s < middles_s(table)[first, None],
             "module": np.broadcast_to(self.evidence.unsound, drifted.shape),
+            "contradiction": np.broadcast_to(contradictory[:, None], drifted.shape),
             "monitor": np.broadcast_to((largest > END_OF_RANGE * self._rig.monitor.largest_a)[:, None], drifted.shape),
         }
         return flags, started_s / 3600.0, np.log10(np.where(light > 0.0, light, 1.0))

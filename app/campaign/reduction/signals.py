@@ -18,7 +18,7 @@ import numpy as np
 
 from goniotwin.app.campaign.readout import QUANTISATION_VARIANCE
 from goniotwin.app.campaign.reduction.components import Estimate, Signal
-from goniotwin.app.campaign.row import CommittedRow, Reading, ReadingTable
+from goniotwin.app.campaign.row import CONTRADICTION, CommittedRow, Reading, ReadingTable
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigFile
 from goniotwin.arrays import Counts, Flags, Floats, Ints
@@ -309,6 +309,16 @@ def dark_current_loss_s(rows: list[CommittedRow], settings: ConverterDescription
         since = np.where(lost, np.minimum(since, last), since)
         last = middle_s(reading)
     return since
+
+
+def contradictory_dark_intervals(rows: list[CommittedRow]) -> list[tuple[float, float]]:
+    """Begin and end, s on the rig's clock, of the times in which signals are above a dark reading that contradicts itself.
+
+    A signal is above the dark readings before and after it: so each interval reaches to the neighbours of such a reading.
+    """
+    dark = [each for each in rows if each.row.kind == "dark" and each.data.readings]
+    starts = [-math.inf, *(each.data.started_s for each in dark), math.inf]
+    return [(starts[k], starts[k + 2]) for k, each in enumerate(dark) if CONTRADICTION in each.data.flags]
 
 
 def independent_conversions(counts: Counts) -> Ints:

@@ -6,7 +6,6 @@ from functools import partial
 import numpy as np
 
 from goniotwin.app.campaign.readout import (
-    CONTRADICTION,
     MONITOR_MEAN_S,
     NOT_WARM,
     READING_ATTEMPTS,
@@ -19,7 +18,7 @@ from goniotwin.app.campaign.readout import (
     min_readings,
     shows_light,
 )
-from goniotwin.app.campaign.row import NO_SAMPLE, Reading, Row, RowData
+from goniotwin.app.campaign.row import CONTRADICTION, NO_SAMPLE, Reading, Row, RowData
 from goniotwin.app.campaign.running.operator import Operator
 from goniotwin.app.campaign.running.stop import StopRequest
 from goniotwin.app.rig import AXES
