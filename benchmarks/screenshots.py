@@ -181,7 +181,7 @@ class Pictures:
     def _with_notices(self) -> None:
         """A safety order and a question; a notice about the station; a device that does not respond; points in alarm."""
         from goniotwin.app.campaign.running.events import SafetyOrder
-        from goniotwin.app.station.messages import DeviceStatus
+        from goniotwin.app.station.messages import Contact, DeviceStatus
 
         view = self.window.view
         order = SafetyOrder("Cut the motors' power", "the stop is not confirmed; sigma: MST: nothing")
@@ -192,7 +192,7 @@ class Pictures:
         view.orders.remove(order)
         view.notice.show_notice("terminal 4711 operates this rig; this window watches. Stop works from here too.", "operate")
         statuses = dict(view.devices.statuses)
-        silent = DeviceStatus(False, "no reply to READ? within 2 s: is it switched on, and its cable in?", "")
+        silent = DeviceStatus(Contact.DISCONNECTED, error="no reply to READ? within 2 s: is it switched on, and its cable in?")
         view.devices.set_devices({**statuses, "monitor": silent})
         for kind in (RunScreen, RigScreen):
             self._show(kind)

@@ -1,4 +1,4 @@
-"""Durations, lists of numbers and names from files as text."""
+"""Durations, positions, lists of numbers and names from files as text."""
 
 from collections.abc import Iterable
 
@@ -18,6 +18,16 @@ def rounded_duration_text(seconds: float) -> str:
     if whole < 3600:
         return f"{whole // 60} min {whole % 60:02d} s"
     return f"{whole // 3600} h {whole % 3600 // 60:02d} min"
+
+
+def place_text(counter_deg: float | None, encoder_deg: float | None) -> str:
+    """Where counter and encoder of an axis are, and how far apart; None is unknown, or no encoder."""
+    if counter_deg is None:
+        return "position unknown"
+    if encoder_deg is None:
+        return f"counter {counter_deg:.3f} deg"
+    apart = abs(encoder_deg - counter_deg)
+    return f"counter {counter_deg:.3f} deg, encoder {encoder_deg:.3f} deg, {apart:.3f} deg apart"
 
 
 def number_list(values: Iterable[int]) -> str:

@@ -31,7 +31,7 @@ if TYPE_CHECKING:  # the planner loads numpy, which a command's help does not ne
     from goniotwin.app.campaign.campaign import Outcome
     from goniotwin.app.campaign.journal.summary import CampaignSummary
     from goniotwin.app.campaign.planning.plan import NewPlan
-    from goniotwin.app.campaign.running.question import Answer, Ask, Question
+    from goniotwin.app.campaign.running.question import Answer, Ask, Question, Reply
     from goniotwin.app.rig import RigDescription
     from goniotwin.app.station.hosting import HostedRun
 
@@ -39,6 +39,12 @@ Schedule = Annotated[Path, typer.Argument(metavar="SCHEDULE.toml", help="Schedul
 STATE_STYLES = {"done": "green", "running": "cyan", "failed": "red", "killed": "red", "stopped": "yellow", "empty": "dim"}
 
 NO_TERMINAL = "samples are mounted and faults fixed by hand, and standard input is closed; run it in a terminal"
+
+ENCODER = "encoder"
+"""Typed in place of an angle: the encoder's."""
+Place = tuple[float | None, float | None]
+"""Counter and encoder of an axis, deg; None is unknown."""
+NO_PLACE: Place = (None, None)
 
 app = typer.Typer()
 
@@ -427,7 +433,7 @@ class TerminalAsk:
         self._asked = threading.Condition()
         self._closed = False
 
-    def __call__(self, question: "Question") -> "Answer":
+    def __call__(self, question: "Question") -> "Reply":
         """Print a question and wait for an answer. Raises UserError where none can come."""
         from goniotwin.app.station.messages import QuestionAsked
 
@@ -435,7 +441,9 @@ class TerminalAsk:
             if isinstance(message, QuestionAsked):
                 self._set_question((message.number, message.question))
 
-        _print_question(question)
+        if question.axis is not None:
+            self._host.report_place(question.axis.name)
+        _print_question(question, self._place_of(question))
         self._host.board.subscribe(note)
         try:
             if self._reader is None:
@@ -448,6 +456,11 @@ class TerminalAsk:
 
     def _given_up(self) -> str:
         return NO_TERMINAL if self._closed and not self._host.clients else ""
+
+    def _place_of(self, question: "Question") -> Place:
+        """The axis' counter and encoder now."""
+        now, axis = self._host.snapshot, question.axis
+        return (now.positions.get(axis.name), now.encoders.get(axis.name)) if axis is not None else NO_PLACE
 
     def _set_question(self, question: "tuple[int, Question] | None") -> None:
         with self._asked:
@@ -465,15 +478,31 @@ class TerminalAsk:
                 break
             if asked is None or self._question is not asked:
                 continue  # it was answered elsewhere, and the line is no answer to the next one
-            found = _answer_of(line, asked[1])
+            place = self._place_of(asked[1])
+            found = _reply_of(line, asked[1], place)
             if found is None:
-                _print_choices(asked[1])
+                _print_choices(asked[1], place)
                 continue
             self._set_question(None)
-            with contextlib.suppress(UserError):  # answered elsewhere
-                self._host.answer(asked[0], found)
+            self._answer(asked, found)
         self._closed = True
         self._host.wake()
+
+    def _answer(self, asked: "tuple[int, Question]", reply: "Reply") -> None:
+        """Answer a question; one that is refused is still open, unless it was answered elsewhere."""
+        from goniotwin.app.campaign.running.question import Answer, PositionGiven
+
+        number, _ = asked
+        try:
+            if isinstance(reply, PositionGiven):
+                self._host.answer(number, Answer.SET_POSITION, reply.angle_deg)
+            else:
+                self._host.answer(number, reply)
+        except UserError as refusal:
+            still = self._host.snapshot.question
+            if still is not None and still.number == number:
+                print_error(refusal)
+                self._set_question(asked)
 
 
 def _ask_rig(text: str) -> bool:
@@ -481,14 +510,14 @@ def _ask_rig(text: str) -> bool:
     return typer.confirm(f"{text}. Use these devices?", default=False, err=True)
 
 
-def _ask_operator(question: "Question") -> "Answer":
+def _ask_operator(question: "Question") -> "Reply":
     """Print a question and read the beginning of an answer. Enter alone is no answer. Raises UserError without a terminal."""
-    _print_question(question)
+    _print_question(question, NO_PLACE)
     while line := sys.stdin.readline():
-        found = _answer_of(line, question)
+        found = _reply_of(line, question, NO_PLACE)
         if found is not None:
             return found
-        _print_choices(question)
+        _print_choices(question, NO_PLACE)
     raise UserError(NO_TERMINAL)
 
 
@@ -500,19 +529,43 @@ def _answers(question: "Question") -> "list[Answer]":
     return [each for each in question.answers if each not in (Answer.PAUSE, Answer.WAIT)]
 
 
-def _answer_of(line: str, question: "Question") -> "Answer | None":
-    start = line.strip().lower()
+def _reply_of(line: str, question: "Question", place: Place) -> "Reply | None":
+    """The reply of a line: the beginning of an answer, and behind Set position an angle, or the word encoder."""
+    from goniotwin.app.campaign.running.question import Answer, PositionGiven
+
+    words = line.lower().split()
+    given = words.pop() if len(words) > 1 and (words[-1] == ENCODER or not words[-1].isalpha()) else ""
+    start = " ".join(words)
     found = [each for each in _answers(question) if start and each.lower().startswith(start)]
-    return found[0] if len(found) == 1 else None
+    if len(found) != 1 or (given != "") is not (found[0] is Answer.SET_POSITION):
+        return None
+    if not given:
+        return found[0]
+    if given == ENCODER:
+        return None if place[1] is None else PositionGiven(round(place[1], 4))
+    try:
+        return PositionGiven(float(given.replace("−", "-").replace(",", ".")))
+    except ValueError:
+        return None
 
 
-def _print_question(question: "Question") -> None:
+def _print_question(question: "Question", place: Place) -> None:
     from goniotwin.app.campaign.running.question import EFFECTS
 
     error_console().print(f"{question.title}. {question.text}", style="bold", markup=False)
     for each in _answers(question):
         error_console().print(f"  {each}: {EFFECTS[each]}", markup=False)
+    if question.axis is not None:
+        _print_choices(question, place)
 
 
-def _print_choices(question: "Question") -> None:
-    error_console().print(f"Type {' or '.join(_answers(question))}, or the beginning of it, then Enter.", markup=False)
+def _print_choices(question: "Question", place: Place) -> None:
+    """Print what to type; for an axis its counter and encoder now, which may be others than when the question was asked."""
+    from goniotwin.app.campaign.running.question import Answer
+    from goniotwin.app.campaign.wording import place_text
+
+    if question.axis is not None:
+        error_console().print(f"{question.axis.name} now: {place_text(*place)}.", markup=False, highlight=False)
+    given = "ANGLE" if place[1] is None else f"ANGLE (or {ENCODER})"
+    ways = [f"{each} {given}" if each is Answer.SET_POSITION else str(each) for each in _answers(question)]
+    error_console().print(f"Type {' or '.join(ways)}, or the beginning of it, then Enter.", markup=False)

@@ -114,6 +114,7 @@ def home_axes(path: Path, names: list[str], report: Report) -> None:
 
 def set_axis_position(path: Path, name: str, angle_deg: float, report: Report) -> None:
     """Set the current position of an axis; nothing moves. Raises UserError, DeviceError."""
+    from goniotwin.app.campaign.running.question import position_refusal
     from goniotwin.app.cli.station import attached_bench
     from goniotwin.app.rig import read_rig
 
@@ -126,12 +127,8 @@ def set_axis_position(path: Path, name: str, angle_deg: float, report: Report) -
             return
     with _connected_axes(description, [name]) as rig:
         axis = rig.axes[name]
-        limits = axis.settings
-        if not limits.lower_deg <= angle_deg <= limits.upper_deg:
-            raise UserError(
-                f"{path}: {name} has soft limits of {limits.lower_deg:g} to {limits.upper_deg:g} deg, and "
-                f"{angle_deg:g} deg is outside; turn the axis back by hand, or change the limits"
-            )
+        if refusal := position_refusal(name, axis.settings.lower_deg, axis.settings.upper_deg, angle_deg):
+            raise UserError(f"{path}: {refusal}; turn the axis back by hand, or change the limits")
         axis.set_position(angle_deg)
         report(f"{name}: position set to {axis.position_deg():.3f} deg")
 

@@ -35,18 +35,19 @@ from goniotwin.app.desktop.model.messages import (
 )
 from goniotwin.app.desktop.model.permissions import Permissions, permissions
 from goniotwin.app.desktop.model.time_left import Mounting, TimeLeft, Wait
-from goniotwin.app.desktop.rig.panels import DEVICES
 from goniotwin.app.desktop.run.live_plot import LivePlot
 from goniotwin.app.desktop.run.screen import RunScreen
 from goniotwin.app.desktop.view import MainView
 from goniotwin.app.station.messages import (
     BUSY,
     ActivityChanged,
+    Contact,
     DeviceChanged,
     OperatorChanged,
     OrderAcknowledged,
     QuestionAsked,
     QuestionClosed,
+    ReferencesChanged,
     RigClosed,
     RigOpened,
     RowSaved,
@@ -88,7 +89,7 @@ class Presenter(QObject):
     changed = Signal()
     question_asked = Signal(object)
     question_closed = Signal()
-    answer_refused = Signal()
+    answer_refused = Signal(str)
     run_ended = Signal()
     notified = Signal(str)
     """The operator is needed: the end of a run, a fault, a mounting, a lost station."""
@@ -210,8 +211,8 @@ class Presenter(QObject):
         if isinstance(message, StationMessage):
             self.station = advance(before, message)
         match message:
-            case Positions(degrees):
-                self._view.axes.set_positions(degrees)
+            case Positions():
+                self._show_positions()
             case RowStarted() | RowSaved():
                 self._show_row(message)
             case RowCommitted():
@@ -279,7 +280,9 @@ class Presenter(QObject):
                 self._view.show_status(f"Not done: {command}: {reason}", error=True)
                 self._view.run.show_speed(self.station.speed)
                 if command == "answer" and self.station.question is not None:
-                    self.answer_refused.emit()
+                    self.answer_refused.emit(reason)
+            case ReferencesChanged():
+                self._show_positions()
             case ActivityChanged(activity, error):
                 self._show_activity(before.activity, activity, error)
             case StopReport():
@@ -290,6 +293,11 @@ class Presenter(QObject):
                 self._show_wait()
             case OperatorChanged():
                 self._show_operator()
+        now = self.station
+        if now.rig is not before.rig:
+            self._show_positions()
+        if (now.rig is None, now.bench, now.lamp) != (before.rig is None, before.bench, before.lamp):
+            self._view.strip.set_light(now.bench if now.rig is not None else None, now.lamp)
         if not isinstance(message, Positions):
             self.changed.emit()
         self.message_shown.emit(message)
@@ -320,7 +328,6 @@ class Presenter(QObject):
     def _attach(self, snapshot: Snapshot) -> None:
         """Show what a station that was there already does."""
         self._log("Attached to a station that was running", snapshot.campaign, str(snapshot.state))
-        self._view.axes.set_positions(snapshot.positions)
         for order in snapshot.orders:
             self._view.orders.add(order)
         if snapshot.busy and snapshot.journal is not None:
@@ -449,9 +456,7 @@ class Presenter(QObject):
                 self.rig_path = message.path
                 self.plan = None  # made for the previous rig; the plan for this one follows
                 self._view.set_simulated(simulated, seed)
-                self._view.devices.set_devices(devices)
                 self._view.run.set_virtual(message.virtual)
-                self._view.axes.set_positions({})
                 if not busy:
                     self._live_plot.start(None, self._mark)
                 if self._show_not_responding(message):
@@ -465,16 +470,17 @@ class Presenter(QObject):
                 self._show_closed(reason, fault=fault, keep_plots=True)
                 if busy:
                     self.run_ended.emit()
-            case DeviceChanged(device, _status, reason) if self.rig is not None:
-                self._view.devices.set_devices(self.rig.devices)
-                if reason:
-                    if device not in DEVICES[1:]:  # a controller of axes
-                        self._view.axes.set_positions({})
-                    self._view.show_status(reason, error=True)
-                    self._log(reason, device, "no run can start before it is connected again", serious=True)
-                else:
+            case DeviceChanged(device, status) if self.rig is not None:
+                if status.contact is Contact.DISCONNECTED and not self.busy:  # a run's events have its faults
+                    self._view.show_status(status.error, error=True)
+                    self._log(status.error, device, "no run can start before it is connected again", serious=True)
+                elif status.connected and not self.busy:
                     self._log("Connected", device)
         self._view.rig.set_rig(self.rig, self.rig_path)
+
+    def _show_positions(self) -> None:
+        now = self.station
+        self._view.axes.set_positions(now.positions, {axis: now.encoders.get(axis) for axis in now.unreferenced})
 
     def _show_not_responding(self, rig: RigOpened) -> bool:
         """Show which devices do not respond; return whether there are any."""
@@ -491,8 +497,6 @@ class Presenter(QObject):
             self.station, rig=None, state=State.IDLE, activity="", question=None, closed=reason or self.station.closed
         )
         self.plan = None
-        self._view.devices.set_devices({})
-        self._view.axes.set_positions({})
         self._view.axes.set_targets(None)
         self._every_second.stop()
         self._show_progress(*self._progress, None)

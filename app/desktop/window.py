@@ -18,12 +18,14 @@ from PySide6.QtWidgets import QApplication, QMainWindow, QPushButton
 
 from goniotwin import examples
 from goniotwin.app.campaign.running.question import EFFECTS, Answer
+from goniotwin.app.desktop.bench.position_entry import NO_ANGLE, PositionEntry
 from goniotwin.app.desktop.campaigns.screen import CampaignsScreen
 from goniotwin.app.desktop.dialogs import FileDialog, close_dialog
 from goniotwin.app.desktop.event_loop import GarbageCollector
 from goniotwin.app.desktop.events.question import Choice, QuestionBox
 from goniotwin.app.desktop.menu import QUIT_KEY, Menus, TextBox, about_text, keys_text
 from goniotwin.app.desktop.remembered import Kind, Remembered
+from goniotwin.app.desktop.rig.panels import contact_text
 from goniotwin.app.desktop.run.panel import STOP_KEY
 from goniotwin.app.desktop.run.screen import RunScreen
 from goniotwin.app.desktop.theme import Scheme, Theme
@@ -70,6 +72,7 @@ class MainWindow(QMainWindow):
         super().__init__()
         self.theme = theme
         self.question: QuestionBox | None = None
+        self._entry: PositionEntry | None = None
         self.close_question: QuestionBox | None = None
         self._asked = 0
         self._first = rig, schedule, speed
@@ -166,7 +169,9 @@ class MainWindow(QMainWindow):
         self.presenter.changed.connect(self._refresh)
         self.presenter.question_asked.connect(self._ask)
         self.presenter.question_closed.connect(self._dismiss_question)
-        self.presenter.answer_refused.connect(self._show_question)
+        self.presenter.answer_refused.connect(self._show_refused_answer)
+        self.presenter.message_shown.connect(self._show_question_facts)
+        self.view.devices.shown.connect(self._show_question_facts)
         self.presenter.run_ended.connect(self._after_run)
         self.presenter.notified.connect(self._notify)
         for screen in self.view.screens:
@@ -352,27 +357,52 @@ class MainWindow(QMainWindow):
         self._dismiss_question()
         question, self._asked = asked.question, asked.number
         choices = [Choice(each, EFFECTS[each], each is Answer.STOP, each is question.default) for each in question.answers]
-        self.question = self._question_box(question.title, question.text, choices)
+        self._entry = PositionEntry(question.axis.name) if question.axis is not None else None
+        self.question = self._question_box(question.title, question.text, choices, self._entry)
         self.question.chosen.connect(self._answer)
+        self._show_question_facts()
         self.view.question.set_question(question.title)
 
     @Slot(str)
     def _answer(self, label: str) -> None:
         answer = Answer(label)
         assert self.question is not None
+        angle = self._entry.angle_deg if self._entry is not None and answer is Answer.SET_POSITION else None
+        if answer is Answer.SET_POSITION and angle is None:
+            self.question.set_problem(NO_ANGLE)
+            return
         self.question.hide()  # it is dismissed when it is closed, and shown again after a refusal
         if answer is Answer.STOP:
             self._stop()
         elif answer is not Answer.WAIT:
-            self.connection.answer(self._asked, answer)
+            self.connection.answer(self._asked, answer, angle)
+
+    @Slot()
+    def _show_question_facts(self) -> None:
+        """Show, with the question, what is known now of the device and the axis that it is about."""
+        asked, box = self.presenter.station.question, self.question
+        if asked is None or box is None:
+            return
+        now, question = self.presenter.station, asked.question
+        if self._entry is not None and question.axis is not None:
+            name = question.axis.name
+            self._entry.show_place(now.positions.get(name), now.encoders.get(name))
+        status = now.rig.devices.get(question.device) if now.rig is not None else None
+        box.set_note(f"{question.device.capitalize()}: {' '.join(contact_text(status))}" if status is not None else "")
+
+    @Slot(str)
+    def _show_refused_answer(self, reason: str) -> None:
+        if self.question is not None:
+            self.question.set_problem(reason)
+            self.question.appear()
 
     @Slot()
     def _show_question(self) -> None:
         if self.question is not None:
             self.question.appear()
 
-    def _question_box(self, title: str, text: str, choices: list[Choice]) -> QuestionBox:
-        return QuestionBox(self, title, text, choices)
+    def _question_box(self, title: str, text: str, choices: list[Choice], entry: PositionEntry | None = None) -> QuestionBox:
+        return QuestionBox(self, title, text, choices, entry)
 
     @Slot()
     def _dismiss_question(self) -> None:

@@ -6,6 +6,7 @@ from functools import partial
 import numpy as np
 
 from goniotwin.app.campaign.campaign import operator_for
+from goniotwin.app.campaign.running.rows import AxisSettling
 from goniotwin.app.campaign.running.stop import StopRequest
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import OpenRig
@@ -50,8 +51,11 @@ class Bench:
             self._set(sample=sample)
 
     def move(self, axis: str, target_deg: float) -> None:
-        """Move an axis to an angle."""
+        """Move an axis to an angle; one whose encoder contradicts becomes unreferenced, and Unreferenced is raised."""
         self._wait(self.request.start(partial(self._rig.start, axis, target_deg)))
+        moved = self._rig.axes[axis]
+        self._wait(AxisSettling(self._clock, [moved], self._clock.now() + moved.settings.settling_s))
+        moved.read_back()
 
     def home(self, axis: str) -> None:
         """Home an axis."""

@@ -1,29 +1,59 @@
 """Events of a station, small enough for a line of its channel: the values of rows are in the journal."""
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
+from enum import StrEnum
 from pathlib import Path
 from typing import Any, get_args
 
 from pydantic import TypeAdapter, ValidationError
 
 from goniotwin.app.campaign.row import Row
-from goniotwin.app.campaign.running.events import EventLogged, Positions, RowStarted, SafetyOrder, State, StateChanged
+from goniotwin.app.campaign.running.events import (
+    EventLogged,
+    LightChanged,
+    Positions,
+    RowStarted,
+    SafetyOrder,
+    State,
+    StateChanged,
+)
 from goniotwin.app.campaign.running.question import Answer, Question
 
 LONGEST_TEXT = 2000
 """Characters of a text in an event; the journal has all of it."""
 
 
+class Contact(StrEnum):
+    """Whether a device answers. Silent: it has not answered the last question, and is asked again."""
+
+    CONNECTED = "connected"
+    SILENT = "silent"
+    DISCONNECTED = "disconnected"
+
+
 @dataclass(frozen=True)
 class DeviceStatus:
-    """Whether a device is connected. `text` is its identity, or the reason why it does not respond.
+    """The state of a device, from its last answer: the only place that has it.
 
-    `answered` is the calendar time of its last answer, UTC, ISO 8601; empty before the first one.
+    `identity` is empty before the first connection. `error` is its last fault. `answered` and `failed` are the calendar times
+    of its last answer and of that fault, UTC, ISO 8601; empty before the first one.
     """
 
-    connected: bool
-    text: str
+    contact: Contact
+    identity: str = ""
     answered: str = ""
+    error: str = ""
+    failed: str = ""
+
+    @property
+    def connected(self) -> bool:
+        """Whether it has answered the last question."""
+        return self.contact is Contact.CONNECTED
+
+    @property
+    def text(self) -> str:
+        """Its identity, or the reason why it does not respond."""
+        return self.identity if self.connected else self.error
 
 
 @dataclass(frozen=True)
@@ -31,7 +61,8 @@ class RigOpened:
     """A rig is open, with the status of each device by its name.
 
     `name` is that in the rig file, `path` the rig file or the journal that it was read from, `digest` the SHA-256 of its text.
-    `virtual` if all devices are: then the simulation speed can be set, and samples are mounted by the program.
+    `virtual` if all devices are: then the simulation speed can be set, and samples are mounted by the program. `controllers`
+    has the device of each axis.
     """
 
     name: str
@@ -41,11 +72,18 @@ class RigOpened:
     seed: int | None
     virtual: bool
     devices: dict[str, DeviceStatus]
+    controllers: dict[str, str] = field(default_factory=dict)
 
     @property
     def not_responding(self) -> list[str]:
-        """The devices that do not respond."""
+        """The devices that do not respond: silent or disconnected."""
         return [device for device, status in self.devices.items() if not status.connected]
+
+    @property
+    def silent_axes(self) -> list[str]:
+        """The axes whose controller does not respond: where they are, and whether they are referenced, is unknown."""
+        silent = self.not_responding
+        return [axis for axis, device in self.controllers.items() if device in silent]
 
 
 @dataclass(frozen=True)
@@ -58,11 +96,10 @@ class RigClosed:
 
 @dataclass(frozen=True)
 class DeviceChanged:
-    """The status of a device has changed; `reason` is the fault, empty if there is none."""
+    """The status of a device has changed."""
 
     device: str
     status: DeviceStatus
-    reason: str = ""
 
 
 @dataclass(frozen=True)
@@ -94,13 +131,22 @@ class ActivityChanged:
 
 @dataclass(frozen=True)
 class BenchChanged:
-    """Settings of the bench as far as they are known: None is unknown. `live` while live readings are taken."""
+    """Settings of the bench, or of the run, as far as they are known: None is unknown. `live` while live readings are taken."""
 
     wavelength_nm: float | None = None
     shutter_open: bool | None = None
     gain_v_per_a: float | None = None
     sample: str | None = None
     live: bool = False
+
+
+@dataclass(frozen=True)
+class LampRead:
+    """The monitor's current with the shutter open, A, whether it shows `light`, and the calendar time of the reading."""
+
+    current_a: float
+    light: bool
+    read: str
 
 
 @dataclass(frozen=True)
@@ -211,8 +257,9 @@ Message = (
     StateChanged | RowStarted | Positions | EventLogged | SafetyOrder | RigOpened | RigClosed | DeviceChanged | DevicesAnswered
     | ReferencesChanged | ActivityChanged | BenchChanged | BenchReading | RunBegun | RowSaved | RunEnded | RunRefused
     | QuestionAsked | QuestionClosed | OrderAcknowledged | SpeedChanged | OperatorChanged | StopReceived
+    | LightChanged | LampRead
 )  # fmt: skip
-NEWEST_ONLY = (Positions, BenchReading, DevicesAnswered)
+NEWEST_ONLY = (Positions, BenchReading, DevicesAnswered, LampRead)
 """Of these a client needs only the newest."""
 
 
@@ -221,8 +268,8 @@ class Snapshot:
     """The station as its events so far give it; `number` is that of the last one.
 
     `journal` is that of the run in progress, or of the last one, and `person` its operator; `starting` until its engine is in a
-    state; `row` the row in progress; `reason` why the state was entered; `unreferenced` why axes are so;
-    `stops` counts those so far.
+    state; `row` the row in progress; `reason` why the state was entered; `unreferenced` why axes are so; `positions` are from
+    the axes' counters, `encoders` from the encoders of those at rest; `stops` counts those so far.
     """
 
     number: int = 0
@@ -241,8 +288,10 @@ class Snapshot:
     activity: str = "opening the rig"
     bench: BenchChanged = field(default_factory=BenchChanged)
     positions: dict[str, float] = field(default_factory=dict)
+    encoders: dict[str, float] = field(default_factory=dict)
     unreferenced: dict[str, str] = field(default_factory=dict)
     reading: BenchReading | None = None
+    lamp: LampRead | None = None
     question: QuestionAsked | None = None
     orders: tuple[SafetyOrder, ...] = ()
     speed: float = 1.0
@@ -275,8 +324,8 @@ def advance(before: Snapshot, message: Message) -> Snapshot:
             changes = {"state": state, "reason": reason, "starting": False}
         case RowStarted(row):
             changes = {"row": row}
-        case Positions(degrees):
-            changes = {"positions": {**before.positions, **degrees}}
+        case Positions(degrees, encoders):
+            changes = {"positions": {**before.positions, **degrees}, "encoders": encoders}
         case SafetyOrder():
             changes = {"orders": (*(each for each in before.orders if each != message), message)}
         case OrderAcknowledged(order):
@@ -285,16 +334,19 @@ def advance(before: Snapshot, message: Message) -> Snapshot:
             changes = {"rig": message, "closed": "", "activity": ""}
         case RigClosed(reason):
             changes = {
-                "rig": None, "closed": reason, "state": State.IDLE, "activity": "", "positions": {}, "unreferenced": {},
-                "row": None, "bench": BenchChanged(), "reading": None, "starting": False,
+                "rig": None, "closed": reason, "state": State.IDLE, "activity": "", "positions": {}, "encoders": {},
+                "unreferenced": {}, "row": None, "bench": BenchChanged(), "reading": None, "lamp": None, "starting": False,
             }  # fmt: skip
         case DeviceChanged(device, status) if before.rig is not None:
-            changes = {"rig": _with_devices(before.rig, {device: status})}
+            rig = _with_devices(before.rig, {device: status})
+            changes = {"rig": rig} | {
+                each: {axis: angle for axis, angle in getattr(before, each).items() if axis not in rig.silent_axes}
+                for each in ("positions", "encoders")
+            }
         case DevicesAnswered(times) if before.rig is not None:
             known = before.rig.devices
             changes = {"rig": _with_devices(before.rig, {
-                name: DeviceStatus(known[name].connected, known[name].text, time) for name, time in times.items()
-                if name in known
+                name: replace(known[name], answered=time) for name, time in times.items() if name in known
             })}  # fmt: skip
         case ReferencesChanged(unreferenced):
             changes = {"unreferenced": unreferenced}
@@ -304,6 +356,10 @@ def advance(before: Snapshot, message: Message) -> Snapshot:
             changes = {"bench": message}
         case BenchReading():
             changes = {"reading": message}
+        case LightChanged(wavelength_nm, shutter_open):
+            changes = {"bench": replace(before.bench, wavelength_nm=wavelength_nm, shutter_open=shutter_open)}
+        case LampRead():
+            changes = {"lamp": message}
         case RunBegun(journal, name, done, total, seconds_left, person):
             changes = {
                 "journal": journal, "campaign": name, "done": done, "total": total, "seconds_left": seconds_left,
@@ -369,7 +425,7 @@ def _cut(content: Any) -> Any:
 
 
 def _with_devices(rig: RigOpened, devices: dict[str, DeviceStatus]) -> RigOpened:
-    return RigOpened(**{**_content(rig), "devices": {**rig.devices, **devices}})
+    return replace(rig, devices={**rig.devices, **devices})
 
 
 def _content(instance: Any) -> dict[str, Any]:

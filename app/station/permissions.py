@@ -1,6 +1,7 @@
 """Which commands a station accepts now: one function of its state, for the station to refuse and for a window to grey out."""
 
 from goniotwin.app.campaign.running.events import State
+from goniotwin.app.campaign.running.question import Answer
 from goniotwin.app.station.messages import Snapshot
 
 STOPPED = "stopped before the start"
@@ -51,6 +52,9 @@ def _no_bench(station: Snapshot, command: str) -> str:
     rig = station.rig
     if rig is None:
         return station.activity or station.closed or "no rig is open"
+    if station.question is not None and (axis := station.question.question.axis) is not None:
+        ways = f"{Answer.HOME} and {Answer.SET_POSITION} are answers" if axis.homes else f"{Answer.SET_POSITION} is an answer"
+        return f"the run waits for an answer about {axis.name}: {ways} of its question, in the window or the run's terminal"
     if station.busy:
         return f"a run is {station.state}"
     if station.starting:

@@ -17,7 +17,7 @@ from pydantic import ValidationError, validate_call
 
 from goniotwin.app.errors import one_line
 from goniotwin.app.station.messages import NEWEST_ONLY, Message, encode
-from goniotwin.app.station.permissions import COMMANDS, EVERYBODYS, OF_BENCH, STOPPED, watching
+from goniotwin.app.station.permissions import COMMANDS, EVERYBODYS, OF_BENCH, STOPPED, allowed, watching
 from goniotwin.app.station.station import CommandRefused, Station
 from goniotwin.protocols.channel import LONGEST_LINE, Channel, ChannelServer, new_token
 from goniotwin.protocols.clock import RealClock
@@ -225,7 +225,7 @@ class StationServer:
         stops = arguments.pop("stops", None)
         with self._station.board.deciding() as snapshot:
             if reason := watching(snapshot, client, name):
-                raise CommandRefused(reason)
+                raise CommandRefused((allowed(snapshot)[name] if name in OF_BENCH else "") or reason)
             if name not in EVERYBODYS and not snapshot.operator:
                 self._station.operate(client)
             if name in OF_BENCH:  # accepted or refused before the next stop is counted

@@ -9,7 +9,9 @@ import contextlib
 import queue
 import re
 import threading
-from collections.abc import Callable, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from itertools import count
 from pathlib import Path
 
@@ -20,6 +22,7 @@ from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.running.engine import Engine
 from goniotwin.app.campaign.running.events import (
+    DeviceFailed,
     Event,
     EventLogged,
     Positions,
@@ -28,7 +31,7 @@ from goniotwin.app.campaign.running.events import (
     State,
     cut_power_order,
 )
-from goniotwin.app.campaign.running.question import Answer, Question
+from goniotwin.app.campaign.running.question import Answer, PositionGiven, Question, Reply, position_refusal
 from goniotwin.app.campaign.running.resume import remaining_work
 from goniotwin.app.campaign.running.stop import Stopped, StopRequest
 from goniotwin.app.campaign.schedule.file import read_schedule
@@ -39,9 +42,11 @@ from goniotwin.app.station.bench import Bench, PendingReading
 from goniotwin.app.station.board import Board
 from goniotwin.app.station.messages import (
     ActivityChanged,
+    Contact,
     DeviceChanged,
     DevicesAnswered,
     DeviceStatus,
+    LampRead,
     Message,
     OperatorChanged,
     OrderAcknowledged,
@@ -59,11 +64,24 @@ from goniotwin.app.station.messages import (
     StopReceived,
 )
 from goniotwin.app.station.permissions import STOPPED, allowed
-from goniotwin.drivers import BadAnswer, DeviceError, Forgotten, LimitError, NoAnswer
+from goniotwin.drivers import Axis, BadAnswer, DeviceError, Forgotten, LimitError, NoAnswer
+from goniotwin.drivers.errors import Taken, Unreferenced
 from goniotwin.protocols.clock import GREATEST_SPEED, LEAST_SPEED, Clock, RealClock, ScaledClock, VirtualClock, calendar_stamp
 
 POLL_S = 0.2
 """Real time between two readings of the axis positions at rest."""
+ENCODERS_S = 1.0
+"""Real time between two comparisons of counters and encoders of axes at rest."""
+REPEATS, REPEAT_S = 2, 1.0
+"""A question to an idle device is repeated so often, after so much real time, before the device counts as lost."""
+CONNECT_S = 5.0
+"""Real time until a lost idle device is connected again, and between two attempts."""
+LAMP_S = 1.0
+"""Shortest real time between two reports of the monitor's current."""
+DARK_TIMES = 3.0
+"""The monitor shows light by more than so many times its current with the shutter closed."""
+CONNECT_SHARE = 5.0
+"""The same as a multiple of the duration of the last attempt: commands wait for it."""
 LIVE_POLL_S = 0.02
 """The same between two polls of live readings."""
 LIVE_S = 0.1
@@ -144,12 +162,19 @@ class Station:
         self._no_stops = threading.Condition()
         self._asked = 0
         self._answered = 0
-        self._answers: queue.SimpleQueue[tuple[int, Answer] | None] = queue.SimpleQueue()
+        self._answers: queue.SimpleQueue[tuple[int, Reply] | None] = queue.SimpleQueue()
         self._record: RunRecord | None = None
         self._ordered: dict[SafetyOrder, RunRecord | None] = {}
-        self._silent: set[str] = set()
         self._times: dict[str, str] = {}
-        self._due = {"positions": 0.0, "live": 0.0, "answered": 0.0, "ask": 0.0}
+        self._failures: dict[str, int] = {}
+        """Of idle devices: how often in succession they have not answered."""
+        self._left: set[str] = set()
+        """Devices that another program has taken: they are not connected again unasked."""
+        self._monitor_dark_a = 0.0
+        self._resting: dict[str, tuple[float, float]] = {}
+        """Of axes: the counter, and the rig's time since which it is so."""
+        self._encoders: dict[str, float] = {}
+        self._due: defaultdict[str, float] = defaultdict(float)
 
     @property
     def snapshot(self) -> Snapshot:
@@ -224,8 +249,11 @@ class Station:
         if self._engine is not None:
             self._engine.finish_cut()
 
-    def answer(self, question: int, choice: Answer) -> None:
-        """Answer the open question by its number; the first answer counts. `Stop` stops, `Wait` changes nothing."""
+    def answer(self, question: int, choice: Answer, angle_deg: float | None = None) -> None:
+        """Answer the open question by its number; the first answer counts. `Stop` stops, `Wait` changes nothing.
+
+        `Set position` needs the angle at which the axis is, within its soft limits.
+        """
         self._check("answer")
         with self.board.deciding() as now:
             asked = now.question
@@ -233,6 +261,13 @@ class Station:
                 raise CommandRefused(f"question {question} is answered already")
             if choice not in asked.question.answers:
                 raise CommandRefused(f"{choice}: is no answer to this question; give {' or '.join(asked.question.answers)}")
+            reply: Reply = choice
+            if choice is Answer.SET_POSITION and (axis := asked.question.axis) is not None:
+                if angle_deg is None:
+                    raise CommandRefused(f"{choice}: give the angle at which {axis.name} is, in degrees")
+                if refusal := axis.refusal(angle_deg):
+                    raise CommandRefused(refusal)
+                reply = PositionGiven(angle_deg)
             if choice in (Answer.WAIT, Answer.STOP):
                 question = 0
             else:
@@ -240,7 +275,7 @@ class Station:
         if choice is Answer.STOP:
             self.stop()
         elif question:
-            self._answers.put((question, choice))
+            self._answers.put((question, reply))
 
     def acknowledge(self, order: str) -> None:
         """Acknowledge a safety order, by its text, and record that in the journal of its run."""
@@ -296,10 +331,8 @@ class Station:
         """Set the current position of an axis; nothing moves."""
         opened = self._axis("set_position", axis)
         limits = opened.rig.axes[axis].settings
-        if not limits.lower_deg <= angle_deg <= limits.upper_deg:
-            raise CommandRefused(
-                f"{axis} has soft limits of {limits.lower_deg:g} to {limits.upper_deg:g} deg, and {angle_deg:g} deg is outside"
-            )
+        if refusal := position_refusal(axis, limits.lower_deg, limits.upper_deg, angle_deg):
+            raise CommandRefused(refusal)
         self._begin("set_position", f"setting the position of {axis}", lambda: opened.rig.axes[axis].set_position(angle_deg))
 
     def wavelength(self, nm: float) -> None:
@@ -408,13 +441,15 @@ class Station:
             remember_rig(description.file)
         now = calendar_stamp()
         devices = {
-            device: DeviceStatus(True, opened.rig.identities[device], now) if error is None else DeviceStatus(False, str(error))
+            device: DeviceStatus(Contact.CONNECTED, opened.rig.identities[device], now)
+            if error is None
+            else DeviceStatus(Contact.DISCONNECTED, error=str(error), failed=now)
             for device, error in outcome.items()
         }
-        self._silent = {device for device, error in outcome.items() if error is not None}
+        controllers = {axis: each.name for each in opened.rig.controllers for axis in each.axes}
         self._publish(RigOpened(
             description.file.name, Path(description.name), description.digest, description.simulated,
-            description.seed, description.file.in_process, devices,
+            description.seed, description.file.in_process, devices, controllers,
         ))  # fmt: skip
         self._look()
 
@@ -495,8 +530,8 @@ class Station:
         if self._opened is None or self._engine is not None:
             return
         for name, every_s, action in (
-            ("positions", POLL_S, self._poll_axes), ("live", LIVE_POLL_S, self._poll_live), ("ask", ASK_S, self._ask_devices),
-            ("answered", ANSWERED_S, self._report_answers),
+            ("positions", POLL_S, self._poll_axes), ("live", LIVE_POLL_S, self._poll_live), ("ask", POLL_S, self._ask_devices),
+            ("answered", ANSWERED_S, self._report_answers), ("connect", POLL_S, self._connect_lost),
         ):  # fmt: skip
             if now >= self._due[name]:
                 self._due[name] = now + every_s
@@ -517,24 +552,49 @@ class Station:
     def _report_positions(self) -> None:
         """Report the positions at the end of a task: a client that has waited for it has them then."""
         if self._opened is not None:
-            try:
-                self._poll_axes()
-            except DeviceError as fault:
-                self._note_fault(fault)
+            self._poll_axes()
 
     def _poll_axes(self) -> None:
-        """Report the positions of the axes. After a failure no more are read until their controller is connected again."""
-        rig = self._rig().rig
+        """Report the positions of the axes whose controllers respond, and their encoders where they are at rest."""
+        opened = self._rig()
         if self.snapshot.rig is None:
             return
         self._report_references()
-        degrees = {}
-        for controller in rig.controllers:
-            if controller.name not in self._silent:
-                degrees.update({name: axis.position_deg() for name, axis in controller.axes.items()})
-                self._answer_noted(controller.name)
+        compares = self._wall.now() >= self._due["encoders"] and not self.snapshot.activity
+        if compares:
+            self._due["encoders"] = self._wall.now() + ENCODERS_S
+        degrees: dict[str, float] = {}
+
+        def read(axes: Mapping[str, Axis]) -> None:
+            for name, axis in axes.items():
+                degrees[name] = self._read_axis(axis, compares=compares)
+
+        for controller in opened.rig.controllers:
+            self._ask_device(controller.name, partial(read, controller.axes))
         if degrees:
-            self._publish(Positions({name: degrees[name] for name in AXES if name in degrees}))
+            encoders = {name: angle for name, angle in self._encoders.items() if name in degrees}
+            self._publish(Positions({name: degrees[name] for name in AXES if name in degrees}, encoders))
+            self._report_references()
+
+    def _read_axis(self, axis: Axis, *, compares: bool) -> float:
+        """Read the counter of an axis, and, if `compares` and it is at rest, its encoder. Raises DeviceError.
+
+        An encoder that contradicts makes the axis unreferenced, as it does after a row.
+        """
+        counter, now = axis.position_deg(), self._clock.now()
+        before, since = self._resting.get(axis.name, (counter, now))
+        if counter != before:
+            since = now
+            self._encoders.pop(axis.name, None)
+        self._resting[axis.name] = counter, since
+        if compares and axis.settings.encoder and now - since > axis.settings.settling_s:
+            try:
+                counter, encoder = axis.read_back()
+            except Unreferenced:
+                encoder = axis.encoder_deg()
+            if encoder is not None:
+                self._encoders[axis.name] = encoder
+        return counter
 
     def _poll_live(self) -> None:
         bench = self._bench
@@ -552,6 +612,7 @@ class Station:
                     self._due["live"] = self._live_due
                     self._answer_noted("photodiodes", "monitor")
                     self._publish(reading)
+                    self._note_lamp(reading.monitor_a, shutter_open=bench.settings.shutter_open)
                     return
         except (DeviceError, Stopped) as error:
             self._live = None
@@ -567,9 +628,28 @@ class Station:
         rig = self._rig().rig
         reads = () if self._on_bench().settings.live else (rig.photodiodes, rig.monitor)
         for device in (rig.monochromator, *reads):
-            if device.name not in self._silent:
-                device.check()
-                self._answer_noted(device.name)
+            if self._wall.now() >= self._due[f"ask {device.name}"]:
+                self._due[f"ask {device.name}"] = self._wall.now() + ASK_S
+                self._ask_device(device.name, device.check)
+
+    def _ask_device(self, device: str, ask: Task) -> None:
+        """Ask an idle device, unless it is disconnected or was asked in vain just now. After REPEATS it counts as lost."""
+        rig, again = self.snapshot.rig, f"again {device}"
+        if rig is None or rig.devices[device].contact is Contact.DISCONNECTED or self._wall.now() < self._due[again]:
+            return
+        try:
+            ask()
+        except (NoAnswer, BadAnswer) as error:
+            self._failures[device] = self._failures.get(device, 0) + 1
+            if self._failures[device] > REPEATS:
+                self._report_lost(device, error)
+            else:
+                self._due[again] = self._due[f"ask {device}"] = self._wall.now() + REPEAT_S
+                self._report_contact(device, Contact.SILENT, str(error))
+        except DeviceError as error:
+            self._note_fault(error)
+        else:
+            self._answer_noted(device)
 
     def _report_answers(self) -> None:
         rig = self.snapshot.rig
@@ -577,23 +657,75 @@ class Station:
             self._publish(DevicesAnswered(dict(self._times)))
 
     def _answer_noted(self, *devices: str) -> None:
-        now = calendar_stamp()
+        """Note that devices have answered, and so are connected."""
+        now, rig = calendar_stamp(), self.snapshot.rig
         self._times.update(dict.fromkeys(devices, now))
+        for device in devices:
+            self._failures.pop(device, None)
+            self._left.discard(device)
+            if rig is not None and not rig.devices[device].connected:
+                self._report_contact(device, Contact.CONNECTED)
 
     def _note_fault(self, fault: DeviceError) -> None:
-        """Report the device of a fault as not responding, if the fault is one of its wire."""
-        opened, rig = self._opened, self.snapshot.rig
-        if opened is None or rig is None or not isinstance(fault, NoAnswer | BadAnswer | Forgotten):
+        """Report the device of a fault as not responding, if the fault is one of its wire: silent, where a run recovers it."""
+        opened = self._opened
+        if opened is None or not isinstance(fault, NoAnswer | BadAnswer | Forgotten):
             return
         with contextlib.suppress(KeyError):
             name = opened.rig.device(fault.device).name
-            self._report_lost(name, str(fault))
+            if self._engine is None or isinstance(fault, Forgotten):
+                self._report_lost(name, fault)
+            else:
+                self._report_contact(name, Contact.SILENT, str(fault))
 
-    def _report_lost(self, device: str, reason: str) -> None:
+    def _report_lost(self, device: str, fault: DeviceError) -> None:
+        self._failures.pop(device, None)
+        self._due[f"connect {device}"] = self._wall.now() + CONNECT_S
+        if isinstance(fault, Taken):
+            self._left.add(device)
+        self._report_contact(device, Contact.DISCONNECTED, str(fault))
+
+    def _report_contact(self, device: str, contact: Contact, error: str = "") -> None:
+        """Report the state of a device, with its fault if there is one."""
+        rig, opened = self.snapshot.rig, self._opened
+        if rig is None or opened is None or device not in rig.devices:
+            return
+        before = rig.devices[device]
+        identity = opened.rig.identities.get(device, before.identity)
+        answered = self._times.get(device, before.answered)
+        if error:
+            status = DeviceStatus(contact, identity, answered, error, calendar_stamp())
+        else:
+            status = DeviceStatus(contact, identity, answered, before.error, before.failed)
+        self._publish(DeviceChanged(device, status))
+
+    def _connect_lost(self) -> None:
+        """Connect an idle device again that was lost; nothing moves. One attempt at a time, with pauses in between."""
         rig = self.snapshot.rig
-        self._silent.add(device)
-        if rig is not None and device in rig.devices:
-            self._publish(DeviceChanged(device, DeviceStatus(False, reason, rig.devices[device].answered), reason))
+        if rig is None or self.busy or self._stops or self.disconnected.is_set() or not self._tasks.empty():
+            return
+        lost = [
+            device for device, status in rig.devices.items()
+            if status.contact is Contact.DISCONNECTED and status.identity and device not in self._left
+            and self._wall.now() >= self._due[f"connect {device}"]
+        ]  # fmt: skip
+        for device in lost[:1]:
+            begun = self._wall.now()
+            error = self._rig().rig.connect_device(device)
+            now = self._wall.now()
+            self._due[f"connect {device}"] = now + max(CONNECT_S, CONNECT_SHARE * (now - begun))
+            if error is None:
+                self._note_connected(device)
+            elif isinstance(error, Taken):
+                self._report_lost(device, error)
+
+    def _note_connected(self, device: str) -> None:
+        self._times[device] = calendar_stamp()
+        self._failures.pop(device, None)
+        self._left.discard(device)
+        self._report_contact(device, Contact.CONNECTED)
+        if device not in self._controllers:  # light and gain may be others
+            self._look()
 
     # ---- the bench, in the engine's thread ----
 
@@ -617,6 +749,17 @@ class Station:
         reading = self._on_bench().read(readings, dark=dark)
         self._answer_noted("photodiodes", "monitor")
         self._publish(reading)
+        self._note_lamp(reading.monitor_a, shutter_open=False if dark else self._on_bench().settings.shutter_open)
+
+    def _note_lamp(self, current_a: float | None, *, shutter_open: bool | None) -> None:
+        """Report the monitor's current where the shutter is open; remember it where it is closed."""
+        if current_a is None:
+            return
+        if shutter_open is False:
+            self._monitor_dark_a = abs(current_a)
+        elif shutter_open and self._wall.now() >= self._due["lamp"]:
+            self._due["lamp"] = self._wall.now() + LAMP_S
+            self._publish(LampRead(current_a, current_a > DARK_TIMES * self._monitor_dark_a, calendar_stamp()))
 
     def _connect(self, device: str) -> None:
         opened = self._rig()
@@ -624,11 +767,9 @@ class Station:
         for name in [device] if device else (rig.not_responding if rig is not None else []):
             error = opened.rig.connect_device(name)
             if error is None:
-                self._silent.discard(name)
-                self._publish(DeviceChanged(name, DeviceStatus(True, opened.rig.identities[name], calendar_stamp())))
+                self._note_connected(name)
             else:
-                self._report_lost(name, str(error))
-        self._look()
+                self._report_lost(name, error)
 
     # ---- a run, in the engine's thread ----
 
@@ -695,7 +836,7 @@ class Station:
                 state = State.FAILED
             self.wait_for_stops()
         for device in engine.disconnected:
-            self._report_lost(device, f"{device}: could not be reconnected during the run; connect again")
+            self._report_lost(device, NoAnswer(device, "reconnect it during the run", "not responding", "connect it again"))
         bench.look()
         bench.take_over(None if engine.disconnected else engine.gain, self._mounted)
         self.run_ended(state, reason, journal.kept_at, journal.note)
@@ -749,12 +890,16 @@ class Station:
             case RowCommitted(row, data, done, total, seconds_left):
                 if row.kind == "mount":
                     self._mounted = row.sample
-                if row.kind in ("measure", "drift"):
-                    self._answer_noted(*(name for name in self._device_names if name not in self._silent))
+                if data.readings:
+                    self._note_lamp(data.readings[-1].monitor_a, shutter_open=row.kind != "dark")
+                if data.readings and row.kind in ("measure", "drift"):  # it needs all devices
+                    self._answer_noted(*self._device_names)
                     self._report_answers_now_and_then()
                 self._publish(RowSaved(row, data.flags, done, total, seconds_left))
             case SafetyOrder():
                 self._give_order(event, self._record)
+            case DeviceFailed(error):
+                self._note_fault(error)
             case _:
                 self._publish(event)
 
@@ -762,21 +907,32 @@ class Station:
         """Let `ask` look at its `given_up`."""
         self._answers.put(None)
 
-    def ask(self, question: Question, given_up: Callable[[], str] = lambda: "") -> Answer:
-        """Wait for the operator's answer, or for a stop. Raises UserError with the reason where `given_up` has one."""
+    def ask(self, question: Question, given_up: Callable[[], str] = lambda: "") -> Reply:
+        """Wait for the operator's answer, or for a stop. Raises UserError with the reason where `given_up` has one.
+
+        Meanwhile counter and encoder of an axis that is asked about are reported: a person may turn it.
+        """
         self._asked += 1
-        number, given = self._asked, None
+        number: int = self._asked
+        given: Answer | None = None
         if self._stop_requested.is_set():
             return Answer.STOP
+        if question.axis is not None:
+            self.report_place(question.axis.name)
         self._publish(QuestionAsked(number, question))
         try:
             while not self._stop_requested.is_set():
                 if self._answers.empty() and (reason := given_up()):
                     raise UserError(reason)
-                match self._answers.get():
-                    case (int() as answered, Answer() as answer) if answered == number:
-                        given = answer
-                        return answer
+                try:
+                    answer = self._answers.get(timeout=None if question.axis is None else ENCODERS_S)
+                except queue.Empty:
+                    assert question.axis is not None
+                    self.report_place(question.axis.name)
+                    continue
+                if answer is not None and answer[0] == number:
+                    given = answer[1] if isinstance(answer[1], Answer) else Answer.SET_POSITION
+                    return answer[1]
             return Answer.STOP
         finally:
             self._publish(QuestionClosed(number, given))
@@ -784,8 +940,27 @@ class Station:
     # ---- inside ----
 
     @property
+    def _controllers(self) -> set[str]:
+        return set(self.snapshot.rig.controllers.values()) if self.snapshot.rig is not None else set()
+
+    @property
     def _device_names(self) -> list[str]:
         return list(self.snapshot.rig.devices) if self.snapshot.rig is not None else []
+
+    def report_place(self, axis: str) -> None:
+        """Report counter and encoder of an axis at rest, as far as it responds."""
+        if self._opened is None:
+            return
+        asked = self._opened.rig.axes[axis]
+        try:
+            counter, encoder = asked.position_deg(), asked.encoder_deg()
+        except DeviceError as error:
+            self._note_fault(error)
+            return
+        self._answer_noted(self._opened.rig.controller(axis).name)
+        others = {name: angle for name, angle in self.snapshot.encoders.items() if name != axis}
+        self._publish(Positions({axis: counter}, others if encoder is None else {**others, axis: encoder}))
+        self._report_references()
 
     def _report_answers_now_and_then(self) -> None:
         now = self._wall.now()
@@ -828,9 +1003,9 @@ class Station:
         opened = self._rig()
         if axis not in opened.rig.axes:
             raise CommandRefused(f"{axis}: is no axis; the axes are {', '.join(opened.rig.axes)}")
-        controller = opened.rig.controller(axis).name
-        if controller in self._silent:
-            raise CommandRefused(f"not responding: {controller}")
+        rig = self.snapshot.rig
+        if rig is not None and axis in rig.silent_axes:
+            raise CommandRefused(f"not responding: {rig.controllers[axis]}")
         return opened
 
     def _rig(self) -> OpenRig:

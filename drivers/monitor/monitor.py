@@ -173,9 +173,11 @@ class Monitor:
         self._send("set the filter", self._require(self._dialect.low_pass, "input filter").format(on))
 
     def check(self) -> None:
-        """Read the canary. Raises Forgotten if settings were lost and have been written again."""
+        """Read the canary. Raises Forgotten if settings were lost and have been written again, DeviceError if it is silent."""
         self._ready()
-        if self._has_reset():
+        if not self._averages:  # there is no canary before the first mean
+            self._wire.status_byte()
+        elif self._has_reset():
             self._restore()
 
     def status_byte(self) -> int:

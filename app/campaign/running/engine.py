@@ -18,8 +18,10 @@ from goniotwin.app.campaign.journal.writing import Journal, JournalError, softwa
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.row import SKIPPED, WAKE_PREFIX, Row, RowData
 from goniotwin.app.campaign.running.events import (
+    DeviceFailed,
     Event,
     EventLogged,
+    LightChanged,
     Listener,
     Positions,
     RowCommitted,
@@ -31,18 +33,20 @@ from goniotwin.app.campaign.running.events import (
     cut_power_order,
 )
 from goniotwin.app.campaign.running.operator import Operator
-from goniotwin.app.campaign.running.question import Answer
+from goniotwin.app.campaign.running.question import Answer, PositionGiven
 from goniotwin.app.campaign.running.recovery import POLICY_TEXT, FaultPolicies, Recovery
 from goniotwin.app.campaign.running.rows import RowExecutor
 from goniotwin.app.campaign.running.sleep import NoSleepWatch, SleepWatch, StayAwake, watch_for
 from goniotwin.app.campaign.running.stop import EndedByOperator, EndedBySchedule, StopConditions, Stopped, StopRequest
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import AXES
-from goniotwin.drivers import DeviceError, Rig, Until
+from goniotwin.drivers import DeviceError, LimitError, Rig, Until
 
 T = TypeVar("T")
 Cut = tuple[str, float, float, float]
 """Sample, gamma, sigma and scan plane, deg."""
+REFERENCED_BY = (Answer.HOME, Answer.SET_POSITION)
+"""Answers after which an axis is referenced again."""
 SHUTTER_MAY_BE_OPEN = "the shutter may be open; close it by hand"
 
 
@@ -87,7 +91,10 @@ class Engine:
         self._stop_request = StopRequest(rig)
         # Positions are read between polls, which a script would leave out.
         scripts = not positions_every_s
-        self._executor = RowExecutor(rig, operator, self._stop_request, self._on_poll, self._log_event, scripts=scripts)
+        self._executor = RowExecutor(
+            rig, operator, self._stop_request, self._on_poll, self._log_event, scripts=scripts,
+            on_light=lambda wavelength_nm, shutter_open: self._notify(LightChanged(wavelength_nm, shutter_open)),
+        )  # fmt: skip
         self._recovery = Recovery(rig, self._stop_request, self._executor.wait)
         self._sleep_watch = sleep_watch or watch_for(rig.clock)
         self._stay_awake = StayAwake()
@@ -325,6 +332,7 @@ class Engine:
             except DeviceError as error:
                 self._stop_request.check()
                 policy = policies.policy_for(error, slept=self._slept())
+                self._notify(DeviceFailed(error))
                 if policy == "stop" or (policy == "skip" and not skippable):
                     raise
                 self._log_event("fault", f"{error} (at {what}: {POLICY_TEXT[policy]})", what, POLICY_TEXT[policy], str(error))
@@ -336,7 +344,11 @@ class Engine:
                 if answer is Answer.PAUSE:
                     self._pause = True
                     self._wait_for_resume()
-                for failure in self._recovery.wait_for_rest() if policy == "retry" else self._recovery.recover(error.device):
+                if policy == "retry" or answer in REFERENCED_BY:  # the row finds what else is unreferenced
+                    failures = self._recovery.wait_for_rest()
+                else:
+                    failures = self._recovery.recover(error.device, homing=answer is not Answer.SKIP)
+                for failure in failures:
                     self._log_event("fault", f"{failure} (after a fault at {what})", what, "", str(failure))
                 if policy == "skip" or answer is Answer.SKIP:
                     return None
@@ -344,16 +356,38 @@ class Engine:
                 self._enter_unless_pausing(State.RUNNING)
 
     def _ask_operator(self, what: str, fault: DeviceError, *, skippable: bool) -> Answer:
-        """Ask the operator to fix a fault, with the shutter closed, if necessary by hand."""
+        """Ask the operator to fix a fault, with the shutter closed, if necessary by hand.
+
+        A fault that has left an axis unreferenced is asked about until the axis is referenced, or another answer is given.
+        """
         try:
             self._executor.set_shutter(opened=False)
         except DeviceError as error:
             self._give_order(close_shutter_order(error))
         self._journal.checkpoint()
-        answer = self._operator.resolve_fault(f"{what}: {fault}", skippable=skippable)
-        self._log_event("answer", f"{answer} (at {what})", what, "", f"Answer of the operator: {answer}")
-        self._executor.forget_settings()
-        return answer
+        device, failure = self._rig.device(fault.device).name, ""
+        while True:
+            axis = self._recovery.unreferenced_axis(fault.device)
+            # Without the remedy, which the answers are.
+            happened = fault if axis is None else f"{fault.device}: {fault.doing}: {fault.happened}"
+            text = f"{failure}{what}: {happened}"
+            reply = self._operator.resolve_fault(text, skippable=skippable, device=device, axis=axis)
+            answer, given = (Answer.SET_POSITION, reply) if isinstance(reply, PositionGiven) else (reply, None)
+            given_text = f"{answer} to {given.angle_deg:.3f} deg" if given is not None else str(answer)
+            self._log_event("answer", f"{given_text} (at {what})", what, "", f"Answer of the operator: {given_text}")
+            self._executor.forget_settings()
+            if answer not in REFERENCED_BY or axis is None:
+                return answer
+            try:
+                if refusal := axis.refusal(given.angle_deg) if given is not None else "":
+                    raise LimitError(axis.name, "set its position", refusal)
+                self._recovery.reference(axis, reply)
+            except DeviceError as error:
+                self._stop_request.check()
+                self._log_event("fault", f"{error} (at {what})", what, "", str(error))
+                failure = f"{error}. Before: "
+                continue
+            return answer
 
     def _finish(self, session: int, outcome: State, reason: str) -> None:
         """Stop the axes unless the plan is done, close the shutter, and record faults and end of session."""
@@ -435,7 +469,8 @@ class Engine:
     def _notify_positions(self, data: RowData) -> None:
         positions = data.positions
         if self._positions_every_s and positions is not None:
-            self._notify(Positions({name: value for name in AXES if (value := positions[name]) is not None}))
+            encoders = {name: value for name in AXES if (value := positions.get(f"{name}_encoder")) is not None}
+            self._notify(Positions({name: value for name in AXES if (value := positions[name]) is not None}, encoders))
 
     def _enter(self, state: State, reason: str = "") -> None:
         with self._changed:

@@ -1,7 +1,7 @@
 """Events of the engine for its listeners. A listener that fails does not disturb the run."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import TYPE_CHECKING
 
@@ -52,9 +52,10 @@ class RowCommitted:
 
 @dataclass(frozen=True)
 class Positions:
-    """Positions of the axes from their counters, in degrees, by axis."""
+    """Positions of the axes from their counters, and of those at rest from their encoders, in degrees, by axis."""
 
     degrees: dict[str, float]
+    encoders: dict[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -92,5 +93,20 @@ def cut_power_order(rig: "Rig", failures: "Sequence[DeviceError]") -> SafetyOrde
     return SafetyOrder("Cut the motors' power", "the stop is not confirmed; " + "; ".join(reasons)) if reasons else None
 
 
-Event = StateChanged | RowStarted | RowCommitted | Positions | EventLogged | SafetyOrder
+@dataclass(frozen=True)
+class LightChanged:
+    """Wavelength and shutter as the run knows them; None is unknown, as while they change and after a fault."""
+
+    wavelength_nm: float | None
+    shutter_open: bool | None
+
+
+@dataclass(frozen=True)
+class DeviceFailed:
+    """A device has failed during the run, which follows its policy."""
+
+    error: "DeviceError"
+
+
+Event = StateChanged | RowStarted | RowCommitted | Positions | EventLogged | SafetyOrder | LightChanged | DeviceFailed
 Listener = Callable[[Event], None]

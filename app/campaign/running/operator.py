@@ -3,7 +3,7 @@
 from typing import Protocol
 
 from goniotwin.app.campaign.row import NO_SAMPLE
-from goniotwin.app.campaign.running.question import Answer, Ask, Question
+from goniotwin.app.campaign.running.question import Answer, Ask, Question, Reply, UnreferencedAxis
 from goniotwin.app.campaign.running.stop import Stopped
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig.lock import check_server
@@ -17,8 +17,11 @@ class Operator(Protocol):
     def mount(self, sample: str) -> None:
         """Return when `sample` is in the sample unit; for NO_SAMPLE, when the sample unit is empty. Raises Stopped."""
 
-    def resolve_fault(self, fault: str, /, *, skippable: bool) -> Answer:
-        """Ask for a fault to be fixed; return RETRY, PAUSE, STOP, or, of what is `skippable`, SKIP."""
+    def resolve_fault(self, fault: str, /, *, skippable: bool, device: str = "", axis: UnreferencedAxis | None = None) -> Reply:
+        """Ask for a fault of a device to be fixed; return RETRY, PAUSE, STOP, or, of what is `skippable`, SKIP.
+
+        Where the fault has left an `axis` unreferenced, the reply may be HOME, if it can home, or its position.
+        """
 
 
 class VirtualOperator:
@@ -31,9 +34,11 @@ class VirtualOperator:
         """Mount a sample. Raises KeyError for a sample that the virtual rig does not have."""
         self._rig.mount(None if sample == NO_SAMPLE else sample)
 
-    def resolve_fault(self, _fault: str, /, *, skippable: bool) -> Answer:
+    def resolve_fault(
+        self, _fault: str, /, *, skippable: bool, device: str = "", axis: UnreferencedAxis | None = None
+    ) -> Reply:
         """Return STOP: there is no person to fix a fault."""
-        del skippable
+        del skippable, device, axis
         return Answer.STOP
 
 
@@ -58,9 +63,11 @@ class ServedOperator:
                 f"mounting {sample!r} on the served rig: {error}; is `goniotwin serve` still running, with this rig file?"
             ) from None
 
-    def resolve_fault(self, _fault: str, /, *, skippable: bool) -> Answer:
+    def resolve_fault(
+        self, _fault: str, /, *, skippable: bool, device: str = "", axis: UnreferencedAxis | None = None
+    ) -> Reply:
         """Return STOP: there is no person to fix a fault."""
-        del skippable
+        del skippable, device, axis
         return Answer.STOP
 
 
@@ -84,8 +91,11 @@ class HumanOperator:
         if self._hands is not None:
             self._hands.mount(sample)
 
-    def resolve_fault(self, fault: str, /, *, skippable: bool) -> Answer:
+    def resolve_fault(self, fault: str, /, *, skippable: bool, device: str = "", axis: UnreferencedAxis | None = None) -> Reply:
         """Ask for a fault to be fixed."""
+        home = (Answer.HOME,) if axis is not None and axis.homes else ()
+        here = (Answer.SET_POSITION,) if axis is not None else ()
         skip = (Answer.SKIP,) if skippable else ()
-        answers = (Answer.RETRY, *skip, Answer.PAUSE, Answer.STOP)
-        return self._ask(Question("Device fault", f"{fault}.", answers))
+        title = "Device fault" if axis is None else f"Position of {axis.name} unknown"
+        answers = (*home, *here, Answer.RETRY, *skip, Answer.PAUSE, Answer.STOP)
+        return self._ask(Question(title, f"{fault}.", answers, device=device, axis=axis))

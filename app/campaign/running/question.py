@@ -10,6 +10,8 @@ class Answer(StrEnum):
 
     MOUNTED = "Mounted"
     WAIT = "Wait"
+    HOME = "Home"
+    SET_POSITION = "Set position"
     RETRY = "Retry"
     SKIP = "Skip row"
     PAUSE = "Pause"
@@ -19,6 +21,8 @@ class Answer(StrEnum):
 EFFECTS = {
     Answer.MOUNTED: "The run continues with this sample.",
     Answer.WAIT: "The run waits, with the shutter closed.",
+    Answer.HOME: "The axis moves to its reference, and the row is measured again.",
+    Answer.SET_POSITION: "The axis is at the angle in the field. Nothing moves now; the row is measured again.",
     Answer.RETRY: "The device is reconnected and the row measured again.",
     Answer.SKIP: "The row stays empty until a resume measures it.",
     Answer.PAUSE: "The run waits; Resume measures the row again.",
@@ -28,14 +32,51 @@ EFFECTS = {
 
 
 @dataclass(frozen=True)
+class PositionGiven:
+    """The answer SET_POSITION, with the angle at which the axis is, deg."""
+
+    angle_deg: float
+
+
+Reply = Answer | PositionGiven
+"""What a question is answered with: SET_POSITION never without its angle."""
+
+
+@dataclass(frozen=True)
+class UnreferencedAxis:
+    """The axis that a fault has left unreferenced, its soft limits in degrees, and whether it can home."""
+
+    name: str
+    lower_deg: float
+    upper_deg: float
+    homes: bool
+
+    def refusal(self, angle_deg: float) -> str:
+        """Why an angle cannot be the position of the axis, in one line; empty if it can."""
+        return position_refusal(self.name, self.lower_deg, self.upper_deg, angle_deg)
+
+
+@dataclass(frozen=True)
 class Question:
-    """A question to the operator. `default` is the answer to a key that was pressed by accident: it changes nothing."""
+    """A question to the operator. `default` is the answer to a key that was pressed by accident: it changes nothing.
+
+    `device` is the one that has failed, by its name, or empty; `axis` the one that HOME and SET_POSITION refer to.
+    """
 
     title: str
     text: str
     answers: tuple[Answer, ...]
     default: Answer | None = None
+    device: str = ""
+    axis: UnreferencedAxis | None = None
 
 
-Ask = Callable[[Question], Answer]
-"""Function that asks a person a question and returns the answer."""
+def position_refusal(axis: str, lower_deg: float, upper_deg: float, angle_deg: float) -> str:
+    """Why an angle cannot be the position of an axis with these soft limits, in one line; empty if it can."""
+    if lower_deg <= angle_deg <= upper_deg:  # not so for NaN
+        return ""
+    return f"{axis} has soft limits of {lower_deg:g} to {upper_deg:g} deg, and {angle_deg:g} deg is outside"
+
+
+Ask = Callable[[Question], Reply]
+"""Function that asks a person a question and returns the reply."""

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import Literal
 
+from goniotwin.app.campaign.running.question import PositionGiven, Reply, UnreferencedAxis
 from goniotwin.app.campaign.running.stop import StopRequest
 from goniotwin.app.campaign.schedule.file import FaultsTable, Policy
 from goniotwin.app.rig import AXES
@@ -92,10 +93,10 @@ class Recovery:
         """The devices that could not be reconnected."""
         return tuple(dict.fromkeys(self._rig.device(name).name for name in self._disconnected))
 
-    def recover(self, failed: str) -> list[DeviceError]:
-        """Reconnect the device that failed, wait until all axes are at rest, and home the unreferenced ones."""
+    def recover(self, failed: str, *, homing: bool = True) -> list[DeviceError]:
+        """Reconnect the device that failed, wait until all axes are at rest, and with `homing` home the unreferenced ones."""
         self._disconnected.append(failed)
-        return [*self._try(self.reconnect), *self.wait_for_rest(), *self._home_unreferenced()]
+        return [*self._try(self.reconnect), *self.wait_for_rest(), *(self._home_unreferenced() if homing else [])]
 
     def reconnect(self) -> None:
         """Reconnect the devices that are still disconnected, if any. Raises DeviceError where that fails again."""
@@ -111,6 +112,24 @@ class Recovery:
     def homeable_axes(self) -> list[Axis]:
         """Unreferenced axes that can home: the rig file has a [homing] table for them."""
         return [axis for axis in self._rig.axes.values() if axis.unreferenced_reason and axis.settings.homing is not None]
+
+    def unreferenced_axis(self, failed: str) -> UnreferencedAxis | None:
+        """The axis that an error names, if it is unreferenced."""
+        axis = self._rig.axes.get(failed)
+        if axis is None or not axis.unreferenced_reason:
+            return None
+        table = axis.settings
+        return UnreferencedAxis(failed, table.lower_deg, table.upper_deg, table.homing is not None)
+
+    def reference(self, axis: UnreferencedAxis, reply: Reply) -> None:
+        """Home an axis, or set its position, as a person has replied; nothing else moves. Raises DeviceError."""
+        self._rig.reconnect(axis.name)  # a controller that has reset has lost its settings
+        for error in self.wait_for_rest():
+            raise error
+        if isinstance(reply, PositionGiven):
+            self._rig.axes[axis.name].set_position(reply.angle_deg)
+        else:
+            self.home(self._rig.axes[axis.name])
 
     def home(self, axis: Axis) -> None:
         """Home an axis. Raises DeviceError."""

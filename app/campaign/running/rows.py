@@ -46,7 +46,10 @@ CLOSING_ATTEMPTS = 3
 
 
 class RowExecutor:
-    """Executes rows on a rig. `on_poll` is called between polls, and less often where `scripts` are handed to the wires."""
+    """Executes rows on a rig. `on_poll` is called between polls, and less often where `scripts` are handed to the wires.
+
+    `on_light` gets wavelength and shutter when they change; None is unknown.
+    """
 
     def __init__(
         self,
@@ -57,6 +60,7 @@ class RowExecutor:
         log_event: LogEvent,
         *,
         scripts: bool = False,
+        on_light: Callable[[float | None, bool | None], object] = lambda *_: None,
     ) -> None:
         self._rig = rig
         self._clock = rig.clock
@@ -66,16 +70,21 @@ class RowExecutor:
         self._log_event = log_event
         self._scripts = scripts
         self._comparison = ReadingComparison(rig.photodiodes.settings)
+        self._on_light: Callable[[float | None, bool | None], object] = lambda *_: None
         self._encoder_warnings: set[str] = set()
         self.forget_settings()
+        self._on_light = on_light
 
     def forget_settings(self) -> None:
         """Forget the commanded settings, because the devices may have lost them: the next row sends all of them again."""
         self._commanded: dict[str, float] = {}
-        self._wavelength_nm: float | None = None
         self._filter: int | None = None
-        self._shutter_open: bool | None = None
         self._gain: int | None = None
+        self._set_light(None, None)
+
+    def _set_light(self, wavelength_nm: float | None, shutter_open: bool | None) -> None:
+        self._wavelength_nm, self._shutter_open = wavelength_nm, shutter_open
+        self._on_light(wavelength_nm, shutter_open)
 
     @property
     def gain(self) -> int | None:
@@ -114,12 +123,12 @@ class RowExecutor:
         """Open or close the shutter, unless it is in this state already."""
 
         def start() -> Pending:
-            self._shutter_open = None  # until it is confirmed: a stop may come in between
+            self._set_light(self._wavelength_nm, None)  # until it is confirmed: a stop may come in between
             return self._rig.monochromator.start_shutter(opened=opened)
 
         if self._shutter_open is not opened:
             self.wait(self._stop_request.start(start))
-            self._shutter_open = opened
+            self._set_light(self._wavelength_nm, opened)
 
     def close_shutter_after_stop(self) -> bool:
         """Close the shutter, although the run was stopped, unless it is known to be closed; return whether it had to be.
@@ -147,7 +156,7 @@ class RowExecutor:
                     attempt, steps, deadline = 0, self._stop_request.steps, self._clock.now() + CLOSING_S
                 elif attempt == CLOSING_ATTEMPTS or self._clock.now() > deadline:
                     raise
-        self._shutter_open = False
+        self._set_light(self._wavelength_nm, False)
         return True
 
     @property
@@ -211,9 +220,11 @@ class RowExecutor:
             if order_filter is not None and order_filter.position != self._filter:
                 moves.append(self._stop_request.start(partial(monochromator.start_filter, order_filter.position)))
                 self._filter = order_filter.position
+            self._set_light(None, self._shutter_open)
             moves.append(self._stop_request.start(lambda: monochromator.start_wavelength(wavelength)))
-            self._wavelength_nm = wavelength
         self.wait(*moves)
+        if wavelength is not None and wavelength != self._wavelength_nm:
+            self._set_light(wavelength, self._shutter_open)
         self.set_shutter(opened=True)
         if moved:
             self.wait(AxisSettling(self._clock, moved, self._clock.now() + settling))

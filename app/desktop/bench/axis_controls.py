@@ -8,7 +8,7 @@ from PySide6.QtWidgets import QHBoxLayout, QLabel, QPushButton, QSizePolicy, QVB
 
 from goniotwin.app.desktop.bench.number_field import NumberField
 from goniotwin.app.desktop.model.axes import GREEK
-from goniotwin.app.desktop.rig.panels import angle_text
+from goniotwin.app.desktop.rig.panels import angle_text, place_mark
 from goniotwin.app.desktop.theme import Colours
 
 if TYPE_CHECKING:  # the window shows itself before the drivers are loaded
@@ -31,6 +31,7 @@ class LimitsBar(QWidget):
         self._limits: tuple[float, float] | None = None
         self._position: float | None = None
         self._target: float | None = None
+        self._doubtful = False
         self._font = self.font()
         self._font.setPointSizeF(0.85 * self._font.pointSizeF())
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
@@ -47,6 +48,12 @@ class LimitsBar(QWidget):
         """Show the position, and the target that differs from it, deg."""
         self._position, self._target = position, target
         self._describe()
+
+    def set_doubtful(self, doubtful: bool) -> None:
+        """Show whether the axis is unreferenced: it may be elsewhere."""
+        if doubtful != self._doubtful:
+            self._doubtful = doubtful
+            self.update()
 
     def set_colours(self, colours: Colours) -> None:
         """Take the colours of a scheme."""
@@ -95,10 +102,10 @@ class LimitsBar(QWidget):
             painter.drawEllipse(QPointF(x, y), 4.5, 4.5)
         if self._position is not None:
             inside = low - ARRIVED_DEG <= self._position <= high + ARRIVED_DEG
-            colour = QColor(colours.points if inside else colours.bad)
+            colour = QColor(colours.points if inside and not self._doubtful else colours.bad)
             x = min(max(self._x(self._position), 4.0), self.width() - 4.0)
             painter.setPen(QPen(colour, 1.0))
-            painter.setBrush(colour)
+            painter.setBrush(Qt.BrushStyle.NoBrush if self._doubtful else colour)
             painter.drawPolygon(QPolygonF([QPointF(x, y + 4.0), QPointF(x - 5.0, y - 7.0), QPointF(x + 5.0, y - 7.0)]))
         painter.end()
 
@@ -110,13 +117,13 @@ class LimitsBar(QWidget):
 
 
 class AxisControls(QWidget):
-    """One axis. `command` has a station's command and its arguments; `confirm` a position to be set, which is asked about;
-    `refused` why what was entered is not done.
+    """One axis. `command` has a station's command and its arguments; `place_wanted` is that its position is to be set, which a
+    person is asked for; `refused` why what was entered is not done.
     """
 
     command = Signal(str, object)
     refused = Signal(str)
-    confirm = Signal(str, float)
+    place_wanted = Signal(str)
 
     def __init__(self, axis: str, colours: Colours) -> None:
         super().__init__()
@@ -125,6 +132,7 @@ class AxisControls(QWidget):
         self._colours = colours
         self._settings: AxisDescription | None = None
         self._position: float | None = None
+        self._encoder: float | None = None
         self._sent: float | None = None
         self._entered = False
         self._refusal = ""
@@ -147,7 +155,7 @@ class AxisControls(QWidget):
         self.target.setMinimumWidth(self.target.fontMetrics().horizontalAdvance("−000.00°") + 34)
         self.go = _button("Go", f"Move {axis} to the angle in the field")
         self.home = _button("Home", f"Home {axis}")
-        self.set_button = _button("Set…", f"Set the position of {axis} to the angle in the field")
+        self.set_button = _button("Set…", f"Set the position of {axis}")
         self.controls = (self.down, self.up, self.target, self.go, self.home, self.set_button)
         name.setBuddy(self.target)
         self._name = name
@@ -200,19 +208,19 @@ class AxisControls(QWidget):
             self._entered = False
         self._show()
 
-    def set_unreferenced(self, reason: str) -> None:
-        """Show that the axis is unreferenced, and why; empty if it is referenced."""
-        self._unreferenced = reason
+    def set_unreferenced(self, reason: str, encoder_deg: float | None) -> None:
+        """Show that the axis is unreferenced, and why, with its encoder's position; empty if it is referenced."""
+        self._unreferenced, self._encoder = reason, encoder_deg
         self._show_position()
 
     def _show_position(self) -> None:
-        text = angle_text(self._position)
+        text = place_mark(self._position, bool(self._unreferenced), self._encoder)
+        self.position.setText(text)
         if self._unreferenced:
-            self.position.setText(f"✗ {text}")
             self.position.setToolTip(f"{self.axis} is unreferenced: {self._unreferenced}; home it, or set its position")
         else:
-            self.position.setText(text)
             self.position.setToolTip(f"Position of {self.axis}")
+        self.bar.set_doubtful(bool(self._unreferenced))
         self.position.setAccessibleName(f"{self.axis} {'unreferenced, ' if self._unreferenced else ''}position {text}")
         self.position.setStyleSheet(f"color: {self._colours.bad}" if self._unreferenced else "")
 
@@ -237,7 +245,7 @@ class AxisControls(QWidget):
         self.home.setEnabled(not home)
         self.home.setToolTip(home or f"Find the reference of {self.axis}; the axis moves")
         self.set_button.setEnabled(not set_position)
-        self.set_button.setToolTip(set_position or f"{self.axis} counts as the angle in the field from now on; nothing moves")
+        self.set_button.setToolTip(set_position or f"State where {self.axis} is; nothing moves")
 
     def set_colours(self, colours: Colours) -> None:
         """Take the colours of a scheme."""
@@ -299,8 +307,7 @@ class AxisControls(QWidget):
 
     @Slot()
     def _set(self) -> None:
-        if (angle := self.target.entered()) is not None:
-            self.confirm.emit(self.axis, angle)
+        self.place_wanted.emit(self.axis)
 
 
 def _short(degrees: float) -> str:

@@ -10,6 +10,7 @@ from PySide6.QtCore import QPointF, QRectF, QSize, Qt, Signal, Slot
 from PySide6.QtGui import QBrush, QColor, QFontMetricsF, QPainter, QPaintEvent, QPen, QPolygonF
 from PySide6.QtWidgets import QSizePolicy, QWidget
 
+from goniotwin.app.desktop.rig.panels import place_mark
 from goniotwin.app.desktop.theme import Colours
 
 if TYPE_CHECKING:  # the window shows itself before numpy and the optics are loaded
@@ -43,6 +44,7 @@ class InstrumentView(QWidget):
         self._drawing: InstrumentDrawing | None = None
         self._blocked: Obstruction | None = None
         self._positions: dict[str, float] = {}
+        self._unreferenced: dict[str, float | None] = {}
         self._asked: dict[str, float] | None = None
         self._computing = False
         self._active = False
@@ -72,6 +74,25 @@ class InstrumentView(QWidget):
         self._compute()
         self._describe()
         self.update()
+
+    def set_unreferenced(self, encoders: Mapping[str, float | None]) -> None:
+        """Mark unreferenced axes, with the positions by their encoders, deg; None is unknown."""
+        if dict(encoders) != self._unreferenced:
+            self._unreferenced = dict(encoders)
+            self._describe()
+            self.update()
+
+    @property
+    def doubt(self) -> str:
+        """Which axes may be elsewhere than they are drawn, in one line; empty if none."""
+        from goniotwin.app.desktop.model.axes import GREEK
+
+        marks = [
+            f"{GREEK[axis]} {place_mark(self._positions.get(axis), True, encoder)}"
+            for axis, encoder in self._unreferenced.items()
+            if axis in self._positions
+        ]
+        return f"{', '.join(marks)}: unreferenced (counter | encoder)" if marks else ""
 
     def set_active(self, active: bool) -> None:
         """Compute what is blocked from now on, or compute nothing while the screen is hidden."""
@@ -150,7 +171,7 @@ class InstrumentView(QWidget):
         from goniotwin.app.desktop.model.instrument import pose_text
 
         blocked = len(self.blocked)
-        parts = [pose_text(self._positions)]
+        parts = [self.doubt or pose_text(self._positions)]
         if self._shutter_open is not None:
             parts.append("shutter open" if self._shutter_open else "shutter closed")
         if blocked:
@@ -172,11 +193,16 @@ class InstrumentView(QWidget):
         painter.setRenderHint(QPainter.RenderHint.Antialiasing)
         painter.fillRect(self.rect(), QColor(self._colours.base))
         whole = QRectF(self.rect()).adjusted(MARGIN, MARGIN, -MARGIN, -MARGIN)
+        doubt = self.doubt
         if self._drawing is None:
             painter.setPen(QColor(self._colours.dim))
             painter.drawText(whole, Qt.AlignmentFlag.AlignCenter | Qt.TextFlag.TextWordWrap, self._text())
             painter.end()
             return
+        if doubt:
+            line = QFontMetricsF(painter.font()).height() + 2.0
+            self._draw_doubt(painter, doubt, QRectF(whole.left(), whole.bottom() - line, whole.width(), line))
+            whole.setBottom(whole.bottom() - line)
         if whole.width() >= BESIDE * whole.height():
             half = 0.5 * (whole.width() - GAP)
             first = QRectF(whole.left(), whole.top(), half, whole.height())
@@ -192,6 +218,13 @@ class InstrumentView(QWidget):
         ViewPainter(painter, first, "side", self._drawing, self._colours, self._shutter_open).draw(self)
         ViewPainter(painter, second, "top", self._drawing, self._colours, self._shutter_open).draw(self)
         painter.end()
+
+    def _draw_doubt(self, painter: QPainter, doubt: str, line: QRectF) -> None:
+        """Frame the drawing, and state below it which axes may be elsewhere."""
+        painter.setBrush(Qt.BrushStyle.NoBrush)
+        painter.setPen(QPen(QColor(self._colours.bad), 2.0, Qt.PenStyle.DashLine))
+        painter.drawRect(QRectF(self.rect()).adjusted(1.0, 1.0, -1.0, -1.0))
+        painter.drawText(line, Qt.AlignmentFlag.AlignCenter, doubt)
 
     def level(self, channel: int) -> float | None:
         """The signal of a photodiode, 0 to 1; None if none was read."""

@@ -58,11 +58,8 @@ class NumberField(QDoubleSpinBox):
         return text.removeprefix(self.prefix()).removesuffix(self.suffix()).strip()
 
     def _number(self, text: str) -> float | None:
-        bare = self._bare(text).replace("−", "-").replace(",", ".")
-        if NUMBER.fullmatch(bare) is None or len(bare.partition(".")[2].rstrip("0")) > self.decimals():
-            return None
-        number = float(bare)
-        return number if self.minimum() <= number <= self.maximum() else None
+        number = number_of(self._bare(text), self.decimals())
+        return number if number is not None and self.minimum() <= number <= self.maximum() else None
 
     @Slot(str)
     def _note_text(self, text: str) -> None:
@@ -73,3 +70,11 @@ class NumberField(QDoubleSpinBox):
     @Slot()
     def _note_value(self) -> None:
         self._wrong = False
+
+
+def number_of(text: str, decimals: int) -> float | None:
+    """The number of a text, with a decimal point or comma; None for another text, or more decimals."""
+    bare = text.strip().replace("−", "-").replace(",", ".")
+    if NUMBER.fullmatch(bare) is None or len(bare.partition(".")[2].rstrip("0")) > decimals:
+        return None
+    return float(bare)

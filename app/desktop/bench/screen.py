@@ -9,10 +9,10 @@ from PySide6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QStackedLayout, QT
 from goniotwin.app.desktop.bench.axis_controls import AxisControls
 from goniotwin.app.desktop.bench.instrument_view import InstrumentView
 from goniotwin.app.desktop.bench.light_controls import LightControls
+from goniotwin.app.desktop.bench.position_entry import NO_ANGLE, PositionEntry
 from goniotwin.app.desktop.bench.readings_view import MonitorTrend, SignalBars
 from goniotwin.app.desktop.events.question import Choice, QuestionBox
 from goniotwin.app.desktop.model.axes import GREEK
-from goniotwin.app.desktop.rig.panels import angle_text
 from goniotwin.app.desktop.screen import Screen, WithoutPreferredHeight
 from goniotwin.app.desktop.theme import Colours
 
@@ -47,6 +47,7 @@ class BenchScreen(Screen):
         self._refusals = dict.fromkeys(COMMANDS, NO_RIG)
         self._error = ""
         self.question: QuestionBox | None = None
+        self._place: tuple[str, PositionEntry] | None = None
         self.axes = {axis: AxisControls(axis, colours) for axis in ("sigma", "beta", "shift", "gamma")}
         self.light = LightControls()
         self.step = QComboBox()
@@ -69,7 +70,7 @@ class BenchScreen(Screen):
         self._lay_out()
         for controls in self.axes.values():
             controls.command.connect(self._send)
-            controls.confirm.connect(self._ask_about_position)
+            controls.place_wanted.connect(self._ask_about_position)
             controls.refused.connect(self.show_refusal)
         self.light.command.connect(self._send)
         self.light.refused.connect(self.show_refusal)
@@ -242,10 +243,10 @@ class BenchScreen(Screen):
 
     def _show_event(self, message: "Message") -> None:
         from goniotwin.app.campaign.running.events import Positions
-        from goniotwin.app.station.messages import ActivityChanged, BenchReading, RigClosed
+        from goniotwin.app.station.messages import ActivityChanged, BenchReading, DeviceChanged, RigClosed
 
         match message:
-            case Positions() if self._station is not None:
+            case Positions() | DeviceChanged() if self._station is not None:
                 self._show_positions(self._station.positions)
             case BenchReading():
                 self._show_reading(message)
@@ -261,6 +262,7 @@ class BenchScreen(Screen):
         for name, controls in self.axes.items():
             controls.set_position(degrees.get(name))
         self.instrument.set_positions(degrees)
+        self._show_place()
 
     def _show_reading(self, reading: "BenchReading") -> None:
         model, station = self._readings, self._station
@@ -285,8 +287,10 @@ class BenchScreen(Screen):
             self.light.set_settings(bench.wavelength_nm, bench.shutter_open, bench.gain_v_per_a, bench.sample, bench.live)
             self.instrument.set_shutter(bench.shutter_open)
         unreferenced = station.unreferenced if station is not None else {}
+        encoders = station.encoders if station is not None else {}
+        self.instrument.set_unreferenced({name: encoders.get(name) for name in unreferenced})
         for name, controls in self.axes.items():
-            controls.set_unreferenced(unreferenced.get(name, ""))
+            controls.set_unreferenced(unreferenced.get(name, ""), encoders.get(name))
             controls.set_refusals(refusals["move"], refusals["home"], refusals["set_position"])
         self.light.set_refusals(refusals)
         self._show_status()
@@ -297,6 +301,8 @@ class BenchScreen(Screen):
             text = f"✗ {self._error}"
         elif station is None or station.rig is None:
             text = "No rig is open."
+        elif station.busy and station.question is not None:
+            text = "The run waits for an answer: the bench only shows."
         elif station.busy:
             text = f"A run is {station.state}: the bench only shows."
         elif station.activity:
@@ -321,27 +327,41 @@ class BenchScreen(Screen):
         for controls in self.axes.values():
             controls.set_step(float(self.step.currentData()))
 
-    @Slot(str, float)
-    def _ask_about_position(self, axis: str, angle_deg: float) -> None:
+    @Slot(str)
+    def _ask_about_position(self, axis: str) -> None:
         if self.question is not None:
             self.question.dismiss()
-        name, angle = f"{GREEK[axis]} ({axis})", angle_text(angle_deg)
-        text = f"{name} counts as {angle} from now on. Nothing moves. Read the scale of the axis first: all data depend on it."
+        name = f"{GREEK[axis]} ({axis})"
+        text = (
+            f"{name} counts as the angle that you give from now on. Nothing moves. All data depend on it: read the scale first."
+        )
         choices = [
-            Choice(SET_POSITION, f"The axis is at {angle}"),
+            Choice(SET_POSITION, "The axis is at the angle in the field"),
             Choice(CANCEL, "Nothing is changed", default=True),
         ]
-        box = QuestionBox(self, f"Set the position of {name}", text, choices)
-        self.question = box
+        entry = PositionEntry(axis)
+        box = QuestionBox(self, f"Set the position of {name}", text, choices, entry)
+        self.question, self._place = box, (axis, entry)
+        self._show_place()
 
         def answered(label: str) -> None:
+            angle = entry.angle_deg
+            if label == SET_POSITION and angle is None:
+                box.set_problem(NO_ANGLE)
+                return
             box.dismiss()
-            self.question = None
+            self.question = self._place = None
             if label == SET_POSITION:
-                self._send("set_position", {"axis": axis, "angle_deg": angle_deg})
+                self._send("set_position", {"axis": axis, "angle_deg": angle})
 
         box.chosen.connect(answered)
         box.appear()
+
+    def _show_place(self) -> None:
+        """Show counter and encoder of the axis whose position is to be set."""
+        if self._place is not None and self._station is not None:
+            axis, entry = self._place
+            entry.show_place(self._station.positions.get(axis), self._station.encoders.get(axis))
 
     def showEvent(self, event: QShowEvent) -> None:
         """Show what has come while another screen was shown; Qt calls it."""

@@ -23,11 +23,14 @@ class Choice:
 
 
 class QuestionBox(QDialog):
-    """A question with its answers. Closing it is no answer: it can be shown again."""
+    """A question with its answers. Closing it is no answer: it can be shown again.
+
+    `entry` is what an answer needs besides; it is shown below the text.
+    """
 
     chosen = Signal(str)
 
-    def __init__(self, parent: QWidget, title: str, text: str, choices: Sequence[Choice]) -> None:
+    def __init__(self, parent: QWidget, title: str, text: str, choices: Sequence[Choice], entry: QWidget | None = None) -> None:
         super().__init__(parent)
         self.setWindowTitle(f"goniotwin: {title}")
         self.setAccessibleName(f"{title}. {text}")
@@ -42,9 +45,10 @@ class QuestionBox(QDialog):
         self._text.setTextInteractionFlags(Qt.TextInteractionFlag.TextBrowserInteraction)
         self._text.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self._text.setAccessibleName(text)
+        self._note, self._problem = QLabel(), QLabel()
         self._refusal = ""
         self._stopping = {choice.label for choice in choices if choice.stops}
-        for label in (self._heading, self._text):
+        for label in (self._heading, self._text, self._note, self._problem):
             label.setTextFormat(Qt.TextFormat.PlainText)
             label.setWordWrap(True)
         self.buttons = {choice.label: self._button(choice) for choice in choices}
@@ -61,8 +65,14 @@ class QuestionBox(QDialog):
         layout.setSpacing(10)
         layout.addWidget(self._heading)
         layout.addWidget(self._text)
+        layout.addWidget(self._note)
+        if entry is not None:
+            layout.addWidget(entry)
+        layout.addWidget(self._problem)
         layout.addSpacing(4)
         layout.addLayout(grid)
+        self.set_note("")
+        self.set_problem("")
         default = next((choice.label for choice in choices if choice.default), None)
         if default is None:
             self._text.setFocus()
@@ -83,6 +93,25 @@ class QuestionBox(QDialog):
         self.activateWindow()
         QApplication.alert(self)
         QApplication.beep()
+
+    def set_note(self, text: str) -> None:
+        """Show a line below the text; hide it if empty."""
+        self._show_line(self._note, text)
+
+    @property
+    def problem(self) -> str:
+        """Why the last answer was not taken; empty if nothing is wrong."""
+        return self._problem.text()
+
+    def set_problem(self, reason: str) -> None:
+        """Show why an answer is not taken; hide the line if empty."""
+        self._show_line(self._problem, f"✗ {reason}" if reason else "")
+
+    def _show_line(self, line: QLabel, text: str) -> None:
+        if text != line.text() or line.isHidden() == bool(text):
+            line.setText(text)
+            line.setVisible(bool(text))
+            self.adjustSize()
 
     def set_refusal(self, reason: str) -> None:
         """Disable the answers, for this reason, but for those that stop; enabled again, the question draws the attention."""

@@ -244,9 +244,10 @@ class Connection:
         """End the run after the cut in progress."""
         self._after_start("finish_cut")
 
-    def answer(self, number: int, answer: Answer) -> None:
-        """Answer a question by its number."""
-        self.command("answer", question=number, choice=answer)
+    def answer(self, number: int, answer: Answer, angle_deg: float | None = None) -> None:
+        """Answer a question by its number; `Set position` with the angle."""
+        angle = {} if angle_deg is None else {"angle_deg": angle_deg}
+        self.command("answer", question=number, choice=answer, **angle)
 
     def acknowledge(self, order: SafetyOrder) -> None:
         """Acknowledge a safety order; the journal of its run records it."""

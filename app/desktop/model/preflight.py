@@ -11,6 +11,7 @@ from enum import StrEnum
 
 from goniotwin.app.campaign.readout import WarmUpTrace
 from goniotwin.app.campaign.wording import rounded_duration_text
+from goniotwin.app.station.messages import DeviceStatus
 
 WARM_PERCENT = 0.5
 """Change of the monitor in ten minutes that a warm lamp does not exceed, where the schedule states none."""
@@ -20,6 +21,9 @@ SOON_DAYS = 30
 LOW_BYTES, LEAST_BYTES = 2_000_000_000, 200_000_000
 LIMIT_TOLERANCE_DEG = 0.05
 """An axis that was stopped at a soft limit may rest beyond it by as much."""
+
+
+SILENT_REMEDY = "check power and cable of their controller"
 
 
 class Outcome(StrEnum):
@@ -53,18 +57,19 @@ class Check:
 class Facts:
     """What is known before a run; None or empty is unknown.
 
-    `devices` has, by name, whether it is connected, and its fault. `limits_deg` and `positions_deg` are by axis, `unreferenced`
-    has reasons, by axis; `homes` are the axes that can home. `monitor` is the monitor's trace and `monitor_age_s` the age of
-    its last reading; `warm_percent` the change in ten minutes that is accepted. `dark_age_s` is the age of the last dark
-    reading, `dark_every_s` the greatest one of the schedule; `speed` the simulation speed. `drift` is what the last drift check
-    found, `drift_beyond` whether that is beyond its limit, `drift_planned` whether the schedule has any. `certificate` is the
-    name of the etalon's certificate, `expires` its last day, `accepted_by` the person for the time after;
-    `calibrated` the day of the calibration. `free_bytes` is the room in the `folder` of data files, `needed_bytes` what the run
-    takes.
+    `devices` has the state of each, by name; `silent_axes` are those whose controller does not respond. `limits_deg` and
+    `positions_deg` are by axis, `unreferenced` has reasons, by axis; `homes` are the axes that can home. `monitor` is the
+    monitor's trace and `monitor_age_s` the age of its last reading; `warm_percent` the change in ten minutes that is accepted.
+    `dark_age_s` is the age of the last dark reading, `dark_every_s` the greatest one of the schedule; `speed` the simulation
+    speed. `drift` is what the last drift check found, `drift_beyond` whether that is beyond its limit, `drift_planned` whether
+    the schedule has any. `certificate` is the name of the etalon's certificate, `expires` its last day, `accepted_by` the
+    person for the time after; `calibrated` the day of the calibration. `free_bytes` is the room in the `folder` of data files,
+    `needed_bytes` what the run takes.
     """
 
     today: date
-    devices: Mapping[str, tuple[bool, str]] = field(default_factory=dict)
+    devices: Mapping[str, DeviceStatus] = field(default_factory=dict)
+    silent_axes: Sequence[str] = ()
     limits_deg: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     positions_deg: Mapping[str, float] = field(default_factory=dict)
     unreferenced: Mapping[str, str] = field(default_factory=dict)
@@ -113,7 +118,7 @@ def _ports(facts: Facts) -> Check:
     name = "Ports"
     if not facts.devices:
         return Check(name, Outcome.BAD, "no rig is open", "open a rig file and connect")
-    silent = [device for device, (connected, _) in facts.devices.items() if not connected]
+    silent = [device for device, status in facts.devices.items() if not status.connected]
     if silent:
         found = f"not responding: {' and '.join(silent)}"
         return Check(name, Outcome.BAD, found, "check power and cable, then Reconnect")
@@ -124,6 +129,8 @@ def _homed(facts: Facts) -> Check:
     name = "Homed"
     if not facts.devices:
         return Check(name, Outcome.UNKNOWN, "no rig is open")
+    if facts.silent_axes:
+        return Check(name, Outcome.UNKNOWN, _silent(facts), SILENT_REMEDY)
     if not facts.unreferenced:
         return Check(name, Outcome.GOOD, "all axes are referenced")
     found = "; ".join(f"{axis} is unreferenced: {reason}" for axis, reason in facts.unreferenced.items())
@@ -137,6 +144,8 @@ def _homed(facts: Facts) -> Check:
 def _limits(facts: Facts) -> Check:
     name = "Limits"
     known = [axis for axis in facts.limits_deg if axis in facts.positions_deg]
+    if facts.silent_axes:
+        return Check(name, Outcome.UNKNOWN, _silent(facts), SILENT_REMEDY)
     if not known:
         return Check(name, Outcome.UNKNOWN, "the axes report no positions")
     outside = []
@@ -147,6 +156,10 @@ def _limits(facts: Facts) -> Check:
     if outside:
         return Check(name, Outcome.BAD, "; ".join(outside), "move it back within its soft limits, or correct its position")
     return Check(name, Outcome.GOOD, "all axes are within their soft limits")
+
+
+def _silent(facts: Facts) -> str:
+    return f"not responding: {', '.join(facts.silent_axes)}"
 
 
 def _lamp(facts: Facts) -> Check:

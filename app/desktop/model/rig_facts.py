@@ -2,7 +2,7 @@
 
 import math
 import shutil
-from datetime import date, datetime
+from datetime import date
 from pathlib import Path
 
 from goniotwin.app.campaign.planning.plan import Plan
@@ -15,7 +15,7 @@ from goniotwin.app.desktop.model.messages import Attached, PastRead
 from goniotwin.app.desktop.model.preflight import Facts
 from goniotwin.app.desktop.model.readings import BenchReadings
 from goniotwin.app.rig import RigFile
-from goniotwin.app.station.messages import BenchReading, DeviceChanged, Message, RigClosed, RowSaved, Snapshot, advance
+from goniotwin.app.station.messages import BenchReading, Message, RigClosed, RowSaved, Snapshot, advance
 from goniotwin.protocols.clock import ScaledClock, calendar_stamp
 
 ROW_BYTES = 2000
@@ -36,14 +36,12 @@ class RigFacts:
         self._plan: Plan | None = None
         self._folder: Path | None = None
         self.station = Snapshot()
-        self.last_errors: dict[str, tuple[str, str]] = {}
         self._forget()
 
     def _forget(self) -> None:
         self._dark_s: float | None = None
         self._monitor_s: float | None = None
         self._drift, self._drift_beyond = "", False
-        self.last_errors = {}
 
     def set_rig(self, rig: RigFile | None) -> None:
         """Take the tables of the open rig; without one, what was known of it is forgotten."""
@@ -78,8 +76,6 @@ class RigFacts:
                 self._dark_s = now
             case EventLogged(what=what) if is_drift(message):
                 self._drift, self._drift_beyond = what, BEYOND_LIMIT in what
-            case DeviceChanged(device, _, reason) if reason:
-                self.last_errors[device] = (local_time(calendar_stamp()), reason)
             case RigClosed():
                 self._forget()
 
@@ -117,7 +113,8 @@ class RigFacts:
         trace: WarmUpTrace | None = None if self._readings is None else self._readings.trend
         return Facts(
             today=date.fromisoformat(calendar_stamp()[:10]),
-            devices={name: (each.connected, each.text) for name, each in station.rig.devices.items()} if station.rig else {},
+            devices=station.rig.devices if station.rig else {},
+            silent_axes=station.rig.silent_axes if station.rig else (),
             limits_deg={name: (axis.lower_deg, axis.upper_deg) for name, axis in axes.items()},
             positions_deg=station.positions,
             unreferenced=station.unreferenced,
@@ -167,11 +164,6 @@ class DarkAges:
 def is_drift(event: EventLogged) -> bool:
     """Whether an event is that of a drift check."""
     return event.kind == "drift" or (event.kind == "stop" and BEYOND_LIMIT in event.what)
-
-
-def local_time(stamp: str) -> str:
-    """The time of day of a calendar's stamp, in this computer's time zone."""
-    return datetime.fromisoformat(stamp).astimezone().strftime("%H:%M:%S")
 
 
 def free_bytes(folder: Path) -> int | None:

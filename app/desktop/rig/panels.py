@@ -18,6 +18,8 @@ if TYPE_CHECKING:  # the window shows itself before the engine is loaded
 DEVICES = ("axes", "monochromator", "photodiodes", "monitor")
 """The devices that a rig usually has."""
 NO_VALUE = "–"
+Unreferenced = dict[str, float | None]
+"""The encoders of unreferenced axes, deg, by axis; None is unknown."""
 JUST_NOW_S = 3.0
 
 
@@ -67,7 +69,6 @@ class DevicesPanel(QGroupBox):
         self._colours = colours
         self._statuses: dict[str, DeviceStatus] = {}
         self._addresses: dict[str, str] = {}
-        self._errors: dict[str, tuple[str, str]] = {}
         self._refusal = "no rig is open"
         self._rows: dict[str, DeviceRow] = {}
         self._layout = QVBoxLayout(self)
@@ -98,12 +99,6 @@ class DevicesPanel(QGroupBox):
         self._addresses = addresses
         self._show()
 
-    def set_errors(self, errors: dict[str, tuple[str, str]]) -> None:
-        """Take the last error of devices, by name: its time of day and its text."""
-        if errors != self._errors:  # they are given with every message, and what is shown takes long to style
-            self._errors = dict(errors)
-            self._show()
-
     def set_refusal(self, reason: str) -> None:
         """Disable the buttons, and give the reason; an empty reason enables them."""
         if reason != self._refusal:
@@ -127,9 +122,7 @@ class DevicesPanel(QGroupBox):
     @Slot()
     def _show(self) -> None:
         for name, row in self._rows.items():
-            row.show_status(
-                self._statuses.get(name), self._addresses.get(name, ""), self._errors.get(name), self._refusal, self._colours
-            )
+            row.show_status(self._statuses.get(name), self._addresses.get(name, ""), self._refusal, self._colours)
 
     def refresh(self) -> None:
         """Show how long ago each device answered, now."""
@@ -169,21 +162,21 @@ class DeviceRow(QWidget):
         parts = [self._mark.text(), self._what.text(), self._error.text()]
         return ": ".join(part for part in parts if part)
 
-    def show_status(
-        self, status: "DeviceStatus | None", address: str, error: tuple[str, str] | None, refusal: str, colours: Colours
-    ) -> None:
+    def show_status(self, status: "DeviceStatus | None", address: str, refusal: str, colours: Colours) -> None:
         """Show a status; without one that the device is not connected."""
         name = self._device.capitalize()
         at = f"at {address}" if address else ""
-        answered = answered_text(getattr(status, "answered", ""), calendar_stamp()) if status is not None else ""
-        if status is None:
-            mark, colour, what, wrong = f"{name} not connected", colours.dim, at, ""
-        elif status.connected:
-            mark, colour, what = f"{name} ✓ connected", colours.good, ", ".join(filter(None, (status.text, answered)))
-            wrong = "" if error is None else f"last error at {error[0]}: {error[1]}"
+        mark, state = contact_text(status)
+        mark = f"{name} {mark} {state}"
+        answered = answered_text(status.answered, calendar_stamp()) if status is not None else ""
+        serious = status is not None and not status.connected
+        colour = colours.dim if status is None else colours.bad if serious else colours.good
+        if status is None or not status.error:
+            wrong = ""
         else:
-            mark, colour, wrong = f"{name} ✗ not responding", colours.bad, status.text
-            what = ", ".join(filter(None, (at, answered.replace("answered", "last answered"))))
+            wrong = status.error if serious else f"last error at {local_time(status.failed)}: {status.error}"
+        identity = status.identity if status is not None and status.connected else at
+        what = ", ".join(filter(None, (identity, answered.replace("answered", "last answered") if serious else answered)))
         self._mark.setText(mark)
         self._mark.setStyleSheet(f"color: {colour}; font-weight: bold")
         self._mark.setToolTip(at)
@@ -191,7 +184,6 @@ class DeviceRow(QWidget):
         self._what.setVisible(bool(what))
         self._what.setStyleSheet(f"color: {colours.dim}")
         self._what.setToolTip(at)
-        serious = status is not None and not status.connected
         self._error.setText(wrong)
         self._error.setVisible(bool(wrong))
         self._error.setStyleSheet(f"color: {colours.bad if serious else colours.dim}")
@@ -207,18 +199,39 @@ class DeviceRow(QWidget):
         self.reconnect.emit(self._device)
 
 
+def contact_text(status: "DeviceStatus | None") -> tuple[str, str]:
+    """The state of a device now, wherever it is shown: its mark, and in words; None is a device that is not open."""
+    if status is None:
+        return NO_VALUE, "not connected"
+    if status.connected:
+        return "✓", "connected"
+    if str(status.contact) == "silent" and status.answered:
+        return "✗", f"silent since {rounded_duration_text(seconds_since(status.answered, calendar_stamp()))}"
+    return "✗", str(status.contact)
+
+
+def seconds_since(stamp: str, now: str) -> float:
+    """The time between two calendar stamps (ISO 8601), s."""
+    return (datetime.fromisoformat(now) - datetime.fromisoformat(stamp)).total_seconds()
+
+
+def local_time(stamp: str) -> str:
+    """The time of day of a calendar's stamp, in this computer's time zone."""
+    return datetime.fromisoformat(stamp).astimezone().strftime("%H:%M:%S")
+
+
 def answered_text(stamp: str, now: str) -> str:
     """How long ago a device answered, from calendar stamps (ISO 8601) of its answer and of now; empty without an answer."""
     if not stamp:
         return ""
-    seconds = (datetime.fromisoformat(now) - datetime.fromisoformat(stamp)).total_seconds()
+    seconds = seconds_since(stamp, now)
     return "answered just now" if seconds < JUST_NOW_S else f"answered {rounded_duration_text(seconds)} ago"
 
 
 class AxesPanel(QGroupBox):
     """The position and the target of each axis."""
 
-    positions_shown = Signal(object)
+    positions_shown = Signal(object, object)
     targets_shown = Signal(object)
     """What was set last, whenever it is set."""
 
@@ -250,12 +263,13 @@ class AxesPanel(QGroupBox):
         """The text of an axis position."""
         return self._positions[axis].text()
 
-    def set_positions(self, degrees: dict[str, float]) -> None:
-        """Show the positions, deg; without a value an axis has a dash."""
+    def set_positions(self, degrees: dict[str, float], unreferenced: Unreferenced | None = None) -> None:
+        """Show the positions, deg; without a value an axis has a dash. `unreferenced` axes have a mark, and their encoder's."""
+        marked = unreferenced or {}
         for axis, label in self._positions.items():
-            label.setText(angle_text(degrees.get(axis)))
+            label.setText(place_mark(degrees.get(axis), axis in marked, marked.get(axis)))
             label.setAccessibleName(f"{axis} position {label.text()}")
-        self.positions_shown.emit(degrees)
+        self.positions_shown.emit(degrees, marked)
 
     def set_targets(self, pose: tuple[float, ...] | None) -> None:
         """Show the targets of a pose, deg; None while no axis is sent anywhere."""
@@ -305,6 +319,14 @@ def fill(box: QGroupBox, labels: list[QLabel], buttons: tuple[QPushButton, ...])
         row.addWidget(button)
     layout.addLayout(row)
     return layout
+
+
+def place_mark(counter_deg: float | None, unreferenced: bool, encoder_deg: float | None) -> str:
+    """The position of an axis by its counter; of an unreferenced one with a mark, and by its encoder, if that is another."""
+    if counter_deg is None or not unreferenced:
+        return angle_text(counter_deg)
+    counter, encoder = angle_text(counter_deg), angle_text(encoder_deg)
+    return f"✗ {counter}" if encoder_deg is None or encoder == counter else f"✗ {counter} | {encoder}"
 
 
 def angle_text(degrees: float | None) -> str:

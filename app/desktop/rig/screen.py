@@ -141,7 +141,6 @@ class RigScreen(Screen):
         now = self.facts.station.rig
         if now is not before:
             self.devices.set_devices(now.devices if now is not None else {})
-        self.devices.set_errors(self.facts.last_errors)
 
     def set_refusals(self, refusals: dict[str, str]) -> None:
         """Disable what the station refuses now, and give the reason."""

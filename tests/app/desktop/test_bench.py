@@ -7,7 +7,7 @@ from typing import cast
 
 import pytest
 from PySide6.QtCore import QSize, Qt
-from PySide6.QtWidgets import QPushButton
+from PySide6.QtWidgets import QLineEdit, QPushButton
 from pytestqt.qtbot import QtBot
 
 from goniotwin.app.campaign.planning.plan import make_plan
@@ -15,6 +15,7 @@ from goniotwin.app.campaign.row import RowData
 from goniotwin.app.campaign.running.events import EventLogged, Positions, State, StateChanged
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.desktop import MainWindow
+from goniotwin.app.desktop.bench.position_entry import PositionEntry
 from goniotwin.app.desktop.bench.screen import CANCEL, SET_POSITION, BenchScreen
 from goniotwin.app.desktop.model.messages import Attached, PastRead
 from goniotwin.app.desktop.model.rig_facts import DarkAges
@@ -24,8 +25,6 @@ from goniotwin.app.desktop.theme import DARK, LIGHT
 from goniotwin.app.rig import read_rig
 from goniotwin.app.station.messages import (
     ActivityChanged,
-    DeviceChanged,
-    DeviceStatus,
     Message,
     Snapshot,
     SpeedChanged,
@@ -33,6 +32,7 @@ from goniotwin.app.station.messages import (
 )
 from goniotwin.app.station.permissions import allowed
 from goniotwin.app.station.station import CommandRefused, Station
+from goniotwin.drivers import NoAnswer
 from goniotwin.protocols.clock import VirtualClock
 from tests.app.campaign.campaign_bench import QUIET
 from tests.app.desktop.conftest import READY_MS
@@ -87,6 +87,13 @@ class Desk:
         self.station.work()
         self.station._due["positions"] = 0.0
         self.station._tick()
+
+    def rest(self) -> None:
+        """Let a second of the rig's time pass, after which counters and encoders at rest are compared."""
+        self.settle()
+        self.station._clock.sleep_until(self.station.now_s + 1.0)
+        self.station._due["encoders"] = 0.0
+        self.settle()
 
     def close(self) -> None:
         self.station.close_rig()
@@ -195,17 +202,54 @@ def test_a_refused_move_gives_its_reason_and_moves_nothing(desk: Desk) -> None:
 
 
 def test_a_position_is_set_only_after_a_question(desk: Desk) -> None:
+    """Its field is empty whatever the bench shows, and an answer without an angle is none."""
     sigma = desk.bench.axes["sigma"]
     for choice, commands in ((CANCEL, 0), (SET_POSITION, 1)):
         sigma.target.setValue(12.5)
         desk.press(sigma.set_button)
         question = desk.bench.question
         assert question is not None
-        assert "σ (sigma) counts as 12.50° from now on" in question.text
+        field = question.findChild(QLineEdit)
+        assert field is not None
+        assert field.text() == ""
+        if choice == SET_POSITION:
+            question.buttons[SET_POSITION].click()
+            assert "give its angle" in question.problem
+            field.setText("12,5")
         assert len(desk.commands) == 0
         question.buttons[choice].click()
         assert len(desk.commands) == commands
     assert sigma.position.text() == "12.50°"
+
+
+def test_an_axis_whose_encoder_contradicts_is_marked_with_both_values(desk: Desk) -> None:
+    """A jammed axis: its counter has gone on. The encoder's value is taken by a button."""
+    opened = desk.station._opened
+    assert opened is not None
+    assert opened.virtual is not None
+    shaft = opened.virtual.plant.shafts["sigma"]
+    desk.go("sigma", "30")
+    shaft.jam(opened.rig.clock.now())
+    desk.go("sigma", "60")
+    sigma = desk.bench.axes["sigma"]
+    assert "more than 0.05 deg apart" in desk.bench.status.text()
+    desk.rest()
+    assert sigma.position.text() == "✗ 60.00° | 30.00°"
+    assert "σ ✗ 60.00° | 30.00°" in desk.bench.instrument.summary
+    desk.press(sigma.set_button)
+    question = desk.bench.question
+    assert question is not None
+    entry = question.findChild(PositionEntry)
+    assert entry is not None
+    assert entry.place == "60.000°, 30.000°, −30.000°"
+    assert entry.field.text() == ""
+    shaft.jam(opened.rig.clock.now(), False)
+    desk.rest()
+    entry.take.click()
+    question.buttons[SET_POSITION].click()
+    desk.rest()
+    assert sigma.position.text() == "30.00°"
+    assert opened.virtual.plant.angle_deg("sigma", opened.rig.clock.now()) == pytest.approx(30.0, abs=0.01)
 
 
 def test_an_unreferenced_axis_is_marked(qtbot: QtBot, write_rig: Writer) -> None:
@@ -311,9 +355,9 @@ def test_the_rig_screen_knows_devices_answers_and_errors(desk: Desk) -> None:
     assert "TMCM-6214" in text
     assert "answered" in text
     lost = "monitor: READ?: no reply; check the cable"
-    desk.show(DeviceChanged("monitor", DeviceStatus(False, lost, "2026-11-23T01:00:00+00:00"), lost))
+    desk.station._report_lost("monitor", NoAnswer("monitor", "READ?", "no reply", "check the cable"))
     text = desk.rig.devices.text("monitor")
-    assert "✗ not responding" in text
+    assert "✗ disconnected" in text
     assert "last answered" in text
     assert lost in text
     desk.rig.devices.reconnect.emit("monitor")

@@ -42,7 +42,7 @@ from goniotwin.app.desktop.theme import Colours
 from goniotwin.app.desktop.tolerances.screen import FOLDER, TolerancesScreen
 from goniotwin.app.rig import AXES, read_rig
 from goniotwin.app.rig.kinds import ROLES
-from goniotwin.app.station.messages import DeviceStatus
+from goniotwin.app.station.messages import Contact, DeviceStatus
 from tests.app.desktop.conftest import READY_MS, WindowOpener, end_window, ready
 from tests.app.desktop.made_study import made_outcome
 from tests.app.desktop.screen_faults import SCREEN, controls, faults
@@ -72,6 +72,13 @@ def make_frame(qapp: QApplication, tmp_path: Path) -> Iterator[FrameMaker]:
 def frame(make_frame: FrameMaker, monkeypatch: pytest.MonkeyPatch) -> MainWindow:
     monkeypatch.setattr(MainWindow, "complete", lambda _window: None)
     return make_frame()
+
+
+def status_of(device: str) -> DeviceStatus:
+    """The state of a device of a rig whose monitor is unplugged."""
+    if device == "monitor":
+        return DeviceStatus(Contact.DISCONNECTED, error="no reply to *IDN?")
+    return DeviceStatus(Contact.CONNECTED, "identity")
 
 
 def shown(qtbot: QtBot, window: MainWindow) -> MainWindow:
@@ -162,7 +169,7 @@ def test_the_keys_of_stop_hold_in_the_windows_beside_the_main_one(qtbot: QtBot, 
     chosen: list[Path] = []
     (tmp_path / "a.csv").touch()
     frame._show_keys()
-    frame.view.screen_of(BenchScreen)._ask_about_position("sigma", 1.0)
+    frame.view.screen_of(BenchScreen)._ask_about_position("sigma")
     FileDialog(frame, "Open", tmp_path, "Table (*.csv)", chosen.append)
     save = FileDialog(frame.view.screens[0], "Save", tmp_path / "a.csv", "Table (*.csv)", chosen.append, save=True)
     boxes = [each for each in QApplication.topLevelWidgets() if isinstance(each, QDialog) and each.isVisible()]
@@ -231,7 +238,7 @@ def test_every_control_is_on_the_screen(
     frame.view.run.set_progress(1000, 2000, 12345.0)
     frame.view.show_status("Paused, with the shutter closed. Resume continues with the next row.")
     frame.view.set_saved("Saved row by row in /home/operator/goniotwin/first-001.journal")
-    frame.view.devices.set_devices({each: DeviceStatus(each != "monitor", "no reply to *IDN?") for each in DEVICES})
+    frame.view.devices.set_devices({each: status_of(each) for each in DEVICES})
     frame.view.axes.set_positions(dict.fromkeys(GREEK, 180.0))
     frame.view.axes.set_targets((180.0, 90.0, 0.0, 5.0))
     for number in range(123):
@@ -414,10 +421,10 @@ def test_the_events_to_look_at_are_counted_and_can_be_shown_alone(frame: MainWin
 
 
 def test_a_device_that_does_not_respond_is_marked_at_the_navigation_and_in_the_strip(frame: MainWindow) -> None:
-    frame.view.devices.set_devices({each: DeviceStatus(each != "monitor", "") for each in DEVICES})
+    frame.view.devices.set_devices({each: status_of(each) for each in DEVICES})
     assert "✗ 1" in frame.view.navigation.buttons[0].text()
     (stated,) = [each.accessibleName() for each in frame.view.strip.findChildren(QLabel) if "Devices" in each.accessibleName()]
-    assert "monitor not responding" in stated
+    assert "monitor disconnected" in stated
 
 
 def test_the_panels_have_the_axes_and_devices_of_a_rig() -> None:

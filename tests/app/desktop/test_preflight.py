@@ -7,7 +7,10 @@ import pytest
 
 from goniotwin.app.campaign.readout import WarmUpTrace
 from goniotwin.app.desktop.model.preflight import MARKS, Facts, Outcome, preflight, summary
+from goniotwin.app.station.messages import Contact, DeviceStatus
 
+ANSWERS = DeviceStatus(Contact.CONNECTED, "TMCM-6214")
+LOST = DeviceStatus(Contact.DISCONNECTED, error="no reply")
 TODAY = date(2026, 11, 23)
 CHECKS = ("Ports", "Homed", "Limits", "Lamp", "Dark reading", "Drift", "Certificate", "Disk")
 
@@ -21,7 +24,7 @@ def trace(percent_in_10_min: float, readings: int = 61, noise: float = 0.0) -> W
 
 
 READY = Facts(
-    today=TODAY, devices={"axes": (True, ""), "monitor": (True, "")}, limits_deg={"sigma": (0.0, 180.0)},
+    today=TODAY, devices={"axes": ANSWERS, "monitor": ANSWERS}, limits_deg={"sigma": (0.0, 180.0)},
     positions_deg={"sigma": 30.0}, monitor=trace(0.1), dark_age_s=20.0, drift="+0.12 % (limit 0.5 %)",
     expires=date(2027, 6, 1), folder="/data", free_bytes=200_000_000_000, needed_bytes=3_000_000,
 )  # fmt: skip
@@ -44,9 +47,11 @@ def test_nothing_is_known_and_nothing_is_called_good() -> None:
 @pytest.mark.parametrize(
     ("name", "changes", "outcome", "found", "remedy"),
     [
-        ("Ports", {"devices": {"axes": (True, ""), "monitor": (False, "no reply")}}, "bad", "not responding: monitor", "cable"),
+        ("Ports", {"devices": {"axes": ANSWERS, "monitor": LOST}}, "bad", "not responding: monitor", "cable"),
         ("Homed", {"unreferenced": {"sigma": "it has reset"}, "homes": ("sigma",)}, "bad", "is unreferenced", "home sigma"),
         ("Homed", {"unreferenced": {"sigma": "it has reset"}}, "bad", "it has reset", "set the position of sigma"),
+        ("Homed", {"silent_axes": ("sigma",)}, "unknown", "not responding: sigma", "cable"),
+        ("Limits", {"silent_axes": ("sigma",)}, "unknown", "not responding: sigma", "cable"),
         ("Limits", {"positions_deg": {"sigma": -3.0}}, "bad", "sigma is at −3.00°, outside 0 to 180°", "soft limits"),
         ("Limits", {"positions_deg": {"sigma": 180.01}}, "good", "within", ""),
         ("Limits", {"positions_deg": {}}, "unknown", "no positions", ""),

@@ -218,7 +218,7 @@ def test_axes_that_stop_responding_are_shown_and_no_run_can_start(
         raise NoAnswer("gamma", "GAP", "0 of 9 bytes")
 
     monkeypatch.setattr(TmclAxis, "position_deg", silent)
-    qtbot.waitUntil(lambda: "not responding" in window.view.devices.text("axes"), timeout=READY_MS)
+    qtbot.waitUntil(lambda: "✗ disconnected" in window.view.devices.text("axes"), timeout=READY_MS)
     assert window.view.axes.position("gamma") == "–"
     assert not window.view.run.start_button.isEnabled()
     assert window.view.run.stop_button.isEnabled()

@@ -44,7 +44,7 @@ def test_a_port_that_does_not_exist_is_named_and_the_other_devices_connect(
     qtbot: QtBot, open_window: WindowOpener, write_rig: Writer, no_port: str
 ) -> None:
     window = open_window(write_rig(('port = "twin://virtual/axes"', f'port = "{no_port}"')))
-    qtbot.waitUntil(lambda: "not responding" in window.view.devices.text("axes"), timeout=READY_MS)
+    qtbot.waitUntil(lambda: "✗ disconnected" in window.view.devices.text("axes"), timeout=READY_MS)
     assert no_port in window.view.devices.text("axes")
     for device in ROLES[1:]:
         assert "✓ connected" in window.view.devices.text(device)
@@ -104,7 +104,7 @@ def test_a_rig_connects_again_after_its_port_is_corrected(
     qtbot: QtBot, open_window: WindowOpener, write_rig: Writer, no_port: str
 ) -> None:
     window = open_window(write_rig(('port = "twin://virtual/axes"', f'port = "{no_port}"')))
-    qtbot.waitUntil(lambda: "not responding" in window.view.devices.text("axes"), timeout=READY_MS)
+    qtbot.waitUntil(lambda: "✗ disconnected" in window.view.devices.text("axes"), timeout=READY_MS)
     write_rig()
     window.view.rig.again_button.click()
     ready(qtbot, window)

@@ -13,8 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from goniotwin.app.campaign.running.events import State, StateChanged
-from goniotwin.app.campaign.running.question import Answer, Question
+from goniotwin.app.campaign.running.events import Positions, State, StateChanged
+from goniotwin.app.campaign.running.question import Answer, PositionGiven, Question, UnreferencedAxis
 from goniotwin.app.cli.campaign import TerminalAsk
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import open_rig, parse_rig, read_rig
@@ -42,6 +42,10 @@ from tests.system.command import invoke, json_result
 
 pytestmark = pytest.mark.endpoint
 MOUNT = Question("Mount x", "Mount x.", (Answer.MOUNTED, Answer.WAIT, Answer.STOP), Answer.WAIT)
+WHERE = Question(
+    "Position of beta unknown", "jammed", (Answer.SET_POSITION, Answer.RETRY, Answer.SKIP, Answer.STOP),
+    axis=UnreferencedAxis("beta", -5.0, 360.0, False),
+)  # fmt: skip
 
 
 @pytest.fixture
@@ -349,6 +353,20 @@ def test_the_terminal_answers(host: HostedRun, monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setattr(sys, "stdin", io.StringIO("\nwhat\nmounted\n"))
     assert TerminalAsk(host)(MOUNT) is Answer.MOUNTED
     assert host.snapshot.question is None
+
+
+def test_the_terminal_states_where_an_axis_is(host: HostedRun, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A position without an angle is no answer, and one outside the soft limits is refused; then the encoder's is taken."""
+    host._publish(Positions({"beta": 180.0}, {"beta": 150.0004}))
+    monkeypatch.setattr(sys, "stdin", io.StringIO("s\nset\nset position\nset 400\nset there\nset encoder\n"))
+    assert TerminalAsk(host)(WHERE) == PositionGiven(150.0004)
+    assert host.snapshot.question is None
+
+
+@pytest.mark.parametrize(("line", "angle_deg"), [("set 12.5", 12.5), ("Set position −3,25", -3.25), ("set p 0", 0.0)])
+def test_the_terminal_takes_an_angle(host: HostedRun, monkeypatch: pytest.MonkeyPatch, line: str, angle_deg: float) -> None:
+    monkeypatch.setattr(sys, "stdin", io.StringIO(f"{line}\n"))
+    assert TerminalAsk(host)(WHERE) == PositionGiven(angle_deg)
 
 
 def test_another_client_answers_before_the_terminal(host: HostedRun, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -23,7 +23,7 @@ from goniotwin.app.campaign.running.events import (
     State,
     StateChanged,
 )
-from goniotwin.app.campaign.running.question import Answer
+from goniotwin.app.campaign.running.question import Answer, UnreferencedAxis
 from goniotwin.app.campaign.running.rows import CLOSING_S
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.errors import UserError
@@ -382,7 +382,9 @@ class FaultyOperator:
     def mount(self, sample: str) -> None:
         raise ZeroDivisionError("an error of the program")
 
-    def resolve_fault(self, fault: str, /, *, skippable: bool) -> Answer:
+    def resolve_fault(
+        self, fault: str, /, *, skippable: bool, device: str = "", axis: UnreferencedAxis | None = None
+    ) -> Answer:
         raise ZeroDivisionError(fault)
 
 

@@ -21,7 +21,7 @@ from goniotwin.app.campaign.running.events import (
     StateChanged,
 )
 from goniotwin.app.campaign.running.operator import HumanOperator
-from goniotwin.app.campaign.running.question import Answer
+from goniotwin.app.campaign.running.question import Answer, UnreferencedAxis
 from goniotwin.app.campaign.running.recovery import FaultPolicies, fault_kind
 from goniotwin.app.campaign.running.stop import Stopped
 from goniotwin.app.campaign.schedule.file import read_schedule
@@ -95,7 +95,9 @@ class FaultOperator:
         assert opened.virtual is not None
         opened.virtual.mount(sample)
 
-    def resolve_fault(self, fault: str, /, *, skippable: bool) -> Answer:
+    def resolve_fault(
+        self, fault: str, /, *, skippable: bool, device: str = "", axis: UnreferencedAxis | None = None
+    ) -> Answer:
         assert skippable
         self.faults.append(fault)
         opened = self._silence.opened

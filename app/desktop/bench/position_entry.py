@@ -1,0 +1,76 @@
+"""Where an axis is: its counter and its encoder side by side, and an empty field for what a person reads from its scale."""
+
+from PySide6.QtCore import Signal, Slot
+from PySide6.QtWidgets import QGridLayout, QLabel, QLineEdit, QPushButton, QWidget
+
+from goniotwin.app.desktop.bench.number_field import number_of
+from goniotwin.app.desktop.rig.panels import NO_VALUE
+
+DECIMALS = 3
+NO_ANGLE = "read the scale of the axis, and give its angle in degrees"
+
+
+class PositionEntry(QWidget):
+    """An angle for an axis. The field is empty until a person types, or takes the encoder's value; never the counter's."""
+
+    edited = Signal()
+
+    def __init__(self, axis: str) -> None:
+        super().__init__()
+        self._encoder_deg: float | None = None
+        self._counter, self._encoder, self._apart = QLabel(), QLabel(), QLabel()
+        self.field = QLineEdit()
+        self.field.setPlaceholderText("read the scale")
+        self.field.setAccessibleName(f"Angle at which {axis} is, degrees")
+        self.take = QPushButton("Take the &encoder's")
+        self.take.setAutoDefault(False)
+        self.take.setAccessibleName(f"Put the value of the encoder of {axis} into the field")
+        self.take.clicked.connect(self._take_encoder)
+        self.field.textEdited.connect(self.edited)
+        self.field.setFixedWidth(self.field.fontMetrics().horizontalAdvance("read the scale") + 30)
+        label = QLabel("Axis is &at, deg")
+        label.setBuddy(self.field)
+        grid = QGridLayout(self)
+        grid.setContentsMargins(0, 0, 0, 0)
+        grid.setHorizontalSpacing(14)
+        grid.setColumnStretch(3, 1)
+        for column, (name, value) in enumerate(
+            (("Counter", self._counter), ("Encoder", self._encoder), ("Difference", self._apart))
+        ):
+            grid.addWidget(QLabel(name), 0, column)
+            grid.addWidget(value, 1, column)
+            font = value.font()
+            font.setBold(True)
+            value.setFont(font)
+            value.setAccessibleName(name)
+            value.setMinimumWidth(value.fontMetrics().horizontalAdvance("−000.000°"))
+        grid.addWidget(label, 2, 0)
+        grid.addWidget(self.field, 2, 1)
+        grid.addWidget(self.take, 2, 2)
+        self.show_place(None, None)
+
+    @property
+    def place(self) -> str:
+        """Counter, encoder and their difference as text."""
+        return f"{self._counter.text()}, {self._encoder.text()}, {self._apart.text()}"
+
+    @property
+    def angle_deg(self) -> float | None:
+        """The angle in the field; None where it has none."""
+        return number_of(self.field.text(), DECIMALS)
+
+    def show_place(self, counter_deg: float | None, encoder_deg: float | None) -> None:
+        """Show counter and encoder, deg; None is unknown, or an axis without an encoder."""
+        self._encoder_deg = encoder_deg
+        known = counter_deg is not None and encoder_deg is not None
+        apart = encoder_deg - counter_deg if encoder_deg is not None and counter_deg is not None else None
+        for label, angle in ((self._counter, counter_deg), (self._encoder, encoder_deg), (self._apart, apart)):
+            label.setText(NO_VALUE if angle is None else f"{round(angle, DECIMALS) + 0.0:.{DECIMALS}f}°".replace("-", "−"))
+        self.take.setEnabled(encoder_deg is not None)
+        self.take.setToolTip("" if known else "no value of an encoder is known")
+
+    @Slot()
+    def _take_encoder(self) -> None:
+        if self._encoder_deg is not None:
+            self.field.setText(f"{round(self._encoder_deg, DECIMALS) + 0.0:.{DECIMALS}f}")
+            self.edited.emit()
