@@ -10,7 +10,7 @@ from tests.conftest import REPOSITORY
 DOCUMENT = REPOSITORY / "docs" / "architecture.md"
 ROOMS = (
     "app.cli", "app.desktop", "app.data", "app.station", "app.campaign", "app.simulation", "app.sweeps", "app.rig",
-    "app.formats", "mocks", "twin.doors", "twin.devices", "twin.plant", "twin.optics", "drivers", "protocols",
+    "app.guardian", "app.formats", "mocks", "twin.doors", "twin.devices", "twin.plant", "twin.optics", "drivers", "protocols",
 )  # fmt: skip
 CAMPAIGN = (
     "campaign", "proof", "rehearsal", "running", "reduction", "journal", "planning", "geometry", "schedule", "readout", "row",

@@ -17,6 +17,7 @@ from goniotwin.app.campaign.running.resume import remaining_work
 from goniotwin.app.errors import UserError, one_line
 from goniotwin.app.rig import OpenRig, RigDescription, RigFile, open_rig
 from goniotwin.app.rig.last_rig import is_last_rig
+from goniotwin.app.rig.left import left_unsafe
 from goniotwin.app.rig.lock import RigInUse, journal_holder
 from goniotwin.drivers import DeviceError
 from goniotwin.protocols.clock import Clock, RealClock, VirtualClock
@@ -121,7 +122,7 @@ def resume_campaign(
     _refuse_used(journal_path)  # what another program writes under another name cannot be read
     with Journal.open(journal_path) as unlocked:
         plan = remaining_work(unlocked, rig).plan  # raises the error before the journal is changed
-        orders = unlocked.open_orders()
+        orders = [*unlocked.open_orders(), *(each.text for each in left_unsafe(journal_path))]
     if remind is not None:
         for order in orders:
             remind(order)
@@ -169,6 +170,7 @@ def _run_engine(
     opened: OpenRig, plan: Plan, journal: Journal, operator: Operator, listeners: list[Listener] | None, work: Sequence[Row],
     host: RunHost | None,
 ) -> Outcome:  # fmt: skip
+    opened.guard.journal = str(journal.path.resolve())
     if host is None:
         engine = Engine(opened.rig, plan, journal, operator, listeners, work=work)
         state = engine.run()
@@ -182,8 +184,8 @@ def _run_engine(
         finally:
             host.wait_for_stops()
     (rows, planned), skipped = journal.row_counts(), sum(journal.skipped_by_sample().values())
-    failure = opened.transcript_failure
-    faults = (*engine.faults, failure) if failure is not None else tuple(engine.faults)
+    failures = filter(None, (opened.transcript_failure, opened.guard.failure))
+    faults = (*engine.faults, *failures)
     return Outcome(
         state, engine.ended_by_schedule, rows, skipped, planned, journal.seconds, faults, plan.rig.simulated, journal.chain,
         journal.path,

@@ -411,9 +411,15 @@ def _hosted(speed: float | None, rig: "RigDescription") -> "Iterator[tuple[Hoste
     if speed is None and rig.file.in_process:
         yield None, _ask_operator
         return
+    from goniotwin.app.campaign.running.events import EventLogged
     from goniotwin.app.station.hosting import hosted_run
 
+    def print_guardian(_number: int, message: object) -> None:
+        if isinstance(message, EventLogged) and message.kind == "guardian":  # orders are printed with the run's progress
+            print_warning(message.what)
+
     with hosted_run(speed or 1.0, print_warning) as host:
+        host.board.subscribe(print_guardian)
         yield host, TerminalAsk(host)
 
 

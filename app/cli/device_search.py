@@ -1,9 +1,10 @@
 """Search for devices: the ports of this computer or of a rig file, and the identity of the device at each.
 
-Only identities are read: nothing moves, and every device keeps its settings. What a killed program has left changed at the
-devices of a rig file is restored.
+Only identities are read, and whether the shutter of a rig file is closed: nothing moves, and every device keeps its settings.
+What a killed program has left changed at the devices of a rig file is restored.
 """
 
+import contextlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -14,11 +15,12 @@ import usb.core
 from serial.tools import list_ports
 
 from goniotwin.app.errors import UserError
-from goniotwin.app.rig import RigDescription, open_rig, read_rig
+from goniotwin.app.rig import OpenRig, RigDescription, open_rig, read_rig
 from goniotwin.app.rig.kinds import kinds
 from goniotwin.app.rig.lock import RigLock
 from goniotwin.app.rig.wires import open_serial
-from goniotwin.drivers import DeviceError
+from goniotwin.drivers import Device, DeviceError
+from goniotwin.drivers.guard import Guarded
 from goniotwin.protocols.clock import Clock, RealClock, VirtualClock
 from goniotwin.protocols.usbtmc import INTERFACE_CLASS
 
@@ -27,16 +29,21 @@ RIG_BUS = "rig"
 
 @dataclass(frozen=True)
 class PortStatus:
-    """A port, the identity of the device there, and without one, what was tried. `bus` is "serial", "usb" or "rig"."""
+    """A port, the identity of the device there, and without one, what was tried. `bus` is "serial", "usb" or "rig".
+
+    `order` is a safety order about the device, empty without one.
+    """
 
     bus: str
     address: str
     identity: str | None
     tried: str = ""
+    order: str = ""
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON."""
-        return {"bus": self.bus, "address": self.address, "answers": self.identity, "tried": self.tried}
+        order = {"order": self.order} if self.order else {}
+        return {"bus": self.bus, "address": self.address, "answers": self.identity, "tried": self.tried, **order}
 
 
 def find_devices(rig: Path | None) -> list[PortStatus]:
@@ -67,9 +74,29 @@ def _rig_devices(rig: RigDescription, clock: Clock) -> list[PortStatus]:
     with open_rig(rig, clock) as opened:
         outcome = opened.rig.identify()
         return [
-            PortStatus(RIG_BUS, device, opened.rig.identities.get(device), "" if error is None else str(error))
-            for device, error in outcome.items()
-        ]
+            PortStatus(
+                RIG_BUS, device.name, opened.rig.identities.get(device.name), "" if error is None else str(error),
+                _order(opened, device, answers=error is None),
+            )
+            for device, error in zip(opened.rig.devices, outcome.values(), strict=True)
+        ]  # fmt: skip
+
+
+def _order(opened: OpenRig, device: Device, *, answers: bool) -> str:
+    """The order for a device that is not safe, as it answers, or as a program that died has left it; empty without one."""
+    left = opened.guard.left
+    if left is not None and (left.done or left.device != device.name):
+        left = None
+    if isinstance(device, Guarded) and answers:
+        with contextlib.suppress(DeviceError):
+            if device.is_safe():
+                if left is not None:
+                    opened.guard.settle()
+                return ""
+            if left is None:
+                will = device.last_will()
+                return f"{will.remedy}: {will.danger}, and no program controls it"
+    return "" if left is None else left.text
 
 
 def _serial_ports(clock: Clock) -> Iterator[PortStatus]:

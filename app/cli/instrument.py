@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from goniotwin.app.cli.output import Json, RigOption, answer, print_error
+from goniotwin.app.cli.output import Json, RigOption, answer, print_error, print_order
 from goniotwin.app.errors import UserError
 
 if TYPE_CHECKING:  # the drivers load numpy, which a command's help does not need
@@ -29,7 +29,8 @@ def devices(
     """List ports and the devices that respond on them.
 
     With --rig: the devices of a rig file. Without: the serial ports and USB instruments of this computer.
-    Only identities are read; nothing moves. A port that another program holds is not opened.
+    Only identities are read, and whether the shutter of a rig file is closed; nothing moves. A port that another program holds
+    is not opened.
 
     Exit status: 1 if a device of a rig file does not respond, else 0.
     """
@@ -37,6 +38,9 @@ def devices(
 
     found = find_devices(rig)
     answer(as_json, {"devices": [each.as_dict() for each in found]}, lambda: print(status_table(found)))
+    for each in found:
+        if each.order:
+            print_order(each.order)
     raise typer.Exit(exit_status(found))
 
 
@@ -148,6 +152,8 @@ def _connected_axes(description: "RigDescription", names: list[str]) -> "Iterato
     from goniotwin.drivers import DeviceError
 
     with open_rig(description, clock_for(description.file)) as opened:
+        if (left := opened.guard.left) is not None and not left.done:
+            print_order(left.text)
         try:
             for controller in opened.rig.controllers:
                 if not controller.axes.keys().isdisjoint(names):

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from goniotwin.app.cli.output import Json, RigOption, Speed, answer, print_warning
+from goniotwin.app.cli.output import Json, RigOption, Speed, answer, print_order, print_warning
 from goniotwin.app.errors import UserError
 
 if TYPE_CHECKING:
@@ -231,6 +231,8 @@ def attached_bench(rig: "RigDescription") -> "Iterator[RemoteBench | None]":
     client.start()
     try:
         remote.wait_for_rig()
+        for order in remote.snapshot.orders:
+            print_order(order.text)
         held = remote.snapshot.rig
         if held is not None and held.digest != rig.digest:
             raise UserError(
@@ -248,6 +250,7 @@ def _station(rig: "RigDescription") -> "Iterator[Station]":
     from goniotwin.app.station.station import Station
 
     station = Station(clock=clock_for(rig.file))
+    station.board.subscribe(lambda _number, message: print_shutter(message))
     station.open(rig)
     try:
         station.connect_all()
@@ -258,3 +261,13 @@ def _station(rig: "RigDescription") -> "Iterator[Station]":
         yield station
     finally:
         station.close_rig()
+
+
+def print_shutter(message: "Message") -> None:
+    """Print what a session does about a shutter that another one has left open, and each safety order."""
+    from goniotwin.app.campaign.running.events import EventLogged, SafetyOrder
+
+    if isinstance(message, SafetyOrder):
+        print_order(message.text)
+    elif isinstance(message, EventLogged) and message.kind == "guardian":
+        print_warning(message.what)

@@ -304,7 +304,7 @@ def _open_cornerstone(wires: "Wires", table: Any) -> "Monochromator":
     from goniotwin.drivers import Monochromator
 
     tap, found = wires.tap("monochromator", as_text), wires.found(table.port)
-    return Monochromator(wires.serial(table.port), table, wires.clock, tap, found)
+    return Monochromator(wires.serial(table.port), table, wires.clock, tap, found, wires.guard(table.port))
 
 
 def _open_adam(wires: "Wires", table: Any) -> "PhotodiodeArray":

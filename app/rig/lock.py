@@ -10,7 +10,6 @@ replaced by renaming. So no byte changes of a file that another user has put the
 """
 
 import contextlib
-import errno
 import getpass
 import hashlib
 import os
@@ -24,6 +23,8 @@ from pathlib import Path
 from filelock import FileLock, Timeout
 
 from goniotwin.app.errors import UserError, printable, room_on_disk
+from goniotwin.app.guardian.held import Taken, take_name
+from goniotwin.app.guardian.record import GUARDIAN
 from goniotwin.app.rig.addresses import device_names
 from goniotwin.own_files import make_own_folder, replace_text, state_folder
 from goniotwin.protocols.clock import calendar_stamp
@@ -32,6 +33,8 @@ LONGEST_NOTE = 400
 PROBE_S = 0.05
 """How long another program can hold a lock only to check it."""
 UNKNOWN = "another program"
+GUARDIAN_S = 10.0
+"""How long a program waits for the guardian of one that died, which makes the rig safe."""
 
 
 class RigInUse(UserError):
@@ -47,11 +50,16 @@ class LockFile:
 
     def __init__(self, path: Path, what: str, purpose: str, mode: int, patience_s: float = PROBE_S) -> None:
         """Lock the file; `what` it stands for is in the errors. Raises RigInUse with the holder's note, OSError."""
-        self._path = path
+        self.path = path
         self._note = _note_of(path)
         self._lock = FileLock(path, patience_s, mode, thread_local=False, fallback_to_soft=False, poll_interval=0.01)
         try:
-            self._lock.acquire()
+            try:
+                self._lock.acquire()
+            except Timeout:
+                if GUARDIAN not in _read_note(self._note):
+                    raise
+                self._lock.acquire(GUARDIAN_S)
         except Timeout:
             raise RigInUse(what, _read_note(self._note)) from None
         _write_note(
@@ -61,7 +69,7 @@ class LockFile:
     def release(self, *, remove: bool = False) -> None:
         """Release the lock; `remove` the file too. A second call has no effect."""
         if self._lock.is_locked:
-            for file in (self._note, self._path) if remove else (self._note,):
+            for file in (self._note, self.path) if remove else (self._note,):
                 with contextlib.suppress(OSError):  # Windows removes no open file: an empty one stays
                     file.unlink()  # of two programs that wait for a removed file, FileLock gives neither the lock
             self._lock.release()
@@ -107,6 +115,16 @@ class RigLock:
         except UserError:
             self.release()
             raise
+
+    @property
+    def files(self) -> list[str]:
+        """The paths of the lock files."""
+        return [str(each.path) for each in self._files]
+
+    @property
+    def names(self) -> list[str]:
+        """The names of the system."""
+        return [each.name for each in self._names]
 
     def release(self) -> None:
         """Release all locks. A second call has no effect."""
@@ -305,15 +323,15 @@ def _process_on_port(name: str) -> str | None:
 
 
 class SystemName:
-    """A name that one process of this computer holds, of whichever user: it ends with the process.
-
-    On Linux it is an abstract socket, which ends at the border of a container with a network of its own; on Windows a mutex.
-    On macOS there is no such name, and nothing is held.
-    """
+    """A name that one process of this computer holds, of whichever user: it ends with the process."""
 
     def __init__(self, name: str, address: str) -> None:
         """Take the name. Raises RigInUse, OSError."""
-        self._held = _take("goniotwin-" + hashlib.sha256(name.encode()).hexdigest()[:32], address)
+        self.name = "goniotwin-" + hashlib.sha256(name.encode()).hexdigest()[:32]
+        try:
+            self._held = take_name(self.name)
+        except Taken:
+            raise RigInUse(address, _holder_of_socket(self.name)) from None
 
     def release(self) -> None:
         """Give the name back. A second call has no effect."""
@@ -322,56 +340,15 @@ class SystemName:
             held.close()
 
 
-if sys.platform == "win32":
-    import ctypes
-
-    ACCESS_DENIED, ALREADY_EXISTS = 5, 183
-
-    class _Mutex:
-        def __init__(self, handle: int) -> None:
-            self._handle = handle
-
-        def close(self) -> None:
-            ctypes.windll.kernel32.CloseHandle(ctypes.c_void_p(self._handle))
-
-    def _take(name: str, address: str) -> _Mutex | None:
-        kernel = ctypes.WinDLL("kernel32", use_last_error=True)
-        kernel.CreateMutexW.restype = ctypes.c_void_p
-        handle = kernel.CreateMutexW(None, False, f"Global\\{name}")
-        error = ctypes.get_last_error()
-        if handle and error != ALREADY_EXISTS:
-            return _Mutex(handle)
-        if handle:
-            kernel.CloseHandle(ctypes.c_void_p(handle))
-        if error in (ACCESS_DENIED, ALREADY_EXISTS):  # that of another user cannot be opened
-            raise RigInUse(address, UNKNOWN)
-        raise ctypes.WinError(error)
-
-elif sys.platform.startswith("linux"):
-
-    def _take(name: str, address: str) -> socket.socket | None:
-        held = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+def _holder_of_socket(name: str) -> str:
+    """The process that holds a name, which is known on Linux only."""
+    if not sys.platform.startswith("linux"):
+        return UNKNOWN
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+        probe.setblocking(False)
         try:
-            held.bind(f"\0{name}")
-            held.listen()  # so that the next one learns which process this is
-        except OSError as error:
-            held.close()
-            if error.errno != errno.EADDRINUSE:
-                raise
-            raise RigInUse(address, _holder_of_socket(name)) from None
-        return held
-
-    def _holder_of_socket(name: str) -> str:
-        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
-            probe.setblocking(False)
-            try:
-                probe.connect(f"\0{name}")
-                process, user, _ = struct.unpack("3i", probe.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12))
-            except OSError:
-                return UNKNOWN
-        return f"process {process} of the user with the number {user}"
-
-else:
-
-    def _take(name: str, address: str) -> None:
-        del name, address
+            probe.connect(f"\0{name}")
+            process, user, _ = struct.unpack("3i", probe.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, 12))
+        except OSError:
+            return UNKNOWN
+    return f"process {process} of the user with the number {user}"

@@ -18,6 +18,7 @@ from goniotwin.app.rig.twin_file import twin_model
 from goniotwin.app.toml_file import parse_toml, read_toml, validate_table
 
 if TYPE_CHECKING:  # the libraries of the buses are loaded when a rig is opened
+    from goniotwin.app.guardian.guard import RigGuard
     from goniotwin.app.rig.lock import RigLock
     from goniotwin.app.rig.wires import Wires
     from goniotwin.drivers import Device, Rig, Transcript
@@ -137,6 +138,7 @@ class OpenRig:
     virtual: "VirtualRig | None"
     _name: str | None
     _transcript: "Transcript | None"
+    guard: "RigGuard"
     _lock: "RigLock | None" = None
 
     def connect(self) -> None:
@@ -152,6 +154,7 @@ class OpenRig:
     def close(self) -> None:
         """Close all devices, files and locks. No axis moves."""
         self.rig.close()
+        self.guard.close()  # before the locks: what it keeps is of no other program
         if self._name is not None:
             from goniotwin.twin.doors import unregister
 
@@ -173,6 +176,7 @@ class OpenRig:
         from goniotwin.app.rig.lock import RigLock
 
         self._lock = RigLock(addresses, purpose)
+        self.guard.begin(self._lock.files, self._lock.names)
 
     def __enter__(self) -> "OpenRig":
         return self
@@ -186,6 +190,7 @@ def open_rig(description: RigDescription, clock: "Clock", transcript: Path | Non
 
     With a folder in `transcript` every byte on every wire is written to files there. Raises UserError.
     """
+    from goniotwin.app.guardian.guard import RigGuard
     from goniotwin.app.rig.lock import check_server
     from goniotwin.app.rig.wires import Wires
     from goniotwin.drivers import Transcript
@@ -213,15 +218,16 @@ def open_rig(description: RigDescription, clock: "Clock", transcript: Path | Non
         def in_this_process(file_address: str) -> str:
             return resolved(file_address).replace(f"{TWIN}{file_name}/", f"{TWIN}{name}/", 1)
 
+    guard = RigGuard(file.name)
     try:
-        rig = _rig(description, Wires(clock, virtual, transcripts, in_this_process))
+        rig = _rig(description, Wires(clock, virtual, transcripts, in_this_process, guard))
     except UserError:
         if name is not None:
             unregister(name)
         if transcripts is not None:
             transcripts.close()
         raise
-    opened = OpenRig(rig, file, virtual, name, transcripts)
+    opened = OpenRig(rig, file, virtual, name, transcripts, guard)
     try:
         opened.lock(
             [in_this_process(each) for each in file.addresses if not each.startswith(TWIN)], f"{file.name} ({description.name})"

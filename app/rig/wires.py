@@ -14,12 +14,14 @@ from typing import Any
 import serial
 import usb.core
 
+from goniotwin.app.guardian.guard import RigGuard
 from goniotwin.app.rig.addresses import TWIN, USBIP, InvalidAddress, check_serial_port, device_names, usbip_address
 from goniotwin.app.rig.lock import file_stem
 from goniotwin.app.rig.modbus_units import ModbusUnits
 from goniotwin.drivers import Transcript
 from goniotwin.drivers.device import PortOpener
 from goniotwin.drivers.found import FoundSettings
+from goniotwin.drivers.guard import Guard, NoGuard
 from goniotwin.drivers.motion.tmcl import CANARY
 from goniotwin.drivers.photodiodes.modbus import ModbusUnit
 from goniotwin.drivers.tap import Explain, Tap, no_tap
@@ -82,6 +84,7 @@ class Wires:
     rig it is always the same, as all bytes are.
 
     `in_this_process` gives the address in this process of one in the file: another virtual rig may have the same name.
+    `guard` keeps last wills of devices outside this process.
     """
 
     def __init__(
@@ -90,8 +93,10 @@ class Wires:
         virtual: VirtualRig | None,
         transcripts: Transcript | None,
         in_this_process: Callable[[str], str] = str,
+        guard: RigGuard | None = None,
     ) -> None:
         self.clock = clock
+        self._guard = guard
         self.session = CANARY if virtual is not None else secrets.randbelow(2**31 - 1) + 1
         self._virtual = virtual
         self._transcripts = transcripts
@@ -125,6 +130,13 @@ class Wires:
         if address.startswith(TWIN):
             return FoundSettings(asks=False)
         return FoundSettings(FoundNote(address, unit))
+
+    def guard(self, file_address: str) -> Guard:
+        """The guard of a device with a serial line; a device in this process ends with it, and needs none."""
+        address = self._in_this_process(file_address)
+        if self._guard is None or address.startswith(TWIN):
+            return NoGuard()
+        return self._guard.device(file_stem(min(device_names(address))), address)
 
     def usb(self, file_address: str) -> UsbOpener:
         """An opener for `VENDOR:PRODUCT` or `VENDOR:PRODUCT:SERIAL` (hexadecimal), or `usbip:HOST:PORT/BUSID`.

@@ -30,7 +30,8 @@ class Bench:
         self._clock = opened.rig.clock
         self._between = between
         self._filter: int | None = None
-        self._opened_shutter = False
+        self.opened_shutter = False
+        """Whether the shutter may be open because of this bench."""
         self.settings = BenchChanged()
         self.request = StopRequest(opened.rig)
 
@@ -75,16 +76,21 @@ class Bench:
     def set_shutter(self, *, opened: bool) -> None:
         """Open or close the shutter."""
         self._set(shutter_open=None)
-        self._opened_shutter = self._opened_shutter or opened
+        self.opened_shutter = self.opened_shutter or opened
         self._wait(self.request.start(partial(self._rig.monochromator.start_shutter, opened=opened)))
-        self._opened_shutter = opened
+        self.opened_shutter = opened
         self._set(shutter_open=opened)
+
+    def close_left_open(self) -> None:
+        """Close a shutter that an earlier program has left open. Raises DeviceError."""
+        self.opened_shutter = True  # the end of the bench tries it again
+        self.close_shutter()
 
     def close_shutter(self) -> None:
         """Close the shutter if this bench has opened it, also after a stop. Raises DeviceError."""
-        if self._opened_shutter:
+        if self.opened_shutter:
             wait(self._clock, [self._rig.monochromator.start_shutter(opened=False)])
-            self._opened_shutter = False
+            self.opened_shutter = False
             self._set(shutter_open=False)
 
     def set_gain(self, gain: int) -> None:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from platformdirs import user_log_path
 
+from goniotwin.app.detached import start_detached
 from goniotwin.app.errors import UserError, one_line
 from goniotwin.app.station.client import StationClient
 from goniotwin.app.station.connection_file import attach, known_stations
@@ -70,15 +71,12 @@ def _start(command: list[str], log: Path) -> "subprocess.Popen[bytes]":
         with contextlib.suppress(OSError):
             old.unlink()
     with log.open("wb") as output:
-        if sys.platform == "win32":
-            flags = subprocess.CREATE_NEW_PROCESS_GROUP | subprocess.DETACHED_PROCESS
-            for more in (subprocess.CREATE_BREAKAWAY_FROM_JOB, 0):
-                with contextlib.suppress(PermissionError):  # a job that lets no process out
-                    return subprocess.Popen(
-                        command, stdin=subprocess.DEVNULL, stdout=output, stderr=output, creationflags=flags | more
-                    )
-            raise UserError("Windows does not let a process be started here; start goniotwin station in a terminal")
-        return subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=output, stderr=output, start_new_session=True)
+        try:
+            return start_detached(command, output=output)
+        except PermissionError:
+            if sys.platform != "win32":
+                raise
+            raise UserError("Windows does not let a process be started here; start goniotwin station in a terminal") from None
 
 
 def _reap(process: "subprocess.Popen[bytes]") -> None:

@@ -22,6 +22,7 @@ from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.running.engine import Engine
 from goniotwin.app.campaign.running.events import (
+    CLOSE_SHUTTER,
     DeviceFailed,
     Event,
     EventLogged,
@@ -29,19 +30,24 @@ from goniotwin.app.campaign.running.events import (
     RowCommitted,
     SafetyOrder,
     State,
+    close_shutter_order,
     cut_power_order,
+    left_order,
+    shutter_found_open,
 )
 from goniotwin.app.campaign.running.question import Answer, PositionGiven, Question, Reply, position_refusal
 from goniotwin.app.campaign.running.resume import remaining_work
 from goniotwin.app.campaign.running.stop import Stopped, StopRequest
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.errors import UserError, one_line
+from goniotwin.app.guardian.record import Record
 from goniotwin.app.rig import AXES, OpenRig, RigDescription, open_rig
 from goniotwin.app.rig.last_rig import remember_rig
 from goniotwin.app.station.bench import Bench, PendingReading
 from goniotwin.app.station.board import Board
 from goniotwin.app.station.messages import (
     ActivityChanged,
+    BenchChanged,
     Contact,
     DeviceChanged,
     DevicesAnswered,
@@ -284,13 +290,11 @@ class Station:
             found = next((each for each in now.orders if each.text == order), None)
             if found is None:
                 raise CommandRefused(f"no such safety order is open: {order}")
-            record = self._ordered.pop(found, None)  # None: no run was on when it was given
+            record = self._ordered.pop(found, None)
             self._publish(OrderAcknowledged(found))
-        if record is not None:
-            try:
-                record.event("acknowledged", found.text)
-            except (JournalError, UserError) as error:
-                self._publish(EventLogged("fault", f"the acknowledgement is not in the journal: {error}", "journal"))
+        self._record_acknowledged(record, found)
+        if self._opened is not None and found.order == CLOSE_SHUTTER:
+            self._opened.guard.settle()
 
     def start(self, schedule: Path, folder: Path, person: bool = False) -> None:
         """Measure a schedule into a new journal in `folder`, which is created if it does not exist.
@@ -430,11 +434,11 @@ class Station:
 
     def report_connected(self) -> None:
         """Report that all devices of a rig are connected, for a run that is about to begin."""
-        self._report_devices({each.name: None for each in self._rig().rig.devices})
+        self._report_devices({each.name: None for each in self._rig().rig.devices}, closing=True)
         self._publish(ActivityChanged("starting the run", starts=True))
 
-    def _report_devices(self, outcome: dict[str, DeviceError | None]) -> None:
-        """Report the devices of a rig with the errors, or None, of their connections."""
+    def _report_devices(self, outcome: dict[str, DeviceError | None], *, closing: bool = False) -> None:
+        """Report the devices of a rig with the errors, or None, of their connections; `closing` as in `_look`."""
         opened, description = self._rig(), self._description
         assert description is not None
         if not any(outcome.values()):
@@ -451,7 +455,7 @@ class Station:
             description.file.name, Path(description.name), description.digest, description.simulated,
             description.seed, description.file.in_process, devices, controllers,
         ))  # fmt: skip
-        self._look()
+        self._look(closing=closing)
 
     def serve(self) -> None:
         """Do what the commands ask for, until `end`; then stop what is in progress and close the rig."""
@@ -496,7 +500,7 @@ class Station:
             try:
                 bench.close_shutter()
             except DeviceError as error:
-                self._give_order(SafetyOrder("Close the shutter by hand", f"it may be open; {error}"), None)
+                self._give_order(close_shutter_order(error), None)
             opened.close()
             self._publish(RigClosed(reason, fault))
 
@@ -733,11 +737,42 @@ class Station:
         assert self._bench is not None
         return self._bench
 
-    def _look(self) -> None:
+    def _look(self, *, closing: bool = False) -> None:
+        """Ask for the settings of the bench; `closing` closes a shutter that is open, whoever has opened it."""
         if self._bench is not None:
+            left = self._rig().guard.left
             self._bench.look()
+            self._see_to_shutter(self._bench, left, closing=closing)
             self._publish(self._bench.settings)
             self._report_references()
+
+    def _see_to_shutter(self, bench: Bench, left: Record | None, *, closing: bool) -> None:
+        """Close the shutter that a program which died has left open; order a person to, where that fails.
+
+        A shutter that is open for another reason is left as it is, with an order, unless `closing`.
+        """
+        is_open, guard = bench.settings.shutter_open, self._rig().guard
+        if left is not None and left.done:
+            self._publish(EventLogged("guardian", left.outcome, left.device))
+            guard.settle()
+            left = None
+        if left is None and (bench.opened_shutter or not is_open):
+            return
+        if left is None and not closing:
+            self._give_order(shutter_found_open(), None)
+            return
+        found = left_order(left) if left is not None else shutter_found_open()
+        try:
+            if is_open is not False:
+                bench.close_left_open()
+        except DeviceError as error:
+            self._note_fault(error)
+            self._give_order(found, None)
+        else:
+            how = "found closed" if is_open is False else "closed now"
+            self._publish(EventLogged("guardian", f"Shutter {how}: {found.reason}", self._rig().rig.monochromator.name))
+            guard.settle()
+            self._withdraw(found)
 
     def _set_live(self, on: bool) -> None:
         bench = self._on_bench()
@@ -821,7 +856,7 @@ class Station:
         bench.set_live(False)
         self._live = self._mounted = None
         record = RunRecord(journal, self._clock)
-        reason = ""
+        reason, opened.guard.journal = "", str(journal.path.resolve())
         with contextlib.closing(record):
             operator = operator_for(opened, plan.rig.file, self.ask, person=person)
             engine = Engine(opened.rig, plan, journal, operator, [self.listen], self.positions_every_s, work=work)
@@ -835,6 +870,7 @@ class Station:
                 engine.stop()
                 state = State.FAILED
             self.wait_for_stops()
+        opened.guard.journal = ""
         for device in engine.disconnected:
             self._report_lost(device, NoAnswer(device, "reconnect it during the run", "not responding", "connect it again"))
         bench.look()
@@ -1018,8 +1054,24 @@ class Station:
         self._ordered[order] = record
         self._publish(order)
 
+    def _withdraw(self, order: SafetyOrder) -> None:
+        """An order has no object any more. Windows that show one of a program that died take it away too."""
+        record = self._ordered.pop(order, None)
+        self._publish(OrderAcknowledged(order))
+        self._record_acknowledged(record, order)
+
+    def _record_acknowledged(self, record: RunRecord | None, order: SafetyOrder) -> None:
+        if record is not None:  # None: no run was on when it was given
+            try:
+                record.event("acknowledged", order.text)
+            except (JournalError, UserError) as error:
+                self._publish(EventLogged("fault", f"the acknowledgement is not in the journal: {error}", "journal"))
+
     def _publish(self, message: Message) -> None:
         self.board.publish(message)
+        if isinstance(message, BenchChanged) and message.shutter_open is False:
+            for each in [order for order in self._ordered if order.order == CLOSE_SHUTTER]:
+                self._withdraw(each)
 
 
 def next_journal(folder: Path, name: str) -> Path:

@@ -41,6 +41,8 @@ MOST_READS = 64
 EVENTS_KEPT = 100
 UNITS = tuple(each.name.encode("ascii") for each in WavelengthUnit)
 CHECK_LINE = "check cable and baud rate"
+LINE_END = b"\r\n"
+"""Ends a partial statement in the unit's buffer."""
 
 
 class CornerstoneLine:
@@ -97,10 +99,10 @@ class CornerstoneLine:
             self.in_step = False
             self._drain()
             for word in ("UNITS", "HANDSHAKE"):
-                found = self._found.value_to_restore(word, self._setting(word))
+                found = self._found.value_to_restore(word, self.setting(word))
                 if found is not None:
                     self._query_until_quiet(Statement(word, parameter=found))
-                    if (now := self._setting(word)) != found:
+                    if (now := self.setting(word)) != found:
                         raise BadAnswer(NAME, f"{word} {found}", f"it is {now}", CHECK_LINE)
             self._found.clear()
 
@@ -267,7 +269,7 @@ class CornerstoneLine:
             raise BadAnswer(NAME, "INFO?", f"{reply!r} is not an identity", CHECK_LINE)
         return reply.decode("ascii", "replace"), status is not None
 
-    def _setting(self, word: str) -> str:
+    def setting(self, word: str) -> str:
         """Present value of a setting, in capitals. Raises DeviceError."""
         reply, _ = self._query_until_quiet(Statement(word, query=True))
         if word == "HANDSHAKE" and (reply is None or STATUS_TEXTS.get(reply) == ERROR_SINCE_LAST_READ):
@@ -309,7 +311,7 @@ class CornerstoneLine:
     def _drain(self) -> None:
         """End a partial statement in the unit's buffer, and discard everything until the line is quiet."""
         statement = Statement("INFO", query=True)
-        self._write(b"\r\n", "drain the line")
+        self._write(LINE_END, "drain the line")
         self._until_quiet(statement)
         self._lines.clear()
         self._pending = b""

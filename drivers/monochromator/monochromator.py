@@ -27,13 +27,15 @@ from collections.abc import Callable
 from goniotwin.drivers.device import Pending, PortOpener
 from goniotwin.drivers.errors import BadAnswer, DeviceError, Refused
 from goniotwin.drivers.found import FoundSettings
-from goniotwin.drivers.monochromator.line import CHECK_LINE, NAME, CornerstoneLine
+from goniotwin.drivers.guard import Guard, LastWill, NoGuard
+from goniotwin.drivers.monochromator.line import CHECK_LINE, LINE_END, NAME, CornerstoneLine
 from goniotwin.drivers.monochromator.settings import MonochromatorSettings
 from goniotwin.drivers.monochromator.statement import ABORT, PendingStatement
 from goniotwin.drivers.tap import Tap, no_tap
 from goniotwin.protocols.clock import Clock
 from goniotwin.protocols.cornerstone import NO_ERROR, Grating, Statement, StatementError, decode_number, encode_nm
 
+SHUTTER = Statement("SHUTTER", query=True)
 LONGEST_WAIT_S = 10.0
 """Longest time for which `close` waits for a motion."""
 
@@ -51,8 +53,11 @@ class Monochromator:
         clock: Clock,
         tap: Tap = no_tap,
         found: FoundSettings | None = None,
+        guard: Guard | None = None,
     ) -> None:
         self._wire = CornerstoneLine(open_port, settings.baudrate, clock, tap, found or FoundSettings())
+        self._guard = guard or NoGuard()
+        self._opening: PendingStatement | None = None
         self._clock = clock
         self._lock = threading.RLock()
         self._motion: PendingStatement | None = None
@@ -91,6 +96,18 @@ class Monochromator:
                 self._wire.restore()
             self._wire.close()
 
+    def last_will(self) -> LastWill:
+        """Abort the motion in progress, close the shutter, and ask for it."""
+        order = ABORT.encode() + Statement("SHUTTER", parameter="C").encode()
+        return LastWill(
+            NAME, self.settings.baudrate, LINE_END, order, SHUTTER.encode(), r"(^|[\r\n])[Cc][\r\n]",
+            "the shutter may be open", "Close the shutter by hand", "the shutter is closed",
+        )  # fmt: skip
+
+    def is_safe(self) -> bool:
+        """Whether the shutter is closed, asked of a unit that is identified only. Raises DeviceError."""
+        return self._wire.setting(SHUTTER.word) == "C"
+
     # ---- queries ----
 
     def wavelength_nm(self) -> float:
@@ -99,7 +116,13 @@ class Monochromator:
 
     def shutter_is_open(self) -> bool:
         """True if the shutter is open. Raises DeviceError."""
-        return self._confirmed("SHUTTER", lambda text: text.upper() in ("O", "C"), "neither O nor C").upper() == "O"
+        is_open = self._confirmed(SHUTTER.word, lambda text: text.upper() in ("O", "C"), "neither O nor C").upper() == "O"
+        opening = self._opening
+        if is_open:
+            self._guard.arm(self.last_will())
+        elif opening is None or opening.done or opening.querying:  # else the statement that opens it may be sent yet
+            self._guard.disarm()
+        return is_open
 
     def filter(self) -> int:
         """Position of the filter wheel; 0 without a wheel. Raises DeviceError."""
@@ -143,10 +166,15 @@ class Monochromator:
     def start_shutter(self, *, opened: bool) -> Pending:
         """Start to open or close the shutter. Raises DeviceError."""
         letter = "O" if opened else "C"
-        return self._start(
-            Statement("SHUTTER", parameter=letter), self.settings.shutter_s, "SHUTTER", letter,
+        if opened:
+            self._guard.arm(self.last_will())  # before a byte of it is sent
+        pending = self._start(
+            Statement(SHUTTER.word, parameter=letter), self.settings.shutter_s, SHUTTER.word, letter,
             lambda: self.shutter_is_open() is opened,
         )  # fmt: skip
+        if opened:
+            self._opening = pending
+        return pending
 
     def start_filter(self, position: int) -> Pending:
         """Start to turn the filter wheel, unless it is at the position already. Raises DeviceError."""
@@ -218,7 +246,7 @@ class Monochromator:
     def _start(
         self, statement: Statement, seconds: float, word: str, target: str | None, arrived: Callable[[], bool],
         ask_first: Callable[[], float | None] | None = None,
-    ) -> Pending:  # fmt: skip
+    ) -> PendingStatement:  # fmt: skip
         with self._lock:
             before = self._motion if self.moving else None
             if ask_first is None:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.errors import UserError
+from goniotwin.app.rig.left import left_unsafe
 from goniotwin.app.rig.lock import journal_holder
 
 SUFFIX = ".journal"
@@ -19,7 +20,7 @@ class CampaignSummary:
     measured, else "killed"; "running" while a program has the journal open; "empty" before the first session. `rows` counts
     the measured planned rows, `skipped` those that were skipped because of faults and not repeated since. `seconds` is the
     duration so far and `seconds_left` the estimated duration of the rows that are left, skipped ones included; both on the
-    rig's clock. `orders` are the safety orders of the last session that are not acknowledged.
+    rig's clock. `orders` are the safety orders of the last session that are not acknowledged, and of what it has left unsafe.
     """
 
     journal: str
@@ -65,7 +66,7 @@ def campaign_summary(path: Path) -> CampaignSummary:
             ended=last.wall_ended if last is not None and not held else None,
             sessions=len(sessions),
             faults=journal.faults(),
-            orders=journal.open_orders(),
+            orders=[*journal.open_orders(), *(each.text for each in left_unsafe(path))],
             damage=journal.chain.damage,
         )
 

@@ -42,6 +42,8 @@ from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.row import Row, RowData
 from goniotwin.app.errors import UserError, room_on_disk
 from goniotwin.app.formats.file import name_new_file, sync_folder
+from goniotwin.app.guardian.guard import read_events
+from goniotwin.app.guardian.record import EVENTS_SUFFIX
 from goniotwin.app.rig.lock import JournalLock, RigInUse, identity_of, lock_journal
 from goniotwin.protocols.clock import RealClock, calendar_stamp
 
@@ -187,7 +189,17 @@ class Journal(JournalReader):
                 migrate(db)
             journal = cls(db, path, _checked(db, path), lock, written=True)
             failed.pop_all()
+        journal._take_over_events()
         return journal
+
+    def _take_over_events(self) -> None:
+        """Take the events of a guardian over from the file beside the journal: they are of the last session."""
+        sessions, beside = self.sessions(), Path(f"{os.path.realpath(self.path)}{EVENTS_SUFFIX}")
+        if sessions:
+            for text in read_events(beside):
+                self.event(sessions[-1].ended_s, "guardian", text)
+            with contextlib.suppress(OSError):
+                beside.unlink()
 
     def close(self) -> None:
         """Close the journal. A written journal is then whole in its one file, also while other programs read it.

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from goniotwin.app.campaign.row import Row, RowData
 
 if TYPE_CHECKING:  # a window that shows events needs no drivers
+    from goniotwin.app.guardian.record import Record
     from goniotwin.drivers import DeviceError, Rig
 
 
@@ -68,6 +69,9 @@ class EventLogged:
     consequence: str = ""
 
 
+CLOSE_SHUTTER = "Close the shutter by hand"
+
+
 @dataclass(frozen=True)
 class SafetyOrder:
     """An order to the persons at the rig, for what the program cannot do itself. It stands until it is acknowledged."""
@@ -81,9 +85,19 @@ class SafetyOrder:
         return f"{self.order}: {self.reason}"
 
 
+def left_order(record: "Record") -> SafetyOrder:
+    """The order for what a program that died has left."""
+    return SafetyOrder(record.remedy, record.reason)
+
+
 def close_shutter_order(error: "DeviceError") -> SafetyOrder:
     """The order where the shutter cannot be closed."""
-    return SafetyOrder("Close the shutter by hand", f"it may be open; {error}")
+    return SafetyOrder(CLOSE_SHUTTER, f"it may be open; {error}")
+
+
+def shutter_found_open() -> SafetyOrder:
+    """The order where the shutter is open and this program has not opened it."""
+    return SafetyOrder(CLOSE_SHUTTER, "it is open, and this program has not opened it; or close it on the bench")
 
 
 def cut_power_order(rig: "Rig", failures: "Sequence[DeviceError]") -> SafetyOrder | None:

@@ -13,13 +13,14 @@ from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future, wait
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
 from goniotwin.app.campaign.journal.following import JournalFollower
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.reduction.reduction import journal_findings
-from goniotwin.app.campaign.running.events import EventLogged, RowCommitted, SafetyOrder
+from goniotwin.app.campaign.running.events import EventLogged, RowCommitted, SafetyOrder, left_order
 from goniotwin.app.campaign.running.question import Answer
 from goniotwin.app.campaign.running.resume import recorded_rig
 from goniotwin.app.campaign.schedule.file import ScheduleDescription, parse_schedule, read_schedule
@@ -42,6 +43,7 @@ from goniotwin.app.desktop.model.rig_facts import DarkAges, is_drift
 from goniotwin.app.desktop.model.time_left import mountings
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription, read_rig
+from goniotwin.app.rig.left import acknowledge_left, left_unsafe
 from goniotwin.app.station.client import ANSWER_S as COMMAND_S
 from goniotwin.app.station.client import NoStation, Refused, StationClient
 from goniotwin.app.station.connection_file import attach, connection_folder
@@ -178,6 +180,7 @@ class Connection:
             threading.Thread(target=self._work, name="connection", daemon=True),
             threading.Thread(target=self._read_rows, name="journal", daemon=True),
         ]
+        self._tasks.put(self._show_left)
         for each in self._threads:
             each.start()
 
@@ -250,8 +253,11 @@ class Connection:
         self.command("answer", question=number, choice=answer, **angle)
 
     def acknowledge(self, order: SafetyOrder) -> None:
-        """Acknowledge a safety order; the journal of its run records it."""
-        self.command("acknowledge", order=order.text)
+        """Acknowledge a safety order; the journal of its run records it. One that no station has is of a program that died."""
+        if order in self.snapshot.orders:
+            self.command("acknowledge", order=order.text)
+        else:
+            self._tasks.put(partial(acknowledge_left, order.text))
 
     def operate(self) -> None:
         """Operate the rig from here; the other clients watch from then on."""
@@ -323,6 +329,11 @@ class Connection:
     def _asked_now(self) -> Asked:
         session = self._session
         return Asked(self._presses, session, session.client.snapshot.stops if session and session.client else 0)
+
+    def _show_left(self) -> None:
+        """Show the orders for what programs that died have left; a station of the rig takes them away again."""
+        for each in left_unsafe():
+            self._send(left_order(each))
 
     def _work(self) -> None:
         while True:
