@@ -1,14 +1,17 @@
 """Errors that the user sees: those of input, a full disk, and the last resort for those of the program."""
 
 import errno
+import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from goniotwin.protocols.clock import calendar_stamp
 
 LONGEST_MESSAGE = 2000
 """Characters of an error message: a value of a file that is quoted in it may be a megabyte."""
+IMPOSSIBLE = frozenset({errno.ENAMETOOLONG, errno.EACCES, errno.ELOOP, errno.ENOTDIR})
+"""What the system answers to a name that no file can have, or in a folder that this user cannot enter."""
 FULL_DISK = frozenset({errno.ENOSPC, errno.EDQUOT})
 
 
@@ -72,6 +75,23 @@ def unexpected_error(error: BaseException) -> str:
         f", at {each.name}, line {each.lineno} of {each.filename}" for each in traceback.extract_tb(error.__traceback__)[-1:]
     ]
     return f"{one_line(line)}{''.join(places)}; the details cannot be written to any folder"
+
+
+def unusable(path: str | os.PathLike[str], what: str, error: OSError, remedy: str) -> UserError:
+    """An error of the system with a file or a folder that a person named: `what` cannot be done, why, and the remedy."""
+    return UserError(f"{os.fspath(path)}: {what}: {error.strerror or error}; {room_on_disk(error) or remedy}")
+
+
+def fault_of_named_path(error: OSError, named: Iterable[str]) -> str:
+    """One line about a path that the system refuses, where it is one of those that the person `named`, is below one of these,
+    or is the folder of one; also for a name that no file can have. Else empty."""
+    if not isinstance(error.filename, str):
+        return ""
+    path = Path(error.filename).absolute()
+    paths = [Path(each.rpartition("=")[2]).absolute() for each in named if each]
+    if error.errno in IMPOSSIBLE or any(path == each.parent or path.is_relative_to(each) for each in paths):
+        return str(unusable(error.filename, "cannot be used", error, "check the name and the permissions"))
+    return ""
 
 
 def room_on_disk(error: OSError) -> str:

@@ -322,19 +322,16 @@ def check_alignment_options(*, watch: bool, plan: bool, minutes: float | None, r
 
 def _checked_output(output: Path | None, words: str, is_one: Callable[[bytes], bool]) -> Callable[[str], None]:
     """What writes a text to a file, which is checked now: a new one, or one of its kind, named by `words`. Raises UserError."""
-    from goniotwin.app.data.conversion import user_errors
     from goniotwin.app.formats.file import Replaceable, check_writable, write_file
 
     replaceable = Replaceable(words, is_one)
 
     def write(text: str) -> None:
         if output is not None:
-            with user_errors():
-                write_file(output, text.encode(), replaceable)
+            write_file(output, text.encode(), replaceable)
 
     if output is not None:
-        with user_errors():
-            check_writable(output, replaceable)
+        check_writable(output, replaceable)
     return write
 
 

@@ -21,6 +21,7 @@ from goniotwin.app.cli.progress import RowProgress
 from goniotwin.app.data.conversion import Choice, convert_reduced, format_to_write
 from goniotwin.app.data.report.report import write_report
 from goniotwin.app.errors import MissingPackage, UserError
+from goniotwin.app.formats.file import make_folder
 from goniotwin.app.rig import RigDescription, read_rig
 from goniotwin.protocols.clock import RealClock
 
@@ -35,12 +36,9 @@ def run_demo(
     rig = read_rig(rig_path)
     schedule = read_schedule(schedule_path)
     files = {name: out / f"quick.{name}" for name in ("journal", "ddr", "csv", "png", "html")}
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        for file in files.values():
-            file.unlink(missing_ok=True)
-    except OSError as error:
-        raise UserError(f"{out}: cannot be written: {error.strerror}; choose another folder with --out") from None
+    make_folder(out)
+    for file in files.values():
+        file.unlink(missing_ok=True)
     compile_ahead()
     plan = make_plan(schedule, rig)
     reduced, seconds = _measure(plan, files["journal"], transcript, console, "with noise")

@@ -2,7 +2,6 @@
 
 import atexit
 import contextlib
-import errno
 import functools
 import io
 import json
@@ -25,14 +24,12 @@ from goniotwin import examples
 from goniotwin.app.cli import campaign, compilation, data, instrument, render, serving, simulation, station, tolerances, views
 from goniotwin.app.cli.output import Json, Speed, TranscriptOption, answer, error_console, print_error
 from goniotwin.app.end_signals import ignore_end_signals, interrupt_on_end_signal
-from goniotwin.app.errors import UserError, room_on_disk, unexpected_error
+from goniotwin.app.errors import UserError, fault_of_named_path, room_on_disk, unexpected_error, unusable
 
 FAULT = 1
 """Exit status after an unexpected error, and where standard output cannot be written."""
 INTERRUPTED = 130
 """Exit status after Ctrl-C: 128 + SIGINT, as of a shell."""
-UNREACHABLE = frozenset({errno.ENAMETOOLONG, errno.EACCES, errno.ELOOP, errno.ENOTDIR})
-"""What the system answers to a name that no file can have, or in a folder that this user cannot enter: bad input."""
 COMMANDS = (
     "devices", "home", "here", "move", "read", "check", "rehearse", "prove", "run", "runs", "align", "verify", "budget",
     "closure", "export", "convert", "info", "report", "plot", "compare", "render", "copy", "simulate", "tolerances",
@@ -163,7 +160,6 @@ def copy_examples(
 
     Existing files are never overwritten.
     """
-    from goniotwin.app.formats import FormatError
     from goniotwin.app.formats.file import write_file
 
     sources = sorted(examples.FOLDER.glob("*/*.toml"))
@@ -176,9 +172,7 @@ def copy_examples(
             copy.parent.mkdir(parents=True, exist_ok=True)
             write_file(copy, source.read_bytes())
     except OSError as error:
-        raise UserError(f"{folder}: cannot be written: {error.strerror}; choose another folder") from None
-    except FormatError as error:
-        raise UserError(str(error)) from None
+        raise unusable(folder, "cannot be written", error, "choose another folder") from None
     copied = list(copies.values())
     answer(as_json, {"files": [str(path) for path in copied]}, lambda: print("\n".join(map(str, copied))))
 
@@ -240,8 +234,8 @@ def _run_command() -> int:
     except BrokenPipeError:  # such as of `goniotwin ... | head`: the reader has what it wants
         return FAULT
     except Exception as error:  # noqa: BLE001  (last resort)
-        if isinstance(error, OSError) and error.errno in UNREACHABLE and error.filename:
-            print_error(f"{error.filename}: {error.strerror}; check the name and the permissions")
+        if isinstance(error, OSError) and (fault := fault_of_named_path(error, sys.argv[1:])):
+            print_error(fault)
             return UserError.status
         print_error(_full_disk(error) or unexpected_error(error))
         return FAULT
@@ -269,7 +263,6 @@ def schema(
     With it an editor completes and checks such files. A first line `#:schema ./rig.schema.json` in them names the schema.
     """
     from goniotwin.app.campaign.schedule.file import ScheduleFile
-    from goniotwin.app.formats import FormatError
     from goniotwin.app.formats.file import write_file
     from goniotwin.app.rig import rig_file_table
     from goniotwin.app.rig.kinds import load_all_plugins
@@ -287,7 +280,4 @@ def schema(
     if out is None:
         print(text)
         return
-    try:
-        write_file(out, f"{text}\n".encode())
-    except FormatError as error:
-        raise UserError(str(error)) from None
+    write_file(out, f"{text}\n".encode())

@@ -37,18 +37,18 @@ def render(
     if out.suffix.lower() != ".png":
         raise UserError(f"{out}: a picture is a PNG; give a name that ends with .png")
     from goniotwin.app.data import rendering
-    from goniotwin.app.data.conversion import user_errors
     from goniotwin.app.formats.file import check_writable
     from goniotwin.app.simulation.files import write_figure
 
-    with user_errors():
-        check_writable(out)
-    rendering.load_mitsuba()
+    check_writable(out)
+    if figure14:
+        rendering.load_mitsuba()
     if first is None or second is None:
         pairs = rendering.figure14(print_note, size, rays, seed)
         names = ("theory", "measured (SIMULATED)")
     else:
         one, other = (rendering.read_table(path) for path in (first, second))
+        rendering.load_mitsuba()
         pairs = [rendering.render_pair(one, other, f"{first.stem}, {second.stem}", size, rays, seed)]
         marks = (" (SIMULATED)" if table.generated else "" for table in (one, other))
         names = (f"{first.name}{next(marks)}", f"{second.name}{next(marks)}")

@@ -380,9 +380,12 @@ def table3(
     from rich.console import Console
 
     from goniotwin.app.cli.progress import ShareProgress
+    from goniotwin.app.formats.file import make_folder
     from goniotwin.app.simulation.paper.table3 import STEPS, compute_table3
     from goniotwin.app.simulation.paper.table3_report import as_dict, print_table3, write_figures
 
+    if out is not None:
+        make_folder(out)
     done = 0
 
     def step(text: str) -> None:

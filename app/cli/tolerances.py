@@ -27,7 +27,8 @@ def tolerances(
     from rich.console import Console
 
     from goniotwin.app.cli.progress import ShareProgress
-    from goniotwin.app.simulation.tolerances.report import as_dict, make_folder, print_study, write_report
+    from goniotwin.app.formats.file import make_folder
+    from goniotwin.app.simulation.tolerances.report import as_dict, print_study, write_report
     from goniotwin.app.simulation.tolerances.result import compute_study
     from goniotwin.app.simulation.tolerances.study import read_study
 

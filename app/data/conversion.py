@@ -6,7 +6,6 @@ scattered values where the format holds no others, and scattered values are the 
 
 import os
 from collections.abc import Collection, Iterable, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -21,7 +20,7 @@ from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.data.opening import with_files_beside
 from goniotwin.app.data.values import EQUAL, listed, neighbours
 from goniotwin.app.errors import UserError
-from goniotwin.app.formats import BsdfTable, FormatError, registry
+from goniotwin.app.formats import BsdfTable, registry
 from goniotwin.app.formats.content import (
     CHECK,
     UNTRUSTED,
@@ -138,25 +137,14 @@ class Converted:
 
 def format_to_write(path: Path, name: str | None = None) -> Format:
     """The format of this name, or of the file's suffix, which can hold a BSDF; its files can be written. Raises UserError."""
-    with user_errors():
-        found = registry.format_for(path, registry.BSDF) if name is None else registry.format_named(name, registry.BSDF)
-        registry.check_files(path, found)
-        return found
-
-
-@contextmanager
-def user_errors() -> Iterator[None]:
-    """Raise a FormatError as the error of this program's commands."""
-    try:
-        yield
-    except FormatError as error:
-        raise UserError(str(error)) from None
+    found = registry.format_for(path, registry.BSDF) if name is None else registry.format_named(name, registry.BSDF)
+    registry.check_files(path, found)
+    return found
 
 
 def is_journal(path: Path) -> bool:
     """Whether a file is a database, as journals are. Raises UserError where there is no such file."""
-    with user_errors():
-        return not path.is_dir() and read_head(path, len(SQLITE)) == SQLITE
+    return not path.is_dir() and read_head(path, len(SQLITE)) == SQLITE
 
 
 # ---- conversion ----
@@ -164,9 +152,8 @@ def is_journal(path: Path) -> bool:
 
 def convert_file(source: Path, path: Path, form: Format, choice: Choice) -> Converted:
     """Convert a file of any format, with the uncertainties and the mask beside it. Raises UserError."""
-    with user_errors():
-        found = registry.recognise(source)
-        return convert_content(with_files_beside(source, found.read(source), found), path, form, choice, source)
+    found = registry.recognise(source)
+    return convert_content(with_files_beside(source, found.read(source), found), path, form, choice, source)
 
 
 def check_samples(journal: JournalReader, path: Path, form: Format, choice: Choice) -> None:
@@ -185,17 +172,16 @@ def convert_reduced(reduced: ReducedJournal, path: Path, form: Format, choice: C
     """Write a reduced journal; a format of columns gets every column of every point, in parts. Raises UserError."""
     if choice.light is not None:
         reduced = part_of_light(reduced, choice.sample, path, choice.light)
-    with user_errors():
-        if Holds.COLUMNS in form.holds and choice.side is None:
-            return _columns(reduced, path, form, choice)
-        if isinstance(choice.wavelength_nm, float):
-            _check_wavelength(path, wavelengths_of(reduced, choice.sample), choice.wavelength_nm)
-            reduced = part_of_wavelength(reduced, choice.sample, choice.wavelength_nm)
-        content = scattered_of(reduced, choice.sample)
-        known = {name: reduced.metadata[name] for name in content.samples if name in reduced.metadata}
-        if known:
-            content = replace(content, metadata=common_metadata(known.values()), of_samples=known)
-        return convert_content(content, path, form, choice)
+    if Holds.COLUMNS in form.holds and choice.side is None:
+        return _columns(reduced, path, form, choice)
+    if isinstance(choice.wavelength_nm, float):
+        _check_wavelength(path, wavelengths_of(reduced, choice.sample), choice.wavelength_nm)
+        reduced = part_of_wavelength(reduced, choice.sample, choice.wavelength_nm)
+    content = scattered_of(reduced, choice.sample)
+    known = {name: reduced.metadata[name] for name in content.samples if name in reduced.metadata}
+    if known:
+        content = replace(content, metadata=common_metadata(known.values()), of_samples=known)
+    return convert_content(content, path, form, choice)
 
 
 def _columns(reduced: ReducedJournal, path: Path, form: Format, choice: Choice) -> Converted:
@@ -221,8 +207,7 @@ def archive_journal(
     journal: JournalReader, reduced: ReducedJournal, path: Path, choice: Choice, *, without_damaged: bool = False
 ) -> Converted:
     """Write the archive of a journal, with all that its uncertainties are made of and what was recorded. Raises UserError."""
-    with user_errors():
-        done = write_archive(journal, reduced, path, fill=choice.fill, without_damaged=without_damaged)
+    done = write_archive(journal, reduced, path, fill=choice.fill, without_damaged=without_damaged)
     shares = tuple(share for table in done.tables for share in shares_of(table))
     return Converted((path,), "archive", done.values, reduced.simulated, choice.fill, shares, done.without_table)
 

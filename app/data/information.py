@@ -12,7 +12,7 @@ from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.reduction.polarisation import light_words
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.campaign.schedule.grids import grid_values
-from goniotwin.app.data.conversion import is_journal, shares_of, user_errors
+from goniotwin.app.data.conversion import is_journal, shares_of
 from goniotwin.app.data.opening import with_files_beside
 from goniotwin.app.formats import BsdfTable, registry
 from goniotwin.app.formats.content import UNTRUSTED, Part, RegularTable, ScatteredBsdf, flagged
@@ -29,17 +29,16 @@ FEW = 4
 
 def information(path: Path) -> dict[str, Any]:
     """What is known of a file, for JSON. Raises UserError."""
-    with user_errors():
-        if is_journal(path):
-            return {"file": str(path), "format": "journal", "title": "data file of a campaign", **_of_journal(path)}
-        found = registry.recognise(path, BSDF | {Holds.RAYS})
-        result: dict[str, Any] = {"file": str(path), "format": found.name, "title": found.title}
-        if Holds.RAYS in found.holds:
-            found.read(path)  # it is whole
-            return {**result, "simulated": True}
-        content = found.read(path)
-        if (described := registry.described_table(content)) is None:
-            content = with_files_beside(path, content, found)
+    if is_journal(path):
+        return {"file": str(path), "format": "journal", "title": "data file of a campaign", **_of_journal(path)}
+    found = registry.recognise(path, BSDF | {Holds.RAYS})
+    result: dict[str, Any] = {"file": str(path), "format": found.name, "title": found.title}
+    if Holds.RAYS in found.holds:
+        found.read(path)  # it is whole
+        return {**result, "simulated": True}
+    content = found.read(path)
+    if (described := registry.described_table(content)) is None:
+        content = with_files_beside(path, content, found)
     return {
         **result,
         "simulated": content.simulated,

@@ -21,7 +21,7 @@ from goniotwin.app.data.dataset import Dataset
 from goniotwin.app.data.opening import open_dataset
 from goniotwin.app.data.values import Number, flag, quoted, with_names
 from goniotwin.app.errors import UserError
-from goniotwin.app.formats.file import StrPath, write_file
+from goniotwin.app.formats.file import StrPath, check_writable, write_file
 from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.twin.optics.geometry.coordinates import (
     HALF_TURN_DEG,
@@ -123,9 +123,10 @@ def save_figure(figure: "Figure", path: Path, dpi: int = DPI) -> None:
 
 
 def check_picture(path: Path) -> None:
-    """Raise UserError for a name that is not one of a picture."""
+    """Raise UserError for a name that is not one of a picture, and for a file that cannot be written."""
     if path.suffix.lower() not in SUFFIXES:
         raise UserError(f"{path}: a picture is a {' or '.join(SUFFIXES)}; choose such a name")
+    check_writable(path)
 
 
 # ---- scales and curves ----

@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from goniotwin.app.data.conversion import user_errors
 from goniotwin.app.data.opening import dataset_of_file
 from goniotwin.app.errors import MissingPackage, UserError
 from goniotwin.app.formats import BsdfTable, registry
@@ -91,10 +90,9 @@ def load_mitsuba() -> Any:
 
 def read_table(path: Path) -> BsdfTable:
     """The one table of reflected light on the front in a file of any format. Raises UserError."""
-    with user_errors():
-        if not path.is_dir() and read_head(path, len(SQLITE)) == SQLITE:
-            raise UserError(f"{path}: is a journal; make a table of it: goniotwin convert {quote(str(path))} OUT.ddr")
-        content: BsdfFile = registry.read(path)
+    if not path.is_dir() and read_head(path, len(SQLITE)) == SQLITE:
+        raise UserError(f"{path}: is a journal; make a table of it: goniotwin convert {quote(str(path))} OUT.ddr")
+    content: BsdfFile = registry.read(path)
     found = [table for table in content.tables if not (table.transmitted or table.back)]
     if len(found) == 1:
         return found[0]
@@ -123,8 +121,7 @@ def render(table: BsdfTable, size: int = SIZE, rays: int = RAYS, seed: int = SEE
     table = replace(table, values=np.maximum(table.values, 0.0), u=None, known=None)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "sphere.bsdf"
-        with user_errors():
-            write_table(path, table, MOST_NODES)
+        write_table(path, table, MOST_NODES)
         scene = mitsuba.load_dict(_scene(mitsuba, path, size, rays))
         return np.array(mitsuba.render(scene, seed=seed, spp=rays), dtype=np.float64)
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from io import BufferedRandom, BufferedReader
 from pathlib import Path
 
-from goniotwin.app.errors import UserError, one_line, room_on_disk
+from goniotwin.app.errors import UserError, one_line, room_on_disk, unusable
 
 StrPath = str | os.PathLike[str]
 LONGEST_WORD = 40
@@ -151,6 +151,16 @@ def check_writable(path: StrPath, replaceable: Replaceable | None = None) -> Non
     except OSError as error:
         wrong = f"the folder {file.parent} cannot be written to ({error.strerror})"
         raise FormatError(path, wrong, room_on_disk(error) or "check its permissions") from error
+
+
+def make_folder(folder: Path) -> None:
+    """Make a folder in which files can be written. Raises UserError."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        raise unusable(folder, "cannot be written", error, "choose another folder") from None
 
 
 def write_file(path: StrPath, content: bytes | Iterable[bytes], replaceable: Replaceable | None = None) -> None:

@@ -7,8 +7,6 @@ from typing import Any
 
 import tomlkit
 
-from goniotwin.app.errors import UserError
-from goniotwin.app.formats import FormatError
 from goniotwin.app.formats.file import read_file, write_file
 from goniotwin.app.rig.opening import RigDescription, parse_rig
 
@@ -26,10 +24,7 @@ def embed_rig(rig: RigDescription) -> dict[str, Any]:
     for table in _measured(document):
         path = rig.folder / str(table["file"])
         name = f"table-{len(files)}/{path.name}"
-        try:
-            files[name] = base64.b64encode(read_file(path)).decode()
-        except FormatError as error:
-            raise UserError(str(error)) from None
+        files[name] = base64.b64encode(read_file(path)).decode()
         table["file"] = name
     return {"text": tomlkit.dumps(document) if files else rig.text, "alignment": rig.alignment, "files": files}
 

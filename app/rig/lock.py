@@ -22,7 +22,7 @@ from pathlib import Path
 
 from filelock import FileLock, Timeout
 
-from goniotwin.app.errors import UserError, printable, room_on_disk
+from goniotwin.app.errors import UserError, printable, unusable
 from goniotwin.app.guardian.held import Taken, take_name
 from goniotwin.app.guardian.record import GUARDIAN
 from goniotwin.app.rig.addresses import device_names
@@ -235,8 +235,7 @@ def lock_journal(path: Path, purpose: str) -> JournalLock:
             raise UserError(f"{path}: there is no folder {folder}; create it first")
         return JournalLock(path, purpose)
     except OSError as error:
-        remedy = room_on_disk(error) or "check the folder"
-        raise UserError(f"{path}: its lock file cannot be made: {error.strerror}; {remedy}") from None
+        raise unusable(path, "its lock file cannot be made", error, "check the folder") from None
 
 
 def journal_holder(path: Path) -> str | None:

@@ -8,7 +8,7 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from goniotwin.app.errors import UserError
+from goniotwin.app.errors import UserError, unusable
 from goniotwin.app.rig.addresses import TWIN, InvalidAddress, device_names, resolve_port
 from goniotwin.app.rig.alignment import RigIdentity, alignment_notes, check_alignment, parse_alignment, read_alignment
 from goniotwin.app.rig.file import AXES, Controller, RigFile, arc_clearance, rig_file_table, tables_without_ports
@@ -203,7 +203,7 @@ def open_rig(description: RigDescription, clock: "Clock", transcript: Path | Non
     try:
         transcripts = Transcript(transcript, clock) if transcript is not None else None
     except OSError as error:
-        raise UserError(f"{transcript}: cannot hold transcripts: {error.strerror}; give another folder") from None
+        raise unusable(transcript or "", "cannot hold transcripts", error, "give another folder") from None
 
     virtual, name = None, None
     model = description.model()

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import tomlkit
 
-from goniotwin.app.errors import UserError
+from goniotwin.app.errors import UserError, unusable
 from goniotwin.app.rig.file import set_addresses
 from goniotwin.app.rig.opening import RigDescription
 from goniotwin.mocks.served import CONTROL, Endpoint, Wire
@@ -93,4 +93,4 @@ def write_served_rig(path: Path, text: str) -> None:
 
 
 def _unwritable(path: Path, error: OSError) -> UserError:
-    return UserError(f"{path}: cannot be written: {error.strerror}; choose another name")
+    return unusable(path, "cannot be written", error, "choose another name")

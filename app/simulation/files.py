@@ -15,9 +15,9 @@ import numpy as np
 import numpy.typing as npt
 
 from goniotwin.app.errors import UserError
-from goniotwin.app.formats import BsdfTable, FormatError, PointStream, registry
+from goniotwin.app.formats import BsdfTable, PointStream, registry
 from goniotwin.app.formats.content import BsdfFile, Part, RegularTable, ScatteredBsdf
-from goniotwin.app.formats.file import write_file
+from goniotwin.app.formats.file import check_writable, write_file
 from goniotwin.app.formats.registry import Format, Holds
 from goniotwin.app.formats.specular_grid import SpecularCut, specular_table
 from goniotwin.app.simulation.simulate import SigmaResult, Simulation, Task, check_task
@@ -39,16 +39,11 @@ SCATTERED_OMITTED = "the scattered part is omitted: a table or points (--out FIL
 
 
 def check_suffix(path: Path, kind: Holds, *others: str) -> None:
-    """Raise UserError for a file name whose suffix is neither of a format of this kind nor of `others`, or without a folder."""
+    """Raise UserError for a suffix that is neither of a format of this kind nor of `others`, and for what cannot be written."""
     suffixes = [*registry.suffixes(registry.writers(kind)), *others]
     if path.suffix.lower() not in suffixes:
         raise UserError(f"{path}: the format is unknown; give a name that ends with {registry.join_words(suffixes)}")
-    _check_folder(path)
-
-
-def _check_folder(path: Path) -> None:
-    if not path.parent.is_dir():
-        raise UserError(f"{path}: there is no folder {path.parent}; make it, or choose another name")
+    check_writable(path)
 
 
 def check_file_names(paths: list[Path], tables: list[Path], transmitted: bool, name: str | None = None) -> bool:
@@ -59,17 +54,15 @@ def check_file_names(paths: list[Path], tables: list[Path], transmitted: bool, n
     """
     found = {path: _format(path, name=name) for path in paths}
     if name is not None and name not in {form.name for form in found.values()}:
-        raise UserError(f"--format: no --out has a suffix of {name}: {registry.join_words(_named(name).suffixes)}")
+        raise UserError(
+            f"--format: no --out has a suffix of {name}: {registry.join_words(registry.format_named(name, KINDS).suffixes)}"
+        )
     reflecting = [each for each in found.values() if Holds.TRANSMITTED not in each.holds]
     transmitting = [each for each in found.values() if Holds.REFLECTED not in each.holds]
     written = [os.path.realpath(path) for path in paths]
     written += [os.path.realpath(beside) for path in paths for beside in registry.files_beside(path, found[path]).values()]
     for path in paths:
-        _check_folder(path)
-        try:
-            registry.check_files(path, found[path])
-        except FormatError as error:
-            raise UserError(str(error)) from None
+        registry.check_files(path, found[path])
     for real in written:
         if any(real == os.path.realpath(table) for table in tables):
             raise UserError(f"{real}: is a table of the sample; choose another name")
@@ -113,28 +106,15 @@ def task_of_files(task: Task, paths: list[Path], name: str | None = None) -> Tas
 
 def write_content(path: Path, kind: Holds, content: Any) -> None:
     """Write a file in the format of this kind and its suffix; see `registry.Codec`. Raises UserError."""
-    try:
-        registry.format_for(path, {kind}).write(path, content)
-    except FormatError as error:
-        raise UserError(str(error)) from None
+    registry.format_for(path, {kind}).write(path, content)
 
 
 def _format(path: Path, needs: Collection[Holds] = (), name: str | None = None) -> Format:
     """The format of a file: the one of this name if it has the suffix, else the first that has it."""
-    try:
-        if name is not None and path.suffix.lower() in (found := _named(name)).suffixes:
-            registry.check_holds(path, found, needs)
-            return found
-        return registry.format_for(path, KINDS, needs)
-    except FormatError as error:
-        raise UserError(str(error)) from None
-
-
-def _named(name: str) -> Format:
-    try:
-        return registry.format_named(name, KINDS)
-    except FormatError as error:
-        raise UserError(str(error)) from None
+    if name is not None and path.suffix.lower() in (found := registry.format_named(name, KINDS)).suffixes:
+        registry.check_holds(path, found, needs)
+        return found
+    return registry.format_for(path, KINDS, needs)
 
 
 def write_simulation(simulation: Simulation, path: Path, name: str | None = None) -> tuple[Path, ...]:
@@ -146,10 +126,7 @@ def write_simulation(simulation: Simulation, path: Path, name: str | None = None
     if Holds.COLUMNS in found.holds:
         write_content(path, Holds.POINTS, PointStream(_heading(simulation, every_detector=True), [_columns(simulation)]))
         return (path,)
-    try:
-        return registry.write(path, _content(simulation, found), found)
-    except FormatError as error:
-        raise UserError(str(error)) from None
+    return registry.write(path, _content(simulation, found), found)
 
 
 def _content(simulation: Simulation, found: Format) -> BsdfFile:
@@ -447,7 +424,4 @@ def write_figure(figure: "Figure", path: Path, dots_per_inch: int | None = None)
     """Write a figure as a PNG, completely or not at all; by default with the figure's own resolution. Raises UserError."""
     content = io.BytesIO()
     figure.savefig(content, format="png", dpi="figure" if dots_per_inch is None else dots_per_inch)
-    try:
-        write_file(path, content.getvalue())
-    except FormatError as error:
-        raise UserError(str(error)) from None
+    write_file(path, content.getvalue())

@@ -17,8 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from goniotwin.app.errors import UserError, room_on_disk
-from goniotwin.app.formats import FormatError
+from goniotwin.app.errors import UserError, unusable
 from goniotwin.app.formats.file import write_file
 from goniotwin.app.rig.lock import LockFile
 from goniotwin.app.sweeps.environment import Environment
@@ -70,10 +69,7 @@ class ChunkFiles:
 
     def write(self, computed: Computed) -> None:
         """Write a finished chunk: completely, or not at all. Raises UserError."""
-        try:
-            write_file(self.path(computed.chunk), pack(computed, self.specification.digest))
-        except FormatError as error:
-            raise UserError(str(error)) from None
+        write_file(self.path(computed.chunk), pack(computed, self.specification.digest))
 
     def read(self, chunk: int) -> Computed | None:
         """A finished chunk; None where there is none, and, with a note, for a file that is damaged or of another sweep."""
@@ -83,7 +79,7 @@ class ChunkFiles:
         except FileNotFoundError:
             return None
         except OSError as error:
-            raise UserError(f"{path}: cannot be read: {error.strerror}; check its permissions") from None
+            raise unusable(path, "cannot be read", error, "check its permissions") from None
         if content[-DIGITS:] != _digest(content[:-DIGITS]):
             self.note(f"{path}: is damaged; chunk {chunk} is computed again")
             return None
@@ -103,8 +99,6 @@ class ChunkFiles:
                 write_file(self.folder / ABOUT, json.dumps(self._about(), indent=1).encode())
             for each in self.folder.glob(".*.tmp"):
                 each.unlink(missing_ok=True)
-        except FormatError as error:
-            raise UserError(str(error)) from None
         except OSError as error:
             raise self._unusable(error) from None
 
@@ -142,8 +136,7 @@ class ChunkFiles:
             self.write(each)
 
     def _unusable(self, error: OSError) -> UserError:
-        remedy = room_on_disk(error) or f"choose another folder with {self.option}"
-        return UserError(f"{self.folder}: cannot be used: {error.strerror or error}; {remedy}")
+        return unusable(self.folder, "cannot be used", error, f"choose another folder with {self.option}")
 
 
 def pack(computed: Computed, digest: str) -> bytes:

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from goniotwin.app.campaign.reduction.points import COLUMNS, PLACE, BsdfPoints, join_points, order_by_light
-from goniotwin.app.errors import UserError, room_on_disk
+from goniotwin.app.errors import UserError, unusable
 from goniotwin.arrays import Floats, Indices, Ints
 
 ROW = np.dtype([("rank", "i8"), ("kind", "i4"), ("begin", "i8"), ("count", "i8"), ("place", "f8", len(PLACE))])
@@ -161,8 +161,8 @@ class PointFile:
         return content
 
     def _unwritable(self, error: OSError) -> UserError:
-        wrong = f"{self._folder}: a temporary file with the points cannot be written: {error.strerror}"
-        return UserError(f"{wrong}; {room_on_disk(error) or 'check the folder and its permissions'}")
+        what = "a temporary file with the points cannot be written"
+        return unusable(self._folder, what, error, "check the folder and its permissions")
 
 
 def _points_of(columns: dict[str, npt.NDArray[Any]], places: Floats, place: Indices) -> BsdfPoints:

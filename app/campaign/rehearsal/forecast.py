@@ -116,8 +116,8 @@ def forecast(
                 format_for(points, {Holds.COLUMNS}).write(points, stream)
             tallies = {name: each.tally for name, each in spreads.items()}
             unchecked = reduction.unchecked(tallies)
-    except FormatError as error:
-        raise UserError(str(error)) from None
+    except FormatError:
+        raise
     except UserError as error:
         trouble = str(error).removeprefix(f"{path}: ")
         if points is not None:

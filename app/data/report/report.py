@@ -27,7 +27,7 @@ from goniotwin.app.data.plotting import Kind, plot
 from goniotwin.app.data.values import Measured
 from goniotwin.app.errors import MissingPackage, UserError
 from goniotwin.app.formats.content import UNTRUSTED
-from goniotwin.app.formats.file import SQLITE, read_head, write_file
+from goniotwin.app.formats.file import SQLITE, check_writable, read_head, write_file
 from goniotwin.app.formats.metadata import Metadata
 from goniotwin.protocols.clock import calendar_stamp
 
@@ -63,6 +63,7 @@ class _Line:
 
 def write_report(journal: Path, out: Path, *, without_damaged: bool = False) -> dict[str, Any]:
     """Write the report of a journal; returns what it states, in short. Raises UserError, and FormatError for `out`."""
+    check_writable(out)
     html, result = report_html(journal, without_damaged=without_damaged)
     write_file(out, html.encode())
     return {"file": str(out), **result}

@@ -18,7 +18,7 @@ import numpy as np
 
 from goniotwin.app.desktop.model.worker import Worker, WorkerEnded
 from goniotwin.app.errors import UserError
-from goniotwin.app.formats.file import FormatError, write_file
+from goniotwin.app.formats.file import make_folder, write_file
 from goniotwin.app.simulation.tolerances.study import (
     LIGHTS,
     GaussianTable,
@@ -186,14 +186,9 @@ def _topics(study: StudyFile, levels: int) -> Iterable[tuple[str, str]]:
 
 def write_outcome(outcome: StudyOutcome, folder: Path) -> None:
     """Write the files of an outcome into a folder, which is created. Raises UserError."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for name, content in outcome.files.items():
-            write_file(folder / name, content)
-    except OSError as error:
-        raise UserError(f"{folder}: cannot be written: {error.strerror}; choose another folder") from None
-    except FormatError as error:
-        raise UserError(str(error)) from None
+    make_folder(folder)
+    for name, content in outcome.files.items():
+        write_file(folder / name, content)
 
 
 # The worker.

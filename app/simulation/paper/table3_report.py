@@ -13,7 +13,6 @@ from matplotlib.lines import Line2D
 from rich.console import Console
 from rich.table import Table
 
-from goniotwin.app.errors import UserError
 from goniotwin.app.simulation.files import write_figure
 from goniotwin.app.simulation.paper.explanation import (
     PAPER,
@@ -204,15 +203,11 @@ def _print_item(console: Console, text: str) -> None:
 
 
 def write_figures(result: Table3, folder: Path) -> dict[str, Path]:
-    """Write both figures into a folder, which is created; their paths, by name. Raises UserError."""
+    """Write both figures into a folder; their paths, by name. Raises UserError."""
     paths = {"figure12": folder / "figure12.png", "figure13": folder / "figure13.png"}
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with mpl.rc_context({"font.size": 10.0, "axes.spines.top": False, "axes.spines.right": False}):
-            _draw_gaussians(paths["figure12"])
-            _draw_comparison(result, paths["figure13"])
-    except OSError as error:
-        raise UserError(f"{folder}: cannot be written: {error.strerror}; choose another folder with --out") from None
+    with mpl.rc_context({"font.size": 10.0, "axes.spines.top": False, "axes.spines.right": False}):
+        _draw_gaussians(paths["figure12"])
+        _draw_comparison(result, paths["figure13"])
     return paths
 
 

@@ -1,7 +1,6 @@
 """Report of a tolerance study: the paper's table beside ours, assumptions, explanations; terminal, JSON and CSV."""
 
 import math
-import tempfile
 import textwrap
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,6 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from goniotwin.app.errors import UserError
 from goniotwin.app.formats import PointStream
 from goniotwin.app.formats.registry import Holds
 from goniotwin.app.simulation.files import write_content
@@ -573,19 +571,8 @@ def _or_nan(value: Any) -> float:
     return float(value) if math.isfinite(value) else math.nan
 
 
-def make_folder(folder: Path) -> None:
-    """Make a folder in which files can be written. Raises UserError."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryFile(dir=folder):
-            pass
-    except OSError as error:
-        raise UserError(f"{folder}: cannot be written: {error.strerror}; choose another folder with --out") from None
-
-
 def write_report(result: StudyResult, folder: Path, stem: str) -> dict[str, str]:
-    """Write figure and tables into a folder, which is created; their paths by name. Raises UserError."""
-    make_folder(folder)
+    """Write figure and tables into a folder; their paths by name. Raises UserError."""
     paths = {"figure": folder / f"{stem}.png"}
     write_figures(result, paths["figure"], quantity(result))
     heading = [
