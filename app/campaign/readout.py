@@ -162,11 +162,14 @@ class DarkLevel:
 def dark_level(counts: Counts) -> DarkLevel:
     """The level of a dark reading of counts (readings, photodiodes).
 
-    The variance of a photodiode is at least the mean of all, because few readings may agree by chance.
+    The variance of a photodiode is at least that of most, because few readings may agree by chance. Its own is without the count
+    that differs most, which may be one that contradicts.
     """
-    degrees = len(counts) - 1
-    variance: Floats = counts.var(axis=0, ddof=1) if degrees > 0 else np.zeros(counts.shape[1])
-    return DarkLevel(counts.mean(axis=0), np.maximum(np.maximum(variance, float(variance.mean())), LEAST_VARIANCE))
+    readings, mean = len(counts), counts.mean(axis=0)
+    squares = (counts - mean) ** 2
+    typical = _typical(squares.sum(axis=0) / (readings - 1), readings - 1) if readings > 1 else 0.0
+    own = squares.sum(axis=0) - squares.max(axis=0) * readings / max(readings - 1, 1)
+    return DarkLevel(mean, np.maximum(own / max(readings - 2, 1), max(typical, LEAST_VARIANCE)))
 
 
 def contradictions(
@@ -189,12 +192,15 @@ def contradictions(
         return np.zeros(counts.shape, dtype=bool)
     values = counts.astype(np.float64)
     difference = (values - values.mean(axis=0)) * readings / (readings - 1)  # from the mean of the others
-    signal, noise = _signal_and_noise(values, gain_v_per_a, dark, settings)
+    typical = _typical_counts(values)
+    signal, noise = _signal_and_noise(typical, gain_v_per_a, dark, settings)
     limit = CONTRADICTION_LIMIT * np.sqrt((noise + light_variance * signal**2) * readings / (readings - 1))
-    result: Flags = (np.abs(difference) > limit) & (np.abs(difference) == np.abs(difference).max(axis=0))
+    # Changes are from the typical count: the mean of a photodiode with a changed count is that of none of its readings.
+    changes = np.abs(values - typical)
+    result: Flags = (np.abs(difference) > limit) & (changes == changes.max(axis=0))
     for reading, photodiode in np.argwhere(result).tolist():
-        here, change = values[reading] - dark.mean, np.abs(difference[reading])
-        level = np.maximum(np.abs(here), np.abs(here - difference[reading]))  # with the light, if it was there once
+        change = changes[reading]
+        level = np.maximum(np.abs(values[reading] - dark.mean), signal)  # with the light, if it was there once
         expected = level * (change[photodiode] / level[photodiode])
         showing = expected > limit
         showing[photodiode] = False
@@ -205,10 +211,10 @@ def contradictions(
 
 
 def _signal_and_noise(
-    values: Floats, gain_v_per_a: float, dark: DarkLevel, settings: ConverterDescription
+    typical: Floats, gain_v_per_a: float, dark: DarkLevel, settings: ConverterDescription
 ) -> tuple[Floats, Floats]:
-    """The signal (photodiodes,) above the dark reading, in steps, and the variance of a reading without that of the light."""
-    signal: Floats = np.abs(_typical_counts(values) - dark.mean)
+    """The signal (photodiodes,) of typical counts, in steps, and the variance of a reading without that of the light."""
+    signal: Floats = np.abs(typical - dark.mean)
     ampere = settings.range.lsb_v / gain_v_per_a
     return signal, dark.variance + settings.shot_variance_a2(signal * ampere) / ampere**2
 
@@ -262,9 +268,9 @@ class ReadingComparison:
                     self._light_variance += (min(max(of_row, resolution), most) - self._light_variance) / self._lit_rows
 
     def _light_variance_of(self, reading: Reading, dark: DarkLevel) -> tuple[float, float, int]:
-        """The typical relative variance of the light in readings, that of all other noise, and the number of bright photodiodes."""
+        """The typical relative variance of the light, that of all other noise, and the number of bright photodiodes."""
         values = reading.counts.astype(np.float64)
-        signal, noise = _signal_and_noise(values, reading.gain_v_per_a, dark, self._settings)
+        signal, noise = _signal_and_noise(_typical_counts(values), reading.gain_v_per_a, dark, self._settings)
         bright = (signal >= BRIGHT * signal.max()) & (signal >= BRIGHT_SIGNAL * np.sqrt(noise))
         bright &= ~saturation(reading.counts, self._settings.range)  # these do not scatter
         if not bright.any():

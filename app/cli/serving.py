@@ -99,15 +99,19 @@ def usb(
 ) -> None:
     """Run a pyusb program with the USB devices of a virtual rig.
 
-    With the rig file of a served rig (`goniotwin serve --write-rig`) they are those of that rig. The program is not modified.
+    With the rig file of a served rig (`goniotwin serve --write-rig`) they are those of that rig, which no other program may use
+    meanwhile. The program is not modified.
     """
     from goniotwin.app.rig import read_rig
+    from goniotwin.app.rig.lock import RigLock
     from goniotwin.mocks import install_backend
 
     description = read_rig(rig)
     if not program.is_file():
         raise UserError(f"{program}: no such program; check the name")
     backend = _usb_backend(description)
+    served = [] if description.file.in_process else [description.file.monitor.usb]
+    lock = RigLock(served, f"goniotwin usb {program.name}")
     sys.argv = [str(program), *context.args]
     before = list(sys.path)
     sys.path.insert(0, str(program.resolve().parent))  # as Python itself does for a program
@@ -119,6 +123,7 @@ def usb(
         raise typer.Exit(1) from None
     finally:
         sys.path[:] = before
+        lock.release()
 
 
 def _usb_backend(rig: "RigDescription") -> "IBackend":

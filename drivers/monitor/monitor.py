@@ -258,6 +258,8 @@ class Monitor:
         if not self._found.changes:
             return
         self._wire.ready()
+        with contextlib.suppress(Refused):  # errors of a program that was killed, and are none of what follows
+            self._check_errors("read its error queue")
         present = {name: self._setting(name) for name in self._found.changes}
         for name, value in present.items():
             if (found := self._found.value_to_restore(name, value)) is not None and not self._ranges_itself(name):

@@ -16,6 +16,7 @@ from goniotwin.drivers import DeviceError, Monitor, Monochromator, PhotodiodeArr
 from goniotwin.drivers.found import FoundSettings
 from goniotwin.drivers.motion.stop import stop_all
 from goniotwin.drivers.motion.tmcl import TmclSettings
+from goniotwin.drivers.motion.tmcl.axis import KEPT
 from goniotwin.drivers.photodiodes.modbus import ModbusUnit
 from goniotwin.protocols.cornerstone import NO_ERROR, ErrorCode, WavelengthUnit
 from goniotwin.protocols.tmcl import Command, CommandFrame, ReplyFrame
@@ -326,6 +327,38 @@ def test_what_another_program_sets_after_a_kill_stays(bench: Bench) -> None:
     bench.change()
     assert bench.state() == after  # what it had set is as it had set it
     device.close()
+
+
+def test_errors_that_a_killed_program_has_left_in_the_monitor_do_not_fail_the_next_connection(opened: RigOpener) -> None:
+    MonitorSetUp.notes[0].text = ""
+    bench = MonitorSetUp(opened(NARROW))
+    before = bench.state()
+    killed = bench.driver()
+    killed.connect()
+    use(killed, bench)
+    for _ in range(3):
+        bench.ask(b"SENS:CURR:RANG 9E9")
+    assert not bench.ask(b"SYST:ERR?").startswith(b"+0,")
+    identified = bench.driver()
+    assert identified.identify()
+    assert bench.state() == before
+    assert bench.ask(b"SYST:ERR?").startswith(b"+0,")
+    identified.close()
+
+
+def test_of_an_axis_the_scales_of_its_counters_and_its_standby_current_stay_and_nothing_else(opened: RigOpener) -> None:
+    """docs/interoperability.md has the reasons."""
+    AxesSetUp.notes[0].text = ""
+    bench = AxesSetUp(opened(NARROW))
+    for parameter, value in ((AxisParameter.MICROSTEP_RESOLUTION, 4), (AxisParameter.STANDBY_CURRENT, 3)):
+        bench.exchange(Command.SAP, parameter, 4, value)
+    before = bench.state()
+    device = bench.driver()
+    device.connect()
+    device.close()
+    after = bench.state()
+    assert {name for name in before if after[name] != before[name]} == {"MICROSTEP_RESOLUTION", "STANDBY_CURRENT"}
+    assert {*KEPT} == {AxisParameter.MICROSTEP_RESOLUTION, AxisParameter.STANDBY_CURRENT, AxisParameter.ENCODER_RESOLUTION}
 
 
 # ---- the monitor's auto-range, and modules that a line has lost ----

@@ -123,6 +123,13 @@ def test_pipelined_and_split_requests_are_all_answered(tcp: ModbusEndpoints) -> 
     assert [int.from_bytes(answers[at : at + 2], "big") for at in range(0, len(answers), 11)] == list(range(1, 40))
 
 
+def test_a_frame_that_states_too_many_bytes_does_not_take_the_next_one_with_it(tcp: ModbusEndpoints) -> None:
+    with ModbusTcpClient("127.0.0.1", port=tcp.ports["adc-0"], timeout=2.0, retries=0) as client:
+        assert client.socket is not None
+        client.socket.sendall(struct.pack(">HHHB", 9, 0, 255, 1) + bytes(254))
+        assert client.read_holding_registers(adam.MODULE_NAME, count=2).registers == [0x6017, 0]
+
+
 def test_a_client_that_floods_and_does_not_read_does_not_block_other_clients(tcp: ModbusEndpoints) -> None:
     request = struct.pack(">HHHBBHH", 1, 0, 6, 1, 4, 0, 8)
     with socket.create_connection(("127.0.0.1", tcp.ports["adc-0"])) as lazy:

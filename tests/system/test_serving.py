@@ -14,10 +14,11 @@ import pytest
 import serial
 from pymodbus.client import ModbusTcpClient
 
-from goniotwin.app.rig import read_rig
+from goniotwin.app.rig import open_rig, read_rig
 from goniotwin.app.rig.served_file import served_rig, write_served_rig
 from goniotwin.mocks.control import OrderRefused
 from goniotwin.mocks.served import ServedRig
+from goniotwin.protocols.clock import RealClock
 from goniotwin.protocols.tmcl import Command, CommandFrame, ReplyFrame
 from goniotwin.protocols.tmcl_parameters import AxisParameter
 from tests.conftest import RIG
@@ -132,6 +133,23 @@ def goniotwin_in_process(*arguments: object) -> str:
     done = invoke(*arguments)
     assert done.returncode == 0, done.stderr
     return done.stdout
+
+
+@pytest.mark.endpoint
+def test_usb_names_the_program_that_uses_the_monitor_and_keeps_others_from_it(
+    served_file: tuple[Path, ServedRig], tmp_path: Path
+) -> None:
+    rig, _ = served_file
+    program = tmp_path / "ask.py"
+    program.write_text("import usbtmc\nprint(usbtmc.Instrument(0x1313, 0x8078).ask('*IDN?'))\n", encoding="utf-8")
+    with open_rig(read_rig(rig), RealClock()) as opened:
+        opened.connect()
+        done = invoke("usb", "--rig", rig, program)
+        assert (done.returncode, done.stdout) == (2, "")
+        message = " ".join(done.stderr.split())
+        assert f"is in use by process {os.getpid()} of " in message
+        assert "Traceback" not in message
+    assert goniotwin_in_process("usb", "--rig", rig, program) == "Thorlabs,PM100D,TWIN0001,2.8.0\n"
 
 
 @pytest.mark.endpoint

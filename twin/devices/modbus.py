@@ -40,16 +40,25 @@ class TcpStation:
         self.device = device
         self.outbox: deque[tuple[float, bytes]] = deque()
         self._buffer = b""
+        self._lost = False
         self.free = 0.0
 
     def receive(self, data: bytes, t: float) -> None:
-        """Bytes of which the last has arrived at `t`. What is not Modbus empties the buffer."""
+        """Bytes of which the last has arrived at `t`.
+
+        What begins with no header of Modbus, or with one of more bytes than a frame can have, is dropped until a request of
+        this module begins: its length says nothing of the next one.
+        """
         self._buffer += data
         while len(self._buffer) >= adam.MBAP + 1:
             transaction, protocol, length, unit = HEADER.unpack_from(self._buffer)
-            if protocol != 0 or not 2 <= length <= LONGEST_TCP - adam.MBAP + 1:
-                self._buffer = b""
-                return
+            legal = protocol == 0 and 2 <= length <= LONGEST_TCP - adam.MBAP + 1
+            if legal and self._lost:
+                legal = unit in self.device.units and self._buffer[adam.MBAP] in (*READS, *ECHOES)
+            self._lost = not legal
+            if self._lost:
+                self._buffer = self._buffer[1:]
+                continue
             frame = self._buffer[: 6 + length]
             if len(frame) < 6 + length:
                 return
@@ -68,7 +77,7 @@ class TcpStation:
     def reset(self, t: float) -> None:
         """The module loses its power for a moment, and with it incomplete requests and replies."""
         self.device.reset(t)
-        self._buffer = b""
+        self._buffer, self._lost = b"", False
 
 
 class RtuStation:

@@ -163,6 +163,27 @@ def test_rubbish_is_survived_and_the_next_frame_after_a_gap_is_heard(chunks: lis
     assert take_answers(station) == [NAME_ANSWER]
 
 
+TOO_LONG = [
+    pytest.param(bytes.fromhex(f"0009 0000 {length:04x} 01 03") + bytes(written), id=f"{length} stated, {written} there")
+    for length in (255, 256, 262, 0xFFFF)
+    for written in (0, 4, length - 2 if length < 1000 else 300)
+]
+
+
+@pytest.mark.parametrize("piece", [1, 7, 8, 1000])
+@pytest.mark.parametrize("frame", TOO_LONG)
+def test_a_tcp_frame_longer_than_any_does_not_take_the_next_ones_with_it(frame: bytes, piece: int) -> None:
+    """Modbus Messaging on TCP/IP has 260 bytes at most, of which the stated length counts all but six."""
+    station = TcpStation(Adam6017(PLANT, 0))
+    stream = frame + bytes.fromhex("0001 0000 0006 01 03 00D2 0002" + "0002 0000 0006 01 04 00D2 0001")
+    for start in range(0, len(stream), piece):
+        station.receive(stream[start : start + piece], 10.0)
+    assert take_answers(station) == [
+        bytes.fromhex("0001 0000 0007 01 03 04 6017 0000"),
+        bytes.fromhex("0002 0000 0005 01 04 02 6017"),
+    ]
+
+
 @given(st.binary(max_size=600))
 def test_a_tcp_station_takes_any_bytes_and_keeps_few(rubbish: bytes) -> None:
     station = TcpStation(Adam6017(PLANT, 0))

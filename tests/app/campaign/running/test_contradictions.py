@@ -149,7 +149,7 @@ def test_a_single_reading_contradicts_nothing_and_is_never_taken() -> None:
 
 
 @cache
-def plan_of(readings: int, light: str = "", dark_readings: int = 4) -> Plan:
+def plan_of(readings: int, light: str = "", dark_readings: int = 16) -> Plan:
     rig = changed(RIG.read_text(encoding="utf-8"), (("drift_per_hour = 0.02", f"drift_per_hour = 0.0\n{light}"),))
     number = (("dark_readings = 4", f"dark_readings = {dark_readings}"), ("\nreadings = 2", f"\nreadings = {readings}"))
     schedule = changed(SMALL, (*number, ("[550]", "[550, 600]"), ("[0, 1]", "[0, 1, 2]")))
@@ -168,12 +168,36 @@ def flipped(readings: int, seed: int, share: float, path: Path) -> tuple[RunResu
     return run, len(storm.met)
 
 
+WANDER = 2e-3
+"""Of the twin's lamp within minutes: rows that are taken again are read under another light."""
+
+
+def place_of(row: Row) -> str:
+    """Rows of one place have the same light; all dark readings are of one."""
+    return row.kind if row.kind == "dark" else row.identity
+
+
+def wrong_rows(run: RunResult, expected: RunResult) -> list[str]:
+    """Rows without the flag whose mean counts differ from those of many readings by more than five standard uncertainties."""
+    levels = {(place_of(each.row), found.gain_v_per_a): found.counts for each in expected.rows for found in each.data.readings}
+    wrong = []
+    for each in run.rows:
+        for found in each.data.readings if CONTRADICTION not in each.data.flags else ():
+            many = levels[place_of(each.row), found.gain_v_per_a]
+            mean, signal = many.mean(axis=0), np.abs(many.mean(axis=0) - ZERO)
+            variance = np.maximum(many.var(axis=0, ddof=1), 0.25) * (1.0 / len(found.counts) + 1.0 / len(many))
+            u = np.sqrt(variance + 2.0 * (WANDER * signal) ** 2)
+            if np.any(np.abs(found.counts.mean(axis=0) - mean) > 5.0 * u):
+                wrong.append(f"{each.row.identity} at {found.gain_v_per_a:g} V/A")
+    return wrong
+
+
 def flips_without_a_wrong_value(readings: int, flips: int, share: float, folder: Path) -> dict[str, float]:
     """Run campaigns until so many replies were changed; how many rows were taken again, and how many stayed flagged.
 
     The values are compared with those of 64 readings without a fault. What the rig is off by is the same in both.
     """
-    run_plan(plan_of(64, dark_readings=64), folder / "undisturbed.journal")
+    many = run_plan(plan_of(64, dark_readings=64), folder / "undisturbed.journal")
     expected = reduced(folder / "undisturbed.journal")
     found = dict.fromkeys(("flips", "rows", "again", "flagged", "worst"), 0.0)
     for seed in count():
@@ -182,6 +206,7 @@ def flips_without_a_wrong_value(readings: int, flips: int, share: float, folder:
         path = folder / f"{seed}.journal"
         run, met = flipped(readings, seed, share, path)
         assert run.state is State.DONE, (seed, run.faults)
+        assert wrong_rows(run, many) == [], seed
         points = reduced(path)
         good = points.good & expected.good
         worst = float(np.max(np.abs(points.bsdf - expected.bsdf)[good] / points.u_bsdf[good], initial=0.0))
@@ -201,7 +226,7 @@ def test_changed_counts_leave_no_wrong_value_without_a_flag(readings: int, tmp_p
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("share", [0.01, 0.05])
+@pytest.mark.parametrize("share", [0.005, 0.02])
 @pytest.mark.parametrize("readings", [1, 4])
 def test_a_thousand_changed_replies_leave_no_wrong_value_without_a_flag(readings: int, share: float, tmp_path: Path) -> None:
     found = flips_without_a_wrong_value(readings, 1000, share, tmp_path)
@@ -210,7 +235,7 @@ def test_a_thousand_changed_replies_leave_no_wrong_value_without_a_flag(readings
 
 
 def test_what_contradicts_is_an_event_with_the_count_and_the_row_has_the_counts_that_were_accepted(tmp_path: Path) -> None:
-    run, _ = flipped(4, 1, 0.02, tmp_path / "a.journal")
+    run, _ = flipped(4, 1, 0.004, tmp_path / "a.journal")
     texts = [text for kind, text in run.events if kind == CONTRADICTION]
     assert texts
     for text in texts:
@@ -220,8 +245,8 @@ def test_what_contradicts_is_an_event_with_the_count_and_the_row_has_the_counts_
 
 
 def test_readings_that_contradict_in_every_attempt_are_kept_and_flagged(tmp_path: Path) -> None:
-    """Rows of sixteen readings of five modules have 80 replies in each attempt, of which one in twenty-five is changed."""
-    run, _ = flipped(16, 3, 0.04, tmp_path / "a.journal")
+    """Rows of sixteen readings of five modules have 80 replies in each attempt, of which three in a hundred are changed."""
+    run, _ = flipped(16, 3, 0.03, tmp_path / "a.journal")
     flagged = [each for each in run.rows if CONTRADICTION in each.data.flags and each.row.kind == "measure"]
     assert flagged
     assert all(len(each.data.readings[0].counts) == 16 for each in flagged)
