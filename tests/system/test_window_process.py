@@ -23,7 +23,7 @@ from goniotwin.protocols.clock import RealClock
 from tests.app.campaign.campaign_bench import QUIET, planned_values
 from tests.conftest import REPOSITORY, RIG, Writer
 from tests.system.conftest import ForkedServe, control_client, until
-from tests.system.station_bench import Attached, kill_stations
+from tests.system.station_bench import Attached, kill_stations, runs
 
 pytestmark = [
     pytest.mark.skipif(sys.platform == "win32", reason="this system sends no signals to a process"),
@@ -39,6 +39,9 @@ MOST_LOST, MOST_BLOCKS, MOST_MB = 0.1, 400.0, 0.08
 schedule has 36 points in a cut, in the map and in the values to come; the prediction is made in the same time."""
 FATAL_PAINTS = 134
 """PySide6 6.12.0 on Python 3.11 aborted after so many repaints, at row 717 of this schedule at simulation speed 60."""
+KILLED_WINDOWS = 20
+FIRST_ROW_WITH_LIGHT = 4
+"""Rows before: mount, dark reading."""
 DIFFUSE = REPOSITORY / "examples" / "schedules" / "diffuse-spectral.toml"
 
 
@@ -223,6 +226,30 @@ def test_the_next_window_shows_the_run_that_a_killed_one_has_left(
     second.wait_for_rows(client.snapshot.done + 2)
     assert second.journal == first.journal == client.snapshot.journal
     client.client.close()
+
+
+@pytest.mark.long
+def test_killed_windows_leave_the_run_on_and_its_shutter_as_it_is(
+    start_window: Starter, forked_serve: ForkedServe, write_rig: Writer, write_schedule: Writer, tmp_path: Path
+) -> None:
+    """A guardian is its station's: no end of a window is one of it."""
+    rig = tmp_path / "served.toml"
+    control = control_client(forked_serve(write_rig(*QUIET), "--write-rig", rig))
+    wavelengths = ", ".join(map(str, range(400, 700, 2)))
+    schedule = write_schedule(("wavelength_nm = [550]", f"wavelength_nm = [{wavelengths}]"))
+    clock = RealClock()
+    for k in range(KILLED_WINDOWS):
+        window = start_window(rig, schedule)
+        window.wait_for_rows(FIRST_ROW_WITH_LIGHT if k == 0 else 1)
+        (station,) = known_stations().values()
+        assert control.do("state")["shutter_open"]
+        window.process.kill()
+        window.wait_for_exit()
+        killed = clock.now()
+        while clock.now() < killed + 0.5:
+            assert control.do("state")["shutter_open"]
+        assert runs(station.pid)
+    control.close()
 
 
 @pytest.mark.long

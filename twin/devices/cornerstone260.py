@@ -148,6 +148,7 @@ class Cornerstone260:
             self._state = waiting[0].before
         while self.outbox and self.outbox[-1][0] > t:
             self.outbox.pop()
+        self._echoed = min(self._echoed, t)  # an echo that was to come later does not come
         self._turns.clear()
         self._plant.wavelength_nm.stop(t)
         self._plant.wheel.set(t, float(self._plant.filter_position(t)))

@@ -14,6 +14,7 @@ from pytestqt.qtbot import QtBot
 
 from goniotwin.app.campaign.running.events import State
 from goniotwin.app.desktop import MainWindow, Theme
+from goniotwin.app.guardian.guard import record_folder
 from goniotwin.app.station.messages import BUSY
 from tests.app.desktop.local_stations import LocalStations
 from tests.conftest import RIG, Writer
@@ -29,6 +30,13 @@ def leave_no_widgets() -> Iterator[None]:
     """Collect widgets in reference cycles here, not in a thread of a later test: see `app.desktop.event_loop`."""
     yield
     gc.collect()
+
+
+@pytest.fixture(autouse=True)
+def _nothing_left() -> None:
+    """No window shows the order of a program that another test has killed."""
+    for each in record_folder().glob("*.json"):
+        each.unlink()
 
 
 @pytest.fixture

@@ -1,5 +1,6 @@
 """What must not be missed: the log of events, safety orders, questions; and no key ends a run by accident."""
 
+import os
 import sqlite3
 import threading
 from pathlib import Path
@@ -19,9 +20,12 @@ from goniotwin.app.desktop.events.panels import LogEntry
 from goniotwin.app.desktop.events.question import QuestionBox
 from goniotwin.app.desktop.run import panel
 from goniotwin.app.desktop.window import ACKNOWLEDGE, KEEP_OPEN, STOP_AND_CLOSE
+from goniotwin.app.guardian.guard import RigGuard
+from goniotwin.app.rig.left import left_unsafe
 from goniotwin.app.station.messages import BUSY
 from goniotwin.drivers import DeviceError, Rig, TmclAxis
 from goniotwin.drivers.errors import NoAnswer
+from goniotwin.drivers.guard import LastWill
 from goniotwin.drivers.monochromator import Monochromator
 from goniotwin.protocols.clock import RealClock
 from tests.app.desktop.conftest import READY_MS, ROWS, WindowOpener, click, ready, wait_for_end
@@ -145,6 +149,24 @@ def test_an_order_is_acknowledged_during_a_run(qtbot: QtBot, asking: MainWindow,
     assert asking.presenter.busy
     answer(asking, "Retry")
     wait_for_end(qtbot, asking, State.DONE)
+
+
+def test_a_window_shows_at_its_start_what_a_program_that_died_has_left_until_it_is_acknowledged(
+    qtbot: QtBot, open_window: WindowOpener
+) -> None:
+    """Of any rig of this computer; this one has no shutter open."""
+    guard = RigGuard("the other rig")
+    guard.device("left", "socket://127.0.0.1:1").arm(
+        LastWill("monochromator", 9600, b"", b"", b"", "C", "the shutter may be open", "Close the shutter by hand", "closed")
+    )
+    guard.close()
+    window = ready(qtbot, open_window())
+    (order,) = window.view.orders.orders
+    assert order.order == "Close the shutter by hand"
+    assert f"process {os.getpid()} (the other rig) ended without making sure" in order.reason
+    acknowledge(window)
+    qtbot.waitUntil(lambda: left_unsafe() == [], timeout=READY_MS)
+    assert window.view.orders.orders == []
 
 
 def test_an_order_without_a_run_is_in_the_window_only(

@@ -817,3 +817,36 @@ def test_an_event_of_a_later_version_is_none_and_a_wrong_one_is_an_error() -> No
     assert len(str(encode(long))) < 3000
     assert decode(encode(EventLogged("fault", "what"))) == EventLogged("fault", "what")
     assert decode(encode(SafetyOrder("a", "b"))) == SafetyOrder("a", "b")
+
+
+def test_a_shutter_that_is_found_open_is_an_order_until_it_is_closed(bench: StationBench) -> None:
+    """Opened by hand, or by another program: it is left as it is, because a person may work with it."""
+    bench.virtual.plant.shutter_open.set(bench.clock.now(), True)
+    bench.station.connect("monochromator")
+    (order,) = bench.work().orders
+    assert order.order == "Close the shutter by hand"
+    assert bench.virtual.plant.shutter_open.at(bench.clock.now())
+    bench.station.shutter(opened=False)
+    assert bench.work().orders == ()
+    assert bench.station.open_orders == []
+
+
+def test_a_shutter_that_the_bench_has_opened_is_no_order(bench: StationBench) -> None:
+    bench.station.shutter(opened=True)
+    bench.work()
+    bench.station.connect("monochromator")
+    assert bench.work().orders == ()
+    bench.station.shutter(opened=False)
+    bench.work()
+
+
+def test_a_run_closes_a_shutter_that_is_found_open(write_rig: Writer) -> None:
+    bench = StationBench(write_rig(*QUIET))
+    bench.virtual.plant.shutter_open.set(bench.clock.now(), True)
+    bench.station.report_connected()  # as of `goniotwin run`
+    assert bench.station.open_orders == []
+    assert not bench.virtual.plant.shutter_open.at(bench.clock.now())
+    assert [each.what for each in bench.events if isinstance(each, EventLogged)][-1].startswith(
+        "Shutter closed now: it is open"
+    )
+    bench.station.close_rig()

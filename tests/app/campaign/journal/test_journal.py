@@ -91,6 +91,17 @@ def test_a_journal_with_any_number_of_orders_lists_some(plan: Plan, tmp_path: Pa
         assert journal.open_orders() == [*(f"order {k}" for k in range(1, 21)), "and 2 more orders"]
 
 
+def test_the_events_of_a_guardian_are_taken_over_into_the_session_that_died(plan: Plan, tmp_path: Path) -> None:
+    """They are in a file beside the journal, one JSON object a line; what is none is ignored."""
+    path, beside = tmp_path / "a.journal", tmp_path / "a.journal.guardian"
+    with Journal.create(path, plan, {}) as journal:
+        journal.begin_session(0.0, plan.rig.text, {})
+    beside.write_text('{"at": "now", "text": "the shutter\\nis closed"}\n[1]\n{"at": "la', encoding="utf-8")
+    with Journal.reopen(path) as journal:
+        assert journal.event_texts("guardian") == ["the shutter is closed"]
+    assert not beside.exists()
+
+
 def test_a_journal_is_not_closed_in_the_middle_of_another_threads_event(plan: Plan, tmp_path: Path) -> None:
     """Stop records a safety order in its own thread while the run ends: Python's SQLite then ended in a segmentation fault."""
     journal = Journal.create(tmp_path / "a.journal", plan, {})
