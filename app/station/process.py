@@ -89,8 +89,8 @@ def _log(log: Log, message: Message) -> None:
             text = f"{kind}: {where}: {what} {consequence}"
         case SafetyOrder():
             text = f"SAFETY: {message.text}"
-        case DeviceChanged(device, status, reason):
-            text = f"{device}: {reason or status.text}"
+        case DeviceChanged(device, status):
+            text = f"{device}: {status.contact}: {status.text}"
         case ActivityChanged(activity, error) if activity or error:
             text = activity or f"failed: {error}"
         case OperatorChanged(client):

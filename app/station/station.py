@@ -994,6 +994,7 @@ class Station:
             self._note_fault(error)
             return
         self._answer_noted(self._opened.rig.controller(axis).name)
+        self._report_answers_now_and_then()
         others = {name: angle for name, angle in self.snapshot.encoders.items() if name != axis}
         self._publish(Positions({axis: counter}, others if encoder is None else {**others, axis: encoder}))
         self._report_references()

@@ -21,7 +21,6 @@ from goniotwin.app.campaign.running.events import (
     DeviceFailed,
     Event,
     EventLogged,
-    LightChanged,
     Listener,
     Positions,
     RowCommitted,
@@ -93,7 +92,7 @@ class Engine:
         scripts = not positions_every_s
         self._executor = RowExecutor(
             rig, operator, self._stop_request, self._on_poll, self._log_event, scripts=scripts,
-            on_light=lambda wavelength_nm, shutter_open: self._notify(LightChanged(wavelength_nm, shutter_open)),
+            on_light=self._notify,
         )  # fmt: skip
         self._recovery = Recovery(rig, self._stop_request, self._executor.wait)
         self._sleep_watch = sleep_watch or watch_for(rig.clock)
@@ -290,7 +289,7 @@ class Engine:
         if seconds:
             self._sleeps += 1
             self._dark_is_old = True
-            self._executor.forget_settings()
+            self._executor.forget_settings(light=True)
             text = f"this computer slept for {seconds / 60.0:.1f} min; the row in progress and the dark reading are taken again"
             self._log_event("sleep", text)
         return seconds > 0.0
@@ -337,7 +336,8 @@ class Engine:
                     raise
                 self._log_event("fault", f"{error} (at {what}: {POLICY_TEXT[policy]})", what, POLICY_TEXT[policy], str(error))
                 self._enter_unless_pausing(State.RECOVERING, str(error))
-                self._executor.forget_settings()
+                light = self._rig.monochromator
+                self._executor.forget_settings(light=error.device in (light.name, *light.parts))
                 answer = self._ask_operator(what, error, skippable=skippable) if policy == "ask" else None
                 if answer is Answer.STOP:
                     raise
@@ -386,6 +386,7 @@ class Engine:
                 self._stop_request.check()
                 self._log_event("fault", f"{error} (at {what})", what, "", str(error))
                 failure = f"{error}. Before: "
+                self._recovery.wait_for_rest()  # counter and encoder are asked for with the next question
                 continue
             return answer
 

@@ -19,6 +19,7 @@ from goniotwin.app.campaign.readout import (
     shows_light,
 )
 from goniotwin.app.campaign.row import CONTRADICTION, NO_SAMPLE, Reading, Row, RowData
+from goniotwin.app.campaign.running.events import LightChanged
 from goniotwin.app.campaign.running.operator import Operator
 from goniotwin.app.campaign.running.stop import StopRequest
 from goniotwin.app.rig import AXES
@@ -48,7 +49,7 @@ CLOSING_ATTEMPTS = 3
 class RowExecutor:
     """Executes rows on a rig. `on_poll` is called between polls, and less often where `scripts` are handed to the wires.
 
-    `on_light` gets wavelength and shutter when they change; None is unknown.
+    `on_light` gets wavelength and shutter when they change.
     """
 
     def __init__(
@@ -60,7 +61,7 @@ class RowExecutor:
         log_event: LogEvent,
         *,
         scripts: bool = False,
-        on_light: Callable[[float | None, bool | None], object] = lambda *_: None,
+        on_light: Callable[[LightChanged], object] = lambda _: None,
     ) -> None:
         self._rig = rig
         self._clock = rig.clock
@@ -70,21 +71,27 @@ class RowExecutor:
         self._log_event = log_event
         self._scripts = scripts
         self._comparison = ReadingComparison(rig.photodiodes.settings)
-        self._on_light: Callable[[float | None, bool | None], object] = lambda *_: None
+        self._on_light = on_light
+        self._light = LightChanged(None, None)
         self._encoder_warnings: set[str] = set()
         self.forget_settings()
-        self._on_light = on_light
 
-    def forget_settings(self) -> None:
-        """Forget the commanded settings, because the devices may have lost them: the next row sends all of them again."""
+    def forget_settings(self, *, light: bool = False) -> None:
+        """Forget the commanded settings, because the devices may have lost them: the next row sends all of them again.
+
+        With `light` wavelength and shutter are unknown from then on.
+        """
         self._commanded: dict[str, float] = {}
         self._filter: int | None = None
         self._gain: int | None = None
-        self._set_light(None, None)
+        self._wavelength_nm: float | None = None
+        self._shutter_open: bool | None = None
+        if light:
+            self._show_light(wavelength_nm=None, shutter_open=None)
 
-    def _set_light(self, wavelength_nm: float | None, shutter_open: bool | None) -> None:
-        self._wavelength_nm, self._shutter_open = wavelength_nm, shutter_open
-        self._on_light(wavelength_nm, shutter_open)
+    def _show_light(self, **changes: float | bool | None) -> None:
+        self._light = LightChanged(**{**vars(self._light), **changes})
+        self._on_light(self._light)
 
     @property
     def gain(self) -> int | None:
@@ -123,12 +130,14 @@ class RowExecutor:
         """Open or close the shutter, unless it is in this state already."""
 
         def start() -> Pending:
-            self._set_light(self._wavelength_nm, None)  # until it is confirmed: a stop may come in between
+            self._shutter_open = None  # until it is confirmed: a stop may come in between
+            self._show_light(shutter_open=None)
             return self._rig.monochromator.start_shutter(opened=opened)
 
         if self._shutter_open is not opened:
             self.wait(self._stop_request.start(start))
-            self._set_light(self._wavelength_nm, opened)
+            self._shutter_open = opened
+            self._show_light(shutter_open=opened)
 
     def close_shutter_after_stop(self) -> bool:
         """Close the shutter, although the run was stopped, unless it is known to be closed; return whether it had to be.
@@ -156,7 +165,8 @@ class RowExecutor:
                     attempt, steps, deadline = 0, self._stop_request.steps, self._clock.now() + CLOSING_S
                 elif attempt == CLOSING_ATTEMPTS or self._clock.now() > deadline:
                     raise
-        self._set_light(self._wavelength_nm, False)
+        self._shutter_open = False
+        self._show_light(shutter_open=False)
         return True
 
     @property
@@ -220,11 +230,12 @@ class RowExecutor:
             if order_filter is not None and order_filter.position != self._filter:
                 moves.append(self._stop_request.start(partial(monochromator.start_filter, order_filter.position)))
                 self._filter = order_filter.position
-            self._set_light(None, self._shutter_open)
             moves.append(self._stop_request.start(lambda: monochromator.start_wavelength(wavelength)))
+            self._wavelength_nm = wavelength
+            self._show_light(wavelength_nm=None)
         self.wait(*moves)
-        if wavelength is not None and wavelength != self._wavelength_nm:
-            self._set_light(wavelength, self._shutter_open)
+        if wavelength is not None and wavelength != self._light.wavelength_nm:
+            self._show_light(wavelength_nm=wavelength)
         self.set_shutter(opened=True)
         if moved:
             self.wait(AxisSettling(self._clock, moved, self._clock.now() + settling))

@@ -89,6 +89,7 @@ class QuestionBox(QDialog):
     def appear(self) -> None:
         """Show the question, and draw the attention to it."""
         self.show()
+        self._fit()
         self.raise_()
         self.activateWindow()
         QApplication.alert(self)
@@ -111,7 +112,14 @@ class QuestionBox(QDialog):
         if text != line.text() or line.isHidden() == bool(text):
             line.setText(text)
             line.setVisible(bool(text))
-            self.adjustSize()
+            self._fit()
+
+    def _fit(self) -> None:
+        """Make room for all lines: a layout gives a window no more height when texts that wrap come later."""
+        layout = self.layout()
+        if layout is not None and self.isVisible():
+            layout.activate()
+            self.resize(self.width(), max(layout.totalHeightForWidth(self.width()), layout.totalMinimumSize().height()))
 
     def set_refusal(self, reason: str) -> None:
         """Disable the answers, for this reason, but for those that stop; enabled again, the question draws the attention."""

@@ -155,6 +155,8 @@ def _limits(facts: Facts) -> Check:
             outside.append(f"{axis} is at {here:.2f}°, outside {low:g} to {high:g}°".replace("-", "−"))
     if outside:
         return Check(name, Outcome.BAD, "; ".join(outside), "move it back within its soft limits, or correct its position")
+    if doubtful := [axis for axis in known if axis in facts.unreferenced]:
+        return Check(name, Outcome.UNKNOWN, f"unknown where an axis is unreferenced: {', '.join(doubtful)}")
     return Check(name, Outcome.GOOD, "all axes are within their soft limits")
 
 

@@ -11,11 +11,21 @@ from goniotwin.app.campaign.reduction.reduction import reduce_journal
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.rig import read_rig
 from tests.app.campaign.campaign_bench import run_plan
-from tests.conftest import SMALL
+from tests.conftest import SMALL, Change
 
 ASK = SMALL.replace("beta_deg = [180]", "beta_deg = [150, 180]") + '\n[faults]\naxis = "ask"\n'
 AXIS, JAMMED_DEG, COUNTED_DEG = "beta", 180.0, 150.0
 """Jammed while the sample is mounted, the arc stays where it is, and its counter goes on to that of the third row."""
+
+
+HOMES: tuple[Change, ...] = (
+    (
+        "[axes.shift] ",
+        "[axes.beta.homing]\nmode = 8\nspeed_deg_s = 20.0\nswitch_speed_deg_s = 2.0\nangle_deg = -4.0\n\n[axes.shift] ",
+    ),
+    ("beta = { motor = 5, gear = 18.0 }", "beta = { motor = 5, gear = 18.0, home_deg = -5.0 }"),
+)
+"""The arc has a home switch, 2 deg wide, and a [homing] table with its middle."""
 
 
 def points_of(journal: Path) -> BsdfPoints:

@@ -33,7 +33,8 @@ from goniotwin.app.desktop.menu import about_text
 from goniotwin.app.desktop.model.axes import GREEK
 from goniotwin.app.desktop.model.campaigns import list_campaigns
 from goniotwin.app.desktop.remembered import MOST_RECENT, Remembered
-from goniotwin.app.desktop.rig.panels import DEVICES
+from goniotwin.app.desktop.rig.panels import DEVICES, contact_text
+from goniotwin.app.desktop.rig.strip import lamp_text
 from goniotwin.app.desktop.run.axes import PIXELS_OF_VALUE, LogAxis, log_ticks
 from goniotwin.app.desktop.run.panel import PAUSE, RESUME
 from goniotwin.app.desktop.screen import Screen
@@ -42,7 +43,8 @@ from goniotwin.app.desktop.theme import Colours
 from goniotwin.app.desktop.tolerances.screen import FOLDER, TolerancesScreen
 from goniotwin.app.rig import AXES, read_rig
 from goniotwin.app.rig.kinds import ROLES
-from goniotwin.app.station.messages import Contact, DeviceStatus
+from goniotwin.app.station.messages import BenchChanged, Contact, DeviceStatus, LampRead
+from goniotwin.protocols.clock import calendar_stamp
 from tests.app.desktop.conftest import READY_MS, WindowOpener, end_window, ready
 from tests.app.desktop.made_study import made_outcome
 from tests.app.desktop.screen_faults import SCREEN, controls, faults
@@ -425,6 +427,51 @@ def test_a_device_that_does_not_respond_is_marked_at_the_navigation_and_in_the_s
     assert "✗ 1" in frame.view.navigation.buttons[0].text()
     (stated,) = [each.accessibleName() for each in frame.view.strip.findChildren(QLabel) if "Devices" in each.accessibleName()]
     assert "monitor disconnected" in stated
+
+
+@pytest.mark.parametrize("percent", [100, 150, 200])
+def test_the_strip_has_devices_light_and_axes_on_every_screen(qtbot: QtBot, frame: MainWindow, percent: int) -> None:
+    """The shutter always, wavelength and lamp where there is room; with an axis whose encoder contradicts."""
+    frame.resize(*(side * 100 // percent for side in SCREEN))
+    strip = frame.view.strip
+    frame.view.devices.set_devices({each: status_of(each) for each in DEVICES})
+    strip.set_light(BenchChanged(1234.5, True), LampRead(4.12e-7, True, calendar_stamp()))
+    frame.view.axes.set_positions(dict.fromkeys(GREEK, 180.0), {"beta": 150.0})
+    shown(qtbot, frame)
+    assert ("1234.5&nbsp;nm" in strip._light.text()) == (percent < 200)
+    assert "<b>open</b>" in strip._light.text()
+    assert ("lamp&nbsp;412&nbsp;nA" in strip._light.text()) == (percent < 200)
+    assert "shutter open, 1234.5 nm, lamp 412 nA" in strip._light.accessibleName()
+    assert strip._axes["beta"].text() == "β ✗ 180.00° | 150.00°"
+    assert [fault for fault in faults(frame, percent) if "180.00" in fault or "nm" in fault] == []
+
+
+@pytest.mark.parametrize(
+    ("lamp", "text"),
+    [
+        (None, "unknown"),
+        (LampRead(4.12e-7, True, "2026-11-23T01:00:00+00:00"), "412 nA"),
+        (LampRead(9.9996e-7, True, "2026-11-23T01:00:00+00:00"), "1 µA"),
+        (LampRead(2.0e-13, False, "2026-11-23T01:00:00+00:00"), "no light"),
+        (LampRead(4.12e-7, True, "2026-11-23T00:57:55+00:00"), "412 nA 2 min 05 s ago"),
+    ],
+)
+def test_the_lamp_is_the_last_reading_with_its_age(lamp: LampRead | None, text: str) -> None:
+    assert lamp_text(lamp, "2026-11-23T01:00:00+00:00") == text
+
+
+@pytest.mark.parametrize(
+    ("status", "text"),
+    [
+        (None, ("–", "not connected")),
+        (DeviceStatus(Contact.CONNECTED, "PM100D"), ("✓", "connected")),
+        (DeviceStatus(Contact.SILENT, "PM100D", "2026-11-23T00:59:46+00:00", "no reply"), ("✗", "silent since 14 s")),
+        (DeviceStatus(Contact.DISCONNECTED, error="no reply"), ("✗", "disconnected")),
+    ],
+)
+def test_a_device_has_one_state(status: DeviceStatus | None, text: tuple[str, str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("goniotwin.app.desktop.rig.panels.calendar_stamp", lambda: "2026-11-23T01:00:00+00:00")
+    assert contact_text(status) == text
 
 
 def test_the_panels_have_the_axes_and_devices_of_a_rig() -> None:

@@ -9,20 +9,11 @@ from goniotwin.app.desktop.bench.position_entry import PositionEntry
 from goniotwin.app.desktop.events.question import QuestionBox
 from goniotwin.app.rig import OpenRig
 from tests.app.campaign.campaign_bench import QUIET
-from tests.app.campaign.jam import ASK, AXIS, COUNTED_DEG, JAMMED_DEG, check_undisturbed
+from tests.app.campaign.jam import ASK, AXIS, COUNTED_DEG, HOMES, JAMMED_DEG, check_undisturbed
 from tests.app.desktop.conftest import READY_MS, WindowOpener, click, ready, wait_for_end
 from tests.app.desktop.local_stations import LocalStations
 from tests.app.desktop.test_events import answer, start_with_person, wait_for_question
 from tests.conftest import Writer
-
-HOMES = (
-    (
-        "[axes.shift] ",
-        "[axes.beta.homing]\nmode = 8\nspeed_deg_s = 20.0\nswitch_speed_deg_s = 2.0\nangle_deg = -4.0\n\n[axes.shift] ",
-    ),
-    ("beta = { motor = 5, gear = 18.0 }", "beta = { motor = 5, gear = 18.0, home_deg = -5.0 }"),
-)
-"""The arc has a home switch, 2 deg wide, and a [homing] table with its middle."""
 
 
 def rig_of(window: MainWindow) -> OpenRig:

@@ -51,6 +51,7 @@ def test_nothing_is_known_and_nothing_is_called_good() -> None:
         ("Homed", {"unreferenced": {"sigma": "it has reset"}, "homes": ("sigma",)}, "bad", "is unreferenced", "home sigma"),
         ("Homed", {"unreferenced": {"sigma": "it has reset"}}, "bad", "it has reset", "set the position of sigma"),
         ("Homed", {"silent_axes": ("sigma",)}, "unknown", "not responding: sigma", "cable"),
+        ("Limits", {"unreferenced": {"sigma": "it has reset"}}, "unknown", "unreferenced: sigma", ""),
         ("Limits", {"silent_axes": ("sigma",)}, "unknown", "not responding: sigma", "cable"),
         ("Limits", {"positions_deg": {"sigma": -3.0}}, "bad", "sigma is at −3.00°, outside 0 to 180°", "soft limits"),
         ("Limits", {"positions_deg": {"sigma": 180.01}}, "good", "within", ""),
