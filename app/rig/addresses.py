@@ -41,6 +41,7 @@ _SERIAL = "|".join(
         rf"(?i:{HWGREP})(?!(?:.*\*){{4}})[A-Za-z0-9_ .:=/@*-]{{1,100}}",
     )
 )
+_NETWORK_PORT = re.compile(r"(?i:socket|rfc2217)://")
 _TWIN = rf"{TWIN}[^/?#\x00-\x1f]+/[^/?#\x00-\x1f]+"
 _SERIAL_PORT = re.compile(f"{_TWIN}|{_SERIAL}")
 _KNOWN = re.compile(
@@ -72,6 +73,11 @@ def check_serial_port(address: str) -> None:
     if not _SERIAL_PORT.fullmatch(address):
         wrong = f"{address!r} is not a serial port: neither the path of a device, COMn, socket://HOST:PORT"
         raise UserError(f"{wrong}, rfc2217://HOST:PORT nor hwgrep://TEXT; correct it in the rig file")
+
+
+def is_network_port(address: str) -> bool:
+    """Whether a serial port is that of a serial server on the network."""
+    return _NETWORK_PORT.match(address) is not None
 
 
 def resolve_port(address: str) -> str:
@@ -115,7 +121,7 @@ def device_names(address: str) -> frozenset[str]:
     `RigLock` compares these. Raises UserError as `resolve_port` does.
     """
     plain = resolve_port(address).removeprefix(RTU).partition("?")[0]
-    if match := re.match(r"(?i)(socket|rfc2217)://", plain):
+    if match := _NETWORK_PORT.match(plain):
         return _tcp_names(plain[match.end() :].partition("/")[0], "")
     if plain.startswith(USBIP):
         from goniotwin.protocols import usbip

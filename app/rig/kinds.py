@@ -6,7 +6,7 @@ kind; they are loaded when a rig file has that kind, so that one that cannot be 
 """
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from importlib.metadata import EntryPoint, entry_points
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol
@@ -14,14 +14,16 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol
 from annotated_types import MinLen
 
 from goniotwin.app.errors import UserError
+from goniotwin.app.rig.addresses import is_network_port
 from goniotwin.drivers.monitor.settings import MonitorDescription, MonitorSettings
 from goniotwin.drivers.monochromator.settings import MonochromatorDescription, MonochromatorSettings
 from goniotwin.drivers.motion.settings import AxisSettings
-from goniotwin.drivers.motion.tmcl import TmclSettings, axis_timing, exchange_seconds
+from goniotwin.drivers.motion.tmcl import TmclSettings, axis_timing, default_reply_timeout_s, exchange_seconds
 from goniotwin.drivers.motion.tmcl import explain as explain_tmcl
 from goniotwin.drivers.photodiodes.description import ConverterDescription
 from goniotwin.drivers.photodiodes.settings import PhotodiodeSettings
 from goniotwin.drivers.tap import Explain, as_text
+from goniotwin.keys import values_of
 from goniotwin.protocols import adam
 from goniotwin.twin.devices import FurtherTmclLine
 
@@ -38,6 +40,8 @@ Role = Literal["axes", "monochromator", "photodiodes", "monitor"]
 ROLES: tuple[Role, ...] = ("axes", "monochromator", "photodiodes", "monitor")
 """The devices of a rig, in the order in which they are listed. `axes` has one controller or several."""
 SWITCHES_BEYOND_DEG = 1.0
+NETWORK_REPLY_TIMEOUT_S = 0.25
+"""Longest wait for a reply of axes behind a serial server: it and the network are late more often than a cable."""
 
 
 Probe = tuple[str, Callable[["PortOpener", "Clock"], str]]
@@ -259,7 +263,11 @@ def _open_tmcl(wires: "Wires", name: str, table: Any, axes: Mapping[str, AxisSet
 
     tap = wires.tap(name, explain_tmcl)
     opener, found = wires.serial(table.port), wires.found(table.port)
-    return TmclController(name, opener, wires.clock, table, axes, tap, wires.session, found)
+    settings = TmclSettings(**values_of(table, TmclSettings))
+    if settings.reply_timeout_s is None and is_network_port(table.port):
+        longest_s = max(NETWORK_REPLY_TIMEOUT_S, default_reply_timeout_s(settings.baudrate))
+        settings = replace(settings, reply_timeout_s=longest_s)
+    return TmclController(name, opener, wires.clock, settings, axes, tap, wires.session, found, wires.speed)
 
 
 def _check_motors(axes: Mapping[str, AxisSettings]) -> None:

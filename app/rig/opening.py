@@ -29,8 +29,8 @@ ARC_KEYS = ("upper_deg", "lower_deg")
 """Keys of [photodiodes] that are angles on the arc."""
 AXIS_KEYS = ("gear", "sense", "zero_offset_deg")
 """Keys of an axis that decide where it is, whatever its kind."""
-WITHOUT_ANGLES = ("shadow_margin_deg",)
-"""Keys of [geometry] that change no angle."""
+WITHOUT_ANGLES = ("shadow_margin_deg", "reply_timeout_s")
+"""Keys of [geometry] and [axes] that change no angle."""
 
 
 @dataclass(frozen=True)
@@ -65,6 +65,9 @@ class RigDescription:
         content.pop("alignment", None)
         name = content.pop("name")
         photodiodes, axes = content["photodiodes"], content["axes"]
+        for table in (axes, *(axes[name] for name in AXES)):
+            for key in WITHOUT_ANGLES:
+                table.pop(key, None)
         geometry = {
             **{key: value for key, value in content.pop("geometry").items() if key not in WITHOUT_ANGLES},
             **{key: photodiodes.pop(key, None) for key in ARC_KEYS},
@@ -220,7 +223,8 @@ def open_rig(description: RigDescription, clock: "Clock", transcript: Path | Non
 
     guard = RigGuard(file.name)
     try:
-        rig = _rig(description, Wires(clock, virtual, transcripts, in_this_process, guard))
+        speed = 1.0 if file.in_process else file.speed
+        rig = _rig(description, Wires(clock, virtual, transcripts, in_this_process, guard, speed))
     except UserError:
         if name is not None:
             unregister(name)

@@ -83,6 +83,8 @@ class Wires:
     `session` is a number by which a controller's driver knows its own settings from those of another program. On the virtual
     rig it is always the same, as all bytes are.
 
+    `speed` is the time of the rig's clock in a second of real time, in which the programs at both ends of a wire can be late.
+
     `in_this_process` gives the address in this process of one in the file: another virtual rig may have the same name.
     `guard` keeps last wills of devices outside this process.
     """
@@ -94,8 +96,9 @@ class Wires:
         transcripts: Transcript | None,
         in_this_process: Callable[[str], str] = str,
         guard: RigGuard | None = None,
+        speed: float = 1.0,
     ) -> None:
-        self.clock = clock
+        self.clock, self.speed = clock, speed
         self._guard = guard
         self.session = CANARY if virtual is not None else secrets.randbelow(2**31 - 1) + 1
         self._virtual = virtual

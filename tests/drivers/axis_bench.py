@@ -27,6 +27,7 @@ class AxisBench:
         clock: Clock | None = None,
         wire: Callable[[SerialDevice], SerialDevice] = lambda device: device,
         heartbeat_s: float = 2.0,
+        reply_timeout_s: float | None = None,
     ) -> None:
         self.clock = clock if clock is not None else VirtualClock()
         motors = dict(zip(NAMES[:axes], (4, 5, 3, 0), strict=False))
@@ -37,7 +38,7 @@ class AxisBench:
         self.line = TmclLine(self.plant)
         self.device = wire(self.line)
         self.ports: list[Serial] = []
-        self.module = TmclModule(self.open_port, self.clock, heartbeat_s=heartbeat_s)
+        self.module = TmclModule(self.open_port, self.clock, heartbeat_s=heartbeat_s, reply_timeout_s=reply_timeout_s)
         axis_settings = replace(SIGMA, **(settings or {}))
         self.axes = {
             name: TmclAxis(name, self.module, replace(axis_settings, motor=motor), self.clock) for name, motor in motors.items()

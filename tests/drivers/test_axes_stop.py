@@ -2,12 +2,14 @@
 
 import contextlib
 import threading
+from collections.abc import Callable
 from typing import Any
 
 import pytest
 
 from goniotwin.drivers import DeviceError, TmclAxis, wait
 from goniotwin.drivers.motion import StopPhase, StopSteps, stop_all
+from goniotwin.drivers.motion.tmcl.controller import LONGEST_REPLY_TIMEOUT_S
 from goniotwin.mocks.faults import Fault, ScriptedFaults
 from goniotwin.mocks.faulty_line import FaultyLine
 from goniotwin.protocols.clock import Clock, RealClock, VirtualClock
@@ -26,8 +28,10 @@ class StopRecorder:
         self.baudrate, self.outbox = device.baudrate, device.outbox
         self.deaf = False
         self.stops: list[tuple[float, int]] = []
+        self.note_request: Callable[[], object] = int
 
     def receive(self, data: bytes, t: float) -> None:
+        self.note_request()
         if data[1] == Command.MST:
             self.stops.append((t, data[3]))
         if not self.deaf:
@@ -40,8 +44,8 @@ class StopRecorder:
 class StopBench(AxisBench):
     """Four axes on a wire that records the times of stop frames."""
 
-    def __init__(self, clock: Clock | None = None) -> None:
-        super().__init__(axes=4, clock=clock, wire=self._insert_recorder)
+    def __init__(self, clock: Clock | None = None, reply_timeout_s: float | None = None) -> None:
+        super().__init__(axes=4, clock=clock, wire=self._insert_recorder, reply_timeout_s=reply_timeout_s)
         self.connect()
 
     def _insert_recorder(self, device: SerialDevice) -> SerialDevice:
@@ -91,6 +95,32 @@ def test_a_stop_in_the_middle_of_an_exchange_is_sent_in_time(deaf: bool, where: 
         # The interrupted read was repeated, and has its own reply.
         assert isinstance(outcome, float)
         assert 4.0 < outcome < 12.0
+
+
+@pytest.mark.parametrize("reply_timeout_s", [0.25, LONGEST_REPLY_TIMEOUT_S])
+@pytest.mark.parametrize("where", range(10))
+def test_a_stop_does_not_wait_for_the_timeout_of_a_reply(where: int, reply_timeout_s: float) -> None:
+    """At a network port, or where the rig file gives a longer one; at any time of an exchange without reply."""
+    bench = StopBench(reply_timeout_s=reply_timeout_s)
+    start_all(bench)
+    bench.clock.sleep_until(bench.clock.now() + 1.0)
+    bench.recorder.deaf = True
+    now = bench.clock.now()
+    requested = now + (0.1 * where + 0.001) * reply_timeout_s
+    bench.clock.at(requested, bench.stop)
+    with pytest.raises(DeviceError):
+        bench.axis.read_errors()  # which is sent once
+    bench.clock.sleep_until(now + 10.0)
+    assert {motor for _, motor in bench.recorder.stops[:4]} == {0, 3, 4, 5}
+    assert bench.recorder.stops[3][0] - requested < MOST_S
+
+
+def test_a_reply_is_waited_for_as_long_as_the_rig_file_states() -> None:
+    for timeout_s in (0.06, 0.25):
+        bench = StopBench(reply_timeout_s=timeout_s)
+        bench.recorder.deaf = True
+        with pytest.raises(DeviceError, match=f"0 of 9 bytes within {timeout_s:.3f} s"):
+            bench.axis.read_errors()
 
 
 @pytest.mark.parametrize("where", range(30))
@@ -186,6 +216,30 @@ def test_a_stop_from_another_thread_goes_first(deaf: bool) -> None:
         ending.set()
         worker.join()
     assert any(isinstance(each, float) for each in outcomes)
+
+
+def test_a_stop_from_another_thread_does_not_wait_for_a_reply_at_a_network_port() -> None:
+    """The engine's thread waits 0.25 s for a reply that does not come; real time."""
+    clock = RealClock()
+    bench = StopBench(clock, 0.25)
+    start_all(bench)
+    bench.recorder.deaf = True
+    waiting, outcomes = threading.Event(), list[DeviceError]()
+    bench.recorder.note_request = waiting.set
+
+    def read() -> None:
+        with pytest.raises(DeviceError) as failure:
+            bench.axis.read_errors()
+        outcomes.append(failure.value)
+
+    worker = threading.Thread(target=read)
+    worker.start()
+    assert waiting.wait(20.0)
+    requested = clock.now()
+    bench.stop()
+    worker.join()
+    assert len(outcomes) == 1
+    assert bench.recorder.stops[3][0] - requested < MOST_S
 
 
 def test_simultaneous_stops_all_succeed() -> None:

@@ -55,6 +55,7 @@ from tests import used
 from tests.app.campaign.reduction.long_journal import write_long_journal
 from tests.conftest import REPOSITORY, RIG, SMALL, RigOpener, Writer, changed
 from tests.drivers.endless_wires import QUICK, WIRES, EndlessServer, FloodedPort, check_calls, check_flood, check_stops
+from tests.system.busy_computer import busy_processes
 from tests.system.command import invoke
 from tests.system.command_process import FORKED, CommandProcess, row_digest
 from tests.system.conftest import Serve
@@ -97,24 +98,6 @@ def test_a_rig_connects_on_a_busy_computer(seed: int) -> None:
         serial = opened.virtual.serial
         serial["axes"] = FaultyLine(serial["axes"], FaultPlan(seed, (Fault.LATE,), share=0.2), late_s=0.3)
         assert [str(error) for error in opened.rig.connect().values() if error is not None] == []
-
-
-BUSY = """
-import os, sys, threading
-threading.Thread(target=lambda: os._exit(len(sys.stdin.read())), daemon=True).start()
-while True:
-    pass
-"""
-"""Uses all the time that it gets, until its input ends, as it does when the tests are killed."""
-
-
-@contextlib.contextmanager
-def busy_processes(count: int) -> Iterator[None]:
-    with contextlib.ExitStack() as stack:
-        for _ in range(count):
-            process = stack.enter_context(subprocess.Popen([sys.executable, "-S", "-c", BUSY], stdin=subprocess.PIPE))
-            stack.callback(process.kill)
-        yield
 
 
 def connection_errors(rig: RigDescription, clock: Clock) -> list[str]:

@@ -1,5 +1,6 @@
-"""Stop from a second thread, in real time, with axes and monochromator behind pseudo-terminals."""
+"""Stop from a second thread, in real time, with axes and monochromator behind pseudo-terminals and at network ports."""
 
+import socket
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -25,8 +26,8 @@ WITHIN_S = 60.0
 Work = Callable[[], BusyRig]
 
 
-@pytest.fixture
-def busy(write_rig: Writer, tmp_path: Path) -> Iterator[BusyRig]:
+@pytest.fixture(params=["pseudo-terminals", "network ports"])
+def busy(write_rig: Writer, tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[BusyRig]:
     """Drivers of a rig with axes, monochromator and converters on real endpoints, and the monitor in process."""
     clock = RealClock()
     model = read_rig(write_rig()).model()
@@ -37,11 +38,18 @@ def busy(write_rig: Writer, tmp_path: Path) -> Iterator[BusyRig]:
         modules.add_tcp(name)
     with modules:
         addresses = [(f'"twin://virtual/{name}"', f'"{modules.address[name]}"') for name in virtual.modbus]
-        ports = [(f'"twin://virtual/{name}"', f'"{tmp_path / name}"') for name in ("axes", "mono")]
+        names = ("axes", "mono")
+        places = {name: str(tmp_path / name) for name in names}
+        if request.param == "network ports":
+            places = {name: f"socket://127.0.0.1:{free_port()}" for name in names}
+        ports = [(f'"twin://virtual/{name}"', f'"{places[name]}"') for name in names]
         rig = open_rig(read_rig(write_rig(*ports, *addresses, name="served.toml")), clock)
         busy_rig = BusyRig(rig.rig, virtual, 1, reach_s=1.5, rest_s=1.5)
         for name, device in virtual.serial.items():
-            lines.add_pty(name, device, tmp_path / name)
+            if request.param == "network ports":
+                lines.add_tcp(name, device, int(places[name].rpartition(":")[2]))
+            else:
+                lines.add_pty(name, device, tmp_path / name)
         lines.start()
         try:
             rig.connect()
@@ -49,6 +57,12 @@ def busy(write_rig: Writer, tmp_path: Path) -> Iterator[BusyRig]:
         finally:
             rig.close()
             lines.stop()
+
+
+def free_port() -> int:
+    """A port at which no program listens."""
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        return int(taken.getsockname()[1])
 
 
 def stopped_once(busy: BusyRig, silent: str) -> StopTimes:
@@ -80,13 +94,13 @@ def stopped_once(busy: BusyRig, silent: str) -> StopTimes:
 
 @pytest.mark.early
 @pytest.mark.parametrize("silent", STOPS)
-def test_a_hundred_stops_over_pseudo_terminals_are_all_in_time(
-    busy: BusyRig, silent: str, capsys: pytest.CaptureFixture[str]
+def test_a_hundred_stops_over_real_ports_are_all_in_time(
+    busy: BusyRig, silent: str, capsys: pytest.CaptureFixture[str], request: pytest.FixtureRequest
 ) -> None:
     """The bound is guaranteed in real time, so that real time is measured here."""
     stops = [stopped_once(busy, silent) for _ in range(STOPS[silent])]
     with capsys.disabled():
-        print(f"\nstop over pseudo-terminals, {summary(silent, stops)}")
+        print(f"\nstop over {request.node.callspec.params['busy']}, {summary(silent, stops)}")
     assert max(stop.last_frame_s for stop in stops) < MOST_S
     # An axis that started or accelerated until it received the stop brakes a little longer.
     assert all(stop.rest_s <= stop.ramp_s + 2.0 * MOST_S for stop in stops)

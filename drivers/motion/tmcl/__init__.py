@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from goniotwin.drivers.motion.tmcl.controller import TmclSettings as TmclSettings
     from goniotwin.drivers.motion.tmcl.homing import HomingSearch as HomingSearch
     from goniotwin.drivers.motion.tmcl.module import TmclModule as TmclModule
+    from goniotwin.drivers.motion.tmcl.module import default_reply_timeout_s as default_reply_timeout_s
     from goniotwin.drivers.motion.tmcl.move import Move as Move
     from goniotwin.drivers.motion.tmcl.port import exchange_seconds as exchange_seconds
     from goniotwin.drivers.motion.tmcl.registers import Switches as Switches
@@ -28,7 +29,7 @@ else:
             "axis": ("TmclAxis", "axis_timing"),
             "controller": ("TmclController", "TmclSettings"),
             "homing": ("HomingSearch",),
-            "module": ("TmclModule",),
+            "module": ("TmclModule", "default_reply_timeout_s"),
             "move": ("Move",),
             "port": ("exchange_seconds",),
             "registers": ("Switches",),

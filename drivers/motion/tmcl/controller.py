@@ -13,22 +13,27 @@ from goniotwin.drivers.found import FoundSettings
 from goniotwin.drivers.motion.settings import AxisSettings
 from goniotwin.drivers.motion.stop import StopSteps
 from goniotwin.drivers.motion.tmcl.axis import TmclAxis
-from goniotwin.drivers.motion.tmcl.module import HEARTBEAT_S, TmclModule
+from goniotwin.drivers.motion.tmcl.module import HEARTBEAT_S, LONGEST_HEARTBEAT_S, TmclModule
 from goniotwin.drivers.motion.tmcl.rules import CANARY
 from goniotwin.drivers.tap import Tap, no_tap
 from goniotwin.keys import Count
 from goniotwin.protocols.clock import Clock
 
-LONGEST_HEARTBEAT_S = 65.0
-"""The silence counter of a module has 16 bits of ms."""
+SHORTEST_REPLY_TIMEOUT_S, LONGEST_REPLY_TIMEOUT_S = 0.02, 1.0
+"""An exchange at 9600 Bd takes 20 ms. The engine may be blocked for 1 s: see `module`."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class TmclSettings:
-    """A line of TMCL modules with a `baudrate`. They stop their motors after a silence of `heartbeat_s`; 0 is off."""
+    """A line of TMCL modules with a `baudrate`. They stop their motors after a silence of `heartbeat_s`; 0 is off.
+
+    `reply_timeout_s` is the longest wait for a reply. If it is not given it is 0.06 s, 0.25 s at a network port (`socket://`,
+    `rfc2217://`), and 0.5 s below 57,600 Bd. A stop does not wait for it.
+    """
 
     baudrate: Count = 115200
     heartbeat_s: Annotated[float, Ge(0.0), Le(LONGEST_HEARTBEAT_S)] = HEARTBEAT_S
+    reply_timeout_s: Annotated[float, Ge(SHORTEST_REPLY_TIMEOUT_S), Le(LONGEST_REPLY_TIMEOUT_S)] | None = None
 
 
 class TmclController:
@@ -44,13 +49,15 @@ class TmclController:
         tap: Tap = no_tap,
         session: int = CANARY,
         found: FoundSettings | None = None,
+        speed: float = 1.0,
     ) -> None:
-        """`session` is the canary: a number, not 0, that no other program has."""
+        """`session` is the canary: a number, not 0, that no other program has. `speed` is that of `TmclModule`."""
         self.name = name
         addresses = [axis.module for axis in axes.values()]
         self.module = TmclModule(
-            open_port, clock, settings.baudrate, tap, addresses, settings.heartbeat_s, name, session, found
-        )
+            open_port, clock, settings.baudrate, tap, addresses, settings.heartbeat_s, name, session, found,
+            settings.reply_timeout_s, speed,
+        )  # fmt: skip
         self.axes = {axis: TmclAxis(axis, self.module, table, clock) for axis, table in axes.items()}
 
     @property

@@ -17,6 +17,8 @@ that the module has reset and lost its settings; that of another session, that a
 locks: from another computer, or another network of this one. The module is left to it, and nothing but a stop is sent any
 more. The heartbeat makes the module stop its motors after 2 s without a request: four times the interval
 between two polls of a moving axis, longer than the 1 s for which another bus may block the engine.
+A computer, a cable and a network are late in real time. So on a clock that is `speed` times as fast, waits for replies are that
+much longer, and the heartbeat is too, as far as a module can count.
 (*) Firmware keeps the heartbeat in EEPROM: it is written only if it differs. At the end it gets back the value that was found.
 """
 
@@ -57,13 +59,21 @@ MODELS = (6214, 1240)
 TIMEOUT_S = 0.06
 SLOW_LINE_TIMEOUT_S = 0.5
 PATIENT_TIMEOUT_S = 0.5
+SLOW_LINE_BAUDRATE = 57_600
 ATTEMPTS, PATIENT_ATTEMPTS = 2, 3
 HEARTBEAT_S = 2.0
+LONGEST_HEARTBEAT_S = 65.0
+"""The silence counter of a module has 16 bits of ms."""
 STOPPING_S = 1.0
 TURNING_S = 0.1
 """Time between two questions whether a motor turns."""
 RESYNCHRONISATIONS = 2
 EVENTS_KEPT = 100
+
+
+def default_reply_timeout_s(baudrate: int) -> float:
+    """The longest wait for a reply on a serial line, s."""
+    return TIMEOUT_S if baudrate >= SLOW_LINE_BAUDRATE else SLOW_LINE_TIMEOUT_S
 
 
 class TmclModule:
@@ -85,7 +95,10 @@ class TmclModule:
         name: str = "axes",
         session: int = CANARY,
         found: FoundSettings | None = None,
+        reply_timeout_s: float | None = None,
+        speed: float = 1.0,
     ) -> None:
+        """`speed` is the time of the clock in a second of real time, in which `heartbeat_s` and `reply_timeout_s` are."""
         self.name = name
         self.found = found or FoundSettings(asks=False)
         self._session = session
@@ -93,7 +106,8 @@ class TmclModule:
         self._open_port = open_port
         self._clock = clock
         self._baudrate = baudrate
-        self._timeout_s = TIMEOUT_S if baudrate >= 57600 else SLOW_LINE_TIMEOUT_S
+        self._timeout_s = speed * (reply_timeout_s or default_reply_timeout_s(baudrate))
+        self._patient_s = max(self._timeout_s, speed * PATIENT_TIMEOUT_S)
         self._reply_s, self._attempts = self._timeout_s, ATTEMPTS
         self._frame_s = FRAME_S_BITS / baudrate
         self._patience_s = 3.0 * self._frame_s + SLICE_S
@@ -101,7 +115,7 @@ class TmclModule:
         self._exchanges: dict[CommandFrame, tuple[tuple[bytes, bytes], tuple[bytes, bytes]]] = {}
         self._tap = tap
         self.addresses = tuple(sorted(set(addresses)))
-        self.heartbeat_s = heartbeat_s
+        self.heartbeat_s = min(speed * heartbeat_s, LONGEST_HEARTBEAT_S)
         self.events: deque[str] = deque(maxlen=EVENTS_KEPT)
         self._lock = StopLock()
         self._port: TmclPort | None = None
@@ -171,7 +185,7 @@ class TmclModule:
 
         For connecting: no motion is watched by it, and a computer that is busy, or serves the module itself, is often late.
         """
-        self._reply_s, self._attempts = max(self._timeout_s, PATIENT_TIMEOUT_S), PATIENT_ATTEMPTS
+        self._reply_s, self._attempts = self._patient_s, PATIENT_ATTEMPTS
         try:
             yield
         finally:
