@@ -1,9 +1,12 @@
 """Scattered points as CSV: columns of equal length under a header row, with `# ` comment lines at the top.
 
-A missing number is an empty field, never a number. The file is UTF-8, with a decimal point and a comma as the separator.
+A missing number is an empty field, never a number. The file is UTF-8, with a decimal point and a comma as the separator. The
+last of the comments has the number of rows and a digest, by which a reader finds a line that was lost, doubled, moved or
+changed. A text that a spreadsheet would take for a formula has an apostrophe before it, which a reader removes.
 """
 
 import csv
+import hashlib
 import itertools
 import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
@@ -15,9 +18,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from goniotwin.app.formats.content import HORIZON_DEG, BsdfFile, ScatteredBsdf, has_one_psi, psi_of_gamma
-from goniotwin.app.formats.file import FormatError, StrPath, name_file, quote_word
+from goniotwin.app.formats.file import FormatError, StrPath, name_file, quote_word, replace_file
 from goniotwin.app.formats.numerals import format_number
-from goniotwin.app.formats.text import CONTROL_CHARACTER, LINE_END, comment_lines, mark_comments, read_text, write_text
+from goniotwin.app.formats.text import CONTROL_CHARACTER, LINE_END, comment_lines, encode_text, mark_comments, read_text
 from goniotwin.arrays import Flags, Floats
 from goniotwin.twin.optics import from_specular
 from goniotwin.twin.optics.geometry.coordinates import wrap_azimuth, zenith_and_azimuth
@@ -30,6 +33,13 @@ NO_NUMBER = re.compile(r"[^0-9eE+\-.,]")
 FEW = 4
 """A value of a column is spelled once where the different ones are fewer than all by this factor."""
 TO_QUOTE = re.compile(r'[,"\r\n]')
+FORMULA = re.compile(r"'*[=+\-@\t\r\n]")
+"""The beginning of a text that a spreadsheet takes for a formula, also after apostrophes: these are then read back exactly."""
+MARKED = re.compile(f"'{FORMULA.pattern}")
+DIGEST_LINE = "# {rows} rows; sha256 of all other lines: {digest}; remove this line after a change on purpose"
+DIGEST_PATTERN = re.compile(re.escape(DIGEST_LINE).replace(r"\{rows\}", "([0-9]+)").replace(r"\{digest\}", "([0-9a-f]{64})"))
+DIGEST_BYTES = len(DIGEST_LINE.format(rows=10**9, digest="0" * 64))
+"""Bytes of the line, which is filled with blanks: it is written when the rows are known."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -244,20 +254,40 @@ def write_points_csv(
     """
     parts = [columns] if isinstance(columns, Mapping) else columns
     heading = mark_comments(comment_lines(header_comments, ascii_only=False), "#")
-    write_text(path, itertools.chain(["".join(f"{line}\n" for line in heading)], _lines(path, parts)))
+    digest, rows = hashlib.sha256(), 0
+    with replace_file(path) as out:
+
+        def put(text: str) -> None:
+            digest.update(encode_text(path, _line_feeds(text)))
+            out.write(encode_text(path, text))
+
+        put("".join(f"{line}\n" for line in heading if not DIGEST_PATTERN.fullmatch(line)))  # of an earlier file
+        place = out.tell()
+        out.write(b" " * DIGEST_BYTES + b"\n")
+        for text, count in _lines(path, parts):
+            put(text)
+            rows += count
+        out.seek(place)
+        out.write(DIGEST_LINE.format(rows=rows, digest=digest.hexdigest()).encode())
 
 
-def _lines(path: StrPath, parts: Iterable[Mapping[str, ArrayLike]]) -> Iterator[str]:
-    """The header row with the points of the first part, then the points of each further part."""
+def _line_feeds(text: str) -> str:
+    """A text of whole lines with line feeds as line ends: a program that copies the file may have changed them."""
+    return text.replace("\r\n", "\n").replace("\r", "\n") if "\r" in text else text
+
+
+def _lines(path: StrPath, parts: Iterable[Mapping[str, ArrayLike]]) -> Iterator[tuple[str, int]]:
+    """The header row with the points of the first part, then the points of each further part; with the number of points."""
     names: tuple[str, ...] = ()
     for columns in parts:
         if names and tuple(columns) != names:
             raise FormatError(path, f"one part has the columns {', '.join(columns)}", f"give {', '.join(names)} in each")
         rows = _rows(path, columns)
-        heading = [] if names else [tuple(map(_quoted, columns))]
+        count = np.asanyarray(next(iter(columns.values()))).size
+        heading = [] if names else [tuple(_quoted(_harmless(name)) for name in columns)]
         # A reader skips an empty line: a single column has something in each.
         join = _line if len(columns) == 1 else ",".join
-        yield "".join(f"{line}\n" for line in map(join, itertools.chain(heading, rows)))
+        yield "".join(f"{line}\n" for line in map(join, itertools.chain(heading, rows))), count
         names = tuple(columns)
 
 
@@ -274,6 +304,10 @@ def _rows(path: StrPath, columns: Mapping[str, ArrayLike]) -> Iterator[tuple[str
 
 def _line(row: tuple[str, ...]) -> str:
     return ",".join(row) if row != ("",) else '""'
+
+
+def _harmless(text: str) -> str:
+    return f"'{text}" if FORMULA.match(text) else text
 
 
 def _quoted(field: str) -> str:
@@ -299,7 +333,7 @@ def _fields(path: StrPath, name: str, column: NDArray[Any]) -> list[str]:
         for value in distinct:
             if _unwritable(value):
                 raise FormatError(path, f"column {quote_word(name)} has the text {quote_word(value)}", "write plain text")
-        texts = [_quoted(str(value)) for value in distinct]
+        texts = [_quoted(_harmless(str(value))) for value in distinct]
         return texts * column.size if alike else _each(texts, which)
     raise FormatError(path, f"column {quote_word(name)} is of the type {column.dtype}", "give numbers or strings")
 
@@ -331,20 +365,66 @@ def _unwritable(text: str) -> bool:
 
 
 def read_points_csv(path: StrPath) -> Points:
-    """Read a CSV file of points, with comments only at the top. Raises FormatError."""
+    """Read a CSV file of points, with comments only at the top.
+
+    Raises FormatError, also for one whose lines are not those that its digest is of; a file may have none.
+    """
     text = read_text(path, MOST_BYTES)
     lines = _lines_of(text)
-    comments = []
-    start = 0
+    comments: list[str] = []
+    start = before = 0
     while (line := next(lines, "")).startswith("#"):
-        comments.append(line[1:].removeprefix(" ").rstrip())
-        start += len(line)
+        stated = DIGEST_PATTERN.fullmatch(line.rstrip())
+        if stated is None:
+            comments.append(line[1:].removeprefix(" ").rstrip())
+        else:
+            _check_digest(path, text, start, start + len(line), stated)
+        start, before = start + len(line), before + 1
     as_text: set[int] = set()
-    names, columns = _columns(path, text, start, len(comments), as_text)
+    names, columns = _columns(path, text, start, before, as_text)
     if columns is None:  # with all of the columns known that are texts further down
-        names, columns = _columns(path, text, start, len(comments), as_text)
+        names, columns = _columns(path, text, start, before, as_text)
     assert columns is not None
     return Points(tuple(comments), dict(zip(names, columns, strict=True)))
+
+
+def _check_digest(path: StrPath, text: str, begin: int, end: int, stated: re.Match[str]) -> None:
+    """Raise FormatError where a text without its line of the digest, from `begin` to `end`, is not the one that was written."""
+    digest, last = hashlib.sha256(), ""
+    for piece in itertools.chain([text[:begin]], _pieces_of(text, end)):
+        digest.update(_line_feeds(piece).encode())
+        last = piece or last
+    digest.update(b"" if last.endswith(("\n", "\r")) else b"\n")  # an editor may have removed it
+    if digest.hexdigest() == stated[2]:
+        return
+    line = 1 + len(LINE_END.findall(text, 0, begin))
+    remedy = f"copy or export the file again, or remove line {line}, with the digest, if it was changed on purpose"
+    raise FormatError(path, _difference(text, end, line, int(stated[1])), remedy)
+
+
+def _difference(text: str, end: int, line: int, stated: int) -> str:
+    """How a text differs from what was written, as far as it can be seen; `end` is the place after line number `line`."""
+    lines = list(_lines_of(text, end))
+    try:
+        rows = sum(1 for fields in csv.reader(lines) if fields and not fields[0].startswith("#")) - 1
+    except csv.Error:
+        rows = stated
+    if rows < stated:
+        return f"has {rows} rows, and {stated} were written: {stated - rows} are missing"
+    if rows > stated:
+        seen: dict[str, int] = {}
+        double = next(((k, seen[each]) for k, each in enumerate(lines, line + 1) if seen.setdefault(each, k) != k), None)
+        about = "" if double is None else f", and line {double[0]} is the same as line {double[1]}"
+        return f"has {rows} rows, and {stated} were written: {rows - stated} too many{about}"
+    return "is not what was written: a row or a comment was changed, lost or moved"
+
+
+def _pieces_of(text: str, start: int) -> Iterator[str]:
+    """A text from a place on, in pieces of whole lines."""
+    while start < len(text):
+        end = text.find("\n", start + PART_CHARACTERS) + 1 or len(text)
+        yield text[start:end]
+        start = end
 
 
 def _lines_of(text: str, start: int = 0) -> Iterator[str]:
@@ -372,6 +452,7 @@ def _columns(
         if not names or len(set(names)) != len(names) or not all(name.strip() for name in names):
             wrong = "in the header a column has no name, or two have the same"
             raise FormatError(path, wrong, "give each column its own name", line + 1)
+        names = _without_marks(names)
         plain = _is_plain(text, start, len(names))
         parts = _plain_blocks(text, start, len(names)) if plain else _read_blocks(path, reader, len(names), line)
         for part in parts:
@@ -450,8 +531,12 @@ def _line_blocks(text: str, start: int) -> Iterator[list[str]]:
 
 def _texts(fields: Sequence[str]) -> NDArray[np.str_]:
     if fields and fields.count(fields[0]) == len(fields):  # as the sample and the side often are
-        return np.full(len(fields), fields[0])
-    return np.array(fields, dtype=np.str_)
+        return np.full(len(fields), _without_marks(fields[:1])[0])
+    return np.array(_without_marks(fields), dtype=np.str_)
+
+
+def _without_marks(fields: Sequence[str]) -> list[str]:
+    return [field[1:] if field[:1] == "'" and MARKED.match(field) else field for field in fields]
 
 
 def _numbers(fields: Sequence[str]) -> Floats | None:

@@ -59,10 +59,11 @@ def read_text(path: StrPath, most: int = MOST_BYTES) -> str:
 
 def write_text(path: StrPath, text: str | Iterable[str]) -> None:
     """Write a text in UTF-8 atomically, as `write_file` does, in one piece or in parts. Raises FormatError."""
-    write_file(path, _encoded(path, text) if isinstance(text, str) else (_encoded(path, part) for part in text))
+    write_file(path, encode_text(path, text) if isinstance(text, str) else (encode_text(path, part) for part in text))
 
 
-def _encoded(path: StrPath, text: str) -> bytes:
+def encode_text(path: StrPath, text: str) -> bytes:
+    """A text in UTF-8. Raises FormatError."""
     try:
         return text.encode("utf-8")
     except UnicodeEncodeError as error:

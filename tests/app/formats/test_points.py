@@ -1,6 +1,9 @@
 """CSV of points: a missing number stays missing, and reading returns what was written."""
 
 import csv
+import hashlib
+import re
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +25,13 @@ def test_a_file_has_comments_then_column_names_then_rows(tmp_path: Path) -> None
     }
     write_points_csv(path, ["simulated, seed 1", "two\nlines"], columns)
     # Nine significant digits, the missing number an empty field, quotes only where CSV needs them.
-    assert path.read_text() == (
+    text = path.read_text()
+    (stated,) = re.findall(
+        r"# 3 rows; sha256 of all other lines: [0-9a-f]{64}; remove this line after a change on purpose *\n", text
+    )
+    others = text.replace(stated, "")
+    assert hashlib.sha256(others.encode()).hexdigest() in stated
+    assert others == (
         "# simulated, seed 1\n# two\n# lines\n"
         "theta_deg,bsdf_per_sr,row,flag\n"
         "0,0.318309886,1,\n"
@@ -42,7 +51,71 @@ def test_a_table_without_points_keeps_its_columns(tmp_path: Path) -> None:
     assert {name: column.tolist() for name, column in read_points_csv(path).columns.items()} == {"a": [], "b": []}
 
 
-TEXT = st.text(st.characters(codec="utf-8", exclude_categories=("Cc", "Cs")) | st.sampled_from("\n\r\t,\"'#"), max_size=8)
+@pytest.fixture
+def written(tmp_path: Path) -> Path:
+    """A file of five rows: a digest is in line 2, the header in line 3."""
+    path = tmp_path / "five.csv"
+    write_points_csv(path, ["simulated"], {"x": [1.5, 2.5, 3.5, 4.5, 5.5], "side": ["front"] * 5})
+    return path
+
+
+def swap(lines: list[str], one: int, other: int) -> list[str]:
+    lines[one], lines[other] = lines[other], lines[one]
+    return lines
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda lines: lines[:5] + lines[6:], "has 4 rows, and 5 were written: 1 are missing"),
+        (lambda lines: lines[:-2], "has 3 rows, and 5 were written: 2 are missing"),
+        (lambda lines: lines[:5] + lines[4:], "has 6 rows, and 5 were written: 1 too many, and line 6 is the same as line 5"),
+        (lambda lines: swap(lines, 4, 5), "is not what was written: a row or a comment was changed, lost or moved"),
+        (lambda lines: [each.replace("3.5", "3.6") for each in lines], "a row or a comment was changed"),
+        (lambda lines: lines[1:], "a row or a comment was changed, lost or moved"),
+        (lambda lines: [*lines[:2], *lines[1:]], "a row or a comment was changed, lost or moved"),
+    ],
+)
+def test_a_line_that_was_lost_doubled_moved_or_changed_is_found(
+    written: Path, change: Callable[[list[str]], list[str]], message: str
+) -> None:
+    written.write_text("".join(change(written.read_text().splitlines(keepends=True))))
+    with pytest.raises(FormatError, match=message) as caught:
+        read_points_csv(written)
+    assert "if it was changed on purpose" in str(caught.value)
+
+
+def test_without_its_digest_a_file_is_read_as_it_is_and_other_line_ends_are_the_same_file(written: Path) -> None:
+    raw = written.read_bytes()
+    for same in (raw.replace(b"\n", b"\r\n"), raw.removesuffix(b"\n"), b"\xef\xbb\xbf" + raw):
+        written.write_bytes(same)
+        assert read_points_csv(written).columns["x"].tolist() == [1.5, 2.5, 3.5, 4.5, 5.5]
+    lines = raw.splitlines(keepends=True)
+    written.write_bytes(b"".join([lines[0], *lines[2:5]]))
+    assert read_points_csv(written).columns["x"].tolist() == [1.5, 2.5]
+
+
+FORMULAS = ["=1+1", "+1", "-5", "@a", "\t=1", "\r=1", "'=1", "''-5", "'", "''", "'a", "a=1", "", "-"]
+
+
+def test_no_text_is_a_formula_in_a_spreadsheet_and_each_is_read_back_exactly(tmp_path: Path) -> None:
+    path = tmp_path / "formulas.csv"
+    write_points_csv(path, [], {"x": -np.arange(float(len(FORMULAS))), "=text": FORMULAS})
+    with path.open(newline="") as file:
+        rows = list(csv.reader(line for line in file if not line.startswith("#")))
+    assert not any(text.startswith(("=", "+", "-", "@", "\t", "\r")) for _, text in rows)
+    assert [number for number, _ in rows[1:4]] == ["-0", "-1", "-2"]  # a number is one
+    columns = read_points_csv(path).columns
+    assert columns["=text"].tolist() == FORMULAS
+    assert columns["x"].tolist() == [-float(k) for k in range(len(FORMULAS))]
+
+
+def test_one_line_of_pandas_reads_a_file(written: Path) -> None:
+    frame = pytest.importorskip("pandas").read_csv(written, comment="#")
+    assert (frame.x.tolist(), frame.side.tolist()) == ([1.5, 2.5, 3.5, 4.5, 5.5], ["front"] * 5)
+
+
+TEXT = st.text(st.characters(codec="utf-8", exclude_categories=("Cc", "Cs")) | st.sampled_from("\n\r\t,\"'#=+-@"), max_size=8)
 NAMES = st.text(st.characters(min_codepoint=32, max_codepoint=126), min_size=1, max_size=8)
 
 
@@ -157,6 +230,6 @@ def test_a_column_of_repeated_numbers_is_written_as_one_of_different_numbers(tmp
     repeated = np.tile(few, 40)
     number = np.arange(repeated.size)
     write_points_csv(tmp_path / "a.csv", [], {"x": repeated, "n": number % 3, "k": number})
-    lines = (tmp_path / "a.csv").read_text(encoding="utf-8").splitlines()[1:]
+    lines = (tmp_path / "a.csv").read_text(encoding="utf-8").splitlines()[2:]
     texts = ["0", "-0", "", "0.333333333", "500.05"]
     assert lines == [f"{texts[k % 5]},{k % 3},{k}" for k in range(repeated.size)]
