@@ -227,9 +227,13 @@ def convert_content(
     chosen = _of_light(chosen, path, form, choice.light, notes)
     chosen = _of_kind(chosen, path, form, notes)
     if choice.wavelength_nm != "all":
-        return _write(_of_wavelength(chosen, path, form, choice.wavelength_nm, notes), path, form, choice, notes)
+        chosen = _of_wavelength(chosen, path, form, choice.wavelength_nm, notes)
+        negative = tuple(_negative_lines(chosen))
+        converted = _write(chosen, path, form, choice, notes)
+        return replace(converted, notes=(*converted.notes, *negative))
     if not (there := wavelengths_nm(chosen)).size:
         raise UserError(f"{path}: its values have no wavelength; leave --wavelength out")
+    negative = tuple(_negative_lines(chosen))
     files = [wavelength_path(path, nm) for nm in there.tolist()]
     for each in files:
         refuse_itself(source, each, form)
@@ -237,7 +241,28 @@ def convert_content(
     for nm, each in zip(there.tolist(), files, strict=True):
         of_each = [*notes]
         results.append(_write(_of_wavelength(chosen, each, form, nm, of_each), each, form, choice, of_each))
-    return _together(results)
+    together = _together(results)
+    return replace(together, notes=(*together.notes, *negative))
+
+
+def _negative_lines(content: BsdfFile) -> Iterator[str]:
+    """A line on the negative values of each quantity, of those that were measured."""
+    found: dict[str, list[Floats]] = {}
+    for part in content.parts:
+        known = part.known if isinstance(part, BsdfTable) and part.known is not None else np.isfinite(part.values)
+        words = ("regular reflectance", "regular transmittance") if isinstance(part, RegularTable) else ("BRDF", "BTDF")
+        transmitted = np.broadcast_to(part.transmitted, part.values.shape)
+        for word, of_light in zip(words, (~transmitted, transmitted), strict=True):
+            found.setdefault(word, []).append(part.values[known & of_light])
+    for quantity, pieces in found.items():
+        values = np.concatenate([each.ravel() for each in pieces])
+        count = int(np.count_nonzero(values < 0.0))
+        if count:
+            unit = " 1/sr" if quantity in ("BRDF", "BTDF") else ""
+            yield (
+                f"{count} of {values.size} values of the {quantity} are negative, the least {values.min():.3g}{unit}: they are "
+                "written as they are"
+            )
 
 
 def _write(chosen: BsdfFile, path: Path, form: Format, choice: Choice, notes: list[str]) -> Converted:

@@ -7,9 +7,9 @@ https://manual.nexusformat.org/classes/base_classes/NXdata.html.
 """
 
 import json
-import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +30,13 @@ MOST_BYTES = 4_000_000_000
 MOST_VALUES = 20_000_000
 """Values of all parts together that are read."""
 MOST_PARTS = 10_000
+MOST_TEXTS = 500_000
+"""Comments and other texts of all parts together."""
+MOST_CHARACTERS = 50_000_000
+MOST_TEXT_BYTES = 400_000_000
+"""Bytes of a column of texts, each of which takes as many as the longest."""
+LEAST_TOGETHER, MOST_TOGETHER = 16, 4096
+"""Texts that are read at once: all of them may be the longest text that the file has room for."""
 COPY_AGAIN = "write the archive again, or copy the file again"
 LEAST_PACKED = 512
 """Values from which an array is compressed."""
@@ -211,81 +218,114 @@ def read(path: StrPath) -> BsdfFile:
     Raises FormatError for another kind of file, and for a file that changed after it was written.
     """
     with open_hdf5(path, HEADING, "an archive of goniotwin", COPY_AGAIN, MOST_BYTES) as file:
-        return _content(path, file)
+        return _ArchiveReader(path, file).content()
 
 
-def _content(path: StrPath, file: h5py.File) -> BsdfFile:
-    if file.attrs.get("format") != FORMAT:
-        raise FormatError(path, "is not an archive of goniotwin", "give an archive that was written by goniotwin")
-    if (version := int(file.attrs["version"])) != VERSION:
-        wrong = f"is an archive of version {version}, not {VERSION}"
-        raise FormatError(path, wrong, "read it with the program that wrote it")
-    entry = file["entry"]
-    names = [name for name in entry if re.fullmatch(r"part_[0-9]{1,6}", name)]
-    if len(names) > MOST_PARTS:
-        raise FormatError(path, f"has {len(names)} parts", "divide it into several files")
-    names.sort(key=lambda name: int(name[5:]))
-    size = sum(int(entry[name]["values"].size) for name in names)
-    if size > MOST_VALUES:
-        raise FormatError(path, f"has {size} values, more than {MOST_VALUES}", "divide it into several files")
-    metadata = metadata_from_dict(json.loads(_texts(entry, "metadata")[0]))
-    of_samples = {
-        str(entry[name].attrs["sample"]): metadata_from_dict(json.loads(_texts(entry[name], "metadata")[0]))
-        for name in names
-        if "metadata" in entry[name]
-    }
-    return BsdfFile(tuple(_part(path, entry[name]) for name in names), metadata, _texts(entry, "comments"), of_samples)
+@dataclass
+class _ArchiveReader:
+    """Reads the parts of a file within bounds, checked before memory is taken: a few bytes of HDF5 can state any amount.
 
+    All methods raise FormatError, and ValueError and what h5py raises for a file that has something else.
+    """
 
-def _part(path: StrPath, group: h5py.Group) -> Part:
-    kind, sample, generated = (group.attrs[name] for name in ("kind", "sample", "generated"))
-    about: dict[str, Any] = {"sample": str(sample), "generated": bool(generated), "comments": _texts(group, "comments")}
-    if kind == "scattered":
-        columns: dict[str, Any] = {column: _column(group, column) for column in COLUMNS}
-        return ScatteredBsdf(**columns, isotropic=bool(group.attrs["isotropic"]), **about)
-    if kind not in ("table", "regular"):
-        raise FormatError(path, f"has a part of the kind {quote_word(str(kind))}", "read it with the program that wrote it")
-    about |= {"transmitted": bool(group.attrs["transmitted"]), "back": bool(group.attrs["back"])}
-    if "wavelengths_nm" in group:
-        about["wavelengths_nm"] = tuple(_numbers(group, "wavelengths_nm").tolist())
-    about |= {"colours": _texts(group, "colours") if "colours" in group else ()}
-    if "values_errors" in group:
-        about["u"] = _numbers(group, "values_errors")
-    if kind == "regular":
-        return RegularTable(
-            _numbers(group, "sigma_deg"), _numbers(group, "values"), psi_deg=_numbers(group, "psi_deg"), **about
-        )
-    if "known" in group:
-        about["known"] = _numbers(group, "known", "b").astype(bool)
-    about |= {f"{each}_deg": _numbers(group, f"{each}_deg") for each in ("psi", "sigma", "phi", "theta")}
-    return BsdfTable(values=_numbers(group, "values"), **about)
+    path: StrPath
+    file: h5py.File
+    texts_left: int = MOST_TEXTS
+    characters_left: int = MOST_CHARACTERS
 
+    def content(self) -> BsdfFile:
+        """What the file holds."""
+        path, attributes = self.path, self.file.attrs
+        if attributes.get("format") != FORMAT:
+            raise FormatError(path, "is not an archive of goniotwin", "give an archive that was written by goniotwin")
+        if (version := int(attributes["version"])) != VERSION:
+            wrong = f"is an archive of version {version}, not {VERSION}"
+            raise FormatError(path, wrong, "read it with the program that wrote it")
+        entry = self.file["entry"]
+        names = [name for name in entry if re.fullmatch(r"part_[0-9]{1,6}", name)]
+        if len(names) > MOST_PARTS:
+            raise FormatError(path, f"has {len(names)} parts", "divide it into several files")
+        names.sort(key=lambda name: int(name[5:]))
+        size = sum(int(entry[name]["values"].size) for name in names)
+        if size > MOST_VALUES:
+            raise FormatError(path, f"has {size} values, more than {MOST_VALUES}", "divide it into several files")
+        comments = self._texts(entry, "comments")
+        metadata = metadata_from_dict(json.loads(self._texts(entry, "metadata")[0]))
+        of_samples = {
+            str(entry[name].attrs["sample"]): metadata_from_dict(json.loads(self._texts(entry[name], "metadata")[0]))
+            for name in names
+            if "metadata" in entry[name]
+        }
+        return BsdfFile(tuple(self._part(entry[name]) for name in names), metadata, comments, of_samples)
 
-def _column(group: h5py.Group, column: str) -> npt.NDArray[Any]:
-    if column in WORDS:
-        words = np.array(_texts(group, f"{column}_words"), dtype=np.str_)
-        number = _numbers(group, column, "i")
-        if number.size and (number.min() < 0 or number.max() >= words.size):
-            raise ValueError(f"{column} has a number without a word")
-        return words[number] if words.size else np.full(number.size, "", dtype=np.str_)
-    kind = "b" if column in ("transmitted", "back") else "i" if column == "photodiode" else "f"
-    return _numbers(group, "values_errors" if column == "u" else column, kind)
+    def _part(self, group: h5py.Group) -> Part:
+        kind, sample, generated = (group.attrs[name] for name in ("kind", "sample", "generated"))
+        comments = self._texts(group, "comments")
+        about: dict[str, Any] = {"sample": str(sample), "generated": bool(generated), "comments": comments}
+        if kind == "scattered":
+            columns: dict[str, Any] = {column: self._column(group, column) for column in COLUMNS}
+            return ScatteredBsdf(**columns, isotropic=bool(group.attrs["isotropic"]), **about)
+        if kind not in ("table", "regular"):
+            wrong = f"has a part of the kind {quote_word(str(kind))}"
+            raise FormatError(self.path, wrong, "read it with the program that wrote it")
+        about |= {"transmitted": bool(group.attrs["transmitted"]), "back": bool(group.attrs["back"])}
+        if "wavelengths_nm" in group:
+            about["wavelengths_nm"] = tuple(_numbers(group, "wavelengths_nm").tolist())
+        about |= {"colours": self._texts(group, "colours") if "colours" in group else ()}
+        if "values_errors" in group:
+            about["u"] = _numbers(group, "values_errors")
+        if kind == "regular":
+            psi = _numbers(group, "psi_deg")
+            return RegularTable(_numbers(group, "sigma_deg"), _numbers(group, "values"), psi_deg=psi, **about)
+        if "known" in group:
+            about["known"] = _numbers(group, "known", "b").astype(bool)
+        about |= {f"{each}_deg": _numbers(group, f"{each}_deg") for each in ("psi", "sigma", "phi", "theta")}
+        return BsdfTable(values=_numbers(group, "values"), **about)
+
+    def _column(self, group: h5py.Group, column: str) -> npt.NDArray[Any]:
+        if column in WORDS:
+            words = self._texts(group, f"{column}_words")
+            number = _numbers(group, column, "i")
+            if number.size and (number.min() < 0 or number.max() >= len(words)):
+                raise ValueError(f"{column} has a number without a word")
+            if 4 * max(map(len, words), default=0) * max(number.size, len(words)) > MOST_TEXT_BYTES:
+                raise ValueError(f"{column} has a text that is too long among {number.size} values")
+            return np.array(words, dtype=np.str_)[number] if words else np.full(number.size, "", dtype=np.str_)
+        kind = "b" if column in ("transmitted", "back") else "i" if column == "photodiode" else "f"
+        return _numbers(group, "values_errors" if column == "u" else column, kind)
+
+    def _texts(self, group: h5py.Group, name: str) -> tuple[str, ...]:
+        """A text, or a list of texts. Raises KeyError, TypeError, and FormatError where the file has too many."""
+        data = group[name]
+        self.texts_left -= data.size
+        if self.texts_left < 0 or data.nbytes > MOST_CHARACTERS:
+            raise FormatError(
+                self.path, f"{group.name}/{name}: has too many texts ({data.size})", "divide it into several files"
+            )
+        if not data.shape:
+            return (self._counted(str(data.asstr()[()])),)
+        together = min(MOST_TOGETHER, max(LEAST_TOGETHER, MOST_CHARACTERS // self.file.id.get_filesize()))  # none is longer
+        texts = data.asstr()
+        found: list[str] = []
+        for begin in range(0, data.shape[0], together):
+            found += [self._counted(str(each)) for each in texts[begin : begin + together].ravel().tolist()]
+        return tuple(found)
+
+    def _counted(self, text: str) -> str:
+        self.characters_left -= len(text)
+        if self.characters_left < 0:
+            raise FormatError(self.path, f"has texts of more than {MOST_CHARACTERS} characters", "divide it into several files")
+        return text
 
 
 def _numbers(group: h5py.Group, name: str, kind: str = "f") -> npt.NDArray[Any]:
-    """An array of floats (f), whole numbers (i) or flags (b). Raises KeyError, and ValueError for another type or size."""
+    """An array of floats (f), whole numbers (i) or flags (b), which has no more of them than the part has values.
+
+    Raises KeyError, and ValueError for another type or size.
+    """
     data = group[name]
-    if data.dtype.kind not in {"f": "f", "i": "iu", "b": "b"}[kind] or math.prod(data.shape) > MOST_VALUES:
+    if data.dtype.kind not in {"f": "f", "i": "iu", "b": "b"}[kind] or data.size > group["values"].size:
         raise ValueError(f"{group.name}/{name} has {data.dtype} {data.shape}")
     if data.size and not data.id.get_storage_size():
         raise ValueError(f"{group.name}/{name} has no values in the file")
     return np.asarray(data[()])
-
-
-def _texts(group: h5py.Group, name: str) -> tuple[str, ...]:
-    data = group[name].asstr()[()]
-    return (str(data),) if isinstance(data, str) else tuple(str(each) for each in _listed(data))
-
-
-def _listed(data: npt.NDArray[Any]) -> Iterator[Any]:
-    yield from data.ravel().tolist()

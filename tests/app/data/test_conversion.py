@@ -338,3 +338,18 @@ def test_the_rule_of_the_widest_gap_is_in_the_line_of_what_was_not_measured(tmp_
     assert line is not None
     assert "between measured directions more than 3 deg apart nothing counts as measured" in line
     assert ".csv" in line
+
+
+def test_negative_values_are_mentioned_once_with_their_quantity(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    values = table().values.copy()
+    values[0, 0, 0, 0, :3] = (-0.25, -0.5, -0.125)
+    convert(BsdfFile((replace(table(), values=values, known=None),)), tmp_path / "a.ddr")
+    capsys.readouterr()
+    result = run(capsys, "convert", tmp_path / "a.ddr", tmp_path / "b.ssdd")
+    (line,) = (each for each in result["notes"] if "negative" in each)
+    assert line == f"3 of {values.size} values of the BRDF are negative, the least -0.5 1/sr: they are written as they are"
+    assert not any("negative" in line for line in registry.read(tmp_path / "b.ssdd").only_table().comments)
+    known = np.ones(values.shape, dtype=bool)
+    known[0, 0, 0, 0, :3] = False  # filled
+    convert(BsdfFile((replace(table(), values=values, known=known),)), tmp_path / "a.h5")
+    assert not any("negative" in each for each in run(capsys, "convert", tmp_path / "a.h5", tmp_path / "c.ssdd")["notes"])

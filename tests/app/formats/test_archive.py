@@ -2,6 +2,7 @@
 
 import contextlib
 import tracemalloc
+import zlib
 from collections.abc import Iterator
 from dataclasses import fields
 from pathlib import Path
@@ -18,6 +19,7 @@ from hypothesis.extra.numpy import arrays
 from goniotwin.app.formats import BsdfTable, FormatError, archive
 from goniotwin.app.formats.content import BsdfFile, Part, RegularTable, ScatteredBsdf
 from goniotwin.app.formats.metadata import Metadata, QualityMetadata, SampleMetadata
+from goniotwin.protocols.clock import RealClock
 
 FINITE = st.floats(-1e6, 1e6)
 TEXT = st.text(st.characters(exclude_categories=["C"]), max_size=12)
@@ -168,6 +170,68 @@ def test_a_dataset_without_its_values_takes_no_memory(tmp_path: Path) -> None:
         archive.read(tmp_path / "empty.h5")
     assert tracemalloc.get_traced_memory()[1] < 10_000_000
     tracemalloc.stop()
+
+
+def forge_comments(path: Path, count: int) -> None:
+    """An archive with so many empty comments, each stored: as they compress well, 16 bytes of each take next to none."""
+    chunk, together = zlib.compress(bytes(16_000_000)), 1_000_000
+
+    def fill(entry: h5py.Group) -> Iterator[None]:
+        archive.put_about(entry, BsdfFile(()))
+        del entry["comments"]
+        data = entry.create_dataset("comments", (count,), archive.TEXT, chunks=(together,), compression="gzip")
+        for begin in range(0, count, together):
+            data.id.write_direct_chunk((begin,), chunk)
+        yield
+
+    archive.write_entry(path, fill)
+
+
+def test_comments_without_number_are_refused_before_they_take_memory(tmp_path: Path) -> None:
+    """The bounds: 0.5 s, of which most is the checksum's, and 150 MB."""
+    path = tmp_path / "forged.h5"
+    forge_comments(path, 200_000_000)
+    assert path.stat().st_size < 5_000_000
+    tracemalloc.start()
+    clock = RealClock()
+    with pytest.raises(FormatError, match=r"/entry/comments: has too many texts \(200000000\)"):
+        archive.read(path)
+    assert clock.now() < 0.5
+    assert tracemalloc.get_traced_memory()[1] < 150_000_000
+    tracemalloc.stop()
+
+
+def test_one_long_text_that_stands_for_many_is_refused(tmp_path: Path) -> None:
+    """Texts are references to a heap: all may be to the same one."""
+    path = tmp_path / "forged.h5"
+
+    def fill(entry: h5py.Group) -> Iterator[None]:
+        archive.put_about(entry, BsdfFile(()))
+        del entry["comments"]
+        one = entry.create_dataset("one", (1,), archive.TEXT, chunks=(1,))
+        one[0] = "x" * 1_000_000
+        entry.file.flush()
+        _, reference = one.id.read_direct_chunk((0,))
+        data = entry.create_dataset("comments", (10_000,), archive.TEXT, chunks=(10_000,))
+        data.id.write_direct_chunk((0,), reference * 10_000)
+        yield
+
+    archive.write_entry(path, fill)
+    with pytest.raises(FormatError, match="has texts of more than 50000000 characters"):
+        archive.read(path)
+
+
+def test_a_list_longer_than_the_values_is_refused(tmp_path: Path) -> None:
+    def fill(entry: h5py.Group) -> Iterator[None]:
+        archive.put_about(entry, BsdfFile(()))
+        group = archive.put_part(entry, "part_1", table())
+        del group["sigma_deg"]
+        group.create_dataset("sigma_deg", (19_000_000,), "<f8", chunks=(1_000_000,), compression="gzip")[:1] = 1.0
+        yield
+
+    archive.write_entry(tmp_path / "long.h5", fill)
+    with pytest.raises(FormatError, match="part_1/sigma_deg has float64"):
+        archive.read(tmp_path / "long.h5")
 
 
 def test_a_folder_that_is_missing_is_named(tmp_path: Path) -> None:
