@@ -162,8 +162,8 @@ class DarkLevel:
 def dark_level(counts: Counts) -> DarkLevel:
     """The level of a dark reading of counts (readings, photodiodes).
 
-    The variance of a photodiode is at least that of most, because few readings may agree by chance. Its own is without the count
-    that differs most, which may be one that contradicts.
+    The variance of a photodiode is at least that of most, because few readings may agree by chance. Its own is without the
+    count that differs most, which may be one that contradicts.
     """
     readings, mean = len(counts), counts.mean(axis=0)
     squares = (counts - mean) ** 2
@@ -200,13 +200,12 @@ def contradictions(
     result: Flags = (np.abs(difference) > limit) & (changes == changes.max(axis=0))
     for reading, photodiode in np.argwhere(result).tolist():
         change = changes[reading]
-        level = np.maximum(np.abs(values[reading] - dark.mean), signal)  # with the light, if it was there once
-        expected = level * (change[photodiode] / level[photodiode])
+        lit = max(abs(values[reading, photodiode] - dark.mean[photodiode]), signal[photodiode])
+        expected = signal * (change[photodiode] / lit)
         showing = expected > limit
         showing[photodiode] = False
-        result[reading, photodiode] = (
-            float(np.mean(change[showing] > 0.5 * expected[showing])) <= 0.5 if showing.any() else True
-        )
+        if showing.any():
+            result[reading, photodiode] = float(np.mean(change[showing] > 0.5 * expected[showing])) <= 0.5
     return result
 
 

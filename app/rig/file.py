@@ -42,6 +42,7 @@ from goniotwin.drivers import (
 from goniotwin.drivers.motion import AxisTiming
 from goniotwin.drivers.tap import Explain
 from goniotwin.keys import Fraction, Positive, values_of
+from goniotwin.protocols import adam
 from goniotwin.twin.addresses import AXES as AXES_LINE
 from goniotwin.twin.addresses import CONVERTER, MONITOR, MONOCHROMATOR
 from goniotwin.twin.optics import Dimensions, Instrument
@@ -305,10 +306,27 @@ class RigFile:
         names = {address.split("/")[2] for address in virtual}
         if len(names) > 1:
             raise ValueError(f"its twin:// addresses have several virtual rigs: {', '.join(sorted(names))}; use one name")
+        self._check_converters()
         known = {each.twin: None for each in self.devices[len(self.axes.controllers) :]}
         for name in self.twin.devices if self.twin is not None else ():
             if name not in known:
                 raise ValueError(f"twin.devices: no device has the address {name!r}; give {' or '.join(known)}, or remove it")
+
+    def _check_converters(self) -> None:
+        """Raise ValueError for the address of a converter that the virtual rig does not have."""
+        if self.twin is None:
+            return
+        own = self.twin.photodiodes
+        converters = [CONVERTER.format(k) for k in range(-(-own.count // adam.CHANNELS))]
+        for k, unit in enumerate(self.photodiodes.units):
+            name = unit.rsplit("/", 1)[1]
+            if unit.startswith(TWIN) and name not in (*converters, *self.twin.devices):
+                believed, has = self.photodiodes.count, f"{own.count} ({len(own.upper_deg)} on the upper arc)"
+                raise ValueError(
+                    f"photodiodes.units.{k}: the virtual rig has no converter {name}: [photodiodes] has {believed} angles, "
+                    f"[twin.photodiodes] {has} on {', '.join(converters)}; give both tables the photodiodes of the rig, or "
+                    "correct units"
+                )
 
 
 def set_addresses(document: Any, file: RigFile, address_of: Callable[[DeviceAddress], str]) -> None:

@@ -67,6 +67,7 @@ class ExpectedSignal:
         self._settings = rig.file.photodiodes
         self._wheel = rig.file.monochromator.wheel
         self._plant = Plant(model)
+        self._channels = model.photodiodes.count
 
     def lots(self, row: Row, point: Floats, number: int) -> Iterator[ReadingLots]:
         """For each gain the lots of readings that a row at a point (5,) takes; `number` selects the drawn noise."""
@@ -86,7 +87,7 @@ class ExpectedSignal:
     def _lots(self, row: Row, gain: int, counts: Counts, selected: Flags) -> tuple[int, ...]:
         """The lots at one gain, as the engine takes them: until the `selected` photodiodes have enough readings."""
         lots = [min_readings(row)]
-        dark = self._counts(np.zeros(counts.shape[1]), gain, np.zeros((1, counts.shape[1] + 1)))[0].astype(float)
+        dark = self._counts(np.zeros(self._channels), gain, np.zeros((1, self._channels + 1)))[0].astype(float)
         while sum(lots) <= MAX_DRAWS:
             further = further_readings(row, counts[: sum(lots)], dark, selected, self._settings)
             if not further:
@@ -95,8 +96,14 @@ class ExpectedSignal:
         return tuple(lots)
 
     def _counts(self, signal_a: Floats, gain: int, drawn: Floats) -> Counts:
-        """Counts (readings, photodiodes) at a gain, given by number, with drawn noise."""
-        return self._settings.range.raw(self._plant.drawn_volts(signal_a, gain, drawn)).astype(np.uint16)
+        """Counts (readings, photodiodes) at a gain, given by number, with drawn noise.
+
+        The photodiodes are those of the operator's table. A channel without one in the twin is at 0 V, as it is on the wire.
+        """
+        volts, channels = self._plant.drawn_volts(signal_a, gain, drawn), self._settings.count
+        connected = np.zeros((len(volts), channels))
+        connected[:, : volts.shape[1]] = volts[:, :channels]
+        return self._settings.range.raw(connected).astype(np.uint16)
 
 
 @lru_cache(maxsize=4)

@@ -99,7 +99,7 @@ def test_noise_is_no_contradiction(scene: str, readings: int, lamp: float) -> No
 
 
 @pytest.mark.parametrize("scene", ["lambertian", "lobe"])
-@pytest.mark.parametrize("step", [-1.0, -0.1, 0.01, 0.3])
+@pytest.mark.parametrize("step", [-0.5, -0.1, 0.01, 0.3, 5.0])
 @pytest.mark.parametrize("lit_before", [1, 2, 5, 15])
 def test_a_step_of_the_lamp_is_common_to_all_channels_and_no_contradiction(scene: str, step: float, lit_before: int) -> None:
     known = comparison(20, 5e-4)
@@ -129,6 +129,14 @@ def test_a_changed_count_is_not_taken_for_the_lamp() -> None:
     counts = drawn(3, LAMBERTIAN, 16, 5e-4)
     counts[7, 2] ^= 1 << 14
     assert np.argwhere(known.contradictions(reading(counts), lit=True)).tolist() == [[7, 2]]
+
+
+def test_two_changed_counts_in_one_reading_are_no_light() -> None:
+    for scene, signal in SCENES.items():
+        counts = drawn(3, signal, 16)
+        counts[5, [1, 6]] ^= 1 << 13
+        found = comparison().contradictions(reading(counts), lit=scene != "dark")
+        assert np.argwhere(found).tolist() == [[5, 1], [5, 6]], scene
 
 
 def test_the_first_dark_reading_is_compared_with_itself() -> None:
