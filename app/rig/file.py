@@ -319,7 +319,7 @@ class RigFile:
         own = self.twin.photodiodes
         converters = [CONVERTER.format(k) for k in range(-(-own.count // adam.CHANNELS))]
         for k, unit in enumerate(self.photodiodes.units):
-            name = unit.rsplit("/", 1)[1]
+            name = unit.rpartition("/")[2]
             if unit.startswith(TWIN) and name not in (*converters, *self.twin.devices):
                 believed, has = self.photodiodes.count, f"{own.count} ({len(own.upper_deg)} on the upper arc)"
                 raise ValueError(

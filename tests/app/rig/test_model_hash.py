@@ -38,6 +38,13 @@ ELECTRONICS = (
     "[twin.monochromator]\necho = false\nfilters = 0\n\n"
     "[twin.photodiodes]\nupper_deg = [0, 10]\nlower_deg = []\n\n"
 )
+ANGLES = "[0, 5, 10, 15, 20, 25, 30, 35, 40, 45, 50, 55, 60, 65, 70, 75, 80, 85]"
+ONE_CONVERTER: tuple[Change, ...] = (
+    (", ".join(f'"twin://virtual/adc-{k}"' for k in range(5)), '"twin://virtual/adc-0"'),
+    (f"upper_deg = {ANGLES}", "upper_deg = [0, 10]"),
+    (f"lower_deg = {ANGLES}", "lower_deg = []"),
+)
+"""The operator's table of these photodiodes, of which the model has nothing."""
 FORMER: dict[str, tuple[str, tuple[Change, ...], str]] = {
     "as it is": ("virtual", (), "6de96dc27f0d8393"),
     "filters": ("filters", (), "1aabc88211ff0e97"),
@@ -45,7 +52,7 @@ FORMER: dict[str, tuple[str, tuple[Change, ...], str]] = {
     "sensor": ("virtual", ((LIGHT, SENSOR + TRACED + LIGHT),), "1b78d1f074f18dcf"),
     "mechanics": ("virtual", ((SIGMA, MORE_OF_SIGMA), ("noise = true", "noise = false")), "33a64db868dc7bc5"),
     "samples": ("virtual", (("[twin.samples.etalon]", SUM + "[twin.samples.etalon]"),), "e72907c310bf3629"),
-    "electronics": ("virtual", ((LIGHT, ELECTRONICS + LIGHT),), "3eed4352e4bc670e"),
+    "electronics": ("virtual", ((LIGHT, ELECTRONICS + LIGHT), *ONE_CONVERTER), "3eed4352e4bc670e"),
 }
 """Rigs of the examples with changes, and their hashes by the last release that had only version 1."""
 

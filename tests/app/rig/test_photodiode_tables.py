@@ -85,7 +85,9 @@ def tables(draw: st.DrawFn) -> tuple[dict[str, Any], dict[str, Any] | None]:
     """Both tables; the units are often as many as the photodiodes need."""
     believed = {"upper_deg": draw(ANGLES), "lower_deg": draw(ANGLES), "kind": draw(KINDS)}
     needed = -(-(len(believed["upper_deg"]) + len(believed["lower_deg"])) // 8)
-    believed["units"] = [f"twin://virtual/adc-{k}" for k in range(needed)] if draw(st.booleans()) else draw(UNITS)
+    likely = st.sampled_from(["twin://virtual/adc-{}", "adam-{}:502", "127.0.0.1:5{}", "rtu:/dev/ttyUSB1?unit={}"])
+    written = draw(st.none() | likely)
+    believed["units"] = draw(UNITS) if written is None else [written.format(k) for k in range(needed)]
     if believed["kind"] == "adam-4117":
         believed["gains_v_per_a"] = [1e11]
     return believed, draw(st.none() | st.fixed_dictionaries({"upper_deg": ANGLES, "lower_deg": ANGLES}))
