@@ -31,7 +31,7 @@ OPEN_S = 2.0
 REPLY_S = 2.5
 """Longest wait for the expected answer."""
 QUIET_S = 0.1
-"""A line without a byte for this time has no more to say of what was before the question."""
+"""A line without a byte for this time has sent all that belongs to what was before the question."""
 LONGEST_NOISE_S = 1.0
 RETRY_S = 0.02
 CHUNK = 256

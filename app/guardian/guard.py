@@ -55,7 +55,7 @@ class Guardian:
                     self._end()
 
     def end(self) -> None:
-        """Say farewell: the process ends without a byte on a wire."""
+        """Send the farewell: the process ends without a byte on a wire."""
         with self._lock:
             if self._process is not None:
                 with contextlib.suppress(OSError):
@@ -130,7 +130,7 @@ class RigGuard:
             each.forget()
 
     def close(self) -> None:
-        """Say farewell to the guardian. What is armed still stays recorded: nothing controls it from now on."""
+        """Dismiss the guardian. What is still armed stays recorded, because nothing controls it from now on."""
         self.guardian.end()
 
 

@@ -738,7 +738,7 @@ class Station:
         return self._bench
 
     def _look(self, *, closing: bool = False) -> None:
-        """Ask for the settings of the bench; `closing` closes a shutter that is open, whoever has opened it."""
+        """Ask for the settings of the bench; `closing` closes a shutter that is open, also one that was opened by hand."""
         if self._bench is not None:
             left = self._rig().guard.left
             self._bench.look()

@@ -118,9 +118,7 @@ class Monochromator:
         """True if the shutter is open. Raises DeviceError."""
         is_open = self._confirmed(SHUTTER.word, lambda text: text.upper() in ("O", "C"), "neither O nor C").upper() == "O"
         opening = self._opening
-        if is_open:
-            self._guard.arm(self.last_will())
-        elif opening is None or opening.done or opening.querying:  # else the statement that opens it may be sent yet
+        if not is_open and (opening is None or opening.done or opening.querying):  # else it may be opened yet
             self._guard.disarm()
         return is_open
 

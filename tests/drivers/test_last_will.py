@@ -49,7 +49,7 @@ def test_the_guard_is_armed_before_the_shutter_opens_and_disarmed_when_it_is_see
     assert guard.calls[-1] == "disarm"
     bench.plant.shutter_open.set(bench.clock.now(), True)  # by hand
     assert driver.shutter_is_open()
-    assert guard.calls[-1] == "arm"
+    assert guard.calls[-1] == "disarm"
     driver.close()
 
 

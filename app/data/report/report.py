@@ -43,6 +43,7 @@ CAPTIONS: dict[Kind, str] = {
 EVENTS = {
     "fault": "faults", "answer": "answers of the operator", "order": "safety orders", "stop": "stops", "drift": "drift",
     "warm-up": "warm-up", "encoder": "encoders", "sleep": "sleep of the computer", "listener": "listeners",
+    "guardian": "after the death of a program",
 }  # fmt: skip
 """Kinds of events that a report has, with their headings."""
 MOST_EVENTS, MOST_LIGHTS, MOST_LISTED, LEAST_SHARE = 30, 24, 24, 0.005

@@ -10,8 +10,10 @@ import threading
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
+import serial
 from filelock import FileLock, Timeout
 
 from goniotwin.app.guardian import __main__ as guardian
@@ -179,15 +181,16 @@ def test_half_a_line_leaves_what_the_line_before_has_armed(unit_with: Callable[.
 
 
 def test_a_busy_port_is_tried_again(record: Record, monkeypatch: pytest.MonkeyPatch, unit_with: Callable[..., Unit]) -> None:
-    unit, refused, really = unit_with(CLOSED), [], guardian.serial.serial_for_url
+    unit, really = unit_with(CLOSED), serial.serial_for_url
+    refused: list[tuple[Any, ...]] = []
 
-    def busy_at_first(*arguments: object, **options: object) -> object:
+    def busy_at_first(*arguments: Any, **options: Any) -> serial.Serial:
         if len(refused) < 3:
             refused.append(arguments)
-            raise guardian.serial.SerialException("busy")
+            raise serial.SerialException("busy")
         return really(*arguments, **options)
 
-    monkeypatch.setattr(guardian.serial, "serial_for_url", busy_at_first)
+    monkeypatch.setattr(serial, "serial_for_url", busy_at_first)
     guardian.carry_out(at(unit, record))
     assert unit.received.count(b"SHUTTER C\n") == 1
     assert written_by(record).done
@@ -308,7 +311,7 @@ def test_what_is_armed_at_the_end_is_an_order_until_it_is_acknowledged_or_seen_s
     later = RigGuard("rig")
     device = later.device("left-in-a-test", "socket://127.0.0.1:1")
     later.begin([], [])
-    assert later.left is not None
+    assert [later.left] == left_unsafe() != []
     device.disarm()
     assert later.left is None
     assert left_unsafe() == []
