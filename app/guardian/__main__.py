@@ -12,13 +12,15 @@ import os
 import re
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
+from importlib import import_module
 from pathlib import Path
 
 import serial
 
-from goniotwin.app.guardian.held import HeldFile, Taken, take_name
+from goniotwin.app.guardian.held import Held, HeldFile, Taken, take_name
 from goniotwin.app.guardian.record import BYTES, EVENTS_SUFFIX, FAREWELL, GUARDIAN, Record, decode_all, record_of
 from goniotwin.own_files import replace_text
 from goniotwin.protocols.clock import RealClock, calendar_stamp
@@ -34,6 +36,8 @@ QUIET_S = 0.1
 """A line without a byte for this time has sent all that belongs to what was before the question."""
 LONGEST_NOISE_S = 1.0
 RETRY_S = 0.02
+URL_SCHEMES = ("socket", "rfc2217")
+"""Those that a rig file can have (`app.rig.addresses`) and pyserial has a module for."""
 CHUNK = 256
 FAULTS = (serial.SerialException, OSError, ValueError)
 CLOCK = RealClock()
@@ -51,10 +55,19 @@ def main() -> None:
             break
         if line.endswith(b"\n"):  # else its writer died in the middle, before anything that it states
             records = decode_all(line)
+            for record in records:
+                _load_handler(record.address)
     for record in records:
         with contextlib.suppress(Taken):
             carry_out(record)
     os._exit(0)  # at once: a parent waits for it after its farewell
+
+
+def _load_handler(address: str) -> None:
+    """Load now what pyserial loads at the first use of a URL: after a death nothing is to be imported."""
+    scheme, separator, _ = address.lower().partition("://")
+    if separator and scheme in URL_SCHEMES:
+        import_module(f"serial.urlhandler.protocol_{scheme}")
 
 
 def carry_out(record: Record) -> None:
@@ -90,12 +103,10 @@ def _locked(record: Record) -> Iterator[None]:
         with contextlib.ExitStack() as held:
             try:
                 for path in record.locks:
-                    with contextlib.suppress(FileNotFoundError):  # removed: no program of this user has it
-                        held.enter_context(contextlib.closing(HeldFile(path)))
+                    if _take(held, partial(HeldFile, path)):
                         held.enter_context(_noted(path, record.pid))
                 for name in record.names:
-                    if (taken := take_name(name)) is not None:
-                        held.enter_context(contextlib.closing(taken))
+                    _take(held, partial(take_name, name))
             except Taken:
                 if CLOCK.now() > deadline:
                     raise
@@ -103,6 +114,19 @@ def _locked(record: Record) -> Iterator[None]:
                 yield
                 return
         CLOCK.sleep_until(CLOCK.now() + RETRY_S)
+
+
+def _take(held: contextlib.ExitStack, take: Callable[[], Held | None]) -> bool:
+    """Take a lock or a name; False where that cannot be: a removed folder is no reason to leave a device. Raises Taken."""
+    try:
+        taken = take()
+    except Taken:
+        raise
+    except OSError:
+        return False
+    if taken is not None:
+        held.enter_context(contextlib.closing(taken))
+    return True
 
 
 def _recorded(record: Record) -> Record | None:

@@ -180,6 +180,13 @@ def test_half_a_line_leaves_what_the_line_before_has_armed(unit_with: Callable[.
     assert written_by(record).done
 
 
+def test_a_lock_that_cannot_be_taken_at_all_holds_nothing_up(unit_with: Callable[..., Unit], record: Record) -> None:
+    """Its folder was removed, or is no folder any more."""
+    nowhere = (str(Path(record.path).with_name("gone") / "a.lock"), str(Path(record.locks[0]) / "a.lock"))
+    guardian.carry_out(replace(at(unit_with(CLOSED), record), locks=nowhere))
+    assert written_by(record).done
+
+
 def test_a_busy_port_is_tried_again(record: Record, monkeypatch: pytest.MonkeyPatch, unit_with: Callable[..., Unit]) -> None:
     unit, really = unit_with(CLOSED), serial.serial_for_url
     refused: list[tuple[Any, ...]] = []
