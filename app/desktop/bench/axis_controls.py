@@ -18,6 +18,8 @@ FARTHEST_DEG = 9999.0
 """Angles that can be entered: beyond any limits, so that a refusal can give the reason."""
 ARRIVED_DEG = 0.02
 """A jog starts at the last target if the axis is no farther from it than this: steps then add up without an error."""
+WIDEST = "✗ −000.00°"
+"""The longest text of a position whose encoder is known to agree."""
 BEYOND = 0.05
 """Share of the range that is drawn beyond each soft limit."""
 
@@ -135,6 +137,7 @@ class AxisControls(QWidget):
         self._encoder: float | None = None
         self._sent: float | None = None
         self._entered = False
+        self._one_line = False
         self._refusal = ""
         self._wanted = 0.0
         self._step = 1.0
@@ -145,7 +148,6 @@ class AxisControls(QWidget):
         font.setPointSizeF(1.15 * font.pointSizeF())
         self.position.setFont(font)
         self.position.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
-        self.position.setMinimumWidth(self.position.fontMetrics().horizontalAdvance("✗ −000.00°"))
         self.bar = LimitsBar(colours)
         self.down, self.up = _button("−", f"Jog {axis} down"), _button("+", f"Jog {axis} up")
         for jog in (self.down, self.up):
@@ -182,6 +184,8 @@ class AxisControls(QWidget):
 
     def set_one_line(self, one_line: bool) -> None:
         """Lay out all parts in one line, or position and limits above the controls."""
+        self._one_line = one_line
+        self._show_position()
         self._name.setText(f"<b>{GREEK[self.axis]}</b>" if one_line else f"<b>{GREEK[self.axis]}</b> {self.axis}")
         self._name.setMinimumWidth(0 if one_line else self._name.fontMetrics().horizontalAdvance("γ gamma") + 8)
         self._upper.setSpacing(4 if one_line else 8)
@@ -216,6 +220,8 @@ class AxisControls(QWidget):
     def _show_position(self) -> None:
         text = place_mark(self._position, bool(self._unreferenced), self._encoder)
         self.position.setText(text)
+        self.position.setMinimumWidth(self.position.fontMetrics().horizontalAdvance(max(WIDEST, text, key=len)))
+        self.bar.setVisible(not self._one_line or len(text) <= len(WIDEST))  # two values take its place
         if self._unreferenced:
             self.position.setToolTip(f"{self.axis} is unreferenced: {self._unreferenced}; home it, or set its position")
         else:

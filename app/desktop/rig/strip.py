@@ -151,7 +151,8 @@ class RigStrip(QFrame):
             arrow = f" → {target}" if wide and moving else ""
             label.setText(f"{GREEK[axis]} {position}{arrow}")
             label.setStyleSheet(f"color: {self._colours.bad}" if position.startswith("✗") else "")
-            label.setMinimumWidth(label.fontMetrics().horizontalAdvance(f"{GREEK[axis]} −000.00°"))
+            widest = max(f"{GREEK[axis]} −000.00°", f"{GREEK[axis]} {position}", key=len)
+            label.setMinimumWidth(label.fontMetrics().horizontalAdvance(widest))
             counters = "position" if axis not in self._unreferenced else "unreferenced, by its counter | its encoder"
             label.setToolTip(f"{axis}: {counters} {position}, target {target}")
             label.setAccessibleName(f"{axis} position {position}, target {target}")

@@ -430,19 +430,27 @@ def test_a_device_that_does_not_respond_is_marked_at_the_navigation_and_in_the_s
 
 
 @pytest.mark.parametrize("percent", [100, 150, 200])
-def test_the_strip_has_devices_light_and_axes_on_every_screen(qtbot: QtBot, frame: MainWindow, percent: int) -> None:
+def test_the_strip_has_devices_light_and_axes_and_the_bench_both_values_of_an_axis(
+    qtbot: QtBot, frame: MainWindow, percent: int
+) -> None:
     """The shutter always, wavelength and lamp where there is room; with an axis whose encoder contradicts."""
     frame.resize(*(side * 100 // percent for side in SCREEN))
     strip = frame.view.strip
     frame.view.devices.set_devices({each: status_of(each) for each in DEVICES})
     strip.set_light(BenchChanged(1234.5, True), LampRead(4.12e-7, True, calendar_stamp()))
     frame.view.axes.set_positions(dict.fromkeys(GREEK, 180.0), {"beta": 150.0})
+    on_bench = frame.view.screen_of(BenchScreen).axes["beta"]
+    frame.view.show_screen(view.SCREENS.index(BenchScreen))
     shown(qtbot, frame)
+    on_bench.set_position(180.0)
+    on_bench.set_unreferenced("it is jammed", 150.0)
+    qtbot.wait(1)
     assert ("1234.5&nbsp;nm" in strip._light.text()) == (percent < 200)
     assert "<b>open</b>" in strip._light.text()
     assert ("lamp&nbsp;412&nbsp;nA" in strip._light.text()) == (percent < 200)
     assert "shutter open, 1234.5 nm, lamp 412 nA" in strip._light.accessibleName()
     assert strip._axes["beta"].text() == "β ✗ 180.00° | 150.00°"
+    assert on_bench.position.text() == "✗ 180.00° | 150.00°"
     assert [fault for fault in faults(frame, percent) if "180.00" in fault or "nm" in fault] == []
 
 
