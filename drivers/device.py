@@ -19,7 +19,10 @@ PortOpener = Callable[[int, float], Serial]
 
 
 class Device(Protocol):
-    """A device of the rig. `name` is that in errors, transcripts and lists; errors may also name one of its `parts`."""
+    """A device of the rig. `name` is that in errors, transcripts and lists; errors may also name one of its `parts`.
+
+    A driver may have a `model` too, as on the device's plate (`PM100D`), empty before it is known: it is part of the headlines.
+    """
 
     @property
     def name(self) -> str: ...

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from goniotwin.drivers.device import Device, Identifiable
-from goniotwin.drivers.errors import BadAnswer, DeviceError, LimitError, NoAnswer
+from goniotwin.drivers.errors import BadAnswer, DeviceError, FaultText, LimitError, NoAnswer, WrongDevice
 from goniotwin.drivers.monitor.monitor import Monitor
 from goniotwin.drivers.monochromator.monochromator import Monochromator
 from goniotwin.drivers.motion.axis import Axis, PendingMove
@@ -17,6 +17,8 @@ from goniotwin.drivers.photodiodes.array import PhotodiodeArray
 from goniotwin.protocols.clock import Clock
 
 SIMULATED_SERIAL = "TWIN"
+PLURAL = ("axes", PhotodiodeArray.name)
+"""Names of devices that are more than one, in a sentence."""
 
 
 @dataclass(frozen=True)
@@ -55,6 +57,18 @@ class Rig:
             if name == device.name or name in device.parts:
                 return device
         raise KeyError(name)
+
+    def plain_name(self, name: str) -> str:
+        """A device, axis or module as an operator calls it: with its model, as far as that is known. `Axes (TMCM-6214)`."""
+        model = ""
+        with contextlib.suppress(KeyError):  # the driver of another package may name anything
+            model = getattr(self.device(name), "model", "")
+        called = f"axis {name}" if name in self.axes else name
+        return f"{called[:1].upper()}{called[1:]}" + (f" ({model})" if model else "")
+
+    def in_words(self, error: DeviceError) -> FaultText:
+        """A fault of this rig for people."""
+        return error.in_words(self.plain_name(error.device), plural=error.device in PLURAL)
 
     def controller(self, axis: str) -> MotionController:
         """The controller of an axis."""
@@ -152,7 +166,7 @@ class Rig:
                 identity = action()
             if SIMULATED_SERIAL in identity and not self.simulated:
                 device.close()
-                raise BadAnswer(
+                raise WrongDevice(
                     device.name, "identify it",
                     f"{identity} is a simulated instrument, but the rig file has no [simulated] table",
                     "add a [simulated] table to the rig file, or connect the real instrument",

@@ -195,8 +195,11 @@ class RemoteBench:
 def _ends(events: "list[Message]") -> list[str]:
     """The faults, or empty texts, with which activities have ended."""
     from goniotwin.app.station.messages import ActivityChanged
+    from goniotwin.drivers.errors import FaultText
 
-    return [each.error for each in events if isinstance(each, ActivityChanged) and not each.activity]
+    return [
+        str(FaultText(each.error, each.detail)) for each in events if isinstance(each, ActivityChanged) and not each.activity
+    ]
 
 
 @contextlib.contextmanager

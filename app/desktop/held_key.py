@@ -63,11 +63,6 @@ class HeldKey:
         self._held = self._ended = False
         self._looks = 0
 
-    @property
-    def down(self) -> bool:
-        """Whether the latest event is a press."""
-        return self._pressed is not None and self._released is None
-
     def press(self, at: Moment) -> Change | None:
         """Take a press: the first of a hold, or auto-repeat."""
         if self._pressed is None or (self._released is not None and at.since(self._released) > REPEAT_MS):

@@ -1,7 +1,7 @@
 """The presenter: receives the messages of the connection, keeps the state of rig, plan and run, and shows it in the view."""
 
 from collections import Counter
-from dataclasses import astuple, replace
+from dataclasses import replace
 from pathlib import Path
 
 from PySide6.QtCore import QDateTime, QObject, Qt, QTimer, Signal, Slot
@@ -223,11 +223,11 @@ class Presenter(QObject):
                 self._log_state(before.state, state)
                 self._pausing = False
                 self.show_run_status(STATUS.get(state, self._view.status))
-            case EventLogged(kind, what, where, consequence):
-                self._log(what, where, consequence, serious=kind in SERIOUS)
+            case EventLogged():
+                self._log_event(message)
             case PastRead(events):
-                for kind, what, where, consequence in map(astuple, events):
-                    self._log(what, where, consequence, serious=kind in SERIOUS)
+                for each in events:
+                    self._log_event(each)
             case SafetyOrder(order, reason):
                 self.notified.emit(order)
                 if message not in self._view.orders.orders:
@@ -283,8 +283,8 @@ class Presenter(QObject):
                     self.answer_refused.emit(reason)
             case ReferencesChanged():
                 self._show_positions()
-            case ActivityChanged(activity, error):
-                self._show_activity(before.activity, activity, error)
+            case ActivityChanged():
+                self._show_activity(before.activity, message)
             case StopReport():
                 self._show_stop(message)
             case SpeedChanged(speed):
@@ -381,13 +381,14 @@ class Presenter(QObject):
         elif self._view.notice.action == "operate":
             self._view.notice.clear()
 
-    def _show_activity(self, before: str, activity: str, error: str) -> None:
+    def _show_activity(self, before: str, now: ActivityChanged) -> None:
+        activity, error = now.activity, now.error
         if activity:
             self.show_run_status(f"{activity[0].upper()}{activity[1:]} …")
         elif error:
             self._view.show_status(error, error=error != "stopped")
             if error != "stopped":
-                self._log(error, serious=True)
+                self._log(error, serious=True, detail=now.detail)
         elif before:
             self.show_run_status(f"Done: {before}.")
 
@@ -413,8 +414,11 @@ class Presenter(QObject):
     def _log_missing_prediction(self, reason: str) -> None:
         self._log(f"No prediction: {reason}", "", "no residuals are shown")
 
-    def _log(self, what: str, where: str = "", consequence: str = "", *, serious: bool = False) -> None:
-        self._view.log.add(LogEntry(what, where, consequence, serious))
+    def _log(self, what: str, where: str = "", consequence: str = "", *, serious: bool = False, detail: str = "") -> None:
+        self._view.log.add(LogEntry(what, where, consequence, serious, detail))
+
+    def _log_event(self, event: EventLogged) -> None:
+        self._log(event.what, event.where, event.consequence, serious=event.kind in SERIOUS, detail=event.detail)
 
     def _log_state(self, before: State, state: State) -> None:
         if state is State.RECOVERING and before is not State.RECOVERING:
@@ -461,7 +465,8 @@ class Presenter(QObject):
                     self._live_plot.start(None, self._mark)
                 if self._show_not_responding(message):
                     for device in message.not_responding:
-                        self._log(devices[device].text, device, "no run can start", serious=True)
+                        status = devices[device]
+                        self._log(status.text, device, "no run can start", serious=True, detail=status.detail)
                 else:
                     self._view.show_status("All devices are connected.")
                     self._log("All devices are connected", name)
@@ -473,7 +478,8 @@ class Presenter(QObject):
             case DeviceChanged(device, status) if self.rig is not None:
                 if status.contact is Contact.DISCONNECTED and not self.busy:  # a run's events have its faults
                     self._view.show_status(status.error, error=True)
-                    self._log(status.error, device, "no run can start before it is connected again", serious=True)
+                    lost = "no run can start before it is connected again"
+                    self._log(status.error, device, lost, serious=True, detail=status.detail)
                 elif status.connected and not self.busy:
                     self._log("Connected", device)
         self._view.rig.set_rig(self.rig, self.rig_path)

@@ -149,7 +149,7 @@ class OpenRig:
         for error in self.rig.connect().values():
             if error is not None:
                 self.close()
-                raise UserError(str(error))
+                raise UserError(str(self.rig.in_words(error)))
         from goniotwin.app.rig.last_rig import remember_rig
 
         remember_rig(self.file)

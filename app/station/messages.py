@@ -35,14 +35,16 @@ class Contact(StrEnum):
 class DeviceStatus:
     """The state of a device, from its last answer: the only place that has it.
 
-    `identity` is empty before the first connection. `error` is its last fault. `answered` and `failed` are the calendar times
-    of its last answer and of that fault, UTC, ISO 8601; empty before the first one.
+    `identity` is empty before the first connection. `error` is its last fault, and `detail` what the wire has shown of it.
+    `answered` and `failed` are the calendar times of its last answer and of that fault, UTC, ISO 8601; empty before the first
+    one.
     """
 
     contact: Contact
     identity: str = ""
     answered: str = ""
     error: str = ""
+    detail: str = ""
     failed: str = ""
 
     @property
@@ -120,13 +122,14 @@ class ReferencesChanged:
 class ActivityChanged:
     """What the station does now, apart from the rows of a run, in words; empty if nothing.
 
-    `error` is the fault or the refusal with which the activity before ended, empty if it is done. `starts` if a run begins
-    with it: it can be paused and ended before its first row.
+    `error` is the fault or the refusal with which the activity before ended, empty if it is done, and `detail` what the wire
+    has shown of it. `starts` if a run begins with it: it can be paused and ended before its first row.
     """
 
     activity: str
     error: str = ""
     starts: bool = False
+    detail: str = ""
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,7 @@ from goniotwin.app.station.messages import (
     RunRefused,
 )
 from goniotwin.app.station.station import Station
+from goniotwin.drivers.errors import FaultText
 from goniotwin.protocols.clock import calendar_stamp
 
 UNATTENDED_S = 60.0
@@ -85,14 +86,14 @@ def _log(log: Log, message: Message) -> None:
             text = f"run refused: {reason}"
         case StateChanged(state, reason):
             text = f"{state} {reason}"
-        case EventLogged(kind, what, where, consequence):
-            text = f"{kind}: {where}: {what} {consequence}"
+        case EventLogged(kind, what, where, consequence, detail):
+            text = f"{kind}: {where}: {FaultText(what, detail)} {consequence}"
         case SafetyOrder():
             text = f"SAFETY: {message.text}"
         case DeviceChanged(device, status):
-            text = f"{device}: {status.contact}: {status.text}"
-        case ActivityChanged(activity, error) if activity or error:
-            text = activity or f"failed: {error}"
+            text = f"{device}: {status.contact}: {FaultText(status.text, '' if status.connected else status.detail)}"
+        case ActivityChanged(activity, error, detail=detail) if activity or error:
+            text = activity or f"failed: {FaultText(error, detail)}"
         case OperatorChanged(client):
             text = f"operated by {client or 'no client'}"
         case _:

@@ -11,6 +11,7 @@ import re
 import threading
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from itertools import count
 from pathlib import Path
@@ -71,7 +72,7 @@ from goniotwin.app.station.messages import (
 )
 from goniotwin.app.station.permissions import STOPPED, allowed
 from goniotwin.drivers import Axis, BadAnswer, DeviceError, Forgotten, LimitError, NoAnswer
-from goniotwin.drivers.errors import Taken, Unreferenced
+from goniotwin.drivers.errors import FaultText, Taken, Unreferenced
 from goniotwin.protocols.clock import GREATEST_SPEED, LEAST_SPEED, Clock, RealClock, ScaledClock, VirtualClock, calendar_stamp
 
 POLL_S = 0.2
@@ -221,7 +222,8 @@ class Station:
                 return []
             failures = bench.request.stop()
             for each in failures:
-                self._publish(EventLogged("fault", str(each), each.device))
+                fault = opened.rig.in_words(each)
+                self._publish(EventLogged("fault", fault.headline, each.device, detail=fault.detail))
             if (order := cut_power_order(opened.rig, failures)) is not None:
                 self._give_order(order, None)
             return [str(each) for each in failures]
@@ -444,12 +446,12 @@ class Station:
         if not any(outcome.values()):
             remember_rig(description.file)
         now = calendar_stamp()
+        faults = {device: opened.rig.in_words(error) for device, error in outcome.items() if error is not None}
         devices = {
-            device: DeviceStatus(Contact.CONNECTED, opened.rig.identities[device], now)
-            if error is None
-            else DeviceStatus(Contact.DISCONNECTED, error=str(error), failed=now)
-            for device, error in outcome.items()
-        }
+            device: DeviceStatus(Contact.CONNECTED, opened.rig.identities[device], now) if device not in faults
+            else DeviceStatus(Contact.DISCONNECTED, error=faults[device].headline, detail=faults[device].detail, failed=now)
+            for device in outcome
+        }  # fmt: skip
         controllers = {axis: each.name for each in opened.rig.controllers for axis in each.axes}
         self._publish(RigOpened(
             description.file.name, Path(description.name), description.digest, description.simulated,
@@ -500,19 +502,21 @@ class Station:
             try:
                 bench.close_shutter()
             except DeviceError as error:
-                self._give_order(close_shutter_order(error), None)
+                self._give_order(close_shutter_order(opened.rig, error), None)
             opened.close()
             self._publish(RigClosed(reason, fault))
 
     def _do(self, task: Task, activity: int) -> None:
         """Do a task of the bench or of a run. Its activity, by its number, ends with it, whatever happens, and no later one."""
-        error = ""
+        error = detail = ""
         try:
             task()
         except Stopped:
             error = "stopped"
         except DeviceError as fault:
-            error = "stopped" if self._stop_requested.is_set() else str(fault)
+            opened = self._opened
+            text = FaultText(str(fault)) if opened is None else opened.rig.in_words(fault)
+            error, detail = ("stopped", "") if self._stop_requested.is_set() else (text.headline, text.detail)
             self._note_fault(fault)
         except UserError as refusal:
             error = str(refusal)
@@ -526,7 +530,7 @@ class Station:
         self._report_references()
         with self.board.deciding() as now:
             if activity == self._begun and (now.activity or error):
-                self._publish(ActivityChanged("", error))
+                self._publish(ActivityChanged("", error, detail=detail))
 
     def _tick(self) -> None:
         """What is done between tasks, and between the polls of one on the bench: positions, live readings, last answers."""
@@ -649,7 +653,7 @@ class Station:
                 self._report_lost(device, error)
             else:
                 self._due[again] = self._due[f"ask {device}"] = self._wall.now() + REPEAT_S
-                self._report_contact(device, Contact.SILENT, str(error))
+                self._report_contact(device, Contact.SILENT, self._rig().rig.in_words(error))
         except DeviceError as error:
             self._note_fault(error)
         else:
@@ -680,27 +684,27 @@ class Station:
             if self._engine is None or isinstance(fault, Forgotten):
                 self._report_lost(name, fault)
             else:
-                self._report_contact(name, Contact.SILENT, str(fault))
+                self._report_contact(name, Contact.SILENT, opened.rig.in_words(fault))
 
     def _report_lost(self, device: str, fault: DeviceError) -> None:
         self._failures.pop(device, None)
         self._due[f"connect {device}"] = self._wall.now() + CONNECT_S
         if isinstance(fault, Taken):
             self._left.add(device)
-        self._report_contact(device, Contact.DISCONNECTED, str(fault))
+        self._report_contact(device, Contact.DISCONNECTED, self._rig().rig.in_words(fault))
 
-    def _report_contact(self, device: str, contact: Contact, error: str = "") -> None:
+    def _report_contact(self, device: str, contact: Contact, fault: FaultText | None = None) -> None:
         """Report the state of a device, with its fault if there is one."""
         rig, opened = self.snapshot.rig, self._opened
         if rig is None or opened is None or device not in rig.devices:
             return
         before = rig.devices[device]
-        identity = opened.rig.identities.get(device, before.identity)
-        answered = self._times.get(device, before.answered)
-        if error:
-            status = DeviceStatus(contact, identity, answered, error, calendar_stamp())
-        else:
-            status = DeviceStatus(contact, identity, answered, before.error, before.failed)
+        status = replace(
+            before, contact=contact, identity=opened.rig.identities.get(device, before.identity),
+            answered=self._times.get(device, before.answered),
+        )  # fmt: skip
+        if fault is not None:
+            status = replace(status, error=fault.headline, detail=fault.detail, failed=calendar_stamp())
         self._publish(DeviceChanged(device, status))
 
     def _connect_lost(self) -> None:

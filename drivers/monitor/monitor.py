@@ -19,7 +19,7 @@ from functools import lru_cache
 from typing import Literal
 
 from goniotwin.drivers.device import Pending, Poll
-from goniotwin.drivers.errors import BadAnswer, DeviceError, Forgotten, NoAnswer, Refused
+from goniotwin.drivers.errors import BadAnswer, DeviceError, Forgotten, NoAnswer, Overrange, Refused
 from goniotwin.drivers.found import FoundSettings
 from goniotwin.drivers.monitor.settings import ANSWER_MARGIN_S, MonitorSettings
 from goniotwin.drivers.tap import Tap, no_tap
@@ -121,6 +121,11 @@ class Monitor:
         self._quantity: Quantity = "current"
         self._averages = 0
         self._resynchronisations = 0
+
+    @property
+    def model(self) -> str:
+        """The model, by its dialect in the rig file."""
+        return self._dialect.name.upper()
 
     @property
     def events(self) -> deque[str]:
@@ -447,9 +452,7 @@ class MonitorMean:
             self._wire.in_step = False
             raise BadAnswer(NAME, self._query, str(error), "measure again") from None
         if overloaded(value):
-            raise DeviceError(
-                NAME, self._query, "overrange: the current exceeds the range", "set a wider range in the rig file"
-            )
+            raise Overrange(NAME, self._query, "overrange: the current exceeds the range", "set a wider range in the rig file")
         if self._limit is not None and abs(value) > self._limit:
             self._wire.in_step = False
             raise BadAnswer(NAME, self._query, f"{value:g} is beyond the range", "measure again")

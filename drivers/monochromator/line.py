@@ -12,7 +12,7 @@ from collections import deque
 from serial import Serial, SerialException
 
 from goniotwin.drivers.device import PortOpener
-from goniotwin.drivers.errors import BadAnswer, Forgotten, NoAnswer, unless_late
+from goniotwin.drivers.errors import BadAnswer, Forgotten, NoAnswer, Refused, WrongDevice, unless_late
 from goniotwin.drivers.found import FoundSettings
 from goniotwin.drivers.tap import FROM_DEVICE, TO_DEVICE, Tap
 from goniotwin.protocols.clock import Clock
@@ -43,6 +43,21 @@ UNITS = tuple(each.name.encode("ascii") for each in WavelengthUnit)
 CHECK_LINE = "check cable and baud rate"
 LINE_END = b"\r\n"
 """Ends a partial statement in the unit's buffer."""
+SWITCH_ON = f"switch it on, also from standby; {CHECK_LINE}"
+SWITCH_OFF_AND_ON = "switch the unit off and on, then connect it again"
+REMEDIES = {
+    ErrorCode.NOT_UNDERSTOOD: "check that the unit is one of the kind in the rig file",
+    ErrorCode.BAD_PARAMETER: "choose a wavelength, a grating and a filter that the unit has",
+    ErrorCode.DESTINATION_NOT_ALLOWED: "choose a wavelength that the unit's gratings reach, and a filter that its wheel has",
+    ErrorCode.ACCESSORY_NOT_PRESENT: "connect the shutter or filter wheel to the unit, or remove its filters from the rig file",
+    ErrorCode.CANNOT_HOME: "switch the unit off and on; if it cannot home again, its drive is blocked",
+}
+"""What to do about what `ERROR?` reports; about anything else SWITCH_OFF_AND_ON."""
+
+
+def error_text(number: int) -> str:
+    """A number that `ERROR?` answers, in words."""
+    return f"error {number}, {ErrorCode(number).in_words() if number in set(ErrorCode) else 'unknown'}"
 
 
 class CornerstoneLine:
@@ -150,7 +165,12 @@ class CornerstoneLine:
             number = int(decode_number(reply))
         except StatementError as error:
             raise BadAnswer(NAME, "ERROR?", str(error), CHECK_LINE) from None
-        return f"error {number}, {ErrorCode(number).in_words() if number in set(ErrorCode) else 'unknown'}"
+        return error_text(number)
+
+    def refused(self, statement: Statement, error: str) -> Refused:
+        """The error of a statement that the unit has refused, by the text of `last_error`, with what to do."""
+        remedy = next((what for code, what in REMEDIES.items() if error == error_text(code)), SWITCH_OFF_AND_ON)
+        return Refused(NAME, str(statement), error, remedy)
 
     def ready(self) -> None:
         """Resynchronise the line unless it is in step. Raises DeviceError, Forgotten if the unit has reset."""
@@ -202,7 +222,7 @@ class CornerstoneLine:
             left = deadline - self._clock.now()
             # A computer that is late reads once more: the reply may have been there in time.
             if over or not self._read(max(left, 0.0), 1):
-                silent = unless_late(self._late_s, seconds, f"no line within {seconds:g} s", CHECK_LINE)
+                silent = unless_late(self._late_s, seconds, f"no line within {seconds:g} s", SWITCH_ON)
                 raise NoAnswer(NAME, str(statement), *silent)
             over = left <= 0.0
             self.receive()
@@ -230,12 +250,14 @@ class CornerstoneLine:
         self.echoes = False
         identity, acknowledged = self._query_identity()
         if known_identity and identity != known_identity:
-            raise BadAnswer(NAME, "INFO?", f"{identity} is connected, not {known_identity}", "connect the unit of the rig file")
+            raise WrongDevice(
+                NAME, "identify it", f"{identity} is connected, not {known_identity}", "connect the unit of the rig file"
+            )
         handshake, status = self._query_until_quiet(Statement("HANDSHAKE", query=True))
         if acknowledged and handshake is not None and STATUS_TEXTS.get(handshake) == ERROR_SINCE_LAST_READ:
             handshake, status = b"1", ERROR_SINCE_LAST_READ  # a unit without this query refuses it in this mode
         if acknowledged and handshake is None:  # in this mode each statement is acknowledged, also one that is refused
-            raise NoAnswer(NAME, "HANDSHAKE?", "not responding", CHECK_LINE)
+            raise NoAnswer(NAME, "HANDSHAKE?", "not responding", SWITCH_ON)
         if (handshake == b"1" and status is None) or handshake not in (b"0", b"1", None):
             raise BadAnswer(NAME, "HANDSHAKE?", f"{handshake!r} with status {status}", CHECK_LINE)
         lost = had_handshake and handshake != b"1"
@@ -253,7 +275,7 @@ class CornerstoneLine:
             lost = lost or bool(known_identity)
         for word in ("STB", "ERROR"):  # they may still report an earlier statement
             if self._query_until_quiet(Statement(word, query=True))[0] is None:
-                raise NoAnswer(NAME, f"{word}?", "not responding", CHECK_LINE)
+                raise NoAnswer(NAME, f"{word}?", "not responding", SWITCH_ON)
         self.identity, self.in_step = identity, True
         if known_identity:
             self.events.append("line resynchronised" + (", settings were lost" if lost else ""))
@@ -265,7 +287,9 @@ class CornerstoneLine:
     def _query_identity(self) -> tuple[str, bool]:
         """The unit's identity, and whether it acknowledges statements: it is in handshake mode. Raises DeviceError."""
         reply, status = self._query_until_quiet(Statement("INFO", query=True))
-        if reply is None or len(reply) < 3 or not any(chr(each).isalpha() for each in reply):
+        if reply is None:
+            raise NoAnswer(NAME, "INFO?", "no reply", SWITCH_ON)
+        if len(reply) < 3 or not any(chr(each).isalpha() for each in reply):
             raise BadAnswer(NAME, "INFO?", f"{reply!r} is not an identity", CHECK_LINE)
         return reply.decode("ascii", "replace"), status is not None
 
@@ -275,7 +299,7 @@ class CornerstoneLine:
         if word == "HANDSHAKE" and (reply is None or STATUS_TEXTS.get(reply) == ERROR_SINCE_LAST_READ):
             return str(int(self._query_identity()[1]))  # a unit without this query
         if reply is None:
-            raise NoAnswer(NAME, f"{word}?", "not responding", CHECK_LINE)
+            raise NoAnswer(NAME, f"{word}?", "not responding", SWITCH_ON)
         return reply.decode("ascii", "replace").upper()
 
     def _query_until_quiet(self, statement: Statement) -> tuple[bytes | None, int | None]:

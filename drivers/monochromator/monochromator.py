@@ -20,12 +20,13 @@ To be confirmed on hardware: error 7 (already there), the statements of slits an
 """
 
 import contextlib
+import re
 import threading
 from collections import deque
 from collections.abc import Callable
 
 from goniotwin.drivers.device import Pending, PortOpener
-from goniotwin.drivers.errors import BadAnswer, DeviceError, Refused
+from goniotwin.drivers.errors import BadAnswer, DeviceError
 from goniotwin.drivers.found import FoundSettings
 from goniotwin.drivers.guard import Guard, LastWill, NoGuard
 from goniotwin.drivers.monochromator.line import CHECK_LINE, LINE_END, NAME, CornerstoneLine
@@ -55,6 +56,8 @@ class Monochromator:
         found: FoundSettings | None = None,
         guard: Guard | None = None,
     ) -> None:
+        self.model = "Cornerstone"
+        """The model, with its number once the identity of the unit has been read."""
         self._wire = CornerstoneLine(open_port, settings.baudrate, clock, tap, found or FoundSettings())
         self._guard = guard or NoGuard()
         self._opening: PendingStatement | None = None
@@ -72,14 +75,14 @@ class Monochromator:
 
     def identify(self) -> str:
         """Open the port and return the identity; `INFO?` is all that is sent. Raises DeviceError."""
-        return self._wire.identify()
+        return self._identified(self._wire.identify())
 
     def connect(self) -> str:
         """Open the port, detect echo and handshake mode; return the identity. Nothing moves. Raises DeviceError."""
         with self._lock:
             self._motion = None
             self._known.clear()
-            identity = self._wire.open()
+            identity = self._identified(self._wire.open())
             self.wavelength_nm()
             return identity
 
@@ -265,6 +268,12 @@ class Monochromator:
             self._motion = motion
             return motion
 
+    def _identified(self, identity: str) -> str:
+        """The same identity, whose model is known from here on."""
+        found = re.search(r"Cornerstone \d+\w*", identity)
+        self.model = self.model if found is None else found[0]
+        return identity
+
     # ---- exchanges ----
 
     def _query(self, word: str) -> str:
@@ -274,11 +283,13 @@ class Monochromator:
             motion = self._motion
             if motion is not None and not motion.done and motion.silent:
                 if not motion.aborted:
-                    raise DeviceError(NAME, str(statement), "it is moving, and not responding until it arrives", "wait for it")
+                    raise DeviceError(
+                        NAME, f"query ({statement})", "it is moving, and not responding until it arrives", "wait for it"
+                    )
                 motion.done = True
             reply, status = self._wire.exchange(statement)
             if status != NO_ERROR:
-                raise Refused(NAME, str(statement), self._wire.last_error())
+                raise self._wire.refused(statement, self._wire.last_error())
             try:
                 return reply.decode("ascii").strip()
             except UnicodeDecodeError:

@@ -82,7 +82,7 @@ class PendingStatement:
         if self._before is not None:
             return self._poll_before()
         if self.aborted:
-            raise DeviceError(NAME, str(self._statement), "it was aborted", "send it again")
+            raise DeviceError(NAME, f"finish {self._statement}", "it was aborted", "send it again")
         if not self._lost:
             try:
                 status = self._status()
@@ -174,7 +174,7 @@ class PendingStatement:
         self.done = True
         error = self._wire.last_error()
         if not error.startswith(ALREADY_THERE):
-            raise Refused(NAME, str(self._statement), error)
+            raise self._wire.refused(self._statement, error)
 
     def _note_lost(self, what: str) -> None:
         """The status is lost or corrupted: resynchronise, then query the unit."""

@@ -34,7 +34,7 @@ from typing import TypeVar
 from pymodbus.client.base import ModbusBaseSyncClient
 from pymodbus.pdu import ModbusPDU
 
-from goniotwin.drivers.errors import BadAnswer, DeviceError, Forgotten, NoAnswer, Refused, unless_late
+from goniotwin.drivers.errors import BadAnswer, DeviceError, Forgotten, NoAnswer, Refused, WrongDevice, unless_late
 from goniotwin.drivers.photodiodes.modbus import WIRE_FAULTS, ModbusBus, ModbusUnit, describe_fault
 from goniotwin.drivers.tap import FROM_DEVICE, TO_DEVICE, no_tap
 from goniotwin.protocols import adam
@@ -551,7 +551,7 @@ class AdamModule:
     def _check_first_word(self, name: list[int]) -> None:
         """Raise BadAnswer for the name of another model. The second word may have the letter of a revision."""
         if name[0] != self._model.name[0]:
-            raise BadAnswer(
+            raise WrongDevice(
                 self.name, "read its name", f"it is {name[0]:04x}, not {self._model.name[0]:04x}",
                 "check which module has this address, and the kind in the rig file",
             )  # fmt: skip

@@ -47,6 +47,11 @@ class PhotodiodeArray:
         return tuple(module.name for module in self._modules)
 
     @property
+    def model(self) -> str:
+        """The model of the modules, of the rig file."""
+        return self.settings.model.title
+
+    @property
     def identities(self) -> list[str]:
         """Identities of the modules, once connected."""
         return [module.identity for module in self._modules]
@@ -70,7 +75,7 @@ class PhotodiodeArray:
 
     @property
     def _identity(self) -> str:
-        return f"{len(self._modules)} modules {self.settings.model.title}"
+        return f"{len(self._modules)} modules {self.model}"
 
     def reconnect(self) -> list[str]:
         """After a fault: identify each module and restore its settings; return what was restored.

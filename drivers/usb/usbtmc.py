@@ -22,7 +22,7 @@ from typing import Any
 import usb.core
 import usb.util
 
-from goniotwin.drivers.errors import BadAnswer, DeviceError, NoAnswer, unless_late
+from goniotwin.drivers.errors import BadAnswer, DeviceError, NoAnswer, WrongDevice, unless_late
 from goniotwin.drivers.tap import FROM_DEVICE, TO_DEVICE, Tap, no_tap
 from goniotwin.drivers.usb.control_endpoint import ControlEndpoint, explain
 from goniotwin.protocols.clock import Clock
@@ -167,7 +167,8 @@ class UsbTmc:
         identity = self._read(IDENTITY).decode("ascii", "replace")
         if not identity or (self.identity and identity != self.identity):
             self.in_step = False
-            raise BadAnswer(self.name, IDENTITY, f"{identity!r} is connected, not {self.identity}", "connect the right one")
+            wrong = f"{identity!r} is connected, not {self.identity}"
+            raise WrongDevice(self.name, "identify it", wrong, "connect the right one")
         if self.identity:
             self.events.append("wire resynchronised")
             self.resynchronisations += 1

@@ -40,6 +40,7 @@ from goniotwin.app.campaign.running.stop import EndedByOperator, EndedBySchedule
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import AXES
 from goniotwin.drivers import DeviceError, LimitError, Rig, Until
+from goniotwin.drivers.errors import FaultText
 
 T = TypeVar("T")
 Cut = tuple[str, float, float, float]
@@ -130,7 +131,7 @@ class Engine:
 
         Raises UserError before anything moves where the journal of a resumed campaign is damaged.
         """
-        outcome, reason, session = State.DONE, "", 0
+        outcome, reason, headline, session = State.DONE, "", "", 0
         self._read_earlier_rows()
         self._enter(State.PAUSING if self._pause else State.RUNNING)
         try:
@@ -152,7 +153,8 @@ class Engine:
             if self._stop_request.requested:  # the stop frames came between a request and its answer
                 outcome, reason = State.IDLE, "stopped"
             else:
-                outcome, reason = State.FAILED, str(error)
+                fault = self._rig.in_words(error)
+                outcome, reason, headline = State.FAILED, str(fault), fault.headline
         except BaseException as error:
             # An error of the program or of the operator's code: stop the axes and record it all the same.
             self._finish(session, State.FAILED, f"{type(error).__name__}: {error}")
@@ -161,7 +163,7 @@ class Engine:
             self._enter(State.FAILED, str(error))
             raise
         self._finish(session, outcome, reason)
-        self._enter(outcome, reason)
+        self._enter(outcome, headline or reason)
         return outcome
 
     def pause(self) -> None:
@@ -334,8 +336,9 @@ class Engine:
                 self._notify(DeviceFailed(error))
                 if policy == "stop" or (policy == "skip" and not skippable):
                     raise
-                self._log_event("fault", f"{error} (at {what}: {POLICY_TEXT[policy]})", what, POLICY_TEXT[policy], str(error))
-                self._enter_unless_pausing(State.RECOVERING, str(error))
+                fault = self._rig.in_words(error)
+                self._log_fault(fault, f"{fault} (at {what}: {POLICY_TEXT[policy]})", what, POLICY_TEXT[policy])
+                self._enter_unless_pausing(State.RECOVERING, fault.headline)
                 light = self._rig.monochromator
                 self._executor.forget_settings(light=error.device in (light.name, *light.parts))
                 answer = self._ask_operator(what, error, skippable=skippable) if policy == "ask" else None
@@ -349,7 +352,8 @@ class Engine:
                 else:
                     failures = self._recovery.recover(error.device, homing=answer is not Answer.SKIP)
                 for failure in failures:
-                    self._log_event("fault", f"{failure} (after a fault at {what})", what, "", str(failure))
+                    failed = self._rig.in_words(failure)
+                    self._log_fault(failed, f"{failed} (after a fault at {what})", what)
                 if policy == "skip" or answer is Answer.SKIP:
                     return None
                 self._executor.wait(Until(self._clock, self._clock.now() + policies.wait_s))
@@ -363,13 +367,15 @@ class Engine:
         try:
             self._executor.set_shutter(opened=False)
         except DeviceError as error:
-            self._give_order(close_shutter_order(error))
+            self._give_order(close_shutter_order(self._rig, error))
         self._journal.checkpoint()
         device, failure = self._rig.device(fault.device).name, ""
         while True:
             axis = self._recovery.unreferenced_axis(fault.device)
             # Without the remedy, which the answers are.
-            happened = fault if axis is None else f"{fault.device}: {fault.doing}: {fault.happened}"
+            happened = (
+                self._rig.in_words(fault).headline if axis is None else f"{fault.device}: {fault.doing}: {fault.happened}"
+            )
             text = f"{failure}{what}: {happened}"
             reply = self._operator.resolve_fault(text, skippable=skippable, device=device, axis=axis)
             answer, given = (Answer.SET_POSITION, reply) if isinstance(reply, PositionGiven) else (reply, None)
@@ -384,8 +390,9 @@ class Engine:
                 self._recovery.reference(axis, reply)
             except DeviceError as error:
                 self._stop_request.check()
-                self._log_event("fault", f"{error} (at {what})", what, "", str(error))
-                failure = f"{error}. Before: "
+                failed = self._rig.in_words(error)
+                self._log_fault(failed, f"{failed} (at {what})", what)
+                failure = f"{failed.headline}. Before: "
                 self._recovery.wait_for_rest()  # counter and encoder are asked for with the next question
                 continue
             return answer
@@ -404,20 +411,25 @@ class Engine:
 
     def _bring_to_rest(self, now: float, outcome: State, reason: str) -> None:
         failures = [] if outcome is State.DONE else self._rig.stop()
-        self.faults = [*([reason] if outcome is State.FAILED else []), *map(str, failures)]
+        self.faults = [*([reason] if outcome is State.FAILED else []), *(str(self._rig.in_words(each)) for each in failures)]
         for fault in self.faults:
-            self._log_fault(now, fault)
+            self._log_last_fault(now, fault)
         self._give_power_order(failures)
         try:
             if self._executor.close_shutter_after_stop():
                 with contextlib.suppress(JournalError):
                     self._log_event("shutter", "closed after the stop", what="Shutter closed after the stop")
         except DeviceError as error:
-            self.faults.append(f"{error}; close the shutter by hand")
-            self._log_fault(now, self.faults[-1])
-            self._give_order(close_shutter_order(error))
+            self.faults.append(f"{self._rig.in_words(error)}; close the shutter by hand")
+            self._log_last_fault(now, self.faults[-1])
+            self._give_order(close_shutter_order(self._rig, error))
 
-    def _log_fault(self, t: float, fault: str) -> None:
+    def _log_fault(self, fault: FaultText, text: str, where: str, consequence: str = "") -> None:
+        """Write a fault to the journal as `text`, and show its headline."""
+        self._journal.event(self._clock.now(), "fault", text)
+        self._notify(EventLogged("fault", fault.headline, where, consequence, fault.detail))
+
+    def _log_last_fault(self, t: float, fault: str) -> None:
         self._notify(EventLogged("fault", fault, self._action, "the run ends"))
         with contextlib.suppress(JournalError):
             self._journal.event(t, "fault", fault)

@@ -61,12 +61,16 @@ class Positions:
 
 @dataclass(frozen=True)
 class EventLogged:
-    """An event was written to the journal: its kind, what happened, where (a row, an axis), and the consequence for the run."""
+    """An event was written to the journal: its kind, what happened, where (a row, an axis), and the consequence for the run.
+
+    `detail` is what a device's wire has shown of it, for those who look closer.
+    """
 
     kind: str
     what: str
     where: str = ""
     consequence: str = ""
+    detail: str = ""
 
 
 CLOSE_SHUTTER = "Close the shutter by hand"
@@ -90,9 +94,9 @@ def left_order(record: "Record") -> SafetyOrder:
     return SafetyOrder(record.remedy, record.reason)
 
 
-def close_shutter_order(error: "DeviceError") -> SafetyOrder:
+def close_shutter_order(rig: "Rig", error: "DeviceError") -> SafetyOrder:
     """The order where the shutter cannot be closed."""
-    return SafetyOrder(CLOSE_SHUTTER, f"it may be open; {error}")
+    return SafetyOrder(CLOSE_SHUTTER, f"it may be open; {rig.in_words(error)}")
 
 
 def shutter_found_open() -> SafetyOrder:
@@ -103,7 +107,7 @@ def shutter_found_open() -> SafetyOrder:
 def cut_power_order(rig: "Rig", failures: "Sequence[DeviceError]") -> SafetyOrder | None:
     """The order where a stop failed; None where every axis has confirmed it. A grating that turns on is no danger."""
     grating = (rig.monochromator.name, *rig.monochromator.parts)
-    reasons = [str(each) for each in failures if each.device not in grating]
+    reasons = [str(rig.in_words(each)) for each in failures if each.device not in grating]
     return SafetyOrder("Cut the motors' power", "the stop is not confirmed; " + "; ".join(reasons)) if reasons else None
 
 

@@ -47,12 +47,13 @@ MAX_ENTRIES = 2000
 
 @dataclass(frozen=True)
 class LogEntry:
-    """An entry of the log. `serious`: a person should look at it."""
+    """An entry of the log. `serious`: a person should look at it. `detail`: what a device's wire has shown, as a tool tip."""
 
     what: str
     where: str = ""
     consequence: str = ""
     serious: bool = False
+    detail: str = ""
 
 
 class EventModel(QAbstractTableModel):
@@ -114,6 +115,8 @@ class EventModel(QAbstractTableModel):
             return Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignTop
         if role == Role.ToolTipRole and column == 0:
             return time.toString(Qt.DateFormat.ISODate)
+        if role in (Role.ToolTipRole, Role.AccessibleDescriptionRole) and column == 1 and entry.detail:
+            return f"{entry.what}\n{entry.detail}"
         if role in (Role.DisplayRole, Role.ToolTipRole):
             mark = "✗ " if entry.serious else ""
             return (time.toString("HH:mm:ss"), mark + entry.what, entry.where, entry.consequence)[column]

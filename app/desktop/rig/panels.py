@@ -185,6 +185,7 @@ class DeviceRow(QWidget):
         self._what.setStyleSheet(f"color: {colours.dim}")
         self._what.setToolTip(at)
         self._error.setText(wrong)
+        self._error.setToolTip("" if status is None else status.detail)
         self._error.setVisible(bool(wrong))
         self._error.setStyleSheet(f"color: {colours.bad if serious else colours.dim}")
         self._button.setText("Reconnect" if status is not None else "Connect")

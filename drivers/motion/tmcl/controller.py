@@ -66,6 +66,11 @@ class TmclController:
         return tuple(self.axes)
 
     @property
+    def model(self) -> str:
+        """The model of the first module, once it has been identified."""
+        return self.module.model
+
+    @property
     def stop_count(self) -> int:
         """Number of stop requests so far."""
         return self.module.stop_count

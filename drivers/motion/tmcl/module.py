@@ -29,7 +29,7 @@ from dataclasses import replace
 from functools import partial
 
 from goniotwin.drivers.device import PortOpener
-from goniotwin.drivers.errors import BadAnswer, DeviceError, Forgotten, Interrupted, NoAnswer, Taken, unless_late
+from goniotwin.drivers.errors import BadAnswer, DeviceError, Forgotten, Interrupted, NoAnswer, Taken, WrongDevice, unless_late
 from goniotwin.drivers.found import FoundSettings
 from goniotwin.drivers.motion.stop import StopPhase, StopSteps
 from goniotwin.drivers.motion.stop_lock import StopLock
@@ -100,6 +100,8 @@ class TmclModule:
     ) -> None:
         """`speed` is the time of the clock in a second of real time, in which `heartbeat_s` and `reply_timeout_s` are."""
         self.name = name
+        self.model = ""
+        """That of the first module, once it has been identified."""
         self.found = found or FoundSettings(asks=False)
         self._session = session
         self._taken: Taken | None = None
@@ -294,7 +296,7 @@ class TmclModule:
     def _stop(self, targets: Targets) -> StopSteps:
         port = self._port
         if port is None:
-            return [NoAnswer(name, "stop", "the port is not open") for name, _ in targets]
+            return [NoAnswer(name, "stop", "the port is not open", "cut the motors' power") for name, _ in targets]
         silent, broken = list(targets), ""
         for first in (True, False):
             try:
@@ -335,7 +337,7 @@ class TmclModule:
         """Identify a module, set its canary and heartbeat; return its number. Raises DeviceError."""
         number = self._number(address)
         if number not in MODELS:
-            raise BadAnswer(
+            raise WrongDevice(
                 self.name, f"identify module {address}", f"it is a TMCM-{number}",
                 f"this driver supports {' and '.join(f'TMCM-{each}' for each in MODELS)}",
             )  # fmt: skip
@@ -361,7 +363,10 @@ class TmclModule:
         return [each.motor for each in requests if self.exchange(each) != 0]
 
     def _number(self, address: int) -> int:
-        return self.exchange(CommandFrame(address, Command.FIRMWARE_VERSION, 1, 0)) >> 16
+        number = self.exchange(CommandFrame(address, Command.FIRMWARE_VERSION, 1, 0)) >> 16
+        if address == self.addresses[0]:
+            self.model = f"TMCM-{number}"
+        return number
 
     def _check_not_taken(self, address: int, value: int) -> None:
         """Raise Taken for the canary of another session, if it is read twice: a value can be corrupted unnoticed."""
@@ -397,7 +402,7 @@ class TmclModule:
             while True:
                 frame = made.pop()[3] if made else port.frame(started + self._reply_s, lambda: self._gives_way(stops, started))
                 if stops != self._lock.acquired:
-                    raise NoAnswer(self.name, self._describe(request), "a stop came between request and reply")
+                    raise NoAnswer(self.name, self._describe(request), "a stop came between request and reply", "try again")
                 if frame is None:
                     missing = unless_late(port.late_s, self._reply_s, port.describe_missing(started))
                     raise NoAnswer(self.name, self._describe(request), *missing)

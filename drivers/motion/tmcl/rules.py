@@ -29,6 +29,17 @@ FIRST_MARK_VARIABLE, CANARY_VARIABLE, MARKER_VARIABLE = 248, 254, 255
 MOTORS = 6
 CANARY, FIRST_MARKER = 0x676F_6E69, 0x4D41_0000
 """The canary of a rig in this process, which no other program can take; otherwise it is a random number of the session."""
+DISTURBED = "check cable and grounding"
+NO_SUCH_COMMAND = "check that the module is a TMCM-6214 or TMCM-1240; update its firmware"
+REMEDIES: dict[int, str] = {
+    ReplyStatus.INVALID_COMMAND: NO_SUCH_COMMAND,
+    ReplyStatus.WRONG_TYPE: f"check the number of the motor in the rig file; {NO_SUCH_COMMAND}",
+    ReplyStatus.INVALID_VALUE: "the module does not take this value: correct the table of the axis in the rig file",
+    ReplyStatus.EEPROM_LOCKED: "unlock the module's settings: set its global parameter 73 to 4321, with the maker's TMCL-IDE",
+    ReplyStatus.NOT_AVAILABLE: "end the program that runs in the module, with the maker's TMCL-IDE",
+    ReplyStatus.MAXIMUM_EXCEEDED: "the value is too great for the module: correct the table of the axis in the rig file",
+}
+"""What to do about the status with which a module refuses a command."""
 REFERENCED, UNREFERENCED = 0x6B6E_6F77, 0x646F_7562
 """The two values of a mark; after a power-up it has neither."""
 
@@ -97,15 +108,16 @@ def check_reply(request: CommandFrame, frame: bytes, device: str, describe: Call
     try:
         reply = ReplyFrame.decode(frame)
     except FrameError as error:
-        raise BadAnswer(device, describe(request), str(error)) from None
+        raise BadAnswer(device, describe(request), str(error), DISTURBED) from None
     if reply.host != HOST_ADDRESS or reply.address != request.address:
         return None
     if reply.status == ReplyStatus.WRONG_CHECKSUM:
-        raise BadAnswer(device, describe(request), "the request was corrupted in transmission")
+        raise BadAnswer(device, describe(request), "the request was corrupted in transmission", DISTURBED)
     if reply.command != request.command or reply.status == ReplyStatus.TARGET_REACHED:
         return None
     if reply.status != ReplyStatus.OK:
-        raise Refused(device, describe(request), f"the module replies: {reply}")
+        remedy = REMEDIES.get(reply.status, "update the module's firmware")
+        raise Refused(device, describe(request), f"the module replies: {reply}", remedy)
     echoes = request.command in ECHOING or (request.command == Command.MVP and request.type == MoveType.ABSOLUTE)
     return None if echoes and reply.value != request.value else reply
 

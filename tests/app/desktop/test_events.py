@@ -45,6 +45,9 @@ def journal_events(window: MainWindow) -> list[tuple[str, str]]:
     return found
 
 
+MODULE = "Photodiodes module 2 (ADAM-6017) is not responding"
+
+
 def wait_for_question(qtbot: QtBot, window: MainWindow, text: str) -> QuestionBox:
     """Wait for a question with this text in it; return its box."""
 
@@ -111,14 +114,14 @@ def test_a_safety_order_stays_until_it_is_acknowledged(
     click(window.view.run.stop_button)
     wait_for_end(qtbot, window, State.IDLE)
     monkeypatch.setattr(TmclAxis, "position_deg", silent)
-    qtbot.waitUntil(lambda: "GAP" in window.view.status, timeout=READY_MS)
+    qtbot.waitUntil(lambda: "Axis gamma (TMCM-6214) is not responding" in window.view.status, timeout=READY_MS)
     (order,) = window.view.orders.orders
     assert order.order == "Cut the motors' power"
-    assert "sigma: MST: nothing" in order.reason
+    assert "Axis sigma (TMCM-6214) is not responding (MST: nothing)" in order.reason
     assert window.view.orders.isVisible()
     assert window.windowTitle().startswith("SAFETY ORDER")
     texts = [entry.what for entry in window.view.log.entries if entry.serious]
-    assert any(text.startswith("gamma: GAP") for text in texts)
+    assert any(text.startswith("Axis gamma (TMCM-6214) is not responding") for text in texts)
     assert any("Cut the motors' power" in text for text in texts)
 
     acknowledge(window)
@@ -141,7 +144,7 @@ def test_an_order_is_acknowledged_during_a_run(qtbot: QtBot, asking: MainWindow,
         wait_for_question(qtbot, asking, "gaussian-5")
         patch.setattr(Monochromator, "start_shutter", stuck)
         answer(asking, "Mounted")
-        wait_for_question(qtbot, asking, "SHUTTER")
+        wait_for_question(qtbot, asking, "Monochromator (Cornerstone 260) is not responding")
         (order,) = asking.view.orders.orders
         assert order.order == "Close the shutter by hand"
         acknowledge(asking)
@@ -177,7 +180,7 @@ def test_an_order_without_a_run_is_in_the_window_only(
 
     monkeypatch.setattr(Rig, "stop", failing)
     click(window.view.run.stop_button)
-    qtbot.waitUntil(lambda: any("ABORT" in entry.what for entry in window.view.log.entries), timeout=READY_MS)
+    qtbot.waitUntil(lambda: any(entry.detail == "ABORT: nothing" for entry in window.view.log.entries), timeout=READY_MS)
     assert window.view.orders.orders == []  # a grating that turns on is no danger
     monkeypatch.setattr(Rig, "stop", lambda _rig: [NoAnswer("beta", "MST", "nothing")])
     click(window.view.run.stop_button)
@@ -214,7 +217,7 @@ def test_a_person_closes_the_window_only_after_acknowledging_the_order(
     window.close()
     click(wait_for_close_question(qtbot, window, "A run is in progress").buttons[STOP_AND_CLOSE])
     box = wait_for_close_question(qtbot, window, "Cut the motors' power")
-    assert "sigma: MST: nothing" in box.text
+    assert "Axis sigma (TMCM-6214) is not responding (MST: nothing)" in box.text
     assert not window.presenter.busy
     assert window.isVisible()
     assert len(window.view.orders.orders) == 1
@@ -239,13 +242,13 @@ def test_a_close_without_a_run_waits_for_every_order(qtbot: QtBot, window: MainW
     click(window.view.run.stop_button)
     qtbot.waitUntil(lambda: len(window.view.orders.orders) == 2, timeout=READY_MS)
     assert not window.close()
-    wait_for_close_question(qtbot, window, "sigma: MST")
+    wait_for_close_question(qtbot, window, "Axis sigma")
     acknowledge(window)
-    box = wait_for_close_question(qtbot, window, "beta: MST")
+    box = wait_for_close_question(qtbot, window, "Axis beta")
     click(box.buttons[KEEP_OPEN])
     assert window.isVisible()
     assert not window.close()
-    click(wait_for_close_question(qtbot, window, "beta: MST").buttons[ACKNOWLEDGE])
+    click(wait_for_close_question(qtbot, window, "Axis beta").buttons[ACKNOWLEDGE])
     assert not window.isVisible()
 
 
@@ -303,15 +306,15 @@ def test_each_answer_to_a_fault(qtbot: QtBot, asking: MainWindow) -> None:
     assert list(box.buttons) == ["Mounted", "Wait", "Stop"]
     break_photodiodes(asking)
     answer(asking, "Mounted")
-    first = wait_for_question(qtbot, asking, "photodiodes module 2")
+    first = wait_for_question(qtbot, asking, MODULE)
     assert list(first.buttons) == ["Retry", "Skip row", "Pause", "Stop"]
     assert "Device fault" in first.windowTitle()
     title, row, *_ = first.text.split(": ")
     answer(asking, "Retry")
-    again = wait_for_question(qtbot, asking, "photodiodes module 2")
+    again = wait_for_question(qtbot, asking, MODULE)
     assert again.text.startswith(f"{title}: {row}: ")
     answer(asking, "Skip row")
-    following = wait_for_question(qtbot, asking, "photodiodes module 2")
+    following = wait_for_question(qtbot, asking, MODULE)
     assert not following.text.startswith(f"{title}: {row}: ")
     answer(asking, "Pause")
     qtbot.waitUntil(lambda: asking.presenter.state is State.PAUSED, timeout=READY_MS)
@@ -326,13 +329,13 @@ def test_each_answer_to_a_fault(qtbot: QtBot, asking: MainWindow) -> None:
     answers = [text.split(" (at ")[0] for kind, text in journal_events(asking) if kind == "answer"]
     assert answers == ["Retry", "Skip row", "Pause"]
     log = asking.view.log.entries
-    faults = [entry for entry in log if "photodiodes module 2" in entry.what and entry.consequence]
+    faults = [entry for entry in log if MODULE in entry.what and entry.consequence]
     assert len(faults) == 3
     assert all(entry.serious and entry.where and entry.consequence == "ask the operator" for entry in faults)
     assert LogEntry("Run ended: done after 10 of 10 rows", asking.presenter.journal.name, "measured rows are saved") in log
 
 
-@pytest.mark.parametrize("question", ["etalon", "photodiodes module 2"])
+@pytest.mark.parametrize("question", ["etalon", MODULE])
 def test_stop_ends_the_wait_for_an_answer(qtbot: QtBot, asking: MainWindow, question: str) -> None:
     """For one question with its own button, for the other with that of the window."""
     wait_for_question(qtbot, asking, "etalon")
@@ -382,7 +385,7 @@ def test_a_question_can_wait_and_no_key_answers_it_by_accident(
     assert [each.text() for each in tab_order(mount) if isinstance(each, QPushButton)] == ["Mounted", "Wait"]
     break_photodiodes(asking)
     answer(asking, "Mounted")
-    fault = wait_for_question(qtbot, asking, "photodiodes module 2")
+    fault = wait_for_question(qtbot, asking, MODULE)
     for key in ACCIDENTS:
         press(qtbot, fault.focusWidget(), key)
     assert fault.isVisible()

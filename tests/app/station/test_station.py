@@ -742,7 +742,7 @@ def test_a_device_that_is_lost_and_connected_again(
     modules.units = (9,)
     bench.station.read()
     now = bench.work()
-    assert "photodiodes module 2" in bench.error
+    assert "Photodiodes module 2 (ADAM-6017) is not responding" in bench.error
     assert now.rig is not None
     assert now.rig.not_responding == ["photodiodes"]
     assert allowed(now)["read"] == allowed(now)["start"] == "not responding: photodiodes"

@@ -138,7 +138,9 @@ def test_a_device_that_does_not_respond_ends_the_run_and_gives_no_row(bench: Mak
     made = holder[0]
     assert made.engine.run() is State.FAILED
     assert made.journal.row_counts()[0] == 4
-    assert "photodiodes module 2" in made.journal.faults()[0]
+    assert made.journal.faults()[0].startswith(
+        "Photodiodes module 2 (ADAM-6017) is not responding: check address, cable and power ("
+    )
 
 
 def test_an_axis_that_slips_ends_the_run_and_gives_no_row(bench: MakeBench) -> None:

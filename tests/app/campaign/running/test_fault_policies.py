@@ -116,7 +116,16 @@ def test_a_retried_row_has_the_data_of_an_undisturbed_run(policy: str, make: Mak
     assert run.state is State.DONE
     assert planned_values(tmp_path / "a.journal") == planned_values(tmp_path / "whole.journal")
     texts = [text for kind, text in run.events if kind == "fault"]
-    assert len([text for text in texts if "photodiodes module 2" in text and plan.rows[ROW].identity in text]) >= 2
+    assert (
+        len(
+            [
+                text
+                for text in texts
+                if "Photodiodes module 2 (ADAM-6017) is not responding" in text and plan.rows[ROW].identity in text
+            ]
+        )
+        >= 2
+    )
     recovered = [State.RECOVERING, State.RUNNING]
     assert silence.states == [State.RUNNING, *recovered, *recovered, State.DONE]
     assert run.faults == []
@@ -125,7 +134,7 @@ def test_a_retried_row_has_the_data_of_an_undisturbed_run(policy: str, make: Mak
 def test_after_the_last_attempt_the_policy_then_applies(make: MakePlan, tmp_path: Path) -> None:
     stopped = run_with_silence(make("\n[faults]\nattempts = 2\n"), tmp_path / "stop.journal", Silence(9))
     assert (stopped.state, len(stopped.rows)) == (State.FAILED, ROW)
-    assert stopped.faults[0].startswith("photodiodes module 2: ")
+    assert stopped.faults[0].startswith("Photodiodes module 2 (ADAM-6017) is not responding: ")
     skipped = run_with_silence(make('\n[faults]\nattempts = 2\nthen = "skip"\n'), tmp_path / "skip.journal", Silence(9))
     assert skipped.state is State.DONE
     assert [each.row.number for each in skipped.rows if each.data.flags] == [ROW]
@@ -157,7 +166,7 @@ def test_with_ask_the_operator_decides(
     assert run.state is state
     assert len(operator.faults) == 1
     assert operator.shutter == [False]
-    assert "photodiodes module 2" in operator.faults[0]
+    assert operator.faults[0].endswith(": Photodiodes module 2 (ADAM-6017) is not responding: check address, cable and power")
     assert [each.data.flags for each in run.rows[ROW:]][:1] == ([] if flags is None else [flags])
     assert any(kind == "answer" and text.startswith(answer) for kind, text in run.events)
 
@@ -196,11 +205,14 @@ def test_a_shutter_that_cannot_be_closed_for_the_operator_is_a_safety_order(make
 
     run = run_plan(plan, tmp_path / "a.journal", prepare, FaultOperator(silence, Answer.STOP), [silence.listen])
     orders = [text for kind, text in run.events if kind == "order"]
-    assert orders[0] == "Close the shutter by hand: it may be open; monochromator: SHUTTER C: no reply"
+    assert orders[0] == (
+        "Close the shutter by hand: it may be open; Monochromator (Cornerstone 260) is not responding (SHUTTER C: no reply)"
+    )
     assert [each.text for each in silence.events if isinstance(each, SafetyOrder)] == orders
     fault = next(each for each in silence.events if isinstance(each, EventLogged) and each.kind == "fault")
     assert (fault.where, fault.consequence) == (plan.rows[ROW].identity, "ask the operator")
-    assert fault.what.startswith("photodiodes module 2: ")
+    assert fault.what == "Photodiodes module 2 (ADAM-6017) is not responding: check address, cable and power"
+    assert fault.detail == "resynchronise after a fault: not responding"
     assert run.faults[-1].endswith("close the shutter by hand")
 
 

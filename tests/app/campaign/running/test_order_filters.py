@@ -99,7 +99,8 @@ def test_a_position_that_the_wheel_does_not_have_ends_the_run_with_the_error_of_
     small = ("[twin.samples.etalon]", "[twin.monochromator]\nfilters = 3\n\n[twin.samples.etalon]")
     run = run_plan(plan_with(rig=rig_with(RIG_FILTERS, small)), tmp_path / "a.journal")
     assert run.state is State.FAILED
-    assert run.faults[0].startswith("monochromator: FILTER 4: error 3, destination not allowed")
+    assert run.faults[0].startswith("Monochromator (Cornerstone 260) has refused a command: ")
+    assert run.faults[0].endswith("(FILTER 4: error 3, destination not allowed)")
     without = ("[twin.samples.etalon]", "[twin.monochromator]\nfilters = 0\n\n[twin.samples.etalon]")
     run = run_plan(plan_with(rig=rig_with(RIG_FILTERS, without)), tmp_path / "b.journal")
     assert run.faults == [
@@ -236,7 +237,7 @@ def test_a_wheel_that_does_not_respond_ends_the_run(
     hang = ScriptedFaults([Fault.NONE] * undisturbed[1] + [Fault.HANG] * 100_000)
     run, _ = run_with_faults(two_filters, tmp_path / "a.journal", {"mono": hang})
     assert run.state is State.FAILED
-    assert run.faults[0].startswith("monochromator: ")
+    assert run.faults[0].startswith("Monochromator (Cornerstone 260) is not responding: switch it on, also from standby; ")
     assert not [each for each in run.of("measure") if each.row.wavelength_nm == 600.0]
 
 
