@@ -184,7 +184,7 @@ class Pictures:
         from goniotwin.app.station.messages import Contact, DeviceStatus
 
         view = self.window.view
-        order = SafetyOrder("Cut the motors' power", "the stop is not confirmed; sigma: MST: nothing")
+        order = SafetyOrder("Cut the motors' power", "the stop is not confirmed; Axis sigma (TMCM-6214) is not responding")
         view.orders.add(order)
         view.question.set_question("Mount gaussian-5")
         self._picture("order-run")
@@ -192,7 +192,11 @@ class Pictures:
         view.orders.remove(order)
         view.notice.show_notice("terminal 4711 operates this rig; this window watches. Stop works from here too.", "operate")
         statuses = dict(view.devices.statuses)
-        silent = DeviceStatus(Contact.DISCONNECTED, error="no reply to READ? within 2 s: is it switched on, and its cable in?")
+        silent = DeviceStatus(
+            Contact.DISCONNECTED,
+            error="Monitor (PM100D) is not responding: check cable and power",
+            detail="READ?: no reply in 2 s",
+        )
         view.devices.set_devices({**statuses, "monitor": silent})
         for kind in (RunScreen, RigScreen):
             self._show(kind)
@@ -226,7 +230,7 @@ class Pictures:
             name = f"panel-{number}" if number % 4 else f"panel-{number}-anodised-aluminium-after-weathering-second-side"
             summary = CampaignSummary(
                 str(folder / f"{name}-001.journal"), name, state, 17 * number, number % 3, 1096, 60.0 * number, 300.0 * number,
-                bool(number % 2), "2026-11-23T04:26:00", None, 2, ["row 12: monitor: no reply to READ?"] if number % 3 else [],
+                bool(number % 2), "2026-11-23T04:26:00", None, 2, ["Monitor (PM100D) is not responding"] if number % 3 else [],
                 ["Cut the motors' power"] if number == 3 else [], "",
             )  # fmt: skip
             found.append(Campaign(summary, ""))
@@ -255,7 +259,7 @@ class Pictures:
         window = self.window
         answers = (Answer.RETRY, Answer.SKIP, Answer.PAUSE, Answer.STOP)
         choices = [Choice(each, EFFECTS[each], each is Answer.STOP) for each in answers]
-        text = "row 12: monitor: no reply to READ?; fix the fault, then press Retry."
+        text = "row 12: Monitor (PM100D) is not responding: check cable and power."
         question = QuestionBox(window, "Device fault", text, choices)
         self._picture("dialog-question", question)
         question.dismiss()

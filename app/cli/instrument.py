@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from goniotwin.app.cli.output import Json, RigOption, answer, print_error, print_order
+from goniotwin.app.cli.output import Json, RigOption, answer, print_order
 from goniotwin.app.errors import UserError
 
 if TYPE_CHECKING:  # the drivers load numpy, which a command's help does not need
@@ -59,8 +59,7 @@ def home(
 
     Exit status: 0 if all are homed, 1 after a fault.
     """
-    with _exit_on_device_error():
-        home_axes(rig, list(axes or []), print)
+    home_axes(rig, list(axes or []), print)
 
 
 @app.command(context_settings={"ignore_unknown_options": True})  # -10 is an angle
@@ -75,14 +74,13 @@ def here(
 
     Exit status: 0 if the position is set, 1 after a fault.
     """
-    with _exit_on_device_error():
-        set_axis_position(rig, axis, angle, print)
+    set_axis_position(rig, axis, angle, print)
 
 
 def home_axes(path: Path, names: list[str], report: Report) -> None:
     """Home axes one after the other; without `names` all that have a [homing] table.
 
-    Raises UserError before anything moves; DeviceError later, with the axes at rest.
+    Raises UserError before anything moves; BenchFault later, with the axes at rest.
     """
     from goniotwin.app.cli.station import attached_bench
     from goniotwin.app.rig import AXES, read_rig
@@ -117,7 +115,7 @@ def home_axes(path: Path, names: list[str], report: Report) -> None:
 
 
 def set_axis_position(path: Path, name: str, angle_deg: float, report: Report) -> None:
-    """Set the current position of an axis; nothing moves. Raises UserError, DeviceError."""
+    """Set the current position of an axis; nothing moves. Raises UserError, BenchFault."""
     from goniotwin.app.campaign.running.question import position_refusal
     from goniotwin.app.cli.station import attached_bench
     from goniotwin.app.rig import read_rig
@@ -146,8 +144,9 @@ def _check_axis(path: Path, name: str) -> None:
 
 @contextlib.contextmanager
 def _connected_axes(description: "RigDescription", names: list[str]) -> "Iterator[Rig]":
-    """A rig, locked against other programs, with the controllers of these axes connected."""
+    """A rig, locked against other programs, with the controllers of these axes connected. Raises BenchFault after a fault."""
     from goniotwin.app.campaign.campaign import clock_for
+    from goniotwin.app.cli.station import BenchFault
     from goniotwin.app.rig import open_rig
     from goniotwin.drivers import DeviceError
 
@@ -159,8 +158,11 @@ def _connected_axes(description: "RigDescription", names: list[str]) -> "Iterato
                 if not controller.axes.keys().isdisjoint(names):
                     controller.connect()
         except DeviceError as error:
-            raise UserError(str(error)) from None
-        yield opened.rig
+            raise UserError(str(opened.rig.in_words(error))) from None
+        try:
+            yield opened.rig
+        except DeviceError as error:
+            raise BenchFault(str(opened.rig.in_words(error))) from None
 
 
 def _home(rig: "Rig", axis: "Axis") -> None:
@@ -171,15 +173,3 @@ def _home(rig: "Rig", axis: "Axis") -> None:
     except (DeviceError, KeyboardInterrupt):
         rig.stop()
         raise
-
-
-@contextlib.contextmanager
-def _exit_on_device_error() -> Iterator[None]:
-    """Print a DeviceError and exit with status 1."""
-    from goniotwin.drivers import DeviceError
-
-    try:
-        yield
-    except DeviceError as error:
-        print_error(error)
-        raise typer.Exit(1) from None

@@ -6,8 +6,9 @@ from pathlib import Path
 import pytest
 
 from goniotwin.app.cli.instrument import home_axes, set_axis_position
+from goniotwin.app.cli.station import BenchFault
 from goniotwin.app.errors import UserError
-from goniotwin.drivers import DeviceError, TmclAxis, TmclModule
+from goniotwin.drivers import TmclAxis, TmclModule
 from goniotwin.drivers.motion import StopSteps
 from goniotwin.protocols.tmcl import CommandFrame
 from tests.conftest import Change, Writer
@@ -42,7 +43,7 @@ def test_an_axis_that_cannot_be_homed_is_refused(
 
 def test_homing_that_finds_no_reference_is_a_fault(write_rig: Writer) -> None:
     rig = write_rig(HOMES[0], ("angle_deg = -4.0", "angle_deg = -4.0\nlongest_s = 5.0"))
-    with pytest.raises(DeviceError, match="no reference within 5 s"):
+    with pytest.raises(BenchFault, match="no reference within 5 s"):
         home_axes(rig, ["sigma"], print)
 
 

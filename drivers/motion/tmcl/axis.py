@@ -259,7 +259,11 @@ class TmclAxis:
 
     def _check_finite(self, angle_deg: float, doing: str) -> None:
         if not math.isfinite(angle_deg) or not abs(self.settings.counter(angle_deg)) < 2**31:
-            raise LimitError(self.name, f"{doing} {angle_deg:g} deg", "its counter cannot hold this angle")
+            wrong, remedy = (
+                "its counter cannot hold this angle",
+                "choose another angle, or correct gear and zero in the rig file",
+            )
+            raise LimitError(self.name, f"{doing} {angle_deg:g} deg", wrong, remedy)
 
 
 def axis_timing(settings: AxisSettings, exchange_s: float) -> AxisTiming:

@@ -193,6 +193,18 @@ def test_the_keys_of_stop_hold_in_the_windows_beside_the_main_one(qtbot: QtBot, 
     assert chosen == [tmp_path / "a.csv"]
 
 
+def test_the_words_of_the_wire_are_in_the_tool_tip_of_an_event_and_of_a_device(frame: MainWindow) -> None:
+    headline, detail = "Monitor (PM100D) is not responding: check cable and power", "READ?: not responding within 2 s"
+    events = frame.view.screen_of(EventsScreen)
+    events.add(LogEntry(headline, "monitor", "no run can start", serious=True, detail=detail))
+    what = events.model.index(0, 1)
+    assert what.data() == f"✗ {headline}"
+    assert what.data(Qt.ItemDataRole.ToolTipRole) == f"{headline}\n{detail}"
+    frame.view.devices.set_devices({"monitor": DeviceStatus(Contact.DISCONNECTED, error=headline, detail=detail)})
+    (shown,) = [each for each in frame.view.devices.findChildren(QLabel) if each.text() == headline]
+    assert shown.toolTip() == detail
+
+
 def test_a_large_window_becomes_a_small_one_in_one_step(qtbot: QtBot, frame: MainWindow) -> None:
     frame.resize(1280, 800)
     frame.view.set_simulated(True, 1)
