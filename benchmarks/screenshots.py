@@ -253,6 +253,7 @@ class Pictures:
     def _dialogs(self) -> None:
         """The windows beside the main one."""
         from goniotwin.app.campaign.running.question import EFFECTS, Answer
+        from goniotwin.app.desktop.bench.position_entry import NO_ANGLE, PositionEntry
         from goniotwin.app.desktop.events.question import Choice, QuestionBox
         from goniotwin.app.desktop.menu import TextBox
 
@@ -262,6 +263,14 @@ class Pictures:
         text = "row 12: Monitor (PM100D) is not responding: check cable and power."
         question = QuestionBox(window, "Device fault", text, choices)
         self._picture("dialog-question", question)
+        question.dismiss()
+        entry = PositionEntry("beta")
+        entry.show_place(150.0, 180.003)
+        answers = (Answer.HOME, Answer.SET_POSITION, *answers)
+        choices = [Choice(each, EFFECTS[each], each is Answer.STOP) for each in answers]
+        question = QuestionBox(window, "Position of beta unknown", text, choices, entry)
+        question.set_problem(NO_ANGLE)
+        self._picture("dialog-position", question)
         question.dismiss()
         for action in ("help_wanted", "about_wanted"):
             getattr(window.menus, action).emit()

@@ -1,6 +1,7 @@
 """Where an axis is: its counter and its encoder side by side, and an empty field for what a person reads from its scale."""
 
-from PySide6.QtCore import Signal, Slot
+from PySide6.QtCore import Qt, Slot
+from PySide6.QtGui import QKeyEvent
 from PySide6.QtWidgets import QGridLayout, QLabel, QLineEdit, QPushButton, QWidget
 
 from goniotwin.app.desktop.bench.number_field import number_of
@@ -10,23 +11,31 @@ DECIMALS = 3
 NO_ANGLE = "read the scale of the axis, and give its angle in degrees"
 
 
+class AngleField(QLineEdit):
+    """A field in which Enter gives no answer: the default of a question would be taken for what was typed."""
+
+    def keyPressEvent(self, event: QKeyEvent) -> None:
+        """Take a key; Qt calls it."""
+        if event.key() in (Qt.Key.Key_Return, Qt.Key.Key_Enter):
+            event.accept()
+        else:
+            super().keyPressEvent(event)
+
+
 class PositionEntry(QWidget):
     """An angle for an axis. The field is empty until a person types, or takes the encoder's value; never the counter's."""
-
-    edited = Signal()
 
     def __init__(self, axis: str) -> None:
         super().__init__()
         self._encoder_deg: float | None = None
         self._counter, self._encoder, self._apart = QLabel(), QLabel(), QLabel()
-        self.field = QLineEdit()
+        self.field = AngleField()
         self.field.setPlaceholderText("read the scale")
         self.field.setAccessibleName(f"Angle at which {axis} is, degrees")
         self.take = QPushButton("Take the &encoder's")
         self.take.setAutoDefault(False)
         self.take.setAccessibleName(f"Put the value of the encoder of {axis} into the field")
         self.take.clicked.connect(self._take_encoder)
-        self.field.textEdited.connect(self.edited)
         self.field.setFixedWidth(self.field.fontMetrics().horizontalAdvance("read the scale") + 30)
         label = QLabel("Axis is &at, deg")
         label.setBuddy(self.field)
@@ -73,4 +82,3 @@ class PositionEntry(QWidget):
     def _take_encoder(self) -> None:
         if self._encoder_deg is not None:
             self.field.setText(f"{round(self._encoder_deg, DECIMALS) + 0.0:.{DECIMALS}f}")
-            self.edited.emit()

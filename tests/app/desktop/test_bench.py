@@ -215,7 +215,9 @@ def test_a_position_is_set_only_after_a_question(desk: Desk) -> None:
         if choice == SET_POSITION:
             question.buttons[SET_POSITION].click()
             assert "give its angle" in question.problem
-            field.setText("12,5")
+            desk.qtbot.keyClicks(field, "12,5")
+            desk.qtbot.keyClick(field, Qt.Key.Key_Return)  # neither that answer nor the default
+            assert question.isVisible()
         assert len(desk.commands) == 0
         question.buttons[choice].click()
         assert len(desk.commands) == commands
