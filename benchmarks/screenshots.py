@@ -266,8 +266,9 @@ class Pictures:
         question.dismiss()
         entry = PositionEntry("beta")
         entry.show_place(150.0, 180.003)
-        answers = (Answer.HOME, Answer.SET_POSITION, *answers)
-        choices = [Choice(each, EFFECTS[each], each is Answer.STOP) for each in answers]
+        of_axis = (Answer.HOME, Answer.SET_POSITION, *answers)
+        choices = [Choice(each, EFFECTS[each], each is Answer.STOP) for each in of_axis]
+        text = "row 12: beta: its counter is at 150.000 deg and its encoder at 180.003 deg, more than 0.05 deg apart."
         question = QuestionBox(window, "Position of beta unknown", text, choices, entry)
         question.set_problem(NO_ANGLE)
         self._picture("dialog-position", question)

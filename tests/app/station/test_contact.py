@@ -26,7 +26,8 @@ class Idle(StationBench):
 
     def __init__(self, rig: Path) -> None:
         super().__init__(rig)
-        self.station._wall = self.wall = VirtualClock()  # type: ignore[assignment]
+        self.wall = VirtualClock()
+        vars(self.station)["_wall"] = self.wall
 
     def wait(self, seconds: float) -> None:
         """Let time pass, and what is due be done."""
@@ -134,11 +135,13 @@ def test_a_device_that_another_program_has_taken_is_left_to_it(idle: Idle, monke
     assert attempts == []
 
 
-def test_a_device_that_was_never_there_is_connected_by_hand_alone(write_rig: Writer, tmp_path: Path) -> None:
+def test_a_device_that_was_never_there_is_connected_by_hand_alone(
+    write_rig: Writer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Its port may be another device's."""
     idle = Idle(write_rig(*QUIET, ('port = "twin://virtual/axes"', f'port = "{(tmp_path / "none").as_posix()}"')))
     attempts: list[str] = []
-    idle.station._rig().rig.connect_device = lambda name: attempts.append(name)  # type: ignore[method-assign]
+    monkeypatch.setattr(idle.station._rig().rig, "connect_device", attempts.append)
     idle.wait(4.0 * CONNECT_S)
     assert idle.status("axes").contact is Contact.DISCONNECTED
     assert attempts == []
