@@ -32,7 +32,7 @@ REST_S = 3.0
 """From the death to axes at rest: the heartbeat of the controllers is 2 s."""
 OPEN = b"SHUTTER O\n"
 WAVE = b"GOWAVE 600.000\n"
-SPEED = 4
+SPEED = 1
 MOST_KB = 20_000
 TWO_WAVELENGTHS = ("wavelength_nm = [550]", "wavelength_nm = [550, 600]")
 
