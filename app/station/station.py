@@ -11,7 +11,6 @@ import re
 import threading
 from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from functools import partial
 from itertools import count
 from pathlib import Path
@@ -46,13 +45,10 @@ from goniotwin.app.rig import AXES, OpenRig, RigDescription, open_rig
 from goniotwin.app.rig.last_rig import remember_rig
 from goniotwin.app.station.bench import Bench, PendingReading
 from goniotwin.app.station.board import Board
+from goniotwin.app.station.contacts import Contacts
 from goniotwin.app.station.messages import (
     ActivityChanged,
     BenchChanged,
-    Contact,
-    DeviceChanged,
-    DevicesAnswered,
-    DeviceStatus,
     LampRead,
     Message,
     OperatorChanged,
@@ -71,32 +67,22 @@ from goniotwin.app.station.messages import (
     StopReceived,
 )
 from goniotwin.app.station.permissions import STOPPED, allowed
-from goniotwin.drivers import Axis, BadAnswer, DeviceError, Forgotten, LimitError, NoAnswer
-from goniotwin.drivers.errors import FaultText, Taken, Unreferenced
+from goniotwin.drivers import Axis, DeviceError, LimitError, NoAnswer
+from goniotwin.drivers.errors import FaultText, Unreferenced
 from goniotwin.protocols.clock import GREATEST_SPEED, LEAST_SPEED, Clock, RealClock, ScaledClock, VirtualClock, calendar_stamp
 
 POLL_S = 0.2
 """Real time between two readings of the axis positions at rest."""
 ENCODERS_S = 1.0
 """Real time between two comparisons of counters and encoders of axes at rest."""
-REPEATS, REPEAT_S = 2, 1.0
-"""A question to an idle device is repeated so often, after so much real time, before the device counts as lost."""
-CONNECT_S = 5.0
-"""Real time until a lost idle device is connected again, and between two attempts."""
 LAMP_S = 1.0
 """Shortest real time between two reports of the monitor's current."""
 DARK_TIMES = 3.0
 """The monitor shows light by more than so many times its current with the shutter closed."""
-CONNECT_SHARE = 5.0
-"""The same as a multiple of the duration of the last attempt: commands wait for it."""
 LIVE_POLL_S = 0.02
 """The same between two polls of live readings."""
 LIVE_S = 0.1
 """Shortest real time between two live readings."""
-ANSWERED_S = 2.0
-"""Real time between two reports of when the devices last answered."""
-ASK_S = 5.0
-"""Real time between two questions to a device that nothing else uses."""
 NO_HEARTBEAT_S = float("inf")
 """A virtual rig has the longest heartbeat of its controllers: it counts simulated time, but the host is slow in real time. At
 simulation speed 60, a pause of 35 ms would exceed a short heartbeat."""
@@ -143,21 +129,22 @@ class Station:
 
     `board` has its state and takes listeners. `disconnected` is set when the rig is to be given back: no command begins then.
     `clock` is that of the rig; without it a virtual rig has one at `speed`, which the command of that name changes, and any
-    other rig real time.
+    other rig real time. `wall` is real time, in which idle devices are polled.
     """
 
-    def __init__(self, speed: float = 1.0, clock: Clock | None = None) -> None:
+    def __init__(self, speed: float = 1.0, clock: Clock | None = None, wall: Clock | None = None) -> None:
         self.board = Board(Snapshot(speed=speed))
         self.disconnected = threading.Event()
         self._given_clock = clock
         self._clock: Clock = clock or ScaledClock()
-        self._wall = RealClock()
+        self._wall = wall or RealClock()
         self._tasks: queue.SimpleQueue[tuple[Task, int] | None] = queue.SimpleQueue()
         self._begun = 0
         """Number of the activity that was begun last."""
         self._opened: OpenRig | None = None
         self._description: RigDescription | None = None
         self._bench: Bench | None = None
+        self._contacts: Contacts | None = None
         self._engine: Engine | None = None
         self._live: PendingReading | None = None
         self._live_due = 0.0
@@ -172,11 +159,6 @@ class Station:
         self._answers: queue.SimpleQueue[tuple[int, Reply] | None] = queue.SimpleQueue()
         self._record: RunRecord | None = None
         self._ordered: dict[SafetyOrder, RunRecord | None] = {}
-        self._times: dict[str, str] = {}
-        self._failures: dict[str, int] = {}
-        """Of idle devices: how often in succession they have not answered."""
-        self._left: set[str] = set()
-        """Devices that another program has taken: they are not connected again unasked."""
         self._monitor_dark_a = 0.0
         self._resting: dict[str, tuple[float, float]] = {}
         """Of axes: the counter, and the rig's time since which it is so."""
@@ -419,12 +401,12 @@ class Station:
 
     def release(self) -> None:
         """Hold the rig no longer: what has opened it closes it."""
-        self._opened, self._bench, self._live = None, None, None
+        self._opened = self._bench = self._contacts = self._live = None
 
     def adopt(self, opened: OpenRig, description: RigDescription) -> None:
         """Hold a rig that is open on this station's clock."""
         self._opened, self._description = opened, description
-        self._bench = Bench(opened, self._tick)
+        self._bench, self._contacts = Bench(opened, self._tick), Contacts(opened.rig, self.board, self._wall)
         if description.file.in_process and not isinstance(self._clock, VirtualClock):
             for controller in opened.rig.controllers:
                 controller.set_heartbeat(NO_HEARTBEAT_S)
@@ -445,13 +427,7 @@ class Station:
         assert description is not None
         if not any(outcome.values()):
             remember_rig(description.file)
-        now = calendar_stamp()
-        faults = {device: opened.rig.in_words(error) for device, error in outcome.items() if error is not None}
-        devices = {
-            device: DeviceStatus(Contact.CONNECTED, opened.rig.identities[device], now) if device not in faults
-            else DeviceStatus(Contact.DISCONNECTED, error=faults[device].headline, detail=faults[device].detail, failed=now)
-            for device in outcome
-        }  # fmt: skip
+        devices = self._device_contacts.first_statuses(outcome)
         controllers = {axis: each.name for each in opened.rig.controllers for axis in each.axes}
         self._publish(RigOpened(
             description.file.name, Path(description.name), description.digest, description.simulated,
@@ -496,7 +472,7 @@ class Station:
     def close_rig(self, reason: str = "", *, fault: bool = False) -> None:
         """Close the shutter if the bench has opened it, and give the rig back. No axis moves."""
         opened, bench = self._opened, self._bench
-        self._opened, self._description, self._bench, self._live = None, None, None, None
+        self._opened = self._description = self._bench = self._contacts = self._live = None
         self.wait_for_stops()  # one that finds a closed port would order to cut the motors' power
         if opened is not None and bench is not None:
             try:
@@ -517,7 +493,8 @@ class Station:
             opened = self._opened
             text = FaultText(str(fault)) if opened is None else opened.rig.in_words(fault)
             error, detail = ("stopped", "") if self._stop_requested.is_set() else (text.headline, text.detail)
-            self._note_fault(fault)
+            if self._contacts is not None:
+                self._contacts.note_fault(fault)
         except UserError as refusal:
             error = str(refusal)
         except Exception as fault:  # noqa: BLE001  (of any library: reported, and the station goes on without the rig)
@@ -535,18 +512,19 @@ class Station:
     def _tick(self) -> None:
         """What is done between tasks, and between the polls of one on the bench: positions, live readings, last answers."""
         now = self._wall.now()
-        if self._opened is None or self._engine is not None:
+        contacts = self._contacts
+        if self._opened is None or contacts is None or self._engine is not None:
             return
         for name, every_s, action in (
             ("positions", POLL_S, self._poll_axes), ("live", LIVE_POLL_S, self._poll_live), ("ask", POLL_S, self._ask_devices),
-            ("answered", ANSWERED_S, self._report_answers), ("connect", POLL_S, self._connect_lost),
+            ("answered", POLL_S, contacts.report_answers_now_and_then), ("connect", POLL_S, self._connect_lost),
         ):  # fmt: skip
             if now >= self._due[name]:
                 self._due[name] = now + every_s
                 try:
                     action()
                 except DeviceError as error:
-                    self._note_fault(error)
+                    contacts.note_fault(error)
 
     def _report_references(self) -> None:
         """Report which axes are unreferenced, if that has changed. Nothing is asked of them."""
@@ -578,7 +556,7 @@ class Station:
                 degrees[name] = self._read_axis(axis, compares=compares)
 
         for controller in opened.rig.controllers:
-            self._ask_device(controller.name, partial(read, controller.axes))
+            self._device_contacts.ask(controller.name, partial(read, controller.axes))
         if degrees:
             encoders = {name: angle for name, angle in self._encoders.items() if name in degrees}
             self._publish(Positions({name: degrees[name] for name in AXES if name in degrees}, encoders))
@@ -618,7 +596,7 @@ class Station:
                 if self._live.poll():
                     reading, self._live, self._settled = self._live.result, None, True
                     self._due["live"] = self._live_due
-                    self._answer_noted("photodiodes", "monitor")
+                    self._device_contacts.note_answers("photodiodes", "monitor")
                     self._publish(reading)
                     self._note_lamp(reading.monitor_a, shutter_open=bench.settings.shutter_open)
                     return
@@ -636,103 +614,18 @@ class Station:
         rig = self._rig().rig
         reads = () if self._on_bench().settings.live else (rig.photodiodes, rig.monitor)
         for device in (rig.monochromator, *reads):
-            if self._wall.now() >= self._due[f"ask {device.name}"]:
-                self._due[f"ask {device.name}"] = self._wall.now() + ASK_S
-                self._ask_device(device.name, device.check)
-
-    def _ask_device(self, device: str, ask: Task) -> None:
-        """Ask an idle device, unless it is disconnected or was asked in vain just now. After REPEATS it counts as lost."""
-        rig, again = self.snapshot.rig, f"again {device}"
-        if rig is None or rig.devices[device].contact is Contact.DISCONNECTED or self._wall.now() < self._due[again]:
-            return
-        try:
-            ask()
-        except (NoAnswer, BadAnswer) as error:
-            self._failures[device] = self._failures.get(device, 0) + 1
-            if self._failures[device] > REPEATS:
-                self._report_lost(device, error)
-            else:
-                self._due[again] = self._due[f"ask {device}"] = self._wall.now() + REPEAT_S
-                self._report_contact(device, Contact.SILENT, self._rig().rig.in_words(error))
-        except DeviceError as error:
-            self._note_fault(error)
-        else:
-            self._answer_noted(device)
-
-    def _report_answers(self) -> None:
-        rig = self.snapshot.rig
-        if rig is not None and any(rig.devices[name].answered != time for name, time in self._times.items()):
-            self._publish(DevicesAnswered(dict(self._times)))
-
-    def _answer_noted(self, *devices: str) -> None:
-        """Note that devices have answered, and so are connected."""
-        now, rig = calendar_stamp(), self.snapshot.rig
-        self._times.update(dict.fromkeys(devices, now))
-        for device in devices:
-            self._failures.pop(device, None)
-            self._left.discard(device)
-            if rig is not None and not rig.devices[device].connected:
-                self._report_contact(device, Contact.CONNECTED)
-
-    def _note_fault(self, fault: DeviceError) -> None:
-        """Report the device of a fault as not responding, if the fault is one of its wire: silent, where a run recovers it."""
-        opened = self._opened
-        if opened is None or not isinstance(fault, NoAnswer | BadAnswer | Forgotten):
-            return
-        with contextlib.suppress(KeyError):
-            name = opened.rig.device(fault.device).name
-            if self._engine is None or isinstance(fault, Forgotten):
-                self._report_lost(name, fault)
-            else:
-                self._report_contact(name, Contact.SILENT, opened.rig.in_words(fault))
-
-    def _report_lost(self, device: str, fault: DeviceError) -> None:
-        self._failures.pop(device, None)
-        self._due[f"connect {device}"] = self._wall.now() + CONNECT_S
-        if isinstance(fault, Taken):
-            self._left.add(device)
-        self._report_contact(device, Contact.DISCONNECTED, self._rig().rig.in_words(fault))
-
-    def _report_contact(self, device: str, contact: Contact, fault: FaultText | None = None) -> None:
-        """Report the state of a device, with its fault if there is one."""
-        rig, opened = self.snapshot.rig, self._opened
-        if rig is None or opened is None or device not in rig.devices:
-            return
-        before = rig.devices[device]
-        status = replace(
-            before, contact=contact, identity=opened.rig.identities.get(device, before.identity),
-            answered=self._times.get(device, before.answered),
-        )  # fmt: skip
-        if fault is not None:
-            status = replace(status, error=fault.headline, detail=fault.detail, failed=calendar_stamp())
-        self._publish(DeviceChanged(device, status))
+            self._device_contacts.ask_now_and_then(device.name, device.check)
 
     def _connect_lost(self) -> None:
         """Connect an idle device again that was lost; nothing moves. One attempt at a time, with pauses in between."""
-        rig = self.snapshot.rig
-        if rig is None or self.busy or self._stops or self.disconnected.is_set() or not self._tasks.empty():
+        if self.busy or self._stops or self.disconnected.is_set() or not self._tasks.empty():
             return
-        lost = [
-            device for device, status in rig.devices.items()
-            if status.contact is Contact.DISCONNECTED and status.identity and device not in self._left
-            and self._wall.now() >= self._due[f"connect {device}"]
-        ]  # fmt: skip
-        for device in lost[:1]:
-            begun = self._wall.now()
-            error = self._rig().rig.connect_device(device)
-            now = self._wall.now()
-            self._due[f"connect {device}"] = now + max(CONNECT_S, CONNECT_SHARE * (now - begun))
-            if error is None:
-                self._note_connected(device)
-            elif isinstance(error, Taken):
-                self._report_lost(device, error)
+        self._look_after_connection(self._device_contacts.connect_lost())
 
-    def _note_connected(self, device: str) -> None:
-        self._times[device] = calendar_stamp()
-        self._failures.pop(device, None)
-        self._left.discard(device)
-        self._report_contact(device, Contact.CONNECTED)
-        if device not in self._controllers:  # light and gain may be others
+    def _look_after_connection(self, device: str) -> None:
+        """Ask for the settings of the bench again where a device of them was connected: light and gain may be others."""
+        rig = self.snapshot.rig
+        if device and rig is not None and device not in rig.controllers.values():
             self._look()
 
     # ---- the bench, in the engine's thread ----
@@ -740,6 +633,11 @@ class Station:
     def _on_bench(self) -> Bench:
         assert self._bench is not None
         return self._bench
+
+    @property
+    def _device_contacts(self) -> Contacts:
+        assert self._contacts is not None
+        return self._contacts
 
     def _look(self, *, closing: bool = False) -> None:
         """Ask for the settings of the bench; `closing` closes a shutter that is open, also one that was opened by hand."""
@@ -770,7 +668,7 @@ class Station:
             if is_open is not False:
                 bench.close_left_open()
         except DeviceError as error:
-            self._note_fault(error)
+            self._device_contacts.note_fault(error)
             self._give_order(found, None)
         else:
             how = "found closed" if is_open is False else "closed now"
@@ -786,7 +684,7 @@ class Station:
 
     def _read(self, readings: int, dark: bool) -> None:
         reading = self._on_bench().read(readings, dark=dark)
-        self._answer_noted("photodiodes", "monitor")
+        self._device_contacts.note_answers("photodiodes", "monitor")
         self._publish(reading)
         self._note_lamp(reading.monitor_a, shutter_open=False if dark else self._on_bench().settings.shutter_open)
 
@@ -801,14 +699,10 @@ class Station:
             self._publish(LampRead(current_a, current_a > DARK_TIMES * self._monitor_dark_a, calendar_stamp()))
 
     def _connect(self, device: str) -> None:
-        opened = self._rig()
         rig = self.snapshot.rig
         for name in [device] if device else (rig.not_responding if rig is not None else []):
-            error = opened.rig.connect_device(name)
-            if error is None:
-                self._note_connected(name)
-            else:
-                self._report_lost(name, error)
+            if self._device_contacts.connect(name) is None:
+                self._look_after_connection(name)
 
     # ---- a run, in the engine's thread ----
 
@@ -876,7 +770,8 @@ class Station:
             self.wait_for_stops()
         opened.guard.journal = ""
         for device in engine.disconnected:
-            self._report_lost(device, NoAnswer(device, "reconnect it during the run", "not responding", "connect it again"))
+            lost = NoAnswer(device, "reconnect it during the run", "not responding", "connect it again")
+            self._device_contacts.note_lost(device, lost)
         bench.look()
         bench.take_over(None if engine.disconnected else engine.gain, self._mounted)
         self.run_ended(state, reason, journal.kept_at, journal.note)
@@ -933,13 +828,13 @@ class Station:
                 if data.readings:
                     self._note_lamp(data.readings[-1].monitor_a, shutter_open=row.kind != "dark")
                 if data.readings and row.kind in ("measure", "drift"):  # it needs all devices
-                    self._answer_noted(*self._device_names)
-                    self._report_answers_now_and_then()
+                    self._device_contacts.note_answers()
+                    self._device_contacts.report_answers_now_and_then()
                 self._publish(RowSaved(row, data.flags, done, total, seconds_left))
             case SafetyOrder():
                 self._give_order(event, self._record)
             case DeviceFailed(error):
-                self._note_fault(error)
+                self._device_contacts.note_fault(error, recovered=True)
             case _:
                 self._publish(event)
 
@@ -979,14 +874,6 @@ class Station:
 
     # ---- inside ----
 
-    @property
-    def _controllers(self) -> set[str]:
-        return set(self.snapshot.rig.controllers.values()) if self.snapshot.rig is not None else set()
-
-    @property
-    def _device_names(self) -> list[str]:
-        return list(self.snapshot.rig.devices) if self.snapshot.rig is not None else []
-
     def report_place(self, axis: str) -> None:
         """Report counter and encoder of an axis at rest, as far as it responds."""
         if self._opened is None:
@@ -995,19 +882,13 @@ class Station:
         try:
             counter, encoder = asked.position_deg(), asked.encoder_deg()
         except DeviceError as error:
-            self._note_fault(error)
+            self._device_contacts.note_fault(error, recovered=True)
             return
-        self._answer_noted(self._opened.rig.controller(axis).name)
-        self._report_answers_now_and_then()
+        self._device_contacts.note_answers(self._opened.rig.controller(axis).name)
+        self._device_contacts.report_answers_now_and_then()
         others = {name: angle for name, angle in self.snapshot.encoders.items() if name != axis}
         self._publish(Positions({axis: counter}, others if encoder is None else {**others, axis: encoder}))
         self._report_references()
-
-    def _report_answers_now_and_then(self) -> None:
-        now = self._wall.now()
-        if now >= self._due["answered"]:
-            self._due["answered"] = now + ANSWERED_S
-            self._report_answers()
 
     def _check(self, command: str) -> None:
         if reason := allowed(self.snapshot)[command]:

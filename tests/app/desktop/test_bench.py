@@ -356,8 +356,8 @@ def test_the_rig_screen_knows_devices_answers_and_errors(desk: Desk) -> None:
     assert "✓ connected" in text
     assert "TMCM-6214" in text
     assert "answered" in text
-    lost = "monitor: READ?: no reply; check the cable"
-    desk.station._report_lost("monitor", NoAnswer("monitor", "READ?", "no reply", "check the cable"))
+    lost = "Monitor (PM100D) is not responding: check the cable"
+    desk.station._device_contacts.note_lost("monitor", NoAnswer("monitor", "READ?", "no reply", "check the cable"))
     text = desk.rig.devices.text("monitor")
     assert "✗ disconnected" in text
     assert "last answered" in text

@@ -8,9 +8,9 @@ import pytest
 from goniotwin.app.campaign.running.events import State
 from goniotwin.app.campaign.running.question import Answer
 from goniotwin.app.rig import AXES
+from goniotwin.app.station.contacts import ASK_S, CONNECT_S, REPEAT_S
 from goniotwin.app.station.messages import Contact, DeviceStatus, QuestionAsked, RowSaved
 from goniotwin.app.station.permissions import allowed
-from goniotwin.app.station.station import ASK_S, CONNECT_S, REPEAT_S
 from goniotwin.drivers import Rig
 from goniotwin.drivers.errors import NoAnswer, Taken
 from goniotwin.protocols.clock import VirtualClock
@@ -25,9 +25,8 @@ class Idle(StationBench):
     """A station without a command, on the virtual clock, and on another one in place of the real time between its polls."""
 
     def __init__(self, rig: Path) -> None:
-        super().__init__(rig)
         self.wall = VirtualClock()
-        vars(self.station)["_wall"] = self.wall
+        super().__init__(rig, self.wall)
 
     def wait(self, seconds: float) -> None:
         """Let time pass, and what is due be done."""
@@ -67,12 +66,12 @@ def test_a_question_to_an_idle_device_is_repeated_twice_before_it_counts_as_lost
         idle.wait(0.3)
         assert idle.status("axes").contact is Contact.SILENT
         assert idle.status("axes").identity == "TMCM-6214"
-        assert "GAP" in idle.status("axes").error
+        assert "GAP" in idle.status("axes").detail
         idle.wait(1.5 * REPEAT_S)
         assert idle.status("axes").contact is Contact.SILENT
     idle.wait(REPEAT_S)
     assert idle.status("axes").connected
-    assert "GAP" in idle.status("axes").error  # its last fault stays
+    assert "GAP" in idle.status("axes").detail  # its last fault stays
     silent_positions(monkeypatch)
     idle.wait(2.5 * REPEAT_S)
     assert idle.status("axes").contact is Contact.DISCONNECTED

@@ -35,7 +35,7 @@ from goniotwin.app.station.station import CommandRefused, Station
 from goniotwin.drivers import DeviceError, Monochromator, Pending, Rig
 from goniotwin.drivers.errors import NoAnswer
 from goniotwin.drivers.photodiodes.array import PhotodiodeArray
-from goniotwin.protocols.clock import VirtualClock
+from goniotwin.protocols.clock import Clock, VirtualClock
 from goniotwin.twin import VirtualRig
 from tests.app.campaign.campaign_bench import QUIET, planned_values
 from tests.conftest import SMALL, Writer
@@ -46,9 +46,9 @@ ROWS = 10
 class StationBench:
     """A station on the virtual clock, with its events."""
 
-    def __init__(self, rig: Path) -> None:
+    def __init__(self, rig: Path, wall: Clock | None = None) -> None:
         self.clock = VirtualClock()
-        self.station = Station(clock=self.clock)
+        self.station = Station(clock=self.clock, wall=wall)
         self.events: list[Message] = []
         self.reactions: list[Callable[[Message], object]] = []
         self.station.board.subscribe(self._note)
