@@ -34,8 +34,11 @@ LEAST_COMPARED_READINGS = 2
 """Smallest number of readings at a gain: a single one contradicts nothing."""
 READING_ATTEMPTS = 3
 """Number of times that readings are taken whose predecessors contradict each other."""
-CONTRADICTION_LIMIT = 6.0
-"""Difference of a reading from the mean of the others, in its standard deviations, from which it contradicts them."""
+CONTRADICTION_LIMIT, LIMIT_OF_TWO = 6.0, 4.5
+"""Difference of a reading from the mean of the others, in its standard deviations, from which it contradicts them.
+
+Of two readings it is smaller: a changed count is half of their mean.
+"""
 LEAST_VARIANCE = 0.25
 """Smallest variance of a reading, in converter steps squared: that of a mean between two steps, which is either of them."""
 FIRST_LIGHT_VARIANCE = 0.005**2
@@ -183,9 +186,10 @@ def contradictions(
     photodiodes that would show the same relative change do show at least half of it in the same reading. That is the lamp, or
     amplifiers that settle.
 
-    False alarms: 2e-9 of the counts with normal noise of a known variance (one in a thousand campaigns of 10,000 rows of 18
-    photodiodes and two readings), 2e-7 where the standard deviation of the dark reading is 13 % too low. A false alarm costs a
-    repeat. A change that is not found changes the mean of n readings by at most 6 / sqrt(n - 1) of its standard deviations.
+    False alarms: 2e-9 of the counts with normal noise of a known variance, 7e-6 of the pairs where there are two readings (one
+    in 10,000 rows of 18 photodiodes); 2e-7 and 9e-5 where the standard deviation of the dark reading is 13 % too low. A false
+    alarm costs a repeat. A change that is not found changes the mean of n readings by at most 6 / sqrt(n - 1) of its standard
+    deviations, that of two by 4.5.
     """
     readings = len(counts)
     if readings < LEAST_COMPARED_READINGS:
@@ -194,7 +198,8 @@ def contradictions(
     difference = (values - values.mean(axis=0)) * readings / (readings - 1)  # from the mean of the others
     typical = _typical_counts(values)
     signal, noise = _signal_and_noise(typical, gain_v_per_a, dark, settings)
-    limit = CONTRADICTION_LIMIT * np.sqrt((noise + light_variance * signal**2) * readings / (readings - 1))
+    deviations = LIMIT_OF_TWO if readings == LEAST_COMPARED_READINGS else CONTRADICTION_LIMIT
+    limit = deviations * np.sqrt((noise + light_variance * signal**2) * readings / (readings - 1))
     # Changes are from the typical count: the mean of a photodiode with a changed count is that of none of its readings.
     changes = np.abs(values - typical)
     result: Flags = (np.abs(difference) > limit) & (changes == changes.max(axis=0))
@@ -221,19 +226,19 @@ def _signal_and_noise(
 class ReadingComparison:
     """Comparison of the readings of each row with each other, and with the noise that the rows before have shown.
 
-    `darks` is the last dark reading by gain in V/A. The relative variance of the light is the mean of REMEMBERED_ROWS lit rows,
-    or what most bright photodiodes of the row itself have, where that is more: no lamp that begins to flicker contradicts.
+    `dark_levels` is the last dark reading by gain in V/A. The relative variance of the light is that of some lit rows before
+    (REMEMBERED_ROWS), or what most bright photodiodes of the row itself have, where that is more: a lamp may begin to flicker.
     """
 
     def __init__(self, settings: ConverterDescription) -> None:
         self._settings = settings
-        self.darks: dict[float, DarkLevel] = {}
+        self.dark_levels: dict[float, DarkLevel] = {}
         self._light_variance, self._lit_rows = FIRST_LIGHT_VARIANCE, 0
 
     def contradictions(self, reading: Reading, *, lit: bool) -> Flags:
         """Flags (readings, photodiodes) of the counts that contradict the others: see the function of this name."""
         counts, gain = reading.counts, reading.gain_v_per_a
-        dark = self.darks.get(gain)
+        dark = self.dark_levels.get(gain)
         if not lit or dark is None:
             dark = self._level_of(counts, dark, lit=lit)
         if not lit:
@@ -253,14 +258,14 @@ class ReadingComparison:
         return DarkLevel(mean, least if before is None else np.maximum(before.variance, least))
 
     def remember(self, readings: Iterable[Reading], *, lit: bool) -> None:
-        """Remember the noise of a row's readings. Those of another number of photodiodes are left out."""
+        """Remember the noise of a row's readings. Not those of another number of photodiodes."""
         for each in readings:
             if each.counts.shape[1] != self._settings.count:
                 continue
             if not lit:
-                self.darks[each.gain_v_per_a] = dark_level(each.counts)
-            elif each.gain_v_per_a in self.darks and len(each.counts) > 1:
-                of_row, resolution, bright = self._light_variance_of(each, self.darks[each.gain_v_per_a])
+                self.dark_levels[each.gain_v_per_a] = dark_level(each.counts)
+            elif each.gain_v_per_a in self.dark_levels and len(each.counts) > 1:
+                of_row, resolution, bright = self._light_variance_of(each, self.dark_levels[each.gain_v_per_a])
                 if bright and (resolution <= self._light_variance or of_row > SIGNIFICANT_EXCESS * resolution):
                     self._lit_rows = min(self._lit_rows + 1, REMEMBERED_ROWS)
                     most = MAX_VARIANCE_GROWTH * max(self._light_variance, LEAST_LIGHT_VARIANCE)
@@ -281,7 +286,8 @@ class ReadingComparison:
 
 def _typical_counts(counts: Counts | Floats) -> Floats:
     """The lower median (photodiodes,) of counts (readings, photodiodes): one of them, and not the only wrong one of three."""
-    return np.sort(counts, axis=0)[(len(counts) - 1) // 2].astype(np.float64)
+    typical: Floats = np.sort(counts, axis=0)[(len(counts) - 1) // 2].astype(np.float64)
+    return typical
 
 
 def _typical(variances: Floats, degrees: int) -> float:

@@ -11,8 +11,8 @@ Detectable and undetectable faults of the wires:
 * A changed byte. RTU has a checksum of 16 bits, which passes 1 of 65,536 arbitrary errors and no error of up to 16 bits in
   a row. Modbus TCP has none: a changed count between 0 and 65535 *cannot be detected*, only TCP's checksum protects it.
   Limits of the damage: lengths, unit, function and transaction must agree, which covers most of a frame except the values;
-  settings are read back, and a setting that seems wrong is read a second time; a row has many readings, and their scatter
-  shows an outlier.
+  settings are read back, and a setting that seems wrong is read a second time; the engine compares the readings of a row
+  (`app.campaign.readout.contradictions`), and takes them again where one contradicts the others.
 * A module that reset and lost gain and ranges replies as before. A canary shows it, one exchange after each group of
   readings: the outputs if one is on, else the ranges. A change of gain would hide an earlier reset, so that both are read
   after the next readings. (This requires that the power-on values of the outputs are off.) At intervals name, ranges,

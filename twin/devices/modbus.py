@@ -47,7 +47,7 @@ class TcpStation:
         """Bytes of which the last has arrived at `t`.
 
         What begins with no header of Modbus, or with one of more bytes than a frame can have, is dropped until a request of
-        this module begins: its length says nothing of the next one.
+        this module begins: the length does not show where the next one begins.
         """
         self._buffer += data
         while len(self._buffer) >= adam.MBAP + 1:

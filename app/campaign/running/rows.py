@@ -256,7 +256,7 @@ class RowExecutor:
         """The flag UNDER_RANGE where the row should show light and does not. Without a dark reading there is no flag."""
         if row.kind == "dark" or row.sample == NO_SAMPLE or not readings:
             return ()
-        dark = self._comparison.darks.get(readings[-1].gain_v_per_a)
+        dark = self._comparison.dark_levels.get(readings[-1].gain_v_per_a)
         return () if dark is None or shows_light(readings[-1].counts, dark.mean) else (UNDER_RANGE,)
 
     def _read_to_target(self, row: Row, gain: int, selected: Flags) -> tuple[Reading, bool]:
@@ -266,7 +266,7 @@ class RowExecutor:
         """
         reading, contradiction = self._take_consistent_readings(row, gain, min_readings(row))
         settings = self._rig.photodiodes.settings
-        dark = self._comparison.darks.get(settings.gains_v_per_a[gain])
+        dark = self._comparison.dark_levels.get(settings.gains_v_per_a[gain])
         level = np.full(settings.count, settings.range.zero) if dark is None else dark.mean
         while further := further_readings(row, reading.counts, level, selected, settings):
             reading, contradicts = self._take_consistent_readings(row, gain, further, reading)

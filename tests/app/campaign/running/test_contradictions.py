@@ -91,7 +91,7 @@ def test_a_bit_that_a_wire_has_changed_is_found(scene: str, readings: int) -> No
 @pytest.mark.parametrize("readings", [2, 4, 16])
 @pytest.mark.parametrize("lamp", [0.0, 5e-4, 0.02])
 def test_noise_is_no_contradiction(scene: str, readings: int, lamp: float) -> None:
-    """2e-9 of the counts is stated: none of the 200,000 here."""
+    """2e-9 of the counts is stated, and 7e-6 of two: none of the 200,000 here."""
     known = comparison(20, lamp)
     for seed in range(300):
         counts = drawn(seed, SCENES[scene], readings, lamp)
@@ -295,7 +295,6 @@ def flicker(opened: OpenRig, level: float) -> None:
 def test_a_lamp_that_flickers_keeps_its_rows(light: str, level: float, readings: int, tmp_path: Path) -> None:
     run = run_plan(plan_of(readings, light), tmp_path / "a.journal", lambda opened: flicker(opened, level))
     again = [text for kind, text in run.events if kind == CONTRADICTION]
-    lit = [each for each in run.rows if each.data.readings]
     assert run.state is State.DONE
     assert not any(CONTRADICTION in each.data.flags for each in run.rows)
-    assert len(again) <= 0.05 * len(lit), again
+    assert len(again) <= 1, again
