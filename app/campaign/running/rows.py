@@ -299,7 +299,7 @@ class RowExecutor:
         last = attempt == READING_ATTEMPTS
         end = f"attempt {attempt}: kept, and the row is flagged; check the wire" if last else "the readings are taken again"
         what = f"readings at {reading.gain_v_per_a:g} V/A contradict each other: {found}"
-        self._log_event(CONTRADICTION, f"{row.identity}: {what} ({end})", row.identity, end, what)
+        self._log_event(CONTRADICTION, f"{row.identity}: {what} ({end})", row.identity)
 
     def _take_readings(self, gain: int, count: int) -> Reading:
         """Read all photodiodes `count` times, and the mean of the monitor over the same time."""

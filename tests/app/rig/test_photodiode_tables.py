@@ -23,10 +23,10 @@ BY_LIGHT = SMALL.replace("[1e8, 1e10]", '"automatic"') + "\n[averaging]\nrelativ
 
 
 def rig_text(believed: dict[str, Any], own: dict[str, Any] | None) -> str:
-    document = tomlkit.parse(RIG.read_text(encoding="utf-8"))
-    document["photodiodes"].update(believed)  # type: ignore[union-attr]
+    document: dict[str, Any] = tomlkit.parse(RIG.read_text(encoding="utf-8"))
+    document["photodiodes"].update(believed)
     if own is not None:
-        document["twin"]["photodiodes"] = own  # type: ignore[index]
+        document["twin"]["photodiodes"] = own
     return tomlkit.dumps(document)
 
 
@@ -83,7 +83,7 @@ KINDS = st.sampled_from(["adam-6017", "adam-4117"])
 @st.composite
 def tables(draw: st.DrawFn) -> tuple[dict[str, Any], dict[str, Any] | None]:
     """Both tables; the units are often as many as the photodiodes need."""
-    believed = {"upper_deg": draw(ANGLES), "lower_deg": draw(ANGLES), "kind": draw(KINDS)}
+    believed: dict[str, Any] = {"upper_deg": draw(ANGLES), "lower_deg": draw(ANGLES), "kind": draw(KINDS)}
     needed = -(-(len(believed["upper_deg"]) + len(believed["lower_deg"])) // 8)
     likely = st.sampled_from(["twin://virtual/adc-{}", "adam-{}:502", "127.0.0.1:5{}", "rtu:/dev/ttyUSB1?unit={}"])
     written = draw(st.none() | likely)

@@ -1,7 +1,7 @@
 """Readings that contradict the others of their row: a count that a wire has changed is no count of the instrument."""
 
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from itertools import count
 from pathlib import Path
 
@@ -287,7 +287,7 @@ def flicker(opened: OpenRig, level: float) -> None:
     rng, t, clock, plant = np.random.default_rng(5), 0.0, opened.virtual.clock, opened.virtual.plant
     for k in range(3000):
         t += float(rng.uniform(0.05, 1.0))
-        clock.at(t, lambda t=t, here=level if k % 2 else 1.0: plant.set_lamp(t, level=here))
+        clock.at(t, partial(plant.set_lamp, t, level=level if k % 2 else 1.0))
 
 
 @pytest.mark.parametrize("readings", [1, 4])
