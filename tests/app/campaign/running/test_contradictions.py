@@ -156,8 +156,12 @@ def test_a_single_reading_contradicts_nothing_and_is_never_taken() -> None:
 # ---- campaigns ----
 
 
+DARK_READINGS = 16
+"""Of the dark reading above which the signal of a row is: its part of the signal's uncertainty."""
+
+
 @cache
-def plan_of(readings: int, light: str = "", dark_readings: int = 16) -> Plan:
+def plan_of(readings: int, light: str = "", dark_readings: int = DARK_READINGS) -> Plan:
     rig = changed(RIG.read_text(encoding="utf-8"), (("drift_per_hour = 0.02", f"drift_per_hour = 0.0\n{light}"),))
     number = (("dark_readings = 4", f"dark_readings = {dark_readings}"), ("\nreadings = 2", f"\nreadings = {readings}"))
     schedule = changed(SMALL, (*number, ("[550]", "[550, 600]"), ("[0, 1]", "[0, 1, 2]")))
@@ -193,7 +197,8 @@ def wrong_rows(run: RunResult, expected: RunResult) -> list[str]:
         for found in each.data.readings if CONTRADICTION not in each.data.flags else ():
             many = levels[place_of(each.row), found.gain_v_per_a]
             mean, signal = many.mean(axis=0), np.abs(many.mean(axis=0) - ZERO)
-            variance = np.maximum(many.var(axis=0, ddof=1), 0.25) * (1.0 / len(found.counts) + 1.0 / len(many))
+            means = 1.0 / len(found.counts) + 1.0 / DARK_READINGS + 1.0 / len(many)
+            variance = np.maximum(many.var(axis=0, ddof=1), 0.25) * means
             u = np.sqrt(variance + 2.0 * (WANDER * signal) ** 2)
             if np.any(np.abs(found.counts.mean(axis=0) - mean) > 5.0 * u):
                 wrong.append(f"{each.row.identity} at {found.gain_v_per_a:g} V/A")
