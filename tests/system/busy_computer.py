@@ -32,7 +32,7 @@ def busy_processes(count: int) -> Iterator[None]:
 
 @dataclass(frozen=True)
 class ServedRun:
-    """A run on a served rig: its exit status, the rows that were measured again, and the faults in its journal."""
+    """A run on a served rig: its exit status, the faults in its journal, and its standard error."""
 
     status: int
     faults: tuple[str, ...]
