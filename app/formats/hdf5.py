@@ -86,9 +86,6 @@ class _UnfailingFile(io.RawIOBase):
         self._at = offset + {io.SEEK_SET: 0, io.SEEK_CUR: self._at, io.SEEK_END: self._size}[whence]
         return self._at
 
-    def tell(self) -> int:
-        return self._at
-
     def truncate(self, size: int | None = None, /) -> int:
         self._size = self._at if size is None else size
         try:

@@ -7,6 +7,7 @@ changed. A text that a spreadsheet would take for a formula has an apostrophe be
 
 import csv
 import hashlib
+import io
 import itertools
 import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
@@ -262,7 +263,7 @@ def write_points_csv(
             out.write(encode_text(path, text))
 
         put("".join(f"{line}\n" for line in heading if not DIGEST_PATTERN.fullmatch(line)))  # of an earlier file
-        place = out.tell()
+        place = out.seek(0, io.SEEK_CUR)
         out.write(b" " * DIGEST_BYTES + b"\n")
         for text, count in _lines(path, parts):
             put(text)
