@@ -55,7 +55,8 @@ def test_a_table_without_points_keeps_its_columns(tmp_path: Path) -> None:
 def written(tmp_path: Path) -> Path:
     """A file of five rows: a digest is in line 2, the header in line 3."""
     path = tmp_path / "five.csv"
-    write_points_csv(path, ["simulated"], {"x": [1.5, 2.5, 3.5, 4.5, 5.5], "side": ["front"] * 5})
+    columns: dict[str, ArrayLike] = {"x": [1.5, 2.5, 3.5, 4.5, 5.5], "side": ["front"] * 5}
+    write_points_csv(path, ["simulated"], columns)
     return path
 
 
@@ -100,7 +101,8 @@ FORMULAS = ["=1+1", "+1", "-5", "@a", "\t=1", "\r=1", "'=1", "''-5", "'", "''", 
 
 def test_no_text_is_a_formula_in_a_spreadsheet_and_each_is_read_back_exactly(tmp_path: Path) -> None:
     path = tmp_path / "formulas.csv"
-    write_points_csv(path, [], {"x": -np.arange(float(len(FORMULAS))), "=text": FORMULAS})
+    written: dict[str, ArrayLike] = {"x": -np.arange(float(len(FORMULAS))), "=text": FORMULAS}
+    write_points_csv(path, [], written)
     with path.open(newline="") as file:
         rows = list(csv.reader(line for line in file if not line.startswith("#")))
     assert not any(text.startswith(("=", "+", "-", "@", "\t", "\r")) for _, text in rows)
