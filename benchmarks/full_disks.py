@@ -10,7 +10,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from tests.system.full_disks import as_markdown, bytes_needed, on_a_disk, sizes_of_disks, small_disks, writings
+from tests.system.full_disks import HEADING, as_row, bytes_needed, on_a_disk, sizes_of_disks, small_disks, writings
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -27,14 +27,15 @@ def main(arguments: list[str] | None = None) -> int:
             if disk is None:
                 print("mounting a disk is not permitted here: run it as root")
                 return 1
-            outcomes = [
-                on_a_disk(writing, size, disk, logs)
-                for writing in writings(logs)
-                if given.only in writing.name
-                for size in sizes_of_disks(bytes_needed(writing, free, logs), given.sizes)
-            ]
-    print(as_markdown(outcomes))
-    return 1 if any(each.fault for each in outcomes) else 0
+            print(HEADING)
+            faults = 0
+            for writing in writings(logs):
+                if given.only in writing.name:
+                    sizes = sizes_of_disks(bytes_needed(writing, free, logs), given.sizes)
+                    outcomes = [on_a_disk(writing, size, disk, logs) for size in sizes]
+                    print(as_row(outcomes), flush=True)
+                    faults += sum(bool(each.fault) for each in outcomes)
+    return 1 if faults else 0
 
 
 if __name__ == "__main__":

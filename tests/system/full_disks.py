@@ -157,17 +157,17 @@ def sizes_of_disks(needed: int, count: int) -> list[int]:
     return [int(pages) * PAGE for pages in np.unique(np.linspace(1, most, count).astype(int))]
 
 
-def as_markdown(outcomes: list[Outcome]) -> str:
-    """The table of formats, sizes and status."""
-    lines = ["| file | sizes, bytes | status 2, one line, no file | status 0 | anything else |", "|---|---|---|---|---|"]
-    for name in dict.fromkeys(each.writing for each in outcomes):
-        own = [each for each in outcomes if each.writing == name]
-        refused, written = ([each.size for each in own if not each.fault and each.status == status] for status in (2, 0))
-        faults = [f"{each.size}: {each.fault}" for each in own if each.fault]
-        spans = [f"{len(some)} ({min(some)} to {max(some)})" if some else "0" for some in (refused, written)]
-        about = f"{len(own)}, {min(each.size for each in own)} to {max(each.size for each in own)}"
-        lines.append(f"| {name} | {about} | {' | '.join(spans)} | {'; '.join(faults) or 'none'} |")
-    return "\n".join(lines)
+HEADING = "| file | sizes, bytes | status 2, one line, no file | status 0 | anything else |\n|---|---|---|---|---|"
+"""Of the table of files, sizes and status."""
+
+
+def as_row(outcomes: list[Outcome]) -> str:
+    """The outcomes of one file as a row of the table."""
+    refused, written = ([each.size for each in outcomes if not each.fault and each.status == status] for status in (2, 0))
+    faults = [f"{each.size}: {each.fault}" for each in outcomes if each.fault]
+    spans = [f"{len(some)} ({min(some)} to {max(some)})" if some else "0" for some in (refused, written)]
+    about = f"{len(outcomes)}, {min(each.size for each in outcomes)} to {max(each.size for each in outcomes)}"
+    return f"| {outcomes[0].writing} | {about} | {' | '.join(spans)} | {'; '.join(faults) or 'none'} |"
 
 
 def _emptied(folder: Path) -> dict[str, bytes]:

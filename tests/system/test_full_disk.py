@@ -21,7 +21,8 @@ from tests.conftest import Writer
 from tests.system.command_process import FORKED, CommandProcess, Limits, check_committed
 from tests.system.conftest import ForkedServe, control_client
 from tests.system.full_disks import (
-    as_markdown,
+    HEADING,
+    as_row,
     bytes_needed,
     on_a_disk,
     sizes_of_disks,
@@ -183,14 +184,17 @@ def test_files_on_disks_of_many_sizes_are_whole_or_not_there(tmp_path: Path, siz
     free, place = tmp_path / "free", tmp_path / "disk"
     free.mkdir()
     place.mkdir()
-    outcomes = []
+    faults = []
+    print(f"\n{HEADING}")
     with small_disks(place) as disk:
         for writing in writings(tmp_path):
-            for size in sizes_of_disks(bytes_needed(writing, free, tmp_path), sizes):
-                found = on_a_disk(writing, size, disk, tmp_path) if disk else with_a_limit(writing, size, free, tmp_path)
-                outcomes.append(found)
-    print(f"\n{as_markdown(outcomes)}")
-    assert [each for each in outcomes if each.fault] == []
+            outcomes = [
+                on_a_disk(writing, size, disk, tmp_path) if disk else with_a_limit(writing, size, free, tmp_path)
+                for size in sizes_of_disks(bytes_needed(writing, free, tmp_path), sizes)
+            ]
+            print(as_row(outcomes))
+            faults += [each for each in outcomes if each.fault]
+    assert faults == []
 
 
 def test_on_a_full_disk_a_rig_is_locked_without_the_name_of_the_holder(small_disk: SmallDisk) -> None:
