@@ -131,7 +131,7 @@ class Engine:
 
         Raises UserError before anything moves where the journal of a resumed campaign is damaged.
         """
-        outcome, reason, headline, session = State.DONE, "", "", 0
+        outcome, reason, session = State.DONE, FaultText(""), 0
         self._read_earlier_rows()
         self._enter(State.PAUSING if self._pause else State.RUNNING)
         try:
@@ -141,29 +141,28 @@ class Engine:
             self._execute_rows()
             self._apply_policies("the end of the run", self._close_shutter)
         except (Stopped, KeyboardInterrupt):
-            outcome, reason = State.IDLE, "stopped"
+            outcome, reason = State.IDLE, FaultText("stopped")
         except EndedByOperator as ended:
-            outcome, reason = State.IDLE, str(ended)
+            outcome, reason = State.IDLE, FaultText(str(ended))
         except EndedBySchedule as ended:
-            outcome, reason = State.IDLE, str(ended)
-            self.ended_by_schedule = reason
+            outcome, reason = State.IDLE, FaultText(str(ended))
+            self.ended_by_schedule = str(ended)
         except (JournalError, UserError) as error:
-            outcome, reason = State.FAILED, str(error)
+            outcome, reason = State.FAILED, FaultText(str(error))
         except DeviceError as error:
             if self._stop_request.requested:  # the stop frames came between a request and its answer
-                outcome, reason = State.IDLE, "stopped"
+                outcome, reason = State.IDLE, FaultText("stopped")
             else:
-                fault = self._rig.in_words(error)
-                outcome, reason, headline = State.FAILED, str(fault), fault.headline
+                outcome, reason = State.FAILED, self._rig.in_words(error)
         except BaseException as error:
             # An error of the program or of the operator's code: stop the axes and record it all the same.
-            self._finish(session, State.FAILED, f"{type(error).__name__}: {error}")
+            self._finish(session, State.FAILED, FaultText(f"{type(error).__name__}: {error}"))
             if self.shutter_may_be_open:
                 error.add_note(SHUTTER_MAY_BE_OPEN)
             self._enter(State.FAILED, str(error))
             raise
         self._finish(session, outcome, reason)
-        self._enter(outcome, headline or reason)
+        self._enter(outcome, reason.headline)
         return outcome
 
     def pause(self) -> None:
@@ -397,7 +396,7 @@ class Engine:
                 continue
             return answer
 
-    def _finish(self, session: int, outcome: State, reason: str) -> None:
+    def _finish(self, session: int, outcome: State, reason: FaultText) -> None:
         """Stop the axes unless the plan is done, close the shutter, and record faults and end of session."""
         now = self._clock.now()
         try:
@@ -409,10 +408,11 @@ class Engine:
             self._journal.end_session(session, now, ended)
         self._stay_awake.end()
 
-    def _bring_to_rest(self, now: float, outcome: State, reason: str) -> None:
+    def _bring_to_rest(self, now: float, outcome: State, reason: FaultText) -> None:
         failures = [] if outcome is State.DONE else self._rig.stop()
-        self.faults = [*([reason] if outcome is State.FAILED else []), *(str(self._rig.in_words(each)) for each in failures)]
-        for fault in self.faults:
+        faults = [*([reason] if outcome is State.FAILED else []), *map(self._rig.in_words, failures)]
+        self.faults = list(map(str, faults))
+        for fault in faults:
             self._log_last_fault(now, fault)
         self._give_power_order(failures)
         try:
@@ -420,8 +420,10 @@ class Engine:
                 with contextlib.suppress(JournalError):
                     self._log_event("shutter", "closed after the stop", what="Shutter closed after the stop")
         except DeviceError as error:
-            self.faults.append(f"{self._rig.in_words(error)}; close the shutter by hand")
-            self._log_last_fault(now, self.faults[-1])
+            words = self._rig.in_words(error)
+            fault = FaultText(f"{words.headline}; close the shutter by hand", words.detail)
+            self.faults.append(str(fault))
+            self._log_last_fault(now, fault)
             self._give_order(close_shutter_order(self._rig, error))
 
     def _log_fault(self, fault: FaultText, text: str, where: str, consequence: str = "") -> None:
@@ -429,10 +431,10 @@ class Engine:
         self._journal.event(self._clock.now(), "fault", text)
         self._notify(EventLogged("fault", fault.headline, where, consequence, fault.detail))
 
-    def _log_last_fault(self, t: float, fault: str) -> None:
-        self._notify(EventLogged("fault", fault, self._action, "the run ends"))
+    def _log_last_fault(self, t: float, fault: FaultText) -> None:
+        self._notify(EventLogged("fault", fault.headline, self._action, "the run ends", fault.detail))
         with contextlib.suppress(JournalError):
-            self._journal.event(t, "fault", fault)
+            self._journal.event(t, "fault", str(fault))
 
     def _give_power_order(self, failures: Sequence[DeviceError]) -> None:
         """Order to cut the power where a stop failed: once for a run, which is stopped by request and again at its end."""

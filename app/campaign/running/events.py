@@ -63,7 +63,7 @@ class Positions:
 class EventLogged:
     """An event was written to the journal: its kind, what happened, where (a row, an axis), and the consequence for the run.
 
-    `detail` is what a device's wire has shown of it, for those who look closer.
+    `detail` is what a device's wire has shown of it.
     """
 
     kind: str
