@@ -139,7 +139,7 @@ def test_an_operators_night(
     # The monitor's plug is pulled, and put back.
     ((path, station),) = known_stations().items()
     os.kill(station.pid, signal.SIGUSR1)
-    window.wait_for("Device fault", "monitor", "[Retry]")
+    window.wait_for("Device fault", "Monitor (PM100D) is not responding", "[Retry]")
     os.kill(station.pid, signal.SIGUSR2)
     answer(window, "Device fault", "Retry")
     done = window.wait_for_rows(done + 2)
@@ -182,7 +182,7 @@ def test_an_operators_night(
     assert kept.rows < ended.rows < ended.planned
     planes, shifts = scan_plane_deg(points_of(journal).beta_deg), points_of(journal).shift_deg
     assert np.unique(shifts[planes == planes[-1]]).tolist() == SHIFTS_DEG
-    assert all("monitor" in fault for fault in ended.faults)
+    assert all(fault.startswith("Monitor (PM100D) ") for fault in ended.faults)
     window.press(CAMPAIGNS)
     window.wait_for("| small-001.journal")
     window.press("Alt+X")
