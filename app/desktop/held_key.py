@@ -74,9 +74,9 @@ class HeldKey:
 
     def release(self, at: Moment) -> Change | None:
         """Take a release: the end of a hold, or auto-repeat, as the next press shows."""
-        if self._pressed is None:
+        if self._pressed is None or self._released is not None:
             return None
-        self._released = self._released or at
+        self._released = at
         return self._judge(at.since(self._pressed))
 
     def forget(self) -> None:

@@ -144,6 +144,11 @@ def test_the_time_of_auto_repeat_is_five_milliseconds_by_the_stamps() -> None:
         assert len(stops_of([(0, PRESS), (600, RELEASE), (600 + apart, PRESS), (1100, RELEASE)])) == stops
 
 
+def test_a_release_without_a_press_stops_nothing() -> None:
+    """Long after a tap: the press went elsewhere."""
+    assert stops_of([(0, PRESS), (100, RELEASE), (3000, RELEASE)]) == []
+
+
 def test_a_hold_that_is_forgotten_stops_nothing_until_a_second_after_the_next_press() -> None:
     key = HeldKey(HOLD_MS)
     key.press(Moment(1, 0.0))
