@@ -172,7 +172,7 @@ def positions(count: int, statement: bytes) -> list[int]:
     return [len(statement) - k % (len(statement) + 1) for k in range(count)]
 
 
-@pytest.mark.parametrize("times", [pytest.param(2, id="2"), pytest.param(100, id="100", marks=pytest.mark.long)])
+@pytest.mark.parametrize("times", [pytest.param(1, id="1"), pytest.param(100, id="100", marks=pytest.mark.long)])
 def test_the_shutter_of_a_killed_run_is_closed(rig: Rig, run: Start, times: int) -> None:
     """Killed after each byte of the statement that opens the shutter, or of one while it is open; every fifth after Ctrl-C."""
     seconds, reactions = [], []
@@ -280,6 +280,7 @@ def test_a_guardian_is_small_deaf_to_signals_and_holds_nothing_of_its_parent(rig
     close_to(client)
 
 
+@pytest.mark.long
 def test_a_shutter_that_is_open_with_no_program_is_stated_by_the_next_command(
     rig: Rig, run: Start, processes: list[CommandProcess]
 ) -> None:
