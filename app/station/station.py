@@ -26,6 +26,7 @@ from goniotwin.app.campaign.running.events import (
     DeviceFailed,
     Event,
     EventLogged,
+    LightChanged,
     Positions,
     RowCommitted,
     SafetyOrder,
@@ -955,7 +956,7 @@ class Station:
 
     def _publish(self, message: Message) -> None:
         self.board.publish(message)
-        if isinstance(message, BenchChanged) and message.shutter_open is False:
+        if isinstance(message, BenchChanged | LightChanged) and message.shutter_open is False:
             for each in [order for order in self._ordered if order.order == CLOSE_SHUTTER]:
                 self._withdraw(each)
 

@@ -9,7 +9,15 @@ from pathlib import Path
 import pytest
 
 from goniotwin.app.campaign.journal.summary import campaign_summary
-from goniotwin.app.campaign.running.events import EventLogged, Positions, RowStarted, SafetyOrder, State, StateChanged
+from goniotwin.app.campaign.running.events import (
+    CLOSE_SHUTTER,
+    EventLogged,
+    Positions,
+    RowStarted,
+    SafetyOrder,
+    State,
+    StateChanged,
+)
 from goniotwin.app.campaign.running.question import Answer
 from goniotwin.app.campaign.running.stop import StopRequest
 from goniotwin.app.rig import OpenRig, read_rig
@@ -18,6 +26,7 @@ from goniotwin.app.station.messages import (
     BenchReading,
     DeviceChanged,
     Message,
+    OrderAcknowledged,
     QuestionAsked,
     QuestionClosed,
     RowSaved,
@@ -691,6 +700,26 @@ def test_an_order_stands_until_it_is_acknowledged(
     assert campaign_summary(now.journal).orders == []
     with pytest.raises(CommandRefused, match="no safety order is open"):
         bench.station.acknowledge(order.text)
+
+
+def test_an_order_about_the_shutter_ends_when_the_run_has_seen_it_closed(
+    bench: StationBench, write_schedule: Writer, tmp_path: Path
+) -> None:
+    order = SafetyOrder(CLOSE_SHUTTER, "it may be open")
+    open_orders: list[tuple[SafetyOrder, ...]] = []
+
+    def give(message: Message) -> None:
+        if isinstance(message, RowSaved) and message.row.kind == "measure" and order not in bench.events:
+            bench.station.listen(order)
+            open_orders.append(bench.station.snapshot.orders)
+
+    bench.reactions.append(give)
+    bench.station.start(write_schedule(), tmp_path)
+    now = bench.work()
+    assert open_orders == [(order,)]
+    kinds = [type(each) for each in bench.events]
+    assert kinds.index(OrderAcknowledged) < max(k for k, kind in enumerate(kinds) if kind is RowSaved)
+    assert now.orders == ()
 
 
 def test_an_order_of_the_last_session_stands_after_a_resume(
