@@ -1,5 +1,6 @@
 """Files and folders of the user of this program alone: what is found there was put there by this user's programs."""
 
+import errno
 import os
 import stat
 import tempfile
@@ -38,6 +39,20 @@ def make_own_folder(folder: Path) -> None:
         raise OSError(f"{folder}: it or a folder above it belongs to another user; choose another folder")
     if status.st_mode & stat.S_IWOTH:
         raise OSError(f"{folder}: every user may write to it; choose another folder, or change its permissions")
+
+
+def read_regular(path: Path, longest: int) -> bytes:
+    """At most so many bytes of a file; no link is followed, and what is no file (a named pipe) is not waited for.
+
+    Raises OSError.
+    """
+    handle = os.open(path, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0))
+    try:
+        if not stat.S_ISREG(os.fstat(handle).st_mode):
+            raise OSError(errno.EINVAL, "is not a regular file", str(path))
+        return os.read(handle, longest)
+    finally:
+        os.close(handle)
 
 
 def replace_text(path: Path, text: str, mode: int = 0o600) -> None:

@@ -12,6 +12,7 @@ import os
 import re
 import signal
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
@@ -36,6 +37,8 @@ QUIET_S = 0.1
 """A line without a byte for this time has sent all that belongs to what was before the question."""
 LONGEST_NOISE_S = 1.0
 RETRY_S = 0.02
+LONGEST_S = 60.0
+"""It ends after this time, whatever hangs: a program that needs the rig waits for it."""
 URL_SCHEMES = ("socket", "rfc2217")
 """Those that a rig file can have (`app.rig.addresses`) and pyserial has a module for."""
 CHUNK = 256
@@ -57,6 +60,10 @@ def main() -> None:
             records = decode_all(line)
             for record in records:
                 _load_handler(record.address)
+    if records:
+        watchdog = threading.Timer(LONGEST_S, os._exit, (1,))
+        watchdog.daemon = True
+        watchdog.start()
     for record in records:
         with contextlib.suppress(Taken):
             carry_out(record)
@@ -72,11 +79,18 @@ def _load_handler(address: str) -> None:
 
 def carry_out(record: Record) -> None:
     """Take the locks, make the device safe, and write what came of it. Raises Taken where another program has the rig."""
+    outcome = _make_safe(record)
+    if record.journal and outcome:  # without the locks: a folder on a network may be slow
+        _note_event(Path(record.journal), f"{record.device}: {outcome}")
+
+
+def _make_safe(record: Record) -> str:
+    """Send the will and write what came of it; return that, or nothing where a later session has had the rig."""
     died = CLOCK.now()
     with _locked(record):
         found = _recorded(record)
-        if found is not None and (found.pid, found.since) != (record.pid, record.since):
-            return  # a session has had the rig meanwhile
+        if found is not None and found.pid != record.pid and found.since >= record.since:
+            return ""  # a session has had the rig meanwhile
         wrong = ""
         for _ in range(ATTEMPTS):
             try:
@@ -91,8 +105,7 @@ def carry_out(record: Record) -> None:
             outcome = f"process {record.pid} died; {record.relief}, {ms:.0f} ms later, by the guardian ({calendar_stamp()})"
         with contextlib.suppress(OSError):  # a full disk: the record is as before, and the next session asks the device
             replace_text(Path(record.path), replace(record, outcome=outcome, done=not wrong).encode())
-        if record.journal:
-            _note_event(Path(record.journal), f"{record.device}: {outcome}")
+    return outcome
 
 
 @contextlib.contextmanager
@@ -152,8 +165,8 @@ def _note_event(journal: Path, text: str) -> None:
     """Add an event to the file beside a journal, unless the journal was moved."""
     if journal.exists():
         with contextlib.suppress(OSError):
-            flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND | getattr(os, "O_NOFOLLOW", 0)
-            handle = os.open(f"{journal}{EVENTS_SUFFIX}", flags, 0o600)
+            flags = os.O_WRONLY | os.O_CREAT | os.O_APPEND | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
+            handle = os.open(f"{journal}{EVENTS_SUFFIX}", flags, 0o600)  # never waits, as for the reader of a named pipe
             try:
                 os.write(handle, (json.dumps({"at": calendar_stamp(), "text": text}) + "\n").encode())
             finally:

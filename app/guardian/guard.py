@@ -5,7 +5,6 @@ file in the user's state folder: where the guardian dies with its parent, the ne
 """
 
 import contextlib
-import json
 import os
 import subprocess
 import sys
@@ -20,7 +19,8 @@ from goniotwin.app.detached import start_detached
 from goniotwin.app.errors import printable
 from goniotwin.app.guardian.record import BYTES, FAREWELL, Record, encode_all
 from goniotwin.drivers.guard import LastWill
-from goniotwin.own_files import make_own_folder, replace_text, state_folder
+from goniotwin.own_files import make_own_folder, read_regular, replace_text, state_folder
+from goniotwin.protocols.channel import parse_object
 from goniotwin.protocols.clock import calendar_stamp
 
 COMMAND = [sys.executable, "-P", "-m", "goniotwin.app.guardian"]
@@ -185,9 +185,8 @@ def record_folder() -> Path:
 def read_record(path: Path) -> Record | None:
     """The record of a file; None where there is none."""
     try:
-        with path.open(encoding="utf-8") as file:
-            record = TypeAdapter(Record).validate_json(file.read(LONGEST_RECORD))
-    except (OSError, UnicodeError, ValidationError):
+        record = TypeAdapter(Record).validate_json(read_regular(path, LONGEST_RECORD))
+    except (OSError, ValidationError):
         return None
     return replace(record, path=str(path))
 
@@ -200,9 +199,7 @@ def remove_record(path: Path) -> None:
 
 def read_events(path: Path) -> list[str]:
     """The texts of the events that a guardian has written beside a journal; none where there is no such file."""
-    texts = []
-    with contextlib.suppress(OSError, UnicodeError), path.open(encoding="utf-8") as file:
-        for line in file.read(LONGEST_RECORD).splitlines():
-            with contextlib.suppress(ValueError, LookupError, TypeError):
-                texts.append(printable(str(json.loads(line)["text"])))
-    return texts
+    with contextlib.suppress(OSError):
+        found = map(parse_object, read_regular(path, LONGEST_RECORD).splitlines())
+        return [printable(each["text"]) for each in found if each is not None and isinstance(each.get("text"), str)]
+    return []

@@ -15,7 +15,6 @@ import hashlib
 import os
 import re
 import socket
-import stat
 import struct
 import sys
 from pathlib import Path
@@ -26,14 +25,14 @@ from goniotwin.app.errors import UserError, printable, unusable
 from goniotwin.app.guardian.held import Taken, take_name
 from goniotwin.app.guardian.record import GUARDIAN
 from goniotwin.app.rig.addresses import device_names
-from goniotwin.own_files import make_own_folder, replace_text, state_folder
+from goniotwin.own_files import make_own_folder, read_regular, replace_text, state_folder
 from goniotwin.protocols.clock import calendar_stamp
 
 LONGEST_NOTE = 400
 PROBE_S = 0.05
 """How long another program can hold a lock only to check it."""
 UNKNOWN = "another program"
-GUARDIAN_S = 10.0
+GUARDIAN_S = 20.0
 """How long a program waits for the guardian of one that died, which makes the rig safe."""
 
 
@@ -288,11 +287,7 @@ def _write_note(path: Path, note: str) -> None:
 def _read_note(path: Path) -> str:
     """A note as one printable line, whatever the file is."""
     try:
-        handle = os.open(path, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0))
-        try:
-            note = os.read(handle, LONGEST_NOTE) if stat.S_ISREG(os.fstat(handle).st_mode) else b""
-        finally:
-            os.close(handle)
+        note = read_regular(path, LONGEST_NOTE)
     except OSError:
         return UNKNOWN
     return printable(note.decode(errors="replace").strip()) or UNKNOWN

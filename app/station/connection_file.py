@@ -7,7 +7,6 @@ connects to its port, which another program may have by now. Light: it loads no 
 
 import contextlib
 import json
-import os
 import socket
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
@@ -18,7 +17,7 @@ from pydantic import TypeAdapter, ValidationError
 from goniotwin.app.rig.lock import holder_of
 from goniotwin.app.station.client import NoStation, Refused, StationClient
 from goniotwin.app.station.messages import Message
-from goniotwin.own_files import replace_text, state_folder
+from goniotwin.own_files import read_regular, replace_text, state_folder
 from goniotwin.protocols.channel import PROTOCOL, parse_object
 
 FOLDER = "stations"
@@ -42,25 +41,17 @@ class Connection:
 def read_connection(path: Path) -> Connection | None:
     """The content of a connection file; None where there is none, or it is none of this version."""
     try:
-        found = TypeAdapter(Connection).validate_json(_content(path), strict=True)
+        found = TypeAdapter(Connection).validate_json(read_regular(path, LONGEST_FILE), strict=True)
     except (OSError, ValidationError):
         return None
     return found if found.protocol == PROTOCOL else None
-
-
-def _content(path: Path) -> bytes:
-    handle = os.open(path, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0))
-    try:
-        return os.read(handle, LONGEST_FILE)
-    finally:
-        os.close(handle)
 
 
 def _read_or_remove(path: Path) -> Connection | None:
     """The same; a file that is none of any version is removed. They are renamed into place, so none is seen half written."""
     if (connection := read_connection(path)) is None:
         with contextlib.suppress(OSError):
-            version = (parse_object(_content(path)) or {}).get("protocol", PROTOCOL)
+            version = (parse_object(read_regular(path, LONGEST_FILE)) or {}).get("protocol", PROTOCOL)
             if isinstance(version, bool) or not isinstance(version, int) or version == PROTOCOL:
                 path.unlink()
     return connection

@@ -327,3 +327,18 @@ def test_what_is_armed_at_the_end_is_an_order_until_it_is_acknowledged_or_seen_s
 def test_records_survive_their_line(record: Record) -> None:
     binary = replace(record, order=bytes(range(256)).decode("latin-1"))
     assert decode_all(encode_all([binary, record])) == [binary, record]
+
+
+def test_a_named_pipe_in_the_place_of_the_events_holds_no_program_up(tmp_path: Path) -> None:
+    journal = tmp_path / "a.journal"
+    journal.touch()
+    pipe = Path(f"{journal}{EVENTS_SUFFIX}")
+    os.mkfifo(pipe)
+    guardian._note_event(journal, "monochromator: the shutter is closed")
+    assert read_events(pipe) == []
+
+
+def test_events_beside_a_journal_that_are_none_are_left_out(tmp_path: Path) -> None:
+    beside = tmp_path / "a.journal.guardian"
+    beside.write_bytes(b'{"text": "one"}\n' + b"[" * 50_000 + b'\n{"text": 3}\n\xff\n{"text": "two"}\n')
+    assert read_events(beside) == ["one", "two"]
