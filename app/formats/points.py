@@ -39,6 +39,8 @@ FORMULA = re.compile(r"'*[=+\-@\t\r\n]")
 MARKED = re.compile(f"'{FORMULA.pattern}")
 DIGEST_LINE = "# {rows} rows; sha256 of all other lines: {digest}; remove this line after a change on purpose"
 DIGEST_PATTERN = re.compile(re.escape(DIGEST_LINE).replace(r"\{rows\}", "([0-9]+)").replace(r"\{digest\}", "([0-9a-f]{64})"))
+DIGEST_BEGIN = re.compile(r"# *[0-9]+ rows; *sha256", re.IGNORECASE)
+"""Of a line that is, or was, such a one."""
 DIGEST_BYTES = len(DIGEST_LINE.format(rows=10**9, digest="0" * 64))
 """Bytes of the line, which is filled with blanks: it is written when the rows are known."""
 
@@ -262,7 +264,7 @@ def write_points_csv(
             digest.update(encode_text(path, _line_feeds(text)))
             out.write(encode_text(path, text))
 
-        put("".join(f"{line}\n" for line in heading if not DIGEST_PATTERN.fullmatch(line)))  # of an earlier file
+        put("".join(f"{line}\n" for line in heading if not DIGEST_BEGIN.match(line)))  # of an earlier file
         place = out.seek(0, io.SEEK_CUR)
         out.write(b" " * DIGEST_BYTES + b"\n")
         for text, count in _lines(path, parts):
@@ -375,7 +377,10 @@ def read_points_csv(path: StrPath) -> Points:
     comments: list[str] = []
     start = before = 0
     while (line := next(lines, "")).startswith("#"):
-        stated = DIGEST_PATTERN.fullmatch(line.rstrip())
+        stated = DIGEST_PATTERN.fullmatch(line.rstrip(", \t\r\n"))  # a spreadsheet adds commas
+        if stated is None and DIGEST_BEGIN.match(line):
+            remedy = f"copy or export the file again, or remove line {before + 1} if the file was changed on purpose"
+            raise FormatError(path, "has a damaged line with the number of rows and the digest", remedy, before + 1)
         if stated is None:
             comments.append(line[1:].removeprefix(" ").rstrip())
         else:
@@ -407,7 +412,8 @@ def _difference(text: str, end: int, line: int, stated: int) -> str:
     """How a text differs from what was written, as far as it can be seen; `end` is the place after line number `line`."""
     lines = list(_lines_of(text, end))
     try:
-        rows = sum(1 for fields in csv.reader(lines) if fields and not fields[0].startswith("#")) - 1
+        below = itertools.dropwhile(lambda line: line.startswith("#"), lines)
+        rows = sum(1 for fields in csv.reader(below) if fields) - 1
     except csv.Error:
         rows = stated
     if rows < stated:

@@ -86,6 +86,22 @@ def test_a_line_that_was_lost_doubled_moved_or_changed_is_found(
     assert "if it was changed on purpose" in str(caught.value)
 
 
+@pytest.mark.parametrize("change", [(b"sha256", b"SHA256"), (b"rows; sha256", b"rows;sha256"), (b" on purpose", b"")])
+def test_a_damaged_line_of_the_digest_is_no_comment(written: Path, change: tuple[bytes, bytes]) -> None:
+    written.write_bytes(written.read_bytes().replace(*change))
+    with pytest.raises(FormatError, match="damaged line with the number of rows"):
+        read_points_csv(written)
+
+
+def test_rows_that_begin_as_comments_do_are_counted(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    write_points_csv(path, ["a comment"], {"sample": np.array(["#5", "a", "#6"]), "x": np.array([1.0, 2.0, 3.0])})
+    assert read_points_csv(path).columns["sample"].tolist() == ["#5", "a", "#6"]
+    path.write_text("".join(path.read_text().splitlines(keepends=True)[:-1]))
+    with pytest.raises(FormatError, match="has 2 rows, and 3 were written: 1 are missing"):
+        read_points_csv(path)
+
+
 def test_without_its_digest_a_file_is_read_as_it_is_and_other_line_ends_are_the_same_file(written: Path) -> None:
     raw = written.read_bytes()
     for same in (raw.replace(b"\n", b"\r\n"), raw.removesuffix(b"\n"), b"\xef\xbb\xbf" + raw):
