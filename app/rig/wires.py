@@ -6,6 +6,7 @@ Only this module opens ports and devices by name.
 import contextlib
 import errno
 import secrets
+import socket
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -36,14 +37,29 @@ FOUND_NOTES = "found"
 LONGEST_NOTE = 100_000
 
 
+SOCKET = "socket://"
+
+
 def open_serial(address: str, baudrate: int, timeout_s: float) -> serial.Serial:
     """Open a port, which no other program, of any user, can open in this way then. Raises SerialException, OSError."""
     try:
-        return serial.serial_for_url(address, baudrate=baudrate, timeout=timeout_s, exclusive=True)
+        port = serial.serial_for_url(address, baudrate=baudrate, timeout=timeout_s, exclusive=True)
+        if address.lower().startswith(SOCKET):
+            _send_at_once(port)
+        return port
     except serial.SerialException as error:
         if error.errno in (errno.EAGAIN, errno.EBUSY):
             raise serial.SerialException(f"{address} is in use by another program; end that program") from None
         raise
+
+
+def _send_at_once(port: serial.Serial) -> None:
+    """Have the system send each frame at once, as for rfc2217://: by itself it waits for the answer to the one before.
+
+    A stop of an axis would wait for a controller that does not answer.
+    """
+    with socket.fromfd(port.fileno(), socket.AF_INET, socket.SOCK_STREAM) as connection:  # has the same options
+        connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
 
 class FoundNote:

@@ -1,6 +1,7 @@
 """Addresses in a rig file: canonical forms, and the parsing of Modbus addresses."""
 
 import os
+import socket
 import stat
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from goniotwin.app.rig.addresses import check_address, device_names, resolve_por
 from goniotwin.app.rig.lock import RigLock
 from goniotwin.app.rig.modbus_units import ModbusUnits
 from goniotwin.app.rig.served_file import endpoint_address
-from goniotwin.app.rig.wires import FoundNote, Wires
+from goniotwin.app.rig.wires import FoundNote, Wires, open_serial
 from goniotwin.mocks.served import Endpoint, Wire
 from goniotwin.protocols.clock import VirtualClock
 from goniotwin.twin.doors import NoSuchTwin
@@ -209,3 +210,13 @@ def test_the_note_of_a_module_is_the_same_however_its_address_is_written(address
 
     assert len(set(map(note, addresses))) == 1
     assert note(other) not in map(note, addresses)
+
+
+@pytest.mark.endpoint
+def test_frames_to_a_network_port_are_sent_at_once() -> None:
+    """Otherwise the second frame of a stop waits for the acknowledgement of the first, for 40 ms and more."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = open_serial(f"socket://127.0.0.1:{server.getsockname()[1]}", 115200, 0.02)
+        with socket.fromfd(port.fileno(), socket.AF_INET, socket.SOCK_STREAM) as connection:
+            assert connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY) != 0
+        port.close()
