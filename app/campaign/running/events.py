@@ -96,7 +96,7 @@ def left_order(record: "Record") -> SafetyOrder:
 
 def close_shutter_order(rig: "Rig", error: "DeviceError") -> SafetyOrder:
     """The order where the shutter cannot be closed."""
-    return SafetyOrder(CLOSE_SHUTTER, f"it may be open; {rig.in_words(error)}")
+    return SafetyOrder(CLOSE_SHUTTER, f"it may be open; {rig.in_words(error).headline}")
 
 
 def shutter_found_open() -> SafetyOrder:
@@ -107,8 +107,9 @@ def shutter_found_open() -> SafetyOrder:
 def cut_power_order(rig: "Rig", failures: "Sequence[DeviceError]") -> SafetyOrder | None:
     """The order where a stop failed; None where every axis has confirmed it. A grating that turns on is no danger."""
     grating = (rig.monochromator.name, *rig.monochromator.parts)
-    reasons = [str(rig.in_words(each)) for each in failures if each.device not in grating]
-    return SafetyOrder("Cut the motors' power", "the stop is not confirmed; " + "; ".join(reasons)) if reasons else None
+    axes = [each.device for each in failures if each.device not in grating]
+    reason = f"the stop is not confirmed by {', '.join(dict.fromkeys(axes))}"
+    return SafetyOrder("Cut the motors' power", reason) if axes else None
 
 
 @dataclass(frozen=True)

@@ -308,7 +308,7 @@ def test_after_a_signal_the_open_orders_are_the_last_lines(
     timer.start()
     assert run_desktop(RIG, None, tmp_path, stations=stations) == STOPPED
     *_, last = capsys.readouterr().err.splitlines()
-    assert last.startswith("goniotwin: SAFETY: Cut the motors' power: the stop is not confirmed; Axis sigma (TMCM-6214)")
+    assert last.startswith("goniotwin: SAFETY: Cut the motors' power: the stop is not confirmed by sigma")
 
 
 @pytest.mark.usefixtures("handlers")
