@@ -56,8 +56,8 @@ class Contacts:
         if self._wall.now() >= self._ask_at[device]:
             self.ask(device, question)
 
-    def ask(self, device: str, question: Callable[[], object]) -> None:
-        """Ask an idle device, unless it is disconnected or has not answered just now."""
+    def ask(self, device: str, question: Callable[[], object], *, recovered: bool = False) -> None:
+        """Ask an idle device, unless it is disconnected or has not answered just now; one that a run recovers is never lost."""
         status = self._status(device)
         if status is None or status.contact is Contact.DISCONNECTED:
             return
@@ -68,13 +68,13 @@ class Contacts:
             question()
         except (NoAnswer, BadAnswer) as error:
             self._failures[device] += 1
-            if self._failures[device] > REPEATS:
+            if self._failures[device] > REPEATS and not recovered:
                 self.note_lost(device, error)
             else:
                 self._ask_at[device] = self._wall.now() + REPEAT_S
                 self._change(device, Contact.SILENT, self._rig.in_words(error))
         except DeviceError as error:
-            self.note_fault(error)
+            self.note_fault(error, recovered=recovered)
         else:
             self.note_answers(device)
 

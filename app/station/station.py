@@ -70,6 +70,7 @@ from goniotwin.app.station.messages import (
 from goniotwin.app.station.permissions import STOPPED, allowed
 from goniotwin.drivers import Axis, DeviceError, LimitError, NoAnswer
 from goniotwin.drivers.errors import FaultText, Unreferenced
+from goniotwin.drivers.motion import MotionController
 from goniotwin.protocols.clock import GREATEST_SPEED, LEAST_SPEED, Clock, RealClock, ScaledClock, VirtualClock, calendar_stamp
 
 POLL_S = 0.2
@@ -861,10 +862,12 @@ class Station:
                 if self._answers.empty() and (reason := given_up()):
                     raise UserError(reason)
                 try:
-                    answer = self._answers.get(timeout=None if question.axis is None else ENCODERS_S)
+                    answer = self._answers.get(timeout=ENCODERS_S)
                 except queue.Empty:
-                    assert question.axis is not None
-                    self.report_place(question.axis.name)
+                    if question.axis is not None:
+                        self.report_place(question.axis.name)
+                    else:
+                        self._ask_axes()
                     continue
                 if answer is not None and answer[0] == number:
                     given = answer[1] if isinstance(answer[1], Answer) else Answer.SET_POSITION
@@ -874,6 +877,13 @@ class Station:
             self._publish(QuestionClosed(number, given))
 
     # ---- inside ----
+
+    def _ask_axes(self) -> None:
+        """Ask the axes whether they respond while a question waits. The other devices' settings are the run's to restore."""
+        if self._opened is not None:
+            for controller in self._opened.rig.controllers:
+                self._device_contacts.ask(controller.name, partial(_read_positions, controller), recovered=True)
+            self._device_contacts.report_answers_now_and_then()
 
     def report_place(self, axis: str) -> None:
         """Report counter and encoder of an axis at rest, as far as it responds."""
@@ -957,8 +967,13 @@ class Station:
     def _publish(self, message: Message) -> None:
         self.board.publish(message)
         if isinstance(message, BenchChanged | LightChanged) and message.shutter_open is False:
-            for each in [order for order in self._ordered if order.order == CLOSE_SHUTTER]:
+            for each in [order for order in self.open_orders if order.order == CLOSE_SHUTTER]:
                 self._withdraw(each)
+
+
+def _read_positions(controller: MotionController) -> None:
+    for axis in controller.axes.values():
+        axis.position_deg()
 
 
 def next_journal(folder: Path, name: str) -> Path:

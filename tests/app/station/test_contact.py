@@ -9,7 +9,7 @@ from goniotwin.app.campaign.running.events import State
 from goniotwin.app.campaign.running.question import Answer
 from goniotwin.app.rig import AXES
 from goniotwin.app.station.contacts import ASK_S, CONNECT_S, REPEAT_S
-from goniotwin.app.station.messages import Contact, DeviceStatus, QuestionAsked, RowSaved
+from goniotwin.app.station.messages import Contact, DeviceChanged, DeviceStatus, QuestionAsked, RowSaved
 from goniotwin.app.station.permissions import allowed
 from goniotwin.drivers import Rig
 from goniotwin.drivers.errors import NoAnswer, Taken
@@ -172,6 +172,34 @@ def test_a_device_that_fails_in_a_run_is_silent_until_a_row_has_its_answer(
     assert idle.work().state is State.DONE
     assert seen[0] is Contact.SILENT
     assert set(seen[1:]) == {Contact.CONNECTED}
+
+
+def test_axes_that_do_not_respond_while_a_question_waits_are_silent(
+    idle: Idle, write_schedule: Writer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A mounting may last an hour. When they respond again they are connected, and the run goes on."""
+    monkeypatch.setattr("goniotwin.app.station.station.ENCODERS_S", 0.01)
+    silent = pytest.MonkeyPatch()
+    seen: list[Contact] = []
+
+    def react(message: object) -> None:
+        question = idle.station.snapshot.question
+        match message:
+            case QuestionAsked() if not seen:
+                silent_positions(silent)
+            case QuestionAsked(number, _):
+                idle.station.answer(number, Answer.MOUNTED)
+            case DeviceChanged("axes", status):
+                seen.append(status.contact)
+                silent.undo()
+                idle.wall.sleep_until(idle.wall.now() + REPEAT_S)
+                if status.connected and question is not None:
+                    idle.station.answer(question.number, Answer.MOUNTED)
+
+    idle.reactions.append(react)
+    idle.station.start(write_schedule(text=SMALL), tmp_path, person=True)
+    assert idle.work().state is State.DONE
+    assert seen == [Contact.SILENT, Contact.CONNECTED]
 
 
 def test_a_move_of_a_jammed_axis_ends_with_the_contradiction_and_both_values_are_known(idle: Idle) -> None:
