@@ -187,7 +187,7 @@ def test_a_safety_order_is_printed_at_once_and_at_the_end_and_again_before_a_res
         if isinstance(event, RowStarted) and event.row.number == 4:
             raise KeyboardInterrupt
 
-    order = "SAFETY: Cut the motors' power: the stop is not confirmed; sigma: MST: no reply"
+    order = "SAFETY: Cut the motors' power: the stop is not confirmed by sigma"
     journal = tmp_path / "a.journal"
     with monkeypatch.context() as patch:
         patch.setattr(RowProgress, "__call__", interrupt)

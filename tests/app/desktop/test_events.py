@@ -117,7 +117,7 @@ def test_a_safety_order_stays_until_it_is_acknowledged(
     qtbot.waitUntil(lambda: "Axis gamma (TMCM-6214) is not responding" in window.view.status, timeout=READY_MS)
     (order,) = window.view.orders.orders
     assert order.order == "Cut the motors' power"
-    assert "Axis sigma (TMCM-6214) is not responding (MST: nothing)" in order.reason
+    assert order.reason == "the stop is not confirmed by sigma"
     assert window.view.orders.isVisible()
     assert window.windowTitle().startswith("SAFETY ORDER")
     texts = [entry.what for entry in window.view.log.entries if entry.serious]
@@ -217,7 +217,7 @@ def test_a_person_closes_the_window_only_after_acknowledging_the_order(
     window.close()
     click(wait_for_close_question(qtbot, window, "A run is in progress").buttons[STOP_AND_CLOSE])
     box = wait_for_close_question(qtbot, window, "Cut the motors' power")
-    assert "Axis sigma (TMCM-6214) is not responding (MST: nothing)" in box.text
+    assert "the stop is not confirmed by sigma" in box.text
     assert not window.presenter.busy
     assert window.isVisible()
     assert len(window.view.orders.orders) == 1
@@ -242,13 +242,13 @@ def test_a_close_without_a_run_waits_for_every_order(qtbot: QtBot, window: MainW
     click(window.view.run.stop_button)
     qtbot.waitUntil(lambda: len(window.view.orders.orders) == 2, timeout=READY_MS)
     assert not window.close()
-    wait_for_close_question(qtbot, window, "Axis sigma")
+    wait_for_close_question(qtbot, window, "confirmed by sigma")
     acknowledge(window)
-    box = wait_for_close_question(qtbot, window, "Axis beta")
+    box = wait_for_close_question(qtbot, window, "confirmed by beta")
     click(box.buttons[KEEP_OPEN])
     assert window.isVisible()
     assert not window.close()
-    click(wait_for_close_question(qtbot, window, "Axis beta").buttons[ACKNOWLEDGE])
+    click(wait_for_close_question(qtbot, window, "confirmed by beta").buttons[ACKNOWLEDGE])
     assert not window.isVisible()
 
 
