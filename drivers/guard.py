@@ -7,6 +7,9 @@ safe again. A last will needs no driver: it is the bytes of the device's protoco
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
+CLOSE_SHUTTER = "Close the shutter by hand"
+"""What a person does where a shutter may be open and no program closes it."""
+
 
 @dataclass(frozen=True)
 class LastWill:

@@ -33,7 +33,8 @@ MOST_TEXT_BYTES = 400_000_000
 NO_NUMBER = re.compile(r"[^0-9eE+\-.,]")
 FEW = 4
 """A value of a column is spelled once where the different ones are fewer than all by this factor."""
-TO_QUOTE = re.compile(r'[,"\r\n]')
+TO_QUOTE = re.compile(r'[,"\r\n#]')
+"""What a field is quoted for; the `#` for other programs' readers, for which it begins a comment anywhere else."""
 FORMULA = re.compile(r"'*[=+\-@\t\r\n]")
 """The beginning of a text that a spreadsheet takes for a formula, also after apostrophes: these are then read back exactly."""
 MARKED = re.compile(f"'{FORMULA.pattern}")

@@ -51,10 +51,10 @@ class Contacts:
             for device in outcome
         }  # fmt: skip
 
-    def ask_now_and_then(self, device: str, question: Callable[[], object]) -> None:
-        """Ask an idle device, if that is due."""
+    def ask_now_and_then(self, device: str, question: Callable[[], object], *, recovered: bool = False) -> None:
+        """Ask an idle device, if that is due; `recovered` as in `ask`."""
         if self._wall.now() >= self._ask_at[device]:
-            self.ask(device, question)
+            self.ask(device, question, recovered=recovered)
 
     def ask(self, device: str, question: Callable[[], object], *, recovered: bool = False) -> None:
         """Ask an idle device, unless it is disconnected or has not answered just now; one that a run recovers is never lost."""

@@ -22,7 +22,6 @@ from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.running.engine import Engine
 from goniotwin.app.campaign.running.events import (
-    CLOSE_SHUTTER,
     DeviceFailed,
     Event,
     EventLogged,
@@ -70,6 +69,7 @@ from goniotwin.app.station.messages import (
 from goniotwin.app.station.permissions import STOPPED, allowed
 from goniotwin.drivers import Axis, DeviceError, LimitError, NoAnswer
 from goniotwin.drivers.errors import FaultText, Unreferenced
+from goniotwin.drivers.guard import CLOSE_SHUTTER
 from goniotwin.drivers.motion import MotionController
 from goniotwin.protocols.clock import GREATEST_SPEED, LEAST_SPEED, Clock, RealClock, ScaledClock, VirtualClock, calendar_stamp
 
@@ -867,7 +867,7 @@ class Station:
                     if question.axis is not None:
                         self.report_place(question.axis.name)
                     else:
-                        self._ask_axes()
+                        self._ask_while_question_waits()
                     continue
                 if answer is not None and answer[0] == number:
                     given = answer[1] if isinstance(answer[1], Answer) else Answer.SET_POSITION
@@ -878,12 +878,16 @@ class Station:
 
     # ---- inside ----
 
-    def _ask_axes(self) -> None:
-        """Ask the axes whether they respond while a question waits. The other devices' settings are the run's to restore."""
+    def _ask_while_question_waits(self) -> None:
+        """Ask the devices whether they respond. What one has lost is the run's to restore, so nothing is restored here."""
         if self._opened is not None:
-            for controller in self._opened.rig.controllers:
-                self._device_contacts.ask(controller.name, partial(_read_positions, controller), recovered=True)
-            self._device_contacts.report_answers_now_and_then()
+            rig, contacts = self._opened.rig, self._device_contacts
+            for controller in rig.controllers:
+                contacts.ask(controller.name, partial(_read_positions, controller), recovered=True)
+            light, photodiodes, monitor = rig.monochromator, rig.photodiodes, rig.monitor
+            for name, question in ((light.name, light.ask), (photodiodes.name, photodiodes.check), (monitor.name, monitor.ask)):
+                contacts.ask_now_and_then(name, question, recovered=True)
+            contacts.report_answers_now_and_then()
 
     def report_place(self, axis: str) -> None:
         """Report counter and encoder of an axis at rest, as far as it responds."""

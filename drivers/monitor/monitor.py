@@ -185,6 +185,11 @@ class Monitor:
         elif self._has_reset():
             self._restore()
 
+    def ask(self) -> None:
+        """Ask whether the instrument responds, and restore nothing: the next use finds a reset. Raises DeviceError."""
+        self._wire.ready()
+        self._wire.status_byte()
+
     def status_byte(self) -> int:
         """Status byte of IEEE 488.2; does not disturb a measurement. Raises DeviceError."""
         return self._wire.status_byte()

@@ -179,12 +179,24 @@ class CornerstoneLine:
         if self._port is None:
             self._open()
             self.events.append("port reopened")
-        if self.in_step:
-            self.receive()
-            if self._has_surplus:
-                self.in_step = False
+        self._notice_surplus()
         if not self.in_step:
             self._resynchronise()
+
+    def ask(self) -> None:
+        """Ask for the identity. Settings that were lost are not restored: `ready` finds them. Raises DeviceError."""
+        with self._lock:
+            if not self._connected:
+                raise NoAnswer(NAME, "use it", "the port is not open", "connect first")
+            if self._port is None:
+                self._open()
+            self._notice_surplus()
+            in_step, self.in_step = self.in_step, False
+            self._noise_left_s = LONGEST_NOISE_S
+            if not in_step:
+                self._drain()
+            self._query_identity()
+            self.in_step = in_step
 
     def send(self, statement: Statement) -> None:
         """Write a statement. Raises NoAnswer if the port fails."""
@@ -227,6 +239,12 @@ class CornerstoneLine:
             over = left <= 0.0
             self.receive()
         return self._lines.popleft()
+
+    def _notice_surplus(self) -> None:
+        """Bytes that nothing has asked for put the line out of step."""
+        if self.in_step:
+            self.receive()
+            self.in_step = not self._has_surplus
 
     @property
     def _has_surplus(self) -> bool:

@@ -28,7 +28,7 @@ from collections.abc import Callable
 from goniotwin.drivers.device import Pending, PortOpener
 from goniotwin.drivers.errors import BadAnswer, DeviceError
 from goniotwin.drivers.found import FoundSettings
-from goniotwin.drivers.guard import Guard, LastWill, NoGuard
+from goniotwin.drivers.guard import CLOSE_SHUTTER, Guard, LastWill, NoGuard
 from goniotwin.drivers.monochromator.line import CHECK_LINE, LINE_END, NAME, CornerstoneLine
 from goniotwin.drivers.monochromator.settings import MonochromatorSettings
 from goniotwin.drivers.monochromator.statement import ABORT, PendingStatement
@@ -104,7 +104,7 @@ class Monochromator:
         order = ABORT.encode() + Statement("SHUTTER", parameter="C").encode()
         return LastWill(
             NAME, self.settings.baudrate, LINE_END, order, SHUTTER.encode(), r"(^|[\r\n])[Cc][\r\n]",
-            "the shutter may be open", "Close the shutter by hand", "the shutter is closed",
+            "the shutter may be open", CLOSE_SHUTTER, "the shutter is closed",
         )  # fmt: skip
 
     def is_safe(self) -> bool:
@@ -144,6 +144,11 @@ class Monochromator:
     def check(self) -> None:
         """Read the canary. Raises Forgotten after a reset, DeviceError if it is not responding."""
         self._query("UNITS")
+
+    def ask(self) -> None:
+        """Ask whether the unit responds, and restore nothing: the next use finds a reset. Raises DeviceError."""
+        with self._lock:
+            self._wire.ask()
 
     # ---- motions ----
 

@@ -132,6 +132,22 @@ def test_a_reset_of_the_unit_is_reported_once(opened: RigOpener) -> None:
     assert bench.driver.wavelength_nm() == 600.0
 
 
+def test_whether_a_unit_responds_can_be_asked_without_taking_its_reset_from_the_next_use(opened: RigOpener) -> None:
+    bench = MonochromatorBench(opened)
+    bench.go(600.0)
+    bench.driver.ask()
+    bench.unit.reset(bench.clock.now())
+    for _ in range(2):
+        bench.driver.ask()
+    bench.line.pull()
+    with pytest.raises(NoAnswer, match="the port failed"):
+        bench.driver.ask()
+    bench.clock.sleep_until(bench.clock.now() + 0.5)
+    bench.driver.ask()
+    with pytest.raises(Forgotten, match="has reset; its settings are restored"):
+        bench.driver.check()
+
+
 def test_a_unit_with_another_identity_is_refused(opened: RigOpener, monkeypatch: pytest.MonkeyPatch) -> None:
     bench = MonochromatorBench(opened)
     bench.set_faults(ScriptedFaults([Fault.LOST]))

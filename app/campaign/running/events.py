@@ -6,6 +6,7 @@ from enum import StrEnum
 from typing import TYPE_CHECKING
 
 from goniotwin.app.campaign.row import Row, RowData
+from goniotwin.drivers.guard import CLOSE_SHUTTER
 
 if TYPE_CHECKING:  # a window that shows events needs no drivers
     from goniotwin.app.guardian.record import Record
@@ -71,9 +72,6 @@ class EventLogged:
     where: str = ""
     consequence: str = ""
     detail: str = ""
-
-
-CLOSE_SHUTTER = "Close the shutter by hand"
 
 
 @dataclass(frozen=True)

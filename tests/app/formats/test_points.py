@@ -133,6 +133,15 @@ def test_one_line_of_pandas_reads_a_file(written: Path) -> None:
     assert (frame.x.tolist(), frame.side.tolist()) == ([1.5, 2.5, 3.5, 4.5, 5.5], ["front"] * 5)
 
 
+def test_pandas_keeps_the_rows_whose_texts_have_the_character_of_a_comment(tmp_path: Path) -> None:
+    texts = ["#1", "sample #2", "3", "a,#4", "#"]
+    columns: dict[str, ArrayLike] = {"sample": texts, "x": np.arange(5.0), "note": texts[::-1]}
+    write_points_csv(tmp_path / "points.csv", [], columns)
+    frame = pytest.importorskip("pandas").read_csv(tmp_path / "points.csv", comment="#")
+    assert (frame["sample"].tolist(), frame.x.tolist(), frame.note.tolist()) == (texts, [0.0, 1.0, 2.0, 3.0, 4.0], texts[::-1])
+    assert read_points_csv(tmp_path / "points.csv").columns["sample"].tolist() == texts
+
+
 TEXT = st.text(st.characters(codec="utf-8", exclude_categories=("Cc", "Cs")) | st.sampled_from("\n\r\t,\"'#=+-@"), max_size=8)
 NAMES = st.text(st.characters(min_codepoint=32, max_codepoint=126), min_size=1, max_size=8)
 

@@ -1,11 +1,11 @@
 """One state of each device, from its last answer: connected, silent, disconnected, and connected again by itself."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
-from goniotwin.app.campaign.running.events import State
+from goniotwin.app.campaign.running.events import EventLogged, State
 from goniotwin.app.campaign.running.question import Answer
 from goniotwin.app.rig import AXES
 from goniotwin.app.station.contacts import ASK_S, CONNECT_S, REPEAT_S
@@ -200,6 +200,81 @@ def test_axes_that_do_not_respond_while_a_question_waits_are_silent(
     idle.station.start(write_schedule(text=SMALL), tmp_path, person=True)
     assert idle.work().state is State.DONE
     assert seen == [Contact.SILENT, Contact.CONNECTED]
+
+
+def test_a_device_that_fails_while_a_question_waits_is_silent_until_it_responds(
+    idle: Idle, write_schedule: Writer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A mounting in whose middle the monitor's cable is pulled and plugged in again."""
+    monkeypatch.setattr("goniotwin.app.station.station.ENCODERS_S", 0.01)
+    monitor = idle.virtual.usb["monitor"]
+    seen: list[Contact] = []
+
+    def react(message: object) -> None:
+        question = idle.station.snapshot.question
+        match message:
+            case QuestionAsked() if not seen:
+                monitor.unplug()
+                idle.wall.sleep_until(idle.wall.now() + ASK_S)
+            case QuestionAsked(number, _):
+                idle.station.answer(number, Answer.MOUNTED)
+            case DeviceChanged("monitor", status):
+                seen.append(status.contact)
+                monitor.replug()
+                idle.wall.sleep_until(idle.wall.now() + REPEAT_S)
+                if status.connected and question is not None:
+                    idle.station.answer(question.number, Answer.MOUNTED)
+
+    idle.reactions.append(react)
+    idle.station.start(write_schedule(text=SMALL), tmp_path, person=True)
+    assert idle.work().state is State.DONE
+    assert seen == [Contact.SILENT, Contact.CONNECTED]
+
+
+@pytest.mark.parametrize(("device", "question"), [("monochromator", "ask"), ("monitor", "ask"), ("photodiodes", "check")])
+def test_the_run_learns_of_a_reset_while_a_question_waits(
+    idle: Idle, write_schedule: Writer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, device: str, question: str
+) -> None:
+    """The question that finds a device reset restores nothing: wavelength, gain and averaging are the run's."""
+    monkeypatch.setattr("goniotwin.app.station.station.ENCODERS_S", 0.01)
+    resets: dict[str, Callable[[float], None]] = {
+        "monochromator": idle.virtual.serial["mono"].reset, "photodiodes": idle.virtual.modbus["adc-2"].reset,
+        "monitor": idle.virtual.usb["monitor"].instrument.power_cycle,
+    }  # fmt: skip
+    driver = idle.station._rig().rig.device(device)
+    ask = getattr(driver, question)
+    asked: list[int] = []
+    faults: list[str] = []
+    flags: list[tuple[str, ...]] = []
+
+    def ask_and_answer() -> None:
+        try:
+            ask()
+        finally:
+            if len(asked) > 1:
+                idle.station.answer(asked[-1], Answer.MOUNTED)
+
+    def react(message: object) -> None:
+        match message:
+            case QuestionAsked(number, _):
+                asked.append(number)
+                if len(asked) == 1:
+                    idle.station.answer(number, Answer.MOUNTED)
+                else:
+                    resets[device](idle.clock.now())
+                    idle.wall.sleep_until(idle.wall.now() + ASK_S)
+            case EventLogged("fault", what):
+                faults.append(what)
+            case RowSaved(_, row_flags):
+                flags.append(row_flags)
+
+    monkeypatch.setattr(driver, question, ask_and_answer)
+    idle.reactions.append(react)
+    idle.station.start(write_schedule(text=SMALL), tmp_path, person=True)
+    assert idle.work().state is State.DONE, (idle.station.snapshot.reason, faults)
+    assert len(asked) > 1
+    assert any("has lost its settings" in each or "have lost their settings" in each for each in faults), faults
+    assert set(flags) == {()}
 
 
 def test_a_move_of_a_jammed_axis_ends_with_the_contradiction_and_both_values_are_known(idle: Idle) -> None:

@@ -10,7 +10,6 @@ import pytest
 
 from goniotwin.app.campaign.journal.summary import campaign_summary
 from goniotwin.app.campaign.running.events import (
-    CLOSE_SHUTTER,
     EventLogged,
     Positions,
     RowStarted,
@@ -43,6 +42,7 @@ from goniotwin.app.station.server import StationServer
 from goniotwin.app.station.station import CommandRefused, Station
 from goniotwin.drivers import DeviceError, Monochromator, Pending, Rig
 from goniotwin.drivers.errors import NoAnswer
+from goniotwin.drivers.guard import CLOSE_SHUTTER
 from goniotwin.drivers.photodiodes.array import PhotodiodeArray
 from goniotwin.protocols.clock import Clock, VirtualClock
 from goniotwin.twin import VirtualRig
