@@ -14,7 +14,7 @@ ROOMS = (
 )  # fmt: skip
 CAMPAIGN = (
     "campaign", "proof", "rehearsal", "running", "reduction", "journal", "planning", "geometry", "schedule", "readout", "row",
-    "uncertainty", "wording",
+    "measurement_model", "wording",
 )  # fmt: skip
 
 Graph = dict[str, set[str]]

@@ -97,7 +97,7 @@ def _shadows() -> None:
 def _uncertainties() -> None:
     import numpy as np
 
-    from goniotwin.app.campaign.uncertainty.slopes import Directions, slopes_of
+    from goniotwin.app.campaign.measurement_model.slopes import Directions, slopes_of
 
     same, angles = np.zeros(5, dtype=np.int64), np.linspace(0.1, 0.2, 5)
     slopes_of(Directions(same, same, *[angles] * 6), angles, angles, 0.1)
@@ -182,7 +182,7 @@ PARTS = {
     "uncertainties": Part(
         "uncertainties",
         _uncertainties,
-        tuple(f"app.campaign.uncertainty.slopes.{each}" for each in ("_fit", "_mix")),
+        tuple(f"app.campaign.measurement_model.slopes.{each}" for each in ("_fit", "_mix")),
         1.0,
     ),
     "every-scene": Part(

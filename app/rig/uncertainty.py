@@ -1,6 +1,6 @@
 """The uncertainty of what the rig is: half widths and standard uncertainties of its inputs, `[uncertainty]` in the rig file.
 
-Each key is an input of the measurement model (app/campaign/uncertainty), or a family of them, one for each element. The
+Each key is an input of the measurement model (app/campaign/measurement_model), or a family of them, one for each element. The
 defaults are those of an ordinary laboratory that has aligned its instrument once, and are assumed (docs/uncertainty.md). The
 virtual rig can have each of them as a disturbance: the keys of `[twin.disturbances]` have the same names.
 """

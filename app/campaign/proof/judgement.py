@@ -15,6 +15,8 @@ import numpy as np
 
 from goniotwin.app.campaign.geometry.directions import polar_from_zenith
 from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.measurement_model.effects import Effects
+from goniotwin.app.campaign.measurement_model.fit import Fit, ValuesCovariance
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.reduction.budget import finished_blocks
 from goniotwin.app.campaign.reduction.comparison import (
@@ -31,8 +33,6 @@ from goniotwin.app.campaign.reduction.etalon import ReductionSettings
 from goniotwin.app.campaign.reduction.points import BsdfPoints, join_points
 from goniotwin.app.campaign.reduction.reduction import Reduction
 from goniotwin.app.campaign.reduction.reflectance import components_of_sum, integration_settings, quadrature
-from goniotwin.app.campaign.uncertainty.effects import Effects
-from goniotwin.app.campaign.uncertainty.fit import Fit, ValuesCovariance
 from goniotwin.app.rig import AXES
 from goniotwin.arrays import Flags, Floats
 from goniotwin.twin.optics import Scatterer

@@ -18,6 +18,31 @@ from typing import Any
 import numpy as np
 
 from goniotwin.app.campaign.journal.reading import JournalReader
+from goniotwin.app.campaign.measurement_model.alignment import Alignment, known_displacement
+from goniotwin.app.campaign.measurement_model.effects import Dense, Effects, Group, group_variance
+from goniotwin.app.campaign.measurement_model.field import correct_logarithm, directions_covariance
+from goniotwin.app.campaign.measurement_model.fit import Fit, ValuesCovariance
+from goniotwin.app.campaign.measurement_model.inputs import InputQuantity
+from goniotwin.app.campaign.measurement_model.light_place import (
+    distinct_poses,
+    light_place,
+    lit_spots,
+    of_centres,
+    spot_weights,
+)
+from goniotwin.app.campaign.measurement_model.pose import (
+    MOUNTED,
+    POSITIONS,
+    RAD,
+    Displacement,
+    PoseEffects,
+    Views,
+    mounting_inputs,
+    photodiode_inputs,
+    position_u_deg,
+    rig_inputs,
+)
+from goniotwin.app.campaign.measurement_model.slopes import Directions
 from goniotwin.app.campaign.reduction.closure import EDGE_SHARE, ScannedBeam
 from goniotwin.app.campaign.reduction.components import INDEPENDENT
 from goniotwin.app.campaign.reduction.effects_of_points import angles, displacement_of, effects_of, views_of_points
@@ -33,25 +58,6 @@ from goniotwin.app.campaign.reduction.light_search import (
 )
 from goniotwin.app.campaign.reduction.points import BITS, BsdfPoints
 from goniotwin.app.campaign.reduction.scale import mounted
-from goniotwin.app.campaign.uncertainty.alignment import Alignment, known_displacement
-from goniotwin.app.campaign.uncertainty.effects import Dense, Effects, Group, group_variance
-from goniotwin.app.campaign.uncertainty.field import correct_logarithm, directions_covariance
-from goniotwin.app.campaign.uncertainty.fit import Fit, ValuesCovariance
-from goniotwin.app.campaign.uncertainty.inputs import Input
-from goniotwin.app.campaign.uncertainty.light_place import distinct_poses, light_place, lit_spots, of_centres, spot_weights
-from goniotwin.app.campaign.uncertainty.pose import (
-    MOUNTED,
-    POSITIONS,
-    RAD,
-    Displacement,
-    PoseEffects,
-    Views,
-    mounting_inputs,
-    photodiode_inputs,
-    position_u_deg,
-    rig_inputs,
-)
-from goniotwin.app.campaign.uncertainty.slopes import Directions
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription, nominal_instrument
 from goniotwin.app.rig.alignment import (
@@ -492,7 +498,7 @@ class LobeValues:
                 self._independent[group.name] = self._independent.get(group.name, 0.0) + group_variance(group)
         rows = np.unique(self._points.row)
         of_row = {
-            k: Input(f"light@row {k}", "1", 1.0, "normal", "all photodiodes of the row", "lamp and monitor", "")
+            k: InputQuantity(f"light@row {k}", "1", 1.0, "normal", "all photodiodes of the row", "lamp and monitor", "")
             for k in rows.tolist()
         }
         self._row = Group("row", of_row, self._points.row[:, None], np.sqrt(common)[:, None])
@@ -694,8 +700,8 @@ def _continued(group: Group, further: Group | None, count: int) -> Group:
     return Group(group.name, inputs, np.concatenate([group.member, member]), np.concatenate([group.sensitivity, sensitivity]))
 
 
-def _free(name: str, u: float) -> Input:
-    return Input(name, "1", u, "normal", "the lobe", "", "")
+def _free(name: str, u: float) -> InputQuantity:
+    return InputQuantity(name, "1", u, "normal", "the lobe", "", "")
 
 
 def _of_all(term: int) -> str:

@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from goniotwin.app.campaign.journal.reading import JournalReader
+from goniotwin.app.campaign.measurement_model.inputs import InputQuantity
 from goniotwin.app.campaign.reduction.budget import FILLED, INTERPOLATION
 from goniotwin.app.campaign.reduction.budget import reflectance as reflectance_budget
 from goniotwin.app.campaign.reduction.effects_of_points import effects_of
@@ -26,7 +27,6 @@ from goniotwin.app.campaign.reduction.export import WIDEST_GAP_DEG, heading, sca
 from goniotwin.app.campaign.reduction.points import BsdfPoints, PointSource
 from goniotwin.app.campaign.reduction.reduction import ReducedJournal, Reduction
 from goniotwin.app.campaign.reduction.reflectance import Setting, integration_settings, quadrature
-from goniotwin.app.campaign.uncertainty.inputs import Input
 from goniotwin.app.formats import archive
 from goniotwin.app.formats.content import COLUMNS, BsdfFile, ScatteredBsdf, gap_line
 from goniotwin.app.formats.file import check_writable
@@ -112,9 +112,9 @@ class _Inputs:
     """All inputs of an archive, each once by its name."""
 
     def __init__(self) -> None:
-        self._known: dict[str, tuple[int, Input]] = {}
+        self._known: dict[str, tuple[int, InputQuantity]] = {}
 
-    def number(self, each: Input) -> int:
+    def number(self, each: InputQuantity) -> int:
         """The number of an input."""
         return self._known.setdefault(each.name, (len(self._known), each))[0]
 

@@ -7,6 +7,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from goniotwin.app.campaign.measurement_model.effects import Component
 from goniotwin.app.campaign.reduction.effects_of_points import effects_of
 from goniotwin.app.campaign.reduction.etalon import ReductionSettings
 from goniotwin.app.campaign.reduction.points import BsdfPoints, join_points
@@ -19,7 +20,6 @@ from goniotwin.app.campaign.reduction.reflectance import (
     integration_settings,
     quadrature,
 )
-from goniotwin.app.campaign.uncertainty.effects import Component
 from goniotwin.app.campaign.wording import number_list
 from goniotwin.app.errors import UserError
 from goniotwin.arrays import Floats

@@ -22,18 +22,11 @@ from typing import Any
 import numpy as np
 
 from goniotwin.app.campaign.geometry.open_beam import LEAST_SIGMA_DEG, BeamScan, beam_scans, scan_wavelength_nm
-from goniotwin.app.campaign.reduction.components import Signal, total_variance
-from goniotwin.app.campaign.reduction.effects_of_points import gain_input
-from goniotwin.app.campaign.reduction.etalon import ReductionSettings, RowSignal, pose_key
-from goniotwin.app.campaign.reduction.readings import Measurements, ReferenceMeasurements
-from goniotwin.app.campaign.reduction.signals import LIGHT as LEAST_LIGHT
-from goniotwin.app.campaign.row import Row
-from goniotwin.app.campaign.schedule.grids import grid_values
-from goniotwin.app.campaign.uncertainty.effects import Component
-from goniotwin.app.campaign.uncertainty.field import directions_covariance
-from goniotwin.app.campaign.uncertainty.inputs import Input
-from goniotwin.app.campaign.uncertainty.light_place import across_beam, place_law, seen_light
-from goniotwin.app.campaign.uncertainty.pose import (
+from goniotwin.app.campaign.measurement_model.effects import Component
+from goniotwin.app.campaign.measurement_model.field import directions_covariance
+from goniotwin.app.campaign.measurement_model.inputs import InputQuantity
+from goniotwin.app.campaign.measurement_model.light_place import across_beam, place_law, seen_light
+from goniotwin.app.campaign.measurement_model.pose import (
     LIGHT,
     MOUNTED,
     POSITIONS,
@@ -46,7 +39,14 @@ from goniotwin.app.campaign.uncertainty.pose import (
     rig_inputs,
     standard_uncertainties,
 )
-from goniotwin.app.campaign.uncertainty.slopes import Directions
+from goniotwin.app.campaign.measurement_model.slopes import Directions
+from goniotwin.app.campaign.reduction.components import Signal, total_variance
+from goniotwin.app.campaign.reduction.effects_of_points import gain_input
+from goniotwin.app.campaign.reduction.etalon import ReductionSettings, RowSignal, pose_key
+from goniotwin.app.campaign.reduction.readings import Measurements, ReferenceMeasurements
+from goniotwin.app.campaign.reduction.signals import LIGHT as LEAST_LIGHT
+from goniotwin.app.campaign.row import Row
+from goniotwin.app.campaign.schedule.grids import grid_values
 from goniotwin.app.rig import RigFile, nominal_instrument
 from goniotwin.app.rig.uncertainty import UncertaintyTable
 from goniotwin.arrays import Floats, Ints
@@ -710,7 +710,7 @@ def compare(
 class PoseInput:
     """An input of the pose: the change of ln rho and of the scan's centroid along the arc for one degree of it."""
 
-    input: Input
+    input: InputQuantity
     of_value: float
     of_centroid: float
 
@@ -828,7 +828,7 @@ def _light_effects(
     law = place_law(0.5 * (ways[0] + ways[1]), math.sqrt(3.0) * standard_uncertainties(of_light))
     etalon, beam = (seen_light(instrument, (sigma, gamma), view, law.places) for sigma in sigmas)
     image = etalon.logarithm - beam.logarithm
-    alone = Input(
+    alone = InputQuantity(
         SLIT_IMAGE, "1", math.sqrt(float(law.probability @ image**2)), "normal", "all scans", "[uncertainty] mirror_tilt_deg",
         "disturbances.mirror_tilt_deg",
     )  # fmt: skip
@@ -919,7 +919,7 @@ def _noise(
 def _relative(name: str, sensitivity: float, rig: RigFile, key: str, shared: str) -> Component:
     """A component of a relative input of the rig file."""
     table = rig.uncertainty
-    given = Input(
+    given = InputQuantity(
         name, "1", table.standard(key), table.distribution(key), shared, f"[uncertainty] {key}", f"disturbances.{key}"
     )
     return Component(name, abs(sensitivity) * given.u, sensitivity, given)

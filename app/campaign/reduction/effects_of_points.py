@@ -12,15 +12,11 @@ from dataclasses import replace
 import numpy as np
 
 from goniotwin.app.campaign.geometry.directions import polar_from_zenith
-from goniotwin.app.campaign.reduction.etalon import ReductionSettings
-from goniotwin.app.campaign.reduction.evidence import LEAST_CERTIFIED
-from goniotwin.app.campaign.reduction.points import PLACE, BsdfPoints
-from goniotwin.app.campaign.reduction.scale import SHARED, EffectsOf, Kind, incidence_deg, mounted
-from goniotwin.app.campaign.uncertainty.alignment import Alignment, known_displacement
-from goniotwin.app.campaign.uncertainty.effects import Dense, Effects, Group, group_variance
-from goniotwin.app.campaign.uncertainty.inputs import Input
-from goniotwin.app.campaign.uncertainty.light_place import light_place
-from goniotwin.app.campaign.uncertainty.pose import (
+from goniotwin.app.campaign.measurement_model.alignment import Alignment, known_displacement
+from goniotwin.app.campaign.measurement_model.effects import Dense, Effects, Group, group_variance
+from goniotwin.app.campaign.measurement_model.inputs import InputQuantity
+from goniotwin.app.campaign.measurement_model.light_place import light_place
+from goniotwin.app.campaign.measurement_model.pose import (
     POSITIONS,
     Displacement,
     PoseEffects,
@@ -35,6 +31,10 @@ from goniotwin.app.campaign.uncertainty.pose import (
     standard_uncertainties,
     variance,
 )
+from goniotwin.app.campaign.reduction.etalon import ReductionSettings
+from goniotwin.app.campaign.reduction.evidence import LEAST_CERTIFIED
+from goniotwin.app.campaign.reduction.points import PLACE, BsdfPoints
+from goniotwin.app.campaign.reduction.scale import SHARED, EffectsOf, Kind, incidence_deg, mounted
 from goniotwin.app.rig import RigFile, nominal_instrument
 from goniotwin.arrays import Floats, Ints
 
@@ -120,12 +120,12 @@ def _unknown(name: str) -> EffectsOf:
 
     def effects(points: BsdfPoints, settings: ReductionSettings) -> Effects:
         del settings
-        return _of_one(points, Input(name, "1", 1.0, "normal", "all values", JOURNAL, ""), _relative(points, name))
+        return _of_one(points, InputQuantity(name, "1", 1.0, "normal", "all values", JOURNAL, ""), _relative(points, name))
 
     return effects
 
 
-def _of_one(points: BsdfPoints, source: Input, sensitivity: Floats) -> Effects:
+def _of_one(points: BsdfPoints, source: InputQuantity, sensitivity: Floats) -> Effects:
     return Effects(_scale(points), {}, (), [Dense([source], sensitivity[:, None])])
 
 
@@ -204,7 +204,7 @@ def _of_change(points: BsdfPoints, name: str, key: str, change: Floats | float, 
 def _of_rows(points: BsdfPoints, name: str, u: float, source: str, twin: str) -> Effects:
     numbers = np.stack([points.row, points.etalon_row], axis=1)
     inputs = {
-        number: Input(f"{name}@row {number}", "1", u, "normal", "all photodiodes of the row", source, twin)
+        number: InputQuantity(f"{name}@row {number}", "1", u, "normal", "all photodiodes of the row", source, twin)
         for number in np.unique(numbers).tolist()
     }
     return _of_group(points, Group(name, inputs, numbers, _pair(_relative(points, name), u)))
@@ -220,10 +220,10 @@ def gain(points: BsdfPoints, settings: ReductionSettings) -> Effects:
     return _of_group(points, Group("gain", inputs, numbers, _pair(_relative(points, "gain"), u)))
 
 
-def gain_input(photodiode: int, gain: int, rig: RigFile) -> Input:
+def gain_input(photodiode: int, gain: int, rig: RigFile) -> InputQuantity:
     """The gain of a photodiode's channel, by its place in the rig's list."""
     u = max(rig.photodiodes.gain_uncertainty, LEAST_CERTIFIED)
-    return Input(
+    return InputQuantity(
         f"gain_ratio[{photodiode}, {_gain(gain, rig)}]", "1", u, "normal", "all values of this photodiode at this gain",
         "[photodiodes] gain_uncertainty, and rows at two gains", "electronics.gain_spread",
     )  # fmt: skip
@@ -250,7 +250,7 @@ def crosstalk(points: BsdfPoints, settings: ReductionSettings) -> Effects:
 def signature(points: BsdfPoints, settings: ReductionSettings) -> Effects:
     """The instrument signature, which was subtracted."""
     of_rig = "[sample_unit] signature_uncertainty, and the journal's readings"
-    source = Input("signature", "1", 1.0, "normal", "all values", of_rig, "")
+    source = InputQuantity("signature", "1", 1.0, "normal", "all values", of_rig, "")
     del settings
     return _of_one(points, source, -_signed(points, "signature"))
 
@@ -278,11 +278,11 @@ def field(points: BsdfPoints, settings: ReductionSettings) -> Effects:
     return Effects(points.bsdf, {}, (), [Dense([source], -points.field_correction[:, None])])
 
 
-def _of_table(name: str, key: str, settings: ReductionSettings) -> Input:
+def _of_table(name: str, key: str, settings: ReductionSettings) -> InputQuantity:
     """A relative input of all values, of the rig file's `[uncertainty]`."""
     table = settings.rig.uncertainty
     source, twin = f"[uncertainty] {key}", f"disturbances.{key}"
-    return Input(name, "1", table.standard(key), table.distribution(key), "all values", source, twin)
+    return InputQuantity(name, "1", table.standard(key), table.distribution(key), "all values", source, twin)
 
 
 def _gain(index: int, rig: RigFile) -> str:
@@ -307,7 +307,7 @@ def _grouped(
         u = np.zeros(len(distinct))
         np.maximum.at(u, which, np.abs(np.nan_to_num(signed)))
     inputs = {
-        k: Input(f"{name}{label(key)}", "1", float(u[k]), "normal", shared_by, JOURNAL, "")
+        k: InputQuantity(f"{name}{label(key)}", "1", float(u[k]), "normal", shared_by, JOURNAL, "")
         for k, key in enumerate(distinct.tolist())
     }
     sensitivity = signed / np.where(u > 0.0, u, 1.0)[which]
@@ -366,14 +366,14 @@ def angles(points: BsdfPoints, settings: ReductionSettings) -> Effects:
     return Effects(points.bsdf, {}, groups, dense)
 
 
-def _is_aligned(each: Input, settings: ReductionSettings) -> bool:
+def _is_aligned(each: InputQuantity, settings: ReductionSettings) -> bool:
     """Whether an alignment has found an input."""
     return settings.alignment is not None and each.name in settings.alignment.values
 
 
 def pose_parts(
     points: BsdfPoints, settings: ReductionSettings, effects: PoseEffects
-) -> Iterator[tuple[Sequence[Input], Displacement]]:
+) -> Iterator[tuple[Sequence[InputQuantity], Displacement]]:
     """The inputs of the rig and of the sample's mountings, with what they do: as they are stated, or the modes of an alignment.
 
     Mountings that the alignment does not have keep inputs of their own; photodiodes that it has are in its modes.
@@ -395,7 +395,7 @@ def pose_parts(
     yield from (each for each in own if not _is_aligned(each[0][0], settings))
 
 
-def displacement_of(alignment: Alignment, parts: Iterable[tuple[Sequence[Input], Displacement]]) -> Displacement:
+def displacement_of(alignment: Alignment, parts: Iterable[tuple[Sequence[InputQuantity], Displacement]]) -> Displacement:
     """What the inputs of an alignment do, each in a column; one that is in none of the parts does nothing."""
     columns = {each.name: (part, k) for inputs, part in parts for k, each in enumerate(inputs)}
     found = [columns.get(each.name) for each in alignment.inputs]

@@ -16,6 +16,8 @@ import numpy as np
 from goniotwin.app.campaign.geometry.arcs import ArcView, polar_deg, views_at_sigma
 from goniotwin.app.campaign.geometry.directions import ARCS, Arc, PoseAngles
 from goniotwin.app.campaign.geometry.shadow import blocked_by_mirrors
+from goniotwin.app.campaign.measurement_model.alignment import Alignment
+from goniotwin.app.campaign.measurement_model.pose import Views, pose_moments
 from goniotwin.app.campaign.reduction.components import Estimate, Signal, total_variance
 from goniotwin.app.campaign.reduction.overlaps import CalibrationFactors
 from goniotwin.app.campaign.reduction.points import PLACE, BsdfPoints, join_points, pack_flags
@@ -24,8 +26,6 @@ from goniotwin.app.campaign.reduction.signals import join_signals, mean_signals,
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.schedule.certificate import Certificate
 from goniotwin.app.campaign.schedule.file import ScheduleFile
-from goniotwin.app.campaign.uncertainty.alignment import Alignment
-from goniotwin.app.campaign.uncertainty.pose import Views, pose_moments
 from goniotwin.app.rig import RigFile
 from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.twin.optics.geometry.coordinates import incidence_deg, round_deg

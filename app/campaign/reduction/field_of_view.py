@@ -17,12 +17,12 @@ from typing import Self
 import numpy as np
 
 from goniotwin.app.campaign.geometry.directions import is_lower, polar_from_zenith, scan_plane_deg
+from goniotwin.app.campaign.measurement_model.field import correct_logarithm, directions_covariance
+from goniotwin.app.campaign.measurement_model.slopes import MAX_DISTANCE_RAD, WINDOW, Directions, reach, slopes_of
 from goniotwin.app.campaign.reduction.components import DETECTED, INDEPENDENT, NOISE, total_variance
 from goniotwin.app.campaign.reduction.effects_of_points import aligned_displacement
 from goniotwin.app.campaign.reduction.etalon import ReductionSettings
 from goniotwin.app.campaign.reduction.points import BsdfPoints
-from goniotwin.app.campaign.uncertainty.field import correct_logarithm, directions_covariance
-from goniotwin.app.campaign.uncertainty.slopes import MAX_DISTANCE_RAD, WINDOW, Directions, reach, slopes_of
 from goniotwin.app.rig import nominal_instrument
 from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.twin.optics import Instrument

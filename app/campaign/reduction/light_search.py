@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from goniotwin.app.campaign.uncertainty.alignment import Alignment
-from goniotwin.app.campaign.uncertainty.light_place import across_beam, spot_weights
-from goniotwin.app.campaign.uncertainty.pose import LIGHT, image_shifts
+from goniotwin.app.campaign.measurement_model.alignment import Alignment
+from goniotwin.app.campaign.measurement_model.light_place import across_beam, spot_weights
+from goniotwin.app.campaign.measurement_model.pose import LIGHT, image_shifts
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics import Instrument
 

@@ -16,6 +16,8 @@ from goniotwin.app.campaign.geometry.open_beam import scan_wavelength_nm
 from goniotwin.app.campaign.journal.chain import Chain
 from goniotwin.app.campaign.journal.reading import USE_A_COPY, DamagedJournal, JournalReader
 from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.measurement_model.alignment import Alignment
+from goniotwin.app.campaign.measurement_model.pose import mounting_inputs, rig_inputs
 from goniotwin.app.campaign.reduction.alignment import (
     TERMS,
     AlignmentResult,
@@ -63,8 +65,6 @@ from goniotwin.app.campaign.reduction.watch import Misalignment, WatchResult, fi
 from goniotwin.app.campaign.row import NO_SAMPLE
 from goniotwin.app.campaign.schedule.certificate import constant_certificate, parse_certificate
 from goniotwin.app.campaign.schedule.file import ScheduleFile, parse_schedule
-from goniotwin.app.campaign.uncertainty.alignment import Alignment
-from goniotwin.app.campaign.uncertainty.pose import mounting_inputs, rig_inputs
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats.metadata import Metadata
 from goniotwin.app.rig import RigDescription, RigFile, nominal_instrument, parse_rig

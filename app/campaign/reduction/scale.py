@@ -13,13 +13,13 @@ from typing import Literal
 import numpy as np
 
 from goniotwin.app.campaign.geometry.directions import polar_from_zenith
+from goniotwin.app.campaign.measurement_model.effects import Dense, Effects, Group
+from goniotwin.app.campaign.measurement_model.inputs import InputQuantity
 from goniotwin.app.campaign.reduction.etalon import ReductionSettings
 from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.reduction.polarisation import light_state
 from goniotwin.app.campaign.reduction.spectrum import bandwidth_effects, stray_effects, wavelength_effects
 from goniotwin.app.campaign.schedule.certificate import Certificate
-from goniotwin.app.campaign.uncertainty.effects import Dense, Effects, Group
-from goniotwin.app.campaign.uncertainty.inputs import Input
 from goniotwin.app.rig.file import known_angles
 from goniotwin.arrays import Floats, Ints
 from goniotwin.twin.optics.geometry.coordinates import HALF_TURN_DEG, round_deg
@@ -208,9 +208,9 @@ def _shared(name: str, u: float, sensitivity: Floats, shared_by: str, source: st
     return Dense([_input(name, u, shared_by, source, twin)], sensitivity[:, None])
 
 
-def _input(name: str, u: float, shared_by: str, source: str, twin: str = "") -> Input:
+def _input(name: str, u: float, shared_by: str, source: str, twin: str = "") -> InputQuantity:
     """An input of the rig file's `[uncertainty]` key `twin`, or of another source."""
-    return Input(name, "1", u, "normal", shared_by, source or f"[uncertainty] {twin}", twin and f"disturbances.{twin}")
+    return InputQuantity(name, "1", u, "normal", shared_by, source or f"[uncertainty] {twin}", twin and f"disturbances.{twin}")
 
 
 def incidence_deg(points: BsdfPoints) -> Floats:

@@ -14,11 +14,11 @@ from functools import lru_cache
 
 import numpy as np
 
+from goniotwin.app.campaign.measurement_model.effects import Dense, Effects
+from goniotwin.app.campaign.measurement_model.inputs import InputQuantity
 from goniotwin.app.campaign.reduction.components import DETECTED, INDEPENDENT
 from goniotwin.app.campaign.reduction.etalon import POSE, WAVELENGTH, ArcRows, ReductionSettings
 from goniotwin.app.campaign.reduction.points import BsdfPoints
-from goniotwin.app.campaign.uncertainty.effects import Dense, Effects
-from goniotwin.app.campaign.uncertainty.inputs import Input
 from goniotwin.app.rig import RigFile
 from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.twin.optics.geometry.coordinates import round_deg
@@ -267,7 +267,7 @@ def wavelength_effects(points: BsdfPoints, settings: ReductionSettings) -> Effec
     """The error of the monochromator's wavelength; 0 where the slope over wavelength is unknown."""
     u = settings.rig.uncertainty.wavelength_nm
     rig_file = "[uncertainty] wavelength_nm"
-    source = Input("wavelength", "nm", u, "normal", "all values", rig_file, "disturbances.wavelength_nm")
+    source = InputQuantity("wavelength", "nm", u, "normal", "all values", rig_file, "disturbances.wavelength_nm")
     return _known_effects(points, source, points.wavelength_slope)
 
 
@@ -275,7 +275,7 @@ def bandwidth_effects(points: BsdfPoints, settings: ReductionSettings) -> Effect
     """The band: half of what was corrected, or all of the effect where the rig file states no band; 0 where it is unknown."""
     stated = settings.rig.light.bandwidth_nm is not None
     words = "[light] bandwidth_nm" if stated else f"no band is stated; {ASSUMED_BAND_NM:g} nm are assumed"
-    source = Input("bandwidth", "1", KNOWN_HALF if stated else 1.0, "normal", "all values", words, "")
+    source = InputQuantity("bandwidth", "1", KNOWN_HALF if stated else 1.0, "normal", "all values", words, "")
     return _known_effects(points, source, points.band_correction)
 
 
@@ -283,11 +283,11 @@ def stray_effects(points: BsdfPoints, settings: ReductionSettings) -> Effects | 
     """The monochromator's light of other wavelengths; where these were not measured the sample may be twice as bright there."""
     u = settings.rig.uncertainty.monochromator_stray
     rig_file = "[uncertainty] monochromator_stray"
-    source = Input("monochromator_stray", "1", u, "normal", "all values", rig_file, "disturbances.monochromator_stray")
+    source = InputQuantity("monochromator_stray", "1", u, "normal", "all values", rig_file, "disturbances.monochromator_stray")
     return _known_effects(points, source, np.where(np.isnan(points.stray_contrast), 1.0, points.stray_contrast))
 
 
-def _known_effects(points: BsdfPoints, source: Input, sensitivity: Floats) -> Effects | None:
+def _known_effects(points: BsdfPoints, source: InputQuantity, sensitivity: Floats) -> Effects | None:
     if not source.u or np.isnan(sensitivity).all():
         return None
     return Effects(points.bsdf, {}, (), [Dense([source], np.nan_to_num(sensitivity)[:, None])])

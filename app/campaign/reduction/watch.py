@@ -19,9 +19,9 @@ from typing import Any
 
 import numpy as np
 
+from goniotwin.app.campaign.measurement_model.fit import ValuesCovariance
+from goniotwin.app.campaign.measurement_model.pose import LIGHT, MOUNTED, VIEW
 from goniotwin.app.campaign.reduction.alignment import LobeFit, PoseSensitivities, Step
-from goniotwin.app.campaign.uncertainty.fit import ValuesCovariance
-from goniotwin.app.campaign.uncertainty.pose import LIGHT, MOUNTED, VIEW
 from goniotwin.app.rig.alignment import DOUBTED_CHI_SQUARE, REFUSED_CHI_SQUARE
 from goniotwin.arrays import Flags, Floats, Ints
 

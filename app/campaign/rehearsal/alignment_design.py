@@ -24,6 +24,9 @@ from goniotwin.app.campaign.geometry.directions import PoseAngles, rig_sigma_deg
 from goniotwin.app.campaign.geometry.open_beam import scan_wavelength_nm
 from goniotwin.app.campaign.journal.reading import ExecutedRow
 from goniotwin.app.campaign.journal.writing import Journal, software_versions
+from goniotwin.app.campaign.measurement_model.alignment import Alignment
+from goniotwin.app.campaign.measurement_model.effects import Effects, group_variance
+from goniotwin.app.campaign.measurement_model.pose import POSITIONS, Views, mounting_inputs, pose_effects, rig_inputs
 from goniotwin.app.campaign.planning.exposure import exposure_twin
 from goniotwin.app.campaign.planning.plan import NewPlan, make_plan
 from goniotwin.app.campaign.reduction.alignment import LEAST_SHARE, TERMS, WIDEST_DEG, fit_lobe, lobe_effects
@@ -35,9 +38,6 @@ from goniotwin.app.campaign.reduction.row_history import RowHistory
 from goniotwin.app.campaign.rehearsal.without_wires import rows_without_wires
 from goniotwin.app.campaign.schedule.file import ScheduleDescription, parse_schedule
 from goniotwin.app.campaign.schedule.grids import grid_values
-from goniotwin.app.campaign.uncertainty.alignment import Alignment
-from goniotwin.app.campaign.uncertainty.effects import Effects, group_variance
-from goniotwin.app.campaign.uncertainty.pose import POSITIONS, Views, mounting_inputs, pose_effects, rig_inputs
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription, nominal_instrument
 from goniotwin.app.rig.alignment import Combination

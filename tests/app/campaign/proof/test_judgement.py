@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from goniotwin.app.campaign.measurement_model.effects import Dense, Effects, Group
+from goniotwin.app.campaign.measurement_model.fit import fit_inputs
+from goniotwin.app.campaign.measurement_model.inputs import InputQuantity
 from goniotwin.app.campaign.proof.judgement import scaled_to_truth
-from goniotwin.app.campaign.uncertainty.effects import Dense, Effects, Group
-from goniotwin.app.campaign.uncertainty.fit import fit_inputs
-from goniotwin.app.campaign.uncertainty.inputs import Input
 
 
 def test_noise_is_not_taken_for_an_input() -> None:
@@ -18,7 +18,7 @@ def test_noise_is_not_taken_for_an_input() -> None:
     truth = np.full(3000, 1.0)
     noise = 3.0
     value = truth + noise * rng.normal(size=truth.size)
-    inputs = [Input(name, "1", 0.05, "normal", "all values", "", "") for name in ("linearity", "crosstalk", "lamp")]
+    inputs = [InputQuantity(name, "1", 0.05, "normal", "all values", "", "") for name in ("linearity", "crosstalk", "lamp")]
     # A share of the value, and what is added to it: 1 in the value's unit.
     sensitivity = np.stack([-3.0 * np.ones(value.size), 1.0 / value], axis=1)
     group = Group("lamp", {0: inputs[2]}, np.zeros((value.size, 1), dtype=np.int64), np.ones((value.size, 1)))

@@ -11,6 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.measurement_model.alignment import Alignment, known_displacement
+from goniotwin.app.campaign.measurement_model.light_place import lit_spot
+from goniotwin.app.campaign.measurement_model.pose import Views, mounting_inputs, rig_inputs
 from goniotwin.app.campaign.planning.plan import NewPlan, make_plan
 from goniotwin.app.campaign.proof.virtual_rigs import DrawnRigs, run_with_wires
 from goniotwin.app.campaign.reduction.alignment import AlignmentResult
@@ -20,9 +23,6 @@ from goniotwin.app.campaign.reduction.points import BsdfPoints, join_points
 from goniotwin.app.campaign.reduction.reduction import Reduction, reduction_settings
 from goniotwin.app.campaign.rehearsal.without_wires import run_without_wires
 from goniotwin.app.campaign.schedule.file import ScheduleDescription, parse_schedule
-from goniotwin.app.campaign.uncertainty.alignment import Alignment, known_displacement
-from goniotwin.app.campaign.uncertainty.light_place import lit_spot
-from goniotwin.app.campaign.uncertainty.pose import Views, mounting_inputs, rig_inputs
 from goniotwin.app.rig import RigDescription, nominal_instrument, parse_rig
 from goniotwin.app.simulation.paper.gaussian_cut import relative_rms_percent
 from goniotwin.arrays import Floats

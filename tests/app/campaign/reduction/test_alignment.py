@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.measurement_model.alignment import Alignment, halfway, known_displacement
+from goniotwin.app.campaign.measurement_model.inputs import InputQuantity
 from goniotwin.app.campaign.planning.plan import NewPlan
 from goniotwin.app.campaign.proof.proof import Proof, prove
 from goniotwin.app.campaign.reduction.alignment import LEAST_DARK
@@ -16,8 +18,6 @@ from goniotwin.app.campaign.reduction.comparison import true_bsdf
 from goniotwin.app.campaign.reduction.points import join_points
 from goniotwin.app.campaign.reduction.reduction import Reduction, align_journal, rig_alignment
 from goniotwin.app.campaign.schedule.file import parse_schedule, read_schedule
-from goniotwin.app.campaign.uncertainty.alignment import Alignment, halfway, known_displacement
-from goniotwin.app.campaign.uncertainty.inputs import Input
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import nominal_instrument, read_rig
 from goniotwin.app.rig.alignment import AlignmentFile, aligned_model, alignment_text, parse_alignment
@@ -148,7 +148,7 @@ def test_displacements_follow_the_exact_geometry_to_the_second_order() -> None:
 
 def test_combinations_of_a_file_are_the_conditional_expectation() -> None:
     """Two inputs of u 3 and 4, whose sum is 10 exactly: closed form, the weights are the variances."""
-    inputs = [Input(name, "deg", u, "normal", "", "", "") for name, u in (("sigma_zero", 3.0), ("arc_tilt_y", 4.0))]
+    inputs = [InputQuantity(name, "deg", u, "normal", "", "", "") for name, u in (("sigma_zero", 3.0), ("arc_tilt_y", 4.0))]
     text = (
         'alignment = 1\nsimulated = true\nrig = "a"\nrig_sha256 = ""\ncampaign = ""\njournal = ""\nmeasured = ""\n'
         'sample = "s"\nmountings = []\nvalues = 1\nchi_square = 1.0\nopen_beam = 0\ncovariance = [[0.0]]\n'

@@ -11,6 +11,9 @@ import pytest
 
 from goniotwin.app.campaign.geometry.open_beam import BeamScan, beam_scans
 from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.measurement_model.effects import Component
+from goniotwin.app.campaign.measurement_model.light_place import SeenLight, across_beam, place_law, seen_light
+from goniotwin.app.campaign.measurement_model.pose import LIGHT, VIEW, Views, disc_moves, image_shifts
 from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.reduction.closure import (
     OWN_OF_A_SCAN,
@@ -41,9 +44,6 @@ from goniotwin.app.campaign.reduction.verification import verify_journal
 from goniotwin.app.campaign.rehearsal.without_wires import run_without_wires
 from goniotwin.app.campaign.row import NO_SAMPLE
 from goniotwin.app.campaign.schedule.file import parse_schedule
-from goniotwin.app.campaign.uncertainty.effects import Component
-from goniotwin.app.campaign.uncertainty.light_place import SeenLight, across_beam, place_law, seen_light
-from goniotwin.app.campaign.uncertainty.pose import LIGHT, VIEW, Views, disc_moves, image_shifts
 from goniotwin.app.rig import RigFile, parse_rig, read_rig
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics import Deviation, Instrument, arc_direction, lambertian, regular, throughput

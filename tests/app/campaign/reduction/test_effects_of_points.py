@@ -17,6 +17,16 @@ from hypothesis.extra.numpy import arrays
 
 from goniotwin.app.campaign.journal.reading import ExecutedRow
 from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.measurement_model.effects import Effects
+from goniotwin.app.campaign.measurement_model.pose import (
+    ASIDE,
+    POSITIONS,
+    Views,
+    lifted_inputs,
+    pose_effects,
+    position_u_deg,
+    rig_inputs,
+)
 from goniotwin.app.campaign.reduction.effects_of_points import ALONE, FAMILIES, add_pose, effects_of
 from goniotwin.app.campaign.reduction.etalon import ArcGeometry, ReductionSettings
 from goniotwin.app.campaign.reduction.pipeline import add_shared
@@ -26,16 +36,6 @@ from goniotwin.app.campaign.reduction.reflectance import components_of_sum, quad
 from goniotwin.app.campaign.reduction.row_history import RowHistory, history_of
 from goniotwin.app.campaign.schedule.certificate import parse_certificate
 from goniotwin.app.campaign.schedule.file import parse_schedule
-from goniotwin.app.campaign.uncertainty.effects import Effects
-from goniotwin.app.campaign.uncertainty.pose import (
-    ASIDE,
-    POSITIONS,
-    Views,
-    lifted_inputs,
-    pose_effects,
-    position_u_deg,
-    rig_inputs,
-)
 from goniotwin.app.rig import nominal_instrument, read_rig
 from goniotwin.arrays import Floats
 from tests.app.campaign.reduction.made_points import made_points

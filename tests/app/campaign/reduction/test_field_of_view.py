@@ -9,6 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from goniotwin.app.campaign.geometry.arcs import arc_views
+from goniotwin.app.campaign.measurement_model.field import correct_logarithm, directions_covariance
+from goniotwin.app.campaign.measurement_model.slopes import Directions, Slopes, local_parabola
 from goniotwin.app.campaign.reduction import field_of_view
 from goniotwin.app.campaign.reduction.comparison import deviations_in_u
 from goniotwin.app.campaign.reduction.components import COVERAGE, interval, mostly_added
@@ -21,8 +23,6 @@ from goniotwin.app.campaign.reduction.field_of_view import (
 from goniotwin.app.campaign.reduction.points import BsdfPoints, join_points
 from goniotwin.app.campaign.reduction.reduction import reduction_settings
 from goniotwin.app.campaign.schedule.file import parse_schedule
-from goniotwin.app.campaign.uncertainty.field import correct_logarithm, directions_covariance
-from goniotwin.app.campaign.uncertainty.slopes import Directions, Slopes, local_parabola
 from goniotwin.app.rig import nominal_instrument, read_rig
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics import (

@@ -12,7 +12,15 @@ from functools import lru_cache
 
 import numpy as np
 
-from goniotwin.app.campaign.uncertainty.pose import LIGHT, RAD, Displacement, Views, common_disc, image_shifts, light_changes
+from goniotwin.app.campaign.measurement_model.pose import (
+    LIGHT,
+    RAD,
+    Displacement,
+    Views,
+    common_disc,
+    image_shifts,
+    light_changes,
+)
 from goniotwin.arrays import Floats, Ints
 from goniotwin.twin.optics import Instrument
 from goniotwin.twin.optics.geometry.field import scale_field

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from goniotwin.app.campaign.uncertainty.light_place import light_place, lit_spots, spot_weights
-from goniotwin.app.campaign.uncertainty.pose import Views, image_shifts, pose_effects
+from goniotwin.app.campaign.measurement_model.light_place import light_place, lit_spots, spot_weights
+from goniotwin.app.campaign.measurement_model.pose import Views, image_shifts, pose_effects
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics import Deviation, Instrument, arc_direction, gaussian, lambertian, throughput
 

@@ -13,9 +13,9 @@ from functools import cached_property
 
 import numpy as np
 
-from goniotwin.app.campaign.uncertainty.inputs import Input
-from goniotwin.app.campaign.uncertainty.light_place import light_place
-from goniotwin.app.campaign.uncertainty.pose import LIGHT, VIEW, Displacement, PoseEffects, Views, pose_effects
+from goniotwin.app.campaign.measurement_model.inputs import InputQuantity
+from goniotwin.app.campaign.measurement_model.light_place import light_place
+from goniotwin.app.campaign.measurement_model.pose import LIGHT, VIEW, Displacement, PoseEffects, Views, pose_effects
 from goniotwin.app.rig.alignment import AlignmentFile, Combination
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics import Instrument
@@ -41,19 +41,19 @@ class Alignment:
     `source` names the file or the journal that they are from.
     """
 
-    inputs: tuple[Input, ...]
+    inputs: tuple[InputQuantity, ...]
     value: Floats
     covariance: Floats
     source: str
 
     @classmethod
-    def stated(cls, inputs: Sequence[Input]) -> "Alignment":
+    def stated(cls, inputs: Sequence[InputQuantity]) -> "Alignment":
         """The inputs as the rig file states them: uncorrelated, of mean 0. Those without an uncertainty are not in it."""
         known = tuple(each for each in inputs if each.u > 0.0)
         return cls(known, np.zeros(len(known)), np.diag([each.u**2 for each in known]), "")
 
     @classmethod
-    def of_file(cls, file: AlignmentFile, inputs: Sequence[Input], source: str) -> "Alignment":
+    def of_file(cls, file: AlignmentFile, inputs: Sequence[InputQuantity], source: str) -> "Alignment":
         """Inputs with the combinations of a file; what these do not determine is as stated.
 
         With the combinations a = A x, of prior covariance A U A', where the file has a = m with the covariance S: the values
@@ -97,7 +97,7 @@ class Alignment:
         u = self._stated
         return replace(self, covariance=u[:, None] * (vectors * wide @ vectors.T) * u)
 
-    def with_inputs(self, inputs: Sequence[Input]) -> "Alignment":
+    def with_inputs(self, inputs: Sequence[InputQuantity]) -> "Alignment":
         """The same with further inputs as they are stated; those that it has already stay as they are."""
         further = Alignment.stated([each for each in inputs if each.name not in self.values])
         n, m = len(self.inputs), len(further.inputs)
@@ -123,7 +123,7 @@ class Alignment:
         return np.array([each.u for each in self.inputs])
 
     @cached_property
-    def modes(self) -> tuple[tuple[Input, ...], Floats]:
+    def modes(self) -> tuple[tuple[InputQuantity, ...], Floats]:
         """The modes of the covariance, the best known first, and the change (inputs, modes) of each input for one of them."""
         values, vectors = self._eigen
         found = []
@@ -132,7 +132,7 @@ class Alignment:
             about = ", ".join(self.inputs[i].name for i in order.tolist())
             shared = "all values, tilts of a sample those of its mounting"
             source = f"{self.source}: {about}" if self.source else about
-            found.append(Input(f"alignment[{k}]", "1", float(np.sqrt(value)), "normal", shared, source, ""))
+            found.append(InputQuantity(f"alignment[{k}]", "1", float(np.sqrt(value)), "normal", shared, source, ""))
         return tuple(found), self._stated[:, None] * vectors
 
     def mode_errors(self, drawn: Mapping[str, float]) -> dict[str, float]:

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from goniotwin.app.campaign.uncertainty.effects import Effects
-from goniotwin.app.campaign.uncertainty.fit import fit_inputs
-from tests.app.campaign.uncertainty.made_effects import dense_sensitivities, drawn_errors, made_effects
+from goniotwin.app.campaign.measurement_model.effects import Effects
+from goniotwin.app.campaign.measurement_model.fit import fit_inputs
+from tests.app.campaign.measurement_model.made_effects import dense_sensitivities, drawn_errors, made_effects
 
 
 @settings(max_examples=15, deadline=None)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from goniotwin.app.campaign.uncertainty.inputs import Input
+from goniotwin.app.campaign.measurement_model.inputs import InputQuantity
 from goniotwin.arrays import Floats, Ints
 
 
@@ -26,7 +26,7 @@ class Group:
     """
 
     name: str
-    inputs: Mapping[int, Input]
+    inputs: Mapping[int, InputQuantity]
     member: Ints
     sensitivity: Floats
 
@@ -35,7 +35,7 @@ class Group:
 class Dense:
     """Inputs of nearly all values: `sensitivity` (n, inputs), the relative change of a value for a change by one unit."""
 
-    inputs: Sequence[Input]
+    inputs: Sequence[InputQuantity]
     sensitivity: Floats
 
 
@@ -49,7 +49,7 @@ class Component:
     name: str
     u: float
     sensitivity: float
-    input: Input | None
+    input: InputQuantity | None
 
 
 @dataclass(frozen=True)
@@ -144,7 +144,7 @@ def _group_u_squared(group: Group) -> Floats:
     return u_squared[place.reshape(group.member.shape)]
 
 
-def _component(each: Input, sensitivity: float) -> Component:
+def _component(each: InputQuantity, sensitivity: float) -> Component:
     return Component(each.name, abs(sensitivity) * each.u, sensitivity, each)
 
 

@@ -13,7 +13,7 @@ from typing import Protocol
 
 import numpy as np
 
-from goniotwin.app.campaign.uncertainty.slopes import Directions
+from goniotwin.app.campaign.measurement_model.slopes import Directions
 from goniotwin.arrays import Flags, Floats
 from goniotwin.twin.optics import Instrument
 

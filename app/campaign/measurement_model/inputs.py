@@ -1,4 +1,4 @@
-"""Inputs of the measurement model: what a value depends on besides the sample, each with its uncertainty."""
+"""The quantities that a value depends on besides the sample (GUM: input quantities), each with its uncertainty."""
 
 from dataclasses import dataclass
 from math import inf
@@ -7,8 +7,8 @@ from goniotwin.app.rig.uncertainty import Distribution
 
 
 @dataclass(frozen=True)
-class Input:
-    """One input: `name` as in a budget, its `unit` ("deg", "mm", "nm", "1" for a relative one), and standard uncertainty `u`.
+class InputQuantity:
+    """One of them: `name` as in a budget, its `unit` ("deg", "mm", "nm", "1" for a relative one), and standard uncertainty `u`.
 
     `shared_by` names the values that have it in common, `source` where u is from, and `twin` the key of the rig file with which
     the virtual rig has it as a disturbance; empty where it has none.

@@ -2,14 +2,14 @@
 
 import numpy as np
 
-from goniotwin.app.campaign.uncertainty.effects import Dense, Effects, Group
-from goniotwin.app.campaign.uncertainty.inputs import Input
+from goniotwin.app.campaign.measurement_model.effects import Dense, Effects, Group
+from goniotwin.app.campaign.measurement_model.inputs import InputQuantity
 from goniotwin.arrays import Floats, Ints
 
 
-def made_input(name: str, u: float) -> Input:
+def made_input(name: str, u: float) -> InputQuantity:
     """A relative input."""
-    return Input(name, "1", u, "normal", "some values", "a test", "")
+    return InputQuantity(name, "1", u, "normal", "some values", "a test", "")
 
 
 def made_effects(seed: int, values: int = 60, dense: int = 4, members: int = 7) -> Effects:

@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from goniotwin.app.campaign.uncertainty.pose import (
+from goniotwin.app.campaign.measurement_model.pose import (
     ASIDE,
     LIGHT,
     MOUNTED,

@@ -17,8 +17,8 @@ from typing import Any
 
 import numpy as np
 
-from goniotwin.app.campaign.uncertainty.effects import Effects, Group
-from goniotwin.app.campaign.uncertainty.inputs import Input
+from goniotwin.app.campaign.measurement_model.effects import Effects, Group
+from goniotwin.app.campaign.measurement_model.inputs import InputQuantity
 from goniotwin.arrays import Flags, Floats, Ints
 
 LEAST_VARIANCE = 1e-18
@@ -41,7 +41,7 @@ class Fit:
 
     chi_square: Floats
     expected: Floats
-    inputs: tuple[Input, ...]
+    inputs: tuple[InputQuantity, ...]
     estimate: Floats
     expected_variance: Floats
     covariance: Floats
@@ -119,7 +119,7 @@ class ValuesCovariance:
 class _Shared:
     """A group without what has no u: `member` (n, m) as in Group, -1 for none; `u` (n, m); `count` of values of each input."""
 
-    inputs: dict[int, Input]
+    inputs: dict[int, InputQuantity]
     member: Ints
     effect: Floats
     count: dict[int, int]
@@ -184,9 +184,9 @@ class _Blocks:
         return np.asarray(over - (self._s / self._v)[:, None] * (self._factor[:, None] * along)[self._block])
 
 
-def _matrix(effects: Effects, groups: list[_Shared]) -> tuple[list[Input], Floats]:
+def _matrix(effects: Effects, groups: list[_Shared]) -> tuple[list[InputQuantity], Floats]:
     """All other inputs with an effect, and the sensitivities (n, inputs) to them."""
-    inputs: list[Input] = []
+    inputs: list[InputQuantity] = []
     columns: list[Floats] = [np.zeros((effects.value.size, 0))]
     for part in effects.dense:
         acting = [k for k, each in enumerate(part.inputs) if each.u > 0.0 and np.any(part.sensitivity[:, k] != 0.0)]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from goniotwin.app.campaign.uncertainty.slopes import MAX_DISTANCE_RAD, local_parabola
+from goniotwin.app.campaign.measurement_model.slopes import MAX_DISTANCE_RAD, local_parabola
 from goniotwin.arrays import Floats
 
 

@@ -17,7 +17,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from goniotwin.app.campaign.uncertainty.inputs import Input
+from goniotwin.app.campaign.measurement_model.inputs import InputQuantity
 from goniotwin.app.rig import RigFile, nominal_instrument
 from goniotwin.app.rig.uncertainty import UncertaintyTable
 from goniotwin.arrays import Flags, Floats
@@ -537,25 +537,25 @@ def _mounted(instrument: Instrument, frame: _Frame, seen: _Seen, views: Views, l
 # The inputs.
 
 
-def rig_inputs(table: UncertaintyTable) -> list[Input]:
+def rig_inputs(table: UncertaintyTable) -> list[InputQuantity]:
     """The inputs LIGHT and VIEW."""
     return [_input(table, name, _key(name), "all values") for name in (*LIGHT, *VIEW)]
 
 
-def mounting_inputs(table: UncertaintyTable, kind: str, mounting: str) -> list[Input]:
+def mounting_inputs(table: UncertaintyTable, kind: str, mounting: str) -> list[InputQuantity]:
     """The inputs MOUNTED of a mounting of a `sample`, or of the `etalon`."""
     shared = "all values of this mounting" if kind == "sample" else "all values that divide by this mounting"
     return [_input(table, f"{kind}_{each}@{mounting}", _key(f"{kind}_{each}"), shared) for each in MOUNTED]
 
 
-def lifted_inputs(table: UncertaintyTable, kind: str, mounting: str) -> list[Input]:
+def lifted_inputs(table: UncertaintyTable, kind: str, mounting: str) -> list[InputQuantity]:
     """The products of the height of a mounting with each of ASIDE: of mean 0, and correlated with no other input."""
     height = mounting_inputs(table, kind, mounting)[MOUNTED.index("height")]
     products = []
     for name in ASIDE:
         other = _input(table, name, _key(name), "all values")
         products.append(
-            Input(
+            InputQuantity(
                 f"{kind}_height*{name}@{mounting}", f"mm {other.unit}", height.u * other.u, "normal", height.shared_by,
                 f"{height.source}, {_key(name)}", height.twin,
             )
@@ -563,16 +563,16 @@ def lifted_inputs(table: UncertaintyTable, kind: str, mounting: str) -> list[Inp
     return products
 
 
-def photodiode_inputs(table: UncertaintyTable, photodiode: int) -> list[Input]:
+def photodiode_inputs(table: UncertaintyTable, photodiode: int) -> list[InputQuantity]:
     """The own angles of a photodiode, along the arc and across it."""
     names = ("photodiode_angle", "photodiode_across")
     return [_input(table, f"{name}[{photodiode}]", f"{name}_deg", "all values of this photodiode") for name in names]
 
 
-def position_input(table: UncertaintyTable, axis: str, move: int | str) -> Input:
+def position_input(table: UncertaintyTable, axis: str, move: int | str) -> InputQuantity:
     """The position of an axis after its move of this number or name, with the backlash where none is taken up."""
     each = _input(table, f"position@{axis}#{move}", "position_deg", "all rows until its next move")
-    return Input(**{**vars(each), "u": position_u_deg(table)})
+    return InputQuantity(**{**vars(each), "u": position_u_deg(table)})
 
 
 def position_u_deg(table: UncertaintyTable) -> float:
@@ -587,13 +587,13 @@ def _key(name: str) -> str:
     return "_".join(parts) + ("_mm" if parts[-1] in ("shift", "height") else "_deg")
 
 
-def _input(table: UncertaintyTable, name: str, key: str, shared_by: str) -> Input:
+def _input(table: UncertaintyTable, name: str, key: str, shared_by: str) -> InputQuantity:
     unit = "mm" if key.endswith("_mm") else "deg"
     source = f"[uncertainty] {key}"
-    return Input(name, unit, table.standard(key), table.distribution(key), shared_by, source, f"disturbances.{key}")
+    return InputQuantity(name, unit, table.standard(key), table.distribution(key), shared_by, source, f"disturbances.{key}")
 
 
-def standard_uncertainties(inputs: list[Input]) -> Floats:
+def standard_uncertainties(inputs: list[InputQuantity]) -> Floats:
     """Their standard uncertainties (inputs,), each in its unit."""
     return np.array([each.u for each in inputs])
 
