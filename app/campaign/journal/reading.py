@@ -103,7 +103,6 @@ class ExecutedRow(NamedTuple):
     sample: str
     session: int
     pose: tuple[float, float, float, float] | None
-    started_s: float
 
 
 class DamagedJournal(UserError):
@@ -392,19 +391,11 @@ class JournalReader:
     def executed_rows(self) -> Iterator[ExecutedRow]:
         """All rows that were executed, damaged ones too, in order of their start."""
         with self._reading():
-            for number, kind, sample, session, started, *pose in self._db.execute(
-                "SELECT p.number, kind, sample, a.session, started_s, gamma_deg, sigma_deg, beta_deg, shift_deg"
+            for number, kind, sample, session, *pose in self._db.execute(
+                "SELECT p.number, kind, sample, a.session, gamma_deg, sigma_deg, beta_deg, shift_deg"
                 f" FROM plan p JOIN attempt a USING (number) {LAST_ATTEMPT} ORDER BY started_s, p.number"
             ):
-                yield ExecutedRow(number, kind, sample, session, None if None in pose else tuple(pose), started)
-
-    def row_lights(self) -> Iterator[tuple[float, float, float]]:
-        """Number, begin in s, and mean current of the monitor in A (0 without readings), of all rows that were executed."""
-        with self._reading():
-            mean = "SELECT AVG(monitor_a) FROM reading r WHERE r.number = a.number AND r.attempt = a.attempt"
-            yield from self._db.execute(
-                f"SELECT p.number, started_s, COALESCE(({mean}), 0) FROM plan p JOIN attempt a USING (number) {LAST_ATTEMPT}"
-            )
+                yield ExecutedRow(number, kind, sample, session, None if None in pose else tuple(pose))
 
     @contextlib.contextmanager
     def _reading(self) -> Iterator[None]:

@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 
 from goniotwin.app.campaign.reduction.closure import ClosureReport
-from goniotwin.app.campaign.reduction.etalon import ReductionSettings, monitor_variance
+from goniotwin.app.campaign.reduction.etalon import ReductionSettings
 from goniotwin.app.campaign.reduction.overlaps import OverlapCheck, Overlaps
 from goniotwin.app.campaign.reduction.points import PLACE, BsdfPoints
+from goniotwin.app.campaign.reduction.reading_inputs import monitor_variance
 from goniotwin.app.campaign.reduction.readings import RowTable
 from goniotwin.app.campaign.reduction.symmetry import SymmetryCheck, SymmetryResult
 from goniotwin.app.campaign.schedule.refinement import DEFAULT_ANGLE_UNCERTAINTY_DEG

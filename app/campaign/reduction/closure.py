@@ -39,10 +39,20 @@ from goniotwin.app.campaign.measurement_model.pose import (
     rig_inputs,
     standard_uncertainties,
 )
+from goniotwin.app.campaign.measurement_model.quantity import NONE
 from goniotwin.app.campaign.measurement_model.slopes import Directions
-from goniotwin.app.campaign.reduction.components import Signal, total_variance
-from goniotwin.app.campaign.reduction.effects_of_points import gain_input
-from goniotwin.app.campaign.reduction.etalon import ReductionSettings, RowSignal, pose_key
+from goniotwin.app.campaign.reduction.components import Signal
+from goniotwin.app.campaign.reduction.effects_of_points import common_input
+from goniotwin.app.campaign.reduction.etalon import (
+    SIGNATURE,
+    SIGNATURE_READING,
+    ReductionSettings,
+    RowSignal,
+    comparable_signals,
+    pose_key,
+    rows_in_columns,
+)
+from goniotwin.app.campaign.reduction.reading_inputs import GROUPED, Numbers
 from goniotwin.app.campaign.reduction.readings import Measurements, ReferenceMeasurements
 from goniotwin.app.campaign.reduction.signals import LIGHT as LEAST_LIGHT
 from goniotwin.app.campaign.row import Row
@@ -230,7 +240,7 @@ class JointClosure:
 
 SLIT_IMAGE = "slit_image"
 """The component of the light's place, and with a star and an input those of the place and that input together."""
-OWN_OF_A_SCAN = frozenset({"scan", "noise", "dark", "etalon_reading", "signature", "monitor"})
+OWN_OF_A_SCAN = frozenset({"scan", "noise", "resolution", "dark", "lamp", "etalon_reading", "signature_reading", "monitor"})
 """Components of which each scan has an error of its own, beside the positions of its axes."""
 CERTIFICATE_INPUTS = ("certificate", "etalon_age", "etalon_edge")
 TROUBLES = {
@@ -509,15 +519,18 @@ class _Readings:
             return f"{len(measured)} of {len(self._keys)} poses of the scan have been measured"
         if reason := _trouble(measured, self._scan.photodiode):
             return reason
-        signal = _of_photodiode(measured, self._scan.photodiode)
+        signal = self._signals(measured)
         brightest = int(np.argmax(signal.value))
-        if not signal.value[brightest] > LEAST_LIGHT * math.sqrt(signal.variance[brightest]) or signal.value.sum() <= 0.0:
+        if (
+            not signal.value[brightest] > LEAST_LIGHT * math.sqrt(signal.reading_variance[brightest])
+            or signal.value.sum() <= 0.0
+        ):
             return f"photodiode {self._scan.photodiode} has no light in any pose of the scan: was the sample unit empty?"
         return ""
 
     def beam(self) -> ScannedBeam:
         """The scan as a whole."""
-        signal = _of_photodiode([self._open[key] for key in self._keys], self._scan.photodiode)
+        signal = self._signals([self._open[key] for key in self._keys])
         return scanned_beam(self._scan, self._wavelength_nm, signal, *self.crosstalk())
 
     def closure(self, beam: ScannedBeam, wavelength_nm: float) -> Closure | str:
@@ -536,18 +549,18 @@ class _Readings:
         factor, u_factor = certificate.interpolate(*(np.array([each]) for each in self._direction(wavelength_nm)))
         if not np.isfinite(factor[0]):
             return f"the certificate does not cover it: it is valid for {certificate}"
-        scanned = _of_photodiode([self._open[key] for key in self._keys], scan.photodiode)
-        etalon = _of_photodiode([self._etalon[etalon_key]], scan.photodiode)
+        scanned = self._signals([self._open[key] for key in self._keys])
+        etalon = self._signals([self._etalon[etalon_key]])
         if (signature := self._open.get(etalon_key)) is not None and self._settings.schedule.signature:
-            own = _of_photodiode([signature], scan.photodiode)
-            u_signature = rig.sample_unit.signature_uncertainty * own.value
-            etalon = Signal(etalon.value - own.value, etalon.components, etalon.gain)
-            etalon = etalon.with_component("signature", own.variance + u_signature**2)
+            own = self._signals([signature])
+            own = own.with_common(SIGNATURE, rig.sample_unit.signature_uncertainty * own.value)
+            number = Numbers.of(rig).reading(np.array([signature.row.number]), np.array(scan.photodiode))
+            etalon = Signal.of(etalon - own.own_as(SIGNATURE_READING, number[:1]), etalon.gain)
             if not etalon.value[0] > 0.0:
                 return "the etalon is no brighter than the empty sample unit"
         middle = None
         if wavelength_nm != self._wavelength_nm:
-            middle = _of_photodiode([self._open[middle_key]], scan.photodiode)
+            middle = self._signals([self._open[middle_key]])
         age = _relative("etalon_age", self._settings.etalon_years, rig, "etalon_age_per_year", "all readings of the etalon")
         certified = Component("certificate", float(u_factor[0]), 1.0, None), age
         return compare(beam, wavelength_nm, scanned, middle, etalon, float(factor[0]), certified, rig, self._moves())
@@ -558,6 +571,13 @@ class _Readings:
             return None
         rows = np.array([self._open[key].row.number for key in self._keys])
         return self._settings.history.moves(rows)[:, [POSITIONS.index("shift"), POSITIONS.index("beta")]]
+
+    def _signals(self, rows: Sequence[RowSignal]) -> Signal:
+        """The signals (n,) of the scan's photodiode in rows, of which there is at least one."""
+        columns = rows_in_columns(rows)
+        assert columns is not None
+        found = comparable_signals(columns, np.array([self._scan.photodiode]), self._settings.rig)
+        return found.each(lambda array: array[:, 0])
 
     def _direction(self, wavelength_nm: float) -> tuple[float, float, float, float]:
         scan = self._scan
@@ -687,14 +707,11 @@ def compare(
     plain = math.pi * seen / (math.cos(math.radians(scan.at_deg)) * beam.total * spectral)
     inputs, correction = pose_effects(scan, rig, float(beam.centroid_deg[0]))
     light = light_effects(scan, rig)
-    mean_beam = float(beam.share @ scanned.value) * spectral
     components = [
         *inputs,
         *light.components,
         *_scan_positions(beam, scanned, middle, moves, rig),
-        *_gain_effects(beam, scanned, middle, etalon, rig),
-        *_noise(beam, scanned, middle, etalon, rig),
-        _relative("linearity", math.log10(mean_beam / seen), rig, "linearity_per_decade", "all values"),
+        *_reading_components(beam, scanned, middle, etalon, rig),
         _relative("etalon_edge", 1.0, rig, "etalon_edge", "all readings of the etalon"),
         *(_relative(f"beam_hole@{side}", 1.0, rig, "beam_hole", "all scans") for side in ("upper", "lower")),
         # The sharper edges of the beam, foreshortened by the spot at grazing incidence, are sampled less well.
@@ -876,44 +893,33 @@ def _scan_positions(
         yield Component(stop.name, math.sqrt(squares) * stop.u, math.sqrt(squares), stop)
 
 
-def _gain_effects(
-    beam: ScannedBeam, scanned: Signal, middle: Signal | None, etalon: Signal, rig: RigFile
-) -> Iterator[Component]:
-    """The gains at which the open beam and the etalon are read: what both have of one cancels."""
-    for index in range(len(rig.photodiodes.gains_v_per_a)):
-        share = float(beam.share @ (scanned.gain == index)) - float(etalon.gain[0] == index)
-        if middle is not None:
-            share += float(middle.gain[0] == index) - float(scanned.gain[beam.scan.middle] == index)
-        if share:
-            own = gain_input(beam.scan.photodiode, index, rig)
-            yield Component(own.name, abs(share) * own.u, share, own)
-
-
-def _noise(
+def _reading_components(
     beam: ScannedBeam, scanned: Signal, middle: Signal | None, etalon: Signal, rig: RigFile
 ) -> Iterator[Component]:  # fmt: skip
-    """The readings themselves: noise of the scan, dark readings (common to all of its poses), the etalon's reading, monitor."""
-    weight = beam.scan.solid_angle_sr / beam.total
-    independent, shared = np.zeros(1), 0.0
-    for name, variance in scanned.components.items():
-        if name in ("noise", "lamp"):  # each pose is a row
-            independent = independent + np.sum(weight**2 * variance)
-        else:
-            shared += float(np.sum(weight * np.sqrt(variance))) ** 2
-    relative_monitor = 1.0 + float(np.sum(beam.share**2))
+    """What the readings do to the etalon's signal over the sum of the scan: what both have in common cancels."""
+    total = scanned.scaled(beam.scan.solid_angle_sr).summed()
     if middle is not None:
-        at = beam.scan.middle
-        independent = independent + middle.variance / middle.value**2 + scanned.variance[at] / scanned.value[at] ** 2
-        relative_monitor += 2.0
-    yield Component("noise", float(np.sqrt(independent[0])), 1.0, None)
-    yield Component("dark", math.sqrt(shared), 1.0, None)
-    signature = float(etalon.components.get("signature", np.zeros(1))[0])
-    reading = float(total_variance(etalon.components)[0]) - signature
-    seen = float(etalon.value[0])
-    yield Component("etalon_reading", math.sqrt(reading) / seen, 1.0, None)
-    if signature:
-        yield Component("signature", math.sqrt(signature) / seen, 1.0, None)
-    yield Component("monitor", rig.monitor.relative_uncertainty * math.sqrt(relative_monitor), 1.0, None)
+        total = total / (scanned.each(lambda array: array[beam.scan.middle]) / middle.each(lambda array: array[0]))
+    reading = etalon.own_as("etalon_reading", np.zeros(1, dtype=np.int32)).each(lambda array: array[0])
+    quotient = reading / total
+    relative = quotient.scaled(1.0 / quotient.value)
+    for name, variance in relative.own.items():
+        yield Component(name, float(np.sqrt(variance)), 1.0, None)
+    for name, effect in relative.common.items():
+        yield _component(common_input(name, rig), float(effect))
+    for name, terms in relative.grouped.items():
+        if name == "gain":
+            for number, each in zip(terms.member.tolist(), terms.effect.tolist(), strict=True):
+                if number != NONE:
+                    yield _component(GROUPED[name](number, rig), each)
+        else:
+            yield Component(name, float(np.sqrt(terms.variance)), 1.0, None)
+
+
+def _component(source: InputQuantity, effect: float) -> Component:
+    """A component of an input, by the effect of its standard uncertainty."""
+    sensitivity = effect / source.u
+    return Component(source.name, abs(sensitivity) * source.u, sensitivity, source)
 
 
 def _relative(name: str, sensitivity: float, rig: RigFile, key: str, shared: str) -> Component:
@@ -923,17 +929,6 @@ def _relative(name: str, sensitivity: float, rig: RigFile, key: str, shared: str
         name, "1", table.standard(key), table.distribution(key), shared, f"[uncertainty] {key}", f"disturbances.{key}"
     )
     return Component(name, abs(sensitivity) * given.u, sensitivity, given)
-
-
-def _of_photodiode(rows: Sequence[RowSignal], photodiode: int) -> Signal:
-    """The signals (n,) of one photodiode in rows."""
-    names = dict.fromkeys(name for each in rows for name in each.signal.components)
-    none = np.zeros(photodiode + 1)
-    return Signal(
-        np.array([each.signal.value[photodiode] for each in rows]),
-        {name: np.array([each.signal.components.get(name, none)[photodiode] for each in rows]) for name in names},
-        np.array([each.signal.gain[photodiode] for each in rows]),
-    )
 
 
 def _trouble(rows: Sequence[RowSignal], photodiode: int) -> str:

@@ -1,34 +1,31 @@
-"""Components of the uncertainty: the one convention of the reduction, and the one place where u is computed from them.
+"""Components of the uncertainty of a value: their names, which of them are alike, and the rules of u and its interval.
 
-A component is the *variance* that one named contribution (`noise`, `monitor`, `certificate`) adds to a value, in the square of
-the value's unit, in an array of the value's shape. Variances, because the contributions of a value are uncorrelated: they add,
-and a component of several inputs (the dark readings before and after) needs no more room than one. Absolute, because a value
-may be 0 or negative. What two quantities of one quotient share is removed where the quotient is made (the instrument signature
-of sample and etalon). Which inputs a component is made of, and which values share them, is recomputed where it is needed
-(effects_of_points.py). For tables a component is wholly shared between neighbouring directions or, if it is in INDEPENDENT, not
-at all.
+A component is the *variance* by one family of inputs, or by what a value has alone, in the square of the value's unit and in an
+array of the values' shape. For tables a component is wholly shared between neighbouring directions or, if it is in INDEPENDENT,
+not at all. `Quantity` has the effects that they come from.
 """
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from typing import Any, Self
 
 import numpy as np
+from numpy.typing import NDArray
 
+from goniotwin.app.campaign.measurement_model.quantity import Components, Quantity
 from goniotwin.arrays import Flags, Floats, Ints
 
-Components = Mapping[str, Floats]
 DETECTED = 3.0
 """A value below so many of its standard uncertainties is lost in its noise: below the detection limit."""
-INDEPENDENT = frozenset({"noise", "resolution", "ray_tracing", "etalon_reading", "field_noise"})
+INDEPENDENT = frozenset({"noise", "resolution", "ray_tracing", "etalon_reading", "signature_reading", "field_noise"})
 """Components whose errors differ between neighbouring directions: each has readings of its own at the sample and at the etalon.
 
 All others count as shared, also those that are shared in part (`dark`, `monitor`, `gain`, `signature`): that the errors average
 out would be a claim, so u is at most too large. A new contribution is shared unless it is named here.
 """
-NOISE = INDEPENDENT | {"dark", "etalon_dark", "crosstalk", "signature"}
+NOISE = INDEPENDENT | {"dark", "crosstalk", "signature"}
 """Components that are there without light: what a value is lost in. All others are shares of the value."""
-ADDED = frozenset({"noise", "resolution", "ray_tracing", "dark", "signature", "crosstalk", "field_noise"})
+ADDED = frozenset({"noise", "resolution", "ray_tracing", "dark", "signature", "signature_reading", "crosstalk", "field_noise"})
 """Components that are added to a value whatever its size; all others are shares of it."""
 COVERAGE = 1.96
 """Standard uncertainties from a value to the ends of its interval of 95 %."""
@@ -95,60 +92,43 @@ def shared_variance(components: Components) -> Floats:
     return none + total_variance({name: each for name, each in components.items() if name not in INDEPENDENT})
 
 
-@dataclass(frozen=True)
-class Estimate:
-    """Values with the components of their uncertainty: arrays of one shape."""
+OF_A_QUOTIENT = frozenset({"monitor", "gain", "linearity", "monitor_drift", "monitor_linearity"})
+"""Components that count where two signals are divided: no light is lost in them."""
 
-    value: Floats
-    components: Components
+
+@dataclass(frozen=True)
+class Signal(Quantity):
+    """Photocurrents over the monitor's current, one element for each photodiode, or (rows, photodiodes).
+
+    `gain` is the index of the gain that is used, -1 where all gains are saturated.
+    """
+
+    gain: Ints = field(kw_only=True)
+
+    @classmethod
+    def of(cls, quantity: Quantity, gain: Ints) -> Self:
+        """The signals of a quantity, read at these gains."""
+        return cls(quantity.value, quantity.own, quantity.common, quantity.grouped, gain=gain)
 
     @property
-    def variance(self) -> Floats:
-        """The variance from all components."""
-        return total_variance(self.components)
+    def reading_variance(self) -> Floats:
+        """The variance by the readings alone, without OF_A_QUOTIENT: whether there is light."""
+        alone = [each for name, each in self.components.items() if name not in OF_A_QUOTIENT]
+        return np.zeros(self.value.shape) + sum(alone)
 
     @property
     def lost_in_noise(self) -> Flags:
         """Whether values are below the detection limit."""
-        return np.isfinite(self.value) & (self.value < DETECTED * np.sqrt(self.variance))
+        return np.isfinite(self.value) & (self.value < DETECTED * np.sqrt(self.reading_variance))
 
-    def scaled(self, factor: Floats | float) -> Self:
-        """The values times an exactly known factor."""
-        squared = np.square(factor)
-        scaled = {name: variance * squared for name, variance in self.components.items()}
-        return replace(self, value=self.value * factor, components=scaled)
-
-    def divided(self, divisor: Floats | float) -> Self:
-        """The values over an exactly known divisor."""
-        squared = np.square(divisor)
-        divided = {name: variance / squared for name, variance in self.components.items()}
-        return replace(self, value=self.value / divisor, components=divided)
-
-    def with_component(self, name: str, variance: Floats | float) -> Self:
-        """The values with a further variance; it is added to that of a component of the same name."""
-        added = np.broadcast_to(variance, self.value.shape)
-        return replace(self, components={**self.components, name: self.components.get(name, 0.0) + added})
-
-
-@dataclass(frozen=True)
-class Signal(Estimate):
-    """Photocurrents over the monitor's current, one element for each photodiode, or (rows, photodiodes).
-
-    `gain` is the index of the gain that is used, -1 where all gains are saturated. `link` has one axis more: the relative
-    variance of the ratio of that gain to each of the rig's gains; None where only the certificate is known.
-    """
-
-    gain: Ints
-    link: Floats | None = None
+    def each(self, part: Callable[[NDArray[Any]], NDArray[Any]]) -> Self:
+        """As of any quantity; of the gains too."""
+        return replace(super().each(part), gain=part(self.gain))
 
     def at(self, index: Ints | Flags) -> "Signal":
         """The signals (rows, photodiodes) of some rows, or of all in another order."""
-        return self._each(lambda values: values[index])
+        return self.each(lambda array: array[index])
 
-    def of(self, channels: Ints) -> "Signal":
+    def of_photodiodes(self, channels: Ints) -> "Signal":
         """The signals (rows, photodiodes) of some photodiodes."""
-        return self._each(lambda values: np.take(values, channels, axis=1))
-
-    def _each(self, part: Callable[[Any], Any]) -> "Signal":
-        components = {name: part(each) for name, each in self.components.items()}
-        return Signal(part(self.value), components, part(self.gain), None if self.link is None else part(self.link))
+        return self.each(lambda array: np.take(array, channels, axis=1))

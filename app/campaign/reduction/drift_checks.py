@@ -15,9 +15,9 @@ from functools import partial
 
 import numpy as np
 
-from goniotwin.app.campaign.reduction import pipeline
 from goniotwin.app.campaign.reduction.components import Signal
 from goniotwin.app.campaign.reduction.evidence import RunningEvidence
+from goniotwin.app.campaign.reduction.pipeline import reduce_readings
 from goniotwin.app.campaign.reduction.signals import LIGHT, DarkReadings, dark_readings_by_gain, signals_of_rows
 from goniotwin.app.campaign.row import CommittedRow, Row, RowData, reading_table
 from goniotwin.app.campaign.schedule.file import DriftTable
@@ -77,30 +77,21 @@ def compare_signals(first: Signal, now: Signal, rig: RigFile, limit: float) -> D
     # Saturated now and not before: it gets more light.
     outliers = (now.gain < 0) & (first.gain >= 0)
     light = np.isfinite(first.value) & np.isfinite(now.value)
-    light &= np.nan_to_num(first.value) > LIGHT * np.sqrt(np.nan_to_num(first.variance))
+    light &= np.nan_to_num(first.value) > LIGHT * np.sqrt(np.nan_to_num(first.reading_variance))
     if not light.any():
         return DriftCheck(math.nan, math.nan, beyond=True, outliers=outliers)
-    ratio = now.value[light] / first.value[light]
-    variance = (now.variance[light] + ratio**2 * first.variance[light]) / first.value[light] ** 2
-    common = _lamp(first, light) + _lamp(now, light)  # to all photodiodes of a row
-    variance -= common * ratio**2
-    for each in (relative(now, first, rig) for relative in pipeline.QUOTIENT_VARIANCES.values()):
-        if isinstance(each, float):
-            common += each
-        else:
-            variance += each[light]
+    quotient = now.each(lambda array: array[light]) / first.each(lambda array: array[light])
+    ratio, components = quotient.value, quotient.components
+    shared = [components.pop(name) / ratio**2 for name in ("lamp", "monitor") if name in components]
+    common = float(np.min(sum(shared)))  # to all photodiodes of a row
+    decades = np.log10(np.maximum(np.abs(ratio), np.finfo(float).tiny))
+    variance = np.sum([*components.values(), (rig.uncertainty.linearity_per_decade * decades * ratio) ** 2], axis=0)
     own = np.abs(ratio - 1.0) - CERTAIN * np.sqrt(variance + common) > limit
     outliers[light] |= own
     weight = np.where(own, 0.0, 1.0 / variance) if own.sum() <= own.size / 2 else 1.0 / variance
     change = float(np.sum(weight * (ratio - 1.0)) / np.sum(weight))
     u_change = math.sqrt(1.0 / float(np.sum(weight)) + common)
     return DriftCheck(change, u_change, abs(change) - LIKELY * u_change > limit, outliers)
-
-
-def _lamp(signal: Signal, light: Flags) -> float:
-    """The relative variance that the photodiodes of a row have in common, on those with light."""
-    lamp = signal.components.get("lamp")
-    return 0.0 if lamp is None else float(np.min(lamp[light] / signal.value[light] ** 2))
 
 
 class DriftReference:
@@ -162,7 +153,7 @@ class DriftWatch:
             with contextlib.suppress(UserError):  # too few dark readings: a drift check would report it
                 self._evidence.count(self._dark_readings())
         if row.kind == "mount" or data.readings:
-            return self._reference.check(row, lambda: self._signal(data))
+            return self._reference.check(row, lambda: self._signal(row, data))
         return None
 
     def _dark_readings(self) -> dict[float, DarkReadings]:
@@ -170,12 +161,11 @@ class DriftWatch:
             self._dark = dark_readings_by_gain(self._dark_rows, self._settings)
         return self._dark
 
-    def _signal(self, data: RowData) -> Signal:
-        dark = self._dark_readings()
-        table = reading_table([data.readings])
-        return signals_of_rows(pipeline.reduce_readings(table, dark, self._settings, self._rig, self._evidence.renewed(dark)))[
-            0
-        ]
+    def _signal(self, row: Row, data: RowData) -> Signal:
+        dark, table = self._dark_readings(), reading_table([data.readings])
+        evidence = self._evidence.renewed(dark)
+        reduced = reduce_readings(table, np.array([row.number]), dark, self._settings, self._rig, evidence)
+        return signals_of_rows(reduced)[0]
 
 
 @dataclass(frozen=True)
@@ -249,7 +239,7 @@ def insensitive_photodiodes(rows: Iterable[CommittedRow], signal_of: Callable[[C
 def _sensitive(first: Signal) -> Flags:
     light = np.nan_to_num(first.value)
     # A change has the uncertainty of two checks. A saturated photodiode shows no loss until it is below its range.
-    u_change = CERTAIN * np.sqrt(2.0 * np.nan_to_num(first.variance))
+    u_change = CERTAIN * np.sqrt(2.0 * np.nan_to_num(first.reading_variance))
     return np.asarray((light > 0.0) & (u_change < DETECTABLE_LOSS * light))
 
 

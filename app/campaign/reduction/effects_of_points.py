@@ -1,17 +1,15 @@
-"""The components by errors of angles, and all components of points as effects of named inputs: which values share which error.
+"""All components of points as effects of named inputs: which values share which error; and the components by errors of angles.
 
-A component of a point (components.py) is a variance by the name of a family of inputs. `effects_of` divides it among the inputs
-of that family, from pose, slopes and kept columns, for some points at a time: budgets, covariances and integrals follow. The
-parts of a family sum to its variance. FAMILIES and ALONE name every component once.
+What came in with the readings, points carry (points.py). The effects of what the files state (angles and places, the etalon's
+certificate, mountings) follow from pose and slopes, and are computed for some points at a time when they are needed: points
+have their variances alone. Budgets, covariances and integrals follow.
 """
 
-import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from goniotwin.app.campaign.geometry.directions import polar_from_zenith
 from goniotwin.app.campaign.measurement_model.alignment import Alignment, known_displacement
 from goniotwin.app.campaign.measurement_model.effects import Dense, Effects, Group, group_variance
 from goniotwin.app.campaign.measurement_model.inputs import InputQuantity
@@ -31,17 +29,15 @@ from goniotwin.app.campaign.measurement_model.pose import (
     standard_uncertainties,
     variance,
 )
+from goniotwin.app.campaign.measurement_model.quantity import NONE
 from goniotwin.app.campaign.reduction.etalon import ReductionSettings
-from goniotwin.app.campaign.reduction.evidence import LEAST_CERTIFIED
 from goniotwin.app.campaign.reduction.points import PLACE, BsdfPoints
-from goniotwin.app.campaign.reduction.scale import SHARED, EffectsOf, Kind, incidence_deg, mounted
+from goniotwin.app.campaign.reduction.reading_inputs import GROUPED
+from goniotwin.app.campaign.reduction.scale import SHARED, EffectsOf, Kind, mounted
 from goniotwin.app.rig import RigFile, nominal_instrument
 from goniotwin.arrays import Floats, Ints
 
 ANGLES = tuple(PLACE.index(f"{axis}_deg") for axis in POSITIONS)
-JOURNAL = "the journal's readings"
-ALONE = frozenset({"noise", "resolution", "ray_tracing", "field_noise", "second_order", "slope_unresolved"})
-"""Components of which each value has an error of its own. In a table `second_order` and `slope_unresolved` count as shared."""
 
 
 def add_pose(points: BsdfPoints, settings: ReductionSettings) -> BsdfPoints:
@@ -62,7 +58,7 @@ def add_pose(points: BsdfPoints, settings: ReductionSettings) -> BsdfPoints:
         "position": variance(sums[:, 1], along, across) * squared,
         "photodiode_angle": ((along * u_along) ** 2 + (across * u_across) ** 2) * squared,
     }
-    return replace(points, components={**points.components, **added})
+    return replace(points, stated={**points.stated, **added})
 
 
 def _add_aligned_pose(points: BsdfPoints, settings: ReductionSettings) -> BsdfPoints:
@@ -73,7 +69,7 @@ def _add_aligned_pose(points: BsdfPoints, settings: ReductionSettings) -> BsdfPo
         relative += np.sum((part.sensitivity * [each.u for each in part.inputs]) ** 2, axis=1)
     of_groups = {group.name: group_variance(group) for group in effects.groups}
     added = {name: each * points.bsdf**2 for name, each in {"pose": relative, **of_groups}.items()}
-    return replace(points, components={**points.components, **added})
+    return replace(points, stated={**points.stated, **added})
 
 
 def slopes(points: BsdfPoints) -> tuple[Floats, Floats]:
@@ -84,234 +80,41 @@ def slopes(points: BsdfPoints) -> tuple[Floats, Floats]:
 def effects_of(points: BsdfPoints, settings: ReductionSettings) -> Effects:
     """The effects of all inputs on points with values; NaN for others. Memory: some hundred inputs a point."""
     value = _scale(points)
-    independent = {name: np.maximum(each, 0.0) / value**2 for name, each in points.components.items() if name in ALONE}
-    groups: list[Group] = []
-    dense: list[Dense] = []
-    families = [FAMILIES.get(name, _unknown(name)) for name in points.components if name not in ALONE]
-    for family in dict.fromkeys(families):  # one function may have several components
+    groups, dense = [], []
+    for name, effect in points.common.items():
+        source = common_input(name, settings.rig)
+        dense.append(Dense([source], (effect / (source.u * value))[:, None]))
+    for name, terms in points.grouped.items():
+        numbers, which = np.unique(terms.member, return_inverse=True)
+        inputs = {k: GROUPED[name](k, settings.rig) for k in numbers.tolist() if k != NONE}
+        u = np.array([inputs[k].u if k != NONE else 1.0 for k in numbers.tolist()])[which.reshape(terms.member.shape)]
+        relative = np.divide(terms.effect, u * value[:, None], out=np.zeros(u.shape), where=u != 0.0)
+        groups.append(Group(name, inputs, terms.member.astype(np.int64), relative))
+    for family in dict.fromkeys(FAMILIES[name] for name in points.stated):  # one function may have several components
         if (found := family(points, settings)) is not None:
             # A relative change leaves a value of 0 as it is.
             unit = (found.value / value)[:, None]
             groups += [replace(each, sensitivity=each.sensitivity * unit) for each in found.groups]
             dense += [replace(each, sensitivity=each.sensitivity * unit) for each in found.dense]
+    independent = {name: np.maximum(each, 0.0) / value**2 for name, each in points.own.items()}
     return Effects(value, independent, groups, dense)
+
+
+def common_input(name: str, rig: RigFile) -> InputQuantity:
+    """An input that all values have in common by their readings."""
+    key = COMMON_KEYS[name]
+    if key is None:
+        return InputQuantity(name, "1", 1.0, "normal", "all values", "[sample_unit] signature_uncertainty", "")
+    table = rig.uncertainty
+    source, twin = f"[uncertainty] {key}", f"disturbances.{key}"
+    # Where rows at two gains show more cross-talk than is stated, values have more of this input.
+    u = table.standard(key) or 1.0
+    return InputQuantity(name, "1", u, table.distribution(key), "all values", source, twin)
 
 
 def _scale(points: BsdfPoints) -> Floats:
     """The values (n,); 1 in place of 0, which has no relative uncertainty."""
     return np.where(points.bsdf == 0.0, 1.0, points.bsdf)
-
-
-# Families whose component is a variance of signals: their effects divide it. In them a value of 0 is scaled to 1.
-
-
-def _relative(points: BsdfPoints, name: str) -> Floats:
-    """The relative standard uncertainty (n,) by a component."""
-    return np.sqrt(np.maximum(points.components[name], 0.0)) / np.abs(_scale(points))
-
-
-def _signed(points: BsdfPoints, name: str) -> Floats:
-    """The same of what is added to a value whatever its sign."""
-    return np.where(points.bsdf < 0.0, -1.0, 1.0) * _relative(points, name)
-
-
-def _unknown(name: str) -> EffectsOf:
-    """A component that no list has: one input that all values share, so that u of a sum is at most too large."""
-
-    def effects(points: BsdfPoints, settings: ReductionSettings) -> Effects:
-        del settings
-        return _of_one(points, InputQuantity(name, "1", 1.0, "normal", "all values", JOURNAL, ""), _relative(points, name))
-
-    return effects
-
-
-def _of_one(points: BsdfPoints, source: InputQuantity, sensitivity: Floats) -> Effects:
-    return Effects(_scale(points), {}, (), [Dense([source], sensitivity[:, None])])
-
-
-def _of_group(points: BsdfPoints, group: Group) -> Effects:
-    return Effects(_scale(points), {}, [group], ())
-
-
-def dark(points: BsdfPoints, settings: ReductionSettings) -> Effects:
-    """The dark readings of a photodiode and a gain before and after a row: what was subtracted is between the two, by time."""
-    # Its volts are one share of a bright value and another of a dark one.
-    return _of_dark_readings("dark", points, settings, points.row, points.gain, -_signed(points, "dark"))
-
-
-def etalon_dark(points: BsdfPoints, settings: ReductionSettings) -> Effects:
-    """The same before and after the etalon's row: common to the etalon's readings of a photodiode between them."""
-    relative = _relative(points, "etalon_dark")
-    return _of_dark_readings("etalon_dark", points, settings, points.etalon_row, points.etalon_gain, relative)
-
-
-def _of_dark_readings(
-    name: str, points: BsdfPoints, settings: ReductionSettings, rows: Ints, gain: Ints, signed: Floats
-) -> Effects:
-    history = settings.history
-    before = rows if history is None else history.dark_readings(rows)
-    share = np.zeros(points.size) if history is None else history.dark_share(rows)
-    keys = np.concatenate([np.stack([points.photodiode, gain, before + k], axis=1) for k in (0, 1)])
-    shares = np.stack([1.0 - share, share], axis=1) / np.hypot(1.0 - share, share)[:, None]
-    both = _grouped(
-        "dark", keys, np.ones(2 * points.size), lambda key: f"[{key[0]}, {_gain(key[1], settings.rig)}]@dark {key[2]}",
-        "rows of this photodiode and gain until the next dark reading, and after the one before", scaled=True,
-    )  # fmt: skip
-    member = np.where(shares > 0.0, both.member.reshape(2, points.size).T, -1)
-    return _of_group(points, replace(both, name=name, member=member, sensitivity=signed[:, None] * shares))
-
-
-def etalon_reading(points: BsdfPoints, settings: ReductionSettings) -> Effects:
-    """The etalon's reading: common to all values that were divided by it."""
-    del settings
-    keys = np.stack([points.etalon_row, points.photodiode], axis=1)
-    shared, relative = "all values that divide by it", _relative(points, "etalon_reading")
-    return _of_group(points, _grouped("etalon_reading", keys, -relative, lambda key: f"[{key[1]}]@row {key[0]}", shared))
-
-
-def lamp(points: BsdfPoints, settings: ReductionSettings) -> Effects:
-    """What all photodiodes of a row have in common, at the row and at the etalon's row; taken as equal parts."""
-    del settings
-    return _of_rows(points, "lamp", 1.0, JOURNAL, "light.flicker")
-
-
-def monitor(points: BsdfPoints, settings: ReductionSettings) -> Effects:
-    """The monitor's reading at the row, and at the etalon's row."""
-    return _of_rows(
-        points, "monitor", settings.rig.monitor.relative_uncertainty, "[monitor] relative_uncertainty", "monitor.noise"
-    )
-
-
-def monitor_drift(points: BsdfPoints, settings: ReductionSettings) -> Effects:
-    """The drift of the monitor against the light, from the etalon's row to the sample's."""
-    change = 1.0 if settings.history is None else settings.history.hours(points.row) - settings.history.hours(points.etalon_row)
-    return _of_change(points, "monitor_drift", "monitor_drift_per_hour", change, settings)
-
-
-def monitor_linearity(points: BsdfPoints, settings: ReductionSettings) -> Effects:
-    """The linearity of the monitor, by the decades from the light at the etalon's row to that at the sample's."""
-    history = settings.history
-    change = 1.0 if history is None else history.monitor_decades(points.row) - history.monitor_decades(points.etalon_row)
-    return _of_change(points, "monitor_linearity", "monitor_linearity_per_decade", change, settings)
-
-
-def _of_change(points: BsdfPoints, name: str, key: str, change: Floats | float, settings: ReductionSettings) -> Effects:
-    """One input of all values, with the sign of what has changed: where the monitor gives more, values are lower."""
-    source = _of_table(name, key, settings)
-    return _of_one(points, source, -np.where(np.less(change, 0.0), -1.0, 1.0) * _relative(points, name) / (source.u or 1.0))
-
-
-def _of_rows(points: BsdfPoints, name: str, u: float, source: str, twin: str) -> Effects:
-    numbers = np.stack([points.row, points.etalon_row], axis=1)
-    inputs = {
-        number: InputQuantity(f"{name}@row {number}", "1", u, "normal", "all photodiodes of the row", source, twin)
-        for number in np.unique(numbers).tolist()
-    }
-    return _of_group(points, Group(name, inputs, numbers, _pair(_relative(points, name), u)))
-
-
-def gain(points: BsdfPoints, settings: ReductionSettings) -> Effects:
-    """The gains of a photodiode at the row and at the etalon's row: one and the same gain cancels."""
-    count = len(settings.rig.photodiodes.gains_v_per_a) + 1
-    gains = np.stack([points.gain, points.etalon_gain], axis=1) % count  # none, -1, is the last one
-    numbers = points.photodiode[:, None] * count + gains
-    inputs = {number: gain_input(number // count, number % count, settings.rig) for number in np.unique(numbers).tolist()}
-    u = next((each.u for each in inputs.values()), 0.0)
-    return _of_group(points, Group("gain", inputs, numbers, _pair(_relative(points, "gain"), u)))
-
-
-def gain_input(photodiode: int, gain: int, rig: RigFile) -> InputQuantity:
-    """The gain of a photodiode's channel, by its place in the rig's list."""
-    u = max(rig.photodiodes.gain_uncertainty, LEAST_CERTIFIED)
-    return InputQuantity(
-        f"gain_ratio[{photodiode}, {_gain(gain, rig)}]", "1", u, "normal", "all values of this photodiode at this gain",
-        "[photodiodes] gain_uncertainty, and rows at two gains", "electronics.gain_spread",
-    )  # fmt: skip
-
-
-def linearity(points: BsdfPoints, settings: ReductionSettings) -> Effects:
-    """The photodiodes' linearity, by the decades from the etalon's current to the sample's."""
-    polar = polar_from_zenith(points.zenith_deg)
-    factor, _ = settings.certificate.interpolate(points.wavelength_nm, incidence_deg(points), polar, points.azimuth_deg)
-    brighter = math.pi * points.bsdf * np.exp(-points.field_correction) > factor
-    source = _of_table("linearity", "linearity_per_decade", settings)
-    size = _relative(points, "linearity") / (source.u or 1.0)
-    return _of_one(points, source, np.where(brighter, size, -size))
-
-
-def crosstalk(points: BsdfPoints, settings: ReductionSettings) -> Effects:
-    """The share of a module's other channels, at the sample; that at the etalon is in its reading."""
-    source = _of_table("crosstalk", "crosstalk", settings)
-    # Where rows at two gains show more of it than is stated, values have more of this input.
-    source = replace(source, u=source.u or 1.0, source=f"{source.source}, and rows at two gains")
-    return _of_one(points, source, _signed(points, "crosstalk") / source.u)
-
-
-def signature(points: BsdfPoints, settings: ReductionSettings) -> Effects:
-    """The instrument signature, which was subtracted."""
-    of_rig = "[sample_unit] signature_uncertainty, and the journal's readings"
-    source = InputQuantity("signature", "1", 1.0, "normal", "all values", of_rig, "")
-    del settings
-    return _of_one(points, source, -_signed(points, "signature"))
-
-
-def calibration(points: BsdfPoints, settings: ReductionSettings) -> Effects:
-    """The factors of the photodiodes from their overlaps."""
-    del settings
-    shared, relative = "all values of this photodiode", _relative(points, "calibration")
-    return _of_group(points, _grouped("calibration", points.photodiode[:, None], relative, lambda key: f"[{key[0]}]", shared))
-
-
-def band_shape(points: BsdfPoints, settings: ReductionSettings) -> Effects:
-    """What the parabola over the wavelengths does not resolve: the same spectrum in all directions."""
-    del settings
-    keys = np.round(1e3 * points.wavelength_nm).astype(np.int64)[:, None]
-    relative = _relative(points, "band_shape")
-    return _of_group(
-        points, _grouped("band_shape", keys, relative, lambda key: f"[{1e-3 * key[0]:g} nm]", "all values of this wavelength")
-    )
-
-
-def field(points: BsdfPoints, settings: ReductionSettings) -> Effects:
-    """The logarithm of the variance of the directions in the field of view: with more of it more had to be corrected."""
-    source = _of_table("field", "field_of_view", settings)
-    return Effects(points.bsdf, {}, (), [Dense([source], -points.field_correction[:, None])])
-
-
-def _of_table(name: str, key: str, settings: ReductionSettings) -> InputQuantity:
-    """A relative input of all values, of the rig file's `[uncertainty]`."""
-    table = settings.rig.uncertainty
-    source, twin = f"[uncertainty] {key}", f"disturbances.{key}"
-    return InputQuantity(name, "1", table.standard(key), table.distribution(key), "all values", source, twin)
-
-
-def _gain(index: int, rig: RigFile) -> str:
-    gains = rig.photodiodes.gains_v_per_a
-    return f"{gains[index]:g} V/A" if 0 <= index < len(gains) else "no gain"
-
-
-def _pair(relative: Floats, u: float) -> Floats:
-    """Sensitivities (n, 2) to two inputs of one uncertainty, of which the value is the quotient."""
-    size = relative / (np.sqrt(2.0) * u) if u > 0.0 else np.zeros(relative.size)
-    return np.stack([-size, size], axis=1)
-
-
-def _grouped(
-    name: str, keys: Ints, signed: Floats, label: Callable[[Sequence[int]], str], shared_by: str, *, scaled: bool = False
-) -> Group:
-    """A group with one input for each of `keys` (n, k); with `scaled` its uncertainty is 1, else that of its largest value."""
-    distinct, which = np.unique(keys, axis=0, return_inverse=True)
-    which = which.ravel()
-    u = np.ones(len(distinct))
-    if not scaled:
-        u = np.zeros(len(distinct))
-        np.maximum.at(u, which, np.abs(np.nan_to_num(signed)))
-    inputs = {
-        k: InputQuantity(f"{name}{label(key)}", "1", float(u[k]), "normal", shared_by, JOURNAL, "")
-        for k, key in enumerate(distinct.tolist())
-    }
-    sensitivity = signed / np.where(u > 0.0, u, 1.0)[which]
-    return Group(name, inputs, which[:, None], sensitivity[:, None])
 
 
 # Angles.
@@ -452,24 +255,14 @@ def _positions(points: BsdfPoints, settings: ReductionSettings, sensitivity: Flo
     return Group("position", inputs, numbers, sensitivity)
 
 
-FAMILIES: Mapping[str, EffectsOf] = {
-    "dark": dark,
-    "etalon_dark": etalon_dark,
-    "etalon_reading": etalon_reading,
-    "lamp": lamp,
-    "monitor": monitor,
-    "monitor_drift": monitor_drift,
-    "monitor_linearity": monitor_linearity,
-    "gain": gain,
-    "linearity": linearity,
-    "crosstalk": crosstalk,
-    "signature": signature,
-    "calibration": calibration,
-    "band_shape": band_shape,
-    "field": field,
-    "pose": angles,
-    "position": angles,
-    "photodiode_angle": angles,
-    **SHARED,
+COMMON_KEYS: Mapping[str, str | None] = {
+    "linearity": "linearity_per_decade",
+    "crosstalk": "crosstalk",
+    "monitor_drift": "monitor_drift_per_hour",
+    "monitor_linearity": "monitor_linearity_per_decade",
+    "field": "field_of_view",
+    "signature": None,
 }
-"""The families of inputs by the names of their components: each gives the effects of its inputs on points."""
+"""The inputs that all values have in common by their readings, with their keys in `[uncertainty]`."""
+FAMILIES: Mapping[str, EffectsOf] = {"pose": angles, "position": angles, "photodiode_angle": angles, **SHARED}
+"""The families of inputs of files by the names of their components: each gives the effects of its inputs on points."""

@@ -10,17 +10,21 @@ import math
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from goniotwin.app.campaign.geometry.arcs import ArcView, polar_deg, views_at_sigma
 from goniotwin.app.campaign.geometry.directions import ARCS, Arc, PoseAngles
 from goniotwin.app.campaign.geometry.shadow import blocked_by_mirrors
 from goniotwin.app.campaign.measurement_model.alignment import Alignment
 from goniotwin.app.campaign.measurement_model.pose import Views, pose_moments
-from goniotwin.app.campaign.reduction.components import Estimate, Signal, total_variance
+from goniotwin.app.campaign.measurement_model.quantity import Quantity
+from goniotwin.app.campaign.reduction.components import Signal
 from goniotwin.app.campaign.reduction.overlaps import CalibrationFactors
-from goniotwin.app.campaign.reduction.points import PLACE, BsdfPoints, join_points, pack_flags
+from goniotwin.app.campaign.reduction.points import PLACE, BsdfPoints, join_points, pack_flags, points_of_quantity
+from goniotwin.app.campaign.reduction.reading_inputs import Numbers
 from goniotwin.app.campaign.reduction.row_history import RowHistory
 from goniotwin.app.campaign.reduction.signals import join_signals, mean_signals, signals_of_rows, stack_signals
 from goniotwin.app.campaign.row import Row
@@ -36,6 +40,8 @@ BRIGHT = 20.0
 """A photodiode is dead if its signal at the etalon is too low but should be above so many standard uncertainties."""
 GRAZING_DEG = 85.0
 """Photodiodes at larger polar angles are not judged as dead."""
+SIGNATURE, SIGNATURE_READING = "signature", "signature_reading"
+"""Components of the instrument signature: of what it is with a sample mounted, and of its own readings."""
 MOST_POSES = 4096
 """Poses whose geometry is kept: some 10 MB."""
 WAVELENGTH, SIGMA = PLACE.index("wavelength_nm"), PLACE.index("sigma_deg")
@@ -372,11 +378,9 @@ class ArcRows:
     `numbers`, `places` and `mirrored` are those of `RowSignals`; `view` (rows,) is the index of each row's view in `views`.
     `estimate` is the value so far: the signal of the sample, its quotient by that of the etalon, the BSDF in 1/sr. `flags` are
     those so far, by their names in files. `sample`, `etalon` and the two signatures are the signals; a signature is 0 where it
-    was not measured. `common_signature`: both signatures are one measurement, and their error is common to sample and etalon.
-    `etalon_rows` (rows,) are the numbers of the etalon's rows, of several of one pose the first one. `share` is the signature's
-    share of the sample's signal, NaN where it was not measured. `hours` and `monitor_decades` are the changes of those of
-    `RowSignal` from the etalon's row to the sample's. `wavelength_slope`, `band_correction` and `stray_contrast` are those
-    of BsdfPoints, NaN where they are unknown.
+    was not measured. `etalon_rows` (rows,) are the numbers of the etalon's rows, of several of one pose the first one. `share`
+    is the signature's share of the sample's signal, NaN where it was not measured. `wavelength_slope`, `band_correction` and
+    `stray_contrast` are those of BsdfPoints, NaN where they are unknown.
     """
 
     numbers: Ints
@@ -387,20 +391,17 @@ class ArcRows:
     view: Ints
     incidence_deg: Floats
     blocked: Flags
-    estimate: Estimate
+    estimate: Quantity
     sample: Signal
     etalon: Signal
     signature: Signal
     signature_at_etalon: Signal
     signature_measured: Flags
-    common_signature: Flags
     share: Floats
     wavelength_slope: Floats
     band_correction: Floats
     stray_contrast: Floats
     flags: Mapping[str, Flags]
-    hours: Floats
-    monitor_decades: Floats
 
     def column(self, name: str) -> Floats:
         """An array (rows, photodiodes) of the views: `polar`, `zenith`, `azimuth`, `theta`, `phi`."""
@@ -409,10 +410,6 @@ class ArcRows:
     def of_views(self, name: str) -> Flags:
         """A property (rows, 1) of the views: `back`, `transmitted`."""
         return np.array([getattr(view, name) for view in self.views])[self.view][:, None]
-
-    def with_component(self, name: str, variance: Floats) -> "ArcRows":
-        """The rows with a further component of the estimate's uncertainty: a variance, in its unit squared."""
-        return replace(self, estimate=self.estimate.with_component(name, variance))
 
     def flagged(self, flags: Mapping[str, Flags]) -> "ArcRows":
         """The rows with further flags, by their names in files."""
@@ -439,17 +436,18 @@ def join_references(rows: RowSignals, references: ReferenceSignals, settings: Re
             transmitted = np.array([each.transmitted for each in views.views])[view]
             own = np.where(transmitted, -1, of_signature.find(rows.places[index]))
             with_etalon = of_signature.find(at_etalon)
-        arcs.append((index, _arc_rows(rows.at(index), replace(views, view=view), etalon, found, signature, own, with_etalon)))
+        seen = replace(views, view=view)
+        arcs.append((index, _arc_rows(rows.at(index), seen, etalon, found, signature, own, with_etalon, settings.rig)))
     return arcs
 
 
 def _arc_rows(
     rows: RowSignals, views: ArcViews, etalon: RowSignals, found: Ints, signature: RowSignals | None, own: Ints,
-    with_etalon: Ints,
+    with_etalon: Ints, rig: RigFile,
 ) -> ArcRows:  # fmt: skip
     """The rows of an arc with their references: `found`, `own` and `with_etalon` (rows,) are the indices of these, -1: none."""
     c = views.views[0].channels
-    sample = rows.signal.of(c)
+    sample = comparable_signals(rows, c, rig)
     unknown = np.broadcast_to(np.nan, sample.value.shape)
     measured = own >= 0
     sigmas, which = np.unique(etalon.places[found, SIGMA], return_inverse=True)
@@ -463,39 +461,57 @@ def _arc_rows(
         view=views.view,
         incidence_deg=np.array([incidence_deg(each) for each in sigmas.tolist()])[which.ravel(), None],
         blocked=views.blocked[views.view],
-        estimate=Estimate(sample.value, sample.components),
+        estimate=sample,
         sample=sample,
-        etalon=etalon.signal.at(found).of(c),
-        signature=_signature(signature, own, c),
-        signature_at_etalon=_signature(signature, with_etalon, c),
+        etalon=comparable_signals(etalon.at(found), c, rig),
+        signature=_signature(signature, own, c, rig),
+        signature_at_etalon=_signature(signature, with_etalon, c, rig),
         signature_measured=measured[:, None],
-        common_signature=(measured & (own == with_etalon))[:, None],
         share=unknown,
         wavelength_slope=unknown,
         band_correction=unknown,
         stray_contrast=unknown,
         flags=flags,
-        hours=(rows.hours - etalon.hours[found])[:, None],
-        monitor_decades=(rows.monitor_decades - etalon.monitor_decades[found])[:, None],
     )
 
 
-def _signature(signature: RowSignals | None, index: Ints, channels: Ints) -> Signal:
-    """The signals (rows, photodiodes) of the photodiodes `channels`; 0 for a row that was not measured, of index -1."""
+def comparable_signals(rows: RowSignals, channels: Ints, rig: RigFile) -> Signal:
+    """The signals (rows, photodiodes) of the photodiodes `channels`, with the effects that a change between two rows has.
+
+    Drift and linearity of the monitor, and the photodiodes' linearity, are counted from any time and any light: only a quotient
+    of two signals has a meaning. Where the monitor gives more, values are lower. A signal below its own uncertainty counts as
+    that: its logarithm would be one of noise.
+    """
+    signal, table = rows.signal.of_photodiodes(channels), rig.uncertainty
+    size = np.maximum(np.abs(signal.value), np.sqrt(signal.reading_variance))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        decades = np.nan_to_num(np.log10(np.where(size > 0.0, size, np.nan)))
+    for name, u, change in (
+        ("linearity", table.linearity_per_decade, decades),
+        ("monitor_drift", table.monitor_drift_per_hour, -rows.hours[:, None]),
+        ("monitor_linearity", table.monitor_linearity_per_decade, -rows.monitor_decades[:, None]),
+    ):
+        signal = signal.with_common(name, u * change * signal.value) if u else signal
+    return signal
+
+
+def _signature(signature: RowSignals | None, index: Ints, channels: Ints, rig: RigFile) -> Signal:
+    """The signals (rows, photodiodes) of the photodiodes `channels`; 0 for a row that was not measured, of index -1.
+
+    What a reading has alone is an input of all values from which it is subtracted.
+    """
     known = index >= 0
     if signature is None or not known.any():
         shape = index.size, channels.size
-        return Signal(np.broadcast_to(0.0, shape), {}, np.broadcast_to(np.int64(0), shape))
-    found = signature.signal.at(np.where(known, index, 0)).of(channels)
-    if known.all():
-        return found
-    each = known[:, None]
-    return Signal(
-        np.where(each, found.value, 0.0),
-        {name: np.where(each, variance, 0.0) for name, variance in found.components.items()},
-        np.where(each, found.gain, 0),
-        None if found.link is None else np.where(known[:, None, None], found.link, 0.0),
-    )
+        return Signal(np.broadcast_to(0.0, shape), gain=np.broadcast_to(np.int64(0), shape))
+    rows = signature.at(np.where(known, index, 0))
+    reading = Numbers.of(rig).reading(rows.numbers[:, None], channels)
+    found = comparable_signals(rows, channels, rig).own_as(SIGNATURE_READING, reading)
+
+    def of_measured(array: NDArray[Any]) -> NDArray[Any]:
+        return np.where(known.reshape(-1, *[1] * (array.ndim - 1)), array, 0)
+
+    return found if known.all() else found.each(of_measured)
 
 
 # The steps.
@@ -510,33 +526,22 @@ def subtract_signature(data: ArcRows, settings: ReductionSettings) -> ArcRows:
     total = data.sample.value
 
     def subtract(signal: Signal, signature: Signal) -> Signal:
-        variance = signature.variance + (u_signature * signature.value) ** 2
         clipped = np.where(signature.gain < 0, -1, signal.gain)
-        return replace(signal, value=signal.value - signature.value, gain=clipped).with_component("signature", variance)
+        subtracted = signature.with_common(SIGNATURE, u_signature * signature.value)
+        return Signal.of(signal - subtracted, clipped)
 
     sample = subtract(data.sample, data.signature)
     share = np.where(data.signature_measured, data.signature.value / np.where(total == 0.0, np.nan, total), np.nan)
-    etalon = subtract(data.etalon, data.signature_at_etalon)
-    return replace(data, sample=sample, etalon=etalon, estimate=Estimate(sample.value, sample.components), share=share)
+    return replace(data, sample=sample, etalon=subtract(data.etalon, data.signature_at_etalon), estimate=sample, share=share)
 
 
 def divide_by_etalon(data: ArcRows, settings: ReductionSettings) -> ArcRows:
-    """Divide by the signal of the etalon. Its components become `etalon_reading`, but for what other readings share."""
-    del settings
+    """Divide by the signal of the etalon: what its reading has alone is an input of all values that divide by it."""
     etalon = data.etalon
-    too_low = np.isfinite(etalon.value) & ~(etalon.value > ETALON_SIGNAL * np.sqrt(etalon.variance))
-    quotient = data.estimate.divided(np.where(too_low | (etalon.value == 0.0), np.nan, etalon.value))
-    relative = {name: variance * (quotient.value / etalon.value) ** 2 for name, variance in etalon.components.items()}
-    if "signature" in relative:
-        # The same signature subtracted from both has one common error.
-        common = np.where(data.common_signature, data.signature.variance, 0.0)
-        of_etalon = relative.pop("signature") - 2.0 * quotient.value * common / etalon.value**2
-        quotient = quotient.with_component("signature", of_etalon)
-    if "lamp" in relative:
-        quotient = quotient.with_component("lamp", relative.pop("lamp"))  # one for all photodiodes of the etalon's row
-    if "dark" in relative:
-        quotient = quotient.with_component("etalon_dark", relative.pop("dark"))
-    quotient = quotient.with_component("etalon_reading", total_variance(relative))
+    too_low = np.isfinite(etalon.value) & ~(etalon.value > ETALON_SIGNAL * np.sqrt(etalon.reading_variance))
+    usable = replace(etalon, value=np.where(too_low | (etalon.value == 0.0), np.nan, etalon.value))
+    reading = Numbers.of(settings.rig).reading(data.etalon_rows[:, None], data.views[0].channels)
+    quotient = data.estimate / usable.own_as("etalon_reading", reading)
     return replace(data, estimate=quotient).flagged({"no-etalon": too_low})
 
 
@@ -546,7 +551,7 @@ def apply_certificate(data: ArcRows, settings: ReductionSettings) -> ArcRows:
         data.places[:, WAVELENGTH, None], data.incidence_deg, data.column("polar"), data.column("azimuth")
     )
     ratio = _absolute_scale(data, settings)
-    bsdf = data.estimate.scaled(factor / math.pi).scaled(np.where(np.isnan(ratio), 1.0, ratio))
+    bsdf = data.estimate.scaled(factor / math.pi * np.where(np.isnan(ratio), 1.0, ratio))
     flags = {"uncertified": np.isnan(factor), "scale": np.broadcast_to(settings.doubted & np.isnan(ratio), factor.shape)}
     return replace(data, estimate=bsdf).flagged(flags)
 
@@ -562,18 +567,6 @@ def _absolute_scale(data: ArcRows, settings: ReductionSettings) -> Floats:
     return ratio
 
 
-def add_monitor_changes(data: ArcRows, settings: ReductionSettings) -> ArcRows:
-    """Add what drift and linearity of the monitor make of the time, and of the light's change, since the etalon's row."""
-    table = settings.rig.uncertainty
-    for name, u, change in (
-        ("monitor_drift", table.monitor_drift_per_hour, data.hours),
-        ("monitor_linearity", table.monitor_linearity_per_decade, data.monitor_decades),
-    ):
-        if u:
-            data = data.with_component(name, (u * change * data.estimate.value) ** 2)
-    return data
-
-
 def flag_values(data: ArcRows, settings: ReductionSettings) -> ArcRows:
     """Flag what is blocked, saturated, dead, or lost in its noise."""
     del settings
@@ -587,29 +580,6 @@ def flag_values(data: ArcRows, settings: ReductionSettings) -> ArcRows:
             "under-range": sample.lost_in_noise,
         }
     )
-
-
-def monitor_variance(rig: RigFile) -> float:
-    """Relative variance of a quotient of two rows by the monitor's two readings: one for all photodiodes."""
-    return 2.0 * rig.monitor.relative_uncertainty**2
-
-
-def gain_variance(one: Signal, other: Signal, rig: RigFile) -> Floats:
-    """Relative variance of a quotient of two signals by the ratio of their gains: 0 where both were read at the same gain."""
-    if one.link is None:
-        return np.where(one.gain != other.gain, 2.0 * rig.photodiodes.gain_uncertainty**2, 0.0)
-    return np.take_along_axis(one.link, other.gain[..., None], axis=-1)[..., 0]
-
-
-def linearity_variance(one: Signal, other: Signal, rig: RigFile) -> Floats:
-    """Relative variance of a quotient of two signals by the photodiodes' linearity, in proportion to the decades between them.
-
-    A signal below its own uncertainty counts as that: its logarithm would be one of noise.
-    """
-    values = (np.maximum(np.abs(each.value), np.sqrt(each.variance)) for each in (one, other))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        decades = np.subtract(*(np.log10(np.where(each > 0.0, each, np.nan)) for each in values))
-    return np.asarray(np.nan_to_num((rig.uncertainty.linearity_per_decade * decades) ** 2))
 
 
 def make_points(arcs: Sequence[tuple[Ints, ArcRows]]) -> tuple[Ints, BsdfPoints]:
@@ -637,8 +607,8 @@ def _points(data: ArcRows) -> BsdfPoints:
         back=np.repeat(data.of_views("back"), n),
         transmitted=np.repeat(data.of_views("transmitted"), n),
         mirrored=np.repeat(data.mirrored, n),
-        bsdf=data.estimate.value.ravel(),
-        components={name: each.ravel() for name, each in data.estimate.components.items()},
+        **points_of_quantity(data.estimate.each(lambda array: array.reshape(size, *array.shape[2:]))),
+        stated={},
         marks=pack_flags({name: flag.ravel() for name, flag in data.flags.items()}, size),
         signature=data.share.ravel(),
         slope_along=np.full(size, np.nan),
@@ -673,5 +643,5 @@ def _dead(etalon: Signal, polar_deg: Floats, too_low: Flags) -> Flags:
     some = np.flatnonzero(np.isfinite(of_normal).any(axis=1))
     brightness = np.zeros((len(of_normal), 1))
     brightness[some, 0] = np.nanmedian(of_normal[some], axis=1)
-    dead: Flags = too_low & lit & (brightness * cosine > BRIGHT * np.sqrt(etalon.variance))
+    dead: Flags = too_low & lit & (brightness * cosine > BRIGHT * np.sqrt(etalon.reading_variance))
     return dead

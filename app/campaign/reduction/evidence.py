@@ -18,8 +18,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from goniotwin.app.campaign.reduction.components import Estimate, Signal
+from goniotwin.app.campaign.measurement_model.quantity import NONE, Quantity
+from goniotwin.app.campaign.reduction.components import Signal
 from goniotwin.app.campaign.reduction.points import CHANCE, plausible
+from goniotwin.app.campaign.reduction.reading_inputs import Numbers, certified_gain
 from goniotwin.app.campaign.reduction.signals import (
     LATEST_S,
     MOST_VALUES,
@@ -69,8 +71,6 @@ FEWEST_ROWS, FEW_ROWS = 4, 8
 """Rows from which something is concluded, and of which it must be a few times as certain."""
 FEW_DEGREES = 20.0
 """Degrees of freedom from which a photodiode's own scatter is used."""
-LEAST_CERTIFIED = 1e-5
-"""Least relative uncertainty of a gain."""
 FIT_ROUNDS = 10
 MOST_WAITING = 32
 """Rows of a run that wait for the next dark reading: some 30 kB. Beyond, they count with the last one alone."""
@@ -94,16 +94,16 @@ class SignalEvidence:
 
     The noise of a reading is `factor` (photodiodes,) times (the expected one + `own`), and what its row has in common is
     `lamp`; `slow` is the part of a mean's own variance that its readings do not show. `deviation` (gains, photodiodes) is by
-    how much the real gains are above the nominal ones, and `link` (photodiodes, gains, gains) the variance of the ratio of two
-    of them. `crosstalk` (photodiodes,) is the standard uncertainty of the share of the volts of its module's other channels:
-    the stated one, or what was found where that is certainly more. `ratios` is the number of measured ratios of gains, and
-    `worst_ratio` the largest difference of one from the nominal ratio, in its standard uncertainties and those of the
-    certificate.
+    how much the real gains are above the nominal ones, and `gains` (photodiodes, gains, modes) what the uncorrelated modes of
+    their errors do to each of them, relative: the root of their covariance. `crosstalk` (photodiodes,) is the standard
+    uncertainty of the share of the volts of its module's other channels: the stated one, or what was found where that is
+    certainly more. `ratios` is the number of measured ratios of gains, and `worst_ratio` the largest difference of one from the
+    nominal ratio, in its standard uncertainties and those of the certificate.
     """
 
     factor: Floats
     deviation: Floats
-    link: Floats
+    gains: Floats
     crosstalk: Floats
     own: float = 0.0
     lamp: float = 0.0
@@ -127,42 +127,49 @@ class SignalEvidence:
         return flags
 
 
-def add_scatter(current: Estimate, readings: RowReadings, settings: ConverterDescription, evidence: SignalEvidence) -> Estimate:
+def add_scatter(current: Quantity, readings: RowReadings, rig: RigFile, evidence: SignalEvidence) -> Quantity:
     """Photocurrents with the noise that the lit readings show, beyond what was expected: `noise`, and `lamp` of the row.
 
     Readings that scatter as wildly as by a count that was changed on a wire have the uncertainty that follows from these alone.
     """
     square, conversions = current.value**2, readings.conversions
-    own = evidence.factor * (current.components["noise"] + evidence.own * square / conversions) + evidence.slow * square
+    own = evidence.factor * (current.own["noise"] + evidence.own * square / conversions) + evidence.slow * square
     if readings.counts.shape[1] > 1:
-        scatter = readings.counts.var(axis=1, ddof=1) * (settings.range.lsb_v / readings.gain_v_per_a) ** 2 / conversions
+        lsb_a = rig.photodiodes.range.lsb_v / readings.gain_v_per_a
+        scatter = readings.counts.var(axis=1, ddof=1) * lsb_a**2 / conversions
         wild = scatter > WILD * (own + evidence.lamp * square / conversions)
         own = np.where(wild & (conversions > 1), scatter, own)
-    widened = replace(current, components={**current.components, "noise": own})
-    return widened.with_component("lamp", evidence.lamp * square / conversions)
+    widened = replace(current, own={**current.own, "noise": own})
+    effect = current.value * np.sqrt(evidence.lamp / conversions)
+    return widened.with_grouped("lamp", readings.input_numbers(rig), effect[..., None])
 
 
 def correct_gain(
-    current: Estimate, readings: RowReadings, settings: ConverterDescription, evidence: SignalEvidence
-) -> Estimate:
+    current: Quantity, readings: RowReadings, settings: ConverterDescription, evidence: SignalEvidence
+) -> Quantity:
     """Photocurrents over the gain that the evidence gives in place of the nominal one."""
-    return current.divided(1.0 + evidence.deviation[settings.gains_v_per_a.index(readings.gain_v_per_a)])
+    return current.scaled(1.0 / (1.0 + evidence.deviation[settings.gains_v_per_a.index(readings.gain_v_per_a)]))
 
 
-def link_gains(signal: Signal, evidence: SignalEvidence) -> Signal:
-    """The signals of rows with the variances of their gains' ratios to the others."""
-    return replace(signal, link=evidence.link[np.arange(signal.gain.shape[1]), signal.gain])
+def add_gains(signal: Signal, rig: RigFile, evidence: SignalEvidence) -> Signal:
+    """The signals of rows with the effects of the gains that were used."""
+    photodiode, numbers = np.arange(signal.gain.shape[1]), Numbers.of(rig)
+    some = np.count_nonzero(evidence.gains, axis=-1).max()  # of one that no row has compared its own alone
+    mode = np.argsort(evidence.gains == 0.0, axis=-1, kind="stable")[..., :some]
+    effect = np.take_along_axis(evidence.gains, mode, axis=-1)
+    member = np.where(effect != 0.0, numbers.gain(photodiode[:, None, None], mode), np.int32(NONE))
+    at = photodiode, signal.gain
+    return signal.with_grouped("gain", member[at], -signal.value[..., None] * effect[at])
 
 
 def stated(rig: RigFile) -> SignalEvidence:
     """The rig file's statement alone: nothing beyond the dark readings' scatter, and the certificate of the gains."""
     settings = rig.photodiodes
     gains = len(settings.gains_v_per_a)
-    different = 2.0 * settings.gain_uncertainty**2 * (1.0 - np.eye(gains))
     return SignalEvidence(
         np.ones(settings.count),
         np.zeros((gains, settings.count)),
-        np.broadcast_to(different, (settings.count, gains, gains)),
+        np.broadcast_to(settings.gain_uncertainty * np.eye(gains), (settings.count, gains, gains)),
         np.full(settings.count, rig.uncertainty.crosstalk),
     )
 
@@ -445,7 +452,7 @@ class EvidenceSums:
         sound = ~replace(plain, verdicts=verdicts).unsound
         own = total - lamp
         slow = max([0.0, *(each.excess(own + lamp) for each in ratios)])
-        noise = SignalEvidence(factor, plain.deviation, plain.link, crosstalk, own, lamp, slow, verdicts, crosstalk_notes)
+        noise = SignalEvidence(factor, plain.deviation, plain.gains, crosstalk, own, lamp, slow, verdicts, crosstalk_notes)
         return self._adjusted(noise, ratios, sound)
 
     def _found_crosstalk(self, of_row: float) -> tuple[Floats, tuple[str, ...]]:
@@ -541,11 +548,10 @@ class EvidenceSums:
 
     @property
     def _certified(self) -> float:
-        """The relative uncertainty of a gain by its certificate; 0 would be no uncertainty but a missing one."""
-        return max(self._settings.gain_uncertainty, LEAST_CERTIFIED)
+        return certified_gain(self._rig)
 
     def _adjusted(self, evidence: SignalEvidence, ratios: Sequence["_Ratios"], sound: Flags) -> SignalEvidence:
-        """The evidence with the gains' deviations and the variances of their ratios, adjusted with the certificate.
+        """The evidence with the gains' deviations and their errors' modes, adjusted with the certificate.
 
         Least squares for each photodiode: the certificate of each gain is one observation, the mean of a pair's ratio another.
         Where the ratios contradict the certificate, it counts as much as the differences allow.
@@ -576,12 +582,12 @@ class EvidenceSums:
         matrix = np.eye(gains) / certified[:, None, None] + np.einsum("pc,pi,pj->cij", weight, step, step)
         covariance = np.linalg.inv(matrix)
         deviation = np.einsum("cij,pc,pc,pj->ic", covariance, weight, value, step)
+        # A ratio is never better known than what the tests do not see; a gain is never less known than by its certificate.
         own = np.einsum("cii->ci", covariance)
-        unseen = (UNSEEN * self._certified) ** 2
-        link = own[:, :, None] + own[:, None, :] - 2.0 * covariance + unseen
-        link = np.where(np.eye(gains) > 0.0, 0.0, np.minimum(link, 2.0 * certified[:, None, None]))
+        unseen = np.minimum(0.5 * (UNSEEN * self._certified) ** 2, np.maximum(certified[:, None] - own, 0.0))
+        modes = np.linalg.cholesky(covariance + unseen[:, :, None] * np.eye(gains))
         return replace(
-            evidence, deviation=deviation, link=link, notes=notes, ratios=count, worst_ratio=math.sqrt(float(chi.max()))
+            evidence, deviation=deviation, gains=modes, notes=notes, ratios=count, worst_ratio=math.sqrt(float(chi.max()))
         )
 
 

@@ -11,7 +11,7 @@ See docs/decisions/0030-the-field-is-corrected.md.
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
@@ -170,8 +170,9 @@ def merge_directions(points: BsdfPoints) -> MergedDirections:
     sigma = np.radians(points.sigma_deg[start])
     # Specular direction or regular transmission: both have -sin sigma along x.
     x, z = -np.sin(sigma), np.where(points.transmitted[start], -1.0, 1.0) * np.cos(sigma)
+    components = points.components
     noise, independent = (
-        np.zeros(points.size) + total_variance({name: each for name, each in points.components.items() if name in names})
+        np.zeros(points.size) + total_variance({name: each for name, each in components.items() if name in names})
         for names in (NOISE, INDEPENDENT)
     )
     return MergedDirections(
@@ -272,23 +273,22 @@ def correct_field_of_view(points: BsdfPoints, settings: ReductionSettings) -> Bs
         total = correction - aligned[0].diffuse[:, 0] + np.nan_to_num(displacement_effect(found.slope, bend, moved))
         slope = found.slope - found.bend * moved - found.mixed[:, None] * moved[:, ::-1]
         unresolved = variance + moved**2
-    factor = np.exp(total)
-    bsdf = points.bsdf * factor
-    components = {name: variance * factor**2 for name, variance in points.components.items()}
+    scaled = points.scaled(np.exp(total))
+    bsdf = scaled.bsdf
+    # With more variance of the directions in the field of view more had to be corrected.
+    u_field = settings.rig.uncertainty.standard("field_of_view")
+    quantity = scaled.quantity.with_common("field", np.nan_to_num(-u_field * correction * bsdf))
     relative = {
-        "field": (settings.rig.uncertainty.standard("field_of_view") * correction) ** 2,
         "field_noise": np.where(corrected, found.noise, 0.0) ** 2,
         "second_order": second_order(variance * np.nan_to_num(found.bend)),
         "slope_unresolved": np.sum(unresolved * np.nan_to_num(found.unresolved) ** 2, axis=1),
     }
     for name, each in relative.items():
-        components[name] = np.nan_to_num(each * bsdf**2)
-    components["field_noise"] += np.nan_to_num(np.where(corrected, 0.0, found.estimate)) ** 2
+        quantity = quantity.with_own(name, np.nan_to_num(each * bsdf**2))
+    quantity = quantity.with_own("field_noise", np.nan_to_num(np.where(corrected, 0.0, found.estimate)) ** 2)
     known = corrected | np.isfinite(found.estimate)
-    return replace(
-        points,
-        bsdf=bsdf,
-        components=components,
+    return scaled.with_quantity(
+        quantity,
         slope_along=slope[:, 0],
         slope_across=slope[:, 1],
         field_correction=correction,

@@ -22,7 +22,7 @@ them measured gives g_a - g_b, and the g are the weighted least squares of all, 
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -110,9 +110,9 @@ class CalibrationFactors:
         for k, value, uncertainty in zip(self.photodiodes, self.values, self.uncertainties, strict=True):
             of_photodiode = points.photodiode == k
             factor[of_photodiode], u[of_photodiode] = value, uncertainty
-        bsdf = points.bsdf * factor
-        components = {name: variance * factor**2 for name, variance in points.components.items()}
-        return replace(points, bsdf=bsdf, components={**components, "calibration": (points.bsdf * u) ** 2})
+        scaled = points.scaled(factor)
+        member = points.photodiode.astype(np.int32)[:, None]
+        return scaled.with_quantity(scaled.quantity.with_grouped("calibration", member, (points.bsdf * u)[:, None]))
 
     def as_dict(self) -> dict[str, Any]:
         """The factors for JSON, by the photodiodes' numbers."""

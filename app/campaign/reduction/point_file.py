@@ -14,13 +14,22 @@ from typing import IO, Any, Self
 import numpy as np
 import numpy.typing as npt
 
-from goniotwin.app.campaign.reduction.points import COLUMNS, PLACE, BsdfPoints, join_points, order_by_light
+from goniotwin.app.campaign.measurement_model.quantity import columns_of, quantity_of
+from goniotwin.app.campaign.reduction.points import (
+    COLUMNS,
+    PLACE,
+    BsdfPoints,
+    join_points,
+    order_by_light,
+    points_of_quantity,
+)
 from goniotwin.app.errors import UserError, unusable
 from goniotwin.arrays import Floats, Indices, Ints
 
 ROW = np.dtype([("rank", "i8"), ("kind", "i4"), ("begin", "i8"), ("count", "i8"), ("place", "f8", len(PLACE))])
 """A row: its place in order of time, the kind of its block, where its points begin in the file, their number, and its pose."""
-COMPONENT = "component "
+STATED = "stated "
+"""Beginning of the names of the columns of `stated`."""
 PART_POINTS = 20_000
 """Points that are read together where all are brought into memory."""
 Table = npt.NDArray[np.void]
@@ -55,9 +64,8 @@ class PointFile:
 
     def add(self, rank: Ints, points: BsdfPoints) -> None:
         """Add points with the place (n,) of each point's row in order of time; those of one row follow each other."""
-        columns = {name: getattr(points, name) for name in COLUMNS if name != "place"}
-        columns |= {f"{COMPONENT}{name}": each for name, each in points.components.items()}
-        records = np.empty(points.size, dtype=[(name, each.dtype) for name, each in columns.items()])
+        columns = _columns_of(points)
+        records = np.empty(points.size, dtype=[(name, each.dtype, each.shape[1:]) for name, each in columns.items()])
         for name, each in columns.items():
             records[name] = each
         begin = np.flatnonzero(np.diff(rank, prepend=-1))
@@ -94,14 +102,14 @@ class PointFile:
         parts = self.parts(PART_POINTS)
         if len(self._kinds) != 1:
             return join_points(list(parts))
-        columns = {name: np.empty(self.size, dtype=self._kinds[0][name]) for name in self._kinds[0].names or ()}
+        kind = self._kinds[0]
+        columns = {name: np.empty(self.size, dtype=kind[name]) for name in kind.names or ()}
         place = np.empty(self.size, dtype=np.int32)
         end, rows = 0, 0
         for points in parts:
             here = slice(end, end + points.size)
-            for name, column in columns.items():
-                of_part = points.components if name.startswith(COMPONENT) else vars(points)
-                column[here] = of_part[name.removeprefix(COMPONENT)]
+            for name, column in _columns_of(points).items():
+                columns[name][here] = column
             place[here] = points.place + np.int32(rows)
             end, rows = end + points.size, rows + len(points.places)
         return _points_of(columns, np.ascontiguousarray(self._rows["place"]), place)
@@ -165,8 +173,15 @@ class PointFile:
         return unusable(self._folder, what, error, "check the folder and its permissions")
 
 
+def _columns_of(points: BsdfPoints) -> dict[str, npt.NDArray[Any]]:
+    """All columns of points that a file has."""
+    columns: dict[str, npt.NDArray[Any]] = {name: getattr(points, name) for name in COLUMNS if name != "place"}
+    columns |= {f"{STATED}{name}": each for name, each in points.stated.items()}
+    return columns | columns_of(points.quantity)
+
+
 def _points_of(columns: dict[str, npt.NDArray[Any]], places: Floats, place: Indices) -> BsdfPoints:
     """Points of the columns of a file."""
-    components = {name.removeprefix(COMPONENT): each for name, each in columns.items() if name.startswith(COMPONENT)}
-    others = {name: each for name, each in columns.items() if not name.startswith(COMPONENT)}
-    return BsdfPoints(places=places, place=place, components=components, **others)
+    stated = {name.removeprefix(STATED): each for name, each in columns.items() if name.startswith(STATED)}
+    plain: dict[str, Any] = {name: columns[name] for name in COLUMNS if name != "place"}
+    return BsdfPoints(places=places, place=place, stated=stated, **plain, **points_of_quantity(quantity_of(columns)))

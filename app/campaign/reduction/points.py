@@ -9,13 +9,19 @@ import itertools
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields, replace
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from goniotwin.app.campaign.geometry.directions import in_plane_of_incidence, polar_from_zenith, scan_plane_deg
-from goniotwin.app.campaign.reduction.components import COMMON, Components, standard_uncertainty, total_variance
+from goniotwin.app.campaign.measurement_model.quantity import (
+    Components,
+    Quantity,
+    Terms,
+    join_quantities,
+)
+from goniotwin.app.campaign.reduction.components import COMMON, standard_uncertainty, total_variance
 from goniotwin.app.formats import content
 from goniotwin.arrays import Flags, Floats, Indices, Ints
 from goniotwin.twin.optics.geometry.coordinates import aspecular_deg, round_deg, signed_polar
@@ -193,9 +199,10 @@ class PointSource(Protocol):
 class BsdfPoints(MeasuredDirections):
     """A BSDF at measured directions.
 
-    `bsdf` is in 1/sr, NaN where there is no value; `components` are those of its uncertainty (see components.py) by name, and
-    `marks` its flags in bits. `signature` is the instrument signature's share of the sample's signal, already subtracted; NaN
-    where it was not measured.
+    `bsdf` is in 1/sr, NaN where there is no value; `own`, `common` and `grouped` are those of a `Quantity`: what each value has
+    alone, and the effects of the inputs that came in with the readings. `stated` are the variances by the families of inputs of
+    files, whose effects follow from the pose (effects_of_points.py). `marks` are its flags in bits.
+    `signature` is the instrument signature's share of the sample's signal, already subtracted; NaN where it was not measured.
 
     `slope_along` and `slope_across` are the derivatives of ln bsdf per degree, without the field of view; NaN where unknown.
     Along: towards growing polar angle, from the pole of the direction's own arc, in the half plane of its azimuth. Across:
@@ -210,7 +217,10 @@ class BsdfPoints(MeasuredDirections):
     """
 
     bsdf: Floats
-    components: Components
+    own: Components
+    common: Mapping[str, Floats]
+    grouped: Mapping[str, Terms]
+    stated: Components
     marks: Marks
     signature: Floats
     slope_along: Floats
@@ -227,7 +237,27 @@ class BsdfPoints(MeasuredDirections):
     def where(self, chosen: Flags | Ints) -> "BsdfPoints":
         """A selection of the points, or all in another order."""
         columns = {name: getattr(self, name)[chosen] for name in COLUMNS}
-        return replace(self, **columns, components={name: each[chosen] for name, each in self.components.items()})
+        stated = {name: each[chosen] for name, each in self.stated.items()}
+        return replace(self, **columns, **points_of_quantity(self.quantity.each(lambda array: array[chosen])), stated=stated)
+
+    @property
+    def quantity(self) -> Quantity:
+        """The values with the effects of the inputs that came in with the readings."""
+        return Quantity(self.bsdf, self.own, self.common, self.grouped)
+
+    @property
+    def components(self) -> Components:
+        """The components of the uncertainty by name (see components.py): variances in 1/sr^2."""
+        return dict(sorted({**self.quantity.components, **self.stated}.items()))
+
+    def scaled(self, factor: Floats) -> "BsdfPoints":
+        """The points with their values times exactly known factors (n,)."""
+        stated = {name: variance * factor**2 for name, variance in self.stated.items()}
+        return self.with_quantity(self.quantity.scaled(factor), stated=stated)
+
+    def with_quantity(self, quantity: Quantity, **columns: Any) -> "BsdfPoints":
+        """The points with other values and effects, and other columns."""
+        return replace(self, **points_of_quantity(quantity), **columns)
 
     @property
     def size(self) -> int:
@@ -298,8 +328,17 @@ class BsdfPoints(MeasuredDirections):
         return math.pi * self.bsdf
 
 
-COLUMNS = tuple(each.name for each in fields(BsdfPoints) if each.name not in ("places", "components"))
-"""The arrays of points that have an element for each of them."""
+def points_of_quantity(quantity: Quantity) -> dict[str, Any]:
+    """The fields of points that a quantity has."""
+    return {"bsdf" if name == "value" else name: each for name, each in vars(quantity).items() if name != "gain"}
+
+
+COLUMNS = tuple(
+    each.name
+    for each in fields(BsdfPoints)
+    if each.name not in ("places", "stated", "bsdf", *(part.name for part in fields(Quantity)))
+)
+"""The arrays of points that have an element for each of them, beside those of their quantity and of `stated`."""
 
 
 def order_by_light(wavelength_nm: Floats, sigma_deg: Floats, only_nm: float | None = None) -> tuple[Ints, Ints]:
@@ -313,15 +352,14 @@ def order_by_light(wavelength_nm: Floats, sigma_deg: Floats, only_nm: float | No
 
 def join_points(blocks: list[BsdfPoints]) -> BsdfPoints:
     """The points of all blocks, in order; a component that a block does not have is 0 there."""
-    names = list(dict.fromkeys(name for block in blocks for name in block.components))
-    columns = {name: np.concatenate([getattr(block, name) for block in blocks]) for name in COLUMNS if name != "place"}
+    names = list(dict.fromkeys(name for block in blocks for name in block.stated))
+    columns: dict[str, Any] = {name: np.concatenate([getattr(each, name) for each in blocks]) for name in COLUMNS}
     first = np.cumsum([0, *(len(block.places) for block in blocks)])
+    columns["place"] = np.concatenate([block.place + np.int32(k) for block, k in zip(blocks, first[:-1], strict=True)])
     return BsdfPoints(
         places=np.concatenate([block.places for block in blocks]),
-        place=np.concatenate([block.place + np.int32(k) for block, k in zip(blocks, first[:-1], strict=True)]),
-        components={
-            name: np.concatenate([block.components.get(name, np.zeros(block.bsdf.size)) for block in blocks]) for name in names
-        },
+        **points_of_quantity(join_quantities([block.quantity for block in blocks])),
+        stated={name: np.concatenate([block.stated.get(name, np.zeros(block.size)) for block in blocks]) for name in names},
         **columns,
     )
 

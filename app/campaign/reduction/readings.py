@@ -10,14 +10,15 @@ import copy
 import itertools
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from goniotwin.app.campaign.geometry.directions import scan_plane_deg
 from goniotwin.app.campaign.journal.reading import JournalReader
-from goniotwin.app.campaign.reduction.components import Estimate, Signal
+from goniotwin.app.campaign.measurement_model.quantity import Quantity
+from goniotwin.app.campaign.reduction.components import Signal
 from goniotwin.app.campaign.reduction.drift_checks import DriftInterval, drift_intervals, insensitive_photodiodes
 from goniotwin.app.campaign.reduction.etalon import (
     PlaceIndex,
@@ -105,20 +106,21 @@ class DarkHistory:
 
     def signals(self, rows: Sequence[CommittedRow]) -> list[Signal]:
         """The signals of rows with readings. Raises UserError where one cannot be reduced."""
-        return signals_of_rows(self._reduced(reading_table(row.data.readings for row in rows)))
+        numbers = np.array([row.row.number for row in rows])
+        return signals_of_rows(self._reduced(reading_table(row.data.readings for row in rows), numbers))
 
-    def _reduced(self, table: ReadingTable) -> Signal:
-        return reduce_readings(table, self._dark, self._settings, self._rig, self.evidence)
+    def _reduced(self, table: ReadingTable, numbers: Ints) -> Signal:
+        return reduce_readings(table, numbers, self._dark, self._settings, self._rig, self.evidence)
 
-    def volts(self, row: CommittedRow, gain_v_per_a: float) -> Estimate | None:
+    def volts(self, row: CommittedRow, gain_v_per_a: float) -> Quantity | None:
         """Voltages (photodiodes,) of a row above the dark reading at one gain, NaN where saturated; None if not read there."""
         for reading in row.data.readings:
             if reading.gain_v_per_a == gain_v_per_a and gain_v_per_a in self._dark:
                 check_reading(reading, self._settings)
-                readings = next(group_readings(reading_table([[reading]])))
+                readings = next(group_readings(reading_table([[reading]]), np.array([row.row.number])))
                 volts = subtract_dark(readings, self._dark[gain_v_per_a], self._settings)
                 value = np.where(readings.saturated(self._settings), np.nan, volts.value)
-                return Estimate(value[0], {name: each[0] for name, each in volts.components.items()})
+                return replace(volts, value=value).each(lambda array: array[0])
         return None
 
     def row_signal(self, row: CommittedRow, signal: Signal, intervals: Sequence[DriftInterval]) -> RowSignal:
@@ -131,7 +133,7 @@ class DarkHistory:
 
     def rows_in_columns(self, rows: RecordedRows, of_rows: RowTable, intervals: Sequence[DriftInterval]) -> RowSignals:
         """The signals of rows with readings; `of_rows` are their entries in the journal's index. Raises UserError."""
-        signal = self._reduced(rows.readings)
+        signal = self._reduced(rows.readings, of_rows["number"])
         described = self._describe(rows, of_rows["contradiction"], intervals)
         return RowSignals(of_rows["number"], row_places(of_rows), of_rows["mirrored"], signal, *described)
 
@@ -244,7 +246,7 @@ class Measurements:
         self._kept.update({each.row.number: each for each in found})
         return found
 
-    def volts(self, numbers: Iterable[int], gain_v_per_a: float) -> Iterator[Estimate]:
+    def volts(self, numbers: Iterable[int], gain_v_per_a: float) -> Iterator[Quantity]:
         """Voltages of the rows that were read at a gain, by the rows' numbers."""
         for each in self._journal.rows_of(numbers):
             with self._path_in_errors():
@@ -373,7 +375,7 @@ def repeats(measurements: Measurements, samples: Iterable[str], relative_varianc
         for each in again[:: max(1, -(-again.size // MOST_REPEATED))].tolist():
             signals = measurements.keep_signals(table["number"][pose.ravel() == each].tolist())
             values = np.stack([signal.signal.value for signal in signals])
-            variances = np.stack([signal.signal.variance for signal in signals])
+            variances = np.stack([signal.signal.reading_variance for signal in signals])
             clear = np.all(values > CLEAR * np.sqrt(variances), axis=0)
             if clear.sum() < FEWEST_CLEAR:
                 continue

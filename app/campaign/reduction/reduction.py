@@ -38,7 +38,6 @@ from goniotwin.app.campaign.reduction.etalon import (
     ReferenceSignals,
     arcs_of_rows,
     etalon_places,
-    monitor_variance,
 )
 from goniotwin.app.campaign.reduction.evidence import SignalEvidence
 from goniotwin.app.campaign.reduction.light_search import LightSeen, Shares
@@ -48,6 +47,7 @@ from goniotwin.app.campaign.reduction.pipeline import finish_points, reduce_rows
 from goniotwin.app.campaign.reduction.point_file import PointFile
 from goniotwin.app.campaign.reduction.points import PLACE, BsdfPoints, PointSource, Tally, join_points
 from goniotwin.app.campaign.reduction.polarisation import light_words
+from goniotwin.app.campaign.reduction.reading_inputs import monitor_variance
 from goniotwin.app.campaign.reduction.readings import (
     Measurements,
     ReferenceMeasurements,

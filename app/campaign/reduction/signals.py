@@ -13,15 +13,20 @@ from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from operator import itemgetter
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from goniotwin.app.campaign.measurement_model.quantity import NONE, Quantity, columns_of, join_quantities, quantity_of
 from goniotwin.app.campaign.readout import QUANTISATION_VARIANCE
-from goniotwin.app.campaign.reduction.components import Estimate, Signal
+from goniotwin.app.campaign.reduction.components import Signal
+from goniotwin.app.campaign.reduction.reading_inputs import Numbers
 from goniotwin.app.campaign.row import CONTRADICTION, CommittedRow, Reading, ReadingTable
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigFile
-from goniotwin.arrays import Counts, Flags, Floats, Ints
+from goniotwin.arrays import Counts, Flags, Floats, Indices, Ints
 from goniotwin.drivers import ConverterDescription
 
 MIN_FREEDOM = 3.0
@@ -40,14 +45,15 @@ MOST_VALUES = 1 << 20
 
 
 class DarkReadings:
-    """All dark readings of a journal at one gain. Raises UserError if they are too few for the noise.
+    """All dark readings of a journal at one gain, each with its number. Raises UserError if they are too few for the noise.
 
     `variance_v2` is that of one reading's noise, from `freedom` degrees of freedom, `undithered_v2` that of the converter's
     step which no mean reduces.
     """
 
-    def __init__(self, readings: list[Reading], settings: ConverterDescription) -> None:
-        converter = settings.range
+    def __init__(self, numbered: Sequence[tuple[int, Reading]], settings: ConverterDescription) -> None:
+        converter, readings = settings.range, [each for _, each in numbered]
+        self._numbers = np.array([number for number, _ in numbered])
         self._times = np.array([middle_s(each) for each in readings])
         self._means = np.array([each.counts.mean(axis=0) for each in readings])
         self._monitor_a = np.array([each.monitor_a for each in readings])
@@ -70,17 +76,28 @@ class DarkReadings:
         """The number of the dark reading before a time, or of the one before the last; at least 0."""
         return np.clip(np.searchsorted(self._times, t) - 1, 0, max(len(self._times) - 2, 0))
 
-    def at(self, t: Floats | float) -> tuple[Floats, Floats, Floats]:
+    def at(self, t: Floats) -> tuple[Floats, Floats, Floats]:
         """At times (...): mean counts (..., photodiodes), the monitor's current in A, the divisor of a reading's variance."""
+        weight, which = self._weights(t)
+        counts = np.einsum("...k,...kc->...c", weight, self._means[which])
+        monitor = np.einsum("...k,...k->...", weight, self._monitor_a[which])
+        return counts, monitor, 1.0 / np.einsum("...k,...k->...", weight, weight / self._readings[which])
+
+    def shares(self, t: Floats) -> tuple[Ints, Floats]:
+        """At times (...), of the dark readings before and after: numbers (..., 2), NONE for one that does not count there.
+
+        With them what one of these adds to what is subtracted, for a standard uncertainty of one reading's noise (..., 2).
+        """
+        weight, which = self._weights(t)
+        return np.where(weight > 0.0, self._numbers[which], NONE), weight / np.sqrt(self._readings[which])
+
+    def _weights(self, t: Floats) -> tuple[Floats, Ints]:
+        """The weights (..., 2) of the dark readings before and after a time, and which these are."""
         before = self.interval(np.asarray(t))
         after = np.minimum(before + 1, len(self._times) - 1)
         between = self._times[after] - self._times[before]
         share = np.clip((t - self._times[before]) / np.where(between > 0.0, between, np.inf), 0.0, 1.0)
-        of_counts = share[..., None]
-        counts = (1.0 - of_counts) * self._means[before] + of_counts * self._means[after]
-        monitor = (1.0 - share) * self._monitor_a[before] + share * self._monitor_a[after]
-        divisor = 1.0 / ((1.0 - share) ** 2 / self._readings[before] + share**2 / self._readings[after])
-        return counts, monitor, divisor
+        return np.stack([1.0 - share, share], axis=-1), np.stack([before, after], axis=-1)
 
 
 def check_reading(reading: Reading, settings: ConverterDescription) -> None:
@@ -98,13 +115,12 @@ def check_reading(reading: Reading, settings: ConverterDescription) -> None:
 
 
 def dark_readings_by_gain(rows: list[CommittedRow], settings: ConverterDescription) -> dict[float, DarkReadings]:
-    """The dark readings of all rows, by gain in V/A. Raises UserError where they cannot be the rig's."""
-    by_gain: dict[float, list[Reading]] = defaultdict(list)
-    for each in rows:
-        if each.row.kind == "dark":
-            for reading in each.data.readings:
-                check_reading(reading, settings)
-                by_gain[reading.gain_v_per_a].append(reading)
+    """The dark readings of all rows, by gain in V/A, numbered from 1 on. Raises UserError where they cannot be the rig's."""
+    by_gain: dict[float, list[tuple[int, Reading]]] = defaultdict(list)
+    for number, each in enumerate((each for each in rows if each.row.kind == "dark"), 1):
+        for reading in each.data.readings:
+            check_reading(reading, settings)
+            by_gain[reading.gain_v_per_a].append((number, reading))
     return {gain: DarkReadings(readings, settings) for gain, readings in by_gain.items()}
 
 
@@ -112,14 +128,21 @@ def dark_readings_by_gain(rows: list[CommittedRow], settings: ConverterDescripti
 class RowReadings:
     """Readings of `rows` (k,), by their places in a list, at one gain: counts (k, readings, photodiodes).
 
+    `numbers` (k,) are the rows' numbers in the journal.
     `middle_s` (k,) is the time in the middle of each reading on the rig's clock, `monitor_a` (k,) the monitor's current.
     """
 
     rows: Ints
+    numbers: Ints
     gain_v_per_a: float
     counts: Counts
     middle_s: Floats
     monitor_a: Floats
+
+    def input_numbers(self, rig: RigFile) -> Indices:
+        """The numbers (k, 1, 1) of the inputs that all photodiodes of these readings share."""
+        gain = np.array(rig.photodiodes.gains_v_per_a.index(self.gain_v_per_a))
+        return Numbers.of(rig).row(self.numbers, gain)[:, None, None]
 
     @cached_property
     def conversions(self) -> Ints:
@@ -131,8 +154,8 @@ class RowReadings:
         return np.asarray(np.any(settings.range.saturated(self.counts), axis=1))
 
 
-def group_readings(table: ReadingTable) -> Iterator[RowReadings]:
-    """The readings of rows, those of one gain and of one number together, some rows at a time."""
+def group_readings(table: ReadingTable, numbers: Ints) -> Iterator[RowReadings]:
+    """The readings of rows, of such `numbers` (rows,), those of one gain and of one count together, some rows at a time."""
     times = middles_s(table)
     keys = np.stack([table.gain_v_per_a, table.readings, table.channels])
     for found in alike(keys):
@@ -142,6 +165,7 @@ def group_readings(table: ReadingTable) -> Iterator[RowReadings]:
             here = found[begin : begin + at_once]
             yield RowReadings(
                 rows=table.row[here],
+                numbers=numbers[table.row[here]],
                 gain_v_per_a=gain,
                 counts=table.counts_of(here, int(readings)),
                 middle_s=times[here],
@@ -179,24 +203,23 @@ def check_readings(table: ReadingTable, dark: Mapping[float, DarkReadings], sett
             raise UserError(f"the journal has no dark reading at {gain}, so readings at this gain cannot be reduced")
 
 
-def subtract_dark(readings: RowReadings, dark: DarkReadings, settings: ConverterDescription) -> Estimate:
+def subtract_dark(readings: RowReadings, dark: DarkReadings, settings: ConverterDescription) -> Quantity:
     """The mean voltages (k, n) of readings above the dark reading at their time."""
-    dark_counts, _, divisor = dark.at(readings.middle_s)
+    dark_counts, _, _ = dark.at(readings.middle_s)
     volts = (readings.counts.mean(axis=1) - dark_counts) * settings.range.lsb_v
-    return Estimate(
-        volts,
-        {
-            "noise": dark.variance_v2 / readings.conversions,
-            "dark": dark.variance_v2 / divisor[:, None],
-            "resolution": np.broadcast_to(2.0 * dark.undithered_v2, volts.shape),  # of the lit and of the dark reading
-        },
-    )
+    number, share = dark.shares(readings.middle_s)
+    gain = settings.gains_v_per_a.index(readings.gain_v_per_a)
+    member = np.moveaxis(Numbers(settings.count, len(settings.gains_v_per_a)).dark(number, gain), 1, 2)
+    known = (number != NONE)[:, None, :]
+    resolution = np.broadcast_to(2.0 * dark.undithered_v2, volts.shape)  # of the lit and of the dark reading
+    own = {"noise": dark.variance_v2 / readings.conversions, "resolution": resolution}
+    effect = -share[:, None, :] * np.sqrt(dark.variance_v2)[:, None]
+    return Quantity(volts, own).with_grouped("dark", np.where(known, member, np.int32(NONE)), effect)
 
 
-def add_crosstalk(volts: Estimate, readings: RowReadings, settings: ConverterDescription, u_crosstalk: Floats) -> Estimate:
-    """The voltages with the component `crosstalk`: a share of what the module's other channels have, all with one sign."""
-    others = others_volts(volts.value, readings.saturated(settings), settings)
-    return volts.with_component("crosstalk", (u_crosstalk * others) ** 2)
+def add_crosstalk(volts: Quantity, readings: RowReadings, settings: ConverterDescription, u_crosstalk: Floats) -> Quantity:
+    """The voltages with the effect of the input `crosstalk`: the share of what the module's other channels have."""
+    return volts.with_common("crosstalk", u_crosstalk * others_volts(volts.value, readings.saturated(settings), settings))
 
 
 def others_volts(volts: Floats, clipped: Flags, settings: ConverterDescription) -> Floats:
@@ -207,69 +230,59 @@ def others_volts(volts: Floats, clipped: Flags, settings: ConverterDescription) 
     return np.asarray(np.repeat(np.add.reduceat(held, first, axis=-1), sizes, axis=-1) - held)
 
 
-def convert_to_photocurrent(volts: Estimate, readings: RowReadings, settings: ConverterDescription) -> Estimate:
+def convert_to_photocurrent(volts: Quantity, readings: RowReadings, settings: ConverterDescription) -> Quantity:
     """The photocurrents in A of voltages; with them comes the shot noise of the light."""
-    current = volts.divided(readings.gain_v_per_a)
+    current = volts.scaled(1.0 / readings.gain_v_per_a)
     shot_a2 = settings.shot_variance_a2(current.value)
-    return current.with_component("noise", shot_a2 / readings.conversions)
+    return current.with_own("noise", shot_a2 / readings.conversions)
 
 
-def divide_by_monitor(current: Estimate, readings: RowReadings, dark: DarkReadings) -> Estimate:
-    """Photocurrents over the monitor's current. Raises UserError for a monitor without light.
+def divide_by_monitor(current: Quantity, readings: RowReadings, dark: DarkReadings, rig: RigFile) -> Quantity:
+    """Photocurrents over the monitor's current, with the effect of its reading.
 
-    The monitor's own uncertainty belongs to two rows, sample and etalon: it is added where these are divided.
+    Raises UserError for a monitor without light.
     """
     _, dark_monitor, _ = dark.at(readings.middle_s)
     monitor = readings.monitor_a - dark_monitor
     if not np.all(monitor > 0.0):
         raise UserError("the monitor has no light in a row measured with the shutter open; check its fibre")
-    return current.divided(monitor[:, None])
+    signal = current.scaled(1.0 / monitor[:, None])
+    effect = -rig.monitor.relative_uncertainty * signal.value
+    return signal.with_grouped("monitor", readings.input_numbers(rig), effect[..., None])
 
 
-def choose_gain(at_gains: list[tuple[RowReadings, Estimate]], rows: int, settings: ConverterDescription) -> Signal:
+def choose_gain(at_gains: list[tuple[RowReadings, Quantity]], rows: int, settings: ConverterDescription) -> Signal:
     """Of so many rows, each photodiode's value at its highest gain that is not saturated; NaN where all are."""
-    value, used = np.full((rows, settings.count), np.nan), np.full((rows, settings.count), -1)
-    components: dict[str, Floats] = {}
+    used = np.full((rows, settings.count), -1)
     gains = np.array([*settings.gains_v_per_a, 0.0])  # the last one, at index -1, is no gain
-    for readings, estimate in at_gains:
+    columns: dict[str, NDArray[Any]] = {}
+    for readings, quantity in at_gains:
         at = readings.rows
         better = ~readings.saturated(settings) & (readings.gain_v_per_a > gains[used[at]])
-        value[at] = np.where(better, estimate.value, value[at])
-        for name, variance in estimate.components.items():
-            known = components.setdefault(name, np.full(value.shape, np.nan))
-            known[at] = np.where(better, variance, known[at])
+        for name, column in columns_of(quantity).items():
+            if name not in columns:
+                none = NONE if column.dtype.kind == "i" else np.nan
+                columns[name] = np.full((*used.shape, *column.shape[2:]), none, dtype=column.dtype)
+            chosen = better if column.ndim == 2 else better[..., None]
+            columns[name][at] = np.where(chosen, column, columns[name][at])
         used[at] = np.where(better, settings.gains_v_per_a.index(readings.gain_v_per_a), used[at])
-    return Signal(value, components, used)
+    found = quantity_of(columns) if columns else Quantity(np.full(used.shape, np.nan))
+    return Signal.of(found, used)
 
 
 def signals_of_rows(signals: Signal) -> list[Signal]:
     """The signal of each row, from those (rows, photodiodes) of all."""
-    names, variances = list(signals.components), list(signals.components.values())
-    links = [None] * len(signals.value) if signals.link is None else list(signals.link)
-    each = zip(signals.value, signals.gain, links, *variances, strict=True)
-    return [Signal(value, dict(zip(names, own, strict=True)), gain, link) for value, gain, link, *own in each]
+    return [signals.each(itemgetter(k)) for k in range(len(signals.value))]
 
 
 def stack_signals(rows: Sequence[Signal]) -> Signal:
     """The signals (rows, photodiodes) of all rows, of which there is at least one, from that of each."""
-    links = [each.link for each in rows if each.link is not None]
-    return Signal(
-        np.stack([each.value for each in rows]),
-        {name: np.stack([each.components[name] for each in rows]) for name in rows[0].components},
-        np.stack([each.gain for each in rows]),
-        np.stack(links) if len(links) == len(rows) else None,
-    )
+    return join_signals([each.each(lambda array: array[None]) for each in rows])
 
 
 def join_signals(parts: Sequence[Signal]) -> Signal:
     """The signals (rows, photodiodes) of all parts, of which there is at least one."""
-    links = [each.link for each in parts if each.link is not None]
-    return Signal(
-        np.concatenate([each.value for each in parts]),
-        {name: np.concatenate([each.components[name] for each in parts]) for name in parts[0].components},
-        np.concatenate([each.gain for each in parts]),
-        np.concatenate(links) if len(links) == len(parts) else None,
-    )
+    return Signal.of(join_quantities(parts), np.concatenate([each.gain for each in parts]))
 
 
 def mean_signals(signals: Signal, repeats: Ints) -> Signal:
@@ -280,12 +293,9 @@ def mean_signals(signals: Signal, repeats: Ints) -> Signal:
     first, n = signals.at(repeats[:, 0]), repeats.shape[1]
     if n == 1:
         return first
-    return Signal(
-        signals.value[repeats].mean(axis=1),
-        {name: each[repeats].sum(axis=1) / n**2 for name, each in signals.components.items()},
-        np.where((signals.gain[repeats] < 0).any(axis=1), -1, first.gain),
-        first.link,
-    )
+    total = Quantity(signals.value, signals.own, signals.common, signals.grouped).each(lambda array: array[repeats.T]).summed()
+    gain = np.where((signals.gain[repeats] < 0).any(axis=1), -1, first.gain)
+    return Signal.of(total.scaled(1.0 / n), gain)
 
 
 def dark_current_loss_s(rows: list[CommittedRow], settings: ConverterDescription) -> Floats:
@@ -350,6 +360,6 @@ def add_tracing_error(signal: Signal, rig: RigFile) -> Signal:
     error = tracing_error(rig)
     if error is None:
         return signal
-    lit = signal.value > LIGHT * np.sqrt(signal.variance)
+    lit = signal.value > LIGHT * np.sqrt(signal.reading_variance)
     medians = [[float(np.median(value[some])) if some.any() else 0.0] for value, some in zip(signal.value, lit, strict=True)]
-    return signal.with_component("ray_tracing", error**2 * np.array(medians) * np.abs(signal.value))
+    return signal.with_own("ray_tracing", error**2 * np.array(medians) * np.abs(signal.value))

@@ -170,10 +170,16 @@ def correct_band(data: ArcRows, settings: ReductionSettings) -> ArcRows:
     if settings.rig.light.bandwidth_nm is not None:
         noise = np.where(np.isfinite(effect), noise, 1.0)
         estimate = data.estimate.scaled(np.exp(np.nan_to_num(effect)))
-        components = {name: each * noise if name in INDEPENDENT else each for name, each in estimate.components.items()}
-        data = replace(data, estimate=replace(estimate, components=components))
+        own = {name: each * noise if name in INDEPENDENT else each for name, each in estimate.own.items()}
+        grouped = {
+            name: each.scaled(np.sqrt(noise)) if name in INDEPENDENT else each for name, each in estimate.grouped.items()
+        }
+        data = replace(data, estimate=replace(estimate, own=own, grouped=grouped))
     if shape.any():
-        data = data.with_component("band_shape", (shape * data.estimate.value) ** 2)
+        # The same spectrum in all directions.
+        member = np.round(1e3 * data.places[:, WAVELENGTH]).astype(np.int32)[:, None, None]
+        effect = (shape * data.estimate.value)[..., None]
+        data = replace(data, estimate=data.estimate.with_grouped("band_shape", member, effect))
     return data.flagged({"steep": steep}) if steep.any() else data
 
 

@@ -186,14 +186,7 @@ class _PlannedRows:
 
     def executed_rows(self) -> Iterator[ExecutedRow]:
         """The rows in order of time."""
-        started = 0.0
-        for row in self._plan.rows:
-            yield ExecutedRow(row.number, row.kind, row.sample, 0, row.pose, started)
-            started += row.seconds
-
-    def row_lights(self) -> Iterator[tuple[float, float, float]]:
-        """Number, start and the monitor's current of each row: it is the same in all."""
-        return ((float(row.number), row.started_s, 1.0) for row in self.executed_rows())
+        return (ExecutedRow(row.number, row.kind, row.sample, 0, row.pose) for row in self._plan.rows)
 
 
 class _Light:
@@ -234,10 +227,10 @@ class _Light:
         like = self._points.where(self._alike(table[:, 3], of_places[at, PLACE.index("sigma_deg")]))
         change = np.exp((self._basis(table[:, 3]) - self._basis(like.theta_deg)) @ self._form)
         return replace(
-            like, places=of_places, place=at.astype(like.place.dtype), photodiode=table[:, 0].astype(like.photodiode.dtype),
+            like.scaled(change), places=of_places, place=at.astype(like.place.dtype),
+            photodiode=table[:, 0].astype(like.photodiode.dtype),
             zenith_deg=table[:, 1], azimuth_deg=table[:, 2], theta_deg=table[:, 3], phi_deg=table[:, 4],
             back=table[:, 8] > 0.0, row=table[:, 6].astype(np.int64), etalon_row=table[:, 7].astype(np.int64),
-            bsdf=like.bsdf * change, components={name: each * change**2 for name, each in like.components.items()},
         )  # fmt: skip
 
     @staticmethod

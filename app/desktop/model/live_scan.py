@@ -390,14 +390,13 @@ class LiveScan:
     def _signal_points(self, rows: Sequence[CommittedRow], plane: float) -> ScanPoints:
         """Photocurrents over the monitor's current, on the arcs that see the schedule's light; the etalon only reflects.
 
-        Their u has that of the nominal gain, which a BSDF has not where sample and etalon are read at one gain.
+        Their u has that of the gain, which a BSDF has not where sample and etalon are read at one gain.
         """
         parts = []
-        gain_u = self._plan.rig.file.photodiodes.gain_uncertainty
         for each in self._row_signals([row for row in rows if scan_key(row.row)[1] == plane], self._signal):
             assert each.row.pose is not None
             light = "reflected" if each.row.sample in self._references else self._schedule.light
-            u = np.hypot(np.sqrt(each.signal.variance), gain_u * each.signal.value)
+            u = np.sqrt(each.signal.variance)
             lost, added = each.signal.lost_in_noise, mostly_added(each.signal.components)
             for view, blocked in self._settings.geometry.views(each.row.pose):
                 if light in ("both", "transmitted" if view.transmitted else "reflected"):

@@ -27,17 +27,19 @@ from goniotwin.app.campaign.measurement_model.pose import (
     position_u_deg,
     rig_inputs,
 )
-from goniotwin.app.campaign.reduction.effects_of_points import ALONE, FAMILIES, add_pose, effects_of
+from goniotwin.app.campaign.measurement_model.quantity import Quantity
+from goniotwin.app.campaign.reduction.effects_of_points import COMMON_KEYS, FAMILIES, add_pose, effects_of
 from goniotwin.app.campaign.reduction.etalon import ArcGeometry, ReductionSettings
 from goniotwin.app.campaign.reduction.pipeline import add_shared
 from goniotwin.app.campaign.reduction.points import BsdfPoints, join_points
+from goniotwin.app.campaign.reduction.reading_inputs import GROUPED, Numbers
 from goniotwin.app.campaign.reduction.reduction import Reduction, reduce_journal, reduction_settings
 from goniotwin.app.campaign.reduction.reflectance import components_of_sum, quadrature
 from goniotwin.app.campaign.reduction.row_history import RowHistory, history_of
 from goniotwin.app.campaign.schedule.certificate import parse_certificate
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.rig import nominal_instrument, read_rig
-from goniotwin.arrays import Floats
+from goniotwin.arrays import Floats, Ints
 from tests.app.campaign.reduction.made_points import made_points
 from tests.conftest import RIG, SMALL
 
@@ -49,6 +51,7 @@ COUNT = POLAR.size * len(LINES)
 U_MONITOR, U_GAIN = FILE.monitor.relative_uncertainty, FILE.photodiodes.gain_uncertainty
 CERTIFICATE = float(SETTINGS.certificate.relative_uncertainty.min())
 CORRECTION = 0.1 * np.cos(np.arange(COUNT))
+GAIN = np.arange(COUNT) % 2
 TABLE = replace(FILE.uncertainty, uniformity=0.002, repeatability=0.003, mounting=0.004)
 CERTIFIED = """level = 0.002
 wavelength_nm, radiance_factor, relative_uncertainty
@@ -74,42 +77,81 @@ def measured(
         rows = np.full(POLAR.size, 10 + k), np.full(POLAR.size, 5 if k < 2 else 7)
         parts.append(replace(made, row=rows[0], etalon_row=rows[1]))
     points = join_points(parts)
-    gain = np.arange(COUNT) % 2
-    components = {name: (each * bsdf) ** 2 for name, each in (relative or {}).items()}
-    components["field"] = (FILE.uncertainty.standard("field_of_view") * CORRECTION * bsdf) ** 2
     given = replace(
-        points, components=components, slope_along=slope[:, 0], slope_across=slope[:, 1], gain=gain,
-        etalon_gain=np.zeros(COUNT, dtype=np.int64), field_correction=CORRECTION, wavelength_slope=0.01 * CORRECTION,
-        band_correction=0.02 * CORRECTION,
+        points.with_quantity(divided(points, relative or {})), slope_along=slope[:, 0], slope_across=slope[:, 1], gain=GAIN,
+        field_correction=CORRECTION, wavelength_slope=0.01 * CORRECTION, band_correction=0.02 * CORRECTION,
     )  # fmt: skip
     return add_pose(add_shared(given, settings_of), settings_of)
 
 
+def divided(points: BsdfPoints, relative: dict[str, Floats]) -> Quantity:
+    """The values of points as signals over those of the etalon, with effects of these relative sizes."""
+    one, numbers = np.ones(COUNT), Numbers.of(FILE)
+
+    def signal(value: Floats, rows: Ints, gain: Ints, names: dict[str, str]) -> Quantity:
+        """One with the effects of `names`, by what they are called in `relative`."""
+        of_row = numbers.row(rows, gain)
+        members = {
+            "dark": (rows * numbers.gains + gain) * numbers.photodiodes + points.photodiode, "lamp": of_row, "monitor": of_row,
+            "gain": numbers.gain(points.photodiode, gain), "signature_reading": numbers.reading(rows, points.photodiode),
+        }  # fmt: skip
+        result = Quantity(value)
+        for name, called in names.items():
+            if called in relative:
+                effect = (-1.0 if name in ("dark", "monitor", "gain", "signature_reading") else 1.0) * relative[called] * value
+                if name in members:
+                    result = result.with_grouped(name, members[name].astype(np.int32)[:, None], effect[:, None])
+                elif name in COMMON_KEYS:
+                    result = result.with_common(name, effect)
+                else:
+                    result = result.with_own(name, effect**2)
+        return result
+
+    alike = {name: name for name in ("monitor", "gain")}
+    own = {name: name for name in ("noise", "resolution", "ray_tracing", *COMMON_KEYS, "dark", "lamp", "signature_reading")}
+    sample = signal(points.bsdf, points.row, GAIN, {**alike, **own})
+    at_etalon = {"dark": "etalon_dark", "lamp": "etalon_lamp", "reading": "etalon_reading", "crosstalk": "etalon_crosstalk"}
+    etalon = signal(one, points.etalon_row, np.zeros(COUNT, dtype=np.int64), {**alike, **at_etalon})
+    quotient = sample / etalon.own_as("etalon_reading", numbers.reading(points.etalon_row, points.photodiode))
+    for name in ("second_order", "slope_unresolved", "field_noise"):
+        quotient = quotient.with_own(name, (relative.get(name, 0.0) * points.bsdf) ** 2)
+    if "calibration" in relative:
+        effect = relative["calibration"] * points.bsdf
+        quotient = quotient.with_grouped("calibration", points.photodiode.astype(np.int32)[:, None], effect[:, None])
+    if "band_shape" in relative:
+        effect = relative["band_shape"] * points.bsdf
+        quotient = quotient.with_grouped("band_shape", np.full((COUNT, 1), 550_000, dtype=np.int32), effect[:, None])
+    return quotient.with_common("field", -FILE.uncertainty.standard("field_of_view") * CORRECTION * points.bsdf)
+
+
 def relative_of(noise: Floats) -> dict[str, Floats]:
-    """Relative standard uncertainties (COUNT,) as the steps of the reduction make them."""
+    """Relative standard uncertainties (COUNT,) of signals, and of what comes in later; `signature` falls with the light."""
     one = np.ones(COUNT)
-    photodiode = np.tile(np.arange(POLAR.size), len(LINES))
-    etalon = np.repeat([0.0, 0.0, 1.0], POLAR.size)
+    photodiode: Floats = np.tile(np.arange(POLAR.size, dtype=np.float64), len(LINES))
+    etalon: Floats = np.repeat(np.array([0.0, 0.0, 1.0]), POLAR.size)
     return {
         "noise": noise,
         "resolution": 0.1 * noise,
         "dark": 0.5 * noise,
         "etalon_dark": 1e-4 * (2.0 + photodiode),
-        "monitor": np.sqrt(2.0) * U_MONITOR * one,
+        "monitor": U_MONITOR * one,
         "monitor_drift": 0.3 * noise,
         "monitor_linearity": 0.1 * noise,
-        "gain": np.sqrt(2.0) * U_GAIN * (np.arange(COUNT) % 2),
+        "gain": U_GAIN * one,
         "etalon_reading": 1e-4 * (1.0 + photodiode + 20.0 * etalon),
         "calibration": 1e-4 * (1.0 + photodiode),
         "lamp": 0.4 * noise,
+        "etalon_lamp": 1e-3 * (1.0 + etalon),
         "linearity": 0.6 * noise,
         "crosstalk": 0.7 * noise,
+        "etalon_crosstalk": 1e-3 * one,
+        "band_shape": 0.25 * noise,
         "second_order": 0.8 * noise,
         "slope_unresolved": 0.9 * noise,
         "field_noise": 0.3 * noise,
         "ray_tracing": 0.2 * noise,
-        "signature": 0.2 * noise,
-        "something_new": 0.1 * noise,
+        "signature": -0.2 * noise,
+        "signature_reading": 0.15 * noise,
     }
 
 
@@ -129,9 +171,8 @@ SLOPES = arrays(np.float64, (COUNT, 2), elements=st.one_of(st.floats(-5.0, 5.0),
 @given(values(-3.0, 3.0), SLOPES, values(0.0, 1.0))
 def test_the_parts_of_any_points_sum_to_their_uncertainty(bsdf: Floats, slope: Floats, noise: Floats) -> None:
     bsdf = np.where(np.abs(bsdf) < 1e-6, 0.0, bsdf)
-    relative = {**relative_of(noise), "band_shape": 0.3 * noise}
-    points = measured(bsdf, slope, relative, ALL_SETTINGS)
-    assert set(points.components) == (ALONE | set(FAMILIES) | {"something_new"}) - {"open_beam"}
+    points = measured(bsdf, slope, relative_of(noise), ALL_SETTINGS)
+    assert set(points.components) == (OWN | set(FAMILIES) | set(GROUPED) | set(COMMON_KEYS)) - {"open_beam"}
     effects = effects_of(points, ALL_SETTINGS)
     expected = points.u_bsdf**2
     assert np.abs(total(effects) - expected).max() <= 1e-12 * expected.max()
@@ -167,13 +208,14 @@ def test_a_point_without_a_slope_has_the_diffuse_part_alone() -> None:
 def test_the_pipeline_and_the_effects_agree_on_what_is_a_family() -> None:
     points = measured(np.ones(COUNT), np.ones((COUNT, 2)), relative_of(np.full(COUNT, 0.01)))
     effects = effects_of(points, SETTINGS)
-    assert set(effects.independent) == ALONE
-    assert not ALONE & set(FAMILIES)
+    assert set(effects.independent) == OWN
+    assert not OWN & set(FAMILIES)
     assert sorted(group.name for group in effects.groups) == [
-        "calibration", "dark", "etalon_dark", "etalon_reading", "gain", "lamp", "monitor", "photodiode_angle", "position",
+        "band_shape", "calibration", "dark", "etalon_reading", "gain", "lamp", "monitor", "photodiode_angle", "position",
+        "signature_reading",
     ]  # fmt: skip
     names = [each.name for part in effects.dense for each in part.inputs]
-    assert {"certificate[level]", "field", "signature", "something_new", "sigma_zero", "sample_tilt_x@sample#1"} <= set(names)
+    assert {"certificate[level]", "field", "signature", "sigma_zero", "sample_tilt_x@sample#1"} <= set(names)
     assert len(names) == len(set(names))
 
 
@@ -181,7 +223,7 @@ def test_one_gain_at_sample_and_etalon_cancels() -> None:
     points = measured(np.ones(COUNT), np.full((COUNT, 2), np.nan), relative_of(np.full(COUNT, 0.01)))
     effects = effects_of(points, SETTINGS)
     gains = {k: sum(each.u for each in effects.budget(k) if each.name.startswith("gain_ratio")) for k in (0, 1)}
-    assert gains[0] == 0.0
+    assert gains[0] == pytest.approx(0.0, abs=1e-18)
     assert gains[1] == pytest.approx(2.0 * U_GAIN, rel=1e-12)
 
 
@@ -193,7 +235,7 @@ def test_covariances_are_those_that_gtc_finds_from_the_formula_of_a_value(settin
     rng = np.random.default_rng(3)
     bsdf, slope = rng.uniform(0.1, 9.0, COUNT), rng.normal(0.0, 0.5, (COUNT, 2))
     relative = relative_of(rng.uniform(0.002, 0.02, COUNT))
-    names = GTC_NAMES if settings_of is SETTINGS else set(relative) - {"something_new"}
+    names = GTC_NAMES if settings_of is SETTINGS else set(relative)
     points = measured(bsdf, slope, {name: relative[name] for name in names}, settings_of)
     effects = effects_of(points, settings_of)
     chosen = rng.choice(COUNT, 20, replace=False)
@@ -216,7 +258,11 @@ def test_covariances_are_those_that_gtc_finds_from_the_formula_of_a_value(settin
             assert each.u == pytest.approx(abs(GTC.component(mean, formula.inputs[each.name])), rel=1e-6), each.name
 
 
-GTC_NAMES = ("noise", "monitor", "lamp", "gain", "crosstalk", "etalon_reading", "calibration", "dark", "etalon_dark")
+GTC_NAMES = (
+    "noise", "monitor", "lamp", "etalon_lamp", "gain", "crosstalk", "etalon_crosstalk", "etalon_reading", "calibration", "dark",
+    "etalon_dark",
+)  # fmt: skip
+OWN = {"noise", "resolution", "ray_tracing", "field_noise", "second_order", "slope_unresolved"}
 
 
 class Formula:
@@ -240,16 +286,18 @@ class Formula:
         signal = (1.0 + self._input(f"noise of {k}", self._relative["noise"][k])) * (
             1.0 - self._relative["dark"][k] * self._input(f"dark[{c}, {volts[gain]:g} V/A]@dark {row}", 1.0)
         )
-        signal = signal / self._gain(c, gain) / self._monitor(row)
+        signal = signal / self._gain(c, gain) / self._monitor(row, gain)
         reading = 1.0 + self._input(f"etalon_reading[{c}]@row {etalon_row}", self._relative["etalon_reading"][k])
         dark = self._relative["etalon_dark"][k] * self._input(f"dark[{c}, {volts[0]:g} V/A]@dark {etalon_row}", 1.0)
-        etalon = reading * (1.0 - dark) / self._gain(c, 0) / self._monitor(etalon_row)
+        etalon = reading * (1.0 - dark) / self._gain(c, 0) / self._monitor(etalon_row, 0)
         factor = 1.0 + self._input(f"calibration[{c}]", self._relative["calibration"][k])
         table = FILE.uncertainty
         u_crosstalk = table.crosstalk
         signal = signal * (1.0 + self._relative["crosstalk"][k] / u_crosstalk * self._input("crosstalk", u_crosstalk))
-        for number, sign in ((row, 1.0), (etalon_row, -1.0)):
-            signal = signal * (1.0 + sign * self._relative["lamp"][k] / np.sqrt(2.0) * self._input(f"lamp@row {number}", 1.0))
+        etalon = etalon * (1.0 + self._relative["etalon_crosstalk"][k] / u_crosstalk * self._input("crosstalk", u_crosstalk))
+        signal = signal * (1.0 + self._relative["lamp"][k] * self._input(f"lamp@row {row}, {volts[gain]:g} V/A", 1.0))
+        of_etalon_row = self._input(f"lamp@row {etalon_row}, {volts[0]:g} V/A", 1.0)
+        etalon = etalon * (1.0 + self._relative["etalon_lamp"][k] * of_etalon_row)
         # More light of the etalon than certified, whatever the reason.
         of_etalon = {
             "certificate[level]": CERTIFICATE,
@@ -281,16 +329,16 @@ class Formula:
         etalon = etalon * (1.0 + self._input(f"repeatability@#{etalon_row}", TABLE.repeatability))
         s, p = FILE.light.mirror_p**3, FILE.light.mirror_s**3  # of unpolarised light, over three mirrors
         signal = signal * (1.0 + (s - p) / (s + p) * self._input(f"polarisation@{self._sample}", 0.3))
-        brighter = np.pi * self._points.bsdf[k] * np.exp(-CORRECTION[k]) > 1.0
-        u = FILE.uncertainty.linearity_per_decade
-        decades = self._relative["linearity"][k] / u * (1.0 if brighter else -1.0)
-        signal = signal * (1.0 + decades * self._input("linearity", u))
         for name, key in (
-            ("monitor_drift", "monitor_drift_per_hour"), ("monitor_linearity", "monitor_linearity_per_decade"),
+            ("linearity", "linearity_per_decade"), ("monitor_drift", "monitor_drift_per_hour"),
+            ("monitor_linearity", "monitor_linearity_per_decade"),
         ):  # fmt: skip
             u = getattr(FILE.uncertainty, key)
-            signal = signal * (1.0 - self._relative[name][k] / u * self._input(name, u))
-        signal = signal - self._relative["signature"][k] * self._input("signature", 1.0)
+            signal = signal * (1.0 + self._relative[name][k] / u * self._input(name, u))
+        signal = signal * (1.0 + self._relative["signature"][k] * self._input("signature", 1.0))
+        reading = self._input(f"signature_reading[{self._points.photodiode[k]}]@row {row}", 1.0)
+        signal = signal * (1.0 - self._relative["signature_reading"][k] * reading)
+        signal = signal * (1.0 + self._relative["band_shape"][k] * self._input("band_shape[550 nm]", 1.0))
         for name in ("resolution", "ray_tracing", "second_order", "slope_unresolved", "field_noise"):
             signal = signal * (1.0 + self._input(f"{name} of {k}", self._relative[name][k]))
         return signal, etalon
@@ -321,8 +369,8 @@ class Formula:
             result = result + float(moved + part.diffuse[k, i]) * self._input(name, u)
         return result
 
-    def _monitor(self, row: int) -> GTC.lib.UncertainReal:
-        return 1.0 + self._input(f"monitor@row {row}", U_MONITOR)
+    def _monitor(self, row: int, gain: int) -> GTC.lib.UncertainReal:
+        return 1.0 + self._input(f"monitor@row {row}, {FILE.photodiodes.gains_v_per_a[gain]:g} V/A", U_MONITOR)
 
     def _gain(self, c: int, gain: int) -> GTC.lib.UncertainReal:
         return 1.0 + self._input(f"gain_ratio[{c}, {FILE.photodiodes.gains_v_per_a[gain]:g} V/A]", U_GAIN)
@@ -339,10 +387,10 @@ class Formula:
 def executed(
     number: int, kind: str, sample: str, pose: tuple[float, float, float, float] | None = None, session: int = 1
 ) -> ExecutedRow:
-    return ExecutedRow(number, kind, sample, session, pose, 10.0 * number)
+    return ExecutedRow(number, kind, sample, session, pose)
 
 
-def test_the_history_counts_mountings_dark_readings_and_moves() -> None:
+def test_the_history_counts_mountings_and_moves() -> None:
     one, two = (0.0, 30.0, 0.0, 0.0), (0.0, 30.0, 45.0, 0.0)
     rows = [
         executed(0, "mount", "etalon"), executed(1, "dark", "etalon"), executed(2, "measure", "etalon", one),
@@ -350,15 +398,13 @@ def test_the_history_counts_mountings_dark_readings_and_moves() -> None:
         executed(6, "measure", "paint", two), executed(7, "measure", "paint", (0.0, 30.0, 45.0 + 1e-9, 0.0)),
         executed(9, "mount", "paint", session=2), executed(8, "measure", "paint", two, session=2),
     ]  # fmt: skip
-    names, table, dark_share = history_of(rows)
+    names, table = history_of(rows)
     assert names[1:] == ["etalon#1", "paint#1", "paint#2"]
-    # Before the first dark reading; from the first one to the second; after the last one.
-    assert dark_share.tolist() == [1.0, 0.0, 0.25, 0.5, 0.75, 0.0, 0.0, 0.0, 0.0, 0.0]
     by_row = {each[0]: each[1:] for each in table.tolist()}
-    assert by_row[2] == [1, 1, 1, 1, 1, 1]
-    assert by_row[3] == [1, 1, 1, 1, 2, 1]
-    assert by_row[6] == by_row[7] == [2, 2, 2, 2, 3, 2]
-    assert by_row[8] == [3, 2, 3, 3, 4, 3]
+    assert by_row[2] == [1, 1, 1, 1, 1]
+    assert by_row[3] == [1, 1, 1, 2, 1]
+    assert by_row[6] == by_row[7] == [2, 2, 2, 3, 2]
+    assert by_row[8] == [3, 3, 3, 4, 3]
     assert [each[0] for each in table.tolist()] == sorted(by_row)
 
 

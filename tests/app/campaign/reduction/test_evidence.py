@@ -14,13 +14,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from goniotwin.app.campaign.measurement_model.quantity import Terms
 from goniotwin.app.campaign.reduction.components import Signal
 from goniotwin.app.campaign.reduction.drift_checks import compare_signals
 from goniotwin.app.campaign.reduction.effects_of_points import effects_of
-from goniotwin.app.campaign.reduction.etalon import linearity_variance
+from goniotwin.app.campaign.reduction.etalon import RowSignals, comparable_signals
 from goniotwin.app.campaign.reduction.evidence import SignalEvidence
+from goniotwin.app.campaign.reduction.reading_inputs import Numbers
 from goniotwin.app.campaign.reduction.readings import DarkHistory, collect
 from goniotwin.app.campaign.reduction.reduction import reduction_settings
+from goniotwin.app.campaign.reduction.signals import stack_signals
 from goniotwin.app.campaign.row import CommittedRow, Reading, Row, RowData, reading_table
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.rig import RigFile, read_rig
@@ -125,13 +128,7 @@ class Drawn:
     def signals(self, evidence: SignalEvidence) -> Signal:
         """The signals (rows, photodiodes) of all rows."""
         history = self.history.with_evidence(evidence)
-        each = [history.signal(row) for row in self.lit]
-        names = each[0].components
-        return Signal(
-            np.stack([one.value for one in each]),
-            {name: np.stack([one.components[name] for one in each]) for name in names},
-            np.stack([one.gain for one in each]),
-        )
+        return stack_signals([history.signal(row) for row in self.lit])
 
 
 def plain(drawn: Drawn) -> SignalEvidence:
@@ -142,7 +139,7 @@ def plain(drawn: Drawn) -> SignalEvidence:
 def deviations(drawn: Drawn, evidence: SignalEvidence) -> Floats:
     """Errors of the values with light over their standard uncertainties, without that of the gains: these are exact."""
     signal = drawn.signals(replace(evidence, deviation=plain(drawn).deviation))
-    u = np.sqrt(signal.variance - signal.components["crosstalk"])
+    u = np.sqrt(signal.reading_variance - signal.components["crosstalk"])
     z: Floats = (signal.value - drawn.truth_a / MONITOR_A) / u
     return z[np.isfinite(z) & (signal.value > 20.0 * np.sqrt(signal.components["dark"]))]
 
@@ -249,12 +246,16 @@ def test_what_all_photodiodes_of_a_row_share_is_in_its_mean_too() -> None:
 
 def one_row(signal: Signal, row: int) -> Signal:
     """One row of signals, with values of 1: another pose would not be compared."""
-    value = signal.value[row]
-    here = {name: each[row] / value**2 for name, each in signal.components.items()}
-    return Signal(np.where(np.isfinite(value), 1.0, np.nan), here, signal.gain[row])
+    here = signal.each(lambda array: array[row])
+    return here.scaled(1.0 / here.value)
 
 
 # ---- gains ----
+
+
+def ratio_variance(evidence: SignalEvidence, one: int, other: int) -> Floats:
+    """Relative variance (photodiodes,) of the ratio of two gains."""
+    return np.asarray(np.sum((evidence.gains[:, one] - evidence.gains[:, other]) ** 2, axis=1))
 
 
 def test_ratios_of_gains_are_adjusted_together_with_their_certificate() -> None:
@@ -263,13 +264,13 @@ def test_ratios_of_gains_are_adjusted_together_with_their_certificate() -> None:
     low, high = (RIG_FILE.photodiodes.gains_v_per_a.index(gain) for gain in (LOW, HIGH))
     drawn_ratio = drawn.deviation[HIGH] - drawn.deviation[LOW]
     found = evidence.deviation[high] - evidence.deviation[low]
-    u = np.sqrt(evidence.link[:, low, high])
+    u = np.sqrt(ratio_variance(evidence, low, high))
     certified = math.sqrt(2.0) * RIG_FILE.photodiodes.gain_uncertainty
     assert u.max() < 0.6 * certified
     assert float(np.mean(((found - drawn_ratio) / u) ** 2)) < 1.3
     assert float(np.std(found - drawn_ratio)) < 0.5 * float(np.std(drawn_ratio))
     assert (evidence.verdicts, evidence.notes) == ((), ())
-    assert evidence.link[:, low, 0] == pytest.approx(certified**2, rel=0.6)  # no row was read at the first gain
+    assert ratio_variance(evidence, low, 0) == pytest.approx(certified**2, rel=0.6)  # no row was read at the first gain
 
 
 def test_gains_that_are_not_those_of_the_rig_file_are_found_and_corrected() -> None:
@@ -295,7 +296,7 @@ def test_gains_that_are_not_those_of_the_rig_file_are_found_and_corrected() -> N
 def test_a_few_rows_at_two_gains_change_nothing() -> None:
     drawn = Drawn(spread=0.001, rows=3)
     assert np.array_equal(drawn.evidence.deviation, plain(drawn).deviation)
-    assert np.array_equal(drawn.evidence.link, plain(drawn).link)
+    assert np.array_equal(drawn.evidence.gains, plain(drawn).gains)
 
 
 @pytest.mark.parametrize("settling_s", [0.06, 0.3])
@@ -372,7 +373,7 @@ def test_other_faults_are_not_taken_for_cross_talk(fault: dict[str, float]) -> N
 
 def test_cross_talk_that_is_not_stated_has_one_input_all_the_same() -> None:
     points = made_points(30.0, np.linspace(0.0, 55.0, 5), np.zeros(5), np.full(5, 0.01), 1e-3)
-    points = replace(points, components={**points.components, "crosstalk": (0.02 * points.bsdf) ** 2})
+    points = replace(points, common={"crosstalk": 0.02 * points.bsdf})
     rig = with_uncertainty(crosstalk=0.0)
     effects = effects_of(points, reduction_settings(rig, parse_schedule(SCHEDULE, "small.toml").file, None, ""))
     assert effects.variances()["crosstalk"] == pytest.approx((0.02 * points.bsdf) ** 2, rel=1e-12)
@@ -402,7 +403,7 @@ SMALL = Drawn(rows=24, own=0.01, lamp=0.01, spread=0.002)
 def numbers(evidence: SignalEvidence) -> list[Floats]:
     """An evidence in numbers."""
     some = (evidence.own, evidence.lamp, evidence.slow)
-    return [np.array(some), evidence.factor, evidence.deviation, evidence.link]
+    return [np.array(some), evidence.factor, evidence.deviation, evidence.gains]
 
 
 def in_blocks(rows: Sequence[CommittedRow], size: int) -> SignalEvidence:
@@ -455,8 +456,9 @@ def test_lamp_linearity_and_cross_talk_are_divided_among_their_inputs() -> None:
     n = 12
     points = made_points(30.0, np.linspace(0.0, 55.0, n), np.zeros(n), np.where(np.arange(n) < 6, 0.01, 2.0), 1e-3)
     u = {"lamp": 0.004, "linearity": 0.002, "crosstalk": 0.001}
-    components = {**points.components, **{name: (each * points.bsdf) ** 2 for name, each in u.items()}}
-    points = replace(points, components=components, row=np.arange(n) // 2, etalon_row=100 + np.arange(n) // 2)
+    row = Numbers.of(RIG_FILE).row(np.arange(n) // 2, np.zeros(n, dtype=np.int64))
+    common = {"linearity": np.where(np.arange(n) < 6, -0.002, 0.002) * points.bsdf, "crosstalk": 0.001 * points.bsdf}
+    points = replace(points, common=common, grouped={"lamp": Terms(row[:, None], 0.004 * points.bsdf[:, None])})
     effects = effects_of(points, reduction_settings(RIG_FILE, parse_schedule(SCHEDULE, "small.toml").file, None, ""))
     variances = effects.variances()
     for name, each in u.items():
@@ -495,9 +497,17 @@ def test_a_saturated_neighbour_counts_with_what_its_amplifier_may_give() -> None
 
 def test_linearity_is_in_proportion_to_the_decades_between_sample_and_etalon() -> None:
     rig = with_uncertainty(linearity_per_decade=2e-3)
-    etalon = Signal(np.ones(4), {"noise": np.full(4, 1e-12)}, np.zeros(4, dtype=np.int64))
-    sample = Signal(np.array([1.0, 0.1, 100.0, 0.0]), {"noise": np.full(4, 1e-6)}, np.zeros(4, dtype=np.int64))
-    assert np.sqrt(linearity_variance(sample, etalon, rig)) == pytest.approx([0.0, 2e-3, 4e-3, 6e-3], abs=1e-12)
+    zero = np.zeros(1)
+
+    def row_of(values: list[float]) -> Signal:
+        gain = np.zeros((1, len(values)), dtype=np.int64)
+        signal = Signal(np.array([values]), {"noise": np.full((1, len(values)), 1e-12)}, gain=gain)
+        row = RowSignals(np.zeros(1, dtype=np.int64), np.zeros((1, 5)), zero > 0.0, signal, {}, zero, zero)
+        return comparable_signals(row, np.arange(len(values)), rig)
+
+    quotient = row_of([1.0, 0.1, 100.0]) / row_of([1.0, 1.0, 1.0])
+    # A value that is darker than the etalon falls where the responsivity grows with the light.
+    assert quotient.common["linearity"] / quotient.value == pytest.approx(np.array([[0.0, -2e-3, 4e-3]]), abs=1e-12)
 
 
 @pytest.mark.parametrize(("share", "flagged"), [(0.5, False), (0.99, True)])

@@ -98,7 +98,7 @@ def test_blocked_nodes_are_not_marked_as_measured() -> None:
 def test_between_directions_noise_is_averaged_and_the_certificate_is_not() -> None:
     points = points_of(30.0, np.arange(0.0, 89.6, 1.0)[:, None], np.arange(0.0, 180.1, 1.0)[None, :])
     for name, largest, smallest in (("noise", 0.011, 0.002), ("certificate", 0.0101, 0.0099)):
-        each = replace(points, components={name: np.full(points.bsdf.size, 0.01**2)})
+        each = replace(points, own={name: np.full(points.bsdf.size, 0.01**2)})
         (phi_deg, _), cut = regrid(each)
         sideways = cut.u[phi_deg == 90.0][0, 5:30]  # no node of these is a measured direction
         assert np.all((sideways > smallest) & (sideways < largest)), name
@@ -108,7 +108,7 @@ def test_between_directions_noise_is_averaged_and_the_certificate_is_not() -> No
 @pytest.mark.parametrize("name", ["certificate", "field", "calibration", "monitor", "gain", "signature", "dark", "further"])
 def test_interpolation_averages_no_error_that_neighbouring_directions_share(name: str) -> None:
     points = points_of(30.0, np.arange(0.0, 89.6, 1.0)[:, None], np.arange(0.0, 180.1, 1.0)[None, :])
-    _, cut = regrid(replace(points, components={name: (0.02 * points.bsdf) ** 2}))
+    _, cut = regrid(replace(points, own={name: (0.02 * points.bsdf) ** 2}))
     np.testing.assert_allclose(cut.u[cut.known], 0.02 * cut.values[cut.known], rtol=1e-9)
 
 
@@ -178,7 +178,7 @@ def test_a_csv_states_the_rule_of_the_intervals(reduced: BsdfDataset, tmp_path: 
 def test_a_csv_has_the_fields_component_and_a_flag_where_it_is_unknown(reduced: BsdfDataset, tmp_path: Path) -> None:
     ((name, points),) = reduced.samples.items()
     known = points.zenith_deg > 20.0
-    partly_known = replace(points, components={**points.components, "field": np.full(360, 0.002**2)})
+    partly_known = replace(points, own={**points.own, "field": np.full(360, 0.002**2)})
     partly_known = partly_known.flagged({"field": ~known & points.good})
     export(replace(reduced, samples={name: partly_known}), None, tmp_path / "a.csv", "csv")
     table = read_points_csv(tmp_path / "a.csv")

@@ -198,7 +198,7 @@ def test_the_twins_values_are_corrected_to_those_of_the_nominal_direction(
     points = replace(
         points,
         bsdf=luminance_factor(instrument, sigma, seen, sample) / math.pi,
-        components={"noise": np.zeros(true.size) + 1e-24},
+        own={"noise": np.zeros(true.size) + 1e-24},
     )
     share = true / true.max()
     before = np.log(np.maximum(points.bsdf, 1e-30) / true)
@@ -305,7 +305,7 @@ def test_the_noise_of_corrected_values_is_that_of_their_components(step: float) 
         places = clean.places.copy()
         places[:, 1] = 0.1 * k  # gamma
         bsdf = clean.bsdf * (1.0 + 0.01 * rng.standard_normal(clean.size))
-        noisy.append(replace(clean, places=places, bsdf=bsdf, components={"noise": (0.01 * clean.bsdf) ** 2}))
+        noisy.append(replace(clean, places=places, bsdf=bsdf, own={"noise": (0.01 * clean.bsdf) ** 2}))
     found = FieldOfView.of(join_points(noisy), INSTRUMENT)
     logs = (np.log(join_points(noisy).bsdf) + found.correction).reshape(copies, -1)
     stated = np.mean(found.noise.reshape(copies, -1) ** 2 + 0.01**2, axis=0)
@@ -390,7 +390,7 @@ def turned_lobe(beta: tuple[float, ...], step: float = 0.5) -> tuple[BsdfPoints,
     along = (logarithms(z + d, a) - logarithms(z - d, a)) / (2.0 * d)
     across = (logarithms(z, a + d) - logarithms(z, a - d)) / (2.0 * d * np.sin(np.radians(z)))
     bsdf = luminance_factor(instrument, 40.0, arc_direction(z, a), sample) / math.pi
-    points = replace(points, bsdf=bsdf, components={"noise": np.zeros(z.size) + 1e-24})
+    points = replace(points, bsdf=bsdf, own={"noise": np.zeros(z.size) + 1e-24})
     return points, np.stack([along, across], axis=1)
 
 
@@ -410,7 +410,7 @@ def test_a_lobe_that_need_not_be_round_is_flagged_where_nothing_was_measured_acr
         assert np.array_equal(found[symmetry].bsdf, found["isotropic"].bsdf)  # a round lobe is the estimate
     assert float(np.max(np.abs(found["anisotropic"].slope_across - slope[:, 1])[lobe_itself])) > 0.5
     # A diffuser has no lobe, and with other beta the slope across is measured.
-    diffuse = replace(points_of(np.full(86, 0.3), beta=(180.0,)), components={"noise": np.full(86, 1e-6)})
+    diffuse = replace(points_of(np.full(86, 0.3), beta=(180.0,)), own={"noise": np.full(86, 1e-6)})
     assert not correct_field_of_view(diffuse, STATED["anisotropic"]).flag("steep").any()
     measured, _ = turned_lobe((178.0, 179.0, 180.0, 181.0, 182.0))
     middle = (measured.azimuth_deg == 180.0) & (measured.theta_deg < 8.0)
@@ -480,7 +480,7 @@ def test_neither_the_scale_nor_the_order_of_points_nor_chunks_change_a_slope(see
     points = points_of(5.0, np.arange(5.0, 60.0, 2.5), (90.0, 176.0, 180.0), u=1e-5)
     points = replace(points, bsdf=points.bsdf * (1.0 + 0.01 * rng.standard_normal(points.size)))
     found = columns(correct_field_of_view(points, SETTINGS))
-    scaled = replace(points, bsdf=scale * points.bsdf, components={"noise": scale**2 * points.components["noise"]})
+    scaled = replace(points, bsdf=scale * points.bsdf, own={"noise": scale**2 * points.components["noise"]})
     unit = np.array([[1.0], [1.0], [1.0], [scale], [scale]])
     assert columns(correct_field_of_view(scaled, SETTINGS)) == pytest.approx(unit * found, rel=1e-6, abs=1e-9, nan_ok=True)
     order = rng.permutation(points.size)
@@ -510,6 +510,6 @@ def test_an_end_of_an_interval_is_as_many_u_away_as_its_coverage() -> None:
     made = made_points(30.0, np.full(4, 40.0), np.full(4, 180.0), np.array([1.0, 1.0, 1.0, -1.0]), 0.0)
     u = np.array([0.1, 0.3, 0.3, 0.3])
     added = u**2 * [0.0, 0.0, 1.0, 0.0]
-    points = replace(made, components={"noise": added, "pose": u**2 - added})
+    points = replace(made, own={"noise": added, "pose": u**2 - added})
     for end, sign in zip(interval(points.bsdf, points.u_bsdf, mostly_added(points.components)), (1.0, -1.0), strict=True):
         assert deviations_in_u(points, end) == pytest.approx(np.full(4, sign * COVERAGE), rel=1e-12)

@@ -1,6 +1,7 @@
 """The steps of the reduction: a contribution to the uncertainty is a function and a line, and is in everything that has u."""
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -30,7 +31,6 @@ SIGNALS = {
     "dark",
     "resolution",
     "crosstalk",
-    "etalon_dark",
     "etalon_reading",
     "monitor",
     "monitor_drift",
@@ -49,7 +49,7 @@ def add_made_up(data: ArcRows, settings: ReductionSettings) -> ArcRows:
     """The whole contribution, apart from its line in the list of steps."""
     del settings
     decades = np.log10(np.maximum(np.abs(data.sample.value / data.etalon.value), 1e-12))
-    return data.with_component("made-up", (PER_DECADE * decades * data.estimate.value) ** 2)
+    return replace(data, estimate=data.estimate.with_own("made-up", (PER_DECADE * decades * data.estimate.value) ** 2))
 
 
 @pytest.fixture(scope="module")
@@ -153,18 +153,14 @@ def test_rows_at_angles_and_wavelengths_between_two_roundings_have_all_values(
     assert scan.points.values.size == points.bsdf.size
 
 
-def test_a_variance_of_a_quotient_is_one_line_for_values_and_drift_checks(
-    measured: Measured, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    before, rig = reduced(measured[1]).samples["gaussian-5"], read_rig(RIG).file
-    signal = Signal(np.array([1.0, 0.9, 1.1]), {"noise": np.full(3, 1e-12)}, np.zeros(3, dtype=np.int64))
-    u_monitor = compare_signals(signal, signal, rig, 0.005).u_change
-    assert u_monitor == pytest.approx(math.sqrt(2.0) * rig.monitor.relative_uncertainty, rel=0.01)
-    u_lamp = 0.01  # made up: relative, common to all photodiodes
-    further = {**pipeline.QUOTIENT_VARIANCES, "lamp": lambda _one, _other, _rig: u_lamp**2}
-    monkeypatch.setattr(pipeline, "QUOTIENT_VARIANCES", further)
-    points = reduced(measured[1]).samples["gaussian-5"]
-    good = points.good
-    assert points.u_bsdf[good] == pytest.approx(np.hypot(before.u_bsdf, u_lamp * before.bsdf)[good], rel=1e-6)
-    u_change = compare_signals(signal, signal, rig, 0.005).u_change
-    assert u_change == pytest.approx(math.hypot(u_monitor, u_lamp), rel=1e-9)
+def test_what_two_signals_have_in_common_cancels_in_values_and_drift_checks() -> None:
+    rig, u = read_rig(RIG).file, 0.003
+    signal = Signal(np.array([1.0, 0.9, 1.1]), {"noise": np.full(3, 1e-12)}, gain=np.zeros(3, dtype=np.int64))
+
+    def with_monitor(row: int) -> Signal:
+        return signal.with_grouped("monitor", np.array([row]), -u * signal.value[:, None])
+
+    assert compare_signals(with_monitor(1), with_monitor(2), rig, 0.005).u_change == pytest.approx(math.sqrt(2.0) * u, rel=1e-3)
+    assert compare_signals(with_monitor(1), with_monitor(1), rig, 0.005).u_change < 1e-5
+    assert (with_monitor(1) / with_monitor(2)).components["monitor"] == pytest.approx(np.full(3, 2.0 * u**2), rel=1e-12)
+    assert np.all((with_monitor(1) / with_monitor(1)).components["monitor"] == 0.0)

@@ -62,7 +62,8 @@ def plan_rows(journal: Journal, sample: str) -> list[Row]:
 
 def bits(points: BsdfPoints) -> list[bytes]:
     columns = [getattr(points, name) for name in COLUMNS if name != "place"]
-    return [each.tobytes() for each in (*columns, points.places[points.place], points.u_bsdf, *points.components.values())]
+    arrays = (*columns, points.places[points.place], points.bsdf, points.u_bsdf, *points.components.values())
+    return [np.where(np.isnan(each), np.nan, each).tobytes() for each in arrays]  # NaN has a sign, which means nothing
 
 
 @JOURNALS

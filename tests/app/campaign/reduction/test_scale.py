@@ -201,7 +201,7 @@ def test_the_open_beam_takes_the_place_of_certificate_age_and_edge_where_it_is_t
         assert (found.budget[name] > 0.0).tolist() == [False, True, True]
     back = add_shared(replace(points, back=np.ones(3, dtype=bool)), of)
     assert back.budget["open_beam"] == pytest.approx([2.0 * 0.1, 0.0, 0.0])
-    noisy = replace(found, components={**found.components, "noise": np.full(3, 1e-8)})
+    noisy = replace(found, own={**found.own, "noise": np.full(3, 1e-8)})
     assert np.all(noisy.own_variance(0.003) >= 1e-8)
 
 
@@ -279,7 +279,7 @@ def drawn_measurements(scatter: float, noise: float, poses: int, seed: int = 2) 
 
     def row_signals(numbers: Iterable[int]) -> Iterator[Any]:
         for k in numbers:
-            yield SimpleNamespace(signal=Signal(values[k], {"noise": np.full(18, noise**2)}, np.zeros(18, dtype=np.int64)))
+            yield SimpleNamespace(signal=Signal(values[k], {"noise": np.full(18, noise**2)}, gain=np.zeros(18, dtype=np.int64)))
 
     return cast(
         Measurements, SimpleNamespace(row_table=lambda _sample: table, keep_signals=lambda numbers: list(row_signals(numbers)))

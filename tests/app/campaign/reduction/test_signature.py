@@ -34,8 +34,8 @@ def test_the_signature_is_subtracted_where_it_was_measured_with_the_uncertainty_
     uncertain = uncertain.where(uncertain.good)
     signature = certain.signature / (1.0 - certain.signature)  # over the rest of the signal
     added = np.sqrt(uncertain.u_bsdf**2 - certain.u_bsdf**2) / certain.bsdf
-    # The etalon's signature adds almost nothing: its share of the signal is smaller, as 0.03 to 0.99.
-    assert added == pytest.approx(np.sqrt(0.3**2 - 0.01**2) * signature, rel=0.01)
+    # What it is with a sample mounted is one error of sample and etalon, whose share of the signal is as 0.03 to 0.99 of it.
+    assert added == pytest.approx(np.sqrt(0.3**2 - 0.01**2) * signature * (1.0 - 0.03 / 0.99), rel=0.005)
     assert any("the same to 1 %" in note for note in dataset.notes)
 
 

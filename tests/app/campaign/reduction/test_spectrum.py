@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from numpy.polynomial import Polynomial
 
 from goniotwin.app.campaign.journal.writing import Journal
-from goniotwin.app.campaign.reduction.components import Estimate, Signal
+from goniotwin.app.campaign.measurement_model.quantity import Quantity
+from goniotwin.app.campaign.reduction.components import Signal
 from goniotwin.app.campaign.reduction.etalon import ArcGeometry, ArcRows, ReductionSettings
 from goniotwin.app.campaign.reduction.points import join_points
 from goniotwin.app.campaign.reduction.reduction import Reduction, reduce_journal
@@ -54,13 +55,12 @@ def arc_rows(values: Floats, etalon: Floats, at: Floats = AT, noise: float = 1e-
     unknown, none = np.full(values.shape, np.nan), np.zeros(values.shape, dtype=bool)
     shifts = np.zeros(at.size) if shift is None else shift
     places = np.stack(np.broadcast_arrays(at, 0.0, 30.0, 180.0, shifts), axis=1)
-    signal = Signal(etalon, {"noise": np.zeros(values.shape)}, np.zeros(values.shape, dtype=np.int64))
-    estimate = Estimate(values, {"noise": (noise * values) ** 2})
+    signal = Signal(etalon, {"noise": np.zeros(values.shape)}, gain=np.zeros(values.shape, dtype=np.int64))
+    estimate = Quantity(values, {"noise": (noise * values) ** 2})
     return ArcRows(
         np.arange(at.size), places, none[:, 0], np.arange(at.size), (), np.zeros(at.size, dtype=np.int64),
         np.full((at.size, 1), 30.0), none,
-        estimate, signal, signal, signal, signal, none[:, :1], none[:, :1],
-        unknown, unknown, unknown, unknown, {}, np.zeros((at.size, 1)), np.zeros((at.size, 1)),
+        estimate, signal, signal, signal, signal, none[:, :1], unknown, unknown, unknown, unknown, {},
     )  # fmt: skip
 
 
@@ -159,7 +159,7 @@ def test_poses_are_apart_repeats_are_averaged_and_what_is_lost_in_noise_is_no_ev
     values[5, 1] = 1e-9
     order = np.random.default_rng(3).permutation(at.size)
     rows = arc_rows(values[order], np.ones(values.shape), at[order], shift=shift[order])
-    rows = replace(rows, estimate=Estimate(rows.estimate.value, {"noise": np.full(values.shape, 1e-12)}))
+    rows = replace(rows, estimate=Quantity(rows.estimate.value, {"noise": np.full(values.shape, 1e-12)}))
     found = correct_band(rows, settings())
     slope = np.empty(values.shape)
     slope[order] = found.wavelength_slope

@@ -5,6 +5,7 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -200,14 +201,14 @@ def test_pairs_have_light_and_view_exchanged() -> None:
     def pairs(gamma: float, symmetry: str) -> int:
         turned = other.places.copy()
         turned[:, 1] = gamma
-        columns = {
+        columns: dict[str, Any] = {
             name: np.concatenate([getattr(one, name), getattr(other, name)])
             for name in vars(one)
-            if name not in ("places", "place", "components")
+            if name not in ("places", "place", "own", "common", "grouped", "stated")
         }
         both = replace(
             one, places=np.concatenate([one.places, turned]), place=np.array([0, 1], dtype=np.int32),
-            components={"noise": np.zeros(2)}, **columns,
+            own={"noise": np.zeros(2)}, **columns,
         )  # fmt: skip
         return int(reciprocal_pairs(both, symmetry)[0].size)  # type: ignore[arg-type]
 

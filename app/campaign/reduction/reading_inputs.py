@@ -1,0 +1,145 @@
+"""The inputs that come in with the readings: their numbers in a `Quantity`, and what a budget calls them.
+
+A number is made of what shares the input: a dark reading, a row, a gain, a photodiode. Effects are those of one standard
+uncertainty, so that an input that the readings themselves show has an uncertainty of 1.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from goniotwin.app.campaign.measurement_model.inputs import InputQuantity
+from goniotwin.app.rig import RigFile
+from goniotwin.arrays import Indices, Ints
+
+JOURNAL = "the journal's readings"
+LEAST_CERTIFIED = 1e-5
+"""Least relative uncertainty of a gain."""
+
+
+@dataclass(frozen=True)
+class Numbers:
+    """The numbers of inputs, for a rig of so many photodiodes and gains: of a million rows they need 32 bits."""
+
+    photodiodes: int
+    gains: int
+
+    @classmethod
+    def of(cls, rig: RigFile) -> "Numbers":
+        """Those of a rig."""
+        return cls(rig.photodiodes.count, len(rig.photodiodes.gains_v_per_a))
+
+    def dark(self, dark_readings: Ints, gain: int) -> Indices:
+        """Dark readings at a gain: numbers (..., photodiodes)."""
+        of_gain = (dark_readings[..., None] * self.gains + gain) * self.photodiodes
+        return np.asarray(of_gain + np.arange(self.photodiodes), dtype=np.int32)
+
+    def row(self, rows: Ints, gain: Ints) -> Indices:
+        """What all photodiodes share that are read at a gain in a row."""
+        return np.asarray(rows * self.gains + gain, dtype=np.int32)
+
+    def reading(self, rows: Ints, photodiode: Ints) -> Indices:
+        """What a photodiode was read as in a row."""
+        return np.asarray(rows * self.photodiodes + photodiode, dtype=np.int32)
+
+    def gain(self, photodiode: Ints, mode: Ints) -> Indices:
+        """An uncorrelated mode of the gains of a photodiode."""
+        return np.asarray(photodiode * self.gains + mode, dtype=np.int32)
+
+
+Describe = Callable[[int, RigFile], InputQuantity]
+
+
+def dark_input(number: int, rig: RigFile) -> InputQuantity:
+    """The dark reading of a photodiode at a gain."""
+    numbers = Numbers.of(rig)
+    rest, photodiode = divmod(number, numbers.photodiodes)
+    dark_reading, gain = divmod(rest, numbers.gains)
+    return _of_readings(
+        f"dark[{photodiode}, {_volts(gain, rig)}]@dark {dark_reading}",
+        "rows of this photodiode and gain until the next dark reading, and after the one before",
+    )
+
+
+def lamp_input(number: int, rig: RigFile) -> InputQuantity:
+    """What the light of a row's readings at a gain has in common."""
+    return _of_readings(f"lamp@{_row(number, rig)}", "all photodiodes of the row at this gain", twin="light.flicker")
+
+
+def monitor_input(number: int, rig: RigFile) -> InputQuantity:
+    """The monitor's reading beside a row's readings at a gain."""
+    return InputQuantity(
+        f"monitor@{_row(number, rig)}", "1", rig.monitor.relative_uncertainty, "normal",
+        "all photodiodes of the row at this gain", "[monitor] relative_uncertainty", "monitor.noise",
+    )  # fmt: skip
+
+
+def gain_input(number: int, rig: RigFile) -> InputQuantity:
+    """The gain of a photodiode's channel, by its place in the rig's list: of two that were compared, what is left of it."""
+    photodiode, gain = divmod(number, Numbers.of(rig).gains)
+    return InputQuantity(
+        f"gain_ratio[{photodiode}, {_volts(gain, rig)}]", "1", certified_gain(rig), "normal",
+        "all values of this photodiode at this gain", "[photodiodes] gain_uncertainty, and rows at two gains",
+        "electronics.gain_spread",
+    )  # fmt: skip
+
+
+def etalon_input(number: int, rig: RigFile) -> InputQuantity:
+    """The reading of the etalon by a photodiode."""
+    row, photodiode = divmod(number, Numbers.of(rig).photodiodes)
+    return _of_readings(f"etalon_reading[{photodiode}]@row {row}", "all values that divide by it")
+
+
+def signature_input(number: int, rig: RigFile) -> InputQuantity:
+    """The reading without a sample by a photodiode."""
+    row, photodiode = divmod(number, Numbers.of(rig).photodiodes)
+    return _of_readings(f"signature_reading[{photodiode}]@row {row}", "all values from which it is subtracted")
+
+
+def calibration_input(number: int, rig: RigFile) -> InputQuantity:
+    """The factor of a photodiode from its overlaps."""
+    del rig
+    return _of_readings(f"calibration[{number}]", "all values of this photodiode")
+
+
+def band_shape_input(number: int, rig: RigFile) -> InputQuantity:
+    """What the parabola over the wavelengths does not resolve, at a wavelength in pm."""
+    del rig
+    return _of_readings(f"band_shape[{1e-3 * number:g} nm]", "all values of this wavelength")
+
+
+def certified_gain(rig: RigFile) -> float:
+    """The relative standard uncertainty of a gain by its certificate; 0 would be a missing one."""
+    return max(rig.photodiodes.gain_uncertainty, LEAST_CERTIFIED)
+
+
+def monitor_variance(rig: RigFile) -> float:
+    """Relative variance of a quotient of two rows by the monitor's reading in each."""
+    return 2.0 * rig.monitor.relative_uncertainty**2
+
+
+def _of_readings(name: str, shared_by: str, twin: str = "") -> InputQuantity:
+    return InputQuantity(name, "1", 1.0, "normal", shared_by, JOURNAL, twin)
+
+
+def _row(number: int, rig: RigFile) -> str:
+    row, gain = divmod(number, Numbers.of(rig).gains)
+    return f"row {row}, {_volts(gain, rig)}"
+
+
+def _volts(gain: int, rig: RigFile) -> str:
+    return f"{rig.photodiodes.gains_v_per_a[gain]:g} V/A"
+
+
+GROUPED: Mapping[str, Describe] = {
+    "dark": dark_input,
+    "lamp": lamp_input,
+    "monitor": monitor_input,
+    "gain": gain_input,
+    "etalon_reading": etalon_input,
+    "signature_reading": signature_input,
+    "calibration": calibration_input,
+    "band_shape": band_shape_input,
+}
+"""The families of inputs of readings, by the names of their components."""
