@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import re
 import sys
 import threading
 from collections.abc import Iterator
@@ -295,11 +296,14 @@ def runs(
 ) -> None:
     """List the campaigns of a folder: state, rows, time left."""
     from goniotwin.app.campaign.journal.summary import campaign_summaries
+    from goniotwin.app.rig.left import left_unsafe
 
     found, refused = campaign_summaries(folder)
+    listed = {order for each in found for order in each.orders}
+    others = [each.text for each in left_unsafe() if each.text not in listed]  # its journal is elsewhere, or there is none
     answer(
         as_json,
-        {"campaigns": [each.as_dict() for each in found], "unreadable": refused},
+        {"campaigns": [each.as_dict() for each in found], "unreadable": refused, "orders": others},
         lambda: _print_campaigns(folder, found),
     )
     for reason in refused:
@@ -307,6 +311,8 @@ def runs(
     for each in found:
         for order in each.orders:
             print_order(f"of {each.journal}, not acknowledged: {order}")
+    for order in others:
+        print_order(order)
 
 
 def _print_campaigns(folder: Path, campaigns: "list[CampaignSummary]") -> None:
@@ -549,10 +555,9 @@ def _reply_of(line: str, question: "Question", place: Place) -> "Reply | None":
         return found[0]
     if given == ENCODER:
         return None if place[1] is None else PositionGiven(round(place[1], 4))
-    try:
-        return PositionGiven(float(given.replace("−", "-").replace(",", ".")))
-    except ValueError:
-        return None
+    number = given.replace("−", "-").replace(",", ".")
+    # Not all that Python takes for a number: 1_0 is a slip of the finger.
+    return PositionGiven(float(number)) if re.fullmatch(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)", number) else None
 
 
 def _print_question(question: "Question", place: Place) -> None:

@@ -143,6 +143,8 @@ def report(
     """
     from goniotwin.app.data.report.report import write_report
 
+    if not journal.name:
+        raise UserError(f"{journal}: is no journal; give the path of one, NAME.journal")
     file = journal.with_suffix(".html") if out is None else out
     if os.path.realpath(file) == os.path.realpath(journal):
         raise UserError(f"{file}: is the journal itself; choose another name with --out")

@@ -216,6 +216,13 @@ def test_a_missing_file_and_a_folder_in_its_place_are_one_line(command: str, fol
     assert [fault for case in cases for path in wrong_paths(case, folder) if (fault := case.run(path))] == []
 
 
+@pytest.mark.parametrize("command", sorted({each.command for each in CASES if not each.folder and not each.out}))
+def test_an_empty_path_is_one_line(command: str, folder: Path) -> None:
+    """As of a script's variable without a value: the folder where it runs."""
+    cases = [each for each in CASES if each.command == command and not each.folder and not each.out]
+    assert [fault for case in cases if (fault := case.run(Path()))] == []
+
+
 def faults_without_permission(pipe: Connection, folder: Path) -> None:
     """Run all commands without the permission to read or write what they are given; send what is wrong with their answers.
 

@@ -16,6 +16,7 @@ import pytest
 import serial
 from filelock import FileLock, Timeout
 
+from goniotwin.app.cli.main import app
 from goniotwin.app.guardian import __main__ as guardian
 from goniotwin.app.guardian import guard
 from goniotwin.app.guardian.guard import Guardian, RigGuard, read_events, read_record
@@ -289,7 +290,9 @@ def test_a_guardian_that_cannot_be_started_is_stated(record: Record, monkeypatch
     found.end()
 
 
-def test_what_is_armed_at_the_end_is_an_order_until_it_is_acknowledged_or_seen_safe(tmp_path: Path) -> None:
+def test_what_is_armed_at_the_end_is_an_order_until_it_is_acknowledged_or_seen_safe(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """The end of the program that armed it, in good order or not: nothing controls the shutter from then on."""
     lock = tmp_path / "rig.lock"
     journal = tmp_path / "a.journal"
@@ -310,6 +313,9 @@ def test_what_is_armed_at_the_end_is_an_order_until_it_is_acknowledged_or_seen_s
     assert found.pid == os.getpid()
     assert left_unsafe(journal) == [found]
     assert left_unsafe(tmp_path / "b.journal") == []
+    capsys.readouterr()
+    assert app(["runs", str(tmp_path)], standalone_mode=False) in (None, 0)  # where its journal is not
+    assert f"SAFETY: {found.text}" in capsys.readouterr().err
     acknowledge_left("another order")
     assert left_unsafe() == [found]
     acknowledge_left(found.text)

@@ -358,7 +358,7 @@ def test_the_terminal_answers(host: HostedRun, monkeypatch: pytest.MonkeyPatch) 
 def test_the_terminal_states_where_an_axis_is(host: HostedRun, monkeypatch: pytest.MonkeyPatch) -> None:
     """A position without an angle is no answer, and one outside the soft limits is refused; then the encoder's is taken."""
     host._publish(Positions({"beta": 180.0}, {"beta": 150.0004}))
-    monkeypatch.setattr(sys, "stdin", io.StringIO("s\nset\nset position\nset 400\nset there\nset encoder\n"))
+    monkeypatch.setattr(sys, "stdin", io.StringIO("s\nset\nset position\nset 400\nset there\nset 1_0\nset ١٠\nset encoder\n"))
     assert TerminalAsk(host)(WHERE) == PositionGiven(150.0004)
     assert host.snapshot.question is None
 
