@@ -9,7 +9,7 @@ export PYTHONDONTWRITEBYTECODE :=
 export NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING := 1
 PYTEST := QT_QPA_PLATFORM=offscreen $(BIN)/pytest --dist worksteal
 
-.PHONY: demo test test-long desktop clean
+.PHONY: demo test test-long desktop tables clean
 
 demo: $(READY)
 	$(BIN)/goniotwin demo
@@ -36,6 +36,10 @@ test-long: $(READY)
 
 desktop: $(READY)
 	$(BIN)/goniotwin
+
+# The list of inputs in docs/uncertainty.md, after a declaration in app/rig/inputs.py.
+tables: $(READY)
+	$(BIN)/python -m tests.input_list
 
 $(READY): pyproject.toml constraints.txt
 	@$(PYTHON) -c "import sys; sys.exit(sys.version_info < (3, 11))" || { \

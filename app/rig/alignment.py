@@ -15,10 +15,10 @@ import numpy as np
 from pydantic import with_config
 
 from goniotwin.app.errors import UserError
+from goniotwin.app.rig.inputs import element_deviations, pose_names
 from goniotwin.app.toml_file import FILE, parse_toml, read_text, validate_table
 from goniotwin.keys import NonNegative
 from goniotwin.twin.plant import TwinModel
-from goniotwin.twin.plant.disturbances import POSE_INPUTS, element_deviations
 
 MOST_BYTES = 1_000_000
 DIGITS = 9
@@ -215,10 +215,10 @@ def _damage(file: AlignmentFile) -> str | None:
     of_sample = {f"sample_{each}@{name}" for each in ("tilt_x", "tilt_y", "height") for name in file.mountings}
     for k, each in enumerate(file.combinations):
         for name in each.coefficients:
-            if name not in POSE_INPUTS | of_sample:
+            if name not in pose_names() | of_sample:
                 return f"combinations.{k}.coefficients: there is no input {name!r}"
     for name in file.inputs:
-        if name not in POSE_INPUTS:
+        if name not in pose_names():
             return f"inputs: there is no input {name!r}"
     if not file.combinations:
         return None
@@ -242,7 +242,7 @@ def _damaged_covariance(file: AlignmentFile) -> str | None:
 
 def _contradiction(file: AlignmentFile) -> str | None:
     """Combinations that `inputs` do not make, whatever the tilts of the sample are, which the file does not have."""
-    names = sorted({name for each in file.combinations for name in each.coefficients} - POSE_INPUTS)
+    names = sorted({name for each in file.combinations for name in each.coefficients} - pose_names())
     terms = [{n: c * file.inputs.get(n, 0.0) for n, c in each.coefficients.items()} for each in file.combinations]
     left = np.array([each.value - math.fsum(own.values()) for each, own in zip(file.combinations, terms, strict=True)])
     size = np.array([math.fsum(map(abs, own.values())) for own in terms])

@@ -17,6 +17,7 @@ from goniotwin.app.errors import UserError
 from goniotwin.app.rig.addresses import RTU, TWIN, rtu_address
 from goniotwin.app.rig.alignment import AlignmentFile, parse_alignment
 from goniotwin.app.rig.file import AXES, DEFAULT_KIND, RigFile, nominal_instrument, set_addresses
+from goniotwin.app.rig.inputs import element_deviations
 from goniotwin.app.rig.kinds import OWN_KINDS, ROLES, MonitorTable, MonochromatorTable, PhotodiodesTable, device_kind
 from goniotwin.app.rig.opening import RigDescription, parse_rig
 from goniotwin.app.rig.samples import sample_table
@@ -26,7 +27,6 @@ from goniotwin.twin.addresses import AXES as AXES_LINE
 from goniotwin.twin.optics import Dimensions
 from goniotwin.twin.plant import Electronics, MonitorPhotodiode, MonochromatorDrive, WheelFilter
 from goniotwin.twin.plant.converter import SETTLED
-from goniotwin.twin.plant.disturbances import element_deviations
 
 NAME = "described"
 DEFAULT_SAMPLE = "gaussian:width_deg=5,reflectance=0.9"

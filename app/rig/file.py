@@ -17,6 +17,7 @@ from pydantic import BeforeValidator, Discriminator, Tag, WithJsonSchema, with_c
 
 from goniotwin.app.rig.addresses import TWIN, check_address
 from goniotwin.app.rig.alignment import AlignmentTable
+from goniotwin.app.rig.inputs import Input, inputs
 from goniotwin.app.rig.kinds import (
     ROLES,
     DeviceKind,
@@ -33,7 +34,7 @@ from goniotwin.app.rig.kinds import (
 )
 from goniotwin.app.rig.light import LightTable
 from goniotwin.app.rig.twin_file import TwinTable, one_kind_of_detectors
-from goniotwin.app.rig.uncertainty import UncertaintyTable
+from goniotwin.app.rig.uncertainty import UncertaintyTable, disturbances_table, uncertainty_table
 from goniotwin.app.toml_file import FILE
 from goniotwin.drivers import (
     ArcClearance,
@@ -341,11 +342,11 @@ def set_addresses(document: Any, file: RigFile, address_of: Callable[[DeviceAddr
 
 def rig_file_table() -> type[RigFile]:
     """The tables of a rig file with the tables of all registered kinds in them."""
-    return _rig_file_table(kinds())
+    return _rig_file_table(kinds(), inputs())
 
 
 @cache
-def _rig_file_table(known: tuple[Kind, ...]) -> type[RigFile]:
+def _rig_file_table(known: tuple[Kind, ...], uncertain: tuple[Input, ...]) -> type[RigFile]:
     """`RigFile` where each device is one of the tables of its kinds, chosen by `kind`."""
     makes = [kind for kind in known if isinstance(kind, MotionKind)]
     own = {kind.name: _own_axis_table(kind) for kind in makes}
@@ -361,6 +362,8 @@ def _rig_file_table(known: tuple[Kind, ...]) -> type[RigFile]:
         choices = {name: model for model in models for name in get_args(get_type_hints(model)["kind"])}
         choice = _choice(None, choices, _kind)
         twins[key] = GenericAlias(dict, (str, choice)), field(default_factory=dict)
+    twins["disturbances"] = disturbances_table(uncertain), disturbances_table(uncertain)()
+    types["uncertainty"] = uncertainty_table(uncertain), uncertainty_table(uncertain)()
     twin = _table("TwinTable", TwinTable, TwinTable.__doc__, twins)
     types["twin"] = Annotated[twin, BeforeValidator(one_kind_of_detectors)] | None, None
     table: type[RigFile] = _table("RigFile", RigFile, RigFile.__doc__, types)

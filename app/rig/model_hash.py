@@ -81,7 +81,12 @@ def _is_later_default(entry: Field[Any], owner: Any) -> bool:
 def _is_default(entry: Field[Any], owner: Any) -> bool:
     """Whether a field is at its default, whatever the classes are called."""
     default = entry.default if entry.default_factory is MISSING else entry.default_factory()
-    return default is not MISSING and canonical_text(getattr(owner, entry.name)) == canonical_text(default)
+    value = getattr(owner, entry.name)
+    if is_dataclass(default) and is_dataclass(value):  # the value may have further fields, with defaults of their own
+        texts = [[canonical_text(getattr(one, each.name, None)) for each in fields(default)] for one in (default, value)]
+        further = [each for each in fields(value) if not hasattr(default, each.name)]
+        return texts[0] == texts[1] and all(_is_default(each, value) for each in further)
+    return default is not MISSING and canonical_text(value) == canonical_text(default)
 
 
 def _number(value: Real) -> str:

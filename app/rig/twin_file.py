@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from goniotwin.app.rig.inputs import inputs
 from goniotwin.app.rig.samples import SampleTable, sample_scatterer
 from goniotwin.drivers.monochromator.settings import refuse_repeated_positions
 from goniotwin.keys import values_of
@@ -30,6 +31,7 @@ from goniotwin.twin.plant import (
     TwinModel,
     WheelFilter,
 )
+from goniotwin.twin.plant.disturbances import ETALON, FIELD
 
 NAME = re.compile(r"[A-Za-z0-9_-]+")
 """The name of a device in an address `twin://RIG/NAME`."""
@@ -89,7 +91,7 @@ class TwinTable(Parts):
                 f"sensor: {self.sensor.departure}, so it is not a disc with an acceptance cone, and the fast estimator "
                 'computes only such discs; set optics.estimator = "forward", or correct the sensor'
             )
-        scale_field(self.instrument(), self.disturbances.field_of_view)
+        scale_field(self.instrument(), self.disturbances.width(FIELD))
         self._check_samples()
         refuse_repeated_positions([each.position for each in self.filters])
         for each in self.filters:
@@ -110,7 +112,8 @@ class TwinTable(Parts):
         if unknown := sorted(set(self.diattenuation) - set(self.samples)):
             raise ValueError(f"diattenuation.{unknown[0]}: there is no such sample; give one of [twin.samples], or remove it")
         table = self.disturbances
-        of_etalon = [each for each in vars(table) if each.startswith(("etalon_", "certificate_")) and getattr(table, each)]
+        keys = [each.key for each in inputs() if {at.part for targets in each.targets.values() for at in targets} == {ETALON}]
+        of_etalon = [key for key in ("etalon_years", *keys) if getattr(table, key, 0.0)]
         if of_etalon and table.etalon not in self.samples:
             raise ValueError(
                 f"disturbances.{of_etalon[0]}: of the etalon, and there is no sample {table.etalon!r}; set disturbances.etalon "

@@ -25,8 +25,8 @@ from goniotwin.app.cli.main import app
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import AXES, kinds, open_rig, read_rig, rig_file_table, twin_file
 from goniotwin.app.rig import file as rig_file
+from goniotwin.app.rig.inputs import inputs
 from goniotwin.app.rig.kinds import register, unregister
-from goniotwin.app.rig.uncertainty import UncertaintyTable
 from goniotwin.app.simulation.tolerances.study import StudyFile
 from goniotwin.app.toml_file import json_schema, validate_table
 from goniotwin.drivers import Homing
@@ -112,7 +112,7 @@ def test_the_page_on_uncertainty_has_the_keys_of_its_table_with_their_defaults()
     for line in table.splitlines()[2:]:
         names, defaults = line.split("|")[1:3]
         listed += zip(re.findall(r"`(\w+)`", names), map(float, defaults.split(",")), strict=True)
-    known = {each.name: float(getattr(UncertaintyTable(), each.name)) for each in fields(UncertaintyTable)}
+    known = {each.key: each.u for each in inputs() if each.u is not None}
     assert len(listed) == len(known)
     assert dict(listed) == known
     beside = re.findall(r"`(\w+)` \(([\d.e-]+)( %|\)| nm)", before + after)

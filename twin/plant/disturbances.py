@@ -1,128 +1,93 @@
-"""The disturbances of a virtual rig: what it is off by, `[twin.disturbances]` of a rig file, and the values that are drawn.
+"""What a virtual rig is off by: properties of its parts, how widely values are drawn for them, and the drawn values.
 
-Each key has the name of one of `[uncertainty]`: what an operator states as the uncertainty of an input is here how far the
-input is off. The values are drawn by name from the rig's seed, so that a further input changes none of the others.
+Which inputs a rig can be off by is declared where its file is read (`Disturbances` has a key for each). The values are drawn by
+name from the rig's seed, so that a further input changes none of the others.
 """
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, fields, replace
-from typing import Annotated, Any
+from dataclasses import dataclass, fields, replace
+from enum import StrEnum
+from typing import Final, NamedTuple, Protocol
 
 import numpy as np
-from annotated_types import Ge, Le
 
 from goniotwin.arrays import Floats
-from goniotwin.keys import LATER, Fraction, NonNegative, check_bounds
+from goniotwin.keys import NonNegative, check_bounds
 from goniotwin.twin.optics import Deviation, Instrument
 from goniotwin.twin.optics.geometry.field import scale_field
+from goniotwin.twin.optics.geometry.instrument import COMPONENTS
 from goniotwin.twin.plant.noise import mix, normal, process_key
 
-Tilt = Annotated[float, Ge(0.0), Le(5.0)]
-Shift = Annotated[float, Ge(0.0), Le(10.0)]
-NORMAL: dict[str, Any] = {"distribution": "normal"}
-"""Metadata of a key that is a standard deviation. All other keys are half widths of a rectangular distribution."""
+
+class SharedBy(StrEnum):
+    """What has one value of an input in common, and with it one draw."""
+
+    ALL = "all values"
+    MOUNTING = "all values of this mounting"
+    PHOTODIODE = "all values of this photodiode"
+    AXIS_MOVE = "all rows until its next move"
+    MOVE = "all rows until the next move of any axis"
+    SCAN = "this scan"
+
+
+class Target(NamedTuple):
+    """A property of a part of the virtual rig, to which drawn values are added; of an element those of `Deviation`."""
+
+    part: str
+    property: str
+
+
+SAMPLE: Final = "sample"
+ETALON: Final = "etalon"
+LIGHT = {path: Target(path, "factor") for path in (SAMPLE, ETALON)}
+"""The light of a path over what it would be, less 1."""
+ANGLE = {axis: Target(axis, "angle_deg") for axis in ("gamma", "sigma", "beta", "shift")}
+"""The true angle of an axis, less that of its motor."""
+PLAY = Target("axes", "play_deg")
+"""Further play of every axis. It is not drawn: the width itself is added."""
+ALONG, ACROSS = (Target("photodiode", each) for each in ("along the arc", "across it"))
+FIELD = Target("photodiodes", "logarithm of the variance of directions")
+LINEARITY = Target("photodiodes", "change for a decade of current")
+CROSSTALK = Target("converters", "share of other channels")
+MONITOR_LINEARITY, MONITOR_DRIFT = (Target("monitor", f"change for {each}") for each in ("a decade of current", "an hour"))
+WAVELENGTH, STRAY_LIGHT = (Target("monochromator", each) for each in ("wavelength in nm", "share of white light"))
+
+
+class Disturbance(Protocol):
+    """Values that are drawn: by the name of each the targets that it is added to; what has one in common; and their law.
+
+    What is `per_year` counts once for each year since the etalon's calibration.
+    """
+
+    targets: Mapping[str, tuple[Target, ...]]
+    shared_by: SharedBy
+    distribution: str
+    per_year: bool
 
 
 @dataclass(frozen=True)
 class Disturbances:
-    """How far the virtual rig is off, drawn once from its seed; 0 is not at all.
+    """How far the virtual rig is off, drawn once from its seed; 0 is not at all. A key's metadata have its `disturbance`.
 
-    A key in degrees or mm is the half width of a rectangular distribution. `sample_tilt_deg` (about x and y) and
-    `sample_height_mm` are drawn at each mounting of a sample, `etalon_tilt_deg` and `etalon_height_mm` at each of the sample
-    called `etalon`. Tilts (`mirror_tilt_deg`, `arc_tilt_deg`, `sensor_tilt_deg`) are about each of two axes, of the arc about
-    three; shifts (`mirror_shift_mm`, `arc_shift_mm`, `sensor_shift_mm`, and the exit pupil's `illumination_shift_mm`) along
-    each of three. `beam_tilt_deg` turns the illumination unit about the sample's centre, where the light stays, about each of
-    the two axes across the beam. All are added to `[twin.deviations]`. The zeros `sigma_zero_deg`, `beta_zero_deg` and
-    `shift_zero_deg` are added to the true angles, unseen by switches and encoders. `photodiode_angle_deg` and
-    `photodiode_across_deg` are drawn for each photodiode, along the arc and across it. `position_deg` is drawn for an axis at
-    each of its moves; `backlash_deg` is not drawn: each axis has so much more play.
-
-    Standard deviations, relative where no unit is named: `field_of_view` of the logarithm of the variance of the directions
-    in the field of view, `wavelength_nm` of the true wavelength, `linearity_per_decade` of the photodiodes' current,
-    `crosstalk` of the volts of a module's other channels, `monitor_linearity_per_decade` and `monitor_drift_per_hour` (both
-    added to those of `[twin.monitor]`), `monochromator_stray` of white light. Of the etalon alone:
-    `certificate_level` of its radiance factor against the certificate, `etalon_age_per_year` over `etalon_years`, and
-    `etalon_edge`. `uniformity` and `mounting` are drawn at each mounting of a sample, the etalon too, `repeatability`
-    after each move of any axis.
+    `etalon` is the name of the sample that is mounted as etalon, and `etalon_years` is the time since its calibration.
     """
 
     etalon: str = "etalon"
     etalon_years: NonNegative = 0.0
-    sample_tilt_deg: Tilt = 0.0
-    sample_height_mm: Shift = 0.0
-    etalon_tilt_deg: Tilt = 0.0
-    etalon_height_mm: Shift = 0.0
-    mirror_tilt_deg: Tilt = 0.0
-    mirror_shift_mm: Shift = 0.0
-    illumination_shift_mm: Shift = 0.0
-    beam_tilt_deg: Tilt = field(default=0.0, metadata=LATER)
-    arc_tilt_deg: Tilt = 0.0
-    arc_shift_mm: Shift = 0.0
-    sensor_tilt_deg: Tilt = 0.0
-    sensor_shift_mm: Shift = 0.0
-    sigma_zero_deg: Tilt = 0.0
-    beta_zero_deg: Tilt = 0.0
-    shift_zero_deg: Tilt = 0.0
-    photodiode_angle_deg: Tilt = 0.0
-    photodiode_across_deg: Tilt = 0.0
-    position_deg: Tilt = 0.0
-    backlash_deg: Tilt = 0.0
-    field_of_view: Annotated[float, Ge(0.0), Le(2.0)] = field(default=0.0, metadata=NORMAL)
-    wavelength_nm: Annotated[float, Ge(0.0), Le(50.0)] = field(default=0.0, metadata=NORMAL)
-    linearity_per_decade: Fraction = field(default=0.0, metadata=NORMAL)
-    crosstalk: Fraction = field(default=0.0, metadata=NORMAL)
-    monitor_linearity_per_decade: Fraction = field(default=0.0, metadata=NORMAL)
-    monitor_drift_per_hour: Fraction = field(default=0.0, metadata=NORMAL)
-    certificate_level: Fraction = field(default=0.0, metadata=NORMAL)
-    etalon_age_per_year: Fraction = field(default=0.0, metadata=NORMAL)
-    etalon_edge: Fraction = field(default=0.0, metadata=NORMAL)
-    monochromator_stray: Fraction = field(default=0.0, metadata=NORMAL)
-    uniformity: Fraction = field(default=0.0, metadata=NORMAL)
-    repeatability: Fraction = field(default=0.0, metadata=NORMAL)
-    mounting: Fraction = field(default=0.0, metadata=NORMAL)
 
     def __post_init__(self) -> None:
         check_bounds(self)
 
+    @property
+    def widths(self) -> dict[str, tuple[Disturbance, float]]:
+        """The disturbances with their half widths or standard deviations, by key."""
+        known = {each.name: each.metadata.get("disturbance") for each in fields(self)}
+        return {key: (each, getattr(self, key)) for key, each in known.items() if each is not None}
 
-NORMAL_KEYS = frozenset(each.name for each in fields(Disturbances) if each.metadata == NORMAL)
-_ELEMENTS: dict[str, tuple[str, str | None, str, str]] = {
-    **{f"mirror_{m}": (f"mirror_{m}", "mirror_tilt_deg", "xy", "mirror_shift_mm") for m in (1, 2, 3)},
-    "illumination": ("pupil", None, "", "illumination_shift_mm"),
-    "arc": ("arc", "arc_tilt_deg", "xyz", "arc_shift_mm"),
-    "sensor": ("sensor", "sensor_tilt_deg", "xy", "sensor_shift_mm"),
-}
-"""Elements with deviations: their names in the instrument, the key and the axes of the tilts, the key of the shifts."""
-_KEYS = {
-    **{f"{name}_tilt_{axis}": tilt for name, (_, tilt, axes, _) in _ELEMENTS.items() for axis in axes if tilt is not None},
-    **{f"{name}_shift_{axis}": shift for name, (_, _, _, shift) in _ELEMENTS.items() for axis in "xyz"},
-    **{f"beam_tilt_{axis}": "beam_tilt_deg" for axis in "xz"},
-    **{f"{axis}_zero": f"{axis}_zero_deg" for axis in ("sigma", "beta", "shift")},
-    "field": "field_of_view",
-    "wavelength": "wavelength_nm",
-    "linearity": "linearity_per_decade",
-    "crosstalk": "crosstalk",
-    "monitor_linearity": "monitor_linearity_per_decade",
-    "monitor_drift": "monitor_drift_per_hour",
-    "certificate[level]": "certificate_level",
-    "etalon_age": "etalon_age_per_year",
-    "etalon_edge": "etalon_edge",
-    "monochromator_stray": "monochromator_stray",
-}
-"""The key of each input that the rig has once."""
-POSE_INPUTS = frozenset(name for name in _KEYS if "_tilt_" in name or "_shift_" in name or name.endswith("_zero"))
-"""Inputs of the rig that are a tilt or a shift of an element, or an axis' zero."""
-_PHOTODIODE_KEYS = {"photodiode_angle": "photodiode_angle_deg", "photodiode_across": "photodiode_across_deg"}
-_REPEATED_KEYS = {
-    **{f"{each}_tilt_{axis}": f"{each}_tilt_deg" for each in ("sample", "etalon") for axis in "xy"},
-    **{f"{each}_height": f"{each}_height_mm" for each in ("sample", "etalon")},
-    "uniformity": "uniformity",
-    "mounting": "mounting",
-    "position": "position_deg",
-    "repeatability": "repeatability",
-}
-"""The key of each input that is drawn again: its name ends with `@` and what it belongs to."""
+    def width(self, target: Target) -> float:
+        """The widths of what is added to a target, in all."""
+        return math.fsum(width for each, width in self.widths.values() if any(target in at for at in each.targets.values()))
 
 
 class Drawn(Mapping[str, float]):
@@ -137,104 +102,118 @@ class Drawn(Mapping[str, float]):
     def __init__(self, table: Disturbances, seed: int, photodiodes: int) -> None:
         self.table = table
         self._seed = seed
-        self._keys = dict(_KEYS)
-        for stem, key in _PHOTODIODE_KEYS.items():
-            self._keys |= {f"{stem}[{c}]": key for c in range(photodiodes)}
         self._photodiodes = photodiodes
+        self._once: dict[str, tuple[Disturbance, float]] = {}
+        self._again: dict[str, tuple[Disturbance, float]] = {}
+        self._added: dict[Target, list[tuple[str, SharedBy, float]]] = {}
+        for each, width in table.widths.values():
+            known = self._once if each.shared_by in (SharedBy.ALL, SharedBy.PHOTODIODE) else self._again
+            for name, targets in each.targets.items():
+                own = [f"{name}[{c}]" for c in range(photodiodes)] if each.shared_by is SharedBy.PHOTODIODE else [name]
+                known.update(dict.fromkeys(own, (each, width)))
+                for target in targets if width else ():
+                    times = table.etalon_years if each.per_year else 1.0
+                    self._added.setdefault(target, []).append((name, each.shared_by, times))
+        self.counts_moves = any(
+            shared_by is SharedBy.AXIS_MOVE for each in ANGLE.values() for _, shared_by, _ in self._added.get(each, ())
+        )
+        """Whether the angle of an axis depends on the number of its moves."""
         self._values: dict[str, float] = {}
+        self._sums: dict[Target, float] = {}
         self._mounted: dict[tuple[str | None, int], Deviation] = {}
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._keys)
+        return iter(self._once)
 
     def __len__(self) -> int:
-        return len(self._keys)
+        return len(self._once)
 
     def __getitem__(self, name: str) -> float:
         if (known := self._values.get(name)) is not None:
             return known
         stem, again, _ = name.partition("@")
         if again:
-            return self._draw(name, _REPEATED_KEYS[stem])
-        drawn = self._values[name] = self._draw(name, self._keys[name])
+            return self._draw(name, *self._again[stem])
+        drawn = self._values[name] = self._draw(name, *self._once[name])
         return drawn
 
-    def _draw(self, name: str, key: str) -> float:
-        width: float = getattr(self.table, key)
+    def _draw(self, name: str, disturbance: Disturbance, width: float) -> float:
         if width == 0.0:
             return 0.0
         process = process_key(self._seed, f"disturbance {name}")
-        if key in NORMAL_KEYS:
+        if disturbance.distribution == "normal":
             return width * float(normal(process, np.int64(0)))
         return width * (float(mix(process, np.int64(0))) / 2.0**63 - 1.0)
+
+    def _drawn_at(self, target: Target, ends: Mapping[SharedBy, str]) -> list[float]:
+        """The values that are added to a target, by the ends of their names."""
+        added = self._added.get(target, ())
+        return [self[name + ends[shared_by]] * times for name, shared_by, times in added if shared_by in ends]
+
+    def of(self, target: Target) -> float:
+        """The sum of what the whole rig has added to a target."""
+        if (known := self._sums.get(target)) is None:
+            known = self._sums[target] = sum(self._drawn_at(target, {SharedBy.ALL: ""}), 0.0)
+        return known
 
     def instrument(self, instrument: Instrument) -> Instrument:
         """The instrument with the deviations of its elements, and the field of view, as drawn."""
         deviations = dict(instrument.deviations)
-        for element, drawn in element_deviations(self, instrument.pupil_distance_mm).items():
+        amounts = {target: self.of(target) for target in self._added if target.part not in LIGHT}
+        for element, drawn in element_deviations(amounts, instrument.pupil_distance_mm).items():
             deviations[element] = add_deviations(instrument.deviation(element), drawn)
-        return scale_field(replace(instrument, deviations=deviations), self["field"])
+        return scale_field(replace(instrument, deviations=deviations), self.of(FIELD))
 
     def photodiode_angles_deg(self) -> tuple[Floats, Floats]:
         """Each photodiode's own angle (photodiodes,) along the arc, towards its end, and across it, towards growing beta."""
-        along, across = (np.array([self[f"{stem}[{c}]"] for c in range(self._photodiodes)]) for stem in _PHOTODIODE_KEYS)
+        ends = [{SharedBy.ALL: "", SharedBy.PHOTODIODE: f"[{c}]"} for c in range(self._photodiodes)]
+        along, across = (np.array([sum(self._drawn_at(each, end), 0.0) for end in ends]) for each in (ALONG, ACROSS))
         return along, across
 
     def axis_error_deg(self, axis: str, moves: int) -> float:
         """The difference of an axis' true angle from that of its motor, after so many moves: its zero and its position."""
-        zero = self.get(f"{axis}_zero", 0.0)
-        return zero + self[f"position@{axis}#{moves}"] if self.table.position_deg else zero
+        return sum(self._drawn_at(ANGLE[axis], {SharedBy.ALL: "", SharedBy.AXIS_MOVE: f"@{axis}#{moves}"}), 0.0)
 
     def mounted(self, sample: str | None, mounting: int) -> Deviation:
         """The deviation of a sample at one of its mountings, from 1; none for an empty sample unit, or a mounting of 0."""
         known = self._mounted.get((sample, mounting))
         if known is None:
             kind, at = self._mounting(sample, mounting)
-            known = self._mounted[sample, mounting] = (
-                Deviation()
-                if not kind
-                else Deviation(
-                    rx_deg=self[f"{kind}_tilt_x@{at}"], ry_deg=self[f"{kind}_tilt_y@{at}"], z_mm=self[f"{kind}_height@{at}"]
-                )
-            )
+            ends = {SharedBy.ALL: "", SharedBy.MOUNTING: at}
+            off = {name: sum(self._drawn_at(Target(kind, name), ends), 0.0) for name in COMPONENTS}
+            known = self._mounted[sample, mounting] = Deviation(**off)
         return known
 
     def signal_factor(self, sample: str | None, mounting: int, moves: int) -> float:
         """The factor on a sample's light at one of its mountings, after so many moves of all axes together."""
         kind, at = self._mounting(sample, mounting)
-        if not kind:
+        if not kind or LIGHT[kind] not in self._added:
             return 1.0
-        result = 1.0 + self[f"repeatability@#{moves}"]
-        for each in ("uniformity", "mounting"):
-            result *= 1.0 + self[f"{each}@{at}"]
-        if kind == "etalon":
-            aged = self["etalon_age"] * self.table.etalon_years
-            result *= (1.0 + self["certificate[level]"]) * (1.0 + aged) * (1.0 + self["etalon_edge"])
-        return result
+        parts = {SharedBy.MOUNTING: at, SharedBy.MOVE: f"@#{moves}"}, {SharedBy.ALL: ""}
+        again, once = (math.prod([1.0 + each for each in self._drawn_at(LIGHT[kind], part)], start=1.0) for part in parts)
+        return again * once
 
     def _mounting(self, sample: str | None, mounting: int) -> tuple[str, str]:
-        """`sample` or `etalon`, and the end of the names of a mounting; two empty texts for none."""
+        """SAMPLE or ETALON, and the end of the names of a mounting; two empty texts for none."""
         if sample is None or mounting == 0:
             return "", ""
-        return "etalon" if sample == self.table.etalon else "sample", f"{sample}#{mounting}"
+        return ETALON if sample == self.table.etalon else SAMPLE, f"@{sample}#{mounting}"
 
 
-def element_deviations(values: Mapping[str, float], pupil_distance_mm: float) -> dict[str, Deviation]:
-    """The deviations of the instrument's elements by the values of inputs, such as `mirror_2_tilt_x`; those that are 0 not.
+def element_deviations(amounts: Mapping[Target, float], pupil_distance_mm: float) -> dict[str, Deviation]:
+    """The deviations of the instrument's elements by what is added to them; those that are 0 not.
 
-    `pupil_distance_mm` is the length of the beam from the exit pupil to the sample: the beam tilts about the sample's centre.
+    `pupil_distance_mm` is the length of the beam from the exit pupil to the sample: a `beam` tilts about the sample's centre.
     """
-    found = {}
-    for name, (element, _, axes, _) in _ELEMENTS.items():
-        own = {f"r{axis}_deg": values.get(f"{name}_tilt_{axis}", 0.0) for axis in axes}
-        own |= {f"{axis}_mm": values.get(f"{name}_shift_{axis}", 0.0) for axis in "xyz"}
-        if any(own.values()):
-            found[element] = Deviation(**own)
-    about_x, about_z = (values.get(f"beam_tilt_{axis}", 0.0) for axis in "xz")
-    if about_x or about_z:
-        sideways, upwards = (pupil_distance_mm * math.sin(math.radians(each)) for each in (about_z, -about_x))
-        tilted = Deviation(rx_deg=about_x, rz_deg=about_z, x_mm=sideways, z_mm=upwards)
-        found["pupil"] = add_deviations(found.get("pupil", Deviation()), tilted)
+    own: dict[str, dict[str, float]] = {}
+    for (part, name), amount in amounts.items():
+        if amount and name in COMPONENTS:
+            own.setdefault(part, {})[name] = amount
+    beam = Deviation(**own.pop("beam", {}))
+    found = {part: Deviation(**each) for part, each in own.items()}
+    if beam.rx_deg or beam.rz_deg:
+        sideways, upwards = (pupil_distance_mm * math.sin(math.radians(each)) for each in (beam.rz_deg, -beam.rx_deg))
+        found["pupil"] = add_deviations(found.get("pupil", Deviation()), replace(beam, x_mm=sideways, z_mm=upwards))
     return found
 
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics.geometry.instrument import nominal_reflectance
+from goniotwin.twin.plant import disturbances
 from goniotwin.twin.plant.converter import conversions, convert_channels, convert_readings, noise_v
 from goniotwin.twin.plant.disturbances import Drawn
 from goniotwin.twin.plant.history import ChangingQuantity, History, SlewHistory
@@ -56,7 +57,7 @@ class Plant:
     def __init__(self, model: TwinModel) -> None:
         self.model = model
         self.drawn = Drawn(model.disturbances, model.seed, model.photodiodes.count)
-        play = model.disturbances.backlash_deg
+        play = model.disturbances.width(disturbances.PLAY)
         self.shafts = {
             name: Shaft(replace(each, backlash_deg=each.backlash_deg + play) if play else each)
             for name, each in model.axes.items()
@@ -178,7 +179,7 @@ class Plant:
 
     def _axis_error_deg(self, axis: str, shaft: Shaft, t: float) -> float:
         """`Drawn.axis_error_deg`, once for each axis where its moves make no difference."""
-        if self.model.disturbances.position_deg:
+        if self.drawn.counts_moves:
             return self.drawn.axis_error_deg(axis, shaft.drive(t).moves)
         known = self._axis_errors_deg.get(axis)
         if known is None:
@@ -205,7 +206,7 @@ class Plant:
 
     def _aspects(self, poses: Iterable[ExpectedPose]) -> Iterator[Aspect]:
         """The aspects at expected poses, one for each wavelength that passes; none of a pose where the way there decides."""
-        if self.model.disturbances.position_deg:
+        if self.drawn.counts_moves:
             return
         axes = ("sigma", "gamma", "beta", "shift")
         shafts = [(name, self.shafts.get(name)) for name in axes]
@@ -270,7 +271,7 @@ class Plant:
 
     def _disturbed(self, currents: Floats, sample: str | None, mounting: int, sigma_deg: float, moves: int) -> Floats:
         """Photocurrents with what sample and photodiodes are off by, and with the effect of the light's polarisation."""
-        factor, per_decade = self.drawn.signal_factor(sample, mounting, moves), self.drawn["linearity"]
+        factor, per_decade = self.drawn.signal_factor(sample, mounting, moves), self.drawn.of(disturbances.LINEARITY)
         if sample is not None and (diattenuation := self.model.diattenuation.get(sample, 0.0)):
             factor *= 1.0 + diattenuation * self.model.light.polarised(sigma_deg)
         if factor != 1.0:
@@ -293,7 +294,7 @@ class Plant:
 
     def with_crosstalk(self, volts: Floats) -> Floats:
         """Input voltages (..., channels), V, each with its share of those of its module's other channels."""
-        share = self.drawn["crosstalk"]
+        share = self.drawn.of(disturbances.CROSSTALK)
         if share == 0.0:
             return volts
         result = volts.copy()
@@ -347,7 +348,7 @@ class Plant:
     def monitor_a(self, start: float, end: float) -> float:
         """Mean current of the monitor photodiode over [start, end], A."""
         monitor, drawn = self.model.monitor, self.drawn
-        drift, linearity = drawn["monitor_drift"], drawn["monitor_linearity"]
+        drift, linearity = drawn.of(disturbances.MONITOR_DRIFT), drawn.of(disturbances.MONITOR_LINEARITY)
         current = monitor.dark_a
         changing = max(self.wavelength_nm.last_change, self.wheel.last_change, self.shutter_open.last_change) > start
         pieces = MONITOR_PIECES if changing else 1
@@ -376,7 +377,7 @@ class Plant:
         for offset_nm, part in self.model.light.nodes:
             for nm, share in sorting.passing(true_nm + offset_nm, position):
                 result.append((nm, part * share * float(np.interp(nm, *self._lamp_spectrum))))
-        if (stray := self.drawn["monochromator_stray"]) != 0.0:
+        if (stray := self.drawn.of(disturbances.STRAY_LIGHT)) != 0.0:
             stray *= sum(light for _, light in result)
             white = [(nm, float(np.interp(nm, *self._lamp_spectrum))) for nm in self._white_nm]
             total = sum(light for _, light in white)
@@ -386,7 +387,7 @@ class Plant:
 
     def _true_nm(self, set_nm: float) -> float:
         """The wavelength that passes the monochromator where it is set to another."""
-        return set_nm + self.drawn["wavelength"]
+        return set_nm + self.drawn.of(disturbances.WAVELENGTH)
 
     def _settled(self, t: float) -> tuple[object, ...] | None:
         """Newest state of everything that determines the photocurrents; None where any of it has changed after `t`."""

@@ -3,7 +3,8 @@
 from dataclasses import dataclass
 from math import inf
 
-from goniotwin.app.rig.uncertainty import Distribution
+from goniotwin.app.rig.inputs import Distribution, Input
+from goniotwin.app.rig.uncertainty import UncertaintyTable
 
 
 @dataclass(frozen=True)
@@ -22,3 +23,13 @@ class InputQuantity:
     source: str
     twin: str
     degrees_of_freedom: float = inf
+
+
+def quantity(
+    each: Input, table: UncertaintyTable, name: str = "", *, shared_by: str = "", times: float = 1.0
+) -> InputQuantity:  # fmt: skip
+    """A quantity of a declared input, by the `name` of one where it has several; with so many `times` its uncertainty."""
+    return InputQuantity(
+        name or each.name, each.unit, times * table.u(each), each.distribution, shared_by or each.shared_by.value,
+        table.source(each), f"disturbances.{each.key}" if each.targets else "",
+    )  # fmt: skip

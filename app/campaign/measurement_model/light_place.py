@@ -21,12 +21,12 @@ from goniotwin.app.campaign.measurement_model.pose import (
     image_shifts,
     light_changes,
 )
+from goniotwin.app.rig.inputs import element_deviations
 from goniotwin.arrays import Floats, Ints
 from goniotwin.twin.optics import Instrument
 from goniotwin.twin.optics.geometry.field import scale_field
 from goniotwin.twin.optics.geometry.scene import scene_at
 from goniotwin.twin.optics.illumination.slit_image import lit_corners, slit_image
-from goniotwin.twin.plant.disturbances import element_deviations
 
 MOVES_IMAGE = tuple(name for name in LIGHT if name.startswith(("mirror_", "illumination_")))
 """Inputs that move the slit's image."""

@@ -12,16 +12,18 @@ The light comes from the image of the exit pupil in the mirrors; a mirror's tilt
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
 
-from goniotwin.app.campaign.measurement_model.inputs import InputQuantity
+from goniotwin.app.campaign.measurement_model.inputs import InputQuantity, quantity
 from goniotwin.app.rig import RigFile, nominal_instrument
+from goniotwin.app.rig.inputs import BACKLASH, PHOTODIODE_ACROSS, PHOTODIODE_ANGLE, POSITION, input_named
 from goniotwin.app.rig.uncertainty import UncertaintyTable
 from goniotwin.arrays import Flags, Floats
 from goniotwin.twin.optics import Instrument
+from goniotwin.twin.plant.disturbances import SAMPLE
 
 RAD = math.pi / 180.0
 MIRRORS = (1, 2, 3)
@@ -49,6 +51,7 @@ VIEW = (
     "sensor_shift_y",
 )
 """Inputs that move the directions that photodiodes look along."""
+OF_ETALON = "all values that divide by this mounting"
 MOUNTED = ("tilt_x", "tilt_y", "height")
 """Inputs of each mounting of a sample or of the etalon: turns about x and y of a frame that turns with gamma, and a lift."""
 ASIDE = ("arc_shift_x", "arc_shift_y", "arc_shift_z", "sensor_tilt_y", "sensor_shift_x")
@@ -539,58 +542,41 @@ def _mounted(instrument: Instrument, frame: _Frame, seen: _Seen, views: Views, l
 
 def rig_inputs(table: UncertaintyTable) -> list[InputQuantity]:
     """The inputs LIGHT and VIEW."""
-    return [_input(table, name, _key(name), "all values") for name in (*LIGHT, *VIEW)]
+    return [quantity(input_named(name), table, name) for name in (*LIGHT, *VIEW)]
 
 
 def mounting_inputs(table: UncertaintyTable, kind: str, mounting: str) -> list[InputQuantity]:
     """The inputs MOUNTED of a mounting of a `sample`, or of the `etalon`."""
-    shared = "all values of this mounting" if kind == "sample" else "all values that divide by this mounting"
-    return [_input(table, f"{kind}_{each}@{mounting}", _key(f"{kind}_{each}"), shared) for each in MOUNTED]
+    shared_by, names = "" if kind == SAMPLE else OF_ETALON, [f"{kind}_{each}" for each in MOUNTED]
+    return [quantity(input_named(name), table, f"{name}@{mounting}", shared_by=shared_by) for name in names]
 
 
 def lifted_inputs(table: UncertaintyTable, kind: str, mounting: str) -> list[InputQuantity]:
     """The products of the height of a mounting with each of ASIDE: of mean 0, and correlated with no other input."""
     height = mounting_inputs(table, kind, mounting)[MOUNTED.index("height")]
-    products = []
-    for name in ASIDE:
-        other = _input(table, name, _key(name), "all values")
-        products.append(
-            InputQuantity(
-                f"{kind}_height*{name}@{mounting}", f"mm {other.unit}", height.u * other.u, "normal", height.shared_by,
-                f"{height.source}, {_key(name)}", height.twin,
-            )
-        )  # fmt: skip
-    return products
+    others = {name: quantity(input_named(name), table, name) for name in ASIDE}
+    return [
+        InputQuantity(
+            f"{kind}_height*{name}@{mounting}", f"mm {other.unit}", height.u * other.u, "normal", height.shared_by,
+            f"{height.source}, {other.source}", height.twin,
+        )
+        for name, other in others.items()
+    ]  # fmt: skip
 
 
 def photodiode_inputs(table: UncertaintyTable, photodiode: int) -> list[InputQuantity]:
     """The own angles of a photodiode, along the arc and across it."""
-    names = ("photodiode_angle", "photodiode_across")
-    return [_input(table, f"{name}[{photodiode}]", f"{name}_deg", "all values of this photodiode") for name in names]
+    return [quantity(each, table, f"{each.name}[{photodiode}]") for each in (PHOTODIODE_ANGLE, PHOTODIODE_ACROSS)]
 
 
 def position_input(table: UncertaintyTable, axis: str, move: int | str) -> InputQuantity:
     """The position of an axis after its move of this number or name, with the backlash where none is taken up."""
-    each = _input(table, f"position@{axis}#{move}", "position_deg", "all rows until its next move")
-    return InputQuantity(**{**vars(each), "u": position_u_deg(table)})
+    return replace(quantity(POSITION, table, f"{POSITION.name}@{axis}#{move}"), u=position_u_deg(table))
 
 
 def position_u_deg(table: UncertaintyTable) -> float:
     """Standard uncertainty of an axis' position, deg."""
-    return math.hypot(table.standard("position_deg"), table.standard("backlash_deg"))
-
-
-def _key(name: str) -> str:
-    """The key of `[uncertainty]` for an input: `mirror_tilt_deg` for `mirror_2_tilt_x`."""
-    stem = name.removesuffix("_x").removesuffix("_y").removesuffix("_z")
-    parts = [part for part in stem.split("_") if not part.isdigit()]
-    return "_".join(parts) + ("_mm" if parts[-1] in ("shift", "height") else "_deg")
-
-
-def _input(table: UncertaintyTable, name: str, key: str, shared_by: str) -> InputQuantity:
-    unit = "mm" if key.endswith("_mm") else "deg"
-    source = f"[uncertainty] {key}"
-    return InputQuantity(name, unit, table.standard(key), table.distribution(key), shared_by, source, f"disturbances.{key}")
+    return math.hypot(table.u(POSITION), table.u(BACKLASH))
 
 
 def standard_uncertainties(inputs: list[InputQuantity]) -> Floats:

@@ -1,6 +1,6 @@
 """Virtual rigs that are off by what a rig file states, and their campaigns through the wires."""
 
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +13,7 @@ from goniotwin.app.campaign.rehearsal.row_statistics import RowStatistics
 from goniotwin.app.campaign.running.events import State
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription, parse_rig
-from goniotwin.app.rig.uncertainty import UncertaintyTable
-from goniotwin.twin.plant import Disturbances
+from goniotwin.app.rig.inputs import CERTIFICATE_LEVEL, inputs
 
 
 class DrawnRigs:
@@ -27,8 +26,9 @@ class DrawnRigs:
 
     def __init__(self, rig: RigDescription, etalon: str, *, level: float, years: float) -> None:
         self._document = tomlkit.parse(rig.text)
-        stated: dict[str, Any] = {key: getattr(rig.file.uncertainty, key) for key in _common_keys()}
-        stated |= {"etalon": etalon, "certificate_level": level, "etalon_years": years}
+        drawn = [each for each in inputs() if each.targets and each.u is not None]
+        stated: dict[str, Any] = {each.key: rig.file.uncertainty.width(each) for each in drawn}
+        stated |= {"etalon": etalon, CERTIFICATE_LEVEL.key: level, "etalon_years": years}
         twin = _table(self._document, "twin")
         _add(_table(twin, "disturbances"), stated)
         _add(_table(twin, "electronics"), {"gain_spread": rig.file.photodiodes.gain_uncertainty})
@@ -43,12 +43,6 @@ class DrawnRigs:
         assert file.simulated is not None
         own = replace(file, simulated=replace(file.simulated, seed=seed))
         return replace(self._first, text=tomlkit.dumps(self._document), file=own)
-
-
-def _common_keys() -> list[str]:
-    """The keys of `[uncertainty]` that `[twin.disturbances]` has."""
-    known = {each.name for each in fields(Disturbances)}
-    return [each.name for each in fields(UncertaintyTable) if each.name in known]
 
 
 def _table(table: Any, name: str) -> Any:

@@ -68,9 +68,11 @@ from goniotwin.app.rig.alignment import (
     residual_findings,
     residual_words,
 )
+from goniotwin.app.rig.inputs import ETALON_TILT, FIELD_OF_VIEW, factors
 from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.twin.optics import Instrument
 from goniotwin.twin.optics.geometry.coordinates import SPECULAR_AZIMUTH_DEG
+from goniotwin.twin.plant.disturbances import SharedBy
 
 LEAST_SHARE = 0.01
 """Values below this share of the largest one of their incidence are not used: there the form of a lobe is less certain."""
@@ -93,8 +95,8 @@ MIDDLE_U_MM = 0.01
 """Standard uncertainty of the light's middle at a pose by the model of a hole that is lit in part; assumed."""
 LEAST_DARK = 0.01
 """Share of the hole from which on light is stated to miss it."""
-ROW_GROUPS = ("lamp", "monitor", "repeatability")
-"""Groups whose inputs all values of a row have in common, at the sample and at the etalon."""
+ROW_GROUPS = ("lamp", "monitor")
+"""Groups of readings whose inputs all values of a row have in common, at the sample and at the etalon."""
 
 
 @dataclass(frozen=True)
@@ -421,7 +423,7 @@ class _Fitting:
         common = plain.effects.dense[0].sensitivity * [each.u**2 for each in modes] @ of_modes.T @ by_inputs.T
         table = np.concatenate([common, columns, plain.residual[:, None]], axis=1)
         white = table.T @ ValuesCovariance(plain.effects).solve(table)
-        etalon = self._settings.rig.uncertainty.standard("etalon_tilt_deg")
+        etalon = self._settings.rig.uncertainty.u(ETALON_TILT)
         place = search_place(seen, LobeData(poses, white), prior, etalon)
         gain = before.covariance @ by_inputs.T @ np.linalg.inv(prior)
         if not place.seen and place.upright:
@@ -491,8 +493,9 @@ class LobeValues:
         base = effects_of(self._points, self._settings)
         self._independent = {name: each for name, each in base.independent.items() if name in INDEPENDENT}
         common = np.zeros(self._points.size)
+        of_rows = {*ROW_GROUPS, *(each.name for each in factors() if each.shared_by is SharedBy.MOVE)}
         for group in base.groups:
-            if group.name in ROW_GROUPS:
+            if group.name in of_rows:
                 common += group_variance(group)
             else:  # its inputs are common to few values: of a photodiode at a gain, of one reading of the etalon
                 self._independent[group.name] = self._independent.get(group.name, 0.0) + group_variance(group)
@@ -555,7 +558,7 @@ class LobeValues:
         modes, of_modes = before.modes
         by_mode = sensitivity @ of_modes
         dense = [Dense(modes, by_mode), *self._dense, *self._lobe_inputs(basis), *self._etalon_inputs(of_angles)]
-        field = table.standard("field_of_view")
+        field = table.u(FIELD_OF_VIEW)
         of_field = lobe.blur
         if not lit:
             by_field = light_place(self._light, self._views, effects.common, known).by_field

@@ -24,7 +24,7 @@ import numpy as np
 from goniotwin.app.campaign.geometry.open_beam import LEAST_SIGMA_DEG, BeamScan, beam_scans, scan_wavelength_nm
 from goniotwin.app.campaign.measurement_model.effects import Component
 from goniotwin.app.campaign.measurement_model.field import directions_covariance
-from goniotwin.app.campaign.measurement_model.inputs import InputQuantity
+from goniotwin.app.campaign.measurement_model.inputs import InputQuantity, quantity
 from goniotwin.app.campaign.measurement_model.light_place import across_beam, place_law, seen_light
 from goniotwin.app.campaign.measurement_model.pose import (
     LIGHT,
@@ -58,10 +58,12 @@ from goniotwin.app.campaign.reduction.signals import LIGHT as LEAST_LIGHT
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.schedule.grids import grid_values
 from goniotwin.app.rig import RigFile, nominal_instrument
+from goniotwin.app.rig import inputs as declared
 from goniotwin.app.rig.uncertainty import UncertaintyTable
 from goniotwin.arrays import Floats, Ints
 from goniotwin.twin.optics import Instrument
 from goniotwin.twin.optics.geometry.coordinates import SPECULAR_AZIMUTH_DEG, round_deg
+from goniotwin.twin.plant.disturbances import ETALON, SharedBy
 
 MIRROR_LEVERS = tuple(math.sqrt(2.0) * k / 4.0 for k in (1, 2, 3))
 """Turn of the light in the plane of incidence for a tilt of each mirror: 1.414 times its share of the path to the sample."""
@@ -122,7 +124,7 @@ class Closure:
     """The etalon's radiance factor by its certificate and by the open beam, at one incidence and wavelength.
 
     `absolute` is corrected for the centroid of the scan by the relative `correction`. `components` are relative, of the ratio
-    of the two; those in CERTIFICATE_INPUTS belong to the route by the etalon, those of `light` to the light's place.
+    of the two; those of `certificate_inputs` belong to the route by the etalon, those of `light` to the light's place.
     """
 
     beam: ScannedBeam
@@ -146,8 +148,8 @@ class Closure:
     @property
     def u_absolute(self) -> float:
         """Relative standard uncertainty of the absolute route alone."""
-        own = (each.u**2 for each in self.components if each.name not in CERTIFICATE_INPUTS)
-        return math.sqrt(math.fsum(own))
+        others = certificate_inputs()
+        return math.sqrt(math.fsum(each.u**2 for each in self.components if each.name not in others))
 
     @property
     def z(self) -> float:
@@ -205,7 +207,7 @@ class JointClosure:
             for part in each.components:
                 if part.name.startswith(SLIT_IMAGE):  # with the place that the image has at all scans
                     continue
-                own = part.name in OWN_OF_A_SCAN or part.name.startswith("position@")
+                own = part.name in OWN_OF_A_SCAN or part.name.startswith(f"{declared.POSITION.name}@")
                 effect = effects.setdefault(f"{k} {part.name}" if own else part.name, np.zeros(len(scanned)))
                 effect[k] = math.copysign(part.u, part.sensitivity)
         columns = np.array(list(effects.values()))
@@ -240,9 +242,10 @@ class JointClosure:
 
 SLIT_IMAGE = "slit_image"
 """The component of the light's place, and with a star and an input those of the place and that input together."""
-OWN_OF_A_SCAN = frozenset({"scan", "noise", "resolution", "dark", "lamp", "etalon_reading", "signature_reading", "monitor"})
+OWN_OF_A_SCAN = frozenset(
+    {declared.SCAN.name, "noise", "resolution", "dark", "lamp", "etalon_reading", "signature_reading", "monitor"}
+)
 """Components of which each scan has an error of its own, beside the positions of its axes."""
-CERTIFICATE_INPUTS = ("certificate", "etalon_age", "etalon_edge")
 TROUBLES = {
     "dead": "has lost its dark current",
     "drift": "is flagged for drift",
@@ -412,6 +415,16 @@ class ClosureReport:
         return f"{worst.verdict} ({where})"
 
 
+def certificate_inputs() -> list[str]:
+    """The components of the route by the etalon: the certificate, and what the etalon has beside it."""
+    return ["certificate", *(each.name for each in _factors_of_etalon())]
+
+
+def _factors_of_etalon() -> list[declared.Input]:
+    """The declared factors on the etalon's light during the whole campaign."""
+    return [each for each in declared.factors(ETALON) if each.shared_by is SharedBy.ALL]
+
+
 def journal_closure(
     settings: ReductionSettings, measurements: Measurements, etalon: ReferenceMeasurements, empty: ReferenceMeasurements
 ) -> ClosureReport:
@@ -561,9 +574,9 @@ class _Readings:
         middle = None
         if wavelength_nm != self._wavelength_nm:
             middle = self._signals([self._open[middle_key]])
-        age = _relative("etalon_age", self._settings.etalon_years, rig, "etalon_age_per_year", "all readings of the etalon")
-        certified = Component("certificate", float(u_factor[0]), 1.0, None), age
-        return compare(beam, wavelength_nm, scanned, middle, etalon, float(factor[0]), certified, rig, self._moves())
+        certified = (Component("certificate", float(u_factor[0]), 1.0, None),)
+        years, moves = self._settings.etalon_years, self._moves()
+        return compare(beam, wavelength_nm, scanned, middle, etalon, float(factor[0]), certified, rig, moves, years)
 
     def _moves(self) -> Ints | None:
         """For each pose (n, 2) the number of moves so far of shift and beta; None without a history of the rows."""
@@ -653,7 +666,7 @@ def scanned_field(beams: Sequence[ScannedBeam], rig: RigFile) -> ScannedField | 
         parts = [math.log(np.trace(each.moment_deg2) / np.trace(moment_deg2(each.scan, instrument))) for each in whole]
         return math.exp(math.fsum(parts) / len(parts))
 
-    found, u = ratio(nominal.field_deg), math.hypot(rig.uncertainty.standard("field_of_view"), MOMENT_U)
+    found, u = ratio(nominal.field_deg), math.hypot(rig.uncertainty.u(declared.FIELD_OF_VIEW), MOMENT_U)
     low, high = FIELDS_DEG
     if abs(math.log(found)) <= AGREES * u or not ratio(low) > 1.0 > ratio(high):
         return ScannedField(found, u, nominal.field_deg, nominal.field_deg if abs(math.log(found)) <= AGREES * u else None)
@@ -668,7 +681,7 @@ def scanned_crosstalk(beams: Sequence[ScannedBeam], rig: RigFile) -> str:
 
     The channels beside the one in the beam count where they are of its module.
     """
-    module, stated = rig.photodiodes.module_channels, rig.uncertainty.crosstalk
+    module, stated = rig.photodiodes.module_channels, rig.uncertainty.u(declared.CROSSTALK)
     found = [
         (
             abs(share),
@@ -693,12 +706,13 @@ def signed(z: float) -> str:
 
 def compare(
     beam: ScannedBeam, wavelength_nm: float, scanned: Signal, middle: Signal | None, etalon: Signal, certified: float,
-    certificate: Sequence[Component], rig: RigFile, moves: Ints | None = None,
+    certificate: Sequence[Component], rig: RigFile, moves: Ints | None = None, years: float = 0.0,
 ) -> Closure:  # fmt: skip
     """The closure at a wavelength: `scanned` (n,) is the scan, `etalon` (1,) the etalon's signal, of a `certificate`.
 
     `middle` (1,) is the open beam at the wavelength in the middle pose; None at the wavelength of the scan itself. `moves`
-    (n, 2) are the numbers of moves of shift and beta before each pose; without them each pose has its own.
+    (n, 2) are the numbers of moves of shift and beta before each pose; without them each pose has its own. `years` are those
+    since the etalon's calibration.
     """
     scan = beam.scan
     at = scan.middle
@@ -712,11 +726,12 @@ def compare(
         *light.components,
         *_scan_positions(beam, scanned, middle, moves, rig),
         *_reading_components(beam, scanned, middle, etalon, rig),
-        _relative("etalon_edge", 1.0, rig, "etalon_edge", "all readings of the etalon"),
-        *(_relative(f"beam_hole@{side}", 1.0, rig, "beam_hole", "all scans") for side in ("upper", "lower")),
+        *(_component(each, years if each.per_year else 1.0, rig) for each in _factors_of_etalon()),
+        *(_component(declared.BEAM_HOLE, 1.0, rig, f"{declared.BEAM_HOLE.name}@{side}") for side in ("upper", "lower")),
         # The sharper edges of the beam, foreshortened by the spot at grazing incidence, are sampled less well.
-        _relative("scan", math.hypot(1.0, 0.5 * math.tan(math.radians(scan.at_deg))) * (scan.step_deg / STEP_DEG) ** 2,
-                  rig, "scan", "this scan"),
+        _component(
+            declared.SCAN, math.hypot(1.0, 0.5 * math.tan(math.radians(scan.at_deg))) * (scan.step_deg / STEP_DEG) ** 2, rig
+        ),
         *certificate,
     ]  # fmt: skip
     found = tuple(sorted(components, key=lambda each: -each.u))
@@ -845,10 +860,8 @@ def _light_effects(
     law = place_law(0.5 * (ways[0] + ways[1]), math.sqrt(3.0) * standard_uncertainties(of_light))
     etalon, beam = (seen_light(instrument, (sigma, gamma), view, law.places) for sigma in sigmas)
     image = etalon.logarithm - beam.logarithm
-    alone = InputQuantity(
-        SLIT_IMAGE, "1", math.sqrt(float(law.probability @ image**2)), "normal", "all scans", "[uncertainty] mirror_tilt_deg",
-        "disturbances.mirror_tilt_deg",
-    )  # fmt: skip
+    u = math.sqrt(float(law.probability @ image**2))
+    alone = replace(quantity(declared.MIRROR_TILT, table, SLIT_IMAGE), unit="1", u=u, distribution="normal")
     components, effects = [Component(SLIT_IMAGE, alone.u, 1.0, alone)], [image]
     by_lift = [
         -(each.by_place @ across_beam(sigma)[:, 2]) - each.by_disc[:, 2]
@@ -906,29 +919,26 @@ def _reading_components(
     for name, variance in relative.own.items():
         yield Component(name, float(np.sqrt(variance)), 1.0, None)
     for name, effect in relative.common.items():
-        yield _component(common_input(name, rig), float(effect))
+        yield _of_effect(common_input(name, rig), float(effect))
     for name, terms in relative.grouped.items():
         if name == "gain":
             for number, each in zip(terms.member.tolist(), terms.effect.tolist(), strict=True):
                 if number != NONE:
-                    yield _component(GROUPED[name](number, rig), each)
+                    yield _of_effect(GROUPED[name](number, rig), each)
         else:
             yield Component(name, float(np.sqrt(terms.variance)), 1.0, None)
 
 
-def _component(source: InputQuantity, effect: float) -> Component:
+def _of_effect(source: InputQuantity, effect: float) -> Component:
     """A component of an input, by the effect of its standard uncertainty."""
     sensitivity = effect / source.u
     return Component(source.name, abs(sensitivity) * source.u, sensitivity, source)
 
 
-def _relative(name: str, sensitivity: float, rig: RigFile, key: str, shared: str) -> Component:
-    """A component of a relative input of the rig file."""
-    table = rig.uncertainty
-    given = InputQuantity(
-        name, "1", table.standard(key), table.distribution(key), shared, f"[uncertainty] {key}", f"disturbances.{key}"
-    )
-    return Component(name, abs(sensitivity) * given.u, sensitivity, given)
+def _component(each: declared.Input, sensitivity: float, rig: RigFile, name: str = "") -> Component:
+    """A component of a declared input."""
+    given = quantity(each, rig.uncertainty, name)
+    return Component(given.name, abs(sensitivity) * given.u, sensitivity, given)
 
 
 def _trouble(rows: Sequence[RowSignal], photodiode: int) -> str:

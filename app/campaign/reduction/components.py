@@ -13,7 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from goniotwin.app.campaign.measurement_model.quantity import Components, Quantity
+from goniotwin.app.rig.inputs import (
+    CROSSTALK,
+    LINEARITY,
+    MONITOR_DRIFT,
+    MONITOR_LINEARITY,
+    MONOCHROMATOR_STRAY,
+    WAVELENGTH,
+    inputs,
+)
 from goniotwin.arrays import Flags, Floats, Ints
+from goniotwin.twin.plant.disturbances import SharedBy
 
 DETECTED = 3.0
 """A value below so many of its standard uncertainties is lost in its noise: below the detection limit."""
@@ -23,9 +33,11 @@ INDEPENDENT = frozenset({"noise", "resolution", "ray_tracing", "etalon_reading",
 All others count as shared, also those that are shared in part (`dark`, `monitor`, `gain`, `signature`): that the errors average
 out would be a claim, so u is at most too large. A new contribution is shared unless it is named here.
 """
-NOISE = INDEPENDENT | {"dark", "crosstalk", "signature"}
+NOISE = INDEPENDENT | {"dark", CROSSTALK.name, "signature"}
 """Components that are there without light: what a value is lost in. All others are shares of the value."""
-ADDED = frozenset({"noise", "resolution", "ray_tracing", "dark", "signature", "signature_reading", "crosstalk", "field_noise"})
+ADDED = frozenset(
+    {"noise", "resolution", "ray_tracing", "dark", "signature", "signature_reading", CROSSTALK.name, "field_noise"}
+)
 """Components that are added to a value whatever its size; all others are shares of it."""
 COVERAGE = 1.96
 """Standard uncertainties from a value to the ends of its interval of 95 %."""
@@ -67,13 +79,11 @@ def deviation_in_u(value: Floats, u: Floats, added: Flags, expected: Floats) -> 
     return np.where(chosen, np.log(ratio) * value / u, (value - expected) / u)
 
 
-COMMON = frozenset(
-    {
-        "etalon_age", "etalon_edge", "open_beam", "mounting", "uniformity", "wavelength", "bandwidth", "band_shape",
-        "monochromator_stray", "polarisation",
-    }
-)  # fmt: skip
-"""Components whose errors are the same for two values of one direction, or of a direction and its mirror image."""
+def common_names() -> frozenset[str]:
+    """Components whose errors are the same for two values of one direction, or of a direction and its mirror image."""
+    factors = {each.name for each in inputs() if each.paths and each.shared_by is not SharedBy.MOVE}
+    declared = factors | {WAVELENGTH.name, MONOCHROMATOR_STRAY.name}
+    return frozenset(declared | {"open_beam", "bandwidth", "band_shape", "polarisation"})
 
 
 def total_variance(components: Components) -> Floats:
@@ -92,7 +102,7 @@ def shared_variance(components: Components) -> Floats:
     return none + total_variance({name: each for name, each in components.items() if name not in INDEPENDENT})
 
 
-OF_A_QUOTIENT = frozenset({"monitor", "gain", "linearity", "monitor_drift", "monitor_linearity"})
+OF_A_QUOTIENT = frozenset({"monitor", "gain", LINEARITY.name, MONITOR_DRIFT.name, MONITOR_LINEARITY.name})
 """Components that count where two signals are divided: no light is lost in them."""
 
 

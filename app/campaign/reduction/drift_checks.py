@@ -24,6 +24,7 @@ from goniotwin.app.campaign.schedule.file import DriftTable
 from goniotwin.app.campaign.wording import number_list
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigFile
+from goniotwin.app.rig.inputs import LINEARITY
 from goniotwin.arrays import Flags, Floats
 
 CERTAIN = 4.0
@@ -85,7 +86,7 @@ def compare_signals(first: Signal, now: Signal, rig: RigFile, limit: float) -> D
     shared = [components.pop(name) / ratio**2 for name in ("lamp", "monitor") if name in components]
     common = float(np.min(sum(shared)))  # to all photodiodes of a row
     decades = np.log10(np.maximum(np.abs(ratio), np.finfo(float).tiny))
-    variance = np.sum([*components.values(), (rig.uncertainty.linearity_per_decade * decades * ratio) ** 2], axis=0)
+    variance = np.sum([*components.values(), (rig.uncertainty.u(LINEARITY) * decades * ratio) ** 2], axis=0)
     own = np.abs(ratio - 1.0) - CERTAIN * np.sqrt(variance + common) > limit
     outliers[light] |= own
     weight = np.where(own, 0.0, 1.0 / variance) if own.sum() <= own.size / 2 else 1.0 / variance

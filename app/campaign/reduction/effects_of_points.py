@@ -12,7 +12,7 @@ import numpy as np
 
 from goniotwin.app.campaign.measurement_model.alignment import Alignment, known_displacement
 from goniotwin.app.campaign.measurement_model.effects import Dense, Effects, Group, group_variance
-from goniotwin.app.campaign.measurement_model.inputs import InputQuantity
+from goniotwin.app.campaign.measurement_model.inputs import InputQuantity, quantity
 from goniotwin.app.campaign.measurement_model.light_place import light_place
 from goniotwin.app.campaign.measurement_model.pose import (
     POSITIONS,
@@ -33,8 +33,9 @@ from goniotwin.app.campaign.measurement_model.quantity import NONE
 from goniotwin.app.campaign.reduction.etalon import ReductionSettings
 from goniotwin.app.campaign.reduction.points import PLACE, BsdfPoints
 from goniotwin.app.campaign.reduction.reading_inputs import GROUPED
-from goniotwin.app.campaign.reduction.scale import SHARED, EffectsOf, Kind, mounted
+from goniotwin.app.campaign.reduction.scale import EffectsOf, Kind, mounted, shared_families
 from goniotwin.app.rig import RigFile, nominal_instrument
+from goniotwin.app.rig import inputs as declared
 from goniotwin.arrays import Floats, Ints
 
 ANGLES = tuple(PLACE.index(f"{axis}_deg") for axis in POSITIONS)
@@ -51,7 +52,7 @@ def add_pose(points: BsdfPoints, settings: ReductionSettings) -> BsdfPoints:
     sums = settings.geometry.pose_sums(poses)[points.place, points.photodiode]
     along, across = slopes(points)
     table = settings.rig.uncertainty
-    u_along, u_across = table.standard("photodiode_angle_deg"), table.standard("photodiode_across_deg")
+    u_along, u_across = table.u(declared.PHOTODIODE_ANGLE), table.u(declared.PHOTODIODE_ACROSS)
     squared = points.bsdf**2
     added = {
         "pose": variance(sums[:, 0], along, across) * squared,
@@ -90,7 +91,8 @@ def effects_of(points: BsdfPoints, settings: ReductionSettings) -> Effects:
         u = np.array([inputs[k].u if k != NONE else 1.0 for k in numbers.tolist()])[which.reshape(terms.member.shape)]
         relative = np.divide(terms.effect, u * value[:, None], out=np.zeros(u.shape), where=u != 0.0)
         groups.append(Group(name, inputs, terms.member.astype(np.int64), relative))
-    for family in dict.fromkeys(FAMILIES[name] for name in points.stated):  # one function may have several components
+    families = {**FAMILIES, **shared_families()}
+    for family in dict.fromkeys(families[name] for name in points.stated):  # one function may have several components
         if (found := family(points, settings)) is not None:
             # A relative change leaves a value of 0 as it is.
             unit = (found.value / value)[:, None]
@@ -102,14 +104,12 @@ def effects_of(points: BsdfPoints, settings: ReductionSettings) -> Effects:
 
 def common_input(name: str, rig: RigFile) -> InputQuantity:
     """An input that all values have in common by their readings."""
-    key = COMMON_KEYS[name]
-    if key is None:
+    each = COMMON[name]
+    if each is None:
         return InputQuantity(name, "1", 1.0, "normal", "all values", "[sample_unit] signature_uncertainty", "")
-    table = rig.uncertainty
-    source, twin = f"[uncertainty] {key}", f"disturbances.{key}"
+    source = quantity(each, rig.uncertainty)
     # Where rows at two gains show more cross-talk than is stated, values have more of this input.
-    u = table.standard(key) or 1.0
-    return InputQuantity(name, "1", u, table.distribution(key), "all values", source, twin)
+    return replace(source, u=source.u or 1.0)
 
 
 def _scale(points: BsdfPoints) -> Floats:
@@ -255,14 +255,15 @@ def _positions(points: BsdfPoints, settings: ReductionSettings, sensitivity: Flo
     return Group("position", inputs, numbers, sensitivity)
 
 
-COMMON_KEYS: Mapping[str, str | None] = {
-    "linearity": "linearity_per_decade",
-    "crosstalk": "crosstalk",
-    "monitor_drift": "monitor_drift_per_hour",
-    "monitor_linearity": "monitor_linearity_per_decade",
-    "field": "field_of_view",
+COMMON: Mapping[str, declared.Input | None] = {
     "signature": None,
-}
-"""The inputs that all values have in common by their readings, with their keys in `[uncertainty]`."""
-FAMILIES: Mapping[str, EffectsOf] = {"pose": angles, "position": angles, "photodiode_angle": angles, **SHARED}
-"""The families of inputs of files by the names of their components: each gives the effects of its inputs on points."""
+    **{
+        each.name: each
+        for each in (
+            declared.LINEARITY, declared.CROSSTALK, declared.MONITOR_DRIFT, declared.MONITOR_LINEARITY, declared.FIELD_OF_VIEW,
+        )
+    },
+}  # fmt: skip
+"""The inputs that all values have in common by their readings; None for one that is stated in another table."""
+FAMILIES: Mapping[str, EffectsOf] = {"pose": angles, "position": angles, "photodiode_angle": angles}
+"""The families of inputs of angles by the names of their components: each gives the effects of its inputs on points."""

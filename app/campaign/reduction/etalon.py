@@ -31,6 +31,7 @@ from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.schedule.certificate import Certificate
 from goniotwin.app.campaign.schedule.file import ScheduleFile
 from goniotwin.app.rig import RigFile
+from goniotwin.app.rig.inputs import LINEARITY, MONITOR_DRIFT, MONITOR_LINEARITY
 from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.twin.optics.geometry.coordinates import incidence_deg, round_deg
 
@@ -130,8 +131,7 @@ class ReductionSettings:
     """What the steps of a reduction go by: rig, schedule, certificate, and the calibration factors of the sample, if any.
 
     `history`, of a journal, has the mountings, moves and dark readings before each row.
-    `sample` is the name of the sample; `etalon_years` the time since the etalon's calibration; `repeatability` the relative
-    standard uncertainty that the repeats of the campaign show, None where there are too few of them.
+    `sample` is the name of the sample; `etalon_years` the time since the etalon's calibration.
     `absolute` has, by wavelength, incidence and whether the arc is the lower one, the ratio of the open beam's scale to that of
     the certificate, and the relative standard uncertainty of the former; where it has one, it scales transmitted light.
     `doubted`: the scan of the open beam contradicts the etalon's scale. `alignment` is what is known of the rig's
@@ -146,7 +146,6 @@ class ReductionSettings:
     history: RowHistory | None = None
     sample: str = ""
     etalon_years: float = 1.0
-    repeatability: float | None = None
     absolute: Mapping[tuple[float, float, bool], tuple[float, float]] = field(default_factory=dict)
     doubted: bool = False
     alignment: Alignment | None = None
@@ -486,12 +485,11 @@ def comparable_signals(rows: RowSignals, channels: Ints, rig: RigFile) -> Signal
     size = np.maximum(np.abs(signal.value), np.sqrt(signal.reading_variance))
     with np.errstate(invalid="ignore", divide="ignore"):
         decades = np.nan_to_num(np.log10(np.where(size > 0.0, size, np.nan)))
-    for name, u, change in (
-        ("linearity", table.linearity_per_decade, decades),
-        ("monitor_drift", table.monitor_drift_per_hour, -rows.hours[:, None]),
-        ("monitor_linearity", table.monitor_linearity_per_decade, -rows.monitor_decades[:, None]),
-    ):
-        signal = signal.with_common(name, u * change * signal.value) if u else signal
+    for each, change in (
+        (LINEARITY, decades), (MONITOR_DRIFT, -rows.hours[:, None]), (MONITOR_LINEARITY, -rows.monitor_decades[:, None]),
+    ):  # fmt: skip
+        if u := table.u(each):
+            signal = signal.with_common(each.name, u * change * signal.value)
     return signal
 
 

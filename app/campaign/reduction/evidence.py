@@ -34,6 +34,7 @@ from goniotwin.app.campaign.reduction.signals import (
 from goniotwin.app.campaign.row import CommittedRow, Reading, ReadingTable, reading_table
 from goniotwin.app.campaign.wording import number_list
 from goniotwin.app.rig import RigFile
+from goniotwin.app.rig.inputs import CROSSTALK
 from goniotwin.arrays import Counts, Flags, Floats, Ints
 from goniotwin.drivers import ConverterDescription
 
@@ -170,7 +171,7 @@ def stated(rig: RigFile) -> SignalEvidence:
         np.ones(settings.count),
         np.zeros((gains, settings.count)),
         np.broadcast_to(settings.gain_uncertainty * np.eye(gains), (settings.count, gains, gains)),
-        np.full(settings.count, rig.uncertainty.crosstalk),
+        np.full(settings.count, rig.uncertainty.u(CROSSTALK)),
     )
 
 
@@ -349,7 +350,7 @@ class EvidenceSums:
             resolution = block.resolution[rows, low] / predicted**2 + block.resolution[rows, high] / other**2
             # Of both gains alike where no channel is saturated.
             crosstalk = np.abs(block.others[rows, high] / other - block.others[rows, low] / predicted)
-            variance = noise + dark + resolution + (self._rig.uncertainty.crosstalk * crosstalk) ** 2
+            variance = noise + dark + resolution + (self._rig.uncertainty.u(CROSSTALK) * crosstalk) ** 2
             known = np.isfinite(one) & (one > 0.0) & (other > 0.0) & (variance < PAIR_LIMIT**2)
             ratio = np.log(predicted / one) - np.log(block.monitor[rows, high] / block.monitor[rows, low])[:, None]
             parts = (dark, resolution, crosstalk, variance, ratio)
@@ -457,7 +458,7 @@ class EvidenceSums:
 
     def _found_crosstalk(self, of_row: float) -> tuple[Floats, tuple[str, ...]]:
         """The uncertainty of cross-talk (photodiodes,), and a note where it is certainly more than what is stated."""
-        stated_u = self._rig.uncertainty.crosstalk
+        stated_u = self._rig.uncertainty.u(CROSSTALK)
         share, u = self._crosstalk.fit(of_row)  # of each module, and of all
         with np.errstate(invalid="ignore"):
             beyond = np.abs(share) > np.hypot(BEYOND * stated_u, CERTAIN * u)

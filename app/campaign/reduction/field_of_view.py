@@ -23,6 +23,7 @@ from goniotwin.app.campaign.reduction.components import DETECTED, INDEPENDENT, N
 from goniotwin.app.campaign.reduction.effects_of_points import aligned_displacement
 from goniotwin.app.campaign.reduction.etalon import ReductionSettings
 from goniotwin.app.campaign.reduction.points import BsdfPoints
+from goniotwin.app.rig import inputs as declared
 from goniotwin.app.rig import nominal_instrument
 from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.twin.optics import Instrument
@@ -56,18 +57,13 @@ def pose_variance_deg2(points: BsdfPoints, settings: ReductionSettings) -> Float
     levers, the sample's tilt twice in reflected light and not at all in transmitted light.
     """
     table = settings.rig.uncertainty
-    variance = {
-        each: table.standard(f"{each}_deg") ** 2
-        for each in (
-            "sample_tilt", "mirror_tilt", "arc_tilt", "sensor_tilt", "sigma_zero", "shift_zero", "photodiode_angle", "position",
-        )
-    }  # fmt: skip
+    once = declared.ARC_TILT, declared.SENSOR_TILT, declared.SIGMA_ZERO, declared.SHIFT_ZERO, declared.PHOTODIODE_ANGLE
     shared = (
-        2.0 * (1.0 + 4.0 + 9.0) / 16.0 * variance["mirror_tilt"]
-        + sum(variance[each] for each in ("arc_tilt", "sensor_tilt", "sigma_zero", "shift_zero", "photodiode_angle"))
-        + 2.0 * variance["position"]
+        2.0 * (1.0 + 4.0 + 9.0) / 16.0 * table.u(declared.MIRROR_TILT) ** 2
+        + sum(table.u(each) ** 2 for each in once)
+        + 2.0 * table.u(declared.POSITION) ** 2
     )
-    total = shared + np.where(points.transmitted, 0.0, 4.0 * variance["sample_tilt"])
+    total = shared + np.where(points.transmitted, 0.0, 4.0 * table.u(declared.SAMPLE_TILT) ** 2)
     return np.stack([total, total], axis=1)
 
 
@@ -276,8 +272,8 @@ def correct_field_of_view(points: BsdfPoints, settings: ReductionSettings) -> Bs
     scaled = points.scaled(np.exp(total))
     bsdf = scaled.bsdf
     # With more variance of the directions in the field of view more had to be corrected.
-    u_field = settings.rig.uncertainty.standard("field_of_view")
-    quantity = scaled.quantity.with_common("field", np.nan_to_num(-u_field * correction * bsdf))
+    u_field = settings.rig.uncertainty.u(declared.FIELD_OF_VIEW)
+    quantity = scaled.quantity.with_common(declared.FIELD_OF_VIEW.name, np.nan_to_num(-u_field * correction * bsdf))
     relative = {
         "field_noise": np.where(corrected, found.noise, 0.0) ** 2,
         "second_order": second_order(variance * np.nan_to_num(found.bend)),

@@ -2,7 +2,7 @@
 
 Each step takes a dataset and gives the next one; a `Quantity` carries the values with the effects of their inputs. A further
 correction or contribution is a function in a file of its own, and one line in a list here or, if its inputs follow from pose
-and files, in SHARED of scale.py. Journal, live plot and rehearsal have no other reduction.
+and files, in `shared_families` of scale.py. Journal, live plot and rehearsal have no other reduction.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -25,7 +25,7 @@ from goniotwin.app.campaign.reduction.etalon import (
 from goniotwin.app.campaign.reduction.evidence import SignalEvidence, add_gains, add_scatter, correct_gain, stated
 from goniotwin.app.campaign.reduction.field_of_view import correct_field_of_view
 from goniotwin.app.campaign.reduction.points import BsdfPoints
-from goniotwin.app.campaign.reduction.scale import SHARED
+from goniotwin.app.campaign.reduction.scale import shared_families
 from goniotwin.app.campaign.reduction.signals import (
     DarkReadings,
     add_crosstalk,
@@ -109,8 +109,8 @@ def reduce_rows(rows: RowSignals, references: ReferenceSignals, settings: Reduct
 
 
 def add_shared(points: BsdfPoints, settings: ReductionSettings) -> BsdfPoints:
-    """Add the variance by each family of inputs in SHARED."""
-    found = {name: effects_of(points, settings) for name, effects_of in SHARED.items()}
+    """Add the variance by each family of inputs that points share."""
+    found = {name: effects_of(points, settings) for name, effects_of in shared_families().items()}
     variances = {name: total_variance(each.variances()) for name, each in found.items() if each is not None}
     return replace(points, stated={**points.stated, **variances})
 

@@ -74,6 +74,7 @@ from goniotwin.app.rig.alignment import (
     parse_alignment,
     refused_residuals,
 )
+from goniotwin.app.rig.inputs import ETALON_AGE, REPEATABILITY
 from goniotwin.arrays import Floats, Ints
 from goniotwin.protocols.clock import calendar_stamp
 from goniotwin.twin.optics.geometry.coordinates import round_deg
@@ -165,9 +166,10 @@ class Reduction:
             raise UserError(f"{journal.path}: the etalon has not been measured yet, so there is nothing to compare with")
         self._signature = ReferenceMeasurements(self._measurements, NO_SAMPLE)
         self._repeats = repeats(self._measurements, self.schedule.samples, 0.5 * monitor_variance(self.rig.file))
-        stated = self.rig.file.uncertainty.repeatability
-        if self._repeats is not None and self._repeats.excess > stated:
-            self.settings = replace(self.settings, repeatability=self._repeats.excess)
+        table = self.rig.file.uncertainty
+        if self._repeats is not None and self._repeats.excess > table.u(REPEATABILITY):
+            measured = table.measured(REPEATABILITY, self._repeats.excess, "the repeats of this campaign")
+            self.settings = replace(self.settings, rig=replace(self.settings.rig, uncertainty=measured))
         self._closure: ClosureReport | None = None
         if self.schedule.open_beam_scan is not None:
             self.settings = scan_settings(self.settings, self.closure())
@@ -422,10 +424,10 @@ class Reduction:
             yield f"values are corrected for the rig's misalignments: {self.settings.alignment.source}"
         if self._not_aligned:
             yield self._not_aligned
-        if self.settings.certificate.calibrated is None and self.rig.file.uncertainty.etalon_age_per_year:
+        if self.settings.certificate.calibrated is None and self.rig.file.uncertainty.u(ETALON_AGE):
             yield f"the etalon's certificate has no date of calibration: {ASSUMED_YEARS:g} year is taken as its age"
         if self._repeats is not None:
-            yield self._repeats.sentence(self.rig.file.uncertainty.repeatability)
+            yield self._repeats.sentence(self.rig.file.uncertainty.u(REPEATABILITY))
         if any(each.data.flags for each in self.journal.rows("warm-up")):
             yield "the lamp's warm-up: not in u beyond its power (the lamp was not steady after longest_s of [warm_up])"
         elif self.schedule.warm_up is None:

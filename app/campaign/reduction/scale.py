@@ -1,28 +1,33 @@
 """What all values of a sample owe to the etalon and to the mountings: inputs of the measurement model that many values share.
 
-Each function gives the effects of one family of inputs on points, or None where its uncertainty is 0. The pipeline makes the
-component of each family from them, and a budget its named inputs. The errors of the etalon's certificate are uncorrelated
-modes: a level, a slope over wavelength, one over the angle of observation, and what these leave, by entry of the table. An
-error of the etalon is how much more light it gives than the certificate states: the values are lower by as much.
+Each function gives the effects of one family of inputs on points, or None where its uncertainty is 0; one of them serves all
+declared factors on the light of sample and etalon. The pipeline makes the component of each family from them, and a budget its
+named inputs. The errors of the etalon's certificate are uncorrelated modes: a level, a slope over wavelength, one over the
+angle of observation, and what these leave, by entry of the table. An error of the etalon is how much more light it gives than
+the certificate states: the values are lower by as much.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Literal
 
 import numpy as np
 
 from goniotwin.app.campaign.geometry.directions import polar_from_zenith
 from goniotwin.app.campaign.measurement_model.effects import Dense, Effects, Group
-from goniotwin.app.campaign.measurement_model.inputs import InputQuantity
+from goniotwin.app.campaign.measurement_model.inputs import InputQuantity, quantity
+from goniotwin.app.campaign.measurement_model.pose import OF_ETALON
 from goniotwin.app.campaign.reduction.etalon import ReductionSettings
 from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.reduction.polarisation import light_state
 from goniotwin.app.campaign.reduction.spectrum import bandwidth_effects, stray_effects, wavelength_effects
 from goniotwin.app.campaign.schedule.certificate import Certificate
 from goniotwin.app.rig.file import known_angles
+from goniotwin.app.rig.inputs import CERTIFICATE_LEVEL, MONOCHROMATOR_STRAY, WAVELENGTH, Input, factors
 from goniotwin.arrays import Floats, Ints
 from goniotwin.twin.optics.geometry.coordinates import HALF_TURN_DEG, round_deg
+from goniotwin.twin.plant.disturbances import ETALON, SAMPLE, SharedBy
 
 Kind = Literal["sample", "etalon"]
 EffectsOf = Callable[[BsdfPoints, ReductionSettings], Effects | None]
@@ -42,7 +47,7 @@ def certificate_effects(points: BsdfPoints, settings: ReductionSettings) -> Effe
         "geometry": (certificate.shape, shape_of(certificate.geometry, incidence, polar)),
     }
     dense = [
-        _shared(f"certificate[{mode}]", u, -sensitivity * scaled, ALL, source, "certificate_level" if mode == "level" else "")
+        _shared(f"certificate[{mode}]", u, -sensitivity * scaled, ALL, source, CERTIFICATE_LEVEL.key if mode == "level" else "")
         for mode, (u, sensitivity) in shared.items()
         if u
     ]
@@ -87,17 +92,6 @@ def _entries(
     return Group("certificate", inputs, member[:, None], -(scaled * left / largest)[:, None])
 
 
-def etalon_age(points: BsdfPoints, settings: ReductionSettings) -> Effects | None:
-    """The etalon's drift since its calibration."""
-    u = settings.rig.uncertainty.etalon_age_per_year * settings.etalon_years
-    return _of_scale("etalon_age", u, points, settings, "etalon_age_per_year")
-
-
-def etalon_edge(points: BsdfPoints, settings: ReductionSettings) -> Effects | None:
-    """Light that a diffuser loses at the edges of the frames: the certificate was measured with another spot."""
-    return _of_scale("etalon_edge", settings.rig.uncertainty.etalon_edge, points, settings, "etalon_edge")
-
-
 def open_beam(points: BsdfPoints, settings: ReductionSettings) -> Effects | None:
     """The scale of the open beam, which takes the place of certificate, age and edge where it scales transmitted light."""
     member = _beam_scale(points, settings)
@@ -129,33 +123,34 @@ def _by_certificate(points: BsdfPoints, settings: ReductionSettings) -> Floats:
     return (_beam_scale(points, settings) < 0).astype(float)
 
 
-def mounting(points: BsdfPoints, settings: ReductionSettings) -> Effects | None:
-    """What is another at each mounting, of the sample and of the etalon."""
-    return _of_mountings("mounting", settings.rig.uncertainty.mounting, points, settings)
+def factor_effects(each: Input, points: BsdfPoints, settings: ReductionSettings) -> Effects | None:
+    """A declared factor on the light of sample, etalon, or both.
 
-
-def uniformity(points: BsdfPoints, settings: ReductionSettings) -> Effects | None:
-    """The place of the spot on the surface of the sample and of the etalon, at each mounting."""
-    return _of_mountings("uniformity", settings.rig.uncertainty.uniformity, points, settings)
-
-
-def repeatability(points: BsdfPoints, settings: ReductionSettings) -> Effects | None:
-    """What is another each time a pose is reached again: of the row at the sample and of the row at the etalon.
-
-    It is the same for all rows, of all wavelengths, from one move of any axis to the next.
+    One that the etalon has for the whole campaign is in the scale of the open beam, where that is the scale. What is another
+    after each move is that of the sample's row and of the etalon's.
     """
-    u = settings.rig.uncertainty.repeatability if settings.repeatability is None else settings.repeatability
-    if not u:
+    years = settings.etalon_years if each.per_year else 1.0
+    table, shared_by = settings.rig.uncertainty, each.shared_by
+    if not years * table.u(each):
         return None
-    source = "" if settings.repeatability is None else "the repeats of this campaign"
-    both, history = (points.row, points.etalon_row), settings.history
-    number = np.stack([rows if history is None else np.sum(history.moves(rows), axis=1) for rows in both], axis=1)
-    inputs = {
-        each: _input(f"repeatability@#{each}", u, "all rows until the next move of any axis", source, "repeatability")
-        for each in np.unique(number).tolist()
-    }
-    sensitivity = np.broadcast_to([1.0, -1.0], number.shape)
-    return Effects(points.bsdf, {}, [Group("repeatability", inputs, number, sensitivity)], ())
+    kinds: Sequence[tuple[Kind, Ints, float]] = ((SAMPLE, points.row, 1.0), (ETALON, points.etalon_row, -1.0))
+    kinds = [kind for kind in kinds if kind[0] in each.paths]
+    if shared_by is SharedBy.MOVE:
+        history = settings.history
+        number = np.stack([rows if history is None else np.sum(history.moves(rows), axis=1) for _, rows, _ in kinds], axis=1)
+        moved = {k: quantity(each, table, f"{each.name}@#{k}", times=years) for k in np.unique(number).tolist()}
+        sensitivity = np.broadcast_to([sign for _, _, sign in kinds], number.shape)
+        return Effects(points.bsdf, {}, [Group(each.name, moved, number, sensitivity)], ())
+    dense: list[Dense] = []
+    if shared_by is SharedBy.ALL:
+        parts = [-_by_certificate(points, settings) if kind == ETALON else np.ones(points.size) for kind, _, _ in kinds]
+        dense = [Dense([quantity(each, table, times=years)], sum(parts, np.zeros(points.size))[:, None])]
+    for kind, rows, sign in kinds if shared_by is SharedBy.MOUNTING else ():
+        names, which = mounted(kind, rows, settings)
+        words = OF_ETALON if kind == ETALON else ""
+        of_mounting = [quantity(each, table, f"{each.name}@{name}", shared_by=words, times=years) for name in names]
+        dense += [Dense([one], np.where(which == k, sign, 0.0)[:, None]) for k, one in enumerate(of_mounting)]
+    return Effects(points.bsdf, {}, (), dense)
 
 
 def polarisation(points: BsdfPoints, settings: ReductionSettings) -> Effects | None:
@@ -182,35 +177,12 @@ def mounted(kind: Kind, rows: Ints, settings: ReductionSettings) -> tuple[list[s
     return [f"{name}#1"], np.zeros(rows.size, dtype=np.int64)
 
 
-def _of_scale(name: str, u: float, points: BsdfPoints, settings: ReductionSettings, twin: str) -> Effects | None:
-    if not u:
-        return None
-    return Effects(points.bsdf, {}, (), [_shared(name, u, -_by_certificate(points, settings), ALL, "", twin)])
-
-
-def _of_mountings(name: str, u: float, points: BsdfPoints, settings: ReductionSettings) -> Effects | None:
-    if not u:
-        return None
-    dense: list[Dense] = []
-    kinds: Sequence[tuple[Kind, Ints, str, float]] = (
-        ("sample", points.row, "all values of this mounting", 1.0),
-        ("etalon", points.etalon_row, "all values that divide by this mounting", -1.0),
-    )
-    for kind, rows, shared_by, sign in kinds:
-        names, which = mounted(kind, rows, settings)
-        dense += [
-            _shared(f"{name}@{each}", u, np.where(which == k, sign, 0.0), shared_by, "", name) for k, each in enumerate(names)
-        ]
-    return Effects(points.bsdf, {}, (), dense)
-
-
 def _shared(name: str, u: float, sensitivity: Floats, shared_by: str, source: str, twin: str = "") -> Dense:
     return Dense([_input(name, u, shared_by, source, twin)], sensitivity[:, None])
 
 
 def _input(name: str, u: float, shared_by: str, source: str, twin: str = "") -> InputQuantity:
-    """An input of the rig file's `[uncertainty]` key `twin`, or of another source."""
-    return InputQuantity(name, "1", u, "normal", shared_by, source or f"[uncertainty] {twin}", twin and f"disturbances.{twin}")
+    return InputQuantity(name, "1", u, "normal", shared_by, source, twin and f"disturbances.{twin}")
 
 
 def incidence_deg(points: BsdfPoints) -> Floats:
@@ -218,17 +190,14 @@ def incidence_deg(points: BsdfPoints) -> Floats:
     return np.minimum(points.sigma_deg, HALF_TURN_DEG - points.sigma_deg)
 
 
-SHARED: Mapping[str, EffectsOf] = {
-    "certificate": certificate_effects,
-    "etalon_age": etalon_age,
-    "etalon_edge": etalon_edge,
-    "open_beam": open_beam,
-    "mounting": mounting,
-    "uniformity": uniformity,
-    "repeatability": repeatability,
-    "wavelength": wavelength_effects,
-    "bandwidth": bandwidth_effects,
-    "monochromator_stray": stray_effects,
-    "polarisation": polarisation,
-}
-"""Families of inputs that points share, each a component. None of them needs the points nearby, or a signal."""
+def shared_families() -> dict[str, EffectsOf]:
+    """Families of inputs that points share, by component. None of them needs the points nearby, or a signal."""
+    return {
+        "certificate": certificate_effects,
+        **{each.name: partial(factor_effects, each) for each in factors()},
+        "open_beam": open_beam,
+        WAVELENGTH.name: wavelength_effects,
+        "bandwidth": bandwidth_effects,
+        MONOCHROMATOR_STRAY.name: stray_effects,
+        "polarisation": polarisation,
+    }

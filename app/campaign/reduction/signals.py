@@ -26,6 +26,7 @@ from goniotwin.app.campaign.reduction.reading_inputs import Numbers
 from goniotwin.app.campaign.row import CONTRADICTION, CommittedRow, Reading, ReadingTable
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigFile
+from goniotwin.app.rig.inputs import CROSSTALK
 from goniotwin.arrays import Counts, Flags, Floats, Indices, Ints
 from goniotwin.drivers import ConverterDescription
 
@@ -219,7 +220,7 @@ def subtract_dark(readings: RowReadings, dark: DarkReadings, settings: Converter
 
 def add_crosstalk(volts: Quantity, readings: RowReadings, settings: ConverterDescription, u_crosstalk: Floats) -> Quantity:
     """The voltages with the effect of the input `crosstalk`: the share of what the module's other channels have."""
-    return volts.with_common("crosstalk", u_crosstalk * others_volts(volts.value, readings.saturated(settings), settings))
+    return volts.with_common(CROSSTALK.name, u_crosstalk * others_volts(volts.value, readings.saturated(settings), settings))
 
 
 def others_volts(volts: Floats, clipped: Flags, settings: ConverterDescription) -> Floats:

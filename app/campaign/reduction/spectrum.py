@@ -15,11 +15,13 @@ from functools import lru_cache
 import numpy as np
 
 from goniotwin.app.campaign.measurement_model.effects import Dense, Effects
-from goniotwin.app.campaign.measurement_model.inputs import InputQuantity
+from goniotwin.app.campaign.measurement_model.inputs import InputQuantity, quantity
 from goniotwin.app.campaign.reduction.components import DETECTED, INDEPENDENT
 from goniotwin.app.campaign.reduction.etalon import POSE, WAVELENGTH, ArcRows, ReductionSettings
 from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.rig import RigFile
+from goniotwin.app.rig.inputs import MONOCHROMATOR_STRAY
+from goniotwin.app.rig.inputs import WAVELENGTH as WAVELENGTH_ERROR
 from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.twin.optics.geometry.coordinates import round_deg
 
@@ -271,10 +273,7 @@ def _contrast(f: Floats, s: Floats, known: Stencil) -> Floats:
 
 def wavelength_effects(points: BsdfPoints, settings: ReductionSettings) -> Effects | None:
     """The error of the monochromator's wavelength; 0 where the slope over wavelength is unknown."""
-    u = settings.rig.uncertainty.wavelength_nm
-    rig_file = "[uncertainty] wavelength_nm"
-    source = InputQuantity("wavelength", "nm", u, "normal", "all values", rig_file, "disturbances.wavelength_nm")
-    return _known_effects(points, source, points.wavelength_slope)
+    return _known_effects(points, quantity(WAVELENGTH_ERROR, settings.rig.uncertainty), points.wavelength_slope)
 
 
 def bandwidth_effects(points: BsdfPoints, settings: ReductionSettings) -> Effects | None:
@@ -287,9 +286,7 @@ def bandwidth_effects(points: BsdfPoints, settings: ReductionSettings) -> Effect
 
 def stray_effects(points: BsdfPoints, settings: ReductionSettings) -> Effects | None:
     """The monochromator's light of other wavelengths; where these were not measured the sample may be twice as bright there."""
-    u = settings.rig.uncertainty.monochromator_stray
-    rig_file = "[uncertainty] monochromator_stray"
-    source = InputQuantity("monochromator_stray", "1", u, "normal", "all values", rig_file, "disturbances.monochromator_stray")
+    source = quantity(MONOCHROMATOR_STRAY, settings.rig.uncertainty)
     return _known_effects(points, source, np.where(np.isnan(points.stray_contrast), 1.0, points.stray_contrast))
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import read_rig
-from goniotwin.app.rig.uncertainty import UncertaintyTable
+from goniotwin.app.rig.inputs import inputs
 from goniotwin.arrays import Floats
 from goniotwin.twin import TwinModel
 from goniotwin.twin.optics import Deviation, Instrument, apply_spectrum, arc_direction, gaussian, lambertian
@@ -18,7 +18,6 @@ from goniotwin.twin.optics.geometry.field import field_variance, scale_field
 from goniotwin.twin.optics.geometry.scene import scene_at
 from goniotwin.twin.optics.illumination.slit_image import slit_image
 from goniotwin.twin.plant import (
-    Disturbances,
     Drawn,
     Estimator,
     LightSource,
@@ -27,10 +26,10 @@ from goniotwin.twin.plant import (
     Photodiodes,
     Plant,
 )
-from goniotwin.twin.plant.disturbances import NORMAL_KEYS
 from goniotwin.twin.plant.motion import ramp_to_target
 from goniotwin.twin.plant.view import Aspect, View
 from tests.conftest import RIG, Writer
+from tests.rig_tables import disturbances, stated
 
 LOBE = Aspect("paint", 0.0, 550.0, 30.0, 20.0, 150.0, 1.0)
 TWIN_ONLY = {"etalon", "etalon_years", "certificate_level"}
@@ -48,7 +47,7 @@ def changed() -> Changed:
     plain = replace(given, noise=False, samples={"etalon": lambertian(), "paint": gaussian(8.0)})
 
     def changed_model(parts: dict[str, Any] | None = None, **keys: Any) -> TwinModel:
-        return replace(plain, disturbances=Disturbances(**keys), **(parts or {}))
+        return replace(plain, disturbances=disturbances(**keys), **(parts or {}))
 
     return changed_model
 
@@ -78,14 +77,15 @@ def move(plant: Plant, axis: str, t: float, microsteps: float) -> None:
 
 
 def test_each_uncertainty_of_the_rig_file_is_a_disturbance_of_the_same_distribution() -> None:
-    keys = {each.name for each in fields(UncertaintyTable)} - BEAM
-    assert {each.name for each in fields(Disturbances)} - keys == TWIN_ONLY
-    assert keys - {each.name for each in fields(Disturbances)} == set()
-    assert {key for key in keys if UncertaintyTable.distribution(key) == "normal"} == NORMAL_KEYS - TWIN_ONLY
+    keys = {each.name for each in fields(stated())} - BEAM
+    assert {each.name for each in fields(disturbances())} - keys == TWIN_ONLY
+    assert keys - {each.name for each in fields(disturbances())} == set()
+    drawn = {key: each.distribution for key, (each, _) in disturbances().widths.items()}
+    assert {each.key: each.distribution for each in inputs() if each.key in keys} == {key: drawn[key] for key in keys}
 
 
 def test_without_disturbances_everything_is_zero() -> None:
-    drawn = Drawn(Disturbances(), 5, 36)
+    drawn = Drawn(disturbances(), 5, 36)
     assert not any(drawn.values())
     assert len(drawn) == len(set(drawn)) == 15 + 3 + 2 + 6 + 5 + 3 + 2 * 36 + 10
     assert drawn.mounted("paint", 1) == Deviation()
@@ -98,7 +98,7 @@ def test_without_disturbances_everything_is_zero() -> None:
 
 
 def test_values_have_the_width_and_the_distribution_of_their_key() -> None:
-    table = Disturbances(mirror_tilt_deg=0.5, field_of_view=0.12, position_deg=0.2)
+    table = disturbances(mirror_tilt_deg=0.5, field_of_view=0.12, position_deg=0.2)
     rigs = [Drawn(table, seed, 36) for seed in range(800)]
     for name, width in (("mirror_2_tilt_x", 0.5), ("position@beta#7", 0.2)):
         values = np.array([each[name] for each in rigs])
@@ -113,8 +113,8 @@ def test_values_have_the_width_and_the_distribution_of_their_key() -> None:
 
 
 def test_a_further_key_changes_no_other_value() -> None:
-    one = Drawn(Disturbances(mirror_tilt_deg=0.1), 3, 36)
-    more = Drawn(Disturbances(mirror_tilt_deg=0.1, arc_tilt_deg=0.1, photodiode_angle_deg=0.1), 3, 20)
+    one = Drawn(disturbances(mirror_tilt_deg=0.1), 3, 36)
+    more = Drawn(disturbances(mirror_tilt_deg=0.1, arc_tilt_deg=0.1, photodiode_angle_deg=0.1), 3, 20)
     assert {name: more[name] for name in one if "mirror" in name} == {name: one[name] for name in one if "mirror" in name}
     assert one["arc_tilt_y"] == 0.0 != more["arc_tilt_y"]
     inputs = [more[name] for name in more if more[name] != 0.0]
@@ -125,7 +125,7 @@ def test_the_rig_file_has_the_table_and_names_the_etalon(write_rig: Writer) -> N
     text = "[twin.disturbances]\ncertificate_level = 0.02\netalon_tilt_deg = 0.05\n\n[twin.samples.gaussian-5]"
     model = read_rig(write_rig(("[twin.samples.gaussian-5]", text))).model()
     assert model is not None
-    assert model.disturbances == Disturbances(certificate_level=0.02, etalon_tilt_deg=0.05)
+    assert model.disturbances == disturbances(certificate_level=0.02, etalon_tilt_deg=0.05)
     with pytest.raises(UserError, match=r"disturbances.etalon_tilt_deg: of the etalon, and there is no sample 'tile'"):
         read_rig(write_rig(("[twin.samples.gaussian-5]", text.replace("certificate_level = 0.02", 'etalon = "tile"'))))
 
@@ -287,7 +287,7 @@ def test_the_field_is_scaled_to_the_drawn_variance(field_deg: float, log_varianc
 
 def test_a_wider_field_lowers_the_peak_of_a_lobe_and_not_the_ratio_for_a_diffuser(changed: Changed) -> None:
     model = changed({"samples": {"etalon": lambertian(), "paint": gaussian(2.0)}}, field_of_view=0.3)
-    plain = replace(model, disturbances=Disturbances())
+    plain = replace(model, disturbances=disturbances())
     assert (wider := Plant(model).drawn["field"]) != 0.0
     peak = Aspect("paint", 0.0, 550.0, 30.0, 0.0, 180.0, 0.0)
     at = int(np.argmax(seen(plain, peak)))
@@ -349,7 +349,7 @@ def test_white_light_strays_through_the_monochromator(changed: Changed) -> None:
     np.testing.assert_allclose(ratio, ratio[0], rtol=1e-9)
     # Of the lamp's white light about 0.44 is beyond 600 nm, where the photodiodes are more sensitive.
     assert ratio[0] == pytest.approx(0.6 * share, rel=0.15)
-    assert not currents(replace(model, disturbances=Disturbances()), green).any()
+    assert not currents(replace(model, disturbances=disturbances()), green).any()
 
 
 def test_polarised_light_counts_for_a_sample_with_diattenuation(changed: Changed) -> None:

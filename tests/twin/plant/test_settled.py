@@ -9,11 +9,12 @@ from hypothesis import strategies as st
 
 from goniotwin.app.rig import read_rig
 from goniotwin.twin import TwinModel
-from goniotwin.twin.plant import Disturbances, OrderSorting, Plant, WheelFilter
+from goniotwin.twin.plant import OrderSorting, Plant, WheelFilter
 from goniotwin.twin.plant.history import History
 from goniotwin.twin.plant.motion import ramp_to_target
 from goniotwin.twin.plant.shaft import Heartbeat
 from tests.conftest import RIG
+from tests.rig_tables import disturbances
 
 STEPS = (0.0, 1e-4, 4e-4, 0.003, 0.0808, 0.5, 2.0)
 """Time between two readings, s: several within a conversion, and long enough for everything to come to rest."""
@@ -25,7 +26,7 @@ def model() -> TwinModel:
     result = read_rig(RIG).model()
     assert result is not None
     sorting = OrderSorting(0.3, (WheelFilter(2, 520.0), WheelFilter(3, 350.0, 0.7)))
-    off = Disturbances(sample_tilt_deg=0.2, position_deg=0.05, repeatability=0.01, mounting=0.01, linearity_per_decade=0.01)
+    off = disturbances(sample_tilt_deg=0.2, position_deg=0.05, repeatability=0.01, mounting=0.01, linearity_per_decade=0.01)
     return replace(result, order_sorting=sorting, disturbances=off)
 
 
@@ -74,7 +75,7 @@ def test_every_reading_equals_that_of_a_plant_without_a_cache(model: TwinModel, 
 
 
 def test_a_heartbeat_that_expires_after_a_reading_changes_the_next(model: TwinModel) -> None:
-    plant = Plant(replace(model, noise=False, disturbances=Disturbances()))  # back at the same position after another move
+    plant = Plant(replace(model, noise=False, disturbances=disturbances()))  # back at the same position after another move
     plant.mount("gaussian-5", 0.0)
     plant.shutter_open.set(0.0, True)
     before = plant.volts(0, 10.0)

@@ -8,9 +8,10 @@ import pytest
 from goniotwin.app.rig import read_rig
 from goniotwin.twin import TwinModel
 from goniotwin.twin.optics import SampleFrames
-from goniotwin.twin.plant import Disturbances, Estimator
+from goniotwin.twin.plant import Estimator
 from goniotwin.twin.plant.view import Aspect, View
 from tests.conftest import RIG
+from tests.rig_tables import disturbances
 
 UPPER = 18
 ACROSS = Aspect("etalon", 0.0, 550.0, 30.0, 0.0, 90.0, 0.0)
@@ -84,7 +85,7 @@ def poses(samples: tuple[str | None, ...] = ("etalon", "gaussian-5")) -> list[As
 
 
 def test_expected_poses_have_the_throughputs_of_poses_one_by_one_to_the_bit(model: TwinModel) -> None:
-    off = Disturbances(sample_tilt_deg=0.2, photodiode_angle_deg=0.02, photodiode_across_deg=0.03, sigma_zero_deg=0.1)
+    off = disturbances(sample_tilt_deg=0.2, photodiode_angle_deg=0.02, photodiode_across_deg=0.03, sigma_zero_deg=0.1)
     model = replace(model, disturbances=off)
     ahead, singly = View(model), View(model)
     ahead.expect(poses())

@@ -31,6 +31,7 @@ from goniotwin.app.campaign.measurement_model.pose import (
     standard_uncertainties,
     variance,
 )
+from goniotwin.app.rig.inputs import PHOTODIODE_ANGLE
 from goniotwin.app.rig.uncertainty import UncertaintyTable
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics import (
@@ -113,7 +114,7 @@ def test_in_plane_uncertainty_of_the_papers_table_2_and_of_the_defaults() -> Non
     # The design's figures: 0.080 deg of tilts and shifts alone, and 0.094 deg with zeros and a photodiode's own angle.
     table_2 = sums[0, 0] - float(np.sum((effects.common.along[0, zeros] * U[zeros]) ** 2))
     assert math.sqrt(table_2) == pytest.approx(0.081, abs=0.0015)
-    assert math.hypot(math.sqrt(sums[0, 0]), TABLE.standard("photodiode_angle_deg")) == pytest.approx(0.095, abs=0.0015)
+    assert math.hypot(math.sqrt(sums[0, 0]), TABLE.u(PHOTODIODE_ANGLE)) == pytest.approx(0.095, abs=0.0015)
 
 
 @pytest.mark.parametrize("sigma", [20.0, 160.0])

@@ -3,7 +3,7 @@
 import contextlib
 import hashlib
 import json
-from dataclasses import asdict, fields, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -21,8 +21,8 @@ from goniotwin.app.errors import UserError
 from goniotwin.app.formats import BsdfTable, registry
 from goniotwin.app.formats.content import BsdfFile
 from goniotwin.app.rig import read_rig
+from goniotwin.app.rig.inputs import inputs
 from goniotwin.app.rig.model_hash import model_hash
-from goniotwin.app.rig.uncertainty import UncertaintyTable
 from goniotwin.app.sweeps.environment import one_thread_in_linear_algebra
 from goniotwin.app.sweeps.runners import Here
 from goniotwin.app.sweeps.specification import Specification
@@ -60,13 +60,12 @@ def test_a_rig_is_drawn_from_what_its_file_states(write_rig: Writer, write_sched
     assert model is not None
     assert model.seed == 3
     assert model.electronics.gain_spread == 0.003
-    assert model.disturbances.sigma_zero_deg == 0.7  # a fault of which [uncertainty] knows nothing
     assert model.disturbances.etalon == "etalon"
-    assert model.disturbances.certificate_level == rig.file.etalon.relative_uncertainty
     assert model.disturbances.etalon_years == 1.0  # as the reduction assumes without a date
-    for each in fields(UncertaintyTable):
-        if each.name != "sigma_zero_deg" and hasattr(model.disturbances, each.name):
-            assert getattr(model.disturbances, each.name) == getattr(rig.file.uncertainty, each.name), each.name
+    drawn_by = {key: width for key, (_, width) in model.disturbances.widths.items()}
+    assert drawn_by.pop("sigma_zero_deg") == 0.7  # a fault of which [uncertainty] knows nothing
+    assert drawn_by.pop("certificate_level") == rig.file.etalon.relative_uncertainty
+    assert drawn_by == {each.key: rig.file.uncertainty.width(each) for each in inputs() if each.key in drawn_by}
 
 
 def test_without_wires_the_values_are_those_of_the_wires(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:

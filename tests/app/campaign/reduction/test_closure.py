@@ -47,8 +47,10 @@ from goniotwin.app.campaign.rehearsal.without_wires import run_without_wires
 from goniotwin.app.campaign.row import NO_SAMPLE
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.rig import RigFile, parse_rig, read_rig
+from goniotwin.app.rig.inputs import POSITION
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics import Deviation, Instrument, arc_direction, lambertian, regular, throughput
+from tests import rig_tables
 from tests.app.campaign.campaign_bench import run_plan
 from tests.conftest import RIG, SMALL, changed
 from tests.system.command import invoke
@@ -355,7 +357,7 @@ class DrawnRig:
         across = self._draw("photodiode_across_deg") + self.zeros["beta"] * math.sin(math.radians(scan.at_deg))
         sigma = self.zeros["sigma"]
         of_open = sigma + self._draw("position_deg")
-        off = self._rng.uniform(-1.0, 1.0, (2, len(scan.poses))) * self._table.position_deg * stops
+        off = self._rng.uniform(-1.0, 1.0, (2, len(scan.poses))) * self._table.width(POSITION) * stops
         signal = beam_signal(scan, self.empty, along + off[0], across + off[1] * math.sin(math.radians(scan.at_deg)), of_open)
         beam = scanned_beam(scan, 550.0, signal)
         etalon = etalon_signal(
@@ -441,7 +443,7 @@ def test_the_law_of_the_images_place_is_that_of_its_inputs() -> None:
 
 def test_a_rig_without_tilts_has_no_component_of_the_lights_place() -> None:
     (scan,) = scans_of("[42]")
-    still = replace(FILE.uncertainty, mirror_tilt_deg=0.0, mirror_shift_mm=0.0, illumination_shift_mm=0.0)
+    still = rig_tables.stated(mirror_tilt_deg=0.0, mirror_shift_mm=0.0, illumination_shift_mm=0.0)
     assert math.hypot(*(each.u for each in light_effects(scan, replace(FILE, uncertainty=still)).components)) < 1e-9
     stated = {each.name: each for each in light_effects(scan, FILE).components}
     assert stated[SLIT_IMAGE].u > 2e-3

@@ -28,7 +28,7 @@ from goniotwin.app.campaign.measurement_model.pose import (
     rig_inputs,
 )
 from goniotwin.app.campaign.measurement_model.quantity import Quantity
-from goniotwin.app.campaign.reduction.effects_of_points import COMMON_KEYS, FAMILIES, add_pose, effects_of
+from goniotwin.app.campaign.reduction.effects_of_points import COMMON, FAMILIES, add_pose, effects_of
 from goniotwin.app.campaign.reduction.etalon import ArcGeometry, ReductionSettings
 from goniotwin.app.campaign.reduction.pipeline import add_shared
 from goniotwin.app.campaign.reduction.points import BsdfPoints, join_points
@@ -36,12 +36,14 @@ from goniotwin.app.campaign.reduction.reading_inputs import GROUPED, Numbers
 from goniotwin.app.campaign.reduction.reduction import Reduction, reduce_journal, reduction_settings
 from goniotwin.app.campaign.reduction.reflectance import components_of_sum, quadrature
 from goniotwin.app.campaign.reduction.row_history import RowHistory, history_of
+from goniotwin.app.campaign.reduction.scale import shared_families
 from goniotwin.app.campaign.schedule.certificate import parse_certificate
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.rig import nominal_instrument, read_rig
 from goniotwin.arrays import Floats, Ints
 from tests.app.campaign.reduction.made_points import made_points
 from tests.conftest import RIG, SMALL
+from tests.rig_tables import stated
 
 FILE = read_rig(RIG).file
 SETTINGS = reduction_settings(FILE, parse_schedule(SMALL, "small.toml").file, None, "")
@@ -52,7 +54,8 @@ U_MONITOR, U_GAIN = FILE.monitor.relative_uncertainty, FILE.photodiodes.gain_unc
 CERTIFICATE = float(SETTINGS.certificate.relative_uncertainty.min())
 CORRECTION = 0.1 * np.cos(np.arange(COUNT))
 GAIN = np.arange(COUNT) % 2
-TABLE = replace(FILE.uncertainty, uniformity=0.002, repeatability=0.003, mounting=0.004)
+TABLE: Any = stated(uniformity=0.002, repeatability=0.003, mounting=0.004)
+KEYS: Any = FILE.uncertainty  # its numbers by key: the formula of a value knows nothing of declared inputs
 CERTIFIED = """level = 0.002
 wavelength_nm, radiance_factor, relative_uncertainty
 400, 1.0, 0.004
@@ -101,14 +104,14 @@ def divided(points: BsdfPoints, relative: dict[str, Floats]) -> Quantity:
                 effect = (-1.0 if name in ("dark", "monitor", "gain", "signature_reading") else 1.0) * relative[called] * value
                 if name in members:
                     result = result.with_grouped(name, members[name].astype(np.int32)[:, None], effect[:, None])
-                elif name in COMMON_KEYS:
+                elif name in COMMON:
                     result = result.with_common(name, effect)
                 else:
                     result = result.with_own(name, effect**2)
         return result
 
     alike = {name: name for name in ("monitor", "gain")}
-    own = {name: name for name in ("noise", "resolution", "ray_tracing", *COMMON_KEYS, "dark", "lamp", "signature_reading")}
+    own = {name: name for name in ("noise", "resolution", "ray_tracing", *COMMON, "dark", "lamp", "signature_reading")}
     sample = signal(points.bsdf, points.row, GAIN, {**alike, **own})
     at_etalon = {"dark": "etalon_dark", "lamp": "etalon_lamp", "reading": "etalon_reading", "crosstalk": "etalon_crosstalk"}
     etalon = signal(one, points.etalon_row, np.zeros(COUNT, dtype=np.int64), {**alike, **at_etalon})
@@ -121,7 +124,7 @@ def divided(points: BsdfPoints, relative: dict[str, Floats]) -> Quantity:
     if "band_shape" in relative:
         effect = relative["band_shape"] * points.bsdf
         quotient = quotient.with_grouped("band_shape", np.full((COUNT, 1), 550_000, dtype=np.int32), effect[:, None])
-    return quotient.with_common("field", -FILE.uncertainty.standard("field_of_view") * CORRECTION * points.bsdf)
+    return quotient.with_common("field", -KEYS.field_of_view * CORRECTION * points.bsdf)
 
 
 def relative_of(noise: Floats) -> dict[str, Floats]:
@@ -172,7 +175,7 @@ SLOPES = arrays(np.float64, (COUNT, 2), elements=st.one_of(st.floats(-5.0, 5.0),
 def test_the_parts_of_any_points_sum_to_their_uncertainty(bsdf: Floats, slope: Floats, noise: Floats) -> None:
     bsdf = np.where(np.abs(bsdf) < 1e-6, 0.0, bsdf)
     points = measured(bsdf, slope, relative_of(noise), ALL_SETTINGS)
-    assert set(points.components) == (OWN | set(FAMILIES) | set(GROUPED) | set(COMMON_KEYS)) - {"open_beam"}
+    assert set(points.components) == (OWN | {*FAMILIES, *shared_families(), *GROUPED, *COMMON}) - {"open_beam"}
     effects = effects_of(points, ALL_SETTINGS)
     expected = points.u_bsdf**2
     assert np.abs(total(effects) - expected).max() <= 1e-12 * expected.max()
@@ -190,7 +193,7 @@ def test_a_point_without_a_slope_has_the_diffuse_part_alone() -> None:
     none = measured(np.ones(COUNT), np.full((COUNT, 2), np.nan))
     assert np.all(none.components["photodiode_angle"] == 0.0)
     # Sample and etalon are tilted by angles of their own: the root of 2 times tan(theta_i) and tan(theta_r) together.
-    u_tilt = np.radians(FILE.uncertainty.standard("sample_tilt_deg"))
+    u_tilt = np.radians(KEYS.sample_tilt_deg / np.sqrt(3.0))
     at_80 = np.flatnonzero(none.zenith_deg == 80.0)[0]
     tilts = np.hypot(np.tan(np.radians(30.0)) - np.tan(np.radians(80.0)), 0.0) * u_tilt * np.sqrt(2.0)
     # Each of the two heights, times what moves the photodiodes' discs against their cones.
@@ -209,7 +212,7 @@ def test_the_pipeline_and_the_effects_agree_on_what_is_a_family() -> None:
     points = measured(np.ones(COUNT), np.ones((COUNT, 2)), relative_of(np.full(COUNT, 0.01)))
     effects = effects_of(points, SETTINGS)
     assert set(effects.independent) == OWN
-    assert not OWN & set(FAMILIES)
+    assert not OWN & {*FAMILIES, *shared_families()}
     assert sorted(group.name for group in effects.groups) == [
         "band_shape", "calibration", "dark", "etalon_reading", "gain", "lamp", "monitor", "photodiode_angle", "position",
         "signature_reading",
@@ -265,6 +268,11 @@ GTC_NAMES = (
 OWN = {"noise", "resolution", "ray_tracing", "field_noise", "second_order", "slope_unresolved"}
 
 
+def half_width(key: str) -> float:
+    """The standard uncertainty of a rectangular distribution."""
+    return float(getattr(KEYS, key) / np.sqrt(3.0))
+
+
 class Formula:
     """The value of a point as a formula of its inputs, each an uncertain number of GTC under its name."""
 
@@ -291,7 +299,7 @@ class Formula:
         dark = self._relative["etalon_dark"][k] * self._input(f"dark[{c}, {volts[0]:g} V/A]@dark {etalon_row}", 1.0)
         etalon = reading * (1.0 - dark) / self._gain(c, 0) / self._monitor(etalon_row, 0)
         factor = 1.0 + self._input(f"calibration[{c}]", self._relative["calibration"][k])
-        table = FILE.uncertainty
+        table = KEYS
         u_crosstalk = table.crosstalk
         signal = signal * (1.0 + self._relative["crosstalk"][k] / u_crosstalk * self._input("crosstalk", u_crosstalk))
         etalon = etalon * (1.0 + self._relative["etalon_crosstalk"][k] / u_crosstalk * self._input("crosstalk", u_crosstalk))
@@ -333,7 +341,7 @@ class Formula:
             ("linearity", "linearity_per_decade"), ("monitor_drift", "monitor_drift_per_hour"),
             ("monitor_linearity", "monitor_linearity_per_decade"),
         ):  # fmt: skip
-            u = getattr(FILE.uncertainty, key)
+            u = getattr(KEYS, key)
             signal = signal * (1.0 + self._relative[name][k] / u * self._input(name, u))
         signal = signal * (1.0 + self._relative["signature"][k] * self._input("signature", 1.0))
         reading = self._input(f"signature_reading[{self._points.photodiode[k]}]@row {row}", 1.0)
@@ -344,22 +352,22 @@ class Formula:
         return signal, etalon
 
     def _angles(self, k: int, c: int, row: int, etalon_row: int) -> GTC.lib.UncertainReal:
-        table, effects = FILE.uncertainty, self._effects
+        table, effects = KEYS, self._effects
         terms = [(each.name, each.u, effects.common, i) for i, each in enumerate(rig_inputs(table))]
         for kind, part in (("sample", effects.sample), ("etalon", effects.etalon)):
             for i, (each, unit) in enumerate((("tilt_x", "deg"), ("tilt_y", "deg"), ("height", "mm"))):
                 at = self._sample if self._sample is not None and kind == "sample" else kind
-                terms.append((f"{kind}_{each}@{at}#1", table.standard(f"{kind}_{each.split('_')[0]}_{unit}"), part, i))
+                terms.append((f"{kind}_{each}@{at}#1", half_width(f"{kind}_{each.split('_')[0]}_{unit}"), part, i))
         for kind, sign in (("sample", 1.0), ("etalon", -1.0)):
             at = self._sample if self._sample is not None and kind == "sample" else kind
             part = replace(effects.lifted, diffuse=sign * effects.lifted.diffuse)
             for i, (each, key) in enumerate(
                 zip(ASIDE, ("arc_shift_mm",) * 3 + ("sensor_tilt_deg", "sensor_shift_mm"), strict=True)
             ):
-                u = table.standard(f"{kind}_height_mm") * table.standard(key)
+                u = half_width(f"{kind}_height_mm") * half_width(key)
                 terms.append((f"{kind}_height*{each}@{at}#1", u, part, i))
         for i, each in enumerate(("angle", "across")):
-            terms.append((f"photodiode_{each}[{c}]", table.standard(f"photodiode_{each}_deg"), effects.photodiode, i))
+            terms.append((f"photodiode_{each}[{c}]", half_width(f"photodiode_{each}_deg"), effects.photodiode, i))
         for i, axis in enumerate(POSITIONS):
             for number, part in ((row, effects.position), (etalon_row, effects.etalon_position)):
                 terms.append((f"position@{axis}#{number}", position_u_deg(table), part, i))
@@ -446,7 +454,7 @@ def test_a_campaigns_points_sum_and_share_what_its_journal_states(tmp_path: Path
         hours = [(committed[one].started_s - committed[other].started_s) / 3600.0 for one, other in pairs]
         light = {number: np.mean([each.monitor_a for each in data.readings]) for number, data in committed.items()}
         decades = [np.log10(light[one] / light[other]) for one, other in pairs]
-        table = reduction.rig.file.uncertainty
+        table: Any = reduction.rig.file.uncertainty
         for name, u, change in (
             ("monitor_drift", table.monitor_drift_per_hour, hours),
             ("monitor_linearity", table.monitor_linearity_per_decade, decades),

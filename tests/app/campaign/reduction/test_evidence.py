@@ -26,7 +26,7 @@ from goniotwin.app.campaign.reduction.reduction import reduction_settings
 from goniotwin.app.campaign.reduction.signals import stack_signals
 from goniotwin.app.campaign.row import CommittedRow, Reading, Row, RowData, reading_table
 from goniotwin.app.campaign.schedule.file import parse_schedule
-from goniotwin.app.rig import RigFile, read_rig
+from goniotwin.app.rig import RigFile, inputs, read_rig
 from goniotwin.arrays import Floats
 from goniotwin.drivers import PhotodiodeSettings
 from tests.app.campaign.reduction.made_points import made_points
@@ -361,7 +361,7 @@ def test_cross_talk_is_found_of_one_module_and_the_others_are_cleared() -> None:
     (note,) = evidence.notes
     assert "(photodiodes module 1)" in note
     assert evidence.crosstalk[8:16] == pytest.approx(np.full(8, CROSSTALK), rel=0.15)
-    assert np.all(np.delete(evidence.crosstalk, np.s_[8:16]) == RIG_FILE.uncertainty.crosstalk)
+    assert np.all(np.delete(evidence.crosstalk, np.s_[8:16]) == RIG_FILE.uncertainty.u(inputs.CROSSTALK))
 
 
 @pytest.mark.parametrize("fault", [{"settling_s": 0.06}, {"lamp": 0.02, "own": 0.02}, {"spread": 0.02}, {}])
@@ -491,7 +491,7 @@ def test_a_saturated_neighbour_counts_with_what_its_amplifier_may_give() -> None
     reading.counts[:, 3] = RIG_FILE.photodiodes.range.highest
     signal = DarkHistory(drawn.dark, RIG_FILE).signal(drawn.lit[0])
     u_volts = np.sqrt(signal.components["crosstalk"][:3]) * reading.monitor_a * HIGH
-    assert u_volts == pytest.approx(np.full(3, RIG_FILE.uncertainty.crosstalk * 15.0), rel=0.2)
+    assert u_volts == pytest.approx(np.full(3, RIG_FILE.uncertainty.u(inputs.CROSSTALK) * 15.0), rel=0.2)
     assert math.isnan(signal.value[3])
 
 

@@ -24,6 +24,7 @@ from goniotwin.app.campaign.reduction.points import BsdfPoints, join_points
 from goniotwin.app.campaign.reduction.reduction import reduction_settings
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.rig import nominal_instrument, read_rig
+from goniotwin.app.rig.inputs import FIELD_OF_VIEW
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics import (
     Instrument,
@@ -437,7 +438,7 @@ def test_values_with_too_few_neighbours_are_not_corrected_and_flagged() -> None:
     enough = points_of(15.0, np.array([20.0, 25.0, 30.0]), (180.0,))
     complete = correct_field_of_view(enough, SETTINGS)
     assert not complete.flags["field"].any()
-    u_field = SETTINGS.rig.uncertainty.field_of_view * np.abs(complete.field_correction) * complete.bsdf
+    u_field = SETTINGS.rig.uncertainty.u(FIELD_OF_VIEW) * np.abs(complete.field_correction) * complete.bsdf
     assert complete.budget["field"] == pytest.approx(u_field)
     assert complete.budget["field"].all()
 

@@ -1,7 +1,7 @@
 """The reduction, compared with the BSDF of the virtual rig's samples within the stated uncertainty."""
 
 from collections.abc import Callable
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +20,7 @@ from goniotwin.app.campaign.running.events import Event, RowCommitted, State
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import OpenRig, read_rig
-from goniotwin.app.rig.uncertainty import UncertaintyTable
+from goniotwin.app.rig.inputs import inputs
 from goniotwin.twin.optics import from_specular
 from tests.app.campaign.campaign_bench import QUIET, run_plan
 from tests.app.campaign.reduction.exporting import export
@@ -158,7 +158,7 @@ def test_a_black_paint_from_measured_data_is_reproduced(write_rig: Writer, write
     if not AEROGLAZE.is_file():
         pytest.skip(f"the measured data of the paint are missing: {AEROGLAZE}")
     sample = f"[twin.samples.black]\nmodel = 'zemax'\nfile = '{AEROGLAZE}'\n\n"
-    angles = [each.name for each in fields(UncertaintyTable) if each.name.endswith(("_deg", "_mm"))]
+    angles = [each.key for each in inputs() if each.distribution == "rectangular"]
     exact = "[uncertainty]\n" + "".join(f"{name} = 0.0\n" for name in angles)
     rig = write_rig(("[twin.samples.etalon]", f"{exact}\n{sample}[twin.samples.etalon]"))
     reduced = measure(rig, write_schedule(text=BLACK))

@@ -19,16 +19,17 @@ from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.reduction.polarisation import light_state, light_words
 from goniotwin.app.campaign.reduction.readings import Measurements, Repeats, repeats
 from goniotwin.app.campaign.reduction.reduction import reduction_settings
-from goniotwin.app.campaign.reduction.scale import SHARED, certificate_effects, mounting, repeatability, shape_of
+from goniotwin.app.campaign.reduction.scale import certificate_effects, factor_effects, shape_of, shared_families
 from goniotwin.app.campaign.schedule.certificate import parse_certificate
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import read_rig
+from goniotwin.app.rig.inputs import MOUNTING, REPEATABILITY
 from goniotwin.app.rig.light import LightTable
-from goniotwin.app.rig.uncertainty import UncertaintyTable
 from goniotwin.arrays import Floats
 from tests.app.campaign.reduction.made_points import made_points
 from tests.conftest import RIG, SMALL, Writer
+from tests.rig_tables import stated
 
 RIG_FILE = read_rig(RIG).file
 SCHEDULE = parse_schedule(SMALL, "small.toml").file
@@ -49,7 +50,7 @@ OLD = "wavelength_nm, radiance_factor, relative_uncertainty\n400, 1.0, 0.005\n50
 def settings(
     text: str = MODES, *, light: LightTable | None = None, schedule: str = SMALL, **uncertainty: float
 ) -> ReductionSettings:
-    rig = replace(RIG_FILE, light=light or LightTable(), uncertainty=replace(UncertaintyTable(), **uncertainty))
+    rig = replace(RIG_FILE, light=light or LightTable(), uncertainty=stated(**uncertainty))
     file = parse_schedule(schedule, "small.toml").file
     return ReductionSettings(rig, ArcGeometry(rig), file, parse_certificate(text, "c.csv"), sample="gaussian-5")
 
@@ -170,7 +171,7 @@ def test_a_hemispherical_certificate_leaves_the_angles_unknown_and_keeps_the_ref
 
 def test_a_mounting_is_common_to_a_sample_and_that_of_the_etalon_to_all_samples() -> None:
     points, of = points_at([500.0, 500.0], [0.0, 20.0]), settings(mounting=0.01)
-    one, other = mounting(points, of), mounting(points, replace(of, sample="paint"))
+    one, other = (factor_effects(MOUNTING, points, each) for each in (of, replace(of, sample="paint")))
     assert one is not None
     assert other is not None
     assert one.covariance(np.array([0]), np.array([1])) == pytest.approx(np.full((1, 1), 4.0 * 2e-4))
@@ -182,7 +183,7 @@ def test_a_mounting_is_common_to_a_sample_and_that_of_the_etalon_to_all_samples(
 def test_a_mean_of_repeats_has_half_the_variance_of_the_samples_rows_and_all_of_the_etalons() -> None:
     points = points_at([500.0, 500.0, 510.0], [0.0, 0.0, 0.0])
     points = replace(points, row=np.array([10, 11, 12]), etalon_row=np.array([3, 3, 4]))
-    effects = repeatability(points, settings(repeatability=0.01))
+    effects = factor_effects(REPEATABILITY, points, settings(repeatability=0.01))
     assert effects is not None
     assert effects.variances()["repeatability"] == pytest.approx(np.full(3, 4.0 * 2e-4))
     assert effects.covariance(np.array([0, 0]), np.array([1, 2]))[0] == pytest.approx([4e-4, 0.0])
@@ -207,12 +208,12 @@ def test_the_open_beam_takes_the_place_of_certificate_age_and_edge_where_it_is_t
 
 def test_what_is_zero_or_unknown_is_no_component() -> None:
     keys = "etalon_age_per_year etalon_edge mounting uniformity repeatability wavelength_nm monochromator_stray"
-    zeros = UncertaintyTable(**dict.fromkeys(keys.split(), 0.0))
+    zeros = stated(**dict.fromkeys(keys.split(), 0.0))
     of = replace(settings(), rig=replace(RIG_FILE, uncertainty=zeros))
     points = points_at([500.0], [0.0])
     assert add_shared(points, of).components.keys() == {"noise", "certificate"}
     known = replace(points, wavelength_slope=np.array([0.01]), band_correction=np.array([0.02]))
-    assert [name for name, effects_of in SHARED.items() if effects_of(known, of)] == ["certificate", "bandwidth"]
+    assert [name for name, effects_of in shared_families().items() if effects_of(known, of)] == ["certificate", "bandwidth"]
 
 
 # The light.

@@ -26,6 +26,7 @@ from goniotwin.app.campaign.schedule.certificate import constant_certificate
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.rig import read_rig
 from goniotwin.app.rig.file import EtalonTable
+from goniotwin.app.rig.inputs import MONOCHROMATOR_STRAY, WAVELENGTH
 from goniotwin.app.rig.light import LightTable
 from goniotwin.arrays import Floats
 from tests.app.campaign.reduction.long_journal import write_long_journal
@@ -121,7 +122,7 @@ def test_without_a_stated_band_nothing_is_corrected_and_all_of_the_effect_is_in_
         assert np.sqrt(effects.variances()["bandwidth"]) == pytest.approx(share * np.abs(points.band_correction) * points.bsdf)
     effects = wavelength_effects(points, settings())
     assert effects is not None
-    of_nm = RIG_FILE.uncertainty.wavelength_nm * np.abs(points.wavelength_slope) * points.bsdf
+    of_nm = RIG_FILE.uncertainty.u(WAVELENGTH) * np.abs(points.wavelength_slope) * points.bsdf
     assert np.sqrt(effects.variances()["wavelength"]) == pytest.approx(of_nm)
     # One error for all: the covariance of two values is the product of what each changes.
     covariance = effects.covariance(np.array([0]), np.array([9]))[0, 0]
@@ -263,7 +264,7 @@ def test_stray_light_changes_coloured_samples_and_no_grey_ones() -> None:
     alone = stray_effects(points, settings())
     assert effects is not None
     assert alone is not None
-    u = RIG_FILE.uncertainty.monochromator_stray
+    u = RIG_FILE.uncertainty.u(MONOCHROMATOR_STRAY)
     assert effects.variances()["monochromator_stray"] == pytest.approx((u * found.stray_contrast[:, 1] * red[:, 0]) ** 2)
     assert alone.variances()["monochromator_stray"] == pytest.approx((u * red[:, 0]) ** 2)
 
