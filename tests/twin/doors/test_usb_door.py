@@ -28,7 +28,7 @@ def rig(opened: RigOpener) -> VirtualRig:
 
 @pytest.fixture
 def fast(opened: RigOpener) -> VirtualRig:
-    virtual = opened(clock=RealClock(speed=100.0)).virtual
+    virtual = opened(clock=RealClock(speed=25.0)).virtual
     assert virtual is not None
     return virtual
 
