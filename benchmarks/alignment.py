@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from goniotwin.app.campaign.reduction.alignment import LEAST_DARK
-from tests.app.campaign.reduction.alignment_bench import RigFindings, find
+from goniotwin.app.campaign.studies.alignment import LEAST_DARK
+from tests.app.campaign.studies.alignment_bench import RigFindings, find
 
 CUTS = ("measured", "corrected", "aligned")
 

@@ -46,7 +46,7 @@ def spent(name, begin, end):
 """
 REDUCE = f"""{TIMES}
 from goniotwin.app.campaign.journal.writing import Journal
-from goniotwin.app.campaign.reduction.reduction import reduce_to_files
+from goniotwin.app.campaign.studies.reduced_journal import reduce_to_files
 from goniotwin.app.data.conversion import Choice, convert_reduced, format_to_write
 journal, out = map(Path, sys.argv[1:])
 begin = now()

@@ -13,8 +13,8 @@ ROOMS = (
     "app.guardian", "app.formats", "mocks", "twin.doors", "twin.devices", "twin.plant", "twin.optics", "drivers", "protocols",
 )  # fmt: skip
 CAMPAIGN = (
-    "campaign", "proof", "rehearsal", "running", "reduction", "journal", "planning", "geometry", "schedule", "readout", "row",
-    "measurement_model", "wording",
+    "campaign", "proof", "rehearsal", "running", "studies", "reduction", "journal", "planning", "geometry", "schedule",
+    "readout", "row", "measurement_model", "wording",
 )  # fmt: skip
 
 Graph = dict[str, set[str]]

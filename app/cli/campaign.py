@@ -214,8 +214,8 @@ def run(
     Ctrl-C. After 1, 3 and 130 the journal has all measured rows, and --resume continues.
     """
     from goniotwin.app.campaign.campaign import resume_campaign, run_campaign
-    from goniotwin.app.campaign.reduction.reduction import check_journal
     from goniotwin.app.campaign.running.events import State
+    from goniotwin.app.campaign.studies.journals import check_journal
     from goniotwin.app.cli.progress import RowProgress
     from goniotwin.app.rig import read_rig
 

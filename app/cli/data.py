@@ -14,9 +14,9 @@ from goniotwin.app.errors import UserError
 from goniotwin.app.formats.fills import Fill
 
 if TYPE_CHECKING:  # the reduction loads numpy, which a command's help does not need
-    from goniotwin.app.campaign.reduction.alignment import AlignmentResult
-    from goniotwin.app.campaign.reduction.budget import Budget
     from goniotwin.app.campaign.rehearsal.alignment_design import AlignmentDesign
+    from goniotwin.app.campaign.studies.alignment import AlignmentResult
+    from goniotwin.app.campaign.studies.budget import Budget
 
 JournalArgument = Annotated[
     Path, typer.Argument(metavar="JOURNAL", help="Data file (journal) of a campaign.", show_default=False)
@@ -116,7 +116,7 @@ def _convert(
 ) -> None:  # fmt: skip
     """Convert a file or a journal, and print the result."""
     from goniotwin.app.campaign.journal.writing import Journal
-    from goniotwin.app.campaign.reduction.reduction import reduce_to_files
+    from goniotwin.app.campaign.studies.reduced_journal import reduce_to_files
     from goniotwin.app.data.conversion import (
         Choice,
         archive_journal,
@@ -203,13 +203,13 @@ def budget(
     source: the table and key of the rig file, or a measurement. The squares of the components add up to the square of u.
     """
     from goniotwin.app.campaign.journal.writing import Journal
-    from goniotwin.app.campaign.reduction.budget import budget_of_reflectance, budget_of_value, parse_place
-    from goniotwin.app.campaign.reduction.reduction import Reduction
+    from goniotwin.app.campaign.studies.budget import budget_of_reflectance, budget_of_value, parse_place
+    from goniotwin.app.campaign.studies.evaluation import evaluate_journal
 
     place = parse_place(at)
     with Journal.open(journal) as opened:
         simulated = opened.simulated
-        found = (budget_of_reflectance if reflectance else budget_of_value)(Reduction(opened), place)
+        found = (budget_of_reflectance if reflectance else budget_of_value)(evaluate_journal(opened).reduction, place)
     show = partial(_print_budget, found, simulated, every)
     answer(as_json, {**found.as_dict(), "simulated": simulated}, show)
 
@@ -296,7 +296,7 @@ def align(
     if watch:
         _watch(journal, sample, as_json)
         return
-    from goniotwin.app.campaign.reduction.reduction import align_journal
+    from goniotwin.app.campaign.studies.journals import align_journal
     from goniotwin.app.rig.alignment import alignment_text, is_alignment
 
     write = _checked_output(output, "an alignment file", is_alignment)
@@ -336,7 +336,7 @@ def _checked_output(output: Path | None, words: str, is_one: Callable[[bytes], b
 
 
 def _watch(journal: Path, sample: str | None, as_json: bool) -> None:
-    from goniotwin.app.campaign.reduction.reduction import watch_journal
+    from goniotwin.app.campaign.studies.journals import watch_journal
 
     found = watch_journal(journal, sample)
     mark = "SIMULATED, " if found.simulated else ""
@@ -430,12 +430,12 @@ def verify(
     Exit status: 1 if a verdict is "fails".
     """
     from goniotwin.app.campaign.journal.writing import Journal
-    from goniotwin.app.campaign.reduction.reduction import Reduction
-    from goniotwin.app.campaign.reduction.verification import verify_journal
+    from goniotwin.app.campaign.studies.evaluation import evaluate_journal
+    from goniotwin.app.campaign.studies.verification import verify_journal
 
     with Journal.open(journal) as opened:
         simulated = opened.simulated
-        verdicts = verify_journal(Reduction(opened))
+        verdicts = verify_journal(evaluate_journal(opened))
     holds = all(each.verdict != "fails" for each in verdicts)
     result = {"simulated": simulated, "holds": holds, "verdicts": [each.as_dict() for each in verdicts]}
 
@@ -471,11 +471,11 @@ def closure(
     Exit status: 1 if the two scales certainly do not agree.
     """
     from goniotwin.app.campaign.journal.writing import Journal
-    from goniotwin.app.campaign.reduction.closure import closure_text
-    from goniotwin.app.campaign.reduction.reduction import Reduction
+    from goniotwin.app.campaign.studies.closure import closure_text
+    from goniotwin.app.campaign.studies.evaluation import evaluate_journal
 
     with Journal.open(journal) as opened:
-        report = Reduction(opened, without_damaged=without_damaged).closure()
+        report = evaluate_journal(opened, without_damaged=without_damaged).closure
         result = {"journal": str(journal), "simulated": opened.simulated, **report.as_dict(), "chain": opened.chain.as_dict()}
         mark = "SIMULATED, " if opened.simulated else ""
     text = f"{mark}closure of {journal}\n{closure_text(report)}"

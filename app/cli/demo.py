@@ -12,10 +12,10 @@ from rich.table import Table
 from goniotwin.app.campaign.campaign import run_campaign
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
-from goniotwin.app.campaign.reduction.comparison import Comparison, compare, cut_figure
-from goniotwin.app.campaign.reduction.reduction import BsdfDataset, reduce_journal
 from goniotwin.app.campaign.running.events import State
 from goniotwin.app.campaign.schedule.file import read_schedule
+from goniotwin.app.campaign.studies.comparison import Comparison, compare, cut_figure
+from goniotwin.app.campaign.studies.reduced_journal import BsdfDataset, reduce_journal
 from goniotwin.app.cli.compilation import compile_ahead
 from goniotwin.app.cli.progress import RowProgress
 from goniotwin.app.data.conversion import Choice, convert_reduced, format_to_write

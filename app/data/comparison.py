@@ -18,10 +18,10 @@ import numpy as np
 
 from goniotwin.app.campaign.geometry.directions import in_plane_of_incidence
 from goniotwin.app.campaign.measurement_model.effects import Effects
-from goniotwin.app.campaign.reduction.comparison import noisy, true_bsdf
 from goniotwin.app.campaign.reduction.components import logarithmic
 from goniotwin.app.campaign.reduction.effects_of_points import effects_of
 from goniotwin.app.campaign.reduction.points import join_points
+from goniotwin.app.campaign.studies.comparison import noisy, true_bsdf
 from goniotwin.app.data.dataset import Dataset
 from goniotwin.app.data.interpolation import direction_grid, interpolated
 from goniotwin.app.data.opening import open_dataset

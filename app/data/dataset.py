@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from goniotwin.app.campaign.reduction.effects_of_points import effects_of
-from goniotwin.app.campaign.reduction.reduction import ReducedJournal
+from goniotwin.app.campaign.studies.reduced_journal import ReducedJournal
 from goniotwin.app.data import hemisphere
 from goniotwin.app.data.frames import to_dataframe, to_xarray
 from goniotwin.app.data.interpolation import (

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from goniotwin.app.campaign.reduction.budget import Budget
-from goniotwin.app.campaign.reduction.budget import reflectance as measured_reflectance
-from goniotwin.app.campaign.reduction.reflectance import LEAST_POLAR_DEG, Setting, quadrature
+from goniotwin.app.campaign.studies.budget import Budget
+from goniotwin.app.campaign.studies.budget import reflectance as measured_reflectance
+from goniotwin.app.campaign.studies.reflectance import LEAST_POLAR_DEG, Setting, quadrature
 from goniotwin.app.data.interpolation import RECTANGULAR, own_and_shared
 from goniotwin.app.data.values import EQUAL, LightSetting, Measured, SampleData, ValueWithU, neighbours
 from goniotwin.app.errors import UserError

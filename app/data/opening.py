@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 
 from goniotwin.app.campaign.journal.writing import Journal
-from goniotwin.app.campaign.reduction.export import scattered_points
 from goniotwin.app.campaign.reduction.points import BsdfPoints
-from goniotwin.app.campaign.reduction.reduction import Reduction, reduce_to_memory
+from goniotwin.app.campaign.studies.evaluation import Evaluation, evaluate_journal
+from goniotwin.app.campaign.studies.reduced_journal import reduce_to_memory
 from goniotwin.app.data.dataset import Dataset
+from goniotwin.app.data.export import scattered_points
 from goniotwin.app.data.values import Measured, SampleData, flag, quoted, with_names
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats import registry
@@ -33,10 +34,7 @@ from goniotwin.app.formats.registry import Format
 from goniotwin.app.formats.table import BsdfTable
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics import from_specular
-from goniotwin.twin.optics.geometry.coordinates import (
-    round_deg,
-    zenith_and_azimuth,
-)
+from goniotwin.twin.optics.geometry.coordinates import round_deg, zenith_and_azimuth
 
 
 @with_names
@@ -69,13 +67,13 @@ def _is_folder(path: Path) -> bool:
 def open_journal(path: Path, *, without_damaged: bool = False) -> Dataset:
     """The dataset of a journal, as far as it goes. Raises UserError."""
     with Journal.open(path) as journal:
-        return dataset_of_reduction(Reduction(journal, without_damaged=without_damaged))
+        return dataset_of_evaluation(evaluate_journal(journal, without_damaged=without_damaged))
 
 
-def dataset_of_reduction(reduction: Reduction) -> Dataset:
+def dataset_of_evaluation(evaluation: Evaluation) -> Dataset:
     """The dataset of a journal that is open; the journal may be closed afterwards. Raises UserError."""
-    reduced = reduce_to_memory(reduction)
-    settings = reduction.settings
+    reduced = reduce_to_memory(evaluation)
+    settings = evaluation.reduction.settings
     if settings.history is not None:
         settings.history.read()
     data = {

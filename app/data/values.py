@@ -11,8 +11,8 @@ from typing import Any, ParamSpec, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from goniotwin.app.campaign.reduction.etalon import ReductionSettings
 from goniotwin.app.campaign.reduction.points import BsdfPoints
+from goniotwin.app.campaign.reduction.settings import ReductionSettings
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats.content import UNTRUSTED, RegularTable, ScatteredBsdf, flagged
 from goniotwin.app.formats.metadata import Metadata

@@ -1,6 +1,6 @@
 """The archive: HDF5 in the manner of NeXus, after one line of text. docs/archive.md describes its layout.
 
-It holds every content, with metadata and uncertainties, and what a journal's writer adds (app/campaign/reduction/archive.py).
+It holds every content, with metadata and uncertainties, and what a journal's writer adds (app/data/archive.py).
 Each part is a group NXdata with the signal `values` and `values_errors` beside it. The line of text has the SHA-256 of the HDF5
 content, which is checked first, as that of a rayset: the HDF5 library can crash on a damaged file. NeXus:
 https://manual.nexusformat.org/classes/base_classes/NXdata.html.

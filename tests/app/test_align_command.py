@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from goniotwin.app.campaign.reduction import reduction
 from goniotwin.app.campaign.rehearsal import alignment_design
+from goniotwin.app.campaign.studies import journals
 from goniotwin.app.cli.data import align
 from goniotwin.app.errors import UserError
 from tests.conftest import REPOSITORY
@@ -22,7 +22,7 @@ def computed(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         begun.append("computation")
         raise UserError("computed")
 
-    monkeypatch.setattr(reduction, "align_journal", begin)
+    monkeypatch.setattr(journals, "align_journal", begin)
     monkeypatch.setattr(alignment_design, "design_alignment", begin)
     return begun
 

@@ -11,11 +11,12 @@ import pytest
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.proof.virtual_rigs import DrawnRigs
-from goniotwin.app.campaign.reduction.budget import budget_of_value
 from goniotwin.app.campaign.reduction.effects_of_points import effects_of
-from goniotwin.app.campaign.reduction.reduction import Reduction, reduce_journal
 from goniotwin.app.campaign.rehearsal.without_wires import run_without_wires
 from goniotwin.app.campaign.schedule.file import parse_schedule
+from goniotwin.app.campaign.studies.budget import budget_of_value
+from goniotwin.app.campaign.studies.evaluation import evaluate_journal
+from goniotwin.app.campaign.studies.reduced_journal import reduce_journal
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription, parse_rig, rig_file_table
 from goniotwin.app.rig.inputs import Input, factor_of, inputs, withdraw
@@ -132,7 +133,7 @@ def test_prove_draws_it_as_wide_as_it_is_stated() -> None:
 
 def test_a_budget_has_it_with_its_source_and_two_values_share_it(journal: Path) -> None:
     with Journal.open(journal) as opened:
-        reduction = Reduction(opened)
+        reduction = evaluate_journal(opened).reduction
         points = reduce_journal(opened).samples["gaussian-5"]
         good = points.where(points.good)
         brightest = int(np.argmax(good.bsdf))
@@ -156,7 +157,7 @@ def test_a_budget_has_it_with_its_source_and_two_values_share_it(journal: Path) 
 
 def test_the_closure_has_what_is_the_etalons(journal: Path) -> None:
     with Journal.open(journal) as opened:
-        (closure,) = Reduction(opened).closure().closures
+        (closure,) = evaluate_journal(opened).closure.closures
     found = {each.name: each.u for each in closure.components}
     assert found["etalon_stain"] == 0.01
     assert not [name for name in found if name.startswith("sample_frame")]

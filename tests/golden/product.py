@@ -21,9 +21,9 @@ import pytest
 from goniotwin.app.campaign.campaign import run_campaign
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import make_plan
-from goniotwin.app.campaign.reduction.reduction import reduce_journal
 from goniotwin.app.campaign.running.events import Event, RowCommitted
 from goniotwin.app.campaign.schedule.file import read_schedule
+from goniotwin.app.campaign.studies.reduced_journal import reduce_journal
 from goniotwin.app.cli.main import command
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import read_rig

@@ -33,11 +33,12 @@ from goniotwin.app.campaign.journal.reading import DamagedJournal
 from goniotwin.app.campaign.journal.summary import campaign_summary
 from goniotwin.app.campaign.journal.writing import CHECKPOINT_ROWS, Journal, copy_journal
 from goniotwin.app.campaign.planning.plan import make_plan
-from goniotwin.app.campaign.reduction import export as exporting
 from goniotwin.app.campaign.reduction import readings, reduction
 from goniotwin.app.campaign.reduction.pipeline import reduce_readings
 from goniotwin.app.campaign.schedule.file import read_schedule
+from goniotwin.app.campaign.studies import reduced_journal
 from goniotwin.app.cli.main import command
+from goniotwin.app.data import export as exporting
 from goniotwin.app.data.conversion import Choice, convert_reduced, format_to_write
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import AXES, RigDescription, open_rig, read_rig
@@ -830,7 +831,8 @@ def test_the_memory_of_an_export_grows_by_less_than_a_kilobyte_per_row_and_each_
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With small blocks a short journal shows what a long one takes."""
-    monkeypatch.setattr(reduction, "BLOCK_ROWS", 16)
+    for module in (reduction, reduced_journal):
+        monkeypatch.setattr(module, "BLOCK_ROWS", 16)
     monkeypatch.setattr(readings, "EVIDENCE_ROWS", 16)
     monkeypatch.setattr(readings, "ROWS_AT_ONCE", 16)
     monkeypatch.setattr(journal_chain, "CHECKED_TOGETHER", 16)
@@ -854,7 +856,7 @@ def test_the_memory_of_an_export_grows_by_less_than_a_kilobyte_per_row_and_each_
         reduced = 0
         tracemalloc.start()
         form = format_to_write(tmp_path / "a.csv")
-        with Journal.open(path) as journal, reduction.reduce_to_files(journal, tmp_path) as found:
+        with Journal.open(path) as journal, reduced_journal.reduce_to_files(journal, tmp_path) as found:
             convert_reduced(found, tmp_path / "a.csv", form, Choice())
         memory.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()

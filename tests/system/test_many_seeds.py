@@ -8,10 +8,10 @@ import pytest
 from goniotwin.app.campaign.campaign import run_campaign
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import make_plan
-from goniotwin.app.campaign.reduction.comparison import compare, theoretical_bsdf
 from goniotwin.app.campaign.reduction.components import total_variance
-from goniotwin.app.campaign.reduction.reduction import BsdfDataset, reduce_journal
 from goniotwin.app.campaign.schedule.file import read_schedule
+from goniotwin.app.campaign.studies.comparison import compare, theoretical_bsdf
+from goniotwin.app.campaign.studies.reduced_journal import BsdfDataset, reduce_journal
 from goniotwin.app.rig import read_rig
 from tests.conftest import SCHEDULE, Writer
 

@@ -17,7 +17,7 @@ from goniotwin.app.campaign.geometry.directions import scan_plane_deg
 from goniotwin.app.campaign.journal.following import JournalFollower
 from goniotwin.app.campaign.journal.summary import campaign_summary
 from goniotwin.app.campaign.reduction.points import BsdfPoints
-from goniotwin.app.campaign.reduction.reduction import reduce_journal
+from goniotwin.app.campaign.studies.reduced_journal import reduce_journal
 from goniotwin.app.desktop.bench.screen import READY
 from goniotwin.app.station.connection_file import known_stations
 from tests.app.campaign.campaign_bench import QUIET

@@ -18,8 +18,14 @@ from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.measurement_model.effects import Effects
 from goniotwin.app.campaign.measurement_model.fit import Fit, ValuesCovariance
 from goniotwin.app.campaign.planning.plan import Plan
-from goniotwin.app.campaign.reduction.budget import finished_blocks
-from goniotwin.app.campaign.reduction.comparison import (
+from goniotwin.app.campaign.reduction.angles import angles
+from goniotwin.app.campaign.reduction.components import ADDED, COVERAGE
+from goniotwin.app.campaign.reduction.effects_of_points import effects_of
+from goniotwin.app.campaign.reduction.points import BsdfPoints, join_points
+from goniotwin.app.campaign.reduction.reduction import Reduction
+from goniotwin.app.campaign.reduction.settings import ReductionSettings
+from goniotwin.app.campaign.studies.budget import finished_blocks
+from goniotwin.app.campaign.studies.comparison import (
     deviations_in_u,
     moved_logarithm,
     noisy,
@@ -27,12 +33,8 @@ from goniotwin.app.campaign.reduction.comparison import (
     true_bsdf,
     with_true_slopes,
 )
-from goniotwin.app.campaign.reduction.components import ADDED, COVERAGE
-from goniotwin.app.campaign.reduction.effects_of_points import angles, effects_of
-from goniotwin.app.campaign.reduction.etalon import ReductionSettings
-from goniotwin.app.campaign.reduction.points import BsdfPoints, join_points
-from goniotwin.app.campaign.reduction.reduction import Reduction
-from goniotwin.app.campaign.reduction.reflectance import components_of_sum, integration_settings, quadrature
+from goniotwin.app.campaign.studies.evaluation import evaluate_journal
+from goniotwin.app.campaign.studies.reflectance import components_of_sum, integration_settings, quadrature
 from goniotwin.app.rig import AXES
 from goniotwin.arrays import Flags, Floats
 from goniotwin.twin.optics import Scatterer
@@ -120,7 +122,7 @@ def judge(journal: Path, plan: Plan) -> RigResult:
     assert plan.rig.seed is not None
     result = RigResult(plan.rig.seed)
     with Journal.open(journal) as opened:
-        reduction = Reduction(opened)
+        reduction = evaluate_journal(opened).reduction
         drawn = _DrawnInputs(Drawn(model.disturbances, model.seed, model.photodiodes.count), plan, reduction)
         for name in reduction.schedule.samples:
             blocks = list(finished_blocks(reduction, name))

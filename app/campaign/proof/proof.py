@@ -16,7 +16,7 @@ from goniotwin.app.campaign.planning.plan import NewPlan, make_plan
 from goniotwin.app.campaign.proof.judgement import RigResult, judge
 from goniotwin.app.campaign.proof.totals import Totals
 from goniotwin.app.campaign.proof.virtual_rigs import DrawnRigs, run_with_wires
-from goniotwin.app.campaign.reduction.reduction import reduction_settings
+from goniotwin.app.campaign.reduction.settings import reduction_settings
 from goniotwin.app.campaign.rehearsal.without_wires import run_without_wires
 from goniotwin.app.campaign.schedule.file import ScheduleDescription, parse_schedule
 from goniotwin.app.errors import UserError

@@ -1,1 +1,1 @@
-"""The reduction: from a journal's counts to the BSDF with its uncertainty; checks, comparison and export."""
+"""The reduction: from a journal's counts to the BSDF with its uncertainty."""

@@ -7,29 +7,21 @@ from transmitted light: without a sample it is the direct beam.
 """
 
 import math
-from collections import defaultdict
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from goniotwin.app.campaign.geometry.arcs import ArcView, polar_deg, views_at_sigma
-from goniotwin.app.campaign.geometry.directions import ARCS, Arc, PoseAngles
-from goniotwin.app.campaign.geometry.shadow import blocked_by_mirrors
-from goniotwin.app.campaign.measurement_model.alignment import Alignment
-from goniotwin.app.campaign.measurement_model.pose import Views, pose_moments
-from goniotwin.app.campaign.measurement_model.quantity import Quantity
+from goniotwin.app.campaign.reduction.arc_geometry import ArcGeometry
+from goniotwin.app.campaign.reduction.arc_rows import SIGMA, WAVELENGTH, ArcRows, ArcViews, arcs_of_rows, etalon_places
 from goniotwin.app.campaign.reduction.components import Signal
-from goniotwin.app.campaign.reduction.overlaps import CalibrationFactors
-from goniotwin.app.campaign.reduction.points import PLACE, BsdfPoints, join_points, pack_flags, points_of_quantity
+from goniotwin.app.campaign.reduction.points import BsdfPoints, join_points, pack_flags, points_of_quantity
 from goniotwin.app.campaign.reduction.reading_inputs import Numbers
-from goniotwin.app.campaign.reduction.row_history import RowHistory
-from goniotwin.app.campaign.reduction.signals import join_signals, mean_signals, signals_of_rows, stack_signals
+from goniotwin.app.campaign.reduction.row_signals import PlaceIndex, PoseKey, RowSignals, pose_key
+from goniotwin.app.campaign.reduction.settings import ReductionSettings
 from goniotwin.app.campaign.row import Row
-from goniotwin.app.campaign.schedule.certificate import Certificate
-from goniotwin.app.campaign.schedule.file import ScheduleFile
 from goniotwin.app.rig import RigFile
 from goniotwin.app.rig.inputs import LINEARITY, MONITOR_DRIFT, MONITOR_LINEARITY
 from goniotwin.arrays import Flags, Floats, Ints
@@ -43,262 +35,6 @@ GRAZING_DEG = 85.0
 """Photodiodes at larger polar angles are not judged as dead."""
 SIGNATURE, SIGNATURE_READING = "signature", "signature_reading"
 """Components of the instrument signature: of what it is with a sample mounted, and of its own readings."""
-MOST_POSES = 4096
-"""Poses whose geometry is kept: some 10 MB."""
-WAVELENGTH, SIGMA = PLACE.index("wavelength_nm"), PLACE.index("sigma_deg")
-POSE = [PLACE.index(f"{axis}_deg") for axis in ("gamma", "sigma", "beta", "shift")]
-PoseKey = tuple[float, PoseAngles]
-
-
-class ArcGeometry:
-    """What the arcs of a rig see in a pose; kept for some thousand poses, because every wavelength has the same ones."""
-
-    def __init__(self, rig: RigFile) -> None:
-        self._rig = rig
-        self._kept: dict[PoseAngles, list[tuple[ArcView, Flags]]] = {}
-        self._sums: dict[PoseAngles, Floats] = {}
-
-    def views(self, pose: PoseAngles) -> list[tuple[ArcView, Flags]]:
-        """The views of the arcs, with the photodiodes whose light the mirror unit blocks at the sample or at the etalon."""
-        return self.views_at([pose])[0]
-
-    def views_at(self, poses: Sequence[PoseAngles]) -> list[list[tuple[ArcView, Flags]]]:
-        """The same at many poses, which together take a tenth of the time."""
-        missing = [pose for pose in dict.fromkeys(poses) if pose not in self._kept]
-        if missing and len(self._kept) + len(missing) > MOST_POSES:
-            self._kept.clear()
-            missing = list(dict.fromkeys(poses))
-        alike: dict[tuple[float, float], list[PoseAngles]] = defaultdict(list)
-        for pose in missing:
-            alike[pose[0], pose[1]].append(pose)
-        for same in alike.values():
-            self._kept.update((pose, []) for pose in same)
-            for arc in ARCS:
-                if polar_deg(self._rig, arc):
-                    for pose, view, blocked in self._views_of(same, arc):
-                        self._kept[pose].append((view, blocked))
-        return [self._kept[pose] for pose in poses]
-
-    def _views_of(self, poses: Sequence[PoseAngles], arc: Arc) -> Iterator[tuple[PoseAngles, ArcView, Flags]]:
-        """The views of an arc at poses of one gamma and sigma, and what is blocked."""
-        gamma, sigma, *_ = poses[0]
-        views = views_at_sigma(
-            self._rig, sigma, np.array([pose[2] for pose in poses]), np.array([pose[3] for pose in poses]), arc
-        )
-        zenith, azimuth = (np.stack([getattr(view, name) for view in views]) for name in ("zenith", "azimuth"))
-        # For transmitted light the mirror unit has another position at the etalon, and blocks other directions there.
-        sigmas = {sigma, views[0].etalon_pose(poses[0])[1]}
-        blocked = np.any([blocked_by_mirrors(self._rig, at, zenith, azimuth, gamma) for at in sigmas], axis=0)
-        return zip(poses, views, blocked, strict=True)
-
-    def pose_sums(self, poses: Sequence[PoseAngles]) -> Floats:
-        """What the variances by the errors of angles need at poses, whatever the slopes: (poses, photodiodes, 2, 6).
-
-        Of the dense inputs, and of the axes' positions: see `moments`. NaN for photodiodes without an arc.
-        """
-        missing = [pose for pose in dict.fromkeys(poses) if pose not in self._sums]
-        if len(self._sums) + len(missing) > MOST_POSES:
-            self._sums.clear()
-            missing = list(dict.fromkeys(poses))
-        if missing:
-            seen = enumerate(zip(missing, self.views_at(missing), strict=True))
-            views = [(k, pose, view) for k, (pose, arcs) in seen for view, _ in arcs]
-            sums = np.full((len(missing), self._rig.photodiodes.count, 2, 6), np.nan)
-            at = np.concatenate([np.full(view.channels.size, k) for k, _, view in views])
-            sums[at, np.concatenate([view.channels for _, _, view in views])] = pose_moments(self._rig, views_of_arcs(views))
-            self._sums.update(zip(missing, sums, strict=True))
-        return np.stack([self._sums[pose] for pose in poses])
-
-
-def views_of_arcs(views: Sequence[tuple[int, PoseAngles, ArcView]]) -> Views:
-    """The directions of all photodiodes of views, one after the other."""
-    each = [view.channels.size for _, _, view in views]
-    beta = np.repeat([pose[2] for _, pose, _ in views], each)
-    azimuth = np.concatenate([view.azimuth for _, _, view in views])
-    return Views(
-        sigma_deg=np.repeat([pose[1] for _, pose, _ in views], each),
-        gamma_deg=np.repeat([pose[0] for _, pose, _ in views], each),
-        polar=np.radians(np.concatenate([view.polar for _, _, view in views])),
-        azimuth=np.radians(azimuth),
-        lower=np.repeat([view.transmitted != view.back for _, _, view in views], each),
-        transmitted=np.repeat([view.transmitted for _, _, view in views], each),
-        reverse=np.cos(np.radians(azimuth - beta)) < 0.0,
-    )
-
-
-@dataclass(frozen=True)
-class ReductionSettings:
-    """What the steps of a reduction go by: rig, schedule, certificate, and the calibration factors of the sample, if any.
-
-    `history`, of a journal, has the mountings, moves and dark readings before each row.
-    `sample` is the name of the sample; `etalon_years` the time since the etalon's calibration.
-    `absolute` has, by wavelength, incidence and whether the arc is the lower one, the ratio of the open beam's scale to that of
-    the certificate, and the relative standard uncertainty of the former; where it has one, it scales transmitted light.
-    `doubted`: the scan of the open beam contradicts the etalon's scale. `alignment` is what is known of the rig's
-    misalignments, by which the values are corrected; None without one.
-    """
-
-    rig: RigFile
-    geometry: ArcGeometry
-    schedule: ScheduleFile
-    certificate: Certificate
-    calibration: CalibrationFactors | None = None
-    history: RowHistory | None = None
-    sample: str = ""
-    etalon_years: float = 1.0
-    absolute: Mapping[tuple[float, float, bool], tuple[float, float]] = field(default_factory=dict)
-    doubted: bool = False
-    alignment: Alignment | None = None
-
-    @property
-    def calibrates(self) -> bool:
-        """Whether the values are multiplied by the calibration factors of the overlaps."""
-        return self.schedule.overlap is not None and self.schedule.overlap.calibrate
-
-
-@dataclass(frozen=True)
-class RowSignal:
-    """A measured row, or the mean of several rows of one pose: its signal, and the photodiodes (n,) that are flagged.
-
-    `flags` by their names in files. drift: the row lies in a drift interval of the photodiode. dead: the photodiode has lost
-    its dark current. module: its module has not passed the tests of the signals. monitor: this has no range left. `hours` is
-    when the row began, on the rig's clock, and `monitor_decades` the logarithm of base ten of the monitor's current in A.
-    """
-
-    row: Row
-    signal: Signal
-    flags: Mapping[str, Flags]
-    hours: float
-    monitor_decades: float
-
-
-@dataclass(frozen=True)
-class RowSignals:
-    """Rows as `RowSignal`, in columns: `signal` and `flags` are of (rows, photodiodes), all others of (rows,).
-
-    `numbers` are those of the rows; `places` (rows, 5) their wavelengths and poses, in the order of PLACE and not rounded;
-    `mirrored` those that only check the symmetry.
-    """
-
-    numbers: Ints
-    places: Floats
-    mirrored: Flags
-    signal: Signal
-    flags: Mapping[str, Flags]
-    hours: Floats
-    monitor_decades: Floats
-
-    def __len__(self) -> int:
-        return len(self.numbers)
-
-    def at(self, index: Ints | Flags) -> "RowSignals":
-        """Some of the rows, or all in another order."""
-        return RowSignals(
-            self.numbers[index], self.places[index], self.mirrored[index], self.signal.at(index),
-            {name: each[index] for name, each in self.flags.items()}, self.hours[index], self.monitor_decades[index],
-        )  # fmt: skip
-
-
-def join_rows(parts: Sequence[RowSignals]) -> RowSignals:
-    """The rows of all parts, of which there is at least one, in order."""
-    if len(parts) == 1:
-        return parts[0]
-    return RowSignals(
-        np.concatenate([each.numbers for each in parts]),
-        np.concatenate([each.places for each in parts]),
-        np.concatenate([each.mirrored for each in parts]),
-        join_signals([each.signal for each in parts]),
-        {name: np.concatenate([each.flags[name] for each in parts]) for name in parts[0].flags},
-        np.concatenate([each.hours for each in parts]),
-        np.concatenate([each.monitor_decades for each in parts]),
-    )
-
-
-def rows_in_columns(rows: Sequence[RowSignal]) -> RowSignals | None:
-    """Rows of one sample in columns; None for none."""
-    if not rows:
-        return None
-    return RowSignals(
-        np.array([each.row.number for each in rows]),
-        np.array([_place(each.row) for each in rows]),
-        np.array([each.row.mirrored for each in rows]),
-        stack_signals([each.signal for each in rows]),
-        {name: np.stack([each.flags[name] for each in rows]) for name in rows[0].flags},
-        np.array([each.hours for each in rows]),
-        np.array([each.monitor_decades for each in rows]),
-    )
-
-
-def mean_rows(rows: RowSignals, repeats: Ints) -> RowSignals:
-    """The means of repeated measurements: of the first so many rows, of so many more after them, and so on."""
-    if (repeats == 1).all():
-        return rows
-    begin, parts, places = np.cumsum(repeats) - repeats, [], []
-    for n in np.unique(repeats).tolist():
-        here = np.flatnonzero(repeats == n)
-        index = begin[here, None] + np.arange(n)
-        first = rows.at(index[:, 0])
-        mean = replace(
-            first,
-            signal=mean_signals(rows.signal, index),
-            flags={name: each[index].any(axis=1) for name, each in rows.flags.items()},
-            hours=rows.hours[index].mean(axis=1),
-            monitor_decades=rows.monitor_decades[index].mean(axis=1),
-        )
-        parts.append(mean)
-        places.append(here)
-    return join_rows(parts).at(np.argsort(np.concatenate(places)))
-
-
-def mean_row(rows: Sequence[RowSignal]) -> RowSignal:
-    """The mean of repeated measurements of one pose, of which there is at least one."""
-    columns = rows_in_columns(rows)
-    assert columns is not None
-    mean = mean_rows(columns, np.array([len(rows)]))
-    (signal,) = signals_of_rows(mean.signal)
-    flags = {name: each[0] for name, each in mean.flags.items()}
-    return RowSignal(rows[0].row, signal, flags, float(mean.hours[0]), float(mean.monitor_decades[0]))
-
-
-class PlaceIndex:
-    """Finds rows by wavelength and pose: `places` (rows, 5) in the order of PLACE, compared as `pose_key` rounds them."""
-
-    def __init__(self, places: Floats) -> None:
-        self._columns = [np.unique(column) for column in round_deg(places).T]
-        codes = self._codes(places)
-        self.order: Ints = np.argsort(codes, kind="stable")
-        self._sorted = codes[self.order]
-
-    def range_of(self, places: Floats) -> tuple[Ints, Ints]:
-        """For each of places (n, 5), begin and end (n,) in `order` of the rows there."""
-        codes = self._codes(places)
-        return np.searchsorted(self._sorted, codes, side="left"), np.searchsorted(self._sorted, codes, side="right")
-
-    def has(self, places: Floats) -> Flags:
-        """At which of places (n, 5) there is a row."""
-        begin, end = self.range_of(places)
-        return np.asarray(end > begin)
-
-    def find(self, places: Floats) -> Ints:
-        """For each of places (n, 5) the first row there, -1 for none."""
-        begin, end = self.range_of(places)
-        return np.where(end > begin, np.append(self.order, -1)[begin], -1)
-
-    def _codes(self, places: Floats) -> Ints:
-        """A number for each of the places (n, 5); -1 where a column has not this value, so that no row is there."""
-        codes, known = np.zeros(len(places), dtype=np.int64), np.ones(len(places), dtype=bool)
-        for column, values in zip(round_deg(places).T, self._columns, strict=True):
-            at = np.minimum(np.searchsorted(values, column), max(values.size - 1, 0))
-            known &= values[at] == column if values.size else False
-            codes = codes * values.size + at
-        return np.where(known, codes, -1)
-
-
-def pose_key(row: Row, pose: PoseAngles) -> PoseKey:
-    """A row's wavelength with a pose, rounded: 180 deg - sigma may differ in the last bits from the planner's sigma."""
-    assert row.wavelength_nm is not None
-    wavelength_nm, gamma, sigma, beta, shift = round_deg([row.wavelength_nm, *pose]).tolist()
-    return (wavelength_nm, (gamma, sigma, beta, shift))
 
 
 @dataclass(frozen=True)
@@ -317,102 +53,6 @@ def reference_keys(rows: Sequence[Row], geometry: ArcGeometry) -> tuple[list[Pos
         own.append(pose_key(row, row.pose))
         etalon += [pose_key(row, view.etalon_pose(row.pose)) for view, _ in geometry.views(row.pose)]
     return own, etalon
-
-
-@dataclass(frozen=True)
-class ArcViews:
-    """What rows see on one arc: `view` (rows,) is the index of each row's view in `views`; arrays for these.
-
-    `etalon_sigma_deg` is sigma of the rig at the etalon, `blocked` (views, photodiodes) what the mirror unit blocks.
-    """
-
-    views: tuple[ArcView, ...]
-    view: Ints
-    etalon_sigma_deg: Floats
-    blocked: Flags
-
-
-def arcs_of_rows(places: Floats, geometry: "ArcGeometry") -> list[tuple[Ints, ArcViews]]:
-    """What rows at places (rows, 5) see on each arc, the upper one first; each pose once, however many rows have it.
-
-    With each arc come the indices of the rows: an arc without photodiodes sees none.
-    """
-    poses = places[:, POSE]
-    order = np.lexsort(poses.T)
-    begins = np.ones(len(order), dtype=bool)
-    begins[1:] = (poses[order[1:]] != poses[order[:-1]]).any(axis=1)
-    which = np.empty(len(order), dtype=np.int64)
-    which[order] = np.cumsum(begins) - 1
-    angles = [tuple(each) for each in poses[order[begins]].tolist()]
-    found: dict[bool, list[tuple[int, ArcView, Flags, float]]] = {}  # the upper arc is False
-    for k, views in enumerate(geometry.views_at(angles)):
-        for view, blocked in views:
-            sigma = view.etalon_pose(angles[k])[1]
-            found.setdefault(view.transmitted != view.back, []).append((k, view, blocked, sigma))
-    arcs = []
-    for _, seen in sorted(found.items(), key=lambda each: each[0]):
-        of_pose = np.full(len(angles), -1)
-        of_pose[[k for k, *_ in seen]] = np.arange(len(seen))
-        view_of_row = of_pose[which]
-        rows = np.flatnonzero(view_of_row >= 0)
-        planned = ArcViews(
-            tuple(each for _, each, _, _ in seen), view_of_row[rows], np.array([sigma for *_, sigma in seen]),
-            np.stack([blocked for _, _, blocked, _ in seen]),
-        )  # fmt: skip
-        arcs.append((rows, planned))
-    return arcs
-
-
-def etalon_places(places: Floats, views: ArcViews) -> Floats:
-    """Where the etalon is seen as rows at places (rows, 5) are seen on an arc: these places, with the etalon's sigma."""
-    at_etalon = places.copy()
-    at_etalon[:, SIGMA] = views.etalon_sigma_deg[views.view]
-    return at_etalon
-
-
-@dataclass(frozen=True)
-class ArcRows:
-    """Rows of one sample as one arc sees them: the dataset of the steps. Arrays (rows, photodiodes), or (rows, 1) for a row.
-
-    `numbers`, `places` and `mirrored` are those of `RowSignals`; `view` (rows,) is the index of each row's view in `views`.
-    `estimate` is the value so far: the signal of the sample, its quotient by that of the etalon, the BSDF in 1/sr. `flags` are
-    those so far, by their names in files. `sample`, `etalon` and the two signatures are the signals; a signature is 0 where it
-    was not measured. `etalon_rows` (rows,) are the numbers of the etalon's rows, of several of one pose the first one. `share`
-    is the signature's share of the sample's signal, NaN where it was not measured. `wavelength_slope`, `band_correction` and
-    `stray_contrast` are those of BsdfPoints, NaN where they are unknown.
-    """
-
-    numbers: Ints
-    places: Floats
-    mirrored: Flags
-    etalon_rows: Ints
-    views: tuple[ArcView, ...]
-    view: Ints
-    incidence_deg: Floats
-    blocked: Flags
-    estimate: Quantity
-    sample: Signal
-    etalon: Signal
-    signature: Signal
-    signature_at_etalon: Signal
-    signature_measured: Flags
-    share: Floats
-    wavelength_slope: Floats
-    band_correction: Floats
-    stray_contrast: Floats
-    flags: Mapping[str, Flags]
-
-    def column(self, name: str) -> Floats:
-        """An array (rows, photodiodes) of the views: `polar`, `zenith`, `azimuth`, `theta`, `phi`."""
-        return np.stack([getattr(view, name) for view in self.views])[self.view]
-
-    def of_views(self, name: str) -> Flags:
-        """A property (rows, 1) of the views: `back`, `transmitted`."""
-        return np.array([getattr(view, name) for view in self.views])[self.view][:, None]
-
-    def flagged(self, flags: Mapping[str, Flags]) -> "ArcRows":
-        """The rows with further flags, by their names in files."""
-        return replace(self, flags={**self.flags, **flags})
 
 
 def join_references(rows: RowSignals, references: ReferenceSignals, settings: ReductionSettings) -> list[tuple[Ints, ArcRows]]:
@@ -620,14 +260,6 @@ def _points(data: ArcRows) -> BsdfPoints:
         band_correction=data.band_correction.ravel(),
         stray_contrast=data.stray_contrast.ravel(),
     )
-
-
-def _place(row: Row) -> list[float]:
-    """A row's wavelength and pose, in the order of PLACE."""
-    assert row.pose is not None
-    assert row.wavelength_nm is not None
-    columns = dict(zip(("gamma_deg", "sigma_deg", "beta_deg", "shift_deg"), row.pose, strict=True))
-    return [{"wavelength_nm": row.wavelength_nm, **columns}[name] for name in PLACE]
 
 
 def _dead(etalon: Signal, polar_deg: Floats, too_low: Flags) -> Flags:

@@ -19,10 +19,10 @@ import numpy as np
 from goniotwin.app.campaign.geometry.directions import is_lower, polar_from_zenith, scan_plane_deg
 from goniotwin.app.campaign.measurement_model.field import correct_logarithm, directions_covariance
 from goniotwin.app.campaign.measurement_model.slopes import MAX_DISTANCE_RAD, WINDOW, Directions, reach, slopes_of
+from goniotwin.app.campaign.reduction.angles import aligned_displacement
 from goniotwin.app.campaign.reduction.components import DETECTED, INDEPENDENT, NOISE, total_variance
-from goniotwin.app.campaign.reduction.effects_of_points import aligned_displacement
-from goniotwin.app.campaign.reduction.etalon import ReductionSettings
 from goniotwin.app.campaign.reduction.points import BsdfPoints
+from goniotwin.app.campaign.reduction.settings import ReductionSettings
 from goniotwin.app.rig import inputs as declared
 from goniotwin.app.rig import nominal_instrument
 from goniotwin.arrays import Flags, Floats, Ints

@@ -8,8 +8,8 @@ from datetime import datetime
 from importlib.metadata import version
 
 from goniotwin.app.campaign.journal.reading import JournalReader
-from goniotwin.app.campaign.reduction.etalon import ReductionSettings
 from goniotwin.app.campaign.reduction.points import Tally
+from goniotwin.app.campaign.reduction.settings import ReductionSettings
 from goniotwin.app.campaign.schedule.file import ScheduleFile
 from goniotwin.app.campaign.schedule.grids import grid_values
 from goniotwin.app.campaign.schedule.metadata import SampleMetadataTable

@@ -21,14 +21,18 @@ them measured gives g_a - g_b, and the g are the weighted least squares of all, 
 - Where the residuals are larger than the weights allow, the uncertainties are widened by as much.
 """
 
-from collections.abc import Iterator
+import math
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from goniotwin.app.campaign.geometry.directions import direction_keys, scan_plane_deg
+from goniotwin.app.campaign.reduction.calibration import CalibrationFactors
 from goniotwin.app.campaign.reduction.points import BsdfPoints, plausible, steepness
+from goniotwin.app.campaign.reduction.reading_inputs import monitor_variance
+from goniotwin.app.campaign.reduction.settings import ReductionSettings
+from goniotwin.app.campaign.schedule.refinement import DEFAULT_ANGLE_UNCERTAINTY_DEG
 from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.twin.optics.geometry.coordinates import round_deg
 
@@ -41,8 +45,6 @@ KNOWN_TO = 0.01
 HUBER = 2.0
 """Residuals beyond so many standard uncertainties have a constant pull."""
 ITERATIONS = 30
-CERTAIN = 4.0
-"""A factor is significant if it differs from 1 by so many standard uncertainties."""
 PAIR_COLUMNS = ("one", "other", "ratio", "variance", "together")
 
 
@@ -63,62 +65,6 @@ class OverlapPairs:
     def where(self, chosen: Flags) -> "OverlapPairs":
         """A selection of the pairs."""
         return OverlapPairs(*(getattr(self, name)[chosen] for name in PAIR_COLUMNS))
-
-
-@dataclass(frozen=True)
-class CalibrationFactors:
-    """Factors for the values of the `photodiodes`, each with its standard uncertainty, from so many `pairs`.
-
-    `unconnected` are photodiodes with values that no overlap connects with another: their factor is 1. `widening` is the factor
-    by which the scatter of the residuals has widened the uncertainties.
-    """
-
-    photodiodes: tuple[int, ...]
-    values: tuple[float, ...]
-    uncertainties: tuple[float, ...]
-    unconnected: tuple[int, ...]
-    pairs: int
-    widening: float
-
-    @property
-    def significant(self) -> list[int]:
-        """Photodiodes whose factor differs from 1 by more than four standard uncertainties."""
-        factors = zip(self.photodiodes, self.values, self.uncertainties, strict=True)
-        return [k for k, value, u in factors if abs(value - 1.0) > CERTAIN * u]
-
-    def of(self, photodiode: int) -> float:
-        """The factor of a photodiode; 1 if it has none."""
-        return dict(zip(self.photodiodes, self.values, strict=True)).get(photodiode, 1.0)
-
-    def sentences(self, applied: bool) -> Iterator[str]:
-        """The factors as text; `applied`: whether the values have been multiplied by them."""
-        if not self.photodiodes:
-            yield "no overlap is known well enough to calibrate photodiodes against each other; all factors are 1"
-            return
-        verb = "have been multiplied by" if applied else "would be multiplied by (overlap.calibrate is false)"
-        factors = zip(self.photodiodes, self.values, self.uncertainties, strict=True)
-        listed = ", ".join(f"{k}: {value:.5f} (u {u:.5f})" for k, value, u in factors)
-        yield f"{self.pairs} overlaps calibrate photodiodes against each other; the values {verb} {listed}"
-        if self.significant:
-            yield f"beyond {CERTAIN:.0f} u from 1: photodiodes {', '.join(str(k) for k in self.significant)}"
-        if self.unconnected:
-            yield f"not connected by overlaps, factor 1: photodiodes {', '.join(str(k) for k in self.unconnected)}"
-
-    def apply(self, points: BsdfPoints) -> BsdfPoints:
-        """Multiply the points by the factors, and add the component `calibration` of their uncertainty."""
-        factor, u = np.ones(points.bsdf.size), np.zeros(points.bsdf.size)
-        for k, value, uncertainty in zip(self.photodiodes, self.values, self.uncertainties, strict=True):
-            of_photodiode = points.photodiode == k
-            factor[of_photodiode], u[of_photodiode] = value, uncertainty
-        scaled = points.scaled(factor)
-        member = points.photodiode.astype(np.int32)[:, None]
-        return scaled.with_quantity(scaled.quantity.with_grouped("calibration", member, (points.bsdf * u)[:, None]))
-
-    def as_dict(self) -> dict[str, Any]:
-        """The factors for JSON, by the photodiodes' numbers."""
-        factors = zip(self.photodiodes, self.values, self.uncertainties, strict=True)
-        each = {str(k): {"factor": value, "u": u} for k, value, u in factors}
-        return {"factors": each, "unconnected": list(self.unconnected), "pairs": self.pairs, "significant": self.significant}
 
 
 @dataclass(frozen=True)
@@ -211,6 +157,13 @@ class OverlapCheck:
         ratio = np.log(points.bsdf[first] / points.bsdf[second])
         variance = np.maximum(variance, VARIANCE_FLOOR)
         return OverlapPairs(points.photodiode[first], points.photodiode[second], ratio, variance, together)
+
+
+def overlap_check(settings: ReductionSettings) -> OverlapCheck:
+    """The check of the overlaps of a sample, before any of its points is added."""
+    table = settings.schedule.overlap
+    angle_deg = DEFAULT_ANGLE_UNCERTAINTY_DEG if table is None else table.angle_deg
+    return OverlapCheck(settings.certificate.level, math.sqrt(monitor_variance(settings.rig)), angle_deg)
 
 
 def overlaps(points: BsdfPoints, common: float) -> Overlaps:

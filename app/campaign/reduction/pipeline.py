@@ -8,13 +8,11 @@ and files, in `shared_families` of scale.py. Journal, live plot and rehearsal ha
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 
+from goniotwin.app.campaign.reduction.angles import add_pose
+from goniotwin.app.campaign.reduction.arc_rows import ArcRows
 from goniotwin.app.campaign.reduction.components import Signal, total_variance
-from goniotwin.app.campaign.reduction.effects_of_points import add_pose
 from goniotwin.app.campaign.reduction.etalon import (
-    ArcRows,
-    ReductionSettings,
     ReferenceSignals,
-    RowSignals,
     apply_certificate,
     divide_by_etalon,
     flag_values,
@@ -25,7 +23,9 @@ from goniotwin.app.campaign.reduction.etalon import (
 from goniotwin.app.campaign.reduction.evidence import SignalEvidence, add_gains, add_scatter, correct_gain, stated
 from goniotwin.app.campaign.reduction.field_of_view import correct_field_of_view
 from goniotwin.app.campaign.reduction.points import BsdfPoints
+from goniotwin.app.campaign.reduction.row_signals import RowSignals
 from goniotwin.app.campaign.reduction.scale import shared_families
+from goniotwin.app.campaign.reduction.settings import ReductionSettings
 from goniotwin.app.campaign.reduction.signals import (
     DarkReadings,
     add_crosstalk,

@@ -20,7 +20,10 @@ from goniotwin.app.campaign.journal.reading import JournalReader
 from goniotwin.app.campaign.measurement_model.quantity import Quantity
 from goniotwin.app.campaign.reduction.components import Signal
 from goniotwin.app.campaign.reduction.drift_checks import DriftInterval, drift_intervals, insensitive_photodiodes
-from goniotwin.app.campaign.reduction.etalon import (
+from goniotwin.app.campaign.reduction.evidence import EvidenceSums, RunningEvidence, SignalEvidence, stated
+from goniotwin.app.campaign.reduction.pipeline import reduce_readings
+from goniotwin.app.campaign.reduction.points import PLACE
+from goniotwin.app.campaign.reduction.row_signals import (
     PlaceIndex,
     PoseKey,
     RowSignal,
@@ -30,9 +33,6 @@ from goniotwin.app.campaign.reduction.etalon import (
     mean_rows,
     rows_in_columns,
 )
-from goniotwin.app.campaign.reduction.evidence import EvidenceSums, RunningEvidence, SignalEvidence, stated
-from goniotwin.app.campaign.reduction.pipeline import reduce_readings
-from goniotwin.app.campaign.reduction.points import PLACE
 from goniotwin.app.campaign.reduction.signals import (
     COPY,
     LATEST_S,

@@ -10,7 +10,6 @@ the certificate states: the values are lower by as much.
 import math
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Literal
 
 import numpy as np
 
@@ -18,9 +17,9 @@ from goniotwin.app.campaign.geometry.directions import polar_from_zenith
 from goniotwin.app.campaign.measurement_model.effects import Dense, Effects, Group
 from goniotwin.app.campaign.measurement_model.inputs import InputQuantity, quantity
 from goniotwin.app.campaign.measurement_model.pose import OF_ETALON
-from goniotwin.app.campaign.reduction.etalon import ReductionSettings
 from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.reduction.polarisation import light_state
+from goniotwin.app.campaign.reduction.settings import Kind, ReductionSettings, mounted
 from goniotwin.app.campaign.reduction.spectrum import bandwidth_effects, stray_effects, wavelength_effects
 from goniotwin.app.campaign.schedule.certificate import Certificate
 from goniotwin.app.rig.file import known_angles
@@ -29,7 +28,6 @@ from goniotwin.arrays import Floats, Ints
 from goniotwin.twin.optics.geometry.coordinates import HALF_TURN_DEG, round_deg
 from goniotwin.twin.plant.disturbances import ETALON, SAMPLE, SharedBy
 
-Kind = Literal["sample", "etalon"]
 EffectsOf = Callable[[BsdfPoints, ReductionSettings], Effects | None]
 ALL, FILE, RIG_FILE = "all values", "the certificate's file", "[etalon] relative_uncertainty"
 
@@ -167,14 +165,6 @@ def polarisation(points: BsdfPoints, settings: ReductionSettings) -> Effects | N
             source = "the schedule, diattenuation"
             dense.append(_shared(f"polarisation@{sample}", u, np.where(here, q, 0.0), "all values of the sample", source))
     return Effects(points.bsdf, {}, (), dense) if dense else None
-
-
-def mounted(kind: Kind, rows: Ints, settings: ReductionSettings) -> tuple[list[str], Ints]:
-    """The mountings, as `paint#2`, in which rows (n,) of the sample or of the etalon were measured, and which of them each."""
-    if settings.history is not None:
-        return settings.history.mounted(rows)
-    name = settings.schedule.etalon if kind == "etalon" else settings.sample or kind
-    return [f"{name}#1"], np.zeros(rows.size, dtype=np.int64)
 
 
 def _shared(name: str, u: float, sensitivity: Floats, shared_by: str, source: str, twin: str = "") -> Dense:

@@ -16,9 +16,10 @@ import numpy as np
 
 from goniotwin.app.campaign.measurement_model.effects import Dense, Effects
 from goniotwin.app.campaign.measurement_model.inputs import InputQuantity, quantity
+from goniotwin.app.campaign.reduction.arc_rows import POSE, WAVELENGTH, ArcRows
 from goniotwin.app.campaign.reduction.components import DETECTED, INDEPENDENT
-from goniotwin.app.campaign.reduction.etalon import POSE, WAVELENGTH, ArcRows, ReductionSettings
 from goniotwin.app.campaign.reduction.points import BsdfPoints
+from goniotwin.app.campaign.reduction.settings import ReductionSettings
 from goniotwin.app.rig import RigFile
 from goniotwin.app.rig.inputs import MONOCHROMATOR_STRAY
 from goniotwin.app.rig.inputs import WAVELENGTH as WAVELENGTH_ERROR

@@ -29,15 +29,16 @@ from goniotwin.app.campaign.measurement_model.effects import Effects, group_vari
 from goniotwin.app.campaign.measurement_model.pose import POSITIONS, Views, mounting_inputs, pose_effects, rig_inputs
 from goniotwin.app.campaign.planning.exposure import exposure_twin
 from goniotwin.app.campaign.planning.plan import NewPlan, make_plan
-from goniotwin.app.campaign.reduction.alignment import LEAST_SHARE, TERMS, WIDEST_DEG, fit_lobe, lobe_effects
-from goniotwin.app.campaign.reduction.closure import ScannedBeam
-from goniotwin.app.campaign.reduction.etalon import ReductionSettings
 from goniotwin.app.campaign.reduction.points import PLACE, BsdfPoints, join_points
-from goniotwin.app.campaign.reduction.reduction import Reduction, reduction_settings
 from goniotwin.app.campaign.reduction.row_history import RowHistory
+from goniotwin.app.campaign.reduction.settings import ReductionSettings, reduction_settings
 from goniotwin.app.campaign.rehearsal.without_wires import rows_without_wires
 from goniotwin.app.campaign.schedule.file import ScheduleDescription, parse_schedule
 from goniotwin.app.campaign.schedule.grids import grid_values
+from goniotwin.app.campaign.studies.alignment import LEAST_SHARE, TERMS, WIDEST_DEG, fit_lobe, lobe_effects
+from goniotwin.app.campaign.studies.closure import ScannedBeam
+from goniotwin.app.campaign.studies.evaluation import evaluate_journal
+from goniotwin.app.campaign.studies.sample_alignment import sample_lobe
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription, nominal_instrument
 from goniotwin.app.rig.alignment import Combination
@@ -321,8 +322,8 @@ class _Search:
                     now = each.data.ended_s
                 journal.end_session(session, now, "done")
             with Journal.open(path) as journal:
-                reduction = Reduction(journal)
-                points, beams = reduction.lobe(self.sample), reduction.beams
+                evaluation = evaluate_journal(journal)
+                points, beams = sample_lobe(evaluation.reduction, self.sample), evaluation.closure.beams
         if points is None or points.size < TERMS:
             raise UserError(f"{self._schedule.name}: {self.sample} has no lobe of reflected light")
         return points, [replace(each, centroid_deg=np.zeros(2)) for each in beams]

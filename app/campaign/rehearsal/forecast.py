@@ -13,11 +13,12 @@ import numpy as np
 import numpy.typing as npt
 
 from goniotwin.app.campaign.journal.writing import Journal
-from goniotwin.app.campaign.reduction.checks import CheckResults
-from goniotwin.app.campaign.reduction.comparison import deviations_in_u, true_bsdf
 from goniotwin.app.campaign.reduction.components import COVERAGE
 from goniotwin.app.campaign.reduction.points import BsdfPoints, Tally
 from goniotwin.app.campaign.reduction.reduction import BLOCK_ROWS, Reduction
+from goniotwin.app.campaign.studies.checks import CheckResults, ConsistencyChecks
+from goniotwin.app.campaign.studies.comparison import deviations_in_u, true_bsdf
+from goniotwin.app.campaign.studies.evaluation import evaluate_journal
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats import FormatError, PointStream
 from goniotwin.app.formats.registry import Holds, format_for
@@ -103,9 +104,12 @@ def forecast(
     spreads: dict[str, UncertaintySpread] = {}
     try:
         with Journal.open(path) as journal:
-            reduction = Reduction(journal)
-            closure = None if reduction.schedule.open_beam_scan is None else reduction.closure()
-            check_results = CheckResults(calibrated=reduction.calibrates, findings=tuple(reduction.findings), closure=closure)
+            evaluation = evaluate_journal(journal)
+            reduction = evaluation.reduction
+            closure = None if reduction.schedule.open_beam_scan is None else evaluation.closure
+            check_results = CheckResults(
+                calibrated=reduction.settings.calibrates, findings=tuple(evaluation.findings), closure=closure
+            )
             parts = _parts(reduction, spreads, check_results, rows_at_once, truth or {})
             first = next(parts, None)
             if points is None or first is None:
@@ -145,7 +149,7 @@ def _parts(
 ) -> Iterator[dict[str, npt.NDArray[Any]]]:
     """The columns of a CSV, block by block; fills `spreads` and `check_results`."""
     for name in reduction.schedule.samples:
-        checks, overlaps = reduction.checks(name), reduction.overlaps(name, rows_at_once)
+        checks, overlaps = ConsistencyChecks(reduction, name), reduction.overlaps(name, rows_at_once)
         for block in reduction.blocks(name, rows_at_once):
             checks.add(block.points)
             points = reduction.finish(block.points, overlaps)

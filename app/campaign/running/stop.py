@@ -4,8 +4,8 @@ import threading
 from collections.abc import Callable
 from typing import TypeVar
 
-from goniotwin.app.campaign.reduction.drift_checks import DriftWatch
 from goniotwin.app.campaign.row import SKIPPED, Row, RowData
+from goniotwin.app.campaign.running.drift_watch import DriftWatch
 from goniotwin.app.campaign.schedule.file import ScheduleFile, StopTable
 from goniotwin.app.rig import RigFile
 from goniotwin.drivers import DeviceError, Rig

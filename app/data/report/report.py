@@ -14,15 +14,15 @@ from typing import Any, TypeVar
 import numpy as np
 
 from goniotwin.app.campaign.journal.writing import Journal
-from goniotwin.app.campaign.reduction.closure import ClosureReport, signed
 from goniotwin.app.campaign.reduction.components import COVERAGE as INTERVAL_U
 from goniotwin.app.campaign.reduction.components import INTERVAL_RULE
 from goniotwin.app.campaign.reduction.effects_of_points import effects_of
 from goniotwin.app.campaign.reduction.points import FLAGS
-from goniotwin.app.campaign.reduction.reduction import Reduction
-from goniotwin.app.campaign.reduction.verification import Verdict, verify_journal
+from goniotwin.app.campaign.studies.closure import ClosureReport, signed
+from goniotwin.app.campaign.studies.evaluation import evaluate_journal
+from goniotwin.app.campaign.studies.verification import Verdict, verify_journal
 from goniotwin.app.data.dataset import Dataset
-from goniotwin.app.data.opening import dataset_of_reduction
+from goniotwin.app.data.opening import dataset_of_evaluation
 from goniotwin.app.data.plotting import Kind, plot
 from goniotwin.app.data.values import Measured
 from goniotwin.app.errors import MissingPackage, UserError
@@ -76,15 +76,14 @@ def report_html(path: Path, *, without_damaged: bool = False) -> tuple[str, dict
     if read_head(path, len(SQLITE)) != SQLITE:
         raise UserError(f"{path}: is not a journal, and a report is one of a campaign; for a file use goniotwin plot")
     with Journal.open(path) as journal:
-        reduction = Reduction(journal, without_damaged=without_damaged)
-        dataset = dataset_of_reduction(reduction)
-        verdicts = verify_journal(reduction)
-        closure = reduction.closure()
+        evaluation = evaluate_journal(journal, without_damaged=without_damaged)
+        dataset = dataset_of_evaluation(evaluation)
+        verdicts = verify_journal(evaluation)
         sessions = journal.sessions()
         done, planned = journal.row_counts()
         events = [(title, found) for kind, title in EVENTS.items() if (found := journal.event_texts(kind))]
         schedule, chain, seconds = journal.value("schedule"), journal.chain, journal.seconds
-    rig = reduction.rig
+    rig = evaluation.reduction.rig
     metadata = {name: dataset[name].metadata for name in dataset}
     first = next(iter(metadata.values()), Metadata(title=dataset.name))
     reflectances = _reflectances(verdicts)
@@ -93,7 +92,7 @@ def report_html(path: Path, *, without_damaged: bool = False) -> tuple[str, dict
         written=calendar_stamp(), metadata=list(_groups(first)), date=first.date, method=first.method, geometry=first.geometry,
         summary=_summary(dataset, verdicts), samples=[_sample(dataset[name], metadata[name]) for name in dataset],
         verdicts=verdicts, reflectances=_spread(reflectances, MOST_LIGHTS), all_reflectances=len(reflectances),
-        closure=_closure(closure), rule=INTERVAL_RULE,
+        closure=_closure(evaluation.closure), rule=INTERVAL_RULE,
         interval_u=INTERVAL_U, notes=dataset.notes, findings=dataset.findings,
         events=[(title, found[:MOST_EVENTS], max(0, len(found) - MOST_EVENTS)) for title, found in events],
         sessions=sessions, rows=(done, planned), seconds=seconds, chain=chain, schedule=schedule,

@@ -19,11 +19,11 @@ from typing import Any, Protocol
 
 from goniotwin.app.campaign.journal.following import JournalFollower
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
-from goniotwin.app.campaign.reduction.reduction import journal_findings
 from goniotwin.app.campaign.running.events import EventLogged, RowCommitted, SafetyOrder, left_order
 from goniotwin.app.campaign.running.question import Answer
 from goniotwin.app.campaign.running.resume import recorded_rig
 from goniotwin.app.campaign.schedule.file import ScheduleDescription, parse_schedule, read_schedule
+from goniotwin.app.campaign.studies.journals import journal_findings
 from goniotwin.app.desktop.model.messages import (
     Attached,
     CommandRefused,

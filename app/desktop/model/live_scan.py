@@ -21,25 +21,17 @@ from goniotwin.app.campaign.geometry.arcs import etalon_sigma_deg, far_arc, lit_
 from goniotwin.app.campaign.geometry.directions import polar_from_zenith, scan_plane_deg, zenith_deg
 from goniotwin.app.campaign.geometry.shadow import blocked_by_mirrors
 from goniotwin.app.campaign.planning.plan import Plan
-from goniotwin.app.campaign.reduction.checks import overlap_check
+from goniotwin.app.campaign.reduction.calibration import CalibrationFactors
 from goniotwin.app.campaign.reduction.components import Signal, mostly_added
 from goniotwin.app.campaign.reduction.drift_checks import DriftInterval, drift_intervals
-from goniotwin.app.campaign.reduction.etalon import (
-    PoseKey,
-    ReferenceSignals,
-    RowSignal,
-    RowSignals,
-    mean_row,
-    pose_key,
-    reference_keys,
-    rows_in_columns,
-)
+from goniotwin.app.campaign.reduction.etalon import ReferenceSignals, reference_keys
 from goniotwin.app.campaign.reduction.evidence import RunningEvidence
-from goniotwin.app.campaign.reduction.overlaps import CalibrationFactors
+from goniotwin.app.campaign.reduction.overlaps import overlap_check
 from goniotwin.app.campaign.reduction.pipeline import finish_points, reduce_rows
 from goniotwin.app.campaign.reduction.points import BsdfPoints, Marks, pack_flags
 from goniotwin.app.campaign.reduction.readings import EVIDENCE_ROWS, DarkHistory
-from goniotwin.app.campaign.reduction.reduction import reduction_settings
+from goniotwin.app.campaign.reduction.row_signals import PoseKey, RowSignal, RowSignals, mean_row, pose_key, rows_in_columns
+from goniotwin.app.campaign.reduction.settings import reduction_settings
 from goniotwin.app.campaign.row import NO_SAMPLE, CommittedRow, Row, reading_table
 from goniotwin.app.campaign.running.events import RowCommitted, RowStarted
 from goniotwin.app.errors import UserError

@@ -10,10 +10,10 @@ from pathlib import Path
 from goniotwin.app.campaign.geometry.open_beam import scan_wavelength_nm
 from goniotwin.app.campaign.journal.writing import Journal, software_versions
 from goniotwin.app.campaign.planning.plan import Plan
-from goniotwin.app.campaign.reduction.reduction import watch_journal
-from goniotwin.app.campaign.reduction.watch import LOOKS, Misalignment
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.running.events import RowCommitted
+from goniotwin.app.campaign.studies.journals import watch_journal
+from goniotwin.app.campaign.studies.watch import LOOKS, Misalignment
 from goniotwin.app.errors import UserError
 
 MOST_ROWS = 5000

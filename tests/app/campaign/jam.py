@@ -7,8 +7,8 @@ import numpy as np
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.reduction.points import BsdfPoints
-from goniotwin.app.campaign.reduction.reduction import reduce_journal
 from goniotwin.app.campaign.schedule.file import read_schedule
+from goniotwin.app.campaign.studies.reduced_journal import reduce_journal
 from goniotwin.app.rig import read_rig
 from tests.app.campaign.campaign_bench import run_plan
 from tests.conftest import SMALL, Change

@@ -9,14 +9,15 @@ import pytest
 from goniotwin.app.campaign.campaign import run_campaign
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import make_plan
-from goniotwin.app.campaign.reduction.budget import finished_blocks
-from goniotwin.app.campaign.reduction.comparison import deviations_in_u, theoretical_bsdf, true_bsdf
 from goniotwin.app.campaign.reduction.components import COVERAGE
 from goniotwin.app.campaign.reduction.effects_of_points import effects_of
 from goniotwin.app.campaign.reduction.points import BsdfPoints, join_points
-from goniotwin.app.campaign.reduction.reduction import BsdfDataset, Reduction, reduce_journal
-from goniotwin.app.campaign.reduction.reflectance import components_of_sum, integration_settings, quadrature
 from goniotwin.app.campaign.schedule.file import read_schedule
+from goniotwin.app.campaign.studies.budget import finished_blocks
+from goniotwin.app.campaign.studies.comparison import deviations_in_u, theoretical_bsdf, true_bsdf
+from goniotwin.app.campaign.studies.evaluation import evaluate_journal
+from goniotwin.app.campaign.studies.reduced_journal import BsdfDataset, reduce_journal
+from goniotwin.app.campaign.studies.reflectance import components_of_sum, integration_settings, quadrature
 from goniotwin.app.formats import BsdfTable
 from goniotwin.app.formats.content import BsdfFile
 from goniotwin.app.formats.ddr import write as write_ddr
@@ -122,7 +123,7 @@ def test_every_kind_of_sample_is_measured_within_its_uncertainty(kinds: tuple[Pa
 def test_components_of_values_and_of_integrals_square_and_sum_to_u_squared(kinds: tuple[Path, TwinModel]) -> None:
     """Of all values of several samples by the named inputs, and of their integrals by the covariance of all values."""
     with Journal.open(kinds[0]) as journal:
-        reduction = Reduction(journal)
+        reduction = evaluate_journal(journal).reduction
         for name in reduction.schedule.samples:
             points = join_points(list(finished_blocks(reduction, name)))
             good = points.where(points.good)

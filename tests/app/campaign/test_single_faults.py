@@ -12,13 +12,14 @@ import pytest
 
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import NewPlan, make_plan
-from goniotwin.app.campaign.reduction.closure import ClosureReport
-from goniotwin.app.campaign.reduction.comparison import deviations_in_u, theoretical_bsdf
 from goniotwin.app.campaign.reduction.components import COVERAGE
-from goniotwin.app.campaign.reduction.reduction import BsdfDataset, Reduction, reduce_journal
 from goniotwin.app.campaign.rehearsal.without_wires import run_without_wires
 from goniotwin.app.campaign.running.events import State
 from goniotwin.app.campaign.schedule.file import parse_schedule
+from goniotwin.app.campaign.studies.closure import ClosureReport
+from goniotwin.app.campaign.studies.comparison import deviations_in_u, theoretical_bsdf
+from goniotwin.app.campaign.studies.evaluation import evaluate_journal
+from goniotwin.app.campaign.studies.reduced_journal import BsdfDataset, reduce_journal
 from goniotwin.app.rig import parse_rig
 from tests.app.campaign.campaign_bench import run_plan
 from tests.conftest import RIG, Change, changed
@@ -135,7 +136,7 @@ def plan_of(fault: Fault, *changes: Change) -> NewPlan:
 def judge(fault: Fault, path: Path) -> Found:
     """The values of a journal against the truth."""
     with Journal.open(path) as journal:
-        data, closure = reduce_journal(journal), Reduction(journal).closure()
+        data, closure = reduce_journal(journal), evaluate_journal(journal).closure
     z, upper, flagged = [], [], 0
     for sample, points in data.samples.items():
         truth = theoretical_bsdf(data.rig, sample, points)

@@ -11,9 +11,10 @@ import pytest
 from goniotwin import examples
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import make_plan
-from goniotwin.app.campaign.reduction.reduction import Reduction, check_journal
 from goniotwin.app.campaign.rehearsal.without_wires import run_without_wires
 from goniotwin.app.campaign.schedule.file import parse_schedule
+from goniotwin.app.campaign.studies.evaluation import evaluate_journal
+from goniotwin.app.campaign.studies.journals import check_journal
 from goniotwin.app.rig import parse_rig
 from tests.conftest import RIG, Change, changed
 
@@ -45,10 +46,8 @@ def found_on(name: str, seed: int, folder: Path) -> list[str]:
     path = folder / f"{name}-{seed}.journal"
     run_without_wires(make_plan(parse_schedule(text, name), parse_rig(rig, RIG.parent, "rig")), path)
     with Journal.open(path) as journal:
-        reduction = Reduction(journal)
-        verdicts = list(reduction.evidence.findings)
-        if reduction.schedule.open_beam_scan is not None:
-            verdicts += reduction.closure().alarms
+        evaluation = evaluate_journal(journal)
+        verdicts = [*evaluation.reduction.measurements.evidence.findings, *evaluation.closure.alarms]
     return [*verdicts, *check_journal(path).alarms]
 
 

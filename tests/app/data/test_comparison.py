@@ -11,8 +11,8 @@ import pytest
 import goniotwin
 from goniotwin.app.campaign.campaign import run_campaign
 from goniotwin.app.campaign.planning.plan import make_plan
-from goniotwin.app.campaign.reduction.comparison import compare as compare_with_theory
 from goniotwin.app.campaign.schedule.file import read_schedule
+from goniotwin.app.campaign.studies.comparison import compare as compare_with_theory
 from goniotwin.app.data.comparison import _quadratic
 from goniotwin.app.data.opening import dataset_of_file
 from goniotwin.app.formats.content import BsdfFile, ScatteredBsdf

@@ -9,7 +9,7 @@ import pytest
 
 import goniotwin
 from goniotwin.app.campaign.journal.writing import Journal
-from goniotwin.app.campaign.reduction.reduction import reduce_journal
+from goniotwin.app.campaign.studies.reduced_journal import reduce_journal
 from goniotwin.app.data.conversion import Choice, convert_reduced, format_to_write
 from goniotwin.app.data.opening import dataset_of_file
 from goniotwin.app.data.values import COLUMNS

@@ -15,9 +15,9 @@ import goniotwin
 from goniotwin.app.campaign.campaign import run_campaign
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import make_plan
-from goniotwin.app.campaign.reduction.budget import budget_of_reflectance, parse_place
-from goniotwin.app.campaign.reduction.reduction import Reduction
 from goniotwin.app.campaign.schedule.file import read_schedule
+from goniotwin.app.campaign.studies.budget import budget_of_reflectance, parse_place
+from goniotwin.app.campaign.studies.evaluation import evaluate_journal
 from goniotwin.app.data.hemisphere import grid_weights
 from goniotwin.app.data.opening import dataset_of_file
 from goniotwin.app.formats.content import ABSENT, BsdfFile, RegularTable
@@ -44,7 +44,7 @@ def test_a_journal_has_that_of_its_budget_with_the_journal_closed(
     )  # fmt: skip
     run_campaign(make_plan(read_schedule(schedule), read_rig(write_rig())), path)
     with Journal.open(path) as journal:
-        expected = budget_of_reflectance(Reduction(journal), parse_place("sigma=30"))
+        expected = budget_of_reflectance(evaluate_journal(journal).reduction, parse_place("sigma=30"))
     d = goniotwin.open(path)
     shutil.move(path, path.with_suffix(".away"))
     found = d.reflectance(sigma_deg=30)

@@ -10,10 +10,10 @@ import pytest
 
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import make_plan
-from goniotwin.app.campaign.reduction.reduction import Reduction
-from goniotwin.app.campaign.reduction.verification import verify_journal
 from goniotwin.app.campaign.rehearsal.without_wires import run_without_wires
 from goniotwin.app.campaign.schedule.file import parse_schedule
+from goniotwin.app.campaign.studies.evaluation import evaluate_journal
+from goniotwin.app.campaign.studies.verification import verify_journal
 from goniotwin.app.data.report.report import _text, report_html, write_report
 from goniotwin.app.errors import GoniotwinError
 from goniotwin.app.rig import read_rig
@@ -93,7 +93,7 @@ def test_a_report_states_what_is_known_and_needs_no_other_file(journal: Path, tm
     assert page.alternatives == [f"{kind} of gaussian-5, simulated" for kind in ("cuts", "hemisphere", "polar", "spectrum")]
     with Journal.open(journal) as opened:
         assert opened.chain.tip in page.text
-        for verdict in verify_journal(Reduction(opened)):
+        for verdict in verify_journal(evaluate_journal(opened)):
             assert " ".join(f"{verdict.name} {verdict.verdict} {verdict.text}".split()) in page.text
     assert "the schedule has no scan of the open beam" in page.text
     for word in (

@@ -12,10 +12,10 @@ from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.reduction.components import DETECTED, Signal
 from goniotwin.app.campaign.reduction.points import BITS, BsdfPoints
 from goniotwin.app.campaign.reduction.readings import DarkHistory
-from goniotwin.app.campaign.reduction.reduction import BsdfDataset
 from goniotwin.app.campaign.row import CommittedRow
 from goniotwin.app.campaign.running.events import Event, Listener, RowCommitted, RowStarted, State
 from goniotwin.app.campaign.schedule.file import read_schedule
+from goniotwin.app.campaign.studies.reduced_journal import BsdfDataset
 from goniotwin.app.desktop.model.live_scan import LiveScan, ScanData, ScanKey, ScanPoints
 from goniotwin.app.desktop.model.run_points import match
 from goniotwin.app.desktop.run.live_plot import ScanPlot

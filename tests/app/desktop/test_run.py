@@ -19,11 +19,11 @@ from goniotwin.app.campaign.journal.following import JournalFollower
 from goniotwin.app.campaign.journal.summary import campaign_summary
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
-from goniotwin.app.campaign.reduction.reduction import reduce_journal
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.running.events import Positions, RowCommitted, RowStarted, State
 from goniotwin.app.campaign.running.question import Answer
 from goniotwin.app.campaign.schedule.file import ScheduleDescription
+from goniotwin.app.campaign.studies.reduced_journal import reduce_journal
 from goniotwin.app.desktop import STOPPED, MainWindow, run_desktop
 from goniotwin.app.desktop.bench.screen import BenchScreen
 from goniotwin.app.desktop.dialogs import FileDialog

@@ -10,7 +10,7 @@ from goniotwin.app.campaign.running.events import RowCommitted
 from goniotwin.app.desktop.model.values import MisalignmentFound, PlanTexts, WatchRun, serve_predictions
 from goniotwin.app.desktop.model.watch import RunWatch
 from goniotwin.app.desktop.model.worker import Worker
-from tests.app.campaign.reduction.test_watch import TILT_DEG, rows_of_sample, small_plan, tilted
+from tests.app.campaign.studies.test_watch import TILT_DEG, rows_of_sample, small_plan, tilted
 
 
 @pytest.mark.long

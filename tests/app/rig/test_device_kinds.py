@@ -12,10 +12,10 @@ from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.check import check_plan
 from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.readout import SATURATED
-from goniotwin.app.campaign.reduction.reduction import reduce_journal
 from goniotwin.app.campaign.rehearsal.rehearsal import plan_rehearsal
 from goniotwin.app.campaign.rehearsal.row_statistics import RowStatistics
 from goniotwin.app.campaign.schedule.file import parse_schedule, read_schedule
+from goniotwin.app.campaign.studies.reduced_journal import reduce_journal
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import open_rig, read_rig
 from goniotwin.app.rig.kinds import DeviceKind, register, unregister

@@ -10,11 +10,11 @@ import pytest
 from goniotwin.app.campaign.campaign import run_campaign
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import make_plan
-from goniotwin.app.campaign.reduction.reduction import reduce_journal
 from goniotwin.app.campaign.rehearsal.rehearsal import plan_rehearsal
 from goniotwin.app.campaign.running.recovery import Recovery
 from goniotwin.app.campaign.running.stop import StopRequest
 from goniotwin.app.campaign.schedule.file import parse_schedule, read_schedule
+from goniotwin.app.campaign.studies.reduced_journal import reduce_journal
 from goniotwin.app.cli.instrument import home_axes
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import axis_timings, open_rig, parse_rig, read_rig

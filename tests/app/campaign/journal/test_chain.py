@@ -13,9 +13,9 @@ from goniotwin.app.campaign.journal.reading import DamagedJournal
 from goniotwin.app.campaign.journal.summary import campaign_summaries
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
-from goniotwin.app.campaign.reduction.reduction import reduce_journal
 from goniotwin.app.campaign.running.events import State
 from goniotwin.app.campaign.schedule.file import parse_schedule
+from goniotwin.app.campaign.studies.reduced_journal import reduce_journal
 from goniotwin.app.cli.main import command
 from goniotwin.app.rig import parse_rig
 from tests.app.campaign.campaign_bench import QUIET, planned_values

@@ -14,7 +14,7 @@ import pytest
 from goniotwin.app.campaign.campaign import run_campaign
 from goniotwin.app.campaign.journal.writing import Journal, JournalError, copy_journal
 from goniotwin.app.campaign.planning.plan import Plan
-from goniotwin.app.campaign.reduction.reduction import reduce_journal
+from goniotwin.app.campaign.studies.reduced_journal import reduce_journal
 from goniotwin.app.errors import UserError
 
 

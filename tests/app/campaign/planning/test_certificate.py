@@ -10,7 +10,6 @@ from goniotwin.app.campaign.campaign import run_campaign
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.check import check_plan
 from goniotwin.app.campaign.planning.plan import make_plan
-from goniotwin.app.campaign.reduction.reduction import reduce_journal
 from goniotwin.app.campaign.schedule.certificate import (
     CertificateTable,
     constant_certificate,
@@ -18,6 +17,7 @@ from goniotwin.app.campaign.schedule.certificate import (
     refuse_expired,
 )
 from goniotwin.app.campaign.schedule.file import ScheduleDescription, read_schedule
+from goniotwin.app.campaign.studies.reduced_journal import reduce_journal
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import read_rig
 from goniotwin.app.rig.file import EtalonTable

@@ -14,9 +14,9 @@ from goniotwin.app.campaign.proof.judgement import RigResult
 from goniotwin.app.campaign.proof.proof import Proof, prove, rig_of_chunk, unpacked
 from goniotwin.app.campaign.proof.report import proof_text
 from goniotwin.app.campaign.proof.virtual_rigs import run_with_wires
-from goniotwin.app.campaign.reduction.reduction import reduce_journal
 from goniotwin.app.campaign.rehearsal.without_wires import run_without_wires
 from goniotwin.app.campaign.schedule.file import read_schedule
+from goniotwin.app.campaign.studies.reduced_journal import reduce_journal
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats import BsdfTable, registry
 from goniotwin.app.formats.content import BsdfFile

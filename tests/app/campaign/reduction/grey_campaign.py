@@ -4,8 +4,8 @@ from pathlib import Path
 
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
-from goniotwin.app.campaign.reduction.reduction import BsdfDataset, reduce_journal
 from goniotwin.app.campaign.schedule.file import read_schedule
+from goniotwin.app.campaign.studies.reduced_journal import BsdfDataset, reduce_journal
 from goniotwin.app.rig import read_rig
 from tests.app.campaign.campaign_bench import QUIET
 from tests.conftest import SMALL, Change, Writer

@@ -7,10 +7,10 @@ import pytest
 
 from goniotwin.app.campaign.planning.check import check_plan
 from goniotwin.app.campaign.planning.plan import NewPlan, Plan, make_plan
-from goniotwin.app.campaign.reduction.reduction import BsdfDataset
 from goniotwin.app.campaign.rehearsal.rehearsal import plan_rehearsal, rehearse
 from goniotwin.app.campaign.running.events import Event, RowCommitted, State
 from goniotwin.app.campaign.schedule.file import parse_schedule
+from goniotwin.app.campaign.studies.reduced_journal import BsdfDataset
 from goniotwin.app.campaign.wording import number_list
 from goniotwin.app.rig import OpenRig, read_rig
 from tests.app.campaign.campaign_bench import RunResult, run_plan

@@ -28,17 +28,20 @@ from goniotwin.app.campaign.measurement_model.pose import (
     rig_inputs,
 )
 from goniotwin.app.campaign.measurement_model.quantity import Quantity
-from goniotwin.app.campaign.reduction.effects_of_points import COMMON, FAMILIES, add_pose, effects_of
-from goniotwin.app.campaign.reduction.etalon import ArcGeometry, ReductionSettings
+from goniotwin.app.campaign.reduction.angles import add_pose
+from goniotwin.app.campaign.reduction.arc_geometry import ArcGeometry
+from goniotwin.app.campaign.reduction.effects_of_points import COMMON, FAMILIES, effects_of
 from goniotwin.app.campaign.reduction.pipeline import add_shared
 from goniotwin.app.campaign.reduction.points import BsdfPoints, join_points
 from goniotwin.app.campaign.reduction.reading_inputs import GROUPED, Numbers
-from goniotwin.app.campaign.reduction.reduction import Reduction, reduce_journal, reduction_settings
-from goniotwin.app.campaign.reduction.reflectance import components_of_sum, quadrature
 from goniotwin.app.campaign.reduction.row_history import RowHistory, history_of
 from goniotwin.app.campaign.reduction.scale import shared_families
+from goniotwin.app.campaign.reduction.settings import ReductionSettings, reduction_settings
 from goniotwin.app.campaign.schedule.certificate import parse_certificate
 from goniotwin.app.campaign.schedule.file import parse_schedule
+from goniotwin.app.campaign.studies.evaluation import evaluate_journal
+from goniotwin.app.campaign.studies.reduced_journal import reduce_journal
+from goniotwin.app.campaign.studies.reflectance import components_of_sum, quadrature
 from goniotwin.app.rig import nominal_instrument, read_rig
 from goniotwin.arrays import Floats, Ints
 from tests.app.campaign.reduction.made_points import made_points
@@ -434,7 +437,7 @@ def test_a_campaigns_points_sum_and_share_what_its_journal_states(tmp_path: Path
     path = tmp_path / "finished.journal"
     path.write_bytes((Path(__file__).parents[3] / "golden" / "data" / "finished.journal").read_bytes())
     with Journal.open(path) as journal:
-        reduction = Reduction(journal)
+        reduction = evaluate_journal(journal).reduction
         (name, points), *_ = reduce_journal(journal).samples.items()
         good = points.where(points.good)
         effects = effects_of(good, reduction.settings)
@@ -481,7 +484,7 @@ def test_a_reflectance_has_the_covariance_of_its_points_in_whatever_parts(monkey
     assert rule.weight @ points.bsdf == pytest.approx(0.3 * np.pi, rel=1e-9)
     assert u() == pytest.approx(np.sqrt(variance), rel=1e-12)
     assert u() > CERTIFICATE * 0.3 * np.pi
-    monkeypatch.setattr("goniotwin.app.campaign.reduction.reflectance.CHUNK_POINTS", 7)
+    monkeypatch.setattr("goniotwin.app.campaign.studies.reflectance.CHUNK_POINTS", 7)
     assert u() == pytest.approx(np.sqrt(variance), rel=1e-12)
     # Three lines, up to 130 deg apart, are no half sphere.
     assert not rule.hemisphere

@@ -9,9 +9,9 @@ from goniotwin.app.campaign.campaign import run_campaign
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.reduction.points import BsdfPoints
-from goniotwin.app.campaign.reduction.reduction import reduce_journal
 from goniotwin.app.campaign.running.events import State
 from goniotwin.app.campaign.schedule.file import read_schedule
+from goniotwin.app.campaign.studies.reduced_journal import reduce_journal
 from goniotwin.app.rig import read_rig
 from tests.conftest import Writer
 

@@ -18,11 +18,12 @@ from goniotwin.app.campaign.measurement_model.quantity import Terms
 from goniotwin.app.campaign.reduction.components import Signal
 from goniotwin.app.campaign.reduction.drift_checks import compare_signals
 from goniotwin.app.campaign.reduction.effects_of_points import effects_of
-from goniotwin.app.campaign.reduction.etalon import RowSignals, comparable_signals
+from goniotwin.app.campaign.reduction.etalon import comparable_signals
 from goniotwin.app.campaign.reduction.evidence import SignalEvidence
 from goniotwin.app.campaign.reduction.reading_inputs import Numbers
 from goniotwin.app.campaign.reduction.readings import DarkHistory, collect
-from goniotwin.app.campaign.reduction.reduction import reduction_settings
+from goniotwin.app.campaign.reduction.row_signals import RowSignals
+from goniotwin.app.campaign.reduction.settings import reduction_settings
 from goniotwin.app.campaign.reduction.signals import stack_signals
 from goniotwin.app.campaign.row import CommittedRow, Reading, Row, RowData, reading_table
 from goniotwin.app.campaign.schedule.file import parse_schedule

@@ -12,7 +12,6 @@ from goniotwin.app.campaign.geometry.arcs import arc_views
 from goniotwin.app.campaign.measurement_model.field import correct_logarithm, directions_covariance
 from goniotwin.app.campaign.measurement_model.slopes import Directions, Slopes, local_parabola
 from goniotwin.app.campaign.reduction import field_of_view
-from goniotwin.app.campaign.reduction.comparison import deviations_in_u
 from goniotwin.app.campaign.reduction.components import COVERAGE, interval, mostly_added
 from goniotwin.app.campaign.reduction.field_of_view import (
     FieldOfView,
@@ -21,8 +20,9 @@ from goniotwin.app.campaign.reduction.field_of_view import (
     pose_variance_deg2,
 )
 from goniotwin.app.campaign.reduction.points import BsdfPoints, join_points
-from goniotwin.app.campaign.reduction.reduction import reduction_settings
+from goniotwin.app.campaign.reduction.settings import reduction_settings
 from goniotwin.app.campaign.schedule.file import parse_schedule
+from goniotwin.app.campaign.studies.comparison import deviations_in_u
 from goniotwin.app.rig import nominal_instrument, read_rig
 from goniotwin.app.rig.inputs import FIELD_OF_VIEW
 from goniotwin.arrays import Floats

@@ -10,10 +10,10 @@ from goniotwin.app.campaign.geometry.shadow import blocked_by_mirrors
 from goniotwin.app.campaign.journal import reading
 from goniotwin.app.campaign.journal.reading import _columns_of_readings
 from goniotwin.app.campaign.journal.writing import Journal
-from goniotwin.app.campaign.reduction import etalon, readings
-from goniotwin.app.campaign.reduction.etalon import ArcGeometry
+from goniotwin.app.campaign.reduction import arc_geometry, readings
+from goniotwin.app.campaign.reduction.arc_geometry import ArcGeometry
 from goniotwin.app.campaign.reduction.points import COLUMNS
-from goniotwin.app.campaign.reduction.reduction import reduce_journal, reduce_to_files
+from goniotwin.app.campaign.studies.reduced_journal import reduce_journal, reduce_to_files
 from goniotwin.app.rig import read_rig
 from tests.app.campaign.reduction.long_journal import write_long_journal
 from tests.conftest import RIG
@@ -45,7 +45,7 @@ def test_a_pose_is_computed_once_however_many_wavelengths_it_has(
         computed.extend(arguments[2].tolist())  # type: ignore[attr-defined]  # the betas of the poses
         return views_at_sigma(*arguments)  # type: ignore[arg-type]  # handed on as they are
 
-    monkeypatch.setattr(etalon, "views_at_sigma", count)
+    monkeypatch.setattr(arc_geometry, "views_at_sigma", count)
     write_long_journal(tmp_path / "a.journal", wavelengths, 3)
     with Journal.open(tmp_path / "a.journal") as journal, reduce_to_files(journal, tmp_path) as found:
         assert found.samples["gaussian-5"].size > 0

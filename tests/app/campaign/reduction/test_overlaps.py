@@ -10,17 +10,19 @@ import pytest
 from goniotwin.app.campaign.campaign import run_campaign
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import make_plan
-from goniotwin.app.campaign.reduction.overlaps import CalibrationFactors, OverlapPairs, fit_factors, overlaps
+from goniotwin.app.campaign.reduction.calibration import CalibrationFactors
+from goniotwin.app.campaign.reduction.overlaps import OverlapPairs, fit_factors, overlaps
 from goniotwin.app.campaign.reduction.points import BsdfPoints
-from goniotwin.app.campaign.reduction.reduction import BsdfDataset, check_journal, reduce_journal
 from goniotwin.app.campaign.running.events import Event, RowCommitted
 from goniotwin.app.campaign.schedule.file import read_schedule
+from goniotwin.app.campaign.studies.journals import check_journal
+from goniotwin.app.campaign.studies.reduced_journal import BsdfDataset, reduce_journal
 from goniotwin.app.formats import read_points_csv
 from goniotwin.app.rig import OpenRig, read_rig
 from tests.app.campaign.campaign_bench import remove_checksums, run_plan
 from tests.app.campaign.reduction import grey_campaign
-from tests.app.campaign.reduction.exporting import export
-from tests.app.campaign.reduction.test_export import points_of
+from tests.app.data.exporting import export
+from tests.app.data.test_export import points_of
 from tests.conftest import SMALL, Writer
 
 GREY = '[twin.samples.grey]\nmodel = "lambertian"\nreflectance = 0.3\n\n[twin.samples.etalon]'

@@ -9,9 +9,10 @@ import pytest
 
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.reduction import pipeline
+from goniotwin.app.campaign.reduction.arc_rows import ArcRows
 from goniotwin.app.campaign.reduction.components import Signal
 from goniotwin.app.campaign.reduction.drift_checks import compare_signals
-from goniotwin.app.campaign.reduction.etalon import ArcRows, ReductionSettings
+from goniotwin.app.campaign.reduction.settings import ReductionSettings
 from goniotwin.app.campaign.rehearsal.forecast import forecast
 from goniotwin.app.campaign.running.events import Event, RowCommitted, RowStarted
 from goniotwin.app.campaign.schedule.file import parse_schedule
@@ -19,8 +20,8 @@ from goniotwin.app.desktop.model.live_scan import LiveScan
 from goniotwin.app.formats import read_points_csv
 from goniotwin.app.rig import read_rig
 from tests.app.campaign.campaign_bench import run_plan
-from tests.app.campaign.reduction.exporting import export
 from tests.app.campaign.reduction.grey_campaign import GLASS, reduced
+from tests.app.data.exporting import export
 from tests.conftest import RIG, SMALL, Change, Writer, changed
 
 PER_DECADE = 0.02

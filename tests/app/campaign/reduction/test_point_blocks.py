@@ -15,11 +15,12 @@ from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.reduction import readings
 from goniotwin.app.campaign.reduction import reduction as reducing
 from goniotwin.app.campaign.reduction.points import COLUMNS, BsdfPoints, join_points
-from goniotwin.app.campaign.reduction.reduction import Reduction, reduce_journal
 from goniotwin.app.campaign.rehearsal.forecast import forecast
 from goniotwin.app.campaign.rehearsal.rehearsal import plan_rehearsal, rehearse
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.schedule.file import parse_schedule, read_schedule
+from goniotwin.app.campaign.studies.evaluation import evaluate_journal
+from goniotwin.app.campaign.studies.reduced_journal import reduce_journal
 from goniotwin.app.rig import parse_rig, read_rig
 from tests.conftest import RIG, SMALL, Writer, changed
 
@@ -69,7 +70,7 @@ def bits(points: BsdfPoints) -> list[bytes]:
 @JOURNALS
 def test_values_are_the_same_for_any_size_of_a_block(journal: Path, sizes: tuple[int, ...]) -> None:
     with Journal.open(journal) as opened:
-        reduction, whole = Reduction(opened), reduce_journal(opened)
+        reduction, whole = evaluate_journal(opened).reduction, reduce_journal(opened)
         for sample in ("glass", "gaussian-5"):
             results = {}
             for size in sizes:

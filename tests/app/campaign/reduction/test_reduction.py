@@ -13,18 +13,18 @@ from goniotwin.app.campaign.campaign import run_campaign
 from goniotwin.app.campaign.geometry.arcs import arc_views
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import make_plan
-from goniotwin.app.campaign.reduction.comparison import compare, cut_figure, theoretical_bsdf
 from goniotwin.app.campaign.reduction.points import BsdfPoints
-from goniotwin.app.campaign.reduction.reduction import BsdfDataset, reduce_journal
 from goniotwin.app.campaign.running.events import Event, RowCommitted, State
 from goniotwin.app.campaign.schedule.file import read_schedule
+from goniotwin.app.campaign.studies.comparison import compare, cut_figure, theoretical_bsdf
+from goniotwin.app.campaign.studies.reduced_journal import BsdfDataset, reduce_journal
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import OpenRig, read_rig
 from goniotwin.app.rig.inputs import inputs
 from goniotwin.twin.optics import from_specular
 from tests.app.campaign.campaign_bench import QUIET, run_plan
-from tests.app.campaign.reduction.exporting import export
 from tests.app.campaign.reduction.grey_campaign import GLASS, grey_plan, reduced
+from tests.app.data.exporting import export
 from tests.conftest import RIG, SCHEDULE, SMALL, Writer
 
 AEROGLAZE = Path(__file__).resolve().parents[5] / "shared" / "data" / "real_bsdf" / "aeroglaze.bsdf"

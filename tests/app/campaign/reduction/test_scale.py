@@ -12,14 +12,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from goniotwin.app.campaign.reduction.arc_geometry import ArcGeometry
 from goniotwin.app.campaign.reduction.components import Signal
-from goniotwin.app.campaign.reduction.etalon import ArcGeometry, ReductionSettings
 from goniotwin.app.campaign.reduction.pipeline import add_shared
 from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.reduction.polarisation import light_state, light_words
 from goniotwin.app.campaign.reduction.readings import Measurements, Repeats, repeats
-from goniotwin.app.campaign.reduction.reduction import reduction_settings
 from goniotwin.app.campaign.reduction.scale import certificate_effects, factor_effects, shape_of, shared_families
+from goniotwin.app.campaign.reduction.settings import ReductionSettings, reduction_settings
 from goniotwin.app.campaign.schedule.certificate import parse_certificate
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.errors import UserError

@@ -11,10 +11,11 @@ from numpy.polynomial import Polynomial
 
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.measurement_model.quantity import Quantity
+from goniotwin.app.campaign.reduction.arc_geometry import ArcGeometry
+from goniotwin.app.campaign.reduction.arc_rows import ArcRows
 from goniotwin.app.campaign.reduction.components import Signal
-from goniotwin.app.campaign.reduction.etalon import ArcGeometry, ArcRows, ReductionSettings
 from goniotwin.app.campaign.reduction.points import join_points
-from goniotwin.app.campaign.reduction.reduction import Reduction, reduce_journal
+from goniotwin.app.campaign.reduction.settings import ReductionSettings
 from goniotwin.app.campaign.reduction.spectrum import (
     bandwidth_effects,
     correct_band,
@@ -24,6 +25,8 @@ from goniotwin.app.campaign.reduction.spectrum import (
 )
 from goniotwin.app.campaign.schedule.certificate import constant_certificate
 from goniotwin.app.campaign.schedule.file import parse_schedule
+from goniotwin.app.campaign.studies.evaluation import evaluate_journal
+from goniotwin.app.campaign.studies.reduced_journal import reduce_journal
 from goniotwin.app.rig import read_rig
 from goniotwin.app.rig.file import EtalonTable
 from goniotwin.app.rig.inputs import MONOCHROMATOR_STRAY, WAVELENGTH
@@ -283,7 +286,7 @@ def test_of_many_fine_wavelengths_some_are_left_out() -> None:
 def test_a_journal_of_many_wavelengths_has_the_same_values_for_any_size_of_a_block(tmp_path: Path) -> None:
     write_long_journal(tmp_path / "a.journal", wavelengths=30, shifts=2)
     with Journal.open(tmp_path / "a.journal") as journal:
-        reduction, whole = Reduction(journal), reduce_journal(journal)
+        reduction, whole = evaluate_journal(journal).reduction, reduce_journal(journal)
         found = {}
         for size in (7, 10**9):
             blocks = list(reduction.blocks("gaussian-5", size))

@@ -10,10 +10,10 @@ from goniotwin.app.campaign.campaign import run_campaign
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.check import check_plan
 from goniotwin.app.campaign.planning.plan import NewPlan, Plan, make_plan
-from goniotwin.app.campaign.reduction.comparison import theoretical_bsdf
-from goniotwin.app.campaign.reduction.reduction import BsdfDataset, reduce_journal
 from goniotwin.app.campaign.rehearsal.rehearsal import plan_rehearsal, rehearse
 from goniotwin.app.campaign.schedule.file import parse_schedule, read_schedule
+from goniotwin.app.campaign.studies.comparison import theoretical_bsdf
+from goniotwin.app.campaign.studies.reduced_journal import BsdfDataset, reduce_journal
 from goniotwin.app.rig import read_rig
 from tests.app.campaign.campaign_bench import QUIET
 from tests.conftest import REPOSITORY, RIG, Writer

@@ -7,13 +7,14 @@ import pytest
 
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import make_plan
-from goniotwin.app.campaign.reduction.reduction import Reduction
 from goniotwin.app.campaign.rehearsal import alignment_design
 from goniotwin.app.campaign.rehearsal.alignment_design import design_alignment
 from goniotwin.app.campaign.schedule.file import parse_schedule
+from goniotwin.app.campaign.studies.evaluation import evaluate_journal
+from goniotwin.app.campaign.studies.sample_alignment import align_sample
 from goniotwin.app.errors import UserError
-from tests.app.campaign.reduction.alignment_bench import SAMPLE, SCHEDULE, alignment_rig, drawn_plan, model_of, run
-from tests.app.campaign.reduction.test_alignment import SMALL
+from tests.app.campaign.studies.alignment_bench import SAMPLE, SCHEDULE, alignment_rig, drawn_plan, model_of, run
+from tests.app.campaign.studies.test_alignment import SMALL
 
 LITTLE = (
     SMALL.replace('side = "both"', 'side = "front"')
@@ -88,7 +89,8 @@ def test_expected_uncertainties_are_those_of_random_rigs(tmp_path: Path) -> None
     for seed in range(1, 13):
         plan = drawn_plan(schedule, alignment_rig(), seed)
         with Journal.open(run(plan, tmp_path / f"{seed}.journal")) as journal:
-            result = Reduction(journal).align(SAMPLE)
+            evaluation = evaluate_journal(journal)
+            result = align_sample(evaluation.reduction, evaluation.closure, SAMPLE)
         _, drawn = model_of(plan)
         assert result.light is not None
         for each in result.combinations if result.light.dark < 0.2 else ():

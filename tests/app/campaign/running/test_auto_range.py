@@ -10,9 +10,9 @@ from goniotwin.app.campaign.campaign import resume_campaign, run_campaign
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.readout import SATURATED, UNDER_RANGE, GainSequence, gain_order, saturation
-from goniotwin.app.campaign.reduction.reduction import reduce_journal
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.schedule.file import read_schedule
+from goniotwin.app.campaign.studies.reduced_journal import reduce_journal
 from goniotwin.app.rig import read_rig
 from goniotwin.drivers import PhotodiodeSettings
 from goniotwin.protocols import adam

@@ -13,10 +13,10 @@ from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.readout import READING_ATTEMPTS, ReadingComparison, contradictions, dark_level, min_readings
 from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.reduction.readings import DarkHistory
-from goniotwin.app.campaign.reduction.reduction import reduce_journal
 from goniotwin.app.campaign.row import CONTRADICTION, Reading, Row
 from goniotwin.app.campaign.running.events import State
 from goniotwin.app.campaign.schedule.file import parse_schedule
+from goniotwin.app.campaign.studies.reduced_journal import reduce_journal
 from goniotwin.app.rig import OpenRig, parse_rig
 from goniotwin.arrays import Counts, Floats
 from goniotwin.drivers.photodiodes.settings import PhotodiodeSettings

@@ -9,22 +9,14 @@ import pytest
 from goniotwin.app.campaign.campaign import resume_campaign
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
-from goniotwin.app.campaign.reduction.reduction import reduce_journal
 from goniotwin.app.campaign.row import SKIPPED
-from goniotwin.app.campaign.running.events import (
-    Event,
-    EventLogged,
-    RowCommitted,
-    RowStarted,
-    SafetyOrder,
-    State,
-    StateChanged,
-)
+from goniotwin.app.campaign.running.events import Event, EventLogged, RowCommitted, RowStarted, SafetyOrder, State, StateChanged
 from goniotwin.app.campaign.running.operator import HumanOperator
 from goniotwin.app.campaign.running.question import Answer, UnreferencedAxis
 from goniotwin.app.campaign.running.recovery import FaultPolicies, fault_kind
 from goniotwin.app.campaign.running.stop import Stopped
 from goniotwin.app.campaign.schedule.file import read_schedule
+from goniotwin.app.campaign.studies.reduced_journal import reduce_journal
 from goniotwin.app.cli.campaign import _ask_operator
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import OpenRig, read_rig

@@ -11,9 +11,9 @@ from goniotwin.app.campaign.campaign import resume_campaign, run_campaign
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.check import check_plan
 from goniotwin.app.campaign.planning.plan import Plan
-from goniotwin.app.campaign.reduction.reduction import reduce_journal
 from goniotwin.app.campaign.running.engine import Engine
 from goniotwin.app.campaign.running.events import State
+from goniotwin.app.campaign.studies.reduced_journal import reduce_journal
 from goniotwin.app.rig import OpenRig
 from goniotwin.mocks.faults import ON_A_TEXT_LINE, Fault, ScriptedFaults
 from goniotwin.twin import VirtualRig

@@ -11,13 +11,13 @@ from goniotwin.app.campaign.campaign import clock_for, operator_for, resume_camp
 from goniotwin.app.campaign.journal.summary import campaign_summary
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
-from goniotwin.app.campaign.reduction.reduction import reduce_journal
 from goniotwin.app.campaign.row import Row, RowData
 from goniotwin.app.campaign.running.engine import Engine
 from goniotwin.app.campaign.running.events import State
 from goniotwin.app.campaign.running.resume import remaining_work
 from goniotwin.app.campaign.running.rows import RowExecutor
 from goniotwin.app.campaign.schedule.file import read_schedule
+from goniotwin.app.campaign.studies.reduced_journal import reduce_journal
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import OpenRig, open_rig, read_rig
 from goniotwin.drivers import NoAnswer, wait

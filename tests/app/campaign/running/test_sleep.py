@@ -9,13 +9,13 @@ import pytest
 
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
-from goniotwin.app.campaign.reduction.reduction import reduce_journal
 from goniotwin.app.campaign.running import sleep
 from goniotwin.app.campaign.running.engine import Engine
 from goniotwin.app.campaign.running.events import Event, RowCommitted, RowStarted, State
 from goniotwin.app.campaign.running.recovery import FaultPolicies
 from goniotwin.app.campaign.running.sleep import SLEPT_S, SleepWatch, StayAwake
 from goniotwin.app.campaign.schedule.file import FaultsTable, read_schedule
+from goniotwin.app.campaign.studies.reduced_journal import reduce_journal
 from goniotwin.app.rig import OpenRig, read_rig
 from goniotwin.drivers import NoAnswer
 from goniotwin.drivers.errors import Interrupted

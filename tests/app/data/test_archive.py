@@ -9,22 +9,23 @@ import pytest
 
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import make_plan
-from goniotwin.app.campaign.reduction.archive import write_archive
-from goniotwin.app.campaign.reduction.budget import budget_of_reflectance, budget_of_value
 from goniotwin.app.campaign.reduction.effects_of_points import effects_of
-from goniotwin.app.campaign.reduction.export import scattered_points
-from goniotwin.app.campaign.reduction.reduction import Reduction, reduce_journal
 from goniotwin.app.campaign.rehearsal.without_wires import run_without_wires
 from goniotwin.app.campaign.schedule.file import parse_schedule
+from goniotwin.app.campaign.studies.budget import budget_of_reflectance, budget_of_value
+from goniotwin.app.campaign.studies.evaluation import evaluate_journal
+from goniotwin.app.campaign.studies.reduced_journal import reduce_journal
 from goniotwin.app.cli.main import app
+from goniotwin.app.data.archive import write_archive
+from goniotwin.app.data.export import scattered_points
 from goniotwin.app.formats import BsdfTable, FormatError, archive, registry
 from goniotwin.app.formats.content import ScatteredBsdf
 from goniotwin.app.rig import parse_rig
 from goniotwin.arrays import Floats
-from tests.app.campaign.reduction.test_verification import HALF_SPHERE, PAINT
+from tests.app.campaign.studies.test_verification import HALF_SPHERE, PAINT
 from tests.conftest import RIG, SMALL, changed
 
-GOLDEN = Path(__file__).parents[3] / "golden" / "data" / "finished.journal"
+GOLDEN = Path(__file__).parents[2] / "golden" / "data" / "finished.journal"
 
 
 @pytest.fixture(scope="module")
@@ -72,7 +73,7 @@ def test_the_uncertainty_of_every_value_is_rebuilt(archived: tuple[Path, Path]) 
 
 def test_a_value_has_the_budget_that_the_program_gives(archived: tuple[Path, Path]) -> None:
     with Journal.open(archived[0]) as journal:
-        found = budget_of_value(Reduction(journal), {"sigma": 30.0, "zenith": 40.0, "azimuth": 45.0})
+        found = budget_of_value(evaluate_journal(journal).reduction, {"sigma": 30.0, "zenith": 40.0, "azimuth": 45.0})
     with h5py.File(archived[1]) as file:
         part, inputs = file["entry/part_1"], file["entry/inputs"]
         columns = {each: part[each][()] for each in ("sigma_deg", "wavelength_nm", "polar_deg", "azimuth_deg", "transmitted")}
@@ -92,7 +93,7 @@ def test_a_value_has_the_budget_that_the_program_gives(archived: tuple[Path, Pat
 
 def test_the_covariance_of_two_values_is_rebuilt(archived: tuple[Path, Path]) -> None:
     with Journal.open(archived[0]) as journal:
-        reduction = Reduction(journal)
+        reduction = evaluate_journal(journal).reduction
         (name, points), *_ = reduce_journal(journal).samples.items()
         good = points.where(points.good)
         expected = effects_of(good, reduction.settings).covariance(np.arange(0, good.size, 9), np.arange(0, good.size, 9))
@@ -118,7 +119,7 @@ def place(points: ScatteredBsdf) -> Floats:
 
 def test_the_uncertainty_of_a_reflectance_is_rebuilt(archived: tuple[Path, Path]) -> None:
     with Journal.open(archived[0]) as journal:
-        expected = budget_of_reflectance(Reduction(journal), {"sigma": 30.0})
+        expected = budget_of_reflectance(evaluate_journal(journal).reduction, {"sigma": 30.0})
     with h5py.File(archived[1]) as file:
         part = file["entry/part_1"]
         wanted = {"sigma_deg": 30.0, "wavelength_nm": 550.0, "transmitted": False}

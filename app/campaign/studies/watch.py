@@ -13,7 +13,8 @@ of looks at a campaign in progress.
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from statistics import NormalDist
 from typing import Any
 
@@ -21,7 +22,11 @@ import numpy as np
 
 from goniotwin.app.campaign.measurement_model.fit import ValuesCovariance
 from goniotwin.app.campaign.measurement_model.pose import LIGHT, MOUNTED, VIEW
-from goniotwin.app.campaign.reduction.alignment import LobeFit, PoseSensitivities, Step
+from goniotwin.app.campaign.reduction.settings import ReductionSettings
+from goniotwin.app.campaign.studies.alignment import TERMS, LobeFit, PoseSensitivities, Step, fit_lobe
+from goniotwin.app.campaign.studies.evaluation import Evaluation
+from goniotwin.app.campaign.studies.sample_alignment import light_seen, sample_lobe
+from goniotwin.app.rig import RigFile, nominal_instrument
 from goniotwin.app.rig.alignment import DOUBTED_CHI_SQUARE, REFUSED_CHI_SQUARE
 from goniotwin.arrays import Flags, Floats, Ints
 
@@ -207,6 +212,42 @@ def find_misalignment(lobe: LobeFit, refit: Callable[[Step], LobeFit], sample: s
         sample, pattern, size, u, row, earliest, int(rows[within[-1]]), begin + k == 0, float(statistic[k]), limit,
         tuple(PATTERNS[each] for each in alike), stepped.chi_square,
     )  # fmt: skip
+
+
+def watch_samples(evaluation: Evaluation, names: Sequence[str] | None = None) -> WatchResult:
+    """What the residuals show of misalignments that no alignment or uncertainty of the rig states, by each sample's lobe.
+
+    The rows so far are enough. Raises UserError.
+    """
+    reduction, closure = evaluation.reduction, evaluation.closure
+    found: list[Misalignment] = []
+    clear: list[str] = []
+    without: list[str] = []
+    for sample in names or reduction.schedule.samples:
+        points = sample_lobe(reduction, sample)
+        if points is None or points.size < TERMS:
+            without.append(sample)
+            continue
+        settings = replace(reduction.settings, sample=sample, alignment=evaluation.known_alignment)
+        seen = light_seen(reduction, closure)
+        lobe = fit_lobe(points, settings, closure.beams, seen=seen)
+        refit = partial(fit_lobe, points, settings, closure.beams, "", seen=seen)
+        misalignment = find_misalignment(lobe, refit, sample, len(reduction.schedule.samples))
+        beside = lobe.chi_square if misalignment is None else misalignment.chi_square
+        if beside > REFUSED_CHI_SQUARE or not _determines(lobe, settings, reduction.rig.file):
+            without.append(sample)
+        elif misalignment is None:
+            clear.append(sample)
+        else:
+            found.append(misalignment)
+    return WatchResult(tuple(found), tuple(clear), tuple(without), reduction.journal.simulated)
+
+
+def _determines(lobe: LobeFit, settings: ReductionSettings, rig: RigFile) -> bool:
+    """Whether the values of a lobe determine a misalignment by themselves, beside what is known and without the scans."""
+    if settings.alignment is not None or lobe.scans:
+        lobe = fit_lobe(lobe.points, replace(settings, alignment=None))
+    return bool(lobe.alignment.combinations(nominal_instrument(rig))[0])
 
 
 @dataclass(frozen=True)

@@ -13,18 +13,18 @@ from goniotwin.app.campaign.campaign import run_campaign
 from goniotwin.app.campaign.journal.writing import Journal, copy_journal
 from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.reduction.points import steepness
-from goniotwin.app.campaign.reduction.reduction import BsdfDataset, reduce_journal
-from goniotwin.app.campaign.reduction.symmetry import SymmetryResult
 from goniotwin.app.campaign.rehearsal.rehearsal import plan_rehearsal, rehearse
 from goniotwin.app.campaign.rehearsal.report import report_text
 from goniotwin.app.campaign.schedule.file import parse_schedule, read_schedule
+from goniotwin.app.campaign.studies.reduced_journal import BsdfDataset, reduce_journal
+from goniotwin.app.campaign.studies.symmetry import SymmetryResult
 from goniotwin.app.cli.main import app
 from goniotwin.app.formats import read_ddr, read_points_csv
 from goniotwin.app.rig import RigDescription, read_rig
 from goniotwin.twin.optics import Scatterer, table_sample
 from tests.app.campaign.campaign_bench import remove_checksums
-from tests.app.campaign.reduction.exporting import export
-from tests.app.campaign.reduction.test_export import points_of
+from tests.app.data.exporting import export
+from tests.app.data.test_export import points_of
 from tests.conftest import RIG, SMALL, Change, Writer, changed
 
 WIDE = ("beta_deg = [180]", "beta_deg = { start = 0, stop = 180, step = 30 }")

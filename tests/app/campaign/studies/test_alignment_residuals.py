@@ -8,12 +8,15 @@ import pytest
 
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import make_plan
-from goniotwin.app.campaign.reduction.reduction import Reduction, align_journal, reduce_journal, rig_alignment, watch_journal
+from goniotwin.app.campaign.reduction.settings import rig_alignment
 from goniotwin.app.campaign.schedule.file import parse_schedule
+from goniotwin.app.campaign.studies.evaluation import evaluate_journal
+from goniotwin.app.campaign.studies.journals import align_journal, watch_journal
+from goniotwin.app.campaign.studies.reduced_journal import reduce_journal
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription, parse_rig, read_rig
 from goniotwin.app.rig.alignment import AlignmentFile, alignment_text
-from tests.app.campaign.reduction.alignment_bench import PROOF, run
+from tests.app.campaign.studies.alignment_bench import PROOF, run
 
 BRUSHED = """
 name = "brushed"
@@ -76,7 +79,7 @@ def test_a_lobe_that_is_not_round_makes_no_alignment_and_corrects_no_value(tmp_p
         align_journal(path)
     with Journal.open(path) as journal:
         reduced = reduce_journal(journal)
-        assert Reduction(journal).settings.alignment is None
+        assert evaluate_journal(journal).reduction.settings.alignment is None
     assert [each for each in reduced.notes if each.startswith("not aligned: brushed: the residuals are not those")]
     assert not [each for each in reduced.notes if each.startswith("values are corrected")]
 
@@ -112,9 +115,9 @@ def test_a_rig_that_names_an_alignment_of_no_lobe_is_refused(lobe: AlignmentFile
 def test_doubtful_residuals_of_a_file_are_in_the_notes_of_every_campaign(lobe: AlignmentFile, tmp_path: Path) -> None:
     path = measured(BRUSHED, tmp_path, with_chi_square(lobe, 2.25))
     with Journal.open(path) as journal:
-        reduction = Reduction(journal)
-        assert reduction.settings.alignment is not None
-        (found,) = [each for each in reduction.findings if "chi-square 2.25" in each]
+        evaluation = evaluate_journal(journal)
+        assert evaluation.reduction.settings.alignment is not None
+        (found,) = [each for each in evaluation.findings if "chi-square 2.25" in each]
     assert found.startswith("[alignment] gaussian-5, ")
     assert found.endswith("the uncertainties of the alignment are 1.5 times as large")
 
@@ -122,7 +125,7 @@ def test_doubtful_residuals_of_a_file_are_in_the_notes_of_every_campaign(lobe: A
 def test_a_journal_with_an_alignment_of_no_lobe_is_reduced_without_it(lobe: AlignmentFile, tmp_path: Path) -> None:
     path = measured(BRUSHED, tmp_path, with_chi_square(lobe, 35.6))
     with Journal.open(path) as journal:
-        assert Reduction(journal).settings.alignment is None
+        assert evaluate_journal(journal).reduction.settings.alignment is None
         notes = reduce_journal(journal).notes
     assert [each for each in notes if each.startswith("not corrected by [alignment] gaussian-5, ") and "35.6" in each]
 

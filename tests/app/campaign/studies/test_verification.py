@@ -13,11 +13,13 @@ from typer.testing import CliRunner
 
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import make_plan
-from goniotwin.app.campaign.reduction.budget import budget_of_reflectance, budget_of_value, parse_place
-from goniotwin.app.campaign.reduction.reduction import Reduction, check_journal, reduce_journal
-from goniotwin.app.campaign.reduction.verification import Verdict, reciprocal_pairs, verify_journal
 from goniotwin.app.campaign.rehearsal.without_wires import run_without_wires
 from goniotwin.app.campaign.schedule.file import read_schedule
+from goniotwin.app.campaign.studies.budget import budget_of_reflectance, budget_of_value, parse_place
+from goniotwin.app.campaign.studies.evaluation import evaluate_journal
+from goniotwin.app.campaign.studies.journals import check_journal
+from goniotwin.app.campaign.studies.reduced_journal import reduce_journal
+from goniotwin.app.campaign.studies.verification import Verdict, reciprocal_pairs, verify_journal
 from goniotwin.app.cli.main import app
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import read_rig
@@ -47,14 +49,14 @@ def measure(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> Measur
 
 def verdicts(path: Path) -> dict[str, Verdict]:
     with Journal.open(path) as journal:
-        return {each.name.partition(" of ")[0]: each for each in verify_journal(Reduction(journal))}
+        return {each.name.partition(" of ")[0]: each for each in verify_journal(evaluate_journal(journal))}
 
 
 def test_the_components_of_a_value_add_up_to_its_uncertainty(measure: Measure, capsys: pytest.CaptureFixture[str]) -> None:
     path = measure(PAIRS)
     with Journal.open(path) as journal:
         points = reduce_journal(journal).samples["gaussian-5"]
-        found = budget_of_value(Reduction(journal), parse_place("sigma=30, zenith=36, azimuth=180"))
+        found = budget_of_value(evaluate_journal(journal).reduction, parse_place("sigma=30, zenith=36, azimuth=180"))
     (k,) = np.flatnonzero((points.sigma_deg == 30.0) & (points.zenith_deg == 36.0) & (points.azimuth_deg == 180.0))[:1]
     assert found.value == points.bsdf[k]
     assert found.u == pytest.approx(points.u_bsdf[k], rel=1e-12)
@@ -86,7 +88,7 @@ def test_the_components_of_a_value_add_up_to_its_uncertainty(measure: Measure, c
 )  # fmt: skip
 def test_a_place_without_a_value_is_refused_with_its_neighbours(at: str, words: str, measure: Measure) -> None:
     with Journal.open(measure(PAIRS)) as journal, pytest.raises(UserError, match=words):
-        budget_of_value(Reduction(journal), parse_place(at))
+        budget_of_value(evaluate_journal(journal).reduction, parse_place(at))
 
 
 @pytest.mark.parametrize("at", ["sigma", "sigma=x", "sigma=nan", "colour=1", "sigma=1,sigma=2", "light=green"])
@@ -98,7 +100,7 @@ def test_a_place_that_is_none_is_one_line(at: str) -> None:
 def test_a_half_sphere_has_a_reflectance_with_its_budget(measure: Measure) -> None:
     path = measure(HALF_SPHERE, PAINT)
     with Journal.open(path) as journal:
-        found = budget_of_reflectance(Reduction(journal), parse_place("sigma=30"))
+        found = budget_of_reflectance(evaluate_journal(journal).reduction, parse_place("sigma=30"))
     assert abs(found.value - 0.6) < 3.0 * found.u < 0.1
     assert math.fsum(each.u**2 for each in found.components) == pytest.approx(found.u**2, rel=1e-12)
     energy = verdicts(path)["energy"]
@@ -168,7 +170,7 @@ def test_the_small_components_are_listed_where_asked_for(measure: Measure, monke
 
 def test_a_cut_has_no_reflectance(measure: Measure) -> None:
     with Journal.open(measure(PAIRS)) as journal, pytest.raises(UserError, match="do not cover the half sphere"):
-        budget_of_reflectance(Reduction(journal), parse_place("sigma=30"))
+        budget_of_reflectance(evaluate_journal(journal).reduction, parse_place("sigma=30"))
 
 
 @pytest.mark.parametrize(

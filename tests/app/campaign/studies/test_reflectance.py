@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from goniotwin.app.campaign.reduction.points import BsdfPoints
-from goniotwin.app.campaign.reduction.reflectance import integration_settings, quadrature
+from goniotwin.app.campaign.studies.reflectance import integration_settings, quadrature
 from goniotwin.arrays import Flags, Floats
 from goniotwin.twin.optics import albedo, arc_direction, evaluate, gaussian, light_direction
 from tests.app.campaign.reduction.made_points import made_points

@@ -16,8 +16,8 @@ import numpy as np
 from goniotwin.app.campaign.geometry.directions import polar_from_zenith, round_azimuth
 from goniotwin.app.campaign.measurement_model.effects import Component, merged
 from goniotwin.app.campaign.reduction.effects_of_points import effects_of
-from goniotwin.app.campaign.reduction.etalon import ReductionSettings
 from goniotwin.app.campaign.reduction.points import BsdfPoints
+from goniotwin.app.campaign.reduction.settings import ReductionSettings
 from goniotwin.app.campaign.schedule.refinement import StatedSymmetry
 from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.twin.optics.geometry.coordinates import fold_azimuth, round_deg

@@ -14,7 +14,7 @@ from goniotwin.app.campaign.geometry.directions import direction_keys, is_lower
 from goniotwin.app.campaign.reduction.components import deviation_in_u, mostly_added
 from goniotwin.app.campaign.reduction.field_of_view import FieldOfView
 from goniotwin.app.campaign.reduction.points import PLACE, BsdfPoints
-from goniotwin.app.campaign.reduction.reduction import BsdfDataset
+from goniotwin.app.campaign.studies.reduced_journal import BsdfDataset
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription, RigFile, nominal_instrument
 from goniotwin.app.rig.samples import GaussianTable

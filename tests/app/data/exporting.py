@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from goniotwin.app.campaign.reduction.reduction import ReducedJournal
+from goniotwin.app.campaign.studies.reduced_journal import ReducedJournal
 from goniotwin.app.data.conversion import Choice, Converted, Light, convert_reduced
 from goniotwin.app.formats import registry
 

@@ -12,14 +12,16 @@ from typing import Any, Literal
 import numpy as np
 
 from goniotwin.app.campaign.geometry.directions import is_lower, polar_from_zenith, round_azimuth
-from goniotwin.app.campaign.reduction.budget import Budget, reflectance
-from goniotwin.app.campaign.reduction.checks import ConsistencyChecks
 from goniotwin.app.campaign.reduction.effects_of_points import effects_of
 from goniotwin.app.campaign.reduction.points import BsdfPoints, Tally, join_points, plausible
 from goniotwin.app.campaign.reduction.reduction import Reduction
-from goniotwin.app.campaign.reduction.reflectance import integration_settings, quadrature
 from goniotwin.app.campaign.schedule.grids import grid_values
 from goniotwin.app.campaign.schedule.refinement import StatedSymmetry
+from goniotwin.app.campaign.studies.budget import Budget, reflectance
+from goniotwin.app.campaign.studies.checks import ConsistencyChecks
+from goniotwin.app.campaign.studies.evaluation import Evaluation
+from goniotwin.app.campaign.studies.notes import calibration_notes
+from goniotwin.app.campaign.studies.reflectance import integration_settings, quadrature
 from goniotwin.app.campaign.wording import number_list
 from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.twin.optics.geometry.coordinates import fold_azimuth, incidence_deg, round_deg
@@ -47,8 +49,9 @@ class Verdict:
         return {"name": self.name, "verdict": self.verdict, "text": self.text, **self.figures}
 
 
-def verify_journal(reduction: Reduction) -> list[Verdict]:
+def verify_journal(evaluation: Evaluation) -> list[Verdict]:
     """All verdicts on a journal, by sample and check. Raises UserError as the reduction does."""
+    reduction = evaluation.reduction
     verdicts: list[Verdict] = []
     tallies: dict[str, Tally] = {}
     for name in reduction.schedule.samples:
@@ -58,7 +61,7 @@ def verify_journal(reduction: Reduction) -> list[Verdict]:
             continue
         tallies[name] = of_sample.tally
         verdicts += of_sample.verdicts()
-    return [*verdicts, _gains(reduction), _closure(reduction), _drift(reduction, tallies)]
+    return [*verdicts, _gains(reduction), _closure(evaluation), _drift(reduction, tallies)]
 
 
 class _Sample:
@@ -66,7 +69,7 @@ class _Sample:
 
     def __init__(self, reduction: Reduction, name: str) -> None:
         self._reduction, self._name = reduction, name
-        self._checks: ConsistencyChecks = reduction.checks(name)
+        self._checks = ConsistencyChecks(reduction, name)
         self.tally = Tally()
         self._reciprocal: list[BsdfPoints] = []
         self._energies: list[Budget] = []
@@ -165,7 +168,7 @@ class _Sample:
         result = self._checks.overlaps()
         if not result.pairs:
             return Verdict(name, NOTHING, "no direction was measured by two photodiodes")
-        factors = "; ".join(self._reduction.calibration_notes(result))
+        factors = "; ".join(calibration_notes(self._reduction, result))
         text = f"{result}; {factors}" if factors else str(result)
         return Verdict(name, "holds" if result.agree else "fails", text, result.as_dict())
 
@@ -260,7 +263,7 @@ def _covariance_of_differences(points: BsdfPoints, one: Ints, other: Ints, reduc
 
 def _gains(reduction: Reduction) -> Verdict:
     """The gain linkage: ratios of gains in rows that were read at two of them, against each other and the certificate."""
-    evidence, name = reduction.evidence, "gain linkage"
+    evidence, name = reduction.measurements.evidence, "gain linkage"
     found = evidence.findings
     figures = {"ratios": evidence.ratios, "worst_u": evidence.worst_ratio, "unsound": np.flatnonzero(evidence.unsound).tolist()}
     if found:
@@ -271,9 +274,9 @@ def _gains(reduction: Reduction) -> Verdict:
     return Verdict(name, "holds", text, figures)
 
 
-def _closure(reduction: Reduction) -> Verdict:
+def _closure(evaluation: Evaluation) -> Verdict:
     """The closure of the etalon's scale with that of the open beam, and the field of view by its scan."""
-    name, report = "closure", reduction.closure()
+    name, report = "closure", evaluation.closure
     if not report.closures and report.field is None:
         return Verdict(name, NOTHING, "; ".join((*report.not_planned, *report.missing)) or report.verdict)
     text = "; ".join(report.alarms) or f"{report.verdict}; {report.field}"
@@ -283,7 +286,7 @@ def _closure(reduction: Reduction) -> Verdict:
 def _drift(reduction: Reduction, tallies: dict[str, Tally]) -> Verdict:
     if reduction.schedule.drift is None:
         return Verdict("drift", NOTHING, "the schedule has no [drift]")
-    intervals = [str(each) for each in reduction.drift_intervals]
+    intervals = [str(each) for each in reduction.measurements.drift_intervals]
     unchecked = {name: number_list(photodiodes) for name, photodiodes in reduction.unchecked(tallies).items()}
     listed = "; ".join(f"photodiodes {photodiodes} of {name}" for name, photodiodes in unchecked.items())
     text = "; ".join(intervals) or "every check is within the limit"

@@ -9,10 +9,10 @@ import numpy as np
 
 from goniotwin.app.campaign.measurement_model.effects import Component
 from goniotwin.app.campaign.reduction.effects_of_points import effects_of
-from goniotwin.app.campaign.reduction.etalon import ReductionSettings
 from goniotwin.app.campaign.reduction.points import BsdfPoints, join_points
 from goniotwin.app.campaign.reduction.reduction import Reduction
-from goniotwin.app.campaign.reduction.reflectance import (
+from goniotwin.app.campaign.reduction.settings import ReductionSettings
+from goniotwin.app.campaign.studies.reflectance import (
     WIDEST_AZIMUTH_DEG,
     WIDEST_POLAR_DEG,
     Setting,

@@ -6,33 +6,20 @@ from typing import Any
 
 import numpy as np
 
-from goniotwin.app.campaign.reduction.closure import ClosureReport
-from goniotwin.app.campaign.reduction.etalon import ReductionSettings
-from goniotwin.app.campaign.reduction.overlaps import OverlapCheck, Overlaps
+from goniotwin.app.campaign.reduction.overlaps import Overlaps, overlap_check
 from goniotwin.app.campaign.reduction.points import PLACE, BsdfPoints
 from goniotwin.app.campaign.reduction.reading_inputs import monitor_variance
-from goniotwin.app.campaign.reduction.readings import RowTable
-from goniotwin.app.campaign.reduction.symmetry import SymmetryCheck, SymmetryResult
-from goniotwin.app.campaign.schedule.refinement import DEFAULT_ANGLE_UNCERTAINTY_DEG
-
-
-def overlap_check(settings: ReductionSettings) -> OverlapCheck:
-    """The check of the overlaps of a sample, before any of its points is added."""
-    table = settings.schedule.overlap
-    angle_deg = DEFAULT_ANGLE_UNCERTAINTY_DEG if table is None else table.angle_deg
-    return OverlapCheck(_common(settings), math.sqrt(monitor_variance(settings.rig)), angle_deg)
-
-
-def _common(settings: ReductionSettings) -> float:
-    """The relative uncertainty that all points of a sample share."""
-    return settings.certificate.level
+from goniotwin.app.campaign.reduction.reduction import Reduction
+from goniotwin.app.campaign.studies.closure import ClosureReport
+from goniotwin.app.campaign.studies.symmetry import SymmetryCheck, SymmetryResult
 
 
 class ConsistencyChecks:
-    """The checks of one sample, whose measured rows are `table`; its points are added in blocks."""
+    """The checks of one sample; its points are added in blocks."""
 
-    def __init__(self, settings: ReductionSettings, table: RowTable) -> None:
-        schedule = settings.schedule
+    def __init__(self, reduction: Reduction, sample: str) -> None:
+        settings, schedule = reduction.settings, reduction.schedule
+        table = reduction.measurements.row_table(sample)
         self._overlaps = overlap_check(settings)
         self._symmetry: SymmetryCheck | None = None
         if schedule.symmetry_check is not None:
@@ -40,7 +27,7 @@ class ConsistencyChecks:
             poses = np.stack([mirrored[name] for name in PLACE[1:]], axis=1)
             angle = schedule.symmetry_check.angle_deg
             monitor = math.sqrt(monitor_variance(settings.rig))
-            self._symmetry = SymmetryCheck(schedule.symmetry, poses, angle, common=_common(settings), monitor=monitor)
+            self._symmetry = SymmetryCheck(schedule.symmetry, poses, angle, common=settings.certificate.level, monitor=monitor)
 
     def add(self, points: BsdfPoints) -> None:
         """Take more points: whole pairs of opposite half planes."""

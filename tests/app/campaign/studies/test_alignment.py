@@ -12,18 +12,20 @@ from goniotwin.app.campaign.measurement_model.alignment import Alignment, halfwa
 from goniotwin.app.campaign.measurement_model.inputs import InputQuantity
 from goniotwin.app.campaign.planning.plan import NewPlan
 from goniotwin.app.campaign.proof.proof import Proof, prove
-from goniotwin.app.campaign.reduction.alignment import LEAST_DARK
-from goniotwin.app.campaign.reduction.budget import budget_of_value, finished_blocks, parse_place
-from goniotwin.app.campaign.reduction.comparison import true_bsdf
 from goniotwin.app.campaign.reduction.points import join_points
-from goniotwin.app.campaign.reduction.reduction import Reduction, align_journal, rig_alignment
+from goniotwin.app.campaign.reduction.settings import rig_alignment
 from goniotwin.app.campaign.schedule.file import parse_schedule, read_schedule
+from goniotwin.app.campaign.studies.alignment import LEAST_DARK
+from goniotwin.app.campaign.studies.budget import budget_of_value, finished_blocks, parse_place
+from goniotwin.app.campaign.studies.comparison import true_bsdf
+from goniotwin.app.campaign.studies.evaluation import evaluate_journal
+from goniotwin.app.campaign.studies.journals import align_journal
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import nominal_instrument, read_rig
 from goniotwin.app.rig.alignment import AlignmentFile, aligned_model, alignment_text, parse_alignment
 from goniotwin.app.sweeps.runners import Here
 from goniotwin.arrays import Floats
-from tests.app.campaign.reduction.alignment_bench import (
+from tests.app.campaign.studies.alignment_bench import (
     PROOF,
     SAMPLE,
     RigFindings,
@@ -173,8 +175,8 @@ def test_corrected_values_are_nearer_to_the_truth_by_as_much_as_their_uncertaint
 def flank(small: Small, alignment: Alignment | None) -> tuple[Floats, Floats]:
     """Relative deviations from the truth and relative u of the values from one to two widths of the lobe."""
     with Journal.open(small.path) as journal:
-        reduction = Reduction(journal)
-        reduction.settings = replace(reduction.settings, alignment=alignment)
+        reduction = evaluate_journal(journal).reduction
+        reduction = replace(reduction, settings=replace(reduction.settings, alignment=alignment))
         points = join_points(list(finished_blocks(reduction, SAMPLE)))
     points = points.where(points.good & ~points.transmitted & (points.theta_deg > 5.0) & (points.theta_deg < 10.0))
     truth = true_bsdf(model_of(small.plan)[0].samples[SAMPLE], points)
@@ -183,8 +185,8 @@ def flank(small: Small, alignment: Alignment | None) -> tuple[Floats, Floats]:
 
 def test_the_budget_of_an_aligned_value_has_modes_and_sums_to_its_uncertainty(small: Small) -> None:
     with Journal.open(small.path) as journal:
-        reduction = Reduction(journal)
-        reduction.settings = replace(reduction.settings, alignment=small.alignment)
+        reduction = evaluate_journal(journal).reduction
+        reduction = replace(reduction, settings=replace(reduction.settings, alignment=small.alignment))
         place = parse_place("sigma=30,gamma=0,zenith=35,azimuth=165")
         budget = budget_of_value(reduction, place)
         points = join_points(list(finished_blocks(reduction, SAMPLE)))
@@ -289,13 +291,13 @@ def test_values_of_a_campaign_that_is_aligned_on_its_lobe_have_smaller_uncertain
     assert totals.whole.coverage > 0.92
     path = run(replace(proof.plan, rig=proof.drawn.rig(1)), tmp_path / "one.journal")
     with Journal.open(path) as journal:
-        reduction = Reduction(journal)
+        reduction = evaluate_journal(journal).reduction
         alignments = reduction.settings.alignment, None
         gains = {}
         for sample, width in (("gaussian-5", 5.0), ("gaussian-15", 15.0)):
             u = []
             for each in alignments:
-                reduction.settings = replace(reduction.settings, alignment=each)
+                reduction = replace(reduction, settings=replace(reduction.settings, alignment=each))
                 points = join_points(list(finished_blocks(reduction, sample)))
                 points = points.where(points.good & (points.theta_deg > width) & (points.theta_deg < 2.0 * width))
                 u.append(float(np.median(points.u_bsdf / points.bsdf)))

@@ -15,7 +15,17 @@ from goniotwin.app.campaign.measurement_model.effects import Component
 from goniotwin.app.campaign.measurement_model.light_place import SeenLight, across_beam, place_law, seen_light
 from goniotwin.app.campaign.measurement_model.pose import LIGHT, VIEW, Views, disc_moves, image_shifts
 from goniotwin.app.campaign.planning.plan import make_plan
-from goniotwin.app.campaign.reduction.closure import (
+from goniotwin.app.campaign.reduction.components import Signal
+from goniotwin.app.campaign.reduction.effects_of_points import effects_of
+from goniotwin.app.campaign.reduction.etalon import comparable_signals
+from goniotwin.app.campaign.reduction.evidence import add_gains, stated
+from goniotwin.app.campaign.reduction.points import BsdfPoints, Tally
+from goniotwin.app.campaign.reduction.readings import ReferenceMeasurements
+from goniotwin.app.campaign.reduction.row_signals import RowSignals
+from goniotwin.app.campaign.reduction.settings import reduction_settings
+from goniotwin.app.campaign.rehearsal.without_wires import run_without_wires
+from goniotwin.app.campaign.schedule.file import parse_schedule
+from goniotwin.app.campaign.studies.closure import (
     OWN_OF_A_SCAN,
     SLIT_IMAGE,
     Closure,
@@ -35,17 +45,9 @@ from goniotwin.app.campaign.reduction.closure import (
     scanned_field,
     signed,
 )
-from goniotwin.app.campaign.reduction.components import Signal
-from goniotwin.app.campaign.reduction.effects_of_points import effects_of
-from goniotwin.app.campaign.reduction.etalon import RowSignals, comparable_signals
-from goniotwin.app.campaign.reduction.evidence import add_gains, stated
-from goniotwin.app.campaign.reduction.points import BsdfPoints, Tally
-from goniotwin.app.campaign.reduction.readings import Measurements, ReferenceMeasurements
-from goniotwin.app.campaign.reduction.reduction import Reduction, reduction_settings, scan_settings
-from goniotwin.app.campaign.reduction.verification import verify_journal
-from goniotwin.app.campaign.rehearsal.without_wires import run_without_wires
-from goniotwin.app.campaign.row import NO_SAMPLE
-from goniotwin.app.campaign.schedule.file import parse_schedule
+from goniotwin.app.campaign.studies.evaluation import evaluate_journal, scan_settings
+from goniotwin.app.campaign.studies.notes import reduction_notes
+from goniotwin.app.campaign.studies.verification import verify_journal
 from goniotwin.app.rig import RigFile, parse_rig, read_rig
 from goniotwin.app.rig.inputs import POSITION
 from goniotwin.arrays import Floats
@@ -556,7 +558,7 @@ def measured(table: str, folder: Path) -> tuple[Path, ClosureReport]:
     path = folder / "a.journal"
     run_plan(make_plan(parse_schedule(HEAD + table, "closure.toml"), read_rig(RIG)), path)
     with Journal.open(path) as journal:
-        return path, Reduction(journal).closure()
+        return path, evaluate_journal(journal).closure
 
 
 def test_a_campaign_closes_at_the_scans_wavelength_and_at_the_other(closed: tuple[Path, ClosureReport]) -> None:
@@ -607,7 +609,7 @@ def closures_of_drawn_rigs(folder: Path, twin: str = "") -> list[ClosureReport]:
         path = folder / f"{seed}.journal"
         run_without_wires(make_plan(parse_schedule(text, "closure.toml"), rig), path)
         with Journal.open(path) as journal:
-            reports.append(Reduction(journal).closure())
+            reports.append(evaluate_journal(journal).closure)
         assert [each.beam.scan.at_deg for each in reports[-1].closures] == [15.8, 40.8, 65.8]
     return reports
 
@@ -663,7 +665,7 @@ def test_an_etalon_that_is_ten_percent_low_is_found(closed: tuple[Path, ClosureR
 
 def test_the_verification_of_a_journal_has_its_closure(closed: tuple[Path, ClosureReport]) -> None:
     with Journal.open(closed[0]) as journal:
-        (found,) = [each for each in verify_journal(Reduction(journal)) if each.name == "closure"]
+        (found,) = [each for each in verify_journal(evaluate_journal(journal)) if each.name == "closure"]
     assert found.verdict == "holds"
     assert "the two scales agree in all 2 comparisons" in found.text
     assert found.text.endswith("they agree")
@@ -710,13 +712,10 @@ def test_a_saturated_open_beam_has_no_scale_and_the_reason_is_given(tmp_path: Pa
 
 def test_a_scan_that_has_not_been_measured_is_listed(closed: tuple[Path, ClosureReport]) -> None:
     with Journal.open(closed[0]) as journal:
-        reduction = Reduction(journal)
-        measurements = Measurements(journal, reduction.schedule, reduction.rig.file)
-        etalon, nothing = (ReferenceMeasurements(measurements, name) for name in ("etalon", "not mounted"))
-        without_scan = journal_closure(reduction.settings, measurements, etalon, nothing)
-        without_etalon = journal_closure(
-            reduction.settings, measurements, nothing, ReferenceMeasurements(measurements, NO_SAMPLE)
-        )
+        reduction = evaluate_journal(journal).reduction
+        nothing = ReferenceMeasurements(reduction.measurements, "not mounted")
+        without_scan = journal_closure(replace(reduction, signature=nothing))
+        without_etalon = journal_closure(replace(reduction, etalon=nothing))
     assert without_scan.missing == ("sigma 22 deg: 0 of 81 poses of the scan have been measured",)
     assert [each.partition(": ")[2] for each in without_etalon.missing] == [
         "the etalon has not been measured in the pose of the scan"
@@ -766,12 +765,13 @@ def test_transmitted_light_can_be_scaled_by_the_open_beam_and_the_export_states_
     path = tmp_path / "a.journal"
     run_plan(make_plan(parse_schedule(text + 'scale = "open beam"\n', "closure.toml"), read_rig(RIG)), path)
     with Journal.open(path) as journal:
-        reduction = Reduction(journal)
+        evaluation = evaluate_journal(journal)
+        reduction = evaluation.reduction
         own = reduction.finish(next(reduction.blocks("opal", 10_000)).points, None)
-        closures = {(each.wavelength_nm, each.beam.scan.sigma_deg): each for each in reduction.closure().closures}
-        notes = reduction.notes({"opal": tally_of(own)})
+        closures = {(each.wavelength_nm, each.beam.scan.sigma_deg): each for each in evaluation.closure.closures}
+        notes = reduction_notes(evaluation, {"opal": tally_of(own)})
         variances = effects_of(own.where(own.good), reduction.settings).variances()
-        reduction.settings = replace(reduction.settings, absolute={})
+        reduction = replace(reduction, settings=replace(reduction.settings, absolute={}))
         by_etalon = reduction.finish(next(reduction.blocks("opal", 10_000)).points, None)
     assert sorted(closures) == [(450.0, 22.0), (550.0, 22.0)]
     assert sum("is that of the open beam" in each for each in notes) == 2

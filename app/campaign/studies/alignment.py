@@ -43,11 +43,13 @@ from goniotwin.app.campaign.measurement_model.pose import (
     rig_inputs,
 )
 from goniotwin.app.campaign.measurement_model.slopes import Directions
-from goniotwin.app.campaign.reduction.closure import EDGE_SHARE, ScannedBeam
+from goniotwin.app.campaign.reduction.angles import angles, displacement_of, views_of_points
 from goniotwin.app.campaign.reduction.components import INDEPENDENT
-from goniotwin.app.campaign.reduction.effects_of_points import angles, displacement_of, effects_of, views_of_points
-from goniotwin.app.campaign.reduction.etalon import ReductionSettings
-from goniotwin.app.campaign.reduction.light_search import (
+from goniotwin.app.campaign.reduction.effects_of_points import effects_of
+from goniotwin.app.campaign.reduction.points import BITS, BsdfPoints
+from goniotwin.app.campaign.reduction.settings import ReductionSettings, mounted
+from goniotwin.app.campaign.studies.closure import EDGE_SHARE, ScannedBeam
+from goniotwin.app.campaign.studies.light_search import (
     LightSeen,
     LobeData,
     PlaceOfImage,
@@ -56,8 +58,6 @@ from goniotwin.app.campaign.reduction.light_search import (
     nearest_lit,
     search_place,
 )
-from goniotwin.app.campaign.reduction.points import BITS, BsdfPoints
-from goniotwin.app.campaign.reduction.scale import mounted
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription, nominal_instrument
 from goniotwin.app.rig.alignment import (

@@ -16,13 +16,15 @@ from goniotwin.app.campaign.measurement_model.light_place import lit_spot
 from goniotwin.app.campaign.measurement_model.pose import Views, mounting_inputs, rig_inputs
 from goniotwin.app.campaign.planning.plan import NewPlan, make_plan
 from goniotwin.app.campaign.proof.virtual_rigs import DrawnRigs, run_with_wires
-from goniotwin.app.campaign.reduction.alignment import AlignmentResult
-from goniotwin.app.campaign.reduction.budget import finished_blocks
-from goniotwin.app.campaign.reduction.comparison import true_bsdf
 from goniotwin.app.campaign.reduction.points import BsdfPoints, join_points
-from goniotwin.app.campaign.reduction.reduction import Reduction, reduction_settings
+from goniotwin.app.campaign.reduction.settings import reduction_settings
 from goniotwin.app.campaign.rehearsal.without_wires import run_without_wires
 from goniotwin.app.campaign.schedule.file import ScheduleDescription, parse_schedule
+from goniotwin.app.campaign.studies.alignment import AlignmentResult
+from goniotwin.app.campaign.studies.budget import finished_blocks
+from goniotwin.app.campaign.studies.comparison import true_bsdf
+from goniotwin.app.campaign.studies.evaluation import evaluate_journal
+from goniotwin.app.campaign.studies.sample_alignment import align_sample
 from goniotwin.app.rig import RigDescription, nominal_instrument, parse_rig
 from goniotwin.app.simulation.paper.gaussian_cut import relative_rms_percent
 from goniotwin.arrays import Floats
@@ -250,7 +252,8 @@ def find(seed: int, folder: Path, *, wires: bool = False, cut: bool = True) -> R
     schedule = parse_schedule(SCHEDULE.read_text(encoding="utf-8"), "alignment")
     plan = drawn_plan(schedule, alignment_rig(), seed)
     with Journal.open(run(plan, folder / f"{seed}.journal", wires=wires)) as journal:
-        result = Reduction(journal).align(SAMPLE)
+        evaluation = evaluate_journal(journal)
+        result = align_sample(evaluation.reduction, evaluation.closure, SAMPLE)
     found = judge_alignment(result, plan)
     if not cut:
         return found
@@ -270,7 +273,7 @@ def find(seed: int, folder: Path, *, wires: bool = False, cut: bool = True) -> R
 def cut_points(path: Path, alignment: Alignment | None) -> BsdfPoints:
     """The points of the cut in the plane of incidence, to two widths of the lobe, corrected by an alignment."""
     with Journal.open(path) as journal:
-        reduction = Reduction(journal)
-        reduction.settings = replace(reduction.settings, alignment=alignment)
+        reduction = evaluate_journal(journal).reduction
+        reduction = replace(reduction, settings=replace(reduction.settings, alignment=alignment))
         points = join_points(list(finished_blocks(reduction, SAMPLE)))
     return points.where(points.in_plane & points.good & (points.theta_deg <= 2.0 * WIDTH_DEG + 1e-6))

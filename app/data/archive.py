@@ -19,14 +19,16 @@ import numpy.typing as npt
 
 from goniotwin.app.campaign.journal.reading import JournalReader
 from goniotwin.app.campaign.measurement_model.inputs import InputQuantity
-from goniotwin.app.campaign.reduction.budget import FILLED, INTERPOLATION
-from goniotwin.app.campaign.reduction.budget import reflectance as reflectance_budget
 from goniotwin.app.campaign.reduction.effects_of_points import effects_of
-from goniotwin.app.campaign.reduction.etalon import ReductionSettings
-from goniotwin.app.campaign.reduction.export import WIDEST_GAP_DEG, heading, scattered_of, scattered_points
 from goniotwin.app.campaign.reduction.points import BsdfPoints, PointSource
-from goniotwin.app.campaign.reduction.reduction import ReducedJournal, Reduction
-from goniotwin.app.campaign.reduction.reflectance import Setting, integration_settings, quadrature
+from goniotwin.app.campaign.reduction.reduction import Reduction
+from goniotwin.app.campaign.reduction.settings import ReductionSettings
+from goniotwin.app.campaign.studies.budget import FILLED, INTERPOLATION
+from goniotwin.app.campaign.studies.budget import reflectance as reflectance_budget
+from goniotwin.app.campaign.studies.evaluation import evaluate_journal
+from goniotwin.app.campaign.studies.reduced_journal import ReducedJournal
+from goniotwin.app.campaign.studies.reflectance import Setting, integration_settings, quadrature
+from goniotwin.app.data.export import WIDEST_GAP_DEG, heading, scattered_of, scattered_points
 from goniotwin.app.formats import archive
 from goniotwin.app.formats.content import COLUMNS, BsdfFile, ScatteredBsdf, gap_line
 from goniotwin.app.formats.file import check_writable
@@ -62,7 +64,7 @@ def write_archive(
     Points with what their uncertainty is made of are in memory in parts; the scattered values of one sample are as a whole.
     """
     check_writable(path)
-    reduction = Reduction(journal, without_damaged=without_damaged)
+    reduction = evaluate_journal(journal, without_damaged=without_damaged).reduction
     tables, missing, good = [], [], 0
     for name, source in reduced.samples.items():
         good += sum(int(points.good.sum()) for points in source.parts(CHUNK_POINTS))

@@ -7,14 +7,14 @@ import pytest
 
 from goniotwin.app.campaign.journal.writing import Journal, software_versions
 from goniotwin.app.campaign.planning.plan import NewPlan
-from goniotwin.app.campaign.reduction.reduction import watch_journal
-from goniotwin.app.campaign.reduction.watch import FALSE_ALARMS, LOOKS, PATTERNS, PLACES, alarm_limit, concise
 from goniotwin.app.campaign.rehearsal import without_wires
 from goniotwin.app.campaign.schedule.file import parse_schedule
+from goniotwin.app.campaign.studies.journals import watch_journal
+from goniotwin.app.campaign.studies.watch import FALSE_ALARMS, LOOKS, PATTERNS, PLACES, alarm_limit, concise
 from goniotwin.app.errors import UserError
 from goniotwin.twin.plant import Plant, TwinModel
-from tests.app.campaign.reduction.alignment_bench import SAMPLE, SCHEDULE, alignment_rig, drawn_plan
-from tests.app.campaign.reduction.test_alignment import SMALL
+from tests.app.campaign.studies.alignment_bench import SAMPLE, SCHEDULE, alignment_rig, drawn_plan
+from tests.app.campaign.studies.test_alignment import SMALL
 
 TILT_DEG = 0.03
 NEVER = -1

@@ -10,13 +10,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from goniotwin.app.campaign.reduction.components import interval, mostly_added
-from goniotwin.app.campaign.reduction.export import scattered_of, scattered_points
 from goniotwin.app.campaign.reduction.overlaps import overlaps
 from goniotwin.app.campaign.reduction.points import FLAGS, BsdfPoints, join_points
-from goniotwin.app.campaign.reduction.reduction import BsdfDataset
+from goniotwin.app.campaign.studies.reduced_journal import BsdfDataset
 from goniotwin.app.cli.main import app
 from goniotwin.app.data import conversion
 from goniotwin.app.data.conversion import format_to_write
+from goniotwin.app.data.export import scattered_of, scattered_points
 from goniotwin.app.data.opening import sample_of_points
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats import read_ddr, read_points_csv, read_zemax, registry
@@ -26,8 +26,8 @@ from goniotwin.app.formats.specular_grid import SpecularCut
 from goniotwin.app.rig import read_rig
 from goniotwin.app.rig.samples import parse_sample
 from goniotwin.twin.optics import arc_direction, evaluate, from_specular, light_direction
-from tests.app.campaign.reduction.exporting import export
 from tests.app.campaign.reduction.made_points import made_points
+from tests.app.data.exporting import export
 from tests.conftest import RIG, Writer
 
 

@@ -43,17 +43,10 @@ from goniotwin.app.campaign.measurement_model.quantity import NONE
 from goniotwin.app.campaign.measurement_model.slopes import Directions
 from goniotwin.app.campaign.reduction.components import Signal
 from goniotwin.app.campaign.reduction.effects_of_points import common_input
-from goniotwin.app.campaign.reduction.etalon import (
-    SIGNATURE,
-    SIGNATURE_READING,
-    ReductionSettings,
-    RowSignal,
-    comparable_signals,
-    pose_key,
-    rows_in_columns,
-)
+from goniotwin.app.campaign.reduction.etalon import SIGNATURE, SIGNATURE_READING, comparable_signals
 from goniotwin.app.campaign.reduction.reading_inputs import GROUPED, Numbers
-from goniotwin.app.campaign.reduction.readings import Measurements, ReferenceMeasurements
+from goniotwin.app.campaign.reduction.reduction import Reduction
+from goniotwin.app.campaign.reduction.row_signals import RowSignal, pose_key, rows_in_columns
 from goniotwin.app.campaign.reduction.signals import LIGHT as LEAST_LIGHT
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.schedule.grids import grid_values
@@ -425,14 +418,9 @@ def _factors_of_etalon() -> list[declared.Input]:
     return [each for each in declared.factors(ETALON) if each.shared_by is SharedBy.ALL]
 
 
-def journal_closure(
-    settings: ReductionSettings, measurements: Measurements, etalon: ReferenceMeasurements, empty: ReferenceMeasurements
-) -> ClosureReport:
-    """The closures of a journal, by scan and wavelength; `empty` was measured without a sample.
-
-    Raises UserError where a row cannot be reduced.
-    """
-    file, rig = settings.schedule, settings.rig
+def journal_closure(reduction: Reduction) -> ClosureReport:
+    """The closures of a journal, by scan and wavelength. Raises UserError where a row cannot be reduced."""
+    file, rig = reduction.schedule, reduction.settings.rig
     if file.open_beam_scan is None:
         return ClosureReport((), (), ("the schedule has no scan of the open beam: add the table [open_beam] to it",))
     not_planned = [
@@ -451,7 +439,7 @@ def journal_closure(
     beams: list[ScannedBeam] = []
     missing: list[str] = []
     for scan in scans:
-        readings = _Readings(scan, settings, measurements, etalon, empty)
+        readings = _Readings(scan, reduction)
         where = f"sigma {scan.sigma_deg:g} deg"
         if reason := readings.trouble:
             missing.append(f"{where}: {reason}")
@@ -510,19 +498,17 @@ def closure_text(report: ClosureReport) -> str:
 class _Readings:
     """The signals of one scan's photodiode in a journal: of the open beam, of the etalon, and without a sample."""
 
-    def __init__(
-        self, scan: BeamScan, settings: ReductionSettings, measurements: Measurements, etalon: ReferenceMeasurements,
-        empty: ReferenceMeasurements,
-    ) -> None:  # fmt: skip
-        self._scan, self._settings, self._measurements, self._empty = scan, settings, measurements, empty
-        self._wavelength_nm = scan_wavelength_nm(settings.schedule)
-        wavelengths = grid_values(settings.schedule.wavelength_nm)
+    def __init__(self, scan: BeamScan, reduction: Reduction) -> None:
+        self._scan, self._settings, self._measurements = scan, reduction.settings, reduction.measurements
+        self._empty = reduction.signature
+        self._wavelength_nm = scan_wavelength_nm(reduction.schedule)
+        wavelengths = grid_values(reduction.schedule.wavelength_nm)
         middle = _angles(scan, scan.middle)
         self._keys = [pose_key(_row(self._wavelength_nm), _angles(scan, k)) for k in range(len(scan.poses))]
         self._middle = {each: pose_key(_row(each), middle) for each in wavelengths}
         self._at_etalon = {each: pose_key(_row(each), scan.etalon_pose) for each in wavelengths}
-        self._open = empty.at([*self._keys, *self._middle.values(), *self._at_etalon.values()])
-        self._etalon = etalon.at(self._at_etalon.values())
+        self._open = self._empty.at([*self._keys, *self._middle.values(), *self._at_etalon.values()])
+        self._etalon = reduction.etalon.at(self._at_etalon.values())
 
     @property
     def trouble(self) -> str:

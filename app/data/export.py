@@ -9,7 +9,7 @@ import numpy as np
 from goniotwin.app.campaign.geometry.directions import polar_from_zenith
 from goniotwin.app.campaign.reduction.components import INTERVAL_RULE, shared_variance
 from goniotwin.app.campaign.reduction.points import BITS, FLAGS, BsdfPoints, PointSource
-from goniotwin.app.campaign.reduction.reduction import ReducedJournal
+from goniotwin.app.campaign.studies.reduced_journal import ReducedJournal
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats import PointStream
 from goniotwin.app.formats.content import CHECK, BsdfFile, ScatteredBsdf, Texts, gap_line, psi_of_gamma

@@ -1,0 +1,103 @@
+"""What the steps of a reduction go by: their settings from rig, schedule, certificate and alignment file."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from datetime import date
+from typing import Literal
+
+import numpy as np
+
+from goniotwin.app.campaign.measurement_model.alignment import Alignment
+from goniotwin.app.campaign.measurement_model.pose import mounting_inputs, rig_inputs
+from goniotwin.app.campaign.reduction.arc_geometry import ArcGeometry
+from goniotwin.app.campaign.reduction.calibration import CalibrationFactors
+from goniotwin.app.campaign.reduction.row_history import RowHistory
+from goniotwin.app.campaign.schedule.certificate import Certificate, constant_certificate, parse_certificate
+from goniotwin.app.campaign.schedule.file import ScheduleFile
+from goniotwin.app.rig import RigFile
+from goniotwin.app.rig.alignment import parse_alignment, refused_residuals
+from goniotwin.arrays import Ints
+from goniotwin.protocols.clock import calendar_stamp
+
+Kind = Literal["sample", "etalon"]
+ASSUMED_YEARS = 1.0
+"""Age of an etalon whose calibration has no date."""
+
+
+@dataclass(frozen=True)
+class ReductionSettings:
+    """What the steps of a reduction go by: rig, schedule, certificate, and the calibration factors of the sample, if any.
+
+    `history`, of a journal, has the mountings, moves and dark readings before each row.
+    `sample` is the name of the sample; `etalon_years` the time since the etalon's calibration.
+    `absolute` has, by wavelength, incidence and whether the arc is the lower one, the ratio of the open beam's scale to that of
+    the certificate, and the relative standard uncertainty of the former; where it has one, it scales transmitted light.
+    `doubted`: the scan of the open beam contradicts the etalon's scale. `alignment` is what is known of the rig's
+    misalignments, by which the values are corrected; None without one.
+    """
+
+    rig: RigFile
+    geometry: ArcGeometry
+    schedule: ScheduleFile
+    certificate: Certificate
+    calibration: CalibrationFactors | None = None
+    history: RowHistory | None = None
+    sample: str = ""
+    etalon_years: float = 1.0
+    absolute: Mapping[tuple[float, float, bool], tuple[float, float]] = field(default_factory=dict)
+    doubted: bool = False
+    alignment: Alignment | None = None
+
+    @property
+    def calibrates(self) -> bool:
+        """Whether the values are multiplied by the calibration factors of the overlaps."""
+        return self.schedule.overlap is not None and self.schedule.overlap.calibrate
+
+
+def reduction_settings(
+    rig: RigFile, schedule: ScheduleFile, certificate: str | None, name: str, measured: date | None = None,
+    alignment: str | None = None,
+) -> ReductionSettings:  # fmt: skip
+    """The settings of a reduction; `certificate` is the text of the schedule's certificate, `name` its name in an error.
+
+    `alignment` is the text of the rig's alignment file. Without a certificate it is the rig file's. `measured` is the day of
+    the measurement, today if it is missing; where a certificate has no date of calibration, this was a year before. Raises
+    UserError.
+    """
+    parsed = constant_certificate(rig.etalon) if certificate is None else parse_certificate(certificate, name)
+    years = parsed.years(measured or date.fromisoformat(calendar_stamp()[:10]))
+    return ReductionSettings(
+        rig, ArcGeometry(rig), schedule, parsed, etalon_years=ASSUMED_YEARS if years is None else years,
+        alignment=None if alignment is None or why_not_aligned(alignment) else rig_alignment(alignment, rig),
+    )  # fmt: skip
+
+
+def why_not_aligned(text: str | None) -> str:
+    """Why the values of a journal are not corrected by the alignment file in it; empty where they are, or without one.
+
+    A rig file that names such a file is refused; journals of earlier versions have them.
+    """
+    file = None if text is None else parse_alignment(text, "alignment")
+    if file is None or (reason := refused_residuals(file)) is None:
+        return ""
+    return f"not corrected by {file.source}: {reason}"
+
+
+def rig_alignment(text: str, rig: RigFile) -> Alignment:
+    """What an alignment file has of a rig; the tilt of the sample that it was measured on is not carried on.
+
+    Raises UserError.
+    """
+    file = parse_alignment(text, "alignment")
+    table = rig.uncertainty
+    of_rig = rig_inputs(table)
+    of_sample = [each for name in file.mountings for each in mounting_inputs(table, "sample", name)]
+    return Alignment.of_file(file, [*of_rig, *of_sample], file.source).only([each.name for each in of_rig])
+
+
+def mounted(kind: Kind, rows: Ints, settings: ReductionSettings) -> tuple[list[str], Ints]:
+    """The mountings, as `paint#2`, in which rows (n,) of the sample or of the etalon were measured, and which of them each."""
+    if settings.history is not None:
+        return settings.history.mounted(rows)
+    name = settings.schedule.etalon if kind == "etalon" else settings.sample or kind
+    return [f"{name}#1"], np.zeros(rows.size, dtype=np.int64)
