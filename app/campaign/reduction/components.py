@@ -13,15 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from goniotwin.app.campaign.measurement_model.quantity import Components, Quantity
-from goniotwin.app.rig.inputs import (
-    CROSSTALK,
-    LINEARITY,
-    MONITOR_DRIFT,
-    MONITOR_LINEARITY,
-    MONOCHROMATOR_STRAY,
-    WAVELENGTH,
-    inputs,
-)
+from goniotwin.app.campaign.reduction.reading_inputs import BETWEEN_ROWS
+from goniotwin.app.rig.inputs import CROSSTALK, MONOCHROMATOR_STRAY, WAVELENGTH, inputs
 from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.twin.plant.disturbances import SharedBy
 
@@ -102,7 +95,7 @@ def shared_variance(components: Components) -> Floats:
     return none + total_variance({name: each for name, each in components.items() if name not in INDEPENDENT})
 
 
-OF_A_QUOTIENT = frozenset({"monitor", "gain", LINEARITY.name, MONITOR_DRIFT.name, MONITOR_LINEARITY.name})
+OF_A_QUOTIENT = frozenset({"monitor", "gain", *(each.name for each in BETWEEN_ROWS)})
 """Components that count where two signals are divided: no light is lost in them."""
 
 

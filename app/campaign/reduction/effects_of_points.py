@@ -11,15 +11,12 @@ from dataclasses import replace
 import numpy as np
 
 from goniotwin.app.campaign.measurement_model.effects import Dense, Effects, Group
-from goniotwin.app.campaign.measurement_model.inputs import InputQuantity, quantity
 from goniotwin.app.campaign.measurement_model.quantity import NONE
 from goniotwin.app.campaign.reduction.angles import angles
 from goniotwin.app.campaign.reduction.points import BsdfPoints
-from goniotwin.app.campaign.reduction.reading_inputs import GROUPED
+from goniotwin.app.campaign.reduction.reading_inputs import GROUPED, common_input
 from goniotwin.app.campaign.reduction.scale import EffectsOf, shared_families
 from goniotwin.app.campaign.reduction.settings import ReductionSettings
-from goniotwin.app.rig import RigFile
-from goniotwin.app.rig import inputs as declared
 from goniotwin.arrays import Floats
 
 
@@ -47,30 +44,10 @@ def effects_of(points: BsdfPoints, settings: ReductionSettings) -> Effects:
     return Effects(value, independent, groups, dense)
 
 
-def common_input(name: str, rig: RigFile) -> InputQuantity:
-    """An input that all values have in common by their readings."""
-    each = COMMON[name]
-    if each is None:
-        return InputQuantity(name, "1", 1.0, "normal", "all values", "[sample_unit] signature_uncertainty", "")
-    source = quantity(each, rig.uncertainty)
-    # Where rows at two gains show more cross-talk than is stated, values have more of this input.
-    return replace(source, u=source.u or 1.0)
-
-
 def _scale(points: BsdfPoints) -> Floats:
     """The values (n,); 1 in place of 0, which has no relative uncertainty."""
     return np.where(points.bsdf == 0.0, 1.0, points.bsdf)
 
 
-COMMON: Mapping[str, declared.Input | None] = {
-    "signature": None,
-    **{
-        each.name: each
-        for each in (
-            declared.LINEARITY, declared.CROSSTALK, declared.MONITOR_DRIFT, declared.MONITOR_LINEARITY, declared.FIELD_OF_VIEW,
-        )
-    },
-}  # fmt: skip
-"""The inputs that all values have in common by their readings; None for one that is stated in another table."""
 FAMILIES: Mapping[str, EffectsOf] = {"pose": angles, "position": angles, "photodiode_angle": angles}
 """The families of inputs of angles by the names of their components: each gives the effects of its inputs on points."""

@@ -42,9 +42,8 @@ from goniotwin.app.campaign.measurement_model.pose import (
 from goniotwin.app.campaign.measurement_model.quantity import NONE
 from goniotwin.app.campaign.measurement_model.slopes import Directions
 from goniotwin.app.campaign.reduction.components import Signal
-from goniotwin.app.campaign.reduction.effects_of_points import common_input
 from goniotwin.app.campaign.reduction.etalon import SIGNATURE, SIGNATURE_READING, comparable_signals
-from goniotwin.app.campaign.reduction.reading_inputs import GROUPED, Numbers
+from goniotwin.app.campaign.reduction.reading_inputs import GROUPED, Numbers, common_input
 from goniotwin.app.campaign.reduction.reduction import Reduction
 from goniotwin.app.campaign.reduction.row_signals import RowSignal, pose_key, rows_in_columns
 from goniotwin.app.campaign.reduction.signals import LIGHT as LEAST_LIGHT

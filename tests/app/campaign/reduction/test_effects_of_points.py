@@ -30,10 +30,10 @@ from goniotwin.app.campaign.measurement_model.pose import (
 from goniotwin.app.campaign.measurement_model.quantity import Quantity
 from goniotwin.app.campaign.reduction.angles import add_pose
 from goniotwin.app.campaign.reduction.arc_geometry import ArcGeometry
-from goniotwin.app.campaign.reduction.effects_of_points import COMMON, FAMILIES, effects_of
+from goniotwin.app.campaign.reduction.effects_of_points import FAMILIES, effects_of
 from goniotwin.app.campaign.reduction.pipeline import add_shared
 from goniotwin.app.campaign.reduction.points import BsdfPoints, join_points
-from goniotwin.app.campaign.reduction.reading_inputs import GROUPED, Numbers
+from goniotwin.app.campaign.reduction.reading_inputs import COMMON, GROUPED, Numbers
 from goniotwin.app.campaign.reduction.row_history import RowHistory, history_of
 from goniotwin.app.campaign.reduction.scale import shared_families
 from goniotwin.app.campaign.reduction.settings import ReductionSettings, reduction_settings
