@@ -107,6 +107,11 @@ class Channel:
         with contextlib.suppress(OSError):
             self._connection.shutdown(socket.SHUT_RDWR)
 
+    def end_sending(self) -> None:
+        """Send no more; what the other end sends is received until it closes, too."""
+        with contextlib.suppress(OSError):
+            self._connection.shutdown(socket.SHUT_WR)
+
     def wait_at_most(self, timeout_s: float | None) -> None:
         """From now on `send` and each part of `receive` wait so long, or without a limit."""
         self._connection.settimeout(timeout_s)

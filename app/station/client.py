@@ -16,6 +16,8 @@ ATTACH_S = 5.0
 """Longest time of each answer until a client is attached."""
 ANSWER_S = 10.0
 """The same for a command that is waited for."""
+LEAVE_S = 1.0
+"""Longest wait for the station to note that a client leaves: it has more to do than that, or hangs."""
 
 
 class Refused(UserError):
@@ -99,9 +101,11 @@ class StationClient:
         return self.send(command, **arguments).result(ANSWER_S)
 
     def close(self) -> None:
-        """Leave the station, which goes on."""
-        self._channel.hang_up()
+        """Leave the station, which goes on. If this client operates, its place is free then: the next may come at once."""
+        self._channel.end_sending()
         if self._thread.is_alive() and threading.current_thread() is not self._thread:
+            self._thread.join(LEAVE_S)
+            self._channel.hang_up()
             self._thread.join()
         self._channel.close()
 

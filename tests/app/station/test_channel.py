@@ -9,6 +9,7 @@ import pytest
 
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.running.events import EventLogged, Positions, RowStarted, SafetyOrder
+from goniotwin.app.station import client as station_client
 from goniotwin.app.station import server as station_server
 from goniotwin.app.station.client import NoStation, Refused, StationClient
 from goniotwin.app.station.messages import (
@@ -229,6 +230,29 @@ def test_clients_of_one_name_are_several_also_at_the_same_moment(
     for each in ends:
         each.close()
     until(lambda: server.clients == taken)
+
+
+def test_a_client_that_has_left_operates_no_more(station: Station, attach: Callable[[str], Watcher]) -> None:
+    """A script gives one command after the other, each a client with another name."""
+    here = attach("here").client
+    here.do("operate")
+    leaving = threading.Thread(target=here.close)
+    with station.board.deciding() as snapshot:  # the station has other work
+        leaving.start()
+        leaving.join(0.2)
+        assert (leaving.is_alive(), snapshot.operator) == (True, "here")
+    leaving.join()
+    assert station.snapshot.operator == ""
+
+
+def test_a_client_leaves_a_station_that_hangs(
+    station: Station, attach: Callable[[str], Watcher], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(station_client, "LEAVE_S", 0.05)
+    here = attach("here")
+    with station.board.deciding():
+        here.client.close()
+        assert here.ended.is_set()
 
 
 def test_a_client_too_many_is_refused_and_the_others_stay(

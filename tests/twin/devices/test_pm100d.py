@@ -131,7 +131,7 @@ def test_pyusb_finds_the_twin_by_its_descriptors(rig: VirtualRig) -> None:
 
 def test_python_usbtmc_unmodified_talks_to_the_twin(opened: RigOpener) -> None:
     """An independent client, found through pyusb as if the instrument were on the bus."""
-    rig = opened(clock=RealClock(speed=100.0)).virtual
+    rig = opened(clock=RealClock(speed=25.0)).virtual
     assert rig is not None
     with install_backend(TwinUsbBackend(rig)):
         client = usbtmc.Instrument("USB::0x1313::0x8078::TWIN0001::INSTR")
