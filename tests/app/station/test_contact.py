@@ -174,29 +174,35 @@ def test_a_device_that_fails_in_a_run_is_silent_until_a_row_has_its_answer(
     assert set(seen[1:]) == {Contact.CONNECTED}
 
 
-def test_axes_that_do_not_respond_while_a_question_waits_are_silent(
-    idle: Idle, write_schedule: Writer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A mounting may last an hour. When they respond again they are connected, and the run goes on."""
-    monkeypatch.setattr("goniotwin.app.station.station.ENCODERS_S", 0.01)
-    silent = pytest.MonkeyPatch()
+def contacts_during_a_question(idle: Idle, device: str, lose: Callable[[], None], restore: Callable[[], None]) -> list[Contact]:
+    """Contacts of a device that is lost at the first question, and restored once that is noted; then the answer."""
     seen: list[Contact] = []
 
     def react(message: object) -> None:
         question = idle.station.snapshot.question
         match message:
             case QuestionAsked() if not seen:
-                silent_positions(silent)
+                lose()
             case QuestionAsked(number, _):
                 idle.station.answer(number, Answer.MOUNTED)
-            case DeviceChanged("axes", status):
+            case DeviceChanged(name, status) if name == device:
                 seen.append(status.contact)
-                silent.undo()
+                restore()
                 idle.wall.sleep_until(idle.wall.now() + REPEAT_S)
                 if status.connected and question is not None:
                     idle.station.answer(question.number, Answer.MOUNTED)
 
     idle.reactions.append(react)
+    return seen
+
+
+def test_axes_that_do_not_respond_while_a_question_waits_are_silent(
+    idle: Idle, write_schedule: Writer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A mounting may last an hour. When they respond again they are connected, and the run goes on."""
+    monkeypatch.setattr("goniotwin.app.station.station.ENCODERS_S", 0.01)
+    silent = pytest.MonkeyPatch()
+    seen = contacts_during_a_question(idle, "axes", lambda: silent_positions(silent), silent.undo)
     idle.station.start(write_schedule(text=SMALL), tmp_path, person=True)
     assert idle.work().state is State.DONE
     assert seen == [Contact.SILENT, Contact.CONNECTED]
@@ -208,24 +214,12 @@ def test_a_device_that_fails_while_a_question_waits_is_silent_until_it_responds(
     """A mounting in whose middle the monitor's cable is pulled and plugged in again."""
     monkeypatch.setattr("goniotwin.app.station.station.ENCODERS_S", 0.01)
     monitor = idle.virtual.usb["monitor"]
-    seen: list[Contact] = []
 
-    def react(message: object) -> None:
-        question = idle.station.snapshot.question
-        match message:
-            case QuestionAsked() if not seen:
-                monitor.unplug()
-                idle.wall.sleep_until(idle.wall.now() + ASK_S)
-            case QuestionAsked(number, _):
-                idle.station.answer(number, Answer.MOUNTED)
-            case DeviceChanged("monitor", status):
-                seen.append(status.contact)
-                monitor.replug()
-                idle.wall.sleep_until(idle.wall.now() + REPEAT_S)
-                if status.connected and question is not None:
-                    idle.station.answer(question.number, Answer.MOUNTED)
+    def unplug() -> None:
+        monitor.unplug()
+        idle.wall.sleep_until(idle.wall.now() + ASK_S)
 
-    idle.reactions.append(react)
+    seen = contacts_during_a_question(idle, "monitor", unplug, monitor.replug)
     idle.station.start(write_schedule(text=SMALL), tmp_path, person=True)
     assert idle.work().state is State.DONE
     assert seen == [Contact.SILENT, Contact.CONNECTED]
