@@ -112,8 +112,10 @@ def pose_names() -> frozenset[str]:
 
 def element_deviations(values: Mapping[str, float], pupil_distance_mm: float) -> dict[str, Deviation]:
     """The deviations of the instrument's elements by the values of quantities, such as `mirror_2_tilt_x`."""
-    targets = {name: at for each in inputs() for name, (at, *_) in each.targets.items()}
-    return twin.element_deviations({targets[name]: values[name] for name in targets.keys() & values}, pupil_distance_mm)
+    amounts: dict[Target, float] = {}
+    for name, targets in ((name, targets) for each in inputs() for name, targets in each.targets.items() if name in values):
+        amounts |= {target: amounts.get(target, 0.0) + values[name] for target in targets}
+    return twin.element_deviations(amounts, pupil_distance_mm)
 
 
 def factor_of(*paths: str) -> tuple[Target, ...]:

@@ -11,9 +11,8 @@ import pytest
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.proof.virtual_rigs import DrawnRigs
-from goniotwin.app.campaign.reduction.components import INDEPENDENT, common_names
-from goniotwin.app.campaign.reduction.effects_of_points import FAMILIES, effects_of
-from goniotwin.app.campaign.reduction.reading_inputs import COMMON, GROUPED
+from goniotwin.app.campaign.reduction.components import kinds
+from goniotwin.app.campaign.reduction.effects_of_points import effects_of
 from goniotwin.app.campaign.rehearsal.without_wires import run_without_wires
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.campaign.studies.budget import budget_of_value
@@ -21,10 +20,10 @@ from goniotwin.app.campaign.studies.evaluation import evaluate_journal
 from goniotwin.app.campaign.studies.reduced_journal import reduce_journal
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription, parse_rig, rig_file_table
-from goniotwin.app.rig.inputs import Input, factor_of, inputs, withdraw
+from goniotwin.app.rig.inputs import Input, element_deviations, factor_of, inputs, withdraw
 from goniotwin.app.toml_file import json_schema
 from goniotwin.twin.plant import Plant
-from goniotwin.twin.plant.disturbances import ETALON, SAMPLE, SharedBy
+from goniotwin.twin.plant.disturbances import ETALON, SAMPLE, SharedBy, Target
 from goniotwin.twin.plant.view import Aspect
 from tests.conftest import RIG, changed
 from tests.input_list import DOCUMENT, renewed
@@ -186,6 +185,13 @@ def test_the_document_is_up_to_date(monkeypatch: pytest.MonkeyPatch) -> None:
     assert renewed(TEXT) == TEXT
 
 
+def test_what_several_inputs_do_to_one_element_adds_up() -> None:
+    knock = Input("knock_mm", 0.0, "knock", (Target("pupil", "x_mm"), Target("arc", "x_mm")))
+    found = element_deviations({"illumination_shift_x": 0.2, "knock": 0.3}, 500.0)
+    withdraw(knock)
+    assert (found["pupil"].x_mm, found["arc"].x_mm) == pytest.approx((0.5, 0.3))
+
+
 def test_a_second_one_of_a_key_is_refused_and_so_is_a_factor_of_no_path() -> None:
     with pytest.raises(ValueError, match="there is an input 'etalon_stain' already"):
         Input("etalon_stain", 0.0, "another stain")
@@ -196,6 +202,5 @@ def test_a_second_one_of_a_key_is_refused_and_so_is_a_factor_of_no_path() -> Non
 def test_the_document_has_each_component() -> None:
     """Components that follow from a step have no declaration: the table of them is written by hand."""
     table = TEXT.partition("| component | inputs | section |")[2].partition("\n\n")[0]
-    factors = {each.name for each in inputs() if each.paths}
-    names = {*INDEPENDENT, *COMMON, *GROUPED, *FAMILIES, *common_names(), *factors} - DECLARED_HERE
+    names = {*kinds()} - DECLARED_HERE
     assert [name for name in sorted(names) if f"`{name.partition('[')[0]}`" not in table] == []

@@ -230,7 +230,7 @@ def test_the_event_of_a_guardian_is_taken_over_by_the_next_session_of_its_journa
     until(rig.is_open)
     rig.kill(process.pid)
     rig.wait_until_closed()
-    assert Path(f"{journal}{EVENTS_SUFFIX}").exists()
+    until(Path(f"{journal}{EVENTS_SUFFIX}").exists)  # it is written after the answer
     assert campaign_summary(journal).orders == []
     resumed = CommandProcess(rig.folder, "run", "--resume", journal)
     assert resumed.wait() == 0, resumed.errors

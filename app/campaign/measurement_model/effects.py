@@ -160,6 +160,13 @@ def group_variance(group: Group) -> Floats:
     return total
 
 
+def dense_of(group: Group) -> Dense:
+    """A group of few inputs as inputs of all values."""
+    numbers = list(group.inputs)
+    sums = [np.where(group.member == k, group.sensitivity, 0.0).sum(axis=1) for k in numbers]
+    return Dense([group.inputs[k] for k in numbers], np.stack(sums, axis=1))
+
+
 def merged(parts: Iterable[list[Component]]) -> list[Component]:
     """Components of a sum over several parts of the values (blocks): what has one name in several is one input.
 

@@ -25,7 +25,7 @@ from goniotwin.app.campaign.measurement_model.pose import (
     variance,
 )
 from goniotwin.app.campaign.reduction.points import PLACE, BsdfPoints
-from goniotwin.app.campaign.reduction.settings import Kind, ReductionSettings, mounted
+from goniotwin.app.campaign.reduction.settings import OpticalPath, ReductionSettings, mounted
 from goniotwin.app.rig import nominal_instrument
 from goniotwin.app.rig.inputs import PHOTODIODE_ACROSS, PHOTODIODE_ANGLE
 from goniotwin.arrays import Floats, Ints
@@ -100,7 +100,7 @@ def angles(points: BsdfPoints, settings: ReductionSettings) -> Effects:
 
     dense = [Dense(inputs, relative(part)) for inputs, part in pose_parts(points, settings, effects)]
     lifted = relative(effects.lifted)
-    kinds: Sequence[tuple[Kind, Ints, Floats]] = (("sample", points.row, lifted), ("etalon", points.etalon_row, -lifted))
+    kinds: Sequence[tuple[OpticalPath, Ints, Floats]] = (("sample", points.row, lifted), ("etalon", points.etalon_row, -lifted))
     for kind, rows, products in kinds:
         names, which = mounted(kind, rows, settings)
         for k, name in enumerate(names):

@@ -1,37 +1,114 @@
 """Components of the uncertainty of a value: their names, which of them are alike, and the rules of u and its interval.
 
 A component is the *variance* by one family of inputs, or by what a value has alone, in the square of the value's unit and in an
-array of the values' shape. For tables a component is wholly shared between neighbouring directions or, if it is in INDEPENDENT,
+array of the values' shape. For tables a component is wholly shared between neighbouring directions or, if it is independent,
 not at all. `Quantity` has the effects that they come from.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from goniotwin.app.campaign.measurement_model.inputs import InputQuantity
 from goniotwin.app.campaign.measurement_model.quantity import Components, Quantity
-from goniotwin.app.campaign.reduction.reading_inputs import BETWEEN_ROWS
-from goniotwin.app.rig.inputs import CROSSTALK, MONOCHROMATOR_STRAY, WAVELENGTH, inputs
+from goniotwin.app.campaign.reduction.reading_inputs import (
+    Describe,
+    band_shape_input,
+    calibration_input,
+    dark_input,
+    declared_input,
+    etalon_input,
+    gain_input,
+    lamp_input,
+    monitor_input,
+    signature_common,
+    signature_input,
+)
+from goniotwin.app.rig import RigFile
+from goniotwin.app.rig import inputs as declared
 from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.twin.plant.disturbances import SharedBy
 
 DETECTED = 3.0
 """A value below so many of its standard uncertainties is lost in its noise: below the detection limit."""
-INDEPENDENT = frozenset({"noise", "resolution", "ray_tracing", "etalon_reading", "signature_reading", "field_noise"})
-"""Components whose errors differ between neighbouring directions: each has readings of its own at the sample and at the etalon.
 
-All others count as shared, also those that are shared in part (`dark`, `monitor`, `gain`, `signature`): that the errors average
-out would be a claim, so u is at most too large. A new contribution is shared unless it is named here.
-"""
-NOISE = INDEPENDENT | {"dark", CROSSTALK.name, "signature"}
-"""Components that are there without light: what a value is lost in. All others are shares of the value."""
-ADDED = frozenset(
-    {"noise", "resolution", "ray_tracing", "dark", "signature", "signature_reading", CROSSTALK.name, "field_noise"}
-)
-"""Components that are added to a value whatever its size; all others are shares of it."""
+
+@dataclass(frozen=True)
+class Kind:
+    """What the errors of a component are like. All is False of inputs that values of any direction have in common.
+
+    `inputs` describes an input of the readings by its number (any, of one that all values have); None of what each value has
+    alone, and of inputs that follow from files and poses (scale.py, angles.py).
+    `independent`: they differ between neighbouring directions, each of which has readings of its own at the sample and at the
+    etalon. Not so of what is shared in part: that its errors average out would be a claim, so u is at most too large.
+    `added`: they are added to a value whatever its size. All others are shares of it.
+    `of_quotient`: they count where two signals are divided: no light is lost in them.
+    `of_row`: all photodiodes of a row have them in common, at the sample and at the etalon.
+    `of_direction`: they are the same for two values of one direction, or of a direction and its mirror image.
+    """
+
+    inputs: Describe | None = None
+    independent: bool = False
+    added: bool = False
+    of_quotient: bool = False
+    of_row: bool = False
+    of_direction: bool = False
+
+
+OTHER = Kind()
+"""Of a component of files that is not named here."""
+KINDS: Mapping[str, Kind] = {
+    "noise": Kind(independent=True, added=True),
+    "resolution": Kind(independent=True, added=True),
+    "ray_tracing": Kind(independent=True, added=True),
+    "dark": Kind(dark_input, added=True),
+    "lamp": Kind(lamp_input, of_row=True),
+    "monitor": Kind(monitor_input, of_quotient=True, of_row=True),
+    "gain": Kind(gain_input, of_quotient=True),
+    declared.LINEARITY.name: Kind(declared_input(declared.LINEARITY), of_quotient=True),
+    declared.MONITOR_DRIFT.name: Kind(declared_input(declared.MONITOR_DRIFT), of_quotient=True),
+    declared.MONITOR_LINEARITY.name: Kind(declared_input(declared.MONITOR_LINEARITY), of_quotient=True),
+    declared.CROSSTALK.name: Kind(declared_input(declared.CROSSTALK), added=True),
+    "signature": Kind(signature_common, added=True),
+    "signature_reading": Kind(signature_input, independent=True, added=True),
+    "etalon_reading": Kind(etalon_input, independent=True),
+    "calibration": Kind(calibration_input),
+    declared.FIELD_OF_VIEW.name: Kind(declared_input(declared.FIELD_OF_VIEW)),
+    "field_noise": Kind(independent=True, added=True),
+    "second_order": Kind(),
+    "slope_unresolved": Kind(),
+    "pose": Kind(),
+    "position": Kind(),
+    "photodiode_angle": Kind(),
+    "certificate": Kind(of_direction=True),
+    "open_beam": Kind(of_direction=True),
+    declared.WAVELENGTH.name: Kind(of_direction=True),
+    "bandwidth": Kind(of_direction=True),
+    "band_shape": Kind(band_shape_input, of_direction=True),
+    declared.MONOCHROMATOR_STRAY.name: Kind(of_direction=True),
+    "polarisation": Kind(of_direction=True),
+}
+"""All components by name, but for the declared factors on the light of sample and etalon."""
+
+
+def kinds() -> dict[str, Kind]:
+    """All components by name. A factor that is another after each move is common to the photodiodes of a row."""
+    of_row = {each.name: each.shared_by is SharedBy.MOVE for each in declared.factors()}
+    return {**KINDS, **{name: Kind(of_row=each, of_direction=not each) for name, each in of_row.items()}}
+
+
+def input_of(component: str, number: int, rig: RigFile) -> InputQuantity:
+    """An input of the readings; `number` is any of one that all values have in common."""
+    describe = KINDS[component].inputs
+    assert describe is not None
+    return describe(number, rig)
+
+
+INDEPENDENT = frozenset(name for name, each in KINDS.items() if each.independent)
+ADDED = frozenset(name for name, each in KINDS.items() if each.added)
 COVERAGE = 1.96
 """Standard uncertainties from a value to the ends of its interval of 95 %."""
 LOGARITHMIC = 0.15
@@ -72,13 +149,6 @@ def deviation_in_u(value: Floats, u: Floats, added: Flags, expected: Floats) -> 
     return np.where(chosen, np.log(ratio) * value / u, (value - expected) / u)
 
 
-def common_names() -> frozenset[str]:
-    """Components whose errors are the same for two values of one direction, or of a direction and its mirror image."""
-    factors = {each.name for each in inputs() if each.paths and each.shared_by is not SharedBy.MOVE}
-    declared = factors | {WAVELENGTH.name, MONOCHROMATOR_STRAY.name}
-    return frozenset(declared | {"open_beam", "bandwidth", "band_shape", "polarisation"})
-
-
 def total_variance(components: Components) -> Floats:
     """The variance of values from all of their components."""
     return np.asarray(sum(components.values()), dtype=float)
@@ -93,10 +163,6 @@ def shared_variance(components: Components) -> Floats:
     """The part of the variance whose errors have one sign in neighbouring directions, so that no interpolation reduces them."""
     none = np.zeros_like(total_variance(components))
     return none + total_variance({name: each for name, each in components.items() if name not in INDEPENDENT})
-
-
-OF_A_QUOTIENT = frozenset({"monitor", "gain", *(each.name for each in BETWEEN_ROWS)})
-"""Components that count where two signals are divided: no light is lost in them."""
 
 
 @dataclass(frozen=True)
@@ -115,8 +181,8 @@ class Signal(Quantity):
 
     @property
     def reading_variance(self) -> Floats:
-        """The variance by the readings alone, without OF_A_QUOTIENT: whether there is light."""
-        alone = [each for name, each in self.components.items() if name not in OF_A_QUOTIENT]
+        """The variance by what light is lost in: all components but those `of_quotient`."""
+        alone = [each for name, each in self.components.items() if not KINDS[name].of_quotient]
         return np.zeros(self.value.shape) + sum(alone)
 
     @property

@@ -13,8 +13,8 @@ import numpy as np
 from goniotwin.app.campaign.measurement_model.effects import Dense, Effects, Group
 from goniotwin.app.campaign.measurement_model.quantity import NONE
 from goniotwin.app.campaign.reduction.angles import angles
+from goniotwin.app.campaign.reduction.components import input_of
 from goniotwin.app.campaign.reduction.points import BsdfPoints
-from goniotwin.app.campaign.reduction.reading_inputs import GROUPED, common_input
 from goniotwin.app.campaign.reduction.scale import EffectsOf, shared_families
 from goniotwin.app.campaign.reduction.settings import ReductionSettings
 from goniotwin.arrays import Floats
@@ -25,11 +25,11 @@ def effects_of(points: BsdfPoints, settings: ReductionSettings) -> Effects:
     value = _scale(points)
     groups, dense = [], []
     for name, effect in points.common.items():
-        source = common_input(name, settings.rig)
+        source = input_of(name, 0, settings.rig)
         dense.append(Dense([source], (effect / (source.u * value))[:, None]))
     for name, terms in points.grouped.items():
         numbers, which = np.unique(terms.member, return_inverse=True)
-        inputs = {k: GROUPED[name](k, settings.rig) for k in numbers.tolist() if k != NONE}
+        inputs = {k: input_of(name, k, settings.rig) for k in numbers.tolist() if k != NONE}
         u = np.array([inputs[k].u if k != NONE else 1.0 for k in numbers.tolist()])[which.reshape(terms.member.shape)]
         relative = np.divide(terms.effect, u * value[:, None], out=np.zeros(u.shape), where=u != 0.0)
         groups.append(Group(name, inputs, terms.member.astype(np.int64), relative))

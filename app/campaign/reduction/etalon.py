@@ -18,7 +18,7 @@ from goniotwin.app.campaign.reduction.arc_geometry import ArcGeometry
 from goniotwin.app.campaign.reduction.arc_rows import SIGMA, WAVELENGTH, ArcRows, ArcViews, arcs_of_rows, etalon_places
 from goniotwin.app.campaign.reduction.components import Signal
 from goniotwin.app.campaign.reduction.points import BsdfPoints, join_points, pack_flags, points_of_quantity
-from goniotwin.app.campaign.reduction.reading_inputs import BETWEEN_ROWS, Numbers
+from goniotwin.app.campaign.reduction.reading_inputs import Numbers
 from goniotwin.app.campaign.reduction.row_signals import PlaceIndex, PoseKey, RowSignals, pose_key
 from goniotwin.app.campaign.reduction.settings import ReductionSettings
 from goniotwin.app.campaign.row import Row
@@ -128,9 +128,9 @@ def comparable_signals(rows: RowSignals, channels: Ints, rig: RigFile) -> Signal
     changes = {
         LINEARITY: decades, MONITOR_DRIFT: -rows.hours[:, None], MONITOR_LINEARITY: -rows.monitor_decades[:, None],
     }  # fmt: skip
-    for each in BETWEEN_ROWS:
+    for each, change in changes.items():
         if u := table.u(each):
-            signal = signal.with_common(each.name, u * changes[each] * signal.value)
+            signal = signal.with_common(each.name, u * change * signal.value)
     return signal
 
 

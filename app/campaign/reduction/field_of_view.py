@@ -20,7 +20,7 @@ from goniotwin.app.campaign.geometry.directions import is_lower, polar_from_zeni
 from goniotwin.app.campaign.measurement_model.field import correct_logarithm, directions_covariance
 from goniotwin.app.campaign.measurement_model.slopes import MAX_DISTANCE_RAD, WINDOW, Directions, reach, slopes_of
 from goniotwin.app.campaign.reduction.angles import aligned_displacement
-from goniotwin.app.campaign.reduction.components import DETECTED, INDEPENDENT, NOISE, total_variance
+from goniotwin.app.campaign.reduction.components import ADDED, DETECTED, INDEPENDENT, total_variance
 from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.reduction.settings import ReductionSettings
 from goniotwin.app.rig import inputs as declared
@@ -169,7 +169,7 @@ def merge_directions(points: BsdfPoints) -> MergedDirections:
     components = points.components
     noise, independent = (
         np.zeros(points.size) + total_variance({name: each for name, each in components.items() if name in names})
-        for names in (NOISE, INDEPENDENT)
+        for names in (ADDED | INDEPENDENT, INDEPENDENT)
     )
     return MergedDirections(
         directions=Directions(

@@ -21,7 +21,7 @@ from goniotwin.app.campaign.measurement_model.quantity import (
     Terms,
     join_quantities,
 )
-from goniotwin.app.campaign.reduction.components import common_names, standard_uncertainty, total_variance
+from goniotwin.app.campaign.reduction.components import OTHER, kinds, standard_uncertainty, total_variance
 from goniotwin.app.formats import content
 from goniotwin.arrays import Flags, Floats, Indices, Ints
 from goniotwin.twin.optics.geometry.coordinates import aspecular_deg, round_deg, signed_polar
@@ -284,11 +284,11 @@ class BsdfPoints(MeasuredDirections):
         return {name: np.sqrt(np.maximum(variance, 0.0)) for name, variance in self.components.items()}
 
     def own_variance(self, common: float) -> Floats:
-        """The variance of the BSDF without what points of one direction share: `common_names`, and a relative uncertainty of
-        the certificate's.
+        """The variance of the BSDF without what points of one direction share, and a relative uncertainty of the certificate's
+        that is `common` to more.
         """
-        shared = {"certificate", *common_names()}
-        others = {name: each for name, each in self.components.items() if name not in shared}
+        of = kinds()
+        others = {name: each for name, each in self.components.items() if not of.get(name, OTHER).of_direction}
         certificate = self.components.get("certificate", np.zeros(self.bsdf.size)) - (common * self.bsdf) ** 2
         # Where the open beam is the scale, the certificate has no part in it.
         return total_variance({**others, "certificate": np.maximum(certificate, 0.0)})

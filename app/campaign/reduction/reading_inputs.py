@@ -4,14 +4,14 @@ A number is made of what shares the input: a dark reading, a row, a gain, a phot
 uncertainty, so that an input that the readings themselves show has an uncertainty of 1.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from goniotwin.app.campaign.measurement_model.inputs import InputQuantity, quantity
 from goniotwin.app.rig import RigFile
-from goniotwin.app.rig import inputs as declared
+from goniotwin.app.rig.inputs import Input
 from goniotwin.arrays import Indices, Ints
 
 JOURNAL = "the journal's readings"
@@ -133,31 +133,19 @@ def _volts(gain: int, rig: RigFile) -> str:
     return f"{rig.photodiodes.gains_v_per_a[gain]:g} V/A"
 
 
-def common_input(name: str, rig: RigFile) -> InputQuantity:
-    """An input that all values have in common by their readings."""
-    each = COMMON[name]
-    if each is None:
-        return InputQuantity(name, "1", 1.0, "normal", "all values", "[sample_unit] signature_uncertainty", "")
-    source = quantity(each, rig.uncertainty)
-    # Where rows at two gains show more cross-talk than is stated, values have more of this input.
-    return replace(source, u=source.u or 1.0)
+def signature_common(number: int, rig: RigFile) -> InputQuantity:
+    """What the signature is with a sample mounted, over what it is without one."""
+    del number, rig
+    return InputQuantity("signature", "1", 1.0, "normal", "all values", "[sample_unit] signature_uncertainty", "")
 
 
-BETWEEN_ROWS = (declared.LINEARITY, declared.MONITOR_DRIFT, declared.MONITOR_LINEARITY)
-"""Inputs by what changes from one row to another, which `comparable_signals` has: they count where two signals are divided."""
-COMMON: Mapping[str, declared.Input | None] = {
-    "signature": None,
-    **{each.name: each for each in (*BETWEEN_ROWS, declared.CROSSTALK, declared.FIELD_OF_VIEW)},
-}
-"""The inputs that all values have in common by their readings; None for one that is stated in another table."""
-GROUPED: Mapping[str, Describe] = {
-    "dark": dark_input,
-    "lamp": lamp_input,
-    "monitor": monitor_input,
-    "gain": gain_input,
-    "etalon_reading": etalon_input,
-    "signature_reading": signature_input,
-    "calibration": calibration_input,
-    "band_shape": band_shape_input,
-}
-"""The families of inputs of readings, by the names of their components."""
+def declared_input(each: Input) -> Describe:
+    """A declared input that all values have in common by their readings."""
+
+    def describe(number: int, rig: RigFile) -> InputQuantity:
+        del number
+        source = quantity(each, rig.uncertainty)
+        # Where rows at two gains show more cross-talk than is stated, values have more of this input.
+        return replace(source, u=source.u or 1.0)
+
+    return describe

@@ -14,12 +14,12 @@ from functools import partial
 import numpy as np
 
 from goniotwin.app.campaign.geometry.directions import polar_from_zenith
-from goniotwin.app.campaign.measurement_model.effects import Dense, Effects, Group
+from goniotwin.app.campaign.measurement_model.effects import Dense, Effects, Group, dense_of
 from goniotwin.app.campaign.measurement_model.inputs import InputQuantity, quantity
 from goniotwin.app.campaign.measurement_model.pose import OF_ETALON
 from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.reduction.polarisation import light_state
-from goniotwin.app.campaign.reduction.settings import Kind, ReductionSettings, mounted
+from goniotwin.app.campaign.reduction.settings import OpticalPath, ReductionSettings, mounted
 from goniotwin.app.campaign.reduction.spectrum import bandwidth_effects, stray_effects, wavelength_effects
 from goniotwin.app.campaign.schedule.certificate import Certificate
 from goniotwin.app.rig.file import known_angles
@@ -127,28 +127,40 @@ def factor_effects(each: Input, points: BsdfPoints, settings: ReductionSettings)
     One that the etalon has for the whole campaign is in the scale of the open beam, where that is the scale. What is another
     after each move is that of the sample's row and of the etalon's.
     """
-    years = settings.etalon_years if each.per_year else 1.0
-    table, shared_by = settings.rig.uncertainty, each.shared_by
-    if not years * table.u(each):
+    if (not settings.etalon_years and each.per_year) or not settings.rig.uncertainty.u(each):
         return None
-    kinds: Sequence[tuple[Kind, Ints, float]] = ((SAMPLE, points.row, 1.0), (ETALON, points.etalon_row, -1.0))
-    kinds = [kind for kind in kinds if kind[0] in each.paths]
-    if shared_by is SharedBy.MOVE:
-        history = settings.history
-        number = np.stack([rows if history is None else np.sum(history.moves(rows), axis=1) for _, rows, _ in kinds], axis=1)
-        moved = {k: quantity(each, table, f"{each.name}@#{k}", times=years) for k in np.unique(number).tolist()}
-        sensitivity = np.broadcast_to([sign for _, _, sign in kinds], number.shape)
-        return Effects(points.bsdf, {}, [Group(each.name, moved, number, sensitivity)], ())
-    dense: list[Dense] = []
-    if shared_by is SharedBy.ALL:
-        parts = [-_by_certificate(points, settings) if kind == ETALON else np.ones(points.size) for kind, _, _ in kinds]
-        dense = [Dense([quantity(each, table, times=years)], sum(parts, np.zeros(points.size))[:, None])]
-    for kind, rows, sign in kinds if shared_by is SharedBy.MOUNTING else ():
-        names, which = mounted(kind, rows, settings)
-        words = OF_ETALON if kind == ETALON else ""
-        of_mounting = [quantity(each, table, f"{each.name}@{name}", shared_by=words, times=years) for name in names]
-        dense += [Dense([one], np.where(which == k, sign, 0.0)[:, None]) for k, one in enumerate(of_mounting)]
-    return Effects(points.bsdf, {}, (), dense)
+    kinds: Sequence[tuple[OpticalPath, Ints, float]] = ((SAMPLE, points.row, 1.0), (ETALON, points.etalon_row, -1.0))
+    inputs: dict[str, InputQuantity] = {}
+    member, sensitivity = [], []
+    for kind, rows, sign in kinds:
+        if kind in each.paths:
+            found, which = factor_quantities(each, kind, rows, settings)
+            for one in found:
+                inputs.setdefault(one.name, one)
+            numbers = {name: k for k, name in enumerate(inputs)}
+            member.append(np.array([numbers[one.name] for one in found])[which])
+            of_beam = kind == ETALON and each.shared_by is SharedBy.ALL
+            sensitivity.append(sign * (_by_certificate(points, settings) if of_beam else np.ones(points.size)))
+    group = Group(each.name, dict(enumerate(inputs.values())), np.stack(member, axis=1), np.stack(sensitivity, axis=1))
+    many = each.shared_by is SharedBy.MOVE
+    return Effects(points.bsdf, {}, [group] if many else (), () if many else [dense_of(group)])
+
+
+def factor_quantities(
+    each: Input, kind: OpticalPath, rows: Ints, settings: ReductionSettings
+) -> tuple[list[InputQuantity], Ints]:
+    """The quantities of a declared factor on the light of sample or etalon in rows (n,), and which of them each row has."""
+    table, history = settings.rig.uncertainty, settings.history
+    names, which = [each.name], np.zeros(rows.size, dtype=np.int64)
+    if each.shared_by is SharedBy.MOUNTING:
+        mountings, which = mounted(kind, rows, settings)
+        names = [f"{each.name}@{name}" for name in mountings]
+    elif each.shared_by is SharedBy.MOVE:
+        moves, which = np.unique(rows if history is None else np.sum(history.moves(rows), axis=1), return_inverse=True)
+        names = [f"{each.name}@#{k}" for k in moves.tolist()]
+    words = OF_ETALON if kind == ETALON and each.shared_by is SharedBy.MOUNTING else ""
+    years = settings.etalon_years if each.per_year else 1.0
+    return [quantity(each, table, name, shared_by=words, times=years) for name in names], which.ravel()
 
 
 def polarisation(points: BsdfPoints, settings: ReductionSettings) -> Effects | None:

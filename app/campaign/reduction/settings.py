@@ -19,7 +19,7 @@ from goniotwin.app.rig.alignment import parse_alignment, refused_residuals
 from goniotwin.arrays import Ints
 from goniotwin.protocols.clock import calendar_stamp
 
-Kind = Literal["sample", "etalon"]
+OpticalPath = Literal["sample", "etalon"]
 ASSUMED_YEARS = 1.0
 """Age of an etalon whose calibration has no date."""
 
@@ -95,7 +95,7 @@ def rig_alignment(text: str, rig: RigFile) -> Alignment:
     return Alignment.of_file(file, [*of_rig, *of_sample], file.source).only([each.name for each in of_rig])
 
 
-def mounted(kind: Kind, rows: Ints, settings: ReductionSettings) -> tuple[list[str], Ints]:
+def mounted(kind: OpticalPath, rows: Ints, settings: ReductionSettings) -> tuple[list[str], Ints]:
     """The mountings, as `paint#2`, in which rows (n,) of the sample or of the etalon were measured, and which of them each."""
     if settings.history is not None:
         return settings.history.mounted(rows)

@@ -44,7 +44,7 @@ from goniotwin.app.campaign.measurement_model.pose import (
 )
 from goniotwin.app.campaign.measurement_model.slopes import Directions
 from goniotwin.app.campaign.reduction.angles import angles, displacement_of, views_of_points
-from goniotwin.app.campaign.reduction.components import INDEPENDENT
+from goniotwin.app.campaign.reduction.components import INDEPENDENT, OTHER, kinds
 from goniotwin.app.campaign.reduction.effects_of_points import effects_of
 from goniotwin.app.campaign.reduction.points import BITS, BsdfPoints
 from goniotwin.app.campaign.reduction.settings import ReductionSettings, mounted
@@ -68,11 +68,10 @@ from goniotwin.app.rig.alignment import (
     residual_findings,
     residual_words,
 )
-from goniotwin.app.rig.inputs import ETALON_TILT, FIELD_OF_VIEW, factors
+from goniotwin.app.rig.inputs import ETALON_TILT, FIELD_OF_VIEW
 from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.twin.optics import Instrument
 from goniotwin.twin.optics.geometry.coordinates import SPECULAR_AZIMUTH_DEG
-from goniotwin.twin.plant.disturbances import SharedBy
 
 LEAST_SHARE = 0.01
 """Values below this share of the largest one of their incidence are not used: there the form of a lobe is less certain."""
@@ -95,8 +94,6 @@ MIDDLE_U_MM = 0.01
 """Standard uncertainty of the light's middle at a pose by the model of a hole that is lit in part; assumed."""
 LEAST_DARK = 0.01
 """Share of the hole from which on light is stated to miss it."""
-ROW_GROUPS = ("lamp", "monitor")
-"""Groups of readings whose inputs all values of a row have in common, at the sample and at the etalon."""
 
 
 @dataclass(frozen=True)
@@ -493,9 +490,9 @@ class LobeValues:
         base = effects_of(self._points, self._settings)
         self._independent = {name: each for name, each in base.independent.items() if name in INDEPENDENT}
         common = np.zeros(self._points.size)
-        of_rows = {*ROW_GROUPS, *(each.name for each in factors() if each.shared_by is SharedBy.MOVE)}
+        of = kinds()
         for group in base.groups:
-            if group.name in of_rows:
+            if of.get(group.name, OTHER).of_row:
                 common += group_variance(group)
             else:  # its inputs are common to few values: of a photodiode at a gain, of one reading of the etalon
                 self._independent[group.name] = self._independent.get(group.name, 0.0) + group_variance(group)

@@ -13,10 +13,12 @@ The scan's second moment is that of the instrument function: the field of view t
 not that of the rig file, `field_deg` is the one that explains the scan.
 """
 
+import itertools
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -41,11 +43,12 @@ from goniotwin.app.campaign.measurement_model.pose import (
 )
 from goniotwin.app.campaign.measurement_model.quantity import NONE
 from goniotwin.app.campaign.measurement_model.slopes import Directions
-from goniotwin.app.campaign.reduction.components import Signal
+from goniotwin.app.campaign.reduction.components import Signal, input_of
 from goniotwin.app.campaign.reduction.etalon import SIGNATURE, SIGNATURE_READING, comparable_signals
-from goniotwin.app.campaign.reduction.reading_inputs import GROUPED, Numbers, common_input
+from goniotwin.app.campaign.reduction.reading_inputs import Numbers
 from goniotwin.app.campaign.reduction.reduction import Reduction
 from goniotwin.app.campaign.reduction.row_signals import RowSignal, pose_key, rows_in_columns
+from goniotwin.app.campaign.reduction.scale import factor_quantities
 from goniotwin.app.campaign.reduction.signals import LIGHT as LEAST_LIGHT
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.schedule.grids import grid_values
@@ -199,8 +202,8 @@ class JointClosure:
             for part in each.components:
                 if part.name.startswith(SLIT_IMAGE):  # with the place that the image has at all scans
                     continue
-                own = part.name in OWN_OF_A_SCAN or part.name.startswith(f"{declared.POSITION.name}@")
-                effect = effects.setdefault(f"{k} {part.name}" if own else part.name, np.zeros(len(scanned)))
+                name = f"{k} {part.name}" if is_own_of_a_scan(part) else part.name
+                effect = effects.setdefault(name, np.zeros(len(scanned)))
                 effect[k] = math.copysign(part.u, part.sensitivity)
         columns = np.array(list(effects.values()))
         own = columns.T @ columns + SMALLEST_U**2 * np.eye(len(scanned))
@@ -234,10 +237,9 @@ class JointClosure:
 
 SLIT_IMAGE = "slit_image"
 """The component of the light's place, and with a star and an input those of the place and that input together."""
-OWN_OF_A_SCAN = frozenset(
-    {declared.SCAN.name, "noise", "resolution", "dark", "lamp", "etalon_reading", "signature_reading", "monitor"}
-)
-"""Components of which each scan has an error of its own, beside the positions of its axes."""
+CERTIFICATE = "certificate"
+OF_A_SCAN = (SharedBy.SCAN, SharedBy.AXIS_MOVE, SharedBy.MOVE)
+"""What is another at each scan, beside the readings."""
 TROUBLES = {
     "dead": "has lost its dark current",
     "drift": "is flagged for drift",
@@ -408,13 +410,13 @@ class ClosureReport:
 
 
 def certificate_inputs() -> list[str]:
-    """The components of the route by the etalon: the certificate, and what the etalon has beside it."""
-    return ["certificate", *(each.name for each in _factors_of_etalon())]
+    """The components of the route by the etalon: the certificate, and what the etalon's light has for the whole campaign."""
+    return [CERTIFICATE, *(each.name for each in declared.factors(ETALON) if each.shared_by is SharedBy.ALL)]
 
 
-def _factors_of_etalon() -> list[declared.Input]:
-    """The declared factors on the etalon's light during the whole campaign."""
-    return [each for each in declared.factors(ETALON) if each.shared_by is SharedBy.ALL]
+def is_own_of_a_scan(part: Component) -> bool:
+    """Whether each scan has an error of its own of a component."""
+    return part.input is None or part.input.shared_by in OF_A_SCAN
 
 
 def journal_closure(reduction: Reduction) -> ClosureReport:
@@ -559,9 +561,11 @@ class _Readings:
         middle = None
         if wavelength_nm != self._wavelength_nm:
             middle = self._signals([self._open[middle_key]])
-        certified = (Component("certificate", float(u_factor[0]), 1.0, None),)
-        years, moves = self._settings.etalon_years, self._moves()
-        return compare(beam, wavelength_nm, scanned, middle, etalon, float(factor[0]), certified, rig, moves, years)
+        certified = InputQuantity(CERTIFICATE, "1", float(u_factor[0]), "normal", SharedBy.ALL, "the certificate", "")
+        row = np.array([self._etalon[etalon_key].row.number])
+        factors = [factor_quantities(each, ETALON, row, self._settings)[0] for each in declared.factors(ETALON)]
+        of_etalon = [_of_effect(each, each.u) for each in (certified, *itertools.chain.from_iterable(factors))]
+        return compare(beam, wavelength_nm, scanned, middle, etalon, float(factor[0]), of_etalon, rig, self._moves())
 
     def _moves(self) -> Ints | None:
         """For each pose (n, 2) the number of moves so far of shift and beta; None without a history of the rows."""
@@ -691,13 +695,13 @@ def signed(z: float) -> str:
 
 def compare(
     beam: ScannedBeam, wavelength_nm: float, scanned: Signal, middle: Signal | None, etalon: Signal, certified: float,
-    certificate: Sequence[Component], rig: RigFile, moves: Ints | None = None, years: float = 0.0,
+    of_etalon: Sequence[Component], rig: RigFile, moves: Ints | None = None,
 ) -> Closure:  # fmt: skip
-    """The closure at a wavelength: `scanned` (n,) is the scan, `etalon` (1,) the etalon's signal, of a `certificate`.
+    """The closure at a wavelength: `scanned` (n,) is the scan, `etalon` (1,) the etalon's signal.
 
+    `of_etalon` are the components of the etalon's light: of its certificate, and of the factors on it.
     `middle` (1,) is the open beam at the wavelength in the middle pose; None at the wavelength of the scan itself. `moves`
-    (n, 2) are the numbers of moves of shift and beta before each pose; without them each pose has its own. `years` are those
-    since the etalon's calibration.
+    (n, 2) are the numbers of moves of shift and beta before each pose; without them each pose has its own.
     """
     scan = beam.scan
     at = scan.middle
@@ -711,13 +715,12 @@ def compare(
         *light.components,
         *_scan_positions(beam, scanned, middle, moves, rig),
         *_reading_components(beam, scanned, middle, etalon, rig),
-        *(_component(each, years if each.per_year else 1.0, rig) for each in _factors_of_etalon()),
         *(_component(declared.BEAM_HOLE, 1.0, rig, f"{declared.BEAM_HOLE.name}@{side}") for side in ("upper", "lower")),
         # The sharper edges of the beam, foreshortened by the spot at grazing incidence, are sampled less well.
         _component(
             declared.SCAN, math.hypot(1.0, 0.5 * math.tan(math.radians(scan.at_deg))) * (scan.step_deg / STEP_DEG) ** 2, rig
         ),
-        *certificate,
+        *of_etalon,
     ]  # fmt: skip
     found = tuple(sorted(components, key=lambda each: -each.u))
     return Closure(beam, wavelength_nm, certified, plain * math.exp(correction), correction, found, light)
@@ -895,28 +898,28 @@ def _reading_components(
     beam: ScannedBeam, scanned: Signal, middle: Signal | None, etalon: Signal, rig: RigFile
 ) -> Iterator[Component]:  # fmt: skip
     """What the readings do to the etalon's signal over the sum of the scan: what both have in common cancels."""
-    total = scanned.scaled(beam.scan.solid_angle_sr).summed()
+    numbers = np.arange(len(scanned.value) + 1, dtype=np.int32)
+    poses = scanned.own_as("scan_reading", numbers[:-1])
+    total = poses.scaled(beam.scan.solid_angle_sr).summed()
     if middle is not None:
-        total = total / (scanned.each(lambda array: array[beam.scan.middle]) / middle.each(lambda array: array[0]))
-    reading = etalon.own_as("etalon_reading", np.zeros(1, dtype=np.int32)).each(lambda array: array[0])
-    quotient = reading / total
+        further = middle.own_as("scan_reading", numbers[-1:])
+        total = total / (poses.each(itemgetter(beam.scan.middle)) / further.each(itemgetter(0)))
+    quotient = etalon.own_as("etalon_reading", numbers[:1]).each(itemgetter(0)) / total
     relative = quotient.scaled(1.0 / quotient.value)
-    for name, variance in relative.own.items():
-        yield Component(name, float(np.sqrt(variance)), 1.0, None)
     for name, effect in relative.common.items():
-        yield _of_effect(common_input(name, rig), float(effect))
+        yield _of_effect(input_of(name, 0, rig), float(effect))
     for name, terms in relative.grouped.items():
         if name == "gain":
             for number, each in zip(terms.member.tolist(), terms.effect.tolist(), strict=True):
                 if number != NONE:
-                    yield _of_effect(GROUPED[name](number, rig), each)
+                    yield _of_effect(input_of(name, number, rig), each)
         else:
             yield Component(name, float(np.sqrt(terms.variance)), 1.0, None)
 
 
 def _of_effect(source: InputQuantity, effect: float) -> Component:
     """A component of an input, by the effect of its standard uncertainty."""
-    sensitivity = effect / source.u
+    sensitivity = effect / source.u if source.u else 0.0
     return Component(source.name, abs(sensitivity) * source.u, sensitivity, source)
 
 

@@ -30,12 +30,12 @@ from goniotwin.app.campaign.measurement_model.pose import (
 from goniotwin.app.campaign.measurement_model.quantity import Quantity
 from goniotwin.app.campaign.reduction.angles import add_pose
 from goniotwin.app.campaign.reduction.arc_geometry import ArcGeometry
-from goniotwin.app.campaign.reduction.effects_of_points import FAMILIES, effects_of
+from goniotwin.app.campaign.reduction.components import kinds
+from goniotwin.app.campaign.reduction.effects_of_points import effects_of
 from goniotwin.app.campaign.reduction.pipeline import add_shared
 from goniotwin.app.campaign.reduction.points import BsdfPoints, join_points
-from goniotwin.app.campaign.reduction.reading_inputs import COMMON, GROUPED, Numbers
+from goniotwin.app.campaign.reduction.reading_inputs import Numbers
 from goniotwin.app.campaign.reduction.row_history import RowHistory, history_of
-from goniotwin.app.campaign.reduction.scale import shared_families
 from goniotwin.app.campaign.reduction.settings import ReductionSettings, reduction_settings
 from goniotwin.app.campaign.schedule.certificate import parse_certificate
 from goniotwin.app.campaign.schedule.file import parse_schedule
@@ -178,7 +178,7 @@ SLOPES = arrays(np.float64, (COUNT, 2), elements=st.one_of(st.floats(-5.0, 5.0),
 def test_the_parts_of_any_points_sum_to_their_uncertainty(bsdf: Floats, slope: Floats, noise: Floats) -> None:
     bsdf = np.where(np.abs(bsdf) < 1e-6, 0.0, bsdf)
     points = measured(bsdf, slope, relative_of(noise), ALL_SETTINGS)
-    assert set(points.components) == (OWN | {*FAMILIES, *shared_families(), *GROUPED, *COMMON}) - {"open_beam"}
+    assert set(points.components) == {*kinds()} - {"open_beam"}
     effects = effects_of(points, ALL_SETTINGS)
     expected = points.u_bsdf**2
     assert np.abs(total(effects) - expected).max() <= 1e-12 * expected.max()
@@ -215,7 +215,6 @@ def test_the_pipeline_and_the_effects_agree_on_what_is_a_family() -> None:
     points = measured(np.ones(COUNT), np.ones((COUNT, 2)), relative_of(np.full(COUNT, 0.01)))
     effects = effects_of(points, SETTINGS)
     assert set(effects.independent) == OWN
-    assert not OWN & {*FAMILIES, *shared_families()}
     assert sorted(group.name for group in effects.groups) == [
         "band_shape", "calibration", "dark", "etalon_reading", "gain", "lamp", "monitor", "photodiode_angle", "position",
         "signature_reading",
@@ -268,6 +267,7 @@ GTC_NAMES = (
     "noise", "monitor", "lamp", "etalon_lamp", "gain", "crosstalk", "etalon_crosstalk", "etalon_reading", "calibration", "dark",
     "etalon_dark",
 )  # fmt: skip
+COMMON = ("linearity", "crosstalk", "signature", "monitor_drift", "monitor_linearity", "field")
 OWN = {"noise", "resolution", "ray_tracing", "field_noise", "second_order", "slope_unresolved"}
 
 

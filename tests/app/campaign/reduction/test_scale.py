@@ -206,6 +206,13 @@ def test_the_open_beam_takes_the_place_of_certificate_age_and_edge_where_it_is_t
     assert np.all(noisy.own_variance(0.003) >= 1e-8)
 
 
+def test_an_etalon_that_is_compared_with_itself_has_no_mounting_and_no_repeat() -> None:
+    points, of = points_at([500.0], [20.0]), settings(mounting=0.01, repeatability=0.02)
+    same = add_shared(replace(points, etalon_row=points.row), replace(of, sample=of.schedule.etalon))
+    assert float(same.budget["mounting"][0]) == float(same.budget["repeatability"][0]) == 0.0
+    assert add_shared(points, of).budget["mounting"] == pytest.approx(2.0 * math.hypot(0.01, 0.01))
+
+
 def test_what_is_zero_or_unknown_is_no_component() -> None:
     keys = "etalon_age_per_year etalon_edge mounting uniformity repeatability wavelength_nm monochromator_stray"
     zeros = stated(**dict.fromkeys(keys.split(), 0.0))

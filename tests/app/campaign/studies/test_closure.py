@@ -12,6 +12,7 @@ import pytest
 from goniotwin.app.campaign.geometry.open_beam import BeamScan, beam_scans
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.measurement_model.effects import Component
+from goniotwin.app.campaign.measurement_model.inputs import InputQuantity
 from goniotwin.app.campaign.measurement_model.light_place import SeenLight, across_beam, place_law, seen_light
 from goniotwin.app.campaign.measurement_model.pose import LIGHT, VIEW, Views, disc_moves, image_shifts
 from goniotwin.app.campaign.planning.plan import make_plan
@@ -26,7 +27,6 @@ from goniotwin.app.campaign.reduction.settings import reduction_settings
 from goniotwin.app.campaign.rehearsal.without_wires import run_without_wires
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.campaign.studies.closure import (
-    OWN_OF_A_SCAN,
     SLIT_IMAGE,
     Closure,
     ClosureReport,
@@ -35,6 +35,7 @@ from goniotwin.app.campaign.studies.closure import (
     centroid_uncertainty_deg,
     closure_text,
     compare,
+    is_own_of_a_scan,
     journal_closure,
     light_effects,
     moment_deg2,
@@ -89,7 +90,9 @@ gains_v_per_a = [1e10]
 poses = 5
 step_deg = 0.4
 """
-CERTIFICATE = Component("certificate", 0.002, 1.0, None)
+CERTIFICATE = Component(
+    "certificate", 0.002, 1.0, InputQuantity("certificate", "1", 0.002, "normal", "all values", "", "")
+)  # fmt: skip
 
 
 def scans_of(sigmas: str, table: str = "") -> list[BeamScan]:
@@ -300,7 +303,7 @@ def test_scans_together_have_the_uncertainty_of_what_they_share() -> None:
     assert JointClosure.of(closures[:1]) is None
     same = JointClosure.of([closures[0], closures[0]])
     assert same is not None
-    own = [each.u for each in closures[0].components if each.name in OWN_OF_A_SCAN or each.name.startswith("position@")]
+    own = [each.u for each in closures[0].components if is_own_of_a_scan(each)]
     assert same.u == pytest.approx(math.sqrt(closures[0].u ** 2 - 0.5 * math.hypot(*own) ** 2), rel=1e-6)
     low = ClosureReport(tuple(replace(each, certified=1.0 / (1.0 - 5.0 * joint.u)) for each in closures), (), ())
     assert low.contradicts_etalon
@@ -561,6 +564,22 @@ def measured(table: str, folder: Path) -> tuple[Path, ClosureReport]:
         return path, evaluate_journal(journal).closure
 
 
+def test_the_closure_has_what_the_etalon_owes_to_its_mounting_and_its_pose(closed: tuple[Path, ClosureReport]) -> None:
+    """The scan is made without the etalon, so that nothing of it cancels. Another scan has the same mounting, not the pose."""
+    keys = {"mounting": 0.02, "uniformity": 0.03, "repeatability": 0.04}
+    with Journal.open(closed[0]) as journal:
+        reduction = evaluate_journal(journal).reduction
+        rig = replace(reduction.settings.rig, uncertainty=rig_tables.stated(**keys))
+        found = journal_closure(replace(reduction, settings=replace(reduction.settings, rig=rig))).closures
+    for each, before in zip(found, closed[1].closures, strict=True):
+        more = {part.name.partition("@")[0]: part for part in each.components if part.name.partition("@")[0] in keys}
+        assert {name: part.u for name, part in more.items()} == pytest.approx(keys)
+        assert each.u**2 - before.u**2 == pytest.approx(0.02**2 + 0.03**2 + 0.04**2)
+        assert each.u_absolute**2 - before.u_absolute**2 == pytest.approx(each.u**2 - before.u**2)
+        assert [name for name, part in more.items() if is_own_of_a_scan(part)] == ["repeatability"]
+        assert more["mounting"].name == "mounting@etalon#1"
+
+
 def test_a_campaign_closes_at_the_scans_wavelength_and_at_the_other(closed: tuple[Path, ClosureReport]) -> None:
     _, report = closed
     assert [(each.beam.scan.at_deg, each.wavelength_nm) for each in report.closures] == [(22.0, 450.0), (22.0, 550.0)]
@@ -754,7 +773,7 @@ def test_noise_of_the_scan_adds_up_and_dark_readings_are_common() -> None:
     rng = np.random.default_rng(5)
     weight = scan.solid_angle_sr
     drawn = [float(weight @ (sd * rng.standard_normal(weight.size))) / beam.total for _ in range(2000)]
-    assert found["noise"] == pytest.approx(np.std(drawn), rel=0.06)
+    assert found["scan_reading"] == pytest.approx(np.std(drawn), rel=0.06)
     assert found["dark"] == pytest.approx(float(weight.sum()) * sd / beam.total, rel=1e-9)
 
 
