@@ -35,19 +35,29 @@ def made_results(seed: int, rigs: int, values: int, common: float, wrong: float 
     return results
 
 
+def standard_error(rigs: int, values: int, common: float) -> float:
+    """That of a coverage of 95 %: values of one rig that share their error are worth few values."""
+    shared, weight = np.polynomial.hermite_e.hermegauss(120)
+    ends = [(each - math.sqrt(common) * shared) / math.sqrt(1.0 - common) for each in (-1.96, 1.96)]
+    low, high = (np.array([0.5 * math.erfc(-each / math.sqrt(2.0)) for each in end.tolist()]) for end in ends)
+    within = high - low
+    mean = float(weight @ within / weight.sum())
+    of_rig = float(weight @ ((within - mean) ** 2 + within * (1.0 - within) / values) / weight.sum())
+    return math.sqrt(of_rig / rigs)
+
+
 @settings(max_examples=10, deadline=None)
 @given(st.integers(0, 10**6), st.floats(0.0, 0.9))
 def test_the_law_that_is_stated_is_found_within_the_standard_errors(seed: int, common: float) -> None:
     totals = Totals(made_results(seed, 300, 30, common))
     whole = totals.whole
     assert whole is not None
-    assert abs(whole.coverage - 0.95) < 5.0 * whole.u_coverage
+    expected = standard_error(300, 30, common)
+    assert abs(whole.coverage - 0.95) < 5.0 * expected
+    assert 0.4 * expected < whole.u_coverage < 1.8 * expected
     assert abs(whole.mean) < 5.0 * whole.u_mean
     assert whole.chi_square == pytest.approx(1.0, abs=5.0 * math.sqrt(2.0 / (300 * 29)))
     assert totals.variance_shared == pytest.approx(1.0, abs=5.0 * math.sqrt(2.0 / 300))
-    # Values of one rig that share their error are worth few values: the standard error is larger than the binomial one.
-    binomial = math.sqrt(0.95 * 0.05 / whole.values)
-    assert 0.7 * binomial < whole.u_coverage < 1.4 * binomial * math.sqrt(1.0 + common**2 * 30)
     (reflectance,) = totals.reflectances
     assert reflectance.u_over_scatter == pytest.approx(1.0, abs=0.25)
 
