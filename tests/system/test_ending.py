@@ -25,13 +25,9 @@ TURNS = ("beta_deg = [180]", "beta_deg = [0, 180]")
 QUIET = (("noise = true", "noise = false"), ("drift_per_hour = 0.02", "drift_per_hour = 0.0"))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
-    ("first", "second"),
-    [
-        (signal.SIGINT, signal.SIGTERM),
-        pytest.param(signal.SIGINT, signal.SIGINT, marks=pytest.mark.long),
-        pytest.param(signal.SIGTERM, signal.SIGINT, marks=pytest.mark.long),
-    ],
+    ("first", "second"), [(signal.SIGINT, signal.SIGTERM), (signal.SIGINT, signal.SIGINT), (signal.SIGTERM, signal.SIGINT)]
 )
 def test_a_second_signal_does_not_interrupt_the_stop(
     write_rig: Writer, write_schedule: Writer, forked_serve: ForkedServe, tmp_path: Path, first: int, second: int

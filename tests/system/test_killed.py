@@ -257,7 +257,8 @@ def test_a_program_killed_while_it_migrates_a_journal_loses_no_row(
         assert planned_values(path) == planned_values(tmp_path / "undisturbed.journal")
 
 
-@pytest.mark.parametrize("resumed", [pytest.param(False, marks=pytest.mark.long), True])
+@pytest.mark.long
+@pytest.mark.parametrize("resumed", [False, True])
 def test_a_second_process_on_a_journal_is_refused_with_the_number_of_the_first(
     write_rig: Writer, write_schedule: Writer, forked_serve: ForkedServe, tmp_path: Path, resumed: bool
 ) -> None:
