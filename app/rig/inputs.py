@@ -34,7 +34,7 @@ class Input:
     The default `u` is the half width of a rectangular distribution where the `key` ends with deg or mm, else a standard
     uncertainty; None where the key is one of the virtual rig alone, for u is stated elsewhere. `disturbs` has the targets in
     the virtual rig, by quantity, or those of the only one: it is called as the key without its unit, if no `name` is given.
-    Raises ValueError for a second one of a key, and for a factor on the light of one photodiode, axis or scan.
+    Raises ValueError for a second one of a key or of a quantity, and for a factor on the light of one photodiode, axis or scan.
     """
 
     key: str
@@ -49,8 +49,10 @@ class Input:
         object.__setattr__(self, "name", self.name or UNIT.sub("", self.key))
         if self.paths and self.shared_by not in (SharedBy.ALL, SharedBy.MOUNTING, SharedBy.MOVE):
             raise ValueError(f"{self.key}: a factor on the light is one for all values, for a mounting, or until the next move")
-        if _declared.setdefault(self.key, self) is not self:
-            raise ValueError(f"there is an input {self.key!r} already")
+        for each in _declared.values():
+            if self.key == each.key or {self.name, *self.targets} & {each.name, *each.targets}:
+                raise ValueError(f"{self.key}: there is an input {each.key!r} of that key or quantity already")
+        _declared[self.key] = self
 
     @cached_property
     def unit(self) -> str:
@@ -82,11 +84,6 @@ class Input:
     def paths(self) -> frozenset[str]:
         """The paths on whose light it is a factor: SAMPLE, ETALON, or both; empty for other inputs."""
         return frozenset(path for path, light in twin.LIGHT.items() if any(light in each for each in self.targets.values()))
-
-
-def withdraw(each: Input) -> None:
-    """Take a declaration back."""
-    _declared.pop(each.key, None)
 
 
 def inputs() -> tuple[Input, ...]:

@@ -17,7 +17,7 @@ from tests.conftest import SCHEDULE, Writer
 
 pytestmark = pytest.mark.long
 SEEDS = range(1, 21)
-OF_READINGS = {"noise", "dark", "etalon_dark", "etalon_reading", "lamp", "monitor", "resolution", "field_noise"}
+OF_READINGS = {"noise", "dark", "etalon_reading", "lamp", "monitor", "resolution", "field_noise"}
 
 
 def measured(rig: Path, schedule: Path, journal: Path) -> BsdfDataset:

@@ -57,12 +57,6 @@ class Fit:
         return found[0] if found else 0.0
 
 
-def fit_inputs(effects: Effects, residual: Floats) -> Fit:
-    """Fit all shared inputs of the values to their relative residuals (n,)."""
-    covariance = ValuesCovariance(effects)
-    return covariance.fit(residual)
-
-
 class ValuesCovariance:
     """The relative covariance C of values with their effects: its inverse times columns, without C itself."""
 

@@ -19,7 +19,7 @@ from goniotwin.app.campaign.measurement_model.pose import (
     Views,
     common_disc,
     image_shifts,
-    light_changes,
+    light_at,
 )
 from goniotwin.app.rig.inputs import element_deviations
 from goniotwin.arrays import Floats, Ints
@@ -176,7 +176,7 @@ def of_centres(instrument: Instrument, poses: Floats, which: Ints, common: Displ
     tilts = [LIGHT.index(f"beam_tilt_{axis}") for axis in "xz"]
     tilted = np.empty((len(poses), 2, 3))
     for k, sigma in enumerate(poses[:, 0].tolist()):
-        towards, change = light_changes(instrument, sigma)
+        towards, change, _ = light_at(instrument, sigma)
         # The two tilts turn the light by unit vectors at right angles to each other and to it.
         across = np.eye(3) - np.outer(towards, towards)
         tilted[k] = change[tilts] @ across * (-1.0 / (RAD * instrument.pupil_distance_mm))

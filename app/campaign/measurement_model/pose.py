@@ -231,9 +231,9 @@ class _Light:
 def _lights(instrument: Instrument, views: Views) -> tuple[_Light, _Light]:
     """The light at the sample and at the etalon. That of transmitted light is lit from the photodiode's own side."""
     sigmas, which = np.unique(views.sigma_deg, return_inverse=True)
-    each = [_light_at(instrument, float(sigma)) for sigma in sigmas]
+    each = [light_at(instrument, float(sigma)) for sigma in sigmas]
     # The etalon's pose is at 180 deg - sigma, the mirror image of the sample's light.
-    opposite = [_light_at(instrument, 180.0 - float(sigma)) for sigma in sigmas]
+    opposite = [light_at(instrument, 180.0 - float(sigma)) for sigma in sigmas]
     towards, change, level = (np.stack(column) for column in zip(*each, strict=True))
     there = [np.stack(column) for column in zip(*opposite, strict=True)]
     distance = _distance_mm(instrument)
@@ -253,8 +253,8 @@ def _distance_mm(instrument: Instrument) -> float:
     return instrument.pupil_to_mirror_mm + 3.0 * instrument.mirror_distance_mm
 
 
-def _light_at(instrument: Instrument, sigma_deg: float) -> tuple[Floats, Floats, Floats]:
-    """Towards the light (3,), its change (inputs, 3) in deg a unit, and the irradiance's relative change (inputs,)."""
+def light_at(instrument: Instrument, sigma_deg: float) -> tuple[Floats, Floats, Floats]:
+    """Towards the light (3,), its change (inputs, 3) in deg a unit of each of LIGHT, and that of the irradiance, relative."""
     sigma = math.radians(sigma_deg)
     cosine = math.cos(sigma)
     cosine = cosine if abs(cosine) > GRAZING else math.copysign(GRAZING, cosine)
@@ -279,12 +279,6 @@ def _light_at(instrument: Instrument, sigma_deg: float) -> tuple[Floats, Floats,
     change = (moved - ahead[:, None] * light) / total * np.where(in_mm, 1.0 / RAD, 1.0)[:, None]
     level = change[:, 2] * RAD / light[2] - 2.0 * ahead / total * np.where(in_mm, 1.0, RAD)
     return light, change, level
-
-
-def light_changes(instrument: Instrument, sigma_deg: float) -> tuple[Floats, Floats]:
-    """Towards the light (3,), and its change (inputs, 3), in deg, for one unit of each of LIGHT."""
-    towards, change, _ = _light_at(instrument, sigma_deg)
-    return towards, change
 
 
 def image_shifts(instrument: Instrument, sigma_deg: float) -> Floats:
@@ -571,7 +565,9 @@ def photodiode_inputs(table: UncertaintyTable, photodiode: int) -> list[InputQua
 
 def position_input(table: UncertaintyTable, axis: str, move: int | str) -> InputQuantity:
     """The position of an axis after its move of this number or name, with the backlash where none is taken up."""
-    return replace(quantity(POSITION, table, f"{POSITION.name}@{axis}#{move}"), u=position_u_deg(table))
+    position = quantity(POSITION, table, f"{POSITION.name}@{axis}#{move}")
+    source = f"{position.source}, {table.source(BACKLASH)}" if table.u(BACKLASH) else position.source
+    return replace(position, u=position_u_deg(table), source=source)
 
 
 def position_u_deg(table: UncertaintyTable) -> float:

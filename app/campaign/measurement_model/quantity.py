@@ -144,7 +144,9 @@ class Quantity:
         return replace(self, common={**self.common, name: np.broadcast_to(effect, self.value.shape)})
 
     def with_grouped(self, name: str, member: Indices, effect: Floats) -> Self:
-        """With the effects (..., m) of a family of inputs, by their numbers."""
+        """With the effects (..., m) of a family of inputs, by their numbers; without a family of none."""
+        if not member.shape[-1]:
+            return self
         shape = (*self.value.shape, np.broadcast_shapes(member.shape, effect.shape)[-1])
         terms = Terms(np.broadcast_to(member, shape), np.broadcast_to(effect, shape))
         return replace(self, grouped={**self.grouped, name: terms})

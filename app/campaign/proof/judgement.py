@@ -19,7 +19,7 @@ from goniotwin.app.campaign.measurement_model.effects import Effects
 from goniotwin.app.campaign.measurement_model.fit import Fit, ValuesCovariance
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.reduction.angles import angles
-from goniotwin.app.campaign.reduction.components import ADDED, COVERAGE
+from goniotwin.app.campaign.reduction.components import ADDED, COVERAGE, KINDS, OTHER
 from goniotwin.app.campaign.reduction.effects_of_points import effects_of
 from goniotwin.app.campaign.reduction.points import BsdfPoints, join_points
 from goniotwin.app.campaign.reduction.reduction import Reduction
@@ -46,8 +46,6 @@ MOST_LISTED = 20
 """Points beyond FAR_U whose places are listed, of one rig."""
 MOST_FITTED = 4000
 """Values in one fit: of more, each wavelength is fitted by itself, then each sigma. The law holds for each."""
-OF_ANGLES = frozenset({"second_order", "slope_unresolved"})
-"""Components that state the effect of unknown angles where slopes are too little of it: the fitted angles have it."""
 SECOND_ORDER_STEPS = 2
 """Fits with the second order of the angles of the fit before."""
 DECADES = 6
@@ -221,7 +219,8 @@ def _fit(scatterer: Scatterer, points: BsdfPoints, truth: Floats, settings: Redu
     """
     share = np.where(noisy(points), truth / np.where(points.bsdf == 0.0, 1.0, points.bsdf), 1.0)
     effects = scaled_to_truth(effects_of(points, settings), share)
-    own = {name: variance for name, variance in effects.independent.items() if name not in OF_ANGLES}
+    # What is left where slopes are too little: the fitted angles have it.
+    own = {name: each for name, each in effects.independent.items() if not KINDS.get(name, OTHER).of_angles}
     effects = replace(effects, independent=own)
     residual = relative_residuals(points, truth)
     covariance = ValuesCovariance(effects)

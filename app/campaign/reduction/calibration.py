@@ -51,14 +51,17 @@ class CalibrationFactors:
         if self.unconnected:
             yield f"not connected by overlaps, factor 1: photodiodes {', '.join(str(k) for k in self.unconnected)}"
 
-    def apply(self, points: BsdfPoints) -> BsdfPoints:
-        """Multiply the points by the factors, and add the component `calibration` of their uncertainty."""
+    def apply(self, points: BsdfPoints, first: int) -> BsdfPoints:
+        """Multiply the points by the factors, and add the component `calibration` of their uncertainty.
+
+        `first` is the number of the input of photodiode 0.
+        """
         factor, u = np.ones(points.bsdf.size), np.zeros(points.bsdf.size)
         for k, value, uncertainty in zip(self.photodiodes, self.values, self.uncertainties, strict=True):
             of_photodiode = points.photodiode == k
             factor[of_photodiode], u[of_photodiode] = value, uncertainty
         scaled = points.scaled(factor)
-        member = points.photodiode.astype(np.int32)[:, None]
+        member = (points.photodiode + first).astype(np.int32)[:, None]
         return scaled.with_quantity(scaled.quantity.with_grouped("calibration", member, (points.bsdf * u)[:, None]))
 
     def as_dict(self) -> dict[str, Any]:

@@ -46,6 +46,8 @@ class Kind:
     etalon. Not so of what is shared in part: that its errors average out would be a claim, so u is at most too large.
     `added`: they are added to a value whatever its size. All others are shares of it.
     `of_quotient`: they count where two signals are divided: no light is lost in them.
+    `unlit`: they are there without light from the sample: the noise floor.
+    `of_angles`: they state the effect of unknown angles, where slopes are too little of it.
     `of_row`: all photodiodes of a row have them in common, at the sample and at the etalon.
     `of_direction`: they are the same for two values of one direction, or of a direction and its mirror image.
     """
@@ -54,6 +56,8 @@ class Kind:
     independent: bool = False
     added: bool = False
     of_quotient: bool = False
+    unlit: bool = False
+    of_angles: bool = False
     of_row: bool = False
     of_direction: bool = False
 
@@ -61,25 +65,25 @@ class Kind:
 OTHER = Kind()
 """Of a component of files that is not named here."""
 KINDS: Mapping[str, Kind] = {
-    "noise": Kind(independent=True, added=True),
-    "resolution": Kind(independent=True, added=True),
+    "noise": Kind(independent=True, added=True, unlit=True),
+    "resolution": Kind(independent=True, added=True, unlit=True),
     "ray_tracing": Kind(independent=True, added=True),
-    "dark": Kind(dark_input, added=True),
+    "dark": Kind(dark_input, added=True, unlit=True),
     "lamp": Kind(lamp_input, of_row=True),
     "monitor": Kind(monitor_input, of_quotient=True, of_row=True),
     "gain": Kind(gain_input, of_quotient=True),
     declared.LINEARITY.name: Kind(declared_input(declared.LINEARITY), of_quotient=True),
     declared.MONITOR_DRIFT.name: Kind(declared_input(declared.MONITOR_DRIFT), of_quotient=True),
     declared.MONITOR_LINEARITY.name: Kind(declared_input(declared.MONITOR_LINEARITY), of_quotient=True),
-    declared.CROSSTALK.name: Kind(declared_input(declared.CROSSTALK), added=True),
+    declared.CROSSTALK.name: Kind(declared_input(declared.CROSSTALK), added=True, unlit=True),
     "signature": Kind(signature_common, added=True),
     "signature_reading": Kind(signature_input, independent=True, added=True),
     "etalon_reading": Kind(etalon_input, independent=True),
     "calibration": Kind(calibration_input),
     declared.FIELD_OF_VIEW.name: Kind(declared_input(declared.FIELD_OF_VIEW)),
     "field_noise": Kind(independent=True, added=True),
-    "second_order": Kind(),
-    "slope_unresolved": Kind(),
+    "second_order": Kind(of_angles=True),
+    "slope_unresolved": Kind(of_angles=True),
     "pose": Kind(),
     "position": Kind(),
     "photodiode_angle": Kind(),
@@ -95,8 +99,13 @@ KINDS: Mapping[str, Kind] = {
 
 
 def kinds() -> dict[str, Kind]:
-    """All components by name. A factor that is another after each move is common to the photodiodes of a row."""
+    """All components by name. A factor that is another after each move is common to the photodiodes of a row.
+
+    Raises ValueError for a factor of the name of another component.
+    """
     of_row = {each.name: each.shared_by is SharedBy.MOVE for each in declared.factors()}
+    if same := of_row.keys() & KINDS.keys():
+        raise ValueError(f"a declared factor has the name of a component: {', '.join(sorted(same))}")
     return {**KINDS, **{name: Kind(of_row=each, of_direction=not each) for name, each in of_row.items()}}
 
 
@@ -109,6 +118,7 @@ def input_of(component: str, number: int, rig: RigFile) -> InputQuantity:
 
 INDEPENDENT = frozenset(name for name, each in KINDS.items() if each.independent)
 ADDED = frozenset(name for name, each in KINDS.items() if each.added)
+UNLIT = frozenset(name for name, each in KINDS.items() if each.unlit)
 COVERAGE = 1.96
 """Standard uncertainties from a value to the ends of its interval of 95 %."""
 LOGARITHMIC = 0.15

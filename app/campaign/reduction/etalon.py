@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from goniotwin.app.campaign.measurement_model.quantity import NONE
 from goniotwin.app.campaign.reduction.arc_geometry import ArcGeometry
 from goniotwin.app.campaign.reduction.arc_rows import SIGMA, WAVELENGTH, ArcRows, ArcViews, arcs_of_rows, etalon_places
 from goniotwin.app.campaign.reduction.components import Signal
@@ -148,7 +149,8 @@ def _signature(signature: RowSignals | None, index: Ints, channels: Ints, rig: R
     found = comparable_signals(rows, channels, rig).own_as(SIGNATURE_READING, reading)
 
     def of_measured(array: NDArray[Any]) -> NDArray[Any]:
-        return np.where(known.reshape(-1, *[1] * (array.ndim - 1)), array, 0)
+        none = NONE if array.ndim > found.value.ndim and array.dtype.kind == "i" else 0
+        return np.where(known.reshape(-1, *[1] * (array.ndim - 1)), array, none)
 
     return found if known.all() else found.each(of_measured)
 
@@ -201,8 +203,8 @@ def _absolute_scale(data: ArcRows, settings: ReductionSettings) -> Floats:
     if settings.absolute:
         at = round_deg(np.stack([data.places[:, WAVELENGTH], data.incidence_deg[:, 0]], axis=1))
         transmitted, lower = data.of_views("transmitted")[:, 0], ~data.of_views("back")[:, 0]
-        for (wavelength, sigma, of_lower), (found, _) in settings.absolute.items():
-            ratio[transmitted & (lower == of_lower) & (at == [wavelength, sigma]).all(axis=1)] = found
+        for (wavelength, sigma, of_lower), scale in settings.absolute.items():
+            ratio[transmitted & (lower == of_lower) & (at == [wavelength, sigma]).all(axis=1)] = scale.ratio
     return ratio
 
 

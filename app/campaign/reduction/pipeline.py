@@ -46,7 +46,8 @@ from goniotwin.drivers import ConverterDescription
 
 def calibrate_photodiodes(points: BsdfPoints, settings: ReductionSettings) -> BsdfPoints:
     """Multiply by the calibration factors of the overlaps, where the schedule asks for it."""
-    return points if settings.calibration is None else settings.calibration.apply(points)
+    first = settings.sample_number * settings.rig.photodiodes.count  # each sample has factors of its own
+    return points if settings.calibration is None else settings.calibration.apply(points, first)
 
 
 ARC_STEPS: Sequence[Callable[[ArcRows, ReductionSettings], ArcRows]] = (

@@ -21,7 +21,7 @@ from goniotwin.app.campaign.measurement_model.quantity import (
     Terms,
     join_quantities,
 )
-from goniotwin.app.campaign.reduction.components import OTHER, kinds, standard_uncertainty, total_variance
+from goniotwin.app.campaign.reduction.components import OTHER, UNLIT, kinds, standard_uncertainty, total_variance
 from goniotwin.app.formats import content
 from goniotwin.arrays import Flags, Floats, Indices, Ints
 from goniotwin.twin.optics.geometry.coordinates import aspecular_deg, round_deg, signed_polar
@@ -30,8 +30,6 @@ SLOPE_DECIMALS = 3
 """No slope is taken between directions closer than a thousandth of a degree: noise over so short a way is no steepness."""
 PLACE = ("wavelength_nm", "gamma_deg", "sigma_deg", "beta_deg", "shift_deg")
 """Wavelength and pose of a row: the columns of `BsdfPoints.places`."""
-UNLIT = frozenset({"noise", "resolution", "dark", "crosstalk"})
-"""Components of a value that are there without light from the sample: the noise floor."""
 CHANCE = 1e-6
 """Probability that the largest of all differences exceeds its limit, where the uncertainties are right."""
 DEVIATIONS = 5.0

@@ -15,6 +15,8 @@ from goniotwin.app.rig.inputs import Input
 from goniotwin.arrays import Indices, Ints
 
 JOURNAL = "the journal's readings"
+LONGEST_PM = 10_000_000
+"""Wavelengths are below; a number of wavelength and sample has 32 bits."""
 LEAST_CERTIFIED = 1e-5
 """Least relative uncertainty of a gain."""
 
@@ -99,15 +101,16 @@ def signature_input(number: int, rig: RigFile) -> InputQuantity:
 
 
 def calibration_input(number: int, rig: RigFile) -> InputQuantity:
-    """The factor of a photodiode from its overlaps."""
-    del rig
-    return _of_readings(f"calibration[{number}]", "all values of this photodiode")
+    """The factor of a photodiode from the overlaps of a sample."""
+    sample, photodiode = divmod(number, rig.photodiodes.count)
+    return _of_readings(f"calibration[{photodiode}]@sample {sample}", "all values of the sample by this photodiode")
 
 
 def band_shape_input(number: int, rig: RigFile) -> InputQuantity:
-    """What the parabola over the wavelengths does not resolve, at a wavelength in pm."""
+    """What the parabola over the wavelengths does not resolve of a sample's spectrum, at a wavelength in pm."""
     del rig
-    return _of_readings(f"band_shape[{1e-3 * number:g} nm]", "all values of this wavelength")
+    sample, wavelength = divmod(number, LONGEST_PM)
+    return _of_readings(f"band_shape[{1e-3 * wavelength:g} nm]@sample {sample}", "all values of the sample at this wavelength")
 
 
 def certified_gain(rig: RigFile) -> float:
@@ -145,7 +148,6 @@ def declared_input(each: Input) -> Describe:
     def describe(number: int, rig: RigFile) -> InputQuantity:
         del number
         source = quantity(each, rig.uncertainty)
-        # Where rows at two gains show more cross-talk than is stated, values have more of this input.
-        return replace(source, u=source.u or 1.0)
+        return replace(source, u=source.u or 1.0)  # of one without an uncertainty values have nothing
 
     return describe

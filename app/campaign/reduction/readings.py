@@ -11,6 +11,7 @@ import itertools
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -167,24 +168,39 @@ class DarkHistory:
 
 
 class Measurements:
-    """All measured rows of a journal. Raises UserError where there are no dark readings, or a row cannot be reduced."""
+    """All measured rows of a journal. Raises UserError where there are no dark readings, or a row cannot be reduced.
+
+    What they show of themselves is computed when it is first asked for.
+    """
 
     def __init__(self, journal: JournalReader, schedule: ScheduleFile, rig: RigFile) -> None:
-        self._journal = journal
+        self._journal, self._schedule, self._rig = journal, schedule, rig
         self._kept: dict[int, RowSignal] = {}
-        with self._path_in_errors():
-            self._dark = DarkHistory(list(journal.rows("dark")), rig)
-            self._in_memory = journal.all_recorded(MOST_BYTES, *LIT)
-            lit = journal.row_numbers(*LIT)
-            blocks = (lit[begin : begin + EVIDENCE_ROWS] for begin in range(0, lit.size, EVIDENCE_ROWS))
-            tables = (each.readings for block in blocks for each in self._recorded(block, EVIDENCE_ROWS))
-            self._dark = self._dark.with_evidence(collect(self._dark.sums(), tables))
+        self._in_memory = journal.all_recorded(MOST_BYTES, *LIT)
         self._table, self._names = journal.row_index()
         self._by_number = np.argsort(self._table["number"], kind="stable")
-        limit = None if schedule.drift is None else schedule.drift.limit
-        self.insensitive = insensitive_photodiodes(journal.rows("drift"), self._signal)
-        checked = journal.rows_of(journal.drift_row_numbers())
-        self.drift_intervals = drift_intervals(checked, self._signal, rig, limit)
+
+    @cached_property
+    def _dark(self) -> DarkHistory:
+        """The dark readings, with the evidence of all rows."""
+        with self._path_in_errors():
+            dark = DarkHistory(list(self._journal.rows("dark")), self._rig)
+            lit = self._journal.row_numbers(*LIT)
+            blocks = (lit[begin : begin + EVIDENCE_ROWS] for begin in range(0, lit.size, EVIDENCE_ROWS))
+            tables = (each.readings for block in blocks for each in self._recorded(block, EVIDENCE_ROWS))
+            return dark.with_evidence(collect(dark.sums(), tables))
+
+    @cached_property
+    def insensitive(self) -> dict[str, Flags]:
+        """By the mounted sample, the photodiodes (n,) for which a drift check could not detect a loss."""
+        return insensitive_photodiodes(self._journal.rows("drift"), self._signal)
+
+    @cached_property
+    def drift_intervals(self) -> list[DriftInterval]:
+        """The times between drift checks of which one is beyond the limit."""
+        limit = None if self._schedule.drift is None else self._schedule.drift.limit
+        checked = self._journal.rows_of(self._journal.drift_row_numbers())
+        return drift_intervals(checked, self._signal, self._rig, limit)
 
     @property
     def evidence(self) -> SignalEvidence:

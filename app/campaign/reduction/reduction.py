@@ -105,10 +105,10 @@ class Reduction:
                 if (found := file.between(first, last)) is not None:
                     yield PointBlock(places[found[0]], found[1])
 
-    def finish(self, points: BsdfPoints, overlaps: Overlaps | None) -> BsdfPoints:
-        """The BSDF of whole blocks, calibrated by the overlaps of their sample where asked for."""
+    def finish(self, sample: str, points: BsdfPoints, overlaps: Overlaps | None) -> BsdfPoints:
+        """The BSDF of whole blocks of a sample, calibrated by its overlaps where asked for."""
         factors = overlaps.factors if self.settings.calibrates and overlaps is not None else None
-        return finish_points(points, replace(self.settings, calibration=factors))
+        return finish_points(points, replace(self.settings, sample=sample, calibration=factors))
 
     def overlaps(self, sample: str, rows: int = BLOCK_ROWS) -> Overlaps | None:
         """The overlaps of a sample; None where its points are not calibrated by them.

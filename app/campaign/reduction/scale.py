@@ -8,7 +8,7 @@ the certificate states: the values are lower by as much.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import partial
 
 import numpy as np
@@ -98,9 +98,12 @@ def open_beam(points: BsdfPoints, settings: ReductionSettings) -> Effects | None
     scales = list(settings.absolute.items())
     inputs = {
         k: _input(
-            f"open_beam[{nm:g} nm, sigma {sigma:g}]{'@lower' if lower else ''}", u, "all values that it scales", "the scan"
+            f"open_beam[{nm:g} nm, sigma {sigma:g}]{'@lower' if lower else ''}",
+            scale.u,
+            "all values that it scales",
+            "the scan",
         )
-        for k, ((nm, sigma, lower), (_, u)) in enumerate(scales)
+        for k, ((nm, sigma, lower), scale) in enumerate(scales)
     }
     return Effects(points.bsdf, {}, [Group("open_beam", inputs, member[:, None], np.ones((points.size, 1)))], ())
 
@@ -124,23 +127,27 @@ def _by_certificate(points: BsdfPoints, settings: ReductionSettings) -> Floats:
 def factor_effects(each: Input, points: BsdfPoints, settings: ReductionSettings) -> Effects | None:
     """A declared factor on the light of sample, etalon, or both.
 
-    One that the etalon has for the whole campaign is in the scale of the open beam, where that is the scale. What is another
-    after each move is that of the sample's row and of the etalon's.
+    A value divides by the etalon. Where the open beam is the scale, this was divided by the etalon too, and the value has its
+    factor once more, with the other sign.
     """
     if (not settings.etalon_years and each.per_year) or not settings.rig.uncertainty.u(each):
         return None
-    kinds: Sequence[tuple[OpticalPath, Ints, float]] = ((SAMPLE, points.row, 1.0), (ETALON, points.etalon_row, -1.0))
+    ones = np.ones(points.size)
+    kinds: list[tuple[OpticalPath, Ints, Floats]] = [(SAMPLE, points.row, ones), (ETALON, points.etalon_row, -ones)]
+    if settings.absolute:
+        of_beam = _beam_scale(points, settings)
+        rows = np.array([*(scale.etalon_row for scale in settings.absolute.values()), 0])[of_beam]
+        kinds.append((ETALON, np.where(of_beam < 0, points.etalon_row, rows), (of_beam >= 0).astype(float)))
     inputs: dict[str, InputQuantity] = {}
     member, sensitivity = [], []
-    for kind, rows, sign in kinds:
+    for kind, rows, signs in kinds:
         if kind in each.paths:
             found, which = factor_quantities(each, kind, rows, settings)
             for one in found:
                 inputs.setdefault(one.name, one)
             numbers = {name: k for k, name in enumerate(inputs)}
             member.append(np.array([numbers[one.name] for one in found])[which])
-            of_beam = kind == ETALON and each.shared_by is SharedBy.ALL
-            sensitivity.append(sign * (_by_certificate(points, settings) if of_beam else np.ones(points.size)))
+            sensitivity.append(signs)
     group = Group(each.name, dict(enumerate(inputs.values())), np.stack(member, axis=1), np.stack(sensitivity, axis=1))
     many = each.shared_by is SharedBy.MOVE
     return Effects(points.bsdf, {}, [group] if many else (), () if many else [dense_of(group)])

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import date
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -24,14 +24,24 @@ ASSUMED_YEARS = 1.0
 """Age of an etalon whose calibration has no date."""
 
 
+class BeamScale(NamedTuple):
+    """The `ratio` of the open beam's scale to the certificate's, the relative standard uncertainty `u` of the former, and the
+    row of the etalon in both.
+    """
+
+    ratio: float
+    u: float
+    etalon_row: int
+
+
 @dataclass(frozen=True)
 class ReductionSettings:
     """What the steps of a reduction go by: rig, schedule, certificate, and the calibration factors of the sample, if any.
 
     `history`, of a journal, has the mountings, moves and dark readings before each row.
     `sample` is the name of the sample; `etalon_years` the time since the etalon's calibration.
-    `absolute` has, by wavelength, incidence and whether the arc is the lower one, the ratio of the open beam's scale to that of
-    the certificate, and the relative standard uncertainty of the former; where it has one, it scales transmitted light.
+    `absolute` has the scale of the open beam, which scales transmitted light, by wavelength, incidence and whether the arc is
+    the lower one.
     `doubted`: the scan of the open beam contradicts the etalon's scale. `alignment` is what is known of the rig's
     misalignments, by which the values are corrected; None without one.
     """
@@ -44,9 +54,14 @@ class ReductionSettings:
     history: RowHistory | None = None
     sample: str = ""
     etalon_years: float = 1.0
-    absolute: Mapping[tuple[float, float, bool], tuple[float, float]] = field(default_factory=dict)
+    absolute: Mapping[tuple[float, float, bool], BeamScale] = field(default_factory=dict)
     doubted: bool = False
     alignment: Alignment | None = None
+
+    @property
+    def sample_number(self) -> int:
+        """The place of the sample in the schedule, from 1; 0 for none of it."""
+        return {name: k for k, name in enumerate(self.schedule.samples, 1)}.get(self.sample, 0)
 
     @property
     def calibrates(self) -> bool:

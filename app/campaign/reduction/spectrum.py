@@ -19,6 +19,7 @@ from goniotwin.app.campaign.measurement_model.inputs import InputQuantity, quant
 from goniotwin.app.campaign.reduction.arc_rows import POSE, WAVELENGTH, ArcRows
 from goniotwin.app.campaign.reduction.components import DETECTED, INDEPENDENT
 from goniotwin.app.campaign.reduction.points import BsdfPoints
+from goniotwin.app.campaign.reduction.reading_inputs import LONGEST_PM
 from goniotwin.app.campaign.reduction.settings import ReductionSettings
 from goniotwin.app.rig import RigFile
 from goniotwin.app.rig.inputs import MONOCHROMATOR_STRAY
@@ -179,8 +180,9 @@ def correct_band(data: ArcRows, settings: ReductionSettings) -> ArcRows:
         }
         data = replace(data, estimate=replace(estimate, own=own, grouped=grouped))
     if shape.any():
-        # The same spectrum in all directions.
-        member = np.round(1e3 * data.places[:, WAVELENGTH]).astype(np.int32)[:, None, None]
+        # The same spectrum in all directions, of one sample.
+        number = settings.sample_number * LONGEST_PM + np.round(1e3 * data.places[:, WAVELENGTH])
+        member = number.astype(np.int32)[:, None, None]
         effect = (shape * data.estimate.value)[..., None]
         data = replace(data, estimate=data.estimate.with_grouped("band_shape", member, effect))
     return data.flagged({"steep": steep}) if steep.any() else data

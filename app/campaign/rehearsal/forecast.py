@@ -152,7 +152,7 @@ def _parts(
         checks, overlaps = ConsistencyChecks(reduction, name), reduction.overlaps(name, rows_at_once)
         for block in reduction.blocks(name, rows_at_once):
             checks.add(block.points)
-            points = reduction.finish(block.points, overlaps)
+            points = reduction.finish(name, block.points, overlaps)
             spreads.setdefault(name, UncertaintySpread(truth.get(name))).add(points)
             columns: dict[str, npt.NDArray[Any]] = {"sample": np.full(points.bsdf.size, name)}
             columns |= {column: getattr(points, column) for column in POINT_COLUMNS}

@@ -65,7 +65,7 @@ class _Readout:
             self.now += 1.0
             return RowData(started, self.now, None, ())
         plant.shutter_open.set(started, row.kind != "dark")
-        positions = None if row.kind == "dark" else self._move(row)
+        positions = None if row.kind == "dark" or row.pose is None else self._move(row)  # a warm-up has no pose
         self.now += self._settings.wait_s
         if row.kind == "warm-up":
             self.now += row.longest_s

@@ -192,7 +192,7 @@ def finished_blocks(reduction: Reduction, sample: str) -> Iterator[BsdfPoints]:
     """The points of a sample, finished, block by block: each block has whole settings."""
     overlaps = reduction.overlaps(sample)
     for block in reduction.blocks(sample):
-        yield reduction.finish(block.points, overlaps)
+        yield reduction.finish(sample, block.points, overlaps)
 
 
 def _points_at(reduction: Reduction, place: Mapping[str, str | float]) -> tuple[str, BsdfPoints]:

@@ -35,6 +35,7 @@ from goniotwin.app.campaign.measurement_model.pose import (
     Views,
     disc_moves,
     image_shifts,
+    light_at,
     mounting_inputs,
     photodiode_inputs,
     position_input,
@@ -49,6 +50,7 @@ from goniotwin.app.campaign.reduction.reading_inputs import Numbers
 from goniotwin.app.campaign.reduction.reduction import Reduction
 from goniotwin.app.campaign.reduction.row_signals import RowSignal, pose_key, rows_in_columns
 from goniotwin.app.campaign.reduction.scale import factor_quantities
+from goniotwin.app.campaign.reduction.settings import BeamScale
 from goniotwin.app.campaign.reduction.signals import LIGHT as LEAST_LIGHT
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.schedule.grids import grid_values
@@ -60,8 +62,6 @@ from goniotwin.twin.optics import Instrument
 from goniotwin.twin.optics.geometry.coordinates import SPECULAR_AZIMUTH_DEG, round_deg
 from goniotwin.twin.plant.disturbances import ETALON, SharedBy
 
-MIRROR_LEVERS = tuple(math.sqrt(2.0) * k / 4.0 for k in (1, 2, 3))
-"""Turn of the light in the plane of incidence for a tilt of each mirror: 1.414 times its share of the path to the sample."""
 STEP_DEG = 0.2
 """Step of the scan to which the uncertainty of its sum belongs."""
 EDGE_SHARE = 0.01
@@ -119,7 +119,8 @@ class Closure:
     """The etalon's radiance factor by its certificate and by the open beam, at one incidence and wavelength.
 
     `absolute` is corrected for the centroid of the scan by the relative `correction`. `components` are relative, of the ratio
-    of the two; those of `certificate_inputs` belong to the route by the etalon, those of `light` to the light's place.
+    of the two; those of `of_etalon_route` belong to the route by the etalon, those of `light` to the light's place.
+    `etalon_row` is the number of the etalon's row.
     """
 
     beam: ScannedBeam
@@ -129,6 +130,7 @@ class Closure:
     correction: float
     components: tuple[Component, ...]
     light: "LightEffects"
+    etalon_row: int = 0
 
     @property
     def ratio(self) -> float:
@@ -143,8 +145,9 @@ class Closure:
     @property
     def u_absolute(self) -> float:
         """Relative standard uncertainty of the absolute route alone."""
-        others = certificate_inputs()
-        return math.sqrt(math.fsum(each.u**2 for each in self.components if each.name not in others))
+        others = of_etalon_route()
+        own = (each.u**2 for each in self.components if each.name.partition("@")[0] not in others)
+        return math.sqrt(math.fsum(own))
 
     @property
     def z(self) -> float:
@@ -307,12 +310,11 @@ class ClosureReport:
     crosstalk: str = ""
 
     @property
-    def scale(self) -> dict[tuple[float, float, bool], tuple[float, float]]:
+    def scale(self) -> dict[tuple[float, float, bool], BeamScale]:
         """The scale of the open beam, as `ReductionSettings.absolute` has it."""
         return {
-            (*round_deg([each.wavelength_nm, each.beam.scan.sigma_deg]).tolist(), each.beam.scan.arc == "lower"): (
-                each.ratio,
-                each.u_absolute,
+            (*round_deg([each.wavelength_nm, each.beam.scan.sigma_deg]).tolist(), each.beam.scan.arc == "lower"): BeamScale(
+                each.ratio, each.u_absolute, each.etalon_row
             )
             for each in self.closures
         }
@@ -409,9 +411,9 @@ class ClosureReport:
         return f"{worst.verdict} ({where})"
 
 
-def certificate_inputs() -> list[str]:
-    """The components of the route by the etalon: the certificate, and what the etalon's light has for the whole campaign."""
-    return [CERTIFICATE, *(each.name for each in declared.factors(ETALON) if each.shared_by is SharedBy.ALL)]
+def of_etalon_route() -> frozenset[str]:
+    """The components of the route by the etalon, without mountings and moves: the certificate, and the factors on its light."""
+    return frozenset([CERTIFICATE, *(each.name for each in declared.factors(ETALON))])
 
 
 def is_own_of_a_scan(part: Component) -> bool:
@@ -562,10 +564,11 @@ class _Readings:
         if wavelength_nm != self._wavelength_nm:
             middle = self._signals([self._open[middle_key]])
         certified = InputQuantity(CERTIFICATE, "1", float(u_factor[0]), "normal", SharedBy.ALL, "the certificate", "")
-        row = np.array([self._etalon[etalon_key].row.number])
-        factors = [factor_quantities(each, ETALON, row, self._settings)[0] for each in declared.factors(ETALON)]
+        row = self._etalon[etalon_key].row.number
+        factors = [factor_quantities(each, ETALON, np.array([row]), self._settings)[0] for each in declared.factors(ETALON)]
         of_etalon = [_of_effect(each, each.u) for each in (certified, *itertools.chain.from_iterable(factors))]
-        return compare(beam, wavelength_nm, scanned, middle, etalon, float(factor[0]), of_etalon, rig, self._moves())
+        found = compare(beam, wavelength_nm, scanned, middle, etalon, float(factor[0]), of_etalon, rig, self._moves())
+        return replace(found, etalon_row=row)
 
     def _moves(self) -> Ints | None:
         """For each pose (n, 2) the number of moves so far of shift and beta; None without a history of the rows."""
@@ -744,8 +747,11 @@ def pose_inputs(scan: BeamScan, rig: RigFile) -> list[PoseInput]:
     per_deg = math.radians(1.0)
     tangent, cotangent = math.tan(sigma) * per_deg, per_deg / math.tan(sigma)
     side = 1.0 if scan.arc == "upper" else -1.0  # the unit and the arc turn the other way about the lower arc's pole
-    levers = {f"mirror_{k}_tilt_y": lever for k, lever in enumerate(MIRROR_LEVERS, 1)}
-    of_light = {name: (-2.0 * side * lever * tangent, -side * lever) for name, lever in {**levers, "sigma_zero": 1.0}.items()}
+    instrument, sigmas = nominal_instrument(rig), (scan.etalon_pose[1], float(scan.poses[scan.middle, 1]))
+    etalon, beam = (light_at(instrument, each) for each in sigmas)
+    # The change of the angle of incidence, and those of the irradiance, of the etalon and of the hole.
+    turned = -math.copysign(1.0, beam[0][2]) / math.sin(sigma) * beam[1][:, 2]
+    of_light = dict(zip(LIGHT, zip((etalon[2] - beam[2]).tolist(), turned.tolist(), strict=True), strict=True))
     of_arc = dict.fromkeys(("shift_zero", f"photodiode_angle[{scan.photodiode}]", "sensor_tilt_y"), (cotangent - tangent, -1.0))
     effects = {
         **of_light,
@@ -870,11 +876,6 @@ def _light_effects(
             both = replace(each, name=f"{SLIT_IMAGE}*{each.name}", distribution="normal")
             components.append(Component(both.name, sensitivity * each.u, sensitivity, both))
     return LightEffects(tuple(components), law.probability, np.stack(effects))
-
-
-def centroid_uncertainty_deg(scan: BeamScan, rig: RigFile) -> float:
-    """Standard uncertainty of where the beam is along the arc, from the inputs of the rig file."""
-    return math.sqrt(math.fsum((each.of_centroid * each.input.u) ** 2 for each in pose_inputs(scan, rig)))
 
 
 def _scan_positions(

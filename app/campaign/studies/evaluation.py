@@ -12,7 +12,7 @@ from goniotwin.app.campaign.studies.alignment import AlignmentResult
 from goniotwin.app.campaign.studies.closure import ClosureReport, journal_closure
 from goniotwin.app.campaign.studies.sample_alignment import align_sample
 from goniotwin.app.errors import UserError
-from goniotwin.app.rig.inputs import REPEATABILITY
+from goniotwin.app.rig.inputs import CROSSTALK, REPEATABILITY, Input
 
 
 @dataclass(frozen=True)
@@ -51,9 +51,10 @@ def evaluate_journal(journal: JournalReader, *, without_damaged: bool = False) -
     repeated = repeats(reduction.measurements, reduction.schedule.samples, 0.5 * monitor_variance(reduction.rig.file))
     table = reduction.rig.file.uncertainty
     if repeated is not None and repeated.excess > table.u(REPEATABILITY):
-        measured = table.measured(REPEATABILITY, repeated.excess, "the repeats of this campaign")
-        settings = replace(reduction.settings, rig=replace(reduction.settings.rig, uncertainty=measured))
-        reduction = replace(reduction, settings=settings)
+        reduction = _measured(reduction, REPEATABILITY, repeated.excess, "the repeats of this campaign")
+    share = float(reduction.measurements.evidence.crosstalk.max())
+    if share > table.u(CROSSTALK):
+        reduction = _measured(reduction, CROSSTALK, share, "the rows of this campaign at two gains")
     closure = _closure(reduction)
     reduction = replace(reduction, settings=scan_settings(reduction.settings, closure))
     aligned: AlignmentResult | None = None
@@ -67,6 +68,13 @@ def evaluate_journal(journal: JournalReader, *, without_damaged: bool = False) -
         else:
             reduction = replace(reduction, settings=replace(reduction.settings, alignment=aligned.with_photodiodes))
     return Evaluation(reduction, repeated, closure, known, aligned, not_aligned)
+
+
+def _measured(reduction: Reduction, each: Input, width: float, by: str) -> Reduction:
+    """The reduction with the uncertainty of an input that the campaign shows, where that is more than is stated."""
+    rig = reduction.settings.rig
+    known = replace(rig, uncertainty=rig.uncertainty.measured(each, width, by))
+    return replace(reduction, settings=replace(reduction.settings, rig=known))
 
 
 def _closure(reduction: Reduction) -> ClosureReport:

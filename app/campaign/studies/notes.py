@@ -33,9 +33,9 @@ def reduction_notes(evaluation: Evaluation, tallies: Mapping[str, Tally]) -> lis
     if transmitted:
         notes.append("transmitted light is scaled by the same photodiode's signal of the etalon, lit from its own side")
         notes += [
-            f"the etalon's scale for it at {nm:g} nm, sigma {sigma:g} deg is that of the open beam, {ratio:.4f} of the "
-            f"certificate's (u {100.0 * u:.2f} %), for photodiodes of the {'lower' if lower else 'upper'} arc"
-            for (nm, sigma, lower), (ratio, u) in reduction.settings.absolute.items()
+            f"the etalon's scale for it at {nm:g} nm, sigma {sigma:g} deg is that of the open beam, {scale.ratio:.4f} of the "
+            f"certificate's (u {100.0 * scale.u:.2f} %), for photodiodes of the {'lower' if lower else 'upper'} arc"
+            for (nm, sigma, lower), scale in reduction.settings.absolute.items()
         ]
     certificate = reduction.schedule.certificate
     if certificate is not None and certificate.accept_expired_by is not None:

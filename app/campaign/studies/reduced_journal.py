@@ -115,7 +115,7 @@ def _reduce(evaluation: Evaluation, keep: Keep) -> ReducedJournal:
         checks, of_sample = ConsistencyChecks(reduction, name), reduction.overlaps(name, BLOCK_ROWS)
         for block in reduction.blocks(name, BLOCK_ROWS):
             checks.add(block.points)
-            points = reduction.finish(block.points, of_sample)
+            points = reduction.finish(name, block.points, of_sample)
             tallies.setdefault(name, Tally()).add(points)
             keep(name, block.rank, points)
         if name in tallies:

@@ -80,7 +80,7 @@ class _Sample:
         overlaps = reduction.overlaps(name)
         for block in reduction.blocks(name):
             self._checks.add(block.points)
-            points = reduction.finish(block.points, overlaps)
+            points = reduction.finish(name, block.points, overlaps)
             self.tally.add(points)
             of_sigmas = points.good & np.isin(round_deg(polar_from_zenith(points.zenith_deg)), incidences)
             self._reciprocal.append(points.where(of_sigmas))

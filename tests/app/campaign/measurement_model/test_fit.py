@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from goniotwin.app.campaign.measurement_model.effects import Effects
-from goniotwin.app.campaign.measurement_model.fit import fit_inputs
+from goniotwin.app.campaign.measurement_model.fit import ValuesCovariance
 from tests.app.campaign.measurement_model.made_effects import dense_sensitivities, drawn_errors, made_effects
 
 
@@ -17,7 +17,7 @@ from tests.app.campaign.measurement_model.made_effects import dense_sensitivitie
 def test_fit_is_generalised_least_squares(seed: int, values: int, dense: int, members: int) -> None:
     effects = made_effects(seed, values, dense, members)
     residual = drawn_errors(effects, seed + 1)
-    fit = fit_inputs(effects, residual)
+    fit = ValuesCovariance(effects).fit(residual)
     own = np.sum(list(effects.independent.values()), axis=0)
     shared = dense_sensitivities(effects)
     alone = (shared != 0.0).sum(axis=0) < 2
@@ -47,7 +47,7 @@ def _ratios(effects: Effects, law: Effects, rigs: int) -> tuple[float, float]:
     """chi2/n of what is left, and variance of the fitted dense inputs over the expected one, over drawn rigs."""
     left, expected, variance, known = 0.0, 0.0, 0.0, 0.0
     for seed in range(rigs):
-        fit = fit_inputs(effects, drawn_errors(law, seed))
+        fit = ValuesCovariance(effects).fit(drawn_errors(law, seed))
         left, expected = left + fit.chi_square.sum(), expected + fit.expected.sum()
         u = np.array([each.u for each in fit.inputs])
         dense = np.array([each.name.startswith("dense") for each in fit.inputs])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from goniotwin.app.campaign.measurement_model.effects import Dense, Effects, Group
-from goniotwin.app.campaign.measurement_model.fit import fit_inputs
+from goniotwin.app.campaign.measurement_model.fit import ValuesCovariance
 from goniotwin.app.campaign.measurement_model.inputs import InputQuantity
 from goniotwin.app.campaign.proof.judgement import scaled_to_truth
 
@@ -24,9 +24,9 @@ def test_noise_is_not_taken_for_an_input() -> None:
     group = Group("lamp", {0: inputs[2]}, np.zeros((value.size, 1), dtype=np.int64), np.ones((value.size, 1)))
     effects = Effects(value, {"noise": (noise / value) ** 2}, [group], [Dense(inputs[:2], sensitivity)])
     residual = (value - truth) / value
-    fit = fit_inputs(scaled_to_truth(effects, truth / value), residual)
+    fit = ValuesCovariance(scaled_to_truth(effects, truth / value)).fit(residual)
     for estimate, expected in zip(fit.estimate, fit.expected_variance, strict=True):
         assert abs(estimate) < 3.5 * np.sqrt(expected)
-    assert abs(fit_inputs(effects, residual).of("linearity")) > 0.05  # a whole u: the fault that this prevents
+    assert abs(ValuesCovariance(effects).fit(residual).of("linearity")) > 0.05  # a whole u: the fault that this prevents
     added = scaled_to_truth(effects, truth / value).dense[0].sensitivity[:, 1]
     assert added == pytest.approx(1.0 / value)

@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 
 from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.proof.judgement import RigResult
 from goniotwin.app.campaign.proof.proof import Proof, prove, rig_of_chunk, unpacked
 from goniotwin.app.campaign.proof.report import proof_text
 from goniotwin.app.campaign.proof.virtual_rigs import run_with_wires
 from goniotwin.app.campaign.rehearsal.without_wires import run_without_wires
-from goniotwin.app.campaign.schedule.file import read_schedule
+from goniotwin.app.campaign.schedule.file import parse_schedule, read_schedule
 from goniotwin.app.campaign.studies.reduced_journal import reduce_journal
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats import BsdfTable, registry
@@ -26,7 +27,7 @@ from goniotwin.app.rig.model_hash import model_hash
 from goniotwin.app.sweeps.environment import one_thread_in_linear_algebra
 from goniotwin.app.sweeps.runners import Here
 from goniotwin.app.sweeps.specification import Specification
-from tests.conftest import Writer
+from tests.conftest import RIG, SMALL, Writer
 
 FAULT = ("[twin.samples.etalon]", "[twin.disturbances]\nsigma_zero_deg = 0.7\n\n[twin.samples.etalon]")
 
@@ -86,6 +87,15 @@ def test_without_wires_the_values_are_those_of_the_wires(write_rig: Writer, writ
     # Drawn at each move: the position of an axis, which has other numbers of moves with a search for the reference.
     slack = 0.02 * np.abs(wired.bsdf)
     assert np.all(np.abs(wired.bsdf - direct.bsdf)[bright] < (5.0 * noise + slack)[bright])
+
+
+def test_a_warm_up_has_no_pose_to_go_to_without_wires(tmp_path: Path) -> None:
+    warm = parse_schedule(f"{SMALL}[warm_up]\npercent_per_10min = 2.0\nlongest_s = 60.0\n", "warm.toml")
+    run_without_wires(make_plan(warm, read_rig(RIG)), tmp_path / "a.journal")
+    with Journal.open(tmp_path / "a.journal") as journal:
+        (row,) = journal.rows("warm-up")
+        assert row.data.ended_s - row.data.started_s >= 60.0
+        assert reduce_journal(journal).samples["gaussian-5"].good.any()
 
 
 def test_a_proof_continues_and_its_results_are_those_of_one_run(

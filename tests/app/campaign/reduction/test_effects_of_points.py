@@ -301,7 +301,7 @@ class Formula:
         reading = 1.0 + self._input(f"etalon_reading[{c}]@row {etalon_row}", self._relative["etalon_reading"][k])
         dark = self._relative["etalon_dark"][k] * self._input(f"dark[{c}, {volts[0]:g} V/A]@dark {etalon_row}", 1.0)
         etalon = reading * (1.0 - dark) / self._gain(c, 0) / self._monitor(etalon_row, 0)
-        factor = 1.0 + self._input(f"calibration[{c}]", self._relative["calibration"][k])
+        factor = 1.0 + self._input(f"calibration[{c}]@sample 0", self._relative["calibration"][k])
         table = KEYS
         u_crosstalk = table.crosstalk
         signal = signal * (1.0 + self._relative["crosstalk"][k] / u_crosstalk * self._input("crosstalk", u_crosstalk))
@@ -349,7 +349,7 @@ class Formula:
         signal = signal * (1.0 + self._relative["signature"][k] * self._input("signature", 1.0))
         reading = self._input(f"signature_reading[{self._points.photodiode[k]}]@row {row}", 1.0)
         signal = signal * (1.0 - self._relative["signature_reading"][k] * reading)
-        signal = signal * (1.0 + self._relative["band_shape"][k] * self._input("band_shape[550 nm]", 1.0))
+        signal = signal * (1.0 + self._relative["band_shape"][k] * self._input("band_shape[550 nm]@sample 0", 1.0))
         for name in ("resolution", "ray_tracing", "second_order", "slope_unresolved", "field_noise"):
             signal = signal * (1.0 + self._input(f"{name} of {k}", self._relative[name][k]))
         return signal, etalon

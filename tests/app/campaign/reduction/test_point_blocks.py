@@ -11,9 +11,12 @@ import pytest
 from goniotwin.app.campaign.campaign import run_campaign
 from goniotwin.app.campaign.journal import chain, reading
 from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.measurement_model.quantity import NONE
 from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.reduction import readings
 from goniotwin.app.campaign.reduction import reduction as reducing
+from goniotwin.app.campaign.reduction.effects_of_points import effects_of
+from goniotwin.app.campaign.reduction.etalon import ReferenceSignals, join_references
 from goniotwin.app.campaign.reduction.points import COLUMNS, BsdfPoints, join_points
 from goniotwin.app.campaign.rehearsal.forecast import forecast
 from goniotwin.app.campaign.rehearsal.rehearsal import plan_rehearsal, rehearse
@@ -76,7 +79,7 @@ def test_values_are_the_same_for_any_size_of_a_block(journal: Path, sizes: tuple
             for size in sizes:
                 blocks = list(reduction.blocks(sample, size))
                 overlaps = reduction.overlaps(sample, size)
-                points = join_points([reduction.finish(block.points, overlaps) for block in blocks])
+                points = join_points([reduction.finish(sample, block.points, overlaps) for block in blocks])
                 results[size] = bits(points)
                 ranks = np.concatenate([block.rank for block in blocks])
                 assert bits(points.where(np.argsort(ranks, kind="stable"))) == bits(whole.samples[sample])
@@ -138,3 +141,41 @@ def test_the_memory_of_a_forecast_grows_by_much_less_than_a_kilobyte_per_row(
         rows.append(len(plan.rows))
     # All points at once, as text, would take 20 kB per row.
     assert (memory[1] - memory[0]) / (rows[1] - rows[0]) < 600.0
+
+
+@JOURNALS
+def test_each_sample_has_factors_of_its_own_from_its_overlaps(journal: Path, sizes: tuple[int, ...]) -> None:
+    """Values of two samples by one photodiode do not share them."""
+    del sizes
+    with Journal.open(journal) as opened:
+        reduction, whole = evaluate_journal(opened).reduction, reduce_journal(opened)
+        effects = [effects_of(whole.samples[name], reduction.settings) for name in ("glass", "gaussian-5")]
+    inputs = []
+    for each in effects:
+        (group,) = [group for group in each.groups if group.name == "calibration"]
+        inputs.append({each.name for each in group.inputs.values()})
+    assert inputs[0]
+    assert inputs[1]
+    assert {name.partition("@")[2] for name in inputs[0]} == {"sample 1"}
+    assert {name.partition("@")[2] for name in inputs[1]} == {"sample 2"}
+
+
+@JOURNALS
+def test_a_signature_that_was_measured_in_part_has_no_input_elsewhere(journal: Path, sizes: tuple[int, ...]) -> None:
+    del sizes
+    with Journal.open(journal) as opened:
+        reduction = evaluate_journal(opened).reduction
+        numbers = reduction.measurements.row_table("gaussian-5")["number"][:4].tolist()
+        rows = reduction.measurements.rows_in_columns(numbers)
+        assert rows is not None
+        references = [each.at_places(rows.places) for each in (reduction.etalon, reduction.signature)]
+        first = reduction.signature.at_places(rows.places[:1])
+    assert None not in references
+    assert first is not None
+    for _, arc in join_references(rows, ReferenceSignals(references[0], first), reduction.settings):
+        measured = arc.signature_measured[:, 0]
+        assert measured.any()
+        assert not measured.all()
+        for name, terms in arc.signature.grouped.items():
+            assert np.all(terms.member[~measured] == NONE), name
+            assert np.any(terms.member[measured] != NONE), name

@@ -19,7 +19,7 @@ from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.reduction.polarisation import light_state, light_words
 from goniotwin.app.campaign.reduction.readings import Measurements, Repeats, repeats
 from goniotwin.app.campaign.reduction.scale import certificate_effects, factor_effects, shape_of, shared_families
-from goniotwin.app.campaign.reduction.settings import ReductionSettings, reduction_settings
+from goniotwin.app.campaign.reduction.settings import BeamScale, ReductionSettings, reduction_settings
 from goniotwin.app.campaign.schedule.certificate import parse_certificate
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.errors import UserError
@@ -195,11 +195,15 @@ def test_the_open_beam_takes_the_place_of_certificate_age_and_edge_where_it_is_t
     """Transmitted light at one wavelength and sigma; the other points have the certificate."""
     points = points_at([500.0, 500.0, 510.0], [120.0, 40.0, 120.0])
     points = replace(points, transmitted=np.array([True, False, True]))
-    of = replace(settings(OLD), absolute={(500.0, 30.0, True): (1.01, 0.006), (500.0, 30.0, False): (1.02, 0.1)})
+    scales = {(500.0, 30.0, True): BeamScale(1.01, 0.006, 3), (500.0, 30.0, False): BeamScale(1.02, 0.1, 3)}
+    of = replace(settings(OLD), absolute=scales)
     found = add_shared(points, of)
     assert found.budget["open_beam"] == pytest.approx([2.0 * 0.006, 0.0, 0.0])
     for name in ("certificate", "etalon_age", "etalon_edge"):
         assert (found.budget[name] > 0.0).tolist() == [False, True, True]
+    # The etalon's mounting is in the scan's scale as in the value: it cancels there.
+    mounted = add_shared(points, replace(of, rig=settings(mounting=0.01).rig)).budget["mounting"]
+    assert mounted == pytest.approx([2.0 * 0.01, 2.0 * math.hypot(0.01, 0.01), 2.0 * math.hypot(0.01, 0.01)])
     back = add_shared(replace(points, back=np.ones(3, dtype=bool)), of)
     assert back.budget["open_beam"] == pytest.approx([2.0 * 0.1, 0.0, 0.0])
     noisy = replace(found, own={**found.own, "noise": np.full(3, 1e-8)})
