@@ -1,4 +1,4 @@
-"""What a campaign shows of its own inputs takes the place of what the rig file states, and says so."""
+"""What a campaign shows of its own inputs takes the place of what the rig file states, with its source."""
 
 from collections.abc import Sequence
 from pathlib import Path
