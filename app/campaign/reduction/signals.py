@@ -14,7 +14,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from operator import itemgetter
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,21 +45,29 @@ MOST_VALUES = 1 << 20
 """Counts that are in memory together, as numbers of eight bytes, several times."""
 
 
+@dataclass(frozen=True)
 class DarkReadings:
-    """All dark readings of a journal at one gain, each with its number. Raises UserError if they are too few for the noise.
+    """All dark readings of a journal at one gain, by their `numbers` (k,): time in the middle, mean counts (k, photodiodes),
+    the monitor's current, and the number of readings from different conversions.
 
     `variance_v2` is that of one reading's noise, from `freedom` degrees of freedom, `undithered_v2` that of the converter's
     step which no mean reduces.
     """
 
-    def __init__(self, numbered: Sequence[tuple[int, Reading]], settings: ConverterDescription) -> None:
+    numbers: Ints
+    times: Floats
+    means: Floats
+    monitor_a: Floats
+    readings: Ints
+    freedom: float
+    variance_v2: Floats
+    undithered_v2: Floats
+
+    @classmethod
+    def of(cls, numbered: Sequence[tuple[int, Reading]], settings: ConverterDescription) -> Self:
+        """Those of readings, of which there is at least one. Raises UserError if they are too few for the noise."""
         converter, readings = settings.range, [each for _, each in numbered]
-        self._numbers = np.array([number for number, _ in numbered])
-        self._times = np.array([middle_s(each) for each in readings])
-        self._means = np.array([each.counts.mean(axis=0) for each in readings])
-        self._monitor_a = np.array([each.monitor_a for each in readings])
-        self._readings = np.array([independent_conversions(each.counts) for each in readings])
-        self.freedom = freedom = float(np.sum([len(each.counts) - 1 for each in readings]))
+        freedom = float(np.sum([len(each.counts) - 1 for each in readings]))
         if freedom < MIN_FREEDOM:
             raise UserError(
                 f"the dark readings have {freedom:.0f} degrees of freedom in all; the noise needs {MIN_FREEDOM:.0f}; "
@@ -68,21 +76,26 @@ class DarkReadings:
         scatter = sum((((each.counts - each.counts.mean(axis=0)) ** 2).sum(axis=0) for each in readings), np.float64(0.0))
         # The scatter of few readings is itself uncertain: widen the variance as Student's distribution is wider.
         pooled = scatter / freedom * freedom / (freedom - 2.0)
-        self.variance_v2: Floats = np.maximum(pooled, QUANTISATION_VARIANCE) * converter.lsb_v**2
         # Without noise as dither, the error of a mean does not fall below that of the converter's step.
         dither = np.maximum(pooled - QUANTISATION_VARIANCE, 0.0)
-        self.undithered_v2: Floats = QUANTISATION_VARIANCE * np.exp(-4.0 * np.pi**2 * dither) * converter.lsb_v**2
+        return cls(
+            np.array([number for number, _ in numbered]), np.array([middle_s(each) for each in readings]),
+            np.array([each.counts.mean(axis=0) for each in readings]), np.array([each.monitor_a for each in readings]),
+            np.array([independent_conversions(each.counts) for each in readings]), freedom,
+            np.maximum(pooled, QUANTISATION_VARIANCE) * converter.lsb_v**2,
+            QUANTISATION_VARIANCE * np.exp(-4.0 * np.pi**2 * dither) * converter.lsb_v**2,
+        )  # fmt: skip
 
     def interval(self, t: Floats) -> Ints:
         """The number of the dark reading before a time, or of the one before the last; at least 0."""
-        return np.clip(np.searchsorted(self._times, t) - 1, 0, max(len(self._times) - 2, 0))
+        return np.clip(np.searchsorted(self.times, t) - 1, 0, max(len(self.times) - 2, 0))
 
     def at(self, t: Floats) -> tuple[Floats, Floats, Floats]:
         """At times (...): mean counts (..., photodiodes), the monitor's current in A, the divisor of a reading's variance."""
         weight, which = self._weights(t)
-        counts = np.einsum("...k,...kc->...c", weight, self._means[which])
-        monitor = np.einsum("...k,...k->...", weight, self._monitor_a[which])
-        return counts, monitor, 1.0 / np.einsum("...k,...k->...", weight, weight / self._readings[which])
+        counts = np.einsum("...k,...kc->...c", weight, self.means[which])
+        monitor = np.einsum("...k,...k->...", weight, self.monitor_a[which])
+        return counts, monitor, 1.0 / np.einsum("...k,...k->...", weight, weight / self.readings[which])
 
     def shares(self, t: Floats) -> tuple[Ints, Floats]:
         """At times (...), of the dark readings before and after: numbers (..., 2), NONE for one that does not count there.
@@ -90,14 +103,14 @@ class DarkReadings:
         With them what one of these adds to what is subtracted, for a standard uncertainty of one reading's noise (..., 2).
         """
         weight, which = self._weights(t)
-        return np.where(weight > 0.0, self._numbers[which], NONE), weight / np.sqrt(self._readings[which])
+        return np.where(weight > 0.0, self.numbers[which], NONE), weight / np.sqrt(self.readings[which])
 
     def _weights(self, t: Floats) -> tuple[Floats, Ints]:
         """The weights (..., 2) of the dark readings before and after a time, and which these are."""
         before = self.interval(np.asarray(t))
-        after = np.minimum(before + 1, len(self._times) - 1)
-        between = self._times[after] - self._times[before]
-        share = np.clip((t - self._times[before]) / np.where(between > 0.0, between, np.inf), 0.0, 1.0)
+        after = np.minimum(before + 1, len(self.times) - 1)
+        between = self.times[after] - self.times[before]
+        share = np.clip((t - self.times[before]) / np.where(between > 0.0, between, np.inf), 0.0, 1.0)
         return np.stack([1.0 - share, share], axis=-1), np.stack([before, after], axis=-1)
 
 
@@ -122,7 +135,7 @@ def dark_readings_by_gain(rows: list[CommittedRow], settings: ConverterDescripti
         for reading in each.data.readings:
             check_reading(reading, settings)
             by_gain[reading.gain_v_per_a].append((number, reading))
-    return {gain: DarkReadings(readings, settings) for gain, readings in by_gain.items()}
+    return {gain: DarkReadings.of(readings, settings) for gain, readings in by_gain.items()}
 
 
 @dataclass(frozen=True)
