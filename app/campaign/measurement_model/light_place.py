@@ -292,6 +292,22 @@ def seen_light(instrument: Instrument, pose: tuple[float, float], view: Floats, 
     )
 
 
+def seen_logarithm(
+    instrument: Instrument, pose: tuple[float, float], views: Floats, places: Floats, discs: Floats
+) -> Floats:  # fmt: skip
+    """The logarithm (m, n) of a diffuser's light at a pose of sigma and gamma in the directions `views` (m, 3), with the slit's
+    image at `places` (n, 2), against a hole that is lit everywhere; to first order with each photodiode's disc moved against
+    its cone by `discs` (m, n, 3), mm along the rig's axes.
+    """
+    spot = spot_weights(instrument, *pose)
+    steps = DISC_STEP_MM * np.concatenate([np.zeros((1, 3)), np.eye(3), -np.eye(3)])
+    weight = np.stack([[_cone_and_disc(instrument, spot.points - step, view)[1] for step in steps] for view in views])
+    whole = weight.sum(axis=2)[..., None]
+    found = np.log(np.maximum(weight @ spot.lit_cells(places).T, SMALLEST * whole) / whole)
+    by_disc = (found[:, 1:4] - found[:, 4:]) / (2.0 * DISC_STEP_MM)
+    return np.asarray(found[:, 0] + np.einsum("mkn,mnk->mn", by_disc, discs))
+
+
 @dataclass(frozen=True)
 class PlaceLaw:
     """Places (n, 2) of the slit's image across the beam, in the plane of incidence and along y, and their probability (n,)."""

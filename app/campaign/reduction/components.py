@@ -89,6 +89,7 @@ KINDS: Mapping[str, Kind] = {
     "photodiode_angle": Kind(),
     "certificate": Kind(of_direction=True),
     "open_beam": Kind(of_direction=True),
+    "slit_image": Kind(),
     declared.WAVELENGTH.name: Kind(of_direction=True),
     "bandwidth": Kind(of_direction=True),
     "band_shape": Kind(band_shape_input, of_direction=True),

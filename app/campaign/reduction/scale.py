@@ -17,6 +17,7 @@ from goniotwin.app.campaign.geometry.directions import polar_from_zenith
 from goniotwin.app.campaign.measurement_model.effects import Dense, Effects, Group, dense_of
 from goniotwin.app.campaign.measurement_model.inputs import InputQuantity, quantity
 from goniotwin.app.campaign.measurement_model.pose import OF_ETALON
+from goniotwin.app.campaign.reduction.lit_hole import SLIT_IMAGE, slit_image_effects
 from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.reduction.polarisation import light_state
 from goniotwin.app.campaign.reduction.settings import OpticalPath, ReductionSettings, mounted
@@ -119,6 +120,11 @@ def _beam_scale(points: BsdfPoints, settings: ReductionSettings) -> Ints:
     return member
 
 
+def slit_image(points: BsdfPoints, settings: ReductionSettings) -> Effects | None:
+    """What the place of the slit's image does to transmitted light."""
+    return slit_image_effects(points, settings, _beam_scale(points, settings) < 0)
+
+
 def _by_certificate(points: BsdfPoints, settings: ReductionSettings) -> Floats:
     """1 (n,) where the etalon's certificate scales a point, 0 where the open beam does."""
     return (_beam_scale(points, settings) < 0).astype(float)
@@ -205,6 +211,7 @@ def shared_families() -> dict[str, EffectsOf]:
         "certificate": certificate_effects,
         **{each.name: partial(factor_effects, each) for each in factors()},
         "open_beam": open_beam,
+        SLIT_IMAGE: slit_image,
         WAVELENGTH.name: wavelength_effects,
         "bandwidth": bandwidth_effects,
         MONOCHROMATOR_STRAY.name: stray_effects,

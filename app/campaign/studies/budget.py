@@ -9,6 +9,7 @@ import numpy as np
 
 from goniotwin.app.campaign.measurement_model.effects import Component
 from goniotwin.app.campaign.reduction.effects_of_points import effects_of
+from goniotwin.app.campaign.reduction.lit_hole import in_one_line
 from goniotwin.app.campaign.reduction.points import BsdfPoints, join_points
 from goniotwin.app.campaign.reduction.reduction import Reduction
 from goniotwin.app.campaign.reduction.settings import ReductionSettings
@@ -130,8 +131,7 @@ def budget_of_value(reduction: Reduction, place: Mapping[str, str | float]) -> B
     if near.size > 1:
         by = ", ".join(str(each) for each in sorted(set(near.photodiode.tolist())))
         about.append(f"{near.size} values are of this direction, by photodiodes {by}; this is the first with a trusted value")
-    effects = effects_of(point, reduction.settings)
-    components = tuple(effects.budget(0))
+    components = tuple(in_one_line(effects_of(point, reduction.settings).budget(0), reduction.settings.rig.uncertainty))
     title = (
         f"{name}, {point.wavelength_nm[0]:g} nm, sigma {point.sigma_deg[0]:g}, gamma {point.gamma_deg[0]:g}, "
         f"zenith {point.zenith_deg[0]:g}, azimuth {point.azimuth_deg[0]:g} deg (theta {point.theta_deg[0]:.4g}, phi "
@@ -170,7 +170,7 @@ def reflectance(settings: ReductionSettings, name: str, points: BsdfPoints, sett
     value = np.where(rule.weight != 0.0, here.bsdf, 0.0)
     of_filled = float(np.sum((rule.obstructed + rule.extrapolated) * np.abs(value)))
     components = [
-        *components_of_sum(here, rule.weight, settings),
+        *in_one_line(components_of_sum(here, rule.weight, settings), settings.rig.uncertainty),
         Component(INTERPOLATION, rule.interpolation_error(here.bsdf), 1.0, None),
         # What stands for a direction without a value is between nothing and twice as much: rectangular.
         Component(FILLED, of_filled / math.sqrt(3.0), 1.0, None),

@@ -46,6 +46,7 @@ from goniotwin.app.campaign.measurement_model.quantity import NONE
 from goniotwin.app.campaign.measurement_model.slopes import Directions
 from goniotwin.app.campaign.reduction.components import Signal, input_of
 from goniotwin.app.campaign.reduction.etalon import SIGNATURE, SIGNATURE_READING, comparable_signals
+from goniotwin.app.campaign.reduction.lit_hole import SLIT_IMAGE
 from goniotwin.app.campaign.reduction.reading_inputs import Numbers
 from goniotwin.app.campaign.reduction.reduction import Reduction
 from goniotwin.app.campaign.reduction.row_signals import RowSignal, pose_key, rows_in_columns
@@ -238,8 +239,6 @@ class JointClosure:
         return f"all scans together (sigma {sigmas} deg): ratio {self.ratio:.4f}, u {100.0 * self.u:.2f} %, z {signed(self.z)}"
 
 
-SLIT_IMAGE = "slit_image"
-"""The component of the light's place, and with a star and an input those of the place and that input together."""
 CERTIFICATE = "certificate"
 OF_A_SCAN = (SharedBy.SCAN, SharedBy.AXIS_MOVE, SharedBy.MOVE)
 """What is another at each scan, beside the readings."""
@@ -857,6 +856,7 @@ def _light_effects(
     u = math.sqrt(float(law.probability @ image**2))
     alone = replace(quantity(declared.MIRROR_TILT, table, SLIT_IMAGE), unit="1", u=u, distribution="normal")
     components, effects = [Component(SLIT_IMAGE, alone.u, 1.0, alone)], [image]
+    # With a star and an input: those of the place and of that input together.
     by_lift = [
         -(each.by_place @ across_beam(sigma)[:, 2]) - each.by_disc[:, 2]
         for each, sigma in zip((etalon, beam), sigmas, strict=True)

@@ -17,6 +17,7 @@ from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.reduction.components import COVERAGE as INTERVAL_U
 from goniotwin.app.campaign.reduction.components import INTERVAL_RULE
 from goniotwin.app.campaign.reduction.effects_of_points import effects_of
+from goniotwin.app.campaign.reduction.lit_hole import in_one_line
 from goniotwin.app.campaign.reduction.points import FLAGS
 from goniotwin.app.campaign.studies.closure import ClosureReport, signed
 from goniotwin.app.campaign.studies.evaluation import evaluate_journal
@@ -289,7 +290,8 @@ def _budgets(dataset: Dataset) -> Iterator[dict[str, Any]]:
 
 
 def _budget(dataset: Dataset, measured: Measured, k: int) -> dict[str, Any]:
-    found = effects_of(measured.points.where(np.array([k])), measured.settings).budget(0)
+    effects = effects_of(measured.points.where(np.array([k])), measured.settings)
+    found = in_one_line(effects.budget(0), measured.settings.rig.uncertainty)
     value, u = float(dataset.bsdf[k]), math.sqrt(math.fsum(each.u**2 for each in found))
     lines = [
         _Line(each.name, abs(each.u / value), each.u**2 / u**2, *(("no other value", "") if each.input is None else

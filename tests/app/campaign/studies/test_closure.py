@@ -20,6 +20,7 @@ from goniotwin.app.campaign.reduction.components import Signal
 from goniotwin.app.campaign.reduction.effects_of_points import effects_of
 from goniotwin.app.campaign.reduction.etalon import comparable_signals
 from goniotwin.app.campaign.reduction.evidence import add_gains, stated
+from goniotwin.app.campaign.reduction.lit_hole import SLIT_IMAGE
 from goniotwin.app.campaign.reduction.points import BsdfPoints, Tally
 from goniotwin.app.campaign.reduction.readings import ReferenceMeasurements
 from goniotwin.app.campaign.reduction.row_signals import RowSignals
@@ -27,7 +28,6 @@ from goniotwin.app.campaign.reduction.settings import reduction_settings
 from goniotwin.app.campaign.rehearsal.without_wires import run_without_wires
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.campaign.studies.closure import (
-    SLIT_IMAGE,
     Closure,
     ClosureReport,
     JointClosure,

@@ -1,0 +1,59 @@
+"""The hole that is dark in part, in transmitted light: its etalon is lit from the other side, where another corner is dark.
+
+In reflected light sample and etalon have one place of the slit's image, and it cancels. Where the open beam is the scale, this
+has the image in its own uncertainty.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from goniotwin.app.campaign.measurement_model.effects import Component, Dense, Effects
+from goniotwin.app.campaign.measurement_model.inputs import InputQuantity, quantity
+from goniotwin.app.campaign.measurement_model.lit_share import MODES, lit_effects
+from goniotwin.app.campaign.measurement_model.pose import LIGHT, rig_inputs, standard_uncertainties
+from goniotwin.app.campaign.reduction.angles import views_of_points
+from goniotwin.app.campaign.reduction.points import BsdfPoints
+from goniotwin.app.campaign.reduction.settings import ReductionSettings
+from goniotwin.app.rig import nominal_instrument
+from goniotwin.app.rig.inputs import MIRROR_TILT
+from goniotwin.app.rig.uncertainty import UncertaintyTable
+from goniotwin.arrays import Flags
+
+SLIT_IMAGE = "slit_image"
+"""The component of the light's place, of values and of the closure."""
+
+
+def slit_image_effects(points: BsdfPoints, settings: ReductionSettings, by_certificate: Flags) -> Effects | None:
+    """What the place of the slit's image does to transmitted light that the certificate scales, `by_certificate` (n,)."""
+    half_widths = math.sqrt(3.0) * standard_uncertainties(rig_inputs(settings.rig.uncertainty))
+    chosen = points.transmitted & by_certificate
+    if not chosen.any() or not half_widths[: len(LIGHT)].any():
+        return None
+    instrument, views = nominal_instrument(settings.rig), views_of_points(points)
+    effect = np.zeros((points.size, MODES))
+    poses = np.stack([points.sigma_deg, points.gamma_deg, views.lower], axis=1)
+    for sigma, gamma, lower in np.unique(poses[chosen], axis=0).tolist():
+        here = np.flatnonzero(chosen & (poses == (sigma, gamma, lower)).all(axis=1))
+        effect[here] = lit_effects(
+            instrument, tuple(half_widths.tolist()), (sigma, gamma, bool(lower)), np.degrees(views.polar[here]),
+            points.azimuth_deg[here],
+        )  # fmt: skip
+    modes = [_mode(f"{SLIT_IMAGE}[{k}]", 1.0, settings.rig.uncertainty) for k in range(1, MODES + 1)]
+    return Effects(points.bsdf, {}, (), [Dense(modes, effect)])
+
+
+def _mode(name: str, u: float, table: UncertaintyTable) -> InputQuantity:
+    return replace(quantity(MIRROR_TILT, table, name), unit="1", u=u, distribution="normal")
+
+
+def in_one_line(components: Sequence[Component], table: UncertaintyTable) -> list[Component]:
+    """The components of a value or a sum, with the modes of the image's place as one."""
+    of_place = [each for each in components if each.name.startswith(f"{SLIT_IMAGE}[")]
+    u = math.hypot(*(each.u for each in of_place))
+    if not u:
+        return list(components)
+    others = [each for each in components if each not in of_place]
+    return sorted([*others, Component(SLIT_IMAGE, u, u, _mode(SLIT_IMAGE, 1.0, table))], key=lambda each: -each.u)
