@@ -438,6 +438,7 @@ class LivePlot(QObject):
         self._running = False
         self._answered.connect(self._take, Qt.ConnectionType.QueuedConnection)
         self._processes = processes
+        self._stopped = False
         self._values = self._new_values()
         self._predictions = self._new_predictions() if processes else None
         self._redraw = QTimer(self, interval=REDRAW_MS, singleShot=True)
@@ -495,6 +496,7 @@ class LivePlot(QObject):
         """Draw no more, and end the workers."""
         self._redraw.stop()
         self._running = False
+        self._stopped = True
         self._values.close()
         if self._predictions is not None:
             self._predictions.close()
@@ -527,6 +529,8 @@ class LivePlot(QObject):
                 return
             case Failed(number, error) if number == self._number:
                 self._fail(error)
+                return
+            case WorkerEnded() if self._stopped:  # at the end of a session; another worker would keep the window's process
                 return
             case WorkerEnded("values"):  # the next run has another one
                 self._values.close()

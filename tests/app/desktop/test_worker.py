@@ -1,5 +1,6 @@
 """Workers beside the window: one that is ended by another program is reported and replaced."""
 
+import threading
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -43,3 +44,20 @@ def test_the_plot_reports_it_and_has_a_new_one(qtbot: QtBot) -> None:
     assert live._values is not before[0]
     assert live._predictions is not before[1]
     live.stop()
+
+
+def test_a_worker_that_ended_before_the_window_is_not_replaced_after_it(qtbot: QtBot) -> None:
+    """The end of a session ends all processes at once: another worker's threads would keep the window's process for ever."""
+    parent = QObject()
+    plot, hemisphere = ScanPlot(LIGHT), HemisphereMap(LIGHT)
+    qtbot.addWidget(plot)
+    qtbot.addWidget(hemisphere)
+    live = LivePlot(plot, hemisphere, parent)
+    before = live._values, live._predictions
+    threads = threading.active_count()
+    live._answered.emit(WorkerEnded("values"))  # queued, as from the threads of the workers
+    live._answered.emit(WorkerEnded("predictions"))
+    live.stop()
+    qtbot.wait(1)
+    assert (live._values, live._predictions) == before
+    assert threading.active_count() < threads
