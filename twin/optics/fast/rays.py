@@ -167,7 +167,7 @@ def find_offsets(w: Floats, count: int, pupil: Floats) -> None:
         s11 = ju * gu1 + jv * gv1 + ja * ga1 + jb * gb1 + jp * gp1 + jq * gq1
         s12 = ju * gu2 + jv * gv2 + ja * ga2 + jb * gb2 + jp * gp2 + jq * gq2
         s22 = ku * gu2 + kv * gv2 + ka * ga2 + kb * gb2 + kp * gp2 + kq * gq2
-        one11 = 1.0 / math.sqrt(s11)
+        one11 = 1.0 / math.sqrt(s11 if s11 > TINY else 1.0)  # a detector that accepts no rays has neither spread nor weight
         t21 = s12 * one11
         rest, least = s22 - t21 * t21, 1e-12 * s22 + 1e-30
         one22 = 1.0 / math.sqrt(rest if rest > least else least)

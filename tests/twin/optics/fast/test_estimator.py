@@ -7,7 +7,16 @@ import numba
 import numpy as np
 import pytest
 
-from goniotwin.twin.optics import Instrument, arc_direction, from_specular, gaussian, lambertian, luminance_factor, throughput
+from goniotwin.twin.optics import (
+    Deviation,
+    Instrument,
+    arc_direction,
+    from_specular,
+    gaussian,
+    lambertian,
+    luminance_factor,
+    throughput,
+)
 from tests.sizes import parted
 
 REFLECTED = 0.95**3
@@ -113,3 +122,14 @@ def test_mirrors_smaller_than_the_beam_reduce_the_flux() -> None:
 def test_an_invalid_number_of_rays_is_refused() -> None:
     with pytest.raises(ValueError, match="multiple of 4"):
         throughput(Instrument(), 30.0, [[0.0, 0.0, 1.0]], lambertian(), rays=6)
+
+
+@pytest.mark.parametrize("tilt_deg", [1.0, 3.0, 6.0])
+def test_photodiodes_that_look_past_the_spot_have_no_light(tilt_deg: float) -> None:
+    """A number, and not none: where cone and disc have no ray in common there is neither spread nor weight."""
+    directions = arc_direction(np.arange(0.0, 86.0, 2.5), 180.0)
+    for axis in ("rx_deg", "ry_deg"):
+        seen = throughput(Instrument(deviations={"sensor": Deviation(**{axis: tilt_deg})}), 30.0, directions, lambertian(1.0))
+        assert np.isfinite(seen).all()
+        assert np.all(seen >= 0.0)
+        assert tilt_deg < 2.0 or np.all(seen < 1e-3 * throughput(Instrument(), 30.0, directions, lambertian(1.0)).max())
