@@ -19,16 +19,23 @@ from goniotwin.app.campaign.measurement_model.light_place import across_beam, pl
 from goniotwin.app.campaign.measurement_model.pose import LIGHT, Views, disc_moves, image_shifts
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics import Instrument
+from goniotwin.twin.optics.geometry.coordinates import HALF_TURN_DEG
 
 OF_PUPIL = [LIGHT.index(f"illumination_shift_{axis}") for axis in "xz"]
 MODES = 48
-"""Modes that are kept: the others have less than a thousandth of any variance that counts."""
+"""Modes that are kept: the others have at most 2 % of any u."""
 KEPT_RIGS, KEPT_POSES = 4, 512
 SIGMAS_DEG, GAMMAS_DEG = (10.0, 30.0, 50.0, 70.0), (0.0, 30.0, 60.0)
 """Poses whose functions span those of all: the hole is a square, alike after a quarter of a turn."""
-POLAR_DEG = np.arange(0.0, 91.0, 10.0)
-AZIMUTH_DEG = np.arange(0.0, 361.0, 20.0)
-"""Directions of view at which a pose is computed, from the pole of the arc and about it; between them it is interpolated."""
+POLAR_DEG = np.array([1e-3, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 70.0, 80.0, 90.0])
+AZIMUTH_DEG = np.arange(0.0, 361.0, 10.0)
+"""Directions of view at which a pose is computed, from the pole of the arc and about it; between them it is interpolated.
+
+At the pole itself a sensor has axes of its own, which are not the limit of those beside it.
+"""
+LEAST_PROBABILITY = 1e-7
+"""Places of the image that are less probable do not count."""
+QUARTER_DEG = 90.0
 SOME = 3
 """Of so many of these directions, along either angle, one counts where the modes are found."""
 
@@ -50,10 +57,11 @@ class LitEnsemble:
         widths, ways = np.array(half_widths), image_shifts(instrument, 0.0) @ across_beam(0.0).T
         ways[OF_PUPIL] = 0.0
         law = place_law(ways, widths[: len(LIGHT)])
+        places, probability = (each[law.probability > LEAST_PROBABILITY] for each in (law.places, law.probability))
         # Each place with other values of the rest: a sequence that fills their cube evenly.
         others = np.concatenate([widths[OF_PUPIL], widths[len(LIGHT) :]])
-        values = (2.0 * ((np.arange(law.probability.size)[:, None] * _even_steps(others.size) + 0.5) % 1.0) - 1.0) * others
-        return cls(law.places, values[:, : len(OF_PUPIL)], values[:, len(OF_PUPIL) :], law.probability)
+        values = (2.0 * ((np.arange(len(places))[:, None] * _even_steps(others.size) + 0.5) % 1.0) - 1.0) * others
+        return cls(places, values[:, : len(OF_PUPIL)], values[:, len(OF_PUPIL) :], probability / probability.sum())
 
     def places(self, instrument: Instrument, sigma_deg: float) -> Floats:
         """The places (n, 2) of the image at a sigma."""
@@ -91,8 +99,7 @@ def lit_modes(instrument: Instrument, half_widths: tuple[float, ...]) -> LitMode
                 one, other = (_seen(instrument, at, gamma, lower, ensemble, SOME) for at in (sigma, 180.0 - sigma))
                 functions.append((one - other).reshape(-1, root.size))
     _, _, found = np.linalg.svd(np.concatenate(functions) * root, full_matrices=False)
-    some = root > 0.0
-    return LitModes(ensemble, np.where(some, found[:MODES] / np.where(some, root, 1.0), 0.0))
+    return LitModes(ensemble, found[:MODES] / root)
 
 
 @lru_cache(maxsize=KEPT_POSES)
@@ -127,7 +134,9 @@ def lit_effects(
 
     `pose` is of sigma, gamma and whether the arc is the lower one; the directions are from its pole, and about it.
     """
-    table = _effects(instrument, half_widths, *pose)
+    sigma, gamma, lower = pose
+    front = min(sigma, HALF_TURN_DEG - sigma)
+    table = _effects(instrument, half_widths, front, gamma % QUARTER_DEG, lower) * (1.0 if sigma == front else -1.0)
     row, up = _place(POLAR_DEG, polar_deg)
     column, on = _place(AZIMUTH_DEG, azimuth_deg % 360.0)
     corners = [(0, 0, (1.0 - up) * (1.0 - on)), (0, 1, (1.0 - up) * on), (1, 0, up * (1.0 - on)), (1, 1, up * on)]

@@ -1,7 +1,7 @@
 """The hole that is dark in part, in transmitted light: its etalon is lit from the other side, where another corner is dark.
 
-In reflected light sample and etalon have one place of the slit's image, and it cancels. Where the open beam is the scale, this
-has the image in its own uncertainty.
+In reflected light sample and etalon have one place of the slit's image, and it cancels. Where the open beam is the scale, the
+etalon has it twice, with both signs: what is left is that of the direction, less that of the specular one, where the scale is.
 """
 
 import math
@@ -18,18 +18,21 @@ from goniotwin.app.campaign.reduction.angles import views_of_points
 from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.reduction.settings import ReductionSettings
 from goniotwin.app.rig import nominal_instrument
-from goniotwin.app.rig.inputs import MIRROR_TILT
+from goniotwin.app.rig.inputs import ILLUMINATION_SHIFT, MIRROR_SHIFT, MIRROR_TILT
 from goniotwin.app.rig.uncertainty import UncertaintyTable
 from goniotwin.arrays import Flags
+from goniotwin.twin.optics.geometry.coordinates import SPECULAR_AZIMUTH_DEG, incidence_deg
 
 SLIT_IMAGE = "slit_image"
 """The component of the light's place, of values and of the closure."""
+LEAST_EFFECT = 1e-9
+"""Less is rounding: the hole is lit everywhere."""
 
 
-def slit_image_effects(points: BsdfPoints, settings: ReductionSettings, by_certificate: Flags) -> Effects | None:
-    """What the place of the slit's image does to transmitted light that the certificate scales, `by_certificate` (n,)."""
+def slit_image_effects(points: BsdfPoints, settings: ReductionSettings, by_beam: Flags) -> Effects | None:
+    """What the place of the slit's image does to transmitted light; the open beam is the scale of points `by_beam` (n,)."""
     half_widths = math.sqrt(3.0) * standard_uncertainties(rig_inputs(settings.rig.uncertainty))
-    chosen = points.transmitted & by_certificate
+    chosen = points.transmitted
     if not chosen.any() or not half_widths[: len(LIGHT)].any():
         return None
     instrument, views = nominal_instrument(settings.rig), views_of_points(points)
@@ -37,16 +40,19 @@ def slit_image_effects(points: BsdfPoints, settings: ReductionSettings, by_certi
     poses = np.stack([points.sigma_deg, points.gamma_deg, views.lower], axis=1)
     for sigma, gamma, lower in np.unique(poses[chosen], axis=0).tolist():
         here = np.flatnonzero(chosen & (poses == (sigma, gamma, lower)).all(axis=1))
-        effect[here] = lit_effects(
-            instrument, tuple(half_widths.tolist()), (sigma, gamma, bool(lower)), np.degrees(views.polar[here]),
-            points.azimuth_deg[here],
-        )  # fmt: skip
+        pose = instrument, tuple(half_widths.tolist()), (sigma, gamma, bool(lower))
+        effect[here] = lit_effects(*pose, np.degrees(views.polar[here]), points.azimuth_deg[here])
+        specular = np.array([incidence_deg(sigma)]), np.array([SPECULAR_AZIMUTH_DEG])
+        effect[here] -= np.where(by_beam[here, None], lit_effects(*pose, *specular), 0.0)
+    if np.abs(effect).max() < LEAST_EFFECT:
+        return None
     modes = [_mode(f"{SLIT_IMAGE}[{k}]", 1.0, settings.rig.uncertainty) for k in range(1, MODES + 1)]
     return Effects(points.bsdf, {}, (), [Dense(modes, effect)])
 
 
 def _mode(name: str, u: float, table: UncertaintyTable) -> InputQuantity:
-    return replace(quantity(MIRROR_TILT, table, name), unit="1", u=u, distribution="normal")
+    source = ", ".join(table.source(each) for each in (MIRROR_TILT, MIRROR_SHIFT, ILLUMINATION_SHIFT))
+    return replace(quantity(MIRROR_TILT, table, name), unit="1", u=u, distribution="normal", source=source)
 
 
 def in_one_line(components: Sequence[Component], table: UncertaintyTable) -> list[Component]:

@@ -122,7 +122,7 @@ def _beam_scale(points: BsdfPoints, settings: ReductionSettings) -> Ints:
 
 def slit_image(points: BsdfPoints, settings: ReductionSettings) -> Effects | None:
     """What the place of the slit's image does to transmitted light."""
-    return slit_image_effects(points, settings, _beam_scale(points, settings) < 0)
+    return slit_image_effects(points, settings, _beam_scale(points, settings) >= 0)
 
 
 def _by_certificate(points: BsdfPoints, settings: ReductionSettings) -> Floats:

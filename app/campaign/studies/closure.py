@@ -151,6 +151,12 @@ class Closure:
         return math.sqrt(math.fsum(own))
 
     @property
+    def u_scale(self) -> float:
+        """That of values which the open beam scales: they have the place of the slit's image themselves."""
+        of_image = (each.u**2 for each in self.components if each.name.startswith(SLIT_IMAGE))
+        return math.sqrt(max(self.u_absolute**2 - math.fsum(of_image), 0.0))
+
+    @property
     def z(self) -> float:
         """The difference of the two routes in combined uncertainties."""
         return (self.ratio - 1.0) / max(self.u, SMALLEST_U)
@@ -313,7 +319,7 @@ class ClosureReport:
         """The scale of the open beam, as `ReductionSettings.absolute` has it."""
         return {
             (*round_deg([each.wavelength_nm, each.beam.scan.sigma_deg]).tolist(), each.beam.scan.arc == "lower"): BeamScale(
-                each.ratio, each.u_absolute, each.etalon_row
+                each.ratio, each.u_scale, each.etalon_row
             )
             for each in self.closures
         }

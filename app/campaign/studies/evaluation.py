@@ -52,10 +52,10 @@ def evaluate_journal(journal: JournalReader, *, without_damaged: bool = False) -
     table = reduction.rig.file.uncertainty
     if repeated is not None and repeated.excess > table.u(REPEATABILITY):
         reduction = _measured(reduction, REPEATABILITY, repeated.excess, "the repeats of this campaign")
-    share = float(reduction.measurements.evidence.crosstalk.max())
-    if share > table.u(CROSSTALK):
-        reduction = _measured(reduction, CROSSTALK, share, "the rows of this campaign at two gains")
     closure = _closure(reduction)
+    share = float(reduction.measurements.evidence.crosstalk.max())
+    if share > table.u(CROSSTALK):  # after the closure, which compares what the scans show with what is stated
+        reduction = _measured(reduction, CROSSTALK, share, "the rows of this campaign at two gains")
     reduction = replace(reduction, settings=scan_settings(reduction.settings, closure))
     aligned: AlignmentResult | None = None
     if (sample := reduction.schedule.align) is not None:

@@ -26,7 +26,7 @@ FILE = read_rig(RIG).file
 INSTRUMENT = nominal_instrument(FILE)
 HALF_WIDTHS = math.sqrt(3.0) * standard_uncertainties(rig_inputs(FILE.uncertainty))
 OPAL, WHITE = lambertian(0.5, transmittance=0.5, side="both"), lambertian(1.0, side="both")
-POLAR_DEG, AZIMUTH_DEG = np.array([20.0, 50.0, 75.0]), np.array([180.0, 60.0, 260.0])
+POLAR_DEG, AZIMUTH_DEG = np.array([5.0, 20.0, 50.0, 75.0, 85.0]), np.array([180.0, 180.0, 60.0, 260.0, 245.0])
 """Of transmitted light, from the lower pole and about it."""
 
 
@@ -66,11 +66,13 @@ def test_a_transmitted_value_is_off_by_the_lit_shares_of_the_virtual_rig(sigma_d
         deviations = element_deviations(dict(zip((*LIGHT, *VIEW), own, strict=True)), INSTRUMENT.pupil_distance_mm)
         lit, everywhere = (Instrument(deviations=deviations, lit_everywhere=each) for each in (False, True))
         found = logarithm(lit) - logarithm(everywhere)
-        assert found == pytest.approx(expected[:, k], rel=0.1, abs=0.004), (k, own)
+        assert found == pytest.approx(expected[:, k], rel=0.1, abs=0.005), (k, own)
     assert np.abs(expected).max() > 0.03
 
 
-@pytest.mark.parametrize(("sigma_deg", "gamma_deg"), [(15.0, 0.0), (33.0, 20.0), (45.0, 0.0), (65.0, 0.0)])
+@pytest.mark.parametrize(
+    ("sigma_deg", "gamma_deg"), [(15.0, 0.0), (33.0, 20.0), (45.0, 0.0), (40.0, 100.0), (65.0, 0.0), (140.0, 30.0)]
+)
 def test_the_modes_have_the_second_moments_of_drawn_rigs(sigma_deg: float, gamma_deg: float) -> None:
     """Of each direction, and of two of them together."""
     effects = lit_effects(INSTRUMENT, tuple(HALF_WIDTHS.tolist()), (sigma_deg, gamma_deg, True), POLAR_DEG, AZIMUTH_DEG)

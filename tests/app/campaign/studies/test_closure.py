@@ -799,7 +799,7 @@ def test_transmitted_light_can_be_scaled_by_the_open_beam_and_the_export_states_
         at = own.transmitted & own.good & (own.wavelength_nm == wavelength) & (own.sigma_deg == sigma)
         assert at.any()
         assert own.bsdf[at] == pytest.approx(by_etalon.bsdf[at] * closure.ratio, rel=1e-12)
-        assert own.budget["open_beam"][at] == pytest.approx(closure.u_absolute * own.bsdf[at], rel=1e-12)
+        assert own.budget["open_beam"][at] == pytest.approx(closure.u_scale * own.bsdf[at], rel=1e-12)
         for name in ("certificate", "etalon_age", "etalon_edge"):
             assert not own.budget[name][at].any()
     assert np.sum(list(variances.values()), axis=0) == pytest.approx(own.u_bsdf[own.good] ** 2, rel=1e-12)
