@@ -6,7 +6,7 @@ hole is dark, and where a photodiode's disc that is off sees more of the lit par
 
 What this does has no normal law: an ensemble of virtual rigs, within what the rig file states, has it for each pose and each
 direction of view. All of these functions of the virtual rig are sums of a few modes, orthonormal under its probability: so a
-value has the effects of some uncorrelated inputs of mean square 1, the same ones on all paths, and covariances are exact.
+value has the effects of some uncorrelated inputs of mean square 1, the same ones on all paths, and covariances follow.
 """
 
 from dataclasses import dataclass

@@ -1,9 +1,11 @@
 """Workers beside the window: one that is ended by another program is reported and replaced."""
 
 import threading
+from collections.abc import Iterator
 from multiprocessing.connection import Connection
 from typing import Any
 
+import pytest
 from PySide6.QtCore import QObject
 from pytestqt.qtbot import QtBot
 
@@ -27,12 +29,18 @@ def test_a_worker_that_is_ended_is_reported(qtbot: QtBot) -> None:
     assert delivered == [WorkerEnded("values")]
 
 
-def test_the_plot_reports_it_and_has_a_new_one(qtbot: QtBot) -> None:
+@pytest.fixture
+def live(qtbot: QtBot) -> Iterator[LivePlot]:
     parent = QObject()
     plot, hemisphere = ScanPlot(LIGHT), HemisphereMap(LIGHT)
     qtbot.addWidget(plot)
     qtbot.addWidget(hemisphere)
-    live = LivePlot(plot, hemisphere, parent)
+    made = LivePlot(plot, hemisphere, parent)
+    yield made
+    made.stop()
+
+
+def test_the_plot_reports_it_and_has_a_new_one(qtbot: QtBot, live: LivePlot) -> None:
     missing: list[str] = []
     live.prediction_missing.connect(missing.append)
     before = live._values, live._predictions
@@ -43,16 +51,10 @@ def test_the_plot_reports_it_and_has_a_new_one(qtbot: QtBot) -> None:
     assert ENDED in missing[0]
     assert live._values is not before[0]
     assert live._predictions is not before[1]
-    live.stop()
 
 
-def test_a_worker_that_ended_before_the_window_is_not_replaced_after_it(qtbot: QtBot) -> None:
+def test_a_worker_that_ended_before_the_window_is_not_replaced_after_it(qtbot: QtBot, live: LivePlot) -> None:
     """The end of a session ends all processes at once: another worker's threads would keep the window's process for ever."""
-    parent = QObject()
-    plot, hemisphere = ScanPlot(LIGHT), HemisphereMap(LIGHT)
-    qtbot.addWidget(plot)
-    qtbot.addWidget(hemisphere)
-    live = LivePlot(plot, hemisphere, parent)
     before = live._values, live._predictions
     threads = threading.active_count()
     live._answered.emit(WorkerEnded("values"))  # queued, as from the threads of the workers

@@ -66,7 +66,8 @@ def test_a_transmitted_value_is_off_by_the_lit_shares_of_the_virtual_rig(sigma_d
         deviations = element_deviations(dict(zip((*LIGHT, *VIEW), own, strict=True)), INSTRUMENT.pupil_distance_mm)
         lit, everywhere = (Instrument(deviations=deviations, lit_everywhere=each) for each in (False, True))
         found = logarithm(lit) - logarithm(everywhere)
-        assert found == pytest.approx(expected[:, k], rel=0.1, abs=0.005), (k, own)
+        assert found[:-1] == pytest.approx(expected[:-1, k], rel=0.1, abs=0.004), (k, own)
+        assert found[-1] == pytest.approx(expected[-1, k], rel=0.1, abs=0.005), (k, own)  # at 85 deg, near the horizon
     assert np.abs(expected).max() > 0.03
 
 
