@@ -79,15 +79,14 @@ def test_a_shorter_design_knows_no_combination_less_well_than_the_schedule_at_eq
 def test_expected_uncertainties_are_those_of_random_rigs(tmp_path: Path) -> None:
     """The example's time: what an alignment states after the campaign is as expected, and its errors are as stated.
 
-    The mean square of the errors over u is 1: of 60 it is between 0.5 and 1.65 in 99.8 %. Where more than a fifth of the hole
-    is dark they are larger: docs/alignment.md.
+    The mean square of the errors over u is 1. Where more than a fifth of the hole is dark they are larger: docs/alignment.md.
     """
     design = design_alignment(parse_schedule(SCHEDULE.read_text(encoding="utf-8"), "alignment"), alignment_rig(), 64.9)
     assert design.gain > 0.1
     assert len(design.forecast.combinations) == 10
     schedule = parse_schedule(design.text, "design")
     scores, ratios = [], []
-    for seed in range(1, 13):
+    for seed in range(1, 25):
         plan = drawn_plan(schedule, alignment_rig(), seed)
         with Journal.open(run(plan, tmp_path / f"{seed}.journal")) as journal:
             evaluation = evaluate_journal(journal)
@@ -100,5 +99,5 @@ def test_expected_uncertainties_are_those_of_random_rigs(tmp_path: Path) -> None
         found, expected = (np.sort([each.u for each in some]) for some in (result.combinations, design.forecast.combinations))
         ratios.append(found[: len(expected)] / expected)  # beyond those of the forecast: the place of the slit's image
     assert len(scores) > 50
-    assert 0.5 < np.mean(np.square(scores)) < 1.65
+    assert 0.6 < np.mean(np.square(scores)) < 1.5
     assert np.median(ratios, axis=0) == pytest.approx(1.0, abs=0.15)
