@@ -100,7 +100,7 @@ def _uncertainties() -> None:
     from goniotwin.app.campaign.measurement_model.slopes import Directions, slopes_of
 
     same, angles = np.zeros(5, dtype=np.int64), np.linspace(0.1, 0.2, 5)
-    slopes_of(Directions(same, same, *[angles] * 6), angles, angles, 0.1)
+    slopes_of(Directions(same, same, same, *[angles] * 6), angles, angles, 0.1)
 
 
 def _forward() -> None:

@@ -13,6 +13,7 @@ growing p, `across` is d x along: of growing azimuth where p is positive and the
 
 import math
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
@@ -28,8 +29,24 @@ MAX_DISTANCE_RAD = math.radians(6.0)
 """Neighbours further away have no information on the curvature; photodiodes are 5 deg apart."""
 RADIAL = 0.7
 """An arc passes close enough to the lobe's centre where theta changes by this share of the way along it."""
-BESIDE = math.radians(60.0)
-"""Largest theta of which an arc beside the lobe's centre takes the cotangent."""
+FURTHEST_RAD = math.radians(45.0)
+"""Values of the own arc further away have no information on the slope over theta."""
+ANGLE_RAD = math.radians(0.1)
+"""An error of an angle, by which the noise of a slope counts."""
+NOISE_SHARE = 0.1
+"""Share of a value's noise that the noise of its slope over theta may add, by that angle and by the field of view."""
+LEAST_VARIANCE = 1e-8
+"""Added to the variance of values that are fitted by their weight."""
+SINGULAR = 1e-9
+"""A smaller determinant, relative, has fewer than three places."""
+LEAST_FITTED = 5
+"""Least number of values in a fit over theta."""
+LEVEL = 1.0
+"""Values whose logarithm is so much less count for the largest slope at a value."""
+UNKNOWN = math.sqrt(2.0) / math.sqrt(3.0)
+"""Standard uncertainty of an unknown slope across, in the largest slope that was measured: an interval as wide as that along
+arc and across it together, in any direction.
+"""
 MIDDLE = 0.25
 """A direction is at the lobe's centre within this share of the window; beyond the whole window it is not."""
 MIN_SINE = 0.1
@@ -201,11 +218,12 @@ def _apart(line: Ints, x: Floats, step: int) -> Floats:
 class Directions:
     """Directions (n,), in order along the arcs: by `plane`, and within it by `polar`.
 
-    `setting` numbers the sets of wavelength, sigma, gamma, side and light; `plane` numbers the planes of the arc in each of
-    them. `polar` is signed, `azimuth` that of the plane, `up` 1 or -1. `middle` is the cosine of the angle to the lobe's
-    centre; `along` and `across` are its derivatives.
+    `light` numbers the sets of wavelength, sigma, side and light, `setting` those of each gamma, `plane` the planes of the arc
+    in each of these. `polar` is signed, `azimuth` that of the plane, `up` 1 or -1. `middle` is the cosine of the angle to the
+    lobe's centre; `along` and `across` are its derivatives.
     """
 
+    light: Ints
     setting: Ints
     plane: Ints
     polar: Floats
@@ -214,6 +232,11 @@ class Directions:
     middle: Floats
     along: Floats
     across: Floats
+
+    @property
+    def radial(self) -> Flags:
+        """Where the arc leads close enough towards the lobe's centre or away from it."""
+        return np.asarray(np.abs(self.along) > RADIAL * np.sqrt(np.maximum(1.0 - self.middle**2, 0.0)))
 
     def where(self, chosen: Flags) -> "Directions":
         """Some of the directions."""
@@ -224,9 +247,12 @@ class Directions:
 class Slopes:
     """Derivatives of y at each direction (n,): along, across, and mixed; NaN where there are too few neighbours.
 
-    They are linear in the derivatives of the parabolas, `arc` and, where it was measured across, `circle` and `crossed`, that
-    of the arcs' slopes on the circle: `mixing` (n, 5, 5) is the derivative of (first_along, first_across, second_along,
-    second_across, mixed) by (arc.first, arc.second, circle.first, circle.second, crossed.first).
+    They are linear in the derivatives of the parabolas: `arc`; `across`, on the circle where other beta were `measured` near
+    enough, over theta where the arc passes beside a round lobe's centre; and `crossed`, that of the arcs' slopes on the circle.
+    `mixing` (n, 5, 5) is the derivative of (first_along, first_across, second_along, second_across, mixed) by (arc.first,
+    arc.second, across.first, across.second, crossed.first). `bound` is the standard uncertainty of first_across where it is not
+    known but for its size, and taken as 0: nothing was measured across, and the lobe need not be round or theta does not
+    change along the arc.
     """
 
     first_along: Floats
@@ -235,9 +261,11 @@ class Slopes:
     second_across: Floats
     mixed: Floats
     arc: Parabola
-    circle: Parabola
+    across: Parabola
     crossed: Parabola
     mixing: Floats
+    measured: Flags
+    bound: Floats
 
     def noise(self, sensitivity: Floats, own_variance: Floats) -> Floats:
         """Variance (n,) that the values' noise adds to y minus a function of the slopes.
@@ -247,7 +275,7 @@ class Slopes:
         """
         by = np.einsum("nk,nkl->nl", sensitivity, self.mixing)
         total, own = np.zeros(own_variance.size), np.zeros(own_variance.size)
-        for first, fit in ((0, self.arc), (2, self.circle)):
+        for first, fit in ((0, self.arc), (2, self.across)):
             a, b = by[:, first], by[:, first + 1]
             used = (a != 0.0) | (b != 0.0)
             part = a**2 * fit.variance_first + b**2 * fit.variance_second + 2.0 * a * b * fit.covariance
@@ -265,8 +293,8 @@ class Slopes:
         fourth one adds, by that half difference. Both without their noise.
         """
         by = np.einsum("nk,nkl->nl", sensitivity, self.mixing)
-        total = np.zeros(by.shape[0])
-        for first, fit in ((0, self.arc), (2, self.circle), (4, self.crossed)):
+        total = (sensitivity[:, 1] * self.bound) ** 2
+        for first, fit in ((0, self.arc), (2, self.across), (4, self.crossed)):
             half = np.maximum(fit.half_difference**2 - NOISE_MARGIN * fit.variance_half, 0.0)
             departure = np.maximum(fit.departure**2 - NOISE_MARGIN * fit.variance_departure, 0.0)
             total += np.nan_to_num(by[:, first] ** 2 * (half + fit.third**2 * departure))
@@ -277,7 +305,7 @@ class Slopes:
     def undecided(self) -> Flags:
         """Where the slopes of two sides differ by more than the larger of them, and by more than noise and UNDECIDED."""
         result = np.zeros(self.first_along.size, dtype=bool)
-        for fit in (self.arc, self.circle):
+        for fit in (self.arc, self.across):
             half = np.abs(fit.half_difference) - NOISE_MARGIN * np.sqrt(fit.variance_half)
             mean = np.abs(fit.first + fit.departure)
             with np.errstate(invalid="ignore"):
@@ -286,15 +314,8 @@ class Slopes:
         return result
 
     def unknown_across(self) -> Flags:
-        """Where there is a lobe by what was measured along the arc, and nothing was measured across it.
-
-        A lobe has a slope of more than UNDECIDED, beyond its noise, or one so far away as a neighbour may be.
-        """
-        slope = np.abs(self.arc.first) - NOISE_MARGIN * np.sqrt(self.arc.variance_first)
-        bend = np.abs(self.arc.second) - NOISE_MARGIN * np.sqrt(self.arc.variance_second)
-        with np.errstate(invalid="ignore"):
-            lobe = (slope > UNDECIDED) | (MAX_DISTANCE_RAD * bend > UNDECIDED)
-        return np.asarray(lobe & ~np.isfinite(self.circle.second))
+        """Where nothing was measured across the arc, and the largest slope that was measured is more than UNDECIDED."""
+        return np.asarray(self.bound > UNKNOWN * UNDECIDED)
 
 
 UNDECIDED = math.degrees(0.05)
@@ -305,62 +326,186 @@ def slopes_of(directions: Directions, y: Floats, variance: Floats, window: float
     """Slopes of `y`, with the `variance` of its noise, over all directions; the parabolas' smallest half width is `window`.
 
     `round_lobe`: the lobe is stated to be rotationally symmetric, so that where its slope across was measured, the mixed
-    derivative is that of a lobe with equal curvatures, 0.
+    derivative is that of a lobe with equal curvatures, 0; where it was not, y depends on theta alone. Of another lobe the slope
+    across is there unknown, within `bound`.
     """
     arc = local_parabola(directions.plane, directions.polar, y, variance, window, MAX_DISTANCE_RAD)
-    circle = _circles(directions, y, variance, window)
+    circles = _Circles.of(directions, window)
+    circle = circles.parabola(y, variance, window)
+    measured = np.isfinite(circle.second)
+    beside = _over_theta(directions, y, variance, window, np.isfinite(arc.second) & ~measured & ~directions.radial)
+    across = Parabola(*(np.where(measured, a, b) for a, b in zip(vars(circle).values(), vars(beside).values(), strict=True)))
     mixing = np.zeros((y.size, 5, 5))
     _mix(
-        directions.polar, directions.up, directions.middle, directions.along, directions.across, arc.second,
-        arc.variance_second, circle.second, window, mixing,
+        directions.polar, directions.up, directions.middle, directions.along, directions.across, measured,
+        np.isfinite(across.second), directions.radial, window, mixing,
     )  # fmt: skip
-    if round_lobe or not np.isfinite(circle.second).any():
+    unknown = ~measured & ~((directions.radial | np.isfinite(across.second)) & round_lobe)
+    mixing[unknown, 1] = 0.0
+    bound = np.where(unknown, UNKNOWN * _largest_slope(directions, circles, y, variance, arc), 0.0)
+    if round_lobe or not measured.any():
         crossed = Parabola(*np.full((PARABOLA_COLUMNS, y.size), np.nan))
     else:
         # From the derivative along the circle of that by the polar angle, less what the circle's curvature makes of the slope.
         outward = np.where(directions.polar < 0.0, -1.0, 1.0)
-        crossed = _circles(directions, outward * arc.first, arc.variance_first, window)
-        turned = np.isfinite(crossed.first) & np.isfinite(circle.second)
+        crossed = circles.parabola(outward * arc.first, arc.variance_first, window)
+        turned = np.isfinite(crossed.first) & measured
         up, polar = directions.up[turned], np.abs(directions.polar[turned])
         mixing[turned, 4, 2], mixing[turned, 4, 4] = -up / np.tan(polar), up
-    firsts = [np.nan_to_num(each) for each in (circle.first, circle.second, crossed.first)]
-    along, across, second_along, second_across, mixed = np.einsum(
-        "nkl,nl->kn", mixing, np.stack([arc.first, arc.second, *firsts], axis=1)
-    )
-    return Slopes(along, across, second_along, second_across, mixed, arc, circle, crossed, mixing)
+    firsts = [np.nan_to_num(each) for each in (across.first, across.second, crossed.first)]
+    derivatives = np.einsum("nkl,nl->kn", mixing, np.stack([arc.first, arc.second, *firsts], axis=1))
+    first_along, first_across, second_along, second_across, mixed = derivatives
+    return Slopes(first_along, first_across, second_along, second_across, mixed, arc, across, crossed, mixing, measured, bound)
 
 
-def _circles(directions: Directions, y: Floats, variance: Floats, window: float) -> Parabola:
-    """Parabolas over the values at other beta, along a circle about the normal, in the order of growing azimuth."""
-    polar = np.round(np.abs(directions.polar), CIRCLE_DECIMALS)
-    azimuth = np.where(directions.polar < 0.0, directions.azimuth + math.pi, directions.azimuth)
-    order = np.lexsort((azimuth, polar, directions.setting))
-    order = order[np.sin(polar[order]) > max(MIN_SINE, 2.0 * window)]
-    circle = np.cumsum((np.diff(polar[order], prepend=-1.0) != 0.0) | (np.diff(directions.setting[order], prepend=-1) != 0))
-    fit = local_parabola(circle, (azimuth * np.sin(polar))[order], y[order], variance[order], window, MAX_DISTANCE_RAD)
-    columns = []
-    for each in vars(fit).values():
-        column = np.full(polar.size, np.nan)
-        column[order] = each
-        columns.append(column)
-    return Parabola(*columns)
+def _over_theta(directions: Directions, y: Floats, variance: Floats, window: float, chosen: Flags) -> Parabola:
+    """Derivatives over theta from the values of the own arc, where it passes beside the lobe's centre; elsewhere NaN.
+
+    There theta hardly changes along the arc. y is fitted as a parabola in 1 - cos(theta), in which a Gaussian lobe is straight
+    and every lobe smooth at its centre, to the fewest values around by which the slope is known well enough.
+    """
+    height = 1.0 - np.clip(directions.middle, -1.0, 1.0)
+    found = np.full((PARABOLA_COLUMNS, y.size), np.nan)
+    _fit_over_theta(directions.plane, directions.polar, height, y, variance, chosen, window, found)
+    return Parabola(*found)
+
+
+@kernel()
+def _fit_over_theta(
+    line: Ints, polar: Floats, height: Floats, y: Floats, variance: Floats, chosen: Flags, window: float, found: Floats
+) -> None:
+    n = y.size
+    for i in range(n):
+        if not chosen[i]:
+            continue
+        own = 1.0 / (variance[i] + LEAST_VARIANCE)
+        cosine, sine2 = 1.0 - height[i], height[i] * (2.0 - height[i])
+        sine = math.sqrt(sine2)
+        s0, s1, s2, s3, s4, t0, t1, t2 = own, 0.0, 0.0, 0.0, 0.0, own * y[i], 0.0, 0.0
+        begin, end, enough = i, i + 1, 0
+        while True:
+            before = polar[i] - polar[begin - 1] if begin > 0 and line[begin - 1] == line[i] else math.inf
+            after = polar[end] - polar[i] if end < n and line[end] == line[i] else math.inf
+            nearest = min(before, after) * NEAR
+            if not nearest <= FURTHEST_RAD:
+                break
+            # Both neighbours, if they are equally far away.
+            first, last = begin - 1 if before <= nearest else begin, end + 1 if after <= nearest else end
+            for j in range(first, last):
+                if begin <= j < end:
+                    continue
+                place, weight = (height[j] - height[i]) / window, 1.0 / (variance[j] + LEAST_VARIANCE)
+                square = place * place
+                s0 += weight
+                s1 += weight * place
+                s2 += weight * square
+                s3 += weight * square * place
+                s4 += weight * square * square
+                t0 += weight * y[j]
+                t1 += weight * place * y[j]
+                t2 += weight * square * y[j]
+            begin, end = first, last
+            if nearest < window:
+                continue
+            # As above; with weights, the inverse is the covariance.
+            c01, c02, c12 = s2 * s3 - s1 * s4, s1 * s3 - s2 * s2, s1 * s2 - s0 * s3
+            c11, c22 = s0 * s4 - s2 * s2, s0 * s2 - s1 * s1
+            determinant = s0 * (s2 * s4 - s3 * s3) + s1 * c01 + s2 * c02
+            if not determinant > SINGULAR * s0 * s2 * s4:  # two places: a straight line
+                c01, c02, c11, c12, c22, determinant = -s1, 0.0, s0, 0.0, 0.0, c22
+                if not determinant > SINGULAR * s0 * s2:
+                    continue
+            one, two = 1.0 / (determinant * window), 2.0 / (determinant * window * window)
+            slope, bend = (c01 * t0 + c11 * t1 + c12 * t2) * one, (c02 * t0 + c12 * t1 + c22 * t2) * two
+            v11, v12, v22 = c11 * one / window, c12 * two / window, 2.0 * c22 * two / (window * window)
+            if enough == 0:
+                v_first, v_second = sine2 * v11, cosine * cosine * v11 + 2.0 * cosine * sine2 * v12 + sine2 * sine2 * v22
+                found[:, i] = 0.0
+                found[0, i], found[1, i] = sine * slope, cosine * slope + sine2 * bend
+                found[2, i] = sine * own * c01 * one
+                found[3, i] = cosine * own * c01 * one + sine2 * own * c02 * two
+                found[4, i], found[5, i], found[6, i] = v_first, v_second, sine * (cosine * v11 + sine2 * v12)
+                noise = ANGLE_RAD**2 * v_first + 0.25 * (window / WINDOW) ** 4 * v_second
+                if noise * own < NOISE_SHARE**2 and end - begin >= LEAST_FITTED:
+                    enough = end - begin
+            elif end - begin >= 2 * enough:
+                # By so many more values a third derivative makes some four times the error.
+                found[9, i], found[10, i], found[12, i] = sine * slope - found[0, i], sine2 * v11, 1.0 / 3.0
+                break
+
+
+@dataclass(frozen=True)
+class _Circles:
+    """Values at other beta, on circles about the normal: in the `order` of growing azimuth, with the `line` of each one's
+    circle and its `place` on it, in rad.
+    """
+
+    order: Ints
+    line: Ints
+    place: Floats
+
+    @classmethod
+    def of(cls, directions: Directions, window: float) -> Self:
+        """Of directions that are far enough from the normal."""
+        polar = np.round(np.abs(directions.polar), CIRCLE_DECIMALS)
+        azimuth = np.where(directions.polar < 0.0, directions.azimuth + math.pi, directions.azimuth)
+        order = np.lexsort((azimuth, polar, directions.setting))
+        order = order[np.sin(polar[order]) > max(MIN_SINE, 2.0 * window)]
+        setting, radius = directions.setting[order], polar[order]
+        line = np.cumsum((np.diff(radius, prepend=-1.0) != 0.0) | (np.diff(setting, prepend=-1) != 0))
+        return cls(order, line, azimuth[order] * np.sin(radius))
+
+    def parabola(self, y: Floats, variance: Floats, window: float) -> Parabola:
+        """Parabolas along the circles; NaN where no other beta was measured near enough."""
+        fit = local_parabola(self.line, self.place, y[self.order], variance[self.order], window, MAX_DISTANCE_RAD)
+        columns = np.full((PARABOLA_COLUMNS, y.size), np.nan)
+        columns[:, self.order] = list(vars(fit).values())
+        return Parabola(*columns)
+
+    def steps(self, y: Floats, variance: Floats) -> tuple[Ints, Floats]:
+        """Values whose next one on their circle is at any distance, and the slope to it, beyond its noise."""
+        same = np.flatnonzero(np.diff(self.line) == 0)
+        one, other = self.order[same], self.order[same + 1]
+        noise = NOISE_MARGIN * np.sqrt(variance[one] + variance[other])
+        return one, (np.abs(y[other] - y[one]) - noise) / (self.place[same + 1] - self.place[same])
+
+
+def _largest_slope(directions: Directions, circles: _Circles, y: Floats, variance: Floats, arc: Parabola) -> Floats:
+    """The largest slope (n,) that was measured at the wavelength, sigma and side of each value, beyond its noise.
+
+    Along all arcs, of any beta and of any gamma, which turns the sample's axes under the arc, and between other beta; of values
+    that are as bright as the value, or by LEVEL less: a lobe is steeper further down.
+    """
+    of_step, step = circles.steps(y, variance)
+    slope = np.concatenate([np.abs(arc.first) - NOISE_MARGIN * np.sqrt(arc.variance_first), step])
+    light, level = (np.concatenate([each, each[of_step]]) for each in (directions.light, y))
+    largest = np.zeros(y.size)
+    for number in np.unique(directions.light).tolist():
+        of_light = np.flatnonzero(light == number)
+        order = of_light[np.argsort(-level[of_light])]
+        brightest = np.maximum.accumulate(np.nan_to_num(slope[order]))
+        here = directions.light == number
+        largest[here] = brightest[np.searchsorted(-level[order], LEVEL - y[here], side="right") - 1]
+    return largest
 
 
 @kernel()
 def _mix(
-    polar: Floats, up: Floats, middle: Floats, along: Floats, across: Floats, bend: Floats, variance: Floats, circle: Floats,
-    window: float, mixing: Floats,
+    polar: Floats, up: Floats, middle: Floats, along: Floats, across: Floats, measured: Flags, beside: Flags,
+    radial: Flags, window: float, mixing: Floats,
 ) -> None:  # fmt: skip
-    """`mixing` of `Slopes`. `bend`, with its `variance`, is the second derivative along the arc, `circle` that on the circle.
+    """`mixing` of `Slopes`, whose third and fourth source are derivatives along the circle where it was `measured`.
 
-    Where there is a circle, the derivative along it is that across, but for its curvature against a great circle. Where there
-    is none, y depends on theta alone. With y' and y'' its derivatives along theta, t and w the change of theta along the arc
-    and across it: first = y' t and y' w, second = y'' t^2 + y' cot(theta) (1 - t^2), the sum of both second derivatives is
-    y'' + y' cot(theta), and the mixed one is (y'' - y' cot(theta)) t w.
+    The derivative along the circle is that across, but for its curvature against a great circle. Where there is no circle, y
+    depends on theta alone. With y' and y'' its derivatives along theta, t and w the change of theta along the arc and across
+    it: first = y' t and y' w, second = y'' t^2 + y' cot(theta) (1 - t^2), the sum of both second derivatives is
+    y'' + y' cot(theta), and the mixed one is (y'' - y' cot(theta)) t w. `beside`: the third and fourth source are y' and y'';
+    elsewhere they follow from the derivatives along the arc.
     """
+    first, second = np.empty(4), np.empty(4)  # of y' and y'' by the sources
     for i in range(polar.size):
         mixing[i, 0, 0] = mixing[i, 2, 1] = 1.0
-        if math.isfinite(circle[i]):
+        if measured[i]:
             mixing[i, 1, 2] = math.copysign(up[i], up[i] * polar[i])  # growing azimuth, seen from the other half plane
             mixing[i, 3, 3], mixing[i, 3, 0] = 1.0, 1.0 / math.tan(polar[i])
             continue
@@ -368,21 +513,16 @@ def _mix(
         sine, cot = math.sin(theta), 1.0 / math.tan(theta)
         t = min(max(-along[i] / sine, -1.0), 1.0)
         w = math.copysign(math.sqrt(1.0 - t * t), -across[i])
-        # y' and y'' as linear functions of both derivatives along the arc.
-        if abs(t) >= RADIAL:
-            first_1, first_2 = 1.0 / t, 0.0
-            second_1, second_2 = -cot * (1.0 - t * t) / (t * t * t), 1.0 / (t * t)
-        else:
-            # An arc that passes beside the centre: y' follows from the second derivative, if y is a parabola in theta. A
-            # second derivative within its noise is not used.
-            noise = NOISE_MARGIN * math.sqrt(variance[i])
-            certain = 1.0 - noise / abs(bend[i]) if abs(bend[i]) > noise else 0.0
-            level = t * t + (1.0 - t * t) * theta / math.tan(min(theta, BESIDE))
-            first_1, first_2, second_1, second_2 = 0.0, certain * theta / level, 0.0, certain / level
+        first[:], second[:] = 0.0, 0.0
+        if beside[i]:
+            first[2] = second[3] = 1.0
+        elif radial[i]:
+            first[0] = 1.0 / t
+            second[0], second[1] = -cot * (1.0 - t * t) / (t * t * t), 1.0 / (t * t)
         # At the lobe's centre all directions are equal: close to it the first derivative over theta is not reliable.
         centre = min(max((window - theta) / ((1.0 - MIDDLE) * window), 0.0), 1.0)
-        mixing[i, 1, 0], mixing[i, 1, 1] = first_1 * w, first_2 * w
-        mixing[i, 3, 0] = (1.0 - centre) * (second_1 + first_1 * cot)
-        mixing[i, 3, 1] = (1.0 - centre) * (second_2 + first_2 * cot - 1.0) + centre
-        mixing[i, 4, 0] = (1.0 - centre) * (second_1 - first_1 * cot) * t * w
-        mixing[i, 4, 1] = (1.0 - centre) * (second_2 - first_2 * cot) * t * w
+        for k in range(4):
+            mixing[i, 1, k] = first[k] * w
+            mixing[i, 3, k] = (1.0 - centre) * (second[k] + first[k] * cot)
+            mixing[i, 4, k] = (1.0 - centre) * (second[k] - first[k] * cot) * t * w
+        mixing[i, 3, 1] += centre - (1.0 - centre)

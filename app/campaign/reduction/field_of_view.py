@@ -151,7 +151,7 @@ def merge_directions(points: BsdfPoints) -> MergedDirections:
     """Average good points of the same direction."""
     plane = scan_plane_deg(points.azimuth_deg)
     signed = round_deg(signed_polar(polar_from_zenith(points.zenith_deg), points.azimuth_deg, plane))
-    setting = (points.back, points.transmitted, points.gamma_deg, points.sigma_deg, points.wavelength_nm)
+    setting = (points.gamma_deg, points.back, points.transmitted, points.sigma_deg, points.wavelength_nm)
     keys = [signed, plane, *(round_deg(each) for each in setting)]
     order = np.lexsort(keys)
     changes = np.array([np.diff(each[order], prepend=np.nan) != 0.0 for each in keys])
@@ -173,6 +173,7 @@ def merge_directions(points: BsdfPoints) -> MergedDirections:
     )
     return MergedDirections(
         directions=Directions(
+            light=np.cumsum(np.any(changes[3:], axis=0))[first],
             setting=np.cumsum(np.any(changes[2:], axis=0))[first],
             plane=np.cumsum(np.any(changes[1:], axis=0))[first],
             polar=p,
@@ -231,10 +232,8 @@ def _evaluate(values: MergedDirections, instrument: Instrument, moved_deg: Float
     step = np.abs(np.diff(logarithm))
     step = np.where(np.diff(directions.plane) == 0, step, 0.0)
     steep = np.maximum(np.append(step, 0.0), np.insert(step, 0, 0.0)) > TENFOLD
-    steep |= np.nan_to_num(everywhere(np.maximum(slopes.circle.step, 0.0))) > TENFOLD
-    steep[light] |= slopes.undecided()
-    if not round_lobe:
-        steep[light] |= slopes.unknown_across()
+    steep |= np.nan_to_num(everywhere(np.maximum(slopes.across.step, 0.0))) > TENFOLD
+    steep[light] |= slopes.undecided() | slopes.unknown_across()
     sign = np.where(values.opposite, -1.0, 1.0)[:, None]
     which = values.which
     return FieldOfView(

@@ -765,7 +765,7 @@ class _Place:
         self._outward = outward / np.maximum(np.linalg.norm(outward, axis=1), 1e-12)[:, None]
         none = np.zeros(up.size)
         numbers = np.zeros(up.size, dtype=np.int64)
-        directions = Directions(numbers, numbers, views.polar, views.azimuth, up, none, none, none)
+        directions = Directions(numbers, numbers, numbers, views.polar, views.azimuth, up, none, none, none)
         self._spread = directions_covariance(instrument, directions, sigma, views.transmitted)
 
     def lobe(self, form: Floats, furthest: float) -> _Lobe:

@@ -640,9 +640,9 @@ def scanned_beam(
 
 def moment_deg2(scan: BeamScan, instrument: Instrument) -> Floats:
     """The second moment (2, 2) that a scan has with an instrument, deg^2: of light straight through the empty holder."""
-    one, none = np.ones(1), np.zeros(1)
+    one, none, number = np.ones(1), np.zeros(1), np.zeros(1, dtype=np.int64)
     place = Directions(
-        setting=np.zeros(1, dtype=np.int64), plane=np.zeros(1, dtype=np.int64), polar=np.radians(scan.at_deg) * one,
+        light=number, setting=number, plane=number, polar=np.radians(scan.at_deg) * one,
         azimuth=np.radians(SPECULAR_AZIMUTH_DEG) * one, up=one if scan.arc == "upper" else -one, middle=one, along=none,
         across=none,
     )  # fmt: skip

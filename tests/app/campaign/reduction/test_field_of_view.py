@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from goniotwin.app.campaign.geometry.arcs import arc_views
 from goniotwin.app.campaign.measurement_model.field import correct_logarithm, directions_covariance
-from goniotwin.app.campaign.measurement_model.slopes import Directions, Slopes, local_parabola
+from goniotwin.app.campaign.measurement_model.slopes import Directions, Slopes, local_parabola, slopes_of
 from goniotwin.app.campaign.reduction import field_of_view
 from goniotwin.app.campaign.reduction.components import COVERAGE, interval, mostly_added
 from goniotwin.app.campaign.reduction.field_of_view import (
@@ -125,7 +125,7 @@ def test_the_correction_inverts_the_mean_over_directions_of_a_gaussian_lobe(widt
     along, across = fits
     slopes = Slopes(
         along.first, across.first, along.second, across.second, np.full(x.size, -inverse[0, 1]), along, across,
-        across, np.zeros((x.size, 5, 5)),
+        across, np.zeros((x.size, 5, 5)), np.ones(x.size, dtype=bool), np.zeros(x.size),
     )  # fmt: skip
     found = correct_logarithm(slopes, np.tile([field[0, 0], field[1, 1], field[0, 1]], (x.size, 1)))
     original = np.linalg.inv(of_lobe)
@@ -169,9 +169,8 @@ def test_the_covariance_of_directions_is_that_of_rays_from_the_pupil_over_the_sp
         offset = went[taken] - np.cross(np.cross(-light if transmitted else mirrored * light, turned), went[taken])
         rays = np.cov(np.stack([offset @ along, offset @ across]))
         one = np.ones(1)
-        direction = Directions(
-            np.ones(1, dtype=np.int64), np.ones(1, dtype=np.int64), p * one, a * one, up * one, one, one, one
-        )
+        number = np.ones(1, dtype=np.int64)
+        direction = Directions(number, number, number, p * one, a * one, up * one, one, one, one)
         found = directions_covariance(instrument, direction, math.radians(sigma) * one, np.array([transmitted]))[0]
         assert found[:2] == pytest.approx(np.diag(rays), rel=0.03)
         assert found[2] == pytest.approx(rays[0, 1], abs=0.015 * math.sqrt(rays[0, 0] * rays[1, 1]))
@@ -408,7 +407,7 @@ def test_a_lobe_that_need_not_be_round_is_flagged_where_nothing_was_measured_acr
     assert not found["isotropic"].flag("steep")[lobe_itself].any()
     for symmetry in ("plane-symmetric", "anisotropic"):
         assert found[symmetry].flag("steep")[lobe_itself].all()
-        assert np.array_equal(found[symmetry].bsdf, found["isotropic"].bsdf)  # a round lobe is the estimate
+        assert found[symmetry].bsdf == pytest.approx(found["isotropic"].bsdf, rel=1e-12)  # none across is 0, as in the plane
     assert float(np.max(np.abs(found["anisotropic"].slope_across - slope[:, 1])[lobe_itself])) > 0.5
     # A diffuser has no lobe, and with other beta the slope across is measured.
     diffuse = replace(points_of(np.full(86, 0.3), beta=(180.0,)), own={"noise": np.full(86, 1e-6)})
@@ -416,6 +415,52 @@ def test_a_lobe_that_need_not_be_round_is_flagged_where_nothing_was_measured_acr
     measured, _ = turned_lobe((178.0, 179.0, 180.0, 181.0, 182.0))
     middle = (measured.azimuth_deg == 180.0) & (measured.theta_deg < 8.0)
     assert not correct_field_of_view(measured, STATED["anisotropic"]).flag("steep")[middle].any()
+
+
+@pytest.mark.parametrize("step", [0.5, 1.0, 2.5, 5.0])
+def test_beside_its_centre_a_round_lobe_has_the_slope_across_of_the_values_around(step: float) -> None:
+    """A gloss of 6 deg on a paint, on an arc that passes its centre 8.5 deg away. True slopes by the lobe's own formula."""
+    polar = np.arange(0.0, 85.1, step)
+    theta, _ = to_specular(35.0, arc_direction(polar, 165.0 + 0.0 * polar))
+    lobes = 0.3 + 0.8 * np.exp(-((theta / 6.0) ** 2))
+    rng, errors, stated = np.random.default_rng(3), [], []
+    for _ in range(30):
+        points = points_of(lobes * (1.0 + 1e-3 * rng.standard_normal(polar.size)), polar, (165.0,), 35.0, 2.5e-4)
+        found = correct_field_of_view(points, SETTINGS)
+        _, _, across = axes_of(points)
+        aside = np.sum(arc_direction(35.0, 180.0) * across, axis=1) / np.sin(np.radians(theta))
+        slope = 2.0 * theta / 36.0 * (lobes - 0.3) / lobes * aside
+        errors.append((found.slope_across - slope)[theta < 12.0])
+        stated.append(slope[theta < 12.0])
+    off, size = (np.sqrt(np.mean(np.square(each), axis=0)) for each in (errors, stated))
+    assert float(np.min(size)) > 0.02
+    assert np.all(off < 0.15 * size + 0.01)
+
+
+def test_where_theta_does_not_change_along_the_arc_the_slope_across_is_bounded() -> None:
+    """Of an arc that goes round the lobe's centre, 90 deg away from it."""
+    polar = np.radians(np.arange(0.0, 60.1, 5.0))
+    none, one, number = np.zeros(polar.size), np.ones(polar.size), np.zeros(polar.size, dtype=np.int64)
+    beside = Directions(number, number, number, polar, none, one, none, none, -one)
+    y = -(polar**2)
+    slopes = slopes_of(beside, y, none + 1e-12, math.radians(1.2))
+    assert not slopes.first_across.any()
+    assert slopes.unresolved(np.tile(np.eye(5)[1], (polar.size, 1))) == pytest.approx(slopes.bound, rel=1e-12)
+    # The steepest of the values that are as bright, or by one less.
+    steepest = np.array([np.max(2.0 * polar[y >= each - 1.0]) for each in y])
+    assert slopes.bound == pytest.approx(math.sqrt(2.0 / 3.0) * steepest, rel=0.03)
+
+
+def test_an_unknown_slope_across_is_within_what_was_measured_elsewhere() -> None:
+    """Of a lobe of 10 by 2 deg, with other beta 8 deg away."""
+    points, slope = turned_lobe(tuple(np.arange(140.0, 221.0, 12.0)))
+    found = FieldOfView.of(points, INSTRUMENT, round_lobe=False)
+    here = points.bsdf > 1e-2 * points.bsdf.max()
+    assert found.steep[here].all()
+    assert float(np.max(np.abs(found.slope[here, 1]))) < 0.02  # what the field of view makes of the slope along the arc
+    ratio = slope[here, 1] / found.unresolved[here, 1]
+    assert float(np.mean(np.abs(ratio) < COVERAGE)) > 0.94
+    assert float(np.sqrt(np.mean(ratio**2))) > 0.5
 
 
 def test_a_turned_lobe_has_the_mixed_derivative_of_the_arcs_slopes() -> None:
