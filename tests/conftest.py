@@ -37,6 +37,8 @@ BARE_NAMES = {"app", "drivers", "examples", "mocks", "protocols", "twin"}
 Change = tuple[str, str]
 Writer = Callable[..., Path]
 RigOpener = Callable[..., OpenRig]
+ONE_WAY: Change = ("transmits = true, width_deg = 20.0", 'side = "front", transmits = true, width_deg = 20.0')
+"""The opal glass of the examples as older versions took it: transparent for light from the front alone."""
 
 SMALL = """
 name = "small"

@@ -41,7 +41,7 @@ def simulate(
             help="gaussian:width_deg=5, lambertian:reflectance=0.9, regular:reflectance=0.04, wide-tailed:width_deg=2, "
             "anisotropic-gaussian:along_deg=3,across_deg=12, ward:alpha_x=0.1,alpha_y=0.3, table:FILE (a table in a format "
             "of the list below), or a sum of these with +. More keys after commas: transmits=true, "
-            "refraction=1.5 (a gaussian that transmits), side=back or both.",
+            "refraction=1.5 (a gaussian that transmits), side=front, back or both.",
         ),
     ] = None,
     sigma: Annotated[

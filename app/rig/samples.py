@@ -8,8 +8,9 @@ lambertian:reflectance=0.5+regular:reflectance=0.04
 anisotropic-gaussian:along_deg=3,across_deg=12,direction_deg=30
 table:paint.bsdf,side=back
 
-A model acts on light from the front; with `side=back` on light from the back, with `side=both` on both. A text is turned into
-the table of a rig file, so that both have the same keys, bounds and error messages.
+A model that reflects acts on light from the front, one that transmits on light from both sides, unless its `side` is given:
+`front`, `back` or `both`. A text is turned into the table of a rig file, so that both have the same keys, bounds and error
+messages.
 """
 
 import inspect
@@ -89,7 +90,7 @@ class LambertianTable(FormulaTable):
     model: Literal["lambertian"]
     reflectance: float = default_of(lambertian, "reflectance")
     transmittance: float = default_of(lambertian, "transmittance")
-    side: Side = default_of(lambertian, "side")
+    side: Side | None = default_of(lambertian, "side")
 
 
 class GaussianTable(FormulaTable):
@@ -109,7 +110,7 @@ class GaussianTable(FormulaTable):
     reflectance: float | None = default_of(gaussian, "reflectance")
     transmits: bool = default_of(gaussian, "transmits")
     refraction: float = default_of(gaussian, "refraction")
-    side: Side = default_of(gaussian, "side")
+    side: Side | None = default_of(gaussian, "side")
 
 
 class AnisotropicTable(FormulaTable):
@@ -129,7 +130,7 @@ class AnisotropicTable(FormulaTable):
     peak: float | None = default_of(anisotropic_gaussian, "peak")
     reflectance: float | None = default_of(anisotropic_gaussian, "reflectance")
     transmits: bool = default_of(anisotropic_gaussian, "transmits")
-    side: Side = default_of(anisotropic_gaussian, "side")
+    side: Side | None = default_of(anisotropic_gaussian, "side")
 
 
 class WardTable(FormulaTable):
@@ -147,7 +148,7 @@ class WardTable(FormulaTable):
     direction_deg: float = default_of(ward, "direction_deg")
     reflectance: float = default_of(ward, "reflectance")
     transmits: bool = default_of(ward, "transmits")
-    side: Side = default_of(ward, "side")
+    side: Side | None = default_of(ward, "side")
 
 
 class WideTable(FormulaTable):
@@ -163,7 +164,7 @@ class WideTable(FormulaTable):
     peak: float | None = default_of(wide_tailed, "peak")
     reflectance: float | None = default_of(wide_tailed, "reflectance")
     transmits: bool = default_of(wide_tailed, "transmits")
-    side: Side = default_of(wide_tailed, "side")
+    side: Side | None = default_of(wide_tailed, "side")
 
 
 class RegularTable(FormulaTable):
@@ -178,7 +179,7 @@ class RegularTable(FormulaTable):
     reflectance: float | list[float] = default_of(regular, "reflectance")
     sigma_deg: list[float] | None = default_of(regular, "sigma_deg")
     transmits: bool = default_of(regular, "transmits")
-    side: Side = default_of(regular, "side")
+    side: Side | None = default_of(regular, "side")
 
 
 class MeasuredTable(TomlTable):

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from goniotwin.arrays import Flags, Floats
-from tests.conftest import REPOSITORY, changed
+from tests.conftest import ONE_WAY, REPOSITORY, changed
 from tests.golden import files, product
 
 HERE = Path(__file__).resolve().parent
@@ -257,8 +257,10 @@ def finished_record(journal: Path, folder: Path) -> Json:
 
 
 def resumed_record(journal: Path) -> Json:
-    """The rows and points of an interrupted journal once it has been resumed."""
-    answer = product.answer("run", "--resume", journal)
+    """The rows and points of an interrupted journal once it has been resumed on its rig, which states the side of its opal."""
+    rig = journal.with_name("rig.toml")
+    rig.write_text(changed(product.campaign_entry(journal, "rig"), (ONE_WAY,)), encoding="utf-8")
+    answer = product.answer("run", "--resume", journal, "--rig", rig)
     assert answer["state"] == "done"
     return {**rows_record(product.measured_rows(journal)), "points": points_record(journal)}
 

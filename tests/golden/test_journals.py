@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.conftest import changed
+from tests.conftest import ONE_WAY, changed
 from tests.golden import contents, files, product
 from tests.golden.compare import check_points, check_rows, check_table
 
@@ -61,17 +61,19 @@ def test_the_interrupted_one_is_not_resumed_on_another_twin(
     _, journal = journals
     before = journal.read_bytes()
     rig = tmp_path / "rig.toml"
-    rig.write_text(changed(product.campaign_entry(journal, "rig"), ((old, new),)), encoding="utf-8")
+    rig.write_text(changed(product.campaign_entry(journal, "rig"), (ONE_WAY, (old, new))), encoding="utf-8")
     assert "the model's hash differs" in product.refusal("run", "--resume", journal, "--rig", rig)
     assert journal.read_bytes() == before
-    rig.write_text(product.campaign_entry(journal, "rig"), encoding="utf-8")
+    rig.write_text(changed(product.campaign_entry(journal, "rig"), (ONE_WAY,)), encoding="utf-8")
     assert product.answer("run", "--resume", journal, "--rig", rig)["state"] == "done"
 
 
-def test_the_interrupted_one_with_the_hash_of_another_twin_is_not_resumed(journals: tuple[Path, Path]) -> None:
+def test_the_interrupted_one_with_the_hash_of_another_twin_is_not_resumed(journals: tuple[Path, Path], tmp_path: Path) -> None:
+    rig = tmp_path / "rig.toml"
+    rig.write_text(changed(product.campaign_entry(journals[1], "rig"), (ONE_WAY,)), encoding="utf-8")
     assert re.fullmatch(r'"[0-9a-f]{16}"', product.campaign_entry(journals[1], "model"))  # without the mark of a version
     product.change_campaign(journals[1], "model", product.campaign_entry(journals[0], "model"))
-    assert "the model's hash differs" in product.refusal("run", "--resume", journals[1])
+    assert "the model's hash differs" in product.refusal("run", "--resume", journals[1], "--rig", rig)
 
 
 def test_they_know_no_folder_of_the_computer_that_made_them(journals: tuple[Path, Path]) -> None:

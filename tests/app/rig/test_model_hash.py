@@ -16,7 +16,7 @@ from goniotwin.app.rig.twin_file import twin_model
 from goniotwin.keys import LATER
 from goniotwin.twin import TwinModel
 from goniotwin.twin.optics import spectral_table
-from tests.conftest import RIG, Change, changed
+from tests.conftest import ONE_WAY, RIG, Change, changed
 
 LIGHT = "[twin.light]"
 SIGMA = "sigma = { motor = 4, gear = 36.0 }"
@@ -59,7 +59,7 @@ FORMER: dict[str, tuple[str, tuple[Change, ...], str]] = {
 
 def model_of(rig: str, *changes: Change) -> TwinModel:
     path = RIG.with_name(f"{rig}.toml")
-    model = parse_rig(changed(path.read_text(encoding="utf-8"), changes), path.parent, rig).model()
+    model = parse_rig(changed(path.read_text(encoding="utf-8"), (ONE_WAY, *changes)), path.parent, rig).model()
     assert model is not None
     return model
 

@@ -22,7 +22,7 @@ WAYS = [(False, False), (False, True), (True, False), (True, True)]
 """Whether the light is on the back, and whether the detectors are on the other side."""
 MODELS = (
     "gaussian:width_deg=8,reflectance=0.6",
-    "gaussian:width_deg=25,reflectance=0.2,transmits=true",
+    "gaussian:width_deg=25,reflectance=0.2,transmits=true,side=front",
     "lambertian:reflectance=0.3,side=back",
     "gaussian:width_deg=12,reflectance=0.5,transmits=true,refraction=1.3,side=back",
 )

@@ -13,14 +13,14 @@ from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.running.engine import Engine
 from goniotwin.app.campaign.running.events import State
-from goniotwin.app.campaign.running.resume import check_same_rig, recorded_rig, remaining_work
+from goniotwin.app.campaign.running.resume import check_same_rig, remaining_work
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.campaign.studies.reduced_journal import reduce_journal
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription, open_rig, parse_rig, read_rig
 from goniotwin.app.rig.lock import lock_journal
 from tests.app.campaign.campaign_bench import QUIET, THREE_SHIFTS, convert_to_schema_1, planned_values, run_until
-from tests.conftest import Writer
+from tests.conftest import ONE_WAY, Writer, changed
 from tests.golden import contents
 
 
@@ -195,6 +195,11 @@ def test_with_noise_the_differences_to_an_undisturbed_run_are_standard_normal(
     assert np.abs(standard).max() < 4.5
 
 
+def golden_rig(journal: Journal) -> RigDescription:
+    """The recorded rig of a golden journal, whose opal has the side that was the default then."""
+    return parse_rig(changed(journal.value("rig"), (ONE_WAY,)), Path(), "rig.toml")
+
+
 def rig_with_entries(recorded: RigDescription, simulated: str) -> RigDescription:
     """The rig file without its [twin], as a served rig has it, with other entries of [simulated]."""
     text = recorded.text.partition("[twin]\n")[0].replace("twin://virtual/", "served-")
@@ -204,7 +209,7 @@ def rig_with_entries(recorded: RigDescription, simulated: str) -> RigDescription
 
 def test_a_served_rig_is_recognised_by_either_version_of_its_models_hash(journals: tuple[Path, Path]) -> None:
     with Journal.open(journals[1]) as journal:
-        recorded = recorded_rig(journal)
+        recorded = golden_rig(journal)
         new, old = map(str, recorded.model_hashes())
         assert journal.value("model") == f'"{old}"'
         for stated in (f'model = "{new}"\nold_model = "{old}"', f'model = "{new}"', f'model = "{old}"'):
@@ -217,9 +222,10 @@ def test_a_served_rig_is_recognised_by_either_version_of_its_models_hash(journal
 def test_a_campaign_of_a_served_rig_is_resumed_if_the_rig_states_the_recorded_hash(journals: tuple[Path, Path]) -> None:
     """The recorded rig has no [twin] from which another version of the hash could be computed."""
     with Journal.open(journals[1]) as journal:
-        new, old = recorded_rig(journal).model_hashes()
-        recorded = rig_with_entries(recorded_rig(journal), f'model = "{old}"')
+        golden = golden_rig(journal)
+        new, old = golden.model_hashes()
+        recorded = rig_with_entries(golden, f'model = "{old}"')
         for stated in (f'model = "{new}"\nold_model = "{old}"', f'model = "{old}"'):
-            check_same_rig(journal, recorded, rig_with_entries(recorded_rig(journal), stated))
+            check_same_rig(journal, recorded, rig_with_entries(golden, stated))
         with pytest.raises(UserError, match="the model's hash differs"):
-            check_same_rig(journal, recorded, rig_with_entries(recorded_rig(journal), f'model = "{new}"'))
+            check_same_rig(journal, recorded, rig_with_entries(golden, f'model = "{new}"'))

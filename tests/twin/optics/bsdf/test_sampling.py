@@ -251,7 +251,7 @@ def test_a_regular_component_has_one_direction_and_its_share_of_the_light(sigma_
 
 def test_lobes_are_drawn_in_proportion_to_their_albedo() -> None:
     sample = sum_samples(
-        lambertian(0.3), gaussian(5.0, reflectance=0.6), gaussian(5.0, transmits=True), lambertian(side="back")
+        lambertian(0.3), gaussian(5.0, reflectance=0.6), gaussian(5.0, transmits=True, side="front"), lambertian(side="back")
     )
     assert lobe_shares(sample, 0.0) == pytest.approx([0.3 / 1.8, 0.6 / 1.8, 0.9 / 1.8, 0.0], rel=1e-6)
     assert lobe_shares(sample, 150.0) == pytest.approx([0.0, 0.0, 0.0, 1.0])

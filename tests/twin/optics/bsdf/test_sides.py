@@ -19,6 +19,8 @@ from goniotwin.twin.optics import (
     light_direction,
     regular,
     sum_samples,
+    ward,
+    wide_tailed,
 )
 from tests.twin.optics.models import ANISOTROPIC, BRUSHED, POINTS, TABLE, canonical_directions, model_name
 
@@ -83,8 +85,8 @@ def test_gamma_changes_anisotropic_samples_only() -> None:
 
 
 RECIPROCAL = [
-    lambertian(0.7), lambertian(0.3, 0.6, side="both"), gaussian(2.0), gaussian(5.0, "half_width"), gaussian(30.0),
-    gaussian(120.0), gaussian(10.0, transmits=True, side="both"),
+    lambertian(0.7), lambertian(0.3, 0.6), gaussian(2.0), gaussian(5.0, "half_width"), gaussian(30.0),
+    gaussian(120.0), gaussian(10.0, transmits=True), wide_tailed(10.0, transmits=True), ward(0.1, 0.1, transmits=True),
     sum_samples(lambertian(0.2, 0.2, side="both"), gaussian(20.0, side="both"), gaussian(8.0, transmits=True, side="both")),
 ]  # fmt: skip
 
@@ -117,7 +119,7 @@ def test_each_pair_of_sides_has_its_own_model() -> None:
 
 
 def test_a_transmitted_lobe_goes_straight_through_from_either_side() -> None:
-    sheet = gaussian(1.0, peak=1.0, transmits=True, side="both")
+    sheet = gaussian(1.0, peak=1.0, transmits=True)
     for sigma in (0.0, 25.0, 60.0, 100.0, 150.0, 180.0):
         assert evaluate(sheet, light_direction(sigma), -light_direction(sigma)) == pytest.approx(1.0)
 
