@@ -33,6 +33,7 @@ from goniotwin.app.campaign.studies.comparison import (
     true_bsdf,
     with_true_slopes,
 )
+from goniotwin.app.campaign.studies.decades import DECADE_NAMES, decades_below_peak
 from goniotwin.app.campaign.studies.evaluation import evaluate_journal
 from goniotwin.app.campaign.studies.reflectance import components_of_sum, integration_settings, quadrature
 from goniotwin.app.rig import AXES
@@ -48,7 +49,6 @@ MOST_FITTED = 4000
 """Values in one fit: of more, each wavelength is fitted by itself, then each sigma. The law holds for each."""
 SECOND_ORDER_STEPS = 2
 """Fits with the second order of the angles of the fit before."""
-DECADES = 6
 ZENITHS_DEG = (15.0, 30.0, 45.0, 60.0, 75.0, 90.0)
 STEEP, SLOPE, NO_SLOPE = "steep", "with a slope", "without a slope"
 INDEX = re.compile(r"[\[@].*")
@@ -271,21 +271,15 @@ def effect_of(effects: Effects, inputs: Mapping[str, float]) -> Floats:
 
 def cell_labels(name: str, points: BsdfPoints, truth: Floats) -> dict[str, Any]:
     """The label (n,) of each point's cell in each table."""
-    light = np.stack([points.wavelength_nm, points.sigma_deg, points.gamma_deg, points.transmitted], axis=1)
-    _, which = np.unique(light, axis=0, return_inverse=True)
-    peak = np.zeros(int(which.max(initial=-1)) + 1)
-    np.maximum.at(peak, which.ravel(), truth)
-    share = truth / np.maximum(peak[which.ravel()], np.finfo(float).tiny)
-    decade = np.clip(np.floor(-np.log10(np.maximum(share, 10.0**-DECADES))), 0, DECADES - 1).astype(int)
-    names = np.array([f"1e{-k:+d} to 1e{-k - 1:+d}" for k in range(DECADES - 1)] + [f"below 1e{1 - DECADES}"])
+    decade = decades_below_peak(points, truth)
     edges = np.array([0.0, *ZENITHS_DEG])
     ring = np.clip(np.searchsorted(edges, polar_from_zenith(points.zenith_deg), side="right") - 1, 0, len(ZENITHS_DEG) - 1)
     rings = np.array([f"{low:g} to {high:g} deg" for low, high in itertools.pairwise(edges)])
     clear = np.isfinite(points.slope_along)
     steep = points.flag("steep")
-    in_decade = np.array([f"{name}, {each}" for each in names])
+    in_decade = np.array([f"{name}, {each}" for each in DECADE_NAMES])
     return {
-        "decade": names[decade],
+        "decade": np.array(DECADE_NAMES)[decade],
         "zenith": rings[ring],
         "sigma": np.array([f"{each:g} deg" for each in points.sigma_deg.tolist()]),
         "wavelength": np.array([f"{each:g} nm" for each in points.wavelength_nm.tolist()]),

@@ -18,6 +18,7 @@ from goniotwin.app.campaign.reduction.points import BsdfPoints, Tally
 from goniotwin.app.campaign.reduction.reduction import BLOCK_ROWS, Reduction
 from goniotwin.app.campaign.studies.checks import CheckResults, ConsistencyChecks
 from goniotwin.app.campaign.studies.comparison import deviations_in_u, true_bsdf
+from goniotwin.app.campaign.studies.decades import UncertaintyByDecade, relative_uncertainty
 from goniotwin.app.campaign.studies.evaluation import evaluate_journal
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats import FormatError, PointStream
@@ -25,8 +26,6 @@ from goniotwin.app.formats.registry import Holds, format_for
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics import Scatterer
 
-PERCENTILES = (5, 50, 95)
-WELL_KNOWN = 0.1
 POINT_COLUMNS = (
     "wavelength_nm", "sigma_deg", "gamma_deg", "beta_deg", "shift_deg", "photodiode", "zenith_deg", "azimuth_deg", "theta_deg",
     "phi_deg",
@@ -40,36 +39,31 @@ COMMENTS = (
 
 @dataclass
 class UncertaintySpread:
-    """Relative uncertainties of one sample: `known` are those of the trusted directions with a value above zero.
+    """Relative uncertainties of one sample, `known` by decade below the peak.
 
     `truth` is the sample's model, where there is one; `deviations` of the trusted values from it are in their u.
     """
 
     truth: Scatterer | None = None
     tally: Tally = field(default_factory=Tally)
-    known: list[Floats] = field(default_factory=list)
+    known: UncertaintyByDecade = field(default_factory=UncertaintyByDecade)
     deviations: list[Floats] = field(default_factory=list)
 
     def add(self, points: BsdfPoints) -> None:
         """Take more points."""
         self.tally.add(points)
-        values = relative_uncertainty(points)[points.good]
-        self.known.append(values[np.isfinite(values)])
+        self.known.add(points)
         if self.truth is not None:
             good = points.where(points.good)
             self.deviations.append(deviations_in_u(good, true_bsdf(self.truth, good)))
 
     def as_dict(self) -> dict[str, Any]:
-        """Percentiles, and the number of directions known to a tenth of their value."""
-        known = np.concatenate(self.known)
+        """Percentiles by decade, the numbers of directions, and the distance from the truth."""
         z = np.abs(np.concatenate(self.deviations)) if self.deviations else np.zeros(0)
-        percentiles = np.percentile(known, PERCENTILES).tolist() if known.size else [None] * len(PERCENTILES)
         return {
-            **{f"p{each:02d}": value for each, value in zip(PERCENTILES, percentiles, strict=True)},
+            **self.known.as_dict(),
             "directions": self.tally.directions,
             "trusted": self.tally.good,
-            "above_zero": int(known.size),
-            "to_a_tenth": int(np.sum(known <= WELL_KNOWN)),
             "coverage": float(np.mean(z <= COVERAGE)) if z.size else None,
             "worst_u": float(np.max(z)) if z.size else None,
         }
@@ -131,13 +125,6 @@ def forecast(
         raise UserError(f"{points}: no sample has a value, so there is nothing to write")
     spread = {name: each.as_dict() for name, each in spreads.items()}
     return Forecast(spread, check_results, tallies=tallies, unchecked=unchecked)
-
-
-def relative_uncertainty(points: BsdfPoints) -> Floats:
-    """Relative standard uncertainties (n,); NaN where the value is not above zero."""
-    value = np.where(points.bsdf > 0.0, points.bsdf, np.nan)
-    relative: Floats = points.u_bsdf / value
-    return relative
 
 
 def _parts(

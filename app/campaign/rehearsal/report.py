@@ -1,8 +1,10 @@
 """A rehearsal's result as text for a terminal."""
 
+from collections.abc import Iterator
 from typing import Any
 
 from goniotwin.app.campaign.rehearsal.rehearsal import Rehearsal
+from goniotwin.app.campaign.studies.decades import uncertainty_texts
 from goniotwin.app.campaign.wording import duration_text
 
 UNITS = ("bytes", "kB", "MB", "GB")
@@ -18,7 +20,11 @@ def report_text(rehearsal: Rehearsal) -> str:
         *(f"    {block['name']:14}{duration_text(block['duration_s'])}, {block['rows']} rows" for block in result["blocks"]),
         f"  axes        {_ranges(result['axes_deg'])}",
         f"  counts      {_counts(result)}",
-        *(f"  uncertainty {name}: {_spread(spread)}" for name, spread in result["relative_uncertainty"].items()),
+        *(
+            f"  {'uncertainty' if first else '':12}{each}"
+            for name, spread in result["relative_uncertainty"].items()
+            for first, each in _spread(name, spread)
+        ),
         *(f"  check       {each}" for each in result["checks"]["told"]),
         f"  lamp        {result['lamp_hours']:.2f} h",
         f"  journal     {_size(result['journal_bytes'])}",
@@ -37,13 +43,21 @@ def _counts(result: dict[str, Any]) -> str:
     return f"at most {shares}; {result['saturated']} values saturated at every gain" if shares else "none"
 
 
-def _spread(spread: dict[str, Any]) -> str:
-    if spread["p50"] is None:
-        return f"none of {spread['directions']} directions has a value"
-    return (
-        f"median {spread['p50']:.2%}, 5th to 95th percentile {spread['p05']:.2%} to {spread['p95']:.2%}; "
-        f"{spread['to_a_tenth']} of {spread['above_zero']} directions better than 10 % ({spread['directions']} measured, "
-        f"{spread['trusted']} trusted){_distance(spread)}"
+def _spread(name: str, spread: dict[str, Any]) -> Iterator[tuple[bool, str]]:
+    """The lines about a sample, and whether each is the first."""
+    texts = uncertainty_texts(spread)
+    if not texts:
+        yield True, f"{name}: none of {spread['directions']} directions has a value"
+        return
+    yield True, f"{name}: {texts[0]}"
+    for each in texts[1:]:
+        yield False, f"  {each}"
+    yield (
+        False,
+        (
+            f"  {spread['to_a_tenth']} of {spread['above_zero']} directions better than 10 % ({spread['directions']} measured, "
+            f"{spread['trusted']} trusted){_distance(spread)}"
+        ),
     )
 
 

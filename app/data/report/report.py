@@ -20,6 +20,12 @@ from goniotwin.app.campaign.reduction.effects_of_points import effects_of
 from goniotwin.app.campaign.reduction.lit_hole import in_one_line
 from goniotwin.app.campaign.reduction.points import FLAGS
 from goniotwin.app.campaign.studies.closure import ClosureReport, signed
+from goniotwin.app.campaign.studies.decades import (
+    UPPER_DECADES,
+    UncertaintyByDecade,
+    decades_below_peak,
+    uncertainty_texts,
+)
 from goniotwin.app.campaign.studies.evaluation import evaluate_journal
 from goniotwin.app.campaign.studies.verification import Verdict, verify_journal
 from goniotwin.app.data.dataset import Dataset
@@ -172,23 +178,21 @@ def _summary(dataset: Dataset, verdicts: list[Verdict]) -> list[tuple[str, str]]
     values = []
     for name in dataset:
         here = dataset[name]
-        relative = _relative(here)
-        share = f", {relative.size} above their noise with a median relative u of" if relative.size else ""
-        u = f"{share} {100.0 * float(np.median(relative)):.2g} %" if relative.size else ", none of these above its noise"
-        values.append(f"{name}: {here.size} values, {int(here.good.sum())} of them trusted{u}")
+        known = UncertaintyByDecade()
+        known.add(_measured(here).points)
+        found = uncertainty_texts(known.as_dict()) or ["none of these above zero"]
+        values += ["; ".join([f"{name}: {here.size} values, {int(here.good.sum())} of them trusted", *found])]
     return [*(("values", each) for each in values), ("checks", checks)]
 
 
-def _relative(dataset: Dataset) -> np.ndarray:
-    """Relative standard uncertainties of the values that are trusted and above their noise."""
-    clear = _clear(dataset)
-    return np.asarray(dataset.u[clear] / dataset.bsdf[clear])
+def _measured(dataset: Dataset) -> Measured:
+    measured = dataset.only.measured
+    assert measured is not None  # it is a journal's
+    return measured
 
 
 def _clear(dataset: Dataset) -> np.ndarray:
-    measured = dataset.only.measured
-    assert measured is not None  # it is a journal's
-    lost = measured.points.flag("under-range")
+    lost = _measured(dataset).points.flag("under-range")
     return np.asarray(dataset.good & ~lost & (dataset.bsdf > 0.0) & np.isfinite(dataset.u))
 
 
@@ -234,16 +238,19 @@ def _lights(dataset: Dataset) -> Iterator[dict[str, Any]]:
     if len(places) > MOST_LIGHTS:
         columns[2] = np.zeros(dataset.size)
         places, which = _distinct(columns)
-    clear, good = _clear(dataset), dataset.good
+    good = dataset.good
+    known = np.flatnonzero(good & (dataset.bsdf > 0.0))
+    upper = np.zeros(dataset.size, dtype=bool)
+    upper[known] = decades_below_peak(_measured(dataset).points.where(known), dataset.bsdf[known]) < UPPER_DECADES
     for k, (transmitted, back, wavelength, sigma) in enumerate(places):
         here = which == k
-        trusted, above = here & good, here & clear
+        trusted, above = here & good, here & upper
         relative = dataset.u[above] / dataset.bsdf[above]
         low, middle, high = np.quantile(relative, [0.05, 0.5, 0.95]).tolist() if relative.size else [math.nan] * 3
         yield {
             "light": f"{'transmitted' if transmitted else 'reflected'}{', lit on the back' if back else ''}",
             "wavelength": f"{wavelength:g} nm" if wavelength else "all", "sigma": sigma, "values": int(here.sum()),
-            "trusted": int(trusted.sum()), "above_noise": relative.size, "low": low, "middle": middle, "high": high,
+            "trusted": int(trusted.sum()), "above": relative.size, "low": low, "middle": middle, "high": high,
             "largest": float(np.max(dataset.bsdf[trusted], initial=0.0)),
         }  # fmt: skip
 

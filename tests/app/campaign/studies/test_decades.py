@@ -1,0 +1,47 @@
+"""Relative uncertainties above 1 % of the peak and by decade, against values of a power law with a constant u."""
+
+import numpy as np
+import pytest
+
+from goniotwin.app.campaign.reduction.points import join_points
+from goniotwin.app.campaign.studies.decades import UncertaintyByDecade, uncertainty_texts
+from goniotwin.arrays import Floats
+from tests.app.campaign.reduction.made_points import made_points
+
+U = 1e-3
+
+
+def test_u_is_stated_above_a_hundredth_of_the_peak_of_each_light_and_by_decade() -> None:
+    """Twenty values a decade down from two peaks, 1 and 1000, at two sigmas: u over the value is U / value in closed form."""
+    below: Floats = 10.0 ** (-(np.arange(140, dtype=np.float64) + 0.5) / 20.0)
+    below[0] = 1.0
+    azimuth, zenith = np.full(below.size, 180.0), np.linspace(0.0, 89.0, below.size)
+    blocks = [made_points(sigma, zenith, azimuth, peak * below, U) for sigma, peak in ((10.0, 1.0), (40.0, 1e3))]
+    no_value = np.full(below.size, -1.0)
+    blocked = {"shadowed": np.ones(below.size, dtype=bool)}
+    blocks += [made_points(60.0, zenith, azimuth, no_value, U), made_points(60.0, zenith, azimuth, 1e9 * below, U, blocked)]
+    found = UncertaintyByDecade()
+    for block in (blocks[0], join_points(blocks[1:])):
+        found.add(block)
+    result = found.as_dict()
+    relative = np.concatenate([U / below[:40], 1e-3 * U / below[:40]])  # sorted by hand: two decades of each light
+    assert result["values"] == 80
+    assert [result[key] for key in ("p05", "p50", "p95")] == pytest.approx(np.percentile(relative, [5, 50, 95]).tolist())
+    assert [each["values"] for each in result["decades"]] == [40, 40, 40, 40, 40, 80]
+    for k, each in enumerate(result["decades"][:-1]):
+        of_decade = np.concatenate([share * U / below[20 * k : 20 * k + 20] for share in (1.0, 1e-3)])
+        assert each["p50"] == pytest.approx(np.median(of_decade))
+    assert result["above_zero"] == 280
+    assert result["to_a_tenth"] == 40 + 100  # U is a tenth of 1e-2: two decades below the one peak, five below the other
+    upper, by_decade = uncertainty_texts(result)
+    assert upper.endswith("(80 values)")
+    assert "to 1e-1: " in by_decade
+    assert "below 1e-5: " in by_decade
+
+
+def test_without_a_value_above_zero_there_is_nothing_to_state() -> None:
+    points = made_points(10.0, np.array([20.0]), np.array([180.0]), np.array([-0.1]), U)
+    found = UncertaintyByDecade()
+    found.add(points)
+    assert found.as_dict()["p50"] is None
+    assert uncertainty_texts(found.as_dict()) == []
