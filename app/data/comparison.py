@@ -27,6 +27,7 @@ from goniotwin.app.data.interpolation import direction_grid, interpolated
 from goniotwin.app.data.opening import open_dataset
 from goniotwin.app.data.values import EQUAL, LightSetting, SampleData, as_numbers, flag, quoted, with_names
 from goniotwin.app.errors import UserError
+from goniotwin.app.formats.content import ABSENT
 from goniotwin.app.formats.file import StrPath
 from goniotwin.app.rig.samples import parse_sample
 from goniotwin.app.simulation.paper.gaussian_cut import HIGHEST_ZENITH_DEG, relative_rms_percent
@@ -231,7 +232,7 @@ def theory(dataset: Dataset | StrPath, sample: str | None = None) -> Dataset:
         name = f"{like.sample} of the virtual rig"
     values = replace(
         data.values, values=truth, u=np.zeros(truth.size), u_shared=np.zeros(truth.size), flags=np.full(truth.size, ""),
-        generated=True,
+        low95=ABSENT, high95=ABSENT, interval=ABSENT, generated=True,
     )  # fmt: skip
     made = replace(data, values=values, regular=(), measured=None)
     return Dataset(f"theory: {name}", "theory", {like.sample: made}, ("a model's BSDF, without an instrument",))

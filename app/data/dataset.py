@@ -150,6 +150,21 @@ class Dataset:
         return np.asarray(self.only.values.u_shared)
 
     @property
+    def low95(self) -> Floats:
+        """Lower ends (n,) of the values' intervals of 95 %, 1/sr; NaN where none is stated."""
+        return np.asarray(self.only.values.low95)
+
+    @property
+    def high95(self) -> Floats:
+        """Upper ends (n,) of the values' intervals of 95 %, 1/sr; NaN where none is stated."""
+        return np.asarray(self.only.values.high95)
+
+    @property
+    def interval(self) -> Texts:
+        """The law (n,) of the interval: "linear", "logarithmic", or "" where none is stated."""
+        return np.asarray(self.only.values.interval)
+
+    @property
     def luminance_factor(self) -> Floats:
         """pi times the BSDF (n,): 1 for the ideal diffuser."""
         return math.pi * self.bsdf

@@ -14,7 +14,7 @@ from goniotwin.app.errors import UserError
 from goniotwin.app.formats import PointStream
 from goniotwin.app.formats.content import CHECK, BsdfFile, ScatteredBsdf, Texts, gap_line, psi_of_gamma
 from goniotwin.app.formats.metadata import Metadata
-from goniotwin.app.formats.points import SYMMETRY_LINES
+from goniotwin.app.formats.points import ABOUT_INTERVAL, SYMMETRY_LINES
 from goniotwin.arrays import Flags, Floats
 from goniotwin.twin.optics.geometry.coordinates import HALF_TURN_DEG, TOLERANCE_DEG, wrap_azimuth
 
@@ -64,11 +64,13 @@ def _scattered(
 def _scattered_columns(points: BsdfPoints) -> dict[str, np.ndarray]:
     """The columns of scattered values, in the sample's frame; that of one lit on its back is turned about x."""
     psi = psi_of_gamma(points.gamma_deg, points.back)
+    low, high, law = points.interval
     return {
         "sigma_deg": np.where(points.back, HALF_TURN_DEG - points.sigma_deg, points.sigma_deg), "psi_deg": psi,
         "polar_deg": polar_from_zenith(points.zenith_deg),
         "azimuth_deg": wrap_azimuth(np.where(points.back, -points.azimuth_deg, points.azimuth_deg) + psi),
         "values": points.bsdf, "u": points.u_bsdf, "u_shared": np.sqrt(shared_variance(points.components)),
+        "low95": low, "high95": high, "interval": law,
         "wavelength_nm": points.wavelength_nm, "transmitted": points.transmitted, "back": points.back,
         "photodiode": points.photodiode, "flags": _flags(points, CHECK),
     }  # fmt: skip
@@ -89,6 +91,7 @@ def points_of(reduced: ReducedJournal, sample: str | None, path: Path) -> tuple[
         "check: mirrored, for a direction measured only to check the stated symmetry",
         "signature_share: the instrument signature's share of the signal, already subtracted; empty where not measured",
         INTERVAL_RULE,
+        ABOUT_INTERVAL,
         "field_correction: what the correction of the finite field of view has added to the logarithm of bsdf",
         "u_field_per_sr: what is left of the field of view in u_bsdf; empty where it cannot be estimated",
         "u_shared_per_sr: the part of u_bsdf that neighbouring values share",
@@ -175,6 +178,7 @@ def _columns(name: str, points: BsdfPoints) -> dict[str, np.ndarray]:
     columns["field_correction"] = points.field_correction
     columns["u_field_per_sr"] = points.u_field
     columns["u_shared_per_sr"] = np.sqrt(shared_variance(points.components))
+    columns["low95_per_sr"], columns["high95_per_sr"], columns["interval"] = points.interval
     columns["flags"] = _flags(points)
     return columns
 

@@ -7,12 +7,13 @@ import numpy as np
 
 from goniotwin.app.data.values import COLUMNS, SampleData
 from goniotwin.app.errors import MissingPackage
+from goniotwin.app.formats.content import INTERVAL_COLUMNS
 
 if TYPE_CHECKING:
     import pandas
     import xarray
 
-UNITS = {"bsdf": "1/sr", "u": "1/sr", "u_shared": "1/sr", "wavelength_nm": "nm"}
+UNITS = {"bsdf": "1/sr", "u": "1/sr", "u_shared": "1/sr", "low95": "1/sr", "high95": "1/sr", "wavelength_nm": "nm"}
 AXES = ("channel", "wavelength_nm", "psi_deg", "sigma_deg", "phi_deg", "theta_deg")
 """Axes of a grid; a table has a channel or a wavelength, or neither."""
 ON_GRID = ("bsdf", "u", "flags")
@@ -74,5 +75,5 @@ def _on_grid(data: SampleData, library: Any) -> Any:
 
 def _flat(data: SampleData, library: Any) -> Any:
     columns = {name: ("value", data.column(name)) for name in COLUMNS}
-    variables = {name: columns.pop(name) for name in (*ON_GRID, "u_shared")}
+    variables = {name: columns.pop(name) for name in (*ON_GRID, "u_shared", *INTERVAL_COLUMNS)}
     return library.Dataset(variables, coords=columns)

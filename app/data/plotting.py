@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
-from goniotwin.app.campaign.reduction.components import interval, mostly_added
+from goniotwin.app.campaign.reduction.components import LOGARITHMIC_LAW, interval
 from goniotwin.app.data.dataset import Dataset
 from goniotwin.app.data.opening import open_dataset
 from goniotwin.app.data.values import Number, flag, quoted, with_names
@@ -184,9 +184,8 @@ class Curve:
 
 
 def band(dataset: Dataset, coverage: float = COVERAGE) -> tuple[Floats, Floats]:
-    """Lower and upper ends (n,) of the values' intervals; NaN without an uncertainty. Those of a journal follow its rule."""
-    measured = dataset.only.measured
-    added = np.ones(dataset.size, dtype=bool) if measured is None else mostly_added(measured.points.components)
+    """Lower and upper ends (n,) of the values' intervals, of their law where it is stated; NaN without an uncertainty."""
+    added = np.asarray(dataset.interval != LOGARITHMIC_LAW)
     with np.errstate(invalid="ignore"):
         return interval(dataset.bsdf, dataset.u, added, coverage)
 

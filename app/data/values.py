@@ -125,7 +125,7 @@ class SampleData:
 
 COLUMNS = (
     "wavelength_nm", "channel", "sigma_deg", "psi_deg", "theta_deg", "phi_deg", "polar_deg", "azimuth_deg", "transmitted",
-    "back", "photodiode", "bsdf", "u", "u_shared", "flags",
+    "back", "photodiode", "bsdf", "u", "u_shared", "low95", "high95", "interval", "flags",
 )  # fmt: skip
 """The arrays of a dataset, all of one length."""
 

@@ -17,7 +17,7 @@ import h5py
 import numpy as np
 import numpy.typing as npt
 
-from goniotwin.app.formats.content import COLUMNS, BsdfFile, Part, RegularTable, ScatteredBsdf
+from goniotwin.app.formats.content import COLUMNS, INTERVAL_COLUMNS, BsdfFile, Part, RegularTable, ScatteredBsdf
 from goniotwin.app.formats.file import FormatError, StrPath, check_writable, quote_word
 from goniotwin.app.formats.hdf5 import open_hdf5, write_hdf5
 from goniotwin.app.formats.metadata import metadata_from_dict
@@ -41,10 +41,11 @@ COPY_AGAIN = "write the archive again, or copy the file again"
 LEAST_PACKED = 512
 """Values from which an array is compressed."""
 PACKED = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
-WORDS = ("channel", "flags")
+WORDS = ("channel", "interval", "flags")
 """Columns of texts: stored as numbers of words, whose list is in NAME_words."""
 UNITS = {
-    "values": "1/sr", "values_errors": "1/sr", "u_shared": "1/sr", "sigma_deg": "deg", "psi_deg": "deg", "polar_deg": "deg",
+    "values": "1/sr", "values_errors": "1/sr", "u_shared": "1/sr", "low95": "1/sr", "high95": "1/sr",
+    "sigma_deg": "deg", "psi_deg": "deg", "polar_deg": "deg",
     "azimuth_deg": "deg", "phi_deg": "deg", "theta_deg": "deg", "wavelength_nm": "nm", "wavelengths_nm": "nm",
 }  # fmt: skip
 TEXT = h5py.string_dtype()
@@ -263,7 +264,8 @@ class _ArchiveReader:
         comments = self._texts(group, "comments")
         about: dict[str, Any] = {"sample": str(sample), "generated": bool(generated), "comments": comments}
         if kind == "scattered":
-            columns: dict[str, Any] = {column: self._column(group, column) for column in COLUMNS}
+            absent = {column for column in INTERVAL_COLUMNS if column not in group}  # of an older archive
+            columns: dict[str, Any] = {column: self._column(group, column) for column in COLUMNS if column not in absent}
             return ScatteredBsdf(**columns, isotropic=bool(group.attrs["isotropic"]), **about)
         if kind not in ("table", "regular"):
             wrong = f"has a part of the kind {quote_word(str(kind))}"

@@ -228,7 +228,8 @@ class _Reader:
         found: dict[str, Any] = {}
         columns = self.data.get("adhoc_variables")
         for name, kinds, dtype in (
-            ("flags", (str,), np.str_), ("photodiode", (int,), np.int64), ("u_shared", (int, float), np.float64)
+            ("flags", (str,), np.str_), ("photodiode", (int,), np.int64), ("u_shared", (int, float), np.float64),
+            ("low95", (int, float), np.float64), ("high95", (int, float), np.float64), ("interval", (str,), np.str_),
         ):  # fmt: skip
             column = columns.get(f"{OWN}_{name}") if isinstance(columns, dict) else None
             values = column.get("values") if isinstance(column, dict) else None
@@ -378,9 +379,14 @@ def _numbers(numbers: Floats) -> str:
 
 def _own_columns(values: ScatteredBsdf) -> Iterator[str]:
     """Columns that BiRD has no name for, where they differ from what is meant without them."""
+    stated = bool((column(values, "interval") != "").all())  # there is no number for one that is not
     columns: Iterable[tuple[str, str, str, bool, Callable[[], str]]] = (
         ("u_shared", "part of uBRDF that neighbouring values share", "number", bool((column(values, "u_shared") != 0.0).any()),
          lambda: _numbers(column(values, "u_shared"))),
+        ("low95", "lower end of the interval of 95 %", "number", stated, lambda: _numbers(column(values, "low95"))),
+        ("high95", "upper end of the interval of 95 %", "number", stated, lambda: _numbers(column(values, "high95"))),
+        ("interval", "law of the interval of 95 %", "string", stated,
+         lambda: json.dumps(column(values, "interval").tolist())[1:-1]),
         ("flags", "flags of each value, words between blanks", "string", bool((column(values, "flags") != "").any()),
          lambda: json.dumps(column(values, "flags").tolist())[1:-1]),
         ("photodiode", "number of the photodiode", "integer", bool((column(values, "photodiode") >= 0).any()),

@@ -48,7 +48,10 @@ class ScatteredBsdf:
     `sigma_deg`, `psi_deg`: polar angle, 0 to 90, and azimuth of the light. `polar_deg`, `azimuth_deg`: those of the observed
     direction; polar from the normal of its own side, 0 to 90, so that `transmitted` light has its own hemisphere. `values` in
     1/sr, NaN where a direction was measured without a value; `u` their standard uncertainty, NaN where unknown, and `u_shared`
-    the part of it that neighbouring values share. `wavelength_nm` is NaN for grey values and for those of a colour, whose name
+    the part of it that neighbouring values share. `low95`, `high95`: the ends of their intervals of 95 %, and `interval` the
+    law, "linear" or "logarithmic"; NaN and "" where they are not stated.
+
+    `wavelength_nm` is NaN for grey values and for those of a colour, whose name
     ("red", "X") is in `channel`. `flags` are words separated by a space. `back`: lit on the back; the frame is then that of the
     sample turned about x. `photodiode` is -1 where there is none. `generated` values are simulated. `widest_gap_deg`: a table
     of them has holes between directions further apart; None: how far follows from the values. Raises ValueError where these do
@@ -62,6 +65,9 @@ class ScatteredBsdf:
     values: Floats
     u: Floats = ABSENT
     u_shared: Floats = ABSENT
+    low95: Floats = ABSENT
+    high95: Floats = ABSENT
+    interval: Texts = ABSENT
     wavelength_nm: Floats = ABSENT
     channel: Texts = ABSENT
     transmitted: Flags = ABSENT
@@ -79,7 +85,8 @@ class ScatteredBsdf:
         keep = object.__setattr__
         n = np.asarray(self.values).size
         defaults: dict[str, Any] = {
-            "u": math.nan, "u_shared": 0.0, "wavelength_nm": math.nan, "channel": "", "transmitted": False, "back": False,
+            "u": math.nan, "u_shared": 0.0, "low95": math.nan, "high95": math.nan, "interval": "",
+            "wavelength_nm": math.nan, "channel": "", "transmitted": False, "back": False,
             "flags": "", "photodiode": -1,
         }  # fmt: skip
         for each in COLUMNS:
@@ -117,6 +124,8 @@ COLUMNS = tuple(
     if each.name not in ("sample", "isotropic", "generated", "comments", "widest_gap_deg")
 )
 """The arrays of scattered values."""
+INTERVAL_COLUMNS = ("low95", "high95", "interval")
+"""Those of the intervals of 95 %, which older files do not have."""
 ANGLES = ("sigma_deg", "psi_deg", "polar_deg", "azimuth_deg")
 
 

@@ -102,7 +102,8 @@ PART_ROWS, PART_CHARACTERS = 50_000, 8_000_000
 """Rows that are written at once, and characters of rows that are read at once."""
 LONGEST_PLAIN = 100_000
 """Characters of a line below which no field is too long for `csv`."""
-OPTIONAL_COLUMNS = ("channel", "photodiode")
+ABOUT_INTERVAL = "low95_per_sr, high95_per_sr: the ends of the interval of 95 %; interval: its law, linear or logarithmic"
+OPTIONAL_COLUMNS = ("channel", "photodiode", "interval", "low95_per_sr", "high95_per_sr")
 """Columns that are written where they have a value."""
 
 
@@ -110,7 +111,9 @@ def stream_of(content: BsdfFile) -> PointStream:
     """Scattered values as the columns of a CSV; each sample has the same columns."""
     parts = content.scattered
     symmetries = {part.isotropic for part in parts}
-    written = {name for name in OPTIONAL_COLUMNS for part in parts if (getattr(part, name) != _NONE[name]).any()}
+    written = {name for name in _NONE for part in parts if (getattr(part, name) != _NONE[name]).any()}
+    if "interval" in written:
+        written |= {"low95_per_sr", "high95_per_sr"}
     comments = [
         *([f"{SIMULATED}no value is from a real instrument"] if content.simulated else []),
         *(
@@ -123,6 +126,7 @@ def stream_of(content: BsdfFile) -> PointStream:
         "theta, phi: about the specular direction, phi 0 towards the normal; degrees",
         "bsdf with its standard uncertainty u_bsdf in 1/sr, u_shared the part of it that neighbouring values share; "
         "luminance_factor is pi times bsdf",
+        *([ABOUT_INTERVAL] if "interval" in written else []),
         *(SYMMETRY_LINES[each] for each in symmetries if len(symmetries) == 1),
         *content.heading(comment for part in parts for comment in part.comments),
     ]
@@ -131,7 +135,7 @@ def stream_of(content: BsdfFile) -> PointStream:
     )
 
 
-_NONE: dict[str, Any] = {"channel": "", "photodiode": -1}
+_NONE: dict[str, Any] = {"channel": "", "photodiode": -1, "interval": ""}
 
 
 def _pieces(part: ScatteredBsdf) -> Iterator[ScatteredBsdf]:
@@ -147,6 +151,7 @@ def _columns_of(part: ScatteredBsdf, optional: Collection[str]) -> dict[str, NDA
         "sigma_deg": part.sigma_deg, "psi_deg": part.psi_deg, "polar_deg": part.polar_deg, "azimuth_deg": part.azimuth_deg,
         "theta_deg": theta, "phi_deg": phi, "photodiode": part.photodiode,
         "bsdf_per_sr": part.values, "u_bsdf_per_sr": part.u, "u_shared_per_sr": part.u_shared,
+        "low95_per_sr": part.low95, "high95_per_sr": part.high95, "interval": part.interval,
         "luminance_factor": np.pi * part.values, "side": np.where(part.back, "back", "front"),
         "light": np.where(part.transmitted, "transmitted", "reflected"), "flags": part.flags,
     }  # fmt: skip
@@ -168,6 +173,8 @@ def _bsdf_file(path: StrPath, points: Points) -> BsdfFile:
     photodiode = found.numbers("photodiode", -1.0)
     everything = ScatteredBsdf(
         sigma, psi, polar, azimuth, values, u, u_shared=found.numbers("u_shared_per_sr", 0.0),
+        low95=found.numbers("low95_per_sr", np.nan), high95=found.numbers("high95_per_sr", np.nan),
+        interval=found.texts("interval", ""),
         wavelength_nm=found.numbers("wavelength_nm", np.nan), channel=found.texts("channel", ""), transmitted=transmitted,
         back=back, flags=flags, photodiode=np.where(np.isnan(photodiode), -1.0, photodiode).astype(np.int64),
         generated=any(line.startswith(SIMULATED) for line in points.comments),

@@ -528,7 +528,9 @@ def _beside(part: "Part", about: str, mark: str) -> "Part | None":
         if np.isnan(part.u).all():
             return None
         u = np.where(np.isnan(part.u), np.abs(part.values), part.u)  # of such a value nothing is known
-        return replace(part, values=u, u=ABSENT, u_shared=ABSENT, comments=comments)
+        return replace(
+            part, values=u, u=ABSENT, u_shared=ABSENT, low95=ABSENT, high95=ABSENT, interval=ABSENT, comments=comments
+        )
     return replace(part, values=part.u, u=None, comments=comments)
 
 

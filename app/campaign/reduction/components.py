@@ -124,6 +124,8 @@ COVERAGE = 1.96
 """Standard uncertainties from a value to the ends of its interval of 95 %."""
 LOGARITHMIC = 0.15
 """Relative standard uncertainty above which an interval is one of the logarithm."""
+LINEAR_LAW, LOGARITHMIC_LAW = "linear", "logarithmic"
+"""The intervals that a value may have, as files name them."""
 INTERVAL_RULE = (
     f"an interval of k u is value +- k u; where u is above {100.0 * LOGARITHMIC:g} % of the value and at least half of its "
     f"variance is of shares of the value (all components but {', '.join(sorted(ADDED))}), it is value exp(+-k u / value)"

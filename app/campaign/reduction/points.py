@@ -21,7 +21,18 @@ from goniotwin.app.campaign.measurement_model.quantity import (
     Terms,
     join_quantities,
 )
-from goniotwin.app.campaign.reduction.components import OTHER, UNLIT, kinds, standard_uncertainty, total_variance
+from goniotwin.app.campaign.reduction.components import (
+    LINEAR_LAW,
+    LOGARITHMIC_LAW,
+    OTHER,
+    UNLIT,
+    interval,
+    kinds,
+    logarithmic,
+    mostly_added,
+    standard_uncertainty,
+    total_variance,
+)
 from goniotwin.app.formats import content
 from goniotwin.arrays import Flags, Floats, Indices, Ints
 from goniotwin.twin.optics.geometry.coordinates import aspecular_deg, round_deg, signed_polar
@@ -294,9 +305,18 @@ class BsdfPoints(MeasuredDirections):
     @property
     def u_field(self) -> Floats:
         """The field's components of `u_bsdf`, 1/sr; NaN where they cannot be estimated."""
-        known = self.good & ~self.flag("field")
+        known, components = self.good & ~self.flag("field"), self.components
         none = np.full(self.bsdf.size, np.nan)
-        return np.where(known, np.sqrt(self.components.get("field", none) + self.components.get("field_noise", 0.0)), np.nan)
+        return np.where(known, np.sqrt(components.get("field", none) + components.get("field_noise", 0.0)), np.nan)
+
+    @property
+    def interval(self) -> tuple[Floats, Floats, content.Texts]:
+        """Lower and upper ends (n,) of the intervals of 95 %, in 1/sr, and the law of each; NaN and "" without a value."""
+        components = self.components
+        added, u = mostly_added(components), standard_uncertainty(components)
+        low, high = interval(self.bsdf, u, added)
+        law = np.where(logarithmic(self.bsdf, u, added), LOGARITHMIC_LAW, LINEAR_LAW)
+        return low, high, np.where(np.isfinite(low), law, "")
 
     @property
     def flags(self) -> dict[str, Flags]:

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import goniotwin
 from goniotwin.app.campaign.reduction.components import interval, mostly_added
 from goniotwin.app.campaign.reduction.overlaps import overlaps
 from goniotwin.app.campaign.reduction.points import FLAGS, BsdfPoints, join_points
@@ -165,7 +166,7 @@ def test_a_csv_has_every_point(reduced: BsdfDataset, tmp_path: Path) -> None:
 def test_a_csv_states_the_rule_of_the_intervals(reduced: BsdfDataset, tmp_path: Path) -> None:
     """By it a reader gets those of `interval`."""
     export(reduced, None, tmp_path / "a.csv", "csv")
-    (rule,) = (each for each in read_points_csv(tmp_path / "a.csv").comments if "interval" in each)
+    (rule,) = (each for each in read_points_csv(tmp_path / "a.csv").comments if each.startswith("an interval"))
     threshold = float(rule.partition("above ")[2].partition(" %")[0]) / 100.0
     added = rule.partition("all components but ")[2].partition(")")[0].split(", ")
     u, one = np.array([0.99, 1.01]) * threshold, np.ones(2)
@@ -173,6 +174,30 @@ def test_a_csv_states_the_rule_of_the_intervals(reduced: BsdfDataset, tmp_path: 
         ends = interval(one, u, mostly_added(dict.fromkeys(names, u**2)), 1.0)
         for end, sign in zip(ends, (-1.0, 1.0), strict=True):
             assert end == pytest.approx(np.where(logarithms, np.exp(sign * u), 1.0 + sign * u), rel=1e-12)
+
+
+def test_a_csv_has_the_interval_of_each_value_and_every_format_of_points_keeps_it(reduced: BsdfDataset, tmp_path: Path) -> None:
+    """By the formulas of the rule: 1.96 u to either side, or a factor exp(1.96 u / value) where large shares are most of u."""
+    ((name, points),) = reduced.samples.items()
+    share = np.where(points.zenith_deg > 20.0, 0.3, 0.01)
+    pose = (share * points.bsdf) ** 2
+    of_journal = replace(reduced, samples={name: replace(points, own={"noise": 0.1 * pose, "pose": pose})})
+    export(of_journal, None, tmp_path / "a.csv", "csv")
+    columns = read_points_csv(tmp_path / "a.csv").columns
+    value, u, steep = columns["bsdf_per_sr"], columns["u_bsdf_per_sr"], points.zenith_deg > 20.0
+    has = np.isfinite(value)
+    assert np.array_equal(columns["interval"][has], np.where(steep, "logarithmic", "linear")[has])
+    assert np.array_equal(columns["interval"] == "", ~has)
+    for column, sign in (("low95_per_sr", -1.0), ("high95_per_sr", 1.0)):
+        expected = np.where(steep, value * np.exp(sign * 1.96 * u / value), value + sign * 1.96 * u)
+        np.testing.assert_allclose(columns[column], expected, rtol=1e-7)
+    for path in (tmp_path / "a.csv", tmp_path / "a.h5", tmp_path / "b.csv"):
+        if not path.exists():
+            registry.write(path, registry.read(tmp_path / "a.csv"), format_to_write(path))
+        found = goniotwin.open(path)
+        assert found.interval.tolist() == columns["interval"].tolist()
+        np.testing.assert_array_equal(found.low95, columns["low95_per_sr"])
+        np.testing.assert_array_equal(found.high95, columns["high95_per_sr"])
 
 
 def test_a_csv_has_the_fields_component_and_a_flag_where_it_is_unknown(reduced: BsdfDataset, tmp_path: Path) -> None:

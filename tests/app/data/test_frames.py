@@ -47,7 +47,7 @@ def test_measured_values_are_a_list() -> None:
     pytest.importorskip("xarray")
     made = dataset_of_file(BsdfFile((rings(gaussian(5.0), 30.0, np.array([10.0]), np.array([0.0, 180.0])),)), "a").to_xarray()
     assert made["bsdf"].dims == ("value",)
-    assert set(made.data_vars) == {"bsdf", "u", "u_shared", "flags"}
+    assert set(made.data_vars) == {"bsdf", "u", "u_shared", "low95", "high95", "interval", "flags"}
     assert made["sigma_deg"].values.tolist() == [30.0, 30.0]
 
 

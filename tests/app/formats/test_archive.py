@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from goniotwin.app.formats import BsdfTable, FormatError, archive
-from goniotwin.app.formats.content import BsdfFile, Part, RegularTable, ScatteredBsdf
+from goniotwin.app.formats.content import COLUMNS, INTERVAL_COLUMNS, BsdfFile, Part, RegularTable, ScatteredBsdf
 from goniotwin.app.formats.metadata import Metadata, QualityMetadata, SampleMetadata
 from goniotwin.protocols.clock import RealClock
 
@@ -45,7 +45,8 @@ def parts(draw: st.DrawFn) -> Part:
         words = np.array(draw(st.lists(TEXT, min_size=n, max_size=n)), dtype=np.str_)
         more: dict[str, Any] = {each: draw(arrays(np.bool_, n)) for each in ("transmitted", "back")}
         return ScatteredBsdf(
-            **columns, values=values, u=np.abs(values), flags=words, channel=words[::-1], **more,
+            **columns, values=values, u=np.abs(values), low95=values - 1.0, high95=values + 1.0, interval=words,
+            flags=words, channel=words[::-1], **more,
             photodiode=draw(arrays(np.int64, n, elements=st.integers(-1, 40))), isotropic=draw(st.booleans()), **about,
         )  # fmt: skip
     psi, sigma = draw(angles(360.0)), draw(angles(90.0))
@@ -251,3 +252,15 @@ def test_a_million_values_are_read_as_they_were_written(tmp_path: Path) -> None:
     archive.write(tmp_path / "many.h5", BsdfFile((many,)))
     (read,) = archive.read(tmp_path / "many.h5").parts
     assert same(many, read)
+
+
+def test_an_archive_of_an_older_version_has_no_intervals(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    ten = np.array([10.0, 20.0])
+    values = ScatteredBsdf(ten, ten, ten, ten, ten)
+    with monkeypatch.context() as older:
+        older.setattr(archive, "COLUMNS", tuple(each for each in COLUMNS if each not in INTERVAL_COLUMNS))
+        archive.write(tmp_path / "a.h5", BsdfFile((values,)))
+    (found,) = archive.read(tmp_path / "a.h5").scattered
+    assert found.values.tolist() == [10.0, 20.0]
+    assert np.isnan([found.low95, found.high95]).all()
+    assert found.interval.tolist() == ["", ""]

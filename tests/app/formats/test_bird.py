@@ -100,6 +100,8 @@ def test_what_is_written_has_the_public_structure_and_is_read_again(
         comments=("one", "two"),
         sigma_deg=np.minimum(values.sigma_deg, 89.5), polar_deg=np.minimum(values.polar_deg, 89.5),
         u=0.01 * np.arange(values.size) if with_u else None,
+        low95=values.values - 1.0 if marked else None, high95=values.values + 1.0 if marked else None,
+        interval=np.full(values.size, "linear" if marked else ""),
         u_shared=np.full(values.size, 0.001 * marked), photodiode=np.arange(values.size) if marked else None,
         flags=np.full(values.size, 'dark "x"' if marked else ""),
     )  # fmt: skip
@@ -111,6 +113,8 @@ def test_what_is_written_has_the_public_structure_and_is_read_again(
     names = ("back", "u_shared", "photodiode", *(("u",) if with_u else ()))
     np.testing.assert_array_equal(rows(found, *names), rows(values, *names))
     assert found.flags.tolist() == values.flags.tolist()
+    assert found.interval.tolist() == values.interval.tolist()
+    np.testing.assert_allclose([found.low95, found.high95], [values.low95, values.high95], rtol=1e-8)
     assert np.isfinite(found.u).all() == with_u
     assert (found.sample, found.isotropic, found.generated) == ("paint °", False, generated)
     assert set(found.comments) == {"one", "two", "three"}
