@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
-from goniotwin.app.campaign.reduction.components import LOGARITHMIC_LAW, interval
+from goniotwin.app.campaign.reduction.components import COVERAGE as INTERVAL_U
+from goniotwin.app.campaign.reduction.components import DRAWN_LAW, LOGARITHMIC_LAW, interval
 from goniotwin.app.data.dataset import Dataset
 from goniotwin.app.data.opening import open_dataset
 from goniotwin.app.data.values import Number, flag, quoted, with_names
@@ -187,7 +188,10 @@ def band(dataset: Dataset, coverage: float = COVERAGE) -> tuple[Floats, Floats]:
     """Lower and upper ends (n,) of the values' intervals, of their law where it is stated; NaN without an uncertainty."""
     added = np.asarray(dataset.interval != LOGARITHMIC_LAW)
     with np.errstate(invalid="ignore"):
-        return interval(dataset.bsdf, dataset.u, added, coverage)
+        low, high = interval(dataset.bsdf, dataset.u, added, coverage, coverage)
+        drawn, wider = dataset.interval == DRAWN_LAW, coverage / INTERVAL_U
+        low = np.where(drawn, dataset.bsdf + wider * (dataset.low95 - dataset.bsdf), low)
+        return low, np.where(drawn, dataset.bsdf + wider * (dataset.high95 - dataset.bsdf), high)
 
 
 def curve(dataset: Dataset, x: Floats, widest: float = WIDEST_GAP_DEG) -> Curve:

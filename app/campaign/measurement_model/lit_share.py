@@ -9,6 +9,7 @@ direction of view. All of these functions of the virtual rig are sums of a few m
 value has the effects of some uncorrelated inputs of mean square 1, the same ones on all paths, and covariances follow.
 """
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Self
@@ -20,6 +21,7 @@ from goniotwin.app.campaign.measurement_model.pose import LIGHT, Views, disc_mov
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics import Instrument
 from goniotwin.twin.optics.geometry.coordinates import HALF_TURN_DEG
+from goniotwin.twin.optics.kernel import kernel
 
 OF_PUPIL = [LIGHT.index(f"illumination_shift_{axis}") for axis in "xz"]
 MODES = 48
@@ -36,6 +38,13 @@ At the pole itself a sensor has axes of its own, which are not the limit of thos
 LEAST_PROBABILITY = 1e-7
 """Places of the image that are less probable do not count."""
 QUARTER_DEG = 90.0
+TOGETHER = 2000
+"""Values whose laws are in memory together."""
+SMALLEST = 1e-12
+BINS = 48
+"""Bins of the law of an effect: each with its probability and the mean of its rigs."""
+HALVINGS = 30
+"""Steps by which the end of an interval is found: from the width of a law to a part in 1e9."""
 SOME = 3
 """Of so many of these directions, along either angle, one counts where the modes are found."""
 
@@ -85,6 +94,41 @@ class LitModes:
     def of(self, logarithm: Floats) -> Floats:
         """The effects (..., modes) of functions (..., n) of the virtual rig."""
         return np.asarray((logarithm * self.ensemble.probability) @ self.modes.T)
+
+    def quantiles(self, effects: Floats, u: Floats, probability: tuple[float, float]) -> Floats:
+        """Quantiles (n, 2) of the sums of effects (n, modes) over the virtual rigs and of normal errors with `u` (n,)."""
+        found = np.empty((u.size, 2))
+        for begin in range(0, u.size, TOGETHER):
+            part = slice(begin, begin + TOGETHER)
+            _find_quantiles(effects[part] @ self.modes, self.ensemble.probability, u[part], np.array(probability), found[part])
+        return found
+
+
+@kernel()
+def _find_quantiles(effect: Floats, probability: Floats, u: Floats, wanted: Floats, found: Floats) -> None:
+    share, mean = np.empty(BINS), np.empty(BINS)
+    for i in range(u.size):
+        least, most = effect[i].min(), effect[i].max()
+        width = (most - least) / BINS
+        share[:], mean[:] = 0.0, 0.0
+        for k in range(probability.size):
+            at = min(int((effect[i, k] - least) / width), BINS - 1) if width > 0.0 else 0
+            share[at] += probability[k]
+            mean[at] += probability[k] * effect[i, k]
+        # What a bin's rigs differ among themselves is at most the spread of its width.
+        spread = math.sqrt(2.0 * (u[i] ** 2 + width**2 / 12.0)) + SMALLEST
+        for q in range(wanted.size):
+            low, high = least - 4.0 * spread, most + 4.0 * spread
+            for _ in range(HALVINGS):
+                middle, below = 0.5 * (low + high), 0.0
+                for k in range(BINS):
+                    if share[k] > 0.0:
+                        below += 0.5 * share[k] * (1.0 + math.erf((middle - mean[k] / share[k]) / spread))
+                if below < wanted[q]:
+                    low = middle
+                else:
+                    high = middle
+            found[i, q] = 0.5 * (low + high)
 
 
 @lru_cache(maxsize=KEPT_RIGS)

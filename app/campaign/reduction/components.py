@@ -124,8 +124,8 @@ COVERAGE = 1.96
 """Standard uncertainties from a value to the ends of its interval of 95 %."""
 LOGARITHMIC = 0.15
 """Relative standard uncertainty above which an interval is one of the logarithm."""
-LINEAR_LAW, LOGARITHMIC_LAW = "linear", "logarithmic"
-"""The intervals that a value may have, as files name them."""
+LINEAR_LAW, LOGARITHMIC_LAW, DRAWN_LAW = "linear", "logarithmic", "drawn"
+"""The intervals that a value may have, as files name them; a drawn one is by the law of an input that is not normal."""
 INTERVAL_RULE = (
     f"an interval of k u is value +- k u; where u is above {100.0 * LOGARITHMIC:g} % of the value and at least half of its "
     f"variance is of shares of the value (all components but {', '.join(sorted(ADDED))}), it is value exp(+-k u / value)"
@@ -147,11 +147,17 @@ def logarithmic(value: Floats, u: Floats, added: Flags) -> Flags:
     return np.asarray((value > 0.0) & (u > LOGARITHMIC * value) & ~added)
 
 
-def interval(value: Floats, u: Floats, added: Flags, coverage: float = COVERAGE) -> tuple[Floats, Floats]:
+def interval(
+    value: Floats, u: Floats, added: Flags, down: Floats | float = COVERAGE, up: Floats | float = COVERAGE
+) -> tuple[Floats, Floats]:
     """Lower and upper ends of the values' intervals, so many standard uncertainties `u` away; `added` of `mostly_added`."""
     chosen = logarithmic(value, u, added)
-    factor = np.exp(coverage * np.where(chosen, u, 0.0) / np.where(chosen, value, 1.0))
-    return np.where(chosen, value / factor, value - coverage * u), np.where(chosen, value * factor, value + coverage * u)
+    share = np.where(chosen, u, 0.0) / np.where(chosen, value, 1.0)
+    low, high = (
+        np.where(chosen, value * np.exp(-down * share), value - down * u),
+        np.where(chosen, value * np.exp(up * share), value + up * u),
+    )
+    return low, high
 
 
 def deviation_in_u(value: Floats, u: Floats, added: Flags, expected: Floats) -> Floats:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from goniotwin.app.campaign.measurement_model.quantity import NONE
 from goniotwin.app.campaign.reduction.arc_geometry import ArcGeometry
 from goniotwin.app.campaign.reduction.arc_rows import SIGMA, WAVELENGTH, ArcRows, ArcViews, arcs_of_rows, etalon_places
-from goniotwin.app.campaign.reduction.components import Signal
+from goniotwin.app.campaign.reduction.components import COVERAGE, Signal
 from goniotwin.app.campaign.reduction.points import BsdfPoints, join_points, pack_flags, points_of_quantity
 from goniotwin.app.campaign.reduction.reading_inputs import Numbers
 from goniotwin.app.campaign.reduction.row_signals import PlaceIndex, PoseKey, RowSignals, pose_key
@@ -255,6 +255,7 @@ def _points(data: ArcRows) -> BsdfPoints:
         slope_along=np.full(size, np.nan),
         slope_across=np.full(size, np.nan),
         field_correction=np.zeros(size),
+        coverage=np.full((size, 2), COVERAGE),
         row=np.repeat(data.numbers, n),
         etalon_row=np.repeat(data.etalon_rows, n),
         gain=data.sample.gain.ravel(),

@@ -12,7 +12,7 @@ import numpy as np
 
 from goniotwin.app.campaign.measurement_model.effects import Component, Dense, Effects
 from goniotwin.app.campaign.measurement_model.inputs import InputQuantity, quantity
-from goniotwin.app.campaign.measurement_model.lit_share import MODES, lit_effects
+from goniotwin.app.campaign.measurement_model.lit_share import MODES, lit_effects, lit_modes
 from goniotwin.app.campaign.measurement_model.pose import LIGHT, rig_inputs, standard_uncertainties
 from goniotwin.app.campaign.reduction.angles import views_of_points
 from goniotwin.app.campaign.reduction.points import BsdfPoints
@@ -21,26 +21,36 @@ from goniotwin.app.rig import nominal_instrument
 from goniotwin.app.rig.inputs import ILLUMINATION_SHIFT, MIRROR_SHIFT, MIRROR_TILT
 from goniotwin.app.rig.uncertainty import UncertaintyTable
 from goniotwin.arrays import Flags
+from goniotwin.twin.optics import Instrument
 from goniotwin.twin.optics.geometry.coordinates import SPECULAR_AZIMUTH_DEG, incidence_deg
 
 SLIT_IMAGE = "slit_image"
 """The component of the light's place, of values and of the closure."""
+LEAST_PART = 0.05
+"""Of a smaller part in a variance the interval is that of a normal law to 1 %."""
+HALF = 0.475
+"""Half of the probability of an interval."""
 LEAST_EFFECT = 1e-9
 """Less is rounding: the hole is lit everywhere."""
 
 
+def _modes(settings: ReductionSettings) -> tuple[Instrument, tuple[float, ...]]:
+    """What the modes of the place are made from: the nominal instrument, and half widths of the rig's inputs."""
+    half_widths = math.sqrt(3.0) * standard_uncertainties(rig_inputs(settings.rig.uncertainty))
+    return nominal_instrument(settings.rig), tuple(half_widths.tolist())
+
+
 def slit_image_effects(points: BsdfPoints, settings: ReductionSettings, by_beam: Flags) -> Effects | None:
     """What the place of the slit's image does to transmitted light; the open beam is the scale of points `by_beam` (n,)."""
-    half_widths = math.sqrt(3.0) * standard_uncertainties(rig_inputs(settings.rig.uncertainty))
-    chosen = points.transmitted
-    if not chosen.any() or not half_widths[: len(LIGHT)].any():
+    rig, chosen = _modes(settings), points.transmitted
+    if not chosen.any() or not any(rig[1][: len(LIGHT)]):
         return None
-    instrument, views = nominal_instrument(settings.rig), views_of_points(points)
+    views = views_of_points(points)
     effect = np.zeros((points.size, MODES))
     poses = np.stack([points.sigma_deg, points.gamma_deg, views.lower], axis=1)
     for sigma, gamma, lower in np.unique(poses[chosen], axis=0).tolist():
         here = np.flatnonzero(chosen & (poses == (sigma, gamma, lower)).all(axis=1))
-        pose = instrument, tuple(half_widths.tolist()), (sigma, gamma, bool(lower))
+        pose = *rig, (sigma, gamma, bool(lower))
         effect[here] = lit_effects(*pose, np.degrees(views.polar[here]), points.azimuth_deg[here])
         specular = np.array([incidence_deg(sigma)]), np.array([SPECULAR_AZIMUTH_DEG])
         effect[here] -= np.where(by_beam[here, None], lit_effects(*pose, *specular), 0.0)
@@ -48,6 +58,19 @@ def slit_image_effects(points: BsdfPoints, settings: ReductionSettings, by_beam:
         return None
     modes = [_mode(f"{SLIT_IMAGE}[{k}]", 1.0, settings.rig.uncertainty) for k in range(1, MODES + 1)]
     return Effects(points.bsdf, {}, (), [Dense(modes, effect)])
+
+
+def interval_by_modes(points: BsdfPoints, effects: Effects, settings: ReductionSettings) -> BsdfPoints:
+    """The points with the intervals of the law of the place, where it has a part in u, and of all else, which is normal."""
+    total, of_place = points.u_bsdf**2, points.stated[SLIT_IMAGE]
+    chosen = np.flatnonzero(points.good & (of_place > LEAST_PART * total))
+    value, u = points.bsdf[chosen], points.u_bsdf[chosen]
+    rest = np.sqrt(np.maximum(total - of_place, 0.0)[chosen]) / value
+    ends = lit_modes(*_modes(settings)).quantiles(effects.dense[0].sensitivity[chosen], rest, (0.5 - HALF, 0.5 + HALF))
+    coverage = points.coverage.copy()
+    # A value that is too high has its truth below it.
+    coverage[chosen] = np.stack([ends[:, 1], -ends[:, 0]], axis=1) * (value / u)[:, None]
+    return replace(points, coverage=coverage)
 
 
 def _mode(name: str, u: float, table: UncertaintyTable) -> InputQuantity:

@@ -24,7 +24,7 @@ from goniotwin.app.campaign.reduction.evidence import SignalEvidence, add_gains,
 from goniotwin.app.campaign.reduction.field_of_view import correct_field_of_view
 from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.reduction.row_signals import RowSignals
-from goniotwin.app.campaign.reduction.scale import shared_families
+from goniotwin.app.campaign.reduction.scale import shared_families, state_interval
 from goniotwin.app.campaign.reduction.settings import ReductionSettings
 from goniotwin.app.campaign.reduction.signals import (
     DarkReadings,
@@ -63,6 +63,7 @@ SETTING_STEPS: Sequence[Callable[[BsdfPoints, ReductionSettings], BsdfPoints]] =
     calibrate_photodiodes,
     correct_field_of_view,  # after the calibration: the field has the same effect on all photodiodes that look in a direction
     add_pose,  # after the slopes
+    state_interval,  # by all components
 )
 """Steps on all points of a set of wavelength, sigma and gamma, and of a sample's calibration: they need the points nearby."""
 

@@ -22,6 +22,8 @@ from goniotwin.app.campaign.measurement_model.quantity import (
     join_quantities,
 )
 from goniotwin.app.campaign.reduction.components import (
+    COVERAGE,
+    DRAWN_LAW,
     LINEAR_LAW,
     LOGARITHMIC_LAW,
     OTHER,
@@ -216,7 +218,8 @@ class BsdfPoints(MeasuredDirections):
     `slope_along` and `slope_across` are the derivatives of ln bsdf per degree, without the field of view; NaN where unknown.
     Along: towards growing polar angle, from the pole of the direction's own arc, in the half plane of its azimuth. Across:
     towards direction x along, which on the upper arc is growing azimuth, on the lower arc falling azimuth. `field_correction`
-    is what the correction of the field of view has added to ln bsdf; 0 where nothing was corrected.
+    is what the correction of the field of view has added to ln bsdf; 0 where nothing was corrected. `coverage` (n, 2) are the
+    standard uncertainties from a value down and up to the ends of its interval of 95 %.
 
     `row` is the number of the row in the journal, and `etalon_row` of that of the etalon's reading, of several the first one.
     `gain` and `etalon_gain` are the indices of the gains of these readings, -1 where they are saturated.
@@ -235,6 +238,7 @@ class BsdfPoints(MeasuredDirections):
     slope_along: Floats
     slope_across: Floats
     field_correction: Floats
+    coverage: Floats
     row: Ints
     etalon_row: Ints
     gain: Ints
@@ -314,8 +318,10 @@ class BsdfPoints(MeasuredDirections):
         """Lower and upper ends (n,) of the intervals of 95 %, in 1/sr, and the law of each; NaN and "" without a value."""
         components = self.components
         added, u = mostly_added(components), standard_uncertainty(components)
-        low, high = interval(self.bsdf, u, added)
+        down, up = self.coverage.T
+        low, high = interval(self.bsdf, u, added, down, up)
         law = np.where(logarithmic(self.bsdf, u, added), LOGARITHMIC_LAW, LINEAR_LAW)
+        law = np.where((self.coverage == COVERAGE).all(axis=1), law, DRAWN_LAW)
         return low, high, np.where(np.isfinite(low), law, "")
 
     @property

@@ -17,7 +17,7 @@ from goniotwin.app.campaign.geometry.directions import polar_from_zenith
 from goniotwin.app.campaign.measurement_model.effects import Dense, Effects, Group, dense_of
 from goniotwin.app.campaign.measurement_model.inputs import InputQuantity, quantity
 from goniotwin.app.campaign.measurement_model.pose import OF_ETALON
-from goniotwin.app.campaign.reduction.lit_hole import SLIT_IMAGE, slit_image_effects
+from goniotwin.app.campaign.reduction.lit_hole import SLIT_IMAGE, interval_by_modes, slit_image_effects
 from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.reduction.polarisation import light_state
 from goniotwin.app.campaign.reduction.settings import OpticalPath, ReductionSettings, mounted
@@ -123,6 +123,12 @@ def _beam_scale(points: BsdfPoints, settings: ReductionSettings) -> Ints:
 def slit_image(points: BsdfPoints, settings: ReductionSettings) -> Effects | None:
     """What the place of the slit's image does to transmitted light."""
     return slit_image_effects(points, settings, _beam_scale(points, settings) >= 0)
+
+
+def state_interval(points: BsdfPoints, settings: ReductionSettings) -> BsdfPoints:
+    """State the interval of transmitted light, which the place of the slit's image gives another law than the normal one."""
+    found = slit_image(points, settings)
+    return points if found is None else interval_by_modes(points, found, settings)
 
 
 def _by_certificate(points: BsdfPoints, settings: ReductionSettings) -> Floats:

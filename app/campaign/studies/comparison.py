@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from goniotwin.app.campaign.geometry.directions import direction_keys, is_lower
-from goniotwin.app.campaign.reduction.components import deviation_in_u, mostly_added
+from goniotwin.app.campaign.reduction.components import COVERAGE, deviation_in_u, mostly_added
 from goniotwin.app.campaign.reduction.field_of_view import FieldOfView
 from goniotwin.app.campaign.reduction.points import PLACE, BsdfPoints
 from goniotwin.app.campaign.studies.reduced_journal import BsdfDataset
@@ -108,8 +108,13 @@ def moved_logarithm(scatterer: Scatterer, points: BsdfPoints, along: Floats | fl
 
 
 def deviations_in_u(points: BsdfPoints, truth: Floats) -> Floats:
-    """Deviations (n,) of values from the truth in their u: a value is within its interval where they are within COVERAGE."""
-    return deviation_in_u(points.bsdf, points.u_bsdf, noisy(points), truth)
+    """Deviations (n,) of values from the truth in their u: a value is within its interval where they are within COVERAGE.
+
+    Where an interval has other ends, in as many parts of it.
+    """
+    found = deviation_in_u(points.bsdf, points.u_bsdf, noisy(points), truth)
+    down, up = points.coverage.T
+    return np.asarray(found * COVERAGE / np.where(found > 0.0, down, up))
 
 
 def relative_residuals(points: BsdfPoints, truth: Floats) -> Floats:

@@ -237,7 +237,7 @@ class ScanPlot(QWidget):
         )
         low, high = (
             transform(each, scale, threshold)
-            for each in interval(points.values[above], points.u_values[above], points.added[above], coverage=1.0)
+            for each in interval(points.values[above], points.u_values[above], points.added[above], 1.0, 1.0)
         )
         self._bars.setData(x=points.x_deg[above], y=on_scale[above], top=high - on_scale[above], bottom=on_scale[above] - low)
         alarms = cut.alarms & above

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from goniotwin.app.campaign.measurement_model.light_place import across_beam, seen_logarithm
-from goniotwin.app.campaign.measurement_model.lit_share import lit_effects
+from goniotwin.app.campaign.measurement_model.lit_share import lit_effects, lit_modes
 from goniotwin.app.campaign.measurement_model.pose import (
     LIGHT,
     VIEW,
@@ -81,3 +81,21 @@ def test_the_modes_have_the_second_moments_of_drawn_rigs(sigma_deg: float, gamma
     moments, expected = effects @ effects.T, of_rigs @ of_rigs.T / of_rigs.shape[1]
     scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
     assert np.abs((moments - expected) / scale).max() < 0.1
+
+
+@pytest.mark.parametrize("rest", [0.3, 3.0])
+@pytest.mark.parametrize("sigma_deg", [5.0, 15.0, 65.0])
+def test_an_interval_has_the_ends_of_drawn_rigs_with_normal_errors(sigma_deg: float, rest: float) -> None:
+    """`rest`: of the other, normal errors, in the root of the mean square of the effect."""
+    modes = lit_modes(INSTRUMENT, tuple(HALF_WIDTHS.tolist()))
+    effects = lit_effects(INSTRUMENT, tuple(HALF_WIDTHS.tolist()), (sigma_deg, 0.0, True), POLAR_DEG, AZIMUTH_DEG)
+    of_rigs = logarithms(sigma_deg, 0.0, drawn(20_000))
+    u = rest * np.sqrt(np.mean(of_rigs**2, axis=1))
+    errors = of_rigs + u[:, None] * np.random.default_rng(54).standard_normal(of_rigs.shape)
+    ends = modes.quantiles(effects, u, (0.025, 0.975))
+    inside = np.mean((errors >= ends[:, :1]) & (errors <= ends[:, 1:]), axis=1)
+    assert inside == pytest.approx(0.95, abs=0.012)
+    assert np.mean(errors < ends[:, :1], axis=1) == pytest.approx(0.025, abs=0.01)
+    # Of a normal law alone they are those of tables.
+    normal = modes.quantiles(0.0 * effects, u, (0.025, 0.975))
+    assert normal == pytest.approx(1.959964 * np.stack([-u, u], axis=1), rel=1e-6)

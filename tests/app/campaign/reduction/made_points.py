@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from goniotwin.app.campaign.reduction.components import COVERAGE
 from goniotwin.app.campaign.reduction.points import BsdfPoints, pack_flags
 from goniotwin.arrays import Flags, Floats
 from goniotwin.twin.optics import arc_direction, to_specular
@@ -34,6 +35,7 @@ def made_points(
         slope_along=zeros + np.nan,
         slope_across=zeros + np.nan,
         field_correction=zeros,
+        coverage=np.full((zenith.size, 2), COVERAGE),
         row=np.arange(zenith.size),
         etalon_row=np.arange(zenith.size),
         gain=np.zeros(zenith.size, dtype=np.int64),
