@@ -122,15 +122,34 @@ def rehearse(
 
 @app.command()
 def prove(
-    schedule: Schedule,
-    rig: RigOption,
-    rigs: Annotated[int, typer.Option("--rigs", metavar="N", help="Number of virtual rigs.")] = 20,
+    schedule: Annotated[Path | None, typer.Argument(metavar="SCHEDULE.toml", help="Schedule file.", show_default=False)] = None,
+    rig: Annotated[
+        Path | None,
+        typer.Option(
+            "--rig", metavar="RIG.toml", help="Rig file; with --structures that of the examples by default.", show_default=False
+        ),
+    ] = None,
+    structures: Annotated[
+        int | None,
+        typer.Option(
+            "--structures",
+            metavar="N",
+            help="In place of a schedule: so many drawn ones with drawn samples, counted together.",
+            show_default=False,
+        ),
+    ] = None,
+    rigs: Annotated[int, typer.Option("--rigs", metavar="M", help="Number of virtual rigs, of each structure.")] = 20,
     without_wires: Annotated[
         bool, typer.Option("--without-wires", help="Without devices: the light of the fast estimator into the same reduction.")
     ] = False,
     out: Annotated[
         Path | None,
-        typer.Option("--out", metavar="DIR", help="Folder for the results; default SCHEDULE.proof.", show_default=False),
+        typer.Option(
+            "--out",
+            metavar="DIR",
+            help="Folder for the results; default SCHEDULE.proof, or structures.proof.",
+            show_default=False,
+        ),
     ] = None,
     processes: Processes = None,
     dask: Dask = None,
@@ -140,15 +159,27 @@ def prove(
 
     They are off by as much as the rig file states as uncertain: each is drawn from [uncertainty] with a seed of its own,
     measures the whole schedule on the virtual clock, and its values are compared with the truth. Given are the coverage of
-    the 95 % interval by decade of signal, zenith, sigma, wavelength and sample, with its standard error over rigs, what is
-    left after a fit of the shared inputs, and reflectances. A key of [twin.disturbances] in the rig file is a fault of which
-    the rest of the file knows nothing.
+    the 95 % interval by decade of signal, side, plane, zenith, sigma, wavelength and sample, with its standard error over rigs,
+    what is left after a fit of the shared inputs, and reflectances. A key of [twin.disturbances] in the rig file is a fault of
+    which the rest of the file knows nothing.
 
-    A rig that is done is not run again: after Ctrl-C the same command continues, and more --rigs are added to those that are
-    done. With --dask the rigs are computed on other computers (docs/sweeps.md).
+    With --structures the schedules and the samples are drawn too, structure k always alike, and each has rigs of its own. The
+    files of a structure are in the folder of the results, and are proved by themselves like any others. The cells are judged:
+    those whose coverage is off by more than 1 % and 2.6 of its standard errors are named.
+
+    A rig that is done is not run again: after Ctrl-C the same command continues, and more --rigs of a schedule, or more
+    --structures, are added to those that are done. With --dask the rigs are computed on other computers (docs/sweeps.md).
 
     Exit status: 0 if all rigs are done, 1 if a campaign came to no end, 130 after Ctrl-C.
     """
+    if structures is not None:
+        if schedule is not None:
+            raise UserError(f"--structures: draws the schedules; leave {schedule} out")
+        _prove_structures(structures, rig, rigs, without_wires, out, processes, dask, as_json)
+        return
+    if schedule is None or rig is None:
+        missing = "SCHEDULE.toml" if schedule is None else "--rig"
+        raise UserError(f"prove: {missing} is missing; write goniotwin prove SCHEDULE.toml --rig RIG.toml, or --structures N")
     from goniotwin.app.campaign.proof.proof import Proof
     from goniotwin.app.campaign.proof.proof import prove as prove_rigs
     from goniotwin.app.campaign.proof.report import proof_text
@@ -166,9 +197,39 @@ def prove(
     ):
         totals = prove_rigs(proof, runner, progress, print_note)
     answer(as_json, totals.as_dict(), lambda: print(proof_text(proof, totals)))
-    for seed, reason in totals.failed.items():
+    _end_proof(totals.failed)
+
+
+def _prove_structures(
+    structures: int, rig: Path | None, rigs: int, without_wires: bool, out: Path | None, processes: int | None,
+    dask: str | None, as_json: bool,
+) -> None:  # fmt: skip
+    from goniotwin import examples
+    from goniotwin.app.campaign.proof.pooled import PooledProof, prove_structures
+    from goniotwin.app.campaign.proof.report import pooled_text
+    from goniotwin.app.cli.progress import SweepProgress
+    from goniotwin.app.rig import read_rig
+
+    folder = out if out is not None else Path("structures.proof")
+    base = read_rig(rig if rig is not None else examples.FOLDER / "proof" / "rig.toml")
+    proof = PooledProof(base, structures, rigs, folder, wires=not without_wires)
+    for each in proof.drawn:
+        compile_ahead(parts_of_rehearsal(each.schedule.file, each.rig.model()))
+    with (
+        runner_of(processes, dask, proof.chunks) as runner,
+        kept(folder, "rigs"),
+        SweepProgress(error_console(), f"{structures} structures (proof)", proof.chunks, "rigs") as progress,
+    ):
+        found = prove_structures(proof, runner, progress, print_note)
+    answer(as_json, {**found.as_dict(), "drawn_again": proof.drawn_again}, lambda: print(pooled_text(proof, found)))
+    _end_proof(found.totals.failed)
+
+
+def _end_proof(failed: dict[int, str]) -> None:
+    """Print the rigs without a result, and end with their exit status."""
+    for seed, reason in failed.items():
         print_error(f"seed {seed}: {reason}")
-    if totals.failed:
+    if failed:
         raise typer.Exit(1)
 
 

@@ -10,7 +10,7 @@ import hashlib
 import io
 import json
 import zipfile
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -32,8 +32,6 @@ DIGITS = 64
 """Length of a SHA-256 in hexadecimal digits."""
 Note = Callable[[str], None]
 """Receives a line for the user."""
-Earlier = Callable[[], Iterable[Computed]]
-"""Gives the chunks of a folder that an earlier version of the program has left; raises UserError for any other folder."""
 
 
 @dataclass(frozen=True)
@@ -47,18 +45,18 @@ class ChunkFiles:
     note: Note = field(default=lambda _: None, compare=False)
 
     @contextlib.contextmanager
-    def opened(self, earlier: Earlier | None = None) -> Iterator[None]:
+    def opened(self) -> Iterator[None]:
         """Make the folder if it is not there, and lock it. Raises UserError for that of another sweep, and for one in use."""
         self._check()
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
-            if not (self.folder / ABOUT).exists() and earlier is None and self._has_files():
+            if not (self.folder / ABOUT).exists() and self._has_files():
                 self._refuse_other()
             lock = LockFile(self.folder / LOCK, str(self.folder), self.specification.work, 0o644)
         except OSError as error:
             raise self._unusable(error) from None
         try:
-            self._prepare(earlier)
+            self._prepare()
             yield
         finally:
             lock.release(remove=True)
@@ -89,13 +87,13 @@ class ChunkFiles:
             return None
         return computed
 
-    def _prepare(self, earlier: Earlier | None) -> None:
+    def _prepare(self) -> None:
         """Write the specification into a new folder, and remove what a killed program has left. The folder is locked."""
         self._check()
         try:
             if not (self.folder / ABOUT).exists():
                 if self._has_files():
-                    self._take_over(earlier)
+                    self._refuse_other()
                 write_file(self.folder / ABOUT, json.dumps(self._about(), indent=1).encode())
             for each in self.folder.glob(".*.tmp"):
                 each.unlink(missing_ok=True)
@@ -128,21 +126,14 @@ class ChunkFiles:
         wrong = f"{self.folder}: is not empty, and no folder of a {self.specification.work}"
         raise UserError(f"{wrong}; choose another one with {self.option}")
 
-    def _take_over(self, earlier: Earlier | None) -> None:
-        if earlier is None:
-            self._refuse_other()
-            return
-        for each in earlier():
-            self.write(each)
-
     def _unusable(self, error: OSError) -> UserError:
         return unusable(self.folder, "cannot be used", error, f"choose another folder with {self.option}")
 
 
 def pack(computed: Computed, digest: str) -> bytes:
     """The bytes of a chunk's file: the same for the same arrays and environment."""
-    made = None if computed.environment is None else computed.environment.as_dict()
-    about = json.dumps({"specification": digest, "chunk": computed.chunk, "computed with": made}, sort_keys=True)
+    made = {"specification": digest, "chunk": computed.chunk, "computed with": computed.environment.as_dict()}
+    about = json.dumps(made, sort_keys=True)
     content = io.BytesIO()
     with zipfile.ZipFile(content, "w") as archive:
         archive.comment = b"0" * DIGITS
@@ -158,8 +149,7 @@ def unpack(content: bytes) -> tuple[str, Computed]:
     with np.load(io.BytesIO(content), allow_pickle=False) as archive:
         arrays = {name: archive[name] for name in archive.files}
     about = json.loads(str(arrays.pop("about")))
-    made = None if about["computed with"] is None else Environment(**about["computed with"])
-    return str(about["specification"]), Computed(int(about["chunk"]), arrays, made)
+    return str(about["specification"]), Computed(int(about["chunk"]), arrays, Environment(**about["computed with"]))
 
 
 def _digest(content: bytes) -> bytes:

@@ -74,14 +74,11 @@ Work = Callable[[Specification, int], Arrays]
 
 @dataclass(frozen=True, eq=False)
 class Computed:
-    """A chunk with its arrays, or with the reason why it has none, and what computed it.
-
-    `environment` is None for a chunk of an earlier version of goniotwin, which did not record it.
-    """
+    """A chunk with its arrays, or with the reason why it has none, and what computed it."""
 
     chunk: int
     arrays: Arrays
-    environment: Environment | None
+    environment: Environment
     failure: str = ""
 
 

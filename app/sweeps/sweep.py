@@ -3,7 +3,7 @@
 import contextlib
 from collections.abc import Callable
 
-from goniotwin.app.sweeps.chunk_files import ChunkFiles, Earlier
+from goniotwin.app.sweeps.chunk_files import ChunkFiles
 from goniotwin.app.sweeps.environment import Environment, check_alike
 from goniotwin.app.sweeps.runners import Runner
 from goniotwin.app.sweeps.specification import Work
@@ -14,21 +14,20 @@ Report = Callable[[int, str], None]
 
 def run_sweep(
     work: Work, files: ChunkFiles, chunks: int, runner: Runner, report: Report = lambda _done, _now: None,
-    earlier: Earlier | None = None,
 ) -> dict[int, str]:  # fmt: skip
     """Compute the first `chunks` chunks of a sweep that have no file yet; the reasons of those that have no result, by chunk.
 
     The results are then in `files`, to be read in the order of the chunks. All have the same versions and processor. Raises
     UserError, and KeyboardInterrupt after a Ctrl-C; every finished chunk is kept.
     """
-    with files.opened(earlier):
+    with files.opened():
         known: dict[str, Environment] = {}
         left = []
         for chunk in range(chunks):
             found = files.read(chunk)
             if found is None:
                 left.append(chunk)
-            elif found.environment is not None:
+            else:
                 _check(files, {**known, f"chunk {chunk}": found.environment})
                 known = known or {f"the chunks in {files.folder}": found.environment}
         report(chunks - len(left), "")
@@ -42,7 +41,6 @@ def run_sweep(
                 if each is None:
                     report(done, runner.title)
                     continue
-                assert each.environment is not None
                 # Of a worker that came later than the others, too.
                 _check(files, {**known, f"chunk {each.chunk}": each.environment})
                 known = known or {f"chunk {each.chunk}": each.environment}

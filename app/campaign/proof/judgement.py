@@ -19,7 +19,7 @@ from goniotwin.app.campaign.measurement_model.effects import Effects
 from goniotwin.app.campaign.measurement_model.fit import Fit, ValuesCovariance
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.reduction.angles import angles
-from goniotwin.app.campaign.reduction.components import ADDED, COVERAGE, KINDS, OTHER
+from goniotwin.app.campaign.reduction.components import ADDED, COVERAGE, KINDS, OTHER, total_variance
 from goniotwin.app.campaign.reduction.effects_of_points import effects_of
 from goniotwin.app.campaign.reduction.points import BsdfPoints, join_points
 from goniotwin.app.campaign.reduction.reduction import Reduction
@@ -37,7 +37,7 @@ from goniotwin.app.campaign.studies.decades import DECADE_NAMES, decades_below_p
 from goniotwin.app.campaign.studies.evaluation import evaluate_journal
 from goniotwin.app.campaign.studies.reflectance import components_of_sum, integration_settings, quadrature
 from goniotwin.app.rig import AXES
-from goniotwin.arrays import Flags, Floats
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics import Scatterer
 from goniotwin.twin.plant import Drawn
 
@@ -51,15 +51,21 @@ SECOND_ORDER_STEPS = 2
 """Fits with the second order of the angles of the fit before."""
 ZENITHS_DEG = (15.0, 30.0, 45.0, 60.0, 75.0, 90.0)
 STEEP, SLOPE, NO_SLOPE = "steep", "with a slope", "without a slope"
+BOUND = "bound"
+"""Of values more than half of whose variance is of a component of BOUNDS."""
+BOUNDS = ("slope_unresolved",)
+"""Components that are limits of what is not known: their error is no draw of a law with that variance."""
+REFLECTED, TRANSMITTED = SIDES = ("reflected", "transmitted")
+IN_PLANE, OUT_OF_PLANE = "in plane", "out of plane"
 INDEX = re.compile(r"[\[@].*")
 """What follows the kind of an input in its name: its element, row or mounting."""
 
 
 @dataclass
 class Cell:
-    """Sums over values: their number, those within their 95 % interval, their deviations in u, those beyond 5 u.
+    """Sums over values: their number, those within their 95 % interval, their deviations in u, and those beyond 5 u.
 
-    `chi_square` of what is left after the fit, with its expectation `freedom`.
+    `chi_square` of what is left after the fit, with its expectation `freedom`; `square` of the deviations in u.
     """
 
     values: int = 0
@@ -68,6 +74,7 @@ class Cell:
     beyond: int = 0
     chi_square: float = 0.0
     freedom: float = 0.0
+    square: float = 0.0
 
     def add(self, other: "Cell") -> None:
         """Add the sums of another cell."""
@@ -167,8 +174,8 @@ def _add_sample(
     if not points_of.size:
         return
     z = deviations_in_u(points_of, truth_of)
-    tables = cell_labels(name, points_of, truth_of)
-    steep = tables["slope"] == STEEP
+    tables, kind = cell_labels(name, points_of, truth_of), kind_of_u(points_of)
+    steep = kind == STEEP
     chi_square, freedom = np.zeros(z.size), np.zeros(z.size)
     known = np.flatnonzero(~steep)
     for part in _parts(points_of.where(known)):
@@ -179,10 +186,10 @@ def _add_sample(
         _add_inputs(result, fit)
         if name not in result.angles and (angles := _in_plane_angles(fitted, effects, fit, drawn)) is not None:
             result.angles[name] = angles
-    _add_cells(result.cells, tables, steep, z, chi_square, freedom)
-    for k in np.flatnonzero((np.abs(z) > FAR_U) & ~steep)[:MOST_LISTED].tolist():
+    _add_cells(result.cells, tables, kind, (z, chi_square, freedom))
+    for k in np.flatnonzero(np.abs(z) > FAR_U)[:MOST_LISTED].tolist():
         place = {key: float(getattr(points_of, key)[k]) for key in ("wavelength_nm", "sigma_deg", "zenith_deg", "azimuth_deg")}
-        result.far.append({"sample": name, **place, "deviation_u": float(z[k])})
+        result.far.append({"sample": name, **place, "kind": str(kind[k]), "deviation_u": float(z[k])})
     for setting in integration_settings(points):
         here = points.where(setting.index)
         weight = quadrature(here, reduction.schedule.symmetry).weight
@@ -276,33 +283,54 @@ def cell_labels(name: str, points: BsdfPoints, truth: Floats) -> dict[str, Any]:
     ring = np.clip(np.searchsorted(edges, polar_from_zenith(points.zenith_deg), side="right") - 1, 0, len(ZENITHS_DEG) - 1)
     rings = np.array([f"{low:g} to {high:g} deg" for low, high in itertools.pairwise(edges)])
     clear = np.isfinite(points.slope_along)
-    steep = points.flag("steep")
-    in_decade = np.array([f"{name}, {each}" for each in DECADE_NAMES])
+    decades = np.array(DECADE_NAMES)[decade]
+    plane = np.where(points.in_plane, IN_PLANE, OUT_OF_PLANE)
+    in_place = np.array([f"{a}, {b}" for a, b in zip(decades.tolist(), plane.tolist(), strict=True)])
+    sides = {each: np.where(points.transmitted == (each == TRANSMITTED), in_place, "") for each in SIDES}
     return {
-        "decade": np.array(DECADE_NAMES)[decade],
+        "decade": decades,
+        **sides,
         "zenith": rings[ring],
         "sigma": np.array([f"{each:g} deg" for each in points.sigma_deg.tolist()]),
         "wavelength": np.array([f"{each:g} nm" for each in points.wavelength_nm.tolist()]),
         "sample": np.full(points.size, name),
-        "sample and decade": in_decade[decade],
-        "slope": np.where(steep, STEEP, np.where(clear, SLOPE, NO_SLOPE)),
+        "sample and decade": np.array([f"{name}, {each}" for each in DECADE_NAMES])[decade],
+        "slope": np.where(points.flag("steep"), STEEP, np.where(clear, SLOPE, NO_SLOPE)),
     }
 
 
-def _add_cells(cells: Cells, tables: dict[str, Any], steep: Flags, z: Floats, chi_square: Floats, freedom: Floats) -> None:
-    """Add the sums of values; the steep ones count in the table of slopes alone."""
-    for table, labels in [*tables.items(), ("all", np.full(z.size, "all"))]:
-        for label in np.unique(labels).tolist():
-            at = labels == label if table == "slope" else (labels == label) & ~steep
-            if at.any():
-                inside = int(np.sum(np.abs(z[at]) <= COVERAGE))
-                sums = (
-                    float(z[at].sum()),
-                    int(np.sum(np.abs(z[at]) > FAR_U)),
-                    float(chi_square[at].sum()),
-                    float(freedom[at].sum()),
-                )
-                cells.setdefault(table, {}).setdefault(label, Cell()).add(Cell(int(at.sum()), inside, *sums))
+def kind_of_u(points: BsdfPoints) -> Any:
+    """What the u (n,) of values is for the most part: STEEP by their flag, BOUND, or empty for variances of errors."""
+    components = points.components
+    bound = total_variance({name: each for name, each in components.items() if name in BOUNDS}) if components else 0.0
+    mostly = np.broadcast_to(bound > 0.5 * total_variance(components), points.size)
+    return np.where(points.flag("steep"), STEEP, np.where(mostly, BOUND, ""))
+
+
+def _add_cells(cells: Cells, tables: dict[str, Any], kind: Any, found: tuple[Floats, Floats, Floats]) -> None:
+    """Add the sums of values, by their z, chi_square and freedom.
+
+    The steep ones count in the table of slopes, and in those of sides: there each kind of u has its own.
+    """
+    all_values = np.ones(kind.size, dtype=bool)
+    parts = [(table, labels, all_values if table == "slope" else kind != STEEP) for table, labels in tables.items()]
+    parts.append(("all", np.full(kind.size, "all"), kind != STEEP))
+    parts = [each for each in parts if each[0] not in SIDES]
+    parts += [(table_of(side, each), tables[side], kind == each) for side in SIDES for each in ("", BOUND, STEEP)]
+    z, chi_square, freedom = found
+    for table, labels, chosen in parts:
+        for label in np.unique(labels[chosen]).tolist():
+            at = (labels == label) & chosen
+            if label:
+                inside, beyond = (int(np.sum(each)) for each in (np.abs(z[at]) <= COVERAGE, np.abs(z[at]) > FAR_U))
+                total, left, expected, square = (float(np.sum(each[at])) for each in (z, chi_square, freedom, z**2))
+                cell = Cell(int(at.sum()), inside, total, beyond, left, expected, square)
+                cells.setdefault(table, {}).setdefault(label, Cell()).add(cell)
+
+
+def table_of(side: str, kind: str) -> str:
+    """The name of the table of a side with values of one kind of u."""
+    return f"{side}, {kind}" if kind else side
 
 
 def _add_inputs(result: RigResult, fit: Fit) -> None:

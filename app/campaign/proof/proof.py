@@ -1,11 +1,10 @@
 """A proof: a sweep whose chunks are rigs. Each is a whole campaign, its reduction, and the comparison with the truth."""
 
-import hashlib
 import json
 import shutil
 import tempfile
 import weakref
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from pathlib import Path
@@ -23,16 +22,13 @@ from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription
 from goniotwin.app.rig.described_twin import described_twin
 from goniotwin.app.rig.embedding import embed_rig, embedded_rig
-from goniotwin.app.rig.model_hash import model_hash
 from goniotwin.app.sweeps.chunk_files import ChunkFiles, Note
 from goniotwin.app.sweeps.runners import Runner
-from goniotwin.app.sweeps.specification import Arrays, Computed, Specification
+from goniotwin.app.sweeps.specification import Arrays, Specification
 from goniotwin.app.sweeps.sweep import Report, run_sweep
 
-RESULTS = 2
+RESULTS = 3
 """Version of the results: files of another one are not counted together."""
-EARLIER = "proof.json"
-"""The file by which a folder of results in JSON, a file a rig, was known; such a folder becomes one of chunks."""
 MOST_RIGS = 100_000
 NAME = "the schedule"
 """Its name in the messages of another computer."""
@@ -89,38 +85,9 @@ class Proof:
 
     def files(self, note: Note = lambda _: None) -> ChunkFiles:
         """The files of the results."""
-        return ChunkFiles(self.folder, self.specification, "--out", "schedule, rig file or kind of proof", note)
-
-    def earlier_results(self, note: Note = lambda _: None) -> Iterator[Computed]:
-        """The results of a folder of an earlier version of the program. Raises UserError where it is of something else."""
-        path = self.folder / EARLIER
-        try:
-            about = json.loads(path.read_bytes())
-        except FileNotFoundError:
-            raise UserError(f"{self.folder}: is not empty, and no folder of a proof; choose another one with --out") from None
-        except (OSError, ValueError):
-            raise UserError(f"{path}: is damaged; delete the folder, or choose another one with --out") from None
-        if about != {"results": RESULTS, "wires": self.wires, "of": self._earlier_digest()}:
-            wrong = f"{self.folder}: has results of another schedule, rig file or kind of proof"
-            raise UserError(f"{wrong}; choose another folder with --out, or delete this one")
-        taken = 0
-        for each in sorted(self.folder.glob("rig-*.json")):
-            try:
-                result = RigResult.from_dict(json.loads(each.read_bytes()))
-            except (OSError, ValueError, TypeError, KeyError, AttributeError):
-                continue  # not whole: it is computed again
-            chunk = result.seed - self.specification.seed
-            if not result.failed and chunk >= 0:
-                taken += 1
-                yield Computed(chunk, _packed(result), None)
-        count = f"{taken} rig{'' if taken == 1 else 's'}"
-        note(f"{self.folder}: taken over from an earlier version of goniotwin: {count}, computed with unknown versions")
-
-    def _earlier_digest(self) -> str:
-        model = self.drawn.rig(self.seeds[0]).model()  # with the tables of its samples
-        assert model is not None
-        texts = (self.schedule.text, self.schedule.certificate or "", self.rig.text, model_hash(model))
-        return hashlib.sha256("\0".join(texts).encode()).hexdigest()
+        return ChunkFiles(
+            self.folder, self.specification, "--out", "schedule, rig file, kind of proof or version of the results", note
+        )
 
     def totals(self, files: ChunkFiles, failures: dict[int, str]) -> Totals:
         """The totals of all rigs, in the order of their seeds."""
@@ -141,13 +108,13 @@ def prove(proof: Proof, runner: Runner, report: Report = lambda _done, _now: Non
     """
     _ = proof.plan  # refused before anything is written
     files = proof.files(note)
-    failures = run_sweep(rig_of_chunk, files, proof.rigs, runner, report, lambda: proof.earlier_results(note))
+    failures = run_sweep(rig_of_chunk, files, proof.rigs, runner, report)
     return proof.totals(files, failures)
 
 
 def rig_of_chunk(specification: Specification, chunk: int) -> Arrays:
     """The result of one rig of a proof, as the text of its JSON. Raises UserError where its campaign comes to no end."""
-    return _packed(_proof_of(specification).proof.result(specification.seed + chunk))
+    return packed(_proof_of(specification).proof.result(specification.seed + chunk))
 
 
 def unpacked(arrays: Arrays) -> RigResult:
@@ -155,7 +122,7 @@ def unpacked(arrays: Arrays) -> RigResult:
     return RigResult.from_dict(json.loads(arrays["result"].tobytes()))
 
 
-def _packed(result: RigResult) -> Arrays:
+def packed(result: RigResult) -> Arrays:
     return {"result": np.frombuffer(json.dumps(result.as_dict()).encode(), np.uint8)}
 
 

@@ -5,27 +5,30 @@ standard errors are therefore those of the scatter over rigs.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from goniotwin.app.campaign.proof.judgement import FAR_U, STEEP, Cell, RigResult
-from goniotwin.arrays import Floats
+from goniotwin.app.campaign.proof.judgement import BOUND, FAR_U, SIDES, STEEP, Cell, RigResult, table_of
+from goniotwin.arrays import Floats, Ints
 
 FAR_PROBABILITY = math.erfc(FAR_U / math.sqrt(2.0))
 JUDGED_VALUES = 100
 """Values that a cell needs in all to be the worst one."""
 LIMIT_99 = 2.5758
-TABLES = ("decade", "zenith", "sigma", "wavelength", "sample", "sample and decade", "slope")
+TABLES = ("decade", *SIDES, "zenith", "sigma", "wavelength", "sample", "sample and decade", "slope")
+UNKNOWN_TABLES = tuple(table_of(side, kind) for kind in (BOUND, STEEP) for side in SIDES)
+"""Of values whose u is for the most part a limit, or whose slope the directions do not resolve."""
 
 
 @dataclass(frozen=True)
 class CellTotal:
     """A cell over all rigs: coverage and mean deviation with their standard errors over rigs, chi2/n of what a fit leaves.
 
-    A standard error is NaN with one rig; chi2/n is NaN where nothing was fitted.
+    `rigs` and `structures` that have values in it; `u_over_scatter` is the median over the structures of u over the scatter: 1
+    over the root mean square of z. A standard error is NaN with one rig; chi2/n is NaN where nothing was fitted.
     """
 
     label: str
@@ -36,6 +39,9 @@ class CellTotal:
     u_mean: float
     chi_square: float
     beyond: int
+    rigs: int = 0
+    structures: int = 0
+    u_over_scatter: float = math.nan
 
     @property
     def expected_beyond(self) -> float:
@@ -54,32 +60,40 @@ class CellTotal:
             "chi2_independent": _finite(self.chi_square),
             "beyond_5u": self.beyond,
             "expected_beyond_5u": self.expected_beyond,
+            "rigs": self.rigs,
+            "structures": self.structures,
+            "u_over_scatter": _finite(self.u_over_scatter),
         }
 
 
 @dataclass(frozen=True)
 class ReflectanceTotal:
-    """A reflectance over all rigs: chi2/n of its deviations in u, the limits of 99 %, and u over the scatter over rigs."""
+    """A reflectance over all rigs: chi2/n of its deviations in u, the limits of 99 %, and u over the scatter over rigs.
+
+    `beyond` is the number of rigs whose deviation is beyond 2.58 u.
+    """
 
     label: str
     rigs: int
     chi_square: float
     limits: tuple[float, float]
     u_over_scatter: float
+    beyond: int = 0
 
     def as_dict(self) -> dict[str, Any]:
         """The reflectance for JSON."""
         return {
             "label": self.label, "rigs": self.rigs, "chi2": self.chi_square, "limits_99": list(self.limits),
-            "u_over_scatter": _finite(self.u_over_scatter),
+            "u_over_scatter": _finite(self.u_over_scatter), "beyond_99": self.beyond,
         }  # fmt: skip
 
 
 class Totals:
-    """The totals of a proof. Results of rigs that failed count only in `failed`."""
+    """The totals of a proof. Results of rigs that failed count only in `failed`; `structures` are their numbers, by seed."""
 
-    def __init__(self, results: Sequence[RigResult]) -> None:
+    def __init__(self, results: Sequence[RigResult], structures: Mapping[int, int] | None = None) -> None:
         done = [each for each in results if not each.failed]
+        of_structure = np.array([0 if structures is None else structures[each.seed] for each in done], dtype=int)
         self.rigs = len(done)
         self.failed = {each.seed: each.failed for each in results if each.failed}
         labels: dict[str, dict[str, None]] = {}
@@ -88,7 +102,7 @@ class Totals:
                 labels.setdefault(table, {}).update(dict.fromkeys(cells))
         self.tables = {
             table: [
-                _cell_total(label, [each.cells.get(table, {}).get(label, Cell()) for each in done])
+                _cell_total(label, [each.cells.get(table, {}).get(label, Cell()) for each in done], of_structure)
                 for label in _in_order(found)
             ]
             for table, found in labels.items()
@@ -162,17 +176,23 @@ def _in_order(labels: dict[str, None]) -> list[str]:
     return sorted(labels, key=key)
 
 
-def _cell_total(label: str, cells: list[Cell]) -> CellTotal:
-    values, covered, deviation, beyond = (
-        np.array([getattr(each, name) for each in cells], dtype=float) for name in ("values", "covered", "deviation", "beyond")
+def _cell_total(label: str, cells: list[Cell], structure: Ints) -> CellTotal:
+    values, covered, deviation, square, beyond = (
+        np.array([getattr(each, name) for each in cells], dtype=float)
+        for name in ("values", "covered", "deviation", "square", "beyond")
     )
     n = max(float(values.sum()), 1.0)
     coverage, mean = float(covered.sum()) / n, float(deviation.sum()) / n
     freedom = math.fsum(each.freedom for each in cells)
+    _, which = np.unique(structure, return_inverse=True)
+    counts, squares = (np.bincount(which, weights=each) for each in (values, square))
+    known = (counts > 0.0) & (squares > 0.0)
     return CellTotal(
         label, int(values.sum()), coverage, _ratio_error(covered, values, coverage),
         mean, _ratio_error(deviation, values, mean),
         math.fsum(each.chi_square for each in cells) / freedom if freedom > 0.0 else math.nan, int(beyond.sum()),
+        int(np.sum(values > 0.0)), int(np.sum(counts > 0.0)),
+        float(np.median(np.sqrt(counts[known] / squares[known]))) if known.any() else math.nan,
     )  # fmt: skip
 
 
@@ -213,10 +233,10 @@ def _reflectance_totals(results: Sequence[RigResult]) -> list[ReflectanceTotal]:
         rigs = deviation.size
         scatter = float(np.std(deviation, ddof=1)) if rigs > 1 else math.nan
         limits = (chi_square_quantile(rigs, -LIMIT_99) / rigs, chi_square_quantile(rigs, LIMIT_99) / rigs)
-        chi_square = float(np.mean((deviation / np.maximum(u, np.finfo(float).tiny)) ** 2))
-        totals.append(
-            ReflectanceTotal(label, rigs, chi_square, limits, float(np.sqrt(np.mean(u**2))) / scatter if scatter else math.nan)
-        )
+        z = deviation / np.maximum(u, np.finfo(float).tiny)
+        over = float(np.sqrt(np.mean(u**2))) / scatter if scatter else math.nan
+        beyond = int(np.sum(np.abs(z) > LIMIT_99))
+        totals.append(ReflectanceTotal(label, rigs, float(np.mean(z**2)), limits, over, beyond))
     return totals
 
 

@@ -17,7 +17,7 @@ from goniotwin.app.sweeps.chunk_files import ChunkFiles, pack
 from goniotwin.app.sweeps.dask_cluster import DaskCluster
 from goniotwin.app.sweeps.environment import Environment, check_alike, environment
 from goniotwin.app.sweeps.runners import Here, Processes, on_this_computer
-from goniotwin.app.sweeps.specification import Arrays, Computed, Specification, compute
+from goniotwin.app.sweeps.specification import Arrays, Specification, compute
 from goniotwin.app.sweeps.sweep import run_sweep
 from tests.app.sweeps.works import numbers, specification
 
@@ -181,18 +181,6 @@ def test_no_more_processes_than_chunks() -> None:
     assert [on_this_computer(given, chunks).title for given, chunks in ((1, 9), (4, 1), (4, 3), (4, 9))] == [
         "this process", "this process", "3 processes", "4 processes",
     ]  # fmt: skip
-
-
-def test_chunks_of_unknown_versions_are_those_of_an_earlier_program(tmp_path: Path) -> None:
-    files = files_of(tmp_path)
-    (tmp_path / "earlier").touch()
-    taken = Computed(1, numbers(specification(), 1), None)
-    done: list[int] = []
-    run_sweep(numbers, files, 2, Here(), lambda count, _: done.append(count), lambda: [taken])
-    assert done == [1, 2]
-    found = files.read(1)
-    assert found is not None
-    assert found.environment is None
 
 
 def test_the_environment_is_that_of_the_sources_and_the_processor(monkeypatch: pytest.MonkeyPatch) -> None:

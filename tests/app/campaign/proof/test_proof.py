@@ -1,7 +1,6 @@
 """Proofs on small schedules: what is drawn, both ways to run a rig, a proof that continues, and the law of all."""
 
 import contextlib
-import hashlib
 import json
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -23,7 +22,6 @@ from goniotwin.app.formats import BsdfTable, registry
 from goniotwin.app.formats.content import BsdfFile
 from goniotwin.app.rig import read_rig
 from goniotwin.app.rig.inputs import inputs
-from goniotwin.app.rig.model_hash import model_hash
 from goniotwin.app.sweeps.environment import one_thread_in_linear_algebra
 from goniotwin.app.sweeps.runners import Here
 from goniotwin.app.sweeps.specification import Specification
@@ -127,35 +125,8 @@ def test_a_proof_continues_and_its_results_are_those_of_one_run(
     assert {"rigs", "points", "coverage_percent", "standard_error_percent", "chi2_independent", "variance_shared", "mean_z",
             "worst_cell_percent", "beyond_5u", "expected_beyond_5u"} <= again.as_dict().keys()  # fmt: skip
     assert proof_text(proof, totals).startswith("SIMULATED: small on 2 virtual rigs")
-    with pytest.raises(UserError, match="has results of another schedule, rig file or kind of proof"):
+    with pytest.raises(UserError, match="has results of another schedule, rig file, kind of proof or version"):
         prove(small_proof(write_rig, write_schedule, folder, wires=True), Here())
-
-
-def test_the_results_of_an_earlier_version_are_taken_over(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
-    """A folder with a file of JSON a rig, as it was before proofs were sweeps; its digest is of the same texts."""
-    folder = tmp_path / "proof"
-    folder.mkdir()
-    proof = small_proof(write_rig, write_schedule, folder, rigs=1)
-    model = proof.drawn.rig(1).model()
-    assert model is not None
-    digest = hashlib.sha256("\0".join((proof.schedule.text, "", proof.rig.text, model_hash(model))).encode()).hexdigest()
-    first = proof.result(1)
-    (folder / "rig-000001.json").write_text(json.dumps(first.as_dict()), encoding="utf-8")
-    (folder / "rig-000002.json").write_text('{"seed": 2, "cells": ', encoding="utf-8")  # not whole, and to be computed again
-    about = folder / "proof.json"
-    about.write_text(json.dumps({"results": 2, "wires": True, "of": digest}), encoding="utf-8")
-    with pytest.raises(UserError, match="has results of another schedule, rig file or kind of proof"):
-        prove(proof, Here())
-    about.write_text(json.dumps({"results": 2, "wires": False, "of": digest}), encoding="utf-8")
-    notes: list[str] = []
-    done: list[int] = []
-    totals = prove(proof, Here(), lambda count, _now: done.append(count), notes.append)
-    assert notes == [f"{folder}: taken over from an earlier version of goniotwin: 1 rig, computed with unknown versions"]
-    assert done == [1]
-    kept = proof.files().read(0)
-    assert kept is not None
-    assert unpacked(kept.arrays) == first
-    assert totals.rigs == 1
 
 
 @pytest.mark.long
