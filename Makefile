@@ -9,7 +9,7 @@ export PYTHONDONTWRITEBYTECODE :=
 export NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING := 1
 PYTEST := QT_QPA_PLATFORM=offscreen $(BIN)/pytest --dist worksteal
 
-.PHONY: demo test test-long desktop tables clean
+.PHONY: demo test test-long desktop tables proof clean
 
 demo: $(READY)
 	$(BIN)/goniotwin demo
@@ -40,6 +40,23 @@ desktop: $(READY)
 # The list of inputs in docs/uncertainty.md, after a declaration in app/rig/inputs.py.
 tables: $(READY)
 	$(BIN)/python -m tests.input_list
+
+# The proofs of docs/uncertainty.md and their tables there, from results in the folder proofs; after Ctrl-C the same command continues.
+# Many hours with WIRES=yes RIGS=200.
+RIGS := 10
+STRUCTURES := 40
+WIRES :=
+PROOFS := lobes diffuse spectral transmitted anisotropic
+WITHOUT = $(if $(WIRES),,--without-wires)
+RESULTS = proofs/$(if $(WIRES),wires,direct)
+
+proof: $(READY)
+	@for each in $(PROOFS); do \
+	  $(BIN)/goniotwin prove examples/proof/$$each.toml --rig examples/proof/rig.toml --rigs $(RIGS) $(WITHOUT) --out $(RESULTS)/$$each \
+	    >/dev/null || exit 1; \
+	done
+	@$(BIN)/goniotwin prove --structures $(STRUCTURES) --rigs $(RIGS) $(WITHOUT) --out $(RESULTS)/structures
+	$(BIN)/python -m tests.proof_tables $(foreach each,$(PROOFS) structures,$(RESULTS)/$(each))
 
 $(READY): pyproject.toml constraints.txt
 	@$(PYTHON) -c "import sys; sys.exit(sys.version_info < (3, 11))" || { \
