@@ -4,12 +4,12 @@ The tables of a file are the dataclasses that the code uses. annotated-types has
 bounds: pydantic, which reads the files, takes them from there, and these classes do not depend on pydantic.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import fields
 from functools import cache
-from math import isfinite
+from math import inf, isfinite
 from types import MappingProxyType
-from typing import Annotated, Any, get_args, get_type_hints
+from typing import Annotated, Any, Literal, Self, get_args, get_type_hints
 
 from annotated_types import Ge, Gt, Le, Lt
 
@@ -30,7 +30,37 @@ NO_KEY: Mapping[str, Any] = MappingProxyType({"key": None})
 """Metadata of a dataclass' field that no file has. `{"key": NAME}` is of a field with another name in the file."""
 LATER: Mapping[str, Any] = MappingProxyType({"later": True})
 """Metadata of a field that was added to the twin's model later: at its default it is not part of the model's hash."""
+Origin = Literal["measured", "stated", "assumed"]
+MEASURED: Origin = "measured"
+STATED: Origin = "stated"
+ASSUMED: Origin = "assumed"
+ORIGINS = (MEASURED, STATED, ASSUMED)
+"""Where an uncertainty is from: the campaign itself, a file, or a default; the weaker the later."""
 COMPARISONS = {"gt": "above", "ge": "at least", "lt": "below", "le": "at most"}
+
+
+class Width(float):
+    """An uncertainty that no file states: a default, ASSUMED, or MEASURED, in words `by` what, with degrees of freedom."""
+
+    origin: Origin
+    by: str
+    degrees_of_freedom: float
+
+    def __new__(cls, value: float, origin: Origin = ASSUMED, by: str = "", degrees_of_freedom: float = inf) -> Self:
+        """A number with an origin."""
+        made = super().__new__(cls, value)
+        made.origin, made.by, made.degrees_of_freedom = origin, by, degrees_of_freedom
+        return made
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, _source: Any, handler: Callable[[Any], Any]) -> Any:
+        """A default in a JSON Schema is a plain number."""
+        return handler(float)
+
+
+def origin_of(*uncertainties: float) -> Origin:
+    """Where an uncertainty is from, or the weakest origin of several; a plain number is stated by a file."""
+    return max((getattr(each, "origin", STATED) for each in uncertainties), key=ORIGINS.index)
 
 
 def check_bounds(value: Any) -> None:

@@ -199,8 +199,9 @@ def budget(
 ) -> None:
     """List the components of a value's uncertainty, largest first.
 
-    For each: u in the unit of the value and in percent of it, its share of the square of u, which values share it, and its
-    source: the table and key of the rig file, or a measurement. The squares of the components add up to the square of u.
+    For each: u in the unit of the value and in percent of it, its share of the square of u, which values share it, its source:
+    the table and key of the rig file, or a measurement, and whether it is measured, stated or an assumed default, with degrees
+    of freedom where they are finite. The squares of the components add up to the square of u.
     """
     from goniotwin.app.campaign.journal.writing import Journal
     from goniotwin.app.campaign.studies.budget import budget_of_reflectance, budget_of_value, parse_place
@@ -224,24 +225,29 @@ def _print_budget(budget: "Budget", simulated: bool, every: bool) -> None:
     unit = "" if budget.unit == "1" else f" {budget.unit}"
     relative = f" ({100.0 * result['relative_u']:.3g} %)" if result["relative_u"] is not None else ""
     console.print(f"{'SIMULATED, ' if simulated else ''}{budget.title}", markup=False, soft_wrap=True)
-    console.print(f"{budget.value:.6g}{unit}, u {budget.u:.3g}{unit}{relative}", markup=False)
+    freedom = budget.degrees_of_freedom
+    degrees = f", {freedom:.0f} effective degrees of freedom" if math.isfinite(freedom) else ""
+    console.print(f"{budget.value:.6g}{unit}, u {budget.u:.3g}{unit}{relative}{degrees}", markup=False, soft_wrap=True)
     for each in budget.about:
         console.print(each, markup=False, soft_wrap=True)
     wide = console.width >= WIDE_COLUMNS
     table = Table(box=None, pad_edge=False)
-    for name in ("component", f"u{unit and ','}{unit}", "u, %", "share, %", *(["shared by", "source"] if wide else [])):
+    for name in ("component", f"u{unit and ','}{unit}", "u, %", "share, %", *(["shared by", "source; u is"] if wide else [])):
         number = name.startswith(("u", "share,"))
         width = (41 if wide else 27) if name == "component" else None  # the name of a product is longer
         table.add_column(name, justify="right" if number else "left", no_wrap=number, overflow="fold", width=width)
     if not wide:
-        table.add_column("shared by; source", overflow="fold")
+        table.add_column("shared by; source; u is", overflow="fold")
     components = result["components"]
     shown = [each for each in components if every or each["share"] >= LEAST_SHARE] or components
     for each in shown:
         percent = "" if each["relative_u"] is None else f"{100.0 * each['relative_u']:.3g}"
-        origin = (each["shared_by"], each.get("source", ""))
+        known = f"{each['degrees_of_freedom']:.0f} degrees of freedom" if each["degrees_of_freedom"] is not None else ""
+        source = each.get("source", "")
+        origin = "" if f"({each['origin']})" in source else each["origin"]
+        about = (each["shared_by"], "; ".join(filter(None, (source, ", ".join(filter(None, (origin, known)))))))
         texts = (each["name"], f"{each['u']:.3g}", percent, f"{100.0 * each['share']:.2f}")
-        table.add_row(*map(Text, (*texts, *(origin if wide else ["; ".join(filter(None, origin))]))))
+        table.add_row(*map(Text, (*texts, *(about if wide else ["; ".join(filter(None, about))]))))
     console.print(table)
     if rest := components[len(shown) :]:
         share = math.sqrt(math.fsum(each["share"] for each in rest))

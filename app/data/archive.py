@@ -124,7 +124,7 @@ class _Inputs:
         """Write names, units and sources, in the order of the numbers."""
         group.attrs["NX_class"] = "NXcollection"
         inputs = [each for _, each in self._known.values()]
-        for text in ("name", "unit", "distribution", "shared_by", "source"):
+        for text in ("name", "unit", "distribution", "shared_by", "source", "origin"):
             archive.put_texts(group, text, [str(getattr(each, text)) for each in inputs])
         for number in ("u", "degrees_of_freedom"):
             archive.put_array(group, number, np.array([getattr(each, number) for each in inputs]))

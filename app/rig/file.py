@@ -42,7 +42,7 @@ from goniotwin.drivers import (
 )
 from goniotwin.drivers.motion import AxisTiming
 from goniotwin.drivers.tap import Explain
-from goniotwin.keys import Fraction, Positive, values_of
+from goniotwin.keys import Fraction, Positive, Width, values_of
 from goniotwin.protocols import adam
 from goniotwin.twin.addresses import AXES as AXES_LINE
 from goniotwin.twin.addresses import CONVERTER, MONITOR, MONOCHROMATOR
@@ -182,7 +182,7 @@ class SampleUnitTable:
     is for frames 0.5 mm off the sample (2 mm: 0.5); for frames that lie on the sample 0.01 is more than enough.
     """
 
-    signature_uncertainty: Fraction = 0.3
+    signature_uncertainty: Fraction = Width(0.3)
 
 
 def refuse_percentage(radiance_factor: float, zenith_deg: float = 0.0) -> None:
@@ -217,7 +217,7 @@ class EtalonTable:
     """
 
     radiance_factor: Positive = 1.0
-    relative_uncertainty: Fraction = 0.0
+    relative_uncertainty: Fraction = Width(0.0)
     geometry: str | None = None
     shape: Fraction = SHAPE
     calibrated: date | None = None

@@ -3,27 +3,15 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, make_dataclass, replace
 from functools import cache
+from math import inf
 from typing import Any, Self, TypeVar, cast
 
 from goniotwin.app.rig.inputs import HASHED, Input
-from goniotwin.keys import LATER
+from goniotwin.keys import LATER, MEASURED, Origin, Width, origin_of
 from goniotwin.twin.plant import Disturbances
 
 Table = TypeVar("Table")
-ASSUMED, STATED = "assumed", "stated"
 KEYS = "A key in deg or mm is the half width of a rectangular distribution, every other one a standard"
-
-
-class Width(float):
-    """An uncertainty that the rig file does not state, with its `origin`: ASSUMED, or in words by what it was measured."""
-
-    origin: str
-
-    def __new__(cls, value: float, origin: str = ASSUMED) -> Self:
-        """A number with an origin."""
-        made = super().__new__(cls, value)
-        made.origin = origin
-        return made
 
 
 @dataclass(frozen=True)
@@ -39,13 +27,23 @@ class UncertaintyTable:
         return self.width(each) if each.distribution == "normal" else self.width(each) / 3.0**0.5
 
     def source(self, each: Input) -> str:
-        """Where the uncertainty is from: stated by the file, assumed, or measured."""
-        origin = getattr(getattr(self, each.key, Width(0.0)), "origin", STATED)
-        return f"[uncertainty] {each.key} ({origin})" if origin in (ASSUMED, STATED) else origin
+        """Where the uncertainty is from in words: stated by the file, assumed, or by what it was measured."""
+        return getattr(self._entry(each), "by", "") or f"[uncertainty] {each.key} ({self.origin(each)})"
 
-    def measured(self, each: Input, width: float, by: str) -> Self:
+    def origin(self, *inputs: Input) -> Origin:
+        """Whether the uncertainty is measured, stated or assumed; of several inputs the weakest."""
+        return origin_of(*map(self._entry, inputs))
+
+    def degrees_of_freedom(self, each: Input) -> float:
+        """The degrees of freedom of an uncertainty that was measured; infinite of others."""
+        return float(getattr(self._entry(each), "degrees_of_freedom", inf))
+
+    def measured(self, each: Input, width: float, by: str, degrees_of_freedom: float = inf) -> Self:
         """The table with an uncertainty that was measured, `by` what."""
-        return replace(self, **{each.key: Width(width, by)})
+        return replace(self, **{each.key: Width(width, MEASURED, by, degrees_of_freedom)})
+
+    def _entry(self, each: Input) -> float:
+        return cast(float, getattr(self, each.key, Width(0.0)))
 
 
 @cache

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
-from goniotwin.keys import Fraction, Positive
+from goniotwin.keys import Fraction, Positive, Width
 
 ANSWER_MARGIN_S = 2.0e-3
 TRANSFER_S = 0.8e-3
@@ -36,7 +36,7 @@ class MonitorSettings:
 
     range_a: Positive = 500e-9
     samples_per_s: Positive = 3000.0
-    relative_uncertainty: Fraction = 3.0e-4
+    relative_uncertainty: Fraction = Width(3.0e-4)
     wavelength_nm: Positive = 550.0
     dialect: Literal["pm100d", "b2980"] = "pm100d"
 

@@ -8,7 +8,7 @@ import numpy as np
 from annotated_types import Gt, Le, MaxLen, MinLen
 
 from goniotwin.arrays import Floats
-from goniotwin.keys import Fraction, PolarAngle, Positive
+from goniotwin.keys import Fraction, PolarAngle, Positive, Width
 from goniotwin.protocols import adam
 
 PERIOD_MARGIN = 1.01
@@ -37,7 +37,7 @@ class PhotodiodeSettings:
     lower_deg: tuple[PolarAngle, ...]
     gains_v_per_a: Annotated[tuple[Positive, ...], MinLen(1), MaxLen(4)]
     kind: adam.ModelName
-    gain_uncertainty: Fraction = 1.0e-3
+    gain_uncertainty: Fraction = Width(1.0e-3)
     range_code: int = adam.PLUS_MINUS_10_V
     conversions_per_s: Positive = 100.0
     settling_s: Annotated[float, Gt(0.0), Le(600.0)] = 0.25

@@ -18,6 +18,7 @@ from goniotwin.app.campaign.measurement_model.light_place import light_place
 from goniotwin.app.campaign.measurement_model.pose import LIGHT, VIEW, Displacement, PoseEffects, Views, pose_effects
 from goniotwin.app.rig.alignment import AlignmentFile, Combination
 from goniotwin.arrays import Floats
+from goniotwin.keys import MEASURED
 from goniotwin.twin.optics import Instrument
 
 DETERMINED = 0.5
@@ -132,7 +133,9 @@ class Alignment:
             about = ", ".join(self.inputs[i].name for i in order.tolist())
             shared = "all values, tilts of a sample those of its mounting"
             source = f"{self.source}: {about}" if self.source else about
-            found.append(InputQuantity(f"alignment[{k}]", "1", float(np.sqrt(value)), "normal", shared, source, ""))
+            found.append(
+                InputQuantity(f"alignment[{k}]", "1", float(np.sqrt(value)), "normal", shared, source, "", origin=MEASURED)
+            )
         return tuple(found), self._stated[:, None] * vectors
 
     def mode_errors(self, drawn: Mapping[str, float]) -> dict[str, float]:

@@ -22,6 +22,7 @@ from goniotwin.app.rig import RigFile, nominal_instrument
 from goniotwin.app.rig.inputs import BACKLASH, PHOTODIODE_ACROSS, PHOTODIODE_ANGLE, POSITION, input_named
 from goniotwin.app.rig.uncertainty import UncertaintyTable
 from goniotwin.arrays import Flags, Floats
+from goniotwin.keys import ORIGINS
 from goniotwin.twin.optics import Instrument
 from goniotwin.twin.plant.disturbances import SAMPLE
 
@@ -552,7 +553,7 @@ def lifted_inputs(table: UncertaintyTable, kind: str, mounting: str) -> list[Inp
     return [
         InputQuantity(
             f"{kind}_height*{name}@{mounting}", f"mm {other.unit}", height.u * other.u, "normal", height.shared_by,
-            f"{height.source}, {other.source}", height.twin,
+            f"{height.source}, {other.source}", height.twin, origin=max(height.origin, other.origin, key=ORIGINS.index),
         )
         for name, other in others.items()
     ]  # fmt: skip

@@ -99,7 +99,9 @@ class SignalEvidence:
     their errors do to each of them, relative: the root of their covariance. `crosstalk` (photodiodes,) is the standard
     uncertainty of the share of the volts of its module's other channels: the stated one, or what was found where that is
     certainly more. `ratios` is the number of measured ratios of gains, and `worst_ratio` the largest difference of one from the
-    nominal ratio, in its standard uncertainties and those of the certificate.
+    nominal ratio, in its standard uncertainties and those of the certificate. `freedom` are the degrees of freedom of the lit
+    readings' scatter, all photodiodes pooled, and `lamp_freedom` those of what a row has in common: of one photodiode. Both are
+    infinite where no row has several readings: nothing then is from their scatter.
     """
 
     factor: Floats
@@ -113,6 +115,8 @@ class SignalEvidence:
     notes: tuple[str, ...] = ()
     ratios: int = 0
     worst_ratio: float = 0.0
+    freedom: float = math.inf
+    lamp_freedom: float = math.inf
 
     @property
     def findings(self) -> tuple[str, ...]:
@@ -454,6 +458,8 @@ class EvidenceSums:
         own = total - lamp
         slow = max([0.0, *(each.excess(own + lamp) for each in ratios)])
         noise = SignalEvidence(factor, plain.deviation, plain.gains, crosstalk, own, lamp, slow, verdicts, crosstalk_notes)
+        if (degrees := scatter[0].sum(axis=0)).any():
+            noise = replace(noise, freedom=float(degrees.sum()), lamp_freedom=float(degrees.max()))
         return self._adjusted(noise, ratios, sound)
 
     def _found_crosstalk(self, of_row: float) -> tuple[Floats, tuple[str, ...]]:

@@ -74,8 +74,9 @@ def interval_by_modes(points: BsdfPoints, effects: Effects, settings: ReductionS
 
 
 def _mode(name: str, u: float, table: UncertaintyTable) -> InputQuantity:
-    source = ", ".join(table.source(each) for each in (MIRROR_TILT, MIRROR_SHIFT, ILLUMINATION_SHIFT))
-    return replace(quantity(MIRROR_TILT, table, name), unit="1", u=u, distribution="normal", source=source)
+    inputs = MIRROR_TILT, MIRROR_SHIFT, ILLUMINATION_SHIFT
+    source, origin = ", ".join(map(table.source, inputs)), table.origin(*inputs)
+    return replace(quantity(MIRROR_TILT, table, name), unit="1", u=u, distribution="normal", source=source, origin=origin)
 
 
 def in_one_line(components: Sequence[Component], table: UncertaintyTable) -> list[Component]:

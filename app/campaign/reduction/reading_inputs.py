@@ -13,6 +13,7 @@ from goniotwin.app.campaign.measurement_model.inputs import InputQuantity, quant
 from goniotwin.app.rig import RigFile
 from goniotwin.app.rig.inputs import Input
 from goniotwin.arrays import Indices, Ints
+from goniotwin.keys import MEASURED, origin_of
 
 JOURNAL = "the journal's readings"
 LONGEST_PM = 10_000_000
@@ -75,6 +76,7 @@ def monitor_input(number: int, rig: RigFile) -> InputQuantity:
     return InputQuantity(
         f"monitor@{_row(number, rig)}", "1", rig.monitor.relative_uncertainty, "normal",
         "all photodiodes of the row at this gain", "[monitor] relative_uncertainty", "monitor.noise",
+        origin=origin_of(rig.monitor.relative_uncertainty),
     )  # fmt: skip
 
 
@@ -84,7 +86,7 @@ def gain_input(number: int, rig: RigFile) -> InputQuantity:
     return InputQuantity(
         f"gain_ratio[{photodiode}, {_volts(gain, rig)}]", "1", certified_gain(rig), "normal",
         "all values of this photodiode at this gain", "[photodiodes] gain_uncertainty, and rows at two gains",
-        "electronics.gain_spread",
+        "electronics.gain_spread", origin=origin_of(rig.photodiodes.gain_uncertainty),
     )  # fmt: skip
 
 
@@ -124,7 +126,7 @@ def monitor_variance(rig: RigFile) -> float:
 
 
 def _of_readings(name: str, shared_by: str, twin: str = "") -> InputQuantity:
-    return InputQuantity(name, "1", 1.0, "normal", shared_by, JOURNAL, twin)
+    return InputQuantity(name, "1", 1.0, "normal", shared_by, JOURNAL, twin, origin=MEASURED)
 
 
 def _row(number: int, rig: RigFile) -> str:
@@ -138,8 +140,11 @@ def _volts(gain: int, rig: RigFile) -> str:
 
 def signature_common(number: int, rig: RigFile) -> InputQuantity:
     """What the signature is with a sample mounted, over what it is without one."""
-    del number, rig
-    return InputQuantity("signature", "1", 1.0, "normal", "all values", "[sample_unit] signature_uncertainty", "")
+    del number
+    origin = origin_of(rig.sample_unit.signature_uncertainty)
+    return InputQuantity(
+        "signature", "1", 1.0, "normal", "all values", "[sample_unit] signature_uncertainty", "", origin=origin
+    )  # fmt: skip
 
 
 def declared_input(each: Input) -> Describe:

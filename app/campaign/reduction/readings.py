@@ -87,6 +87,11 @@ class DarkHistory:
         self._loss_s = dark_current_loss_s(dark_rows, self._settings)
         self._contradictory = contradictory_dark_intervals(dark_rows)
 
+    @property
+    def freedom(self) -> list[float]:
+        """The degrees of freedom of the dark readings' scatter, by gain; infinite at one without."""
+        return [self._dark[gain].freedom if gain in self._dark else math.inf for gain in self._settings.gains_v_per_a]
+
     def sums(self) -> EvidenceSums:
         """Sums for the evidence of rows, none of which is added yet."""
         return EvidenceSums(self._dark, self._rig)
@@ -206,6 +211,15 @@ class Measurements:
     def evidence(self) -> SignalEvidence:
         """What the rows show of the signals."""
         return self._dark.evidence
+
+    @property
+    def noise_freedom(self) -> tuple[float, ...]:
+        """The degrees of freedom of a photodiode's noise, by gain: of its dark readings, and of the lit ones' scatter.
+
+        The latter are a factor on the former: the relative variances of both, 2 over their degrees of freedom, add up.
+        """
+        spread = [1.0 / each + 1.0 / self.evidence.freedom for each in self._dark.freedom]
+        return tuple(1.0 / each if each > 0.0 else math.inf for each in spread)
 
     def row_table(self, sample: str) -> RowTable:
         """The measured rows of a sample, in order of time."""

@@ -26,6 +26,7 @@ from goniotwin.app.campaign.schedule.certificate import Certificate
 from goniotwin.app.rig.file import known_angles
 from goniotwin.app.rig.inputs import CERTIFICATE_LEVEL, MONOCHROMATOR_STRAY, WAVELENGTH, Input, factors
 from goniotwin.arrays import Floats, Ints
+from goniotwin.keys import MEASURED, STATED, Origin, origin_of
 from goniotwin.twin.optics.geometry.coordinates import HALF_TURN_DEG, round_deg
 from goniotwin.twin.plant.disturbances import ETALON, SAMPLE, SharedBy
 
@@ -38,7 +39,9 @@ def certificate_effects(points: BsdfPoints, settings: ReductionSettings) -> Effe
     certificate = settings.certificate
     incidence, polar = incidence_deg(points), polar_from_zenith(points.zenith_deg)
     scaled = _by_certificate(points, settings)
-    source = RIG_FILE if settings.schedule.certificate is None else FILE
+    source, origin = FILE, STATED
+    if settings.schedule.certificate is None:
+        source, origin = RIG_FILE, origin_of(settings.rig.etalon.relative_uncertainty)
     shared = {
         "level": (certificate.level, np.ones(points.size)),
         "wavelength": (certificate.wavelength, certificate.slope("wavelength_nm", points.wavelength_nm)),
@@ -46,7 +49,15 @@ def certificate_effects(points: BsdfPoints, settings: ReductionSettings) -> Effe
         "geometry": (certificate.shape, shape_of(certificate.geometry, incidence, polar)),
     }
     dense = [
-        _shared(f"certificate[{mode}]", u, -sensitivity * scaled, ALL, source, CERTIFICATE_LEVEL.key if mode == "level" else "")
+        _shared(
+            f"certificate[{mode}]",
+            u,
+            -sensitivity * scaled,
+            ALL,
+            source,
+            CERTIFICATE_LEVEL.key if mode == "level" else "",
+            origin,
+        )
         for mode, (u, sensitivity) in shared.items()
         if u
     ]
@@ -103,6 +114,7 @@ def open_beam(points: BsdfPoints, settings: ReductionSettings) -> Effects | None
             scale.u,
             "all values that it scales",
             "the scan",
+            origin=MEASURED,
         )
         for k, ((nm, sigma, lower), scale) in enumerate(scales)
     }
@@ -198,12 +210,16 @@ def polarisation(points: BsdfPoints, settings: ReductionSettings) -> Effects | N
     return Effects(points.bsdf, {}, (), dense) if dense else None
 
 
-def _shared(name: str, u: float, sensitivity: Floats, shared_by: str, source: str, twin: str = "") -> Dense:
-    return Dense([_input(name, u, shared_by, source, twin)], sensitivity[:, None])
+def _shared(
+    name: str, u: float, sensitivity: Floats, shared_by: str, source: str, twin: str = "", origin: Origin = STATED
+) -> Dense:  # fmt: skip
+    return Dense([_input(name, u, shared_by, source, twin, origin)], sensitivity[:, None])
 
 
-def _input(name: str, u: float, shared_by: str, source: str, twin: str = "") -> InputQuantity:
-    return InputQuantity(name, "1", u, "normal", shared_by, source, twin and f"disturbances.{twin}")
+def _input(
+    name: str, u: float, shared_by: str, source: str, twin: str = "", origin: Origin = STATED
+) -> InputQuantity:  # fmt: skip
+    return InputQuantity(name, "1", u, "normal", shared_by, source, twin and f"disturbances.{twin}", origin=origin)
 
 
 def incidence_deg(points: BsdfPoints) -> Floats:

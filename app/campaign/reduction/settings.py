@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import date
+from math import inf
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -43,7 +44,8 @@ class ReductionSettings:
     `absolute` has the scale of the open beam, which scales transmitted light, by wavelength, incidence and whether the arc is
     the lower one.
     `doubted`: the scan of the open beam contradicts the etalon's scale. `alignment` is what is known of the rig's
-    misalignments, by which the values are corrected; None without one.
+    misalignments, by which the values are corrected; None without one. `noise_freedom`, by gain, and `lamp_freedom` are the
+    degrees of freedom of the readings' noise and of what a row's light has in common; known of a whole journal.
     """
 
     rig: RigFile
@@ -57,6 +59,8 @@ class ReductionSettings:
     absolute: Mapping[tuple[float, float, bool], BeamScale] = field(default_factory=dict)
     doubted: bool = False
     alignment: Alignment | None = None
+    noise_freedom: tuple[float, ...] = ()
+    lamp_freedom: float = inf
 
     @property
     def sample_number(self) -> int:

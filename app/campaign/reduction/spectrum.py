@@ -25,6 +25,7 @@ from goniotwin.app.rig import RigFile
 from goniotwin.app.rig.inputs import MONOCHROMATOR_STRAY
 from goniotwin.app.rig.inputs import WAVELENGTH as WAVELENGTH_ERROR
 from goniotwin.arrays import Flags, Floats, Ints
+from goniotwin.keys import ASSUMED, STATED
 from goniotwin.twin.optics.geometry.coordinates import round_deg
 
 ASSUMED_BAND_NM = 5.0
@@ -283,7 +284,9 @@ def bandwidth_effects(points: BsdfPoints, settings: ReductionSettings) -> Effect
     """The band: half of what was corrected, or all of the effect where the rig file states no band; 0 where it is unknown."""
     stated = settings.rig.light.bandwidth_nm is not None
     words = "[light] bandwidth_nm" if stated else f"no band is stated; {ASSUMED_BAND_NM:g} nm are assumed"
-    source = InputQuantity("bandwidth", "1", KNOWN_HALF if stated else 1.0, "normal", "all values", words, "")
+    source = InputQuantity(
+        "bandwidth", "1", KNOWN_HALF if stated else 1.0, "normal", "all values", words, "", origin=STATED if stated else ASSUMED
+    )
     return _known_effects(points, source, points.band_correction)
 
 

@@ -1,7 +1,8 @@
 """The uncertainty budget of one value or one reflectance of a journal: its components, with what shares each of them."""
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -24,6 +25,7 @@ from goniotwin.app.campaign.studies.reflectance import (
 from goniotwin.app.campaign.wording import number_list
 from goniotwin.app.errors import UserError
 from goniotwin.arrays import Floats
+from goniotwin.keys import MEASURED, STATED
 from goniotwin.twin.optics import arc_direction
 from goniotwin.twin.optics.geometry.coordinates import round_deg
 
@@ -35,12 +37,70 @@ NUMBERS = ("wavelength", "sigma", "gamma", *ANGLES, "photodiode")
 LIGHTS = ("reflected", "transmitted")
 KEYS = ("sample", *NUMBERS, "light")
 Unit = Literal["1/sr", "1"]
+INDEX = re.compile(r"[\[@].*")
+"""What follows the kind of an input in its name."""
 INTERPOLATION, FILLED = "interpolation", "directions without a value"
+
+
+NOISE, LAMP = "noise", "lamp"
+ESTIMATES = {
+    NOISE: NOISE, "dark": NOISE, "etalon_reading": NOISE, "signature_reading": NOISE, "field_noise": NOISE, LAMP: LAMP,
+}  # fmt: skip
+"""By component, the estimate of a variance that it is from: what is from one is one input to the degrees of freedom."""
+OF_READINGS = ("noise", "field_noise", "ray_tracing")
+"""Components without an input that the readings, or the traced rays, themselves show."""
+
+
+@dataclass(frozen=True)
+class Line:
+    """A component of a budget: its `origin` (measured, stated, assumed; empty of what follows from others), degrees of freedom.
+
+    `estimate` is common to those that are from one estimate of a variance.
+    """
+
+    component: Component
+    origin: str
+    degrees_of_freedom: float
+    estimate: str
+
+
+def lines_of(components: Iterable[Component], freedom: Mapping[str, float]) -> tuple[Line, ...]:
+    """The lines of a budget; `freedom` are the degrees of freedom of the estimates NOISE and LAMP of its value."""
+    found = []
+    for each in components:
+        kind = INDEX.sub("", each.name)
+        estimate = ESTIMATES.get(kind, each.name)
+        origin = MEASURED if kind in OF_READINGS else STATED if kind == "resolution" else ""
+        degrees = freedom.get(estimate, math.inf)
+        if each.input is not None:
+            origin, degrees = each.input.origin, min(degrees, each.input.degrees_of_freedom)
+        found.append(Line(each, origin, degrees, estimate))
+    return tuple(found)
+
+
+def freedom_of(settings: ReductionSettings, points: BsdfPoints) -> dict[str, float]:
+    """The degrees of freedom of the estimates that the u of some values are from: the least at the gains that they used."""
+    by_gain, used = settings.noise_freedom, np.union1d(points.gain, points.etalon_gain)
+    return {NOISE: min((by_gain[k] for k in used.tolist() if k >= 0), default=math.inf), LAMP: settings.lamp_freedom}
+
+
+def effective_degrees_of_freedom(lines: Iterable[Line]) -> float:
+    """Those of u by the formula of Welch and Satterthwaite (GUM, G.4): u^4 over the sum of u_i^4 over their own.
+
+    Components from one estimate of a variance are too large or too small together: they are one u_i.
+    """
+    squares: dict[str, tuple[float, float]] = {}
+    for each in lines:
+        before, degrees = squares.get(each.estimate, (0.0, math.inf))
+        squares[each.estimate] = (before + each.component.u**2, min(degrees, each.degrees_of_freedom))
+    total = math.fsum(square for square, _ in squares.values())
+    spread = math.fsum(square**2 / degrees for square, degrees in squares.values())
+    return total**2 / spread if spread > 0.0 else math.inf
 
 
 @dataclass(frozen=True)
 class Budget:
-    """A value with its standard uncertainty `u`, both in `unit`, and the components of u, the largest first.
+    """A value with its standard uncertainty `u`, both in `unit`, and the lines of its components, the largest first.
 
     The squares of the components add up to the square of u. `about` are remarks on the value.
     """
@@ -49,8 +109,18 @@ class Budget:
     value: float
     u: float
     unit: Unit
-    components: tuple[Component, ...]
+    lines: tuple[Line, ...]
     about: tuple[str, ...] = ()
+
+    @property
+    def components(self) -> tuple[Component, ...]:
+        """The components of u."""
+        return tuple(each.component for each in self.lines)
+
+    @property
+    def degrees_of_freedom(self) -> float:
+        """The effective degrees of freedom of u."""
+        return effective_degrees_of_freedom(self.lines)
 
     def as_dict(self) -> dict[str, Any]:
         """The budget for JSON."""
@@ -60,25 +130,27 @@ class Budget:
             "u": self.u,
             "relative_u": abs(self.u / self.value) if self.value else None,
             "unit": self.unit,
-            "components": [self._component(each) for each in self.components],
+            "degrees_of_freedom": finite(self.degrees_of_freedom),
+            "components": [self._component(each) for each in self.lines],
             "about": list(self.about),
         }
 
-    def _component(self, each: Component) -> dict[str, Any]:
+    def _component(self, line: Line) -> dict[str, Any]:
+        each = line.component
         result: dict[str, Any] = {
             "name": each.name,
             "u": each.u,
             "relative_u": abs(each.u / self.value) if self.value else None,
             "share": each.u**2 / self.u**2 if self.u else 0.0,
             "sensitivity": each.sensitivity,
+            "origin": line.origin,
+            "degrees_of_freedom": finite(line.degrees_of_freedom),
         }
         if each.input is None:
             return {**result, "shared_by": "no other value"}
-        freedom = each.input.degrees_of_freedom
         return {
             **result, "shared_by": each.input.shared_by, "input_u": each.input.u, "input_unit": each.input.unit,
-            "distribution": each.input.distribution, "degrees_of_freedom": freedom if math.isfinite(freedom) else None,
-            "source": each.input.source, "twin": each.input.twin,
+            "distribution": each.input.distribution, "source": each.input.source, "twin": each.input.twin,
         }  # fmt: skip
 
 
@@ -131,13 +203,14 @@ def budget_of_value(reduction: Reduction, place: Mapping[str, str | float]) -> B
     if near.size > 1:
         by = ", ".join(str(each) for each in sorted(set(near.photodiode.tolist())))
         about.append(f"{near.size} values are of this direction, by photodiodes {by}; this is the first with a trusted value")
-    components = tuple(in_one_line(effects_of(point, reduction.settings).budget(0), reduction.settings.rig.uncertainty))
+    components = in_one_line(effects_of(point, reduction.settings).budget(0), reduction.settings.rig.uncertainty)
+    lines = lines_of(components, freedom_of(reduction.settings, point))
     title = (
         f"{name}, {point.wavelength_nm[0]:g} nm, sigma {point.sigma_deg[0]:g}, gamma {point.gamma_deg[0]:g}, "
         f"zenith {point.zenith_deg[0]:g}, azimuth {point.azimuth_deg[0]:g} deg (theta {point.theta_deg[0]:.4g}, phi "
         f"{point.phi_deg[0]:.4g}; photodiode {point.photodiode[0]})"
     )
-    return Budget(title, float(point.bsdf[0]), _root_sum(components), "1/sr", components, tuple(about))
+    return Budget(title, float(point.bsdf[0]), _root_sum(components), "1/sr", lines, tuple(about))
 
 
 def budget_of_reflectance(reduction: Reduction, place: Mapping[str, str | float]) -> Budget:
@@ -184,7 +257,7 @@ def reflectance(settings: ReductionSettings, name: str, points: BsdfPoints, sett
     kind = "transmittance" if setting.transmitted else "reflectance"
     return Budget(
         f"directional-hemispherical {kind} of {name}, {setting}", total, _root_sum(components), "1",
-        tuple(components), tuple(about),
+        lines_of(components, freedom_of(settings, here)), tuple(about),
     )  # fmt: skip
 
 
@@ -256,3 +329,8 @@ def _listed(points: BsdfPoints, order: np.ndarray) -> str:
 
 def _root_sum(components: Sequence[Component]) -> float:
     return math.sqrt(math.fsum(each.u**2 for each in components))
+
+
+def finite(number: float) -> float | None:
+    """A number for JSON; None for infinity."""
+    return number if math.isfinite(number) else None

@@ -1,5 +1,6 @@
 """The evaluation of a journal on one page: what it shows of its own inputs, in order, and its reduction by all of that."""
 
+import math
 from dataclasses import dataclass, replace
 
 from goniotwin.app.campaign.journal.reading import DamagedJournal, JournalReader
@@ -47,11 +48,13 @@ def evaluate_journal(journal: JournalReader, *, without_damaged: bool = False) -
     Each study goes by the settings that those before it have found. Raises UserError as begin_reduction does.
     """
     reduction = begin_reduction(journal, without_damaged=without_damaged)
+    noise, lamp = reduction.measurements.noise_freedom, reduction.measurements.evidence.lamp_freedom
+    reduction = replace(reduction, settings=replace(reduction.settings, noise_freedom=noise, lamp_freedom=lamp))
     known, not_aligned = reduction.settings.alignment, why_not_aligned(journal.optional_value("alignment"))
     repeated = repeats(reduction.measurements, reduction.schedule.samples, 0.5 * monitor_variance(reduction.rig.file))
     table = reduction.rig.file.uncertainty
     if repeated is not None and repeated.excess > table.u(REPEATABILITY):
-        reduction = _measured(reduction, REPEATABILITY, repeated.excess, "the repeats of this campaign")
+        reduction = _measured(reduction, REPEATABILITY, repeated.excess, "the repeats of this campaign", repeated.freedom)
     closure = _closure(reduction)
     share = float(reduction.measurements.evidence.crosstalk.max())
     if share > table.u(CROSSTALK):  # after the closure, which compares what the scans show with what is stated
@@ -70,10 +73,10 @@ def evaluate_journal(journal: JournalReader, *, without_damaged: bool = False) -
     return Evaluation(reduction, repeated, closure, known, aligned, not_aligned)
 
 
-def _measured(reduction: Reduction, each: Input, width: float, by: str) -> Reduction:
+def _measured(reduction: Reduction, each: Input, width: float, by: str, freedom: float = math.inf) -> Reduction:
     """The reduction with the uncertainty of an input that the campaign shows, where that is more than is stated."""
     rig = reduction.settings.rig
-    known = replace(rig, uncertainty=rig.uncertainty.measured(each, width, by))
+    known = replace(rig, uncertainty=rig.uncertainty.measured(each, width, by, freedom))
     return replace(reduction, settings=replace(reduction.settings, rig=known))
 
 

@@ -19,6 +19,7 @@ from goniotwin.app.campaign.reduction.components import INTERVAL_RULE
 from goniotwin.app.campaign.reduction.effects_of_points import effects_of
 from goniotwin.app.campaign.reduction.lit_hole import in_one_line
 from goniotwin.app.campaign.reduction.points import FLAGS
+from goniotwin.app.campaign.studies.budget import effective_degrees_of_freedom, finite, freedom_of, lines_of
 from goniotwin.app.campaign.studies.closure import ClosureReport, signed
 from goniotwin.app.campaign.studies.decades import (
     UPPER_DECADES,
@@ -60,13 +61,18 @@ DIFFUSE_DEG = 30.0
 
 @dataclass(frozen=True)
 class _Line:
-    """A line of a budget: name, u in percent of the value, its share of u squared, what shares it and where it is from."""
+    """A line of a budget: name, u in percent of the value, its share of u squared, what shares it and where it is from.
+
+    `origin` is measured, stated or assumed; with the degrees of freedom, None where they are infinite.
+    """
 
     name: str
     percent: float
     share: float
     shared_by: str = ""
     source: str = ""
+    origin: str = ""
+    freedom: float | None = None
 
 
 def write_report(journal: Path, out: Path, *, without_damaged: bool = False) -> dict[str, Any]:
@@ -298,12 +304,13 @@ def _budgets(dataset: Dataset) -> Iterator[dict[str, Any]]:
 
 def _budget(dataset: Dataset, measured: Measured, k: int) -> dict[str, Any]:
     effects = effects_of(measured.points.where(np.array([k])), measured.settings)
-    found = in_one_line(effects.budget(0), measured.settings.rig.uncertainty)
-    value, u = float(dataset.bsdf[k]), math.sqrt(math.fsum(each.u**2 for each in found))
+    components = in_one_line(effects.budget(0), measured.settings.rig.uncertainty)
+    found = lines_of(components, freedom_of(measured.settings, measured.points.where(np.array([k]))))
+    value, u = float(dataset.bsdf[k]), math.sqrt(math.fsum(each.u**2 for each in components))
     lines = [
         _Line(each.name, abs(each.u / value), each.u**2 / u**2, *(("no other value", "") if each.input is None else
-              (each.input.shared_by, each.input.source)))
-        for each in found
+              (each.input.shared_by, each.input.source)), line.origin, finite(line.degrees_of_freedom))
+        for line in found for each in (line.component,)
     ]  # fmt: skip
     shown = [each for each in lines if each.share >= LEAST_SHARE]
     place = (
@@ -313,7 +320,7 @@ def _budget(dataset: Dataset, measured: Measured, k: int) -> dict[str, Any]:
     rest = math.sqrt(max(1.0 - math.fsum(each.share for each in shown), 0.0))
     return {
         "place": place, "value": value, "u": u, "relative": u / value, "lines": shown, "more": len(lines) - len(shown),
-        "rest": rest,
+        "rest": rest, "freedom": finite(effective_degrees_of_freedom(found)),
     }  # fmt: skip
 
 

@@ -12,10 +12,17 @@ import pytest
 from typer.testing import CliRunner
 
 from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.measurement_model.effects import Component
 from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.rehearsal.without_wires import run_without_wires
 from goniotwin.app.campaign.schedule.file import read_schedule
-from goniotwin.app.campaign.studies.budget import budget_of_reflectance, budget_of_value, parse_place
+from goniotwin.app.campaign.studies.budget import (
+    Line,
+    budget_of_reflectance,
+    budget_of_value,
+    effective_degrees_of_freedom,
+    parse_place,
+)
 from goniotwin.app.campaign.studies.evaluation import evaluate_journal
 from goniotwin.app.campaign.studies.journals import check_journal
 from goniotwin.app.campaign.studies.reduced_journal import reduce_journal
@@ -71,6 +78,64 @@ def test_the_components_of_a_value_add_up_to_its_uncertainty(measure: Measure, c
     text = capsys.readouterr().out
     assert "SIMULATED, gaussian-5, 550 nm, sigma 30" in text
     assert "sample_tilt_y@gaussian-5#1" in text
+
+
+def line(name: str, u: float, degrees: float = math.inf, estimate: str = "") -> Line:
+    return Line(Component(name, u, 1.0, None), "measured", degrees, estimate or name)
+
+
+def test_effective_degrees_of_freedom_are_those_of_the_guides_example() -> None:
+    """GUM, G.4.2: y = b X1 X2 X3, relative u of 0.25, 0.57 and 0.82 % by 10, 5 and 15 observations: u 1.03 %, 19.0 degrees."""
+    lines = [line("X1", 0.25, 9), line("X2", 0.57, 4), line("X3", 0.82, 14)]
+    assert effective_degrees_of_freedom(lines) == pytest.approx(19.0, abs=0.05)
+    exact = [*lines, line("b", 2.0)]  # as large again, and known: those of u grow with the fourth power
+    u_squared = 0.25**2 + 0.57**2 + 0.82**2
+    expected = effective_degrees_of_freedom(lines) * (1.0 + 2.0**2 / u_squared) ** 2
+    assert effective_degrees_of_freedom(exact) == pytest.approx(expected, rel=1e-12)
+    assert math.isinf(effective_degrees_of_freedom([line("b", 2.0)]))
+
+
+def test_components_of_one_estimate_have_its_degrees_of_freedom_together() -> None:
+    """Each of two has half of a variance: by one estimate u has its degrees of freedom, by two of them twice as many."""
+    one = [line(name, 1.0, 7, "noise") for name in ("noise", "dark")]
+    two = [line(name, 1.0, 7) for name in ("noise", "dark")]
+    assert effective_degrees_of_freedom(one) == pytest.approx(7.0)
+    assert effective_degrees_of_freedom(two) == pytest.approx(14.0)
+
+
+def test_a_budget_marks_what_is_measured_stated_and_assumed(measure: Measure) -> None:
+    """Stated is what stands in the rig file, at whatever number; noise has the degrees of freedom of the readings."""
+    stated = ("range_a = 500e-9", "range_a = 500e-9\nrelative_uncertainty = 3e-4")
+    table = ("[twin.light]", "[uncertainty]\netalon_edge = 2e-3\n\n[twin.light]")
+    at = parse_place("sigma=30, zenith=36, azimuth=180")
+    with Journal.open(measure(PAIRS, stated, table)) as journal:
+        reduction = evaluate_journal(journal).reduction
+        found = budget_of_value(reduction, at)
+        dark = [each for row in journal.rows("dark") for each in row.data.readings]
+        degrees = min(
+            sum(len(each.counts) - 1 for each in dark if each.gain_v_per_a == gain)
+            for gain in {each.gain_v_per_a for each in dark}
+        )
+        lit = [each.counts for row in journal.rows("measure", "drift") for each in row.data.readings]
+        saturated = reduction.rig.file.photodiodes.range.saturated
+        of_lit = sum((len(each) - 1) * ~np.any(saturated(each), axis=0) for each in lit)
+        degrees = 1.0 / (1.0 / degrees + 1.0 / np.sum(of_lit))
+    lines = {each.component.name.partition("@")[0].partition("[")[0]: each for each in found.lines}
+    origins = {name: each.origin for name, each in lines.items()}
+    assert [origins[name] for name in ("noise", "dark", "etalon_reading")] == 3 * ["measured"]
+    assert [origins[name] for name in ("monitor", "etalon_edge", "gain_ratio")] == 3 * ["stated"]
+    assert [origins[name] for name in ("etalon_age", "sample_tilt_y", "crosstalk")] == 3 * ["assumed"]
+    of_noise = [lines[name].degrees_of_freedom for name in ("noise", "dark", "etalon_reading")]
+    assert of_noise == pytest.approx(3 * [degrees], rel=1e-12)
+    assert math.isinf(lines["sample_tilt_y"].degrees_of_freedom)
+    noise, lamp = (
+        math.fsum(each.component.u**2 for each in found.lines if each.estimate == name) for name in ("noise", "lamp")
+    )
+    spread = noise**2 / degrees + lamp**2 / np.max(of_lit)
+    assert found.degrees_of_freedom == pytest.approx(found.u**4 / spread, rel=1e-12)
+    result = found.as_dict()
+    assert result["degrees_of_freedom"] == found.degrees_of_freedom
+    assert {each["origin"] for each in result["components"]} <= {"measured", "stated", "assumed", ""}
 
 
 @pytest.mark.parametrize(
