@@ -252,7 +252,7 @@ class Slopes:
     `mixing` (n, 5, 5) is the derivative of (first_along, first_across, second_along, second_across, mixed) by (arc.first,
     arc.second, across.first, across.second, crossed.first). `bound` is the standard uncertainty of first_across where it is not
     known but for its size, and taken as 0: nothing was measured across, and the lobe need not be round or theta does not
-    change along the arc.
+    change along the arc. `beside` is the largest slope to the values beside it at other beta.
     """
 
     first_along: Floats
@@ -266,6 +266,7 @@ class Slopes:
     mixing: Floats
     measured: Flags
     bound: Floats
+    beside: Floats
 
     def noise(self, sensitivity: Floats, own_variance: Floats) -> Floats:
         """Variance (n,) that the values' noise adds to y minus a function of the slopes.
@@ -342,7 +343,8 @@ def slopes_of(directions: Directions, y: Floats, variance: Floats, window: float
     )  # fmt: skip
     unknown = ~measured & ~((directions.radial | np.isfinite(across.second)) & round_lobe)
     mixing[unknown, 1] = 0.0
-    bound = np.where(unknown, UNKNOWN * _largest_slope(directions, circles, y, variance, arc), 0.0)
+    steepest = circles.steepest(y, variance)
+    bound = np.where(unknown, UNKNOWN * _largest_slope(directions, y, arc, steepest), 0.0)
     if round_lobe or not measured.any():
         crossed = Parabola(*np.full((PARABOLA_COLUMNS, y.size), np.nan))
     else:
@@ -355,7 +357,9 @@ def slopes_of(directions: Directions, y: Floats, variance: Floats, window: float
     firsts = [np.nan_to_num(each) for each in (across.first, across.second, crossed.first)]
     derivatives = np.einsum("nkl,nl->kn", mixing, np.stack([arc.first, arc.second, *firsts], axis=1))
     first_along, first_across, second_along, second_across, mixed = derivatives
-    return Slopes(first_along, first_across, second_along, second_across, mixed, arc, across, crossed, mixing, measured, bound)
+    return Slopes(
+        first_along, first_across, second_along, second_across, mixed, arc, across, crossed, mixing, measured, bound, steepest
+    )
 
 
 def _over_theta(directions: Directions, y: Floats, variance: Floats, window: float, chosen: Flags) -> Parabola:
@@ -462,30 +466,30 @@ class _Circles:
         columns[:, self.order] = list(vars(fit).values())
         return Parabola(*columns)
 
-    def steps(self, y: Floats, variance: Floats) -> tuple[Ints, Floats]:
-        """Values whose next one on their circle is at any distance, and the slope to it, beyond its noise."""
+    def steepest(self, y: Floats, variance: Floats) -> Floats:
+        """The larger of the slopes (n,) to the values beside each one, at any distance, beyond their noise; 0 without any."""
         same = np.flatnonzero(np.diff(self.line) == 0)
         one, other = self.order[same], self.order[same + 1]
         noise = NOISE_MARGIN * np.sqrt(variance[one] + variance[other])
-        return one, (np.abs(y[other] - y[one]) - noise) / (self.place[same + 1] - self.place[same])
+        slope, found = (np.abs(y[other] - y[one]) - noise) / (self.place[same + 1] - self.place[same]), np.zeros(y.size)
+        np.maximum.at(found, one, slope)
+        np.maximum.at(found, other, slope)
+        return found
 
 
-def _largest_slope(directions: Directions, circles: _Circles, y: Floats, variance: Floats, arc: Parabola) -> Floats:
+def _largest_slope(directions: Directions, y: Floats, arc: Parabola, beside: Floats) -> Floats:
     """The largest slope (n,) that was measured at the wavelength, sigma and side of each value, beyond its noise.
 
     Along all arcs, of any beta and of any gamma, which turns the sample's axes under the arc, and between other beta; of values
     that are as bright as the value, or by LEVEL less: a lobe is steeper further down.
     """
-    of_step, step = circles.steps(y, variance)
-    slope = np.concatenate([np.abs(arc.first) - NOISE_MARGIN * np.sqrt(arc.variance_first), step])
-    light, level = (np.concatenate([each, each[of_step]]) for each in (directions.light, y))
+    slope = np.fmax(np.abs(arc.first) - NOISE_MARGIN * np.sqrt(arc.variance_first), beside)
     largest = np.zeros(y.size)
     for number in np.unique(directions.light).tolist():
-        of_light = np.flatnonzero(light == number)
-        order = of_light[np.argsort(-level[of_light])]
-        brightest = np.maximum.accumulate(np.nan_to_num(slope[order]))
-        here = directions.light == number
-        largest[here] = brightest[np.searchsorted(-level[order], LEVEL - y[here], side="right") - 1]
+        here = np.flatnonzero(directions.light == number)
+        order = here[np.argsort(-y[here])]
+        brighter = np.searchsorted(-y[order], LEVEL - y[here], side="right")
+        largest[here] = np.maximum.accumulate(slope[order])[brighter - 1]
     return largest
 
 

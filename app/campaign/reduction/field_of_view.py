@@ -34,6 +34,7 @@ CHUNK_POINTS = 20_000
 TENFOLD = math.log(10.0)
 """Difference of the logarithms of two neighbours from which on they do not resolve the lobe between them."""
 PER_DEG = math.pi / 180.0
+SMALLEST = 1e-12
 
 
 def field_variance(instrument: Instrument) -> float:
@@ -229,9 +230,16 @@ def _evaluate(values: MergedDirections, instrument: Instrument, moved_deg: Float
         estimate = np.where(unknown & ~alone, 0.5 * variance * effect, np.nan)
     # A neighbour that is lost in its noise is at most at its limit.
     logarithm = np.log(np.maximum(np.maximum(values.bsdf, limit), 1e-300))
-    step = np.abs(np.diff(logarithm))
-    step = np.where(np.diff(directions.plane) == 0, step, 0.0)
-    steep = np.maximum(np.append(step, 0.0), np.insert(step, 0, 0.0)) > TENFOLD
+    step = np.where(np.diff(directions.plane) == 0, np.abs(np.diff(logarithm)), 0.0)
+    slope = step / np.maximum(np.diff(directions.polar), SMALLEST)
+    step, slope = (np.maximum(np.append(each, 0.0), np.insert(each, 0, 0.0)) for each in (step, slope))
+    steep = step > TENFOLD
+    # What a lobe between two directions does is not known; it changes at least as much as from one to the other.
+    slope = np.fmax(slope, everywhere(slopes.beside))
+    alone = steep & light & ~(np.abs(everywhere(slopes.arc.half_difference)) > 0.0)
+    unresolved = np.maximum(np.nan_to_num(everywhere(unresolved)), np.where(alone, slope, 0.0)[:, None])
+    bent = 0.5 * variance * (slope**2 + 4.0 * slope**2 / np.maximum(step, SMALLEST))
+    estimate = np.where(alone & unknown, values.bsdf * bent, estimate)
     steep |= np.nan_to_num(everywhere(np.maximum(slopes.across.step, 0.0))) > TENFOLD
     steep[light] |= slopes.undecided() | slopes.unknown_across()
     sign = np.where(values.opposite, -1.0, 1.0)[:, None]
@@ -241,7 +249,7 @@ def _evaluate(values: MergedDirections, instrument: Instrument, moved_deg: Float
         slope=sign * PER_DEG * everywhere(correction.gradient)[which],
         bend=PER_DEG**2 * everywhere(correction.bend)[which],
         mixed=PER_DEG**2 * everywhere(correction.mixed)[which],
-        unresolved=PER_DEG * everywhere(unresolved)[which],
+        unresolved=PER_DEG * unresolved[which],
         noise=everywhere(noise)[which],
         estimate=estimate[which],
         steep=(steep & light)[which],

@@ -126,6 +126,7 @@ def test_the_correction_inverts_the_mean_over_directions_of_a_gaussian_lobe(widt
     slopes = Slopes(
         along.first, across.first, along.second, across.second, np.full(x.size, -inverse[0, 1]), along, across,
         across, np.zeros((x.size, 5, 5)), np.ones(x.size, dtype=bool), np.zeros(x.size),
+        np.zeros(x.size),
     )  # fmt: skip
     found = correct_logarithm(slopes, np.tile([field[0, 0], field[1, 1], field[0, 1]], (x.size, 1)))
     original = np.linalg.inv(of_lobe)
