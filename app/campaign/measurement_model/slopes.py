@@ -357,6 +357,8 @@ def slopes_of(directions: Directions, y: Floats, variance: Floats, window: float
     firsts = [np.nan_to_num(each) for each in (across.first, across.second, crossed.first)]
     derivatives = np.einsum("nkl,nl->kn", mixing, np.stack([arc.first, arc.second, *firsts], axis=1))
     first_along, first_across, second_along, second_across, mixed = derivatives
+    if round_lobe:
+        bound = np.where(measured, 0.0, np.hypot(bound, circles.departure(directions, y, variance, first_along, first_across)))
     return Slopes(
         first_along, first_across, second_along, second_across, mixed, arc, across, crossed, mixing, measured, bound, steepest
     )
@@ -474,6 +476,21 @@ class _Circles:
         slope, found = (np.abs(y[other] - y[one]) - noise) / (self.place[same + 1] - self.place[same]), np.zeros(y.size)
         np.maximum.at(found, one, slope)
         np.maximum.at(found, other, slope)
+        return found
+
+    def departure(self, directions: Directions, y: Floats, variance: Floats, along: Floats, across: Floats) -> Floats:
+        """By how much the slopes (n,) to values at other beta not far away differ, beyond their noise, from those of a lobe
+        that is straight over 1 - cos(theta) and has the slopes `along` and `across` at each value.
+        """
+        height = 1.0 - directions.middle
+        gradient = directions.along**2 + directions.across**2
+        per_height = np.nan_to_num(-(directions.along * along + directions.across * across) / np.maximum(gradient, 1e-12))
+        same = np.flatnonzero((np.diff(self.line) == 0) & (np.diff(self.place) <= 2.0 * MAX_DISTANCE_RAD * NEAR))
+        found = np.zeros(y.size)
+        for one, other in ((self.order[same], self.order[same + 1]), (self.order[same + 1], self.order[same])):
+            left = np.abs(y[other] - y[one] - per_height[one] * (height[other] - height[one]))
+            noise = NOISE_MARGIN * np.sqrt(variance[one] + variance[other])
+            np.maximum.at(found, one, (left - noise) / (self.place[same + 1] - self.place[same]))
         return found
 
 
