@@ -54,7 +54,8 @@ app = typer.Typer()
 def check(schedule: Schedule, rig: RigOption, as_json: Json = False) -> None:
     """Check a schedule against a rig: rows, duration, warnings.
 
-    Also: how far each axis moves, and which directions are blocked by the mirror unit. No device is opened and nothing moves.
+    Also: how far each axis moves, which directions are blocked by the mirror unit, and with a second standard which difference
+    of the two would be found. No device is opened and nothing moves.
 
     Exit status: 2 if the rig cannot do the schedule.
     """
@@ -62,8 +63,15 @@ def check(schedule: Schedule, rig: RigOption, as_json: Json = False) -> None:
 
     plan = _make_plan(schedule, rig)
     plan.rig.model()  # reads the files of the samples, so that an error in them shows now
-    result = check_plan(plan)
-    answer(as_json, result, lambda: print(describe_check(plan, result)))
+    result, standards = check_plan(plan), ""
+    if plan.schedule.file.second_standard is not None:
+        from goniotwin.app.campaign.studies.standards import expected_comparison
+
+        expected = expected_comparison(plan)
+        result["standards"] = None if expected is None else expected.as_dict()
+        words = "no photodiode sees both standards" if expected is None else str(expected)
+        standards = f"\n  standards   {' and '.join(plan.schedule.file.standards)}: {words}"
+    answer(as_json, result, lambda: print(f"{describe_check(plan, result)}{standards}"))
 
 
 @app.command(cls=CommandWithFormats)

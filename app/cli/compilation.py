@@ -249,7 +249,7 @@ def parts_of_rehearsal(schedule: "ScheduleFile", model: "TwinModel | None") -> t
     """Names of the parts that a rehearsal of the schedule needs on the virtual rig `model`, if there is one."""
     from goniotwin.twin.optics.fast.scenes import PLAIN_KINDS
 
-    samples = () if model is None else [model.samples.get(name) for name in (schedule.etalon, *schedule.samples)]
+    samples = () if model is None else [model.samples.get(name) for name in schedule.mounted]
     lobes = [lobe for each in samples if each is not None for lobe in each.lobes]
     through = bool(schedule.open_beam or schedule.signature)  # no sample: all light goes straight on
     return (*REHEARSAL, "every-scene") if through or any(lobe.kind not in PLAIN_KINDS for lobe in lobes) else REHEARSAL

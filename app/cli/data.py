@@ -472,21 +472,28 @@ def closure(
     """Compare the etalon's scale with that of the open beam.
 
     For each sigma and wavelength the etalon's radiance factor by its certificate and by the scan of the open beam: ratio,
-    combined uncertainty u, z, and a verdict. The schedule needs the table [open_beam].
+    combined uncertainty u, z, and a verdict. The schedule needs the table [open_beam]. With [second_standard] the two standards
+    are compared as well.
 
-    Exit status: 1 if the two scales certainly do not agree.
+    Exit status: 1 if the two scales, or the two standards, certainly do not agree.
     """
     from goniotwin.app.campaign.journal.writing import Journal
     from goniotwin.app.campaign.studies.closure import closure_text
     from goniotwin.app.campaign.studies.evaluation import evaluate_journal
+    from goniotwin.app.campaign.studies.standards import standards_text
 
     with Journal.open(journal) as opened:
-        report = evaluate_journal(opened, without_damaged=without_damaged).closure
-        result = {"journal": str(journal), "simulated": opened.simulated, **report.as_dict(), "chain": opened.chain.as_dict()}
+        evaluation = evaluate_journal(opened, without_damaged=without_damaged)
+        report, standards = evaluation.closure, evaluation.standards
+        result = {
+            "journal": str(journal), "simulated": opened.simulated, **report.as_dict(),
+            "standards": None if standards is None else standards.as_dict(), "chain": opened.chain.as_dict(),
+        }  # fmt: skip
         mark = "SIMULATED, " if opened.simulated else ""
     text = f"{mark}closure of {journal}\n{closure_text(report)}"
+    text += "" if standards is None else f"\n{standards_text(standards)}"
     answer(as_json, result, lambda: print(text))
-    if report.contradicts_etalon:
+    if report.contradicts_etalon or (standards is not None and standards.apart):
         raise typer.Exit(1)
 
 

@@ -41,8 +41,8 @@ CHUNK_POINTS = 10_000
 """Points whose effects are in memory together: some hundred numbers each."""
 MORE = (
     "gamma_deg", "beta_deg", "shift_deg", "zenith_deg", "theta_deg", "phi_deg", "mirrored", "signature", "slope_along",
-    "slope_across", "field_correction", "row", "etalon_row", "gain", "etalon_gain", "wavelength_slope", "band_correction",
-    "stray_contrast", "good",
+    "slope_across", "field_correction", "row", "etalon_row", "second_row", "gain", "etalon_gain", "wavelength_slope",
+    "band_correction", "stray_contrast", "good",
 )  # fmt: skip
 """What a point of a journal has besides the columns of scattered values."""
 

@@ -66,6 +66,7 @@ def _of_journal(path: Path) -> dict[str, Any]:
             {"sample": name, "rows": measured[name], "planned": planned[name]} for name in schedule.samples if planned[name]
         ],
         "etalon": schedule.etalon,
+        "second_standard": None if schedule.second_standard is None else schedule.second_standard.name,
         "light": ["reflected", "transmitted"] if schedule.light == "both" else [schedule.light],
         "side": ["front", "back"] if schedule.side == "both" else [schedule.side],
         "symmetry": schedule.symmetry,

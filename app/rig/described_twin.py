@@ -6,7 +6,7 @@ of a photodiode, *cannot be found with it*. Only the real rig shows such an erro
 the operator's part. Properties that the file does not have are assumed, and listed as assumptions.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -51,14 +51,18 @@ class DescribedTwin:
     assumptions: tuple[str, ...]
 
 
-def described_twin(real: RigDescription, etalon: str, samples: Iterable[str], models: Mapping[str, str]) -> DescribedTwin:
+def described_twin(
+    real: RigDescription, standards: str | Sequence[str], samples: Iterable[str], models: Mapping[str, str]
+) -> DescribedTwin:  # fmt: skip
     """The virtual rig in this process for a rig file; a file that describes such a rig already is not changed.
 
-    `etalon` and `samples` are the names in the schedule. `models` has samples in one line (see `app.rig.samples`) by name; they
-    replace those of the file. Raises NoDescription, and UserError for an invalid model or a controller without a twin.
+    `standards`, the etalon's name or several, and `samples` are those in the schedule. `models` has samples in one line (see
+    `app.rig.samples`) by name; they replace those of the file. Raises NoDescription, and UserError for an invalid model or
+    a controller without a twin.
     """
     document = tomlkit.parse(real.text)
     assumptions: list[str] = []
+    standards = (standards,) if isinstance(standards, str) else standards
     if not real.file.in_process:
         _check_controllers(real)
         set_addresses(document, real.file, lambda device: f"{TWIN}{NAME}/{device.twin}")
@@ -70,9 +74,9 @@ def described_twin(real: RigDescription, etalon: str, samples: Iterable[str], mo
             far = nominal_instrument(real.file).pupil_distance_mm
             _misalign(document, parse_alignment(real.alignment, real.name), far)
         _set_twin_devices(document, real.file, assumptions)
-        for name in (etalon, *samples):
+        for name in (*standards, *samples):
             if name not in models:
-                table, assumption = _default_sample(real.file, name, etalon)
+                table, assumption = _default_sample(real.file, name, standard=name in standards)
                 _samples(document)[name] = table
                 assumptions.append(assumption)
     for name, model in models.items():
@@ -187,10 +191,10 @@ def _set_twin_devices(document: tomlkit.TOMLDocument, file: RigFile, assumptions
             assumptions.append(f"{name}'s limit switches close at the end of its travel, like the twin's")
 
 
-def _default_sample(file: RigFile, name: str, etalon: str) -> tuple[dict[str, Any], str]:
+def _default_sample(file: RigFile, name: str, *, standard: bool) -> tuple[dict[str, Any], str]:
     """The table of a sample that is described nowhere, and the assumption."""
     remedy = f"for another model give --sample {name}=MODEL"
-    if name != etalon:
+    if not standard:
         return sample_table(DEFAULT_SAMPLE), f"{name} scatters as a Gaussian of 5 deg with a reflectance of 0.9; {remedy}"
     reflectance = min(1.0, file.etalon.radiance_factor)
     diffuser = f"{name} is an ideal diffuser on both sides with a reflectance of {reflectance:g}, the etalon's radiance factor"

@@ -16,7 +16,7 @@ from annotated_types import Ge, Le
 from goniotwin.keys import Fraction
 from goniotwin.twin.optics import Deviation
 from goniotwin.twin.plant import disturbances as twin
-from goniotwin.twin.plant.disturbances import ANGLE, ETALON, SAMPLE, SharedBy, Target
+from goniotwin.twin.plant.disturbances import ANGLE, ETALON, SAMPLE, SECOND, SharedBy, Target
 
 Names = Mapping[str, tuple[Target, ...]]
 """Targets in the virtual rig, by the names of input quantities."""
@@ -82,7 +82,7 @@ class Input:
 
     @cached_property
     def paths(self) -> frozenset[str]:
-        """The paths on whose light it is a factor: SAMPLE, ETALON, or both; empty for other inputs."""
+        """The paths on whose light it is a factor: SAMPLE, ETALON, SECOND, or several; empty for other inputs."""
         return frozenset(path for path, light in twin.LIGHT.items() if any(light in each for each in self.targets.values()))
 
 
@@ -116,7 +116,7 @@ def element_deviations(values: Mapping[str, float], pupil_distance_mm: float) ->
 
 
 def factor_of(*paths: str) -> tuple[Target, ...]:
-    """The light of the SAMPLE, of the ETALON, or of both, with one and the same factor."""
+    """The light of the SAMPLE, of the ETALON, or of both, with one and the same factor; also that of the SECOND standard."""
     return tuple(twin.LIGHT[path] for path in paths)
 
 
@@ -178,8 +178,12 @@ MONITOR_DRIFT = Input("monitor_drift_per_hour", 2e-4, "responsivity of the monit
 CERTIFICATE_LEVEL = Input(
     "certificate_level", None, "the etalon's radiance factor over its certificate's, less 1", factor_of(ETALON),
     name="certificate[level]")
-ETALON_AGE = Input("etalon_age_per_year", 1e-3, "drift of the etalon in a year since its calibration", factor_of(ETALON))
-ETALON_EDGE = Input("etalon_edge", 2e-3, "light that the etalon, a diffuser, loses at the frames' edges", factor_of(ETALON))
+ETALON_AGE = Input(
+    "etalon_age_per_year", 1e-3, "drift of the etalon in a year since its calibration; of a second standard another one",
+    {"etalon_age": factor_of(ETALON), "second_age": factor_of(SECOND)}, name="etalon_age")
+ETALON_EDGE = Input(
+    "etalon_edge", 2e-3, "light that the etalon, a diffuser, loses at the frames' edges; that a second standard loses",
+    {"etalon_edge": factor_of(ETALON), "second_edge": factor_of(SECOND)})
 MONOCHROMATOR_STRAY = Input(
     "monochromator_stray", 1e-4, "light of all wavelengths, as the lamp has them, as a share of the light at the set one",
     (twin.STRAY_LIGHT,))
@@ -196,4 +200,7 @@ HASHED = frozenset(inputs())
 BEAM_TILT = Input(
     "beam_tilt_deg", 0.0, "tilt of the illumination unit about the sample's centre: the light turns, the slit's image stays",
     tilts_of("beam", axes="xz"))
+SECOND_LEVEL = Input(
+    "second_level", None, "the second standard's radiance factor over its certificate's, less 1", factor_of(SECOND),
+    name="second_certificate[level]")
 # fmt: on

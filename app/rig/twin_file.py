@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from goniotwin.app.rig.inputs import inputs
+from goniotwin.app.rig.inputs import SECOND_LEVEL, inputs
 from goniotwin.app.rig.samples import SampleTable, sample_scatterer
 from goniotwin.drivers.monochromator.settings import refuse_repeated_positions
 from goniotwin.keys import values_of
@@ -31,7 +31,7 @@ from goniotwin.twin.plant import (
     TwinModel,
     WheelFilter,
 )
-from goniotwin.twin.plant.disturbances import ETALON, FIELD
+from goniotwin.twin.plant.disturbances import ETALON, FIELD, SECOND
 
 NAME = re.compile(r"[A-Za-z0-9_-]+")
 """The name of a device in an address `twin://RIG/NAME`."""
@@ -112,7 +112,15 @@ class TwinTable(Parts):
         if unknown := sorted(set(self.diattenuation) - set(self.samples)):
             raise ValueError(f"diattenuation.{unknown[0]}: there is no such sample; give one of [twin.samples], or remove it")
         table = self.disturbances
-        keys = [each.key for each in inputs() if {at.part for targets in each.targets.values() for at in targets} == {ETALON}]
+        for key in ("second_standard", "turned"):
+            if (name := getattr(table, key)) and (name == table.etalon or name not in self.samples):
+                raise ValueError(
+                    f"disturbances.{key}: {name!r} is the etalon, or no sample of [twin.samples]; give one of them"
+                )
+        if (table.second_years or getattr(table, SECOND_LEVEL.key, 0.0)) and not table.second_standard:
+            raise ValueError("disturbances.second_standard: is missing; give the name of that sample")
+        parts = {each.key: {at.part for targets in each.targets.values() for at in targets} for each in inputs()}
+        keys = [key for key, of_key in parts.items() if ETALON in of_key and of_key <= {ETALON, SECOND}]
         of_etalon = [key for key in ("etalon_years", *keys) if getattr(table, key, 0.0)]
         if of_etalon and table.etalon not in self.samples:
             raise ValueError(

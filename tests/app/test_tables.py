@@ -91,6 +91,20 @@ BAD_SCHEDULES = [
         r"symmetry_check: an anisotropic sample has no symmetry to check",
     ),
     (("dark_readings = 4", "dark_readings = 4\n[overlap]\npoints = 0"), r"overlap\.points: .*greater than 0"),
+    *(
+        (("dark_readings = 4", f"dark_readings = 4\n[second_standard]\n{keys}"), rf"second_standard.*: {reason}")
+        for keys, reason in (
+            ("turned = true", "is missing"),
+            ('name = "b"', "radiance_factor is missing: give"),
+            ('name = "b"\nradiance_factor = 0.99', "relative_uncertainty is missing: give"),
+            ('name = "b"\nradiance_factor = 99.0\nrelative_uncertainty = 0.01', "a radiance factor of 99 is above"),
+            ('name = "b"\nturned = true\nradiance_factor = 0.99', "a turned etalon has the etalon's certificate"),
+            ('name = "etalon"\nturned = true', "'etalon' is the etalon or a sample already"),
+            ('name = "gaussian-5"\nturned = true', "'gaussian-5' is the etalon or a sample already"),
+            ('name = "b"\ntable = "radiance_factor"', "line 1: relative_uncertainty is missing"),
+            ('name = "b"\nshape = 0.01\ntable = "radiance_factor,relative_uncertainty"', "the table has the certificate"),
+        )
+    ),
 ]
 
 

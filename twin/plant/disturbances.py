@@ -6,14 +6,14 @@ name from the rig's seed, so that a further input changes none of the others.
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
 from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 
 from goniotwin.arrays import Floats
-from goniotwin.keys import NonNegative, check_bounds
+from goniotwin.keys import LATER, NonNegative, check_bounds
 from goniotwin.twin.optics import Deviation, Instrument
 from goniotwin.twin.optics.geometry.field import scale_field
 from goniotwin.twin.optics.geometry.instrument import COMPONENTS
@@ -40,7 +40,8 @@ class Target(NamedTuple):
 
 SAMPLE: Final = "sample"
 ETALON: Final = "etalon"
-LIGHT = {path: Target(path, "factor") for path in (SAMPLE, ETALON)}
+SECOND: Final = "second standard"
+LIGHT = {path: Target(path, "factor") for path in (SAMPLE, ETALON, SECOND)}
 """The light of a path over what it would be, less 1."""
 ANGLE = {axis: Target(axis, "angle_deg") for axis in ("gamma", "sigma", "beta", "shift")}
 """The true angle of an axis, less that of its motor."""
@@ -70,11 +71,16 @@ class Disturbance(Protocol):
 class Disturbances:
     """How far the virtual rig is off, drawn once from its seed; 0 is not at all. A key's metadata have its `disturbance`.
 
-    `etalon` is the name of the sample that is mounted as etalon, and `etalon_years` is the time since its calibration.
+    `etalon` is the name of the sample that is mounted as etalon, and `etalon_years` is the time since its calibration;
+    `second_standard` and `second_years` are those of a second standard, which is off by values of its own. `turned` is the
+    name under which the etalon itself is mounted once more. Mounted are all of them as an etalon is.
     """
 
     etalon: str = "etalon"
     etalon_years: NonNegative = 0.0
+    second_standard: str = field(default="", metadata=LATER)
+    second_years: NonNegative = field(default=0.0, metadata=LATER)
+    turned: str = field(default="", metadata=LATER)
 
     def __post_init__(self) -> None:
         check_bounds(self)
@@ -112,7 +118,8 @@ class Drawn(Mapping[str, float]):
                 own = [f"{name}[{c}]" for c in range(photodiodes)] if each.shared_by is SharedBy.PHOTODIODE else [name]
                 known.update(dict.fromkeys(own, (each, width)))
                 for target in targets if width else ():
-                    times = table.etalon_years if each.per_year else 1.0
+                    years = table.second_years if target == LIGHT[SECOND] else table.etalon_years
+                    times = years if each.per_year else 1.0
                     self._added.setdefault(target, []).append((name, each.shared_by, times))
         self.counts_moves = any(
             shared_by is SharedBy.AXIS_MOVE for each in ANGLE.values() for _, shared_by, _ in self._added.get(each, ())
@@ -187,17 +194,19 @@ class Drawn(Mapping[str, float]):
     def signal_factor(self, sample: str | None, mounting: int, moves: int) -> float:
         """The factor on a sample's light at one of its mountings, after so many moves of all axes together."""
         kind, at = self._mounting(sample, mounting)
-        if not kind or LIGHT[kind] not in self._added:
+        if not kind:
             return 1.0
-        parts = {SharedBy.MOUNTING: at, SharedBy.MOVE: f"@#{moves}"}, {SharedBy.ALL: ""}
-        again, once = (math.prod([1.0 + each for each in self._drawn_at(LIGHT[kind], part)], start=1.0) for part in parts)
+        piece = SECOND if sample == self.table.second_standard else kind
+        parts = (kind, {SharedBy.MOUNTING: at, SharedBy.MOVE: f"@#{moves}"}), (piece, {SharedBy.ALL: ""})
+        again, once = (math.prod([1.0 + each for each in self._drawn_at(LIGHT[of], ends)], start=1.0) for of, ends in parts)
         return again * once
 
     def _mounting(self, sample: str | None, mounting: int) -> tuple[str, str]:
         """SAMPLE or ETALON, and the end of the names of a mounting; two empty texts for none."""
         if sample is None or mounting == 0:
             return "", ""
-        return ETALON if sample == self.table.etalon else SAMPLE, f"@{sample}#{mounting}"
+        standards = self.table.etalon, self.table.second_standard, self.table.turned
+        return ETALON if sample in standards else SAMPLE, f"@{sample}#{mounting}"
 
 
 def element_deviations(amounts: Mapping[Target, float], pupil_distance_mm: float) -> dict[str, Deviation]:

@@ -31,7 +31,7 @@ def check_plan(plan: NewPlan) -> dict[str, Any]:
     unreferenced (axes that need a reference after a power-up), simulated.
     """
     rows = plan.rows
-    arcs = observed_directions(plan.schedule.file, plan.rig.file, plan.mountings[1][0].poses.angles)
+    arcs = observed_directions(plan.schedule.file, plan.rig.file, plan.of_samples.poses.angles)
     return {
         "rows": len(rows),
         "duration_s": plan.seconds,
@@ -56,7 +56,7 @@ def check_plan(plan: NewPlan) -> dict[str, Any]:
             if len(each.blocked_deg)
         ],
         "overlaps": sum(each.shared for each in arcs),
-        "left_out": plan.mountings[1][0].poses.left_out,
+        "left_out": plan.of_samples.poses.left_out,
         "filter_changes": filter_changes(plan)[0],
         "warnings": plan_warnings(plan, arcs),
         "mountings": [passes[0].sample for passes in plan.mountings],
@@ -67,7 +67,7 @@ def check_plan(plan: NewPlan) -> dict[str, Any]:
 
 def sample_order(plan: NewPlan) -> tuple[ScanGrid, ScanOrder]:
     """Grid and scan order of the samples; the etalon and the open beam may have other poses."""
-    grid = plan.mountings[1][0].grid
+    grid = plan.of_samples.grid
     return grid, plan.orders[grid]
 
 

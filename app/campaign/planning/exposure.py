@@ -15,6 +15,7 @@ from goniotwin.app.campaign.planning.mountings import Pass
 from goniotwin.app.campaign.planning.scan_grid import ScanGrid
 from goniotwin.app.campaign.readout import GainSequence, further_readings, min_readings
 from goniotwin.app.campaign.row import NO_SAMPLE, Row
+from goniotwin.app.campaign.schedule.file import ScheduleFile
 from goniotwin.app.rig import RigDescription
 from goniotwin.app.rig.described_twin import NoDescription, described_twin
 from goniotwin.arrays import Counts, Flags, Floats, Ints
@@ -32,14 +33,14 @@ DRAW_OFFSET = 37
 """Offset in the drawn noise from one row to the next."""
 
 
-def exposure_twin(rig: RigDescription, etalon: str, samples: list[str]) -> TwinModel | None:
-    """The twin of a virtual rig, or the one that a real rig's file describes.
+def exposure_twin(rig: RigDescription, file: ScheduleFile) -> TwinModel | None:
+    """The twin of a virtual rig, or the one that a real rig's file describes, with what a schedule mounts.
 
     It has no disturbances: a plan knows nothing of them. None where the file describes none, or its signal takes long to
     calculate.
     """
     try:
-        model = described_twin(rig, etalon, samples, {}).rig.model()
+        model = described_twin(rig, file.standards, file.samples, {}).rig.model()
     except NoDescription:
         return None
     if model is None or model.estimator.kind != "fast" or model.estimator.stray:

@@ -46,7 +46,7 @@ class Pass:
 
 
 def mountings(file: ScheduleFile, rig: RigFile) -> list[list[Pass]]:
-    """The passes of each mounting: the etalon first, the empty sample unit last. Raises ValueError with the key."""
+    """The passes of each mounting: the standards first, the empty sample unit last. Raises ValueError with the key."""
     wavelengths = np.array(grid_values(file.wavelength_nm))
     of_samples = sample_poses(file, rig)
     scans = beam_scans(file, rig)
@@ -55,7 +55,7 @@ def mountings(file: ScheduleFile, rig: RigFile) -> list[list[Pass]]:
     grid = ScanGrid(of_samples.angles, wavelengths, filters)
     etalon_grid = grid if of_etalon is of_samples else ScanGrid(of_etalon.angles, wavelengths, filters)
     suffixes = ["", *(f"/repeat {k}" for k in range(2, file.repeats + 1))]
-    mounted = [[Pass(file.etalon, of_etalon, etalon_grid, suffix=suffix) for suffix in suffixes]]
+    mounted = [[Pass(name, of_etalon, etalon_grid, suffix=suffix) for suffix in suffixes] for name in file.standards]
     mounted += [[Pass(sample, of_samples, grid, suffix=suffix) for suffix in suffixes] for sample in file.samples]
     # The poses of the etalon include those of reflected light; in transmitted light a photodiode would see the beam itself.
     empty = [Pass(NO_SAMPLE, of_etalon, etalon_grid, suffix=suffix) for suffix in suffixes] if file.signature else []

@@ -75,6 +75,11 @@ class NewPlan(Plan):
         return self.rows.seconds
 
     @property
+    def of_samples(self) -> Pass:
+        """A pass of a sample: all of them have the same poses."""
+        return _of_samples(self.schedule.file, self.mountings)
+
+    @property
     def lower_bound_s(self) -> float:
         """Lower bound of the machine time in s: no order of the rows takes less."""
         return plan_lower_bound_s(self.rig.file, self.templates, self.mountings)
@@ -162,7 +167,7 @@ def _build_plan(
     except ValueError as error:
         raise UserError(f"{schedule.name}: {error}") from None
     refuse_too_many_poses(schedule, mounted)
-    refuse_uncertified(schedule, rig.file, mounted[1][0].poses.angles)
+    refuse_uncertified(schedule, rig.file, _of_samples(file, mounted).poses.angles)
     timing = Timing(rig.file)
     refuse_too_many_checks(schedule, min_rows(mounted, templates, timing), "at least ")
     timing = Timing(rig.file, _expected_readings(schedule, rig, mounted, templates, timing))
@@ -183,6 +188,11 @@ def _build_plan(
     return NewPlan(schedule, rig, rows, templates, mounted, orders, timeline.oldest_dark_s, timing.expected_reading_s, omitted)
 
 
+def _of_samples(file: ScheduleFile, mounted: list[list[Pass]]) -> Pass:
+    """The first pass of the first sample, which is mounted after the standards."""
+    return mounted[len(file.standards)][0]
+
+
 def _median(values: Floats) -> float:
     """The median; numpy's own loads its masked arrays first."""
     ordered, middle = np.sort(values), len(values) // 2
@@ -198,7 +208,7 @@ def _expected_readings(
         return {}
     from goniotwin.app.campaign.planning.exposure import expected_reading_s, exposure_twin  # loads the twin's optics
 
-    model = exposure_twin(rig, file.etalon, file.samples)
+    model = exposure_twin(rig, file)
     if model is None:
         return {}
     samples = {passes[0].sample: passes for passes in mounted}

@@ -34,7 +34,7 @@ def refuse_too_many_rows(schedule: ScheduleDescription) -> None:
     """Raises UserError with the arithmetic if the grids alone give more than MAX_ROWS rows."""
     file = schedule.file
     counts = {
-        "samples and etalon": len(file.samples) + 1 + file.signature,
+        "samples and etalon": len(file.mounted) + file.signature,
         "sides": len(lit_sides(file)),
         "sigma_deg": len(grid_values(file.sigma_deg)),
         **_turns(file),
@@ -182,7 +182,7 @@ def refuse_unknown_samples(schedule: ScheduleDescription, rig: RigDescription) -
     if rig.file.twin is None:
         return  # at a real rig samples have any names
     known = rig.file.twin.samples
-    for sample in (schedule.file.etalon, *schedule.file.samples):
+    for sample in schedule.file.mounted:
         if sample not in known:
             available = ", ".join(sorted(known)) or "none"
             raise UserError(

@@ -4,6 +4,7 @@ They follow from schedule, rig file and plan. How much light a sample sends to e
 is known only to a rehearsal: see app.campaign.reduction.drift_checks.
 """
 
+import itertools
 from collections import Counter
 from collections.abc import Iterator
 
@@ -103,11 +104,11 @@ def _no_signal(plan: NewPlan, arcs: list[ArcDirections]) -> Iterator[str]:
         return
     file = plan.schedule.file
     sides = sorted({lit_side(etalon_sigma_deg(each.sigma_deg, each.arc)) for each in arcs})
-    for side in sides:
-        if not _scatters(model.samples[file.etalon], side, transmitted=False):
+    for side, standard in itertools.product(sides, file.standards):
+        if not _scatters(model.samples[standard], side, transmitted=False):
             light = _light_kinds(each for each in arcs if lit_side(etalon_sigma_deg(each.sigma_deg, each.arc)) == side)
             yield (
-                f"{file.etalon} reflects nothing when its {side} is lit, so that {light} has no scale and no value: "
+                f"{standard} reflects nothing when its {side} is lit, so that {light} has no scale and no value: "
                 "take an etalon that scatters on both sides"
             )
     for sample in file.samples:

@@ -58,10 +58,10 @@ class Proof:
     def drawn(self) -> DrawnRigs:
         """The virtual rigs. Raises UserError where the file describes no twin."""
         file = self.schedule.file
-        described = described_twin(self.rig, file.etalon, file.samples, {}).rig
+        described = described_twin(self.rig, file.standards, file.samples, {}).rig
         settings = reduction_settings(described.file, file, self.schedule.certificate, self.schedule.name)
         level = settings.certificate.level
-        return DrawnRigs(described, file.etalon, level=level, years=settings.etalon_years)
+        return DrawnRigs(described, file.etalon, level=level, years=settings.etalon_years, second=settings.second)
 
     @cached_property
     def plan(self) -> NewPlan:

@@ -8,27 +8,34 @@ import numpy as np
 import tomlkit
 
 from goniotwin.app.campaign.planning.plan import NewPlan
+from goniotwin.app.campaign.reduction.settings import SecondStandard
 from goniotwin.app.campaign.rehearsal.rehearsal import run_on_twin
 from goniotwin.app.campaign.rehearsal.row_statistics import RowStatistics
 from goniotwin.app.campaign.running.events import State
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription, parse_rig
-from goniotwin.app.rig.inputs import CERTIFICATE_LEVEL, inputs
+from goniotwin.app.rig.inputs import CERTIFICATE_LEVEL, SECOND_LEVEL, inputs
 
 
 class DrawnRigs:
     """The virtual rigs of a file: each off by what the file states as uncertain, with everything drawn from its seed.
 
     Keys that `[twin.disturbances]` has already are kept: a fault of which the rest of the file knows nothing. `etalon`: the
-    name of that sample, with the uncertainty of its level by its certificate, and the years since its calibration. Raises
-    UserError where the file has no twin.
+    name of that sample, with the uncertainty of its level by its certificate, and the years since its calibration; `second` has
+    those of a second standard. Raises UserError where the file has no twin.
     """
 
-    def __init__(self, rig: RigDescription, etalon: str, *, level: float, years: float) -> None:
+    def __init__(
+        self, rig: RigDescription, etalon: str, *, level: float, years: float, second: SecondStandard | None = None
+    ) -> None:  # fmt: skip
         self._document = tomlkit.parse(rig.text)
         drawn = [each for each in inputs() if each.targets and each.u is not None]
         stated: dict[str, Any] = {each.key: rig.file.uncertainty.width(each) for each in drawn}
         stated |= {"etalon": etalon, CERTIFICATE_LEVEL.key: level, "etalon_years": years}
+        if second is not None and second.turned:
+            stated["turned"] = second.name
+        elif second is not None:
+            stated |= {"second_standard": second.name, SECOND_LEVEL.key: second.certificate.level, "second_years": second.years}
         twin = _table(self._document, "twin")
         _add(_table(twin, "disturbances"), stated)
         _add(_table(twin, "electronics"), {"gain_spread": rig.file.photodiodes.gain_uncertainty})

@@ -24,11 +24,13 @@ from goniotwin.app.campaign.measurement_model.pose import (
     standard_uncertainties,
     variance,
 )
+from goniotwin.app.campaign.reduction.optical_paths import PathOfPoints, paths_of_points
 from goniotwin.app.campaign.reduction.points import PLACE, BsdfPoints
-from goniotwin.app.campaign.reduction.settings import OpticalPath, ReductionSettings, mounted
+from goniotwin.app.campaign.reduction.settings import ReductionSettings, mounted
 from goniotwin.app.rig import nominal_instrument
 from goniotwin.app.rig.inputs import PHOTODIODE_ACROSS, PHOTODIODE_ANGLE
-from goniotwin.arrays import Floats, Ints
+from goniotwin.arrays import Floats
+from goniotwin.twin.plant.disturbances import ETALON, SAMPLE
 
 ANGLES = tuple(PLACE.index(f"{axis}_deg") for axis in POSITIONS)
 
@@ -38,8 +40,8 @@ def add_pose(points: BsdfPoints, settings: ReductionSettings) -> BsdfPoints:
 
     `pose` is that of all inputs that the rig or a mounting has once, `position` that of the axes' positions after each move.
     """
-    if settings.alignment is not None:
-        return _add_aligned_pose(points, settings)
+    if settings.alignment is not None or settings.second is not None:
+        return _add_pose_by_effects(points, settings)
     poses = [tuple(each) for each in points.places[:, ANGLES].tolist()]
     sums = settings.geometry.pose_sums(poses)[points.place, points.photodiode]
     along, across = slopes(points)
@@ -54,8 +56,8 @@ def add_pose(points: BsdfPoints, settings: ReductionSettings) -> BsdfPoints:
     return replace(points, stated={**points.stated, **added})
 
 
-def _add_aligned_pose(points: BsdfPoints, settings: ReductionSettings) -> BsdfPoints:
-    """The same with the covariance of an alignment, from the effects themselves."""
+def _add_pose_by_effects(points: BsdfPoints, settings: ReductionSettings) -> BsdfPoints:
+    """The same with the covariance of an alignment, or with two standards, from the effects themselves."""
     effects = angles(points, settings)
     relative = np.zeros(points.size)
     for part in effects.dense:
@@ -100,20 +102,23 @@ def angles(points: BsdfPoints, settings: ReductionSettings) -> Effects:
 
     dense = [Dense(inputs, relative(part)) for inputs, part in pose_parts(points, settings, effects)]
     lifted = relative(effects.lifted)
-    kinds: Sequence[tuple[OpticalPath, Ints, Floats]] = (("sample", points.row, lifted), ("etalon", points.etalon_row, -lifted))
-    for kind, rows, products in kinds:
-        names, which = mounted(kind, rows, settings)
+    paths = paths_of_points(points, settings)
+    for path in paths:
+        names, which = mounted(path.kind, path.rows, settings)
+        kind = SAMPLE if path.kind == SAMPLE else ETALON
         for k, name in enumerate(names):
-            here = (which == k)[:, None]
-            if kind == "etalon":
-                dense.append(Dense(mounting_inputs(table, kind, name), np.where(here, relative(effects.etalon), 0.0)))
-            dense.append(Dense(lifted_inputs(table, kind, name), np.where(here, products, 0.0)))
+            weight = np.where(which == k, path.weight, 0.0)[:, None]
+            if not weight.any():
+                continue
+            if kind == ETALON:  # its effects are those on what divides by it
+                dense.append(Dense(mounting_inputs(table, kind, name), -weight * relative(effects.etalon)))
+            dense.append(Dense(lifted_inputs(table, kind, name), weight * lifted))
     photodiode = points.photodiode.astype(np.int64)
     own = {2 * c + k: each for c in np.unique(photodiode).tolist() for k, each in enumerate(photodiode_inputs(table, c))}
     own = {number: each for number, each in own.items() if not _is_aligned(each, settings)}
     numbers = 2 * photodiode[:, None] + np.arange(2)
     groups = [
-        _positions(points, settings, np.concatenate([relative(effects.position), relative(effects.etalon_position)], axis=1)),
+        _positions(paths, settings, relative(effects.position), relative(effects.etalon_position)),
         Group("photodiode_angle", own, np.where(np.isin(numbers, [*own]), numbers, -1), relative(effects.photodiode)),
     ]
     return Effects(points.bsdf, {}, groups, dense)
@@ -132,8 +137,10 @@ def pose_parts(
     Mountings that the alignment does not have keep inputs of their own; photodiodes that it has are in its modes.
     """
     table, alignment = settings.rig.uncertainty, settings.alignment
-    names, which = mounted("sample", points.row, settings)
-    own = [(mounting_inputs(table, "sample", name), effects.sample.where(which == k)) for k, name in enumerate(names)]
+    own: list[tuple[Sequence[InputQuantity], Displacement]] = []
+    if paths_of_points(points, settings)[0].kind == SAMPLE:
+        names, which = mounted(SAMPLE, points.row, settings)
+        own = [(mounting_inputs(table, SAMPLE, name), effects.sample.where(which == k)) for k, name in enumerate(names)]
     if alignment is None:
         yield rig_inputs(table), effects.common
         yield from own
@@ -191,15 +198,17 @@ def aligned_displacement(points: BsdfPoints, settings: ReductionSettings) -> tup
     return found, np.stack(variance_deg2, axis=1)
 
 
-def _positions(points: BsdfPoints, settings: ReductionSettings, sensitivity: Floats) -> Group:
-    """The axes' positions at the row and at the etalon's row, each common to all rows until the axis' next move."""
+def _positions(
+    paths: Sequence[PathOfPoints], settings: ReductionSettings, at_sample: Floats, at_etalon: Floats
+) -> Group:  # fmt: skip
+    """The axes' positions at the rows of all paths, each common to all rows until the axis' next move."""
     count = len(POSITIONS)
-    both = points.row, points.etalon_row
     history = settings.history
-    moves = [np.repeat(rows[:, None], count, axis=1) if history is None else history.moves(rows) for rows in both]
-    numbers = np.concatenate(moves, axis=1) * count + np.tile(np.arange(count), 2)
+    moves = [np.repeat(path.rows[:, None], count, axis=1) if history is None else history.moves(path.rows) for path in paths]
+    numbers = np.concatenate(moves, axis=1) * count + np.tile(np.arange(count), len(paths))
+    effects = [path.weight[:, None] * (at_sample if path.kind == SAMPLE else -at_etalon) for path in paths]
     inputs = {
         number: position_input(settings.rig.uncertainty, POSITIONS[number % count], number // count)
         for number in np.unique(numbers).tolist()
     }
-    return Group("position", inputs, numbers, sensitivity)
+    return Group("position", inputs, numbers, np.concatenate(effects, axis=1))

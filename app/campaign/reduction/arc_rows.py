@@ -76,7 +76,8 @@ class ArcRows:
     those so far, by their names in files. `sample`, `etalon` and the two signatures are the signals; a signature is 0 where it
     was not measured. `etalon_rows` (rows,) are the numbers of the etalon's rows, of several of one pose the first one. `share`
     is the signature's share of the sample's signal, NaN where it was not measured. `wavelength_slope`, `band_correction` and
-    `stray_contrast` are those of BsdfPoints, NaN where they are unknown.
+    `stray_contrast` are those of BsdfPoints, NaN where they are unknown. `second` is the signal of the second standard, if
+    there is one; `second_rows` (rows, photodiodes) are the numbers of its rows, -1 where it has no share in the scale.
     """
 
     numbers: Ints
@@ -98,6 +99,8 @@ class ArcRows:
     band_correction: Floats
     stray_contrast: Floats
     flags: Mapping[str, Flags]
+    second: Signal | None = None
+    second_rows: Ints | None = None
 
     def column(self, name: str) -> Floats:
         """An array (rows, photodiodes) of the views: `polar`, `zenith`, `azimuth`, `theta`, `phi`."""

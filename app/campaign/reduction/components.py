@@ -88,6 +88,7 @@ KINDS: Mapping[str, Kind] = {
     "position": Kind(),
     "photodiode_angle": Kind(),
     "certificate": Kind(of_direction=True),
+    "standards": Kind(of_direction=True),
     "open_beam": Kind(of_direction=True),
     "slit_image": Kind(),
     declared.WAVELENGTH.name: Kind(of_direction=True),

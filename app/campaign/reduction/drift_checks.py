@@ -8,7 +8,7 @@ lists those.
 """
 
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -203,13 +203,13 @@ def _sensitive(first: Signal) -> Flags:
 
 
 def unchecked_photodiodes(
-    insensitive: Mapping[str, Flags], trusted: Mapping[str, set[int]], etalon: str
+    insensitive: Mapping[str, Flags], trusted: Mapping[str, set[int]], standards: Sequence[str]
 ) -> dict[str, tuple[int, ...]]:
     """The insensitive photodiodes among those with trusted values, by the mounted sample.
 
-    `trusted` are the photodiodes of each sample; the etalon counts for the photodiodes of all samples.
+    `trusted` are the photodiodes of each sample; the standards count for the photodiodes of all samples.
     """
-    own = {**trusted, etalon: set().union(*trusted.values())} if trusted else {}
+    own = {**trusted, **dict.fromkeys(standards, set().union(*trusted.values()))} if trusted else {}
     unchecked = {
         name: tuple(k for k in sorted(own[name]) if insensitive[name][k]) for name in insensitive if name in own
     }  # fmt: skip

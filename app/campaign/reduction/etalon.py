@@ -14,10 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from goniotwin.app.campaign.measurement_model.quantity import NONE
+from goniotwin.app.campaign.measurement_model.quantity import NONE, Quantity
 from goniotwin.app.campaign.reduction.arc_geometry import ArcGeometry
 from goniotwin.app.campaign.reduction.arc_rows import SIGMA, WAVELENGTH, ArcRows, ArcViews, arcs_of_rows, etalon_places
 from goniotwin.app.campaign.reduction.components import COVERAGE, Signal
+from goniotwin.app.campaign.reduction.optical_paths import second_share
 from goniotwin.app.campaign.reduction.points import BsdfPoints, join_points, pack_flags, points_of_quantity
 from goniotwin.app.campaign.reduction.reading_inputs import Numbers
 from goniotwin.app.campaign.reduction.row_signals import PlaceIndex, PoseKey, RowSignals, pose_key
@@ -40,10 +41,11 @@ SIGNATURE, SIGNATURE_READING = "signature", "signature_reading"
 
 @dataclass(frozen=True)
 class ReferenceSignals:
-    """The signals of the etalon and of the instrument signature, one row for each wavelength and pose; None without any."""
+    """The signals of the standards and of the instrument signature, one row for each wavelength and pose; None without any."""
 
     etalon: RowSignals | None
     signature: RowSignals | None
+    second: RowSignals | None = None
 
 
 def reference_keys(rows: Sequence[Row], geometry: ArcGeometry) -> tuple[list[PoseKey], list[PoseKey]]:
@@ -62,6 +64,7 @@ def join_references(rows: RowSignals, references: ReferenceSignals, settings: Re
     if etalon is None:
         return []
     of_etalon = PlaceIndex(etalon.places)
+    of_second = None if references.second is None else PlaceIndex(references.second.places)
     of_signature = None if signature is None else PlaceIndex(signature.places)
     arcs = []
     for index, views in arcs_of_rows(rows.places, settings.geometry):
@@ -77,8 +80,24 @@ def join_references(rows: RowSignals, references: ReferenceSignals, settings: Re
             own = np.where(transmitted, -1, of_signature.find(rows.places[index]))
             with_etalon = of_signature.find(at_etalon)
         seen = replace(views, view=view)
-        arcs.append((index, _arc_rows(rows.at(index), seen, etalon, found, signature, own, with_etalon, settings.rig)))
+        data = _arc_rows(rows.at(index), seen, etalon, found, signature, own, with_etalon, settings.rig)
+        if references.second is not None and of_second is not None:
+            data = _with_second(data, references.second, of_second.find(at_etalon), settings.rig)
+        arcs.append((index, data))
     return arcs
+
+
+def _with_second(data: ArcRows, second: RowSignals, found: Ints, rig: RigFile) -> ArcRows:
+    """The rows with the signals of the second standard, of indices `found` (rows,), -1 for none; none of them is used yet.
+
+    A signal that is saturated, or has a flag, is none.
+    """
+    channels = data.views[0].channels
+    rows = second.at(np.where(found < 0, 0, found))
+    signal = comparable_signals(rows, channels, rig)
+    usable = (found >= 0)[:, None] & (signal.gain >= 0) & ~np.any([each[:, channels] for each in rows.flags.values()], axis=0)
+    signal = replace(signal, value=np.where(usable, signal.value, np.nan))
+    return replace(data, second=signal, second_rows=np.broadcast_to(rows.numbers[:, None], signal.value.shape))
 
 
 def _arc_rows(
@@ -172,18 +191,52 @@ def subtract_signature(data: ArcRows, settings: ReductionSettings) -> ArcRows:
         return Signal.of(signal - subtracted, clipped)
 
     sample = subtract(data.sample, data.signature)
+    if data.second is not None:
+        data = replace(data, second=subtract(data.second, data.signature_at_etalon))
     share = np.where(data.signature_measured, data.signature.value / np.where(total == 0.0, np.nan, total), np.nan)
     return replace(data, sample=sample, etalon=subtract(data.etalon, data.signature_at_etalon), estimate=sample, share=share)
 
 
 def divide_by_etalon(data: ArcRows, settings: ReductionSettings) -> ArcRows:
-    """Divide by the signal of the etalon: what its reading has alone is an input of all values that divide by it."""
+    """Divide by the signal of the etalon: what its reading has alone is an input of all values that divide by it.
+
+    With a second standard by the mean of both, the second one's as that of an etalon with the first one's radiance factor.
+    """
     etalon = data.etalon
     too_low = np.isfinite(etalon.value) & ~(etalon.value > ETALON_SIGNAL * np.sqrt(etalon.reading_variance))
     usable = replace(etalon, value=np.where(too_low | (etalon.value == 0.0), np.nan, etalon.value))
     reading = Numbers.of(settings.rig).reading(data.etalon_rows[:, None], data.views[0].channels)
-    quotient = data.estimate / usable.own_as("etalon_reading", reading)
-    return replace(data, estimate=quotient).flagged({"no-etalon": too_low})
+    reference: Quantity = usable
+    if data.second is not None and settings.second is not None:
+        data, reference = _mean_of_standards(data, reference, settings)
+    return replace(data, estimate=data.estimate / reference.own_as("etalon_reading", reading)).flagged({"no-etalon": too_low})
+
+
+def _mean_of_standards(
+    data: ArcRows, reference: Quantity, settings: ReductionSettings
+) -> tuple[ArcRows, Quantity]:  # fmt: skip
+    """The mean of both standards' light where the second one has a share in the scale, and the rows with the numbers of these.
+
+    It has none where it has no light or no certificate, and where the open beam is the scale. Values that divide by a reading
+    of the etalon divide by that of the second standard in the same pose: both have one input.
+    """
+    second, rows = data.second, data.second_rows
+    assert second is not None
+    assert rows is not None
+    assert settings.second is not None
+    place = data.places[:, WAVELENGTH, None], data.incidence_deg, data.column("polar"), data.column("azimuth")
+    share = second_share(settings, *place)
+    factors = [each.interpolate(*place)[0] for each in (settings.certificate, settings.second.certificate)]
+    bright = second.value > ETALON_SIGNAL * np.sqrt(second.reading_variance)
+    used = bright & (share > 0.0) & np.isfinite(factors[0]) & np.isnan(_absolute_scale(data, settings))
+    share = np.where(used, share, 0.0)
+
+    def of_used(array: NDArray[Any]) -> NDArray[Any]:
+        none = NONE if array.ndim > used.ndim and array.dtype.kind == "i" else 0
+        return np.where(used.reshape(*used.shape, *[1] * (array.ndim - used.ndim)), array, none)
+
+    others = second.each(of_used).scaled(np.where(used, -share * factors[0] / factors[1], 0.0))
+    return replace(data, second_rows=np.where(used, rows, -1)), reference.scaled(1.0 - share) - others
 
 
 def apply_certificate(data: ArcRows, settings: ReductionSettings) -> ArcRows:
@@ -258,6 +311,7 @@ def _points(data: ArcRows) -> BsdfPoints:
         coverage=np.full((size, 2), COVERAGE),
         row=np.repeat(data.numbers, n),
         etalon_row=np.repeat(data.etalon_rows, n),
+        second_row=np.full(size, -1) if data.second_rows is None else data.second_rows.ravel(),
         gain=data.sample.gain.ravel(),
         etalon_gain=data.etalon.gain.ravel(),
         wavelength_slope=data.wavelength_slope.ravel(),

@@ -74,7 +74,7 @@ def journal_metadata(
             tuple(rig.photodiodes.gains_v_per_a[k] for k in sorted(tally.gains)),
         ),
         reference=ReferenceMetadata(
-            stated.reference or schedule.etalon, stated.certificate or _certificate(schedule),
+            stated.reference or ", ".join(schedule.standards), stated.certificate or _certificate(schedule),
             "" if certificate.calibrated is None else certificate.calibrated.isoformat(),
             float(certificate.relative_uncertainty.max()),
         ),
@@ -124,9 +124,11 @@ def listed_values(values: Sequence[float]) -> str:
 
 
 def _certificate(schedule: ScheduleFile) -> str:
-    if schedule.certificate is None:
-        return "[etalon] of the rig file"
-    return f"{schedule.certificate.file}, valid until {schedule.certificate.expires.isoformat()}"
+    certificate, second = schedule.certificate, schedule.second_standard
+    stated = "[etalon] of the rig file"
+    if certificate is not None:
+        stated = f"{certificate.file}, valid until {certificate.expires.isoformat()}"
+    return stated if second is None or second.turned else f"{stated}; [second_standard] of the schedule"
 
 
 def _signature(schedule: ScheduleFile, tally: Tally, rig: RigFile) -> str:

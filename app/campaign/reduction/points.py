@@ -222,7 +222,8 @@ class BsdfPoints(MeasuredDirections):
     standard uncertainties from a value down and up to the ends of its interval of 95 %.
 
     `row` is the number of the row in the journal, and `etalon_row` of that of the etalon's reading, of several the first one.
-    `gain` and `etalon_gain` are the indices of the gains of these readings, -1 where they are saturated.
+    `second_row` is that of the second standard's reading where this has a share in the scale, else -1. `gain` and
+    `etalon_gain` are the indices of the gains of the first two readings, -1 where they are saturated.
 
     NaN where they are unknown: `wavelength_slope`, d ln f / d wavelength in 1/nm; `band_correction`, the effect of the band on
     ln f, added to it where the band is stated; `stray_contrast`, the relative change for a share of light of other wavelengths.
@@ -241,6 +242,7 @@ class BsdfPoints(MeasuredDirections):
     coverage: Floats
     row: Ints
     etalon_row: Ints
+    second_row: Ints
     gain: Ints
     etalon_gain: Ints
     wavelength_slope: Floats

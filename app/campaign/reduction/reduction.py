@@ -56,7 +56,8 @@ class PointBlock:
 class Reduction:
     """A journal during its reduction: what is common to all of it, and its points in blocks, which are not kept in memory.
 
-    `etalon` and `signature` are the measurements of the etalon and of the instrument signature. Nothing of it changes while
+    `etalon`, `second` and `signature` are the measurements of the etalon, of the second standard, if there is one, and of the
+    instrument signature. Nothing of it changes while
     blocks are read: what depends on the points is computed from the tallies of all blocks.
     """
 
@@ -67,6 +68,7 @@ class Reduction:
     measurements: Measurements
     etalon: ReferenceMeasurements
     signature: ReferenceMeasurements
+    second: ReferenceMeasurements | None = None
 
     def blocks(self, sample: str, rows: int = BLOCK_ROWS) -> Iterator[PointBlock]:
         """The points of a sample in the order of sigma, gamma, wavelength, half planes and time; not finished yet.
@@ -105,6 +107,12 @@ class Reduction:
                 if (found := file.between(first, last)) is not None:
                     yield PointBlock(places[found[0]], found[1])
 
+    def points_of_rows(self, sample: str, places: Ints) -> BsdfPoints | None:
+        """The points of some rows of a sample, by their indices in its table, not finished yet; None for none."""
+        cut = np.split(np.arange(len(places)), range(BLOCK_ROWS, len(places), BLOCK_ROWS))
+        found = [points for _, points in self._reduced(sample, self.measurements.row_table(sample), places, cut)]
+        return join_points(found) if found else None
+
     def finish(self, sample: str, points: BsdfPoints, overlaps: Overlaps | None) -> BsdfPoints:
         """The BSDF of whole blocks of a sample, calibrated by its overlaps where asked for."""
         factors = overlaps.factors if self.settings.calibrates and overlaps is not None else None
@@ -125,7 +133,7 @@ class Reduction:
     def unchecked(self, tallies: Mapping[str, Tally]) -> dict[str, tuple[int, ...]]:
         """By the mounted sample, the photodiodes that its drift checks do not cover, from the tallies of all blocks."""
         trusted = {name: tally.trusted for name, tally in tallies.items()}
-        return unchecked_photodiodes(self.measurements.insensitive, trusted, self.schedule.etalon)
+        return unchecked_photodiodes(self.measurements.insensitive, trusted, self.schedule.standards)
 
     def _reduced(self, sample: str, table: RowTable, places: Ints, parts: Iterable[Ints]) -> Iterator[tuple[Ints, BsdfPoints]]:
         """The points of some rows at a time, each part a list of indices of `places`, and the index of each point's row."""
@@ -138,7 +146,8 @@ class Reduction:
             at_etalon = [etalon_places(rows.places[index], each) for index, each in views]
             etalon = self.etalon.at_places(np.concatenate(at_etalon))
             signature = self.signature.at_places(np.concatenate([rows.places, *at_etalon]))
-            reduced = reduce_rows(rows, ReferenceSignals(etalon, signature), settings)
+            second = None if self.second is None else self.second.at_places(np.concatenate(at_etalon))
+            reduced = reduce_rows(rows, ReferenceSignals(etalon, signature, second), settings)
             if reduced is not None:
                 yield here[reduced[0]], reduced[1]
 
@@ -166,7 +175,8 @@ def begin_reduction(journal: JournalReader, *, without_damaged: bool = False) ->
     if not len(etalon):
         raise UserError(f"{journal.path}: the etalon has not been measured yet, so there is nothing to compare with")
     signature = ReferenceMeasurements(measurements, NO_SAMPLE)
-    return Reduction(journal, rig, schedule, settings, measurements, etalon, signature)
+    second = None if settings.second is None else ReferenceMeasurements(measurements, settings.second.name)
+    return Reduction(journal, rig, schedule, settings, measurements, etalon, signature, second)
 
 
 def _together(edges: Ints, rows: int) -> Iterator[tuple[int, int]]:

@@ -18,30 +18,53 @@ from goniotwin.app.campaign.measurement_model.effects import Dense, Effects, Gro
 from goniotwin.app.campaign.measurement_model.inputs import InputQuantity, quantity
 from goniotwin.app.campaign.measurement_model.pose import OF_ETALON
 from goniotwin.app.campaign.reduction.lit_hole import SLIT_IMAGE, interval_by_modes, slit_image_effects
+from goniotwin.app.campaign.reduction.optical_paths import incidence_deg, paths_of_points, share_of_points
 from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.reduction.polarisation import light_state
 from goniotwin.app.campaign.reduction.settings import OpticalPath, ReductionSettings, mounted
 from goniotwin.app.campaign.reduction.spectrum import bandwidth_effects, stray_effects, wavelength_effects
 from goniotwin.app.campaign.schedule.certificate import Certificate
 from goniotwin.app.rig.file import known_angles
-from goniotwin.app.rig.inputs import CERTIFICATE_LEVEL, MONOCHROMATOR_STRAY, WAVELENGTH, Input, factors
+from goniotwin.app.rig.inputs import CERTIFICATE_LEVEL, MONOCHROMATOR_STRAY, SECOND_LEVEL, WAVELENGTH, Input, factors
 from goniotwin.arrays import Floats, Ints
 from goniotwin.keys import MEASURED, STATED, Origin, origin_of
-from goniotwin.twin.optics.geometry.coordinates import HALF_TURN_DEG, round_deg
-from goniotwin.twin.plant.disturbances import ETALON, SAMPLE, SharedBy
+from goniotwin.twin.optics.geometry.coordinates import round_deg
+from goniotwin.twin.plant.disturbances import ETALON, LIGHT, SAMPLE, SECOND, SharedBy
 
 EffectsOf = Callable[[BsdfPoints, ReductionSettings], Effects | None]
 ALL, FILE, RIG_FILE = "all values", "the certificate's file", "[etalon] relative_uncertainty"
+STANDARDS = "standards"
+"""The component of two standards that do not agree."""
+OF_SECOND = "[second_standard] of the schedule"
 
 
 def certificate_effects(points: BsdfPoints, settings: ReductionSettings) -> Effects | None:
-    """The certificate's modes, what its geometry leaves unknown, and what they leave, by entry."""
-    certificate = settings.certificate
-    incidence, polar = incidence_deg(points), polar_from_zenith(points.zenith_deg)
-    scaled = _by_certificate(points, settings)
+    """The modes of each standard's certificate, what its geometry leaves unknown, and what they leave, by entry."""
+    weights: dict[str, Floats] = {}
+    for path in paths_of_points(points, settings):
+        if path.piece != SAMPLE:
+            weights[path.piece] = weights.get(path.piece, 0.0) + path.weight
+    by_certificate = _by_certificate(points, settings)
     source, origin = FILE, STATED
     if settings.schedule.certificate is None:
         source, origin = RIG_FILE, origin_of(settings.rig.etalon.relative_uncertainty)
+    stated = [("certificate", settings.certificate, weights[ETALON], source, CERTIFICATE_LEVEL.key, origin)]
+    if settings.second is not None and SECOND in weights:
+        weight = weights[SECOND]
+        stated.append(("second_certificate", settings.second.certificate, weight, OF_SECOND, SECOND_LEVEL.key, STATED))
+    parts = [
+        _certificate_modes(points, name, of, -weight * by_certificate, source, twin, origin)
+        for name, of, weight, source, twin, origin in stated
+    ]
+    groups, dense = [group for each, _ in parts for group in each], [one for _, each in parts for one in each]
+    return Effects(points.bsdf, {}, groups, dense) if groups or dense else None
+
+
+def _certificate_modes(
+    points: BsdfPoints, name: str, certificate: Certificate, scaled: Floats, source: str, twin: str, origin: Origin
+) -> tuple[list[Group], list[Dense]]:
+    """The modes of a certificate that scales points in so far (n,)."""
+    incidence, polar = incidence_deg(points), polar_from_zenith(points.zenith_deg)
     shared = {
         "level": (certificate.level, np.ones(points.size)),
         "wavelength": (certificate.wavelength, certificate.slope("wavelength_nm", points.wavelength_nm)),
@@ -49,22 +72,12 @@ def certificate_effects(points: BsdfPoints, settings: ReductionSettings) -> Effe
         "geometry": (certificate.shape, shape_of(certificate.geometry, incidence, polar)),
     }
     dense = [
-        _shared(
-            f"certificate[{mode}]",
-            u,
-            -sensitivity * scaled,
-            ALL,
-            source,
-            CERTIFICATE_LEVEL.key if mode == "level" else "",
-            origin,
-        )
+        _shared(f"{name}[{mode}]", u, -sensitivity * scaled, ALL, source, twin if mode == "level" else "", origin)
         for mode, (u, sensitivity) in shared.items()
         if u
     ]
-    entries = _entries(points, certificate, incidence, polar, scaled)
-    if not dense and entries is None:
-        return None
-    return Effects(points.bsdf, {}, () if entries is None else (entries,), dense)
+    entries = _entries(points, name, certificate, incidence, polar, scaled)
+    return [] if entries is None else [entries], dense
 
 
 def shape_of(geometry: str | None, incidence_deg: Floats, zenith_deg: Floats) -> Floats:
@@ -85,21 +98,22 @@ def _deviation(angle_deg: Floats) -> Floats:
 
 
 def _entries(
-    points: BsdfPoints, certificate: Certificate, incidence: Floats, polar: Floats, scaled: Floats
+    points: BsdfPoints, name: str, certificate: Certificate, incidence: Floats, polar: Floats, scaled: Floats
 ) -> Group | None:  # fmt: skip
     """What the modes leave of the uncertainty at each value, shared by all values that are nearest to one entry."""
     if np.all(certificate.relative_uncertainty <= certificate.level):
         return None
     place = points.wavelength_nm, incidence, polar, points.azimuth_deg
     _, relative = certificate.interpolate(*place)
+    relative = np.where(scaled == 0.0, 0.0, relative)
     left = np.sqrt(np.maximum(relative**2 - certificate.common_variance(points.wavelength_nm, polar), 0.0))
     member = certificate.nearest(*place)
     largest = float(np.max(certificate.relative_uncertainty))
     inputs = {
-        number: _input(f"certificate[{certificate.entry(number)}]", largest, "the values nearest to an entry", FILE)
+        number: _input(f"{name}[{certificate.entry(number)}]", largest, "the values nearest to an entry", FILE)
         for number in np.unique(member).tolist()
     }
-    return Group("certificate", inputs, member[:, None], -(scaled * left / largest)[:, None])
+    return Group(name, inputs, member[:, None], -(scaled * left / largest)[:, None])
 
 
 def open_beam(points: BsdfPoints, settings: ReductionSettings) -> Effects | None:
@@ -149,15 +163,14 @@ def _by_certificate(points: BsdfPoints, settings: ReductionSettings) -> Floats:
 
 
 def factor_effects(each: Input, points: BsdfPoints, settings: ReductionSettings) -> Effects | None:
-    """A declared factor on the light of sample, etalon, or both.
+    """A declared factor on the light of sample, of standards, or of several.
 
-    A value divides by the etalon. Where the open beam is the scale, this was divided by the etalon too, and the value has its
-    factor once more, with the other sign.
+    A value divides by the standards. Where the open beam is the scale, this was divided by the etalon too, and the value has
+    its factor once more, with the other sign.
     """
-    if (not settings.etalon_years and each.per_year) or not settings.rig.uncertainty.u(each):
+    if not settings.rig.uncertainty.u(each):
         return None
-    ones = np.ones(points.size)
-    kinds: list[tuple[OpticalPath, Ints, Floats]] = [(SAMPLE, points.row, ones), (ETALON, points.etalon_row, -ones)]
+    kinds = [(path.kind, path.rows, path.weight) for path in paths_of_points(points, settings)]
     if settings.absolute:
         of_beam = _beam_scale(points, settings)
         rows = np.array([*(scale.etalon_row for scale in settings.absolute.values()), 0])[of_beam]
@@ -165,13 +178,15 @@ def factor_effects(each: Input, points: BsdfPoints, settings: ReductionSettings)
     inputs: dict[str, InputQuantity] = {}
     member, sensitivity = [], []
     for kind, rows, signs in kinds:
-        if kind in each.paths:
+        if path_of_factor(each, kind, settings) in each.paths and (not each.per_year or _years(kind, settings)):
             found, which = factor_quantities(each, kind, rows, settings)
             for one in found:
                 inputs.setdefault(one.name, one)
             numbers = {name: k for k, name in enumerate(inputs)}
             member.append(np.array([numbers[one.name] for one in found])[which])
             sensitivity.append(signs)
+    if not member:
+        return None
     group = Group(each.name, dict(enumerate(inputs.values())), np.stack(member, axis=1), np.stack(sensitivity, axis=1))
     many = each.shared_by is SharedBy.MOVE
     return Effects(points.bsdf, {}, [group] if many else (), () if many else [dense_of(group)])
@@ -180,18 +195,51 @@ def factor_effects(each: Input, points: BsdfPoints, settings: ReductionSettings)
 def factor_quantities(
     each: Input, kind: OpticalPath, rows: Ints, settings: ReductionSettings
 ) -> tuple[list[InputQuantity], Ints]:
-    """The quantities of a declared factor on the light of sample or etalon in rows (n,), and which of them each row has."""
+    """The quantities of a declared factor on the light of sample or standard in rows (n,), and which of them each row has."""
     table, history = settings.rig.uncertainty, settings.history
-    names, which = [each.name], np.zeros(rows.size, dtype=np.int64)
+    light = LIGHT[path_of_factor(each, kind, settings)]
+    names = [name for name, targets in each.targets.items() if light in targets]
+    which = np.zeros(rows.size, dtype=np.int64)
     if each.shared_by is SharedBy.MOUNTING:
         mountings, which = mounted(kind, rows, settings)
         names = [f"{each.name}@{name}" for name in mountings]
     elif each.shared_by is SharedBy.MOVE:
         moves, which = np.unique(rows if history is None else np.sum(history.moves(rows), axis=1), return_inverse=True)
         names = [f"{each.name}@#{k}" for k in moves.tolist()]
-    words = OF_ETALON if kind == ETALON and each.shared_by is SharedBy.MOUNTING else ""
-    years = settings.etalon_years if each.per_year else 1.0
+    words = OF_ETALON if kind != SAMPLE and each.shared_by is SharedBy.MOUNTING else ""
+    years = _years(kind, settings) if each.per_year else 1.0
     return [quantity(each, table, name, shared_by=words, times=years) for name in names], which.ravel()
+
+
+def path_of_factor(each: Input, kind: OpticalPath, settings: ReductionSettings) -> str:
+    """The path of whose light a factor is one, for light of a kind.
+
+    A second standard is mounted as an etalon is, and is a piece of its own, if it is not the etalon itself.
+    """
+    if kind != SECOND or each.shared_by is not SharedBy.ALL:
+        return SAMPLE if kind == SAMPLE else ETALON
+    return ETALON if settings.second is not None and settings.second.turned else SECOND
+
+
+def _years(kind: OpticalPath, settings: ReductionSettings) -> float:
+    """Years since the calibration of a standard."""
+    return settings.second.years if kind == SECOND and settings.second is not None else settings.etalon_years
+
+
+def standards(points: BsdfPoints, settings: ReductionSettings) -> Effects | None:
+    """That two standards are apart by more than chance explains.
+
+    Half of the difference where both have the same share: a value is off by the share of the one that is wrong, and that may
+    be either.
+    """
+    if settings.second is None or not settings.second.difference:
+        return None
+    share = share_of_points(points, settings)
+    off = np.sqrt(2.0 * (share**2 + (1.0 - share) ** 2)) * _by_certificate(points, settings)
+    u = 0.5 * abs(settings.second.difference)
+    return Effects(
+        points.bsdf, {}, (), [_shared(STANDARDS, u, off, ALL, "the two standards of this campaign", origin=MEASURED)]
+    )
 
 
 def polarisation(points: BsdfPoints, settings: ReductionSettings) -> Effects | None:
@@ -222,16 +270,12 @@ def _input(
     return InputQuantity(name, "1", u, "normal", shared_by, source, twin and f"disturbances.{twin}", origin=origin)
 
 
-def incidence_deg(points: BsdfPoints) -> Floats:
-    """Incidence at the etalon that scales each point, from the normal of its lit side."""
-    return np.minimum(points.sigma_deg, HALF_TURN_DEG - points.sigma_deg)
-
-
 def shared_families() -> dict[str, EffectsOf]:
     """Families of inputs that points share, by component. None of them needs the points nearby, or a signal."""
     return {
         "certificate": certificate_effects,
         **{each.name: partial(factor_effects, each) for each in factors()},
+        STANDARDS: standards,
         "open_beam": open_beam,
         SLIT_IMAGE: slit_image,
         WAVELENGTH.name: wavelength_effects,

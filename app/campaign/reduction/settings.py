@@ -19,8 +19,9 @@ from goniotwin.app.rig import RigFile
 from goniotwin.app.rig.alignment import parse_alignment, refused_residuals
 from goniotwin.arrays import Ints
 from goniotwin.protocols.clock import calendar_stamp
+from goniotwin.twin.plant.disturbances import SECOND
 
-OpticalPath = Literal["sample", "etalon"]
+OpticalPath = Literal["sample", "etalon", "second standard"]
 ASSUMED_YEARS = 1.0
 """Age of an etalon whose calibration has no date."""
 
@@ -36,6 +37,22 @@ class BeamScale(NamedTuple):
 
 
 @dataclass(frozen=True)
+class SecondStandard:
+    """What is known of the second standard: its `name`, certificate, and the `years` since its calibration.
+
+    `turned`: it is the etalon itself. `share` is its share in the scale, None for that by the certificates. `difference` is how
+    far the two standards are apart, relative, where chance does not explain it: either of them may be wrong then.
+    """
+
+    name: str
+    certificate: Certificate
+    years: float
+    turned: bool
+    share: float | None = None
+    difference: float = 0.0
+
+
+@dataclass(frozen=True)
 class ReductionSettings:
     """What the steps of a reduction go by: rig, schedule, certificate, and the calibration factors of the sample, if any.
 
@@ -45,7 +62,8 @@ class ReductionSettings:
     the lower one.
     `doubted`: the scan of the open beam contradicts the etalon's scale. `alignment` is what is known of the rig's
     misalignments, by which the values are corrected; None without one. `noise_freedom`, by gain, and `lamp_freedom` are the
-    degrees of freedom of the readings' noise and of what a row's light has in common; known of a whole journal.
+    degrees of freedom of the readings' noise and of what a row's light has in common; known of a whole journal. `second` is
+    the second standard, if there is one.
     """
 
     rig: RigFile
@@ -61,6 +79,7 @@ class ReductionSettings:
     alignment: Alignment | None = None
     noise_freedom: tuple[float, ...] = ()
     lamp_freedom: float = inf
+    second: SecondStandard | None = None
 
     @property
     def sample_number(self) -> int:
@@ -84,11 +103,25 @@ def reduction_settings(
     UserError.
     """
     parsed = constant_certificate(rig.etalon) if certificate is None else parse_certificate(certificate, name)
-    years = parsed.years(measured or date.fromisoformat(calendar_stamp()[:10]))
+    day = measured or date.fromisoformat(calendar_stamp()[:10])
     return ReductionSettings(
-        rig, ArcGeometry(rig), schedule, parsed, etalon_years=ASSUMED_YEARS if years is None else years,
+        rig, ArcGeometry(rig), schedule, parsed, etalon_years=_years(parsed, day),
         alignment=None if alignment is None or why_not_aligned(alignment) else rig_alignment(alignment, rig),
+        second=_second_standard(schedule, parsed, day),
     )  # fmt: skip
+
+
+def _years(certificate: Certificate, day: date) -> float:
+    years = certificate.years(day)
+    return ASSUMED_YEARS if years is None else years
+
+
+def _second_standard(schedule: ScheduleFile, of_etalon: Certificate, day: date) -> SecondStandard | None:
+    table = schedule.second_standard
+    if table is None:
+        return None
+    certificate = table.certificate(of_etalon)
+    return SecondStandard(table.name, certificate, _years(certificate, day), table.turned)
 
 
 def why_not_aligned(text: str | None) -> str:
@@ -115,8 +148,9 @@ def rig_alignment(text: str, rig: RigFile) -> Alignment:
 
 
 def mounted(kind: OpticalPath, rows: Ints, settings: ReductionSettings) -> tuple[list[str], Ints]:
-    """The mountings, as `paint#2`, in which rows (n,) of the sample or of the etalon were measured, and which of them each."""
+    """The mountings, as `paint#2`, in which rows (n,) of the sample or of a standard were measured, and which of them each."""
     if settings.history is not None:
         return settings.history.mounted(rows)
-    name = settings.schedule.etalon if kind == "etalon" else settings.sample or kind
+    names = {"etalon": settings.schedule.etalon, SECOND: "" if settings.second is None else settings.second.name}
+    name = names.get(kind) or settings.sample or kind
     return [f"{name}#1"], np.zeros(rows.size, dtype=np.int64)

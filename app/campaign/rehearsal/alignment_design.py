@@ -307,7 +307,7 @@ class _Search:
         described = parse_schedule(self.text({**self.first, "gamma_deg": gamma}), self._schedule.name)
         plan = make_plan(replace(described, certificate=self._schedule.certificate), self._rig)
         file = plan.schedule.file
-        model = None if self._rig.file.twin is None else exposure_twin(self._rig, file.etalon, file.samples)
+        model = None if self._rig.file.twin is None else exposure_twin(self._rig, file)
         if model is None:
             raise UserError(
                 f"{self._rig.name}: has no [twin] that describes the light of {self.sample} quickly; add it, or measure "

@@ -70,11 +70,11 @@ def plan_rehearsal(
     The virtual rig is the file's own, or the one that a real rig's file describes. `samples` are models by the sample's name.
     """
     file = schedule.file
-    unknown = [name for name in samples if name not in (file.etalon, *file.samples)]
+    unknown = [name for name in samples if name not in file.mounted]
     if unknown:
-        named = ", ".join((file.etalon, *file.samples))
+        named = ", ".join(file.mounted)
         raise UserError(f"--sample {unknown[0]}: {schedule.name} has no such sample; it has {named}")
-    described = described_twin(rig, file.etalon, file.samples, samples)
+    described = described_twin(rig, file.standards, file.samples, samples)
     return make_plan(schedule, described.rig), described.assumptions
 
 

@@ -136,7 +136,7 @@ def _narrow(sample: Scatterer, sigma_deg: float, field_deg: float, wavelength_nm
 def _low_gains(plan: Plan, statistics: RowStatistics) -> Iterator[str]:
     """A warning for each sample whose largest signal is few steps of the converter, if the rig has a higher gain for it."""
     known = plan.rig.file.photodiodes.gains_v_per_a
-    for name in (plan.schedule.file.etalon, *plan.schedule.file.samples):
+    for name in plan.schedule.file.mounted:
         steps = {gain: float(each.max()) for (sample, gain), each in statistics.steps.items() if sample == name}
         if not steps or max(steps) == known[-1] or max(steps.values()) >= FEW_STEPS:
             continue

@@ -1,6 +1,7 @@
 """The schedule file: what is measured, where and how; one TOML file for each campaign. See docs/schedule.md."""
 
 from dataclasses import dataclass
+from datetime import date
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -17,11 +18,18 @@ from pydantic import (
 )
 
 from goniotwin.app.campaign.row import NO_SAMPLE
-from goniotwin.app.campaign.schedule.certificate import CertificateTable, read_certificate
+from goniotwin.app.campaign.schedule.certificate import (
+    Certificate,
+    CertificateTable,
+    constant_certificate,
+    parse_certificate,
+    read_certificate,
+)
 from goniotwin.app.campaign.schedule.grids import Grid, grid_values, refuse_duplicates
 from goniotwin.app.campaign.schedule.metadata import MetadataTable
 from goniotwin.app.campaign.schedule.refinement import NearSpecularTable, OverlapTable, StatedSymmetry, SymmetryCheckTable
 from goniotwin.app.errors import UserError
+from goniotwin.app.rig.file import EtalonTable, check_geometry, refuse_percentage
 from goniotwin.app.toml_file import TomlTable, parse_toml, read_toml, validate_table
 
 HIGHEST_SIGMA_DEG = 87.0
@@ -114,6 +122,68 @@ OpenBeamSetting = Annotated[
 ]
 
 
+class SecondStandardTable(TomlTable):
+    """`[second_standard]`: a second reference standard `name`, which is measured after the etalon at all of its poses.
+
+    The two are compared, and values are scaled by both. Its certificate is `radiance_factor` (1 is the ideal diffuser) with
+    its standard `relative_uncertainty`, and with `geometry`, `shape` and `calibrated` as those of `[etalon]` in the rig file;
+    or `table`, the lines of a certificate's CSV file. With `turned` it is the etalon itself, taken out, turned and mounted
+    again: its certificate is the etalon's.
+    """
+
+    name: Name
+    turned: bool = False
+    radiance_factor: PositiveFloat | None = None
+    relative_uncertainty: Annotated[float, Field(ge=0.0, lt=1.0)] | None = None
+    geometry: str | None = None
+    shape: Annotated[float, Field(ge=0.0, lt=1.0)] | None = None
+    calibrated: date | None = None
+    table: Annotated[str, Field(min_length=1)] | None = None
+
+    @field_validator("geometry")
+    @classmethod
+    def _check_geometry(cls, value: str | None) -> str | None:
+        check_geometry(value)
+        return value
+
+    @field_validator("radiance_factor")
+    @classmethod
+    def _check_factor(cls, value: float | None) -> float | None:
+        if value is not None:
+            refuse_percentage(value)
+        return value
+
+    @model_validator(mode="after")
+    def _check_certificate(self) -> "SecondStandardTable":
+        constant = {key: getattr(self, key) for key in ("radiance_factor", "relative_uncertainty")}
+        given = [key for key in (*constant, "geometry", "shape", "calibrated", "table") if getattr(self, key) is not None]
+        if self.turned and given:
+            raise ValueError(f"{given[0]}: a turned etalon has the etalon's certificate; remove {given[0]}, or turned")
+        if self.table is not None:
+            if others := [key for key in given if key != "table"]:
+                raise ValueError(f"{others[0]}: the table has the certificate; remove one of them")
+            try:
+                parse_certificate(self.table, "table")
+            except UserError as error:
+                raise ValueError(str(error)) from None
+        elif not self.turned and (missing := [key for key, value in constant.items() if value is None]):
+            raise ValueError(
+                f"{missing[0]} is missing: give radiance_factor and relative_uncertainty of its certificate, or its table; "
+                "or turned = true for the etalon itself, mounted once more"
+            )
+        return self
+
+    def certificate(self, of_etalon: Certificate) -> Certificate:
+        """Its certificate, which is that of the etalon if it is this, turned."""
+        if self.table is not None:
+            return parse_certificate(self.table, "second_standard.table")
+        if self.turned:
+            return of_etalon
+        keys = ("radiance_factor", "relative_uncertainty", "geometry", "shape", "calibrated")
+        given = {key: getattr(self, key) for key in keys}
+        return constant_certificate(EtalonTable(**{key: value for key, value in given.items() if value is not None}))
+
+
 class StopTable(TomlTable):
     """`[stop]`: conditions that end a run in good order before its last row; it can be resumed.
 
@@ -149,8 +219,9 @@ class FaultsTable(TomlTable):
 class ScheduleFile(TomlTable):
     """The whole file: the campaign `name`. Angles are in degrees, wavelengths in nanometres, times in seconds.
 
-    `samples` are in the order of mounting, after the reference standard `etalon`. `side` is the side that is lit, `light`
-    whether reflected or transmitted light, or both, is measured, and `symmetry` that of the samples. The grids are `sigma_deg`
+    `samples` are in the order of mounting, after the reference standard `etalon` and a `second_standard`, if any. `side` is the
+    side that is lit, `light` whether reflected or transmitted light, or both, is measured, and `symmetry` that of the samples.
+    The grids are `sigma_deg`
     (incidence), `gamma_deg` (rotation of the sample), `beta_deg` (rotation of the arc), `shift_deg` (polar shift of the arc)
     and `wavelength_nm`. `near_specular` adds finer poses, `symmetry_check` mirrored ones, `overlap` those at which photodiodes
     look where their neighbours look. With `signature` the etalon's poses are measured with no sample as well, with `open_beam`
@@ -171,6 +242,7 @@ class ScheduleFile(TomlTable):
     light: Literal["reflected", "transmitted", "both"] = "reflected"
     samples: Annotated[list[Name], Field(min_length=1), AfterValidator(refuse_duplicates)]
     etalon: Name
+    second_standard: SecondStandardTable | None = None
     symmetry: StatedSymmetry = "isotropic"
     sigma_deg: Grid
     gamma_deg: Grid = [0.0]
@@ -221,7 +293,12 @@ class ScheduleFile(TomlTable):
                 raise ValueError(f"{key}: {unknown[0]!r} is not among the samples; name one of them, or remove it")
         if self.align is not None and self.align not in self.samples:
             raise ValueError(f"align: {self.align!r} is not among the samples; name one of them, or remove it")
-        if NO_SAMPLE in (self.etalon, *self.samples):
+        if self.second_standard is not None and self.second_standard.name in (self.etalon, *self.samples):
+            raise ValueError(
+                f"second_standard.name: {self.second_standard.name!r} is the etalon or a sample already; give it a name of its "
+                "own, also if it is the etalon turned"
+            )
+        if NO_SAMPLE in self.mounted:
             raise ValueError(f"{NO_SAMPLE!r} is the name of the empty sample unit; give the sample another name")
         return self
 
@@ -234,6 +311,16 @@ class ScheduleFile(TomlTable):
         if unknown := sorted({*self.scanned_sigmas_deg} - {*grid_values(self.sigma_deg)}):
             raise ValueError(f"open_beam.sigma_deg: {unknown[0]:g} is not in sigma_deg; choose one of these")
         return self
+
+    @property
+    def standards(self) -> tuple[str, ...]:
+        """The names of the reference standards: the etalon, and the second one if there is one."""
+        return (self.etalon,) if self.second_standard is None else (self.etalon, self.second_standard.name)
+
+    @property
+    def mounted(self) -> tuple[str, ...]:
+        """The names of all that is mounted, in this order: the standards, then the samples."""
+        return (*self.standards, *self.samples)
 
     @property
     def scanned_sigmas_deg(self) -> tuple[float, ...]:

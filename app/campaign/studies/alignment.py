@@ -713,7 +713,7 @@ def _of_one(term: int, setting: int) -> str:
 
 
 def _of_sample(group: Group) -> Group:
-    """The group without the axes' positions at the etalon's row: of the diffuse part alone."""
+    """The group without the axes' positions at the rows of the standards: of the diffuse part alone."""
     if group.name != "position":
         return group
     count = len(POSITIONS)

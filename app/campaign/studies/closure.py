@@ -60,7 +60,7 @@ from goniotwin.app.rig import inputs as declared
 from goniotwin.app.rig.uncertainty import UncertaintyTable
 from goniotwin.arrays import Floats, Ints
 from goniotwin.twin.optics import Instrument
-from goniotwin.twin.optics.geometry.coordinates import SPECULAR_AZIMUTH_DEG, round_deg
+from goniotwin.twin.optics.geometry.coordinates import HALF_TURN_DEG, SPECULAR_AZIMUTH_DEG, round_deg
 from goniotwin.twin.plant.disturbances import ETALON, SharedBy
 
 STEP_DEG = 0.2
@@ -842,6 +842,13 @@ def light_effects(scan: BeamScan, rig: RigFile) -> LightEffects:
     return _light_effects(
         nominal_instrument(rig), rig.uncertainty, scan.etalon_pose[0], sigmas, scan.at_deg, scan.arc == "lower"
     )
+
+
+def lifted_in_dark_hole(rig: RigFile, incidence_deg: float) -> float:
+    """Relative standard uncertainty of an etalon's light by its height, where part of the hole is dark."""
+    sigmas = incidence_deg, HALF_TURN_DEG - incidence_deg
+    found = _light_effects(nominal_instrument(rig), rig.uncertainty, 0.0, sigmas, incidence_deg, False)
+    return math.fsum(each.u for each in found.components if each.name == f"{SLIT_IMAGE}*etalon_height@etalon")
 
 
 @lru_cache(maxsize=SCANS_KEPT)

@@ -12,6 +12,7 @@ from goniotwin.app.campaign.reduction.settings import ReductionSettings, why_not
 from goniotwin.app.campaign.studies.alignment import AlignmentResult
 from goniotwin.app.campaign.studies.closure import ClosureReport, journal_closure
 from goniotwin.app.campaign.studies.sample_alignment import align_sample
+from goniotwin.app.campaign.studies.standards import StandardsReport, compare_standards
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig.inputs import CROSSTALK, REPEATABILITY, Input
 
@@ -20,7 +21,8 @@ from goniotwin.app.rig.inputs import CROSSTALK, REPEATABILITY, Input
 class Evaluation:
     """A journal's `reduction` by all that the campaign shows of its own inputs, and what the studies have found.
 
-    `repeats` are those of poses, None where there are too few; `closure` is that of the etalon's scale with the open beam's.
+    `repeats` are those of poses, None where there are too few; `closure` is that of the etalon's scale with the open beam's;
+    `standards` compares the etalon with a second standard, None without one.
     `known_alignment` is what the alignment file that the rig names has of the rig, `aligned` the alignment by one of the
     campaign's own samples; None without. `not_aligned` is the reason why the values are not corrected by one, or empty.
     """
@@ -31,6 +33,7 @@ class Evaluation:
     known_alignment: Alignment | None
     aligned: AlignmentResult | None
     not_aligned: str
+    standards: StandardsReport | None = None
 
     @property
     def findings(self) -> list[str]:
@@ -39,6 +42,7 @@ class Evaluation:
         found = [*measurements.evidence.findings, *(str(interval) for interval in measurements.drift_intervals)]
         found += [] if self.known_alignment is None else self.reduction.rig.alignment_notes
         found += [] if self.aligned is None else self.aligned.findings
+        found += [] if self.standards is None else self.standards.alarms
         return found + self.closure.alarms
 
 
@@ -60,6 +64,10 @@ def evaluate_journal(journal: JournalReader, *, without_damaged: bool = False) -
     if share > table.u(CROSSTALK):  # after the closure, which compares what the scans show with what is stated
         reduction = _measured(reduction, CROSSTALK, share, "the rows of this campaign at two gains")
     reduction = replace(reduction, settings=scan_settings(reduction.settings, closure))
+    standards = compare_standards(reduction)
+    if standards is not None and (second := reduction.settings.second) is not None:
+        second = replace(second, difference=standards.difference)
+        reduction = replace(reduction, settings=replace(reduction.settings, second=second))
     aligned: AlignmentResult | None = None
     if (sample := reduction.schedule.align) is not None:
         try:
@@ -70,7 +78,7 @@ def evaluate_journal(journal: JournalReader, *, without_damaged: bool = False) -
             not_aligned = f"not aligned: {str(error).removeprefix(f'{journal.path}: ')}"
         else:
             reduction = replace(reduction, settings=replace(reduction.settings, alignment=aligned.with_photodiodes))
-    return Evaluation(reduction, repeated, closure, known, aligned, not_aligned)
+    return Evaluation(reduction, repeated, closure, known, aligned, not_aligned, standards)
 
 
 def _measured(reduction: Reduction, each: Input, width: float, by: str, freedom: float = math.inf) -> Reduction:

@@ -61,7 +61,7 @@ def verify_journal(evaluation: Evaluation) -> list[Verdict]:
             continue
         tallies[name] = of_sample.tally
         verdicts += of_sample.verdicts()
-    return [*verdicts, _gains(reduction), _closure(evaluation), _drift(reduction, tallies)]
+    return [*verdicts, _gains(reduction), _closure(evaluation), _standards(evaluation), _drift(reduction, tallies)]
 
 
 class _Sample:
@@ -281,6 +281,16 @@ def _closure(evaluation: Evaluation) -> Verdict:
         return Verdict(name, NOTHING, "; ".join((*report.not_planned, *report.missing)) or report.verdict)
     text = "; ".join(report.alarms) or f"{report.verdict}; {report.field}"
     return Verdict(name, "fails" if report.alarms else "holds", text, report.as_dict())
+
+
+def _standards(evaluation: Evaluation) -> Verdict:
+    """The comparison of the two reference standards."""
+    name, report = "standards", evaluation.standards
+    if report is None:
+        return Verdict(name, NOTHING, "the schedule has no [second_standard]")
+    if report.together is None:
+        return Verdict(name, NOTHING, report.verdict)
+    return Verdict(name, "fails" if report.apart else "holds", report.verdict, report.as_dict())
 
 
 def _drift(reduction: Reduction, tallies: dict[str, Tally]) -> Verdict:

@@ -112,7 +112,9 @@ class LiveScan:
         self._scans: dict[ScanKey, Row] = {}
         self._key: ScanKey | None = None
         self._rows: dict[Setting, list[CommittedRow]] = {}
-        self._references: dict[str, dict[PoseKey, list[CommittedRow]]] = {self._schedule.etalon: {}, NO_SAMPLE: {}}
+        self._references: dict[str, dict[PoseKey, list[CommittedRow]]] = {
+            name: {} for name in (*self._schedule.standards, NO_SAMPLE)
+        }
         self._dark_rows: list[CommittedRow] = []
         self._dark: DarkHistory | None = None
         self._lit_rows: list[CommittedRow] = []
@@ -299,7 +301,8 @@ class LiveScan:
         if columns is None:
             return None
         at_sample, at_etalon = reference_keys([each.row for each in signals], self._settings.geometry)
-        references = ReferenceSignals(measured(self._schedule.etalon, at_etalon), measured(NO_SAMPLE, at_sample + at_etalon))
+        standards = [measured(name, at_etalon) for name in self._schedule.standards]
+        references = ReferenceSignals(standards[0], measured(NO_SAMPLE, at_sample + at_etalon), *standards[1:])
         reduced = reduce_rows(columns, references, replace(self._settings, sample=signals[0].row.sample))
         return None if reduced is None else reduced[1]
 
@@ -367,7 +370,9 @@ class LiveScan:
     def _reference_rows(self, rows: list[CommittedRow]) -> Iterator[CommittedRow]:
         """The rows of the etalon and without a sample that rows need."""
         at_sample, at_etalon = reference_keys([each.row for each in rows], self._settings.geometry)
-        for sample, keys in ((self._schedule.etalon, at_etalon), (NO_SAMPLE, at_sample + at_etalon)):
+        for sample, keys in (
+            *((name, at_etalon) for name in self._schedule.standards), (NO_SAMPLE, at_sample + at_etalon)
+        ):  # fmt: skip
             for key in dict.fromkeys(keys):
                 yield from self._references[sample].get(key, [])
 

@@ -134,7 +134,7 @@ class RunValues:
 
     def __init__(self, plan: Plan) -> None:
         self._scan = LiveScan(plan)
-        self._etalon = plan.schedule.file.etalon
+        self._standards = plan.schedule.file.standards
         self._stale: dict[ScanKey, None] = {}
         self._signals: set[ScanKey] = set()
         self.current: ScanKey | None = None
@@ -149,7 +149,7 @@ class RunValues:
         if event.row.kind == "measure":
             self.current = scan_key(event.row)
             self._stale[self.current] = None
-            if isinstance(event, RowCommitted) and event.row.sample == self._etalon:
+            if isinstance(event, RowCommitted) and event.row.sample in self._standards:
                 self._stale.update(dict.fromkeys(self._signals))  # they may become values
         elif isinstance(event, RowCommitted) and event.row.kind == "dark" and self.current is not None:
             self._stale[self.current] = None
@@ -182,7 +182,7 @@ class RunValues:
         if data is None or data.complete:
             del self._stale[key]
         if data is not None:
-            (self._signals.discard if data.is_bsdf or key[0][0] in (self._etalon, NO_SAMPLE) else self._signals.add)(key)
+            (self._signals.discard if data.is_bsdf or key[0][0] in (*self._standards, NO_SAMPLE) else self._signals.add)(key)
         return data
 
 
@@ -323,7 +323,7 @@ def expected_model(plan: Plan) -> TwinModel:
     file = plan.schedule.file
     if plan.rig.file.twin is None:
         raise UserError("the rig file has no [twin] that describes the samples")
-    model = exposure_twin(plan.rig, file.etalon, file.samples)
+    model = exposure_twin(plan.rig, file)
     if model is None:
         raise UserError("the twin of the rig file traces rays, which takes too long")
     if plan.rig.alignment is not None:
@@ -337,7 +337,7 @@ def predicted_scans(plan: Plan) -> Iterator[ScanData | None]:
     They are reduced as those of a run in progress, from the rows before. Their u is that of the planned readings; the values
     are from more of them, because without noise the converter's steps would not average out. Raises UserError.
     """
-    model = expected_model(plan)
+    model, file = expected_model(plan), plan.schedule.file
     quiet, noisy = LiveScan(plan), LiveScan(plan)
     rows = [replace(row, readings=row.readings * MORE_READINGS) for row in plan.rows]
     longer = Plan(plan.schedule, plan.rig, rows)
@@ -352,7 +352,7 @@ def predicted_scans(plan: Plan) -> Iterator[ScanData | None]:
             yield None
             continue
         scan = _predicted(quiet, noisy, scan_key(row))
-        if not scan.is_bsdf and row.sample not in (plan.schedule.file.etalon, NO_SAMPLE):
+        if not scan.is_bsdf and row.sample not in (*file.standards, NO_SAMPLE):
             late.append(scan_key(row))
         yield scan
     for key in late:

@@ -157,7 +157,7 @@ def plan_contents(plan: "Plan") -> list[tuple[str, str]]:
     grids = (("sigma", file.sigma_deg), ("gamma", file.gamma_deg), ("beta", file.beta_deg), ("shift", file.shift_deg))
     named = (
         ("Samples", ", ".join(file.samples)),
-        ("Reference standard", file.etalon),
+        ("Reference standard", ", ".join(file.standards)),
         ("Light", f"{file.light}, {file.side} side lit"),
         *((GREEK[axis], values_text(grid_values(grid), "°")) for axis, grid in grids),
         ("Wavelength", values_text(grid_values(file.wavelength_nm), " nm")),

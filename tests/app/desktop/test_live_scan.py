@@ -178,6 +178,18 @@ def test_transmitted_light_alone_is_that_of_the_journal(write_rig: Writer, write
     assert inside == scan.points.blocked.tolist()
 
 
+def test_values_by_two_standards_are_those_of_the_journal(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
+    second = '[twin.samples.second]\nmodel = "lambertian"\nreflectance = 0.8\n\n'
+    stated = '[second_standard]\nname = "second"\nradiance_factor = 0.8\nrelative_uncertainty = 0.001\n'
+    rig = read_rig(write_rig(("[twin.samples.etalon]", f"{second}[twin.samples.etalon]")))
+    plan = make_plan(read_schedule(write_schedule(("dark_readings = 4\n", f"dark_readings = 4\n{stated}"))), rig)
+    live = LiveScan(plan)
+    assert run_plan(plan, tmp_path / "a.journal", listeners=[watch(live)]).state is State.DONE
+    dataset = reduced(tmp_path / "a.journal")
+    assert any("standards: second gives" in note and "they agree" in note for note in dataset.notes)
+    assert check_all_scans(live, dataset) == 1
+
+
 def test_rows_before_the_etalon_are_shown_as_signals_and_then_as_values(
     write_rig: Writer, write_schedule: Writer, tmp_path: Path
 ) -> None:

@@ -32,7 +32,9 @@ from tests.conftest import RIG, Writer
 from tests.rig_tables import disturbances, stated
 
 LOBE = Aspect("paint", 0.0, 550.0, 30.0, 20.0, 150.0, 1.0)
-TWIN_ONLY = {"etalon", "etalon_years", "certificate_level"}
+TWIN_ONLY = {
+    "etalon", "etalon_years", "certificate_level", "second_standard", "second_years", "second_level", "turned",
+}  # fmt: skip
 """Keys of the twin alone: the etalon's name, and its certificate, whose uncertainty is in the certificate's own file."""
 BEAM = {"scan", "beam_hole"}
 """Uncertainties of the open beam, which the virtual rig has by its geometry."""
@@ -87,7 +89,7 @@ def test_each_uncertainty_of_the_rig_file_is_a_disturbance_of_the_same_distribut
 def test_without_disturbances_everything_is_zero() -> None:
     drawn = Drawn(disturbances(), 5, 36)
     assert not any(drawn.values())
-    assert len(drawn) == len(set(drawn)) == 15 + 3 + 2 + 6 + 5 + 3 + 2 * 36 + 10
+    assert len(drawn) == len(set(drawn)) == 15 + 3 + 2 + 6 + 5 + 3 + 2 * 36 + 13
     assert drawn.mounted("paint", 1) == Deviation()
     assert drawn.signal_factor("etalon", 2, 40) == 1.0
     assert drawn.instrument(Instrument()) == Instrument()
@@ -128,6 +130,13 @@ def test_the_rig_file_has_the_table_and_names_the_etalon(write_rig: Writer) -> N
     assert model.disturbances == disturbances(certificate_level=0.02, etalon_tilt_deg=0.05)
     with pytest.raises(UserError, match=r"disturbances.etalon_tilt_deg: of the etalon, and there is no sample 'tile'"):
         read_rig(write_rig(("[twin.samples.gaussian-5]", text.replace("certificate_level = 0.02", 'etalon = "tile"'))))
+    for key, reason in (
+        ("second_level = 0.01", "is missing"),
+        ('second_standard = "tile"', "no sample"),
+        ('turned = "etalon"', "is the"),
+    ):
+        with pytest.raises(UserError, match=rf"disturbances\.(second_standard|turned): .*{reason}"):
+            read_rig(write_rig(("[twin.samples.gaussian-5]", text.replace("certificate_level = 0.02", key))))
 
 
 def test_the_hash_of_a_model_covers_its_disturbances(write_rig: Writer) -> None:

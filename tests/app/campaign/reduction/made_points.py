@@ -38,6 +38,7 @@ def made_points(
         coverage=np.full((zenith.size, 2), COVERAGE),
         row=np.arange(zenith.size),
         etalon_row=np.arange(zenith.size),
+        second_row=np.full(zenith.size, -1),
         gain=np.zeros(zenith.size, dtype=np.int64),
         etalon_gain=np.zeros(zenith.size, dtype=np.int64),
         wavelength_slope=zeros + np.nan,
