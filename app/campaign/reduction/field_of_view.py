@@ -81,7 +81,8 @@ class FieldOfView:
     per degree, along the arc and across it, `mixed` (n,) is the mixed derivative, and `unresolved` (n, 2) is the standard
     uncertainty of the slopes by neighbours that are too far apart. `noise` is that of the correction by the slopes' noise and
     by what they do not resolve; with that of the known displacement. `estimate`, in the values' unit, is the whole effect on a
-    value that cannot be corrected. `steep`: the directions nearby are too far apart for the slope, or there are none across the
+    value that cannot be corrected; of one that is `alone`, between darker ones that do not show its lobe, it is a lower limit.
+    `steep`: the directions nearby are too far apart for the slope, or there are none across the
     arc and the lobe need not be round.
     """
 
@@ -93,6 +94,7 @@ class FieldOfView:
     noise: Floats
     estimate: Floats
     steep: Flags
+    alone: Flags
 
     @classmethod
     def of(
@@ -105,7 +107,7 @@ class FieldOfView:
         n = points.bsdf.size
         correction, mixed, noise, estimate = (np.full(n, np.nan) for _ in range(4))
         slope, bend, unresolved = (np.full((n, 2), np.nan) for _ in range(3))
-        result = cls(correction, slope, bend, mixed, unresolved, noise, estimate, np.zeros(n, dtype=bool))
+        result = cls(correction, slope, bend, mixed, unresolved, noise, estimate, *np.zeros((2, n), dtype=bool))
         chosen = np.flatnonzero(points.good)
         # Process per wavelength and incidence, in chunks, to bound memory.
         lights = np.stack([points.wavelength_nm[chosen], points.sigma_deg[chosen]])
@@ -253,6 +255,7 @@ def _evaluate(values: MergedDirections, instrument: Instrument, moved_deg: Float
         noise=everywhere(noise)[which],
         estimate=estimate[which],
         steep=(steep & light)[which],
+        alone=alone[which],
     )
 
 
@@ -289,7 +292,7 @@ def correct_field_of_view(points: BsdfPoints, settings: ReductionSettings) -> Bs
     for name, each in relative.items():
         quantity = quantity.with_own(name, np.nan_to_num(each * bsdf**2))
     quantity = quantity.with_own("field_noise", np.nan_to_num(np.where(corrected, 0.0, found.estimate)) ** 2)
-    known = corrected | np.isfinite(found.estimate)
+    known = corrected | (np.isfinite(found.estimate) & ~found.alone)
     return scaled.with_quantity(
         quantity,
         slope_along=slope[:, 0],

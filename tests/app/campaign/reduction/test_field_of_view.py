@@ -479,7 +479,11 @@ def test_values_with_too_few_neighbours_are_not_corrected_and_flagged() -> None:
     lone = correct_field_of_view(points, SETTINGS)
     assert np.isnan(lone.u_field).all()
     assert lone.flags["field"].all()
-    assert lone.u_bsdf.tolist() == points.u_bsdf.tolist()
+    # Where a neighbour is darker by more than a factor of ten, u has the change towards it, times the angle that is unknown.
+    # Of a neighbour in the dark no more is known than that it is below three u, 1e-9.
+    slope, angle = (math.log(10.0) - 1.0 - math.log(3e-9)) / 25.0, math.sqrt(pose_variance_deg2(points, SETTINGS)[1, 0])
+    assert lone.u_bsdf[1] / lone.bsdf[1] == pytest.approx(math.sqrt(2.0) * angle * slope, rel=0.05)
+    assert lone.u_bsdf[2] == points.u_bsdf[2]
     assert lone.bsdf.tolist() == points.bsdf.tolist()
     enough = points_of(15.0, np.array([20.0, 25.0, 30.0]), (180.0,))
     complete = correct_field_of_view(enough, SETTINGS)
