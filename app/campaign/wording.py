@@ -1,5 +1,6 @@
-"""Durations, positions, lists of numbers and names from files as text."""
+"""Durations, positions, lists of numbers, values with their uncertainty, and names from files as text."""
 
+import math
 from collections.abc import Iterable
 
 
@@ -39,3 +40,12 @@ def number_list(values: Iterable[int]) -> str:
         else:
             runs.append([value])
     return ", ".join(f"{run[0]} to {run[-1]}" if len(run) > 2 else ", ".join(map(str, run)) for run in runs)
+
+
+def concise(value: float, u: float) -> str:
+    """A value with one digit of its standard uncertainty in brackets, such as `0.04(1)`."""
+    decimals = max(0, -math.floor(math.log10(u))) if u > 0.0 else 4
+    digit = round(u * 10**decimals)
+    if digit == 10 and decimals:
+        decimals, digit = decimals - 1, 1
+    return f"{value:.{decimals}f}({digit})"

@@ -14,9 +14,12 @@ from goniotwin.app.errors import UserError
 from goniotwin.app.formats.fills import Fill
 
 if TYPE_CHECKING:  # the reduction loads numpy, which a command's help does not need
+    from rich.table import Table
+
     from goniotwin.app.campaign.rehearsal.alignment_design import AlignmentDesign
     from goniotwin.app.campaign.studies.alignment import AlignmentResult
     from goniotwin.app.campaign.studies.budget import Budget
+    from goniotwin.app.campaign.studies.verification import Verdict
 
 JournalArgument = Annotated[
     Path, typer.Argument(metavar="JOURNAL", help="Data file (journal) of a campaign.", show_default=False)
@@ -25,7 +28,7 @@ WIDE_COLUMNS = 110
 """Width of a terminal from which a budget has a column for each of its texts."""
 LEAST_SHARE = 1e-4
 """Share of u squared below which a component is not listed without --all: a hundredth of u."""
-FAILS_STYLE = {"fails": "red", "holds": "green", "nothing to judge": "dim"}
+FAILS_STYLE = {"fails": "red", "warns": "yellow", "holds": "green", "nothing to judge": "dim"}
 
 app = typer.Typer()
 
@@ -431,7 +434,9 @@ def verify(
     """Check the values of a data file against physics.
 
     And against each other: reciprocity, energy, symmetry, overlaps of photodiodes, drift, instrument signature, obstructed
-    directions. There is one verdict each, with figures; "nothing to judge" where the schedule measures nothing for it.
+    directions. There is one verdict each, with figures; "nothing to judge" where the schedule measures nothing for it. What the
+    campaign observes of its own inputs is a table: how many combinations of them it determines (rank), and whether that
+    contradicts what is stated (chi-square, chance).
 
     Exit status: 1 if a verdict is "fails".
     """
@@ -455,10 +460,27 @@ def verify(
         for each in verdicts:
             line = Text(f"{each.name}: ").append(each.verdict, style=FAILS_STYLE[each.verdict]).append(f": {each.text}")
             console.print(line, soft_wrap=True)
+        if any(each.evidence is not None for each in verdicts):
+            console.print(_evidence_table(verdicts))
 
     answer(as_json, result, show)
     if not holds:
         raise typer.Exit(1)
+
+
+def _evidence_table(verdicts: "list[Verdict]") -> "Table":
+    """What the campaign observes of its own inputs, a line for each verdict that has such evidence."""
+    from rich.table import Table
+
+    table = Table("evidence", "of", box=None)
+    for name in ("observations", "rank", "chi-square", "chance, %"):
+        table.add_column(name, justify="right")
+    table.add_column("verdict")
+    for each in verdicts:
+        if (found := each.evidence) is not None:
+            figures = f"{found.observations}", f"{found.rank:.1f}", f"{found.chi_square:.1f}", f"{100.0 * found.chance:.2g}"
+            table.add_row(each.name, found.of, *figures, each.verdict)
+    return table
 
 
 @app.command()

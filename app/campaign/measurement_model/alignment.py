@@ -23,8 +23,8 @@ from goniotwin.twin.optics import Instrument
 
 DETERMINED = 0.5
 """The data determine a combination whose u is below this share of that stated before."""
-MOVED = 3.09
-"""Beyond so many standard deviations of a normal variable, which one in a thousand exceeds, the rig has moved."""
+MOVED = 1e-3
+"""Combinations that differ by as much on fewer rigs show that this one has moved."""
 LARGEST_NAMED = 3
 """Inputs that the description of a mode names."""
 LEAST_COEFFICIENT = 1e-4
@@ -33,6 +33,12 @@ ROUNDING = 1e-9
 """A correlation below this is that of rounded numbers."""
 FLOOR = 1e-12
 """Added to the diagonal of a matrix of variances over those stated: one that is stated as 0 leaves it regular."""
+
+
+def chance_of(chi_square: float, degrees: int) -> float:
+    """How often a chi-square is as large; its cube root is nearly normal (Wilson, Hilferty 1931)."""
+    spread = 2.0 / (9.0 * degrees)
+    return 0.5 * math.erfc((math.cbrt(chi_square / degrees) - 1.0 + spread) / math.sqrt(2.0 * spread))
 
 
 @dataclass(frozen=True)
@@ -119,6 +125,19 @@ class Alignment:
         largest = np.abs(vectors).argmax(axis=0)
         return np.maximum(values, 0.0), vectors * np.sign(vectors[largest, np.arange(values.size)])
 
+    @property
+    def rank(self) -> float:
+        """How many combinations are determined: each counts by the share of its variance that is no longer there."""
+        return float(np.sum(np.maximum(1.0 - self._eigen[0], 0.0)))
+
+    @property
+    def departure(self) -> tuple[float, int]:
+        """Chi-square of the determined combinations by what was stated of them before, and their number."""
+        values, vectors = self._eigen
+        found = values < DETERMINED**2
+        unit = vectors[:, found].T @ (self.value / self._stated)
+        return float(np.sum(unit**2 / (1.0 - values[found]))), int(found.sum())
+
     @cached_property
     def _stated(self) -> Floats:
         return np.array([each.u for each in self.inputs])
@@ -160,8 +179,7 @@ class Alignment:
         statistic = float(difference @ np.linalg.solve(covariance + FLOOR * np.eye(len(rows)), difference))
         if not len(rows):
             return True
-        spread = 2.0 / (9.0 * len(rows))  # the cube root of a chi-square is nearly normal (Wilson, Hilferty 1931)
-        return math.cbrt(statistic / len(rows)) < 1.0 - spread + MOVED * math.sqrt(spread)
+        return chance_of(statistic, len(rows)) > MOVED
 
     def combinations(self, instrument: Instrument, before: "Alignment | None" = None) -> tuple[tuple[Combination, ...], Floats]:
         """The combinations that are determined, and their covariance (m, m) in deg^2.

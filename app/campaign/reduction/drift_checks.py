@@ -182,6 +182,33 @@ def drift_intervals(
     return intervals
 
 
+@dataclass(frozen=True)
+class DriftChange:
+    """A drift check, so many `hours` after the first one of the `mounting`, which has a number."""
+
+    mounting: int
+    hours: float
+    check: DriftCheck
+
+
+def drift_changes(
+    rows: Iterable[CommittedRow], signal_of: Callable[[CommittedRow], Signal], rig: RigFile, limit: float
+) -> list[DriftChange]:  # fmt: skip
+    """The drift checks that see light, but the first of each mounting; `rows` as those of `drift_intervals`."""
+    found: list[DriftChange] = []
+    first, began_s, mounting = None, 0.0, 0
+    for each in rows:
+        if each.row.kind == "mount" and not each.row.unplanned:
+            first, mounting = None, mounting + 1
+        elif each.row.kind == "drift" and each.data.readings:
+            now, at_s = signal_of(each), each.data.started_s
+            if first is None:
+                first, began_s = now, at_s
+            elif not math.isnan((check := compare_signals(first, now, rig, limit)).change):
+                found.append(DriftChange(mounting, (at_s - began_s) / 3600.0, check))
+    return found
+
+
 def insensitive_photodiodes(rows: Iterable[CommittedRow], signal_of: Callable[[CommittedRow], Signal]) -> dict[str, Flags]:
     """By the mounted sample, the photodiodes (n,) for which a drift check could not detect a loss of a tenth of the light.
 

@@ -90,6 +90,18 @@ class Verdict:
 
 
 @dataclass(frozen=True)
+class LinkedGains:
+    """Ratios of gains that rows have compared: logarithms `value` (pairs, photodiodes) of the real over the nominal ones.
+
+    `weight` is an inverse variance, 0 without a ratio; `step` (pairs, gains) the change of a pair for one of each gain.
+    """
+
+    value: Floats
+    weight: Floats
+    step: Floats
+
+
+@dataclass(frozen=True)
 class SignalEvidence:
     """What a campaign's rows show of its signals; without rows what the rig file states.
 
@@ -101,7 +113,8 @@ class SignalEvidence:
     certainly more. `ratios` is the number of measured ratios of gains, and `worst_ratio` the largest difference of one from the
     nominal ratio, in its standard uncertainties and those of the certificate. `freedom` are the degrees of freedom of the lit
     readings' scatter, all photodiodes pooled, and `lamp_freedom` those of what a row has in common: of one photodiode. Both are
-    infinite where no row has several readings: nothing then is from their scatter.
+    infinite where no row has several readings: nothing then is from their scatter. `linked` are the measured
+    ratios themselves.
     """
 
     factor: Floats
@@ -117,6 +130,7 @@ class SignalEvidence:
     worst_ratio: float = 0.0
     freedom: float = math.inf
     lamp_freedom: float = math.inf
+    linked: "LinkedGains | None" = None
 
     @property
     def findings(self) -> tuple[str, ...]:
@@ -594,8 +608,9 @@ class EvidenceSums:
         unseen = np.minimum(0.5 * (UNSEEN * self._certified) ** 2, np.maximum(certified[:, None] - own, 0.0))
         modes = np.linalg.cholesky(covariance + unseen[:, :, None] * np.eye(gains))
         return replace(
-            evidence, deviation=deviation, gains=modes, notes=notes, ratios=count, worst_ratio=math.sqrt(float(chi.max()))
-        )
+            evidence, deviation=deviation, gains=modes, notes=notes, ratios=count, worst_ratio=math.sqrt(float(chi.max())),
+            linked=LinkedGains(value, weight, step),
+        )  # fmt: skip
 
 
 class RunningEvidence:

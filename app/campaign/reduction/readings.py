@@ -20,7 +20,13 @@ from goniotwin.app.campaign.geometry.directions import scan_plane_deg
 from goniotwin.app.campaign.journal.reading import JournalReader
 from goniotwin.app.campaign.measurement_model.quantity import Quantity
 from goniotwin.app.campaign.reduction.components import Signal
-from goniotwin.app.campaign.reduction.drift_checks import DriftInterval, drift_intervals, insensitive_photodiodes
+from goniotwin.app.campaign.reduction.drift_checks import (
+    DriftChange,
+    DriftInterval,
+    drift_changes,
+    drift_intervals,
+    insensitive_photodiodes,
+)
 from goniotwin.app.campaign.reduction.evidence import EvidenceSums, RunningEvidence, SignalEvidence, stated
 from goniotwin.app.campaign.reduction.pipeline import reduce_readings
 from goniotwin.app.campaign.reduction.points import PLACE
@@ -206,6 +212,14 @@ class Measurements:
         limit = None if self._schedule.drift is None else self._schedule.drift.limit
         checked = self._journal.rows_of(self._journal.drift_row_numbers())
         return drift_intervals(checked, self._signal, self._rig, limit)
+
+    @cached_property
+    def drift_changes(self) -> list[DriftChange]:
+        """The changes of the light that the drift checks of the schedule have seen."""
+        if self._schedule.drift is None:
+            return []
+        checked = self._journal.rows_of(self._journal.drift_row_numbers())
+        return drift_changes(checked, self._signal, self._rig, self._schedule.drift.limit)
 
     @property
     def evidence(self) -> SignalEvidence:

@@ -69,6 +69,7 @@ from goniotwin.app.rig.alignment import (
     residual_words,
 )
 from goniotwin.app.rig.inputs import ETALON_TILT, FIELD_OF_VIEW
+from goniotwin.app.rig.uncertainty import UncertaintyTable
 from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.twin.optics import Instrument
 from goniotwin.twin.optics.geometry.coordinates import SPECULAR_AZIMUTH_DEG
@@ -624,52 +625,76 @@ class LobeValues:
         return [each for each in of_angles.dense if any(("etalon_" in one.name or "*" in one.name) for one in each.inputs)]
 
 
+@dataclass(frozen=True)
+class ScanCentroids:
+    """The centroids of m scans of the open beam, in deg: all along the arc, then all across it.
+
+    `residual` (2 m,) is what they are beside their prediction, and `variance` (2 m,) that of what each has of its own.
+    `effects` (m,) are those of all inputs, `photodiode` (m,) the numbers of the photodiodes in the beam.
+    """
+
+    residual: Floats
+    variance: Floats
+    effects: PoseEffects
+    photodiode: Ints
+
+    @classmethod
+    def of(
+        cls, scans: Sequence[ScannedBeam], known: Mapping[str, float], settings: ReductionSettings, light: Instrument
+    ) -> "ScanCentroids":  # fmt: skip
+        """Those of scans, predicted with `known` values of the inputs and the light of an instrument.
+
+        A scan sees the light straight through the empty holder: where it is beside the photodiode, the photodiode is beside it
+        on the other side.
+        """
+        views, seen = _scan_views(scans), np.array([each.centroid_deg for each in scans])
+        moved, effects = known_displacement(
+            nominal_instrument(settings.rig), views, known, np.zeros((len(scans), len(MOUNTED))), lit=light
+        )
+        across = -np.where(views.lower, -1.0, 1.0) * seen[:, 1]
+        stop = position_u_deg(settings.rig.uncertainty) ** 2
+        own = np.array([np.sum(each.share**2) for each in scans]) * stop + CENTROID_U_DEG**2
+        return cls(
+            np.concatenate([-seen[:, 0] - moved.along[:, 0], across - moved.across[:, 0]]),
+            np.concatenate([own + stop, own]),  # beside the stops of the scan itself, in the plane there is that of sigma
+            effects, np.array([each.scan.photodiode for each in scans]),
+        )  # fmt: skip
+
+    def sensitivity(self, before: Alignment, table: UncertaintyTable) -> Floats:
+        """The change (2 m, inputs) of the centroids for one unit of each input of an alignment."""
+        of_photodiodes = (
+            (photodiode_inputs(table, c), self.effects.photodiode.where(self.photodiode == c))
+            for c in set(self.photodiode.tolist())
+        )
+        columns = displacement_of(before, [(rig_inputs(table), self.effects.common), *of_photodiodes])
+        return np.concatenate([columns.along, columns.across])
+
+
 def _with_scans(
     effects: Effects, residual: Floats, scans: Sequence[ScannedBeam], known: Mapping[str, float], before: Alignment,
     error: Floats, settings: ReductionSettings, light: Instrument,
 ) -> tuple[Effects, Floats]:  # fmt: skip
-    """The effects and residuals, in deg, of the scans' centroids after those of the values: two for each, along and across.
-
-    A scan sees the light straight through the empty holder: where it is beside the photodiode, the photodiode is beside it on
-    the other side.
-    """
-    table, photodiode = settings.rig.uncertainty, np.array([each.scan.photodiode for each in scans])
-    lower = np.array([each.scan.arc == "lower" for each in scans])
-    views = _scan_views(scans)
-    moved, at = known_displacement(
-        nominal_instrument(settings.rig), views, known, np.zeros((len(scans), len(MOUNTED))), lit=light
-    )
-    up = np.where(lower, -1.0, 1.0)
-    seen = np.array([each.centroid_deg for each in scans])
-    columns = displacement_of(before, [(rig_inputs(table), at.common)])
+    """The effects and residuals of the scans' centroids after those of the values: two for each, along and across."""
+    table, seen = settings.rig.uncertainty, ScanCentroids.of(scans, known, settings, light)
     modes, of_modes = before.modes
-    own, left, variances = [], [], []
-    stops = np.array([np.sum(each.share**2) for each in scans]) * position_u_deg(table) ** 2
-    for k, (observed, part, displaced) in enumerate(
-        ((-seen[:, 0], columns.along, moved.along), (-up * seen[:, 1], columns.across, moved.across))
-    ):
-        sensitivity = part @ of_modes
-        own.append(sensitivity)
-        left.append(observed - displaced[:, 0] + sensitivity @ error)
-        # Beside the stops of the scan itself, in the plane there is that of sigma.
-        variances.append(stops + CENTROID_U_DEG**2 + (position_u_deg(table) ** 2 if k == 0 else 0.0))
-    count = 2 * len(scans)
+    own = seen.sensitivity(before, table) @ of_modes
+    count = seen.residual.size
     dense = [
-        Dense(each.inputs, np.concatenate([each.sensitivity, np.concatenate(own) if each.inputs is modes else
+        Dense(each.inputs, np.concatenate([each.sensitivity, own if each.inputs is modes else
                                            np.zeros((count, len(each.inputs)))]))
         for each in effects.dense
     ]  # fmt: skip
     of_photodiodes = Group(
         "photodiode_angle",
-        {2 * c + k: each for c in photodiode.tolist() for k, each in enumerate(photodiode_inputs(table, c))},
-        (2 * photodiode + np.arange(2)[:, None]).reshape(-1, 1),
-        np.concatenate([at.photodiode.along[:, :1], at.photodiode.across[:, 1:]]),
+        {2 * c + k: each for c in seen.photodiode.tolist() for k, each in enumerate(photodiode_inputs(table, c))},
+        (2 * seen.photodiode + np.arange(2)[:, None]).reshape(-1, 1),
+        np.concatenate([seen.effects.photodiode.along[:, :1], seen.effects.photodiode.across[:, 1:]]),
     )
     groups = [_continued(each, of_photodiodes if each.name == of_photodiodes.name else None, count) for each in effects.groups]
     independent = {name: np.append(each, np.zeros(count)) for name, each in effects.independent.items()}
-    independent["centroid"] = np.append(np.zeros(residual.size), np.concatenate(variances))
+    independent["centroid"] = np.append(np.zeros(residual.size), seen.variance)
     value = np.append(effects.value, np.ones(count))
-    return Effects(value, independent, groups, dense), np.append(residual, np.concatenate(left))
+    return Effects(value, independent, groups, dense), np.append(residual, seen.residual + own @ error)
 
 
 def _scan_views(scans: Sequence[ScannedBeam]) -> Views:

@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 
 from goniotwin.app.campaign.geometry.open_beam import LEAST_SIGMA_DEG, BeamScan, beam_scans, scan_wavelength_nm
+from goniotwin.app.campaign.measurement_model.alignment import Alignment
 from goniotwin.app.campaign.measurement_model.effects import Component
 from goniotwin.app.campaign.measurement_model.field import directions_covariance
 from goniotwin.app.campaign.measurement_model.inputs import InputQuantity, quantity
@@ -42,6 +43,7 @@ from goniotwin.app.campaign.measurement_model.pose import (
     rig_inputs,
     standard_uncertainties,
 )
+from goniotwin.app.campaign.measurement_model.posterior import Posterior
 from goniotwin.app.campaign.measurement_model.quantity import NONE
 from goniotwin.app.campaign.measurement_model.slopes import Directions
 from goniotwin.app.campaign.reduction.components import Signal, input_of
@@ -784,15 +786,15 @@ def pose_effects(scan: BeamScan, rig: RigFile, centroid_deg: float) -> tuple[lis
 
     The inputs are estimated from the centroid by their variances; what it does not determine is left as their uncertainty.
     """
-    inputs = pose_inputs(scan, rig)
-    known = math.fsum((each.of_centroid * each.input.u) ** 2 for each in inputs)
-    common = math.fsum(each.of_value * each.of_centroid * each.input.u**2 for each in inputs)
-    per_deg = common / known if known else 0.0
-    components = []
-    for each in inputs:
-        left = each.of_value - per_deg * each.of_centroid
-        components.append(Component(each.input.name, abs(left) * each.input.u, left, each.input))
-    return components, -per_deg * centroid_deg
+    inputs = [each for each in pose_inputs(scan, rig) if each.input.u > 0.0]
+    of_value, of_centroid = (np.array([getattr(each, name) for each in inputs]) for name in ("of_value", "of_centroid"))
+    stated = Alignment.stated([each.input for each in inputs])
+    seen = Posterior(stated, np.array([centroid_deg]), of_centroid[None], np.zeros((1, 1)))
+    left = seen.left(of_value).tolist()
+    components = [
+        Component(each.input.name, abs(x) * each.input.u, x, each.input) for each, x in zip(inputs, left, strict=True)
+    ]
+    return components, -float(of_value @ seen.alignment.value)
 
 
 @dataclass(frozen=True)

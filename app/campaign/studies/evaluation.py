@@ -11,6 +11,7 @@ from goniotwin.app.campaign.reduction.reduction import Reduction, begin_reductio
 from goniotwin.app.campaign.reduction.settings import ReductionSettings, why_not_aligned
 from goniotwin.app.campaign.studies.alignment import AlignmentResult
 from goniotwin.app.campaign.studies.closure import ClosureReport, journal_closure
+from goniotwin.app.campaign.studies.pose_evidence import PoseEvidence, pose_evidence
 from goniotwin.app.campaign.studies.sample_alignment import align_sample
 from goniotwin.app.campaign.studies.standards import StandardsReport, compare_standards
 from goniotwin.app.errors import UserError
@@ -23,6 +24,7 @@ class Evaluation:
 
     `repeats` are those of poses, None where there are too few; `closure` is that of the etalon's scale with the open beam's;
     `standards` compares the etalon with a second standard, None without one.
+    `pose` is what the scans of the open beam show of the inputs of pose, None without one.
     `known_alignment` is what the alignment file that the rig names has of the rig, `aligned` the alignment by one of the
     campaign's own samples; None without. `not_aligned` is the reason why the values are not corrected by one, or empty.
     """
@@ -30,6 +32,7 @@ class Evaluation:
     reduction: Reduction
     repeats: Repeats | None
     closure: ClosureReport
+    pose: PoseEvidence | None
     known_alignment: Alignment | None
     aligned: AlignmentResult | None
     not_aligned: str
@@ -43,6 +46,7 @@ class Evaluation:
         found += [] if self.known_alignment is None else self.reduction.rig.alignment_notes
         found += [] if self.aligned is None else self.aligned.findings
         found += [] if self.standards is None else self.standards.alarms
+        found += [self.pose.text] if self.pose is not None and self.pose.verdict == "fails" else []
         return found + self.closure.alarms
 
 
@@ -68,6 +72,7 @@ def evaluate_journal(journal: JournalReader, *, without_damaged: bool = False) -
     if standards is not None and (second := reduction.settings.second) is not None:
         second = replace(second, difference=standards.difference)
         reduction = replace(reduction, settings=replace(reduction.settings, second=second))
+    pose = pose_evidence(closure.beams, reduction.settings)
     aligned: AlignmentResult | None = None
     if (sample := reduction.schedule.align) is not None:
         try:
@@ -78,7 +83,7 @@ def evaluate_journal(journal: JournalReader, *, without_damaged: bool = False) -
             not_aligned = f"not aligned: {str(error).removeprefix(f'{journal.path}: ')}"
         else:
             reduction = replace(reduction, settings=replace(reduction.settings, alignment=aligned.with_photodiodes))
-    return Evaluation(reduction, repeated, closure, known, aligned, not_aligned, standards)
+    return Evaluation(reduction, repeated, closure, pose, known, aligned, not_aligned, standards)
 
 
 def _measured(reduction: Reduction, each: Input, width: float, by: str, freedom: float = math.inf) -> Reduction:

@@ -1,7 +1,8 @@
 """Verification of measured values: against physics (reciprocity, energy) and against each other, with their covariances.
 
-A verdict `holds` or `fails`, with figures; where the schedule measures nothing for it, there is nothing to judge. The checks of
-symmetry, overlaps and drift are those of the reduction.
+A verdict `holds`, `warns` or `fails`, with figures; where the schedule measures nothing for it, there is nothing to judge. The
+checks of symmetry, overlaps and drift are those of the reduction. Where a campaign observes inputs of its own, the verdict has
+it as evidence: what it determines, and whether that contradicts what is stated.
 """
 
 import math
@@ -12,21 +13,30 @@ from typing import Any, Literal
 import numpy as np
 
 from goniotwin.app.campaign.geometry.directions import is_lower, polar_from_zenith, round_azimuth
+from goniotwin.app.campaign.measurement_model.alignment import Alignment, chance_of
+from goniotwin.app.campaign.measurement_model.inputs import quantity
+from goniotwin.app.campaign.measurement_model.posterior import Posterior
 from goniotwin.app.campaign.reduction.effects_of_points import effects_of
+from goniotwin.app.campaign.reduction.evidence import SignalEvidence
 from goniotwin.app.campaign.reduction.points import BsdfPoints, Tally, join_points, plausible
+from goniotwin.app.campaign.reduction.reading_inputs import gain_input
 from goniotwin.app.campaign.reduction.reduction import Reduction
 from goniotwin.app.campaign.schedule.grids import grid_values
 from goniotwin.app.campaign.schedule.refinement import StatedSymmetry
 from goniotwin.app.campaign.studies.budget import Budget, reflectance
 from goniotwin.app.campaign.studies.checks import ConsistencyChecks
+from goniotwin.app.campaign.studies.closure import BY_CHANCE
 from goniotwin.app.campaign.studies.evaluation import Evaluation
 from goniotwin.app.campaign.studies.notes import calibration_notes
+from goniotwin.app.campaign.studies.pose_evidence import UNLIKELY
 from goniotwin.app.campaign.studies.reflectance import integration_settings, quadrature
 from goniotwin.app.campaign.wording import number_list
+from goniotwin.app.rig import RigFile
+from goniotwin.app.rig.inputs import MONITOR_DRIFT
 from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.twin.optics.geometry.coordinates import fold_azimuth, incidence_deg, round_deg
 
-Outcome = Literal["holds", "fails", "nothing to judge"]
+Outcome = Literal["holds", "warns", "fails", "nothing to judge"]
 NOTHING: Outcome = "nothing to judge"
 MOST_U = 2.0
 """A reflectance above 1 by so many standard uncertainties is not possible."""
@@ -36,17 +46,39 @@ MOST_PAIRS_AT_ONCE = 5_000
 
 
 @dataclass(frozen=True)
+class Evidence:
+    """What so many `observations` of a campaign's own inputs say: which they are, and how many combinations they determine.
+
+    `chi_square` is that of the observations before they are seen, about their number where all is as stated, and `chance` how
+    often the largest single error, or chi-square, is as large.
+    """
+
+    of: str
+    observations: int
+    rank: float
+    chi_square: float
+    chance: float
+
+    @classmethod
+    def by(cls, of: str, found: Posterior) -> "Evidence":
+        """That of a posterior."""
+        return cls(of, found.residual.size, found.rank, found.chi_square, found.chance)
+
+
+@dataclass(frozen=True)
 class Verdict:
-    """One check by `name`: its verdict, the reason in one line, and its figures."""
+    """One check by `name`: its verdict, the reason in one line, and its figures; of observed inputs the `evidence`."""
 
     name: str
     verdict: Outcome
     text: str
     figures: dict[str, Any] = field(default_factory=dict)
+    evidence: Evidence | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """The verdict for JSON."""
-        return {"name": self.name, "verdict": self.verdict, "text": self.text, **self.figures}
+        own = {} if self.evidence is None else {"evidence": vars(self.evidence)}
+        return {"name": self.name, "verdict": self.verdict, "text": self.text, **self.figures, **own}
 
 
 def verify_journal(evaluation: Evaluation) -> list[Verdict]:
@@ -61,7 +93,15 @@ def verify_journal(evaluation: Evaluation) -> list[Verdict]:
             continue
         tallies[name] = of_sample.tally
         verdicts += of_sample.verdicts()
-    return [*verdicts, _gains(reduction), _closure(evaluation), _standards(evaluation), _drift(reduction, tallies)]
+    return [
+        *verdicts,
+        _gains(reduction),
+        _pose(evaluation),
+        _alignment(evaluation),
+        _closure(evaluation),
+        _standards(evaluation),
+        _drift(reduction, tallies),
+    ]
 
 
 class _Sample:
@@ -266,12 +306,56 @@ def _gains(reduction: Reduction) -> Verdict:
     evidence, name = reduction.measurements.evidence, "gain linkage"
     found = evidence.findings
     figures = {"ratios": evidence.ratios, "worst_u": evidence.worst_ratio, "unsound": np.flatnonzero(evidence.unsound).tolist()}
+    by_rows = None
+    if evidence.linked is not None:
+        by_rows = Evidence.by("gains of photodiodes against each other", _linked_gains(evidence, reduction.rig.file))
     if found:
-        return Verdict(name, "fails", "; ".join(found), figures)
+        return Verdict(name, "fails", "; ".join(found), figures, by_rows)
     if not evidence.ratios:
         return Verdict(name, NOTHING, "too few rows were read at two gains that are not saturated, and with light", figures)
     text = f"{evidence.ratios} ratios of gains were measured, the worst is {evidence.worst_ratio:.1f} u from the nominal one"
-    return Verdict(name, "holds", text, figures)
+    return Verdict(name, "holds", text, figures, by_rows)
+
+
+def _linked_gains(evidence: SignalEvidence, rig: RigFile) -> Posterior:
+    """The gains of all photodiodes after the rows that were read at two of them, with their certificate before."""
+    assert evidence.linked is not None
+    linked, photodiodes = evidence.linked, evidence.linked.value.shape[1]
+    gains = linked.step.shape[1]
+    of_gains = Alignment.stated([gain_input(number, rig) for number in range(photodiodes * gains)])
+    pair, photodiode = np.nonzero(linked.weight)
+    sensitivity = np.zeros((pair.size, photodiodes, gains))
+    sensitivity[np.arange(pair.size), photodiode] = linked.step[pair]
+    own = np.diag(1.0 / linked.weight[pair, photodiode])
+    return Posterior(of_gains, linked.value[pair, photodiode], sensitivity.reshape(pair.size, -1), own)
+
+
+def _pose(evaluation: Evaluation) -> Verdict:
+    """Light against view by the scans of the open beam, with the inputs of pose as they are stated or aligned."""
+    name, found, report = "pose by the open beam", evaluation.pose, evaluation.closure
+    if found is None:
+        return Verdict(name, NOTHING, "; ".join((*report.not_planned, *report.missing)) or "no input of pose is stated")
+    evidence = Evidence.by("light against view, along the arc and across", found.posterior)
+    return Verdict(name, found.verdict, found.text, found.as_dict(), evidence)
+
+
+def _alignment(evaluation: Evaluation) -> Verdict:
+    """The misalignments that the campaign corrects its values for, against what is stated of the inputs of pose."""
+    name, found = "alignment", evaluation.aligned
+    if found is None:
+        return Verdict(name, NOTHING, evaluation.not_aligned or "the schedule does not align by a sample")
+    departure, count = found.alignment.departure
+    chance = chance_of(departure, count)
+    evidence = Evidence(
+        f"light and view, and the tilt of {found.sample}", found.values, found.alignment.rank, departure, chance
+    )
+    text = f"{count} combinations of the inputs of pose, chi-square {departure:.1f} by what is stated of them"
+    if chance < UNLIKELY:
+        text += "; the rig is off by more than is stated: values are corrected, state larger angles in [uncertainty]"
+    text = "; ".join((text, *found.findings))
+    return Verdict(
+        name, "warns" if found.findings or chance < UNLIKELY else "holds", text, {"chi2": found.chi_square}, evidence
+    )
 
 
 def _closure(evaluation: Evaluation) -> Verdict:
@@ -290,17 +374,43 @@ def _standards(evaluation: Evaluation) -> Verdict:
         return Verdict(name, NOTHING, "the schedule has no [second_standard]")
     if report.together is None:
         return Verdict(name, NOTHING, report.verdict)
-    return Verdict(name, "fails" if report.apart else "holds", report.verdict, report.as_dict())
+    verdict: Outcome = "fails" if report.apart else "warns" if report.differs else "holds"
+    return Verdict(name, verdict, report.verdict, report.as_dict())
 
 
 def _drift(reduction: Reduction, tallies: dict[str, Tally]) -> Verdict:
+    """The drift checks: by the limit of the schedule, and all together against the stated drift of the monitor."""
     if reduction.schedule.drift is None:
         return Verdict("drift", NOTHING, "the schedule has no [drift]")
     intervals = [str(each) for each in reduction.measurements.drift_intervals]
     unchecked = {name: number_list(photodiodes) for name, photodiodes in reduction.unchecked(tallies).items()}
     listed = "; ".join(f"photodiodes {photodiodes} of {name}" for name, photodiodes in unchecked.items())
-    text = "; ".join(intervals) or "every check is within the limit"
+    text, evidence = "; ".join(intervals) or "every check is within the limit", None
+    verdict: Outcome = "fails" if intervals else "holds"
+    if (found := _monitor_drift(reduction)) is not None:
+        evidence = Evidence.by("monitor's drift against the light", found)
+        if verdict == "holds" and found.chance < UNLIKELY:
+            (error,) = found.single_errors
+            verdict = "fails" if found.chance < BY_CHANCE else "warns"
+            text += (
+                f", but all together they change by {100.0 * error.size:+.3f} % an hour (u {100.0 * error.u:.3f} %), more than "
+                f"{MONITOR_DRIFT.key} of [uncertainty] states: state that"
+            )
     return Verdict(
-        "drift", "fails" if intervals else "holds", f"{text}; not covered: {listed}" if listed else text,
-        {"intervals": intervals, "unchecked": unchecked},
+        "drift", verdict, f"{text}; not covered: {listed}" if listed else text,
+        {"intervals": intervals, "unchecked": unchecked}, evidence,
     )  # fmt: skip
+
+
+def _monitor_drift(reduction: Reduction) -> Posterior | None:
+    """The monitor's drift by all drift checks; None without one after the first of a mounting, or where none is stated."""
+    changes, table = reduction.measurements.drift_changes, reduction.rig.file.uncertainty
+    if not changes or not table.u(MONITOR_DRIFT):
+        return None
+    mounting, hours, u = (
+        np.array(each) for each in zip(*((each.mounting, each.hours, each.check.u_change) for each in changes), strict=True)
+    )
+    # Checks of one mounting have their first one in common: half of the variance of each.
+    own = np.outer(u, u) * (0.5 * (mounting[:, None] == mounting) + 0.5 * np.eye(u.size))
+    stated = Alignment.stated([quantity(MONITOR_DRIFT, table)])
+    return Posterior(stated, np.array([each.check.change for each in changes]), -hours[:, None], own)

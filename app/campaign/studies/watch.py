@@ -26,6 +26,7 @@ from goniotwin.app.campaign.reduction.settings import ReductionSettings
 from goniotwin.app.campaign.studies.alignment import TERMS, LobeFit, PoseSensitivities, Step, fit_lobe
 from goniotwin.app.campaign.studies.evaluation import Evaluation
 from goniotwin.app.campaign.studies.sample_alignment import light_seen, sample_lobe
+from goniotwin.app.campaign.wording import concise
 from goniotwin.app.rig import RigFile, nominal_instrument
 from goniotwin.app.rig.alignment import DOUBTED_CHI_SQUARE, REFUSED_CHI_SQUARE
 from goniotwin.arrays import Flags, Floats, Ints
@@ -153,15 +154,6 @@ class WatchResult:
             "without_lobe": list(self.without),
             "false_alarms": FALSE_ALARMS,
         }
-
-
-def concise(value: float, u: float) -> str:
-    """A value with one digit of its standard uncertainty in brackets, such as `0.04(1)`."""
-    decimals = max(0, -math.floor(math.log10(u))) if u > 0.0 else 4
-    digit = round(u * 10**decimals)
-    if digit == 10 and decimals:
-        decimals, digit = decimals - 1, 1
-    return f"{value:.{decimals}f}({digit})"
 
 
 def alarm_limit(samples: int) -> float:

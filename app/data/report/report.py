@@ -179,8 +179,11 @@ def _text(value: Any) -> str:
 
 def _summary(dataset: Dataset, verdicts: list[Verdict]) -> list[tuple[str, str]]:
     """The first lines of the report: what came out."""
-    count = {word: sum(each.verdict == word for each in verdicts) for word in ("holds", "fails")}
-    checks = f"{count['holds']} hold, {count['fails']} fail, {len(verdicts) - sum(count.values())} without anything to judge"
+    count = {word: sum(each.verdict == word for each in verdicts) for word in ("holds", "warns", "fails")}
+    warned = f"{count['warns']} warn, " if count["warns"] else ""
+    checks = (
+        f"{count['holds']} hold, {warned}{count['fails']} fail, {len(verdicts) - sum(count.values())} without anything to judge"
+    )
     values = []
     for name in dataset:
         here = dataset[name]

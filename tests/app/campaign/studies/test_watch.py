@@ -10,7 +10,8 @@ from goniotwin.app.campaign.planning.plan import NewPlan
 from goniotwin.app.campaign.rehearsal import without_wires
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.campaign.studies.journals import watch_journal
-from goniotwin.app.campaign.studies.watch import FALSE_ALARMS, LOOKS, PATTERNS, PLACES, alarm_limit, concise
+from goniotwin.app.campaign.studies.watch import FALSE_ALARMS, LOOKS, PATTERNS, PLACES, alarm_limit
+from goniotwin.app.campaign.wording import concise
 from goniotwin.app.errors import UserError
 from goniotwin.twin.plant import Plant, TwinModel
 from tests.app.campaign.studies.alignment_bench import SAMPLE, SCHEDULE, alignment_rig, drawn_plan
