@@ -14,12 +14,9 @@ from goniotwin.app.errors import UserError
 from goniotwin.app.formats.fills import Fill
 
 if TYPE_CHECKING:  # the reduction loads numpy, which a command's help does not need
-    from rich.table import Table
-
     from goniotwin.app.campaign.rehearsal.alignment_design import AlignmentDesign
     from goniotwin.app.campaign.studies.alignment import AlignmentResult
     from goniotwin.app.campaign.studies.budget import Budget
-    from goniotwin.app.campaign.studies.verification import Verdict
 
 JournalArgument = Annotated[
     Path, typer.Argument(metavar="JOURNAL", help="Data file (journal) of a campaign.", show_default=False)
@@ -442,7 +439,7 @@ def verify(
     """
     from goniotwin.app.campaign.journal.writing import Journal
     from goniotwin.app.campaign.studies.evaluation import evaluate_journal
-    from goniotwin.app.campaign.studies.verification import verify_journal
+    from goniotwin.app.campaign.studies.verification import evidence_text, verify_journal
 
     with Journal.open(journal) as opened:
         simulated = opened.simulated
@@ -460,27 +457,12 @@ def verify(
         for each in verdicts:
             line = Text(f"{each.name}: ").append(each.verdict, style=FAILS_STYLE[each.verdict]).append(f": {each.text}")
             console.print(line, soft_wrap=True)
-        if any(each.evidence is not None for each in verdicts):
-            console.print(_evidence_table(verdicts))
+        if table := evidence_text(verdicts):
+            console.print(table, soft_wrap=True)
 
     answer(as_json, result, show)
     if not holds:
         raise typer.Exit(1)
-
-
-def _evidence_table(verdicts: "list[Verdict]") -> "Table":
-    """What the campaign observes of its own inputs, a line for each verdict that has such evidence."""
-    from rich.table import Table
-
-    table = Table("evidence", "of", box=None)
-    for name in ("observations", "rank", "chi-square", "chance, %"):
-        table.add_column(name, justify="right")
-    table.add_column("verdict")
-    for each in verdicts:
-        if (found := each.evidence) is not None:
-            figures = f"{found.observations}", f"{found.rank:.1f}", f"{found.chi_square:.1f}", f"{100.0 * found.chance:.2g}"
-            table.add_row(each.name, found.of, *figures, each.verdict)
-    return table
 
 
 @app.command()

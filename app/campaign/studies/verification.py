@@ -6,7 +6,7 @@ it as evidence: what it determines, and whether that contradicts what is stated.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -102,6 +102,18 @@ def verify_journal(evaluation: Evaluation) -> list[Verdict]:
         _standards(evaluation),
         _drift(reduction, tallies),
     ]
+
+
+def evidence_text(verdicts: Sequence[Verdict]) -> str:
+    """A table of what a campaign observes of its own inputs, a line for each verdict with evidence; empty without one."""
+    lines = [
+        f"  {each.name:22}  {found.of:38}  {found.observations:6d}  {found.rank:5.1f}  {found.chi_square:10.1f}  "
+        f"{100.0 * found.chance:9.2g}  {each.verdict}"
+        for each in verdicts
+        if (found := each.evidence) is not None
+    ]
+    head = f"  {'evidence':22}  {'of':38}  values   rank  chi-square  chance, %  verdict"
+    return "\n".join([head, *lines]) if lines else ""
 
 
 class _Sample:
@@ -335,7 +347,7 @@ def _pose(evaluation: Evaluation) -> Verdict:
     name, found, report = "pose by the open beam", evaluation.pose, evaluation.closure
     if found is None:
         return Verdict(name, NOTHING, "; ".join((*report.not_planned, *report.missing)) or "no input of pose is stated")
-    evidence = Evidence.by("light against view, along the arc and across", found.posterior)
+    evidence = Evidence.by("light against view, along and across", found.posterior)
     return Verdict(name, found.verdict, found.text, found.as_dict(), evidence)
 
 
@@ -346,9 +358,7 @@ def _alignment(evaluation: Evaluation) -> Verdict:
         return Verdict(name, NOTHING, evaluation.not_aligned or "the schedule does not align by a sample")
     departure, count = found.alignment.departure
     chance = chance_of(departure, count)
-    evidence = Evidence(
-        f"light and view, and the tilt of {found.sample}", found.values, found.alignment.rank, departure, chance
-    )
+    evidence = Evidence("light, view, and the tilt of the sample", found.values, found.alignment.rank, departure, chance)
     text = f"{count} combinations of the inputs of pose, chi-square {departure:.1f} by what is stated of them"
     if chance < UNLIKELY:
         text += "; the rig is off by more than is stated: values are corrected, state larger angles in [uncertainty]"
@@ -393,8 +403,8 @@ def _drift(reduction: Reduction, tallies: dict[str, Tally]) -> Verdict:
             (error,) = found.single_errors
             verdict = "fails" if found.chance < BY_CHANCE else "warns"
             text += (
-                f", but all together they change by {100.0 * error.size:+.3f} % an hour (u {100.0 * error.u:.3f} %), more than "
-                f"{MONITOR_DRIFT.key} of [uncertainty] states: state that"
+                f", but all together show the monitor drift by {100.0 * error.size:+.3f} % an hour against the light (u "
+                f"{100.0 * error.u:.3f} %), more than {MONITOR_DRIFT.key} of [uncertainty] states: state that"
             )
     return Verdict(
         "drift", verdict, f"{text}; not covered: {listed}" if listed else text,

@@ -253,6 +253,11 @@ def test_gains_that_do_not_fit_fail_the_verification(fault: str, verdict: str, w
     assert found.verdict == verdict
     assert words in found.text
     assert found.figures["ratios"] > 0 or fault.startswith("settling")
+    if not fault.startswith("settling"):
+        assert found.evidence is not None
+        assert found.evidence.observations == found.figures["ratios"]
+        assert found.evidence.rank < found.evidence.observations
+        assert (found.evidence.chance < 1e-3) == bool(fault)
 
 
 def test_a_campaign_at_one_gain_has_no_gain_linkage(measure: Measure) -> None:
@@ -283,3 +288,28 @@ def test_pairs_have_light_and_view_exchanged() -> None:
     assert pairs(0.0, "anisotropic") == 0
     assert pairs(290.0, "anisotropic") == 1
     assert pairs(290.0, "plane-symmetric") == 1
+
+
+@pytest.mark.parametrize(("drift_per_hour", "verdict"), [(0.0, "holds"), (1.0, "fails")])
+def test_drift_checks_together_show_a_monitor_that_drifts_within_their_limit(
+    drift_per_hour: float, verdict: str, measure: Measure
+) -> None:
+    """Each check is within a limit of 5 %; all together are the drift of the virtual rig's monitor, which is not stated."""
+    checks = "[drift]\nevery_s = 10\nsigma_deg = 30\nbeta_deg = 180\nwavelength_nm = 550\nlimit = 0.05\n"
+    rows = (
+        ("shift_deg = [0, 1]", "shift_deg = { start = 0, stop = 4.5, step = 0.25 }"),
+        ("dark_readings = 4\n", f"dark_readings = 4\n{checks}"),
+    )
+    found = verdicts(measure(rows, ("[twin.light]", f"[twin.monitor]\ndrift_per_hour = {drift_per_hour}\n\n[twin.light]")))
+    drift = found["drift"]
+    assert drift.verdict == verdict
+    assert drift.text.startswith("every check is within the limit")
+    assert drift.evidence is not None
+    assert 0.0 < drift.evidence.rank < 0.1  # the campaign takes minutes
+    if drift_per_hour:
+        size = float(drift.text.partition("the monitor drift by ")[2].partition(" %")[0])
+        u = float(drift.text.partition("(u ")[2].partition(" %")[0])
+        assert size == pytest.approx(100.0 * drift_per_hour, abs=3.0 * u + 3.0)  # per cent an hour
+        assert "state that" in drift.text
+    else:
+        assert drift.evidence.chance > 0.05
