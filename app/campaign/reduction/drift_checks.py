@@ -14,6 +14,7 @@ from functools import partial
 
 import numpy as np
 
+from goniotwin.app.campaign.measurement_model.pose import position_u_deg
 from goniotwin.app.campaign.reduction.components import Signal
 from goniotwin.app.campaign.reduction.signals import LIGHT
 from goniotwin.app.campaign.row import CommittedRow, Row
@@ -69,6 +70,7 @@ def compare_signals(first: Signal, now: Signal, rig: RigFile, limit: float) -> D
     """Compare `now` with `first`, signals of one pose and one sample; `limit` is a relative change.
 
     A photodiode is an outlier if it is beyond the limit by four standard uncertainties, or is saturated now and was not before.
+    In these is that sigma and shift stop elsewhere each time, where the light is steep along the arc.
     """
     # Saturated now and not before: it gets more light.
     outliers = (now.gain < 0) & (first.gain >= 0)
@@ -81,13 +83,29 @@ def compare_signals(first: Signal, now: Signal, rig: RigFile, limit: float) -> D
     shared = [components.pop(name) / ratio**2 for name in ("lamp", "monitor") if name in components]
     common = float(np.min(sum(shared)))  # to all photodiodes of a row
     decades = np.log10(np.maximum(np.abs(ratio), np.finfo(float).tiny))
+    moved = 2.0 * position_u_deg(rig.uncertainty) * _steepness(first, rig)[light]  # two axes, each at both checks
     variance = np.sum([*components.values(), (rig.uncertainty.u(LINEARITY) * decades * ratio) ** 2], axis=0)
-    own = np.abs(ratio - 1.0) - CERTAIN * np.sqrt(variance + common) > limit
+    own = np.abs(ratio - 1.0) - CERTAIN * np.sqrt(variance + moved**2 + common) > limit
     outliers[light] |= own
-    weight = np.where(own, 0.0, 1.0 / variance) if own.sum() <= own.size / 2 else 1.0 / variance
-    change = float(np.sum(weight * (ratio - 1.0)) / np.sum(weight))
-    u_change = math.sqrt(1.0 / float(np.sum(weight)) + common)
+    weight = 1.0 / (variance + moved**2)
+    weight = np.where(own, 0.0, weight) if own.sum() <= own.size / 2 else weight
+    share = weight / np.sum(weight)
+    change = float(share @ (ratio - 1.0))
+    u_change = math.sqrt(float(share**2 @ variance) + float(share @ moved) ** 2 + common)
     return DriftCheck(change, u_change, abs(change) - LIKELY * u_change > limit, outliers)
+
+
+def _steepness(signal: Signal, rig: RigFile) -> Floats:
+    """The largest change (n,) of the logarithm of a signal (n,) for a degree, to the photodiodes beside each on its arc."""
+    known = np.maximum(signal.value, np.sqrt(signal.reading_variance))  # one that is saturated has no number
+    logarithm = np.log(np.where(known > 0.0, known, np.nan))
+    found, begin = np.zeros(logarithm.size), 0
+    for angles in (rig.photodiodes.upper_deg, rig.photodiodes.lower_deg):
+        here = slice(begin, begin + len(angles))
+        between = np.nan_to_num(np.abs(np.diff(logarithm[here]) / np.diff(angles)))
+        found[here] = np.maximum(np.append(between, 0.0), np.append(0.0, between))
+        begin = here.stop
+    return found
 
 
 class DriftReference:

@@ -7,6 +7,8 @@ import pytest
 
 from goniotwin.app.campaign.planning.check import check_plan
 from goniotwin.app.campaign.planning.plan import NewPlan, Plan, make_plan
+from goniotwin.app.campaign.reduction.components import Signal
+from goniotwin.app.campaign.reduction.drift_checks import compare_signals
 from goniotwin.app.campaign.rehearsal.rehearsal import plan_rehearsal, rehearse
 from goniotwin.app.campaign.running.events import Event, RowCommitted, State
 from goniotwin.app.campaign.schedule.file import parse_schedule
@@ -156,3 +158,25 @@ def test_lists_of_numbers_are_written_as_ranges() -> None:
     assert number_list([5]) == "5"
     assert number_list(np.array([9, 3, 1, 2, 7, 8]).tolist()) == "1 to 3, 7 to 9"
     assert number_list([1, 2, 4]) == "1, 2, 4"
+
+
+def test_a_check_on_a_steep_lobe_has_the_stops_of_the_axes_in_its_u() -> None:
+    """A lobe of 2.9 deg at 40 deg is seen 0.02 deg aside, twice the half width of one stop: no photodiode has drifted.
+
+    One of them that has lost 5 % is found beside the flanks, and 5 % of all in their mean.
+    """
+    rig = read_rig(RIG).file
+    polar = np.array([*rig.photodiodes.upper_deg, *rig.photodiodes.lower_deg])
+    on_arc = np.arange(polar.size) < len(rig.photodiodes.upper_deg)
+
+    def seen(aside_deg: float, loss: np.ndarray[tuple[int], np.dtype[np.float64]] | float = 1.0) -> Signal:
+        value = loss * (1e-3 + np.where(on_arc, np.exp(-(((polar - 40.0 - aside_deg) / 2.9) ** 2)), 0.0))
+        return Signal(value, {"noise": (1e-4 * value) ** 2}, gain=np.zeros(polar.size, dtype=np.int64))
+
+    aside = compare_signals(seen(0.0), seen(0.02), rig, 0.005)
+    change = seen(0.02).value / seen(0.0).value - 1.0
+    assert np.abs(change).max() > 0.01
+    assert not aside.beyond_limit
+    lost = np.where(np.arange(polar.size) == 2, 0.95, 1.0)
+    assert np.flatnonzero(compare_signals(seen(0.0), seen(0.0, lost), rig, 0.005).outliers).tolist() == [2]
+    assert compare_signals(seen(0.0), seen(0.02, 0.95), rig, 0.005).beyond

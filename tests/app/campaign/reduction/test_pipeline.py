@@ -156,12 +156,13 @@ def test_rows_at_angles_and_wavelengths_between_two_roundings_have_all_values(
 
 def test_what_two_signals_have_in_common_cancels_in_values_and_drift_checks() -> None:
     rig, u = read_rig(RIG).file, 0.003
-    signal = Signal(np.array([1.0, 0.9, 1.1]), {"noise": np.full(3, 1e-12)}, gain=np.zeros(3, dtype=np.int64))
+    n = rig.photodiodes.count
+    signal = Signal(np.full(n, 1.1), {"noise": np.full(n, 1e-12)}, gain=np.zeros(n, dtype=np.int64))
 
     def with_monitor(row: int) -> Signal:
         return signal.with_grouped("monitor", np.array([row]), -u * signal.value[:, None])
 
     assert compare_signals(with_monitor(1), with_monitor(2), rig, 0.005).u_change == pytest.approx(math.sqrt(2.0) * u, rel=1e-3)
     assert compare_signals(with_monitor(1), with_monitor(1), rig, 0.005).u_change < 1e-5
-    assert (with_monitor(1) / with_monitor(2)).components["monitor"] == pytest.approx(np.full(3, 2.0 * u**2), rel=1e-12)
+    assert (with_monitor(1) / with_monitor(2)).components["monitor"] == pytest.approx(np.full(n, 2.0 * u**2), rel=1e-12)
     assert np.all((with_monitor(1) / with_monitor(1)).components["monitor"] == 0.0)
