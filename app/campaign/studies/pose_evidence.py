@@ -25,7 +25,7 @@ ALIKE = 4.0
 """Single errors whose squared z is so near to the largest one explain the centroids as well."""
 MOST_TIMES = 2.0
 """One that has to be so many times further beyond its stated u than another is no explanation beside it."""
-MOST_NAMED = 3
+MOST_NAMED = 4
 
 PoseVerdict = Literal["holds", "warns", "fails"]
 

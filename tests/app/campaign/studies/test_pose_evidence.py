@@ -3,7 +3,6 @@
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -25,9 +24,12 @@ from goniotwin.app.campaign.rehearsal.without_wires import run_without_wires
 from goniotwin.app.campaign.schedule.file import parse_schedule, read_schedule
 from goniotwin.app.campaign.studies.evaluation import evaluate_journal
 from goniotwin.app.campaign.studies.pose_evidence import PoseEvidence, pose_evidence
+from goniotwin.app.campaign.studies.sample_alignment import align_sample
 from goniotwin.app.cli.main import app
 from goniotwin.app.rig import nominal_instrument, read_rig
+from goniotwin.arrays import Floats
 from tests import rig_tables
+from tests.app.campaign.studies.alignment_bench import PROOF, drawn_plan, run
 from tests.app.campaign.studies.test_closure import FILE, DrawnRig, scans_of
 from tests.conftest import SMALL, Change, Writer
 
@@ -95,19 +97,16 @@ def test_a_rig_that_states_no_angle_has_no_evidence() -> None:
 
 
 def view(sigma_deg: float, polar_deg: float, *, lower: bool, transmitted: bool, gamma_deg: float = 0.0) -> Views:
-    def one(angle: float) -> Any:
-        return np.array([angle])
-
-    angles = (one(sigma_deg), one(gamma_deg), np.radians(one(polar_deg)), np.radians(one(180.0)))
-    return Views(*angles, one(lower), one(transmitted), one(False))
+    angles = np.array([[sigma_deg], [gamma_deg], [math.radians(polar_deg)], [math.pi]], dtype=float)
+    return Views(*angles, *(np.array([each]) for each in (lower, transmitted, False)))
 
 
-def pose_u(at: Views, known: Alignment, photodiode: int) -> tuple[float, float]:
+def pose_u(at: Views, known: Alignment, photodiode: int, mounting: str = "paint#1") -> tuple[float, float]:
     """u of the angle between lobe and view at a direction, along the arc and across it, without positions."""
     table, effects = FILE.uncertainty, pose_effects(nominal_instrument(FILE), at)
-    known = known.with_inputs([*mounting_inputs(table, "sample", "paint#1"), *photodiode_inputs(table, photodiode)])
+    known = known.with_inputs([*mounting_inputs(table, "sample", mounting), *photodiode_inputs(table, photodiode)])
     parts = [
-        (rig_inputs(table), effects.common), (mounting_inputs(table, "sample", "paint#1"), effects.sample),
+        (rig_inputs(table), effects.common), (mounting_inputs(table, "sample", mounting), effects.sample),
         (photodiode_inputs(table, photodiode), effects.photodiode),
     ]  # fmt: skip
     moved = displacement_of(known, parts)
@@ -152,6 +151,48 @@ def test_transmitted_light_is_seen_as_the_scan_sees_it() -> None:
     assert before[0] == pytest.approx(0.075, abs=0.002)
     own = 0.05 / math.sqrt(3.0) * math.sqrt(2.0)
     assert after[0] == pytest.approx(math.hypot(own, 0.01 / math.sqrt(3.0)), rel=0.05)
+
+
+@pytest.mark.long
+def test_the_u_of_the_pose_before_and_after_a_scan_and_an_alignment(tmp_path: Path) -> None:
+    """examples/proof/alignment.toml: a lobe on both sides at three gammas and six sigmas, and a scan of each arc.
+
+    Beside it a least squares by hand: each pose of the lobe shows where it is seen, as well as photodiodes and stops allow.
+    """
+    schedule, rig = read_schedule(PROOF / "alignment.toml"), read_rig(PROOF / "rig.toml")
+    path = run(drawn_plan(schedule, rig, 1), tmp_path / "a.journal")
+    with Journal.open(path) as journal:
+        evaluation = evaluate_journal(journal)
+        aligned = align_sample(evaluation.reduction, evaluation.closure, "two-sided-5")
+    assert evaluation.pose is not None
+    scanned, table = evaluation.pose.posterior, rig.file.uncertainty
+    inputs = [*rig_inputs(table), *mounting_inputs(table, "sample", aligned.mountings[0])]
+    stated, u = Alignment.stated(inputs), np.array([each.u for each in inputs])
+
+    def moved(at: Views) -> Floats:
+        effects = pose_effects(nominal_instrument(rig.file), at)
+        both = ([getattr(effects.common, way), getattr(effects.sample, way)] for way in ("along", "across"))
+        return np.asarray(np.concatenate([np.concatenate(each, axis=1) for each in both]) * u)
+
+    of_photodiode, stop = 0.05 / math.sqrt(3.0), 0.01 / math.sqrt(3.0)
+    sides = [(sigma, gamma, lower) for sigma in (5, 17, 30, 42, 60, 75) for gamma in (0, 45, 180) for lower in (False, True)]
+    rows = [moved(view(180.0 - s if lower else s, s, lower=lower, transmitted=False, gamma_deg=g)) for s, g, lower in sides]
+    jacobian = np.concatenate(rows)
+    seen = jacobian @ jacobian.T + (of_photodiode**2 + 2.0 * stop**2) / 4.0 * np.eye(len(jacobian))  # four photodiodes a lobe
+    left = np.eye(u.size) - jacobian.T @ np.linalg.solve(seen, jacobian)
+    print("\n  sigma  light        along: stated, scans, lobe, by hand   across: the same")
+    for sigma in (17.0, 40.0, 65.0):
+        for lower in (False, True):
+            for gamma in (0.0, 180.0):
+                at = view(180.0 - sigma if lower else sigma, sigma, lower=lower, transmitted=False, gamma_deg=gamma)
+                own = np.sqrt(np.diag(moved(at) @ left @ moved(at).T) + of_photodiode**2)
+                known = [pose_u(at, each, 1, aligned.mountings[0]) for each in (stated, scanned.alignment, aligned.alignment)]
+                arc = "lower" if lower else "upper"
+                along, across = (" ".join(f"{x[k]:.4f}" for x in (*known, own.tolist())) for k in (0, 1))
+                print(f"  {sigma:5g}  {arc} {gamma:3g}    {along}    {across}")
+                assert 1.0 <= known[0][0] / known[1][0] < 1.06
+                assert 1.2 < known[0][1] / known[1][1] < 2.1
+                assert known[2] == pytest.approx(own.tolist(), rel=0.03)
 
 
 @pytest.mark.parametrize(("zero_deg", "verdict"), [(0.0, "holds"), (0.2, "warns"), (0.3, "fails")])
