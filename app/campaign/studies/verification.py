@@ -47,7 +47,7 @@ MOST_PAIRS_AT_ONCE = 5_000
 
 @dataclass(frozen=True)
 class Evidence:
-    """What so many `observations` of a campaign's own inputs say: which they are, and how many combinations they determine.
+    """What so many `observations` show `of` inputs of the campaign: `rank` is how many combinations of them they determine.
 
     `chi_square` is that of the observations before they are seen, about their number where all is as stated, and `chance` how
     often the largest single error, or chi-square, is as large.
