@@ -97,10 +97,13 @@ def _shadows() -> None:
 def _uncertainties() -> None:
     import numpy as np
 
+    from goniotwin.app.campaign.measurement_model.lit_share import LitEnsemble, LitModes
     from goniotwin.app.campaign.measurement_model.slopes import Directions, slopes_of
 
     same, angles = np.zeros(5, dtype=np.int64), np.linspace(0.1, 0.2, 5)
     slopes_of(Directions(same, same, same, *[angles] * 6), angles, angles, 0.1)
+    one = np.ones((1, 1))
+    LitModes(LitEnsemble(one, one, one, one[0]), one).quantiles(one, one[0], (0.1, 0.9))
 
 
 def _forward() -> None:
@@ -182,7 +185,10 @@ PARTS = {
     "uncertainties": Part(
         "uncertainties",
         _uncertainties,
-        tuple(f"app.campaign.measurement_model.slopes.{each}" for each in ("_fit", "_mix")),
+        (
+            *(f"app.campaign.measurement_model.slopes.{each}" for each in ("_fit", "_fit_over_theta", "_mix")),
+            "app.campaign.measurement_model.lit_share._find_quantiles",
+        ),
         1.0,
     ),
     "every-scene": Part(

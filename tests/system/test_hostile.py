@@ -54,7 +54,7 @@ from goniotwin.protocols.clock import Clock, RealClock, VirtualClock
 from goniotwin.protocols.tmcl import Command, CommandFrame
 from tests import used
 from tests.app.campaign.reduction.long_journal import write_long_journal
-from tests.conftest import REPOSITORY, RIG, SMALL, RigOpener, Writer, changed
+from tests.conftest import ONE_WAY, REPOSITORY, RIG, SMALL, RigOpener, Writer, changed
 from tests.drivers.endless_wires import QUICK, WIRES, EndlessServer, FloodedPort, check_calls, check_flood, check_stops
 from tests.system.busy_computer import busy_processes
 from tests.system.command import invoke
@@ -818,10 +818,12 @@ def test_a_campaign_that_ended_after_its_last_row_becomes_done(tmp_path: Path, o
     path = changed_journal(tmp_path / "a.journal", f"UPDATE session SET outcome = {outcome}, ended_s = NULL, wall_ended = NULL")
     assert campaign_summary(path).state == ("done" if outcome == "NULL" else "failed")
     assert campaign_summary(path).seconds_left == 0.0
-    done = invoke("run", "--resume", path)  # closes the shutter
+    with Journal.open(path) as journal:
+        (rig := tmp_path / "rig.toml").write_text(changed(journal.value("rig"), (ONE_WAY,)), encoding="utf-8")
+    done = invoke("run", "--resume", path, "--rig", rig)  # closes the shutter
     assert done.returncode == 0, done.stderr
     assert campaign_summary(path).state == "done"
-    assert "nothing to resume" in invoke("run", "--resume", path).stderr
+    assert "nothing to resume" in invoke("run", "--resume", path, "--rig", rig).stderr
 
 
 # ---- a million rows ----

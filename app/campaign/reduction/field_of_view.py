@@ -232,13 +232,14 @@ def _evaluate(values: MergedDirections, instrument: Instrument, moved_deg: Float
         estimate = np.where(unknown & ~alone, 0.5 * variance * effect, np.nan)
     # A neighbour that is lost in its noise is at most at its limit.
     logarithm = np.log(np.maximum(np.maximum(values.bsdf, limit), 1e-300))
-    step = np.where(np.diff(directions.plane) == 0, np.abs(np.diff(logarithm)), 0.0)
-    slope = step / np.maximum(np.diff(directions.polar), SMALLEST)
-    step, slope = (np.maximum(np.append(each, 0.0), np.insert(each, 0, 0.0)) for each in (step, slope))
-    steep = step > TENFOLD
+    change = np.where(np.diff(directions.plane) == 0, np.diff(logarithm), 0.0)
+    slope = np.abs(change) / np.maximum(np.diff(directions.polar), SMALLEST)
+    step, slope = (np.maximum(np.append(each, 0.0), np.insert(each, 0, 0.0)) for each in (np.abs(change), slope))
+    steep, peak = step > TENFOLD, (np.append(change, 0.0) < 0.0) & (np.insert(change, 0, 0.0) > 0.0)
     # What a lobe between two directions does is not known; it changes at least as much as from one to the other.
     slope = np.fmax(slope, everywhere(slopes.beside))
-    alone = steep & light & ~(np.abs(everywhere(slopes.arc.half_difference)) > 0.0)
+    sides = np.abs(everywhere(slopes.arc.half_difference)) > 0.0
+    alone = steep & light & (unknown | (peak & ~sides))
     unresolved = np.maximum(np.nan_to_num(everywhere(unresolved)), np.where(alone, slope, 0.0)[:, None])
     bent = 0.5 * variance * (slope**2 + 4.0 * slope**2 / np.maximum(step, SMALLEST))
     estimate = np.where(alone & unknown, values.bsdf * bent, estimate)

@@ -171,7 +171,7 @@ def test_a_csv_states_the_rule_of_the_intervals(reduced: BsdfDataset, tmp_path: 
     added = rule.partition("all components but ")[2].partition(")")[0].split(", ")
     u, one = np.array([0.99, 1.01]) * threshold, np.ones(2)
     for names, logarithms in ((["pose"], [False, True]), *(([name], [False, False]) for name in added)):
-        ends = interval(one, u, mostly_added(dict.fromkeys(names, u**2)), 1.0)
+        ends = interval(one, u, mostly_added(dict.fromkeys(names, u**2)), 1.0, 1.0)
         for end, sign in zip(ends, (-1.0, 1.0), strict=True):
             assert end == pytest.approx(np.where(logarithms, np.exp(sign * u), 1.0 + sign * u), rel=1e-12)
 

@@ -19,7 +19,7 @@ from goniotwin.app.campaign.studies.reduced_journal import reduce_journal
 from goniotwin.app.cli.main import command
 from goniotwin.app.rig import parse_rig
 from tests.app.campaign.campaign_bench import QUIET, planned_values
-from tests.conftest import RIG, SMALL, changed
+from tests.conftest import ONE_WAY, RIG, SMALL, changed
 from tests.golden import files
 
 LAST = "(SELECT MAX(number) FROM attempt)"
@@ -181,9 +181,9 @@ def test_a_resume_measures_a_damaged_row_again(whole: Path, copy: Path, tmp_path
 def test_a_journal_without_a_chain_states_it_and_its_chain_begins_with_the_resume(tmp_path: Path) -> None:
     path = Path(shutil.copyfile(files.DATA / "interrupted.journal", tmp_path / "a.journal"))
     with Journal.open(path) as journal:
-        before = len(journal.committed_numbers())
+        before, rig = len(journal.committed_numbers()), changed(journal.value("rig"), (ONE_WAY,))
         assert journal.chain.statement == "no checksums: an earlier version of the program wrote this journal"
-    chain = resume_campaign(path).chain
+    chain = resume_campaign(path, parse_rig(rig, tmp_path, "rig.toml")).chain
     assert (chain.unchecked, chain.damage) == (before, "")
     assert (
         chain.statement
