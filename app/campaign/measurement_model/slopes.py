@@ -252,7 +252,7 @@ class Slopes:
     `mixing` (n, 5, 5) is the derivative of (first_along, first_across, second_along, second_across, mixed) by (arc.first,
     arc.second, across.first, across.second, crossed.first). `bound` is the standard uncertainty of first_across where it is not
     known but for its size, and taken as 0: nothing was measured across, and the lobe need not be round or theta does not
-    change along the arc. `beside` is the largest slope to the values beside it at other beta.
+    change along the arc. `darker` is the largest slope to a darker value beside it at other beta.
     """
 
     first_along: Floats
@@ -266,7 +266,7 @@ class Slopes:
     mixing: Floats
     measured: Flags
     bound: Floats
-    beside: Floats
+    darker: Floats
 
     def noise(self, sensitivity: Floats, own_variance: Floats) -> Floats:
         """Variance (n,) that the values' noise adds to y minus a function of the slopes.
@@ -343,8 +343,8 @@ def slopes_of(directions: Directions, y: Floats, variance: Floats, window: float
     )  # fmt: skip
     unknown = ~measured & ~((directions.radial | np.isfinite(across.second)) & round_lobe)
     mixing[unknown, 1] = 0.0
-    steepest = circles.steepest(y, variance)
-    bound = np.where(unknown, UNKNOWN * _largest_slope(directions, y, arc, steepest), 0.0)
+    darker, brighter = circles.steepest(y, variance)
+    bound = np.where(unknown, UNKNOWN * _largest_slope(directions, y, arc, brighter), 0.0)
     if round_lobe or not measured.any():
         crossed = Parabola(*np.full((PARABOLA_COLUMNS, y.size), np.nan))
     else:
@@ -360,7 +360,7 @@ def slopes_of(directions: Directions, y: Floats, variance: Floats, window: float
     if round_lobe:
         bound = np.where(measured, 0.0, np.hypot(bound, circles.departure(directions, y, variance, first_along, first_across)))
     return Slopes(
-        first_along, first_across, second_along, second_across, mixed, arc, across, crossed, mixing, measured, bound, steepest
+        first_along, first_across, second_along, second_across, mixed, arc, across, crossed, mixing, measured, bound, darker
     )
 
 
@@ -468,15 +468,19 @@ class _Circles:
         columns[:, self.order] = list(vars(fit).values())
         return Parabola(*columns)
 
-    def steepest(self, y: Floats, variance: Floats) -> Floats:
-        """The larger of the slopes (n,) to the values beside each one, at any distance, beyond their noise; 0 without any."""
+    def steepest(self, y: Floats, variance: Floats) -> tuple[Floats, Floats]:
+        """The larger slope (n,) from each value to a darker one beside it, at any distance, and that to a brighter one.
+
+        Beyond their noise; 0 where there is none.
+        """
         same = np.flatnonzero(np.diff(self.line) == 0)
         one, other = self.order[same], self.order[same + 1]
         noise = NOISE_MARGIN * np.sqrt(variance[one] + variance[other])
-        slope, found = (np.abs(y[other] - y[one]) - noise) / (self.place[same + 1] - self.place[same]), np.zeros(y.size)
-        np.maximum.at(found, one, slope)
-        np.maximum.at(found, other, slope)
-        return found
+        slope = (np.abs(y[other] - y[one]) - noise) / (self.place[same + 1] - self.place[same])
+        falls, darker, brighter = y[other] < y[one], np.zeros(y.size), np.zeros(y.size)
+        np.maximum.at(darker, np.where(falls, one, other), slope)
+        np.maximum.at(brighter, np.where(falls, other, one), slope)
+        return darker, brighter
 
     def departure(self, directions: Directions, y: Floats, variance: Floats, along: Floats, across: Floats) -> Floats:
         """By how much the slopes (n,) to values at other beta not far away differ, beyond their noise, from those of a lobe
@@ -494,19 +498,19 @@ class _Circles:
         return found
 
 
-def _largest_slope(directions: Directions, y: Floats, arc: Parabola, beside: Floats) -> Floats:
+def _largest_slope(directions: Directions, y: Floats, arc: Parabola, brighter: Floats) -> Floats:
     """The largest slope (n,) that was measured at the wavelength, sigma and side of each value, beyond its noise.
 
     Along all arcs, of any beta and of any gamma, which turns the sample's axes under the arc, and between other beta; of values
     that are as bright as the value, or by LEVEL less: a lobe is steeper further down.
     """
-    slope = np.fmax(np.abs(arc.first) - NOISE_MARGIN * np.sqrt(arc.variance_first), beside)
+    slope = np.fmax(np.abs(arc.first) - NOISE_MARGIN * np.sqrt(arc.variance_first), brighter)
     largest = np.zeros(y.size)
     for number in np.unique(directions.light).tolist():
         here = np.flatnonzero(directions.light == number)
         order = here[np.argsort(-y[here])]
-        brighter = np.searchsorted(-y[order], LEVEL - y[here], side="right")
-        largest[here] = np.maximum.accumulate(slope[order])[brighter - 1]
+        as_bright = np.searchsorted(-y[order], LEVEL - y[here], side="right")
+        largest[here] = np.maximum.accumulate(slope[order])[as_bright - 1]
     return largest
 
 

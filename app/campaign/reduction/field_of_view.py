@@ -237,7 +237,7 @@ def _evaluate(values: MergedDirections, instrument: Instrument, moved_deg: Float
     step, slope = (np.maximum(np.append(each, 0.0), np.insert(each, 0, 0.0)) for each in (np.abs(change), slope))
     steep, peak = step > TENFOLD, (np.append(change, 0.0) < 0.0) & (np.insert(change, 0, 0.0) > 0.0)
     # What a lobe between two directions does is not known; it changes at least as much as from one to the other.
-    slope = np.fmax(slope, everywhere(slopes.beside))
+    slope = np.fmax(slope, everywhere(slopes.darker))
     sides = np.abs(everywhere(slopes.arc.half_difference)) > 0.0
     alone = steep & light & (unknown | (peak & ~sides))
     unresolved = np.maximum(np.nan_to_num(everywhere(unresolved)), np.where(alone, slope, 0.0)[:, None])
