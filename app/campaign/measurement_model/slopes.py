@@ -29,6 +29,8 @@ MAX_DISTANCE_RAD = math.radians(6.0)
 """Neighbours further away have no information on the curvature; photodiodes are 5 deg apart."""
 RADIAL = 0.7
 """An arc passes close enough to the lobe's centre where theta changes by this share of the way along it."""
+LEAST_THETA = 1e-9
+"""Closer to the lobe's centre no direction leads towards it."""
 FURTHEST_RAD = math.radians(45.0)
 """Values of the own arc further away have no information on the slope over theta."""
 ANGLE_RAD = math.radians(0.1)
@@ -236,7 +238,18 @@ class Directions:
     @property
     def radial(self) -> Flags:
         """Where the arc leads close enough towards the lobe's centre or away from it."""
-        return np.asarray(np.abs(self.along) > RADIAL * np.sqrt(np.maximum(1.0 - self.middle**2, 0.0)))
+        sine = np.sqrt(np.maximum(1.0 - self.middle**2, 0.0))
+        return np.asarray(np.abs(self.along) > RADIAL * np.maximum(sine, LEAST_THETA))
+
+    def beside_gap(self, window: float) -> Flags:
+        """Where the lobe's centre is near, in a gap of the arc's directions, and no other arc is nearer by `window` or more."""
+        apart = np.where(np.diff(self.plane) == 0, np.diff(self.polar), np.inf)
+        far = apart > MAX_DISTANCE_RAD * NEAR
+        towards = np.where(self.along > 0.0, np.append(far, True), np.insert(far, 0, True))
+        theta = np.arccos(np.clip(self.middle, -1.0, 1.0))
+        nearest = np.full(int(self.light.max(initial=-1)) + 1, np.inf)
+        np.minimum.at(nearest, self.light, theta)
+        return np.asarray(towards & (theta > window) & (theta < MAX_DISTANCE_RAD) & (theta <= nearest[self.light] + window))
 
     def where(self, chosen: Flags) -> "Directions":
         """Some of the directions."""
@@ -488,7 +501,9 @@ class _Circles:
         """
         height = 1.0 - directions.middle
         gradient = directions.along**2 + directions.across**2
-        per_height = np.nan_to_num(-(directions.along * along + directions.across * across) / np.maximum(gradient, 1e-12))
+        per_height = np.nan_to_num(
+            -(directions.along * along + directions.across * across) / np.maximum(gradient, LEAST_THETA**2)
+        )
         same = np.flatnonzero((np.diff(self.line) == 0) & (np.diff(self.place) <= 2.0 * MAX_DISTANCE_RAD * NEAR))
         found = np.zeros(y.size)
         for one, other in ((self.order[same], self.order[same + 1]), (self.order[same + 1], self.order[same])):
@@ -534,7 +549,7 @@ def _mix(
             mixing[i, 1, 2] = math.copysign(up[i], up[i] * polar[i])  # growing azimuth, seen from the other half plane
             mixing[i, 3, 3], mixing[i, 3, 0] = 1.0, 1.0 / math.tan(polar[i])
             continue
-        theta = max(math.acos(min(max(middle[i], -1.0), 1.0)), 1e-9)
+        theta = max(math.acos(min(max(middle[i], -1.0), 1.0)), LEAST_THETA)
         sine, cot = math.sin(theta), 1.0 / math.tan(theta)
         t = min(max(-along[i] / sine, -1.0), 1.0)
         w = math.copysign(math.sqrt(1.0 - t * t), -across[i])

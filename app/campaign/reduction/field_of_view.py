@@ -33,6 +33,8 @@ CHUNK_POINTS = 20_000
 """Points processed together; more if they are of one wavelength and incidence."""
 TENFOLD = math.log(10.0)
 """Difference of the logarithms of two neighbours from which on they do not resolve the lobe between them."""
+CLEAR = 2.0
+"""A value below so many of its detection limit is for the most part noise, whatever its slope is."""
 PER_DEG = math.pi / 180.0
 SMALLEST = 1e-12
 
@@ -244,7 +246,8 @@ def _evaluate(values: MergedDirections, instrument: Instrument, moved_deg: Float
     bent = 0.5 * variance * (slope**2 + 4.0 * slope**2 / np.maximum(step, SMALLEST))
     estimate = np.where(alone & unknown, values.bsdf * bent, estimate)
     steep |= np.nan_to_num(everywhere(np.maximum(slopes.across.step, 0.0))) > TENFOLD
-    steep[light] |= slopes.undecided() | slopes.unknown_across()
+    steep[light] |= slopes.undecided() | slopes.unknown_across() | lit.beside_gap(window)
+    steep &= values.bsdf > CLEAR * limit
     sign = np.where(values.opposite, -1.0, 1.0)[:, None]
     which = values.which
     return FieldOfView(

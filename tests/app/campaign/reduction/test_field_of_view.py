@@ -452,6 +452,34 @@ def test_where_theta_does_not_change_along_the_arc_the_slope_across_is_bounded()
     assert slopes.bound == pytest.approx(math.sqrt(2.0 / 3.0) * steepest, rel=0.03)
 
 
+@pytest.mark.parametrize("middle", [1.0, 1.0 - 1.1e-16])
+@pytest.mark.parametrize("along", [0.0, 3e-16, -3e-16])
+def test_at_the_very_centre_of_a_lobe_there_is_no_slope(middle: float, along: float) -> None:
+    """Whatever rounding makes of a direction that is the specular one."""
+    theta = np.radians(np.arange(-5.0, 5.1, 1.0))
+    number, one, none = np.zeros(theta.size, dtype=np.int64), np.ones(theta.size), np.zeros(theta.size)
+    at = theta == 0.0
+    directions = Directions(
+        number, number, number, theta + 0.5, none + math.pi, one, np.where(at, middle, np.cos(theta)),
+        np.where(at, along, -np.sin(theta)), none,
+    )  # fmt: skip
+    found = slopes_of(directions, -(((theta - 0.001) / 0.05) ** 2), none + 1e-6, math.radians(1.2))
+    centre = np.flatnonzero(at)[0]
+    assert abs(found.first_across[centre]) < 1e-3
+    assert found.first_along[centre] == pytest.approx(0.8, rel=1e-6)
+    assert found.second_across[centre] == pytest.approx(-800.0, rel=1e-3)
+
+
+def test_values_beside_a_gap_with_the_lobes_centre_are_steep() -> None:
+    """The lobe may be anything in between; a diffuser was seen on both sides."""
+    polar = np.arange(5.0, 40.1, 5.0)
+    points = points_of(np.full(2 * polar.size, 0.3), polar, PLANE, 0.0, 1e-4)
+    found = correct_field_of_view(points, SETTINGS)
+    assert np.array_equal(found.flag("steep"), points.theta_deg < 5.5)
+    complete = points_of(np.full(2 * polar.size + 2, 0.3), np.append(0.0, polar), PLANE, 0.0, 1e-4)
+    assert not correct_field_of_view(complete, SETTINGS).flag("steep").any()
+
+
 def test_an_unknown_slope_across_is_within_what_was_measured_elsewhere() -> None:
     """Of a lobe of 10 by 2 deg, with other beta 8 deg away."""
     points, slope = turned_lobe(tuple(np.arange(140.0, 221.0, 12.0)))
