@@ -247,6 +247,7 @@ def _evaluate(values: MergedDirections, instrument: Instrument, moved_deg: Float
     estimate = np.where(alone & unknown, values.bsdf * bent, estimate)
     steep |= np.nan_to_num(everywhere(np.maximum(slopes.across.step, 0.0))) > TENFOLD
     steep[light] |= slopes.undecided() | slopes.unknown_across() | lit.beside_gap(window)
+    steep |= unknown
     steep &= values.bsdf > CLEAR * limit
     sign = np.where(values.opposite, -1.0, 1.0)[:, None]
     which = values.which
