@@ -161,7 +161,7 @@ class Dataset:
 
     @property
     def interval(self) -> Texts:
-        """The law (n,) of the interval: "linear", "logarithmic", or "" where none is stated."""
+        """The law (n,) of the interval: "linear", "logarithmic", "drawn", or "" where none is stated."""
         return np.asarray(self.only.values.interval)
 
     @property

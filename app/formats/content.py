@@ -49,7 +49,7 @@ class ScatteredBsdf:
     direction; polar from the normal of its own side, 0 to 90, so that `transmitted` light has its own hemisphere. `values` in
     1/sr, NaN where a direction was measured without a value; `u` their standard uncertainty, NaN where unknown, and `u_shared`
     the part of it that neighbouring values share. `low95`, `high95`: the ends of their intervals of 95 %, and `interval` the
-    law, "linear" or "logarithmic"; NaN and "" where they are not stated.
+    law, "linear", "logarithmic" or "drawn"; NaN and "" where they are not stated.
 
     `wavelength_nm` is NaN for grey values and for those of a colour, whose name
     ("red", "X") is in `channel`. `flags` are words separated by a space. `back`: lit on the back; the frame is then that of the
