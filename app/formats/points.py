@@ -102,7 +102,7 @@ PART_ROWS, PART_CHARACTERS = 50_000, 8_000_000
 """Rows that are written at once, and characters of rows that are read at once."""
 LONGEST_PLAIN = 100_000
 """Characters of a line below which no field is too long for `csv`."""
-ABOUT_INTERVAL = "low95_per_sr, high95_per_sr: the ends of the interval of 95 %; interval: its law: linear, logarithmic, or drawn"
+ABOUT_INTERVAL = "low95_per_sr, high95_per_sr: the ends of the interval of 95 %; interval: linear, logarithmic or drawn"
 OPTIONAL_COLUMNS = ("channel", "photodiode", "interval", "low95_per_sr", "high95_per_sr")
 """Columns that are written where they have a value."""
 
