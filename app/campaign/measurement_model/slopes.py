@@ -65,10 +65,10 @@ class Parabola:
 
     `own_first` and `own_second` are the derivatives' weights of the value itself; `variance_first`, `variance_second` and
     `covariance` follow from the values' noise. `half_difference` of the slopes of the two sides, each a parabola through the
-    value and two neighbours on that side, and `departure` of their mean from the slope, with variances; 0 where a side has
-    too few neighbours. `step` is the largest modulus of the difference from a nearest neighbour. `third` is the slope's error
-    by a third derivative over the departure that it makes, `fourth` that of the second derivative by a fourth one over the
-    half difference.
+    value and two neighbours on that side, and `departure` of their mean from the slope, with variances. Where one side has too
+    few neighbours they are the difference of the other one from the slope, and 0; where both have, 0. `step` is the largest
+    modulus of the difference from a nearest neighbour. `third` is the slope's error by a third derivative over the departure
+    that it makes, `fourth` that of the second derivative by a fourth one over the half difference.
     """
 
     first: Floats
@@ -186,8 +186,11 @@ def _compare_sides(
         quartic += 0.5 * abs(near * far * (near + far))
         sides += 1
     found[11, i] = step
-    if sides < 2:  # one of them has too few neighbours
+    if sides < 2:
         found[7:11, i], found[12:, i] = 0.0, 0.0
+        if sides == 1:  # the other has too few neighbours; the parabola is between the two
+            found[7, i] = after - found[0, i]
+            found[8, i] = others + found[4, i] + (own_after - found[2, i]) ** 2 * variance[i]
         return
     found[7, i] = 0.5 * (after - before)
     found[8, i] = 0.25 * (others + (own_after - own_before) ** 2 * variance[i])

@@ -237,14 +237,13 @@ def _evaluate(values: MergedDirections, instrument: Instrument, moved_deg: Float
     change = np.where(np.diff(directions.plane) == 0, np.diff(logarithm), 0.0)
     slope = np.abs(change) / np.maximum(np.diff(directions.polar), SMALLEST)
     step, slope = (np.maximum(np.append(each, 0.0), np.insert(each, 0, 0.0)) for each in (np.abs(change), slope))
-    steep, peak = step > TENFOLD, (np.append(change, 0.0) < 0.0) & (np.insert(change, 0, 0.0) > 0.0)
+    steep = step > TENFOLD
     # What a lobe between two directions does is not known; it changes at least as much as from one to the other.
     slope = np.fmax(slope, everywhere(slopes.darker))
-    sides = np.abs(everywhere(slopes.arc.half_difference)) > 0.0
-    alone = steep & light & (unknown | (peak & ~sides))
+    alone = steep & light & unknown
     unresolved = np.maximum(np.nan_to_num(everywhere(unresolved)), np.where(alone, slope, 0.0)[:, None])
     bent = 0.5 * variance * (slope**2 + 4.0 * slope**2 / np.maximum(step, SMALLEST))
-    estimate = np.where(alone & unknown, values.bsdf * bent, estimate)
+    estimate = np.where(alone, values.bsdf * bent, estimate)
     steep |= np.nan_to_num(everywhere(np.maximum(slopes.across.step, 0.0))) > TENFOLD
     steep[light] |= slopes.undecided() | slopes.unknown_across() | lit.beside_gap(window)
     steep |= unknown
