@@ -225,8 +225,8 @@ def _print_budget(budget: "Budget", simulated: bool, every: bool) -> None:
     unit = "" if budget.unit == "1" else f" {budget.unit}"
     relative = f" ({100.0 * result['relative_u']:.3g} %)" if result["relative_u"] is not None else ""
     console.print(f"{'SIMULATED, ' if simulated else ''}{budget.title}", markup=False, soft_wrap=True)
-    freedom = budget.degrees_of_freedom
-    degrees = f", {freedom:.0f} effective degrees of freedom" if math.isfinite(freedom) else ""
+    freedom = result["degrees_of_freedom"]
+    degrees = "" if freedom is None else f", {freedom:.0f} effective degrees of freedom"
     console.print(f"{budget.value:.6g}{unit}, u {budget.u:.3g}{unit}{relative}{degrees}", markup=False, soft_wrap=True)
     for each in budget.about:
         console.print(each, markup=False, soft_wrap=True)

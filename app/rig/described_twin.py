@@ -6,7 +6,7 @@ of a photodiode, *cannot be found with it*. Only the real rig shows such an erro
 the operator's part. Properties that the file does not have are assumed, and listed as assumptions.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -52,17 +52,18 @@ class DescribedTwin:
 
 
 def described_twin(
-    real: RigDescription, standards: str | Sequence[str], samples: Iterable[str], models: Mapping[str, str]
+    real: RigDescription, standards: str | Mapping[str, float | None], samples: Iterable[str], models: Mapping[str, str]
 ) -> DescribedTwin:  # fmt: skip
     """The virtual rig in this process for a rig file; a file that describes such a rig already is not changed.
 
-    `standards`, the etalon's name or several, and `samples` are those in the schedule. `models` has samples in one line (see
+    `standards` are the etalon's name, or several with the radiance factor that the schedule states, None for the etalon's;
+    `samples` are those in the schedule. `models` has samples in one line (see
     `app.rig.samples`) by name; they replace those of the file. Raises NoDescription, and UserError for an invalid model or
     a controller without a twin.
     """
     document = tomlkit.parse(real.text)
     assumptions: list[str] = []
-    standards = (standards,) if isinstance(standards, str) else standards
+    factors = {standards: None} if isinstance(standards, str) else standards
     if not real.file.in_process:
         _check_controllers(real)
         set_addresses(document, real.file, lambda device: f"{TWIN}{NAME}/{device.twin}")
@@ -74,9 +75,11 @@ def described_twin(
             far = nominal_instrument(real.file).pupil_distance_mm
             _misalign(document, parse_alignment(real.alignment, real.name), far)
         _set_twin_devices(document, real.file, assumptions)
-        for name in (*standards, *samples):
+        for name in (*factors, *samples):
             if name not in models:
-                table, assumption = _default_sample(real.file, name, standard=name in standards)
+                table, assumption = (
+                    _default_standard(real.file, name, factors[name]) if name in factors else _default_sample(name)
+                )
                 _samples(document)[name] = table
                 assumptions.append(assumption)
     for name, model in models.items():
@@ -191,14 +194,21 @@ def _set_twin_devices(document: tomlkit.TOMLDocument, file: RigFile, assumptions
             assumptions.append(f"{name}'s limit switches close at the end of its travel, like the twin's")
 
 
-def _default_sample(file: RigFile, name: str, *, standard: bool) -> tuple[dict[str, Any], str]:
+def _default_sample(name: str) -> tuple[dict[str, Any], str]:
     """The table of a sample that is described nowhere, and the assumption."""
-    remedy = f"for another model give --sample {name}=MODEL"
-    if not standard:
-        return sample_table(DEFAULT_SAMPLE), f"{name} scatters as a Gaussian of 5 deg with a reflectance of 0.9; {remedy}"
-    reflectance = min(1.0, file.etalon.radiance_factor)
-    diffuser = f"{name} is an ideal diffuser on both sides with a reflectance of {reflectance:g}, the etalon's radiance factor"
-    return sample_table(f"lambertian:reflectance={reflectance!r},side=both"), f"{diffuser}; {remedy}"
+    return sample_table(DEFAULT_SAMPLE), (
+        f"{name} scatters as a Gaussian of 5 deg with a reflectance of 0.9; for another model give --sample {name}=MODEL"
+    )
+
+
+def _default_standard(file: RigFile, name: str, factor: float | None) -> tuple[dict[str, Any], str]:
+    """The table of a standard that is described nowhere, by its certified factor or the etalon's, and the assumption."""
+    reflectance = min(1.0, file.etalon.radiance_factor if factor is None else factor)
+    whose = "the etalon's" if factor is None else "its certified"
+    return sample_table(f"lambertian:reflectance={reflectance!r},side=both"), (
+        f"{name} is an ideal diffuser on both sides with a reflectance of {reflectance:g}, {whose} radiance factor; for "
+        f"another model give --sample {name}=MODEL"
+    )
 
 
 def _samples(document: tomlkit.TOMLDocument) -> AbstractTable:

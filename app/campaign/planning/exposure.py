@@ -40,7 +40,7 @@ def exposure_twin(rig: RigDescription, file: ScheduleFile) -> TwinModel | None:
     calculate.
     """
     try:
-        model = described_twin(rig, file.standards, file.samples, {}).rig.model()
+        model = described_twin(rig, file.standard_factors, file.samples, {}).rig.model()
     except NoDescription:
         return None
     if model is None or model.estimator.kind != "fast" or model.estimator.stray:

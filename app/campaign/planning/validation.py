@@ -191,20 +191,25 @@ def refuse_unknown_samples(schedule: ScheduleDescription, rig: RigDescription) -
 
 
 def refuse_uncertified(schedule: ScheduleDescription, rig: RigFile, poses: Floats) -> None:
-    """Raises UserError if the certificate covers no wavelength, or no direction of `poses` (n, 4) of the samples."""
-    file = schedule.file
-    if schedule.certificate is None or file.certificate is None:
-        return
-    certificate = parse_certificate(schedule.certificate, file.certificate.file)
-    quantity = "wavelengths"
-    if certificate.covers("wavelength_nm", np.array(grid_values(file.wavelength_nm))).any():
-        quantity = "directions"
-        if certified_directions(certificate, observed_directions(file, rig, poses)):
-            return
-    raise UserError(
-        f"{schedule.name}: certificate.file: {file.certificate.file} covers none of the schedule's {quantity}, so that there "
-        f"would be no values: it is valid for {certificate}; name a certificate that covers the measurement"
-    )
+    """Raises UserError if a standard's certificate covers no wavelength, or no direction of `poses` (n, 4) of the samples."""
+    file, second = schedule.file, schedule.file.second_standard
+    stated = []
+    if schedule.certificate is not None and file.certificate is not None:
+        name = file.certificate.file
+        stated.append((f"certificate.file: {name}", parse_certificate(schedule.certificate, name), "there would be no values"))
+    if second is not None and second.table is not None:
+        table = parse_certificate(second.table, "second_standard.table")
+        stated.append(("second_standard.table", table, "it could not be compared"))
+    for key, certificate, effect in stated:
+        quantity = "wavelengths"
+        if certificate.covers("wavelength_nm", np.array(grid_values(file.wavelength_nm))).any():
+            quantity = "directions"
+            if certified_directions(certificate, observed_directions(file, rig, poses)):
+                continue
+        raise UserError(
+            f"{schedule.name}: {key} covers none of the schedule's {quantity}, so that {effect}: it is valid for "
+            f"{certificate}; name a certificate that covers the measurement"
+        )
 
 
 def certified_directions(certificate: Certificate, arcs: list[ArcDirections]) -> int:

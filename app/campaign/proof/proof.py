@@ -58,7 +58,7 @@ class Proof:
     def drawn(self) -> DrawnRigs:
         """The virtual rigs. Raises UserError where the file describes no twin."""
         file = self.schedule.file
-        described = described_twin(self.rig, file.standards, file.samples, {}).rig
+        described = described_twin(self.rig, file.standard_factors, file.samples, {}).rig
         settings = reduction_settings(described.file, file, self.schedule.certificate, self.schedule.name)
         level = settings.certificate.level
         return DrawnRigs(described, file.etalon, level=level, years=settings.etalon_years, second=settings.second)

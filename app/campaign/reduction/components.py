@@ -127,6 +127,8 @@ LOGARITHMIC = 0.15
 """Relative standard uncertainty above which an interval is one of the logarithm."""
 LINEAR_LAW, LOGARITHMIC_LAW, DRAWN_LAW = "linear", "logarithmic", "drawn"
 """The intervals that a value may have, as files name them; a drawn one is by the law of an input that is not normal."""
+MOST_LOGARITHMIC = 100.0
+"""A larger relative uncertainty has the interval of this one: the ends of its own are no numbers."""
 INTERVAL_RULE = (
     f"an interval of k u is value +- k u; where u is above {100.0 * LOGARITHMIC:g} % of the value and at least half of its "
     f"variance is of shares of the value (all components but {', '.join(sorted(ADDED))}), it is value exp(+-k u / value)"
@@ -153,7 +155,7 @@ def interval(
 ) -> tuple[Floats, Floats]:
     """Lower and upper ends of the values' intervals, so many standard uncertainties `u` away; `added` of `mostly_added`."""
     chosen = logarithmic(value, u, added)
-    share = np.where(chosen, u, 0.0) / np.where(chosen, value, 1.0)
+    share = np.minimum(np.where(chosen, u, 0.0) / np.where(chosen, value, 1.0), MOST_LOGARITHMIC)
     low, high = (
         np.where(chosen, value * np.exp(-down * share), value - down * u),
         np.where(chosen, value * np.exp(up * share), value + up * u),

@@ -247,7 +247,9 @@ def _evaluate(values: MergedDirections, instrument: Instrument, moved_deg: Float
     steep |= np.nan_to_num(everywhere(np.maximum(slopes.across.step, 0.0))) > TENFOLD
     steep[light] |= slopes.undecided() | slopes.unknown_across() | lit.beside_gap(window)
     steep |= unknown
-    steep &= values.bsdf > CLEAR * limit
+    clear = values.bsdf > CLEAR * limit
+    steep &= clear
+    unresolved = np.where(clear[:, None], unresolved, 0.0)
     sign = np.where(values.opposite, -1.0, 1.0)[:, None]
     which = values.which
     return FieldOfView(

@@ -74,7 +74,7 @@ def plan_rehearsal(
     if unknown:
         named = ", ".join(file.mounted)
         raise UserError(f"--sample {unknown[0]}: {schedule.name} has no such sample; it has {named}")
-    described = described_twin(rig, file.standards, file.samples, samples)
+    described = described_twin(rig, file.standard_factors, file.samples, samples)
     return make_plan(schedule, described.rig), described.assumptions
 
 

@@ -318,6 +318,15 @@ class ScheduleFile(TomlTable):
         return (self.etalon,) if self.second_standard is None else (self.etalon, self.second_standard.name)
 
     @property
+    def standard_factors(self) -> dict[str, float | None]:
+        """The mean radiance factor of each standard by the certificate in the schedule; None for that of the etalon."""
+        second = self.second_standard
+        if second is None:
+            return {self.etalon: None}
+        certificate = None if second.turned else second.certificate(constant_certificate(EtalonTable()))
+        return {self.etalon: None, second.name: None if certificate is None else float(certificate.factor.mean())}
+
+    @property
     def mounted(self) -> tuple[str, ...]:
         """The names of all that is mounted, in this order: the standards, then the samples."""
         return (*self.standards, *self.samples)

@@ -42,6 +42,7 @@ INDEX = re.compile(r"[\[@].*")
 INTERPOLATION, FILLED = "interpolation", "directions without a value"
 
 
+MOST_FREEDOM = 1e6
 NOISE, LAMP = "noise", "lamp"
 ESTIMATES = {
     NOISE: NOISE, "dark": NOISE, "etalon_reading": NOISE, "signature_reading": NOISE, "field_noise": NOISE, LAMP: LAMP,
@@ -332,5 +333,5 @@ def _root_sum(components: Sequence[Component]) -> float:
 
 
 def finite(number: float) -> float | None:
-    """A number for JSON; None for infinity."""
-    return number if math.isfinite(number) else None
+    """Degrees of freedom for JSON; None for infinity, and for so many that they are no other."""
+    return number if number < MOST_FREEDOM else None

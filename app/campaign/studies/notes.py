@@ -59,7 +59,7 @@ def _light_notes(evaluation: Evaluation, tallies: Mapping[str, Tally]) -> Iterat
     if reduction.settings.certificate.calibrated is None and reduction.rig.file.uncertainty.u(ETALON_AGE):
         yield f"the etalon's certificate has no date of calibration: {ASSUMED_YEARS:g} year is taken as its age"
     if evaluation.standards is not None and not evaluation.standards.alarms:
-        yield f"standards: {evaluation.standards.verdict}; values are scaled by both"
+        yield f"standards: {evaluation.standards.verdict}; values that have light and a certificate of both are scaled by both"
     if evaluation.repeats is not None:
         yield evaluation.repeats.sentence(reduction.rig.file.uncertainty.u(REPEATABILITY))
     if any(each.data.flags for each in reduction.journal.rows("warm-up")):

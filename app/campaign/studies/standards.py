@@ -15,7 +15,7 @@ import numpy as np
 from goniotwin.app.campaign.geometry.directions import polar_from_zenith
 from goniotwin.app.campaign.planning.plan import NewPlan
 from goniotwin.app.campaign.reduction.angles import add_pose
-from goniotwin.app.campaign.reduction.components import Signal
+from goniotwin.app.campaign.reduction.components import ADDED, Signal, total_variance
 from goniotwin.app.campaign.reduction.effects_of_points import effects_of
 from goniotwin.app.campaign.reduction.etalon import ReferenceSignals
 from goniotwin.app.campaign.reduction.optical_paths import incidence_deg
@@ -34,7 +34,7 @@ MOST_ROWS, MOST_VALUES = 96, 600
 MOST_INCIDENCES = 6
 """Incidences at which the effect of a dark hole is computed; between them it is interpolated."""
 RESOLVED = 0.1
-"""Largest relative uncertainty of a value that is compared: the logarithm of a less certain one is that of noise."""
+"""Largest share of noise in a value that is compared: the logarithm of a darker one is that of noise."""
 
 
 @dataclass(frozen=True)
@@ -81,8 +81,14 @@ class StandardsReport:
 
     @property
     def difference(self) -> float:
-        """The difference that is in the scale's uncertainty, relative; 0 where they agree."""
-        return self.together.ratio - 1.0 if self.together is not None and self.differs else 0.0
+        """The difference that is in the scale's uncertainty, relative; 0 where they agree.
+
+        Where it is not the same at all wavelengths and incidences, the largest of these.
+        """
+        if self.together is None or not (self.differs or self.apart):
+            return 0.0
+        lights = () if self.alike else self.by_light
+        return max((each.ratio - 1.0 for each in (self.together, *lights)), key=abs)
 
     @property
     def apart(self) -> bool:
@@ -117,7 +123,7 @@ class StandardsReport:
         elif not self.apart:
             return f"{text}: they agree"
         if not self.alike:
-            text += "; over wavelengths and incidences they do NOT agree"
+            text += "; over wavelengths and incidences they do NOT agree: half of the largest difference is in u"
         return text
 
     def as_dict(self) -> dict[str, Any]:
@@ -235,7 +241,8 @@ def _evenly(count: int, most: int) -> Ints:
 def _compared(points: BsdfPoints, settings: ReductionSettings) -> StandardsReport | None:
     """The comparison by points of the etalon in the scale of the second standard alone; None without a value."""
     points = points.where(points.good & ~points.transmitted & ~points.mirrored & (points.second_row >= 0))
-    points = points.where(points.u_bsdf < RESOLVED * points.bsdf)
+    noise = total_variance({name: each for name, each in points.components.items() if name in ADDED})
+    points = points.where(np.sqrt(noise) < RESOLVED * points.bsdf)
     if not points.size or settings.second is None:
         return None
     points = add_pose(points.where(_evenly(points.size, MOST_VALUES)), settings)

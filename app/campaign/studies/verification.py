@@ -108,7 +108,7 @@ def evidence_text(verdicts: Sequence[Verdict]) -> str:
     """A table of what a campaign observes of its own inputs, a line for each verdict with evidence; empty without one."""
     lines = [
         f"  {each.name:22}  {found.of:38}  {found.observations:6d}  {found.rank:5.1f}  {found.chi_square:10.1f}  "
-        f"{100.0 * found.chance:9.2g}  {each.verdict}"
+        f"{100.0 * found.chance:9.3g}  {each.verdict}"
         for each in verdicts
         if (found := each.evidence) is not None
     ]

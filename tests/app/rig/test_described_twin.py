@@ -37,6 +37,14 @@ def model(twin: DescribedTwin) -> TwinModel:
     return made
 
 
+def test_a_standard_has_its_certified_radiance_factor() -> None:
+    twin = described_twin(real_rig(), {"etalon": None, "grey": 0.5}, [], {})
+    assert twin.rig.file.twin is not None
+    factors = {name: getattr(table, "reflectance", None) for name, table in twin.rig.file.twin.samples.items()}
+    assert factors == {"etalon": real_rig().file.etalon.radiance_factor, "grey": 0.5}
+    assert any("grey is an ideal diffuser" in each and "0.5, its certified" in each for each in twin.assumptions)
+
+
 def test_its_mechanics_are_the_operators_nominal_ones() -> None:
     nominal = "[axes.sigma]\nsense = -1\nzero_offset_deg = 12.5\nbacklash_deg = 0.05\nencoder_counts = 40000"
     twin = model(described(("[axes.sigma]", nominal)))

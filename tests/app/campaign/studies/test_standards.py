@@ -35,6 +35,7 @@ from goniotwin.app.campaign.studies.evaluation import evaluate_journal
 from goniotwin.app.campaign.studies.reduced_journal import reduce_journal
 from goniotwin.app.campaign.studies.standards import StandardsReport, expected_comparison
 from goniotwin.app.campaign.studies.verification import verify_journal
+from goniotwin.app.errors import UserError
 from goniotwin.app.rig import parse_rig
 from goniotwin.arrays import Floats
 from goniotwin.twin.plant import Plant
@@ -135,7 +136,7 @@ def test_on_good_rigs_the_difference_is_chance(stated: str) -> None:
     assert is_chance(float(np.sum(z**2)), z.size)
     assert all(each.report.alike for each in found)
     assert not any(each.fails for each in found)
-    scaled = [each for each in found if any("values are scaled by both" in note for note in each.notes)]
+    scaled = [each for each in found if any("are scaled by both" in note for note in each.notes)]
     assert len(scaled) == np.sum(np.abs(z) <= 2.0)
 
 
@@ -169,6 +170,18 @@ def test_a_certificate_that_is_wrong_at_one_wavelength_fails() -> None:
     ratios = np.array([each.ratio for each in report.by_light])
     assert np.mean(ratios[:2]) / np.mean(ratios[2:]) == pytest.approx(1.0 / 0.99, abs=1e-3)
     assert any("over wavelengths and incidences they do NOT agree" in each for each in found.notes)
+    # Either may be wrong, by the largest of the differences: half of that is in u.
+    assert report.difference == pytest.approx(float(ratios[np.argmax(np.abs(ratios - 1.0))]) - 1.0)
+    assert abs(report.difference) > 0.007
+
+
+def test_a_certificate_that_covers_nothing_is_refused() -> None:
+    stated = (
+        'table = """\nlevel = 0.002\nwavelength_nm,radiance_factor,relative_uncertainty\n900,0.99,0.002\n950,1.0,0.002\n"""\n'
+    )
+    schedule = parse_schedule(schedule_text(stated), "two.toml")
+    with pytest.raises(UserError, match=r"second_standard\.table covers none of the schedule's wavelengths"):
+        make_plan(schedule, parse_rig(rig_text(), RIG.parent, "rig"))
 
 
 # The scale.
