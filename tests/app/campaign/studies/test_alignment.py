@@ -96,6 +96,7 @@ def test_nine_combinations_are_found_within_their_uncertainties(small: Small) ->
     assert not found.findings
 
 
+@pytest.mark.long
 def test_a_hole_that_is_dark_in_part_is_found_and_stated(tmp_path: Path) -> None:
     """With the sample turned by 45 deg too; the directions hold as those of a lit one do."""
     turned = SMALL.replace("gamma_deg = [0, 180]", "gamma_deg = [0, 45]")
