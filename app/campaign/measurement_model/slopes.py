@@ -1,10 +1,10 @@
 """Slopes of what was measured: the derivatives of ln y at each direction, from the values around it.
 
 Along the arc: a local parabola through the logarithms, which follows a Gaussian lobe exactly, however far apart its values are.
-Across it: the same on a circle about the normal, where other beta near enough were measured; elsewhere the lobe is taken to be
-rotationally symmetric about the specular direction (for transmitted light: about the direction of regular transmission). Where
-the schedule does not state it that is an estimate, and the mixed derivative that of the arcs' slopes along the circle. What a
-parabola does not resolve shows in the slopes of the two sides, which have neighbours of their own.
+Across it: the same on a circle about the normal, where other beta near enough were measured, with the derivative of the arcs'
+slopes along the circle as the mixed one. Elsewhere a lobe that is stated to be round depends on theta alone (the angle from the
+specular direction; for transmitted light, from that of regular transmission), and of another one the slope across has a bound.
+What a parabola does not resolve shows in the slopes of the two sides, which have neighbours of their own.
 
 Axes. A direction d is on an arc at the signed polar angle p, from the arc's own pole, in the half plane at the azimuth A, its
 `plane`: d = (sin p cos A, sin p sin A, up cos p), up = 1 on the upper arc and -1 on the lower. `along` is the unit tangent of
@@ -331,7 +331,7 @@ class Slopes:
         return result
 
     def unknown_across(self) -> Flags:
-        """Where nothing was measured across the arc, and the largest slope that was measured is more than UNDECIDED."""
+        """Where the slope across is as uncertain as an unknown one of a lobe whose largest slope is UNDECIDED, or more."""
         return np.asarray(self.bound > UNKNOWN * UNDECIDED)
 
 
