@@ -3,7 +3,8 @@
 Illuminated spot, exit pupil and a photodiode's acceptance make each value a mean over directions. The correction is that of a
 lobe whose logarithm is locally a parabola (measurement_model/field.py), from the slopes of the measured values, which
 measurement_model/slopes.py has. What is left has three parts: `field`, by the variance of the directions, which all values
-share; `field_noise`, by the noise of the slopes and what they do not resolve; and `slope_unresolved`, by neighbours too far apart.
+share; `field_noise`, by the noise of the slopes and what they do not resolve; and `slope_unresolved`, by neighbours too far
+apart.
 `second_order` is what an unknown angle does where there is no slope. A value that is lost in its noise is not corrected: the
 field's whole effect on it is within its `field_noise`.
 
