@@ -519,7 +519,7 @@ def test_both_scales_close_on_twenty_rigs_and_an_etalon_that_is_low_is_found() -
         plain = np.array([value for _, value in found])
         corrected = plain + [each.correction for each, _ in found]
         u, parts = found[0][0].u, {each.name: each.u for each in found[0][0].components}
-        of_pose = math.hypot(parts["scan"], *(parts[each.input.name] for each in pose_inputs(scan, FILE)))
+        of_pose = math.hypot(parts["scan"], *(parts[each.input.name] for each in pose_inputs(scan, FILE) if each.input.u))
         of_stops = math.hypot(parts["position@shift#scan"], parts["position@beta#scan"])
         z = np.array([each.z for each, _ in found])
         stopped = [DrawnRig(seed, lit=True).closure(scan, stops=True) for seed in range(20)]
