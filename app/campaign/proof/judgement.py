@@ -5,7 +5,6 @@ The result is small, whatever the campaign: sums by cell. Nothing of the truth i
 
 import itertools
 import math
-import re
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
@@ -24,7 +23,7 @@ from goniotwin.app.campaign.reduction.effects_of_points import effects_of
 from goniotwin.app.campaign.reduction.points import BsdfPoints, join_points
 from goniotwin.app.campaign.reduction.reduction import Reduction
 from goniotwin.app.campaign.reduction.settings import ReductionSettings
-from goniotwin.app.campaign.studies.budget import finished_blocks
+from goniotwin.app.campaign.studies.budget import INDEX, finished_blocks
 from goniotwin.app.campaign.studies.comparison import (
     deviations_in_u,
     moved_logarithm,
@@ -57,8 +56,6 @@ BOUNDS = ("slope_unresolved",)
 """Components that are limits of what is not known: their error is no draw of a law with that variance."""
 REFLECTED, TRANSMITTED = SIDES = ("reflected", "transmitted")
 IN_PLANE, OUT_OF_PLANE = "in plane", "out of plane"
-INDEX = re.compile(r"[\[@].*")
-"""What follows the kind of an input in its name: its element, row or mounting."""
 
 
 @dataclass

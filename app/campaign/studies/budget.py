@@ -38,7 +38,7 @@ LIGHTS = ("reflected", "transmitted")
 KEYS = ("sample", *NUMBERS, "light")
 Unit = Literal["1/sr", "1"]
 INDEX = re.compile(r"[\[@].*")
-"""What follows the kind of an input in its name."""
+"""What follows the kind of an input in its name: its element, row or mounting."""
 INTERPOLATION, FILLED = "interpolation", "directions without a value"
 
 

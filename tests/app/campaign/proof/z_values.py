@@ -60,4 +60,4 @@ def _of_rig(plan: NewPlan) -> dict[str, Floats]:
 
 
 if __name__ == "__main__":
-    np.savez_compressed(FILE, **z_values())  # type: ignore[arg-type]
+    np.savez_compressed(FILE, **z_values())  # type: ignore[arg-type]  # the stub has a keyword of its own
