@@ -100,7 +100,7 @@ def _rows(totals: Totals) -> tuple[list[str], str]:
     cells = [("all but `steep`", each) for each in totals.tables.get("all", [])]
     cells += [(f"{table}: {each.label}", each) for table in _tables() for each in totals.tables.get(table, [])]
     integrals = totals.reflectances
-    within = sum(each.limits[0] <= each.chi_square <= each.limits[1] for each in integrals)
+    within = sum(not each.outside for each in integrals)
     text = (
         f"Cells of less than {JUDGED_VALUES} values are omitted. Of {len(integrals)} integrals {within} have chi2/n within "
         f"the limits of 99 %. Variance of the fitted inputs over u^2: {totals.variance_shared:.2f}."

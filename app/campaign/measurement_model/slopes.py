@@ -29,6 +29,8 @@ MAX_DISTANCE_RAD = math.radians(6.0)
 """Neighbours further away have no information on the curvature; photodiodes are 5 deg apart."""
 RADIAL = 0.7
 """An arc passes close enough to the lobe's centre where theta changes by this share of the way along it."""
+LEAST_COSINES = 0.01
+"""Least product of the cosines of incidence and observation by which a lobe is narrower across the plane of incidence."""
 LEAST_THETA = 1e-9
 """Closer to the lobe's centre no direction leads towards it."""
 FURTHEST_RAD = math.radians(45.0)
@@ -244,6 +246,16 @@ class Directions:
         sine = np.sqrt(np.maximum(1.0 - self.middle**2, 0.0))
         return np.asarray(np.abs(self.along) > RADIAL * np.maximum(sine, LEAST_THETA))
 
+    @property
+    def narrowing(self) -> Floats:
+        """By how much (n,) a second derivative across the plane of incidence may be larger than that of a round lobe, relative.
+
+        A rough surface's light depends on the half vector, a thin diffuser's on direction cosines. Across the plane both change
+        with a direction faster than along it, by one over the cosine of the angle to the normal.
+        """
+        light = np.abs(self.middle * np.cos(self.polar) - self.along * np.sin(self.polar))
+        return np.asarray(1.0 / np.maximum(light * np.cos(self.polar), LEAST_COSINES) - 1.0)
+
     def beside_gap(self, window: float) -> Flags:
         """Where the lobe's centre is near, in a gap of the arc's directions, and no other arc is nearer by `window` or more."""
         apart = np.where(np.diff(self.plane) == 0, np.diff(self.polar), np.inf)
@@ -268,7 +280,8 @@ class Slopes:
     `mixing` (n, 5, 5) is the derivative of (first_along, first_across, second_along, second_across, mixed) by (arc.first,
     arc.second, across.first, across.second, crossed.first). `bound` is the standard uncertainty of first_across where it is not
     known but for its size, and taken as 0: nothing was measured across, and the lobe need not be round or theta does not
-    change along the arc. `darker` is the largest slope to a darker value beside it at other beta.
+    change along the arc. `narrower` is that of second_across, by which the lobe may be narrower there than a round one.
+    `beside` is the largest slope to a value beside it at other beta, and `step` the largest change to one that is near.
     """
 
     first_along: Floats
@@ -282,7 +295,9 @@ class Slopes:
     mixing: Floats
     measured: Flags
     bound: Floats
-    darker: Floats
+    narrower: Floats
+    beside: Floats
+    step: Floats
 
     def noise(self, sensitivity: Floats, own_variance: Floats) -> Floats:
         """Variance (n,) that the values' noise adds to y minus a function of the slopes.
@@ -310,7 +325,7 @@ class Slopes:
         fourth one adds, by that half difference. Both without their noise.
         """
         by = np.einsum("nk,nkl->nl", sensitivity, self.mixing)
-        total = (sensitivity[:, 1] * self.bound) ** 2
+        total = np.zeros(len(by))
         for first, fit in ((0, self.arc), (2, self.across), (4, self.crossed)):
             half = np.maximum(fit.half_difference**2 - NOISE_MARGIN * fit.variance_half, 0.0)
             departure = np.maximum(fit.departure**2 - NOISE_MARGIN * fit.variance_departure, 0.0)
@@ -318,6 +333,10 @@ class Slopes:
             if first < 4:
                 total += np.nan_to_num(by[:, first + 1] ** 2 * fit.fourth**2 * half)
         return np.sqrt(total)
+
+    def limits(self, sensitivity: Floats) -> Floats:
+        """Standard uncertainty (n,) of a function of the slopes by what was not measured across; `sensitivity` as above."""
+        return np.hypot(sensitivity[:, 1] * self.bound, sensitivity[:, 3] * self.narrower)
 
     def undecided(self) -> Flags:
         """Where the slopes of two sides differ by more than the larger of them, and by more than noise and UNDECIDED."""
@@ -359,7 +378,7 @@ def slopes_of(directions: Directions, y: Floats, variance: Floats, window: float
     )  # fmt: skip
     unknown = ~measured & ~((directions.radial | np.isfinite(across.second)) & round_lobe)
     mixing[unknown, 1] = 0.0
-    darker, brighter = circles.steepest(y, variance)
+    beside_it, brighter, step = circles.steepest(y, variance)
     bound = np.where(unknown, UNKNOWN * _largest_slope(directions, y, arc, brighter), 0.0)
     if round_lobe or not measured.any():
         crossed = Parabola(*np.full((PARABOLA_COLUMNS, y.size), np.nan))
@@ -375,9 +394,13 @@ def slopes_of(directions: Directions, y: Floats, variance: Floats, window: float
     first_along, first_across, second_along, second_across, mixed = derivatives
     if round_lobe:
         bound = np.where(measured, 0.0, np.hypot(bound, circles.departure(directions, y, variance, first_along, first_across)))
+    # The lobe's middle need not be the specular direction, and beside it one of the two may be 0.
+    curved = np.maximum(np.abs(second_along), np.abs(second_across)) - NOISE_MARGIN * np.sqrt(arc.variance_second)
+    narrower = np.where(measured, 0.0, np.maximum(curved, 0.0) * directions.narrowing / math.sqrt(3.0))
     return Slopes(
-        first_along, first_across, second_along, second_across, mixed, arc, across, crossed, mixing, measured, bound, darker
-    )
+        first_along, first_across, second_along, second_across, mixed, arc, across, crossed, mixing, measured, bound, narrower,
+        beside_it, step,
+    )  # fmt: skip
 
 
 def _over_theta(directions: Directions, y: Floats, variance: Floats, window: float, chosen: Flags) -> Parabola:
@@ -484,19 +507,22 @@ class _Circles:
         columns[:, self.order] = list(vars(fit).values())
         return Parabola(*columns)
 
-    def steepest(self, y: Floats, variance: Floats) -> tuple[Floats, Floats]:
-        """The larger slope (n,) from each value to a darker one beside it, at any distance, and that to a brighter one.
-
-        Beyond their noise; 0 where there is none.
+    def steepest(self, y: Floats, variance: Floats) -> tuple[Floats, Floats, Floats]:
+        """The largest slope (n,) from each value to one beside it, at any distance, and that to a brighter one, both beyond
+        their noise; and the largest change to one within MAX_DISTANCE_RAD. 0 where there is none.
         """
         same = np.flatnonzero(np.diff(self.line) == 0)
         one, other = self.order[same], self.order[same + 1]
         noise = NOISE_MARGIN * np.sqrt(variance[one] + variance[other])
-        slope = (np.abs(y[other] - y[one]) - noise) / (self.place[same + 1] - self.place[same])
-        falls, darker, brighter = y[other] < y[one], np.zeros(y.size), np.zeros(y.size)
-        np.maximum.at(darker, np.where(falls, one, other), slope)
-        np.maximum.at(brighter, np.where(falls, other, one), slope)
-        return darker, brighter
+        apart, change = self.place[same + 1] - self.place[same], np.abs(y[other] - y[one])
+        slope = (change - noise) / apart
+        largest, brighter, step = np.zeros((3, y.size))
+        near = np.where(apart <= MAX_DISTANCE_RAD * NEAR, change, 0.0)
+        for each in (one, other):
+            np.maximum.at(largest, each, slope)
+            np.maximum.at(step, each, near)
+        np.maximum.at(brighter, np.where(y[other] < y[one], other, one), slope)
+        return largest, brighter, step
 
     def departure(self, directions: Directions, y: Floats, variance: Floats, along: Floats, across: Floats) -> Floats:
         """By how much the slopes (n,) to values at other beta not far away differ, beyond their noise, from those of a lobe

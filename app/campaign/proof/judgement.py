@@ -88,15 +88,15 @@ class RigResult:
     """A rig by its `seed`: its cells; by kind of input the sums of (fitted / u)^2 and of their expectations.
 
     `angles` by sample: the error in deg of the angle between lobe and photodiode in the plane of incidence, as drawn and as
-    fitted. `reflectances` are by sample and setting: the relative deviation and u. `far` are the points beyond 5 u. `failed` is
-    the reason why the rig has no result, or empty.
+    fitted. `reflectances` are by sample and setting: the relative deviation, u, and the share of a limit in u^2. `far` are the
+    points beyond 5 u. `failed` is the reason why the rig has no result, or empty.
     """
 
     seed: int
     cells: Cells = field(default_factory=dict)
     inputs: dict[str, tuple[float, float]] = field(default_factory=dict)
     angles: dict[str, tuple[float, float]] = field(default_factory=dict)
-    reflectances: dict[str, tuple[float, float]] = field(default_factory=dict)
+    reflectances: dict[str, tuple[float, float, float]] = field(default_factory=dict)
     far: list[dict[str, Any]] = field(default_factory=list)
     failed: str = ""
 
@@ -110,10 +110,10 @@ class RigResult:
         cells = {
             table: {label: Cell(**cell) for label, cell in labels.items()} for table, labels in content.pop("cells").items()
         }
-        inputs, angles, reflectances = (
-            {key: (float(a), float(b)) for key, (a, b) in content.pop(name).items()}
-            for name in ("inputs", "angles", "reflectances")
+        inputs, angles = (
+            {key: (float(a), float(b)) for key, (a, b) in content.pop(name).items()} for name in ("inputs", "angles")
         )
+        reflectances = {key: (float(a), float(b), float(c)) for key, (a, b, c) in content.pop("reflectances").items()}
         return cls(cells=cells, inputs=inputs, angles=angles, reflectances=reflectances, **content)
 
 
@@ -193,10 +193,11 @@ def _add_sample(
         used = np.flatnonzero(weight != 0.0)
         total = float(np.sum(weight[used] * truth[setting.index][used]))
         components = components_of_sum(here, weight, reduction.settings)
-        u = math.sqrt(math.fsum(each.u**2 for each in components))
-        if total > 0.0:
+        variance = math.fsum(each.u**2 for each in components)
+        if total > 0.0 and variance > 0.0:
             deviation = float(np.sum(weight[used] * here.bsdf[used])) - total
-            result.reflectances[f"{name}, {setting}"] = (deviation / total, u / total)
+            limited = math.fsum(each.u**2 for each in components if each.name in BOUNDS) / variance
+            result.reflectances[f"{name}, {setting}"] = (deviation / total, math.sqrt(variance) / total, limited)
 
 
 def _parts(points: BsdfPoints) -> Iterator[Any]:

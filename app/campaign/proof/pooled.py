@@ -153,7 +153,7 @@ class PooledTotals:
         deviations of a rig, those beyond 2.58 u.
         """
         integrals = self.totals.reflectances
-        out = sum(not each.limits[0] <= each.chi_square <= each.limits[1] for each in integrals)
+        out = sum(each.outside for each in integrals)
         return len(integrals), out, sum(each.rigs for each in integrals), sum(each.beyond for each in integrals)
 
     def as_dict(self) -> dict[str, Any]:

@@ -70,7 +70,8 @@ class CellTotal:
 class ReflectanceTotal:
     """A reflectance over all rigs: chi2/n of its deviations in u, the limits of 99 %, and u over the scatter over rigs.
 
-    `beyond` is the number of rigs whose deviation is beyond 2.58 u.
+    `beyond` is the number of rigs whose deviation is beyond 2.58 u. `limited`: on most rigs u^2 is for the most part a limit of
+    what is not known, which is no draw of a law: its chi2/n has no lower limit.
     """
 
     label: str
@@ -79,12 +80,19 @@ class ReflectanceTotal:
     limits: tuple[float, float]
     u_over_scatter: float
     beyond: int = 0
+    limited: bool = False
+
+    @property
+    def outside(self) -> bool:
+        """Whether chi2/n is outside the limits."""
+        low, high = self.limits
+        return not (0.0 if self.limited else low) <= self.chi_square <= high
 
     def as_dict(self) -> dict[str, Any]:
         """The reflectance for JSON."""
         return {
             "label": self.label, "rigs": self.rigs, "chi2": self.chi_square, "limits_99": list(self.limits),
-            "u_over_scatter": _finite(self.u_over_scatter), "beyond_99": self.beyond,
+            "u_over_scatter": _finite(self.u_over_scatter), "beyond_99": self.beyond, "limited": self.limited,
         }  # fmt: skip
 
 
@@ -229,14 +237,15 @@ def _angle_totals(results: Sequence[RigResult]) -> dict[str, tuple[float, float]
 def _reflectance_totals(results: Sequence[RigResult]) -> list[ReflectanceTotal]:
     totals = []
     for label in sorted(dict.fromkeys(name for each in results for name in each.reflectances)):
-        deviation, u = np.array([each.reflectances[label] for each in results if label in each.reflectances]).T
+        deviation, u, limited = np.array([each.reflectances[label] for each in results if label in each.reflectances]).T
         rigs = deviation.size
         scatter = float(np.std(deviation, ddof=1)) if rigs > 1 else math.nan
         limits = (chi_square_quantile(rigs, -LIMIT_99) / rigs, chi_square_quantile(rigs, LIMIT_99) / rigs)
         z = deviation / np.maximum(u, np.finfo(float).tiny)
         over = float(np.sqrt(np.mean(u**2))) / scatter if scatter else math.nan
         beyond = int(np.sum(np.abs(z) > LIMIT_99))
-        totals.append(ReflectanceTotal(label, rigs, float(np.mean(z**2)), limits, over, beyond))
+        mostly = float(np.median(limited)) > 0.5
+        totals.append(ReflectanceTotal(label, rigs, float(np.mean(z**2)), limits, over, beyond, mostly))
     return totals
 
 

@@ -4,7 +4,7 @@ Illuminated spot, exit pupil and a photodiode's acceptance make each value a mea
 lobe whose logarithm is locally a parabola (measurement_model/field.py), from the slopes of the measured values, which
 measurement_model/slopes.py has. What is left has three parts: `field`, by the variance of the directions, which all values
 share; `field_noise`, by the noise of the slopes and what they do not resolve; and `slope_unresolved`, by neighbours too far
-apart.
+apart, and by what was not measured across the arc.
 `second_order` is what an unknown angle does where there is no slope. A value that is lost in its noise is not corrected: the
 field's whole effect on it is within its `field_noise`.
 
@@ -83,10 +83,10 @@ class FieldOfView:
     `correction` is added to the logarithm; slopes and `bend` (n, 2), second derivatives, are those of the corrected logarithm,
     per degree, along the arc and across it, `mixed` (n,) is the mixed derivative, and `unresolved` (n, 2) is the standard
     uncertainty of the slopes by neighbours that are too far apart. `noise` is that of the correction by the slopes' noise and
-    by what they do not resolve; with that of the known displacement. `estimate`, in the values' unit, is the whole effect on a
-    value that cannot be corrected; of one that is `alone`, between darker ones that do not show its lobe, it is a lower limit.
-    `steep`: the directions nearby are too far apart for the slope, or there are none across the
-    arc and the lobe need not be round.
+    by what they do not resolve; with that of the known displacement. `limit` is that of the correction by what was not measured
+    across the arc. `estimate`, in the values' unit, is the whole effect on a value that cannot be corrected; of one that is
+    `alone`, between darker ones that do not show its lobe, it is a lower limit. `steep`: the directions nearby are too far
+    apart for the slope, or there are none across the arc and the lobe need not be round.
     """
 
     correction: Floats
@@ -95,6 +95,7 @@ class FieldOfView:
     mixed: Floats
     unresolved: Floats
     noise: Floats
+    limit: Floats
     estimate: Floats
     steep: Flags
     alone: Flags
@@ -108,9 +109,9 @@ class FieldOfView:
         `moved_deg` (n, 2) is the displacement along the arc and across it for which the values will be corrected by the slopes.
         """
         n = points.bsdf.size
-        correction, mixed, noise, estimate = (np.full(n, np.nan) for _ in range(4))
+        correction, mixed, noise, limit, estimate = (np.full(n, np.nan) for _ in range(5))
         slope, bend, unresolved = (np.full((n, 2), np.nan) for _ in range(3))
-        result = cls(correction, slope, bend, mixed, unresolved, noise, estimate, *np.zeros((2, n), dtype=bool))
+        result = cls(correction, slope, bend, mixed, unresolved, noise, limit, estimate, *np.zeros((2, n), dtype=bool))
         chosen = np.flatnonzero(points.good)
         # Process per wavelength and incidence, in chunks, to bound memory.
         lights = np.stack([points.wavelength_nm[chosen], points.sigma_deg[chosen]])
@@ -217,7 +218,8 @@ def _evaluate(values: MergedDirections, instrument: Instrument, moved_deg: Float
         sensitivity = sensitivity + values.of_displacement(moved_deg)[light]
     noise = np.hypot(np.sqrt(slopes.noise(sensitivity, relative)), slopes.unresolved(correction.sensitivity))
     each_slope = np.eye(2, correction.sensitivity.shape[1])
-    unresolved = np.stack([slopes.unresolved(np.tile(one, (relative.size, 1))) for one in each_slope], axis=1)
+    of_slopes = [np.tile(one, (relative.size, 1)) for one in each_slope]
+    unresolved = np.stack([np.hypot(slopes.unresolved(each), slopes.limits(each)) for each in of_slopes], axis=1)
 
     def everywhere(column: Floats) -> Floats:
         result = np.full((n, *column.shape[1:]), np.nan)
@@ -238,14 +240,13 @@ def _evaluate(values: MergedDirections, instrument: Instrument, moved_deg: Float
     change = np.where(np.diff(directions.plane) == 0, np.diff(logarithm), 0.0)
     slope = np.abs(change) / np.maximum(np.diff(directions.polar), SMALLEST)
     step, slope = (np.maximum(np.append(each, 0.0), np.insert(each, 0, 0.0)) for each in (np.abs(change), slope))
-    steep = step > TENFOLD
     # What a lobe between two directions does is not known; it changes at least as much as from one to the other.
-    slope = np.fmax(slope, everywhere(slopes.darker))
+    slope, step = np.fmax(slope, everywhere(slopes.beside)), np.fmax(step, everywhere(slopes.step))
+    steep = step > TENFOLD
     alone = steep & light & unknown
     unresolved = np.maximum(np.nan_to_num(everywhere(unresolved)), np.where(alone, slope, 0.0)[:, None])
     bent = 0.5 * variance * (slope**2 + 4.0 * slope**2 / np.maximum(step, SMALLEST))
     estimate = np.where(alone, values.bsdf * bent, estimate)
-    steep |= np.nan_to_num(everywhere(np.maximum(slopes.across.step, 0.0))) > TENFOLD
     steep[light] |= slopes.undecided() | slopes.unknown_across() | lit.beside_gap(window)
     steep |= unknown
     clear = values.bsdf > CLEAR * limit
@@ -260,6 +261,7 @@ def _evaluate(values: MergedDirections, instrument: Instrument, moved_deg: Float
         mixed=PER_DEG**2 * everywhere(correction.mixed)[which],
         unresolved=PER_DEG * unresolved[which],
         noise=everywhere(noise)[which],
+        limit=everywhere(slopes.limits(correction.sensitivity))[which],
         estimate=estimate[which],
         steep=(steep & light)[which],
         alone=alone[which],
@@ -294,7 +296,8 @@ def correct_field_of_view(points: BsdfPoints, settings: ReductionSettings) -> Bs
     relative = {
         "field_noise": np.where(corrected, found.noise, 0.0) ** 2,
         "second_order": second_order(variance * np.nan_to_num(found.bend)),
-        "slope_unresolved": np.sum(unresolved * np.nan_to_num(found.unresolved) ** 2, axis=1),
+        "slope_unresolved": np.sum(unresolved * np.nan_to_num(found.unresolved) ** 2, axis=1)
+        + np.where(corrected, found.limit, 0.0) ** 2,
     }
     for name, each in relative.items():
         quantity = quantity.with_own(name, np.nan_to_num(each * bsdf**2))

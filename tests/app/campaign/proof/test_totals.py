@@ -29,7 +29,7 @@ def made_results(seed: int, rigs: int, values: int, common: float, wrong: float 
                 {"all": {"all": cell}, "decade": {"1e+0 to 1e-1": cell}},
                 {"pose": (float(wrong * rng.normal()) ** 2, 1.0)},
                 {"paint": (float(d := rng.normal()), float(d + 0.01 * rng.normal()))},
-                {"paint, 550 nm": (float(wrong * u * rng.normal()), u)},
+                {"paint, 550 nm": (float(wrong * u * rng.normal()), u, 0.0)},
             )
         )
     return results
@@ -60,6 +60,13 @@ def test_the_law_that_is_stated_is_found_within_the_standard_errors(seed: int, c
     assert totals.variance_shared == pytest.approx(1.0, abs=5.0 * math.sqrt(2.0 / 300))
     (reflectance,) = totals.reflectances
     assert reflectance.u_over_scatter == pytest.approx(1.0, abs=0.25)
+
+
+def test_a_sum_whose_u_is_a_limit_may_be_nearer_than_its_u_but_not_further() -> None:
+    for share, size, outside in ((0.9, 0.1, False), (0.1, 0.1, True), (0.9, 2.0, True), (0.1, 1.0, False)):
+        found = [RigResult(seed, reflectances={"paint, 550 nm": (size * (-1) ** seed, 1.0, share)}) for seed in range(30)]
+        (reflectance,) = Totals(found).reflectances
+        assert reflectance.outside == outside
 
 
 def test_what_is_wrong_is_seen() -> None:

@@ -35,6 +35,7 @@ from goniotwin.twin.optics import (
     light_direction,
     luminance_factor,
     to_specular,
+    ward,
 )
 from tests.app.campaign.reduction.made_points import made_points
 from tests.conftest import RIG, SMALL
@@ -125,8 +126,7 @@ def test_the_correction_inverts_the_mean_over_directions_of_a_gaussian_lobe(widt
     along, across = fits
     slopes = Slopes(
         along.first, across.first, along.second, across.second, np.full(x.size, -inverse[0, 1]), along, across,
-        across, np.zeros((x.size, 5, 5)), np.ones(x.size, dtype=bool), np.zeros(x.size),
-        np.zeros(x.size),
+        across, np.zeros((x.size, 5, 5)), np.ones(x.size, dtype=bool), *np.zeros((4, x.size)),
     )  # fmt: skip
     found = correct_logarithm(slopes, np.tile([field[0, 0], field[1, 1], field[0, 1]], (x.size, 1)))
     original = np.linalg.inv(of_lobe)
@@ -208,6 +208,30 @@ def test_the_twins_values_are_corrected_to_those_of_the_nominal_direction(
         if chosen.any():
             assert 100.0 * math.sqrt(float(np.mean(left[chosen] ** 2))) < bound
             assert math.sqrt(float(np.mean(before[chosen] ** 2))) > 7.0 * math.sqrt(float(np.mean(left[chosen] ** 2)))
+
+
+@pytest.mark.parametrize(("sigma", "least_error"), [(30.0, 0.0), (60.0, 0.01), (70.0, 0.03)])
+def test_a_rough_surfaces_lobe_is_narrower_across_the_plane_within_what_is_stated(sigma: float, least_error: float) -> None:
+    """Ward's half vectors: at grazing incidence a round lobe's correction is too small, unless other beta were measured."""
+    instrument, sample = Instrument(field_deg=1.5, obstruction=False), ward(0.06, 0.06)
+    largest = []
+    for beta in ((180.0,), tuple(np.arange(176.0, 184.1, 0.5))):
+        points = points_of(1.0, np.arange(0.0, 86.0, 1.0), beta, sigma)
+        seen = arc_direction(points.zenith_deg, points.azimuth_deg)
+        points = replace(
+            points,
+            bsdf=luminance_factor(instrument, sigma, seen, sample) / math.pi,
+            own={"noise": np.zeros(points.size) + 1e-24},
+        )
+        true = evaluate(sample, light_direction(sigma), seen)
+        found = FieldOfView.of(points, instrument)
+        here = (true > 0.3 * true.max()) & (points.azimuth_deg == 180.0)
+        left = np.abs(np.log(points.bsdf / true) + found.correction)[here]
+        largest.append(float(left.max()))
+        assert np.all(left < 1.96 * found.limit[here] + 0.002)
+        assert float(np.max(found.limit[here])) < largest[-1] + 0.002
+    assert largest[0] > least_error
+    assert largest[1] < 0.1 * least_error + 0.003
 
 
 @pytest.mark.parametrize("step", [0.5, 1.0, 2.5, 5.0])
@@ -446,7 +470,7 @@ def test_where_theta_does_not_change_along_the_arc_the_slope_across_is_bounded()
     y = -(polar**2)
     slopes = slopes_of(beside, y, none + 1e-12, math.radians(1.2))
     assert not slopes.first_across.any()
-    assert slopes.unresolved(np.tile(np.eye(5)[1], (polar.size, 1))) == pytest.approx(slopes.bound, rel=1e-12)
+    assert slopes.limits(np.tile(np.eye(5)[1], (polar.size, 1))) == pytest.approx(slopes.bound, rel=1e-12)
     # The steepest of the values that are as bright, or by one less.
     steepest = np.array([np.max(2.0 * polar[y >= each - 1.0]) for each in y])
     assert slopes.bound == pytest.approx(math.sqrt(2.0 / 3.0) * steepest, rel=0.03)
