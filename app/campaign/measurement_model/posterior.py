@@ -14,7 +14,7 @@ distribution that is stated: a sum of few rectangular ones has no tails.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -47,6 +47,27 @@ class SingleError:
 
 
 @dataclass(frozen=True)
+class PosteriorAlignment(Alignment):
+    """Inputs as they are known after observations, about what was known `before`.
+
+    In a budget they keep their names: its modes are the uncorrelated inputs before the observations, each with what these leave
+    of its effects, and the observations' own errors.
+    """
+
+    before: Alignment
+    left: tuple[tuple[InputQuantity, ...], Floats]
+
+    @cached_property
+    def modes(self) -> tuple[tuple[InputQuantity, ...], Floats]:
+        """Uncorrelated inputs, and the change (inputs, these) of each input for one unit of them."""
+        return self.left
+
+    def mode_errors(self, drawn: Mapping[str, float]) -> dict[str, float]:
+        """The modes of the alignment before, by name; inputs that have kept their names are drawn by these."""
+        return self.before.mode_errors(drawn)
+
+
+@dataclass(frozen=True)
 class Posterior:
     """The inputs of `before` after observations (m,): their `residual` is what they are beside their expectation.
 
@@ -67,6 +88,18 @@ class Posterior:
             self.before,
             value=self.before.value + self._gain @ self.residual,
             covariance=prior - self._gain @ self.sensitivity @ prior,
+        )
+
+    def named_alignment(self, errors: Sequence[InputQuantity], source: str) -> PosteriorAlignment:
+        """The same by uncorrelated inputs; `errors` are what each observation has of its own, with the variances in `own`.
+
+        Its covariance is a sum of squares (Joseph), and so has no negative variance.
+        """
+        before, change = self._uncorrelated
+        inputs, left = (*before, *errors), np.hstack([change - self._gain @ (self.sensitivity @ change), -self._gain])
+        scaled, source = left * [each.u for each in inputs], ", ".join(filter(None, (self.before.source, source)))
+        return PosteriorAlignment(
+            self.before.inputs, self.alignment.value, scaled @ scaled.T, source, self.before, (inputs, left)
         )
 
     def left(self, sensitivity: Floats) -> Floats:

@@ -24,7 +24,8 @@ class Evaluation:
 
     `repeats` are those of poses, None where there are too few; `closure` is that of the etalon's scale with the open beam's;
     `standards` compares the etalon with a second standard, None without one.
-    `pose` is what the scans of the open beam show of the inputs of pose, None without one.
+    `pose` is what the scans of the open beam show of the inputs of pose, None without one; the values are corrected by it where
+    no sample aligns, and it is no contradiction.
     `known_alignment` is what the alignment file that the rig names has of the rig, `aligned` the alignment by one of the
     campaign's own samples; None without. `not_aligned` is the reason why the values are not corrected by one, or empty.
     """
@@ -83,6 +84,12 @@ def evaluate_journal(journal: JournalReader, *, without_damaged: bool = False) -
             not_aligned = f"not aligned: {str(error).removeprefix(f'{journal.path}: ')}"
         else:
             reduction = replace(reduction, settings=replace(reduction.settings, alignment=aligned.with_photodiodes))
+    if pose is not None and aligned is None:
+        if pose.verdict == "fails":
+            reason = "not corrected by the scans of the open beam, which contradict the inputs of pose"
+            not_aligned = "; ".join(filter(None, (not_aligned, reason)))
+        else:
+            reduction = replace(reduction, settings=replace(reduction.settings, alignment=pose.alignment))
     return Evaluation(reduction, repeated, closure, pose, known, aligned, not_aligned, standards)
 
 

@@ -2,22 +2,27 @@
 
 A scan's centroid is where the light is against the view, along the arc and across it. All scans share the inputs of the rig;
 each has a photodiode and stops of its own. They are observations of one vector of inputs, and their test is one.
+
+Where it is no contradiction the values are corrected by what the scans show, and have the u that they leave.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 
 from goniotwin.app.campaign.measurement_model.alignment import Alignment
+from goniotwin.app.campaign.measurement_model.inputs import InputQuantity
 from goniotwin.app.campaign.measurement_model.pose import photodiode_inputs, rig_inputs
-from goniotwin.app.campaign.measurement_model.posterior import Posterior, SingleError
+from goniotwin.app.campaign.measurement_model.posterior import Posterior, PosteriorAlignment, SingleError
 from goniotwin.app.campaign.reduction.settings import ReductionSettings
 from goniotwin.app.campaign.studies.alignment import ScanCentroids
 from goniotwin.app.campaign.studies.closure import BY_CHANCE, EDGE_SHARE, ScannedBeam
 from goniotwin.app.campaign.wording import concise
 from goniotwin.app.rig import nominal_instrument
+from goniotwin.app.rig.inputs import POSITION
+from goniotwin.keys import ASSUMED
 
 UNLIKELY = 0.05
 """A larger single error than that of so many of the rigs within what is stated is a warning; of BY_CHANCE, a contradiction."""
@@ -32,10 +37,11 @@ PoseVerdict = Literal["holds", "warns", "fails"]
 
 @dataclass(frozen=True)
 class PoseEvidence:
-    """The inputs of pose by the centroids of scans of the open beam, at `sigmas_deg`."""
+    """The inputs of pose by the centroids of scans of the open beam, at `sigmas_deg`; `alignment` are the inputs afterwards."""
 
     sigmas_deg: tuple[float, ...]
     posterior: Posterior
+    alignment: PosteriorAlignment
 
     @property
     def verdict(self) -> PoseVerdict:
@@ -92,9 +98,23 @@ def pose_evidence(beams: Sequence[ScannedBeam], settings: ReductionSettings) -> 
     scans, table = [each for each in beams if each.edge <= EDGE_SHARE], settings.rig.uncertainty
     photodiodes = dict.fromkeys(each.scan.photodiode for each in scans)
     before = settings.alignment or Alignment.stated(rig_inputs(table))
-    before = before.with_inputs([each for c in photodiodes for each in photodiode_inputs(table, c)])
+    # All values share them: they are corrected by what these photodiodes have seen.
+    of_photodiodes = [replace(each, shared_by="all values") for c in photodiodes for each in photodiode_inputs(table, c)]
+    before = before.with_inputs(of_photodiodes)
     if not scans or not before.inputs:
         return None
     seen = ScanCentroids.of(scans, before.values, settings, nominal_instrument(settings.rig))
     found = Posterior(before, seen.residual, seen.sensitivity(before, table), np.diag(seen.variance))
-    return PoseEvidence(tuple(each.scan.at_deg for each in scans), found) if found.single_errors else None
+    if not found.single_errors:
+        return None
+    names = [(way, each.scan.at_deg, each.scan.arc) for way in ("along", "across") for each in scans]
+    source = f"{table.source(POSITION)}, the steps of a scan"
+    errors = [
+        InputQuantity(
+            f"scan_centroid[{way}, sigma {sigma:g}]@{arc}", "deg", u, "normal", "all values", source, "", origin=ASSUMED
+        )
+        for (way, sigma, arc), u in zip(names, np.sqrt(seen.variance).tolist(), strict=True)
+    ]
+    return PoseEvidence(
+        tuple(each.scan.at_deg for each in scans), found, found.named_alignment(errors, "scans of the open beam")
+    )

@@ -70,6 +70,33 @@ def test_two_observations_one_after_the_other_are_both_together(seed: int) -> No
     assert one.chi_square + other.chi_square == pytest.approx(both.chi_square, rel=1e-6)
 
 
+@settings(max_examples=10, deadline=None)
+@given(st.integers(0, 10**6), st.booleans(), st.sampled_from([1.0, 1e-9]))
+def test_the_inputs_after_observations_keep_their_names(seed: int, correlated: bool, least: float) -> None:
+    """The uncorrelated inputs before and the observations' own errors have the covariance of an augmented least squares.
+
+    Also where the observations are all but exact, and a covariance less another one would have negative variances.
+    """
+    found = made_posterior(seed, 3, 5, correlated=correlated)
+    own = least * np.diag(found.own)
+    found = replace(found, own=np.diag(own))
+    errors = [made_input(f"error {k}", math.sqrt(each)) for k, each in enumerate(own.tolist())]
+    after = found.named_alignment(errors, "a scan")
+    inputs, change = after.modes
+    names = [each.name for each in (found.before.modes[0] if correlated else found.before.inputs)]
+    assert [each.name for each in inputs] == [*names, *(each.name for each in errors)]
+    scaled = change * [each.u for each in inputs]
+    of_prior = np.linalg.inv(np.linalg.cholesky(found.before.covariance))
+    rows = np.concatenate([found.sensitivity / np.sqrt(own)[:, None], of_prior])
+    seen = np.concatenate([found.residual / np.sqrt(own), np.zeros(5)])
+    assert after.value == pytest.approx(found.before.value + np.linalg.lstsq(rows, seen, rcond=None)[0], rel=1e-5, abs=1e-6)
+    left = np.linalg.pinv(rows)
+    scale = float(np.abs(found.before.covariance).max())
+    for covariance in (scaled @ scaled.T, after.covariance):
+        assert covariance == pytest.approx(left @ left.T, rel=1e-5, abs=1e-6 * scale)
+    assert np.all(np.diag(after.covariance) >= 0.0)
+
+
 def test_what_is_left_of_the_inputs_and_the_observations_make_the_posterior_covariance() -> None:
     found = made_posterior(5, 3, 6)
     wanted = np.random.default_rng(1).normal(size=(2, 6))

@@ -23,6 +23,7 @@ from goniotwin.app.campaign.reduction.settings import reduction_settings
 from goniotwin.app.campaign.rehearsal.without_wires import run_without_wires
 from goniotwin.app.campaign.schedule.file import parse_schedule, read_schedule
 from goniotwin.app.campaign.studies.evaluation import evaluate_journal
+from goniotwin.app.campaign.studies.notes import reduction_notes
 from goniotwin.app.campaign.studies.pose_evidence import PoseEvidence, pose_evidence
 from goniotwin.app.campaign.studies.sample_alignment import align_sample
 from goniotwin.app.cli.main import app
@@ -96,6 +97,25 @@ def test_a_rig_that_states_no_angle_has_no_evidence() -> None:
     assert pose_evidence([replace(each, edge=0.5) for each in beams], SETTINGS) is None
 
 
+def test_a_known_alignment_is_what_scans_begin_with() -> None:
+    """Its modes keep their place in a budget; the inputs of the photodiodes in the beam have their names."""
+    inputs = Alignment.stated(rig_inputs(FILE.uncertainty)).inputs
+    turned = np.random.default_rng(2).normal(size=(len(inputs), len(inputs)))
+    off = np.random.default_rng(3).normal(scale=0.01, size=len(inputs))
+    u = np.array([each.u for each in inputs])
+    covariance = 0.01 * u[:, None] * (turned @ turned.T) * u
+    known = Alignment(inputs, off, covariance, "alignment of a day")
+    found = pose_evidence([DrawnRig(1).closure(scan)[0].beam for scan in SCANS], replace(SETTINGS, alignment=known))
+    assert found is not None
+    assert found.alignment.source == "alignment of a day, scans of the open beam"
+    assert found.posterior.before.values["sigma_zero"] == known.values["sigma_zero"]
+    names = [each.name for each in found.alignment.modes[0]]
+    assert names[0] == "alignment[1]"
+    assert [each for each in names if each.startswith("scan_centroid")] == names[-2 * len(SCANS) :]
+    prior = found.posterior.before.covariance
+    assert np.all(np.linalg.eigvalsh(prior - found.alignment.covariance) > -1e-12)
+
+
 def view(sigma_deg: float, polar_deg: float, *, lower: bool, transmitted: bool, gamma_deg: float = 0.0) -> Views:
     angles = np.array([[sigma_deg], [gamma_deg], [math.radians(polar_deg)], [math.pi]], dtype=float)
     return Views(*angles, *(np.array([each]) for each in (lower, transmitted, False)))
@@ -128,7 +148,7 @@ def test_one_scan_hardly_lowers_the_u_of_reflected_light_in_the_plane(
     scanned = pose_evidence([beam], SETTINGS)
     assert scanned is not None
     at = view(140.0 if lower else 40.0, 40.0, lower=lower, transmitted=False, gamma_deg=gamma_deg)
-    before, after = pose_u(at, scanned.posterior.before, 1), pose_u(at, scanned.posterior.alignment, 1)
+    before, after = pose_u(at, scanned.posterior.before, 1), pose_u(at, scanned.alignment, 1)
     # Light; arc; shift; sensor; own photodiode, the scan's, the sample: in the sense of a rotation from z to x.
     light, up = math.fsum(each**2 for each in MIRROR_LEVERS) + 1.0, -1.0 if lower else 1.0
     value = np.array([math.sqrt(light), 1.0, -up, -1.0, -up, 0.0, 2.0])
@@ -147,7 +167,7 @@ def test_transmitted_light_is_seen_as_the_scan_sees_it() -> None:
     scanned = pose_evidence([beam], SETTINGS)
     assert scanned is not None
     at = view(140.0, 40.0, lower=False, transmitted=True)
-    before, after = pose_u(at, scanned.posterior.before, 1), pose_u(at, scanned.posterior.alignment, 1)
+    before, after = pose_u(at, scanned.posterior.before, 1), pose_u(at, scanned.alignment, 1)
     assert before[0] == pytest.approx(0.075, abs=0.002)
     own = 0.05 / math.sqrt(3.0) * math.sqrt(2.0)
     assert after[0] == pytest.approx(math.hypot(own, 0.01 / math.sqrt(3.0)), rel=0.05)
@@ -165,7 +185,7 @@ def test_the_u_of_the_pose_before_and_after_a_scan_and_an_alignment(tmp_path: Pa
         evaluation = evaluate_journal(journal)
         aligned = align_sample(evaluation.reduction, evaluation.closure, "two-sided-5")
     assert evaluation.pose is not None
-    scanned, table = evaluation.pose.posterior, rig.file.uncertainty
+    scanned, table = evaluation.pose, rig.file.uncertainty
     inputs = [*rig_inputs(table), *mounting_inputs(table, "sample", aligned.mountings[0])]
     stated, u = Alignment.stated(inputs), np.array([each.u for each in inputs])
 
@@ -203,7 +223,12 @@ def test_verify_judges_the_scan_of_a_campaign(
     off = ("sigma = { motor = 4, gear = 36.0 }", f"sigma = {{ motor = 4, gear = 36.0, zero_deg = {zero_deg} }}")
     run_without_wires(make_plan(read_schedule(write_schedule(OPEN_BEAM)), read_rig(write_rig(off))), path)
     with Journal.open(path) as journal:
-        findings = [each for each in evaluate_journal(journal).findings if "inputs of pose" in each]
+        evaluation = evaluate_journal(journal)
+        notes = "\n".join(reduction_notes(evaluation, {}))
+    findings = [each for each in evaluation.findings if "inputs of pose" in each]
+    assert (evaluation.reduction.settings.alignment is None) == (verdict == "fails")
+    assert ("the rig's misalignments: scans of the open beam" in notes) == (verdict != "fails")
+    assert ("not corrected by the scans of the open beam" in notes) == (verdict == "fails")
     done = CliRunner().invoke(app, ["verify", str(path)])
     assert f"pose by the open beam: {verdict}: the open beam at sigma" in done.stdout
     (line,) = [each for each in done.stdout.splitlines() if each.startswith("  pose by the open beam ")]
