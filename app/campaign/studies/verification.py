@@ -348,7 +348,8 @@ def _pose(evaluation: Evaluation) -> Verdict:
     if found is None:
         return Verdict(name, NOTHING, "; ".join((*report.not_planned, *report.missing)) or "no input of pose is stated")
     evidence = Evidence.by("light against view, along and across", found.posterior)
-    return Verdict(name, found.verdict, found.text, found.as_dict(), evidence)
+    used = "; values are corrected by it" if evaluation.reduction.settings.alignment is found.alignment else ""
+    return Verdict(name, found.verdict, found.text + used, found.as_dict(), evidence)
 
 
 def _alignment(evaluation: Evaluation) -> Verdict:

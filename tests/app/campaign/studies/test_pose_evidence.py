@@ -233,6 +233,7 @@ def test_verify_judges_the_scan_of_a_campaign(
     assert f"pose by the open beam: {verdict}: the open beam at sigma" in done.stdout
     (line,) = [each for each in done.stdout.splitlines() if each.startswith("  pose by the open beam ")]
     assert line.split()[-1] == verdict
+    assert ("values are corrected by it" in done.stdout) == (verdict != "fails")
     assert done.exit_code == (1 if verdict == "fails" else 0)
     assert len(findings) == (1 if verdict == "fails" else 0)
     if verdict != "holds":
