@@ -86,6 +86,7 @@ def errors(plan: NewPlan, path: Path, sample: str) -> tuple[float, float, float]
     return squares[0], squares[1], float(np.median((both[0].u_bsdf / both[1].u_bsdf)[upper]))
 
 
+@pytest.mark.long
 def test_transmitted_values_of_a_rig_with_a_wrong_zero_are_nearer_to_the_truth(tmp_path: Path) -> None:
     """Sigma's zero is 0.15 deg off, three times what is stated, and all else drawn: the scan sees the light as a value does."""
     every = [errors(plan, tmp_path / "a.journal", "film") for plan in plans(RIGS, rig=(SIGMA_ZERO,))]
@@ -96,6 +97,7 @@ def test_transmitted_values_of_a_rig_with_a_wrong_zero_are_nearer_to_the_truth(t
     assert np.mean([each[1] < each[0] for each in found]) == 1.0
 
 
+@pytest.mark.long
 def test_values_out_of_the_plane_of_reflected_light_are_nearer_to_the_truth(tmp_path: Path) -> None:
     """Rigs as the file states them: there the mirror image of the light moves as the light does."""
     every = [errors(plan, tmp_path / "a.journal", "gaussian-5") for plan in plans(3 * RIGS, *REFLECTED)]
