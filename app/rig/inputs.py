@@ -146,7 +146,7 @@ ILLUMINATION_SHIFT = Input(
 ARC_TILT = Input("arc_tilt_deg", 0.05, "tilt of the arc about the rig's axes", tilts_of("arc", axes="xyz"))
 ARC_SHIFT = Input("arc_shift_mm", 0.1, "shift of the arc along the rig's axes", shifts_of("arc"))
 SENSOR_TILT = Input(
-    "sensor_tilt_deg", 0.05, "tilt of all photodiodes alike, each about its own x, away from the normal, and its y, level",
+    "sensor_tilt_deg", 0.05, "tilt of all photodiodes alike, each about its own x, along its arc, and its y, across it",
     tilts_of("sensor"))
 SENSOR_SHIFT = Input(
     "sensor_shift_mm", 0.1, "shift of all photodiodes alike, each along its own x, y, and z, its view", shifts_of("sensor"))

@@ -49,6 +49,7 @@ if TYPE_CHECKING:
     from goniotwin.twin.optics.forward.stray_light import StrayMap as StrayMap
     from goniotwin.twin.optics.forward.stray_light import stray_map as stray_map
     from goniotwin.twin.optics.forward.stray_light import stray_throughput as stray_throughput
+    from goniotwin.twin.optics.geometry.coordinates import arc_axis as arc_axis
     from goniotwin.twin.optics.geometry.coordinates import arc_direction as arc_direction
     from goniotwin.twin.optics.geometry.coordinates import from_specular as from_specular
     from goniotwin.twin.optics.geometry.coordinates import light_direction as light_direction
@@ -101,7 +102,14 @@ else:
             "fast.surrogate": ("Surrogate", "factor_blocks"),
             "forward.estimator": ("Estimate", "forward_throughput"),
             "forward.stray_light": ("StrayMap", "stray_map", "stray_throughput"),
-            "geometry.coordinates": ("arc_direction", "from_specular", "light_direction", "specular_direction", "to_specular"),
+            "geometry.coordinates": (
+                "arc_axis",
+                "arc_direction",
+                "from_specular",
+                "light_direction",
+                "specular_direction",
+                "to_specular",
+            ),
             "geometry.deviation": ("Deviation",),
             "geometry.instrument": ("Dimensions", "Instrument", "Reflectance", "SampleFrames", "deviation_array"),
             "geometry.mirrors": ("pupil_image",),

@@ -18,6 +18,7 @@ from goniotwin.twin.optics import (
     Scatterer,
     Scenes,
     StrayMap,
+    arc_axis,
     arc_direction,
     forward_throughput,
     regular,
@@ -141,7 +142,7 @@ class View:
         for group in together.values():
             first = next(iter(group.values()))
             sigma_deg, gamma_deg, beta_deg, shift_deg = np.array([each[SIGMA:MOUNTING] for each in group.values()]).T
-            directions = self._turned(first.tilt_deg, self.directions(beta_deg, shift_deg))
+            directions = self._turned(first.tilt_deg, self.detectors(beta_deg, shift_deg))
             poses = Poses(sigma_deg - first.tilt_deg, directions, gamma_deg)
             instrument, rays = self._mounted_instrument(first), self._model.estimator.rays
             scenes = Scenes(instrument, poses, [self._sample(first)], self._wavelength(first), rays)
@@ -156,10 +157,15 @@ class View:
         beta, shift = (np.asarray(each)[..., None] for each in (beta_deg, shift_deg))
         directions = arc_direction(self.polar_deg + self._along_deg + shift, beta, self._lower)
         if self._across_deg.any():
-            aside, across = np.radians(beta), np.radians(self._across_deg)[:, None]
-            level = np.stack([-np.sin(aside), np.cos(aside), np.zeros_like(aside)], axis=-1)
-            directions = np.cos(across) * directions + np.sin(across) * level
+            across = np.radians(self._across_deg)[:, None]
+            directions = np.cos(across) * directions + np.sin(across) * arc_axis(beta)
         return directions
+
+    def detectors(self, beta_deg: Floats | float, shift_deg: Floats | float) -> Floats:
+        """The same with the axis of the arc after each direction: (..., photodiodes, 6)."""
+        directions = self.directions(beta_deg, shift_deg)
+        axis = np.broadcast_to(arc_axis(np.asarray(beta_deg)[..., None]), directions.shape)
+        return np.concatenate([directions, axis], axis=-1)
 
     def _mounted_instrument(self, aspect: Aspect) -> Instrument:
         mounted = self._drawn.mounted(aspect.sample, aspect.mounting)
@@ -168,22 +174,22 @@ class View:
         return _cached(self._instruments, (mounted,), MAPS_KEPT, lambda: self._with_sample(mounted))
 
     @staticmethod
-    def _turned(tilt_deg: float, directions: Floats) -> Floats:
-        """Directions (..., 3) as a sample that is tilted sees them; it sees a sigma that is smaller by the tilt.
+    def _turned(tilt_deg: float, detectors: Floats) -> Floats:
+        """Detectors (..., 6) as a sample that is tilted sees them; it sees a sigma that is smaller by the tilt.
 
         A sample tilted about y is equivalent to a rig turned about y by the opposite angle.
         """
         if tilt_deg:
             c, s = math.cos(math.radians(tilt_deg)), math.sin(math.radians(tilt_deg))
-            x, z = directions[..., 0].copy(), directions[..., 2].copy()
-            directions[..., 0], directions[..., 2] = c * x - s * z, s * x + c * z
-        return directions
+            x, z = detectors[..., 0::3].copy(), detectors[..., 2::3].copy()
+            detectors[..., 0::3], detectors[..., 2::3] = c * x - s * z, s * x + c * z
+        return detectors
 
     def _compute(self, aspect: Aspect) -> Floats:
         model, sample, wavelength = self._model, self._sample(aspect), self._wavelength(aspect)
         light = (self._light(aspect), aspect.sigma_deg, aspect.gamma_deg)
         mounted, instrument = self._drawn.mounted(aspect.sample, aspect.mounting), self._mounted_instrument(aspect)
-        directions = self._turned(aspect.tilt_deg, self.directions(aspect.beta_deg, aspect.shift_deg))
+        directions = self._turned(aspect.tilt_deg, self.detectors(aspect.beta_deg, aspect.shift_deg))
         sigma = aspect.sigma_deg - aspect.tilt_deg
         if model.estimator.kind == "forward":
             return self._trace(instrument, sample, sigma, directions, wavelength, mounted, aspect)

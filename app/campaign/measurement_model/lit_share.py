@@ -33,7 +33,7 @@ POLAR_DEG = np.array([1e-3, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 70.0, 80.0, 90.0
 AZIMUTH_DEG = np.arange(0.0, 361.0, 10.0)
 """Directions of view at which a pose is computed, from the pole of the arc and about it; between them it is interpolated.
 
-At the pole itself a sensor has axes of its own, which are not the limit of those beside it.
+The first is next to the pole.
 """
 LEAST_PROBABILITY = 1e-7
 """Places of the image that are less probable do not count."""
@@ -148,22 +148,24 @@ def lit_modes(instrument: Instrument, half_widths: tuple[float, ...]) -> LitMode
 
 @lru_cache(maxsize=KEPT_POSES)
 def _effects(
-    instrument: Instrument, half_widths: tuple[float, ...], sigma_deg: float, gamma_deg: float, lower: bool
+    instrument: Instrument, half_widths: tuple[float, ...], sigma_deg: float, gamma_deg: float, lower: bool, reverse: bool
 ) -> Floats:  # fmt: skip
     """The effects (polar angles, azimuths, modes) at a pose on the light at sigma over that at 180 deg - sigma."""
     known = lit_modes(instrument, half_widths)
-    one, other = (_seen(instrument, at, gamma_deg, lower, known.ensemble) for at in (sigma_deg, 180.0 - sigma_deg))
+    sigmas = sigma_deg, 180.0 - sigma_deg
+    one, other = (_seen(instrument, at, gamma_deg, lower, known.ensemble, reverse=reverse) for at in sigmas)
     return known.of(one - other)
 
 
 def _seen(
-    instrument: Instrument, sigma_deg: float, gamma_deg: float, lower: bool, ensemble: LitEnsemble, step: int = 1
+    instrument: Instrument, sigma_deg: float, gamma_deg: float, lower: bool, ensemble: LitEnsemble, step: int = 1,
+    reverse: bool = False,
 ) -> Floats:  # fmt: skip
     """The logarithm (polar angles, azimuths, n) of the light at a pose, in each of so many directions of view of an arc."""
     grid = np.meshgrid(np.radians(POLAR_DEG[::step]), np.radians(AZIMUTH_DEG[::step]), indexing="ij")
     polar, azimuth = (each.ravel() for each in grid)
     none, flags = np.zeros(polar.size), np.full(polar.size, lower)
-    at = Views(none + sigma_deg, none + gamma_deg, polar, azimuth, flags, flags, np.zeros(polar.size, dtype=bool))
+    at = Views(none + sigma_deg, none + gamma_deg, polar, azimuth, flags, flags, np.full(polar.size, reverse))
     views, moves = disc_moves(instrument, at)
     discs = np.einsum("nk,mki->mni", ensemble.views, moves)
     found = seen_logarithm(instrument, (sigma_deg, gamma_deg), views, ensemble.places(instrument, sigma_deg), discs)
@@ -171,16 +173,17 @@ def _seen(
 
 
 def lit_effects(
-    instrument: Instrument, half_widths: tuple[float, ...], pose: tuple[float, float, bool], polar_deg: Floats,
+    instrument: Instrument, half_widths: tuple[float, ...], pose: tuple[float, float, bool, bool], polar_deg: Floats,
     azimuth_deg: Floats,
 ) -> Floats:  # fmt: skip
     """The effects (n, modes) on the logarithm of the light at sigma over that at 180 deg - sigma, seen in directions (n,).
 
-    `pose` is of sigma, gamma and whether the arc is the lower one; the directions are from its pole, and about it.
+    `pose` is of sigma, gamma, whether the arc is the lower one and whether it is at the opposite azimuth (`Views.reverse`);
+    the directions are from its pole, and about it.
     """
-    sigma, gamma, lower = pose
+    sigma, gamma, lower, reverse = pose
     front = min(sigma, HALF_TURN_DEG - sigma)
-    table = _effects(instrument, half_widths, front, gamma % QUARTER_DEG, lower) * (1.0 if sigma == front else -1.0)
+    table = _effects(instrument, half_widths, front, gamma % QUARTER_DEG, lower, reverse) * (1.0 if sigma == front else -1.0)
     row, up = _place(POLAR_DEG, polar_deg)
     column, on = _place(AZIMUTH_DEG, azimuth_deg % 360.0)
     corners = [(0, 0, (1.0 - up) * (1.0 - on)), (0, 1, (1.0 - up) * on), (1, 0, up * (1.0 - on)), (1, 1, up * on)]

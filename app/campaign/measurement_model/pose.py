@@ -477,13 +477,12 @@ def _view_moves(instrument: Instrument, frame: _Frame, views: Views) -> tuple[Fl
     # w x d along the arc is w . (d x along).
     turned[:, :, 2:5] = np.cross(frame.d, frame.along), np.cross(frame.d, frame.across)
     disc[:, :, 5:8] = frame.along, frame.across
-    # A sensor's own axes: away from the upper normal, and level; at the pole away is x.
-    turn = np.where(views.polar == 0.0, views.azimuth, 0.0)
-    away = np.stack([up * np.cos(turn), -np.sin(turn)])  # along the arc and across it
-    beside = np.stack([np.sin(turn), up * np.cos(turn)])
-    turned[:, :, 8], turned[:, :, 9] = -beside, away
+    # A sensor's own axes: along its arc, away from the upper normal, and across it, towards growing beta. They stay beyond the
+    # pole, where "along" is towards growing polar angle.
+    own = up * frame.sign
+    turned[1, :, 8], turned[0, :, 9] = -own, own
     disc[:, :, 8:10] = -far * turned[:, :, 8:10]  # the disc stays where it was
-    disc[:, :, 10], disc[:, :, 11] = away, beside
+    disc[0, :, 10], disc[1, :, 11] = own, own
     return turned, disc
 
 

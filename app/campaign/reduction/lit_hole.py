@@ -47,13 +47,13 @@ def slit_image_effects(points: BsdfPoints, settings: ReductionSettings, by_beam:
         return None
     views = views_of_points(points)
     effect = np.zeros((points.size, MODES))
-    poses = np.stack([points.sigma_deg, points.gamma_deg, views.lower], axis=1)
-    for sigma, gamma, lower in np.unique(poses[chosen], axis=0).tolist():
-        here = np.flatnonzero(chosen & (poses == (sigma, gamma, lower)).all(axis=1))
-        pose = *rig, (sigma, gamma, bool(lower))
-        effect[here] = lit_effects(*pose, np.degrees(views.polar[here]), points.azimuth_deg[here])
+    poses = np.stack([points.sigma_deg, points.gamma_deg, views.lower, views.reverse], axis=1)
+    for sigma, gamma, lower, reverse in np.unique(poses[chosen], axis=0).tolist():
+        here = np.flatnonzero(chosen & (poses == (sigma, gamma, lower, reverse)).all(axis=1))
+        pose = sigma, gamma, bool(lower)
+        effect[here] = lit_effects(*rig, (*pose, bool(reverse)), np.degrees(views.polar[here]), points.azimuth_deg[here])
         specular = np.array([incidence_deg(sigma)]), np.array([SPECULAR_AZIMUTH_DEG])
-        effect[here] -= np.where(by_beam[here, None], lit_effects(*pose, *specular), 0.0)
+        effect[here] -= np.where(by_beam[here, None], lit_effects(*rig, (*pose, False), *specular), 0.0)
     if np.abs(effect).max() < LEAST_EFFECT:
         return None
     modes = [_mode(f"{SLIT_IMAGE}[{k}]", 1.0, settings.rig.uncertainty) for k in range(1, MODES + 1)]

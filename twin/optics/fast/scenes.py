@@ -62,7 +62,7 @@ from goniotwin.twin.optics.fast.ray_bundle import (
 )
 from goniotwin.twin.optics.fast.rays import PLACES, find_offsets, place_node
 from goniotwin.twin.optics.fast.regular_component import HOLE_NODES, SLOPE_NODES, image_measures, light_shares, line_nodes
-from goniotwin.twin.optics.geometry.coordinates import direction_rows, direction_table, fill_unit_vectors
+from goniotwin.twin.optics.geometry.coordinates import detector_rows, direction_table, fill_detector_rows
 from goniotwin.twin.optics.geometry.instrument import (
     COMPONENTS,
     ELEMENTS,
@@ -196,8 +196,8 @@ def score_scenes(
     `general` is True, or None for GAUSSIAN and LAMBERTIAN lobes, narrow cones and an even light: numba then leaves out the code
     for all others, which takes as long to compile as the rest; that of a beam which a mirror clips too. It leaves such scenes
     to a call with False, which fills these alone. Returns whether there are any of them.
-    `deviations` (n, elements, 6); `poses` (p, 2): sigma and gamma, deg; the detectors of pose p have the unit vectors
-    `directions` (detectors, 3) from starts[p] to starts[p + 1].
+    `deviations` (n, elements, 6); `poses` (p, 2): sigma and gamma, deg; the detectors of pose p are the rows of
+    `directions` (detectors, 6) from starts[p] to starts[p + 1], see `detector_rows`.
     """
     lobes, scene, (edges, chords, hole) = models.heads.shape[0], empty_scene(), empty_image()
     most = 0
@@ -497,7 +497,7 @@ def fill_regular(
 
 @dataclass(frozen=True, eq=False)
 class Pose:
-    """Detectors at one position of mirror unit and sample unit: `directions` (n, 3) in the rig's frame."""
+    """Detectors at one position of mirror unit and sample unit: `directions` in the rig's frame, as in `Scene.detectors`."""
 
     sigma_deg: float
     directions: npt.ArrayLike
@@ -508,8 +508,8 @@ class Pose:
 class Poses:
     """Many poses with as many detectors each, as arrays: a list of `Pose` costs 10 microseconds more for each of them.
 
-    `sigma_deg` (p,); `directions` (p, n, 3) in the rig's frame; `gamma_deg` (p,) or one for all. Such as the poses of a plan
-    that are ahead: `Scenes(instrument, Poses(...), [sample]).throughputs()[0, 0, 0].reshape(p, n)`.
+    `sigma_deg` (p,); `directions` (p, n, 3), or (p, n, 6) with axes, as in `Scene.detectors`; `gamma_deg` (p,) or one for all.
+    Such as the poses of a plan that are ahead: `Scenes(instrument, Poses(...), [sample]).throughputs()[0, 0, 0].reshape(p, n)`.
     """
 
     sigma_deg: npt.ArrayLike
@@ -642,7 +642,7 @@ def _one_thread() -> Iterator[None]:
 
 
 def _pack_poses(poses: Sequence[Pose]) -> tuple[Floats, Ints, Floats, tuple[slice, ...]]:
-    """Angles (p, 2), starts (p + 1,) and unit vectors (n, 3) of pieces of poses, and the range of each pose's detectors."""
+    """Angles (p, 2), starts (p + 1,) and `detector_rows` (n, 6) of pieces of poses, and the range of each pose's detectors."""
     angles, starts, given, pieces = [], [0], [], []
     for pose in poses:
         if not (math.isfinite(pose.sigma_deg) and math.isfinite(pose.gamma_deg)):
@@ -653,16 +653,16 @@ def _pack_poses(poses: Sequence[Pose]) -> tuple[Floats, Ints, Floats, tuple[slic
             angles.append((pose.sigma_deg, pose.gamma_deg))
             starts.append(min(start + PIECE, last))
         pieces.append(slice(first, last))
-    directions = np.empty((starts[-1], 3))
+    directions = np.empty((starts[-1], 6))
     for rows, piece in zip(given, pieces, strict=True):
-        fill_unit_vectors(rows, directions[piece])
+        fill_detector_rows(rows, directions[piece])
     return np.array(angles, dtype=np.float64).reshape(-1, 2), np.array(starts), directions, tuple(pieces)
 
 
 def _pack_arrays(poses: Poses) -> tuple[Floats, Ints, Floats, tuple[slice, ...]]:
     """`_pack_poses` of arrays."""
     directions = np.asarray(poses.directions, dtype=np.float64)
-    if directions.ndim != 3 or directions.shape[2] != 3:
+    if directions.ndim != 3 or directions.shape[2] not in (3, 6):
         raise ValueError(f"directions has the shape {directions.shape}: give (poses, detectors, 3)")
     count, each = directions.shape[:2]
     angles = np.empty((count, 2))
@@ -676,7 +676,7 @@ def _pack_arrays(poses: Poses) -> tuple[Floats, Ints, Floats, tuple[slice, ...]]
     pieces = tuple(slice(first, first + each) for first in range(0, count * each, each)) if each else (slice(0, 0),) * count
     steps = range(0, each, PIECE) if each > PIECE else (0,)
     starts = np.append((np.arange(count)[:, None] * each + np.array(steps)).ravel(), count * each)
-    return np.repeat(angles, len(steps), axis=0), starts, direction_rows(directions.reshape(-1, 3)), pieces
+    return np.repeat(angles, len(steps), axis=0), starts, detector_rows(directions.reshape(-1, directions.shape[2])), pieces
 
 
 def _tasks(rigs: int, starts: Ints) -> Iterator[tuple[int, int, int, int]]:

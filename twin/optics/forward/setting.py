@@ -16,7 +16,6 @@ from goniotwin.twin.optics.forward.bounces import Surfaces
 from goniotwin.twin.optics.forward.paths import BLOCK, MARGIN, Beam
 from goniotwin.twin.optics.forward.scoring import Targets, make_sensor_targets, make_targets
 from goniotwin.twin.optics.forward.spread import BINS, Spread
-from goniotwin.twin.optics.geometry.coordinates import direction_rows
 from goniotwin.twin.optics.geometry.instrument import Instrument, SampleFrames, reflected_share
 from goniotwin.twin.optics.geometry.mirrors import pupil, reflect
 from goniotwin.twin.optics.geometry.scene import Scene, scene_at
@@ -131,7 +130,7 @@ def set_up(
     sample = scatterer or OPEN_BEAM
     scene = scene_at(instrument, sigma_deg, gamma_deg)
     rows = np.asarray(directions, dtype=np.float64)
-    centres, axes = scene.detectors(instrument, rows) if rows.size else (np.zeros((0, 3)), direction_rows(np.zeros((0, 3))))
+    centres, axes = scene.detectors(instrument, rows) if rows.size else (np.zeros((0, 3)), np.zeros((0, 3)))
     if instrument.sensor is None:
         detector_targets = make_targets(centres, axes, instrument.field_deg, instrument.detector_diameter_mm)
     else:

@@ -36,33 +36,38 @@ def _directions(directions: npt.ArrayLike) -> Floats:
     return result
 
 
-def direction_rows(directions: npt.ArrayLike) -> Floats:
-    """Unit vectors (n, 3), contiguous, of `directions` (n, 3).
+def detector_rows(directions: npt.ArrayLike) -> Floats:
+    """Rows (n, 6), contiguous, of `directions` (n, 3) or (n, 6): a unit vector, and the axis of the detector's arc.
 
     Raises ValueError for a wrong shape or a vector without a direction.
     """
     vectors = direction_table(directions)
-    result = np.empty(vectors.shape)
-    fill_unit_vectors(vectors, result)
+    result = np.empty((len(vectors), 6))
+    fill_detector_rows(vectors, result)
     return result
 
 
 def direction_table(directions: npt.ArrayLike) -> Floats:
-    """`directions` as an array (n, 3). Raises ValueError for a wrong shape."""
-    vectors = _directions(directions)
-    if vectors.ndim != 2:
+    """`directions` as an array (n, 3) or (n, 6). Raises ValueError for a wrong shape."""
+    vectors = np.asarray(directions, dtype=np.float64)
+    if vectors.ndim != 2 or vectors.shape[1] not in (3, 6):
         raise ValueError(f"directions has the shape {vectors.shape}: give (n, 3), one row per detector")
     return vectors
 
 
-def fill_unit_vectors(vectors: Floats, result: Floats) -> None:
-    """Fill `result` (n, 3) with the unit vectors of `vectors` (n, 3). Raises ValueError for a vector without a direction."""
+def fill_detector_rows(directions: Floats, result: Floats) -> None:
+    """Fill `result` (n, 6) with unit vectors, and axes of arcs, of `directions` (n, 3), where no arc is known, or (n, 6).
+
+    An axis is 0 where no arc is known. Raises ValueError for a vector without a direction.
+    """
+    vectors = directions[:, :3]
+    result[:, 3:] = directions[:, 3:] if directions.shape[1] > 3 else 0.0
     length = np.sqrt(np.einsum("ij,ij->i", vectors, vectors))
     # A vector that is not finite has a length that is not: two reductions are quicker than three masks.
     if length.size and not (length.min() > 0.0 and length.max() < np.inf):
         wrong = int(np.argmin((length > 0.0) & (length < np.inf)))
         raise ValueError(f"directions[{wrong}] is {vectors[wrong]}: give a finite vector with a length")
-    np.divide(vectors, length[:, None], out=result)
+    np.divide(vectors, length[:, None], out=result[:, :3])
 
 
 def round_deg(angles_deg: npt.ArrayLike) -> Floats:
@@ -144,6 +149,12 @@ def arc_direction(polar_deg: npt.ArrayLike, azimuth_deg: npt.ArrayLike, lower: n
     sine, z = np.sin(polar), np.cos(polar)  # of each angle once, before they are broadcast
     x, y, z = np.broadcast_arrays(sine * np.cos(azimuth), sine * np.sin(azimuth), np.where(lower, -z, z))
     return np.stack([x, y, z], axis=-1)
+
+
+def arc_axis(azimuth_deg: npt.ArrayLike) -> Floats:
+    """Axes (..., 3) about which arcs at `azimuth_deg` are bent: level, towards growing azimuth."""
+    azimuth = np.radians(azimuth_deg)
+    return np.stack([-np.sin(azimuth), np.cos(azimuth), np.zeros_like(azimuth)], axis=-1)
 
 
 def zenith_and_azimuth(directions: npt.ArrayLike) -> tuple[Floats, Floats]:

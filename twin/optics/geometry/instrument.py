@@ -131,8 +131,8 @@ class Instrument(Dimensions):
     `deviations` are by element: `pupil` (the illumination unit, about its exit pupil's centre), `mirror_1` to `mirror_3` (each
     in its own frame: along its sides, then its normal), `mirror_unit` (about the sample's centre, in the frame that turns with
     sigma: across, along the axis, towards the light), `sample` (in the frame that turns with gamma), `arc` (the rig's frame)
-    and `sensor` (each detector in its own frame: away from the normal, level, along its view). `illumination` has those of the
-    illumination unit's own elements, within its frame: see `IlluminationUnit`. Its `unit` adds to `pupil`.
+    and `sensor` (each detector in its own frame: away from the normal, or along its arc, level, along its view). `illumination`
+    has those of the illumination unit's own elements, within its frame: see `IlluminationUnit`. Its `unit` adds to `pupil`.
 
     Raises ValueError, naming the field, for a value out of range.
     """

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from goniotwin.arrays import Floats
-from goniotwin.twin.optics.geometry.coordinates import direction_rows
+from goniotwin.twin.optics.geometry.coordinates import detector_rows
 from goniotwin.twin.optics.geometry.deviation import fill_rotation
 from goniotwin.twin.optics.geometry.instrument import (
     ARC,
@@ -30,6 +30,13 @@ from goniotwin.twin.optics.kernel import kernel
 
 SCENES_KEPT = 64
 """Size of the cache: a campaign has hundreds of poses of the arc for each position of the mirror unit."""
+
+
+SAME_FRAME = 0.995
+"""Cosine of the angle, 6 deg, up to which the axes of a detector on its arc are those by its direction alone.
+
+So much the deviations of arc and photodiode turn them beside the pole, which is of second order in what a sensor is off by.
+"""
 
 
 class SceneArrays(NamedTuple):
@@ -95,10 +102,12 @@ class Scene:
     def detectors(self, instrument: Instrument, directions: npt.ArrayLike) -> tuple[Floats, Floats]:
         """Centres (n, 3), mm, and viewing directions (n, 3), away from the sample, of detectors on the arc.
 
-        `directions` (n, 3) are the nominal directions in the rig's frame. Raises ValueError for a vector without a direction.
+        `directions` (n, 3) are the nominal directions in the rig's frame, or (n, 6) with the axis of each detector's arc after
+        them (`arc_axis`): a sensor that is off then has the axes of its arc, on either side of the pole. Raises ValueError for
+        a vector without a direction.
         """
-        rows = direction_rows(directions)
-        centres, axes = np.empty_like(rows), np.empty_like(rows)
+        rows = detector_rows(directions)
+        centres, axes = np.empty((len(rows), 3)), np.empty((len(rows), 3))
         fill_detectors(instrument.lengths, instrument.deviation_rows, self.to_sample, self.origin, rows, centres, axes)
         return centres, axes
 
@@ -195,7 +204,7 @@ def move_to_sample(to_sample: Floats, origin: Floats, rows: Floats) -> None:
 def fill_detectors(
     lengths: Floats, deviations: Floats, to_sample: Floats, origin: Floats, directions: Floats, centres: Floats, axes: Floats
 ) -> None:
-    """Fill `centres` and `axes` (n, 3) as in `Scene.detectors`, of unit vectors `directions` (n, 3)."""
+    """Fill `centres` and `axes` (n, 3) as in `Scene.detectors`, of `directions` (n, 6) as in `detector_rows`."""
     arc, sensor, radius = deviations[ARC], deviations[SENSOR], lengths[ARC_RADIUS]
     turn, own = np.empty((3, 3)), np.empty((3, 3))
     fill_rotation(arc, turn)
@@ -203,18 +212,19 @@ def fill_detectors(
     of_arc, of_sensor = is_moved(arc), is_moved(sensor)
     for k in range(directions.shape[0]):
         dx, dy, dz = directions[k, 0], directions[k, 1], directions[k, 2]
+        ax, ay, az = directions[k, 3], directions[k, 4], directions[k, 5]
         if of_arc:
-            x = turn[0, 0] * dx + turn[0, 1] * dy + turn[0, 2] * dz
-            y = turn[1, 0] * dx + turn[1, 1] * dy + turn[1, 2] * dz
-            dx, dy, dz = x, y, turn[2, 0] * dx + turn[2, 1] * dy + turn[2, 2] * dz
+            dx, dy, dz = turned(turn, dx, dy, dz)
+            ax, ay, az = turned(turn, ax, ay, az)
         x, y, z = radius * dx + arc[3], radius * dy + arc[4], radius * dz + arc[5]
         if of_sensor:  # in its own frame: e1 away from the normal, e2 level, d along the view
-            e1x, e1y, e1z, e2x, e2y = detector_frame(dx, dy, dz)
+            e1x, e1y, e1z, e2x, e2y, e2z = arc_frame(dx, dy, dz, ax, ay, az)
             x += sensor[3] * e1x + sensor[4] * e2x + sensor[5] * dx
             y += sensor[3] * e1y + sensor[4] * e2y + sensor[5] * dy
-            z += sensor[3] * e1z + sensor[5] * dz
+            z += sensor[3] * e1z + sensor[4] * e2z + sensor[5] * dz
             away, level, along = own[0, 2], own[1, 2], own[2, 2]
-            dx, dy, dz = away * e1x + level * e2x + along * dx, away * e1y + level * e2y + along * dy, away * e1z + along * dz
+            dx, dy = away * e1x + level * e2x + along * dx, away * e1y + level * e2y + along * dy
+            dz = away * e1z + level * e2z + along * dz
         x, y, z = x - origin[0], y - origin[1], z - origin[2]
         for c in range(3):
             centres[k, c] = to_sample[c, 0] * x + to_sample[c, 1] * y + to_sample[c, 2] * z
@@ -222,8 +232,44 @@ def fill_detectors(
 
 
 @kernel(forceinline=True)
+def turned(turn: Floats, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """A vector after the rotation `turn` (3, 3)."""
+    return (
+        turn[0, 0] * x + turn[0, 1] * y + turn[0, 2] * z,
+        turn[1, 0] * x + turn[1, 1] * y + turn[1, 2] * z,
+        turn[2, 0] * x + turn[2, 1] * y + turn[2, 2] * z,
+    )
+
+
+@kernel(forceinline=True)
+def arc_frame(
+    dx: float, dy: float, dz: float, ax: float, ay: float, az: float
+) -> tuple[float, float, float, float, float, float]:
+    """Frame of a detector with the viewing direction d on an arc that is bent about a: e1 along the arc, e2 across it.
+
+    Without an arc (a = 0) that of `detector_frame`. It has the same axes but at the pole and, with the other sign, beyond it.
+    """
+    e1x, e1y, e1z, e2x, e2y = detector_frame(dx, dy, dz)
+    if ax == 0.0 and ay == 0.0 and az == 0.0:
+        return e1x, e1y, e1z, e2x, e2y, 0.0
+    cosine = ax * e2x + ay * e2y
+    if cosine > SAME_FRAME:
+        return e1x, e1y, e1z, e2x, e2y, 0.0
+    if cosine < -SAME_FRAME:
+        return -e1x, -e1y, -e1z, -e2x, -e2y, 0.0
+    along = ax * dx + ay * dy + az * dz  # of a photodiode that is off across its arc
+    ax, ay, az = ax - along * dx, ay - along * dy, az - along * dz
+    length = math.sqrt(ax * ax + ay * ay + az * az)
+    ax, ay, az = ax / length, ay / length, az / length
+    return ay * dz - az * dy, az * dx - ax * dz, ax * dy - ay * dx, ax, ay, az
+
+
+@kernel(forceinline=True)
 def detector_frame(dx: float, dy: float, dz: float) -> tuple[float, float, float, float, float]:
-    """Frame of a detector with the viewing direction d: e1 = (a, b, c), away from the normal, and e2 = (f, g, 0), level."""
+    """Frame of a detector with the viewing direction d: e1 = (a, b, c), away from the normal, and e2 = (f, g, 0), level.
+
+    At the pole itself e1 is along x.
+    """
     sine = math.sqrt(dx * dx + dy * dy)
     cos, sin = (dx / sine, dy / sine) if sine > 0.0 else (1.0, 0.0)
     return dz * cos, dz * sin, -sine, -sin, cos

@@ -35,11 +35,16 @@ def drawn(rigs: int) -> Floats:
     return np.random.default_rng(35).uniform(-1.0, 1.0, (rigs, HALF_WIDTHS.size)) * HALF_WIDTHS
 
 
-def logarithms(sigma_deg: float, gamma_deg: float, values: Floats) -> Floats:
-    """ln of a transmitted value (directions, rigs) by the model of the hole alone, on rigs with values of the inputs."""
+def logarithms(sigma_deg: float, gamma_deg: float, values: Floats, reverse: bool = False) -> Floats:
+    """ln of a transmitted value (directions, rigs) by the model of the hole alone, on rigs with values of the inputs.
+
+    `reverse`: seen by photodiodes beyond the pole of their arc.
+    """
     light, view = values[:, : len(LIGHT)], values[:, len(LIGHT) :]
     none, lower = np.zeros(POLAR_DEG.size), np.ones(POLAR_DEG.size, dtype=bool)
-    seen = Views(none + sigma_deg, none + gamma_deg, np.radians(POLAR_DEG), np.radians(AZIMUTH_DEG), lower, lower, ~lower)
+    seen = Views(
+        none + sigma_deg, none + gamma_deg, np.radians(POLAR_DEG), np.radians(AZIMUTH_DEG), lower, lower, lower & reverse
+    )
     views, moves = disc_moves(INSTRUMENT, seen)
     discs = np.einsum("nk,mki->mni", view, moves)
     sample, etalon = (
@@ -80,9 +85,11 @@ def test_a_transmitted_value_is_off_by_the_lit_shares_of_the_virtual_rig(sigma_d
     ],
 )
 def test_the_modes_have_the_second_moments_of_drawn_rigs(sigma_deg: float, gamma_deg: float) -> None:
-    """Of each direction, and of two of them together."""
-    effects = lit_effects(INSTRUMENT, tuple(HALF_WIDTHS.tolist()), (sigma_deg, gamma_deg, True), POLAR_DEG, AZIMUTH_DEG)
-    of_rigs = logarithms(sigma_deg, gamma_deg, drawn(20_000))
+    """Of each direction, and of two of them together; with the first one once more, seen from beyond the pole."""
+    rig, pose, values = (INSTRUMENT, tuple(HALF_WIDTHS.tolist())), (sigma_deg, gamma_deg, True), drawn(20_000)
+    seen, beyond = (lit_effects(*rig, (*pose, reverse), POLAR_DEG, AZIMUTH_DEG) for reverse in (False, True))
+    effects = np.concatenate([seen, beyond[:1]])
+    of_rigs = np.concatenate([logarithms(sigma_deg, gamma_deg, values), logarithms(sigma_deg, gamma_deg, values, True)[:1]])
     moments, expected = effects @ effects.T, of_rigs @ of_rigs.T / of_rigs.shape[1]
     scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
     assert np.abs((moments - expected) / scale).max() < 0.1
@@ -93,7 +100,7 @@ def test_the_modes_have_the_second_moments_of_drawn_rigs(sigma_deg: float, gamma
 def test_an_interval_has_the_ends_of_drawn_rigs_with_normal_errors(sigma_deg: float, rest: float) -> None:
     """`rest`: of the other, normal errors, in the root of the mean square of the effect."""
     modes = lit_modes(INSTRUMENT, tuple(HALF_WIDTHS.tolist()))
-    effects = lit_effects(INSTRUMENT, tuple(HALF_WIDTHS.tolist()), (sigma_deg, 0.0, True), POLAR_DEG, AZIMUTH_DEG)
+    effects = lit_effects(INSTRUMENT, tuple(HALF_WIDTHS.tolist()), (sigma_deg, 0.0, True, False), POLAR_DEG, AZIMUTH_DEG)
     of_rigs = logarithms(sigma_deg, 0.0, drawn(20_000))
     u = rest * np.sqrt(np.mean(of_rigs**2, axis=1))
     errors = of_rigs + u[:, None] * np.random.default_rng(54).standard_normal(of_rigs.shape)

@@ -38,6 +38,7 @@ from goniotwin.twin.optics import (
     Deviation,
     Instrument,
     Scatterer,
+    arc_axis,
     arc_direction,
     forward_throughput,
     gaussian,
@@ -74,9 +75,10 @@ def views(
     lower: bool = False,
     transmitted: bool = False,
     gamma: float = 0.0,
+    reverse: list[bool] | None = None,
 ) -> Views:
     n = len(polar)
-    flags = np.full(n, lower), np.full(n, transmitted), np.zeros(n, dtype=bool)
+    flags = np.full(n, lower), np.full(n, transmitted), np.array(reverse or [False] * n)
     return Views(np.full(n, sigma), np.full(n, gamma), np.radians(polar), np.radians(azimuth), *flags)
 
 
@@ -149,7 +151,7 @@ def test_the_lower_arc_lit_from_behind_is_the_mirror_image_of_the_upper_one() ->
 
 
 def test_a_photodiode_beyond_the_pole_moves_the_other_way() -> None:
-    there = replace(views(30.0, [5.0], [180.0]), reverse=np.array([True]))
+    there = views(30.0, [5.0], [180.0], reverse=[True])
     effects = pose_effects(INSTRUMENT, there)
     assert in_plane("shift_zero", effects) == -1.0
     assert effects.photodiode.along.tolist() == [[-1.0, 0.0]]
@@ -205,6 +207,7 @@ class Twin:
     def __init__(self, sample: Scatterer, at: Views) -> None:
         self._sample, self._at = sample, at
         self._lower, self._far = bool(at.lower[0]), bool(at.transmitted[0])
+        self._sign = np.where(at.reverse, -1.0, 1.0)
         self._plain = self._throughput(True), self._throughput(False)
 
     def value(self, name: str, size: float) -> Floats:
@@ -227,6 +230,10 @@ class Twin:
         along = arc_direction(np.degrees(polar) + 90.0, np.degrees(azimuth), self._lower)
         return along, up * np.stack([-np.sin(azimuth), np.cos(azimuth), np.zeros_like(polar)], axis=1)
 
+    def _axes(self) -> Floats:
+        """The axes of the arcs: of one beyond the pole beta is at the opposite azimuth."""
+        return arc_axis(np.degrees(self._at.azimuth) + np.where(self._at.reverse, 180.0, 0.0))
+
     def _ratio(self, directions: Floats) -> Floats:
         return self._of(True, INSTRUMENT, 0.0, directions) / self._of(False, INSTRUMENT, 0.0, directions)
 
@@ -239,9 +246,9 @@ class Twin:
             case "beta_zero" | "position_beta":
                 azimuth = azimuth + size
             case "shift_zero" | "position_shift" | "photodiode_angle":
-                polar = polar + size
+                polar = polar + size * self._sign
             case "photodiode_across":  # towards growing beta, on both arcs
-                level = self._ways()[1] * (-1.0 if self._lower else 1.0)
+                level = self._axes()
                 directions = arc_direction(polar, azimuth, self._lower) + math.radians(size) * level
                 return self._of(of_sample, INSTRUMENT, 0.0, directions)
             case "position_gamma":
@@ -259,6 +266,7 @@ class Twin:
         sigma = float(self._at.sigma_deg[0])
         at = sigma if of_sample or not self._far else 180.0 - sigma
         scatterer = self._sample if of_sample else DIFFUSER
+        directions = np.concatenate([directions, self._axes()], axis=1)
         return throughput(instrument, at + turned, directions, scatterer, gamma_deg=float(self._at.gamma_deg[0]) + gamma)
 
 
@@ -286,6 +294,7 @@ def compare(sample: Scatterer, at: Views, step: float = 0.02) -> None:
         (gaussian(5.0, reflectance=0.5), views(30.0, [24.0, 26.0, 33.0, 40.0], [176.0, 180.0, 180.0, 185.0])),
         (gaussian(15.0, reflectance=0.5), views(60.0, [30.0, 45.0, 66.0], [180.0, 150.0, 200.0], gamma=40.0)),
         (lambertian(0.04), views(65.0, [10.0, 45.0, 80.0], [180.0, 150.0, 90.0])),
+        (gaussian(5.0, reflectance=0.5), views(4.0, [1.0, 0.0, 1.0], [150.0, 150.0, 330.0], reverse=[False, False, True])),
     ],
 )
 def test_sensitivities_are_those_of_the_fast_estimator(sample: Scatterer, at: Views) -> None:
@@ -326,6 +335,7 @@ THROUGH = gaussian(8.0, reflectance=0.5, transmits=True, side="both")
             lambertian(0.3, 0.3, side="both"),
             views(50.0, [24.0, 66.0], [180.0, 100.0], lower=True, transmitted=True, gamma=20.0),
         ),
+        (BOTH, views(176.0, [1.0, 0.0, 1.0], [150.0, 150.0, 330.0], lower=True, reverse=[False, False, True])),
     ],
 )
 def test_sensitivities_at_the_peak_in_transmission_and_from_behind(sample: Scatterer, at: Views) -> None:

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from goniotwin.twin.optics import arc_direction, from_specular, light_direction, specular_direction, to_specular
 from goniotwin.twin.optics.geometry.coordinates import (
     TOLERANCE_DEG,
-    direction_rows,
+    detector_rows,
     fold_azimuth,
     incidence_deg,
     is_lit_from_behind,
@@ -75,11 +75,11 @@ def test_invalid_directions_are_refused() -> None:
     with pytest.raises(ValueError, match="shape"):
         to_specular(30.0, [1.0, 0.0])
     with pytest.raises(ValueError, match="one row per detector"):
-        direction_rows([0.0, 0.0, 1.0])
+        detector_rows([0.0, 0.0, 1.0])
     with pytest.raises(ValueError, match=r"directions\[1\]"):
-        direction_rows([[0.0, 0.0, 1.0], [0.0, 0.0, 0.0]])
+        detector_rows([[0.0, 0.0, 1.0], [0.0, 0.0, 0.0]])
     with pytest.raises(ValueError, match=r"directions\[0\]"):
-        direction_rows([[np.nan, 0.0, 1.0]])
+        detector_rows([[np.nan, 0.0, 1.0]])
 
 
 @given(st.floats(0.0, 180.0), st.floats(-360.0, 360.0))
