@@ -178,8 +178,8 @@ class _EffectRows:
     def __init__(self, group: h5py.Group, inputs: _Inputs) -> None:
         self._group, self._inputs = group, inputs
         self._independent = archive.Rows(group, "independent", "<f8")
-        self._dense = archive.Rows(group, "dense", "<f4")
-        self._grouped = archive.Rows(group, "grouped", "<f4")
+        self._dense = archive.Rows(group, "dense", "<f8")
+        self._grouped = archive.Rows(group, "grouped", "<f8")
         self._member = archive.Rows(group, "grouped_input", "<i4", -1)
 
     def add(self, points: BsdfPoints, settings: ReductionSettings) -> None:

@@ -1,6 +1,8 @@
 """The archive of a journal: uncertainties and covariances rebuilt from the file by h5py and numpy alone."""
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import h5py
@@ -10,11 +12,13 @@ import pytest
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.reduction.effects_of_points import effects_of
+from goniotwin.app.campaign.reduction.points import join_points
 from goniotwin.app.campaign.rehearsal.without_wires import run_without_wires
 from goniotwin.app.campaign.schedule.file import parse_schedule
-from goniotwin.app.campaign.studies.budget import budget_of_reflectance, budget_of_value
+from goniotwin.app.campaign.studies.budget import budget_of_reflectance, budget_of_value, reflectance
 from goniotwin.app.campaign.studies.evaluation import evaluate_journal
 from goniotwin.app.campaign.studies.reduced_journal import reduce_journal
+from goniotwin.app.campaign.studies.reflectance import integration_settings
 from goniotwin.app.cli.main import app
 from goniotwin.app.data.archive import write_archive
 from goniotwin.app.data.export import scattered_points
@@ -22,9 +26,12 @@ from goniotwin.app.formats import BsdfTable, FormatError, archive, registry
 from goniotwin.app.formats.content import ScatteredBsdf
 from goniotwin.app.rig import parse_rig
 from goniotwin.arrays import Floats
+from tests.app.campaign.studies.test_standards import ETALON
 from tests.app.campaign.studies.test_verification import HALF_SPHERE, PAINT
+from tests.app.data.archive_reader import effects
 from tests.conftest import RIG, SMALL, changed
 
+WHITE = 'model = "lambertian"\nreflectance = 0.99\nside = "both"\n'
 GOLDEN = Path(__file__).parents[2] / "golden" / "data" / "finished.journal"
 
 
@@ -40,16 +47,7 @@ def archived(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return journal, path
 
 
-# The rule of docs/archive.md, with h5py and numpy alone.
-
-
-def effects(part: h5py.Group, weight: Floats) -> tuple[Floats, float]:
-    """The effects (inputs,) of all inputs on a weighted sum of values, and the variance that no other value shares."""
-    total = np.zeros(1 + max(part["dense_input"][()].max(), part["grouped_input"][()].max()))
-    np.add.at(total, part["dense_input"][()], weight @ part["dense"][()])
-    member, grouped = part["grouped_input"][()], weight[:, None] * part["grouped"][()]
-    np.add.at(total, member[member >= 0], grouped[member >= 0])
-    return total, float(np.sum((weight[:, None] * part["independent"][()]) ** 2))
+# The rule of docs/archive.md, with h5py and numpy alone: archive_reader.py.
 
 
 def unit(count: int, index: int) -> Floats:
@@ -67,7 +65,7 @@ def test_the_uncertainty_of_every_value_is_rebuilt(archived: tuple[Path, Path]) 
         assert some.size > 80
         for k in some[::7].tolist():
             shared, alone = effects(part, unit(values.size, k))
-            assert np.sum(shared**2) + alone == pytest.approx(u[k] ** 2, rel=1e-5)
+            assert np.sum(shared**2) + alone == pytest.approx(u[k] ** 2, rel=1e-9)
         assert np.sum(part["components"][()][some] ** 2, axis=1) == pytest.approx(u[some] ** 2, rel=1e-12)
 
 
@@ -87,7 +85,7 @@ def test_a_value_has_the_budget_that_the_program_gives(archived: tuple[Path, Pat
         names = inputs["name"].asstr()[()].tolist()
         for each in found.components:
             if each.input is not None and each.u > 1e-9 * found.u:
-                assert abs(shared[names.index(each.name)]) == pytest.approx(each.u, rel=1e-5)
+                assert abs(shared[names.index(each.name)]) == pytest.approx(each.u, rel=1e-9)
         assert {"sigma_zero", "certificate[level]"} <= set(names)
 
 
@@ -107,8 +105,7 @@ def test_the_covariance_of_two_values_is_rebuilt(archived: tuple[Path, Path]) ->
     rebuilt = np.array([[float(one @ other) for other, _ in found] for one, _ in found])
     rebuilt += np.diag([alone for _, alone in found])
     u = np.sqrt(np.diag(expected))
-    assert np.abs(rebuilt - expected).max() > 0.0  # in 32 bits
-    np.testing.assert_allclose(rebuilt / np.outer(u, u), expected / np.outer(u, u), atol=1e-5)
+    np.testing.assert_allclose(rebuilt / np.outer(u, u), expected / np.outer(u, u), atol=1e-9)
     assert (np.abs(expected / np.outer(u, u))[~np.eye(u.size, dtype=bool)] > 0.1).any()
 
 
@@ -136,7 +133,39 @@ def test_the_uncertainty_of_a_reflectance_is_rebuilt(archived: tuple[Path, Path]
         own = integral.attrs["u_interpolation"] ** 2 + integral.attrs["u_filled"] ** 2
         assert value == pytest.approx(expected.value, rel=1e-12)
         assert integral.attrs["u"] == pytest.approx(expected.u, rel=1e-12)
-        assert np.sqrt(np.sum(shared**2) + alone + own) == pytest.approx(expected.u, rel=1e-5)
+        assert np.sqrt(np.sum(shared**2) + alone + own) == pytest.approx(expected.u, rel=1e-9)
+
+
+def test_a_program_without_ours_finds_the_u_of_reflected_and_transmitted_light(tmp_path: Path) -> None:
+    """Of all values, of a reflectance and a transmittance, with a second standard; in a process of its own."""
+    journal, path = tmp_path / "opal.journal", tmp_path / "opal.h5"
+    schedule = changed(SMALL, (*HALF_SPHERE[:2], ('samples = ["gaussian-5"]', 'samples = ["opal"]\nlight = "both"')))
+    schedule += '[second_standard]\nname = "second"\nradiance_factor = 0.99\nrelative_uncertainty = 0.003\n'
+    rig = changed(RIG.read_text(), ((ETALON, f"[twin.samples.second]\n{WHITE}\n[twin.samples.etalon]\n{WHITE}"),))
+    run_without_wires(make_plan(parse_schedule(schedule, "opal.toml"), parse_rig(rig, RIG.parent, "rig.toml")), journal)
+    expected = {}
+    with Journal.open(journal) as opened:
+        reduced = reduce_journal(opened)
+        write_archive(opened, reduced, path)
+        settings = evaluate_journal(opened).reduction.settings
+        (points,) = (join_points(list(each.settings())) for each in reduced.samples.values())
+        for each in integration_settings(points):
+            found = reflectance(settings, "opal", points, each)
+            expected[each.transmitted, each.sigma_deg, each.wavelength_nm] = found.value, found.u
+    command = [sys.executable, "-I", str(Path(__file__).with_name("archive_reader.py")), str(path)]
+    read = json.loads(subprocess.run(command, check=True, capture_output=True, text=True).stdout)
+    (part,) = read["parts"]
+    assert read["loaded"] == []
+    assert part["second"] > 80
+    assert {bool(each[0]) for each in part["reflectances"]} == {False, True}
+    assert {tuple(place): tuple(values) for *place, values in ((*each[:3], each[3:]) for each in part["reflectances"])} == {
+        place: (pytest.approx(value, rel=1e-9), pytest.approx(u, rel=1e-9)) for place, (value, u) in expected.items()
+    }
+    rebuilt = np.array(part["u"])
+    with h5py.File(path) as file:
+        u = file["entry/part_1/values_errors"][()]
+    assert np.sum(np.isfinite(rebuilt)) > 80
+    np.testing.assert_allclose(rebuilt[np.isfinite(rebuilt)], u[np.isfinite(rebuilt)], rtol=1e-9)
 
 
 def test_what_was_recorded_is_in_it(tmp_path: Path) -> None:
