@@ -90,6 +90,7 @@ class Parabola:
 
 
 PARABOLA_COLUMNS = 14
+Sums = tuple[float, float, float, float, float, float, float, float]
 
 
 def local_parabola(line: Ints, x: Floats, y: Floats, variance: Floats, window: float, longest: float) -> Parabola:
@@ -103,6 +104,37 @@ def local_parabola(line: Ints, x: Floats, y: Floats, variance: Floats, window: f
     found = np.empty((PARABOLA_COLUMNS, x.size))
     _fit(np.ascontiguousarray(line), x, y, variance, half, window, 2.0 * longest * NEAR, found)
     return Parabola(*found)
+
+
+NO_SUMS = (0.0,) * 8
+
+
+@kernel(forceinline=True)
+def _with_value(sums: Sums, place: float, weight: float, value: float) -> Sums:
+    """Sums of a parabola's normal equations with one value more: of the weights times powers of the place, 0 to 4, and of
+    these, 0 to 2, times the value.
+    """
+    s0, s1, s2, s3, s4, t0, t1, t2 = sums
+    square, one = place * place, weight * place
+    two = weight * square
+    return (
+        s0 + weight,
+        s1 + one,
+        s2 + two,
+        s3 + two * place,
+        s4 + two * square,
+        t0 + weight * value,
+        t1 + one * value,
+        t2 + two * value,
+    )
+
+
+@kernel(forceinline=True)
+def _cofactors(sums: Sums) -> tuple[float, float, float, float, float, float]:
+    """Cofactors of the normal equations of a parabola, by row and column: 00, 01, 02, 11, 12 and 22."""
+    s0, s1, s2, s3, s4 = sums[:5]
+    c02, c12, c22 = s1 * s3 - s2 * s2, s1 * s2 - s0 * s3, s0 * s2 - s1 * s1
+    return s2 * s4 - s3 * s3, s2 * s3 - s1 * s4, c02, s0 * s4 - s2 * s2, c12, c22
 
 
 @kernel()
@@ -120,21 +152,11 @@ def _fit(
             begin -= 1
         while end < n and end - i <= MAX_NEIGHBOURS and line[end] == line[i] and x[end] - x[i] <= width * NEAR:
             end += 1
-        s1, s2, s3, s4, t0, t1, t2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        sums = NO_SUMS
         for j in range(begin, end):
-            place, value = (x[j] - x[i]) / width, y[j]
-            square = place * place
-            s1 += place
-            s2 += square
-            s3 += square * place
-            s4 += square * square
-            t0 += value
-            t1 += value * place
-            t2 += value * square
-        # Normal equations of three unknowns, solved by cofactors.
-        s0 = float(end - begin)
-        c02, c12, c22 = s1 * s3 - s2 * s2, s1 * s2 - s0 * s3, s0 * s2 - s1 * s1
-        c11, c01 = s0 * s4 - s2 * s2, s2 * s3 - s1 * s4
+            sums = _with_value(sums, (x[j] - x[i]) / width, 1.0, y[j])
+        _, _, s2, s3, s4, t0, t1, t2 = sums
+        _, c01, c02, c11, c12, c22 = _cofactors(sums)
         determinant = s2 * c02 + s3 * c12 + s4 * c22
         one, two = 1.0 / (determinant * width), 2.0 / (determinant * width * width)
         found[0, i] = (c01 * t0 + c11 * t1 + c12 * t2) * one
@@ -426,7 +448,7 @@ def _fit_over_theta(
         own = 1.0 / (variance[i] + LEAST_VARIANCE)
         cosine, sine2 = 1.0 - height[i], height[i] * (2.0 - height[i])
         sine = math.sqrt(sine2)
-        s0, s1, s2, s3, s4, t0, t1, t2 = own, 0.0, 0.0, 0.0, 0.0, own * y[i], 0.0, 0.0
+        sums = _with_value(NO_SUMS, 0.0, own, y[i])
         begin, end, enough = i, i + 1, 0
         while True:
             before = polar[i] - polar[begin - 1] if begin > 0 and line[begin - 1] == line[i] else math.inf
@@ -439,23 +461,15 @@ def _fit_over_theta(
             for j in range(first, last):
                 if begin <= j < end:
                     continue
-                place, weight = (height[j] - height[i]) / window, 1.0 / (variance[j] + LEAST_VARIANCE)
-                square = place * place
-                s0 += weight
-                s1 += weight * place
-                s2 += weight * square
-                s3 += weight * square * place
-                s4 += weight * square * square
-                t0 += weight * y[j]
-                t1 += weight * place * y[j]
-                t2 += weight * square * y[j]
+                weight = 1.0 / (variance[j] + LEAST_VARIANCE)
+                sums = _with_value(sums, (height[j] - height[i]) / window, weight, y[j])
             begin, end = first, last
             if nearest < window:
                 continue
-            # As above; with weights, the inverse is the covariance.
-            c01, c02, c12 = s2 * s3 - s1 * s4, s1 * s3 - s2 * s2, s1 * s2 - s0 * s3
-            c11, c22 = s0 * s4 - s2 * s2, s0 * s2 - s1 * s1
-            determinant = s0 * (s2 * s4 - s3 * s3) + s1 * c01 + s2 * c02
+            # With weights, the inverse is the covariance.
+            s0, s1, s2, _, s4, t0, t1, t2 = sums
+            c00, c01, c02, c11, c12, c22 = _cofactors(sums)
+            determinant = s0 * c00 + s1 * c01 + s2 * c02
             if not determinant > SINGULAR * s0 * s2 * s4:  # two places: a straight line
                 c01, c02, c11, c12, c22, determinant = -s1, 0.0, s0, 0.0, 0.0, c22
                 if not determinant > SINGULAR * s0 * s2:
