@@ -39,6 +39,10 @@ class Numbers:
         of_gain = (dark_readings[..., None] * self.gains + gain) * self.photodiodes
         return np.asarray(of_gain + np.arange(self.photodiodes), dtype=np.int32)
 
+    def gain_of_dark(self, numbers: Indices) -> Ints:
+        """The gains (...) of dark readings by their numbers."""
+        return np.asarray(numbers // self.photodiodes % self.gains)
+
     def row(self, rows: Ints, gain: Ints) -> Indices:
         """What all photodiodes share that are read at a gain in a row."""
         return np.asarray(rows * self.gains + gain, dtype=np.int32)

@@ -9,9 +9,11 @@ from typing import Any, Literal
 import numpy as np
 
 from goniotwin.app.campaign.measurement_model.effects import Component
+from goniotwin.app.campaign.measurement_model.quantity import NONE
 from goniotwin.app.campaign.reduction.effects_of_points import effects_of
 from goniotwin.app.campaign.reduction.lit_hole import in_one_line
 from goniotwin.app.campaign.reduction.points import BsdfPoints, join_points
+from goniotwin.app.campaign.reduction.reading_inputs import Numbers
 from goniotwin.app.campaign.reduction.reduction import Reduction
 from goniotwin.app.campaign.reduction.settings import ReductionSettings
 from goniotwin.app.campaign.studies.reflectance import (
@@ -80,8 +82,14 @@ def lines_of(components: Iterable[Component], freedom: Mapping[str, float]) -> t
 
 
 def freedom_of(settings: ReductionSettings, points: BsdfPoints) -> dict[str, float]:
-    """The degrees of freedom of the estimates that the u of some values are from: the least at the gains that they used."""
+    """The degrees of freedom of the estimates that the u of some values are from: the least at the gains that they used.
+
+    Each reading of a value has a dark reading at its gain: of the sample, of both standards, without a sample.
+    """
     by_gain, used = settings.noise_freedom, np.union1d(points.gain, points.etalon_gain)
+    if (dark := points.grouped.get("dark")) is not None:
+        members = dark.member[dark.member != NONE]
+        used = np.union1d(used, Numbers.of(settings.rig).gain_of_dark(members))
     return {NOISE: min((by_gain[k] for k in used.tolist() if k >= 0), default=math.inf), LAMP: settings.lamp_freedom}
 
 

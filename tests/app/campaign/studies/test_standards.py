@@ -17,6 +17,7 @@ import pytest
 
 from goniotwin.app.campaign.campaign import resume_campaign
 from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.measurement_model.quantity import Terms
 from goniotwin.app.campaign.planning.plan import NewPlan, make_plan
 from goniotwin.app.campaign.proof.virtual_rigs import DrawnRigs
 from goniotwin.app.campaign.reduction.components import COVERAGE, Signal, total_variance
@@ -29,6 +30,7 @@ from goniotwin.app.campaign.reduction.settings import reduction_settings
 from goniotwin.app.campaign.rehearsal.without_wires import run_without_wires
 from goniotwin.app.campaign.running.events import State
 from goniotwin.app.campaign.schedule.file import parse_schedule
+from goniotwin.app.campaign.studies.budget import freedom_of
 from goniotwin.app.campaign.studies.closure import TROUBLES
 from goniotwin.app.campaign.studies.comparison import deviations_in_u, theoretical_bsdf
 from goniotwin.app.campaign.studies.evaluation import evaluate_journal
@@ -304,6 +306,17 @@ def test_a_proof_draws_the_second_standard_by_itself_and_a_turned_etalon_with_it
     assert abs(np.corrcoef(own.T)[0, 1]) < 0.45
     assert turned[:, 0] == pytest.approx(turned[:, 1], abs=1e-12)
     assert turned[:, 0] == pytest.approx(own[:, 0], abs=1e-12)
+
+
+def test_the_gain_of_the_second_standard_counts_in_the_degrees_of_freedom() -> None:
+    """Its dark reading is the 4th, at the last of four gains; sample and etalon were read at the first."""
+    points, _ = reduced(np.full(1, 0.5), np.full(1, 0.42), 0.004)
+    rig = parse_rig(rig_text(), RIG.parent, "rig").file
+    settings = reduction_settings(rig, parse_schedule(schedule_text(), "two.toml").file, None, "two.toml")
+    settings = replace(settings, noise_freedom=(40.0, 30.0, 20.0, 10.0))
+    member = ((4 * 4 + 3) * 36 + points.photodiode).astype(np.int32)[:, None]
+    with_dark = replace(points, grouped={"dark": Terms(member, np.ones(member.shape))})
+    assert (freedom_of(settings, points)["noise"], freedom_of(settings, with_dark)["noise"]) == (40.0, 10.0)
 
 
 def test_check_states_what_will_be_found_and_closure_what_was(tmp_path: Path) -> None:
