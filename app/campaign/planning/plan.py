@@ -20,6 +20,7 @@ from goniotwin.app.campaign.planning.validation import (
     gain_numbers,
     min_rows,
     refuse_beyond_limits,
+    refuse_future_calibration,
     refuse_too_long,
     refuse_too_many_checks,
     refuse_too_many_poses,
@@ -94,6 +95,7 @@ def make_plan(schedule: ScheduleDescription, rig: RigDescription) -> NewPlan:
     refuse_beyond_limits(schedule, rig)
     gains = gain_numbers(schedule, rig)
     refuse_unknown_samples(schedule, rig)
+    refuse_future_calibration(schedule, rig.file)
     clearance = arc_clearance(rig.file)
     reason = None
     for omitted in _omissions(schedule.file):

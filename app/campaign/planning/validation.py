@@ -15,7 +15,7 @@ from goniotwin.app.campaign.planning.durations import Timing, min_intervals
 from goniotwin.app.campaign.planning.mountings import Pass
 from goniotwin.app.campaign.planning.timeline import RowTemplates
 from goniotwin.app.campaign.row import NO_SAMPLE
-from goniotwin.app.campaign.schedule.certificate import Certificate, parse_certificate
+from goniotwin.app.campaign.schedule.certificate import Certificate, constant_certificate, parse_certificate, today
 from goniotwin.app.campaign.schedule.file import ScheduleDescription, ScheduleFile
 from goniotwin.app.campaign.schedule.grids import grid_values
 from goniotwin.app.errors import UserError
@@ -210,6 +210,18 @@ def refuse_uncertified(schedule: ScheduleDescription, rig: RigFile, poses: Float
             f"{schedule.name}: {key} covers none of the schedule's {quantity}, so that {effect}: it is valid for "
             f"{certificate}; name a certificate that covers the measurement"
         )
+
+
+def refuse_future_calibration(schedule: ScheduleDescription, rig: RigFile) -> None:
+    """Raises UserError if a standard is calibrated after today: as an age the date would count all the same."""
+    certificate, second = schedule.file.certificate, schedule.file.second_standard
+    first = "[etalon] of the rig file", constant_certificate(rig.etalon)
+    if schedule.certificate is not None and certificate is not None:
+        first = f"certificate.file: {certificate.file}", parse_certificate(schedule.certificate, certificate.file)
+    stated = [first] if second is None else [first, ("second_standard", second.certificate(first[1]))]
+    for key, each in stated:
+        if each.calibrated is not None and each.calibrated > today():
+            raise UserError(f"{schedule.name}: {key}: calibrated = {each.calibrated} is in the future; correct the date")
 
 
 def certified_directions(certificate: Certificate, arcs: list[ArcDirections]) -> int:

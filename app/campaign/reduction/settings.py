@@ -13,12 +13,11 @@ from goniotwin.app.campaign.measurement_model.pose import mounting_inputs, rig_i
 from goniotwin.app.campaign.reduction.arc_geometry import ArcGeometry
 from goniotwin.app.campaign.reduction.calibration import CalibrationFactors
 from goniotwin.app.campaign.reduction.row_history import RowHistory
-from goniotwin.app.campaign.schedule.certificate import Certificate, constant_certificate, parse_certificate
+from goniotwin.app.campaign.schedule.certificate import Certificate, constant_certificate, parse_certificate, today
 from goniotwin.app.campaign.schedule.file import ScheduleFile
 from goniotwin.app.rig import RigFile
 from goniotwin.app.rig.alignment import parse_alignment, refused_residuals
 from goniotwin.arrays import Ints
-from goniotwin.protocols.clock import calendar_stamp
 from goniotwin.twin.plant.disturbances import SECOND
 
 OpticalPath = Literal["sample", "etalon", "second standard"]
@@ -103,7 +102,7 @@ def reduction_settings(
     UserError.
     """
     parsed = constant_certificate(rig.etalon) if certificate is None else parse_certificate(certificate, name)
-    day = measured or date.fromisoformat(calendar_stamp()[:10])
+    day = measured or today()
     return ReductionSettings(
         rig, ArcGeometry(rig), schedule, parsed, etalon_years=_years(parsed, day),
         alignment=None if alignment is None or why_not_aligned(alignment) else rig_alignment(alignment, rig),

@@ -46,7 +46,14 @@ DAYS_OF_A_YEAR = 365.25
 ROUNDING = 1e-9
 
 
-class CertificateTable(TomlTable):
+class ValidityTable(TomlTable):
+    """The last day of a certificate, `expires`, and who is responsible for its use after that, `accept_expired_by`."""
+
+    expires: date | None = None
+    accept_expired_by: Annotated[str, Field(min_length=1)] | None = None
+
+
+class CertificateTable(ValidityTable):
     """`[certificate]` of the schedule: the certificate of the etalon, in place of the rig file's `[etalon]`.
 
     `file` is a CSV file beside the schedule. It is valid until the end of the day `expires`. `accept_expired_by` is the name of
@@ -55,7 +62,6 @@ class CertificateTable(TomlTable):
 
     file: Annotated[str, Field(min_length=1)]
     expires: date
-    accept_expired_by: Annotated[str, Field(min_length=1)] | None = None
 
 
 class CertificateKeys(TomlTable):
@@ -221,16 +227,21 @@ def read_certificate(folder: Path, table: CertificateTable) -> str:
     except UserError as error:
         raise UserError(f"{error} (it is the etalon's certificate: [certificate] file)") from None
     parse_certificate(text, str(path))
-    refuse_expired(table, date.fromisoformat(calendar_stamp()[:10]), str(path))
+    refuse_expired(table, today(), str(path))
     return text
 
 
-def refuse_expired(table: CertificateTable, day: date, name: str) -> None:
+def today() -> date:
+    """The day, by this computer."""
+    return date.fromisoformat(calendar_stamp()[:10])
+
+
+def refuse_expired(table: ValidityTable, day: date, name: str, standard: str = "etalon", section: str = "certificate") -> None:
     """Raises UserError if a certificate has expired on a day, unless `accept_expired_by` names a responsible person."""
-    if day > table.expires and table.accept_expired_by is None:
+    if table.expires is not None and day > table.expires and table.accept_expired_by is None:
         raise UserError(
-            f"{name}: the etalon's certificate expired on {table.expires}; have the etalon calibrated again, or put "
-            'accept_expired_by = "NAME" of the responsible person into [certificate]'
+            f"{name}: the {standard}'s certificate expired on {table.expires}; have the {standard} calibrated again, or put "
+            f'accept_expired_by = "NAME" of the responsible person into [{section}]'
         )
 
 

@@ -21,9 +21,12 @@ from goniotwin.app.campaign.row import NO_SAMPLE
 from goniotwin.app.campaign.schedule.certificate import (
     Certificate,
     CertificateTable,
+    ValidityTable,
     constant_certificate,
     parse_certificate,
     read_certificate,
+    refuse_expired,
+    today,
 )
 from goniotwin.app.campaign.schedule.grids import Grid, grid_values, refuse_duplicates
 from goniotwin.app.campaign.schedule.metadata import MetadataTable
@@ -122,13 +125,13 @@ OpenBeamSetting = Annotated[
 ]
 
 
-class SecondStandardTable(TomlTable):
+class SecondStandardTable(ValidityTable):
     """`[second_standard]`: a second reference standard `name`, which is measured after the etalon at all of its poses.
 
     The two are compared, and values are scaled by both. Its certificate is `radiance_factor` (1 is the ideal diffuser) with
     its standard `relative_uncertainty`, and with `geometry`, `shape` and `calibrated` as those of `[etalon]` in the rig file;
-    or `table`, the lines of a certificate's CSV file. With `turned` it is the etalon itself, taken out, turned and mounted
-    again: its certificate is the etalon's.
+    or `table`, the lines of a certificate's CSV file. `expires` and `accept_expired_by` are as in `[certificate]`. With
+    `turned` it is the etalon itself, taken out, turned and mounted again: its certificate is the etalon's.
     """
 
     name: Name
@@ -157,6 +160,8 @@ class SecondStandardTable(TomlTable):
     def _check_certificate(self) -> "SecondStandardTable":
         constant = {key: getattr(self, key) for key in ("radiance_factor", "relative_uncertainty")}
         given = [key for key in (*constant, "geometry", "shape", "calibrated", "table") if getattr(self, key) is not None]
+        if self.expires is not None and self.turned:
+            given.append("expires")
         if self.turned and given:
             raise ValueError(f"{given[0]}: a turned etalon has the etalon's certificate; remove {given[0]}, or turned")
         if self.table is not None:
@@ -377,12 +382,14 @@ class ScheduleDescription:
 
 
 def read_schedule(path: Path) -> ScheduleDescription:
-    """Read a schedule file, and the certificate that it names. Raises UserError: file, key, reason."""
+    """Read a schedule file, and the certificate that it names. Raises UserError: file, key, reason; and if one has expired."""
     text, content = read_toml(path)
     if "axes" in content and "sigma_deg" not in content:
         raise UserError(f"{path}: looks like a rig file, not like a schedule; open it as a rig")
     file = validate_table(ScheduleFile, content, str(path))
     certificate = None if file.certificate is None else read_certificate(path.parent, file.certificate)
+    if file.second_standard is not None:
+        refuse_expired(file.second_standard, today(), f"{path}: second_standard", "second standard", "second_standard")
     return ScheduleDescription(text, file, str(path), certificate)
 
 

@@ -37,10 +37,13 @@ def reduction_notes(evaluation: Evaluation, tallies: Mapping[str, Tally]) -> lis
             f"certificate's (u {100.0 * scale.u:.2f} %), for photodiodes of the {'lower' if lower else 'upper'} arc"
             for (nm, sigma, lower), scale in reduction.settings.absolute.items()
         ]
-    certificate = reduction.schedule.certificate
-    if certificate is not None and certificate.accept_expired_by is not None:
-        person = certificate.accept_expired_by
-        notes.append(f"the etalon's certificate is valid until {certificate.expires}; {person} accepted its use after that")
+    for standard, table in (
+        ("etalon", reduction.schedule.certificate),
+        ("second standard", reduction.schedule.second_standard),
+    ):
+        if table is not None and table.accept_expired_by is not None:
+            person = table.accept_expired_by
+            notes.append(f"the {standard}'s certificate is valid until {table.expires}; {person} accepted its use after that")
     notes += [*_light_notes(evaluation, tallies), *light_lines(reduction, tallies)]
     if (error := tracing_error(reduction.rig.file)) is not None:
         notes.append(

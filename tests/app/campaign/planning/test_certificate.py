@@ -122,6 +122,33 @@ def test_a_schedule_with_an_expired_certificate_is_refused_when_it_is_read(write
         read_schedule(accepted)
 
 
+def test_a_second_standard_expires_too_and_a_turned_one_with_the_etalon(write_schedule: Writer) -> None:
+    second = '[second_standard]\nname = "b"\nradiance_factor = 0.9\nrelative_uncertainty = 0.01\nexpires = 2020-01-31\n'
+    with pytest.raises(UserError, match=r"second_standard: the second standard's certificate expired on 2020-01-31; .*accept_"):
+        read_schedule(write_schedule(text=SMALL + second))
+    assert read_schedule(write_schedule(text=SMALL + second + 'accept_expired_by = "Ada"\n')).file.second_standard is not None
+    read_schedule(write_schedule(text=SMALL + second.replace("2020", "9999")))
+    turned = '[second_standard]\nname = "b"\nturned = true\nexpires = 9999-01-31\n'
+    with pytest.raises(UserError, match="expires: a turned etalon has the etalon's certificate"):
+        read_schedule(write_schedule(text=SMALL + turned))
+
+
+@pytest.mark.parametrize("where", ["rig", "certificate", "second", "second table"])
+def test_a_calibration_in_the_future_is_refused(where: str, write_schedule: Writer, write_rig: Writer) -> None:
+    future, text = "calibrated = 9999-01-01\n", SMALL
+    if where == "certificate":
+        text += TABLE.format(expires="9999-12-31")
+    elif where == "second":
+        text += f'[second_standard]\nname = "opal"\nradiance_factor = 0.9\nrelative_uncertainty = 0.01\n{future}'
+    elif where == "second table":
+        text += f'[second_standard]\nname = "opal"\ntable = """\n{future}{BY_ZENITH}"""\n'
+    schedule = write_schedule(text=text)
+    (schedule.parent / "etalon.csv").write_text(future + BY_ZENITH)
+    rig = write_rig(*((("radiance_factor = 0.99\n", f"radiance_factor = 0.99\n{future}"),) if where == "rig" else ()))
+    with pytest.raises(UserError, match="calibrated = 9999-01-01 is in the future"):
+        make_plan(read_schedule(schedule), read_rig(rig))
+
+
 def certified(write_schedule: Writer, text: str, *changes: Change) -> ScheduleDescription:
     year = int(calendar_stamp()[:4]) + 1
     path = write_schedule(*changes, text=SMALL + TABLE.format(expires=f"{year}-01-01"))
