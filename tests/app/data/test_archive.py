@@ -136,10 +136,11 @@ def test_the_uncertainty_of_a_reflectance_is_rebuilt(archived: tuple[Path, Path]
         assert np.sqrt(np.sum(shared**2) + alone + own) == pytest.approx(expected.u, rel=1e-9)
 
 
-def test_a_program_without_ours_finds_the_u_of_reflected_and_transmitted_light(tmp_path: Path) -> None:
+@pytest.mark.parametrize("light", ["reflected", pytest.param("both", marks=pytest.mark.long)])
+def test_a_program_without_ours_finds_the_u_of_reflected_and_transmitted_light(light: str, tmp_path: Path) -> None:
     """Of all values, of a reflectance and a transmittance, with a second standard; in a process of its own."""
     journal, path = tmp_path / "opal.journal", tmp_path / "opal.h5"
-    schedule = changed(SMALL, (*HALF_SPHERE[:2], ('samples = ["gaussian-5"]', 'samples = ["opal"]\nlight = "both"')))
+    schedule = changed(SMALL, (*HALF_SPHERE[:2], ('samples = ["gaussian-5"]', f'samples = ["opal"]\nlight = "{light}"')))
     schedule += '[second_standard]\nname = "second"\nradiance_factor = 0.99\nrelative_uncertainty = 0.003\n'
     rig = changed(RIG.read_text(), ((ETALON, f"[twin.samples.second]\n{WHITE}\n[twin.samples.etalon]\n{WHITE}"),))
     run_without_wires(make_plan(parse_schedule(schedule, "opal.toml"), parse_rig(rig, RIG.parent, "rig.toml")), journal)
@@ -157,7 +158,7 @@ def test_a_program_without_ours_finds_the_u_of_reflected_and_transmitted_light(t
     (part,) = read["parts"]
     assert read["loaded"] == []
     assert part["second"] > 80
-    assert {bool(each[0]) for each in part["reflectances"]} == {False, True}
+    assert {bool(each[0]) for each in part["reflectances"]} == {False, light == "both"}
     assert {tuple(place): tuple(values) for *place, values in ((*each[:3], each[3:]) for each in part["reflectances"])} == {
         place: (pytest.approx(value, rel=1e-9), pytest.approx(u, rel=1e-9)) for place, (value, u) in expected.items()
     }
