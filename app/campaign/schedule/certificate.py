@@ -47,7 +47,7 @@ ROUNDING = 1e-9
 
 
 class ValidityTable(TomlTable):
-    """The last day of a certificate, `expires`, and who is responsible for its use after that, `accept_expired_by`."""
+    """The last day of a certificate, `expires`, and the person responsible for its use after that, `accept_expired_by`."""
 
     expires: date | None = None
     accept_expired_by: Annotated[str, Field(min_length=1)] | None = None

@@ -85,7 +85,7 @@ class Formula:
         gain, lsb = reading.gain_v_per_a, range_.lsb_v
         numbers = self._rig.photodiodes.gains_v_per_a
         volts = [reading.counts[:, j].mean() * lsb - self._dark_volts(reading, j) for j in self._module]
-        clipped = range_.saturated(reading.counts).any(axis=0)
+        clipped = np.any(range_.saturated(reading.counts), axis=0).tolist()
         others = sum(
             (1.5 if clipped[j] else 1.0) * GTC.value(each)
             for j, each in zip(self._module, volts, strict=True)
