@@ -5,6 +5,7 @@ Virtual rigs without wires, off by what the rig file states, with an etalon or a
 
 import json
 import math
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cache
@@ -34,7 +35,7 @@ from goniotwin.app.campaign.studies.budget import freedom_of
 from goniotwin.app.campaign.studies.closure import TROUBLES
 from goniotwin.app.campaign.studies.comparison import deviations_in_u, theoretical_bsdf
 from goniotwin.app.campaign.studies.evaluation import evaluate_journal
-from goniotwin.app.campaign.studies.reduced_journal import reduce_journal
+from goniotwin.app.campaign.studies.reduced_journal import BsdfDataset, reduce_journal
 from goniotwin.app.campaign.studies.standards import StandardsReport, expected_comparison
 from goniotwin.app.campaign.studies.verification import verify_journal
 from goniotwin.app.errors import UserError
@@ -71,7 +72,8 @@ def rig_text(etalon: float = 0.99, second: float = 0.99) -> str:
 
 
 def schedule_text(stated: str = CERTIFICATE, wavelengths: str = "[640]") -> str:
-    return f'{SCHEDULE.replace("[640]", wavelengths)}[second_standard]\nname = "second"\n{stated}'
+    second = f'[second_standard]\nname = "second"\n{stated}' if stated else ""
+    return SCHEDULE.replace("[640]", wavelengths) + second
 
 
 def plans(
@@ -108,12 +110,17 @@ def campaigns(
             with Journal.open(path) as journal:
                 evaluation, data = evaluate_journal(journal), reduce_journal(journal)
                 fails = [each.name for each in verify_journal(evaluation) if each.verdict == "fails"]
-        (points,) = data.samples.values()
-        judged = points.good & ~points.flag("field") & ~points.flag("steep")
-        z = deviations_in_u(points, theoretical_bsdf(data.rig, "gaussian-5", points))[judged]
+        z = deviations(data)
         assert evaluation.standards is not None
         found.append(Found(evaluation.standards, z, fails, list(data.notes)))
     return found
+
+
+def deviations(data: BsdfDataset) -> Floats:
+    """The deviations of the judged values from the truth, in u."""
+    (points,) = data.samples.values()
+    judged = points.good & ~points.flag("field") & ~points.flag("steep")
+    return deviations_in_u(points, theoretical_bsdf(data.rig, "gaussian-5", points))[judged]
 
 
 def differences(found: list[Found]) -> Floats:
@@ -157,6 +164,43 @@ def test_a_standard_that_is_low_is_found_and_half_of_the_difference_is_in_u(etal
     deviations = np.concatenate([each.z for each in found])
     assert np.mean(np.abs(deviations) < COVERAGE) > 0.93
     assert not np.any(np.abs(deviations) > 5.0)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("low", [0.01, 0.02, 0.05])
+def test_an_etalon_that_is_low_is_silent_alone(low: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """With a second standard no value is beyond 5 u; with the etalon alone, without a scan, no verdict shows it."""
+    alone, fails = [], []
+    for k, plan in enumerate(plans(range(1, 1 + LOW_RIGS), 0.99 * (1.0 - low), stated="")):
+        run_without_wires(plan, tmp_path / f"{k}.journal")
+        with Journal.open(tmp_path / f"{k}.journal") as journal:
+            alone.append(deviations(reduce_journal(journal)))
+            fails += [each.name for each in verify_journal(evaluate_journal(journal)) if each.verdict == "fails"]
+    found = campaigns(range(1, 1 + LOW_RIGS), 0.99 * (1.0 - low))
+    one, two = np.abs(np.concatenate(alone)), np.abs(np.concatenate([each.z for each in found]))
+    apart = sum(each.report.apart for each in found)
+    rows = [f"{np.sum(each > 5.0)} of {each.size} beyond 5 u, {np.mean(each < COVERAGE):.1%} covered" for each in (one, two)]
+    with capsys.disabled():
+        print(f"\n{low:.0%} low: alone {rows[0]}; with a second standard {rows[1]}, apart on {apart} of {LOW_RIGS} rigs")
+    assert fails == []
+    assert not np.any(two > 5.0)
+    assert np.mean(two < COVERAGE) > np.mean(one < COVERAGE)
+    if low >= 0.02:
+        assert np.any(one > 5.0)
+        assert apart >= LOW_RIGS // 2
+        assert np.mean(two < COVERAGE) > 0.93
+
+
+@pytest.mark.long
+def test_false_alarms_of_verify_are_chance() -> None:
+    """Of 60 rigs as the rig file states them: a verdict fails where chance does as much on one in 500."""
+    found = campaigns(range(101, 161))
+    by_name = Counter(name for each in found for name in each.fails)
+    assert max(by_name.values(), default=0) <= 2  # more has a chance of 0.03 %
+    assert sum(bool(each.fails) for each in found) <= 3
+    z = np.concatenate([each.z for each in found])
+    assert np.mean(np.abs(z) < COVERAGE) == pytest.approx(0.95, abs=0.03)
+    assert not np.any(np.abs(z) > 5.0)
 
 
 def test_a_certificate_that_is_wrong_at_one_wavelength_fails() -> None:
