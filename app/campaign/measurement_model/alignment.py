@@ -104,6 +104,11 @@ class Alignment:
         u = self._stated
         return replace(self, covariance=u[:, None] * (vectors * wide @ vectors.T) * u)
 
+    @property
+    def of_place(self) -> "Alignment | None":
+        """What is known of the place of the slit's image."""
+        return self
+
     def with_inputs(self, inputs: Sequence[InputQuantity]) -> "Alignment":
         """The same with further inputs as they are stated; those that it has already stay as they are."""
         further = Alignment.stated([each for each in inputs if each.name not in self.values])

@@ -308,6 +308,22 @@ def seen_logarithm(
     return np.asarray(found[:, 0] + np.einsum("mkn,mnk->mn", by_disc, discs))
 
 
+def change_by_height(instrument: Instrument, pose: tuple[float, float], views: Floats, places: Floats) -> Floats:
+    """The change (m, n) of the logarithm of a diffuser's light for a mm of its height, with the image at `places` (n, 2).
+
+    Less that of a hole that is lit everywhere. A hole that is lifted meets the beam beside its middle, and the photodiodes, in
+    the directions `views` (m, 3), see it from there.
+    """
+    spot, up = spot_weights(instrument, *pose), np.array([0.0, 0.0, PLACE_STEP_MM])
+    found = []
+    for sign in (1.0, -1.0):
+        weight = np.stack([_cone_and_disc(instrument, spot.points + sign * up, view)[1] for view in views])
+        whole = weight.sum(axis=1)[:, None]
+        lit = spot.lit_cells(places - sign * across_beam(pose[0]) @ up)
+        found.append(np.log(np.maximum(weight @ lit.T, SMALLEST * whole) / whole))
+    return np.asarray((found[0] - found[1]) / (2.0 * PLACE_STEP_MM))
+
+
 @dataclass(frozen=True)
 class PlaceLaw:
     """Places (n, 2) of the slit's image across the beam, in the plane of incidence and along y, and their probability (n,)."""

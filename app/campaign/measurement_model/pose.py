@@ -18,7 +18,6 @@ from functools import lru_cache
 import numpy as np
 
 from goniotwin.app.campaign.measurement_model.inputs import InputQuantity, quantity
-from goniotwin.app.rig import RigFile, nominal_instrument
 from goniotwin.app.rig.inputs import BACKLASH, PHOTODIODE_ACROSS, PHOTODIODE_ANGLE, POSITION, input_named
 from goniotwin.app.rig.uncertainty import UncertaintyTable
 from goniotwin.arrays import Flags, Floats
@@ -597,16 +596,3 @@ def variance(sums: Floats, slope_along: Floats, slope_across: Floats) -> Floats:
     aa, cc, ss, ac, as_, cs = sums.T
     found: Floats = np.maximum(a * a * aa + c * c * cc + ss + 2.0 * (a * c * ac + a * as_ + c * cs), 0.0)
     return found
-
-
-def pose_moments(rig: RigFile, views: Views) -> Floats:
-    """What the variances need at `views`, (n, 2, 6): of the dense inputs of pose, and of the axes' positions."""
-    table, effects = rig.uncertainty, pose_effects(nominal_instrument(rig), views)
-    mounted = [standard_uncertainties(mounting_inputs(table, kind, "")) for kind in ("sample", "etalon")]
-    lifted = [standard_uncertainties(lifted_inputs(table, kind, "")) for kind in ("sample", "etalon")]
-    position = np.full(len(POSITIONS), position_u_deg(table))
-    dense = moments(
-        (effects.common, standard_uncertainties(rig_inputs(table))), (effects.sample, mounted[0]), (effects.etalon, mounted[1]),
-        *((effects.lifted, each) for each in lifted),
-    )  # fmt: skip
-    return np.stack([dense, moments((effects.position, position), (effects.etalon_position, position))], axis=1)

@@ -57,6 +57,11 @@ class PosteriorAlignment(Alignment):
     before: Alignment
     left: tuple[tuple[InputQuantity, ...], Floats]
 
+    @property
+    def of_place(self) -> Alignment | None:
+        """What was known before: a scan shows where the light comes from, and hardly by which mirror."""
+        return self.before if self.before.source else None
+
     @cached_property
     def modes(self) -> tuple[tuple[InputQuantity, ...], Floats]:
         """Uncorrelated inputs, and the change (inputs, these) of each input for one unit of them."""

@@ -9,6 +9,7 @@ from goniotwin.app.campaign.measurement_model.alignment import Alignment, known_
 from goniotwin.app.campaign.measurement_model.effects import Dense, Effects, Group, group_variance
 from goniotwin.app.campaign.measurement_model.inputs import InputQuantity
 from goniotwin.app.campaign.measurement_model.light_place import light_place
+from goniotwin.app.campaign.measurement_model.lit_share import RigLaw, height_effects, height_inputs
 from goniotwin.app.campaign.measurement_model.pose import (
     POSITIONS,
     Displacement,
@@ -101,7 +102,7 @@ def angles(points: BsdfPoints, settings: ReductionSettings) -> Effects:
         return part.relative(along, across)
 
     dense = [Dense(inputs, relative(part)) for inputs, part in pose_parts(points, settings, effects)]
-    lifted = relative(effects.lifted)
+    lifted, by_image = relative(effects.lifted), height_effects(RigLaw.of(settings.rig, settings.alignment), views)
     paths = paths_of_points(points, settings)
     for path in paths:
         names, which = mounted(path.kind, path.rows, settings)
@@ -113,6 +114,7 @@ def angles(points: BsdfPoints, settings: ReductionSettings) -> Effects:
             if kind == ETALON:  # its effects are those on what divides by it
                 dense.append(Dense(mounting_inputs(table, kind, name), -weight * relative(effects.etalon)))
             dense.append(Dense(lifted_inputs(table, kind, name), weight * lifted))
+            dense.append(Dense(height_inputs(table, kind, name), weight * by_image[kind]))
     photodiode = points.photodiode.astype(np.int64)
     own = {2 * c + k: each for c in np.unique(photodiode).tolist() for k, each in enumerate(photodiode_inputs(table, c))}
     own = {number: each for number, each in own.items() if not _is_aligned(each, settings)}

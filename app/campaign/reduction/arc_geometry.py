@@ -8,9 +8,22 @@ import numpy as np
 from goniotwin.app.campaign.geometry.arcs import ArcView, polar_deg, views_at_sigma
 from goniotwin.app.campaign.geometry.directions import ARCS, Arc, PoseAngles
 from goniotwin.app.campaign.geometry.shadow import blocked_by_mirrors
-from goniotwin.app.campaign.measurement_model.pose import Views, pose_moments
-from goniotwin.app.rig import RigFile
+from goniotwin.app.campaign.measurement_model.lit_share import RigLaw, height_effects, height_inputs
+from goniotwin.app.campaign.measurement_model.pose import (
+    POSITIONS,
+    Displacement,
+    Views,
+    lifted_inputs,
+    moments,
+    mounting_inputs,
+    pose_effects,
+    position_u_deg,
+    rig_inputs,
+    standard_uncertainties,
+)
+from goniotwin.app.rig import RigFile, nominal_instrument
 from goniotwin.arrays import Flags, Floats
+from goniotwin.twin.plant.disturbances import ETALON, SAMPLE
 
 MOST_POSES = 4096
 """Poses whose geometry is kept: some 10 MB."""
@@ -71,7 +84,7 @@ class ArcGeometry:
             views = [(k, pose, view) for k, (pose, arcs) in seen for view, _ in arcs]
             sums = np.full((len(missing), self._rig.photodiodes.count, 2, 6), np.nan)
             at = np.concatenate([np.full(view.channels.size, k) for k, _, view in views])
-            sums[at, np.concatenate([view.channels for _, _, view in views])] = pose_moments(self._rig, views_of_arcs(views))
+            sums[at, np.concatenate([view.channels for _, _, view in views])] = _pose_moments(self._rig, views_of_arcs(views))
             self._sums.update(zip(missing, sums, strict=True))
         return np.stack([self._sums[pose] for pose in poses])
 
@@ -90,3 +103,20 @@ def views_of_arcs(views: Sequence[tuple[int, PoseAngles, ArcView]]) -> Views:
         transmitted=np.repeat([view.transmitted for _, _, view in views], each),
         reverse=np.cos(np.radians(azimuth - beta)) < 0.0,
     )
+
+
+def _pose_moments(rig: RigFile, views: Views) -> Floats:
+    """What the variances need at `views`, (n, 2, 6): of the dense inputs of pose, and of the axes' positions."""
+    table, effects = rig.uncertainty, pose_effects(nominal_instrument(rig), views)
+    dense = [(effects.common, standard_uncertainties(rig_inputs(table)))]
+    by_image = height_effects(RigLaw.of(rig), views)
+    for kind, own in ((SAMPLE, effects.sample), (ETALON, effects.etalon)):
+        none = np.zeros_like(by_image[kind])
+        parts = (
+            (own, mounting_inputs),
+            (effects.lifted, lifted_inputs),
+            (Displacement(none, none, by_image[kind]), height_inputs),
+        )
+        dense += [(part, standard_uncertainties(inputs(table, kind, ""))) for part, inputs in parts]
+    position = np.full(len(POSITIONS), position_u_deg(table))
+    return np.stack([moments(*dense), moments((effects.position, position), (effects.etalon_position, position))], axis=1)

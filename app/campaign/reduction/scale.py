@@ -16,8 +16,9 @@ import numpy as np
 from goniotwin.app.campaign.geometry.directions import polar_from_zenith
 from goniotwin.app.campaign.measurement_model.effects import Dense, Effects, Group, dense_of
 from goniotwin.app.campaign.measurement_model.inputs import InputQuantity, quantity
+from goniotwin.app.campaign.measurement_model.lit_share import SLIT_IMAGE
 from goniotwin.app.campaign.measurement_model.pose import OF_ETALON
-from goniotwin.app.campaign.reduction.lit_hole import SLIT_IMAGE, interval_by_modes, slit_image_effects
+from goniotwin.app.campaign.reduction.lit_hole import correct_slit_image, interval_by_modes, slit_image_effects
 from goniotwin.app.campaign.reduction.optical_paths import incidence_deg, paths_of_points, share_of_points
 from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.reduction.polarisation import light_state
@@ -152,7 +153,11 @@ def slit_image(points: BsdfPoints, settings: ReductionSettings) -> Effects | Non
 
 
 def state_interval(points: BsdfPoints, settings: ReductionSettings) -> BsdfPoints:
-    """State the interval of transmitted light, which the place of the slit's image gives another law than the normal one."""
+    """Correct transmitted light for the place of the slit's image, if an alignment knows it, and state the interval.
+
+    The place gives it another law than the normal one.
+    """
+    points = correct_slit_image(points, settings, _beam_scale(points, settings) >= 0)
     found = slit_image(points, settings)
     return points if found is None else interval_by_modes(points, found, settings)
 

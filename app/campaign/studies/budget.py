@@ -212,7 +212,7 @@ def budget_of_value(reduction: Reduction, place: Mapping[str, str | float]) -> B
     if near.size > 1:
         by = ", ".join(str(each) for each in sorted(set(near.photodiode.tolist())))
         about.append(f"{near.size} values are of this direction, by photodiodes {by}; this is the first with a trusted value")
-    components = in_one_line(effects_of(point, reduction.settings).budget(0), reduction.settings.rig.uncertainty)
+    components = in_one_line(effects_of(point, reduction.settings).budget(0))
     lines = lines_of(components, freedom_of(reduction.settings, point))
     title = (
         f"{name}, {point.wavelength_nm[0]:g} nm, sigma {point.sigma_deg[0]:g}, gamma {point.gamma_deg[0]:g}, "
@@ -252,7 +252,7 @@ def reflectance(settings: ReductionSettings, name: str, points: BsdfPoints, sett
     value = np.where(rule.weight != 0.0, here.bsdf, 0.0)
     of_filled = float(np.sum((rule.obstructed + rule.extrapolated) * np.abs(value)))
     components = [
-        *in_one_line(components_of_sum(here, rule.weight, settings), settings.rig.uncertainty),
+        *in_one_line(components_of_sum(here, rule.weight, settings)),
         Component(INTERPOLATION, rule.interpolation_error(here.bsdf), 1.0, None),
         # What stands for a direction without a value is between nothing and twice as much: rectangular.
         Component(FILLED, of_filled / math.sqrt(3.0), 1.0, None),

@@ -29,6 +29,7 @@ from goniotwin.app.campaign.measurement_model.effects import Component
 from goniotwin.app.campaign.measurement_model.field import directions_covariance
 from goniotwin.app.campaign.measurement_model.inputs import InputQuantity, quantity
 from goniotwin.app.campaign.measurement_model.light_place import across_beam, place_law, seen_light
+from goniotwin.app.campaign.measurement_model.lit_share import SLIT_IMAGE
 from goniotwin.app.campaign.measurement_model.pose import (
     LIGHT,
     MOUNTED,
@@ -48,7 +49,6 @@ from goniotwin.app.campaign.measurement_model.quantity import NONE
 from goniotwin.app.campaign.measurement_model.slopes import Directions
 from goniotwin.app.campaign.reduction.components import Signal, input_of
 from goniotwin.app.campaign.reduction.etalon import SIGNATURE, SIGNATURE_READING, comparable_signals
-from goniotwin.app.campaign.reduction.lit_hole import SLIT_IMAGE
 from goniotwin.app.campaign.reduction.reading_inputs import Numbers
 from goniotwin.app.campaign.reduction.reduction import Reduction
 from goniotwin.app.campaign.reduction.row_signals import RowSignal, pose_key, rows_in_columns
@@ -62,7 +62,7 @@ from goniotwin.app.rig import inputs as declared
 from goniotwin.app.rig.uncertainty import UncertaintyTable
 from goniotwin.arrays import Floats, Ints
 from goniotwin.twin.optics import Instrument
-from goniotwin.twin.optics.geometry.coordinates import HALF_TURN_DEG, SPECULAR_AZIMUTH_DEG, round_deg
+from goniotwin.twin.optics.geometry.coordinates import SPECULAR_AZIMUTH_DEG, round_deg
 from goniotwin.twin.plant.disturbances import ETALON, SharedBy
 
 STEP_DEG = 0.2
@@ -844,13 +844,6 @@ def light_effects(scan: BeamScan, rig: RigFile) -> LightEffects:
     return _light_effects(
         nominal_instrument(rig), rig.uncertainty, scan.etalon_pose[0], sigmas, scan.at_deg, scan.arc == "lower"
     )
-
-
-def lifted_in_dark_hole(rig: RigFile, incidence_deg: float) -> float:
-    """Relative standard uncertainty of an etalon's light by its height, where part of the hole is dark."""
-    sigmas = incidence_deg, HALF_TURN_DEG - incidence_deg
-    found = _light_effects(nominal_instrument(rig), rig.uncertainty, 0.0, sigmas, incidence_deg, False)
-    return math.fsum(each.u for each in found.components if each.name == f"{SLIT_IMAGE}*etalon_height@etalon")
 
 
 @lru_cache(maxsize=SCANS_KEPT)

@@ -25,14 +25,12 @@ from goniotwin.app.campaign.reduction.readings import row_places
 from goniotwin.app.campaign.reduction.reduction import Reduction
 from goniotwin.app.campaign.reduction.row_signals import RowSignals
 from goniotwin.app.campaign.reduction.settings import ReductionSettings, reduction_settings
-from goniotwin.app.campaign.studies.closure import AGREES, DIFFERS, SMALLEST_U, TROUBLES, lifted_in_dark_hole, signed
+from goniotwin.app.campaign.studies.closure import AGREES, DIFFERS, SMALLEST_U, TROUBLES, signed
 from goniotwin.arrays import Floats, Ints
 from goniotwin.twin.optics.geometry.coordinates import round_deg
 
 MOST_ROWS, MOST_VALUES = 96, 600
 """Rows of the etalon, and values in them, that are compared; of more, so many are taken evenly."""
-MOST_INCIDENCES = 6
-"""Incidences at which the effect of a dark hole is computed; between them it is interpolated."""
 RESOLVED = 0.1
 """Largest share of noise in a value that is compared: the logarithm of a darker one is that of noise."""
 
@@ -251,7 +249,7 @@ def _compared(points: BsdfPoints, settings: ReductionSettings) -> StandardsRepor
     certified, _ = settings.certificate.interpolate(points.wavelength_nm, incidence, polar, points.azimuth_deg)
     logarithm = -np.log(points.bsdf * math.pi / certified)
     covariance = effects_of(points, settings).covariance(every, every) / np.outer(points.bsdf, points.bsdf)
-    covariance += SMALLEST_U**2 * np.eye(points.size) + _of_dark_holes(incidence, settings)
+    covariance += SMALLEST_U**2 * np.eye(points.size)
     places, which = np.unique(round_deg(np.stack([points.wavelength_nm, incidence], axis=1)), axis=0, return_inverse=True)
     parts = [np.flatnonzero(which.ravel() == k) for k in range(len(places))]
     weights = np.zeros((len(places), points.size))
@@ -275,11 +273,3 @@ def _best(covariance: Floats) -> Floats:
     """The weights (n,) of the best mean of values with a covariance (n, n)."""
     weight = np.linalg.solve(covariance, np.ones(len(covariance)))
     return np.asarray(weight / weight.sum())
-
-
-def _of_dark_holes(incidence_deg: Floats, settings: ReductionSettings) -> Floats:
-    """The covariance (n, n) of values by two heights of standards with a hole that is dark in part, by incidence."""
-    incidences, which = np.unique(round_deg(incidence_deg), return_inverse=True)
-    nodes = incidences[_evenly(incidences.size, MOST_INCIDENCES)]
-    u = np.interp(incidences, nodes, [lifted_in_dark_hole(settings.rig, each) for each in nodes.tolist()])[which.ravel()]
-    return np.where(which.ravel()[:, None] == which.ravel(), 2.0 * u**2, 0.0)

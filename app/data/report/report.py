@@ -307,7 +307,7 @@ def _budgets(dataset: Dataset) -> Iterator[dict[str, Any]]:
 
 def _budget(dataset: Dataset, measured: Measured, k: int) -> dict[str, Any]:
     effects = effects_of(measured.points.where(np.array([k])), measured.settings)
-    components = in_one_line(effects.budget(0), measured.settings.rig.uncertainty)
+    components = in_one_line(effects.budget(0))
     found = lines_of(components, freedom_of(measured.settings, measured.points.where(np.array([k]))))
     value, u = float(dataset.bsdf[k]), math.sqrt(math.fsum(each.u**2 for each in components))
     lines = [

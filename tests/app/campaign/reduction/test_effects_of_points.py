@@ -18,9 +18,11 @@ from hypothesis.extra.numpy import arrays
 from goniotwin.app.campaign.journal.reading import ExecutedRow
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.measurement_model.effects import Effects
+from goniotwin.app.campaign.measurement_model.lit_share import RigLaw, height_effects
 from goniotwin.app.campaign.measurement_model.pose import (
     ASIDE,
     POSITIONS,
+    Displacement,
     Views,
     lifted_inputs,
     pose_effects,
@@ -205,14 +207,16 @@ def test_a_point_without_a_slope_has_the_diffuse_part_alone() -> None:
     u_tilt = np.radians(KEYS.sample_tilt_deg / np.sqrt(3.0))
     at_80 = np.flatnonzero(none.zenith_deg == 80.0)[0]
     tilts = np.hypot(np.tan(np.radians(30.0)) - np.tan(np.radians(80.0)), 0.0) * u_tilt * np.sqrt(2.0)
-    # Each of the two heights, times what moves the photodiodes' discs against their cones.
+    # Each of the two heights, times what moves the photodiodes' discs against their cones, and times the image's place.
     sigma, gamma, polar, azimuth = (np.array([each]) for each in (30.0, 0.0, np.radians(80.0), np.pi))
     no = np.zeros(1, dtype=bool)
     views = Views(sigma, gamma, polar, azimuth, lower=no, transmitted=no, reverse=no)
     u = np.array([each.u for each in lifted_inputs(TABLE, "sample", "a")])
     lifted = np.sqrt(2.0) * np.linalg.norm(pose_effects(nominal_instrument(FILE), views).lifted.diffuse[0] * u)
+    by_image = np.sqrt(2.0) * np.linalg.norm(height_effects(RigLaw.of(FILE), views)["sample"]) * half_width("sample_height_mm")
+    assert 0.0005 < by_image < 0.0015
     assert lifted > 0.3 * tilts
-    assert np.sqrt(none.components["pose"][at_80]) == pytest.approx(np.hypot(tilts, lifted), rel=0.05)
+    assert np.sqrt(none.components["pose"][at_80]) == pytest.approx(np.hypot(np.hypot(tilts, lifted), by_image), rel=0.05)
     steep = measured(np.ones(COUNT), np.full((COUNT, 2), 1.0))
     assert np.all(steep.components["pose"] > none.components["pose"])
 
@@ -293,7 +297,7 @@ class Formula:
             points.sigma_deg, points.gamma_deg, np.radians(points.zenith_deg), np.radians(points.azimuth_deg),
             points.back, points.transmitted, points.back,
         )  # fmt: skip
-        self._effects = pose_effects(nominal_instrument(FILE), views)
+        self._effects, self._by_image = pose_effects(nominal_instrument(FILE), views), height_effects(RigLaw.of(FILE), views)
 
     def value(self, k: int) -> GTC.lib.UncertainReal:
         """exp(g . p) S / E: each signal with its gain, its lamp and its reading."""
@@ -375,6 +379,10 @@ class Formula:
             ):
                 u = half_width(f"{kind}_height_mm") * half_width(key)
                 terms.append((f"{kind}_height*{each}@{at}#1", u, part, i))
+            none = np.zeros_like(self._by_image[kind])
+            part = Displacement(none, none, sign * self._by_image[kind])
+            for i in range(none.shape[1]):
+                terms.append((f"{kind}_height*slit_image[{i + 1}]@{at}#1", half_width(f"{kind}_height_mm"), part, i))
         for i, each in enumerate(("angle", "across")):
             terms.append((f"photodiode_{each}[{c}]", half_width(f"photodiode_{each}_deg"), effects.photodiode, i))
         for i, axis in enumerate(POSITIONS):

@@ -1,16 +1,24 @@
 """Transmitted light: the etalon is lit from the photodiodes' side, where the mirror unit blocks other directions."""
 
 import re
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from goniotwin.app.campaign.campaign import run_campaign
 from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.measurement_model.alignment import Alignment
+from goniotwin.app.campaign.measurement_model.pose import rig_inputs
 from goniotwin.app.campaign.planning.check import check_plan
 from goniotwin.app.campaign.planning.plan import NewPlan, Plan, make_plan
+from goniotwin.app.campaign.reduction.settings import ReductionSettings, reduction_settings
 from goniotwin.app.campaign.rehearsal.rehearsal import plan_rehearsal, rehearse
+from goniotwin.app.campaign.rehearsal.without_wires import run_without_wires
 from goniotwin.app.campaign.schedule.file import parse_schedule, read_schedule
 from goniotwin.app.campaign.studies.comparison import theoretical_bsdf
 from goniotwin.app.campaign.studies.reduced_journal import BsdfDataset, reduce_journal
@@ -72,6 +80,39 @@ def test_directions_blocked_at_the_etalon_are_flagged_and_all_others_are_right(
     keys = zip(flagged.sigma_deg.tolist(), (180.0 - flagged.zenith_deg).tolist(), flagged.azimuth_deg.tolist(), strict=True)
     assert {(sigma, round(zenith, 3), round(azimuth % 360.0, 3)) for sigma, zenith, azimuth in keys} == expected
     assert checked["shadowed_only_for_etalon"] == len(expected) > 50 * len(sigmas)
+
+
+def test_values_are_corrected_for_a_dark_corner_that_an_alignment_knows(
+    write_rig: Writer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On a virtual rig with a tilted mirror, of which the alignment has the tilts. u is then smaller, too."""
+    tilts = "[twin.deviations]\nmirror_1 = { rx_deg = 0.05, ry_deg = 0.07 }\n\n[twin.samples.opal]"
+    plan = planned(f"{HEAD}sigma_deg = [65]\nbeta_deg = [0, 90, 180]\n", write_rig(*QUIET, ("[twin.samples.opal]", tilts)))
+    path, uncertainty = tmp_path / "a.journal", plan.rig.file.uncertainty
+    run_without_wires(plan, path)
+    inputs = [each for each in rig_inputs(uncertainty) if each.u > 0.0]
+    value = np.array([{"mirror_1_tilt_x": 0.05, "mirror_1_tilt_y": 0.07}.get(each.name, 0.0) for each in inputs])
+    found = Alignment(tuple(inputs), value, np.diag([(0.05 * each.u) ** 2 for each in inputs]), "known")
+    off, u = [], []
+    for alignment in (None, found):
+        settings = partial(_with_alignment, reduction_settings, alignment)
+        monkeypatch.setattr("goniotwin.app.campaign.reduction.reduction.reduction_settings", settings)
+        with Journal.open(path) as journal:
+            result = reduce_journal(journal)
+        points = result.samples["opal"]
+        good = points.where(points.good & (points.zenith_deg < 150.0))
+        off.append(good.bsdf / theoretical_bsdf(result.rig, "opal", good) - 1.0)
+        u.append(good.u_bsdf / good.bsdf)
+    assert np.abs(off[0]).mean() > 0.02
+    assert np.abs(off[1]).mean() < 0.3 * np.abs(off[0]).mean()
+    assert np.median(u[1]) < 0.7 * np.median(u[0])
+    assert np.mean(np.abs(off[1]) < 2.0 * u[1]) > 0.95
+
+
+def _with_alignment(
+    settings_of: Callable[..., ReductionSettings], alignment: Alignment | None, *given: Any
+) -> ReductionSettings:
+    return replace(settings_of(*given), alignment=alignment)
 
 
 @pytest.mark.long

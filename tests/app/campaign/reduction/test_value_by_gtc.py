@@ -18,7 +18,7 @@ import pytest
 
 from goniotwin.app.campaign.journal.reading import JournalReader
 from goniotwin.app.campaign.journal.writing import Journal
-from goniotwin.app.campaign.measurement_model.lit_share import lit_effects
+from goniotwin.app.campaign.measurement_model.lit_share import RigLaw, height_effects, lit_effects
 from goniotwin.app.campaign.measurement_model.pose import ASIDE, MOUNTED, POSITIONS, Views, pose_effects, rig_inputs
 from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.reduction.effects_of_points import effects_of
@@ -221,11 +221,18 @@ class Formula:
                 rows, (effects.position, effects.etalon_position, effects.etalon_position), (1.0, *weights), strict=True
             ):  # fmt: skip
                 yield f"position@{axis}#{self._moves(i, row)}", sign * change(part, i), width("position_deg")
+        law = RigLaw.of(self._rig)
+        by_image = height_effects(law, views)
+        for place, kind, sign in (
+            (self._sample, "sample", 1.0),
+            ("etalon", "etalon", -weights[0]),
+            ("second", "etalon", -weights[1]),
+        ):
+            for i, effect in enumerate(by_image[kind][k].tolist(), 1):
+                yield f"{kind}_height*slit_image[{i}]@{place}#1", sign * effect, width(f"{kind}_height_mm")
         if points.transmitted[k]:
-            half_widths = tuple((math.sqrt(3.0) * each.u) for each in rig_inputs(self._rig.uncertainty))
-            pose = float(points.sigma_deg[k]), float(points.gamma_deg[k]), bool(lower[k]), bool(reverse[k])
-            modes = lit_effects(instrument, half_widths, pose, np.degrees(polar[[k]]), points.azimuth_deg[[k]])[0]
-            for i, effect in enumerate(modes.tolist(), 1):
+            modes = lit_effects(law, views, views.sigma_deg) - lit_effects(law, views, 180.0 - views.sigma_deg)
+            for i, effect in enumerate(modes[k].tolist(), 1):
                 yield f"slit_image[{i}]", effect, 1.0
 
     def _moves(self, axis: int, number: int) -> int:

@@ -14,13 +14,13 @@ from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.measurement_model.effects import Component
 from goniotwin.app.campaign.measurement_model.inputs import InputQuantity
 from goniotwin.app.campaign.measurement_model.light_place import SeenLight, across_beam, place_law, seen_light
+from goniotwin.app.campaign.measurement_model.lit_share import SLIT_IMAGE
 from goniotwin.app.campaign.measurement_model.pose import LIGHT, VIEW, Views, disc_moves, image_shifts
 from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.reduction.components import Signal
 from goniotwin.app.campaign.reduction.effects_of_points import effects_of
 from goniotwin.app.campaign.reduction.etalon import comparable_signals
 from goniotwin.app.campaign.reduction.evidence import add_gains, stated
-from goniotwin.app.campaign.reduction.lit_hole import SLIT_IMAGE
 from goniotwin.app.campaign.reduction.points import BsdfPoints, Tally
 from goniotwin.app.campaign.reduction.readings import ReferenceMeasurements
 from goniotwin.app.campaign.reduction.row_signals import RowSignals
