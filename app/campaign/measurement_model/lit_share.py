@@ -52,12 +52,12 @@ MODES, MODES_OF_HEIGHT = 48, 6
 """Modes that are kept: the others have at most 2 % of any u. With a height most is done by the two sides in the plane of
 incidence.
 """
-KEPT_RIGS, KEPT_POSES = 4, 512
+KEPT_RIGS, KEPT_POSES = 4, 1024
 Pose = tuple[float, float, bool, bool]
 """Sigma, gamma, whether the arc is the lower one, and whether it is at the opposite azimuth (`Views.reverse`)."""
 Of = Literal["share", "height"]
 """Functions of the virtual rig: the logarithm of the light, and its change for a mm of the sample's height."""
-SIGMAS_DEG, GAMMAS_DEG = (10.0, 30.0, 50.0, 70.0), (0.0, 30.0, 60.0)
+SIGMAS_DEG, GAMMAS_DEG, SIGMAS_OF_HEIGHT_DEG = (10.0, 30.0, 50.0, 70.0), (0.0, 30.0, 60.0), (40.0, 70.0)
 """Poses whose functions span those of all: the hole is a square, alike after a quarter of a turn."""
 POLAR_DEG = np.array([1e-3, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0, 70.0, 80.0, 90.0])
 AZIMUTH_DEG = np.arange(0.0, 361.0, 10.0)
@@ -217,14 +217,14 @@ def lit_modes(rig: RigLaw, of: Of = "share") -> LitModes:
     ensemble = LitEnsemble.of(rig)
     root = np.sqrt(ensemble.probability)
     functions = []
-    for sigma, gamma, lower in itertools.product(SIGMAS_DEG, GAMMAS_DEG, (False, True)):
-        opposite = 180.0 - sigma
-        if of == "share":
-            one, other = (_functions(rig.instrument, (at, gamma, lower, False), ensemble, of, SOME) for at in (sigma, opposite))
+    if of == "height":
+        for sigma, gamma in itertools.product(SIGMAS_OF_HEIGHT_DEG, GAMMAS_DEG):
+            functions.append(_functions(rig.instrument, (sigma, gamma, False, False), ensemble, of, SOME))
+    else:
+        for sigma, gamma, lower in itertools.product(SIGMAS_DEG, GAMMAS_DEG, (False, True)):
+            poses = [(at, gamma, lower, False) for at in (sigma, HALF_TURN_DEG - sigma)]
+            one, other = (_functions(rig.instrument, each, ensemble, of, SOME) for each in poses)
             functions.append(one - other)
-        else:
-            pose = opposite if lower else sigma, gamma, lower, False
-            functions.append(_functions(rig.instrument, pose, ensemble, of, SOME))
     weighted = np.concatenate([each.reshape(-1, root.size) for each in functions]) * root
     count = MODES if of == "share" else MODES_OF_HEIGHT
     if rig.found:

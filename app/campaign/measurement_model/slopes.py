@@ -51,6 +51,8 @@ UNKNOWN = math.sqrt(2.0) / math.sqrt(3.0)
 """Standard uncertainty of an unknown slope across, in the largest slope that was measured: an interval as wide as that along
 arc and across it together, in any direction.
 """
+SQUARE = math.sqrt(9.0 / 5.0)
+"""Root mean square of the square of a rectangular error, in its mean square."""
 MIDDLE = 0.25
 """A direction is at the lobe's centre within this share of the window; beyond the whole window it is not."""
 MIN_SINE = 0.1
@@ -357,8 +359,12 @@ class Slopes:
         return np.sqrt(total)
 
     def limits(self, sensitivity: Floats) -> Floats:
-        """Standard uncertainty (n,) of a function of the slopes by what was not measured across; `sensitivity` as above."""
-        return np.hypot(sensitivity[:, 1] * self.bound, sensitivity[:, 3] * self.narrower)
+        """Standard uncertainty (n,) of a function of the slopes by what was not measured across; `sensitivity` as above.
+
+        The square of an unknown slope counts in the field of view's correction as a second derivative does.
+        """
+        first, second = sensitivity[:, 1] * self.bound, sensitivity[:, 3] * np.hypot(self.narrower, SQUARE * self.bound**2)
+        return np.hypot(first, second)
 
     def undecided(self) -> Flags:
         """Where the slopes of two sides differ by more than the larger of them, and by more than noise and UNDECIDED."""

@@ -46,12 +46,12 @@ def drawn(rigs: int) -> Floats:
 
 
 def seen_at(sigma_deg: float, gamma_deg: float, *, lower: bool = True, reverse: bool = False) -> Views:
-    """The directions, seen on either arc; `reverse`: by photodiodes beyond its pole."""
+    """The directions, seen on either arc; `reverse`: by photodiodes beyond its pole, the first by a degree."""
     none, flags = np.zeros(POLAR_DEG.size), np.full(POLAR_DEG.size, lower)
     return Views(
         none + sigma_deg,
         none + gamma_deg,
-        np.radians(POLAR_DEG),
+        np.radians(POLAR_DEG * (0.2 if reverse else 1.0)),
         np.radians(AZIMUTH_DEG),
         flags,
         flags,
@@ -112,14 +112,18 @@ def test_a_transmitted_value_is_off_by_the_lit_shares_of_the_virtual_rig(sigma_d
     ],
 )
 def test_the_modes_have_the_second_moments_of_drawn_rigs(sigma_deg: float, gamma_deg: float) -> None:
-    """Of each direction, and of two of them together; with the first one once more, seen from beyond the pole."""
+    """Of each direction, and of two of them together; the last is the first one, seen from beyond the pole.
+
+    The modes are not made of those there: u of this one is right to 7 %.
+    """
     values = drawn(20_000)
     effects = np.concatenate([effects_at(sigma_deg, gamma_deg), effects_at(sigma_deg, gamma_deg, reverse=True)[:1]])
     beyond = logarithms(sigma_deg, gamma_deg, values, reverse=True)[:1]
     of_rigs = np.concatenate([logarithms(sigma_deg, gamma_deg, values), beyond])
     moments, expected = effects @ effects.T, of_rigs @ of_rigs.T / of_rigs.shape[1]
-    scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
-    assert np.abs((moments - expected) / scale).max() < 0.1
+    off = np.abs(moments - expected) / np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
+    assert off[:-1, :-1].max() < 0.1
+    assert off.max() < 0.15
 
 
 @pytest.mark.parametrize("sigma_deg", [15.0, pytest.param(65.0, marks=pytest.mark.long)])

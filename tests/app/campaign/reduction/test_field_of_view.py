@@ -516,6 +516,24 @@ def test_an_unknown_slope_across_is_within_what_was_measured_elsewhere() -> None
     assert float(np.sqrt(np.mean(ratio**2))) > 0.5
 
 
+def test_the_square_of_an_unknown_slope_across_is_in_u_of_the_correction() -> None:
+    """A field of view of 1.5 deg, nothing measured across, a rig without other errors: of one sign, by the twin's own light."""
+    instrument, sample, beta = Instrument(field_deg=1.5, obstruction=False), gaussian(5.0, peak=1.0), (160.0, 170.0, 180.0)
+    points = points_of(1.0, np.arange(0.0, 80.0, 1.25), beta, 42.0)
+    seen = arc_direction(points.zenith_deg, points.azimuth_deg)
+    light = luminance_factor(instrument, 42.0, seen, sample) / math.pi
+    points = replace(points, bsdf=light, own={"noise": np.zeros(points.size) + 1e-24})
+    true = evaluate(sample, light_direction(42.0), seen)
+    found = FieldOfView.of(points, instrument, round_lobe=False)
+    here = (true > 1e-2 * true.max()) & (found.limit > 1e-3) & (points.azimuth_deg != 180.0)
+    left = (np.log(light / true) + found.correction)[here]
+    assert here.sum() > 5
+    assert float(left.max()) > 0.02
+    ratio = left / np.hypot(found.limit, found.noise)[here]
+    assert float(np.median(ratio)) > 0.5
+    assert np.all(ratio < COVERAGE)
+
+
 def test_a_turned_lobe_has_the_mixed_derivative_of_the_arcs_slopes() -> None:
     points, slope = turned_lobe((178.0, 179.0, 180.0, 181.0, 182.0))
     middle = (points.azimuth_deg == 180.0) & (points.theta_deg < 8.0)
