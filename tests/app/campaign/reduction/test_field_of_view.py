@@ -517,7 +517,7 @@ def test_an_unknown_slope_across_is_within_what_was_measured_elsewhere() -> None
 
 
 def test_the_square_of_an_unknown_slope_across_is_in_u_of_the_correction() -> None:
-    """A field of view of 1.5 deg, nothing measured across, a rig without other errors: of one sign, by the twin's own light."""
+    """A field of view of 1.5 deg, nothing measured across, no other errors: of one sign, by the light of the twin."""
     instrument, sample, beta = Instrument(field_deg=1.5, obstruction=False), gaussian(5.0, peak=1.0), (160.0, 170.0, 180.0)
     points = points_of(1.0, np.arange(0.0, 80.0, 1.25), beta, 42.0)
     seen = arc_direction(points.zenith_deg, points.azimuth_deg)
