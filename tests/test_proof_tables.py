@@ -8,8 +8,8 @@ from goniotwin import examples
 from goniotwin.app.campaign.proof.pooled import PooledProof, prove_structures
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import read_rig
-from goniotwin.app.sweeps.environment import one_thread_in_linear_algebra
 from goniotwin.app.sweeps.runners import Here
+from goniotwin.linear_algebra import one_thread_in_linear_algebra
 from tests.proof_tables import DOCUMENT, MARKED, computed_parts, renewed
 
 TABLES = {each["name"]: each["table"] for each in MARKED.finditer(DOCUMENT.read_text(encoding="utf-8")) if each["table"]}

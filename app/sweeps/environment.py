@@ -4,7 +4,6 @@ import hashlib
 import os
 import platform
 from collections.abc import Mapping
-from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass, fields
 from functools import cache
 from importlib.metadata import version
@@ -14,9 +13,9 @@ from pathlib import Path
 import llvmlite.binding
 import numba
 import numpy as np
-from threadpoolctl import ThreadpoolController
 
 from goniotwin.app.errors import UserError
+from goniotwin.linear_algebra import libraries
 
 PARTS = ("app", "drivers", "mocks", "protocols", "twin")
 FEATURES = ("avx512f", "avx2", "fma", "sve", "neon")
@@ -53,22 +52,9 @@ def environment() -> Environment:
     )  # fmt: skip
 
 
-@cache
-def _libraries() -> ThreadpoolController:
-    """The libraries of this process that have threads of their own."""
-    np.linalg.inv(np.eye(2))  # loads that of numpy
-    return ThreadpoolController()
-
-
-def one_thread_in_linear_algebra() -> AbstractContextManager[object]:
-    """A context in which linear algebra has one thread: the order of its sums depends on their number."""
-    found: AbstractContextManager[object] = _libraries().limit(limits=1, user_api="blas")
-    return found
-
-
 def _linear_algebra() -> str:
     """Name, version and kind of processor of the library that numpy has loaded."""
-    known = [each for each in _libraries().info() if each["user_api"] == "blas"]
+    known = [each for each in libraries().info() if each["user_api"] == "blas"]
     own = [each for each in known if "numpy" in each["filepath"]] or known
     return ", ".join(
         sorted({f"{each['internal_api']} {each['version']} {each.get('architecture', '')}".strip() for each in own})

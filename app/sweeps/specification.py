@@ -12,7 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from goniotwin.app.errors import UserError
-from goniotwin.app.sweeps.environment import Environment, environment, one_thread_in_linear_algebra
+from goniotwin.app.sweeps.environment import Environment, environment
+from goniotwin.linear_algebra import one_thread_in_linear_algebra
 
 Arrays = dict[str, npt.NDArray[Any]]
 """The arrays of a chunk by name: numbers, flags or texts of a fixed length."""

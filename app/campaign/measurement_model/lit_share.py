@@ -40,6 +40,7 @@ from goniotwin.app.rig import RigFile, nominal_instrument
 from goniotwin.app.rig.inputs import MIRROR_TILT
 from goniotwin.app.rig.uncertainty import UncertaintyTable
 from goniotwin.arrays import Floats
+from goniotwin.linear_algebra import one_thread_in_linear_algebra
 from goniotwin.twin.optics import Instrument
 from goniotwin.twin.optics.geometry.coordinates import HALF_TURN_DEG
 from goniotwin.twin.optics.kernel import kernel
@@ -270,7 +271,8 @@ def lit_effects(rig: RigLaw, views: Views, sigma_deg: Floats, of: Of = "share") 
     found = np.zeros((which.size, MODES if of == "share" else MODES_OF_HEIGHT))
     for k, (sigma, gamma, lower, reverse) in enumerate(distinct.tolist()):
         here = np.flatnonzero(which.ravel() == k)
-        table = _effects(rig, (sigma, gamma, bool(lower), bool(reverse)), of)
+        with one_thread_in_linear_algebra():
+            table = _effects(rig, (sigma, gamma, bool(lower), bool(reverse)), of)
         for i, by_row in ((0, 1.0 - up[here]), (1, up[here])):
             for j, by_column in ((0, 1.0 - on[here]), (1, on[here])):
                 found[here] += (by_row * by_column)[:, None] * table[row[here] + i, column[here] + j]

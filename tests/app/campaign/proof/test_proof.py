@@ -22,9 +22,9 @@ from goniotwin.app.formats import BsdfTable, registry
 from goniotwin.app.formats.content import BsdfFile
 from goniotwin.app.rig import read_rig
 from goniotwin.app.rig.inputs import inputs
-from goniotwin.app.sweeps.environment import one_thread_in_linear_algebra
 from goniotwin.app.sweeps.runners import Here
 from goniotwin.app.sweeps.specification import Specification
+from goniotwin.linear_algebra import one_thread_in_linear_algebra
 from tests.conftest import RIG, SMALL, Writer
 
 FAULT = ("[twin.samples.etalon]", "[twin.disturbances]\nsigma_zero_deg = 0.7\n\n[twin.samples.etalon]")

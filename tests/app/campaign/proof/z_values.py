@@ -20,8 +20,8 @@ from goniotwin.app.campaign.studies.budget import finished_blocks
 from goniotwin.app.campaign.studies.comparison import deviations_in_u, true_bsdf
 from goniotwin.app.campaign.studies.evaluation import evaluate_journal
 from goniotwin.app.rig import read_rig
-from goniotwin.app.sweeps.environment import one_thread_in_linear_algebra
 from goniotwin.arrays import Floats
+from goniotwin.linear_algebra import one_thread_in_linear_algebra
 
 FILE = Path(__file__).parent / "z_values.npz"
 STRUCTURES = (3, 13, 20, 25)

@@ -122,9 +122,9 @@ ANGLES, WAVELENGTH = (("[0, 1]", ALMOST_TIES), ("[30]", "[30.0140625]")), (("[55
 @pytest.mark.parametrize(
     ("changes", "light"),
     [
-        pytest.param(ANGLES, "both", id="angles"),
+        pytest.param(ANGLES, "both", id="angles", marks=pytest.mark.long),
         pytest.param(WAVELENGTH, "both", id="wavelength"),
-        pytest.param(ANGLES, "reflected", id="angles, reflected", marks=pytest.mark.long),
+        pytest.param(ANGLES, "reflected", id="angles, reflected"),
         pytest.param(WAVELENGTH, "reflected", id="wavelength, reflected", marks=pytest.mark.long),
     ],
 )
