@@ -58,7 +58,7 @@ proof: $(READY)
 	@$(BIN)/goniotwin prove --structures $(STRUCTURES) --rigs $(RIGS) $(WITHOUT) --out $(RESULTS)/structures
 	$(BIN)/python -m tests.proof_tables $(foreach each,$(PROOFS) structures,$(RESULTS)/$(each))
 
-$(READY): pyproject.toml constraints.txt
+$(READY): pyproject.toml constraints.txt $(wildcard package/*.py)
 	@$(PYTHON) -c "import sys; sys.exit(sys.version_info < (3, 11))" || { \
 	  echo "goniotwin needs Python 3.11 or newer; name one: make PYTHON=python3.12 ..."; exit 1; }
 	@$(PYTHON) -c "import ensurepip, venv" 2>/dev/null || { \
