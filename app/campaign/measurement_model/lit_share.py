@@ -181,7 +181,9 @@ class LitModes:
         found = np.empty((u.size, 2))
         for begin in range(0, u.size, TOGETHER):
             part = slice(begin, begin + TOGETHER)
-            _find_quantiles(effects[part] @ self.modes, self.ensemble.probability, u[part], np.array(probability), found[part])
+            with one_thread_in_linear_algebra():
+                effect = effects[part] @ self.modes
+            _find_quantiles(effect, self.ensemble.probability, u[part], np.array(probability), found[part])
         return found
 
 

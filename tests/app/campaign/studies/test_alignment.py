@@ -165,6 +165,7 @@ def test_combinations_of_a_file_are_the_conditional_expectation() -> None:
     assert of_modes @ np.diag([each.u**2 for each in modes]) @ of_modes.T == pytest.approx(found.covariance, abs=1e-6)
 
 
+@pytest.mark.long
 def test_corrected_values_are_nearer_to_the_truth_by_as_much_as_their_uncertainty_falls(small: Small) -> None:
     """On the flanks of the lobe, as a factor of both; the deviations are within the stated intervals."""
     plain, corrected = (flank(small, each) for each in (None, small.alignment))

@@ -159,6 +159,7 @@ def test_a_budget_names_the_inputs_and_the_scan(scanned: Evaluation) -> None:
     assert by_scan.input.shared_by == "all values"
 
 
+@pytest.mark.long
 def test_a_sample_without_reflected_light_leaves_the_correction_to_the_scan(tmp_path: Path) -> None:
     path = tmp_path / "a.journal"
     run_without_wires(next(plans(1, ('samples = ["film"]', 'samples = ["film"]\nalign = "film"'))), path)
