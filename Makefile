@@ -7,7 +7,8 @@ READY := $(VENV)/ready
 export PYTHONDONTWRITEBYTECODE :=
 # numba tries many types for each call, and would colour the text of an error for each that does not fit.
 export NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING := 1
-PYTEST := QT_QPA_PLATFORM=offscreen $(BIN)/pytest --dist worksteal
+# Its processes share the cores: threads of linear algebra beside them would wait for each other.
+PYTEST := QT_QPA_PLATFORM=offscreen OPENBLAS_NUM_THREADS=1 $(BIN)/pytest --dist worksteal
 
 .PHONY: demo test test-long desktop tables proof clean
 
