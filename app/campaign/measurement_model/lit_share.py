@@ -186,6 +186,12 @@ class LitModes:
             _find_quantiles(effect, self.ensemble.probability, u[part], np.array(probability), found[part])
         return found
 
+    def deviate(self, effects: Floats, u: float, error: float) -> float:
+        """The normal deviate with the probability of an `error`: a sum of effects (modes,) and of a normal error with `u`."""
+        scaled = (error - effects @ self.modes) / max(math.sqrt(2.0) * u, SMALLEST)
+        below = 0.5 + 0.5 * float(np.dot(self.ensemble.probability, [math.erf(each) for each in scaled.tolist()]))
+        return NormalDist().inv_cdf(min(max(below, SMALLEST), 1.0 - SMALLEST))
+
 
 @kernel()
 def _find_quantiles(effect: Floats, probability: Floats, u: Floats, wanted: Floats, found: Floats) -> None:

@@ -22,6 +22,7 @@ from goniotwin.app.campaign.reduction.components import ADDED, COVERAGE, KINDS, 
 from goniotwin.app.campaign.reduction.effects_of_points import effects_of
 from goniotwin.app.campaign.reduction.points import BsdfPoints, join_points
 from goniotwin.app.campaign.reduction.reduction import Reduction
+from goniotwin.app.campaign.reduction.scale import deviate_of_sum
 from goniotwin.app.campaign.reduction.settings import ReductionSettings
 from goniotwin.app.campaign.studies.budget import INDEX, finished_blocks
 from goniotwin.app.campaign.studies.comparison import (
@@ -52,7 +53,7 @@ ZENITHS_DEG = (15.0, 30.0, 45.0, 60.0, 75.0, 90.0)
 STEEP, SLOPE, NO_SLOPE = "steep", "with a slope", "without a slope"
 BOUND = "bound"
 """Of values more than half of whose variance is of a component of BOUNDS."""
-BOUNDS = ("slope_unresolved",)
+BOUNDS = ("slope_unresolved", "field_unresolved")
 """Components that are limits of what is not known: their error is no draw of a law with that variance."""
 REFLECTED, TRANSMITTED = SIDES = ("reflected", "transmitted")
 IN_PLANE, OUT_OF_PLANE = "in plane", "out of plane"
@@ -88,15 +89,16 @@ class RigResult:
     """A rig by its `seed`: its cells; by kind of input the sums of (fitted / u)^2 and of their expectations.
 
     `angles` by sample: the error in deg of the angle between lobe and photodiode in the plane of incidence, as drawn and as
-    fitted. `reflectances` are by sample and setting: the relative deviation, u, and the share of a limit in u^2. `far` are the
-    points beyond 5 u. `failed` is the reason why the rig has no result, or empty.
+    fitted. `reflectances` are by sample and setting: the relative deviation, u, the normal deviate of the deviation's
+    probability, and the share of limits in u^2. `far` are the points beyond 5 u. `failed` is the reason why the rig has no
+    result, or empty.
     """
 
     seed: int
     cells: Cells = field(default_factory=dict)
     inputs: dict[str, tuple[float, float]] = field(default_factory=dict)
     angles: dict[str, tuple[float, float]] = field(default_factory=dict)
-    reflectances: dict[str, tuple[float, float, float]] = field(default_factory=dict)
+    reflectances: dict[str, tuple[float, float, float, float]] = field(default_factory=dict)
     far: list[dict[str, Any]] = field(default_factory=list)
     failed: str = ""
 
@@ -113,7 +115,9 @@ class RigResult:
         inputs, angles = (
             {key: (float(a), float(b)) for key, (a, b) in content.pop(name).items()} for name in ("inputs", "angles")
         )
-        reflectances = {key: (float(a), float(b), float(c)) for key, (a, b, c) in content.pop("reflectances").items()}
+        reflectances = {
+            key: (float(a), float(b), float(c), float(d)) for key, (a, b, c, d) in content.pop("reflectances").items()
+        }
         return cls(cells=cells, inputs=inputs, angles=angles, reflectances=reflectances, **content)
 
 
@@ -195,9 +199,10 @@ def _add_sample(
         components = components_of_sum(here, weight, reduction.settings)
         variance = math.fsum(each.u**2 for each in components)
         if total > 0.0 and variance > 0.0:
-            deviation = float(np.sum(weight[used] * here.bsdf[used])) - total
+            deviation, u = float(np.sum(weight[used] * here.bsdf[used])) - total, math.sqrt(variance)
+            deviate = deviate_of_sum(here.where(used), weight[used], u, deviation, reduction.settings)
             limited = math.fsum(each.u**2 for each in components if each.name in BOUNDS) / variance
-            result.reflectances[f"{name}, {setting}"] = (deviation / total, math.sqrt(variance) / total, limited)
+            result.reflectances[f"{name}, {setting}"] = (deviation / total, u / total, deviate, limited)
 
 
 def _parts(points: BsdfPoints) -> Iterator[Any]:

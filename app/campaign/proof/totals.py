@@ -7,6 +7,7 @@ standard errors are therefore those of the scatter over rigs.
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from statistics import NormalDist
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,10 @@ from goniotwin.arrays import Floats, Ints
 FAR_PROBABILITY = math.erfc(FAR_U / math.sqrt(2.0))
 JUDGED_VALUES = 100
 """Values that a cell needs in all to be the worst one."""
-LIMIT_99 = 2.5758
+LIMIT_99, TAIL = 2.5758, 0.005
+"""The deviate beyond which, on either side of a normal law, is this part."""
+QUANTILES = 1000
+"""Of a law, in place of the law."""
 TABLES = ("decade", *SIDES, "zenith", "sigma", "wavelength", "sample", "sample and decade", "slope")
 UNKNOWN_TABLES = tuple(table_of(side, kind) for kind in (BOUND, STEEP) for side in SIDES)
 """Of values whose u is for the most part a limit, or whose slope the directions do not resolve."""
@@ -68,10 +72,10 @@ class CellTotal:
 
 @dataclass(frozen=True)
 class ReflectanceTotal:
-    """A reflectance over all rigs: chi2/n of its deviations in u, the limits of 99 %, and u over the scatter over rigs.
+    """A reflectance over all rigs: chi2/n of its deviates, the limits of 99 %, and u over the scatter over rigs.
 
-    `beyond` is the number of rigs whose deviation is beyond 2.58 u. `limited`: on most rigs u^2 is for the most part a limit of
-    what is not known, which is no draw of a law: its chi2/n has no lower limit.
+    `beyond` is the number of rigs whose deviate is beyond 2.58. `limited` is the share in u^2 (the median over rigs) of
+    what the directions do not resolve: all rigs measure the same sample there, so it is drawn once, and the limits are wider.
     """
 
     label: str
@@ -80,13 +84,13 @@ class ReflectanceTotal:
     limits: tuple[float, float]
     u_over_scatter: float
     beyond: int = 0
-    limited: bool = False
+    limited: float = 0.0
 
     @property
     def outside(self) -> bool:
         """Whether chi2/n is outside the limits."""
         low, high = self.limits
-        return not (0.0 if self.limited else low) <= self.chi_square <= high
+        return not low <= self.chi_square <= high
 
     def as_dict(self) -> dict[str, Any]:
         """The reflectance for JSON."""
@@ -237,22 +241,34 @@ def _angle_totals(results: Sequence[RigResult]) -> dict[str, tuple[float, float]
 def _reflectance_totals(results: Sequence[RigResult]) -> list[ReflectanceTotal]:
     totals = []
     for label in sorted(dict.fromkeys(name for each in results for name in each.reflectances)):
-        deviation, u, limited = np.array([each.reflectances[label] for each in results if label in each.reflectances]).T
+        deviation, u, z, limited = np.array([each.reflectances[label] for each in results if label in each.reflectances]).T
         rigs = deviation.size
         scatter = float(np.std(deviation, ddof=1)) if rigs > 1 else math.nan
-        limits = (chi_square_quantile(rigs, -LIMIT_99) / rigs, chi_square_quantile(rigs, LIMIT_99) / rigs)
-        z = deviation / np.maximum(u, np.finfo(float).tiny)
         over = float(np.sqrt(np.mean(u**2))) / scatter if scatter else math.nan
         beyond = int(np.sum(np.abs(z) > LIMIT_99))
-        mostly = float(np.median(limited)) > 0.5
-        totals.append(ReflectanceTotal(label, rigs, float(np.mean(z**2)), limits, over, beyond, mostly))
+        share = float(np.median(limited))
+        limits = mean_square_limits(rigs, share)
+        totals.append(ReflectanceTotal(label, rigs, float(np.mean(z**2)), limits, over, beyond, share))
     return totals
 
 
-def chi_square_quantile(freedom: int, deviate: float) -> float:
-    """The quantile of chi-square whose normal deviate is given, by the cube root of Wilson and Hilferty."""
+def mean_square_limits(count: int, shared: float) -> tuple[float, float]:
+    """The limits of 99 % of the mean square of `count` normal deviates that have a `shared` part of their variance in common.
+
+    It is that of their mean, of the variance shared + (1 - shared) / count, and of the rest, chi-square of count - 1.
+    """
+    deviate = np.array([NormalDist().inv_cdf((k + 0.5) / QUANTILES) for k in range(QUANTILES)])
+    alone = (1.0 - shared) / count
+    of_mean = (shared + alone) * deviate**2
+    rest = alone * chi_square_quantile(count - 1, deviate) if count > 1 else np.zeros(1)
+    low, high = np.quantile(np.add.outer(of_mean, rest), [TAIL, 1.0 - TAIL])
+    return float(low), float(high)
+
+
+def chi_square_quantile(freedom: int, deviate: Floats | float) -> Floats:
+    """The quantiles of chi-square whose normal deviates are given, by the cube root of Wilson and Hilferty."""
     variance = 2.0 / (9.0 * freedom)
-    return freedom * max(1.0 - variance + deviate * math.sqrt(variance), 0.0) ** 3
+    return np.asarray(freedom * np.maximum(1.0 - variance + deviate * math.sqrt(variance), 0.0) ** 3)
 
 
 def _finite(value: float) -> float | None:

@@ -82,6 +82,7 @@ KINDS: Mapping[str, Kind] = {
     "calibration": Kind(calibration_input),
     declared.FIELD_OF_VIEW.name: Kind(declared_input(declared.FIELD_OF_VIEW)),
     "field_noise": Kind(independent=True, added=True),
+    "field_unresolved": Kind(independent=True, added=True),
     "second_order": Kind(of_angles=True),
     "slope_unresolved": Kind(of_angles=True),
     "pose": Kind(),

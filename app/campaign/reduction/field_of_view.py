@@ -3,10 +3,10 @@
 Illuminated spot, exit pupil and a photodiode's acceptance make each value a mean over directions. The correction is that of a
 lobe whose logarithm is locally a parabola (measurement_model/field.py), from the slopes of the measured values, which
 measurement_model/slopes.py has. What is left has three parts: `field`, by the variance of the directions, which all values
-share; `field_noise`, by the noise of the slopes and what they do not resolve; and `slope_unresolved`, by neighbours too far
-apart, and by what was not measured across the arc.
-`second_order` is what an unknown angle does where there is no slope. A value that is lost in its noise is not corrected: the
-field's whole effect on it is within its `field_noise`.
+share; `field_noise`, by the noise of the slopes; and `field_unresolved`, by neighbours too far apart. A value that is lost in
+its noise is not corrected: the field's whole effect on it is within its `field_unresolved`. `second_order` is what an unknown
+angle does where there is no slope, and `slope_unresolved` what it does by slopes that the neighbours do not resolve, with what
+the correction lacks where nothing was measured across the arc.
 
 See docs/decisions/0030-the-field-is-corrected.md.
 """
@@ -82,9 +82,9 @@ class FieldOfView:
 
     `correction` is added to the logarithm; slopes and `bend` (n, 2), second derivatives, are those of the corrected logarithm,
     per degree, along the arc and across it, `mixed` (n,) is the mixed derivative, and `unresolved` (n, 2) is the standard
-    uncertainty of the slopes by neighbours that are too far apart. `noise` is that of the correction by the slopes' noise and
-    by what they do not resolve; with that of the known displacement. `limit` is that of the correction by what was not measured
-    across the arc. `estimate`, in the values' unit, is the whole effect on a value that cannot be corrected; of one that is
+    uncertainty of the slopes by neighbours that are too far apart. `noise` is that of the correction by the slopes' noise, with
+    that of the known displacement; `departure` by neighbours that are too far apart; `limit` by what was not measured across
+    the arc. `estimate`, in the values' unit, is the whole effect on a value that cannot be corrected; of one that is
     `alone`, between darker ones that do not show its lobe, it is a lower limit. `steep`: the directions nearby are too far
     apart for the slope, or there are none across the arc and the lobe need not be round.
     """
@@ -95,6 +95,7 @@ class FieldOfView:
     mixed: Floats
     unresolved: Floats
     noise: Floats
+    departure: Floats
     limit: Floats
     estimate: Floats
     steep: Flags
@@ -109,9 +110,9 @@ class FieldOfView:
         `moved_deg` (n, 2) is the displacement along the arc and across it for which the values will be corrected by the slopes.
         """
         n = points.bsdf.size
-        correction, mixed, noise, limit, estimate = (np.full(n, np.nan) for _ in range(5))
+        correction, mixed, *errors = (np.full(n, np.nan) for _ in range(6))
         slope, bend, unresolved = (np.full((n, 2), np.nan) for _ in range(3))
-        result = cls(correction, slope, bend, mixed, unresolved, noise, limit, estimate, *np.zeros((2, n), dtype=bool))
+        result = cls(correction, slope, bend, mixed, unresolved, *errors, *np.zeros((2, n), dtype=bool))
         chosen = np.flatnonzero(points.good)
         # Process per wavelength and incidence, in chunks, to bound memory.
         lights = np.stack([points.wavelength_nm[chosen], points.sigma_deg[chosen]])
@@ -216,9 +217,8 @@ def _evaluate(values: MergedDirections, instrument: Instrument, moved_deg: Float
     sensitivity = correction.sensitivity
     if moved_deg is not None:
         sensitivity = sensitivity + values.of_displacement(moved_deg)[light]
-    noise = np.hypot(np.sqrt(slopes.noise(sensitivity, relative)), slopes.unresolved(correction.sensitivity))
-    each_slope = np.eye(2, correction.sensitivity.shape[1])
-    of_slopes = [np.tile(one, (relative.size, 1)) for one in each_slope]
+    noise = np.sqrt(slopes.noise(sensitivity, relative))
+    of_slopes = [np.tile(one, (relative.size, 1)) for one in np.eye(2, correction.sensitivity.shape[1])]
     unresolved = np.stack([np.hypot(slopes.unresolved(each), slopes.limits(each)) for each in of_slopes], axis=1)
 
     def everywhere(column: Floats) -> Floats:
@@ -261,6 +261,7 @@ def _evaluate(values: MergedDirections, instrument: Instrument, moved_deg: Float
         mixed=PER_DEG**2 * everywhere(correction.mixed)[which],
         unresolved=PER_DEG * unresolved[which],
         noise=everywhere(noise)[which],
+        departure=everywhere(slopes.unresolved(correction.sensitivity))[which],
         limit=everywhere(slopes.limits(correction.sensitivity))[which],
         estimate=estimate[which],
         steep=(steep & light)[which],
@@ -301,7 +302,8 @@ def correct_field_of_view(points: BsdfPoints, settings: ReductionSettings) -> Bs
     }
     for name, each in relative.items():
         quantity = quantity.with_own(name, np.nan_to_num(each * bsdf**2))
-    quantity = quantity.with_own("field_noise", np.nan_to_num(np.where(corrected, 0.0, found.estimate)) ** 2)
+    departure = np.where(corrected, found.departure * bsdf, found.estimate)
+    quantity = quantity.with_own("field_unresolved", np.nan_to_num(departure) ** 2)
     known = corrected | (np.isfinite(found.estimate) & ~found.alone)
     return scaled.with_quantity(
         quantity,

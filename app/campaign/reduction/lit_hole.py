@@ -92,6 +92,13 @@ def interval_by_modes(points: BsdfPoints, effects: Effects, settings: ReductionS
     return replace(points, coverage=coverage)
 
 
+def deviate_by_modes(effects: Effects, weight: Floats, u: float, error: float, settings: ReductionSettings) -> float:
+    """The normal deviate of `deviate_of_sum`, by the effects of the place on the values."""
+    of_sum = (weight * effects.value) @ effects.dense[0].sensitivity
+    rest = math.sqrt(max(u**2 - float(of_sum @ of_sum), 0.0))
+    return lit_modes(_law(settings)).deviate(of_sum, rest, error)
+
+
 def _mode(number: int, settings: ReductionSettings) -> InputQuantity:
     table, inputs = settings.rig.uncertainty, (MIRROR_TILT, MIRROR_SHIFT, ILLUMINATION_SHIFT)
     source, origin = ", ".join(map(table.source, inputs)), table.origin(*inputs)

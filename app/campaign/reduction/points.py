@@ -313,7 +313,8 @@ class BsdfPoints(MeasuredDirections):
         """The field's components of `u_bsdf`, 1/sr; NaN where they cannot be estimated."""
         known, components = self.good & ~self.flag("field"), self.components
         none = np.full(self.bsdf.size, np.nan)
-        return np.where(known, np.sqrt(components.get("field", none) + components.get("field_noise", 0.0)), np.nan)
+        own = components.get("field_noise", 0.0) + components.get("field_unresolved", 0.0)
+        return np.where(known, np.sqrt(components.get("field", none) + own), np.nan)
 
     @property
     def interval(self) -> tuple[Floats, Floats, content.Texts]:

@@ -18,7 +18,12 @@ from goniotwin.app.campaign.measurement_model.effects import Dense, Effects, Gro
 from goniotwin.app.campaign.measurement_model.inputs import InputQuantity, quantity
 from goniotwin.app.campaign.measurement_model.lit_share import SLIT_IMAGE
 from goniotwin.app.campaign.measurement_model.pose import OF_ETALON
-from goniotwin.app.campaign.reduction.lit_hole import correct_slit_image, interval_by_modes, slit_image_effects
+from goniotwin.app.campaign.reduction.lit_hole import (
+    correct_slit_image,
+    deviate_by_modes,
+    interval_by_modes,
+    slit_image_effects,
+)
 from goniotwin.app.campaign.reduction.optical_paths import incidence_deg, paths_of_points, share_of_points
 from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.reduction.polarisation import light_state
@@ -160,6 +165,15 @@ def state_interval(points: BsdfPoints, settings: ReductionSettings) -> BsdfPoint
     points = correct_slit_image(points, settings, _beam_scale(points, settings) >= 0)
     found = slit_image(points, settings)
     return points if found is None else interval_by_modes(points, found, settings)
+
+
+def deviate_of_sum(points: BsdfPoints, weight: Floats, u: float, error: float, settings: ReductionSettings) -> float:
+    """The normal deviate that has the probability of an `error` of sum(weight * bsdf), whose standard uncertainty is `u`.
+
+    Of a normal law it is the error over u; what the place of the slit's image does to transmitted light has another.
+    """
+    found = slit_image(points, settings)
+    return error / u if found is None else deviate_by_modes(found, weight, u, error, settings)
 
 
 def _by_certificate(points: BsdfPoints, settings: ReductionSettings) -> Floats:

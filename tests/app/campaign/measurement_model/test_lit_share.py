@@ -165,6 +165,11 @@ def test_an_interval_has_the_ends_of_drawn_rigs_with_normal_errors(sigma_deg: fl
     # Of a normal law alone they are those of tables.
     normal = modes.quantiles(0.0 * effects, u, (0.025, 0.975))
     assert normal == pytest.approx(1.959964 * np.stack([-u, u], axis=1), rel=1e-6)
+    # An error as the normal deviate of its probability.
+    deviates = [modes.deviate(effects[0], u[0], error) for error in errors[0, :2000].tolist()]
+    assert np.sqrt(np.mean(np.square(deviates))) == pytest.approx(1.0, abs=0.06)
+    assert np.mean(np.abs(deviates) > 1.96) == pytest.approx(0.05, abs=0.02)
+    assert modes.deviate(0.0 * effects[0], u[0], -1.5 * u[0]) == pytest.approx(-1.5)
 
 
 @pytest.mark.parametrize(("sigma_deg", "lower"), [(15.0, False), (45.0, False), (65.0, False), (125.0, True)])

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from goniotwin.app.campaign.proof.judgement import Cell, RigResult
-from goniotwin.app.campaign.proof.totals import Totals, chi_square_quantile
+from goniotwin.app.campaign.proof.totals import Totals, chi_square_quantile, mean_square_limits
 
 
 def made_results(seed: int, rigs: int, values: int, common: float, wrong: float = 1.0) -> list[RigResult]:
@@ -29,7 +29,7 @@ def made_results(seed: int, rigs: int, values: int, common: float, wrong: float 
                 {"all": {"all": cell}, "decade": {"1e+0 to 1e-1": cell}},
                 {"pose": (float(wrong * rng.normal()) ** 2, 1.0)},
                 {"paint": (float(d := rng.normal()), float(d + 0.01 * rng.normal()))},
-                {"paint, 550 nm": (float(wrong * u * rng.normal()), u, 0.0)},
+                {"paint, 550 nm": (u * (of_sum := float(wrong * rng.normal())), u, of_sum, 0.0)},
             )
         )
     return results
@@ -62,9 +62,16 @@ def test_the_law_that_is_stated_is_found_within_the_standard_errors(seed: int, c
     assert reflectance.u_over_scatter == pytest.approx(1.0, abs=0.25)
 
 
-def test_a_sum_whose_u_is_a_limit_may_be_nearer_than_its_u_but_not_further() -> None:
-    for share, size, outside in ((0.9, 0.1, False), (0.1, 0.1, True), (0.9, 2.0, True), (0.1, 1.0, False)):
-        found = [RigResult(seed, reflectances={"paint, 550 nm": (size * (-1) ** seed, 1.0, share)}) for seed in range(30)]
+def test_what_the_directions_do_not_resolve_is_drawn_once_for_all_rigs() -> None:
+    for share, size, outside in (
+        (0.95, 0.3, False),
+        (0.1, 0.3, True),
+        (0.95, 2.0, False),
+        (0.95, 3.0, True),
+        (0.1, 1.0, False),
+    ):
+        errors = [size * (-1) ** seed for seed in range(30)]
+        found = [RigResult(k, reflectances={"paint, 550 nm": (z, 1.0, z, share)}) for k, z in enumerate(errors)]
         (reflectance,) = Totals(found).reflectances
         assert reflectance.outside == outside
 
@@ -98,3 +105,13 @@ def test_limits_of_chi_square(freedom: int, low: float, high: float) -> None:
     """Quantiles of 0.5 and 99.5 % from the tables of chi-square."""
     assert chi_square_quantile(freedom, -2.5758) == pytest.approx(low, rel=1e-2)
     assert chi_square_quantile(freedom, 2.5758) == pytest.approx(high, rel=1e-2)
+
+
+def test_limits_of_a_mean_square_of_deviates_that_have_a_part_in_common() -> None:
+    """With nothing in common those of chi-square of 20 over 20, with all those of 1, by its tables; between by draws."""
+    assert mean_square_limits(20, 0.0) == pytest.approx((7.434 / 20.0, 39.997 / 20.0), rel=2e-2)
+    assert mean_square_limits(20, 1.0) == pytest.approx((3.93e-5, 7.879), rel=2e-2)
+    draws = np.random.default_rng(1)
+    z = math.sqrt(0.6) * draws.normal(size=(100_000, 1)) + math.sqrt(0.4) * draws.normal(size=(100_000, 8))
+    drawn = np.quantile(np.mean(z**2, axis=1), [0.005, 0.995])
+    assert mean_square_limits(8, 0.6) == pytest.approx(drawn, rel=5e-2)

@@ -127,7 +127,7 @@ def divided(points: BsdfPoints, relative: dict[str, Floats]) -> Quantity:
     at_etalon = {"dark": "etalon_dark", "lamp": "etalon_lamp", "reading": "etalon_reading", "crosstalk": "etalon_crosstalk"}
     etalon = signal(one, points.etalon_row, np.zeros(COUNT, dtype=np.int64), {**alike, **at_etalon})
     quotient = sample / etalon.own_as("etalon_reading", numbers.reading(points.etalon_row, points.photodiode))
-    for name in ("second_order", "slope_unresolved", "field_noise"):
+    for name in ("second_order", "slope_unresolved", "field_noise", "field_unresolved"):
         quotient = quotient.with_own(name, (relative.get(name, 0.0) * points.bsdf) ** 2)
     if "calibration" in relative:
         effect = relative["calibration"] * points.bsdf
@@ -163,6 +163,7 @@ def relative_of(noise: Floats) -> dict[str, Floats]:
         "second_order": 0.8 * noise,
         "slope_unresolved": 0.9 * noise,
         "field_noise": 0.3 * noise,
+        "field_unresolved": 0.45 * noise,
         "ray_tracing": 0.2 * noise,
         "signature": -0.2 * noise,
         "signature_reading": 0.15 * noise,
@@ -278,7 +279,7 @@ GTC_NAMES = (
     "etalon_dark",
 )  # fmt: skip
 COMMON = ("linearity", "crosstalk", "signature", "monitor_drift", "monitor_linearity", "field")
-OWN = {"noise", "resolution", "ray_tracing", "field_noise", "second_order", "slope_unresolved"}
+OWN = {"noise", "resolution", "ray_tracing", "field_noise", "field_unresolved", "second_order", "slope_unresolved"}
 
 
 def half_width(key: str) -> float:
@@ -360,7 +361,7 @@ class Formula:
         reading = self._input(f"signature_reading[{self._points.photodiode[k]}]@row {row}", 1.0)
         signal = signal * (1.0 - self._relative["signature_reading"][k] * reading)
         signal = signal * (1.0 + self._relative["band_shape"][k] * self._input("band_shape[550 nm]@sample 0", 1.0))
-        for name in ("resolution", "ray_tracing", "second_order", "slope_unresolved", "field_noise"):
+        for name in ("resolution", "ray_tracing", "second_order", "slope_unresolved", "field_noise", "field_unresolved"):
             signal = signal * (1.0 + self._input(f"{name} of {k}", self._relative[name][k]))
         return signal, etalon
 

@@ -39,7 +39,7 @@ SIGNALS = {
     "gain",
     "linearity",
 }
-SLOPES = {"field", "field_noise", "second_order", "slope_unresolved"}
+SLOPES = {"field", "field_noise", "field_unresolved", "second_order", "slope_unresolved"}
 POSE = {"pose", "position", "photodiode_angle"}
 SCALE = {"certificate", "etalon_age", "etalon_edge", "monochromator_stray"}
 NAMES = {*SIGNALS, *SLOPES, *POSE, *SCALE}

@@ -2,7 +2,8 @@
 
 The formula has the counts, the monitor and the times of a journal, and no step of the reduction. Taken from the program is what
 other tests hold against the virtual rig: slopes and displacements, the modes of the slit's image, what the campaign shows of
-the readings' scatter and of the gains; and what a value has alone by these (`second_order`, `slope_unresolved`, `field_noise`).
+the readings' scatter and of the gains; and what a value has alone by these (`second_order`, `slope_unresolved`, `field_noise`,
+`field_unresolved`).
 """
 
 import math
@@ -39,7 +40,7 @@ SECOND = '[second_standard]\nname = "second"\nradiance_factor = 0.99\nrelative_u
 CHARGE_C = 1.602176634e-19
 STEP = 1.0 / 12.0
 """Variance of a count by the converter's step."""
-OWN = ("second_order", "slope_unresolved", "field_noise")
+OWN = ("second_order", "slope_unresolved", "field_noise", "field_unresolved")
 
 
 class Formula:
