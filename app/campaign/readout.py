@@ -5,7 +5,7 @@ so that it can be repeated from the journal, and a resumed campaign decides the 
 """
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -152,6 +152,27 @@ def further_readings(row: Row, counts: Counts, dark: Floats, selected: Flags, se
         return 0
     unsaturated = selected & ~saturation(counts, settings.range)
     return readings_needed(counts, dark, unsaturated, row.target, max_readings(row, settings.period_s)) - len(counts)
+
+
+def read_row(
+    row: Row,
+    settings: ConverterDescription,
+    current: int | None,
+    dark: Callable[[int], Floats],
+    take: Callable[[int, int], Counts],
+) -> tuple[str, ...]:
+    """Read a row at each gain that it needs, as often as it needs; return its flags.
+
+    `take` takes a number of readings at a gain, given by its index, and returns all counts (readings, photodiodes) at this gain
+    so far. `dark` is the dark reading (photodiodes,) at a gain; `current` is the gain that the amplifiers have now.
+    """
+    gains = GainSequence(row, settings, current)
+    for gain in gains:
+        counts, dark_counts = take(gain, min_readings(row)), dark(gain)
+        while further := further_readings(row, counts, dark_counts, gains.saturated, settings):
+            counts = take(gain, further)
+        gains.add(counts)
+    return gains.flags
 
 
 @dataclass(frozen=True)

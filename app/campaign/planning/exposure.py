@@ -4,7 +4,6 @@ The photocurrents are those of the twin's fast estimator, at rows spread evenly 
 rules of auto-range and averaging (app.campaign.readout) are applied to counts with the twin's noise.
 """
 
-from collections.abc import Iterator
 from dataclasses import replace
 from functools import lru_cache
 
@@ -13,12 +12,13 @@ import numpy as np
 from goniotwin.app.campaign.planning.durations import ReadingLots, Timing
 from goniotwin.app.campaign.planning.mountings import Pass
 from goniotwin.app.campaign.planning.scan_grid import ScanGrid
-from goniotwin.app.campaign.readout import GainSequence, further_readings, min_readings
+from goniotwin.app.campaign.readout import read_row
 from goniotwin.app.campaign.row import NO_SAMPLE, Row
 from goniotwin.app.campaign.schedule.file import ScheduleFile
 from goniotwin.app.rig import RigDescription
 from goniotwin.app.rig.described_twin import NoDescription, described_twin
-from goniotwin.arrays import Counts, Flags, Floats, Ints
+from goniotwin.arrays import Counts, Floats, Ints
+from goniotwin.drivers.monochromator.settings import POSITION_AFTER_POWER_UP
 from goniotwin.twin.plant import Disturbances, Plant, TwinModel
 from goniotwin.twin.plant.noise import normal, process_key
 from goniotwin.twin.plant.view import Aspect
@@ -28,7 +28,7 @@ SAMPLED_ROWS = 40
 GOLDEN_FRACTION = 0.6180339887498949
 """Golden ratio minus 1: the fractional parts of its multiples are spread evenly, in step with no grid."""
 MAX_DRAWS = 1024
-"""Number of drawn noise values for each photodiode."""
+"""Number of drawn noise values for each photodiode. A row of more readings has them again."""
 DRAW_OFFSET = 37
 """Offset in the drawn noise from one row to the next."""
 
@@ -55,7 +55,7 @@ def expected_reading_s(rig: RigDescription, model: TwinModel, passes: list[Pass]
     for each in passes:
         if each.grid not in seconds:
             points = each.grid.points[_spread(len(each.grid))]
-            rows_of_lots = [list(signal.lots(row, point, number)) for number, point in enumerate(points)]
+            rows_of_lots = [signal.lots(row, point, number) for number, point in enumerate(points)]
             seconds[each.grid] = float(np.mean([timing.lots_seconds(lots) for lots in rows_of_lots]))
     rows = sum(len(each.grid) for each in passes)
     return sum(seconds[each.grid] * len(each.grid) for each in passes) / rows
@@ -68,33 +68,32 @@ class ExpectedSignal:
         self._settings = rig.file.photodiodes
         self._wheel = rig.file.monochromator.wheel
         self._plant = Plant(model)
-        self._channels = model.photodiodes.count
 
-    def lots(self, row: Row, point: Floats, number: int) -> Iterator[ReadingLots]:
+    def lots(self, row: Row, point: Floats, number: int) -> list[ReadingLots]:
         """For each gain the lots of readings that a row at a point (5,) takes; `number` selects the drawn noise."""
         gamma, sigma, beta, shift, wavelength = point.tolist()
         sample = None if row.sample == NO_SAMPLE else row.sample
         glass = self._wheel.at(wavelength)
         aspect = Aspect(sample, 0.0, wavelength, sigma, gamma, beta, shift)
-        signal = self._plant.steady_photocurrents_a(aspect, 1 if glass is None else glass.position)
-        gains = GainSequence(row, self._settings, max(row.gains))
-        for gain in gains:
-            drawn = _normals(len(signal) + 1)[np.mod(np.arange(MAX_DRAWS) + number * DRAW_OFFSET, MAX_DRAWS)]
-            counts = self._counts(signal, gain, drawn)
-            lots = self._lots(row, gain, counts, gains.saturated)
-            gains.add(counts[: sum(lots)])
-            yield gain, lots
+        signal = self._plant.steady_photocurrents_a(aspect, POSITION_AFTER_POWER_UP if glass is None else glass.position)
+        normals, quiet = _normals(len(signal) + 1), np.zeros((1, len(signal) + 1))
+        taken: dict[int, Counts] = {}
+        lots: dict[int, list[int]] = {}
 
-    def _lots(self, row: Row, gain: int, counts: Counts, selected: Flags) -> tuple[int, ...]:
-        """The lots at one gain, as the engine takes them: until the `selected` photodiodes have enough readings."""
-        lots = [min_readings(row)]
-        dark = self._counts(np.zeros(self._channels), gain, np.zeros((1, self._channels + 1)))[0].astype(float)
-        while sum(lots) <= MAX_DRAWS:
-            further = further_readings(row, counts[: sum(lots)], dark, selected, self._settings)
-            if not further:
-                break
-            lots.append(further)
-        return tuple(lots)
+        def take(gain: int, readings: int) -> Counts:
+            before = lots.setdefault(gain, [])
+            drawn = normals[np.mod(sum(before) + np.arange(readings) + number * DRAW_OFFSET, MAX_DRAWS)]
+            counts = self._counts(signal, gain, drawn)
+            taken[gain] = np.concatenate([taken[gain], counts]) if before else counts
+            before.append(readings)
+            return taken[gain]
+
+        def dark(gain: int) -> Floats:
+            counts: Floats = self._counts(np.zeros(len(signal)), gain, quiet)[0].astype(np.float64)
+            return counts
+
+        read_row(row, self._settings, None, dark, take)
+        return [(gain, tuple(each)) for gain, each in lots.items()]
 
     def _counts(self, signal_a: Floats, gain: int, drawn: Floats) -> Counts:
         """Counts (readings, photodiodes) at a gain, given by number, with drawn noise.
