@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 
 from goniotwin.app.campaign.campaign import operator_for
-from goniotwin.app.campaign.running.rows import AxisSettling
+from goniotwin.app.campaign.running.rig_executor import AxisSettling
 from goniotwin.app.campaign.running.stop import StopRequest
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import OpenRig

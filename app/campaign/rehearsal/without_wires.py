@@ -5,24 +5,28 @@ with everything that is drawn, its noise, dark currents, gains and drifts, as co
 journal to the values. What only devices have is not in it: their statements, ramps and faults.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from goniotwin.app.campaign.journal.writing import Journal, software_versions
 from goniotwin.app.campaign.planning.plan import Plan
-from goniotwin.app.campaign.readout import GainSequence, further_readings, min_readings
 from goniotwin.app.campaign.row import NO_SAMPLE, CommittedRow, Reading, Row, RowData
-from goniotwin.app.rig import AXES
-from goniotwin.arrays import Counts, Floats
+from goniotwin.app.campaign.running.rows import RowExecutor
+from goniotwin.arrays import Counts
+from goniotwin.drivers import AxisDescription, AxisSettings
 from goniotwin.twin.plant import Plant, TwinModel
 from goniotwin.twin.plant.motion import Piece, Trajectory
+from goniotwin.twin.plant.shaft import Shaft
 
 FULL_STEP = 256
-"""Microsteps of a full step of the axes without wires."""
+"""Microsteps of a full step of the virtual rig's axes at their start."""
 MOVE_S = 0.5
 """Duration of a move without wires; the light is not read during it."""
+MOUNT_S = 1.0
+"""Duration of a mounting without wires."""
 
 
 def run_without_wires(plan: Plan, path: Path) -> None:
@@ -39,100 +43,124 @@ def run_without_wires(plan: Plan, path: Path) -> None:
 
 def rows_without_wires(plan: Plan, model: TwinModel) -> Iterator[CommittedRow]:
     """The rows of a plan, as read from a model."""
-    readout = _Readout(plan, model)
+    executor = PlantExecutor(plan, model)
     for row in plan.rows:
-        yield CommittedRow(row, readout.execute(row))
+        data = executor.execute(row)
+        executor.wait(data.started_s + row.seconds)
+        yield CommittedRow(row, replace(data, ended_s=executor.now()))
 
 
-class _Readout:
-    """Rows of a plan, read from the plant itself; `now` is the time on the rig's clock."""
+class PlantExecutor(RowExecutor[float]):
+    """Executes rows of a plan on the plant itself. An action is the time at which it is done.
+
+    No count is changed on its way, so that readings are not compared with each other.
+    """
 
     def __init__(self, plan: Plan, model: TwinModel) -> None:
+        file = plan.rig.file
+        super().__init__(file.photodiodes, file.monochromator.wheel)
         self._plant = Plant(model)
-        self._settings = plan.rig.file.photodiodes
-        self._axes = plan.rig.file.axes.by_name
-        self._wheel = plan.rig.file.monochromator.wheel
-        self._dark: dict[int, Floats] = {}
-        self._gain: int | None = None
-        self._pose: dict[str, float] = {}
-        self.now = 0.0
+        self._motors = {name: Motor(axis, self._plant.shafts[name]) for name, axis in file.axes.by_name.items()}
+        self._now = 0.0
 
-    def execute(self, row: Row) -> RowData:
-        """The data of one row."""
-        started, plant = self.now, self._plant
-        if row.kind == "mount":
-            plant.mount(None if row.sample == NO_SAMPLE else row.sample, started)
-            self.now += 1.0
-            return RowData(started, self.now, None, ())
-        plant.shutter_open.set(started, row.kind != "dark")
-        positions = None if row.kind == "dark" or row.pose is None else self._move(row)  # a warm-up has no pose
-        self.now += self._settings.wait_s
-        if row.kind == "warm-up":
-            self.now += row.longest_s
-            return RowData(started, self.now, positions, ())
-        gains = GainSequence(row, self._settings, self._gain)
-        taken: dict[int, Reading] = {}
-        for gain in gains:
-            taken[gain] = self._read(row, gain, gains)
-            gains.add(taken[gain].counts)
-        readings = tuple(taken[gain] for gain in sorted(taken))
+    def now(self) -> float:
+        """The time on the rig's clock, s."""
+        return self._now
+
+    def wait(self, *started: float) -> None:
+        """Let the time pass until all actions are done."""
+        self._now = max((self._now, *started))
+
+    def _wait_until(self, t: float) -> None:
+        self.wait(t)
+
+    def remember(self, row: Row, data: RowData) -> None:
+        """Use the level of a dark reading for the rows that follow."""
         if row.kind == "dark":
-            self._dark = {gain: reading.counts.mean(axis=0) for gain, reading in taken.items()}
-        self.now = max(self.now, started + row.seconds)
-        return RowData(started, self.now, positions, readings, gains.flags)
+            super().remember(row, data)
 
-    def _move(self, row: Row) -> dict[str, float | None]:
-        assert row.pose is not None
-        assert row.wavelength_nm is not None
-        arrived = self.now
-        for name, target in zip(AXES, row.pose, strict=True):
-            if self._pose.get(name) != target:
-                overshoot = self._axes[name].overshoot_deg
-                turns_round = (target - self._pose.get(name, 0.0)) * overshoot > 0.0
-                legs = [target + overshoot, target] if turns_round else [target]
-                for k, at in enumerate(legs):
-                    self._drive(name, self.now + k * MOVE_S, at)
-                arrived = max(arrived, self.now + len(legs) * MOVE_S)
-                self._pose[name] = target
-        glass = self._wheel.at(row.wavelength_nm)
-        if glass is not None:
-            self._plant.wheel.set(self.now, float(glass.position))
-        self._plant.wavelength_nm.set(self.now, row.wavelength_nm)
-        self.now = arrived
-        return dict(self._pose)
+    def _mount(self, sample: str) -> None:
+        self._plant.mount(None if sample == NO_SAMPLE else sample, self._now)
+        self._now += MOUNT_S
 
-    def _drive(self, name: str, t: float, target_deg: float) -> None:
-        """One move of an axis: its counter is at the target then, and its true angle is that of its mechanics."""
-        shaft = self._plant.shafts[name]
-        drive = shaft.drive(t)
-        here = drive.counter(t)
-        goal = float(round(target_deg / shaft.mechanics.deg_per_full_step * FULL_STEP))
-        if goal != here:
-            pieces = (Piece(t, here, (goal - here) / MOVE_S, 0.0), Piece(t + MOVE_S, goal, 0.0, 0.0))
-            shaft.follow(t, Trajectory(pieces))
+    def _start_shutter(self, *, opened: bool) -> float:
+        self._plant.shutter_open.set(self._now, opened)
+        return self._now
 
-    def _read(self, row: Row, gain: int, gains: GainSequence) -> Reading:
-        if gain != self._gain:
-            for module in self._plant.gain:
-                module.set(self.now, gain)
-            self._gain, self.now = gain, self.now + self._settings.wait_s
-        counts = self._counts(min_readings(row))
-        zero = np.full(self._settings.count, self._settings.range.zero)
-        first, period = self.now, self._settings.period_s
-        while further := further_readings(row, counts, self._dark.get(gain, zero), gains.saturated, self._settings):
-            counts = np.concatenate([counts, self._counts(further, len(counts))])
+    def _start_axis(self, name: str, target_deg: float) -> float:
+        return self._motors[name].move(self._now, target_deg)
+
+    def _start_filter(self, position: int) -> float:
+        self._plant.wheel.set(self._now, float(position))
+        return self._now
+
+    def _start_wavelength(self, wavelength_nm: float) -> float:
+        self._plant.wavelength_nm.set(self._now, wavelength_nm)
+        return self._now
+
+    def _settle(self, _axes: Sequence[str]) -> None:
+        self._now += self._settings.wait_s
+
+    def _start_gain(self, gain: int) -> float:
+        for module in self._plant.gain:
+            module.set(self._now, gain)
+        return self._now + self._settings.wait_s
+
+    def _take(self, _row: Row, gain: int, count: int, before: Reading | None) -> tuple[Reading, bool]:
+        period = self._settings.period_s
+        first, taken = (self._now, 0) if before is None else (before.first_s, len(before.counts))
+        counts = self._counts(first, taken, count)
+        if before is not None:
+            counts = np.concatenate([before.counts, counts])
         end = first + (len(counts) - 1) * period
+        self._now = end + period
         monitor_a = self._plant.monitor_a(first - period, end)
-        self.now = end + period
-        return Reading(self._settings.gains_v_per_a[gain], first, period, monitor_a, counts)
+        return Reading(self._settings.gains_v_per_a[gain], first, period, monitor_a, counts), False
 
-    def _counts(self, readings: int, before: int = 0) -> Counts:
-        """Counts (readings, photodiodes) from the next conversion on, after so many `before`."""
+    def _counts(self, first: float, taken: int, count: int) -> Counts:
+        """Counts (readings, photodiodes) of the conversions that follow those `taken` since `first`."""
         plant, settings = self._plant, self._settings
         volts = [
-            np.concatenate(
-                [plant.volts(module, self.now + (before + k) * settings.period_s) for module in range(plant.modules)]
-            )
-            for k in range(readings)
+            np.concatenate([plant.volts(module, first + (taken + k) * settings.period_s) for module in range(plant.modules)])
+            for k in range(count)
         ]
         return np.asarray(settings.range.raw(np.array(volts)[:, : settings.count])).astype(np.uint16)
+
+    def _monitor_mean_a(self, seconds: float) -> float:
+        begin = self._now
+        self._now += seconds
+        return self._plant.monitor_a(begin, self._now)
+
+    def _read_back(self) -> dict[str, float | None]:
+        return dict(self._commanded)
+
+
+class Motor:
+    """The motor of an axis without wires, which makes the moves of the axis' driver: `axis` is the operator's table.
+
+    An axis of another make has a motor at the shaft of the virtual rig, whose microstep 0 is at 0 deg.
+    """
+
+    def __init__(self, axis: AxisDescription, shaft: Shaft) -> None:
+        built = shaft.mechanics
+        self._shaft = shaft
+        self._settings = axis if isinstance(axis, AxisSettings) else AxisSettings(
+            motor=built.motor, gear=built.gear, sense=built.sense, full_steps=built.full_steps, lower_deg=axis.lower_deg,
+            upper_deg=axis.upper_deg, speed_deg_s=axis.speed_deg_s, acceleration_deg_s2=axis.speed_deg_s,
+            backlash_deg=axis.backlash_deg, approach_from=axis.approach_from,
+        )  # fmt: skip
+        self._counter = 0
+        self._taken_up = self._settings.approach > 0  # as the virtual rig begins
+
+    def move(self, t: float, target_deg: float) -> float:
+        """Move to an angle from `t` on, against backlash in two legs; return the time of arrival, s."""
+        settings = self._settings
+        for leg_deg in settings.legs(settings.angle_deg(self._counter), target_deg, taken_up=self._taken_up):
+            counter = settings.counter(leg_deg)
+            if counter != self._counter:
+                here, goal = (each * FULL_STEP / settings.microsteps for each in (self._counter, counter))
+                pieces = (Piece(t, here, (goal - here) / MOVE_S, 0.0), Piece(t + MOVE_S, goal, 0.0, 0.0))
+                self._shaft.follow(t, Trajectory(pieces))
+            self._counter, t = counter, t + MOVE_S
+        self._taken_up = True
+        return t

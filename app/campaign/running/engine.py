@@ -34,7 +34,7 @@ from goniotwin.app.campaign.running.events import (
 from goniotwin.app.campaign.running.operator import Operator
 from goniotwin.app.campaign.running.question import Answer, PositionGiven
 from goniotwin.app.campaign.running.recovery import POLICY_TEXT, FaultPolicies, Recovery
-from goniotwin.app.campaign.running.rows import RowExecutor
+from goniotwin.app.campaign.running.rig_executor import RigExecutor
 from goniotwin.app.campaign.running.sleep import NoSleepWatch, SleepWatch, StayAwake, watch_for
 from goniotwin.app.campaign.running.stop import EndedByOperator, EndedBySchedule, StopConditions, Stopped, StopRequest
 from goniotwin.app.errors import UserError
@@ -91,7 +91,7 @@ class Engine:
         self._stop_request = StopRequest(rig)
         # Positions are read between polls, which a script would leave out.
         scripts = not positions_every_s
-        self._executor = RowExecutor(
+        self._executor = RigExecutor(
             rig, operator, self._stop_request, self._on_poll, self._log_event, scripts=scripts,
             on_light=self._notify,
         )  # fmt: skip

@@ -24,7 +24,7 @@ from goniotwin.app.campaign.running.events import (
     StateChanged,
 )
 from goniotwin.app.campaign.running.question import Answer, UnreferencedAxis
-from goniotwin.app.campaign.running.rows import CLOSING_S
+from goniotwin.app.campaign.running.rig_executor import CLOSING_S
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import OpenRig, open_rig, read_rig

@@ -15,7 +15,7 @@ from goniotwin.app.campaign.row import Row, RowData
 from goniotwin.app.campaign.running.engine import Engine
 from goniotwin.app.campaign.running.events import State
 from goniotwin.app.campaign.running.resume import remaining_work
-from goniotwin.app.campaign.running.rows import RowExecutor
+from goniotwin.app.campaign.running.rig_executor import RigExecutor
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.campaign.studies.reduced_journal import reduce_journal
 from goniotwin.app.errors import UserError
@@ -149,15 +149,15 @@ def test_skipped_rows_are_measured_on_resume(
     plan = make_plan(read_schedule(write_schedule(text=policy)), read_rig(write_rig(*QUIET)))
     run_campaign(plan, tmp_path / "whole.journal")
     failing = [row.number for row in plan.rows if row.kind == "measure" and row.pose is not None and row.pose[3] in (1.0, 3.0)]
-    execute = RowExecutor.execute
+    execute = RigExecutor.execute
 
-    def fail(executor: RowExecutor, row: Row) -> RowData:
+    def fail(executor: RigExecutor, row: Row) -> RowData:
         if row.number in failing:
             raise NoAnswer("photodiodes", "read", "no answer")
         return execute(executor, row)
 
     path = tmp_path / "a.journal"
-    monkeypatch.setattr(RowExecutor, "execute", fail)
+    monkeypatch.setattr(RigExecutor, "execute", fail)
     outcome = run_campaign(plan, path)
     assert (outcome.state, outcome.rows, outcome.skipped) == (State.DONE, len(plan.rows) - 4, 4)
     found = campaign_summary(path)
@@ -168,7 +168,7 @@ def test_skipped_rows_are_measured_on_resume(
         note.startswith("rows skipped after faults, without values: 2 of etalon, 2 of gaussian-5; goniotwin run")
         for note in notes
     )
-    monkeypatch.setattr(RowExecutor, "execute", execute)
+    monkeypatch.setattr(RigExecutor, "execute", execute)
     outcome = resume_campaign(path)
     assert (outcome.state, outcome.rows, outcome.skipped) == (State.DONE, len(plan.rows), 0)
     with Journal.open(path) as journal:
@@ -191,14 +191,14 @@ def test_values_without_an_etalon_row_are_in_the_notes(
         ),
         read_rig(write_rig(*QUIET)),
     )
-    execute = RowExecutor.execute
+    execute = RigExecutor.execute
 
-    def fail(executor: RowExecutor, row: Row) -> RowData:
+    def fail(executor: RigExecutor, row: Row) -> RowData:
         if row.sample == "etalon" and row.pose is not None and row.pose[3] == shift:
             raise NoAnswer("photodiodes", "read", "no answer")
         return execute(executor, row)
 
-    monkeypatch.setattr(RowExecutor, "execute", fail)
+    monkeypatch.setattr(RigExecutor, "execute", fail)
     run_campaign(plan, tmp_path / "a.journal")
     with Journal.open(tmp_path / "a.journal") as journal:
         found = reduce_journal(journal)
