@@ -19,6 +19,7 @@ from goniotwin.arrays import Counts
 from goniotwin.drivers import AxisDescription, AxisSettings
 from goniotwin.twin.plant import Plant, TwinModel
 from goniotwin.twin.plant.motion import Piece, Trajectory
+from goniotwin.twin.plant.plant import MODULE_CHANNELS
 from goniotwin.twin.plant.shaft import Shaft
 
 FULL_STEP = 256
@@ -120,11 +121,11 @@ class PlantExecutor(RowExecutor[float]):
     def _counts(self, first: float, taken: int, count: int) -> Counts:
         """Counts (readings, photodiodes) of the conversions that follow those `taken` since `first`."""
         plant, settings = self._plant, self._settings
-        volts = [
-            np.concatenate([plant.volts(module, first + (taken + k) * settings.period_s) for module in range(plant.modules)])
-            for k in range(count)
-        ]
-        return np.asarray(settings.range.raw(np.array(volts)[:, : settings.count])).astype(np.uint16)
+        volts = np.empty((count, plant.modules, MODULE_CHANNELS))
+        for k in range(count):
+            for module in range(plant.modules):
+                volts[k, module] = plant.volts(module, first + (taken + k) * settings.period_s)
+        return np.asarray(settings.range.raw(volts.reshape(count, -1)[:, : settings.count])).astype(np.uint16)
 
     def _monitor_mean_a(self, seconds: float) -> float:
         begin = self._now
