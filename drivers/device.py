@@ -3,7 +3,6 @@
 No call blocks for longer than one exchange on its wire. `wait` polls any number of started actions.
 """
 
-from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
 from operator import attrgetter
 from typing import Protocol, runtime_checkable
@@ -63,23 +62,6 @@ class Pending(Protocol):
         """Ask the device, in one exchange at most; True when the action is done. Raises DeviceError if it failed."""
 
 
-class Scripted(ABC):
-    """A `Pending` of which several exchanges can be handed to a wire that looks ahead."""
-
-    due: float
-
-    @abstractmethod
-    def poll(self) -> bool:
-        """As in `Pending`."""
-
-    @abstractmethod
-    def run(self, before: float) -> bool | None:
-        """Make the next exchanges, if all that is polled meanwhile is due before a time, s; True when the action is done.
-
-        None where nothing was done: the next exchange is to be made singly, by `poll`. Raises DeviceError as `poll` does.
-        """
-
-
 class Until:
     """A wait until a time, without any exchange."""
 
@@ -109,27 +91,16 @@ class Poll:
         return False
 
 
-def wait(
-    clock: Clock, started: Iterable[Pending], between: Callable[[], None] = lambda: None, *, scripts: bool = False
-) -> None:
+def wait(clock: Clock, started: Iterable[Pending], between: Callable[[], None] = lambda: None) -> None:
     """Block until all actions are done, polling each when it is due.
 
     `between` is called before each poll and at least every LONGEST_SLEEP_S. An exception from `between` or from an action
-    ends the wait. With `scripts` several exchanges are handed over together where a wire can look ahead: `between` is then
-    called less often, which costs no time on a clock that jumps.
+    ends the wait.
     """
     left = list(started)
-    scripted = [each for each in left if isinstance(each, Scripted)] if scripts else []
     while left:
         between()
         first = min(left, key=DUE) if len(left) > 1 else left[0]
-        ahead = next((each for each in scripted if each is first), None)
-        if ahead is not None:
-            outcome = ahead.run(min([each.due for each in left if each is not first], default=float("inf")))
-            if outcome:
-                left.remove(first)
-            if outcome is not None:
-                continue
         now = clock.now()
         if first.due > now + LONGEST_SLEEP_S:
             clock.sleep_until(now + LONGEST_SLEEP_S)

@@ -161,30 +161,6 @@ def take_message(data: bytes, *, from_host: bool) -> tuple[Message | None, bytes
     return Message(header, data[HEADER_BYTES : HEADER_BYTES + size]), data[whole:]
 
 
-HEADER_BEGIN = 4
-"""Bytes of a header that depend on its bTag: MsgID, bTag, its complement, and a zero. Table 1."""
-
-
-def header_begin(msg_id: int, tag: int) -> bytes:
-    """The bytes of a header that depend on its bTag."""
-    return bytes((msg_id, tag, tag ^ 0xFF, 0))
-
-
-PLAIN_END = bytes((1, 0, 0, 0))
-"""The last bytes of the header of an answer that is whole, and that no TermChar has ended."""
-
-
-def plain_answer(data: bytes, tag: int) -> bytes | None:
-    """The payload of a whole answer to the request with a bTag; None for anything else, which `Header.decode` explains.
-
-    Devices need not fill up their answers to a multiple of four bytes.
-    """
-    if not data.startswith(header_begin(MsgId.DEV_DEP_MSG_IN, tag)) or data[8:HEADER_BYTES] != PLAIN_END:
-        return None
-    end = HEADER_BYTES + int.from_bytes(data[HEADER_BEGIN:8], "little")
-    return data[HEADER_BYTES:end] if end <= len(data) <= end + 3 else None
-
-
 def request_in(tag: int, size: int, term_char: int | None = None) -> bytes:
     """REQUEST_DEV_DEP_MSG_IN: the host asks for at most `size` bytes."""
     return Header(MsgId.DEV_DEP_MSG_IN, tag, size, end=False, term_char=term_char).encode()

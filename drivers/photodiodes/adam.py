@@ -27,7 +27,6 @@ first fault.
 
 import contextlib
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from functools import partial
 from typing import TypeVar
 
@@ -36,52 +35,17 @@ from pymodbus.pdu import ModbusPDU
 
 from goniotwin.drivers.errors import BadAnswer, DeviceError, Forgotten, NoAnswer, Refused, WrongDevice, unless_late
 from goniotwin.drivers.photodiodes.modbus import WIRE_FAULTS, ModbusBus, ModbusUnit, describe_fault
-from goniotwin.drivers.tap import FROM_DEVICE, TO_DEVICE, no_tap
 from goniotwin.protocols import adam
 from goniotwin.protocols.clock import Clock
-from goniotwin.protocols.script import (
-    Exchanged,
-    ModbusExchange,
-    ModbusScripts,
-    coils,
-    modbus_exchange,
-    read_coils,
-    read_registers,
-    registers,
-    write_coils,
-)
 
 T = TypeVar("T")
 Call = Callable[[ModbusBaseSyncClient], ModbusPDU]
+SettingsCheck = Callable[[], None]
+"""A check of settings of a module, in one exchange. Raises DeviceError."""
 Exchange = Callable[[Call, str, int], ModbusPDU]
 """Takes a call of a client, its description, and the function code of the reply."""
 
 
-@dataclass(frozen=True, slots=True)
-class ScriptedExchange:
-    """An exchange of a module in a script, and what follows from it."""
-
-    modbus: ModbusExchange
-    confirmed: Callable[[], None] | None = None
-
-
-@dataclass(frozen=True)
-class SettingsCheck:
-    """A check of settings of a module, in one exchange: `alone` makes it, `script` is what it is in a script."""
-
-    module: "AdamModule"
-    alone: Callable[[], None]
-    script: ScriptedExchange | None = None
-
-    def __call__(self) -> None:
-        """Make it alone. Raises DeviceError."""
-        self.alone()
-
-
-READ_INPUTS = read_registers(adam.AI_VALUE, adam.CHANNELS)
-READ_RANGES = read_registers(adam.RANGE_CODE, adam.CHANNELS)
-CONFIRMATION = 5
-"""Bytes of a PDU of function 15 that its confirmation repeats."""
 READ_COILS = 1
 READ_REGISTERS = (3, 4)
 WRITE_COIL, WRITE_REGISTER, WRITE_COILS, WRITE_REGISTERS = 5, 6, 15, 16
@@ -134,16 +98,7 @@ class AdamModule:
         self._last_outputs: list[bool] | None = None
         self._model = model
         self._ranges = [range_code] * adam.CHANNELS
-        ranges = registers(self._ranges)
-        self._outputs_checks: dict[tuple[bool, ...], SettingsCheck] = {}
-        self._outputs_scripts: dict[tuple[bool, ...], ScriptedExchange] = {}
-        self.read_inputs = ScriptedExchange(modbus_exchange(self.unit, READ_INPUTS, None))
-        read_ranges = modbus_exchange(self.unit, READ_RANGES, ranges)
-        self._ranges_check = SettingsCheck(self, self.check_ranges, ScriptedExchange(read_ranges))
-        self._ranges_check_after_outputs = SettingsCheck(
-            self, self._check_ranges_after_outputs, ScriptedExchange(read_ranges, self._note_outputs_checked)
-        )
-        self.sign_bit = adam.sign_bit(raw_format)
+        self._sign_bit = adam.sign_bit(raw_format)
         self._clock = clock
         self._outputs: list[bool] | None = None
         self._outputs_written = self._outputs_checked = False
@@ -203,7 +158,7 @@ class AdamModule:
 
     def counts(self) -> list[int]:
         """Raw values of all channels, 0 to 65535 over the range. Raises DeviceError."""
-        return [register ^ self.sign_bit for register in self._read_registers(adam.AI_VALUE, adam.CHANNELS)]
+        return [register ^ self._sign_bit for register in self._read_registers(adam.AI_VALUE, adam.CHANNELS)]
 
     def set_outputs(self, outputs: list[bool]) -> None:
         """Set the digital outputs, lowest first; `checks` confirm them. Raises DeviceError."""
@@ -224,65 +179,10 @@ class AdamModule:
         Forgotten if the module has lost its settings.
         """
         if self._clock.now() - self._checked_s >= CHECK_INTERVAL_S:
-            alone = [self.check_outputs, self._check_ranges_after_outputs, self._check_name, self._check_rest]
-            return [SettingsCheck(self, each) for each in alone]
-        outputs = self._outputs
-        if outputs is not None and not self._outputs_checked:
-            return [self._outputs_check(outputs), self._ranges_check_after_outputs]
-        return [self._ranges_check] if outputs is None or not any(outputs) else [self._outputs_check(outputs)]
-
-    def _outputs_check(self, outputs: list[bool]) -> SettingsCheck:
-        if not self._outputs_written:
-            return SettingsCheck(self, self.check_outputs)
-        key = tuple(outputs)
-        known = self._outputs_checks.get(key)
-        if known is None:
-            read = read_coils(adam.DIGITAL_OUTPUT, self._model.outputs)
-            script = ScriptedExchange(modbus_exchange(self.unit, read, coils(outputs)))
-            known = self._outputs_checks[key] = SettingsCheck(self, self.check_outputs, script)
-        return known
-
-    def _note_outputs_checked(self) -> None:
-        self._outputs_checked = True
-
-    # ---- scripts ----
-
-    def outputs_script(self, outputs: list[bool]) -> ScriptedExchange | None:
-        """`set_outputs` in a script; None where it takes more than one plain exchange."""
-        if self._last_outputs is not None or self._sets_outputs_singly:
-            return None
-        key = tuple(outputs)
-        known = self._outputs_scripts.get(key)
-        if known is None:
-            request = write_coils(adam.DIGITAL_OUTPUT, outputs)
-
-            def confirmed() -> None:
-                self._outputs, self._outputs_written, self._outputs_checked = list(key), True, False
-
-            exchange = modbus_exchange(self.unit, request, request[:CONFIRMATION])
-            known = self._outputs_scripts[key] = ScriptedExchange(exchange, confirmed)
-        return known
-
-    def scripts(self) -> ModbusScripts | None:
-        """The client of its wire, if that carries out scripts and nothing about the module is doubtful."""
-        return None if self._unverified or self._lost_settings is not None else self._bus.scripts()
-
-    @property
-    def recorded(self) -> bool:
-        """Whether what is on its wire is recorded, by `record`."""
-        return self._tap is not no_tap
-
-    def record(self, exchanged: Exchanged) -> None:
-        """Let the clock go on to an exchange of a script, and record it."""
-        sent_s, request, arrived_s, reply = exchanged
-        self._clock.sleep_until(sent_s)
-        self._tap(TO_DEVICE, request)
-        self._clock.sleep_until(arrived_s)
-        self._tap(FROM_DEVICE, reply)
-
-    def distrust(self) -> None:
-        """A script has brought a reply other than the one that it must have: the exchange has to be repeated."""
-        self._unverified = self._bus.stale = True
+            return [self.check_outputs, self._check_ranges_after_outputs, self._check_name, self._check_rest]
+        if self._outputs is not None and not self._outputs_checked:
+            return [self.check_outputs, self._check_ranges_after_outputs]
+        return [self.check_outputs if self._outputs is not None and any(self._outputs) else self.check_ranges]
 
     def check_outputs(self) -> None:
         """Read the outputs back. Raises Forgotten if they differ from those that were set."""
@@ -294,7 +194,7 @@ class AdamModule:
 
     def _check_ranges_after_outputs(self) -> None:
         self.check_ranges()
-        self._note_outputs_checked()
+        self._outputs_checked = True
 
     def _check_rest(self) -> None:
         self._check_enabled()

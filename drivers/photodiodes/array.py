@@ -4,27 +4,24 @@ Each module sets the gain of its amplifiers by two digital outputs. An ADAM-4117
 fixed gain, and the settings list only this one.
 """
 
-from bisect import bisect_left
 from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from goniotwin.arrays import Counts, Flags, Floats
-from goniotwin.drivers.device import Pending, Scripted, Until
+from goniotwin.drivers.device import Pending, Until
 from goniotwin.drivers.errors import DeviceError, NoAnswer, Refused
-from goniotwin.drivers.photodiodes.adam import CHECK_WIRING, AdamModule, ScriptedExchange, SettingsCheck
+from goniotwin.drivers.photodiodes.adam import CHECK_WIRING, AdamModule, SettingsCheck
 from goniotwin.drivers.photodiodes.modbus import NOT_QUIET, ModbusUnit, explain, explain_rtu
 from goniotwin.drivers.photodiodes.settings import PhotodiodeSettings
 from goniotwin.protocols import adam
 from goniotwin.protocols.clock import Clock
-from goniotwin.protocols.script import Exchanged, ModbusExchange, ModbusScripts, count_matching
 
 __all__ = ["PhotodiodeArray", "PhotodiodeSettings", "Readings", "explain", "explain_rtu"]
 
 NAME = "photodiodes"
 LATE = 0.1
 """A reading that begins later than planned, by this part of the period, delays those that follow."""
-READ_BYTES = 2 * adam.CHANNELS
 
 
 class PhotodiodeArray:
@@ -144,49 +141,13 @@ class PhotodiodeArray:
         return done
 
 
-def run_script(
-    clock: Clock, parts: Sequence[tuple[float, AdamModule, ScriptedExchange | None]], slack_s: float = float("inf")
-) -> list[Exchanged]:
-    """Hand exchanges of modules, each with the time at which it is due, to the wire as far as it can look ahead to them.
-
-    The exchanges that were made, and whose replies are the expected ones; the time is then that of the last reply.
-    """
-    clients = {module: module.scripts() for module in {module: None for _, module, _ in parts}}
-    script: list[tuple[float, ModbusScripts, ModbusExchange]] = []
-    for due_s, module, exchange in parts:
-        client = clients[module]
-        if exchange is None or client is None:
-            break
-        script.append((due_s, client, exchange.modbus))
-    if not script:
-        return []
-    made = script[0][1].run_script(script, slack_s)
-    if not made:
-        return made
-    matching = count_matching([exchange for _, _, exchange in script], made)
-    if any([module.recorded for module in clients]):  # noqa: C419  (five modules: a generator takes twice the time)
-        for (_, module, _), exchanged in zip(parts, made[: matching + 1], strict=False):
-            if module.recorded:
-                module.record(exchanged)
-    for _, _, exchange in parts[:matching]:
-        if exchange is not None and exchange.confirmed is not None:
-            exchange.confirmed()
-    _, _, arrived_s, _ = made[-1]
-    clock.sleep_until(arrived_s)
-    if matching < len(made):
-        parts[matching][1].distrust()
-        return made[:matching]
-    return made
-
-
-class GainChange(Scripted):
+class GainChange:
     """Change of the outputs of all modules, one exchange per poll."""
 
     def __init__(self, clock: Clock, modules: Sequence[AdamModule], outputs: list[bool]) -> None:
         self._clock = clock
         self._left = list(modules)
         self._outputs = outputs
-        self._tried = False
         self.due = clock.now()
 
     def poll(self) -> bool:
@@ -195,17 +156,8 @@ class GainChange(Scripted):
             self._left.pop(0).set_outputs(self._outputs)
         return not self._left
 
-    def run(self, before: float) -> bool | None:
-        """Set the outputs of all modules that the wire can look ahead to."""
-        if self._tried or self.due >= before:
-            return None
-        self._tried = True
-        made = run_script(self._clock, [(self.due, each, each.outputs_script(self._outputs)) for each in self._left])
-        self._left = self._left[len(made) :]
-        return not self._left if made else None
 
-
-class Readings(Scripted):
+class Readings:
     """Readings in progress, one exchange per poll; done when the settings of each module have been checked."""
 
     def __init__(
@@ -219,7 +171,6 @@ class Readings(Scripted):
         self._checks: list[SettingsCheck] | None = None
         self._taken = 0
         self._counts: Counts = np.zeros((readings, settings.count), dtype=np.uint16)
-        self._singly = False
         self.due = self._first = clock.now() + wait_s
 
     @property
@@ -244,48 +195,11 @@ class Readings(Scripted):
         mean = self._settings.range.volts(self.counts.mean(axis=0))
         return np.where(self.saturated.any(axis=0), np.nan, mean)
 
-    def run(self, before: float) -> bool | None:
-        """Make all readings that are due before a time at once, or all checks, as far as the wire can look ahead to them."""
-        if self._checks is None:
-            if self._taken < len(self._counts):
-                return None if self._row or self._singly else self._run_readings(before)
-            self._singly = False
-        return None if self._singly or self.due >= before else self._run_checks()
-
-    def _run_readings(self, before: float) -> bool | None:
-        period_s, modules = self._settings.period_s, len(self._modules)
-        dues = [self.due, *(self._first + k * period_s for k in range(self._taken + 1, len(self._counts)))]
-        parts = [(due, module, module.read_inputs) for due in dues[: bisect_left(dues, before)] for module in self._modules]
-        made = run_script(self._clock, parts, LATE * period_s)
-        self._singly = not made
-        if not made:
-            return None
-        words = np.frombuffer(b"".join([reply[-READ_BYTES:] for _, _, _, reply in made]), dtype=">u2")
-        values, readings, channels = words ^ self._modules[0].sign_bit, len(made) // modules, modules * adam.CHANNELS
-        whole = values[: readings * channels].reshape(readings, channels)
-        self._counts[self._taken : self._taken + readings] = whole[:, : self._settings.count]
-        self._row = values[whole.size :].tolist()
-        self._row_started = made[-(len(made) % modules or modules)][0]
-        self._taken += readings
-        self.due = dues[min(readings, len(dues) - 1)]
-        return False
-
-    def _run_checks(self) -> bool | None:
-        if self._checks is None:
-            self._checks = self._list_checks()
-        made = run_script(self._clock, [(self.due, each.module, each.script) for each in self._checks])
-        self._singly = True
-        self._checks = self._checks[len(made) :]
-        return not self._checks if made else None
-
-    def _list_checks(self) -> list[SettingsCheck]:
-        return [check for module in self._modules for check in module.checks()]
-
     def poll(self) -> bool:
         """Read the counts of one module, or after the last reading check its settings. Raises DeviceError."""
         if self._taken == len(self._counts):
             if self._checks is None:
-                self._checks = self._list_checks()
+                self._checks = [check for module in self._modules for check in module.checks()]
             self._checks.pop(0)()
             return not self._checks
         index = len(self._row) // adam.CHANNELS

@@ -23,7 +23,6 @@ from goniotwin.drivers.found import FoundSettings
 from goniotwin.drivers.tap import FROM_DEVICE, TO_DEVICE, Tap, no_tap
 from goniotwin.protocols import adam
 from goniotwin.protocols.clock import Clock
-from goniotwin.protocols.script import ModbusScripts
 
 Trace = Callable[[bool, bytes], bytes]
 ModbusOpener = Callable[[Trace | None], ModbusBaseSyncClient]
@@ -91,7 +90,6 @@ class ModbusBus:
         self._over = False
         self._opener = opener
         self._client: ModbusBaseSyncClient | None = None
-        self._scripts: ModbusScripts | None = None
         self._users: set[int] = set()
         self._tap: Tap = no_tap
         self._received = b""
@@ -100,8 +98,7 @@ class ModbusBus:
         """Connect, unless another user has; True if connected. Raises WIRE_FAULTS for a wrong address."""
         with self.lock:
             if self._client is None:
-                self._client = client = self._opener(self._trace)
-                self._scripts = client if not self.rtu and isinstance(client, ModbusScripts) else None
+                self._client = self._opener(self._trace)
             self._users.add(id(user))
             return bool(self._client.connect())
 
@@ -111,7 +108,7 @@ class ModbusBus:
             self._users.discard(id(user))
             if not self._users and self._client is not None:
                 self._client.close()
-                self._client = self._scripts = None
+                self._client = None
 
     def exchange(self, call: Callable[[ModbusBaseSyncClient], ModbusPDU], tap: Tap, clock: Clock) -> ModbusPDU:
         """One exchange, timed by `clock`; the caller checks that the reply belongs to its request. Raises WIRE_FAULTS.
@@ -135,10 +132,6 @@ class ModbusBus:
             client.comm_params.timeout_connect = self.timeout_s
             self._clock = None
             self._tap(FROM_DEVICE, self._received)
-
-    def scripts(self) -> ModbusScripts | None:
-        """The client, if it carries out scripts and nothing is doubtful on the wire."""
-        return None if self.stale else self._scripts
 
     def renew(self) -> bool:
         """Discard everything still in transmission; True if connected. Raises WIRE_FAULTS."""

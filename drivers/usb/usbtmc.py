@@ -16,7 +16,6 @@ import errno
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator
-from functools import lru_cache
 from typing import Any
 
 import usb.core
@@ -26,19 +25,15 @@ from goniotwin.drivers.errors import BadAnswer, DeviceError, NoAnswer, WrongDevi
 from goniotwin.drivers.tap import FROM_DEVICE, TO_DEVICE, Tap, no_tap
 from goniotwin.drivers.usb.control_endpoint import ControlEndpoint, explain
 from goniotwin.protocols.clock import Clock
-from goniotwin.protocols.script import Exchanged, UsbScriptBackend, UsbScripts
 from goniotwin.protocols.usbtmc import (
-    HEADER_BEGIN,
     HEADER_BYTES,
     INTERFACE_CLASS,
     Header,
     HeaderError,
     MsgId,
-    header_begin,
     message,
     next_status_tag,
     next_tag,
-    plain_answer,
     request_in,
 )
 
@@ -52,8 +47,6 @@ LONGEST_REPLY = 1 << 20
 LARGEST_PACKET = 512
 IDENTITY = "*IDN?"
 EVENTS_KEPT = 100
-COMMANDS_KEPT = 64
-REQUEST = request_in(1, REPLY_BYTES)[HEADER_BEGIN:]
 DISCONNECTED = (errno.ENODEV, errno.ENOENT)
 
 
@@ -69,7 +62,6 @@ class UsbTmc:
         self._tap = tap
         self._lock = threading.RLock()
         self._device: Any = None
-        self._scripts: UsbScripts | None = None
         self._connected = False
         self._tag = 0
         self._status_tag = 0
@@ -110,8 +102,7 @@ class UsbTmc:
         """Send a program message; `expects_reply` for a query whose reply is read later. Raises DeviceError."""
         with self._lock:
             self.ready()
-            if not self._run_script(command):
-                self._write(command)
+            self._write(command)
             self._reply_due = expects_reply
 
     def read(self, query: str) -> bytes:
@@ -119,8 +110,7 @@ class UsbTmc:
         with self._lock:
             if not self._reply_due or self._device is None:
                 raise NoAnswer(self.name, query, "no query was sent, or its reply is lost", "ask again")
-            made = self._run_script(None)
-            reply = self._scripted_reply(query, made[0]) if made else self._read(query)
+            reply = self._read(query)
             self._reply_due = False
             return reply
 
@@ -128,13 +118,9 @@ class UsbTmc:
         """Send a query and read its reply. Raises DeviceError."""
         with self._lock:
             self.ready()
-            made = self._run_script(query, None)
-            if len(made) < 2:
-                if not made:
-                    self._write(query)
-                self._reply_due = True
-                return self.read(query)
-            return self._scripted_reply(query, made[1])
+            self._write(query)
+            self._reply_due = True
+            return self.read(query)
 
     def clear(self) -> None:
         """Device clear: empties input and output buffers, keeps the settings. Raises DeviceError."""
@@ -180,39 +166,6 @@ class UsbTmc:
             tag, self._requested_tag = self._requested_tag, None
             self._control.abort_in(tag, self._in)
 
-    # ---- scripts ----
-
-    def _run_script(self, *commands: str | None) -> list[Exchanged]:
-        """Make the first transfers of messages, or where None of requests for a reply, if the device carries out scripts."""
-        if self._scripts is None:
-            return []
-        tag, transfers = self._tag, []
-        for command in commands:
-            tag = next_tag(tag)
-            kind = MsgId.DEV_DEP_MSG_IN if command is None else MsgId.DEV_DEP_MSG_OUT
-            transfers.append(header_begin(kind, tag) + (REQUEST if command is None else _rest_of_message(command)))
-        made = self._scripts.run_script(transfers, self._timeout_ms / 1000.0)
-        for sent_s, transfer, arrived_s, reply in made:
-            self._tag = next_tag(self._tag)
-            if self._tap is not no_tap:
-                self._clock.sleep_until(sent_s)
-                self._tap(TO_DEVICE, transfer)
-                if reply:
-                    self._clock.sleep_until(arrived_s)
-                    self._tap(FROM_DEVICE, reply)
-        if made:
-            self._clock.sleep_until(made[-1][2])
-        return made
-
-    def _scripted_reply(self, query: str, exchanged: Exchanged) -> bytes:
-        """The reply to the last request, which a script has brought. Raises DeviceError."""
-        data = exchanged[3]
-        reply = plain_answer(data, self._tag)
-        if reply is None:
-            self._requested_tag = self._tag
-            return self._read(query, data)
-        return reply.rstrip(b"\r\n")
-
     # ---- messages ----
 
     def _write(self, command: str) -> None:
@@ -225,19 +178,16 @@ class UsbTmc:
                 self._control.abort_out(self._tag, self._out)
                 raise
 
-    def _read(self, query: str, data: bytes | None = None) -> bytes:
-        """The reply to a query. A script may have made its first request, and brought `data`."""
+    def _read(self, query: str) -> bytes:
+        """The reply to a query."""
         reply = b""
         deadline, over = self._clock.now() + self._timeout_ms / 1000.0, False
         with self._fault(query):
             while True:
-                if data is None:
-                    self._tag = next_tag(self._tag)
-                    self._requested_tag = self._tag
-                    self._send(request_in(self._tag, REPLY_BYTES))
-                    data = self._receive()
-                header, payload = self._decoded(query, data)
-                data = None
+                self._tag = next_tag(self._tag)
+                self._requested_tag = self._tag
+                self._send(request_in(self._tag, REPLY_BYTES))
+                header, payload = self._decoded(query, self._receive())
                 if header.tag != self._tag or header.msg_id != MsgId.DEV_DEP_MSG_IN:
                     raise BadAnswer(self.name, query, f"a reply to transfer {header.tag}, not {self._tag}", "ask again")
                 self._requested_tag = None
@@ -315,7 +265,7 @@ class UsbTmc:
             raise DeviceError(self.name, "open it", str(error), "close other programs that use it") from None
 
     def _drop(self) -> None:
-        device, self._device, self._scripts = self._device, None, None
+        device, self._device = self._device, None
         self.in_step = self._reply_due = False
         self._requested_tag = None
         if device is not None:
@@ -340,11 +290,3 @@ class UsbTmc:
                 device.detach_kernel_driver(number)
         usb.util.claim_interface(device, number)
         self._control = ControlEndpoint(self.name, device, number, self._timeout_ms, self._clock, self._tap)
-        backend = getattr(device, "backend", None)
-        self._scripts = backend.scripts(device.address) if isinstance(backend, UsbScriptBackend) else None
-
-
-@lru_cache(maxsize=COMMANDS_KEPT)
-def _rest_of_message(command: str) -> bytes:
-    """A program message after the bytes that depend on its bTag."""
-    return message(MsgId.DEV_DEP_MSG_OUT, 1, command.encode("ascii") + b"\n")[HEADER_BEGIN:]

@@ -31,26 +31,18 @@ class MonitorBench:
         return mean.current_a
 
     def change_next_reply(self, change: Callable[[bytes], bytes]) -> None:
-        """Change the next reply on bulk IN, in a script or not."""
-        single, scripted = self.device.bulk_in, self.device.take_request
-
-        def restore() -> None:
-            self.device.bulk_in, self.device.take_request = single, scripted  # type: ignore[method-assign]
+        """Change the next reply on bulk IN."""
+        read = self.device.bulk_in
 
         def changed(size: int | None = None) -> bytes:
-            restore()
-            return change(single(size))
+            self.device.bulk_in = read  # type: ignore[method-assign]
+            return change(read(size))
 
-        def changed_in_script(data: bytes, t: float) -> bytes:
-            restore()
-            return change(scripted(data, t))
-
-        self.device.bulk_in, self.device.take_request = changed, changed_in_script  # type: ignore[method-assign]
+        self.device.bulk_in = changed  # type: ignore[method-assign]
 
     def hang(self) -> None:
         """From now on there is nothing to read."""
         self.device.bulk_in_ready = lambda: None  # type: ignore[method-assign]
-        self.device.answer_due = lambda _: None  # type: ignore[method-assign, assignment]
 
 
 @pytest.fixture

@@ -44,21 +44,6 @@ def test_other_bytes_are_header_errors(data: bytes) -> None:
     assert header.tag == data[1] == data[2] ^ 0xFF
 
 
-@given(TAG, st.binary(max_size=40), st.integers(0, 12 + 44), st.integers(0, 255), st.integers(0, 3))
-def test_a_plain_answer_is_what_its_header_names(tag: int, payload: bytes, place: int, value: int, padding: int) -> None:
-    data = bytearray(usbtmc.message(usbtmc.MsgId.DEV_DEP_MSG_IN, tag, payload)[: 12 + len(payload)] + bytes(padding))
-    assert usbtmc.plain_answer(bytes(data), tag) == payload
-    if place < len(data):
-        data[place] = value
-    found = usbtmc.plain_answer(bytes(data), tag)
-    if found is not None:
-        header = usbtmc.Header.decode(bytes(data))
-        assert (header.msg_id, header.tag, header.end, header.term_char) == (usbtmc.MsgId.DEV_DEP_MSG_IN, tag, True, None)
-        assert found == data[12 : 12 + header.size]
-        assert len(data) - 3 <= 12 + header.size <= len(data)
-    assert usbtmc.plain_answer(bytes(data), usbtmc.next_tag(tag)) is None
-
-
 def test_tags_go_round_without_zero() -> None:
     tags = [1]
     for _ in range(255):

@@ -9,7 +9,6 @@ The eight inputs have ranges, counts, a maximum and a minimum; a change of range
 import math
 import struct
 from collections import deque
-from collections.abc import Sequence
 
 import numpy as np
 
@@ -248,12 +247,6 @@ class ConverterModule:
         if settings:
             self._settings_replies[request, self._gain, self.inputs.enabled, self.inputs.changes] = reply
 
-    @property
-    def plain(self) -> bool:
-        """Whether it answers every request, and its registers have the raw values of the voltages."""
-        inputs = self.inputs
-        return not self.silent and not self.refusals and not inputs.held and inputs.enabled == adam.ALL_CHANNELS
-
     def write_coils(self, address: int, values: list[bool], t: float) -> None:
         """Outputs (0 is the low bit of the gain's number), and the resets of maximum and minimum. Raises ModbusFault."""
         self._refuse()
@@ -314,18 +307,6 @@ class ConverterModule:
             for first in (adam.HIGH_ALARM, adam.LOW_ALARM):
                 held |= {first + channel: False for channel in range(adam.CHANNELS)}
         return held
-
-    @staticmethod
-    def read_together(modules: Sequence["ConverterModule"], times: Sequence[float]) -> bytes | None:
-        """The eight registers of the inputs of modules at times (n,), s: 16 bytes for each; None unless all is steady."""
-        first = modules[0]
-        for each in set(modules):
-            if not each.plain or each.inputs.ranges != first.inputs.ranges:
-                return None
-        volts = first._plant.steady_volts([each._index for each in modules], times)
-        if volts is None:
-            return None
-        return bytes((first.inputs.quantise(volts) ^ first._sign_bit).astype(">u2").tobytes())
 
 
 class Adam6017(ConverterModule):

@@ -12,7 +12,6 @@ from struct import Struct, unpack
 from pymodbus.framer import FramerRTU
 
 from goniotwin.protocols import adam
-from goniotwin.protocols.script import HEADER
 from goniotwin.twin.devices.adam import ConverterModule, ModbusFault
 from goniotwin.twin.devices.line import BITS_A_BYTE
 
@@ -21,6 +20,8 @@ LONGEST_RTU = 256
 GAP_CHARACTERS = 3.5
 BROADCAST = 0
 COIL_VALUES = (0x0000, 0xFF00)
+HEADER = Struct(">HHHB")
+"""Of a Modbus TCP frame: transaction, protocol, bytes from the unit on, unit. Source: Modbus on TCP/IP 1.0b, 3.1.3."""
 WORDS = Struct(">HH")
 EIGHT_WORDS = Struct(">8H")
 READS = (1, 2, 3, 4)
@@ -68,11 +69,6 @@ class TcpStation:
                 answer = answered(self.device, frame[adam.MBAP :], self.free)
                 self.free += 0.5 * self.device.latency_s  # the other half is the way here
                 self.outbox.append((self.free, HEADER.pack(transaction, 0, 1 + len(answer), unit) + answer))
-
-    @property
-    def idle(self) -> bool:
-        """Whether nothing is on its way, and the module answers plainly."""
-        return not self._buffer and not self.outbox and self.device.plain
 
     def reset(self, t: float) -> None:
         """The module loses its power for a moment, and with it incomplete requests and replies."""

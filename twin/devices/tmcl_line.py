@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from goniotwin.protocols.tmcl import FRAME_BYTES, split
-from goniotwin.twin.devices.tmcm6214 import Answers, MotionModule, UnsolicitedReply
+from goniotwin.twin.devices.tmcm6214 import MotionModule, UnsolicitedReply
 from goniotwin.twin.plant import AxisController, Mechanics, ModuleKind
 
 if TYPE_CHECKING:
@@ -56,35 +56,6 @@ class TmclLine:
                 self._post(t + self._latency_s + answers[0][0], answers[0][1])
             elif answers:  # they speak at the same time, and a line that one pulls down is down
                 self._post(t + self._latency_s, _at_once([answer for _, answer in answers]))
-
-    @property
-    def idle(self) -> bool:
-        """Whether nothing is on its way, and nothing comes but replies of its one module."""
-        if self._rest or self.outbox:
-            return False
-        for each in self.modules.values():  # noqa: SIM110  (asked at every exchange: a generator takes twice the time)
-            if each.reports:
-                return False
-        return True
-
-    def reply_begins(self, frame: bytes, t: float) -> float | None:
-        """When the one reply to a whole frame begins that arrives at `t` on an idle line; None where there may be another."""
-        hearing = None
-        for each in self.modules.values():
-            if each.hears(frame, t):
-                if hearing is not None:
-                    return None
-                hearing = each
-        settings = hearing.globals.reply if hearing is not None else None
-        return None if settings is None or settings.suppressed else t + self._latency_s + settings.pause_ms * 1.0e-3
-
-    def reply(self, frame: bytes, t: float) -> bytes:
-        """The reply to a frame that has one by `reply_begins`; empty where it has none all the same."""
-        self._last_byte = t
-        answers: Answers = []
-        for module in self.modules.values():
-            answers += module.answer(frame, t)
-        return answers[0][1] if len(answers) == 1 else b""
 
     def reset(self, t: float) -> None:
         """All modules lose their power for a moment: what EEPROM does not keep is forgotten, counters are 0."""

@@ -129,14 +129,10 @@ class MotionModule:
         for motor in self.motors:
             motor.reset(t)
 
-    def hears(self, frame: bytes, t: float) -> bool:
-        """Whether it takes a frame for one to itself."""
-        return t >= self._dead_until and (not self._strict or frame[0] == self.globals.reply.address)
-
     def answer(self, frame: bytes, t: float) -> Answers:
         """Reply to a frame that arrived at `t`: none or one, with its delay."""
         settings = self.globals.reply
-        if not self.hears(frame, t):
+        if t < self._dead_until or (self._strict and frame[0] != settings.address):  # not for it
             return []
         if t > self._heartbeat.until:
             self._miss_heartbeat()
@@ -149,11 +145,6 @@ class MotionModule:
             self._plan_event(t, host, address)
         settings = self.globals.reply
         return [] if reply is None or settings.suppressed else [(settings.pause_ms * 1.0e-3, reply)]
-
-    @property
-    def reports(self) -> bool:
-        """Whether it may send a frame without a request."""
-        return self._event is not None or self._event_mask != 0
 
     def _reply(self, frame: bytes, t: float, host: int, address: int) -> bytes | None:
         try:

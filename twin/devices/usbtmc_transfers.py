@@ -5,7 +5,6 @@ is in `complaints`; every transfer is in `log`. Source: USB-IF, USBTMC 1.0 secti
 """
 
 from collections import deque
-from functools import lru_cache
 
 from goniotwin.protocols.usbtmc import (
     HEADER_BYTES,
@@ -16,13 +15,11 @@ from goniotwin.protocols.usbtmc import (
     StatusByte,
     message,
     next_tag,
-    take_message,
 )
 from goniotwin.twin.devices.scpi_instrument import OUTPUT_QUEUE_BYTES, ScpiInstrument
 from goniotwin.twin.devices.usb_standard import BULK_IN, BULK_OUT, INTERRUPT_IN, MAX_PACKET
 
 LOG_KEPT = 2000
-TRANSFERS_KEPT = 64
 WHITE_SPACE = bytes(range(33))
 """IEEE 488.2, 7.4.1.2: a control character is white space too, such as the zero with which C ends a text."""
 
@@ -122,44 +119,6 @@ class Transfers:
             self.complaints.append(f"bTag {header.tag} after {self._last_out}")
         self._last_out = header.tag
         self._carry_out(header, body, t)
-
-    # ---- scripts ----
-
-    def take_message(self, data: bytes, t: float) -> bool:
-        """`bulk_out` of a whole message, where nothing is pending and nothing in it unusual; else False, with no effect."""
-        whole = _whole(data[:1] + data[3:])
-        if whole is None or whole[0] != MsgId.DEV_DEP_MSG_OUT or self._input or self._answers or not self._is_next(data):
-            return False
-        self.log.append((t, "bulk OUT", data))
-        self._last_out = data[1]
-        self._execute(whole[2], t)
-        return True
-
-    def answer_due(self, data: bytes) -> float | None:
-        """When the answer that a request asks for can be read; None where that is not all, or the request is unusual."""
-        whole = _whole(data[:1] + data[3:])
-        if whole is None or whole[0] != MsgId.DEV_DEP_MSG_IN or len(self._answers) != 1 or not self._is_next(data):
-            return None
-        ready, answer = self._answers[0]
-        return ready if len(answer) <= whole[1] else None
-
-    def take_request(self, data: bytes, t: float) -> bytes:
-        """`bulk_out` of a request that `answer_due` has found plain, and `bulk_in`."""
-        tag = data[1]
-        _, answer = self._answers.popleft()
-        self._last_out = self._last_in = tag
-        given = message(MsgId.DEV_DEP_MSG_IN, tag, answer)
-        self._sent, self._aborting = len(given), False
-        self.log.append((t, "bulk OUT", data))
-        self.log.append((float("nan"), "bulk IN", given))
-        return given
-
-    def _is_next(self, data: bytes) -> bool:
-        """Whether a transfer finds nothing halted or half done, and has the bTag that follows."""
-        if self._halted or self._transfer or self._request is not None or self._fifo is not None:
-            return False
-        tag = data[1]
-        return tag ^ 0xFF == data[2] and (tag == next_tag(self._last_out) if self._last_out else tag != 0)
 
     def _carry_out(self, header: Header, body: bytes, t: float) -> None:
         match header.msg_id:
@@ -299,18 +258,3 @@ class Transfers:
     def new_host(self) -> None:
         """The device was opened: the bTags begin anew."""
         self._last_out = 0
-
-
-@lru_cache(maxsize=TRANSFERS_KEPT)
-def _whole(data: bytes) -> tuple[int, int, bytes] | None:
-    """MsgID, size and program of a whole and plain transfer, given without its bTag and the complement; None for another."""
-    try:
-        found, rest = take_message(data[:1] + bytes((1, 0xFE)) + data[1:], from_host=True)
-    except HeaderError:
-        return None
-    if found is None or rest or found.header.term_char is not None:
-        return None
-    header, program = found.header, found.payload.removesuffix(b"\n")
-    if header.msg_id == MsgId.DEV_DEP_MSG_OUT and (not header.end or b"\n" in program or not program.strip(WHITE_SPACE)):
-        return None
-    return header.msg_id, header.size, program

@@ -5,16 +5,12 @@ where the answer's last byte arrives.
 """
 
 from collections import deque
-from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
 from itertools import accumulate, repeat
 
 from serial.serialutil import PortNotOpenError, SerialBase, SerialException
 
 from goniotwin.protocols.clock import Clock, VirtualClock
-from goniotwin.protocols.script import Exchanged
-from goniotwin.protocols.tmcl import FRAME_BYTES
-from goniotwin.twin.devices import TmclLine
 from goniotwin.twin.devices.line import BITS_A_BYTE, SerialDevice
 from goniotwin.twin.doors.registry import NoSuchTwin, find, missing
 
@@ -90,34 +86,6 @@ class Serial(SerialBase):
         while there and self._arriving[there - 1][0] > now:
             there -= 1
         return bytes([self._arriving.popleft()[1] for _ in range(there)])
-
-    def run_script(self, requests: Sequence[tuple[bytes, bytes]]) -> list[Exchanged]:
-        """Make the first exchanges of a script on a TMCL line: see `TmclScripts`. None on a clock of real time."""
-        device, clock, made = self._device, self._clock, list[Exchanged]()
-        if not isinstance(clock, VirtualClock) or type(device) is not TmclLine or self.baudrate != device.baudrate:
-            return made
-        now, until, byte_s = clock.now(), clock.next_event(), self._byte_s
-        slice_s = 0.0 if self.timeout is None else self.timeout
-        with self._lock:
-            if self._arriving or not device.idle:
-                return made
-            for request, begin in requests:
-                sent_until = max(now, self._sent_until) + len(request) * byte_s
-                ready = device.reply_begins(request, sent_until)
-                if ready is None:
-                    break
-                arrived = max(ready, self._received_until)
-                for _ in range(FRAME_BYTES):
-                    arrived += byte_s
-                if arrived >= until or arrived > now + slice_s:
-                    break
-                reply = device.reply(request, sent_until)
-                if len(reply) != FRAME_BYTES or not reply.startswith(begin):
-                    break
-                self._sent_until, self._received_until = sent_until, arrived
-                made.append((now, request, arrived, reply))
-                now = arrived
-        return made
 
     def reset_input_buffer(self) -> None:
         """What has arrived is thrown away; what is still on its way is not."""

@@ -6,18 +6,15 @@ USBError(-9, 32), a packet too large USBError(-8, 75), a device that is gone USB
 """
 
 from array import array
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterator
 from types import SimpleNamespace
 
 import usb.core
 from usb.backend import IBackend
 
 from goniotwin.protocols.clock import VirtualClock
-from goniotwin.protocols.script import Exchanged
 from goniotwin.protocols.usb_descriptors import decode_configuration, decode_device
 from goniotwin.protocols.usbip import FULL_SPEED
-from goniotwin.protocols.usbtmc import MsgId
 from goniotwin.twin.devices.usb_standard import INTERRUPT_IN, configuration_descriptor, device_descriptor
 from goniotwin.twin.devices.usbtmc import Overflow, Stall, UsbTmcDevice
 from goniotwin.twin.rig import VirtualRig
@@ -38,37 +35,6 @@ class Handle:
         if not self._device.plugged or self._device.plugs != self._plugs:
             raise gone()
         return self._device
-
-
-class Scripts:
-    """An open device's end that carries out scripts on a virtual clock: see `UsbScripts`."""
-
-    def __init__(self, device: UsbTmcDevice, clock: VirtualClock, lock: AbstractContextManager[object]) -> None:
-        self._device, self._clock, self._lock = device, clock, lock
-        self._plugs = device.plugs
-
-    def run_script(self, transfers: Sequence[bytes], timeout_s: float) -> list[Exchanged]:
-        """Make the first transfers; none before which an event is due."""
-        device, made = self._device, list[Exchanged]()
-        if not device.plugged or device.plugs != self._plugs:
-            return made
-        now, until, half_s = self._clock.now(), self._clock.next_event(), 0.5 * device.latency_s
-        with self._lock:
-            for data in transfers:
-                if data[0] != MsgId.DEV_DEP_MSG_IN:
-                    if now >= until or not device.take_message(data, now + half_s):
-                        break
-                    made.append((now, data, now, b""))
-                    continue
-                ready, sent, deadline = device.answer_due(data), now, now + timeout_s
-                if ready is None:
-                    break
-                while (arrives := max(ready, now - half_s) + half_s) > now:
-                    now = arrives
-                if now >= until or now > deadline:
-                    break
-                made.append((sent, data, now, device.take_request(data, sent + half_s)))
-        return made
 
 
 class TwinUsbBackend(IBackend):
@@ -93,13 +59,6 @@ class TwinUsbBackend(IBackend):
             if reset:
                 device.instrument.power_cycle(self._clock.now())
             device.replug()
-
-    def scripts(self, address: int) -> Scripts | None:
-        """The end of the device with an address that carries out scripts; None on a clock of real time, or a bad bus."""
-        device, clock = list(self._rig.usb.values())[address - 1], self._clock
-        if type(device) is not UsbTmcDevice or not isinstance(clock, VirtualClock):
-            return None
-        return Scripts(device, clock, self._lock)
 
     def enumerate_devices(self) -> Iterator[UsbTmcDevice]:
         return iter([device for device in self._rig.usb.values() if device.plugged])

@@ -89,12 +89,7 @@ class Engine:
         self._finish_cut = False
         self._cut: Cut | None = None
         self._stop_request = StopRequest(rig)
-        # Positions are read between polls, which a script would leave out.
-        scripts = not positions_every_s
-        self._executor = RigExecutor(
-            rig, operator, self._stop_request, self._on_poll, self._log_event, scripts=scripts,
-            on_light=self._notify,
-        )  # fmt: skip
+        self._executor = RigExecutor(rig, operator, self._stop_request, self._on_poll, self._log_event, on_light=self._notify)
         self._recovery = Recovery(rig, self._stop_request, self._executor.wait)
         self._sleep_watch = sleep_watch or watch_for(rig.clock)
         self._stay_awake = StayAwake()

@@ -31,7 +31,7 @@ CLOSING_ATTEMPTS = 3
 
 
 class RigExecutor(RowExecutor[Pending]):
-    """Executes rows on a rig. `on_poll` is called between polls, and less often where `scripts` are handed to the wires.
+    """Executes rows on a rig. `on_poll` is called between polls.
 
     Readings that contradict each other are taken again: a wire may change a count.
     """
@@ -44,7 +44,6 @@ class RigExecutor(RowExecutor[Pending]):
         on_poll: Callable[[], None],
         log_event: LogEvent,
         *,
-        scripts: bool = False,
         on_light: Callable[[LightChanged], object] = lambda _: None,
     ) -> None:
         super().__init__(rig.photodiodes.settings, rig.monochromator.settings.wheel, log_event, on_light)
@@ -53,7 +52,6 @@ class RigExecutor(RowExecutor[Pending]):
         self._operator = operator
         self._stop_request = stop_request
         self._on_poll = on_poll
-        self._scripts = scripts
         self._encoder_warnings: set[str] = set()
 
     def now(self) -> float:
@@ -62,7 +60,7 @@ class RigExecutor(RowExecutor[Pending]):
 
     def wait(self, *started: Pending) -> None:
         """Wait until all pending actions are done. Raises DeviceError, Stopped."""
-        wait(self._clock, started, self._on_poll, scripts=self._scripts)
+        wait(self._clock, started, self._on_poll)
         self._stop_request.check()  # the stop may have come with the last answer
 
     def _wait_until(self, t: float) -> None:

@@ -41,11 +41,8 @@ from goniotwin.drivers.motion.tmcl.rules import (
     MARKER_VARIABLE,
     WRITES,
     check_reply,
-    is_plain,
     is_repeatable,
-    is_reply,
     read_request,
-    reply_value,
     setting_name,
     starts_motion,
     unreferenced_marks,
@@ -114,7 +111,6 @@ class TmclModule:
         self._frame_s = FRAME_S_BITS / baudrate
         self._patience_s = 3.0 * self._frame_s + SLICE_S
         self._alike_s = 4.0 * self._frame_s + SLICE_S
-        self._exchanges: dict[CommandFrame, tuple[tuple[bytes, bytes], tuple[bytes, bytes]]] = {}
         self._tap = tap
         self.addresses = tuple(sorted(set(addresses)))
         self.heartbeat_s = min(speed * heartbeat_s, LONGEST_HEARTBEAT_S)
@@ -234,45 +230,11 @@ class TmclModule:
 
     def read_all_confirmed(self, requests: Sequence[CommandFrame]) -> list[int]:
         """Values of the replies to GAP requests, each followed by a read of the canary, as in `read_confirmed`."""
-        values = self._run_script(requests)
-        for request in requests[len(values) :]:
+        values = []
+        for request in requests:
             values.append(self.exchange(request))
             self.check_canary(request.address)
         return values
-
-    def _run_script(self, requests: Sequence[CommandFrame]) -> list[int]:
-        """The confirmed values of the first requests that the line can look ahead to; mostly all or none. Raises Forgotten.
-
-        None while anything is in doubt, and while a reply to an earlier GAP could be taken for one of these.
-        """
-        values: list[int] = []
-        port, (command, _, when) = self._port, self._last
-        with self._lock.hold():
-            alike = command == Command.GAP and self._clock.now() - when < self._alike_s
-            if port is None or self._taken is not None or self._out_of_step or alike or self._lock.stop_waiting:
-                return values
-            script = [each for request in requests for each in self._confirmed_exchange(request)]
-            made = port.run_script(script)
-            if made:
-                self._last = (script[len(made) - 1][0][1], 0, self._clock.now())
-            for number, ((_, _, _, reply), (_, begin)) in enumerate(zip(made, script, strict=False)):
-                if not is_reply(reply, begin):
-                    self._out_of_step = True
-                    return values[: number // 2]
-                if number % 2 == 0:
-                    values.append(reply_value(reply))
-            if len(made) % 2:
-                self.check_canary(requests[len(made) // 2].address)
-        return values
-
-    def _confirmed_exchange(self, request: CommandFrame) -> tuple[tuple[bytes, bytes], tuple[bytes, bytes]]:
-        """Request and begin of the reply of a GAP, and the read of the canary with its whole reply."""
-        known = self._exchanges.get(request)
-        if known is None:
-            canary = CommandFrame(request.address, Command.GGP, CANARY_VARIABLE, USER_BANK)
-            echo = ReplyFrame(HOST_ADDRESS, request.address, ReplyStatus.OK, Command.GGP, self._session).encode()
-            known = self._exchanges[request] = (request.encode(), _begin(request)), (canary.encode(), echo)
-        return known
 
     def check_canary(self, address: int) -> None:
         """Raise Forgotten if a module has reset since it was connected, until it is connected again, and Taken for good."""
@@ -394,13 +356,11 @@ class TmclModule:
         if alike and self._clock.now() - when < self._alike_s:
             self._once(CommandFrame(request.address, Command.GGP, CANARY_VARIABLE, USER_BANK))
         try:
-            stops, started = self._lock.acquired, self._clock.now()
-            sent = request.encode()
-            made = port.run_script([(sent, _begin(request))]) if is_plain(request) else []
-            if not made:
-                port.send(sent)
+            stops = self._lock.acquired
+            port.send(request.encode())
+            started = self._clock.now()  # a computer that is late before it sends does not shorten the module's time
             while True:
-                frame = made.pop()[3] if made else port.frame(started + self._reply_s, lambda: self._gives_way(stops, started))
+                frame = port.frame(started + self._reply_s, lambda: self._gives_way(stops, started))
                 if stops != self._lock.acquired:
                     raise NoAnswer(self.name, self._describe(request), "a stop came between request and reply", "try again")
                 if frame is None:
@@ -448,8 +408,3 @@ class TmclModule:
 
     def _describe(self, request: CommandFrame) -> str:
         return str(request) if len(self.addresses) == 1 else f"{request} of module {request.address}"
-
-
-def _begin(request: CommandFrame) -> bytes:
-    """What the reply to a request that is carried out begins with."""
-    return bytes((HOST_ADDRESS, request.address, ReplyStatus.OK, request.command))

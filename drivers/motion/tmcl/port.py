@@ -12,9 +12,8 @@ from collections.abc import Callable, Generator, Sequence
 from serial import Serial, SerialException
 
 from goniotwin.drivers.motion.stop import StopPhase, StopWait
-from goniotwin.drivers.tap import FROM_DEVICE, TO_DEVICE, Tap, no_tap
+from goniotwin.drivers.tap import FROM_DEVICE, TO_DEVICE, Tap
 from goniotwin.protocols.clock import Clock
-from goniotwin.protocols.script import Exchanged, TmclScripts
 from goniotwin.protocols.tmcl import FRAME_BYTES, HOST_ADDRESS, CommandFrame, FrameError, ReplyFrame, ReplyStatus, split
 
 SLICE_S = 0.01
@@ -50,7 +49,6 @@ class TmclPort:
         self._events = events
         self._port: Serial | None = self._open_port()
         self._port.write_timeout = timeout_s
-        self._scripts = self._port if isinstance(self._port, TmclScripts) else None
         self._discard_received()
 
     def close(self) -> None:
@@ -65,22 +63,6 @@ class TmclPort:
         self._discard_received()
         self.late_s = 0.0
         self._write(frame)
-
-    def run_script(self, requests: Sequence[tuple[bytes, bytes]]) -> list[Exchanged]:
-        """Make the first exchanges of a script, if the port carries out scripts; the time is then that of the last reply."""
-        port = self._port
-        if self._scripts is None or port is not self._scripts or self._rest:
-            return []
-        made = self._scripts.run_script(requests)
-        if self._tap is not no_tap:
-            for sent_s, request, arrived_s, reply in made:
-                self._clock.sleep_until(sent_s)
-                self._tap(TO_DEVICE, request)
-                self._clock.sleep_until(arrived_s)
-                self._tap(FROM_DEVICE, reply)
-        elif made:
-            self._clock.sleep_until(made[-1][2])
-        return made
 
     def frame(self, deadline: float, give_up: GiveUp) -> bytes | None:
         """The next nine bytes; None if they do not come by the deadline, or if `give_up` is true."""

@@ -9,7 +9,6 @@ from collections.abc import Callable
 from goniotwin.drivers.errors import BadAnswer, Refused
 from goniotwin.drivers.tap import TO_DEVICE
 from goniotwin.protocols.tmcl import (
-    FRAME_BYTES,
     HOST_ADDRESS,
     Command,
     CommandFrame,
@@ -78,16 +77,6 @@ def is_repeatable(request: CommandFrame) -> bool:
     return request.command in REPEATABLE
 
 
-def is_plain(request: CommandFrame) -> bool:
-    """True if a request may be handed over as a script: the module either refuses it, without effect, or sends one reply."""
-    match request.command:
-        case Command.GAP | Command.GGP:
-            return True
-        case Command.MVP:
-            return request.type == MoveType.ABSOLUTE
-    return False
-
-
 def starts_motion(request: CommandFrame) -> bool:
     """True if a request sets a motor in motion."""
     match request.command:
@@ -120,21 +109,6 @@ def check_reply(request: CommandFrame, frame: bytes, device: str, describe: Call
         raise Refused(device, describe(request), f"the module replies: {reply}", remedy)
     echoes = request.command in ECHOING or (request.command == Command.MVP and request.type == MoveType.ABSOLUTE)
     return None if echoes and reply.value != request.value else reply
-
-
-def is_reply(frame: bytes, begin: bytes) -> bool:
-    """Whether nine bytes with a right checksum begin with host, module, status and command: `check_reply` of a script.
-
-    `begin` may be the whole reply.
-    """
-    if len(begin) == FRAME_BYTES:
-        return frame == begin
-    return len(frame) == FRAME_BYTES and frame.startswith(begin) and sum(frame[:-1]) & 0xFF == frame[-1]
-
-
-def reply_value(frame: bytes) -> int:
-    """The value of a reply."""
-    return int.from_bytes(frame[4:8], "big", signed=True)
 
 
 def explain(direction: str, data: bytes) -> str:

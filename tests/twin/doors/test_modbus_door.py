@@ -5,7 +5,6 @@ from pymodbus.exceptions import ModbusIOException
 
 from goniotwin.protocols import adam
 from goniotwin.protocols.clock import VirtualClock
-from goniotwin.protocols.script import modbus_exchange, read_registers
 from goniotwin.twin.doors import NoSuchTwin, TwinModbusClient, TwinRtuClient
 from tests.conftest import RigOpener
 
@@ -85,17 +84,6 @@ def test_a_foreign_unit_is_silent(client: TwinModbusClient, clock: VirtualClock)
     with pytest.raises(ModbusIOException):
         client.read_holding_registers(adam.AI_VALUE, count=1, device_id=9)
     assert clock.now() - start == pytest.approx(1.0)  # the timeout, once: no retries
-
-
-def test_a_script_numbers_its_transactions_as_pymodbus_does(client: TwinModbusClient) -> None:
-    other = TwinModbusClient("twin://virtual/adc-1")
-    read = modbus_exchange(adam.UNIT, read_registers(adam.AI_VALUE, adam.CHANNELS), None)
-    client.connect()
-    for last in (0, 7, 64_998):
-        client.transaction.next_tid = other.transaction.next_tid = last
-        made = client.run_script([(0.0, client, read)] * 3, float("inf"))
-        numbers = [int.from_bytes(request[:2], "big") for _, request, _, _ in made]
-        assert numbers == [other.transaction.getNextTID() for _ in range(3)]
 
 
 def test_there_is_no_client_for_nothing(opened: RigOpener) -> None:

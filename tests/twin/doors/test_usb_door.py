@@ -1,7 +1,5 @@
 """pyusb's door, seen by pyusb and by python-usbtmc, a client written by others."""
 
-from collections import deque
-
 import pytest
 import usb.core
 import usb.util
@@ -11,7 +9,6 @@ from goniotwin.mocks.usb_endpoints import install_backend
 from goniotwin.protocols.clock import RealClock, VirtualClock
 from goniotwin.protocols.usbtmc import MsgId, message, request_in
 from goniotwin.twin.doors import TwinUsbBackend
-from goniotwin.twin.doors.usb import Scripts
 from goniotwin.twin.rig import VirtualRig
 from tests.conftest import RigOpener
 
@@ -31,63 +28,6 @@ def fast(opened: RigOpener) -> VirtualRig:
     virtual = opened(clock=RealClock(speed=25.0)).virtual
     assert virtual is not None
     return virtual
-
-
-QUERY = message(MsgId.DEV_DEP_MSG_OUT, 1, b"*IDN?\n"), request_in(2, 100)
-
-
-def scripts(rig: VirtualRig) -> Scripts:
-    rig.usb["monitor"].new_host()
-    found = TwinUsbBackend(rig).scripts(1)
-    assert found is not None
-    return found
-
-
-def test_a_script_brings_what_single_transfers_bring(rig: VirtualRig) -> None:
-    (sent_s, message_sent, out_s, nothing), (_, request, arrived_s, reply) = scripts(rig).run_script(QUERY, 1.0)
-    assert (sent_s, message_sent, out_s, nothing, request) == (rig.clock.now(), QUERY[0], sent_s, b"", QUERY[1])
-    device = usb.core.find(backend=TwinUsbBackend(rig))
-    begin = rig.clock.now()
-    rig.usb["monitor"].new_host()
-    rig.usb["monitor"].instrument.clear(begin)
-    for each in QUERY:
-        device.write(0x02, each, 100)
-    assert bytes(device.read(0x82, 512, 100)) == reply
-    assert rig.clock.now() - begin == pytest.approx(arrived_s - sent_s)
-
-
-@pytest.mark.parametrize(
-    ("transfers", "made"),
-    [
-        ((QUERY[0], message(MsgId.DEV_DEP_MSG_OUT, 2, b"*IDN?\n")), 1),  # the answer before is interrupted
-        ((QUERY[0], request_in(1, 100)), 1),  # a bTag twice
-        ((QUERY[0], request_in(2, 10)), 1),  # an answer in two parts
-        ((QUERY[0], request_in(2, 100, term_char=44)), 1),
-        ((request_in(1, 100),), 0),  # nothing was asked
-        ((message(MsgId.DEV_DEP_MSG_OUT, 1, b"*IDN?\n*OPC?\n"),), 0),
-        ((message(MsgId.DEV_DEP_MSG_OUT, 1, b"*ID", end=False),), 0),
-        ((b"nothing of USBTMC",), 0),
-    ],
-)
-def test_a_script_ends_before_what_is_unusual(rig: VirtualRig, transfers: tuple[bytes, ...], made: int) -> None:
-    assert len(scripts(rig).run_script(transfers, 1.0)) == made
-    assert rig.usb["monitor"].complaints == deque()
-
-
-def test_a_script_ends_before_an_event_a_timeout_and_at_a_device_that_was_away(rig: VirtualRig) -> None:
-    first = scripts(rig)
-    assert len(first.run_script(QUERY, 1e-6)) == 1
-    rig.usb["monitor"].new_host()
-    rig.usb["monitor"].reset()
-    event = rig.clock.at(rig.clock.now() + 1e-6, lambda: None)
-    assert len(first.run_script(QUERY, 1.0)) == 1
-    event.cancel()
-    rig.usb["monitor"].halt(0x82)
-    assert first.run_script(QUERY, 1.0) == []
-    rig.usb["monitor"].unplug()
-    rig.usb["monitor"].replug()
-    assert first.run_script(QUERY, 1.0) == []
-    assert len(scripts(rig).run_script(QUERY, 1.0)) == 2
 
 
 def test_a_timeout_takes_its_time_and_is_pyusbs(rig: VirtualRig) -> None:
