@@ -8,8 +8,8 @@ always passes an exchange of two bytes: a decoder has to check addresses, comman
 """
 
 import struct
-from dataclasses import dataclass
 from enum import IntEnum
+from typing import NamedTuple
 
 from goniotwin.protocols.tmcl_parameters import AxisParameter, SearchCommand
 
@@ -88,8 +88,7 @@ def pack(first: int, second: int, third: int, fourth: int, value: int) -> bytes:
     return body + bytes((sum(body) & 0xFF,))
 
 
-@dataclass(frozen=True, slots=True)
-class CommandFrame:
+class CommandFrame(NamedTuple):
     """What the host sends: module address, command, type, motor or bank, signed 32 bit value."""
 
     address: int
@@ -101,7 +100,7 @@ class CommandFrame:
     def encode(self) -> bytes:
         """The nine bytes. Raises FrameError for a field that does not fit its bytes."""
         try:
-            return pack(self.address, self.command, self.type, self.motor, self.value)
+            return pack(*self)
         except struct.error as error:
             raise FrameError(f"{self} does not fit a TMCL request: {error}") from None
 
@@ -114,8 +113,7 @@ class CommandFrame:
         return f"{_name(Command, self.command)} {_type_name(self.command, self.type)} motor {self.motor} = {self.value}"
 
 
-@dataclass(frozen=True, slots=True)
-class ReplyFrame:
+class ReplyFrame(NamedTuple):
     """What a module answers: host address, module address, status, echoed command, signed 32 bit value."""
 
     host: int
@@ -127,7 +125,7 @@ class ReplyFrame:
     def encode(self) -> bytes:
         """The nine bytes. Raises FrameError for a field that does not fit its bytes."""
         try:
-            return pack(self.host, self.address, self.status, self.command, self.value)
+            return pack(*self)
         except struct.error as error:
             raise FrameError(f"{self} does not fit a TMCL reply: {error}") from None
 

@@ -6,6 +6,7 @@ Source: USB-IF, "Universal Serial Bus Test and Measurement Class" 1.0 (tables 1 
 import struct
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
+from typing import NamedTuple
 
 HEADER_BYTES = 12
 INTERFACE_CLASS = (0xFE, 0x03)
@@ -80,8 +81,7 @@ class HeaderError(ValueError):
     """Bytes that are no bulk header."""
 
 
-@dataclass(frozen=True, slots=True)
-class Header:
+class Header(NamedTuple):
     """The twelve bytes before each bulk message.
 
     `size` is the payload's length, or, in a request, the most bytes wanted. `end` is EOM. `term_char` is the character that

@@ -81,7 +81,7 @@ def _rig() -> None:
     assert model is not None
     plant = VirtualRig.build(model, VirtualClock()).plant  # on a real clock the light on the photodiodes would be computed
     plant.volts(0, 0.0)
-    plant.steady_volts([0], [1e3])
+    plant.coming_readings(1000)
     lamp_mean(0.0, plant.conversion_period_s, *lamp_constants(model.light, model.seed, model.noise))
     mix(process_key(model.seed, "encoder"), np.int64(0))
 

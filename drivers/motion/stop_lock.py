@@ -1,8 +1,6 @@
 """Lock of a serial line: one exchange at a time, in FIFO order, with a count of stop requests."""
 
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
 
 from goniotwin.drivers.motion.stop import StopPhase, StopSteps, StopWait
 
@@ -25,21 +23,24 @@ class StopLock:
         self.requested = 0
         self.acquired = 0
 
-    @contextmanager
-    def hold(self) -> Iterator[None]:
-        """Acquire the line in FIFO order; waiters queue on `_gate`."""
+    def hold(self) -> "Hold":
+        """A context in which the thread has the line."""
+        return Hold(self)
+
+    def acquire(self) -> bool:
+        """Acquire the line in FIFO order; waiters queue on `_gate`. False if the thread has it already."""
         me = threading.get_ident()
         if self._owner == me:
-            yield
-            return
+            return False
         with self._gate:
             self._line.acquire()
         self._owner = me
-        try:
-            yield
-        finally:
-            self._owner = None
-            self._line.release()
+        return True
+
+    def release(self) -> None:
+        """Release the line."""
+        self._owner = None
+        self._line.release()
 
     def begin_stop(self, steps: StopSteps) -> StopSteps:
         """Request a stop: from now on the exchange in progress sees `stop_waiting`. Its steps are carried out on the line."""
@@ -57,8 +58,7 @@ class StopLock:
             return (yield from steps)
         finally:
             if not nested:
-                self._owner = None
-                self._line.release()
+                self.release()
 
     def _wait_for_line(self) -> StopWait:
         """Acquire the line in FIFO order, in steps of ACQUIRE_S."""
@@ -72,3 +72,19 @@ class StopLock:
     def stop_waiting(self) -> bool:
         """True if a requested stop has not got the line yet."""
         return self.requested > self.acquired
+
+
+class Hold:
+    """Context of `StopLock.hold`."""
+
+    __slots__ = ("_acquired", "_lock")
+
+    def __init__(self, lock: StopLock) -> None:
+        self._lock = lock
+
+    def __enter__(self) -> None:
+        self._acquired = self._lock.acquire()
+
+    def __exit__(self, *_: object) -> None:
+        if self._acquired:
+            self._lock.release()

@@ -158,7 +158,8 @@ class AdamModule:
 
     def counts(self) -> list[int]:
         """Raw values of all channels, 0 to 65535 over the range. Raises DeviceError."""
-        return [register ^ self._sign_bit for register in self._read_registers(adam.AI_VALUE, adam.CHANNELS)]
+        registers = self._read_registers(adam.AI_VALUE, adam.CHANNELS)
+        return [each ^ self._sign_bit for each in registers] if self._sign_bit else registers
 
     def set_outputs(self, outputs: list[bool]) -> None:
         """Set the digital outputs, lowest first; `checks` confirm them. Raises DeviceError."""
@@ -296,7 +297,7 @@ class AdamModule:
     # ---- registers and coils ----
 
     def _read_registers(self, address: int, count: int) -> list[int]:
-        return self._repeat_once(lambda: self._registers(address, count, self._ask))
+        return self._repeat_once(partial(self._registers, address, count, self._ask))
 
     def _write_registers(self, address: int, values: list[int], doing: str) -> None:
         """Write registers at once, or one by one where the module refuses function 16.
@@ -350,11 +351,11 @@ class AdamModule:
 
     def _registers(self, address: int, count: int, exchange: Exchange) -> list[int]:
         doing = f"read registers {address} to {address + count - 1}"
-        self._function_index ^= int(self._bus.rtu)
+        self._function_index ^= self._bus.rtu
         reply = exchange(self._register_call(self._function_index, address, count), doing, READ_REGISTERS[self._function_index])
         if len(reply.registers) != count:
             self._reject(doing, f"{len(reply.registers)} values received instead of {count}")
-        return list(reply.registers)
+        return [*reply.registers]
 
     def _register_call(self, function_index: int, address: int, count: int) -> Call:
         def call(client: ModbusBaseSyncClient) -> ModbusPDU:

@@ -76,8 +76,8 @@ class RtuClient(ModbusSerialClient):
 class ModbusBus:
     """One wire. `rtu`: an RTU line, without transaction identifiers. `stale`: a late reply may still arrive.
 
-    `noisy`: at the last renewal it did not fall silent. `late_s` is by how much this computer was late in the last exchange, s,
-    whose reply had `timeout_s`.
+    `noisy`: at the last renewal it did not fall silent. `late_s` is by how much this computer was late in the last exchange
+    that failed, s; a reply had `timeout_s`.
     """
 
     def __init__(self, opener: ModbusOpener, *, rtu: bool = False) -> None:
@@ -118,20 +118,22 @@ class ModbusBus:
         client = self._client
         if client is None:
             raise ConnectionError("the connection is not open")
-        self._tap, self._received = tap, b""
-        self.timeout_s = client.comm_params.timeout_connect
-        self._clock, self._over, self._waiting_since = clock, False, clock.now()
-        self._deadline = self._waiting_since + self.timeout_s
+        settings = client.comm_params
+        timeout_s = self.timeout_s = settings.timeout_connect
+        now = clock.now()
+        self._tap, self._received, self._clock, self._over = tap, b"", clock, False
+        self._waiting_since, self._deadline = now, now + timeout_s
         try:
             return call(client)
-        except OSError:
-            self._close_client()
+        except WIRE_FAULTS as error:
+            self.late_s = clock.now() - self._waiting_since - settings.timeout_connect
+            if isinstance(error, OSError):
+                self._close_client()
             raise
         finally:
-            self.late_s = clock.now() - self._waiting_since - client.comm_params.timeout_connect
-            client.comm_params.timeout_connect = self.timeout_s
+            settings.timeout_connect = timeout_s
             self._clock = None
-            self._tap(FROM_DEVICE, self._received)
+            tap(FROM_DEVICE, self._received)
 
     def renew(self) -> bool:
         """Discard everything still in transmission; True if connected. Raises WIRE_FAULTS."""

@@ -9,12 +9,14 @@ The eight inputs have ranges, counts, a maximum and a minimum; a change of range
 import math
 import struct
 from collections import deque
+from typing import Any
 
 import numpy as np
 
-from goniotwin.arrays import Floats, Ints
+from goniotwin.arrays import Floats
 from goniotwin.protocols import adam
 from goniotwin.twin.plant import Plant
+from goniotwin.twin.plant.converter import CONVERTED
 
 LOOK_BACK = 64
 """So many conversions before a question about maximum or minimum are looked at; older ones count if they were read."""
@@ -28,6 +30,8 @@ class Inputs:
         self._index = index
         self._power_on = power_on
         self.changes = 0
+        self._change = self._first = 0
+        self._coming: list[list[int]] = []
         self._period = plant.conversion_period_s
         self.reset(0.0)
 
@@ -43,7 +47,10 @@ class Inputs:
 
     def counts(self, t: float) -> list[int]:
         """The raw values of all channels; 0 for one that is not enabled. The same until the next conversion."""
-        raw: list[int] = self.quantise(self._plant.volts(self._index, t)).tolist()
+        raw = self._converted(t)
+        if not self.held and self.enabled == adam.ALL_CHANNELS:
+            return raw
+        raw = list(raw)
         for channel, (value, until) in list(self.held.items()):
             if self._conversion(channel, t) < until:
                 raw[channel] = value
@@ -53,9 +60,20 @@ class Inputs:
             raw = [value if self.enabled >> channel & 1 else 0 for channel, value in enumerate(raw)]
         return raw
 
-    def quantise(self, volts: Floats) -> Ints:
-        """The raw values of voltages (..., 8) in the ranges that are set."""
-        return adam.quantise(volts, self._lows, self._steps)
+    def _converted(self, t: float) -> list[int]:
+        """The raw values of the last conversions. While nothing changes those of coming readings are kept."""
+        tick = self._plant.tick(t)
+        if self._change != self._plant.changes.number or not 0 <= tick - self._first < len(self._coming):
+            coming = self._plant.coming_readings(tick)
+            if coming is None or not coming.steady[self._index]:
+                return [*self._quantised(self._plant.volts(self._index, t))]
+            self._change, self._first = coming.change, coming.first
+            self._coming = self._quantised(coming.volts[self._index])
+        return self._coming[tick - self._first]
+
+    def _quantised(self, volts: Floats) -> Any:
+        """The raw values of voltages (..., 8) in the ranges that are set, as lists."""
+        return adam.quantise(volts, self._lows, self._steps).tolist()
 
     def average(self, t: float) -> int:
         """The mean raw value of the enabled channels, 0 where there is none."""
@@ -126,11 +144,12 @@ class Inputs:
 
     def _conversion(self, channel: int, t: float) -> int:
         """The number of the last conversion of a channel that is finished at `t`, as the plant counts them."""
-        return math.floor(t / self._period + 1e-9 - (channel + 1) / adam.CHANNELS)
+        return math.floor(t / self._period + CONVERTED - (channel + 1) / adam.CHANNELS)
 
     def _scale(self) -> None:
         self._lows = np.array([adam.RANGES[code].low_v for code in self.ranges])
         self._steps = np.array([adam.RANGES[code].lsb_v for code in self.ranges])
+        self._coming = []
 
 
 FIRMWARE = (0x0506, 0x0000)

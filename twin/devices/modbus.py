@@ -7,7 +7,9 @@ stations look like a device on a line to their doors (`twin.devices.line`).
 """
 
 from collections import deque
+from functools import lru_cache
 from struct import Struct, unpack
+from typing import NamedTuple
 
 from pymodbus.framer import FramerRTU
 
@@ -20,6 +22,9 @@ LONGEST_RTU = 256
 GAP_CHARACTERS = 3.5
 BROADCAST = 0
 COIL_VALUES = (0x0000, 0xFF00)
+REQUESTS_KEPT = 256
+TRANSACTION, FRAME_HEAD = 2, 6
+"""Bytes of a Modbus TCP frame that name its transaction; the fewest that follow."""
 HEADER = Struct(">HHHB")
 """Of a Modbus TCP frame: transaction, protocol, bytes from the unit on, unit. Source: Modbus on TCP/IP 1.0b, 3.1.3."""
 WORDS = Struct(">HH")
@@ -27,6 +32,36 @@ EIGHT_WORDS = Struct(">8H")
 READS = (1, 2, 3, 4)
 ECHOES = (5, 6, 8, 15, 16)
 """Functions that are confirmed with the first four bytes of the request, or all of them."""
+
+
+class Request(NamedTuple):
+    """A request to a unit. `refusal` is the exception code of one that no module carries out, else 0."""
+
+    unit: int
+    pdu: bytes
+    address: int
+    number: int
+    refusal: int
+
+
+@lru_cache(REQUESTS_KEPT)
+def parsed(unit: int, pdu: bytes) -> Request:
+    """The request of a PDU."""
+    function, refusal = pdu[0], 0
+    if (function not in READS and function not in ECHOES) or (function == 8 and pdu[1:3] != b"\0\0"):
+        refusal = adam.ILLEGAL_FUNCTION
+    elif not well_formed(pdu):
+        refusal = adam.ILLEGAL_VALUE
+    address, number = WORDS.unpack_from(pdu, 1) if len(pdu) > WORDS.size else (0, 0)
+    return Request(unit, pdu, address, number, refusal)
+
+
+@lru_cache(REQUESTS_KEPT)
+def _whole(body: bytes) -> Request | None:
+    """The request of one whole frame of Modbus TCP, without its transaction; None for other bytes."""
+    if len(body) < FRAME_HEAD or body[:2] != b"\0\0" or int.from_bytes(body[2:4], "big") != len(body) - 4:
+        return None
+    return parsed(body[4], body[5:]) if len(body) <= LONGEST_TCP - TRANSACTION else None
 
 
 class TcpStation:
@@ -50,9 +85,12 @@ class TcpStation:
         What begins with no header of Modbus, or with one of more bytes than a frame can have, is dropped until a request of
         this module begins: the length does not show where the next one begins.
         """
+        if not self._buffer and not self._lost and (request := _whole(data[TRANSACTION:])) is not None:
+            self._hear(data[:TRANSACTION], request, t)
+            return
         self._buffer += data
         while len(self._buffer) >= adam.MBAP + 1:
-            transaction, protocol, length, unit = HEADER.unpack_from(self._buffer)
+            _, protocol, length, unit = HEADER.unpack_from(self._buffer)
             legal = protocol == 0 and 2 <= length <= LONGEST_TCP - adam.MBAP + 1
             if legal and self._lost:
                 legal = unit in self.device.units and self._buffer[adam.MBAP] in (*READS, *ECHOES)
@@ -64,11 +102,15 @@ class TcpStation:
             if len(frame) < 6 + length:
                 return
             self._buffer = self._buffer[len(frame) :]
-            if unit in self.device.units and not self.device.silent:
-                self.free = max(self.free, t)
-                answer = answered(self.device, frame[adam.MBAP :], self.free)
-                self.free += 0.5 * self.device.latency_s  # the other half is the way here
-                self.outbox.append((self.free, HEADER.pack(transaction, 0, 1 + len(answer), unit) + answer))
+            self._hear(frame[:TRANSACTION], parsed(unit, frame[adam.MBAP :]), t)
+
+    def _hear(self, transaction: bytes, request: Request, t: float) -> None:
+        device = self.device
+        if request.unit in device.units and not device.silent:
+            begins = self.free if self.free > t else t
+            answer = answered(device, request, begins)
+            self.free = begins + 0.5 * device.latency_s  # the other half is the way here
+            self.outbox.append((self.free, transaction + bytes((0, 0, 0, 1 + len(answer), request.unit)) + answer))
 
     def reset(self, t: float) -> None:
         """The module loses its power for a moment, and with it incomplete requests and replies."""
@@ -143,7 +185,7 @@ class RtuStation:
             if device.silent or unit not in (device.unit, BROADCAST):
                 continue
             begins = t + self._quiet_s
-            answer = answered(device, pdu, begins)
+            answer = answered(device, parsed(unit, pdu), begins)
             if unit != BROADCAST:
                 body = bytes([unit]) + answer
                 self.outbox.append((begins + device.latency_s, body + FramerRTU.compute_CRC(body).to_bytes(2, "big")))
@@ -172,24 +214,22 @@ def well_formed(pdu: bytes) -> bool:
     return 1 <= number <= (1968 if function == 15 else 123) and length == 6 + size and pdu[5] == size
 
 
-def answered(device: ConverterModule, request: bytes, t: float) -> bytes:
-    """The PDU with which a module answers that of a request that arrives at `t`: an exception where it refuses."""
-    function = request[0]
-    if (known := device.settings_reply(request)) is not None:
+def answered(device: ConverterModule, request: Request, t: float) -> bytes:
+    """The PDU with which a module answers a request that arrives at `t`: an exception where it refuses."""
+    if (known := device.settings_reply(request.pdu)) is not None:
         return known
+    function = request.pdu[0]
     try:
-        if (function not in READS and function not in ECHOES) or (function == 8 and request[1:3] != b"\0\0"):
-            raise ModbusFault(adam.ILLEGAL_FUNCTION)
-        if not well_formed(request):
-            raise ModbusFault(adam.ILLEGAL_VALUE)
+        if request.refusal:
+            raise ModbusFault(request.refusal)
         return _read(device, request, t) if function in READS else _written(device, request, t)
     except ModbusFault as fault:
         return bytes([0x80 | function, fault.code])
 
 
-def _read(device: ConverterModule, request: bytes, t: float) -> bytes:
-    function = request[0]
-    address, count = WORDS.unpack_from(request, 1)
+def _read(device: ConverterModule, request: Request, t: float) -> bytes:
+    _, pdu, address, count, _ = request
+    function = pdu[0]
     if function >= 3:
         values = device.registers(address, count, t)
         packed = EIGHT_WORDS.pack(*values) if count == adam.CHANNELS else b"".join(each.to_bytes(2, "big") for each in values)
@@ -197,25 +237,24 @@ def _read(device: ConverterModule, request: bytes, t: float) -> bytes:
         bits = sum(1 << place for place, on in enumerate(device.coils(address, count, t)) if on)
         packed = bits.to_bytes(-(-count // 8), "little")
     reply = bytes([function, len(packed)]) + packed
-    device.keep_reply(request, address, count, reply)
+    device.keep_reply(pdu, address, count, reply)
     return reply
 
 
-def _written(device: ConverterModule, request: bytes, t: float) -> bytes:
-    function = request[0]
-    if function == 8:
-        return request
-    address, number = WORDS.unpack_from(request, 1)
-    match function:
+def _written(device: ConverterModule, request: Request, t: float) -> bytes:
+    _, pdu, address, number, _ = request
+    match pdu[0]:
+        case 8:
+            return pdu
         case 5:
             device.write_coils(address, [number != 0], t)
         case 6:
             device.write_registers(address, [number], t)
         case 15:
-            bits = int.from_bytes(request[6:], "little")
+            bits = int.from_bytes(pdu[6:], "little")
             device.write_coils(address, [bool(bits >> place & 1) for place in range(number)], t)
         case 16 if not device.multiple_writes:
             raise ModbusFault(adam.ILLEGAL_FUNCTION)
         case 16:
-            device.write_registers(address, [*unpack(f">{number}H", request[6:])], t)
-    return request[:5]
+            device.write_registers(address, [*unpack(f">{number}H", pdu[6:])], t)
+    return pdu[:5]

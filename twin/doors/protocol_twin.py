@@ -4,7 +4,7 @@ A byte takes ten bits' time at the line's baud rate in each direction. Waiting f
 where the answer's last byte arrives.
 """
 
-from collections import deque
+from bisect import bisect_right
 from contextlib import AbstractContextManager, nullcontext
 from itertools import accumulate, repeat
 
@@ -37,8 +37,9 @@ class Serial(SerialBase):
         self._clock = clock
         self._device = device
         self._lock = lock if lock is not None else nullcontext()
-        self._arriving: deque[tuple[float, int]] = deque()
+        self._received, self._times = bytearray(), list[float]()
         self._sent_until = self._received_until = 0.0
+        self._reconfigure_port()
         self.is_open = True
 
     def close(self) -> None:
@@ -47,13 +48,15 @@ class Serial(SerialBase):
 
     def _reconfigure_port(self, force_update: bool = False) -> None:
         """Any setting is taken; a wrong baud rate makes the device hear nothing that it understands."""
+        del force_update
+        self._byte_s = BITS_A_BYTE / float(self.baudrate)
 
     @property
     def in_waiting(self) -> int:
         """How many bytes have arrived."""
-        self._listen()
         now = self._clock.now()
-        return sum(1 for t, _ in self._arriving if t <= now)
+        self._listen(now)
+        return bisect_right(self._times, now)
 
     def write(self, data: object, /) -> int | None:
         """Sends; returns at once, as a port with a buffer does."""
@@ -71,28 +74,26 @@ class Serial(SerialBase):
         """Waits until `size` bytes have arrived or the timeout is over; returns what has arrived."""
         if not self.is_open:
             raise PortNotOpenError()
-        deadline = float("inf") if self.timeout is None else self._clock.now() + self.timeout
+        now = self._clock.now()
+        timeout = self.timeout
+        deadline = float("inf") if timeout is None else now + timeout
         while True:
-            self._listen()
-            enough = self._arriving[size - 1][0] if len(self._arriving) >= size else float("inf")
-            wake = min(enough, deadline, self._next_change())
+            change = self._next_change(now)
+            enough = self._listen(now, size)
+            while (ready := self._next_ready()) < change and ready <= deadline and ready <= enough:
+                enough = self._listen(ready, size)
+            wake = min(enough, deadline, change)
             if wake == float("inf"):
                 raise SerialException(f"{self.port}: waiting without a timeout for bytes that nothing will send")
             self._clock.sleep_until(wake)
+            now = self._clock.now()
             if wake in (enough, deadline):
                 break
-        now = self._clock.now()
-        there = min(size, len(self._arriving))
-        while there and self._arriving[there - 1][0] > now:
-            there -= 1
-        return bytes([self._arriving.popleft()[1] for _ in range(there)])
+        return self._take(min(size, bisect_right(self._times, now)))
 
     def reset_input_buffer(self) -> None:
         """What has arrived is thrown away; what is still on its way is not."""
-        self._listen()
-        now = self._clock.now()
-        while self._arriving and self._arriving[0][0] <= now:
-            self._arriving.popleft()
+        self._take(self.in_waiting)
 
     def reset_output_buffer(self) -> None:
         """Nothing waits here."""
@@ -101,25 +102,30 @@ class Serial(SerialBase):
         """Waits until everything written has been sent."""
         self._clock.sleep_until(self._sent_until)
 
-    @property
-    def _byte_s(self) -> float:
-        return BITS_A_BYTE / float(self.baudrate)
+    def _take(self, size: int) -> bytes:
+        taken = bytes(self._received[:size])
+        del self._received[:size], self._times[:size]
+        return taken
 
-    def _listen(self, until: float | None = None) -> None:
-        """Puts on the line what the device has begun to send by now (or will have begun by `until`)."""
-        horizon = self._clock.now() if until is None else until
+    def _listen(self, until: float, size: int = 1) -> float:
+        """Puts on the line what the device will have begun to send by a time; when `size` bytes will then have arrived."""
         outbox = self._device.outbox
-        while outbox and outbox[0][0] <= horizon:
+        while outbox and outbox[0][0] <= until:
             ready, data = outbox.popleft()
             times = list(accumulate(repeat(self._byte_s, len(data)), initial=max(ready, self._received_until)))
-            self._arriving.extend(zip(times[1:], data, strict=True))
             self._received_until = times[-1]
+            self._received += data
+            self._times += times[1:]
+        return self._times[size - 1] if len(self._times) >= size else float("inf")
 
-    def _next_change(self) -> float:
-        """When the device may begin to send, or an event may change what it does."""
+    def _next_ready(self) -> float:
+        """When the device begins to send what it has not begun to send."""
         outbox = self._device.outbox
-        change = outbox[0][0] if outbox else float("inf")
+        return outbox[0][0] if outbox else float("inf")
+
+    def _next_change(self, now: float) -> float:
+        """When an event may change what the device does."""
         if isinstance(self._clock, VirtualClock):
-            return min(change, self._clock.next_event())
+            return self._clock.next_event()
         # In real time another thread may make the device speak at any moment.
-        return min(change, self._clock.now() + POLL_S)
+        return now + POLL_S

@@ -11,6 +11,8 @@ from goniotwin.twin.plant.noise import normal, wandering
 
 ELEMENTARY_CHARGE_C = 1.602176634e-19
 BOLTZMANN_J_PER_K = 1.380649e-23
+CONVERTED = 1e-9
+"""Part of a period by which a conversion may be read before its end."""
 SETTLED = 12.0
 """Time constants after which an amplifier is at rest. Its exponential tail is then a fifth of a count at full scale and is cut
 off there, so that later readings do not depend on the time.
@@ -40,7 +42,7 @@ def conversions(t: float, period: float, channels: int) -> tuple[Ints, float, fl
     earliest, latest = np.inf, -np.inf
     for c in range(channels):
         # A conversion takes one tick of the module and can be read after it.
-        numbers[c] = math.floor(t / period + 1e-9 - (c + 1) / channels)
+        numbers[c] = math.floor(t / period + CONVERTED - (c + 1) / channels)
         start = (numbers[c] + c / channels) * period
         earliest, latest = min(earliest, start), max(latest, start)
     return numbers, earliest, latest
@@ -97,8 +99,7 @@ def convert_channels(
 @kernel()
 def convert_readings(
     volts: Floats,
-    modules: Ints,
-    times: Floats,
+    first_tick: int,
     period: float,
     signal_a: Floats,
     dark_a: Floats,
@@ -113,14 +114,21 @@ def convert_readings(
     dark_keys: Keys,
     noise_keys: Keys,
 ) -> None:
-    """Fill `volts` (n, channels) with the voltages that `modules` (n,) have for `times` (n,), s, of their readings.
+    """Fill `volts` (modules, ticks, channels) with what each module has at consecutive ticks, from `first_tick` on.
 
-    `gain`, `old_gain` and `changed` are those of each reading, the rest as in `convert_channels`.
+    A tick is the end of a channel's conversion: number n of channel c is tick n * channels + c. `gain`, `old_gain` and
+    `changed` are those of each module, the rest as in `convert_channels`.
     """
-    channels = volts.shape[1]
-    for k in range(times.size):
-        numbers, _, _ = conversions(times[k], period, channels)
-        convert_channels(
-            volts[k], 0, channels, modules[k] * channels, numbers, period, signal_a, dark_a, gains, deviations, gain[k],
-            old_gain[k], changed[k], constants, lamp, lamp_keys, dark_keys, noise_keys,
-        )  # fmt: skip
+    modules, ticks, channels = volts.shape
+    now = np.empty(channels)
+    numbers = np.empty(channels, dtype=np.int64)
+    for module in range(modules):
+        for tick in range(1 - channels, ticks):
+            c = (first_tick + tick) % channels
+            numbers[c] = (first_tick + tick) // channels
+            convert_channels(
+                now, c, c + 1, module * channels, numbers, period, signal_a, dark_a, gains, deviations, gain[module],
+                old_gain[module], changed[module], constants, lamp, lamp_keys, dark_keys, noise_keys,
+            )  # fmt: skip
+            if tick >= 0:
+                volts[module, tick] = now

@@ -20,10 +20,17 @@ class ChangingQuantity(Protocol):
     def last_change(self) -> float: ...
 
 
+class Changes:
+    """Number of changes so far of the quantities that have it in common."""
+
+    number = 0
+
+
 class History(Generic[T]):
     """The last `keep` values of a quantity, each with its start time; `newest` holds from `last_change` on."""
 
-    def __init__(self, value: T, keep: int = 64) -> None:
+    def __init__(self, value: T, keep: int = 64, changes: Changes | None = None) -> None:
+        self._changes = changes if changes is not None else Changes()
         self.newest, self.last_change = value, float("-inf")
         self._times = [self.last_change]
         self._values = [value]
@@ -31,6 +38,7 @@ class History(Generic[T]):
 
     def set(self, t: float, value: T) -> None:
         """Set the value from `t` on. Values set for later times are dropped."""
+        self._changes.number += 1
         self.newest, self.last_change = value, t
         index = bisect_right(self._times, t)
         self._times[index:] = [t]
@@ -75,8 +83,8 @@ class Slew:
 class SlewHistory:
     """History of a quantity that jumps or changes linearly."""
 
-    def __init__(self, value: float) -> None:
-        self._slews = History(Slew(float("-inf"), float("-inf"), value, value))
+    def __init__(self, value: float, changes: Changes | None = None) -> None:
+        self._slews = History(Slew(float("-inf"), float("-inf"), value, value), changes=changes)
 
     def at(self, t: float) -> float:
         """Value at `t`."""

@@ -2,7 +2,7 @@
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,9 +10,9 @@ import numpy as np
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics.geometry.instrument import nominal_reflectance
 from goniotwin.twin.plant import disturbances
-from goniotwin.twin.plant.converter import conversions, convert_channels, convert_readings, noise_v
+from goniotwin.twin.plant.converter import CONVERTED, conversions, convert_channels, convert_readings, noise_v
 from goniotwin.twin.plant.disturbances import Drawn
-from goniotwin.twin.plant.history import ChangingQuantity, History, SlewHistory
+from goniotwin.twin.plant.history import Changes, ChangingQuantity, History, SlewHistory
 from goniotwin.twin.plant.lamp import lamp_constants, lamp_mean
 from goniotwin.twin.plant.model import TwinModel
 from goniotwin.twin.plant.noise import normal, process_key
@@ -34,8 +34,21 @@ SUPPLY_V = 12.0
 """An amplifier gives no more, so that no more is seen by the other channels of its module."""
 
 
-EARLIEST_CONVERSION = 1.2
-"""More than the periods by which the first of a module's last conversions began before it is read: one, and one channel."""
+TICKS_AHEAD = 3 * MODULE_CHANNELS + 2
+"""Ticks of the readings that are computed in one call: those of four readings of each module, one period apart."""
+
+
+@dataclass(frozen=True, slots=True)
+class ComingReadings:
+    """Input voltages of modules at the ticks from `first` on, V (modules, ticks, channels), after so many changes (`change`).
+
+    Those of a module hold where its gain is `steady`.
+    """
+
+    change: int
+    first: int
+    steady: list[bool]
+    volts: Floats
 
 
 @dataclass(frozen=True)
@@ -58,21 +71,23 @@ class Plant:
         self.model = model
         self.drawn = Drawn(model.disturbances, model.seed, model.photodiodes.count)
         play = model.disturbances.width(disturbances.PLAY)
+        self.changes = changes = Changes()
         self.shafts = {
-            name: Shaft(replace(each, backlash_deg=each.backlash_deg + play) if play else each)
+            name: Shaft(replace(each, backlash_deg=each.backlash_deg + play) if play else each, changes)
             for name, each in model.axes.items()
         }
-        self.wavelength_nm = SlewHistory(model.monochromator.start_nm)
-        self.wheel = SlewHistory(1.0)
-        self.shutter_open: History[bool] = History(False)
-        self.sample: History[str | None] = History(None)
-        self.mounting: History[int] = History(0)
+        self.wavelength_nm = SlewHistory(model.monochromator.start_nm, changes)
+        self.wheel = SlewHistory(1.0, changes)
+        self.shutter_open: History[bool] = History(False, changes=changes)
+        self.sample: History[str | None] = History(None, changes=changes)
+        self.mounting: History[int] = History(0, changes=changes)
         self._mountings: Counter[str] = Counter()
         self._axis_errors_deg: dict[str, float] = {}
-        self.tilt_deg: History[float] = History(0.0)
+        self.tilt_deg: History[float] = History(0.0, changes=changes)
         diodes = model.photodiodes
         self.modules = math.ceil(diodes.count / MODULE_CHANNELS)
-        self.gain: list[History[int]] = [History(0) for _ in range(self.modules)]
+        self.gain: list[History[int]] = [History(0, changes=changes) for _ in range(self.modules)]
+        self._coming: ComingReadings | None = None
         self.view = View(model, self.drawn)
         self._lamp = lamp_constants(model.light, model.seed, model.noise)
         self._make_light()
@@ -153,6 +168,7 @@ class Plant:
         if drift_per_hour is not None:
             changed[0] = drift_per_hour
         self._lamp = (changed, keys)
+        self.changes.number += 1
 
     def count_mountings(self, earlier: Mapping[str, int]) -> None:
         """Count mountings of samples before those that follow."""
@@ -168,6 +184,7 @@ class Plant:
         if share == 0.0:
             self._dark_a[photodiode] = 0.0
         self._settled_currents = ((), np.zeros(0))
+        self.changes.number += 1
 
     def angle_deg(self, axis: str, t: float) -> float:
         """True angle of an axis at `t`, with its zero and position as drawn; 0 for an axis that this rig does not have."""
@@ -309,13 +326,11 @@ class Plant:
         period, gain = self.conversion_period_s, self.gain[module]
         numbers, earliest, latest = conversions(t, period, MODULE_CHANNELS)
         volts = np.empty(MODULE_CHANNELS)
-        light = self._settled(earliest)
-        if light is not None and light != self._settled_currents[0]:
-            self._settled_currents = (light, self.photocurrents_a(latest))
-        steady = light is not None and gain.last_change <= earliest
+        light = self._settled(earliest, latest)
+        steady = light and gain.last_change <= earliest
         for begin, end in ((0, MODULE_CHANNELS),) if steady else ONE_BY_ONE:
             at = latest if steady else (numbers[begin] + begin / MODULE_CHANNELS) * period
-            signal_a = self._settled_currents[1] if light is not None else self.photocurrents_a(at)
+            signal_a = self._settled_currents[1] if light else self.photocurrents_a(at)
             before, _ = gain.before(at)
             convert_channels(
                 volts, begin, end, module * MODULE_CHANNELS, numbers, period, signal_a, self._dark_a, self._gains,
@@ -324,26 +339,29 @@ class Plant:
             )  # fmt: skip
         return self.with_crosstalk(volts)
 
-    def steady_volts(self, modules: Sequence[int], times: Sequence[float]) -> Floats | None:
-        """`volts` of modules at times, s, shape (n, 8), in one call; None where light or gain may have changed meanwhile."""
-        period, earliest = self.conversion_period_s, min(times) - EARLIEST_CONVERSION * self.conversion_period_s
-        light = self._settled(earliest)
-        if light is None or max([self.gain[module].last_change for module in set(modules)]) > earliest:
+    def tick(self, t: float) -> int:
+        """The number of the last finished conversion at a time, over all channels of a module: see `convert_readings`."""
+        return math.floor(MODULE_CHANNELS * (t / self.conversion_period_s + CONVERTED)) - 1
+
+    def coming_readings(self, tick: int) -> ComingReadings | None:
+        """`volts` of all modules from a tick on, as long as nothing changes; None where light may change at that tick."""
+        coming = self._coming
+        if coming is not None and coming.change == self.changes.number and 0 <= tick - coming.first < len(coming.volts[0]):
+            return coming
+        tick_s = self.conversion_period_s / MODULE_CHANNELS
+        earliest = (tick - MODULE_CHANNELS) * tick_s
+        if not self._settled(earliest, tick * tick_s):
             return None
-        if light != self._settled_currents[0]:
-            _, _, latest = conversions(times[0], period, MODULE_CHANNELS)
-            self._settled_currents = (light, self.photocurrents_a(latest))
-        end = max(times)
-        volts = np.empty((len(times), MODULE_CHANNELS))
-        own = np.array(modules)
-        now = np.array([each.newest for each in self.gain])[own]
-        before = np.array([each.before(end)[0] for each in self.gain])[own]
-        changed = np.array([each.last_change for each in self.gain])[own]
+        volts = np.empty((self.modules, TICKS_AHEAD, MODULE_CHANNELS))
+        changed = [each.last_change for each in self.gain]
         convert_readings(
-            volts, own, np.array(times), period, self._settled_currents[1], self._dark_a, self._gains, self._deviation, now,
-            before, changed, self._constants, *self._lamp, self._dark_keys, self._noise_keys,
+            volts, tick, self.conversion_period_s, self._settled_currents[1], self._dark_a, self._gains, self._deviation,
+            np.array([each.newest for each in self.gain]), np.array([each.before(each.last_change)[0] for each in self.gain]),
+            np.array(changed), self._constants, *self._lamp, self._dark_keys, self._noise_keys,
         )  # fmt: skip
-        return self.with_crosstalk(volts)
+        steady = [each <= earliest for each in changed]
+        self._coming = ComingReadings(self.changes.number, tick, steady, self.with_crosstalk(volts))
+        return self._coming
 
     def monitor_a(self, start: float, end: float) -> float:
         """Mean current of the monitor photodiode over [start, end], A."""
@@ -389,9 +407,15 @@ class Plant:
         """The wavelength that passes the monochromator where it is set to another."""
         return set_nm + self.drawn.of(disturbances.WAVELENGTH)
 
-    def _settled(self, t: float) -> tuple[object, ...] | None:
-        """Newest state of everything that determines the photocurrents; None where any of it has changed after `t`."""
+    def _settled(self, earliest: float, latest: float) -> bool:
+        """Whether nothing that determines the photocurrents changed after `earliest`.
+
+        `_settled_currents` then are those of `latest`, which is not before it.
+        """
         for line in self._light_path:
-            if line.last_change > t:
-                return None
-        return tuple([line.newest for line in self._light_path])
+            if line.last_change > earliest:
+                return False
+        light = tuple([line.newest for line in self._light_path])
+        if light != self._settled_currents[0]:
+            self._settled_currents = (light, self.photocurrents_a(latest))
+        return True

@@ -5,7 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
-from goniotwin.twin.plant.history import History
+from goniotwin.twin.plant.history import Changes, History
 from goniotwin.twin.plant.model import Mechanics
 from goniotwin.twin.plant.motion import Trajectory, brake_to_rest, rest_at, turning_points
 
@@ -88,10 +88,10 @@ class Drive:
 class Shaft:
     """One axis of the plant. `jam` belongs to simulation control; it notifies `listener` with the time."""
 
-    def __init__(self, mechanics: Mechanics) -> None:
+    def __init__(self, mechanics: Mechanics, changes: Changes | None = None) -> None:
         self.mechanics = mechanics
         self.listener: Callable[[float], object] = float
-        self._drives = History(Drive(mechanics, rest_at(0.0), start_deg=mechanics.zero_deg))
+        self._drives = History(Drive(mechanics, rest_at(0.0), start_deg=mechanics.zero_deg), changes=changes)
 
     @property
     def jammed(self) -> bool:

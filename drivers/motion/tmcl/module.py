@@ -25,7 +25,6 @@ much longer, and the heartbeat is too, as far as a module can count.
 import contextlib
 from collections import deque
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from functools import partial
 
 from goniotwin.drivers.device import PortOpener
@@ -174,7 +173,7 @@ class TmclModule:
             present = {name: str(self.exchange(each)) for name, each in own.items()}
             for name, value in present.items():
                 if (found := self.found.value_to_restore(name, value)) is not None:
-                    self.exchange(replace(own[name], command=WRITES[own[name].command], value=int(found)))
+                    self.exchange(own[name]._replace(command=WRITES[own[name].command], value=int(found)))
         self.found.clear()
 
     @contextlib.contextmanager
@@ -306,13 +305,13 @@ class TmclModule:
         if address == self.addresses[0]:
             self.found.take_up(f"TMCM-{number}")
         canary = CommandFrame(address, Command.SGP, CANARY_VARIABLE, USER_BANK, self._session)
-        if (found := self.exchange(replace(canary, command=Command.GGP, value=0))) != self._session:
+        if (found := self.exchange(canary._replace(command=Command.GGP, value=0))) != self._session:
             if address in self._connected:
                 self._check_not_taken(address, found)
                 self._note_reset(address)
             self.exchange(canary)
         heartbeat = CommandFrame(address, Command.SGP, GlobalParameter.HEARTBEAT, 0, round(self.heartbeat_s * 1000.0))
-        if (present := self.exchange(replace(heartbeat, command=Command.GGP, value=0))) != heartbeat.value:
+        if (present := self.exchange(heartbeat._replace(command=Command.GGP, value=0))) != heartbeat.value:
             self.found.note({setting_name(heartbeat): (str(present), str(heartbeat.value))})
             self.exchange(heartbeat)
         self._connected.add(address)

@@ -14,7 +14,7 @@ from serial import Serial, SerialException
 from goniotwin.drivers.motion.stop import StopPhase, StopWait
 from goniotwin.drivers.tap import FROM_DEVICE, TO_DEVICE, Tap
 from goniotwin.protocols.clock import Clock
-from goniotwin.protocols.tmcl import FRAME_BYTES, HOST_ADDRESS, CommandFrame, FrameError, ReplyFrame, ReplyStatus, split
+from goniotwin.protocols.tmcl import FRAME_BYTES, HOST_ADDRESS, CommandFrame, FrameError, ReplyFrame, ReplyStatus
 
 SLICE_S = 0.01
 FRAME_S_BITS = FRAME_BYTES * 10.0
@@ -66,13 +66,11 @@ class TmclPort:
 
     def frame(self, deadline: float, give_up: GiveUp) -> bytes | None:
         """The next nine bytes; None if they do not come by the deadline, or if `give_up` is true."""
-        while True:
-            frames, rest = split(self._rest)
-            if frames:
-                self._rest = b"".join(frames[1:]) + rest
-                return frames[0]
-            if not self._receive(FRAME_BYTES - len(rest), deadline, give_up):
+        while len(self._rest) < FRAME_BYTES:
+            if not self._receive(FRAME_BYTES - len(self._rest), deadline, give_up):
                 return None
+        frame, self._rest = self._rest[:FRAME_BYTES], self._rest[FRAME_BYTES:]
+        return frame
 
     def await_bytes(self, expected: bytes, deadline: float, give_up: GiveUp) -> bool:
         """True if certain bytes come by the deadline, anywhere in the stream; all that was received is then discarded."""
@@ -133,26 +131,27 @@ class TmclPort:
         """
         if give_up():
             return False
-        if self._clock.now() >= deadline - 1e-9:
+        now = self._clock.now()
+        if now >= deadline - 1e-9:
             waiting = 0 if self._taken_late == deadline else self._waiting()
             if not waiting:
                 return False
             self._taken_late, size = deadline, max(size, min(waiting, MOST_STALE))
-        data = self._read(size)
-        if give_up() and not data:
-            return False
+        data = self._read(size, now)
         if data:
             self._tap(FROM_DEVICE, data)
             self._rest += data
-        return True
+        return bool(data) or not give_up()
 
     def _discard_received(self) -> None:
         """Discard what is there, for a slice at most and then once more: a line may never fall silent."""
         self._rest = b""
-        deadline, over = self._clock.now() + SLICE_S, False
+        started, over = None, False
         while not over and (waiting := self._waiting()):
-            over = self._clock.now() >= deadline
-            self._tap(FROM_DEVICE, self._read(waiting))
+            now = self._clock.now()
+            started = now if started is None else started
+            over = now >= started + SLICE_S
+            self._tap(FROM_DEVICE, self._read(waiting, now))
 
     def _waiting(self) -> int:
         """Number of bytes that are there."""
@@ -162,8 +161,7 @@ class TmclPort:
             self.close()
             raise
 
-    def _read(self, size: int) -> bytes:
-        started = self._clock.now()
+    def _read(self, size: int, started: float) -> bytes:
         try:
             data = bytes(self._ready().read(size))
         except PORT_FAULTS:

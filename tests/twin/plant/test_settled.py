@@ -12,6 +12,7 @@ from goniotwin.twin import TwinModel
 from goniotwin.twin.plant import OrderSorting, Plant, WheelFilter
 from goniotwin.twin.plant.history import History
 from goniotwin.twin.plant.motion import ramp_to_target
+from goniotwin.twin.plant.plant import TICKS_AHEAD
 from goniotwin.twin.plant.shaft import Heartbeat
 from tests.conftest import RIG
 from tests.rig_tables import disturbances
@@ -71,7 +72,35 @@ def test_every_reading_equals_that_of_a_plant_without_a_cache(model: TwinModel, 
             disturb(plant, t, kind, choice)
         fresh._settled_currents = ((), np.zeros(0))
         module = choice % cached.modules
-        np.testing.assert_array_equal(cached.volts(module, t), fresh.volts(module, t))
+        single = fresh.volts(module, t)
+        np.testing.assert_array_equal(cached.volts(module, t), single)
+        coming = cached.coming_readings(tick := cached.tick(t))
+        if coming is not None and coming.steady[module]:
+            np.testing.assert_array_equal(coming.volts[module, tick - coming.first], single)
+
+
+@pytest.mark.parametrize("crosstalk", [0.0, 0.01])
+def test_coming_readings_are_those_of_each_tick(model: TwinModel, crosstalk: float) -> None:
+    plant = Plant(replace(model, disturbances=disturbances(crosstalk=crosstalk)))
+    plant.mount("etalon", 0.0)
+    plant.shutter_open.set(0.0, True)
+    plant.gain[1].set(2.0, 1)
+    tick_s = plant.conversion_period_s / 8
+    first = plant.tick(5.0 * tick_s + 10.0)
+    coming = plant.coming_readings(first)
+    assert coming is not None
+    assert all(coming.steady)
+    for tick in range(TICKS_AHEAD):
+        t = (first + tick + 1.3) * tick_s  # within the tick that has ended last
+        assert plant.tick(t) == first + tick
+        for module in range(plant.modules):
+            np.testing.assert_array_equal(coming.volts[module, tick], plant.volts(module, t))
+    plant.gain[1].set(t, 0)
+    later = plant.coming_readings(first + TICKS_AHEAD)
+    assert later is not None
+    assert later.steady == [True, False, True, True, True]
+    plant.shutter_open.set(t, False)
+    assert plant.coming_readings(first + TICKS_AHEAD) is None
 
 
 def test_a_heartbeat_that_expires_after_a_reading_changes_the_next(model: TwinModel) -> None:
