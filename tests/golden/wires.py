@@ -1,7 +1,7 @@
 """What a rehearsal puts on the wires and into its journal, as digests: each wire's bytes with their times, each table's rows.
 
-The golden digests are those of the version before exchanges were handed to the wires together, and poses computed before their
-rows. Numbers of the monitor, which processors may round differently in the last digit, are compared to nine digits.
+The golden digests are those of the version before poses and readings were computed ahead. Numbers of the monitor, which
+processors may round differently in the last digit, are compared to nine digits.
 """
 
 import hashlib

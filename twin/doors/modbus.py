@@ -1,16 +1,18 @@
-"""pymodbus's doors: its synchronous clients with the socket's or the port's place taken by a twin device.
+"""pymodbus's doors: synchronous clients whose transport ends at a twin device.
 
-Framing, PDUs and transactions stay pymodbus's, on both sides of the wire. Its client for serial ports waits by the wall
-clock between frames, so that of the RTU line has its own `send` and `recv`, over pyserial's door, where bytes take their
-time at the line's baud rate.
+Framing, PDUs and transactions are pymodbus's. Its client for serial ports waits by the wall clock between frames, so that of
+the RTU line has its own `send` and `recv`, over pyserial's door, where bytes take their time at the line's baud rate.
 """
 
 from collections import deque
 from collections.abc import Callable
 
 import serial
-from pymodbus.client import ModbusSerialClient, ModbusTcpClient
+from pymodbus.client import ModbusSerialClient
+from pymodbus.client.base import ModbusBaseSyncClient
 from pymodbus.exceptions import ConnectionException
+from pymodbus.framer import FramerType
+from pymodbus.transport import CommParams, CommType
 
 from goniotwin.protocols import adam
 from goniotwin.twin.addresses import CONVERTER_LINE
@@ -22,11 +24,15 @@ Trace = Callable[[bool, bytes], bytes]
 CHUNK = 256
 
 
-class TwinModbusClient(ModbusTcpClient):
-    """A Modbus TCP client whose server is a twin device, found by its `twin://` address. Raises NoSuchTwin."""
+class TwinModbusClient(ModbusBaseSyncClient):
+    """pymodbus's client for the medium of this process: a Modbus TCP module of a twin, by its `twin://` address.
+
+    Raises NoSuchTwin.
+    """
 
     def __init__(self, address: str, *, timeout: float = 1.0, trace_packet: Trace | None = None) -> None:
-        super().__init__(address, timeout=timeout, retries=0, trace_packet=trace_packet)
+        settings = CommParams(comm_type=CommType.TCP, comm_name=address, host=address, timeout_connect=timeout)
+        super().__init__(FramerType.SOCKET, 0, settings, trace_packet, None, None)
         self._rig, self._name = find(address)
         if self._name not in self._rig.modbus:
             raise missing(address, {**self._rig.modbus})
