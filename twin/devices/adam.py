@@ -9,11 +9,10 @@ The eight inputs have ranges, counts, a maximum and a minimum; a change of range
 import math
 import struct
 from collections import deque
-from typing import Any
 
 import numpy as np
 
-from goniotwin.arrays import Floats
+from goniotwin.arrays import Floats, Ints
 from goniotwin.protocols import adam
 from goniotwin.twin.plant import Plant
 from goniotwin.twin.plant.converter import CONVERTED
@@ -31,7 +30,7 @@ class Inputs:
         self._power_on = power_on
         self.changes = 0
         self._change = self._first = 0
-        self._coming: list[list[int]] = []
+        self._coming: Ints = np.empty((0, adam.CHANNELS), dtype=np.int64)
         self._period = plant.conversion_period_s
         self.reset(0.0)
 
@@ -48,9 +47,6 @@ class Inputs:
     def counts(self, t: float) -> list[int]:
         """The raw values of all channels; 0 for one that is not enabled. The same until the next conversion."""
         raw = self._converted(t)
-        if not self.held and self.enabled == adam.ALL_CHANNELS:
-            return raw
-        raw = list(raw)
         for channel, (value, until) in list(self.held.items()):
             if self._conversion(channel, t) < until:
                 raw[channel] = value
@@ -66,14 +62,18 @@ class Inputs:
         if self._change != self._plant.changes.number or not 0 <= tick - self._first < len(self._coming):
             coming = self._plant.coming_readings(tick)
             if coming is None or not coming.steady[self._index]:
-                return [*self._quantised(self._plant.volts(self._index, t))]
-            self._change, self._first = coming.change, coming.first
-            self._coming = self._quantised(coming.volts[self._index])
-        return self._coming[tick - self._first]
+                alone: list[int] = self._quantised(self._plant.volts(self._index, t)).tolist()
+                return alone
+            counts = coming.counts.get(ranges := tuple(self.ranges))
+            if counts is None:
+                counts = coming.counts[ranges] = self._quantised(coming.volts)
+            self._change, self._first, self._coming = coming.change, coming.first, counts[self._index]
+        found: list[int] = self._coming[tick - self._first].tolist()
+        return found
 
-    def _quantised(self, volts: Floats) -> Any:
-        """The raw values of voltages (..., 8) in the ranges that are set, as lists."""
-        return adam.quantise(volts, self._lows, self._steps).tolist()
+    def _quantised(self, volts: Floats) -> Ints:
+        """The raw values of voltages (..., 8) in the ranges that are set."""
+        return adam.quantise(volts, self._lows, self._steps)
 
     def average(self, t: float) -> int:
         """The mean raw value of the enabled channels, 0 where there is none."""
@@ -149,7 +149,7 @@ class Inputs:
     def _scale(self) -> None:
         self._lows = np.array([adam.RANGES[code].low_v for code in self.ranges])
         self._steps = np.array([adam.RANGES[code].lsb_v for code in self.ranges])
-        self._coming = []
+        self._coming = self._coming[:0]
 
 
 FIRMWARE = (0x0506, 0x0000)
@@ -210,7 +210,8 @@ class ConverterModule:
         """Holding (and input) registers. Raises ModbusFault for an address without a register."""
         self._refuse()
         if address == adam.AI_VALUE and count <= adam.CHANNELS:
-            return [raw ^ self._sign_bit for raw in self.inputs.counts(t)[:count]]
+            counts = self.inputs.counts(t)[:count]
+            return [raw ^ self._sign_bit for raw in counts] if self._sign_bit else counts
         wanted = range(address, address + count)
         held = self._measured(t) if address < adam.FLOAT_VALUE + INPUT_REGISTERS else {}
         held |= self._settings()

@@ -3,11 +3,11 @@
 import math
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from goniotwin.arrays import Floats
+from goniotwin.arrays import Floats, Ints
 from goniotwin.twin.optics.geometry.instrument import nominal_reflectance
 from goniotwin.twin.plant import disturbances
 from goniotwin.twin.plant.converter import CONVERTED, conversions, convert_channels, convert_readings, noise_v
@@ -42,13 +42,14 @@ TICKS_AHEAD = 3 * MODULE_CHANNELS + 2
 class ComingReadings:
     """Input voltages of modules at the ticks from `first` on, V (modules, ticks, channels), after so many changes (`change`).
 
-    Those of a module hold where its gain is `steady`.
+    Those of a module hold where its gain is `steady`. `counts` are kept for the devices, by the ranges of their channels.
     """
 
     change: int
     first: int
     steady: list[bool]
     volts: Floats
+    counts: dict[tuple[int, ...], Ints] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
