@@ -49,6 +49,44 @@ def conversions(t: float, period: float, channels: int) -> tuple[Ints, float, fl
 
 
 @kernel()
+def _channel_v(
+    k: int,
+    number: np.int64,
+    t: float,
+    level: float,
+    signal_a: Floats,
+    dark_a: Floats,
+    gains: Floats,
+    deviations: Floats,
+    gain: int,
+    old_gain: int,
+    changed: float,
+    constants: Floats,
+    dark_keys: Keys,
+    noise_keys: Keys,
+) -> float:
+    """Input voltage of channel `k` of the rig in its conversion `number`, which begins at `t`, s, at a lamp level, V.
+
+    The rest is as in `convert_channels`.
+    """
+    bandwidth, temperature, amplifier_v, offset_v, settling, dark_wander, dark_period, noisy = constants
+    dark = dark_a[k]
+    if noisy > 0.0 and dark_wander > 0.0:
+        dark *= 1.0 + dark_wander * wandering(dark_keys[k], t, dark_period)
+    current = signal_a[k] * level + dark
+    new = current * gains[gain] * (1.0 + deviations[gain, k])
+    v = new
+    if t - changed < SETTLED * settling:
+        left = math.exp(-(t - changed) / settling) - math.exp(-SETTLED)
+        v += (current * gains[old_gain] * (1.0 + deviations[old_gain, k]) - new) * left
+    if noisy > 0.0:
+        spread = _noise_v(current, gains[gain], bandwidth, temperature, amplifier_v)
+        v += spread * normal(noise_keys[k], number)
+    result: float = v + offset_v
+    return result
+
+
+@kernel()
 def convert_channels(
     volts: Floats,
     begin: int,
@@ -77,23 +115,12 @@ def convert_channels(
     before. `constants`: bandwidth Hz, temperature K, amplifier noise V, offset V, settling time constant s, relative dark
     wander, its period s, noise on (1) or off (0).
     """
-    bandwidth, temperature, amplifier_v, offset_v, settling, dark_wander, dark_period, noisy = constants
     for c in range(begin, end):
-        k = first + c
         t = (numbers[c] + c / volts.size) * period
-        dark = dark_a[k]
-        if noisy > 0.0 and dark_wander > 0.0:
-            dark *= 1.0 + dark_wander * wandering(dark_keys[k], t, dark_period)
-        current = signal_a[k] * lamp_level(t, lamp, lamp_keys) + dark
-        new = current * gains[gain] * (1.0 + deviations[gain, k])
-        v = new
-        if t - changed < SETTLED * settling:
-            left = math.exp(-(t - changed) / settling) - math.exp(-SETTLED)
-            v += (current * gains[old_gain] * (1.0 + deviations[old_gain, k]) - new) * left
-        if noisy > 0.0:
-            spread = _noise_v(current, gains[gain], bandwidth, temperature, amplifier_v)
-            v += spread * normal(noise_keys[k], numbers[c])
-        volts[c] = v + offset_v
+        volts[c] = _channel_v(
+            first + c, numbers[c], t, lamp_level(t, lamp, lamp_keys), signal_a, dark_a, gains, deviations, gain, old_gain,
+            changed, constants, dark_keys, noise_keys,
+        )  # fmt: skip
 
 
 @kernel()
@@ -120,15 +147,15 @@ def convert_readings(
     `changed` are those of each module, the rest as in `convert_channels`.
     """
     modules, ticks, channels = volts.shape
-    now = np.empty(channels)
-    numbers = np.empty(channels, dtype=np.int64)
-    for module in range(modules):
-        for tick in range(1 - channels, ticks):
-            c = (first_tick + tick) % channels
-            numbers[c] = (first_tick + tick) // channels
-            convert_channels(
-                now, c, c + 1, module * channels, numbers, period, signal_a, dark_a, gains, deviations, gain[module],
-                old_gain[module], changed[module], constants, lamp, lamp_keys, dark_keys, noise_keys,
+    now = np.empty((modules, channels))
+    for tick in range(1 - channels, ticks):
+        number, c = np.int64((first_tick + tick) // channels), (first_tick + tick) % channels
+        t = (number + c / channels) * period
+        level = lamp_level(t, lamp, lamp_keys)
+        for module in range(modules):
+            now[module, c] = _channel_v(
+                module * channels + c, number, t, level, signal_a, dark_a, gains, deviations, gain[module], old_gain[module],
+                changed[module], constants, dark_keys, noise_keys,
             )  # fmt: skip
-            if tick >= 0:
-                volts[module, tick] = now
+        if tick >= 0:
+            volts[:, tick] = now
