@@ -109,10 +109,12 @@ def main() -> None:
     options = parser.parse_args()
     against = None if options.against is None else options.against / LINKS
     works = {}
-    for name, figures in measure(options.rounds, not options.without_first_use, against):
-        works[name] = figures
-        if not options.json:
-            print(f"{name:10}", "  ".join(f"{key} {value:.2f}" for key, value in figures.items()), flush=True)
+    with TemporaryDirectory() as compiled:
+        os.environ["NUMBA_CACHE_DIR"] = compiled
+        for name, figures in measure(options.rounds, not options.without_first_use, against):
+            works[name] = figures
+            if not options.json:
+                print(f"{name:10}", "  ".join(f"{key} {value:.2f}" for key, value in figures.items()), flush=True)
     if options.json:
         machine = {"python": platform.python_version(), "machine": platform.machine(), "cores": os.cpu_count()}
         print(json.dumps({**machine, "rounds": options.rounds, "works": works}, indent=2))

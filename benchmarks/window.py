@@ -28,6 +28,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+from goniotwin.own_files import cache_folder
+
 HEAVY = (
     "numba", "llvmlite", "h5py", "pymodbus", "scipy", "pandas", "matplotlib", "xarray", "pyqtgraph", "serial", "usb", "numpy",
 )  # fmt: skip
@@ -247,7 +249,10 @@ def percentile(values: Sequence[float]) -> float:
 def measure(part: str) -> dict[str, Any]:
     """The result of a part, measured in a process of its own, with a state folder of its own."""
     with TemporaryDirectory() as state:
-        environment = {**os.environ, "QT_QPA_PLATFORM": "offscreen", "XDG_STATE_HOME": state, "HOME": state}
+        environment = {
+            **os.environ, "QT_QPA_PLATFORM": "offscreen", "XDG_STATE_HOME": state, "HOME": state,
+            "NUMBA_CACHE_DIR": str(cache_folder()),  # compiled once
+        }  # fmt: skip
         command = [sys.executable, "-m", "benchmarks.window", "--part", part]
         child = subprocess.run(command, env=environment, stdout=subprocess.PIPE, text=True, check=True)
     result: dict[str, Any] = json.loads(child.stdout.splitlines()[-1])

@@ -10,7 +10,8 @@ from enum import StrEnum
 
 import numpy as np
 
-from goniotwin.twin.plant.noise import mix, process_key
+from goniotwin.twin.plant.noise import mix
+from goniotwin.twin.plant.process_key import process_key
 
 
 class Fault(StrEnum):

@@ -1,17 +1,11 @@
 """The command `goniotwin`, also as `python -m goniotwin`."""
 
-import atexit
-import gc
 import os
 import sys
-
-NEW_OBJECTS = 10_000
-"""New objects after which Python looks for cycles among them, in place of 700."""
 
 
 def main() -> None:
     """Run the command line. `--version` alone does not load it."""
-    _collect_rarely()
     _open_closed_streams()
     if sys.argv[1:] == ["--version"]:
         import goniotwin
@@ -24,16 +18,6 @@ def main() -> None:
     from goniotwin.app.cli.main import main as run_command
 
     run_command()
-
-
-def _collect_rarely() -> None:
-    """Let Python look for cycles of objects less often, and at its end no more.
-
-    Nearly all objects that a start makes (modules, classes, tables) live until the end. To look through them again and again
-    was a twentieth of the time of `goniotwin check`; at the end, when the system takes all memory back, a sixth.
-    """
-    gc.set_threshold(NEW_OBJECTS)
-    atexit.register(gc.freeze)
 
 
 def _open_closed_streams() -> None:

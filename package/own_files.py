@@ -14,6 +14,13 @@ def state_folder() -> Path:
     return user_state_path("goniotwin", appauthor=False)
 
 
+def cache_folder() -> Path:
+    """The folder of this user's programs for what they can make again. It is not looked at."""
+    from platformdirs import user_cache_path
+
+    return user_cache_path("goniotwin", appauthor=False)
+
+
 def make_own_folder(folder: Path) -> None:
     """Make a folder with its parents, for this user alone, or check one that exists.
 

@@ -100,7 +100,7 @@ def start(
     ] = False,
 ) -> None:
     """Open the window if there is no command."""
-    compilation.state_compilation(context.invoked_subcommand or "desktop")
+    compilation.state_compilation()
     context.call_on_close(compilation.state_no_more)
     if context.invoked_subcommand is None:
         desktop(examples.FIRST_RIG, examples.FIRST_SCHEDULE)

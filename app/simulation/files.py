@@ -22,7 +22,7 @@ from goniotwin.app.formats.registry import Format, Holds
 from goniotwin.app.formats.specular_grid import SpecularCut, specular_table
 from goniotwin.app.simulation.simulate import SigmaResult, Simulation, Task, check_task
 from goniotwin.twin.optics import to_specular
-from goniotwin.twin.optics.bsdf.models import GAUSSIAN
+from goniotwin.twin.optics.bsdf.kinds import GAUSSIAN
 from goniotwin.twin.optics.geometry.coordinates import (
     mirror_in_plane_of_incidence,
     mirror_in_sample_plane,

@@ -34,7 +34,7 @@ from goniotwin.app.simulation.estimate import (
 from goniotwin.app.simulation.source import Source
 from goniotwin.arrays import Flags, Floats
 from goniotwin.twin.optics import Instrument, Lobe, SampleFrames, Scatterer, arc_direction, visible_fraction
-from goniotwin.twin.optics.bsdf.models import ANISOTROPIC, GAUSSIAN, REGULAR
+from goniotwin.twin.optics.bsdf.kinds import ANISOTROPIC, GAUSSIAN, REGULAR
 from goniotwin.twin.optics.geometry.coordinates import SPECULAR_AZIMUTH_DEG, TURN_DEG, opposite_sigma_deg, round_deg
 from goniotwin.twin.optics.geometry.deviation import NO_DEVIATION
 

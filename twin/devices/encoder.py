@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from goniotwin.twin.plant.noise import normal, process_key
+from goniotwin.twin.plant.process_key import process_key
 
 if TYPE_CHECKING:
     from goniotwin.twin.plant import Plant
@@ -37,8 +37,11 @@ class Encoder:
         """Reading at `t`: whole counts, converted into the module's microsteps."""
         mechanics = self._shaft.mechanics
         scale = self._scale(resolution)
-        noise = self._noise * normal(self._key, np.int64(math.floor(t / PERIOD_S))) if self._noise else 0.0
-        microsteps = self.steady(self._shaft.angle_deg(t), resolution) / scale + noise
+        microsteps = self.steady(self._shaft.angle_deg(t), resolution) / scale
+        if self._noise:
+            from goniotwin.twin.plant.noise import normal  # the settings are read without numba
+
+            microsteps += self._noise * normal(self._key, np.int64(math.floor(t / PERIOD_S)))
         a_count = mechanics.full_steps * MICROSTEPS / mechanics.encoder_counts
         return round(microsteps / a_count) * a_count * scale
 

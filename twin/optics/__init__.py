@@ -35,10 +35,10 @@ if TYPE_CHECKING:
     from goniotwin.twin.optics.fast.estimator import luminance_factors as luminance_factors
     from goniotwin.twin.optics.fast.estimator import spectral_throughput as spectral_throughput
     from goniotwin.twin.optics.fast.estimator import throughput as throughput
+    from goniotwin.twin.optics.fast.few_rays import visible_fraction_of_few as visible_fraction_of_few
     from goniotwin.twin.optics.fast.obstruction import ShadowMap as ShadowMap
     from goniotwin.twin.optics.fast.obstruction import shadow_map as shadow_map
     from goniotwin.twin.optics.fast.obstruction import visible_fraction as visible_fraction
-    from goniotwin.twin.optics.fast.obstruction import visible_fraction_of_few as visible_fraction_of_few
     from goniotwin.twin.optics.fast.scenes import Pose as Pose
     from goniotwin.twin.optics.fast.scenes import Poses as Poses
     from goniotwin.twin.optics.fast.scenes import Scenes as Scenes
@@ -97,7 +97,8 @@ else:
             ),
             "bsdf.table_samples": ("spectral_table", "table_sample"),
             "fast.estimator": ("luminance_factor", "luminance_factors", "spectral_throughput", "throughput"),
-            "fast.obstruction": ("ShadowMap", "shadow_map", "visible_fraction", "visible_fraction_of_few"),
+            "fast.few_rays": ("visible_fraction_of_few",),
+            "fast.obstruction": ("ShadowMap", "shadow_map", "visible_fraction"),
             "fast.scenes": ("Pose", "Poses", "Scenes"),
             "fast.surrogate": ("Surrogate", "factor_blocks"),
             "forward.estimator": ("Estimate", "forward_throughput"),

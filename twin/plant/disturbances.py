@@ -17,7 +17,7 @@ from goniotwin.keys import LATER, NonNegative, check_bounds
 from goniotwin.twin.optics import Deviation, Instrument
 from goniotwin.twin.optics.geometry.field import scale_field
 from goniotwin.twin.optics.geometry.instrument import COMPONENTS
-from goniotwin.twin.plant.noise import mix, normal, process_key
+from goniotwin.twin.plant.process_key import process_key
 
 
 class SharedBy(StrEnum):
@@ -147,6 +147,8 @@ class Drawn(Mapping[str, float]):
     def _draw(self, name: str, disturbance: Disturbance, width: float) -> float:
         if width == 0.0:
             return 0.0
+        from goniotwin.twin.plant.noise import mix, normal  # the settings are read without numba
+
         process = process_key(self._seed, f"disturbance {name}")
         if disturbance.distribution == "normal":
             return width * float(normal(process, np.int64(0)))

@@ -7,7 +7,8 @@ import numpy as np
 from goniotwin.arrays import Floats, Keys
 from goniotwin.twin.optics.kernel import kernel
 from goniotwin.twin.plant.model import LightSource
-from goniotwin.twin.plant.noise import normal, process_key, wandering
+from goniotwin.twin.plant.noise import normal, wandering
+from goniotwin.twin.plant.process_key import process_key
 
 
 @kernel()

@@ -5,18 +5,12 @@ function is the finaliser of splitmix64 (Steele, Lea, Flood 2014), applied twice
 """
 
 import math
-from hashlib import blake2b
 
 import numpy as np
 
 from goniotwin.twin.optics.kernel import kernel
 
 U64 = np.uint64
-
-
-def process_key(seed: int, process: str) -> np.uint64:
-    """Key of a named process under a seed."""
-    return U64(int.from_bytes(blake2b(f"{seed}/{process}".encode(), digest_size=8).digest(), "big"))
 
 
 @kernel()

@@ -15,7 +15,8 @@ from goniotwin.twin.plant.disturbances import Drawn
 from goniotwin.twin.plant.history import Changes, ChangingQuantity, History, SlewHistory
 from goniotwin.twin.plant.lamp import lamp_constants, lamp_mean
 from goniotwin.twin.plant.model import TwinModel
-from goniotwin.twin.plant.noise import normal, process_key
+from goniotwin.twin.plant.noise import normal
+from goniotwin.twin.plant.process_key import process_key
 from goniotwin.twin.plant.shaft import Shaft
 from goniotwin.twin.plant.view import Aspect, View
 

@@ -11,9 +11,8 @@ import numpy as np
 from goniotwin.app.rig import RigFile, nominal_instrument
 from goniotwin.arrays import Flags, Floats
 from goniotwin.twin.optics import Instrument, arc_direction, visible_fraction_of_few
-from goniotwin.twin.optics.deferred_kernel import interpreted
 from goniotwin.twin.optics.geometry.coordinates import round_deg
-from goniotwin.twin.optics.geometry.mirrors import mirrors_at
+from goniotwin.twin.optics.geometry.nominal import nominal_mirrors
 
 MOST_KEPT = 128
 """Directions, about those of a pose, of which an answer is kept."""
@@ -96,9 +95,8 @@ def clear_of_mirrors(instrument: Instrument, margin_deg: float, sigma_deg: float
 
 @lru_cache(maxsize=512)
 def _mirrors(instrument: Instrument, sigma_deg: float) -> Floats:
-    """The three mirrors as in `Mirrors.packed`, without numba."""
-    with interpreted():
-        return mirrors_at(instrument, sigma_deg).packed
+    """`nominal_mirrors`, kept."""
+    return nominal_mirrors(instrument, sigma_deg)
 
 
 def _near(instrument: Instrument, light_mm: float, centre: Floats, directions: Floats) -> Flags:

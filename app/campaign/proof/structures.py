@@ -18,7 +18,8 @@ from goniotwin.app.campaign.schedule.file import ScheduleDescription, parse_sche
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription, parse_rig
 from goniotwin.app.rig.described_twin import described_twin
-from goniotwin.twin.plant.noise import mix, process_key
+from goniotwin.twin.plant.noise import mix
+from goniotwin.twin.plant.process_key import process_key
 
 One = TypeVar("One")
 

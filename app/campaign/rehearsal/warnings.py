@@ -20,7 +20,7 @@ from goniotwin.app.campaign.schedule.file import ScheduleFile
 from goniotwin.app.campaign.schedule.grids import grid_values
 from goniotwin.arrays import Flags, Floats
 from goniotwin.twin.optics import Instrument, Scatterer, arc_direction, evaluate, light_direction, luminance_factor
-from goniotwin.twin.optics.bsdf.models import REGULAR
+from goniotwin.twin.optics.bsdf.kinds import REGULAR
 from goniotwin.twin.optics.geometry.coordinates import SPECULAR_AZIMUTH_DEG
 
 NOTICEABLE = 0.01

@@ -5,7 +5,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from goniotwin.arrays import Floats
-from goniotwin.twin.plant.noise import normal, process_key, wandering
+from goniotwin.twin.plant.noise import normal, wandering
+from goniotwin.twin.plant.process_key import process_key
 
 COUNT = 20_000
 

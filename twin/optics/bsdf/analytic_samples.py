@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from goniotwin.arrays import Floats
+from goniotwin.twin.optics.bsdf.kinds import ELLIPTIC, GAUSSIAN, LAMBERTIAN, REGULAR, WARD, WIDE
 from goniotwin.twin.optics.bsdf.lobes import GaussianQuantity, Lobe, freeze, normal_reflectance, parameters
-from goniotwin.twin.optics.bsdf.models import ELLIPTIC, GAUSSIAN, LAMBERTIAN, REGULAR, WARD, WIDE
 from goniotwin.twin.optics.bsdf.scatterer import Scatterer, move_to_side
 
 Form = Literal["one_over_e", "half_width"]

@@ -1,4 +1,7 @@
-"""Lobe: one scattering model for one pair of sides of the sample, as an argument of the kernels."""
+"""Lobe: one scattering model for one pair of sides of the sample, as an argument of the kernels.
+
+Samples are made without numba: what evaluates them loads it.
+"""
 
 import math
 from dataclasses import dataclass, field
@@ -9,19 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from goniotwin.arrays import Floats
-from goniotwin.twin.optics.bsdf.cells import cell_shares
-from goniotwin.twin.optics.bsdf.models import (
-    ANISOTROPIC,
-    ELLIPTIC,
-    GAUSSIAN,
-    REGULAR,
-    TABLE,
-    WARD,
-    WIDE,
-    evaluate_all,
-    refract,
-    regular_share,
-)
+from goniotwin.twin.optics.bsdf.kinds import ANISOTROPIC, ELLIPTIC, GAUSSIAN, REGULAR, TABLE, WARD, WIDE
 from goniotwin.twin.optics.geometry.coordinates import from_specular, light_direction
 
 GaussianQuantity = Literal["luminance", "intensity"]
@@ -77,6 +68,8 @@ class Lobe:
         """Argument of `sample` and `density` in place of the table: see `cell_shares`; one zero for models without a table."""
         if self.kind not in (TABLE, ANISOTROPIC):
             return freeze([[[0.0]]])
+        from goniotwin.twin.optics.bsdf.cells import cell_shares
+
         return freeze(cell_shares(self.sigma_deg, self.phi_deg, self.theta_deg, self.values))
 
     @cached_property
@@ -103,6 +96,8 @@ class Lobe:
 
         Gauss-Legendre over theta between the breaks of the model and up to the horizon of each phi; mean over phi.
         """
+        from goniotwin.twin.optics.bsdf.models import evaluate_all, refract, regular_share
+
         light = light_direction(sigma_deg)
         if self.kind == REGULAR:
             _, params, sig, _, _, _, table = self.kernel_arguments

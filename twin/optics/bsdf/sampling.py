@@ -11,20 +11,8 @@ import numpy as np
 
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics.bsdf.cells import cell_density, cell_direction
-from goniotwin.twin.optics.bsdf.models import (
-    ANISOTROPIC,
-    ELLIPTIC,
-    GAUSSIAN,
-    REGULAR,
-    TABLE,
-    WARD,
-    WIDE,
-    analytic_value,
-    from_canonical,
-    refract,
-    regular_share,
-    shaped_value,
-)
+from goniotwin.twin.optics.bsdf.kinds import ANISOTROPIC, ELLIPTIC, GAUSSIAN, REGULAR, TABLE, WARD, WIDE
+from goniotwin.twin.optics.bsdf.models import analytic_value, from_canonical, refract, regular_share, shaped_value
 from goniotwin.twin.optics.bsdf.tables import light_place, observer_place, specular_vector, value_at
 from goniotwin.twin.optics.kernel import kernel
 

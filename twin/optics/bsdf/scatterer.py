@@ -13,9 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from goniotwin.arrays import Floats
+from goniotwin.twin.optics.bsdf.kinds import REGULAR
 from goniotwin.twin.optics.bsdf.lobes import ALBEDO_SIGMA_DEG, Lobe, freeze, rotate_about_z
-from goniotwin.twin.optics.bsdf.models import REGULAR, evaluate_all, to_canonical
-from goniotwin.twin.optics.bsdf.sampling import scatter_all
 from goniotwin.twin.optics.geometry.coordinates import HALF_TURN_DEG, is_lit_from_behind
 
 
@@ -111,6 +110,8 @@ def evaluate(
     Only the lobes for these sides contribute. A regular lobe has no finite value and adds 0. `gamma_deg` turns the sample.
     Raises ValueError for a wrong shape, and for a sample with a spectrum without a wavelength.
     """
+    from goniotwin.twin.optics.bsdf.models import evaluate_all
+
     rows, shape = _rows(light, observer, gamma_deg)
     weights = scatterer.weights(wavelength_nm)
     result: Floats = np.zeros(rows[0].shape[0])
@@ -186,6 +187,9 @@ def draw_directions(
     lobe's value times cosine over the density and over the lobe's probability, so the mean of the weights is the sum of both
     albedos. It is 0 for a direction without scattering. Raises ValueError for wrong shapes.
     """
+    from goniotwin.twin.optics.bsdf.models import to_canonical
+    from goniotwin.twin.optics.bsdf.sampling import scatter_all
+
     vector, numbers = np.asarray(light, float), np.asarray(uniform, float)
     if vector.shape != (3,):
         raise ValueError(f"light has the shape {vector.shape}: give one vector (3,)")

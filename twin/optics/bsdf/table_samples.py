@@ -11,8 +11,8 @@ import numpy.typing as npt
 
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics.bsdf.analytic_samples import Side, check_axis, lobes_of_side
+from goniotwin.twin.optics.bsdf.kinds import ANISOTROPIC, TABLE
 from goniotwin.twin.optics.bsdf.lobes import Lobe, freeze, parameters
-from goniotwin.twin.optics.bsdf.models import ANISOTROPIC, TABLE
 from goniotwin.twin.optics.bsdf.scatterer import Scatterer, SpectralWeights
 
 Symmetry = Literal["none", "half_turn", "mirror", "orthotropic"]

@@ -23,8 +23,8 @@ import math
 import numpy as np
 
 from goniotwin.arrays import Floats
+from goniotwin.twin.optics.fast.bundle import CLOSER
 from goniotwin.twin.optics.fast.clipped_pupil import CLIPPED, clip_terms, clip_value
-from goniotwin.twin.optics.geometry.instrument import Instrument
 from goniotwin.twin.optics.geometry.scene import detector_frame
 from goniotwin.twin.optics.illumination.slit_image import ALONG_U, ALONG_V, chord_lines, cut_chord, is_cut
 from goniotwin.twin.optics.kernel import kernel
@@ -65,22 +65,10 @@ CHORD_PLACE = math.sqrt(0.6)
 """Outer place of three Gauss-Legendre nodes."""
 
 
-CLOSER = 1.1
-"""With deviations a detector may be closer to a part of the hole than the arc's radius, by up to this factor."""
 WIDE = 0.7
 """Ratio of the cone's radius at the disc to the disc's radius: from here on `fill_wide_apertures` is the better one (compared
 with 400 nodes).
 """
-
-
-def aperture_sizes(instrument: Instrument) -> Floats:
-    """Argument of the kernels: the disc's radius and the hole's half side, mm, and the sine of half the field.
-
-    A field wider than the widest angle between hole and disc is limited to that angle: the result is the same, and costs less.
-    """
-    radius, half = 0.5 * instrument.detector_diameter_mm, 0.5 * instrument.spot_side_mm
-    most = math.atan(CLOSER * (radius + math.sqrt(2.0) * half) / instrument.arc_radius_mm)
-    return np.array([radius, half, math.sin(min(math.radians(0.5 * instrument.field_deg), most))])
 
 
 def cone_nodes(rings: int = 1) -> Floats:

@@ -13,7 +13,8 @@ import math
 import numpy as np
 
 from goniotwin.arrays import Floats
-from goniotwin.twin.optics.bsdf.models import GAUSSIAN, LAMBERTIAN, bsdf
+from goniotwin.twin.optics.bsdf.kinds import GAUSSIAN, LAMBERTIAN
+from goniotwin.twin.optics.bsdf.models import bsdf
 from goniotwin.twin.optics.bsdf.packed_lobes import KIND, TRANSMITS, Models, model_arrays
 from goniotwin.twin.optics.kernel import kernel
 

@@ -6,15 +6,13 @@ hidden directions are known before a campaign as a map over the arc's angles.
 """
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from goniotwin.arrays import Floats
-from goniotwin.twin.optics.deferred_kernel import interpreted
-from goniotwin.twin.optics.fast.aperture import aperture_sizes
+from goniotwin.twin.optics.fast.bundle import aperture_sizes, ray_bundle
 from goniotwin.twin.optics.fast.ray_bundle import (
     END_WEIGHT,
     TILE,
@@ -22,18 +20,13 @@ from goniotwin.twin.optics.fast.ray_bundle import (
     fill_ends,
     fill_view,
     hide_ends,
-    is_blocked,
-    map_to_disc,
-    ray_bundle,
 )
 from goniotwin.twin.optics.geometry.coordinates import arc_direction
 from goniotwin.twin.optics.geometry.instrument import Instrument
-from goniotwin.twin.optics.geometry.scene import Scene, detector_frame, place_scene, scene_at
+from goniotwin.twin.optics.geometry.scene import detector_frame, scene_at
 from goniotwin.twin.optics.kernel import kernel
 
 FREE, PARTLY, HIDDEN = 0, 1, 2
-FEW_RAYS = 300_000
-"""Number of rays that numpy follows in less time than it takes to load numba."""
 
 
 @kernel()
@@ -133,64 +126,12 @@ def visible_fraction(
     deterministic rays per detector; for a sensor that is not a simple detector, from all rays that could pass. Raises
     ValueError for a wrong shape or a vector of length zero.
     """
-    return _visible(visible_shares, instrument, scene_at(instrument, sigma_deg, gamma_deg), directions, rays)
-
-
-def visible_fraction_of_few(
-    instrument: Instrument, sigma_deg: float, directions: npt.ArrayLike, rays: int, gamma_deg: float
-) -> Floats:
-    """`visible_fraction` of some hundred directions: by numpy, without numba, which takes longer to load.
-
-    From FEW_RAYS rays on it is `visible_fraction` itself. Equal up to the rounding of sums. Raises ValueError as that does.
-    """
-    if rays * np.size(directions) > 3 * FEW_RAYS:
-        return visible_fraction(instrument, sigma_deg, directions, rays, gamma_deg)
-    with interpreted():
-        # Not from `scene_at`, which keeps its scenes: the compiled functions may round them in another way.
-        return _visible(_visible_shares, instrument, place_scene(instrument, sigma_deg, gamma_deg), directions, rays)
-
-
-def _visible(
-    shares: Callable[..., Floats], instrument: Instrument, scene: Scene, directions: npt.ArrayLike, rays: int
-) -> Floats:
-    """Visible shares (n,) of detectors in a scene."""
+    scene = scene_at(instrument, sigma_deg, gamma_deg)
     if instrument.sensor is not None:
         instrument = replace(instrument, sensor=None, field_deg=instrument.sensor.widest_deg)
     centres, axes = scene.detectors(instrument, directions)
-    half = 0.5 * instrument.blocking_side_mm
-    sizes = aperture_sizes(instrument)
-    return np.asarray(shares(centres, axes, ray_bundle(rays, float(sizes[2])), sizes, scene.mirrors, half))
-
-
-def _visible_shares(centres: Floats, directions: Floats, bundle: Floats, sizes: Floats, mirrors: Floats, half: float) -> Floats:
-    """`visible_shares` by numpy, all rays of all detectors at once. A test holds the two against each other."""
-    radius, hole, views = sizes[0], sizes[1], np.zeros((len(directions), 4, 3))
-    for centre, direction, view in zip(centres, directions, views, strict=True):
-        fill_view(centre, direction, view)
-    (e1x, e1y, e1z), (e2x, e2y, _), (dx, dy, dz), (beside1, beside2, ahead) = np.transpose(views, (1, 2, 0))[..., None]
-    total, free = np.zeros(len(directions)), np.zeros(len(directions))
-    for sign in (1.0, -1.0):
-        along = bundle[4]
-        hole_u, hole_v, p, q = sign * bundle[:4]
-        with np.errstate(divide="ignore", invalid="ignore"):  # a detector in the sample's plane
-            a0, au, av, b0, bu, bv = map_to_disc(e1x, e1y, e2x, e2y, dx, dy, beside1, beside2, ahead, p, q)
-            square, area = au * au + bu * bu, au * bv - av * bu
-            middle, reach = (bu * a0 - au * b0) / area, radius * np.sqrt(square) / np.abs(area)
-            low, high = np.fmax(middle - reach, -hole), np.fmin(middle + reach, hole)
-            v, share_v = 0.5 * (low + high + (high - low) * hole_v), high - low
-            a1, b1 = a0 + av * v, b0 + bv * v
-            inside = np.fmax(radius * radius * square - (a1 * bu - b1 * au) ** 2, 0.0)
-            middle, reach = -(a1 * au + b1 * bu) / square, np.sqrt(inside) / square
-            low, high = np.fmax(middle - reach, -hole), np.fmin(middle + reach, hole)
-            u, share_u = 0.5 * (low + high + (high - low) * hole_u), high - low
-            wx, wy, wz = along * (dx + p * e1x + q * e2x), along * (dy + p * e1y + q * e2y), along * (dz + p * e1z)
-            weight = np.where((share_v > 0.0) & (wz * dz > 0.0) & (share_u > 0.0), np.abs(area) * share_v * share_u, 0.0)
-            length = (ahead - u * dx - v * dy) * along * (1.0 + p * p + q * q)
-            ray = (half, u, v, wx, wy, wz, length)
-            hidden = [is_blocked(*(*mirror.ravel(), *ray)) for mirror in mirrors]
-        total += weight.sum(axis=1)
-        free += np.where(np.any(hidden, axis=0), 0.0, weight).sum(axis=1)
-    return np.divide(free, total, out=np.zeros(len(total)), where=total > 0.0)
+    sizes, half = aperture_sizes(instrument), 0.5 * instrument.blocking_side_mm
+    return np.asarray(visible_shares(centres, axes, ray_bundle(rays, float(sizes[2])), sizes, scene.mirrors, half))
 
 
 @dataclass(frozen=True, eq=False)

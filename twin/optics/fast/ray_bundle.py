@@ -1,10 +1,7 @@
 """Bundle of rays: the same for every detector and every sample, so that errors of the quadrature cancel in ratios."""
 
 import math
-from functools import lru_cache
 from typing import Any, TypeVar
-
-import numpy as np
 
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics.geometry.scene import SceneArrays, detector_frame, reaches_over
@@ -24,45 +21,6 @@ RAY_WEIGHT, RAY_X, RAY_Y, RAY_Z = (row * TILE for row in range(14, 18))
 # Ends of the chord of the hole, before the light is known.
 LOW_U, HIGH_U = RAY_X, RAY_Y
 TILE_ROWS = 18
-
-# Offset of the sequence: the best of 120, chosen when rays beyond the disc's edge were still dropped; any other would do.
-SHIFT = (0.42, 0.25, 0.22, 0.65, 0.05, 0.24)
-
-
-def _r_sequence(count: int, shift: tuple[float, ...]) -> Floats:
-    """Points (count, len(shift)) in 0..1: additive recurrence with the generalised golden ratio (Roberts 2018)."""
-    dimensions = len(shift)
-    ratio = 2.0
-    for _ in range(64):
-        ratio = (1.0 + ratio) ** (1.0 / (dimensions + 1))
-    steps = (1.0 / ratio) ** np.arange(1, dimensions + 1)
-    return (0.5 + np.array(shift) + np.arange(1, count + 1)[:, None] * steps) % 1.0
-
-
-def _disc(square: Floats) -> Floats:
-    """Map of the square from -1 to 1 (n, 2) to the unit disc that keeps areas (concentric map, Shirley and Chiu 1997)."""
-    x, y = square[:, 0], square[:, 1]
-    wide = np.abs(x) > np.abs(y)
-    radius = np.where(wide, x, y)
-    divisor = np.where(radius == 0.0, 1.0, radius)
-    angle = np.where(wide, np.pi / 4 * y / divisor, np.pi / 2 - np.pi / 4 * x / divisor)
-    return np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
-
-
-@lru_cache(maxsize=16)
-def ray_bundle(rays: int, sine: float) -> Floats:
-    """Bundle of `rays` rays, as an array (7, rays / 4) whose rows are named above; `sine` is that of half the field.
-
-    The same for every call. Every ray of the array comes with three more: with opposite signs at the detector's end, at the
-    pupil's end, and at both. In the lobe of a Gaussian the terms that are odd in a ray's offset from the axis are by far the
-    largest; so they cancel, with the products of the two ends. Raises ValueError unless `rays` is a multiple of 4, at least 4.
-    """
-    if rays < 4 or rays % 4:
-        raise ValueError(f"rays is {rays}: give a multiple of 4, at least 4")
-    squares = 2.0 * _r_sequence(rays // 4, SHIFT) - 1.0
-    slopes = sine * _disc(squares[:, 2:4])
-    along = np.sqrt(1.0 - np.sum(slopes**2, axis=1))
-    return np.vstack([squares[:, 0:2].T, (slopes / along[:, None]).T, along[None], _disc(squares[:, 4:6]).T])
 
 
 @kernel()

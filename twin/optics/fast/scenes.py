@@ -18,8 +18,9 @@ import numpy as np
 import numpy.typing as npt
 
 from goniotwin.arrays import Floats, Ints
+from goniotwin.twin.optics.bsdf.kinds import ANISOTROPIC, GAUSSIAN, LAMBERTIAN, REGULAR, TABLE
 from goniotwin.twin.optics.bsdf.lobes import Lobe, parameters
-from goniotwin.twin.optics.bsdf.models import ANISOTROPIC, GAUSSIAN, LAMBERTIAN, REGULAR, TABLE, regular_share
+from goniotwin.twin.optics.bsdf.models import regular_share
 from goniotwin.twin.optics.bsdf.packed_lobes import ABOVE, KIND, TRANSMITS, Models, model_arrays, pack_models
 from goniotwin.twin.optics.bsdf.scatterer import Scatterer
 from goniotwin.twin.optics.fast.aperture import (
@@ -35,7 +36,6 @@ from goniotwin.twin.optics.fast.aperture import (
     ROWS,
     WIDE,
     M,
-    aperture_sizes,
     cone_nodes,
     fill_apertures,
     fill_frames,
@@ -44,6 +44,7 @@ from goniotwin.twin.optics.fast.aperture import (
     side_nodes,
     whole_lanes,
 )
+from goniotwin.twin.optics.fast.bundle import aperture_sizes, ray_bundle
 from goniotwin.twin.optics.fast.clipped_pupil import CLIPPED, TERMS, clip_fit, clip_grid, fill_clip
 from goniotwin.twin.optics.fast.lobe_sums import add_values, gaussian_values, lambertian_values, lobe_sums
 from goniotwin.twin.optics.fast.obstruction import FREE, HIDDEN, PARTLY, find_shadow, mirrors_near, visible_shares
@@ -58,7 +59,6 @@ from goniotwin.twin.optics.fast.ray_bundle import (
     fill_ends,
     fill_view,
     hide_ends,
-    ray_bundle,
 )
 from goniotwin.twin.optics.fast.rays import PLACES, find_offsets, place_node
 from goniotwin.twin.optics.fast.regular_component import HOLE_NODES, SLOPE_NODES, image_measures, light_shares, line_nodes

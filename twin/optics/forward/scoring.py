@@ -17,7 +17,7 @@ import numpy as np
 
 from goniotwin.arrays import Bytes, Floats, Indices, Singles, Words
 from goniotwin.twin.optics.forward.paths import BLOCK, DX, DY, DZ, PX, PY, STOP, WEIGHT
-from goniotwin.twin.optics.geometry.sensor import RealSensor, passes_sensor
+from goniotwin.twin.optics.geometry.sensor import RealSensor
 from goniotwin.twin.optics.kernel import kernel
 
 F32 = np.float32
@@ -285,3 +285,15 @@ def score_segment(
         if is_counted(targets, targets.sensor, j, px, py, pz, dx, dy, dz, stop):
             sums[j, 2] += weight
             sums[j, 3] += weight * weight
+
+
+@kernel(forceinline=True)
+def passes_sensor(x: float, y: float, p: float, q: float, constants: Floats) -> bool:
+    """Whether a ray that crosses the lens' plane at (x, y), mm, with slopes (p, q) to its axis reaches the detector."""
+    if x * x + y * y > constants[0]:
+        return False
+    p, q = p - x * constants[2], q - y * constants[2]
+    a, b = x + p * constants[3], y + q * constants[3]
+    if a * a + b * b > constants[1]:
+        return False
+    return bool(abs(x + p * constants[4]) <= constants[5] and abs(y + q * constants[4]) <= constants[5])

@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics.bsdf.analytic_samples import regular
-from goniotwin.twin.optics.bsdf.models import GAUSSIAN, LAMBERTIAN
+from goniotwin.twin.optics.bsdf.kinds import GAUSSIAN, LAMBERTIAN
 from goniotwin.twin.optics.bsdf.packed_lobes import ABOVE, Lobes, lobe_share, pack_lobes
 from goniotwin.twin.optics.bsdf.scatterer import Scatterer
 from goniotwin.twin.optics.forward.blocks import COSINE, FRAME, MODEL, REST, SHAPE, Strata

@@ -8,8 +8,6 @@ import numpy as np
 
 from goniotwin.arrays import Floats
 from goniotwin.keys import check_bounds
-from goniotwin.twin.optics.deferred_kernel import interpreted
-from goniotwin.twin.optics.kernel import kernel
 
 
 @dataclass(frozen=True)
@@ -37,14 +35,16 @@ NO_DEVIATION = Deviation()
 
 def rotation_and_shift(deviation: Deviation) -> tuple[Floats, Floats]:
     """Rotation matrix R (3, 3) and shift (3,) in mm: a point p of an element about c moves to c + R (p - c) + shift."""
-    row = np.array(astuple(deviation))
-    with interpreted():  # once for an instrument: the kernel takes longer to load
-        return rotations(row[None])[0], row[3:]
+    row, turn = np.array(astuple(deviation)), np.empty((3, 3))
+    turn_by(row, turn)
+    return turn, row[3:]
 
 
-@kernel()
-def fill_rotation(deviation: Floats, turn: Floats) -> None:
-    """Fill `turn` (3, 3) with the rotation of a deviation (6,): its three angles, deg, and three shifts."""
+def turn_by(deviation: Floats, turn: Floats) -> None:
+    """Fill `turn` (3, 3) with the rotation of a deviation (6,): its three angles, deg, and three shifts.
+
+    For Python; the kernel of it is `twin.optics.geometry.rotations.fill_rotation`.
+    """
     rx, ry, rz = math.radians(deviation[0]), math.radians(deviation[1]), math.radians(deviation[2])
     cx, sx, cy, sy, cz, sz = 1.0, 0.0, 1.0, 0.0, 1.0, 0.0
     if rx != 0.0:
@@ -56,15 +56,6 @@ def fill_rotation(deviation: Floats, turn: Floats) -> None:
     turn[0, 0], turn[0, 1], turn[0, 2] = cz * cy, cz * sy * sx - sz * cx, cz * sy * cx + sz * sx
     turn[1, 0], turn[1, 1], turn[1, 2] = sz * cy, sz * sy * sx + cz * cx, sz * sy * cx - cz * sx
     turn[2, 0], turn[2, 1], turn[2, 2] = -sy, cy * sx, cy * cx
-
-
-@kernel()
-def rotations(deviations: Floats) -> Floats:
-    """Rotation matrices (n, 3, 3) of deviations (n, 6), see `fill_rotation`."""
-    turns = np.empty((deviations.shape[0], 3, 3))
-    for i in range(deviations.shape[0]):
-        fill_rotation(deviations[i], turns[i])
-    return turns
 
 
 def check_deviations(

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from goniotwin.arrays import Floats
-from goniotwin.twin.optics.geometry.deviation import fill_rotation
 from goniotwin.twin.optics.geometry.instrument import (
     MIRROR_1,
     MIRROR_DISTANCE,
@@ -22,6 +21,8 @@ from goniotwin.twin.optics.geometry.instrument import (
     PUPIL_TO_MIRROR,
     Instrument,
 )
+from goniotwin.twin.optics.geometry.nominal import place_mirrors
+from goniotwin.twin.optics.geometry.rotations import fill_rotation
 from goniotwin.twin.optics.kernel import kernel
 
 
@@ -95,20 +96,16 @@ def pupil_image(instrument: Instrument, sigma_deg: float) -> tuple[Floats, Float
     return rows[0], rows[1], rows[2]
 
 
+fill_nominal_mirrors = kernel()(place_mirrors)
+
+
 @kernel()
 def fill_mirrors(lengths: Floats, deviations: Floats, sigma_deg: float, mirrors: Floats) -> None:
     """Fill `mirrors` (3, 4, 3) as in `Mirrors`, at any sigma, with the deviations (elements, 6) of mirrors and unit."""
     sine, cosine = math.sin(math.radians(sigma_deg)), math.cos(math.radians(sigma_deg))
-    distance, turn, own = lengths[MIRROR_DISTANCE], np.empty((3, 3)), np.empty((3, 3))
+    turn, own = np.empty((3, 3)), np.empty((3, 3))
+    fill_nominal_mirrors(lengths[MIRROR_DISTANCE], sigma_deg, mirrors)
     for m in range(3):
-        # Along l and y: the centre; the normal, which is along b - a for a mirror that turns unit direction a into b.
-        out, down = 0.0 if m == 0 else distance, 0.0 if m == 2 else -distance
-        facing = math.sqrt(0.5) if m == 0 else -math.sqrt(0.5)
-        level = math.sqrt(0.5) if m == 1 else -math.sqrt(0.5)
-        mirrors[m, 0, 0], mirrors[m, 0, 1], mirrors[m, 0, 2] = out * sine, down, out * cosine
-        mirrors[m, 1, 0], mirrors[m, 1, 1], mirrors[m, 1, 2] = facing * sine, level, facing * cosine
-        mirrors[m, 2, 0], mirrors[m, 2, 1], mirrors[m, 2, 2] = -cosine, 0.0, sine
-        mirrors[m, 3, 0], mirrors[m, 3, 1], mirrors[m, 3, 2] = facing * sine, -level, facing * cosine
         deviation = deviations[MIRROR_1 + m]
         if is_moved(deviation):
             fill_rotation(deviation, turn)

@@ -14,7 +14,6 @@ import numpy.typing as npt
 
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics.geometry.coordinates import detector_rows
-from goniotwin.twin.optics.geometry.deviation import fill_rotation
 from goniotwin.twin.optics.geometry.instrument import (
     ARC,
     ARC_RADIUS,
@@ -26,6 +25,7 @@ from goniotwin.twin.optics.geometry.instrument import (
     Instrument,
 )
 from goniotwin.twin.optics.geometry.mirrors import fill_mirrors, is_moved, place_unit, reflect_rows
+from goniotwin.twin.optics.geometry.rotations import fill_rotation
 from goniotwin.twin.optics.kernel import kernel
 
 SCENES_KEPT = 64

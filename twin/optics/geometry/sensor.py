@@ -14,7 +14,6 @@ import numpy as np
 
 from goniotwin.arrays import Floats
 from goniotwin.keys import Positive, check_bounds
-from goniotwin.twin.optics.kernel import kernel
 
 
 @dataclass(frozen=True)
@@ -83,15 +82,3 @@ class RealSensor:
                 self.detector_mm, 0.5 * self.detector_side_mm,
             ]
         )  # fmt: skip
-
-
-@kernel(forceinline=True)
-def passes_sensor(x: float, y: float, p: float, q: float, constants: Floats) -> bool:
-    """Whether a ray that crosses the lens' plane at (x, y), mm, with slopes (p, q) to its axis reaches the detector."""
-    if x * x + y * y > constants[0]:
-        return False
-    p, q = p - x * constants[2], q - y * constants[2]
-    a, b = x + p * constants[3], y + q * constants[3]
-    if a * a + b * b > constants[1]:
-        return False
-    return bool(abs(x + p * constants[4]) <= constants[5] and abs(y + q * constants[4]) <= constants[5])

@@ -17,7 +17,7 @@ from functools import cached_property
 import numpy as np
 
 from goniotwin.arrays import Floats
-from goniotwin.twin.optics.geometry.deviation import NO_DEVIATION, Deviation, check_deviations, rotations
+from goniotwin.twin.optics.geometry.deviation import NO_DEVIATION, Deviation, check_deviations
 from goniotwin.twin.optics.geometry.instrument import COMPONENTS, ILLUMINATION_ELEMENTS, Instrument, deviation_rows
 from goniotwin.twin.optics.illumination.spectrum import Passband, Spectrum, xenon_spectrum
 
@@ -163,6 +163,8 @@ class IlluminationUnit:
         arc = condenser - self.input_condenser_distance_mm
         places = np.zeros((5, 3))
         places[:, 1] = arc, arc - self.reflector_radius_mm, condenser, -self.slit_distance_mm, 0.0
+        from goniotwin.twin.optics.geometry.rotations import rotations
+
         turns = rotations(np.ascontiguousarray(deviations).reshape(-1, len(COMPONENTS))).reshape(-1, len(ELEMENTS), 3, 3)
         shifts = deviations[:, :, 3:]
         whole = turns[:, 5]

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from goniotwin.arrays import Flags, Floats
 from goniotwin.twin.optics import Deviation, Instrument, Scatterer, evaluate
-from goniotwin.twin.optics.fast.ray_bundle import ray_bundle
+from goniotwin.twin.optics.fast.bundle import ray_bundle
 
 ALONG_Y = np.array([0.0, 1.0, 0.0])
 

@@ -22,7 +22,6 @@ from goniotwin.twin.optics.fast.aperture import (
     PX,
     ROWS,
     M,
-    aperture_sizes,
     common_disc,
     cone_nodes,
     fill_apertures,
@@ -31,6 +30,7 @@ from goniotwin.twin.optics.fast.aperture import (
     hole_nodes,
     side_nodes,
 )
+from goniotwin.twin.optics.fast.bundle import aperture_sizes
 from goniotwin.twin.optics.fast.clipped_pupil import TERMS
 from goniotwin.twin.optics.geometry.scene import scene_at
 from goniotwin.twin.optics.illumination.slit_image import slit_image

@@ -21,7 +21,7 @@ from goniotwin.twin.optics import (
     throughput,
     visible_fraction,
 )
-from goniotwin.twin.optics.geometry.sensor import passes_sensor
+from goniotwin.twin.optics.forward.scoring import passes_sensor
 from tests.sizes import parted
 
 OTHERS = [RealSensor(diaphragm_mm=18.0), RealSensor(detector_side_mm=0.1), RealSensor(detector_mm=40.0)]
