@@ -8,9 +8,10 @@ is missing all the same is compiled when it is called, and every command states 
 
 import contextlib
 import logging
+import subprocess
 import sys
 import threading
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -186,9 +187,9 @@ def compile_optics(as_json: Json = False) -> None:
 
 
 def compile_ahead(names: Collection[str] = REHEARSAL) -> list[str]:
-    """Compile the parts `names` that are not marked as done, and mark them. Returns their names.
+    """Compile the parts `names` that are not marked as done, and mark them: every second one in another process.
 
-    Raises UserError where `names` are all parts and compiled code cannot be kept.
+    Returns their names. Raises UserError where one cannot be compiled, or `names` are all and compiled code cannot be kept.
     """
     from goniotwin.twin.optics.kernel import FOLDER
 
@@ -197,11 +198,38 @@ def compile_ahead(names: Collection[str] = REHEARSAL) -> list[str]:
             raise UserError("no folder for compiled code can be used: set NUMBA_CACHE_DIR to one that is yours alone")
         return []
     missing = [name for name in names if not (FOLDER / f"{name}.done").exists()]
-    for name in missing:
+    with _compiling_elsewhere(missing[1::2]):
+        _compile(missing[::2])
+    return missing
+
+
+def _compile(names: Iterable[str]) -> None:
+    from goniotwin.twin.optics.kernel import FOLDER
+
+    for name in names:
         PARTS[name].call()
         with contextlib.suppress(OSError):  # the next command looks again
-            (FOLDER / f"{name}.done").touch()
-    return missing
+            if FOLDER is not None:
+                (FOLDER / f"{name}.done").touch()
+
+
+@contextlib.contextmanager
+def _compiling_elsewhere(names: Collection[str]) -> Iterator[None]:
+    """Have another process compile parts meanwhile; at the end it has, or it is ended. Raises UserError where it cannot."""
+    if not names:
+        yield
+        return
+    code = f"from goniotwin.app.cli import compilation; compilation._compile({list(names)!r})"
+    with subprocess.Popen(
+        [sys.executable, "-c", code], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+    ) as other:
+        try:
+            yield
+            _, errors = other.communicate()
+        finally:
+            other.kill()  # if it compiles still: what is compiled is kept
+    if other.returncode:
+        raise UserError(f"the optics cannot be compiled: {(errors.strip().splitlines() or ['the process ended'])[-1]}")
 
 
 class CompilationNotes(logging.Handler):

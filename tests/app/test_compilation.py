@@ -10,6 +10,7 @@ import threading
 from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import pytest
 from typer.exceptions import TyperException
@@ -43,34 +44,63 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "code"
 
 
-@pytest.fixture
-def compiled(folder: Path, monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """The parts that are compiled, in order; none of them is."""
-    names: list[str] = []
-    for name, part in PARTS.items():
-        monkeypatch.setitem(PARTS, name, part._replace(call=partial(names.append, name)))
-    return names
+class Compiler:
+    """Parts that note which were compiled here, and which another process was to compile; it executes `code` in their place."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, code: str = "") -> None:
+        self.here: list[str] = []
+        self.there: list[str] = []
+        usual = subprocess.Popen
+        for name, part in PARTS.items():
+            monkeypatch.setitem(PARTS, name, part._replace(call=partial(self.here.append, name)))
+
+        def start(command: list[str], **how: Any) -> "subprocess.Popen[str]":
+            names = ast.literal_eval(command[-1].partition("_compile(")[2].rstrip(")"))
+            self.there += names
+            marks = f"import pathlib; [pathlib.Path({str(kernel.FOLDER)!r}, n + '.done').touch() for n in {names!r}]"
+            return usual([sys.executable, "-c", code or marks], **how)
+
+        monkeypatch.setattr(subprocess, "Popen", start)
+
+    @property
+    def all(self) -> list[str]:
+        return sorted(self.here + self.there)
 
 
-def test_what_is_compiled_is_not_compiled_again(compiled: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    assert compile_ahead() == compiled == list(REHEARSAL)  # no more than a rehearsal needs
+@pytest.mark.usefixtures("folder")
+def test_what_is_compiled_is_not_compiled_again(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    compiler = Compiler(monkeypatch)
+    assert compile_ahead() == list(REHEARSAL)  # no more than a rehearsal needs
+    assert compiler.all == sorted(REHEARSAL)
+    assert compiler.here
+    assert compiler.there
     compile_optics()
-    assert sorted(compiled) == sorted(PARTS)
+    assert compiler.all == sorted(PARTS)
     assert capsys.readouterr().out.startswith("compiled in ")
     compile_optics()
-    assert len(compiled) == len(PARTS)
+    assert compiler.all == sorted(PARTS)
     assert capsys.readouterr().out.startswith("nothing to do: all is compiled, in ")
 
 
-def test_a_part_that_was_broken_off_is_compiled_anew(compiled: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.usefixtures("folder")
+def test_a_part_that_was_broken_off_is_compiled_anew(monkeypatch: pytest.MonkeyPatch) -> None:
     def stop() -> None:
         raise KeyboardInterrupt
 
+    Compiler(monkeypatch)
     with monkeypatch.context() as patch:
-        patch.setitem(PARTS, "rig", PARTS["rig"]._replace(call=stop))
+        patch.setitem(PARTS, "uncertainties", PARTS["uncertainties"]._replace(call=stop))
         with pytest.raises(KeyboardInterrupt):
             compile_ahead()
-    assert compile_ahead() == ["rig", "uncertainties"]
+    assert "uncertainties" in compile_ahead()
+
+
+@pytest.mark.usefixtures("folder")
+def test_a_part_that_the_other_process_cannot_compile_is_a_fault(monkeypatch: pytest.MonkeyPatch) -> None:
+    compiler = Compiler(monkeypatch, code="raise ValueError('no compiler')")
+    with pytest.raises(UserError, match="the optics cannot be compiled: ValueError: no compiler"):
+        compile_ahead()
+    assert compile_ahead() == compiler.there[:1]
 
 
 @pytest.fixture
@@ -120,14 +150,13 @@ def test_without_a_sample_the_light_of_a_clear_sheet_is_compiled_too(rewrite: st
     assert parts_of_rehearsal(read_schedule(path).file, model) == (*REHEARSAL, *["every-scene"] * every)
 
 
-def test_without_a_folder_for_compiled_code_a_command_goes_on_and_compile_states_it(
-    compiled: list[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_a_folder_for_compiled_code_a_command_goes_on_and_compile_states_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    compiler = Compiler(monkeypatch)
     monkeypatch.setattr(kernel, "FOLDER", None)
     assert compile_ahead() == []
     with pytest.raises(UserError, match="set NUMBA_CACHE_DIR"):
         compile_optics()
-    assert not compiled
+    assert not compiler.all
 
 
 FIRST_USE = """
