@@ -8,9 +8,11 @@ is missing all the same is compiled when it is called, and every command states 
 
 import contextlib
 import logging
+import shutil
 import subprocess
 import sys
 import threading
+import traceback
 from collections.abc import Callable, Collection, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -286,3 +288,14 @@ def state_no_more() -> None:
         each.close()
     LOG.setLevel(logging.NOTSET)
     LOG.propagate = True
+
+
+def drop_damaged_code(error: BaseException) -> str:
+    """Drop compiled code that numba cannot read, as after a power failure; the message. Empty for another error."""
+    kernel = sys.modules.get("goniotwin.twin.optics.kernel")
+    files = [Path(each.filename).name for each in traceback.extract_tb(error.__traceback__)]
+    folder = kernel.FOLDER if kernel is not None and "caching.py" in files else None
+    if folder is None:
+        return ""
+    shutil.rmtree(folder, ignore_errors=True)
+    return f"{folder}: compiled code was damaged, and is removed; repeat the command"

@@ -222,7 +222,10 @@ def _run_command() -> int:
     """The exit status of the command."""
     try:
         return int(command(*sys.argv[1:2])(standalone_mode=False) or 0)
-    except (KeyboardInterrupt, typer.Abort):
+    except (KeyboardInterrupt, typer.Abort) as error:
+        if damaged := compilation.drop_damaged_code(error.__cause__ or error):  # typer takes the end of a file for Ctrl-C
+            print_error(damaged)
+            return FAULT
         print_error("stopped")
         return INTERRUPTED
     except TyperException as error:
@@ -237,7 +240,7 @@ def _run_command() -> int:
         if isinstance(error, OSError) and (fault := fault_of_named_path(error, sys.argv[1:])):
             print_error(fault)
             return UserError.status
-        print_error(_full_disk(error) or unexpected_error(error))
+        print_error(_full_disk(error) or compilation.drop_damaged_code(error) or unexpected_error(error))
         return FAULT
 
 

@@ -23,13 +23,14 @@ from goniotwin.app.cli.compilation import (
     NOTE,
     PARTS,
     REHEARSAL,
+    Part,
     compile_ahead,
     compile_optics,
     parts_of_rehearsal,
     state_compilation,
     state_no_more,
 )
-from goniotwin.app.cli.main import command
+from goniotwin.app.cli.main import _run_command, command
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import read_rig
 from goniotwin.twin.optics import kernel
@@ -131,6 +132,33 @@ def test_it_is_stated_once_that_kernels_are_compiled_and_not_where_the_files_hav
         for looking in [each for each in threading.enumerate() if each.name == "compiled code"]:
             looking.join(60.0 if expected else 0.3)
         assert capsys.readouterr().err.splitlines() == expected
+
+
+@pytest.mark.parametrize("kind", ["nbi", "nbc"])
+@pytest.mark.parametrize("content", [b"some text\n", b"", bytes(64), bytes(range(256))])
+def test_damaged_code_is_removed_and_that_is_stated(
+    kind: str, content: bytes, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The index, or the code: text, nothing, zeros, anything."""
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "damaged_kernel.py").write_text(
+        "from goniotwin.twin.optics.kernel import kernel\n\n\n@kernel()\ndef double(x):\n    return x + x\n", encoding="utf-8"
+    )
+    monkeypatch.setattr(sys, "argv", ["goniotwin", "compile"])
+    monkeypatch.setitem(PARTS, "scenes", Part("double", lambda: importlib.import_module("damaged_kernel").double(2.0)))
+    for name in set(PARTS) - {"scenes"}:
+        (folder / f"{name}.done").touch()
+    for status in (0, 1, 0):
+        sys.modules.pop("damaged_kernel", None)
+        assert _run_command() == status
+        for each in folder.glob(f"*/*.{kind}") if folder.exists() else ():
+            each.write_bytes(content)
+        (folder / "scenes.done").unlink(missing_ok=True)
+        for name in set(PARTS) - {"scenes"} if status == 1 else ():
+            folder.mkdir(exist_ok=True)
+            (folder / f"{name}.done").touch()
+        expected = f"goniotwin: {folder}: compiled code was damaged, and is removed; repeat the command\n" if status else ""
+        assert capsys.readouterr().err.replace("\n", " ").split() == expected.split()
 
 
 def test_the_program_listens_to_the_compiler_whatever_the_command(monkeypatch: pytest.MonkeyPatch) -> None:
