@@ -199,7 +199,10 @@ def compile_ahead(names: Collection[str] = REHEARSAL) -> list[str]:
         if names is PARTS:
             raise UserError("no folder for compiled code can be used: set NUMBA_CACHE_DIR to one that is yours alone")
         return []
-    missing = [name for name in names if not (FOLDER / f"{name}.done").exists()]
+    try:
+        missing = [name for name in names if not (FOLDER / f"{name}.done").exists()]
+    except OSError:  # of a process that has become another user's
+        return []
     with _compiling_elsewhere(missing[1::2]):
         _compile(missing[::2])
     return missing
@@ -268,8 +271,10 @@ class CompilationNotes(logging.Handler):
 
 
 def _files(folder: Path) -> int:
-    """Number of kernels whose code is in a folder."""
-    return sum(1 for _ in folder.glob("*/*.nbi"))
+    """Number of kernels whose code is in a folder; 0 where it cannot be read."""
+    with contextlib.suppress(OSError):
+        return sum(1 for _ in folder.glob("*/*.nbi"))
+    return 0
 
 
 def state_compilation() -> None:
