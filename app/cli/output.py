@@ -40,8 +40,8 @@ def error_console() -> "Console":
     return Console(stderr=True, highlight=False, soft_wrap=True)
 
 
-class _WithFormats:
-    """A command whose help ends with the file formats of the registry, those of other packages included."""
+class CommandWithFormats(typer.core.TyperCommand):
+    """A command that reads or writes tables: its help ends with the file formats of the registry, other packages' included."""
 
     def format_epilog(self, _context: Any, formatter: Any) -> None:
         """Write the list (the command-line library calls this)."""
@@ -50,14 +50,6 @@ class _WithFormats:
         with formatter.section("Formats"):
             rows = [(str(each), each.title) for each in formats() if Holds.RAYS not in each.holds]
             formatter.write_dl(rows)
-
-
-class CommandWithFormats(_WithFormats, typer.core.TyperCommand):
-    """A command that reads or writes tables."""
-
-
-class GroupWithFormats(_WithFormats, typer.core.TyperGroup):
-    """A group of commands, itself a command that reads or writes tables."""
 
 
 def answer(as_json: bool, result: dict[str, Any], show: Callable[[], None]) -> None:

@@ -1,12 +1,13 @@
-"""The command `goniotwin simulate`: the BSDF of a sample, the light on the sample, the paper's Table 3, the mirror's shadow."""
+"""The commands of `goniotwin simulate`: a sample's BSDF, the light on the sample, the paper's Table 3, the mirror's shadow."""
 
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
+import typer.core
 
-from goniotwin.app.cli.output import GroupWithFormats, Json, answer, error_console, print_note
+from goniotwin.app.cli.output import CommandWithFormats, Json, answer, error_console, print_note
 from goniotwin.app.cli.sweeps import Dask, Processes, kept, runner_of
 from goniotwin.app.errors import UserError
 
@@ -26,12 +27,23 @@ Rig = Annotated[
 ]
 Seed = Annotated[int, typer.Option("--seed", help="Seed of the random numbers.")]
 
-app = typer.Typer(cls=GroupWithFormats, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
+
+class SimulateGroup(typer.core.TyperGroup):
+    """The commands of `simulate`. Without a command its options are those of `sample`, as in earlier versions."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Read the arguments (the command-line library calls this)."""
+        without = not args or (args[0].startswith("-") and args[0] not in self.get_help_option_names(ctx))
+        if without and not ctx.resilient_parsing:  # a shell that completes needs the names of the commands
+            args = ["sample", *args]
+        return super().parse_args(ctx, args)
 
 
-@app.callback(invoke_without_command=True)
-def simulate(
-    context: typer.Context,
+app = typer.Typer(cls=SimulateGroup, help="Simulate samples, their light, and the paper's Table 3.")
+
+
+@app.command("sample", cls=CommandWithFormats)
+def simulate_sample(
     sample: Annotated[
         str | None,
         typer.Option(
@@ -146,16 +158,11 @@ def simulate(
     With --folder a simulation with the forward estimator can be interrupted, and --processes and --dask trace it elsewhere
     (docs/sweeps.md).
     """
-    if context.invoked_subcommand is not None:
-        if sample is not None or out:
-            raise UserError(
-                f"simulate {context.invoked_subcommand}: takes neither --sample nor a file before its name; leave them out"
-            )
-        return
     if sample is None or not out:
         missing = "--sample" if sample is None else "--out"
         raise UserError(
-            f"simulate: {missing} is missing; write goniotwin simulate --sample gaussian:width_deg=5 --out FILE.ddr"
+            f"simulate sample: {missing} is missing; write "
+            "goniotwin simulate sample --sample gaussian:width_deg=5 --out FILE.ddr"
         )
     from goniotwin.app.cli.progress import ShareProgress
     from goniotwin.app.rig.samples import parse_sample, table_files
@@ -206,7 +213,7 @@ def simulate(
 def rigs(
     sample: Annotated[
         list[str],
-        typer.Option("--sample", metavar="MODEL", help="As of goniotwin simulate; may be repeated.", show_default=False),
+        typer.Option("--sample", metavar="MODEL", help="As of goniotwin simulate sample; may be repeated.", show_default=False),
     ],
     out: Annotated[Path, typer.Option("--out", metavar="FILE.csv", help="Table of all rigs.", show_default=False)],
     count: Annotated[int, typer.Option("--rigs", metavar="N", help="Number of random rigs.")] = 100,
@@ -316,8 +323,8 @@ def illumination(
     """Simulate the light on the sample: uniformity and flux.
 
     Also its divergence. The flux comes from two estimators (the paper's figure 8): forward rays from the arc lamp, adjoint
-    rays from the sample back to it. A rayset is a source for goniotwin simulate --source FILE.h5 --estimator forward, with
-    the same --wavelength, --interval, --bandwidth and --rig.
+    rays from the sample back to it. A rayset is a source for goniotwin simulate sample --source FILE.h5 --estimator forward,
+    with the same --wavelength, --interval, --bandwidth and --rig.
 
     Elements with deviations are arc, reflector, input_condenser, slit, output_condenser and unit; fields are rx_deg, ry_deg,
     rz_deg, x_mm, y_mm, z_mm. They replace those of [twin.illumination] in the file of --rig, which a rayset's rig needs too.

@@ -23,7 +23,7 @@ Dpi = Annotated[int, typer.Option("--dpi", min=50, max=1200, help="Pixels an inc
 
 THEORY = "theory"
 MODEL = re.compile(r"[a-z-]+(:|$)")
-"""The beginning of a model's text, as `simulate --sample` takes it; THEORY is one too."""
+"""The beginning of a model's text, as `simulate sample` takes it; THEORY is one too."""
 
 app = typer.Typer()
 

@@ -212,7 +212,7 @@ def compare(
 def theory(dataset: Dataset | StrPath, sample: str | None = None) -> Dataset:
     """The known BSDF of a model at the directions of a dataset, exact: u is 0.
 
-    `sample` is a model as in `goniotwin simulate --sample`; without it, it is that of the virtual rig with which the journal
+    `sample` is a model as in `goniotwin simulate sample`; without it, it is that of the virtual rig with which the journal
     was measured. Raises GoniotwinError for a dataset of a real rig or of a file, and for a text that is no model.
     """
     like = dataset if isinstance(dataset, Dataset) else open_dataset(dataset)

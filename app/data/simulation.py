@@ -26,7 +26,7 @@ def simulate(
 ) -> Dataset:  # fmt: skip
     """Simulate the BSDF of a sample as the instrument measures it, by the fast estimator (paper, figure 7).
 
-    `sample` is a model as in `goniotwin simulate --sample`; `sigma_deg` are angles of incidence in degrees, from 0 to less
+    `sample` is a model as in `goniotwin simulate sample`; `sigma_deg` are angles of incidence in degrees, from 0 to less
     than 90, ascending; `wavelengths_nm` in nanometres, from 200 to 2500, ascending, or None for grey values. `psi_deg` are
     azimuths of the light in the frame of an anisotropic sample, from 0 to less than 360, ascending; None is those of its table,
     or every 15 deg. With `back` the light is on the back of the sample; with `transmitted` the detectors are on the other side

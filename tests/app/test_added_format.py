@@ -71,7 +71,7 @@ def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> dict[str, Any
 def simulated(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> Path:
     """A Gaussian of 10 deg as `simulate` writes it, in the added format."""
     path = tmp_path / "lobe.my"
-    result = run(capsys, "simulate", "--sample", "gaussian:width_deg=10", "--sigma", "30", *DETECTORS, "--out", path)
+    result = run(capsys, "simulate", "sample", "--sample", "gaussian:width_deg=10", "--sigma", "30", *DETECTORS, "--out", path)
     assert result["files"] == [str(path)]  # the uncertainties are in the same file
     return path
 
@@ -82,7 +82,7 @@ def test_simulate_writes_the_format_and_reads_it(simulated: Path, capsys: pytest
     assert table.u is not None
     assert np.all(table.u[0, 0, 1, :, 0] < 0.01 * table.values[0, 0, 1, :, 0])
     other = tmp_path / "b.ddr"
-    run(capsys, "simulate", "--sample", f"table:{simulated}", "--sigma", "30", *DETECTORS, "--out", other)
+    run(capsys, "simulate", "sample", "--sample", f"table:{simulated}", "--sigma", "30", *DETECTORS, "--out", other)
     assert np.pi * table.values[0, 0, 1, 0, 0] == pytest.approx(read_ddr(other).values[0, 0, 1, 0, 0], rel=0.03)
 
 
@@ -142,7 +142,9 @@ def test_a_format_of_points_gets_every_point_in_parts(
     journal = tmp_path / "a.journal"
     run(capsys, "run", write_schedule(), "--rig", RIG, "--out", journal)
     exported = run(capsys, "export", journal, "--format", "dots", "--out", tmp_path / "a.dots")
-    simulated = run(capsys, "simulate", "--sample", "lambertian", "--sigma", "30", *DETECTORS, "--out", tmp_path / "b.dots")
+    simulated = run(
+        capsys, "simulate", "sample", "--sample", "lambertian", "--sigma", "30", *DETECTORS, "--out", tmp_path / "b.dots"
+    )
     for name, points in (("a.dots", exported["values"]), ("b.dots", simulated["detectors"]["30"])):
         (counts,) = json.loads((tmp_path / name).read_text(encoding="utf-8"))
         assert set(counts.values()) == {points}
@@ -150,8 +152,8 @@ def test_a_format_of_points_gets_every_point_in_parts(
 
 
 def test_the_help_of_the_commands_lists_it(capsys: pytest.CaptureFixture[str]) -> None:
-    for command in ("simulate", "rehearse", "export"):
-        app([command, "--help"], standalone_mode=False)
+    for command in ("simulate sample", "rehearse", "export"):
+        app([*command.split(), "--help"], standalone_mode=False)
         text = " ".join(capsys.readouterr().out.split())
         assert "my (.my) a table of the test" in text, command
         assert "ddr (.ddr) Lumicept table of a BRDF" in text, command
@@ -159,13 +161,13 @@ def test_the_help_of_the_commands_lists_it(capsys: pytest.CaptureFixture[str]) -
 
 def test_an_error_offers_it(tmp_path: Path) -> None:
     with pytest.raises(UserError, match=r"ends with \.ddr, \.ddt, .* or \.my"):
-        app(["simulate", "--sample", "lambertian", "--out", str(tmp_path / "a.txt")], standalone_mode=False)
+        app(["simulate", "sample", "--sample", "lambertian", "--out", str(tmp_path / "a.txt")], standalone_mode=False)
     with pytest.raises(UserError, match=r"there is no such format .*; give ddr, ddt, .* or my"):
         app(["export", str(SCHEDULE), "--format", "his", "--out", str(tmp_path / "a")], standalone_mode=False)
     with pytest.raises(UserError, match=r"table:FILE \(\.ddr, \.ddt, .*\.bsdf, .*\.my\)"):
         parse_sample("phong")
     with pytest.raises(UserError, match=r"the format zemax does not hold several wavelengths; use .* my \(\.my\)"):
         app(
-            ["simulate", "--sample", "lambertian", "--wavelength", "450,650", "--out", str(tmp_path / "a.bsdf")],
+            ["simulate", "sample", "--sample", "lambertian", "--wavelength", "450,650", "--out", str(tmp_path / "a.bsdf")],
             standalone_mode=False,
         )

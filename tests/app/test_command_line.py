@@ -34,7 +34,7 @@ TABLE = """
 import sys
 from goniotwin.app.cli.main import app
 
-app(["simulate", *sys.argv[1:]], standalone_mode=False)
+app(["simulate", "sample", *sys.argv[1:]], standalone_mode=False)
 loaded = [name for name in ("matplotlib", "h5py") if name in sys.modules]
 assert not loaded, loaded
 """
@@ -106,7 +106,7 @@ main._run_command = lambda: 1
 main.main()
 """
 JOURNAL = REPOSITORY / "tests" / "golden" / "data" / "finished.journal"
-SUBCOMMANDS = ("simulate rigs", "simulate illumination", "simulate table3", "simulate shadow")
+SUBCOMMANDS = ("simulate sample", "simulate rigs", "simulate illumination", "simulate table3", "simulate shadow")
 
 
 def test_help_lists_the_commands_in_the_order_of_a_day(capsys: pytest.CaptureFixture[str]) -> None:
@@ -123,6 +123,17 @@ def test_a_command_that_is_made_alone_has_the_help_that_it_has_among_all(capsys:
             line([name, "--help"], prog_name="goniotwin", standalone_mode=False)
         text = capsys.readouterr().out
         assert text[: len(text) // 2] * 2 == text, name
+
+
+def test_simulate_without_the_name_of_a_command_is_that_of_a_sample(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    options = ["--sample", "lambertian", "--sigma", "30", "--polar", "0,40", "--azimuth", "0,90"]
+    for name, command in (("old", ["simulate"]), ("new", ["simulate", "sample"])):
+        app([*command, *options, "--out", str(tmp_path / f"{name}.csv")], standalone_mode=False)
+    capsys.readouterr()
+    old, new = ((tmp_path / f"{name}.csv").read_bytes() for name in ("old", "new"))
+    assert old == new
+    app(["simulate", "--help"], standalone_mode=False)
+    assert "--sample" not in capsys.readouterr().out
 
 
 def test_help_fits_a_terminal_of_80_columns(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:

@@ -77,7 +77,7 @@ SIMULATIONS: dict[str, tuple[str, ...]] = {
         "--stray", *DETECTORS,
     ),
 }  # fmt: skip
-"""Each file with the options of `goniotwin simulate` that write it."""
+"""Each file with the options of `goniotwin simulate sample` that write it."""
 
 
 def digest_of(value: object) -> str:
@@ -226,8 +226,8 @@ def table_lines(path: Path) -> list[str]:
 
 
 def simulation_record(name: str, folder: Path) -> list[str]:
-    """What `goniotwin simulate` writes to one file."""
-    product.answer("simulate", *SIMULATIONS[name], "--out", folder / name)
+    """What `goniotwin simulate sample` writes to one file."""
+    product.answer("simulate", "sample", *SIMULATIONS[name], "--out", folder / name)
     return table_lines(folder / name)
 
 

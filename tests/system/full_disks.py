@@ -93,7 +93,7 @@ def writings(folder: Path) -> list[Writing]:
         Writing("report", ("report", JOURNAL, "--out", "out.html"), "out.html"),
         Writing(
             "points of a simulation",
-            ("simulate", "--sample", "lambertian:reflectance=0.9", "--out", "out.csv", "--rays", 64),
+            ("simulate", "sample", "--sample", "lambertian:reflectance=0.9", "--out", "out.csv", "--rays", 64),
             "out.csv",
         ),
         Writing("schema", ("schema", "rig", "--out", "out.json"), "out.json"),

@@ -57,8 +57,8 @@ COMMANDS: dict[str, list[str]] = {
     "interrupted.journal": ["runs", ".", "--json"],
     "chained.journal": ["export", "chained.journal", "--format", "csv", "--out", "points.csv"],
     "left.journal": ["runs", ".", "--json"],
-    "rays.h5": ["simulate", "--sample", "lambertian:reflectance=0.5", "--sigma", "0", "--estimator", "forward", "--paths", "1",
-                "--source", "rays.h5", "--wavelength", "550", "--interval", "10", "--out", "simulated.ddr"],
+    "rays.h5": ["simulate", "sample", "--sample", "lambertian:reflectance=0.5", "--sigma", "0", "--estimator", "forward",
+                "--paths", "1", "--source", "rays.h5", "--wavelength", "550", "--interval", "10", "--out", "simulated.ddr"],
 }  # fmt: skip
 """By the file that is changed, a command that reads it."""
 

@@ -21,7 +21,7 @@ def test_simulate_reports_its_file_and_the_standard_errors(
 ) -> None:
     out = tmp_path / "a.ddr"
     sigma = ["--sigma", ",".join(map(str, sigmas))]
-    done = call("simulate", "--sample", "gaussian:width_deg=5", *sigma, "--out", out, "--json")
+    done = call("simulate", "sample", "--sample", "gaussian:width_deg=5", *sigma, "--out", out, "--json")
     result = json_result(done)
     assert result["file"] == str(out)
     assert result["sigma"] == sigmas
@@ -33,7 +33,7 @@ def test_simulate_reports_its_file_and_the_standard_errors(
     assert len(result["assumptions"]) >= 8
     assert "simulating" in done.stderr  # progress
     assert read_ddr(out).values.max() > 1.0
-    same = again("simulate", "--sample", "gaussian:width_deg=5", *options, "--out", out, "--json")
+    same = again("simulate", "sample", "--sample", "gaussian:width_deg=5", *options, "--out", out, "--json")
     assert same.stdout == done.stdout
 
 
@@ -42,20 +42,22 @@ def test_simulate_traces_forward_and_takes_the_instrument_of_a_rig(call: Call, t
     out = tmp_path / "a.csv"
     grid = ["--polar", "20:40:5", "--azimuth", "150:180:10", "--rig", RIG, "--no-obstruction"]
     paths = ["--estimator", "forward", "--paths", 200_000, "--seed", 4]
-    result = json_result(call("simulate", "--sample", "lambertian", "--sigma", 30, "--out", out, *grid, *paths, "--json"))
+    result = json_result(
+        call("simulate", "sample", "--sample", "lambertian", "--sigma", 30, "--out", out, *grid, *paths, "--json")
+    )
     assert (result["estimator"], result["seed"]) == ("forward", 4)
     assert 200_000 <= result["paths"] < 210_000  # whole blocks of paths
     assert result["obstruction"] is False
     assert result["hidden_directions"] == {"30": 0}
     assert result["detectors"] == {"30": 20}
-    text = call("simulate", "--sample", "lambertian", "--sigma", 30, "--out", out, *grid, *paths)
+    text = call("simulate", "sample", "--sample", "lambertian", "--sigma", 30, "--out", out, *grid, *paths)
     assert text.stdout.startswith("SIMULATED")
     assert "obstruction is off" in text.stdout
 
 
 def test_batches_in_a_folder_give_the_file_of_one_run_and_another_command_is_refused(tmp_path: Path) -> None:
     grid = ["--polar", "20:40:10", "--azimuth", "170,180", "--no-obstruction", "--sigma", 30]
-    forward = ["simulate", "--sample", "lambertian", *grid, "--estimator", "forward", "--paths", 100_000]
+    forward = ["simulate", "sample", "--sample", "lambertian", *grid, "--estimator", "forward", "--paths", 100_000]
     folder = ["--folder", tmp_path / "batches"]
     for name, options in (("one.csv", []), ("kept.csv", folder), ("again.csv", folder)):
         result = json_result(invoke(*forward, "--out", tmp_path / name, *options, "--json"))
@@ -132,9 +134,9 @@ def test_the_illumination_is_plotted_and_its_rays_are_a_source(call: Call, tmp_p
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
     grid = ["--polar", "20:40:5", "--azimuth", "150:180:10", "--sigma", 30, "--out", tmp_path / "a.csv"]
     replayed = ["--sample", "lambertian:reflectance=0.5", "--source", beam, "--estimator", "forward", "--paths", 50_000, *grid]
-    result = json_result(call("simulate", *replayed, *monochromator, "--json"))
+    result = json_result(call("simulate", "sample", *replayed, *monochromator, "--json"))
     assert (result["source"]["file"], result["source"]["rays"]) == (str(beam), 20_000)
-    refused = call("simulate", *replayed)
+    refused = call("simulate", "sample", *replayed)
     assert refused.returncode == 2
     assert "another geometry" in refused.stderr
     assert len(refused.stderr.strip().splitlines()) == 1
@@ -144,10 +146,10 @@ def test_the_illumination_is_plotted_and_its_rays_are_a_source(call: Call, tmp_p
 def test_the_output_has_the_lit_side_stray_light_and_the_regular_component(call: Call, tmp_path: Path) -> None:
     sample = "lambertian:reflectance=0.5,side=both+regular:reflectance=0.04,side=back"
     grid = ["--polar", "20:40:1", "--azimuth", "150:180:2", "--sigma", 30, "--out", tmp_path / "a.ddr"]
-    text = call("simulate", "--sample", sample, "--side", "back", "--stray", *grid).stdout
+    text = call("simulate", "sample", "--sample", sample, "--side", "back", "--stray", *grid).stdout
     assert "reflected light, the back lit, with stray light" in text
     assert "regular component at sigma 30: 0.04 of the light" in text
-    plain = json_result(call("simulate", "--sample", sample, *grid, "--json"))
+    plain = json_result(call("simulate", "sample", "--sample", sample, *grid, "--json"))
     assert (plain["side"], plain["stray"], plain["regular"]) == ("front", False, [])
 
 
@@ -184,7 +186,9 @@ def test_bad_input_is_one_line_and_leaves_no_file(arguments: list[str], named: s
 
 
 @pytest.mark.parametrize("call", CALLS)
-@pytest.mark.parametrize("command", [["simulate"], ["simulate", "table3"], ["simulate", "illumination"]])
+@pytest.mark.parametrize(
+    "command", [["simulate"], ["simulate", "sample"], ["simulate", "table3"], ["simulate", "illumination"]]
+)
 def test_help_is_worth_reading(command: list[str], call: Call) -> None:
     done = call(*command, "--help")
     assert done.returncode == 0
