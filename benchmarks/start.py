@@ -35,7 +35,7 @@ WARM = {
     "help": ["--help"],
     "check": ["check", *CHECK],
     "rehearse": ["rehearse", *CHECK],
-    "simulate": ["simulate", "sample", "--sample", "gaussian:width_deg=5", "--out", "simulated.ddr"],
+    "simulate": ["simulate", "--sample", "gaussian:width_deg=5", "--out", "simulated.ddr"],
 }
 PROVE = ["prove", *CHECK, "--processes", "1", "--out", "proof", "--rigs"]
 PROVED = (3, 1)

@@ -2,14 +2,12 @@
 
 import atexit
 import contextlib
-import functools
 import io
 import json
 import logging
 import os
 import sys
 import threading
-from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -17,7 +15,6 @@ import typer
 import typer.main
 from typer.core import TyperGroup
 from typer.exceptions import TyperException
-from typer.main import get_command_name
 
 import goniotwin
 from goniotwin import examples
@@ -63,23 +60,17 @@ class CommandLine(typer.Typer):
         return typer.main.get_command(self)(*args, **kwargs)
 
 
-def without_commands() -> typer.Typer:
-    """The command line, to which commands are added."""
-    return CommandLine(
-        cls=CommandGroup,
-        name="goniotwin",
-        help=(
-            "BSDF measurement campaigns on a goniophotometer, and their rehearsal on its digital twin.\n\n"
-            "Without a command the window opens, with the virtual rig of the examples."
-        ),
-        no_args_is_help=False,
-        add_completion=False,
-        pretty_exceptions_enable=False,
-        rich_markup_mode=None,
-    )
-
-
-app = without_commands()
+app = CommandLine(
+    cls=CommandGroup,
+    name="goniotwin",
+    help=(
+        "BSDF measurement campaigns on a goniophotometer, and their rehearsal on its digital twin.\n\n"
+        "Without a command the window opens, with the virtual rig of the examples."
+    ),
+    no_args_is_help=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
 for group in (instrument, station, campaign, data, views, render, serving, tolerances, compilation):
     app.add_typer(group.app)
 app.add_typer(simulation.app, name="simulate")
@@ -202,26 +193,10 @@ def main() -> None:
     sys.exit(status)
 
 
-@functools.cache
-def command(name: str = "") -> Callable[..., Any]:
-    """The command line, with one command alone if `name` is one: typer takes 20 ms to make all of them.
-
-    Called in place of `app`, which makes it anew.
-    """
-    groups = [app, *(each.typer_instance for each in app.registered_groups if not isinstance(each.name, str))]
-    commands = [each for group in groups if group is not None for each in group.registered_commands]
-    one = [each for each in commands if each.callback and name == (each.name or get_command_name(each.callback.__name__))]
-    if not one:
-        return command() if name else typer.main.get_command(app)
-    alone = without_commands()
-    alone.registered_callback, alone.registered_commands = app.registered_callback, one
-    return typer.main.get_command(alone)
-
-
 def _run_command() -> int:
     """The exit status of the command."""
     try:
-        return int(command(*sys.argv[1:2])(standalone_mode=False) or 0)
+        return int(app(standalone_mode=False) or 0)
     except (KeyboardInterrupt, typer.Abort) as error:
         if damaged := compilation.drop_damaged_code(error.__cause__ or error):  # typer takes the end of a file for Ctrl-C
             print_error(damaged)

@@ -14,7 +14,7 @@ import pytest
 
 from goniotwin.app.campaign.running.events import Event, RowStarted
 from goniotwin.app.cli import device_search
-from goniotwin.app.cli.main import COMMANDS, INTERRUPTED, app, command, main
+from goniotwin.app.cli.main import COMMANDS, INTERRUPTED, app, main
 from goniotwin.app.cli.progress import RowProgress
 from goniotwin.drivers import DeviceError, Rig
 from tests.conftest import REPOSITORY, RIG, SCHEDULE, Writer
@@ -115,14 +115,25 @@ def test_help_lists_the_commands_in_the_order_of_a_day(capsys: pytest.CaptureFix
     assert tuple(line.split()[0] for line in lines if line) == COMMANDS
 
 
-def test_a_command_that_is_made_alone_has_the_help_that_it_has_among_all(capsys: pytest.CaptureFixture[str]) -> None:
-    alone = [name for name in COMMANDS if command(name) is not command()]
-    assert set(COMMANDS) - set(alone) == {"simulate"}  # a group of commands
-    for name in alone:
-        for line in (command(name), command()):
-            line([name, "--help"], prog_name="goniotwin", standalone_mode=False)
-        text = capsys.readouterr().out
-        assert text[: len(text) // 2] * 2 == text, name
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ("re", {"read", "rehearse", "report", "render", "replay"}),
+        ("simulate s", {"sample", "shadow"}),
+        ("simulate sample --sa", {"--sample"}),
+        ("--v", {"--version"}),
+    ],
+)
+def test_a_shell_completes_commands_and_options(words: str, expected: set[str]) -> None:
+    """As the script of --show-completion asks."""
+    wanted = {
+        "_GONIOTWIN_COMPLETE": "complete_bash",
+        "COMP_WORDS": f"goniotwin {words}",
+        "COMP_CWORD": str(words.count(" ") + 1),
+    }
+    program = [str(Path(sys.executable).with_name("goniotwin"))]
+    done = subprocess.run(program, env={**os.environ, **wanted}, capture_output=True, text=True, timeout=300, check=False)
+    assert (done.returncode, done.stderr, set(done.stdout.split())) == (0, "", expected)
 
 
 def test_simulate_without_the_name_of_a_command_is_that_of_a_sample(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

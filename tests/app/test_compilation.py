@@ -30,7 +30,7 @@ from goniotwin.app.cli.compilation import (
     state_compilation,
     state_no_more,
 )
-from goniotwin.app.cli.main import _run_command, command
+from goniotwin.app.cli.main import _run_command, app
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import read_rig
 from goniotwin.twin.optics import kernel
@@ -166,7 +166,7 @@ def test_the_program_listens_to_the_compiler_whatever_the_command(monkeypatch: p
     monkeypatch.setattr(compilation, "state_compilation", lambda: stated.append(1))
     for name in ("info", "simulate"):
         with pytest.raises(TyperException):
-            command()([name, "--no-such-option"], standalone_mode=False)
+            app([name, "--no-such-option"], standalone_mode=False)
     assert stated == [1, 1]
 
 

@@ -24,7 +24,7 @@ from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.running.events import Event, RowCommitted
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.campaign.studies.reduced_journal import reduce_journal
-from goniotwin.app.cli.main import command
+from goniotwin.app.cli.main import app
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import read_rig
 from goniotwin.app.simulation.paper.explanation import rms_table
@@ -65,7 +65,7 @@ def answer(*arguments: object) -> dict[str, Any]:
     """What `goniotwin ARGUMENTS --json` answers."""
     out = io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(io.StringIO()):
-        status = command()([*map(str, arguments), "--json"], standalone_mode=False)
+        status = app([*map(str, arguments), "--json"], standalone_mode=False)
     assert not status, f"goniotwin {' '.join(map(str, arguments))}: status {status}: {out.getvalue()}"
     result: dict[str, Any] = json.loads(out.getvalue())
     return result
@@ -74,7 +74,7 @@ def answer(*arguments: object) -> dict[str, Any]:
 def refusal(*arguments: object) -> str:
     """Why `goniotwin ARGUMENTS` is refused."""
     with pytest.raises(UserError) as caught, contextlib.redirect_stderr(io.StringIO()):
-        command()([*map(str, arguments)], standalone_mode=False)
+        app([*map(str, arguments)], standalone_mode=False)
     return str(caught.value)
 
 

@@ -37,7 +37,7 @@ from goniotwin.app.campaign.reduction import readings, reduction
 from goniotwin.app.campaign.reduction.pipeline import reduce_readings
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.campaign.studies import reduced_journal
-from goniotwin.app.cli.main import command
+from goniotwin.app.cli.main import app
 from goniotwin.app.data import export as exporting
 from goniotwin.app.data.conversion import Choice, convert_reduced, format_to_write
 from goniotwin.app.errors import UserError
@@ -194,7 +194,7 @@ def export_csv(journal: Path, out: Path) -> bytes | None:
     out.unlink(missing_ok=True)
     try:
         with contextlib.redirect_stdout(io.StringIO()):
-            status = command()(["export", str(journal), "--format", "csv", "--out", str(out)], standalone_mode=False)
+            status = app(["export", str(journal), "--format", "csv", "--out", str(out)], standalone_mode=False)
     except UserError as error:
         return None if error.status and "\n" not in str(error) and not out.exists() else b"other"
     return None if status else out.read_bytes()
@@ -879,8 +879,8 @@ print(write_long_journal(Path(sys.argv[1]), 4992, 10))  # with dark readings as 
 EXPORT_LONG = """
 import os, sys
 os.nice(19)
-from goniotwin.app.cli.main import command
-status = command()(["export", sys.argv[1], "--format", "csv", "--out", sys.argv[2]], standalone_mode=False)
+from goniotwin.app.cli.main import app
+status = app(["export", sys.argv[1], "--format", "csv", "--out", sys.argv[2]], standalone_mode=False)
 print(open("/proc/self/status").read())  # a child's rusage begins with the memory of its parent
 sys.exit(status)
 """

@@ -16,7 +16,7 @@ from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.running.events import State
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.campaign.studies.reduced_journal import reduce_journal
-from goniotwin.app.cli.main import command
+from goniotwin.app.cli.main import app
 from goniotwin.app.rig import parse_rig
 from tests.app.campaign.campaign_bench import QUIET, planned_values
 from tests.conftest import ONE_WAY, RIG, SMALL, changed
@@ -135,9 +135,7 @@ def test_a_journal_with_a_damaged_entry_is_not_read(copy: Path, entry: str) -> N
 def export(journal: Path, out: Path, *options: str) -> int:
     """Export a journal as the command does; return its status."""
     try:
-        return int(
-            command()(["export", str(journal), "--format", "csv", "--out", str(out), *options], standalone_mode=False) or 0
-        )
+        return int(app(["export", str(journal), "--format", "csv", "--out", str(out), *options], standalone_mode=False) or 0)
     except DamagedJournal as error:
         return error.status
 

@@ -18,7 +18,7 @@ from goniotwin.app.campaign.journal.reading import DamagedJournal
 from goniotwin.app.campaign.journal.writing import CHECKPOINT_ROWS, CHECKPOINT_S, Journal, copy_journal
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.running.events import Event, RowCommitted, State
-from goniotwin.app.cli.main import command
+from goniotwin.app.cli.main import app
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig.lock import lock_journal
 from tests.system.command_process import row_digest
@@ -139,13 +139,13 @@ def test_a_copy_is_not_made_over_a_file_nor_of_a_file_that_is_no_journal(
     with pytest.raises(UserError, match=r"c\.journal: cannot be written"):
         copy_journal(journal, tmp_path / "none" / "c.journal")
     assert copy.read_bytes() == b"precious"
-    command()(["copy", str(journal), str(tmp_path / "c.journal")], standalone_mode=False)
+    app(["copy", str(journal), str(tmp_path / "c.journal")], standalone_mode=False)
     with Journal.open(journal) as opened:
         assert capsys.readouterr().out.splitlines() == [str(tmp_path / "c.journal"), opened.chain.statement]
     assert digests(tmp_path / "c.journal") == digests(journal)
     with contextlib.closing(sqlite3.connect(journal)) as db, db:
         db.execute("UPDATE reading SET monitor_a = 2.0 * monitor_a WHERE number = 3")
-    assert command()(["copy", str(journal), str(tmp_path / "d.journal")], standalone_mode=False) == 1
+    assert app(["copy", str(journal), str(tmp_path / "d.journal")], standalone_mode=False) == 1
     assert "d.journal: differs from what was measured, as " in capsys.readouterr().err
     assert sorted(each.name for each in tmp_path.iterdir() if "journal" in each.name) == [
         "a.journal", "b.journal", "c.journal", "d.journal",

@@ -14,7 +14,7 @@ from goniotwin.app.campaign.campaign import resume_campaign, run_campaign
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.running.events import Event, EventLogged, RowCommitted, State
-from goniotwin.app.cli.main import command
+from goniotwin.app.cli.main import app
 from goniotwin.app.rig.lock import RigInUse
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="Windows renames no open database")
@@ -152,5 +152,5 @@ def test_a_run_whose_journal_cannot_be_read_back_has_not_status_0(
 
     monkeypatch.setattr(Journal, "close", close_and_damage)
     words = ["run", str(schedule), "--rig", str(rig), "--out", str(path)]
-    assert command()(words, standalone_mode=False) == 1
+    assert app(words, standalone_mode=False) == 1
     assert named in capsys.readouterr().err
