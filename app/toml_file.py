@@ -1,30 +1,29 @@
 """TOML files: reading, validation against the tables of the program, error messages of one line, and JSON Schema.
 
-A table is a frozen dataclass, often the one that the code uses for the thing itself. Pydantic reads it as any other dataclass;
-this module adds what a file needs: unknown keys are refused, types are strict, arrays become tuples, and a field may have
-another key, or none (`goniotwin.keys`).
+A table is a frozen dataclass, often the one that the code uses for the thing itself, or a `TomlTable`. Pydantic reads either as
+JSON in its strict mode: unknown keys are refused, a number between quotation marks is text, and an array becomes a tuple.
 """
 
 import difflib
 import inspect
+import json
 import math
 import re
 import tomllib
-from collections.abc import Iterator
-from dataclasses import fields, is_dataclass
+from collections.abc import Callable
+from dataclasses import is_dataclass
+from datetime import date
 from functools import cache
 from pathlib import Path
-from typing import Any, TypeVar, cast
+from typing import Annotated, Any, TypeVar, cast
 
-from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, TypeAdapter, ValidationError
 from pydantic.json_schema import GenerateJsonSchema
-from pydantic_core import CoreSchema, SchemaValidator
 
 from goniotwin.app.errors import UserError
 
 TABLE = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
-FILE = ConfigDict(**TABLE, arbitrary_types_allowed=True)
-"""For the dataclass of a whole file: the dataclasses in it inherit this."""
+"""Of the dataclass of a whole file, too: the dataclasses in it inherit this."""
 KEY_FIRST = re.compile(r"([a-z]\w*(?:\.\w+)*): ")
 """The key that the message of a rule between several keys begins with."""
 SENTENCE_END = re.compile(r"(?<=\.)\s+(?=[^a-z])")
@@ -51,6 +50,21 @@ TYPES = {
     "list_type": "list",
     "union_tag_not_found": "table",
 }
+DATE = "date of TOML"
+"""Key of the JSON object that a date becomes, so that text is no date, and a date no text."""
+
+
+def _read_day(value: Any) -> Any:
+    """The day of a date. Raises ValueError for one in quotation marks, and for a date with a time."""
+    if isinstance(value, str):
+        raise ValueError(f"should be a date, not text: {value} without the quotes")
+    try:
+        return date.fromisoformat(value[DATE]) if isinstance(value, dict) and DATE in value else value
+    except ValueError:
+        raise ValueError(f"should be a date without a time, not {value[DATE]}") from None
+
+
+Day = Annotated[date, BeforeValidator(_read_day)]
 
 
 class TomlTable(BaseModel):
@@ -126,14 +140,13 @@ def _refuse_magnitudes(value: Any, name: str, place: tuple[str, ...] = ()) -> No
 def validate_table(table: type[Model], content: dict[str, Any], name: str) -> Model:
     """The content as a table. Raises UserError with the file, the key, the reason, and the number of further errors."""
     _refuse_magnitudes(content, name)
-    schema, validator = _reader(cast(Any, table))
     try:
-        return cast(Model, validator.validate_python(content))
+        return cast(Model, _reader(table).validate_json(json.dumps(content, default=lambda each: {DATE: each.isoformat()})))
     except ValidationError as error:
         # A mistyped key is reported as unknown and as missing; the unknown one has the text that was typed.
         errors = sorted(error.errors(include_url=False), key=lambda detail: not _is_unknown(detail))
         more = f" (and {len(errors) - 1} more)" if len(errors) > 1 else ""
-        known = _known_keys(schema)
+        known = _known_keys(table)
         place, reason = _place(content, errors[0]), _reason(known, errors[0])
         if (key := KEY_FIRST.match(reason)) and key[1].partition(".")[0] in known:
             place, reason = [*place, key[1]], reason[key.end() :]
@@ -146,7 +159,7 @@ def json_schema(table: Any, title: str) -> dict[str, Any]:
     A key has the sentences that name it. One that is a table has the first sentence of that table, and those that name it
     only where another key is such a table too.
     """
-    schema = _FileSchema().generate(_reader(table)[0], mode="validation")
+    schema = _reader(table).json_schema(schema_generator=_FileSchema)
     tables = (schema, *schema["$defs"].values())
     for each in tables:
         each["description"] = " ".join(EXCEPTIONS.sub("", each["description"]).split())
@@ -187,49 +200,19 @@ class _FileSchema(GenerateJsonSchema):
         found = super().default_schema(schema)
         return {key: value for key, value in found.items() if (key, value) != ("default", None)}
 
+    def encode_default(self, dft: Any) -> Any:
+        return super().encode_default(float(dft) if isinstance(dft, float) else dft)  # an uncertainty may have an origin
+
+    def get_defs_ref(self, core_mode_ref: Any) -> Any:
+        name, mode = core_mode_ref
+        return super().get_defs_ref((name.partition("[")[0], mode))  # of a table, without the kinds that can be in it
+
     def dataclass_schema(self, schema: Any) -> dict[str, Any]:
         documented = dict.fromkeys(inspect.getdoc(each) or "" for each in schema["cls"].__mro__ if is_dataclass(each))
-        return {**super().dataclass_schema(schema), "additionalProperties": False, "description": "\n".join(documented)}
+        return {**super().dataclass_schema(schema), "description": "\n".join(documented)}
 
 
-@cache
-def _reader(table: Any) -> tuple[CoreSchema, SchemaValidator]:
-    schema = cast(CoreSchema, _as_in_a_file(TypeAdapter(table).core_schema))
-    return schema, SchemaValidator(schema)
-
-
-def _as_in_a_file(node: Any) -> Any:
-    """A part of pydantic's schema, for the values of a TOML file: tables, arrays, and keys by `goniotwin.keys`."""
-    if isinstance(node, list):
-        return [_as_in_a_file(each) for each in node]
-    if not isinstance(node, dict):
-        return node
-    node = {key: _as_in_a_file(value) for key, value in node.items()}
-    if node.get("type") in ("dataclass", "tuple"):
-        node["strict"] = False  # else only instances and tuples of Python are accepted; the values in them stay strict
-    if node.get("type") == "dataclass":
-        keys = {each.name: each.metadata["key"] for each in fields(node["cls"]) if "key" in each.metadata}
-        for field in next(_parts(node, "dataclass-args"))["fields"] if keys else ():
-            if field["name"] in keys:
-                key = keys[field["name"]]
-                field.update({"init": False} if key is None else {"validation_alias": key})
-    if node.get("type") == "union":  # no file can have an object of Python
-        choices = [each for each in node["choices"] if next(_parts(each, "is-instance"), None) is None]
-        return {**node, "choices": choices} if len(choices) > 1 else choices[0]
-    return node
-
-
-def _parts(node: Any, kind: str) -> Iterator[dict[str, Any]]:
-    """All parts of a kind in a part of pydantic's schema, the outer ones first."""
-    if isinstance(node, dict):
-        if node.get("type") == kind:
-            yield node
-        node = node.values()
-    elif not isinstance(node, list):
-        return
-    for each in node:
-        if isinstance(each, dict | list):
-            yield from _parts(each, kind)
+_reader: Callable[[Any], TypeAdapter[Any]] = cache(TypeAdapter)
 
 
 def _place(content: dict[str, Any], detail: Any) -> list[str]:
@@ -253,6 +236,8 @@ def _is_unknown(detail: Any) -> bool:
 def _reason(known: list[str], detail: Any) -> str:
     if _is_unknown(detail):
         key = str(detail["loc"][-1])
+        if key == DATE:
+            return f"should be a table, not the date {detail['input']}"
         if key in known:
             return "there is no such key in this table, only in another one; move or remove it"
         close = difflib.get_close_matches(key, known, n=1)
@@ -266,9 +251,9 @@ def _reason(known: list[str], detail: Any) -> str:
         return f"{_tag_names(detail['ctx']['discriminator'])[0]}: is missing; add it"
     if detail["type"] == "union_tag_invalid":
         return f"should be a {' or a '.join(_tag_names(detail['ctx']['expected_tags']))}, not a {detail['ctx']['tag']}"
-    if detail["type"].startswith("date_") and isinstance(given, str):
-        return f"should be a date, not text: {given} without the quotes"
     shown = "" if isinstance(given, dict | list) else f", not {given!r}"
+    if isinstance(given, dict) and DATE in given:
+        shown = f", not the date {given[DATE]}"
     if detail["type"] in TYPES:
         return f"should be a {TYPES[detail['type']]}{shown}"
     message = detail["msg"].replace("Tuple", "List")
@@ -279,7 +264,7 @@ def _tag_names(tags: str) -> list[str]:
     return [tag.strip(" '") for tag in tags.split(",")]
 
 
-def _known_keys(schema: CoreSchema) -> list[str]:
+def _known_keys(table: Any) -> list[str]:
     """All keys of a file: the candidates for a correction of a mistyped key."""
-    in_dataclasses = [each.get("validation_alias", each["name"]) for each in _parts(schema, "dataclass-field") if each["init"]]
-    return in_dataclasses + [key for each in _parts(schema, "model-fields") for key in each["fields"]]
+    schema = _reader(table).json_schema(schema_generator=_FileSchema)
+    return [key for each in (schema, *schema.get("$defs", {}).values()) for key in each.get("properties", ())]

@@ -1,10 +1,10 @@
-"""Types of the values of files: numbers with bounds, the same for a file and for Python, and fields that are no keys.
+"""Types of the values of files: numbers with bounds, the same for a file and for Python.
 
 The tables of a file are the dataclasses that the code uses. annotated-types has the names of the
 bounds: pydantic, which reads the files, takes them from there, and these classes do not depend on pydantic.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import fields
 from functools import cache
 from math import inf, isfinite
@@ -26,8 +26,6 @@ TcpUnit = Annotated[int, Ge(0), Le(255)]
 MotorNumber = Annotated[int, Ge(0), Le(5)]
 WheelPosition = Annotated[int, Ge(1), Le(6)]
 
-NO_KEY: Mapping[str, Any] = MappingProxyType({"key": None})
-"""Metadata of a dataclass' field that no file has. `{"key": NAME}` is of a field with another name in the file."""
 LATER: Mapping[str, Any] = MappingProxyType({"later": True})
 """Metadata of a field that was added to the twin's model later: at its default it is not part of the model's hash."""
 Origin = Literal["measured", "stated", "assumed"]
@@ -51,11 +49,6 @@ class Width(float):
         made = super().__new__(cls, value)
         made.origin, made.by, made.degrees_of_freedom = origin, by, degrees_of_freedom
         return made
-
-    @classmethod
-    def __get_pydantic_core_schema__(cls, _source: Any, handler: Callable[[Any], Any]) -> Any:
-        """A default in a JSON Schema is a plain number."""
-        return handler(float)
 
 
 def origin_of(*uncertainties: float) -> Origin:
@@ -90,5 +83,5 @@ def _limits(hint: Any) -> list[tuple[str, float]]:
 
 
 def values_of(value: Any, base: type[Any]) -> dict[str, Any]:
-    """The values, by name, of those fields of a dataclass that its base class has."""
-    return {each.name: getattr(value, each.name) for each in fields(base)}
+    """The values, by name, of those fields of a dataclass that its base class takes."""
+    return {each.name: getattr(value, each.name) for each in fields(base) if each.init}

@@ -1,7 +1,7 @@
 """The rig file: addresses and nominal properties of the devices; opening the devices of a rig file."""
 
+from goniotwin.app.rig.axes import AXES
 from goniotwin.app.rig.file import (
-    AXES,
     RigFile,
     arc_clearance,
     axis_settings,

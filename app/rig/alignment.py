@@ -16,7 +16,7 @@ from pydantic import with_config
 
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig.inputs import element_deviations, pose_names
-from goniotwin.app.toml_file import FILE, parse_toml, read_text, validate_table
+from goniotwin.app.toml_file import TABLE, parse_toml, read_text, validate_table
 from goniotwin.keys import NonNegative
 from goniotwin.twin.plant import TwinModel
 
@@ -85,7 +85,7 @@ def residual_findings(chi_square: float) -> tuple[str, ...]:
     return (f"{residual_words(chi_square)}; the uncertainties of the alignment are {math.sqrt(chi_square):.2g} times as large",)
 
 
-@with_config(FILE)
+@with_config(TABLE)
 @dataclass(frozen=True, kw_only=True)
 class AlignmentFile:
     """An alignment file. `simulated` states whether it is of a virtual rig, with that rig's `seed`.

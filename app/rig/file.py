@@ -5,18 +5,18 @@ The operator's part has the addresses of the devices and their nominal propertie
 """
 
 import re
-from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass, field, fields, make_dataclass, replace
-from datetime import date
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import asdict, dataclass, field, fields, replace
 from functools import cache
-from types import GenericAlias
-from typing import Annotated, Any, Literal, Union, get_args, get_type_hints
+from typing import Annotated, Any, Generic, Union, cast, get_args, get_type_hints
 
 from annotated_types import Ge, Le
-from pydantic import BeforeValidator, Discriminator, Tag, WithJsonSchema, with_config
+from pydantic import Discriminator, Tag, WithJsonSchema, with_config
+from typing_extensions import TypeVar
 
 from goniotwin.app.rig.addresses import TWIN, check_address
 from goniotwin.app.rig.alignment import AlignmentTable
+from goniotwin.app.rig.axes import AXES, AxesTable
 from goniotwin.app.rig.inputs import Input, inputs
 from goniotwin.app.rig.kinds import (
     ROLES,
@@ -33,9 +33,10 @@ from goniotwin.app.rig.kinds import (
     unknown_kind,
 )
 from goniotwin.app.rig.light import LightTable
-from goniotwin.app.rig.twin_file import TwinTable, one_kind_of_detectors
-from goniotwin.app.rig.uncertainty import UncertaintyTable, disturbances_table, uncertainty_table
-from goniotwin.app.toml_file import FILE
+from goniotwin.app.rig.makes import DEFAULT_KIND
+from goniotwin.app.rig.twin_file import TwinTable
+from goniotwin.app.rig.uncertainty import UncertaintyTable, disturbances_table, no_uncertainties, uncertainty_table
+from goniotwin.app.toml_file import TABLE, Day
 from goniotwin.drivers import (
     ArcClearance,
     AxisDescription,
@@ -48,9 +49,7 @@ from goniotwin.twin.addresses import AXES as AXES_LINE
 from goniotwin.twin.addresses import CONVERTER, MONITOR, MONOCHROMATOR
 from goniotwin.twin.optics import Dimensions, Instrument
 
-AXES = ("gamma", "sigma", "beta", "shift")
-DEFAULT_KIND, SHARED, OWN_KINDS = "tmcl", "that of [axes]", "those of the axes"
-OWN_CONTROLLER = "An axis with a motion controller of its own: its `kind` and `port`."
+SHARED, OWN_KINDS = "that of [axes]", "those of the axes"
 HIGHEST_RADIANCE_FACTOR, HIGHEST_NEAR_GRAZING = 1.5, 5.0
 """The ideal diffuser has 1 in every direction; a broad lobe has somewhat more, and a lobe near grazing much more."""
 NEAR_GRAZING_DEG = 60.0
@@ -82,76 +81,6 @@ class SimulatedTable:
     def __post_init__(self) -> None:
         if self.control_port is not None and not self.control_token:
             raise ValueError("control_token: is missing, and anything could answer at control_port; serve the rig again")
-
-
-@dataclass(frozen=True)
-class Controller:
-    """A motion controller of a rig file: its name, its kind, the table with its own keys, and its axes.
-
-    `places` are the paths of the tables that have its keys.
-    """
-
-    name: str
-    kind: MotionKind
-    table: Any
-    axes: Mapping[str, AxisDescription]
-    places: tuple[tuple[str, ...], ...]
-
-    @property
-    def port(self) -> str:
-        """The address of its port."""
-        return str(self.table.port)
-
-
-@dataclass(frozen=True, kw_only=True)
-class AxesTable:
-    """The axes and their motion controllers.
-
-    `kind` and `port` of this table are of the controller of all axes that have no `kind` and `port` of their own. `gamma` and
-    `sigma` turn the sample, `beta` turns the arc, and `shift` is the arc's polar shift.
-    """
-
-    gamma: AxisDescription
-    sigma: AxisDescription
-    beta: AxisDescription
-    shift: AxisDescription
-
-    def __post_init__(self) -> None:
-        controllers = self.controllers
-        if hasattr(self, "port") and not any(("axes",) in each.places for each in controllers):
-            raise ValueError("port: every axis has a controller of its own, so there is none of [axes]; remove kind and port")
-        for controller in controllers:
-            controller.kind.check_axes(controller.axes)
-
-    @property
-    def by_name(self) -> dict[str, AxisDescription]:
-        """The tables of the axes, by name."""
-        return {name: getattr(self, name) for name in AXES}
-
-    @property
-    def controllers(self) -> tuple[Controller, ...]:
-        """The motion controllers: that of all axes without one of their own, `axes`, then the others, such as `axes-shift`.
-
-        Raises ValueError for two tables of one port that contradict each other.
-        """
-        found: list[Controller] = []
-        for name, axis in self.by_name.items():
-            own = hasattr(axis, "port")
-            table: Any = axis if own else self
-            place = ("axes", name) if own else ("axes",)
-            kind = motion_kind(table.kind)
-            same = next((each for each in found if each.port == table.port), None)
-            if same is None:
-                found.append(Controller(f"axes-{name}" if own else "axes", kind, table, {name: axis}, (place,)))
-                continue
-            for key in ("kind", *(each.name for each in fields(kind.controller))):
-                if getattr(same.table, key, None) != getattr(table, key):
-                    other = ".".join(same.places[0])
-                    raise ValueError(f"{name}.{key}: differs from that of {other}, which has the same port; correct one")
-            places = same.places if place in same.places else (*same.places, place)
-            shared = "axes" if ("axes",) in places else same.name
-            found[found.index(same)] = replace(same, name=shared, axes={**same.axes, name: axis}, places=places)
-        return tuple(sorted(found, key=lambda each: each.name != "axes"))
 
 
 @dataclass(frozen=True)
@@ -220,7 +149,7 @@ class EtalonTable:
     relative_uncertainty: Fraction = Width(0.0)
     geometry: str | None = None
     shape: Fraction = SHAPE
-    calibrated: date | None = None
+    calibrated: Day | None = None
 
     def __post_init__(self) -> None:
         try:
@@ -233,9 +162,18 @@ class EtalonTable:
             raise ValueError(f"radiance_factor: {error}") from None
 
 
+AnyAxes = TypeVar("AnyAxes", bound=AxesTable[Any], default=AxesTable)
+AnyMonochromator = TypeVar("AnyMonochromator", bound=MonochromatorEntry, default=MonochromatorEntry)
+AnyPhotodiodes = TypeVar("AnyPhotodiodes", bound=PhotodiodesEntry, default=PhotodiodesEntry)
+AnyMonitor = TypeVar("AnyMonitor", bound=MonitorEntry, default=MonitorEntry)
+AnyUncertainty = TypeVar("AnyUncertainty", bound=UncertaintyTable, default=UncertaintyTable)
+AnyTwin = TypeVar("AnyTwin", bound=TwinTable[Any, Any, Any], default=TwinTable)
+
+
+@with_config(TABLE)
 @dataclass(frozen=True, kw_only=True)
-class RigFile:
-    """All tables of the rig `name`. The fields of devices are tables of their kinds: see `rig_file_table`.
+class RigFile(Generic[AnyAxes, AnyMonochromator, AnyPhotodiodes, AnyMonitor, AnyUncertainty, AnyTwin]):
+    """All tables of the rig `name`. Those of devices are of any registered kind: see `rig_file_table`.
 
     The operator's part has the devices (`axes`, `monochromator`, `photodiodes`, `monitor`), the nominal `geometry`, the
     `sample_unit`, the `etalon` and the `light`, the `uncertainty` of all this, and the `alignment` that reduces it. `simulated`
@@ -244,17 +182,17 @@ class RigFile:
 
     name: str
     simulated: SimulatedTable | None = None
-    axes: AxesTable
-    monochromator: MonochromatorEntry
-    photodiodes: PhotodiodesEntry
-    monitor: MonitorEntry
+    axes: AnyAxes
+    monochromator: AnyMonochromator
+    photodiodes: AnyPhotodiodes
+    monitor: AnyMonitor
     geometry: GeometryTable = field(default_factory=GeometryTable)
     sample_unit: SampleUnitTable = field(default_factory=SampleUnitTable)
     etalon: EtalonTable = field(default_factory=EtalonTable)
     light: LightTable = field(default_factory=LightTable)
-    uncertainty: UncertaintyTable = field(default_factory=UncertaintyTable)
+    uncertainty: AnyUncertainty = field(default_factory=no_uncertainties)
     alignment: AlignmentTable | None = None
-    twin: TwinTable | None = None
+    twin: AnyTwin | None = None
 
     @property
     def devices(self) -> tuple[DeviceAddress, ...]:
@@ -341,110 +279,100 @@ def set_addresses(document: Any, file: RigFile, address_of: Callable[[DeviceAddr
 
 
 def rig_file_table() -> type[RigFile]:
-    """The tables of a rig file with the tables of all registered kinds in them."""
-    return _rig_file_table(kinds(), inputs())
+    """The tables of a rig file: each device is one of the tables of the registered kinds, chosen by its `kind`."""
+    return cast(type[RigFile], _rig_file_table(kinds(), inputs()))
 
 
 @cache
-def _rig_file_table(known: tuple[Kind, ...], uncertain: tuple[Input, ...]) -> type[RigFile]:
-    """`RigFile` where each device is one of the tables of its kinds, chosen by `kind`."""
+def _rig_file_table(known: tuple[Kind, ...], uncertain: tuple[Input, ...]) -> Any:
     makes = [kind for kind in known if isinstance(kind, MotionKind)]
-    own = {kind.name: _own_axis_table(kind) for kind in makes}
-    tables = {kind.name: _axes_table(kind, own) for kind in makes}
-    tables[OWN_KINDS] = _table("AxesTable", AxesTable, AxesTable.__doc__, {name: _axis_choice({}, own) for name in AXES})
-    types: dict[str, Any] = {"axes": Annotated[_choice("axes", tables, _axes_kind), BeforeValidator(_own_kinds_alone)]}
-    for role in ROLES[1:]:
-        of_role = {kind.name: kind.table for kind in known if isinstance(kind, DeviceKind) and kind.role == role}
-        types[role] = _choice(role, of_role, _kind)
-    twins: dict[str, Any] = {}
-    for key, of_axes in (("controllers", True), ("devices", False)):
-        models = [model for kind in known if isinstance(kind, MotionKind) == of_axes for model in kind.twins]
-        choices = {name: model for model in models for name in get_args(get_type_hints(model)["kind"])}
-        choice = _choice(None, choices, _kind)
-        twins[key] = GenericAlias(dict, (str, choice)), field(default_factory=dict)
-    twins["disturbances"] = disturbances_table(uncertain), disturbances_table(uncertain)()
-    types["uncertainty"] = uncertainty_table(uncertain), uncertainty_table(uncertain)()
-    twin = _table("TwinTable", TwinTable, TwinTable.__doc__, twins)
-    types["twin"] = Annotated[twin, BeforeValidator(one_kind_of_detectors)] | None, None
-    table: type[RigFile] = _table("RigFile", RigFile, RigFile.__doc__, types)
-    return with_config(FILE)(table)
+    own = {kind.name: kind.own_axis for kind in makes}
+    generic: Any = AxesTable
+    axes: dict[str, Any] = {kind.name: _axes_table(kind, own) for kind in makes}
+    axes[OWN_KINDS] = generic[_choice(own, _kind)]
+    devices = [kind for kind in known if isinstance(kind, DeviceKind)]
+    tables = [_choice({kind.name: kind.table for kind in devices if kind.role == role}, _kind) for role in ROLES[1:]]
+    twin: Any = TwinTable
+    twin = twin[_choice(_twins(makes), _kind), _choice(_twins(devices), _kind), disturbances_table(uncertain)]
+    file: Any = RigFile
+    return file[_choice(axes, _axes_kind), *tables, uncertainty_table(uncertain), twin]
 
 
-def _axes_table(kind: MotionKind, own: Mapping[str, type]) -> Any:
-    """`[axes]` with a controller of a kind."""
-    axes = {name: _axis_choice({SHARED: kind.axis}, own) for name in AXES}
-    name_and_port = {"kind": Literal[kind.name], "port": str}
-    return _table(f"AxesTable-{kind.name}", (AxesTable, kind.controller), AxesTable.__doc__, {**name_and_port, **axes})
+def _axes_table(kind: MotionKind, own: Mapping[str, Any]) -> Any:
+    """`[axes]` with a controller of a kind; axes with one of their own have any."""
+    table: Any = kind.axes
+    return table[_choice({SHARED: kind.axis, **own}, lambda value: value.get("kind", SHARED))]
 
 
-def _own_axis_table(kind: MotionKind) -> Any:
-    """`[axes.NAME]` with a controller of its own."""
-    name_and_port = {"kind": Literal[kind.name], "port": str}
-    return _table(f"OwnController-{kind.name}", (kind.axis, kind.controller), OWN_CONTROLLER, name_and_port)
+def _twins(known: Iterable[Kind]) -> dict[str, Any]:
+    """The tables of the twin's devices of some kinds, by the kind that they have there."""
+    return {name: model for kind in known for model in kind.twins for name in get_args(get_type_hints(model)["kind"])}
 
 
-def _table(name: str, bases: type | tuple[type, ...], text: str | None, types: Mapping[str, Any]) -> Any:
-    """A table that extends others with fields: types, or pairs of type and default."""
-    of = bases if isinstance(bases, tuple) else (bases,)
-
-    def check(table: object) -> None:
-        for base in of:
-            if (rule := getattr(base, "__post_init__", None)) is not None:
-                rule(table)
-
-    entries = [(key, *each) if isinstance(each, tuple) else (key, each) for key, each in types.items()]
-    namespace = {"__doc__": text, "__post_init__": check, "__module__": __name__}
-    return make_dataclass(name, entries, bases=of, namespace=namespace, frozen=True, kw_only=True)
-
-
-def _axis_choice(shared: Mapping[str, type], own: Mapping[str, type]) -> Any:
-    of_own = _controller_keys() - {key.name for table in shared.values() for key in fields(table)}
-
-    def check(value: Any) -> Any:
-        if isinstance(value, dict) and "kind" not in value and (key := next(filter(of_own.__contains__, value), None)):
-            raise ValueError(f"kind: is missing; add it, because {key} is a key of an axis with a controller of its own")
-        return value
-
-    choice = _choice("axes", {**shared, **own}, lambda value: value.get("kind", SHARED) if isinstance(value, dict) else None)
-    return Annotated[choice, BeforeValidator(check)] if shared else choice
-
-
-def _choice(role: Role | None, tables: Mapping[str, Any], kind_of: Callable[[Any], str | None]) -> Any:
-    """One of several tables, by the kind of a value."""
-
-    def check(value: Any) -> Any:
-        if isinstance(value, dict) and (kind := kind_of(value)) not in [*tables]:
-            raise ValueError("kind: is missing; add it" if kind is None else f"kind: {unknown_kind(kind, role, tables)}")
-        return value
-
+def _choice(tables: Mapping[str, Any], kind_of: Callable[[Any], Any]) -> Any:
+    """One of several tables, by the kind of a value that is a table."""
     distinct = dict.fromkeys(tables.values())
     if len(distinct) < 2:
-        return Annotated[next(iter(distinct), NO_TABLE), BeforeValidator(check)]
+        return next(iter(distinct), NO_TABLE)
     choices = tuple(Annotated[table, Tag(kind)] for kind, table in tables.items())
-    return Annotated[Union[choices], Discriminator(kind_of), BeforeValidator(check)]  # noqa: UP007
+    return Annotated[Union[choices], Discriminator(lambda value: kind_of(value) if isinstance(value, dict) else None)]  # noqa: UP007
 
 
-def _kind(value: Any) -> str | None:
+def _kind(value: Any) -> Any:
     return value.get("kind") if isinstance(value, dict) else None
 
 
-def _axes_kind(value: Any) -> str | None:
+def _axes_kind(value: Any) -> Any:
     """The kind of the controller of `[axes]`; without one, whether each axis has its own."""
     if not isinstance(value, dict) or "kind" in value:
         return _kind(value)
     return OWN_KINDS if all(_kind(value.get(name)) for name in AXES) else DEFAULT_KIND
 
 
-def _controller_keys() -> set[str]:
-    """The keys of motion controllers of all kinds, beside `kind`."""
-    return {"port", *(key.name for kind in kinds() if isinstance(kind, MotionKind) for key in fields(kind.controller))}
+def check_kinds(content: Mapping[str, Any]) -> None:
+    """Raise ValueError, with the key, for a kind in a rig file's content that is missing or unknown."""
+    makes = [kind for kind in kinds() if isinstance(kind, MotionKind)]
+    devices = [kind for kind in kinds() if isinstance(kind, DeviceKind)]
+    if isinstance(axes := content.get("axes"), dict):
+        _check_controllers(axes, makes)
+    for role in ROLES[1:]:
+        if isinstance(table := content.get(role), dict):
+            _check_kind(role, table.get("kind"), role, [kind.name for kind in devices if kind.role == role])
+    twin = content.get("twin")
+    for part, known in (("controllers", _twins(makes)), ("devices", _twins(devices))):
+        tables = twin.get(part) if isinstance(twin, dict) else None
+        for name, table in tables.items() if isinstance(tables, dict) else ():
+            if isinstance(table, dict):
+                _check_kind(f"twin.{part}.{name}", table.get("kind"), None, known)
 
 
-def _own_kinds_alone(value: Any) -> Any:
-    """The content of `[axes]`. Raises ValueError for a port, or a key of a controller, that is of no axis."""
-    if _axes_kind(value) == OWN_KINDS and (key := next(filter(_controller_keys().__contains__, value), None)):
-        raise ValueError(f"{key}: every axis has a controller of its own, so there is none of [axes]; remove {key}")
-    return value
+def _check_controllers(axes: Mapping[str, Any], makes: Iterable[MotionKind]) -> None:
+    """Check the kinds in `[axes]`. Raises ValueError also for a key of a controller where there is none."""
+    names = [kind.name for kind in makes]
+    of_controllers = {"port", *(key.name for kind in makes for key in fields(kind.controller))}
+    kind = _axes_kind(axes)
+    if kind == OWN_KINDS:
+        if key := next(filter(of_controllers.__contains__, axes), None):
+            wrong = "every axis has a controller of its own, so there is none of [axes]"
+            raise ValueError(f"axes.{key}: {wrong}; remove {key}")
+        return _check_own_kinds(axes, names, set())
+    _check_kind("axes", kind, "axes", names)
+    return _check_own_kinds(axes, names, of_controllers - {key.name for key in fields(motion_kind(kind).axis)})
+
+
+def _check_own_kinds(axes: Mapping[str, Any], names: Iterable[str], of_own: set[str]) -> None:
+    for name in AXES:
+        axis = axes.get(name)
+        if isinstance(axis, dict) and "kind" in axis:
+            _check_kind(f"axes.{name}", axis["kind"], "axes", names)
+        elif isinstance(axis, dict) and (key := next(filter(of_own.__contains__, axis), None)):
+            wrong = f"is missing; add it, because {key} is a key of an axis with a controller of its own"
+            raise ValueError(f"axes.{name}.kind: {wrong}")
+
+
+def _check_kind(place: str, kind: Any, role: Role | None, known: Iterable[str]) -> None:
+    if kind not in [*known]:
+        raise ValueError(f"{place}.kind: {'is missing; add it' if kind is None else unknown_kind(kind, role, known)}")
 
 
 def axis_settings(file: RigFile) -> dict[str, AxisDescription]:

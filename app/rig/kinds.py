@@ -6,30 +6,19 @@ kind; they are loaded when a rig file has that kind, so that one that cannot be 
 """
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Protocol
-
-from annotated_types import MinLen
+from typing import TYPE_CHECKING, Any, Literal, Protocol
 
 from goniotwin.app.errors import UserError
-from goniotwin.app.rig.addresses import is_network_port
-from goniotwin.drivers.monitor.settings import MonitorDescription, MonitorSettings
-from goniotwin.drivers.monochromator.settings import MonochromatorDescription, MonochromatorSettings
-from goniotwin.drivers.motion.settings import AxisSettings
-from goniotwin.drivers.motion.tmcl import TmclSettings, axis_timing, default_reply_timeout_s, exchange_seconds
-from goniotwin.drivers.motion.tmcl import explain as explain_tmcl
+from goniotwin.drivers.monitor.settings import MonitorDescription
+from goniotwin.drivers.monochromator.settings import MonochromatorDescription
 from goniotwin.drivers.photodiodes.description import ConverterDescription
-from goniotwin.drivers.photodiodes.settings import PhotodiodeSettings
 from goniotwin.drivers.tap import Explain, as_text
-from goniotwin.keys import values_of
-from goniotwin.protocols import adam
-from goniotwin.twin.devices import FurtherTmclLine
 
 if TYPE_CHECKING:  # the libraries of the buses are loaded when a rig is opened
     from goniotwin.app.rig.wires import Wires
-    from goniotwin.drivers import Device, Monitor, Monochromator, MotionController, PhotodiodeArray, TmclController
+    from goniotwin.drivers import Device, MotionController
     from goniotwin.drivers.device import PortOpener
     from goniotwin.drivers.motion import AxisTiming
     from goniotwin.protocols.clock import Clock
@@ -39,9 +28,6 @@ GROUP = "goniotwin.devices"
 Role = Literal["axes", "monochromator", "photodiodes", "monitor"]
 ROLES: tuple[Role, ...] = ("axes", "monochromator", "photodiodes", "monitor")
 """The devices of a rig, in the order in which they are listed. `axes` has one controller or several."""
-SWITCHES_BEYOND_DEG = 1.0
-NETWORK_REPLY_TIMEOUT_S = 0.25
-"""Longest wait for a reply of axes behind a serial server: it and the network are late more often than a cable."""
 
 
 Probe = tuple[str, Callable[["PortOpener", "Clock"], str]]
@@ -53,7 +39,9 @@ class MotionKind:
     """A make of motion controllers.
 
     `controller` is the table of what a controller has beside `kind` and `port`, all of it with defaults, and `axis` that of
-    one of its axes, an `AxisDescription`. `open` makes the driver, from the wires, its name, the controller's table and those
+    one of its axes, an `AxisDescription`. With `kind` and `port` they make tables of the rig file: `axes` is `[axes]`, which
+    extends `AxesTable[AnyAxis]` and the controller; `own_axis` is `[axes.NAME]` of an axis with a controller of its own, which
+    extends the axis and the controller. `open` makes the driver, from the wires, its name, the controller's table and those
     of its axes; `timing` gives the durations of an axis' moves, from both tables. `check` raises ValueError for axes that
     contradict each other. `twins` are the tables of `[twin.controllers.NAME]`. `describe` gives such a table without axes, and
     the mechanics of each axis in `[twin.axes]`, for the rehearsal of a real rig; it appends what it assumes to a list. The
@@ -63,6 +51,8 @@ class MotionKind:
     name: str
     controller: type[Any]
     axis: type[Any]
+    axes: type[Any]
+    own_axis: type[Any]
     open: Callable[["Wires", str, Any, Mapping[str, Any]], "MotionController"]
     timing: Callable[[Any, Any], "AxisTiming"]
     check: Callable[[Mapping[str, Any]], object] = len
@@ -71,6 +61,10 @@ class MotionKind:
     describe: Callable[[Any, Mapping[str, Any], list[str]], tuple[dict[str, Any], dict[str, dict[str, Any]]]] | None = None
     probes: tuple[Probe, ...] = ()
     role: Role = "axes"
+
+    def __post_init__(self) -> None:
+        if not getattr(self.axes, "__parameters__", ()):
+            raise TypeError(f"axes: {self.axes.__name__} does not leave the type of its axes open; extend AxesTable[AnyAxis]")
 
     def check_axes(self, axes: Mapping[str, Any]) -> None:
         """Check the axes of a controller. Raises ValueError, also for any other exception of `check`."""
@@ -224,156 +218,3 @@ def _kinds_in(content: Any) -> Iterable[str]:
             yield kind
         for value in content.values():
             yield from _kinds_in(value)
-
-
-# ---- the makes that the program has itself ----
-
-
-@dataclass(frozen=True, kw_only=True)
-class MonochromatorTable(MonochromatorSettings):
-    """The monochromator of this `kind`, at the serial line `port`."""
-
-    kind: Literal["cornerstone"]
-    port: str
-
-
-@dataclass(frozen=True, kw_only=True)
-class PhotodiodesTable(PhotodiodeSettings):
-    """The photodiodes and their converters; `units` are the addresses of the converter modules."""
-
-    units: Annotated[tuple[str, ...], MinLen(1)]
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if len(self.units) != self.modules:
-            wrong = f"{self.count} photodiodes need {self.modules} units of {adam.CHANNELS} channels, not {len(self.units)}"
-            raise ValueError(f"{wrong}; correct units, upper_deg or lower_deg")
-
-
-@dataclass(frozen=True, kw_only=True)
-class MonitorTable(MonitorSettings):
-    """The monitor of this `kind`, at the address `usb`."""
-
-    kind: Literal["pm100d"]
-    usb: str
-
-
-def _open_tmcl(wires: "Wires", name: str, table: Any, axes: Mapping[str, AxisSettings]) -> "TmclController":
-    from goniotwin.drivers import TmclController
-
-    tap = wires.tap(name, explain_tmcl)
-    opener, found = wires.serial(table.port), wires.found(table.port)
-    settings = TmclSettings(**values_of(table, TmclSettings))
-    if settings.reply_timeout_s is None and is_network_port(table.port):
-        longest_s = max(NETWORK_REPLY_TIMEOUT_S, default_reply_timeout_s(settings.baudrate))
-        settings = replace(settings, reply_timeout_s=longest_s)
-    return TmclController(name, opener, wires.clock, settings, axes, tap, wires.session, found, wires.speed)
-
-
-def _check_motors(axes: Mapping[str, AxisSettings]) -> None:
-    """Raise ValueError for two axes of one motor."""
-    wired: dict[tuple[int, int], str] = {}
-    for name, axis in axes.items():
-        other = wired.setdefault((axis.module, axis.motor), name)
-        if other != name:
-            wrong = f"{other} and {name} are both motor {axis.motor} of module {axis.module}"
-            raise ValueError(f"{wrong}; correct one of them")
-
-
-def _describe_tmcl(
-    table: Any, axes: Mapping[str, AxisSettings], assumptions: list[str]
-) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
-    """One module with six motors; for several module addresses, several modules on one bus."""
-    several = len({axis.module for axis in axes.values()}) > 1
-    single_motors = several and all(axis.motor == 0 for axis in axes.values())
-    controller = {
-        "kind": "tmcm-1240" if single_motors else "tmcm-6214",
-        "wire": "rs485" if several else "usb",
-        "baudrate": table.baudrate,
-    }
-    return controller, {name: _tmcl_mechanics(name, axis, assumptions) for name, axis in axes.items()}
-
-
-def _tmcl_mechanics(name: str, axis: AxisSettings, assumptions: list[str]) -> dict[str, Any]:
-    mechanics: dict[str, Any] = {
-        "motor": axis.motor, "module": axis.module, "gear": axis.gear, "sense": axis.sense, "zero_deg": axis.zero_offset_deg,
-        "full_steps": axis.full_steps, "encoder": axis.encoder, "backlash_deg": axis.backlash_deg,
-    }  # fmt: skip
-    if axis.encoder and axis.encoder_counts is not None:
-        mechanics["encoder_counts"] = axis.encoder_counts
-    if axis.switches:
-        mechanics["lower_switch_deg"] = axis.lower_deg - SWITCHES_BEYOND_DEG
-        mechanics["upper_switch_deg"] = axis.upper_deg + SWITCHES_BEYOND_DEG
-        assumptions.append(f"{name}'s limit switches are {SWITCHES_BEYOND_DEG:g} deg beyond its soft limits")
-    return mechanics
-
-
-def _open_cornerstone(wires: "Wires", table: Any) -> "Monochromator":
-    from goniotwin.drivers import Monochromator
-
-    tap, found = wires.tap("monochromator", as_text), wires.found(table.port)
-    return Monochromator(wires.serial(table.port), table, wires.clock, tap, found, wires.guard(table.port))
-
-
-def _open_adam(wires: "Wires", table: Any) -> "PhotodiodeArray":
-    from goniotwin.drivers import PhotodiodeArray
-
-    units = [wires.modbus(address, f"photodiodes-{k}") for k, address in enumerate(table.units)]
-    return PhotodiodeArray(units, table, wires.clock)
-
-
-def _open_pm100d(wires: "Wires", table: Any) -> "Monitor":
-    from goniotwin.drivers import Monitor
-
-    tap, found = wires.tap("monitor", _explain_usbtmc), wires.found(table.usb)
-    return Monitor(wires.usb(table.usb), table, wires.clock, tap, found)
-
-
-def _explain_modbus(direction: str, data: bytes) -> str:
-    from goniotwin.drivers.photodiodes.modbus import explain
-
-    return explain(direction, data)
-
-
-def _explain_usbtmc(direction: str, data: bytes) -> str:
-    from goniotwin.drivers.usb.usbtmc import explain
-
-    return explain(direction, data)
-
-
-def _probe_tmcl(open_port: "PortOpener", clock: "Clock", baudrate: int) -> str:
-    from goniotwin.drivers import TmclModule
-
-    module = TmclModule(open_port, clock, baudrate)
-    try:
-        return f"TMCM-{module.identify()}"
-    finally:
-        module.close()
-
-
-def _probe_cornerstone(open_port: "PortOpener", clock: "Clock") -> str:
-    from goniotwin.drivers import Monochromator
-
-    monochromator = Monochromator(open_port, MonochromatorSettings(), clock)
-    try:
-        return monochromator.identify()
-    finally:
-        monochromator.close()
-
-
-OWN_KINDS: tuple[Kind, ...] = (
-    MotionKind(
-        "tmcl", controller=TmclSettings, axis=AxisSettings, open=_open_tmcl,
-        timing=lambda controller, axis: axis_timing(axis, exchange_seconds(controller.baudrate)),
-        check=_check_motors, explain=explain_tmcl, twins=(FurtherTmclLine,), describe=_describe_tmcl,
-        probes=tuple((f"TMCL at {rate} Bd", partial(_probe_tmcl, baudrate=rate)) for rate in (115200, 9600)),
-    ),
-    DeviceKind(
-        "monochromator", "cornerstone", MonochromatorTable, _open_cornerstone,
-        probes=(("Cornerstone at 9600 Bd", _probe_cornerstone),),
-    ),
-    *(DeviceKind("photodiodes", model, PhotodiodesTable, _open_adam, _explain_modbus) for model in adam.MODELS),
-    DeviceKind("monitor", "pm100d", MonitorTable, _open_pm100d, _explain_usbtmc),
-)  # fmt: skip
-for _kind in OWN_KINDS:
-    register(_kind)

@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Any
 from goniotwin.app.errors import UserError, unusable
 from goniotwin.app.rig.addresses import TWIN, InvalidAddress, device_names, resolve_port
 from goniotwin.app.rig.alignment import RigIdentity, alignment_notes, check_alignment, parse_alignment, read_alignment
-from goniotwin.app.rig.file import AXES, Controller, RigFile, arc_clearance, rig_file_table, tables_without_ports
+from goniotwin.app.rig.axes import AXES, Controller
+from goniotwin.app.rig.file import RigFile, arc_clearance, check_kinds, rig_file_table, tables_without_ports
 from goniotwin.app.rig.kinds import ROLES, Role, device_kind, load_plugins
 from goniotwin.app.rig.model_hash import model_hashes
-from goniotwin.app.rig.twin_file import twin_model
+from goniotwin.app.rig.twin_file import check_detectors, twin_model
 from goniotwin.app.toml_file import parse_toml, read_toml, validate_table
 
 if TYPE_CHECKING:  # the libraries of the buses are loaded when a rig is opened
@@ -129,6 +130,11 @@ def _file(content: dict[str, Any], name: str) -> RigFile:
     if "sigma_deg" in content and "axes" not in content:
         raise UserError(f"{name}: looks like a schedule, not like a rig file; open it as a schedule")
     load_plugins(content, name)
+    try:
+        check_kinds(content)
+        check_detectors(content)
+    except ValueError as error:
+        raise UserError(f"{name}: {error}") from None
     return validate_table(rig_file_table(), content, name)
 
 

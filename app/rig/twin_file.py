@@ -8,16 +8,21 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Generic
+
+from pydantic import Field
+from typing_extensions import TypeVar
 
 from goniotwin.app.rig.inputs import SECOND_LEVEL, inputs
 from goniotwin.app.rig.samples import SampleTable, sample_scatterer
+from goniotwin.app.rig.uncertainty import no_disturbances
 from goniotwin.drivers.monochromator.settings import refuse_repeated_positions
-from goniotwin.keys import values_of
+from goniotwin.keys import Share, values_of
 from goniotwin.twin.addresses import AXES, CONVERTER, CONVERTER_LINE, MONITOR, MONOCHROMATOR
 from goniotwin.twin.devices import MODULE_KINDS
 from goniotwin.twin.optics import Deviation, Instrument, RealSensor
 from goniotwin.twin.optics.geometry.field import scale_field
+from goniotwin.twin.optics.geometry.instrument import MIRROR_REFLECTANCE
 from goniotwin.twin.plant import (
     AxisController,
     ControllerModel,
@@ -31,7 +36,8 @@ from goniotwin.twin.plant import (
     TwinModel,
     WheelFilter,
 )
-from goniotwin.twin.plant.disturbances import ETALON, FIELD, SECOND
+from goniotwin.twin.plant.disturbances import ETALON, FIELD, SECOND, Disturbances
+from goniotwin.twin.plant.model import EstimatorKind, RelativeError
 
 NAME = re.compile(r"[A-Za-z0-9_-]+")
 """The name of a device in an address `twin://RIG/NAME`."""
@@ -39,7 +45,18 @@ NAME = re.compile(r"[A-Za-z0-9_-]+")
 
 @dataclass(frozen=True)
 class OpticsTable(Instrument, Estimator):
-    """The optics of the virtual rig, and the `estimator` of the light on its photodiodes."""
+    """The optics of the virtual rig, and the `estimator` of the light on its photodiodes.
+
+    Deviations and sensor have tables of their own.
+    """
+
+    mirror_reflectance: Share = MIRROR_REFLECTANCE
+    kind: Annotated[EstimatorKind, Field(validation_alias="estimator")] = Estimator.kind
+    relative_error: Annotated[RelativeError, Field(validation_alias="forward_error")] = Estimator.relative_error
+    pupil_to_mirror_mm: float = field(default=Instrument.pupil_to_mirror_mm, init=False)
+    deviations: Mapping[str, Deviation] = field(default_factory=dict, init=False)
+    illumination: Mapping[str, Deviation] = field(default_factory=dict, init=False)
+    sensor: RealSensor | None = field(default=None, init=False)
 
 
 @dataclass(frozen=True)
@@ -56,17 +73,25 @@ class AxesMechanicsTable:
 class DriveTable(MonochromatorDrive, SecondOrder):
     """The monochromator of the virtual rig, and the second order of its grating."""
 
+    gratings: tuple[tuple[int, str], ...] = field(default=MonochromatorDrive.gratings, init=False)
+    already_there_is_error: bool = field(default=False, init=False)
 
-def one_kind_of_detectors(content: Any) -> Any:
-    """The content of `[twin]`. Raises ValueError for dimensions of virtual detectors beside a sensor, even the default ones."""
-    optics = content.get("optics") if isinstance(content, dict) and "sensor" in content else None
+
+def check_detectors(content: Mapping[str, Any]) -> None:
+    """Raise ValueError for dimensions of virtual detectors beside a sensor in a rig file's content, even the default ones."""
+    twin = content.get("twin")
+    optics = twin.get("optics") if isinstance(twin, dict) and "sensor" in twin else None
     if given := sorted(set(optics or ()) & {"detector_diameter_mm", "field_deg"}):
-        raise ValueError(f"optics.{given[0]} is of virtual detectors, which [twin.sensor] replaces; remove one of them")
-    return content
+        raise ValueError(f"twin.optics.{given[0]}: is of virtual detectors, which [twin.sensor] replaces; remove one of them")
+
+
+AnyController = TypeVar("AnyController", bound=ControllerModel, default=ControllerModel)
+AnyDevice = TypeVar("AnyDevice", bound=DeviceModel, default=DeviceModel)
+AnyDisturbances = TypeVar("AnyDisturbances", bound=Disturbances, default=Disturbances)
 
 
 @dataclass(frozen=True, kw_only=True)
-class TwinTable(Parts):
+class TwinTable(Parts, Generic[AnyController, AnyDevice, AnyDisturbances]):
     """The virtual rig: its `axes` and `optics`, the `sensor` of real detectors, the `deviations` of elements by name.
 
     `illumination` has those of the elements within the illumination unit. `samples` are by name, too. `monochromator` has the
@@ -82,8 +107,9 @@ class TwinTable(Parts):
     illumination: dict[str, Deviation] = field(default_factory=dict)
     monochromator: DriveTable = field(default_factory=DriveTable)
     filters: tuple[WheelFilter, ...] = ()
-    controllers: Mapping[str, ControllerModel] = field(default_factory=dict)
-    devices: Mapping[str, DeviceModel] = field(default_factory=dict)
+    controllers: dict[str, AnyController] = field(default_factory=dict)
+    devices: dict[str, AnyDevice] = field(default_factory=dict)
+    disturbances: AnyDisturbances = field(default_factory=no_disturbances)
 
     def __post_init__(self) -> None:
         if self.sensor is not None and self.optics.kind == "fast" and self.sensor.departure is not None:
@@ -146,9 +172,10 @@ class TwinTable(Parts):
         if left and AXES in self.controllers:
             raise ValueError(f"controllers: {AXES} is the controller of {', '.join(left)}; give this one another name")
         self._check_motors(self.controller, left, "controller")
-        for name, controller in self.controllers.items():
-            if isinstance(controller, AxisController):
-                self._check_motors(controller, controller.axes, f"controllers.{name}")
+        further: Mapping[str, ControllerModel] = self.controllers
+        for name, line in further.items():
+            if isinstance(line, AxisController):
+                self._check_motors(line, line.axes, f"controllers.{name}")
 
     def _check_motors(self, controller: AxisController, names: Sequence[str], place: str) -> None:
         """Raise ValueError for a motor of several axes, or one that a module of this line does not have."""

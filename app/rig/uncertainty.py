@@ -6,7 +6,7 @@ from functools import cache
 from math import inf
 from typing import Any, Self, TypeVar, cast
 
-from goniotwin.app.rig.inputs import HASHED, Input
+from goniotwin.app.rig.inputs import HASHED, Input, inputs
 from goniotwin.keys import LATER, MEASURED, Origin, Width, origin_of
 from goniotwin.twin.plant import Disturbances
 
@@ -61,10 +61,25 @@ def disturbances_table(known: tuple[Input, ...]) -> type[Disturbances]:
     return _table(Disturbances, words, {each: field(default=0.0, metadata=own) for each, own in metadata.items()})
 
 
+def no_uncertainties() -> Any:
+    """`[uncertainty]` of a file without it: all defaults."""
+    return uncertainty_table(inputs())()
+
+
+def no_disturbances() -> Any:
+    """`[twin.disturbances]` of a file without it: the virtual rig is off by nothing."""
+    return disturbances_table(inputs())()
+
+
+def _made_again(base: type[Any], values: Mapping[str, Any]) -> Any:
+    """A table from a pickle, where its class is that of the inputs which this process knows."""
+    return {UncertaintyTable: uncertainty_table, Disturbances: disturbances_table}[base](inputs())(**values)
+
+
 def _table(base: type[Table], words: str, keys: Mapping[Input, Any]) -> type[Table]:
     """A table that extends a base with keys."""
     text = " ".join([words, *(f"`{each.key}`: {each.text}." for each in keys)])
     entries = [(each.key, each.bounds, default) for each, default in keys.items()]
-    namespace = {"__doc__": text, "__module__": __name__}
+    namespace = {"__doc__": text, "__module__": __name__, "__reduce__": lambda table: (_made_again, (base, vars(table)))}
     made: Any = make_dataclass(base.__name__, entries, bases=(base,), namespace=namespace, frozen=True)
     return cast(type[Table], made)

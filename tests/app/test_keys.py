@@ -13,7 +13,7 @@ from inspect import signature
 from pathlib import Path
 from pkgutil import walk_packages
 from types import ModuleType
-from typing import Any, get_args
+from typing import Any, TypeVar, get_args
 
 import pytest
 from jsonschema import Draft202012Validator
@@ -23,7 +23,7 @@ from typer.testing import CliRunner
 from goniotwin.app.campaign.schedule.file import ScheduleFile, read_schedule
 from goniotwin.app.cli.main import app
 from goniotwin.app.errors import UserError
-from goniotwin.app.rig import AXES, kinds, open_rig, read_rig, rig_file_table, twin_file
+from goniotwin.app.rig import AXES, makes, open_rig, read_rig, rig_file_table, twin_file
 from goniotwin.app.rig import file as rig_file
 from goniotwin.app.rig.inputs import inputs
 from goniotwin.app.rig.kinds import register, unregister
@@ -186,7 +186,7 @@ def test_a_key_that_is_a_table_has_the_first_sentence_of_its_table() -> None:
     assert described["monitor"] == "The monitor of this `kind`, at the address `usb`."
     assert described["axes"] == "The axes and their motion controllers."
     assert len(set(described.values())) == len(described)
-    gear = schema["$defs"]["AxesTable-tmcl"]["properties"]["beta"]["description"]
+    gear = schema["$defs"]["TmclAxesTable"]["properties"]["beta"]["description"]
     assert gear.startswith("The nominal properties of an axis. ")
     assert "`beta` turns the arc" in gear
     assert [name for name in schema["$defs"] if "goniotwin" in name] == []
@@ -259,14 +259,16 @@ def dataclasses_in(package: str) -> set[type]:
 def has_tables(hint: Any) -> bool:
     """True for the type of a key whose value is a table, or has tables."""
     model = isinstance(hint, type) and issubclass(hint, BaseModel)
-    return model or is_dataclass(hint) or any(has_tables(each) for each in get_args(hint))
+    kinds = isinstance(hint, TypeVar)  # one of the tables of the registered kinds
+    return model or kinds or is_dataclass(hint) or any(has_tables(each) for each in get_args(hint))
 
 
 def declared_twice(tables: set[type], used: set[type]) -> list[str]:
     """The keys that a table declares itself, and that a dataclass which it does not extend declares as well."""
     found = []
     for table in tables:
-        own = {name for name, hint in vars(table).get("__annotations__", {}).items() if not has_tables(hint)}
+        inherited = {each.name for base in table.__mro__[1:] if is_dataclass(base) for each in fields(base)}
+        own = {name for name, hint in vars(table).get("__annotations__", {}).items() if not has_tables(hint)} - inherited
         for other in used - set(table.__mro__):
             found += [
                 f"{table.__name__}.{key} and {other.__name__}.{key}" for key in own & {each.name for each in fields(other)}
@@ -279,7 +281,7 @@ def test_no_key_of_the_rig_file_is_declared_twice() -> None:
     definitions = {each["ref"]: each for each in schema["definitions"]}
     sections = {each["name"]: tables_in(each, definitions) for each in schema["schema"]["schema"]["fields"]}
     for section, package in USED_IN.items():
-        own = {each for each in sections[section] if each.__module__ in (rig_file.__name__, twin_file.__name__, kinds.__name__)}
+        own = {each for each in sections[section] if each.__module__ in (rig_file.__name__, twin_file.__name__, makes.__name__)}
         assert own
         assert declared_twice(own, dataclasses_in(package)) == []
 

@@ -40,6 +40,14 @@ BAD_RIGS = [
     (("shift = { motor = 0", "shift = { motor = 3"), r"twin\.axes: motor 3 turns 2 axes"),
     (("arc_radius_mm = 300.0", "arc_radius_mm = 300.0\nfield_deg = 200.0"), r"geometry\.field_deg: .*less than 180"),
     (("[twin.light]", "[twin.optics]\nfield_deg = 200.0\n\n[twin.light]"), r"twin\.optics\.field_deg: .*less than 180"),
+    (("[axes.gamma]", "[axes.gamma]\nencoder = 1"), r"axes\.gamma\.encoder: .*boolean, not 1"),
+    (('name = "virtual goniophotometer"', "name = 2030-01-01"), r"name: .*string, not the date 2030-01-01"),
+    (("[etalon]", '[etalon]\ncalibrated = "2030-01-01"'), r"etalon\.calibrated: .*not text: 2030-01-01 without the quotes"),
+    (
+        ('name = "virtual goniophotometer"', 'name = "a"\nlight = 2030-01-01'),
+        r"light: should be a table, not the date 2030-01-01",
+    ),
+    (("[etalon]", "[etalon]\ncalibrated = 2030-01-01T08:00:00"), r"calibrated: .*date without a time, not 2030-01-01T08"),
     (("[twin.light]", "[twin.optics]\nrays = 17\n\n[twin.light]"), r"twin\.optics\.rays: .*multiple of 4"),
 ]
 

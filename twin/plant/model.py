@@ -1,7 +1,7 @@
 """Model of the virtual rig: its own mechanics, light and electronics.
 
 The values are independent of the operator's configuration. The defaults are one consistent set of assumptions. Where the paper
-gives no value, it is a setting.
+gives no value, it is a setting. A field that is no argument is the same in every rig; the hash of a model counts it too.
 """
 
 import math
@@ -13,7 +13,6 @@ from annotated_types import Ge, Gt, Le, Lt, MaxLen, MinLen, MultipleOf
 
 from goniotwin.keys import (
     LATER,
-    NO_KEY,
     Address,
     Count,
     Fraction,
@@ -90,13 +89,13 @@ class LightSource:
     band: Literal["line", "triangle"] = field(default="line", metadata=LATER)
     throughput: Share = 0.18
     spectrum: tuple[tuple[float, float], ...] = field(
-        default=((380.0, 0.75), (450.0, 0.95), (550.0, 1.0), (650.0, 0.95), (780.0, 0.9)), metadata=NO_KEY
+        default=((380.0, 0.75), (450.0, 0.95), (550.0, 1.0), (650.0, 0.95), (780.0, 0.9)), init=False
     )
     drift_per_hour: float = 0.0
     flicker: Fraction = 5.0e-4
-    flicker_period_s: float = field(default=0.01, metadata=NO_KEY)
+    flicker_period_s: float = field(default=0.01, init=False)
     wander: Fraction = 2.0e-3
-    wander_period_s: float = field(default=30.0, metadata=NO_KEY)
+    wander_period_s: float = field(default=30.0, init=False)
 
     polarisation: Annotated[float, Ge(0.0), Le(1.0)] = field(default=0.0, metadata=LATER)
     azimuth_deg: Annotated[float, Ge(-180.0), Lt(180.0)] = field(default=0.0, metadata=LATER)
@@ -130,12 +129,12 @@ class Photodiodes:
     upper_deg: Annotated[tuple[PolarAngle, ...], MinLen(1)] = tuple(5.0 * k for k in range(18))
     lower_deg: tuple[PolarAngle, ...] = tuple(5.0 * k for k in range(18))
     responsivity: tuple[tuple[float, float], ...] = field(
-        default=((380.0, 0.10), (450.0, 0.22), (550.0, 0.30), (650.0, 0.38), (780.0, 0.48)), metadata=NO_KEY
+        default=((380.0, 0.10), (450.0, 0.22), (550.0, 0.30), (650.0, 0.38), (780.0, 0.48)), init=False
     )
     dark_a: NonNegative = 2.0e-12
     dark_spread: Fraction = 0.05
     dark_wander: Fraction = 2.0e-3
-    dark_wander_period_s: float = field(default=600.0, metadata=NO_KEY)
+    dark_wander_period_s: float = field(default=600.0, init=False)
 
     @property
     def count(self) -> int:
@@ -163,9 +162,9 @@ class Electronics:
     offset_v: float = 1.0e-3
     noise_v: NonNegative = 1.5e-4
     settling_s: Positive = 0.02
-    temperature_k: float = field(default=300.0, metadata=NO_KEY)
+    temperature_k: float = field(default=300.0, init=False)
     conversions_per_s: Literal[10, 100] = 100
-    latency_s: float = field(default=4.0e-4, metadata=NO_KEY)
+    latency_s: float = field(default=4.0e-4, init=False)
     module: adam.ModelName = "adam-6017"
     baudrate: Count = 9600
     tcp_units: Annotated[tuple[TcpUnit, ...], MinLen(1)] = field(default=adam.TCP_UNITS, metadata=LATER)
@@ -190,9 +189,9 @@ class MonitorPhotodiode:
     current_a: Positive = 1.4e-7
     dark_a: NonNegative = 1.0e-11
     noise: Fraction = 1.0e-4
-    samples_per_s: float = field(default=3000.0, metadata=NO_KEY)
-    serial_number: str = field(default="TWIN0001", metadata=NO_KEY)
-    latency_s: float = field(default=5.0e-4, metadata=NO_KEY)
+    samples_per_s: float = field(default=3000.0, init=False)
+    serial_number: str = field(default="TWIN0001", init=False)
+    latency_s: float = field(default=5.0e-4, init=False)
     drift_per_hour: float = field(default=0.0, metadata=LATER)
     linearity_per_decade: Annotated[float, Gt(-1.0), Lt(1.0)] = field(default=0.0, metadata=LATER)
     saturation_a: NonNegative = field(default=0.0, metadata=LATER)
@@ -229,16 +228,16 @@ class MonochromatorDrive:
     settle_s: NonNegative = 0.1
     shutter_s: NonNegative = 0.15
     filter_s: NonNegative = 1.0
-    start_nm: float = field(default=550.0, metadata=NO_KEY)
+    start_nm: float = field(default=550.0, init=False)
     echo: bool = True
-    baudrate: int = field(default=9600, metadata=NO_KEY)
+    baudrate: int = field(default=9600, init=False)
     handshake: bool = True
     grating_s: NonNegative = 8.0
-    slit_um_per_s: float = field(default=500.0, metadata=NO_KEY)
-    nm_per_step: float = field(default=0.01, metadata=NO_KEY)
-    gratings: tuple[tuple[int, str], ...] = field(default=((1200, "VIS"), (600, "NIR")), metadata=NO_KEY)
+    slit_um_per_s: float = field(default=500.0, init=False)
+    nm_per_step: float = field(default=0.01, init=False)
+    gratings: tuple[tuple[int, str], ...] = ((1200, "VIS"), (600, "NIR"))
     filters: Annotated[int, Ge(0), Le(6)] = 6
-    already_there_is_error: bool = field(default=False, metadata=NO_KEY)
+    already_there_is_error: bool = False
     status_digits: Literal[1, 2] = field(default=2, metadata=LATER)
     status_decimal: bool = field(default=False, metadata=LATER)
     zero_is_no_error: bool = field(default=False, metadata=LATER)
@@ -329,6 +328,10 @@ class ControllerModel(DeviceModel, Protocol):
     def axes(self) -> tuple[str, ...]: ...
 
 
+EstimatorKind = Literal["fast", "forward"]
+RelativeError = Annotated[float, Gt(1e-5), Lt(0.5)]
+
+
 @dataclass(frozen=True)
 class Estimator:
     """Estimator of the light on the photodiodes.
@@ -341,9 +344,9 @@ class Estimator:
     For the fast one a map from the forward estimator is added.
     """
 
-    kind: Literal["fast", "forward"] = field(default="fast", metadata={"key": "estimator"})
+    kind: EstimatorKind = "fast"
     rays: Annotated[int, Ge(16), Le(1 << 20), MultipleOf(4)] | None = None
-    relative_error: Annotated[float, Gt(1e-5), Lt(0.5)] = field(default=0.03, metadata={"key": "forward_error"})
+    relative_error: RelativeError = 0.03
     stray: bool = False
 
 

@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from functools import cached_property
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -32,6 +32,10 @@ class RowHistory:
     def read(self) -> None:
         """Read all of it now, so that the journal can be closed."""
         _ = self._read
+
+    def __getstate__(self) -> dict[str, Any]:
+        """The history without the journal, which is open in one process."""
+        return {"_read": self._read}
 
     def mounted(self, rows: Ints) -> tuple[list[str], Ints]:
         """The mountings in which rows were measured, and for each row (n,) which of these: `paint#2` is the sample's second."""

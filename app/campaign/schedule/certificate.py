@@ -25,7 +25,7 @@ from pydantic import Field, field_validator
 
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig.file import SHAPE, EtalonTable, check_geometry, refuse_percentage
-from goniotwin.app.toml_file import TomlTable, parse_toml, read_text, validate_table
+from goniotwin.app.toml_file import Day, TomlTable, parse_toml, read_text, validate_table
 from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.keys import Fraction
 from goniotwin.protocols.clock import calendar_stamp
@@ -49,7 +49,7 @@ ROUNDING = 1e-9
 class ValidityTable(TomlTable):
     """The last day of a certificate, `expires`, and the person responsible for its use after that, `accept_expired_by`."""
 
-    expires: date | None = None
+    expires: Day | None = None
     accept_expired_by: Annotated[str, Field(min_length=1)] | None = None
 
 
@@ -61,7 +61,7 @@ class CertificateTable(ValidityTable):
     """
 
     file: Annotated[str, Field(min_length=1)]
-    expires: date
+    expires: Day
 
 
 class CertificateKeys(TomlTable):
@@ -81,7 +81,7 @@ class CertificateKeys(TomlTable):
     angle: Fraction = 0.0
     geometry: str | None = None
     shape: Fraction = SHAPE
-    calibrated: date | None = None
+    calibrated: Day | None = None
 
     @field_validator("geometry")
     @classmethod

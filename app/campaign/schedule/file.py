@@ -1,7 +1,6 @@
 """The schedule file: what is measured, where and how; one TOML file for each campaign. See docs/schedule.md."""
 
 from dataclasses import dataclass
-from datetime import date
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -33,7 +32,7 @@ from goniotwin.app.campaign.schedule.metadata import MetadataTable
 from goniotwin.app.campaign.schedule.refinement import NearSpecularTable, OverlapTable, StatedSymmetry, SymmetryCheckTable
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig.file import EtalonTable, check_geometry, refuse_percentage
-from goniotwin.app.toml_file import TomlTable, parse_toml, read_toml, validate_table
+from goniotwin.app.toml_file import Day, TomlTable, parse_toml, read_toml, validate_table
 
 HIGHEST_SIGMA_DEG = 87.0
 LOOP_NAMES = ("gamma", "sigma", "beta", "shift", "wavelength")
@@ -140,7 +139,7 @@ class SecondStandardTable(ValidityTable):
     relative_uncertainty: Annotated[float, Field(ge=0.0, lt=1.0)] | None = None
     geometry: str | None = None
     shape: Annotated[float, Field(ge=0.0, lt=1.0)] | None = None
-    calibrated: date | None = None
+    calibrated: Day | None = None
     table: Annotated[str, Field(min_length=1)] | None = None
 
     @field_validator("geometry")

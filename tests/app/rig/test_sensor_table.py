@@ -45,8 +45,8 @@ def test_a_sensor_that_is_not_a_simple_disc_needs_the_forward_estimator(write_ri
         ("[twin.sensor]\naperture_mm = 0.0", r"twin\.sensor\.aperture_mm: .*greater than 0"),
         ("[twin.sensor]\naperture = 0.1", r"twin\.sensor\.aperture: there is no such key; did you mean 'aperture_mm'\?"),
         ("[twin.sensor]\ndetector_mm = 5.0", r"twin\.sensor: detector_mm is 5, before the diaphragm at 20 mm"),
-        ("[twin.optics]\nfield_deg = 0.5\n[twin.sensor]", r"twin: optics\.field_deg is of virtual detectors.*remove one of"),
-        ("[twin.optics]\ndetector_diameter_mm = 5.0\n[twin.sensor]", r"twin: optics\.detector_diameter_mm is of virtual"),
+        ("[twin.optics]\nfield_deg = 0.5\n[twin.sensor]", r"twin\.optics\.field_deg: is of virtual detectors.*remove one of"),
+        ("[twin.optics]\ndetector_diameter_mm = 5.0\n[twin.sensor]", r"twin\.optics\.detector_diameter_mm: is of virtual"),
     ],
 )
 def test_an_impossible_sensor_is_refused_with_its_key(write_rig: Writer, text: str, message: str) -> None:

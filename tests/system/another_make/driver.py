@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from serial import Serial, SerialException
 
+from goniotwin.app.rig.axes import AnyAxis, AxesTable
 from goniotwin.app.rig.kinds import MotionKind
 from goniotwin.app.rig.wires import Wires
 from goniotwin.arrays import Floats
@@ -63,6 +64,22 @@ class EspAxisSettings:
 
     encoder, backlash_deg, overshoot_deg = False, 0.0, 0.0
     approach_from: Literal["below"] = "below"
+
+
+@dataclass(frozen=True, kw_only=True)
+class EspAxesTable(AxesTable[AnyAxis], EspSettings):
+    """`[axes]` with such a controller for all axes that have none of their own."""
+
+    kind: Literal["esp"]
+    port: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class EspAxisTable(EspAxisSettings, EspSettings):
+    """`[axes.NAME]` of an axis with such a controller of its own."""
+
+    kind: Literal["esp"]
+    port: str
 
 
 def axis_timing(controller: EspSettings, axis: EspAxisSettings) -> AxisTiming:
@@ -347,5 +364,6 @@ def open_esp(wires: Wires, name: str, table: Any, axes: Mapping[str, EspAxisSett
 
 
 ESP = MotionKind(
-    "esp", controller=EspSettings, axis=EspAxisSettings, open=open_esp, timing=axis_timing, explain=as_text, twins=(EspModel,)
-)
+    "esp", controller=EspSettings, axis=EspAxisSettings, axes=EspAxesTable, own_axis=EspAxisTable, open=open_esp,
+    timing=axis_timing, explain=as_text, twins=(EspModel,),
+)  # fmt: skip

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
@@ -326,13 +326,22 @@ def test_the_light_has_the_wavelength_set_and_the_drawn_error(changed: Changed) 
     assert plant.wavelength_nm.at(1.0) == start
 
 
+@dataclass(frozen=True)
+class WhiteLight(LightSource):
+    spectrum: tuple[tuple[float, float], ...] = field(default=((300.0, 1.0), (800.0, 1.0)), init=False)
+
+
+@dataclass(frozen=True)
+class GreyPhotodiodes(Photodiodes):
+    responsivity: tuple[tuple[float, float], ...] = field(default=((300.0, 0.3), (800.0, 0.3)), init=False)
+
+
 @pytest.mark.parametrize("width_nm", [4.0, 30.0])
 def test_a_triangular_band_takes_the_mean_over_its_wavelengths(changed: Changed, width_nm: float) -> None:
     """Also with a kink at the set wavelength, and not with the light of a line."""
     nm = np.linspace(300.0, 800.0, 6)
     kink = apply_spectrum(nm, [0.1, 0.1, 0.1, 0.9, 0.2, 0.2], gaussian(8.0))
-    light = LightSource(band_nm=width_nm, band="triangle", spectrum=((300.0, 1.0), (800.0, 1.0)))
-    diodes = Photodiodes(responsivity=((300.0, 0.3), (800.0, 0.3)))
+    light, diodes = WhiteLight(band_nm=width_nm, band="triangle"), GreyPhotodiodes()
     parts = {"samples": {"paint": kink}, "light": light, "photodiodes": diodes}
     for set_nm in (600.0, 560.0):
         aspect = LOBE._replace(wavelength_nm=set_nm)

@@ -3,22 +3,23 @@
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import astuple, dataclass, field, fields, replace
-from functools import cached_property
+from functools import cached_property, partial
 from types import MappingProxyType
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import numpy.typing as npt
 from annotated_types import Ge, Gt, Le, Lt
 
 from goniotwin.arrays import Floats
-from goniotwin.keys import LATER, NO_KEY, NonNegative, Positive, Share, check_bounds
+from goniotwin.keys import LATER, NonNegative, Positive, Share, check_bounds
 from goniotwin.twin.optics.geometry.deviation import NO_DEVIATION, Deviation, check_deviations, rotation_and_shift
 from goniotwin.twin.optics.geometry.sensor import RealSensor
 
 NOMINAL_DEG = 45.0
 """Incidence of the beam's axis on each of the three mirrors."""
 NOMINAL_NM = 555.0
+MIRROR_REFLECTANCE = 0.95
 ELEMENTS = ("pupil", "mirror_1", "mirror_2", "mirror_3", "mirror_unit", "sample", "arc", "sensor")
 PUPIL, MIRROR_1, MIRROR_2, MIRROR_3, MIRROR_UNIT, SAMPLE, ARC, SENSOR = range(len(ELEMENTS))
 """Rows of an array of deviations."""
@@ -137,13 +138,13 @@ class Instrument(Dimensions):
     Raises ValueError, naming the field, for a value out of range.
     """
 
-    pupil_to_mirror_mm: Positive = field(default=200.0, metadata=NO_KEY)
-    mirror_reflectance: Share | Reflectance = 0.95
+    pupil_to_mirror_mm: Positive = 200.0
+    mirror_reflectance: Share | Reflectance = MIRROR_REFLECTANCE
     obstruction: bool = True
     lit_everywhere: bool = field(default=False, metadata=LATER)
-    deviations: Mapping[str, Deviation] = field(default_factory=dict, hash=False, metadata=NO_KEY)
-    illumination: Mapping[str, Deviation] = field(default_factory=dict, hash=False, metadata={**NO_KEY, **LATER})
-    sensor: RealSensor | None = field(default=None, metadata=NO_KEY)
+    deviations: Mapping[str, Deviation] = field(default_factory=dict, hash=False)
+    illumination: Mapping[str, Deviation] = field(default_factory=dict, hash=False, metadata=LATER)
+    sensor: RealSensor | None = None
 
     def __post_init__(self) -> None:
         if self.sensor is not None:
@@ -153,6 +154,12 @@ class Instrument(Dimensions):
         for name, elements in (("deviations", ELEMENTS), ("illumination", ILLUMINATION_ELEMENTS)):
             known = check_deviations(getattr(self, name), elements, name)
             object.__setattr__(self, name, MappingProxyType(dict(sorted(known.items()))))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle the arguments: of a read-only mapping Python makes no copy."""
+        own = {each.name: getattr(self, each.name) for each in fields(self) if each.init}
+        given: dict[str, Any] = {k: dict(v) if isinstance(v, MappingProxyType) else v for k, v in own.items()}
+        return partial(type(self), **given), ()
 
     def deviation(self, element: str) -> Deviation:
         """Deviation of one element; zero where none is given."""

@@ -23,7 +23,7 @@ from goniotwin.app.campaign.geometry.directions import (
 from goniotwin.app.campaign.geometry.symmetry import canonical_poses, mirror_images
 from goniotwin.app.campaign.schedule.grids import GridRange
 from goniotwin.app.rig import read_rig
-from goniotwin.app.rig.kinds import PhotodiodesTable
+from goniotwin.app.rig.makes import PhotodiodesTable
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics import arc_direction, light_direction, to_specular
 from goniotwin.twin.optics.geometry.coordinates import SPECULAR_AZIMUTH_DEG, aspecular_deg, polar_and_azimuth, signed_polar
