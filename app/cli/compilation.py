@@ -96,10 +96,18 @@ def _uncertainties() -> None:
 def _forward() -> None:
     import numpy as np
 
-    from goniotwin.twin.optics import Instrument, draw_directions, forward_throughput, gaussian, light_direction
+    from goniotwin.twin.optics import (
+        Instrument,
+        RealSensor,
+        draw_directions,
+        forward_throughput,
+        gaussian,
+        light_direction,
+    )
     from goniotwin.twin.optics.forward.stray_light import stray_map
 
-    forward_throughput(Instrument(), 30.0, UPWARDS, gaussian(5.0), 2)
+    for instrument in (Instrument(), Instrument(sensor=RealSensor())):
+        forward_throughput(instrument, 30.0, UPWARDS, gaussian(5.0), 2)
     stray_map(Instrument(), 30.0, gaussian(5.0), 2)
     draw_directions(gaussian(5.0), light_direction(30.0), np.full((1, 4), 0.5))
 
