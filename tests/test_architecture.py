@@ -127,3 +127,14 @@ def test_names_that_a_package_loads_at_their_first_use_are_those_that_it_has_for
         assert isinstance(assigned.value, ast.Call)
         homes = ast.literal_eval(assigned.value.args[1])
         assert typed == {(name, name, f"{package}.{module}") for module, names in homes.items() for name in names}, path
+
+
+def test_a_function_of_the_fast_estimator_is_one_page() -> None:
+    functions = [
+        (path.name, node.name, (node.end_lineno or 0) - node.lineno + 1)
+        for path in (REPOSITORY / "twin" / "optics" / "fast").glob("*.py")
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.FunctionDef)
+    ]
+    assert len(functions) > 50
+    assert [each for each in functions if each[2] > 60] == []

@@ -43,9 +43,8 @@ def _scenes() -> None:
 
 
 def _every_scene() -> None:
-    from goniotwin.twin.optics import Instrument, albedo, evaluate, gaussian, light_direction, regular, throughput, ward
+    from goniotwin.twin.optics import albedo, evaluate, gaussian, light_direction, regular, ward
 
-    throughput(Instrument(), 30.0, UPWARDS, regular(1.0))
     evaluate(ward(1.0, 0.1, 0.2), light_direction(30.0), UPWARDS)
     albedo(regular(1.0), 30.0)
     albedo(gaussian(5.0, transmits=True, refraction=1.5), 30.0, transmitted=True)
@@ -153,7 +152,7 @@ PARTS = {
     "rig": Part("samples, electronics", _rig),
     "shadows": Part("shadows", _shadows),
     "uncertainties": Part("uncertainties", _uncertainties),
-    "every-scene": Part("light by every kind of sample", _every_scene),
+    "every-scene": Part("samples of every kind", _every_scene),
     "forward": Part("forward estimator", _forward),
     "illumination": Part("illumination unit", _illumination),
     "sequences": Part("path search, measured points, tolerances", _sequences),
@@ -167,12 +166,13 @@ FIRST_LOOK_S, LAST_LOOK_S = 0.2, 60.0
 
 def parts_of_rehearsal(schedule: "ScheduleFile", model: "TwinModel | None") -> tuple[str, ...]:
     """Names of the parts that a rehearsal of the schedule needs on the virtual rig `model`, if there is one."""
-    from goniotwin.twin.optics.fast.scenes import PLAIN_KINDS
+    from goniotwin.twin.optics.bsdf.kinds import GAUSSIAN, LAMBERTIAN
 
     samples = () if model is None else [model.samples.get(name) for name in schedule.mounted]
     lobes = [lobe for each in samples if each is not None for lobe in each.lobes]
     through = bool(schedule.open_beam or schedule.signature)  # no sample: all light goes straight on
-    return (*REHEARSAL, "every-scene") if through or any(lobe.kind not in PLAIN_KINDS for lobe in lobes) else REHEARSAL
+    plain = all(lobe.kind in (GAUSSIAN, LAMBERTIAN) for lobe in lobes) and not through
+    return REHEARSAL if plain else (*REHEARSAL, "every-scene")
 
 
 @app.command("compile")

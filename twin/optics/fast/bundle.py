@@ -10,6 +10,8 @@ from goniotwin.twin.optics.geometry.instrument import Dimensions
 
 CLOSER = 1.1
 """With deviations a detector may be closer to a part of the hole than the arc's radius, by up to this factor."""
+COSINE = 0
+"""Row of a bundle with each ray's component along the detector's axis."""
 # Offset of the sequence: the best of 120, chosen when rays beyond the disc's edge were still dropped; any other would do.
 SHIFT = (0.42, 0.25, 0.22, 0.65, 0.05, 0.24)
 
@@ -38,7 +40,8 @@ def _disc(square: Floats) -> Floats:
 def ray_bundle(rays: int, sine: float) -> Floats:
     """Bundle of `rays` rays, as an array (7, rays / 4); `sine` is that of half the field.
 
-    The rows are the first of those of `twin.optics.fast.ray_bundle`. The same for every call. Every ray of the array comes with
+    The rows are each ray's component along the detector's axis, its points of the hole and of the pupil from -1 to 1, and its
+    slopes, in the order of `Block.tile`. The same for every call. Every ray of the array comes with
     three more: with opposite signs at the detector's end, at the pupil's end, and at both. In the lobe of a Gaussian the terms
     that are odd in a ray's offset from the axis are by far the largest; so they cancel, with the products of the two ends.
     Raises ValueError unless `rays` is a multiple of 4, at least 4.
@@ -48,7 +51,7 @@ def ray_bundle(rays: int, sine: float) -> Floats:
     squares = 2.0 * _r_sequence(rays // 4, SHIFT) - 1.0
     slopes = sine * _disc(squares[:, 2:4])
     along = np.sqrt(1.0 - np.sum(slopes**2, axis=1))
-    return np.vstack([squares[:, 0:2].T, (slopes / along[:, None]).T, along[None], _disc(squares[:, 4:6]).T])
+    return np.vstack([along[None], squares[:, 0:2].T, _disc(squares[:, 4:6]).T, (slopes / along[:, None]).T])
 
 
 def aperture_sizes(dimensions: Dimensions) -> Floats:

@@ -1,4 +1,4 @@
-"""What a mirror smaller than the beam leaves of the exit pupil, as seen from each point of the hole.
+"""What a mirror smaller than the beam leaves of the exit pupil, as seen from each point of the hole (optics.md, section 7).
 
 A ray from a point (u, v) of the hole to a point (a, b) of the pupil passes an edge of an unfolded mirror on its inner side
 where an expression is positive that is linear in either point, as for the edges of the slit's image. So from a point of the
@@ -13,14 +13,12 @@ import math
 import numpy as np
 
 from goniotwin.arrays import Floats
-from goniotwin.twin.optics.fast.ray_bundle import linear_coordinates
+from goniotwin.twin.optics.fast.detector_block import CLIPPED, TERMS
 from goniotwin.twin.optics.geometry.scene import SceneArrays
 from goniotwin.twin.optics.illumination.slit_image import cut_polygon
 from goniotwin.twin.optics.kernel import kernel
 
-CLIPPED = 6
-"""Moments of what is left, over the whole disc's area: share, a, b, a a, a b, b b."""
-DEGREE, TERMS = 4, 15
+DEGREE = 4
 Terms = tuple[float, float, float, float, float, float, float, float, float, float, float, float, float, float, float]
 SIDE = 6
 """Nodes along a side of the hole."""
@@ -37,11 +35,15 @@ def clip_grid() -> Floats:
 
 
 def clip_fit(grid: Floats) -> Floats:
-    """Matrix (TERMS, n) from values at the nodes of a `clip_grid` to the terms of the polynomial of `clip_value`."""
+    """Matrix (TERMS, n) from values at the nodes of `grid` to the terms of the polynomial of `clip_value`."""
     powers = [(i, j) for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)]
     root = np.sqrt(grid[:, 2])
     terms = np.stack([grid[:, 0] ** i * grid[:, 1] ** j for i, j in powers], axis=1)
     return np.ascontiguousarray(np.linalg.pinv(root[:, None] * terms) * root)
+
+
+GRID = clip_grid()
+FIT = clip_fit(GRID)
 
 
 @kernel(forceinline=True)
@@ -62,27 +64,37 @@ def clip_value(c: Terms, x: float, y: float) -> float:
 
 
 @kernel()
-def fill_clip(scene: SceneArrays, half: float, spot: float, grid: Floats, fit: Floats, clip: Floats) -> bool:
+def fill_clip(scene: SceneArrays, half: float, spot: float, clip: Floats) -> bool:
     """Fill `clip` (CLIPPED, TERMS) for mirrors of half side `half`, a hole of half side `spot`, mm; whether it is good enough.
 
-    `grid` and `fit` are those of `clip_grid` and `clip_fit`.
+    Each row is the polynomial of one moment of what is left, over the whole disc's area: share, a, b, a a, a b, b b.
     """
-    values, points, cut = np.empty((grid.shape[0], CLIPPED)), np.empty((CORNERS, 2)), np.empty((CORNERS, 2))
-    for n in range(grid.shape[0]):
-        count = left_polygon(scene, half, spot * grid[n, 0], spot * grid[n, 1], points, cut)
+    values, points, cut = np.empty((GRID.shape[0], CLIPPED)), np.empty((CORNERS, 2)), np.empty((CORNERS, 2))
+    for n in range(GRID.shape[0]):
+        count = left_polygon(scene, half, spot * GRID[n, 0], spot * GRID[n, 1], points, cut)
         if count < 0:
             return False
         fill_disc_moments(points, count, values[n])
     for m in range(CLIPPED):
         for term in range(TERMS):
             clip[m, term] = 0.0
-            for n in range(grid.shape[0]):
-                clip[m, term] += fit[term, n] * values[n, m]
+            for n in range(GRID.shape[0]):
+                clip[m, term] += FIT[term, n] * values[n, m]
     error, share, terms = 0.0, 0.0, clip_terms(clip, 0)
-    for n in range(grid.shape[0]):
-        error += grid[n, 2] * abs(clip_value(terms, grid[n, 0], grid[n, 1]) - values[n, 0])
-        share += grid[n, 2] * values[n, 0]
+    for n in range(GRID.shape[0]):
+        error += GRID[n, 2] * abs(clip_value(terms, GRID[n, 0], GRID[n, 1]) - values[n, 0])
+        share += GRID[n, 2] * values[n, 0]
     return error < POOR_FIT * share
+
+
+@kernel(forceinline=True)
+def linear_coordinates(image: Floats, axis: int, pupil: Floats) -> tuple[float, float, float, float, float, float]:
+    """Coordinate along an axis of a mirror's image, from its centre: constant and slopes over the hole and over the pupil."""
+    ex, ey, ez = image[axis, 0], image[axis, 1], image[axis, 2]
+    own = image[0, 0] * ex + image[0, 1] * ey + image[0, 2] * ez
+    centre = pupil[0, 0] * ex + pupil[0, 1] * ey + pupil[0, 2] * ez
+    along_u = pupil[1, 0] * ex + pupil[1, 1] * ey + pupil[1, 2] * ez
+    return -own, ex, ey, centre - own, along_u, pupil[2, 0] * ex + pupil[2, 1] * ey + pupil[2, 2] * ez
 
 
 @kernel()

@@ -3,9 +3,9 @@
 Geometry comes first and is the same for every sample: the rays of each detector (twin.optics.fast.rays). Each lobe is then
 summed over these rays.
 
-The values of a Gaussian lobe are `analytic_value` of twin.optics.bsdf.models as one plain loop, which LLVM vectorises. The
-angle follows from the chord between lobe axis and observer, which does not cancel near the axis. Arcsine and exponential are
-minimax polynomials with errors of 1e-12 or less.
+The values of a Gaussian lobe (paper, formula 6; optics.md, section 4) are `analytic_value` of twin.optics.bsdf.models as
+one plain loop, which LLVM vectorises. The angle follows from the chord between lobe axis and observer, which does not
+cancel near the axis. Arcsine and exponential are minimax polynomials with errors of 1e-12 or less.
 """
 
 import math
@@ -16,6 +16,7 @@ from goniotwin.arrays import Floats
 from goniotwin.twin.optics.bsdf.kinds import GAUSSIAN, LAMBERTIAN
 from goniotwin.twin.optics.bsdf.models import bsdf
 from goniotwin.twin.optics.bsdf.packed_lobes import KIND, TRANSMITS, Models, model_arrays
+from goniotwin.twin.optics.fast.detector_block import LIGHT, OBSERVER, WEIGHT, Block, X, Y, Z, whole_lanes
 from goniotwin.twin.optics.kernel import kernel
 
 LOG2_E = 1.0 / math.log(2.0)
@@ -49,14 +50,14 @@ def power_of_two(y: float) -> float:
 def gaussian_values(
     peak: float, exponent: float, intensity: bool, ratio: float, transmits: bool, rays: Floats, count: int, values: Floats
 ) -> None:
-    """Fill `values` (at least n) with weight times value of the first `count` = n `rays` (7, at least n), see `lobe_sums`."""
+    """Fill `values` (at least n) with weight times value of the first `count` = n `rays` (7, at least n), see `add_lobe`."""
     sign, inverse, scale = -1.0 if transmits else 1.0, 1.0 / ratio, -exponent * LOG2_E
     for i in range(count):
-        lx, ly, lz = rays[1, i] * inverse, rays[2, i] * inverse, rays[3, i]
+        lx, ly, lz = rays[LIGHT + X, i] * inverse, rays[LIGHT + Y, i] * inverse, rays[LIGHT + Z, i]
         lit = lz > 0.0
         if ratio != 1.0:
             lz = math.sqrt(max(0.0, 1.0 - lx * lx - ly * ly))
-        dx, dy, dz = rays[4, i], rays[5, i], sign * rays[6, i]
+        dx, dy, dz = rays[OBSERVER + X, i], rays[OBSERVER + Y, i], sign * rays[OBSERVER + Z, i]
         x, y, z = dx + lx, dy + ly, dz - lz
         half2 = 0.25 * (x * x + y * y + z * z)
         half = math.sqrt(half2)
@@ -65,55 +66,34 @@ def gaussian_values(
         root = math.sqrt(square) if steep else half
         angle = 2.0 * arcsine(root, square)
         theta = math.pi - 2.0 * angle if steep else angle
-        value = rays[0, i] * peak * power_of_two(max(scale * theta * theta, FARTHEST))
+        value = rays[WEIGHT, i] * peak * power_of_two(max(scale * theta * theta, FARTHEST))
         value = value / dz if intensity else value
         values[i] = value if lit & (lz > 0.0) & (dz > 0.0) else 0.0
 
 
 @kernel(nogil=True)
-def lambertian_values(value: float, transmits: bool, rays: Floats, count: int, values: Floats) -> None:
-    """`gaussian_values` of a lobe with the same value in all directions of its side."""
-    for i in range(count):
-        values[i] = rays[0, i] * value if (rays[6, i] < 0.0) == transmits else 0.0
+def add_lobe(models: Models, lobe: int, block: Block, sums: Floats) -> None:
+    """Add weight times value of a lobe for the first n rays in `block` to `sums` (n,).
 
-
-@kernel(nogil=True)
-def add_values(values: Floats, first: int, count: int, sums: Floats, row: int, start: int) -> None:
-    """Add `count` = n `values` from `first` on to a row of `sums` (rows, at least start + n) from `start` on."""
-    for k in range(count):
-        sums[row, start + k] += values[first + k]
-
-
-@kernel(nogil=True)
-def lobe_sums(
-    models: Models, lobe: int, rays: Floats, each: int, count: int, values: Floats, sums: Floats, row: int, start: int,
-    general: bool | None,
-) -> None:  # fmt: skip
-    """Add sums of weight times value of a lobe over `each` rays of n detectors to a row of `sums`, from `start` on.
-
-    `sums` (rows, at least start + n); `count` is n. `rays` (7, at least n each) has the first ray of every detector, then the
-    second of every one, and so on. `values` (at least n each) is a buffer. With `general` None, see `score_scenes`, there are
-    GAUSSIAN and LAMBERTIAN lobes alone.
-
-    A slice, and an array that a function with branches takes, is counted as a reference, which costs as much as five rays:
-    therefore rows and numbers are arguments, and a loop over rays calls the functions above.
+    They are one ray of each detector, or a tile of one detector's rays.
     """
-    kind, params, transmits = models.heads[lobe, KIND], models.params, models.heads[lobe, TRANSMITS] == 1
+    kind, params, transmits, rays = models.heads[lobe, KIND], models.params, models.heads[lobe, TRANSMITS] == 1, block.ray
     if kind == GAUSSIAN:
+        intensity = params[lobe, 2] == 1.0
         gaussian_values(
-            params[lobe, 0], params[lobe, 1], params[lobe, 2] == 1.0, params[lobe, 4], transmits, rays, each * count, values
+            params[lobe, 0], params[lobe, 1], intensity, params[lobe, 4], transmits, rays, whole_lanes(sums.size), block.value
         )
     elif kind == LAMBERTIAN:
-        lambertian_values(params[lobe, 0], transmits, rays, each * count, values)
-    elif general is not None:
+        for i in range(sums.size):
+            block.value[i] = rays[WEIGHT, i] * params[lobe, 0] if (rays[OBSERVER + Z, i] < 0.0) == transmits else 0.0
+    else:
         _, own, sig, ph, th, psi, table = model_arrays(models, lobe)
-        for ray in range(each * count):
-            lit = (rays[6, ray] < 0.0) == transmits and rays[0, ray] > 0.0
-            values[ray] = 0.0
-            if lit:
-                values[ray] = rays[0, ray] * bsdf(
-                    kind, own, sig, ph, th, psi, table,
-                    rays[1, ray], rays[2, ray], rays[3, ray], rays[4, ray], rays[5, ray], abs(rays[6, ray]),
+        for i in range(sums.size):
+            block.value[i] = 0.0
+            if (rays[OBSERVER + Z, i] < 0.0) == transmits and rays[WEIGHT, i] > 0.0:
+                block.value[i] = rays[WEIGHT, i] * bsdf(
+                    kind, own, sig, ph, th, psi, table, rays[LIGHT + X, i], rays[LIGHT + Y, i], rays[LIGHT + Z, i],
+                    rays[OBSERVER + X, i], rays[OBSERVER + Y, i], abs(rays[OBSERVER + Z, i]),
                 )  # fmt: skip
-    for i in range(each):
-        add_values(values, i * count, count, sums, row, start)
+    for i in range(sums.size):
+        sums[i] += block.value[i]

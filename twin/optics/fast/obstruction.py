@@ -1,8 +1,8 @@
 """Obstruction: directions that the mirrors hide from a detector.
 
-The mirror unit is between sample and arc. Mirror 3 hides a zone about the retro-direction, which at sigma = 0 is the specular
-direction; mirror 2 hides a zone 45 deg from it. This is a property of the instrument: campaigns are planned around it. The
-hidden directions are known before a campaign as a map over the arc's angles.
+The mirror unit is between sample and arc. Mirror 3 hides a zone about the retro-direction, which at sigma = 0 is the
+specular direction; mirror 2 hides a zone 45 deg from it (optics.md, section 3). This is a property of the instrument:
+campaigns are planned around it. The hidden directions are known before a campaign as a map over the arc's angles.
 """
 
 import math
@@ -12,56 +12,53 @@ import numpy as np
 import numpy.typing as npt
 
 from goniotwin.arrays import Floats
+from goniotwin.twin.optics.fast.aperture import place_detectors
 from goniotwin.twin.optics.fast.bundle import aperture_sizes, ray_bundle
-from goniotwin.twin.optics.fast.ray_bundle import (
-    END_WEIGHT,
-    TILE,
-    TILE_ROWS,
-    fill_ends,
-    fill_view,
-    hide_ends,
+from goniotwin.twin.optics.fast.detector_block import (
+    AWAY,
+    LANES,
+    LEVEL,
+    Block,
+    empty_block,
 )
+from goniotwin.twin.optics.fast.ray_bundle import fill_ends, hide_ends
 from goniotwin.twin.optics.geometry.coordinates import arc_direction
 from goniotwin.twin.optics.geometry.instrument import Instrument
-from goniotwin.twin.optics.geometry.scene import detector_frame, scene_at
+from goniotwin.twin.optics.geometry.scene import scene_at
 from goniotwin.twin.optics.kernel import kernel
 
 FREE, PARTLY, HIDDEN = 0, 1, 2
 
 
 @kernel()
-def may_hide(mirrors: Floats, m: int, half: float, centre: Floats, width: float) -> bool:
-    """Whether square m reaches into the tube of radius `width` about the line from the sample's centre to `centre`.
+def mirrors_near(block: Block, k: int, mirrors: Floats, half: float, sizes: Floats, near: Floats) -> bool:
+    """Set near[m] to 1 where mirror m may hide some of the bundle of detector k, and else to 0; whether any does.
 
-    A sphere about the mirror takes its place: for most detectors no ray has to be traced.
+    It may if it reaches into the tube about the line from the sample's centre to the detector's, as wide as hole and disc. A
+    sphere about the mirror takes its place: for most detectors no ray has to be traced.
     """
-    along, square, length = 0.0, 0.0, 0.0
-    for c in range(3):
-        along += mirrors[m, 0, c] * centre[c]
-        square += mirrors[m, 0, c] * mirrors[m, 0, c]
-        length += centre[c] * centre[c]
-    foot = min(1.0, max(0.0, along / length))
-    gap2 = square - 2.0 * foot * along + foot * foot * length
-    return gap2 < (width + math.sqrt(2.0) * half) ** 2
-
-
-@kernel()
-def mirrors_near(mirrors: Floats, half: float, centre: Floats, sizes: Floats, near: Floats) -> None:
-    """Set near[m] to 1 where mirror m may hide some of the bundle of a detector at `centre`, and else to 0."""
-    width = max(sizes[0], math.sqrt(2.0) * sizes[1])
+    width, position, some = max(sizes[0], math.sqrt(2.0) * sizes[1]), block.position, False
     for m in range(3):
-        near[m] = 1.0 if may_hide(mirrors, m, half, centre, width) else 0.0
+        along, square, length = 0.0, 0.0, 0.0
+        for c in range(3):
+            along += mirrors[m, 0, c] * position[c, k]
+            square += mirrors[m, 0, c] * mirrors[m, 0, c]
+            length += position[c, k] * position[c, k]
+        foot = min(1.0, max(0.0, along / length))
+        hides = square - 2.0 * foot * along + foot * foot * length < (width + math.sqrt(2.0) * half) ** 2
+        near[m], some = 1.0 if hides else 0.0, some or hides
+    return some
 
 
 @kernel()
-def find_shadow(mirrors: Floats, near: Floats, half: float, centre: Floats, d: Floats, sizes: Floats) -> int:
-    """FREE, HIDDEN, or PARTLY where the near mirrors block some of a detector's rays, or where that is uncertain.
+def find_shadow(block: Block, k: int, mirrors: Floats, near: Floats, half: float, sizes: Floats) -> int:
+    """FREE, HIDDEN, or PARTLY where the near mirrors block some of the rays of detector k, or where that is uncertain.
 
     Hole and disc are convex, so the section of the rays in a mirror's plane is the hull of the lines between the hole's corners
     and those of a square about the disc. With all lines within the mirror the detector is hidden; with all of them beyond one
     side it is free.
     """
-    e1x, e1y, e1z, e2x, e2y = detector_frame(d[0], d[1], d[2])
+    away, level, centre = block.axes[AWAY, :, k], block.axes[LEVEL, :, k], block.position[:, k]
     result = FREE
     for m in range(3):
         if near[m] == 0.0:
@@ -71,9 +68,9 @@ def find_shadow(mirrors: Floats, near: Floats, half: float, centre: Floats, d: F
         for corner in range(16):
             px, py = (1.0 if corner & 1 else -1.0) * sizes[1], (1.0 if corner & 2 else -1.0) * sizes[1]
             s, t = (1.0 if corner & 4 else -1.0) * sizes[0], (1.0 if corner & 8 else -1.0) * sizes[0]
-            wx = centre[0] + s * e1x + t * e2x - px
-            wy = centre[1] + s * e1y + t * e2y - py
-            wz = centre[2] + s * e1z
+            wx = centre[0] + s * away[0] + t * level[0] - px
+            wy = centre[1] + s * away[1] + t * level[1] - py
+            wz = centre[2] + s * away[2]
             cx, cy, cz = mirrors[m, 0, 0] - px, mirrors[m, 0, 1] - py, mirrors[m, 0, 2]
             slope = wx * mirrors[m, 1, 0] + wy * mirrors[m, 1, 1] + wz * mirrors[m, 1, 2]
             share = (cx * mirrors[m, 1, 0] + cy * mirrors[m, 1, 1] + cz * mirrors[m, 1, 2]) / slope
@@ -94,26 +91,30 @@ def find_shadow(mirrors: Floats, near: Floats, half: float, centre: Floats, d: F
 
 
 @kernel(nogil=True)
-def visible_shares(centres: Floats, directions: Floats, bundle: Floats, sizes: Floats, mirrors: Floats, half: float) -> Floats:
-    """Share (n,) of the rays of a bundle that no mirror blocks, for detectors at `centres` that look along -`directions`."""
-    result = np.zeros(directions.shape[0])
-    near, axes, t, quarter = np.zeros(3), np.zeros((4, 3)), np.empty(TILE_ROWS * TILE), bundle.shape[1]
-    half_hole, edges = sizes[1], np.empty((0, 3, 3))
-    for k in range(directions.shape[0]):
-        fill_view(centres[k], directions[k], axes)
-        mirrors_near(mirrors, half, centres[k], sizes, near)
-        total, free = 0.0, 0.0
-        for first in range(0, quarter, TILE):
-            count = min(TILE, quarter - first)
+def visible_shares(
+    block: Block, centres: Floats, directions: Floats, bundle: Floats, quarter: int, sizes: Floats, mirrors: Floats, half: float
+) -> Floats:  # fmt: skip
+    """Share (n,) of rays that no mirror blocks, for detectors at `centres` that look along -`directions`.
+
+    Of the first `quarter` rays of a bundle and those that come with them.
+    """
+    result, near, edges = np.zeros(directions.shape[0]), np.zeros(3), np.empty((0, 3, 3))
+    for n in range(result.size):
+        k, total, free = n % LANES, 0.0, 0.0
+        if k == 0:
+            last = min(n + LANES, result.size)
+            place_detectors(block, centres[n:last], directions[n:last])
+        mirrors_near(block, k, mirrors, half, sizes, near)
+        for first in range(0, quarter, LANES):
+            count = min(LANES, quarter - first)
             for sign in (1.0, -1.0):
-                fill_ends(axes, bundle, first, count, sign, sizes, -half_hole, half_hole, edges, 1.0, t)
+                fill_ends(block, k, bundle, first, count, sign, sizes, -sizes[1], sizes[1], edges, 1.0)
                 for i in range(count):
-                    total += t[i + END_WEIGHT]
-                hide_ends(mirrors, near, half, count, t)
+                    total += block.end_weight[i]
+                hide_ends(block, mirrors, near, half, count)
                 for i in range(count):
-                    free += t[i + END_WEIGHT]
-        if total > 0.0:
-            result[k] = free / total
+                    free += block.end_weight[i]
+        result[n] = free / total if total > 0.0 else 0.0
     return result
 
 
@@ -131,7 +132,8 @@ def visible_fraction(
         instrument = replace(instrument, sensor=None, field_deg=instrument.sensor.widest_deg)
     centres, axes = scene.detectors(instrument, directions)
     sizes, half = aperture_sizes(instrument), 0.5 * instrument.blocking_side_mm
-    return np.asarray(visible_shares(centres, axes, ray_bundle(rays, float(sizes[2])), sizes, scene.mirrors, half))
+    bundle = ray_bundle(rays, float(sizes[2]))
+    return np.asarray(visible_shares(empty_block(), centres, axes, bundle, rays // 4, sizes, scene.mirrors, half))
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,7 +2,8 @@
 
 A scene is the instrument with one set of deviations at one pose. The geometry comes first and is the same for every sample:
 seven rays for each detector (twin.optics.fast.rays), or a bundle (twin.optics.fast.ray_bundle) where a mirror blocks some of
-what it takes. Each lobe is then summed over these rays. Sample and etalon have the same rays, and so have all wavelengths.
+what it takes. Each lobe is then summed over these rays. Sample and etalon have the same rays, and so have all wavelengths
+(optics.md, section 6).
 """
 
 import math
@@ -18,50 +19,41 @@ import numpy as np
 import numpy.typing as npt
 
 from goniotwin.arrays import Floats, Ints
-from goniotwin.twin.optics.bsdf.kinds import ANISOTROPIC, GAUSSIAN, LAMBERTIAN, REGULAR, TABLE
+from goniotwin.twin.optics.bsdf.kinds import ANISOTROPIC, LAMBERTIAN, REGULAR, TABLE
 from goniotwin.twin.optics.bsdf.lobes import Lobe, parameters
 from goniotwin.twin.optics.bsdf.models import regular_share
 from goniotwin.twin.optics.bsdf.packed_lobes import ABOVE, KIND, TRANSMITS, Models, model_arrays, pack_models
 from goniotwin.twin.optics.bsdf.scatterer import Scatterer
 from goniotwin.twin.optics.fast.aperture import (
-    BLOCK,
-    DX,
-    DY,
-    DZ,
-    POINT,
-    PX,
-    PY,
-    PZ,
-    RAY,
-    ROWS,
     WIDE,
-    M,
     cone_nodes,
     fill_apertures,
-    fill_frames,
     fill_wide_apertures,
     hole_nodes,
+    place_detectors,
     side_nodes,
-    whole_lanes,
 )
 from goniotwin.twin.optics.fast.bundle import aperture_sizes, ray_bundle
-from goniotwin.twin.optics.fast.clipped_pupil import CLIPPED, TERMS, clip_fit, clip_grid, fill_clip
-from goniotwin.twin.optics.fast.lobe_sums import add_values, gaussian_values, lambertian_values, lobe_sums
-from goniotwin.twin.optics.fast.obstruction import FREE, HIDDEN, PARTLY, find_shadow, mirrors_near, visible_shares
-from goniotwin.twin.optics.fast.ray_bundle import (
-    END_U,
-    END_V,
-    PUPIL_U,
-    PUPIL_V,
-    TILE,
-    TILE_ROWS,
-    fill_arrivals,
-    fill_ends,
-    fill_view,
-    hide_ends,
+from goniotwin.twin.optics.fast.clipped_pupil import fill_clip
+from goniotwin.twin.optics.fast.detector_block import (
+    HOLE_U,
+    HOLE_V,
+    LANES,
+    ONE,
+    PUPIL_A,
+    PUPIL_B,
+    VIEW,
+    WEIGHT,
+    Block,
+    Z,
+    empty_block,
+    whole_lanes,
 )
-from goniotwin.twin.optics.fast.rays import PLACES, find_offsets, place_node
-from goniotwin.twin.optics.fast.regular_component import HOLE_NODES, SLOPE_NODES, image_measures, light_shares, line_nodes
+from goniotwin.twin.optics.fast.lobe_sums import add_lobe
+from goniotwin.twin.optics.fast.obstruction import FREE, HIDDEN, PARTLY, find_shadow, mirrors_near, visible_shares
+from goniotwin.twin.optics.fast.ray_bundle import fill_arrivals, fill_ends, hide_ends
+from goniotwin.twin.optics.fast.rays import PLACES, fill_covariance, fill_factors, fill_shifts, fill_slopes, place_node
+from goniotwin.twin.optics.fast.regular_component import image_measures, light_shares
 from goniotwin.twin.optics.geometry.coordinates import detector_rows, direction_table, fill_detector_rows
 from goniotwin.twin.optics.geometry.instrument import (
     COMPONENTS,
@@ -82,7 +74,6 @@ from goniotwin.twin.optics.illumination.slit_image import (
     place_slit,
     relative_radiance,
     slit_of,
-    weigh_rays,
 )
 from goniotwin.twin.optics.kernel import kernel, thread_count
 
@@ -96,11 +87,11 @@ FINEST_RULE: Rule = (cone_nodes(3), side_nodes(12), hole_nodes(16), 1024)
 """For fluxes where the light ends within the hole: exact to 0.3 %, and to 0.5 % where 2 % of the light are left."""
 CLIP_RULE: Rule = (cone_nodes(2), side_nodes(5), hole_nodes(8), 1024)
 """For fluxes of a beam that a mirror clips, where the hole is lit everywhere."""
-TABLE_KINDS, PLAIN_KINDS = (TABLE, ANISOTROPIC), (GAUSSIAN, LAMBERTIAN)
-GRID = clip_grid()
+LIT, CUT, CLIP = range(3)
+"""Rules of `Nodes`: where the hole is lit everywhere, where the light ends within it, and where a mirror clips the beam."""
+TABLE_KINDS = (TABLE, ANISOTROPIC)
 LIGHT_RAYS = 8192
 """Rays from pupil to hole for the mean of what is not even, of a regular component."""
-HOLE, LINE = line_nodes(HOLE_NODES), side_nodes(SLOPE_NODES)
 PIECE = 4096
 """Detectors of a pose that are computed together, and readings of one task: independent of the number of threads."""
 WHITE = Scatterer(
@@ -116,8 +107,12 @@ Result = TypeVar("Result")
 
 
 class Nodes(NamedTuple):
-    """Nodes over `cone`, `side` and `hole`, and rays of the `bundle`: a `Rule` as an argument of the kernels."""
+    """Nodes of the three rules LIT, CUT and CLIP, as an argument of the kernels.
 
+    The first counts[rule] = (cone, side, hole, quarter) of `cone`, `side` and `hole` (3, most, ...), and of `bundle` (7, most).
+    """
+
+    counts: Ints
     cone: Floats
     side: Floats
     hole: Floats
@@ -127,24 +122,16 @@ class Nodes(NamedTuple):
 class Optics(NamedTuple):
     """Everything of an instrument but the deviations of a rig, as an argument of the kernels.
 
-    `lengths` and `exit_pupil` of the instrument, `sizes` of the aperture, the illumination unit's `slit`; `nodes`, and
-    `cut_nodes` where the light ends within the hole; the nodes' `places`, those over the hole (`image_hole`) and a slope
-    (`image_line`) for an image of the pupil, and the rays from it (`image_rays`). `bundles` alone, without the seven rays;
-    `wide` cones; `obstruction`. `scale` makes throughputs in m^2 sr of sums.
+    `lengths` and `exit_pupil` of the instrument, `sizes` of the aperture, the illumination unit's `slit`, the `nodes`, and the
+    rays from an image of the pupil (`image_rays`). `bundles` alone, without the seven rays; `wide` cones; `obstruction`.
+    `scale` makes throughputs in m^2 sr of sums.
     """
 
     lengths: Floats
     exit_pupil: Floats
     sizes: Floats
     slit: Slit
-    clip_grid: Floats
-    clip_fit: Floats
     nodes: Nodes
-    cut_nodes: Nodes
-    clip_nodes: Nodes
-    places: Floats
-    image_hole: Floats
-    image_line: Floats
     image_rays: Floats
     bundles: bool
     wide: bool
@@ -165,37 +152,13 @@ class Spectra(NamedTuple):
     angles_deg: Floats
 
 
-class Block(NamedTuple):
-    """Buffers of a block of detectors.
-
-    Rows `w` of the moments, among them those of one `node` of each detector and its `points` of pupil and hole; `rays` of a
-    bundle, `values` of a lobe, one `tile` of a bundle; `sums` by lobe, of all blocks, and `lanes` of a bundle's sums; the
-    aperture's share that the seven rays have `taken`, and `status`.
-    """
-
-    w: Floats
-    node: Floats
-    points: Floats
-    rays: Floats
-    values: Floats
-    tile: Floats
-    sums: Floats
-    lanes: Floats
-    clip: Floats
-    taken: Floats
-    status: Ints
-
-
 @kernel(nogil=True)
 def score_scenes(
-    optics: Optics, models: Models, spectra: Spectra, deviations: Floats, poses: Floats, starts: Ints, directions: Floats,
-    first_rig: int, result: Floats, general: bool | None,
-) -> bool:  # fmt: skip
+    block: Block, optics: Optics, models: Models, spectra: Spectra, deviations: Floats, poses: Floats, starts: Ints,
+    directions: Floats, first_rig: int, result: Floats,
+) -> None:  # fmt: skip
     """Fill `result` (rigs, samples, w, detectors) with throughputs in m^2 sr, from `first_rig` on.
 
-    `general` is True, or None for GAUSSIAN and LAMBERTIAN lobes, narrow cones and an even light: numba then leaves out the code
-    for all others, which takes as long to compile as the rest; that of a beam which a mirror clips too. It leaves such scenes
-    to a call with False, which fills these alone. Returns whether there are any of them.
     `deviations` (n, elements, 6); `poses` (p, 2): sigma and gamma, deg; the detectors of pose p are the rows of
     `directions` (detectors, 6) from starts[p] to starts[p + 1], see `detector_rows`.
     """
@@ -203,92 +166,47 @@ def score_scenes(
     most = 0
     for p in range(poses.shape[0]):
         most = max(most, starts[p + 1] - starts[p])
-    w = np.empty(ROWS * BLOCK)
-    block = Block(
-        w, w[RAY : RAY + 7 * BLOCK].reshape(7, BLOCK), w[POINT : POINT + 4 * BLOCK].reshape(4, BLOCK), np.empty((7, 4 * TILE)),
-        np.empty(4 * TILE), np.empty(TILE_ROWS * TILE),
-        np.empty((lobes, most + BLOCK)), np.empty((lobes + 1, TILE)), np.empty((CLIPPED, TERMS)),
-        np.empty(BLOCK), np.empty(BLOCK, np.int64),
-    )  # fmt: skip
-    centres, axes, lit = np.empty((most, 3)), np.empty((most, 3)), np.empty(most, np.int64)
-    acting, mirrors = np.empty(lobes, np.int64), np.empty(spectra.weights.shape[1])
-    skipped = False
+    centres, views, lit = np.empty((most, 3)), np.empty((most, 3)), np.empty(most, np.int64)
+    acting, mirrors, sums = np.empty(lobes, np.int64), np.empty(spectra.weights.shape[1]), np.empty((lobes, most))
     for rig in range(deviations.shape[0]):
         for p in range(poses.shape[0]):
             back = fill_scene(optics.lengths, optics.exit_pupil, deviations[rig], poses[p, 0], poses[p, 1], scene)
-            clipped = scene.missed[0] + scene.missed[1] + scene.missed[2] > 0.0 and not optics.bundles
-            if general is None:
-                if clipped:
-                    skipped = True
-                    continue
-            elif not (general or clipped):
-                continue
             light = place_slit(optics.slit, scene.pupil, optics.lengths[HALF_SPOT], 0.0, edges, chords, hole)
-            active, above, below = 0, False, False
-            for k in range(lobes):
-                if (models.heads[k, ABOVE] == 1) != back:
-                    acting[active] = k
-                    active += 1
-                    if models.heads[k, TRANSMITS] == 1:
-                        below = True
-                    else:
-                        above = True
+            active, above, below = select_lobes(models, back, acting)
             first, total = starts[p], starts[p + 1] - starts[p]
-            for k in range(result.shape[1]):
-                for j in range(mirrors.size):
-                    for i in range(first, first + total):
-                        result[first_rig + rig, k, j, i] = 0.0
-            fill_detectors(
-                optics.lengths, deviations[rig], scene.to_sample, scene.origin, directions[first : first + total], centres, axes
-            )
-            count = select_lit(centres, axes, total, above, below, lit)
+            own = directions[first : first + total]
+            fill_detectors(optics.lengths, deviations[rig], scene.to_sample, scene.origin, own, centres, views)
+            count = select_lit(centres, views, total, above, below, lit)
+            score_detectors(block, optics, models, scene, light, centres[:count], views[:count], acting[:active], sums)
             mirror_products(spectra, scene, mirrors)
-            fitted = 0
-            if general is not None and clipped and count > 0 and not optics.wide:
-                half, spot = optics.lengths[HALF_MIRROR], optics.lengths[HALF_SPOT]
-                fitted = CLIPPED if fill_clip(scene, half, spot, optics.clip_grid, optics.clip_fit, block.clip) else 0
-            score_detectors(
-                optics,
-                models,
-                scene,
-                light,
-                centres[:count],
-                axes[:count],
-                acting[:active],
-                block,
-                block.clip[:fitted],
-                general,
+            add_wavelengths(
+                spectra, mirrors, acting[:active], sums, lit[:count], result[first_rig + rig, :, :, first : first + total]
             )
-            for a in range(active):
-                k = acting[a]
-                for j in range(mirrors.size):
-                    factor, row = spectra.weights[k, j] * mirrors[j], result[first_rig + rig, spectra.owners[k], j]
-                    if count == total:
-                        for i in range(count):
-                            row[first + i] += factor * block.sums[k, i]
-                    else:
-                        for i in range(count):
-                            row[first + lit[i]] += factor * block.sums[k, i]
-    return skipped
 
 
 @kernel()
-def select_lit(centres: Floats, axes: Floats, total: int, above: bool, below: bool, lit: Ints) -> int:
+def select_lobes(models: Models, back: bool, acting: Ints) -> tuple[int, bool, bool]:
+    """Fill `acting` with the lobes for light from that side; their number, and whether some scatter above, and below."""
+    active, above, below = 0, False, False
+    for k in range(acting.size):
+        if (models.heads[k, ABOVE] == 1) != back:
+            acting[active] = k
+            active += 1
+            below, above = below or models.heads[k, TRANSMITS] == 1, above or models.heads[k, TRANSMITS] != 1
+    return active, above, below
+
+
+@kernel()
+def select_lit(centres: Floats, views: Floats, total: int, above: bool, below: bool, lit: Ints) -> int:
     """Move the detectors above or below the sample's plane, or both, to the front; fill `lit` with their numbers.
 
     Returns their number: the others receive nothing.
     """
-    count, all_lit = 0, True
+    count = 0
     for k in range(total):
-        all_lit = all_lit & (below if axes[k, 2] < 0.0 else above)
-    if all_lit:
-        for k in range(total):
-            lit[k] = k
-        return total
-    for k in range(total):
-        if below if axes[k, 2] < 0.0 else above:
+        if below if views[k, 2] < 0.0 else above:
             for c in range(3):
-                centres[count, c], axes[count, c] = centres[k, c], axes[k, c]
+                centres[count, c], views[count, c] = centres[k, c], views[k, c]
             lit[count] = k
             count += 1
     return count
@@ -313,177 +231,163 @@ def mirror_products(spectra: Spectra, scene: SceneArrays, result: Floats) -> Non
 
 
 @kernel()
-def score_detectors(
-    optics: Optics, models: Models, scene: SceneArrays, light: SlitImage, centres: Floats, axes: Floats, acting: Ints,
-    block: Block, clip: Floats, general: bool | None,
-) -> None:  # fmt: skip
-    """Fill `block.sums` (lobes, at least n): throughputs by the lobes `acting` alone, mirrors without loss, of n detectors.
-
-    Block by block within one call: each array of the arguments is counted as a reference, which for a call of every block was a
-    tenth of all time.
-    """
-    nodes = optics.nodes if light.everywhere else optics.cut_nodes
-    if clip.shape[0] > 0 and light.everywhere and nodes.cone.shape[0] > optics.clip_nodes.cone.shape[0]:
-        nodes = optics.clip_nodes
-    for start in range(0, axes.shape[0], BLOCK):
-        end = min(start + BLOCK, axes.shape[0])
-        count, kept, above, below = end - start, False, False, False
-        for i in range(count):
-            above, below = above or axes[start + i, 2] >= 0.0, below or axes[start + i, 2] < 0.0
-        for i in range(count):
-            block.taken[i], block.status[i] = 0.0, PARTLY
-        for k in acting:
-            for i in range(whole_lanes(count)):
-                block.sums[k, start + i] = 0.0
-            if general is not None:
-                kept = kept or models.heads[k, KIND] in TABLE_KINDS
-        if not optics.bundles:
-            fill_offsets(optics, nodes, scene, light, centres[start:end], axes[start:end], block, clip, general)
-            uneven, lanes = general is not None and not light.slit.even, whole_lanes(count)
-            heads, params, w, node, values, sums = models.heads, models.params, block.w, block.node, block.values, block.sums
-            places, pupil = optics.places, scene.pupil
-            for j in range(places.shape[0]):
-                place_node(w, count, pupil, places[j, 0], places[j, 1], uneven)
-                if general is not None and uneven:
-                    weigh_rays(light, block.points[:, :count], node[0, :count])
-                for k in acting:
-                    kind, transmits = heads[k, KIND], heads[k, TRANSMITS] == 1
-                    if not (below if transmits else above):
-                        continue
-                    if kind == GAUSSIAN:
-                        intensity, ratio = params[k, 2] == 1.0, params[k, 4]
-                        gaussian_values(params[k, 0], params[k, 1], intensity, ratio, transmits, node, lanes, values)
-                        add_values(values, 0, lanes, sums, k, start)
-                    elif kind == LAMBERTIAN:
-                        lambertian_values(params[k, 0], transmits, node, lanes, values)
-                        add_values(values, 0, lanes, sums, k, start)
-                    elif general is not None and kind not in TABLE_KINDS:
-                        lobe_sums(models, k, node, 1, count, values, sums, k, start, general)
-                # Tables have kinks, which seven rays do not resolve: their mean is taken over a bundle, times what the seven
-                # rays take, as sample and etalon must have the same accepted rays.
-                if kept:
-                    for i in range(count):
-                        block.taken[i] += node[0, i]
-        for i in range(count):
-            partly = block.status[i] == PARTLY
-            if partly or (kept and block.status[i] == FREE):
-                add_bundle(
-                    optics, nodes.bundle, models, scene, light, centres[start + i], axes[start + i], acting, partly, i,
-                    start + i, block, general,
-                )  # fmt: skip
-        for k in acting:
-            for i in range(count):
-                block.sums[k, start + i] *= optics.scale
-            if general is not None and models.heads[k, KIND] == REGULAR:
-                regular = block.sums[k, start:end]
-                fill_regular(optics, nodes.bundle, models, scene, light, centres[start:end], axes[start:end], k, regular)
+def add_wavelengths(spectra: Spectra, mirrors: Floats, acting: Ints, sums: Floats, lit: Ints, result: Floats) -> None:
+    """Fill `result` (samples, w, detectors) with the sums of the lobes `acting` for the detectors `lit`, else 0."""
+    for k in range(result.shape[0]):
+        for j in range(mirrors.size):
+            for i in range(result.shape[2]):
+                result[k, j, i] = 0.0
+    for k in acting:
+        for j in range(mirrors.size):
+            factor, owner = spectra.weights[k, j] * mirrors[j], spectra.owners[k]
+            for i in range(lit.size):
+                result[owner, j, lit[i]] += factor * sums[k, i]
 
 
 @kernel()
-def fill_offsets(
-    optics: Optics, nodes: Nodes, scene: SceneArrays, light: SlitImage, centres: Floats, axes: Floats, block: Block,
-    clip: Floats, general: bool | None,
+def score_detectors(
+    block: Block, optics: Optics, models: Models, scene: SceneArrays, light: SlitImage, centres: Floats, views: Floats,
+    acting: Ints, sums: Floats,
 ) -> None:  # fmt: skip
-    """Fill `block.w` for the seven rays of n detectors, see `place_node`, and `block.status`.
+    """Fill `sums` (lobes, at least n): throughputs by the lobes `acting` alone, mirrors without loss, of n detectors."""
+    nodes, counts, clipped = optics.nodes, optics.nodes.counts, scene.missed[0] + scene.missed[1] + scene.missed[2] > 0.0
+    rule, fitted = LIT if light.everywhere else CUT, False
+    if clipped and not (optics.bundles or optics.wide):
+        fitted = fill_clip(scene, optics.lengths[HALF_MIRROR], optics.lengths[HALF_SPOT], block.clip)
+        if fitted and light.everywhere and counts[LIT, 0] > counts[CLIP, 0]:
+            rule = CLIP
+    quarter, tables, status = counts[rule, 3], False, np.empty(LANES, np.int64)
+    for k in acting:
+        tables = tables or models.heads[k, KIND] in TABLE_KINDS
+    for start in range(0, views.shape[0], LANES):
+        end = min(start + LANES, views.shape[0])
+        for k in acting:
+            for i in range(start, end):
+                sums[k, i] = 0.0
+        place_detectors(block, centres[start:end], views[start:end])
+        if optics.bundles:
+            for i in range(end - start):
+                block.taken[i], status[i] = 0.0, PARTLY
+        else:
+            lanes = whole_lanes(end - start)
+            if optics.wide:
+                fill_wide_apertures(block, lanes, nodes.hole[rule, : counts[rule, 2]], optics.sizes, light.chords)
+            else:
+                cone, side = nodes.cone[rule, : counts[rule, 0]], nodes.side[rule, : counts[rule, 1]]
+                fill_apertures(block, lanes, cone, side, optics.sizes, light.chords, fitted)
+            fill_covariance(block, lanes)
+            fill_slopes(block, lanes, scene.pupil)
+            fill_shifts(block, lanes)
+            fill_factors(block, lanes)
+            find_shadows(block, optics, scene, clipped and not fitted, end - start, status)
+            add_seven_rays(block, models, scene, light, acting, end - start, sums, start)
+        for i in range(end - start):
+            if status[i] == PARTLY or (tables and status[i] == FREE):
+                add_bundle(block, i, optics, quarter, models, scene, light, acting, status[i] == PARTLY, sums, start + i)
+    for k in acting:
+        for i in range(views.shape[0]):
+            sums[k, i] *= optics.scale
+        if models.heads[k, KIND] == REGULAR:
+            fill_regular(block, optics, quarter, models, scene, light, centres, views, k, sums[k, : views.shape[0]])
 
-    PARTLY means that seven are not enough, because a mirror blocks some of the accepted rays; the rest is filled in all the
-    same.
+
+@kernel()
+def find_shadows(block: Block, optics: Optics, scene: SceneArrays, clipped: bool, count: int, status: Ints) -> None:
+    """Fill `status`, and set the moments of hidden detectors to 0.
+
+    PARTLY means that seven rays are not enough: a mirror blocks some of the accepted ones, or the beam is `clipped`.
     """
-    count, w, status, near = axes.shape[0], block.w, block.status, np.zeros(3)
-    for k in range(whole_lanes(count)):
-        i = min(k, count - 1)
-        w[k + PX], w[k + PY], w[k + PZ] = centres[i, 0], centres[i, 1], centres[i, 2]
-        w[k + DX], w[k + DY], w[k + DZ] = axes[i, 0], axes[i, 1], axes[i, 2]
-    fill_frames(w, count)
-    if general is None:
-        fill_apertures(w, count, nodes.cone, nodes.side, optics.sizes, light.chords, None)
-    elif not optics.wide:
-        fill_apertures(w, count, nodes.cone, nodes.side, optics.sizes, light.chords, clip)
-    else:
-        fill_wide_apertures(w, count, nodes.hole, optics.sizes, light.chords)
-    find_offsets(w, count, scene.pupil)
-    blocking = optics.lengths[HALF_BLOCKING]
-    clipped = scene.missed[0] + scene.missed[1] + scene.missed[2] > 0.0 and clip.shape[0] == 0
+    near, half = np.zeros(3), optics.lengths[HALF_BLOCKING]
     for k in range(count):
         status[k] = PARTLY if clipped else FREE
-        if optics.obstruction and w[k + M] > 0.0:
-            mirrors_near(scene.mirrors, blocking, centres[k], optics.sizes, near)
-            if near[0] + near[1] + near[2] > 0.0:
-                status[k] = max(status[k], find_shadow(scene.mirrors, near, blocking, centres[k], axes[k], optics.sizes))
+        lit = optics.obstruction and block.moments[ONE, ONE, k] > 0.0
+        if lit and mirrors_near(block, k, scene.mirrors, half, optics.sizes, near):
+            status[k] = max(status[k], find_shadow(block, k, scene.mirrors, near, half, optics.sizes))
         if status[k] == HIDDEN:
-            w[k + M] = 0.0
+            block.moments[ONE, ONE, k] = 0.0
+
+
+@kernel()
+def add_seven_rays(
+    block: Block, models: Models, scene: SceneArrays, light: SlitImage, acting: Ints, count: int, sums: Floats, start: int
+) -> None:
+    """Add the seven rays of the detectors in `block` to `sums` from `start` on, for all lobes but tables.
+
+    Tables have kinks, which seven rays do not resolve: their mean is taken over a bundle, times what the seven rays take
+    (`block.taken`), as sample and etalon must have the same accepted rays.
+    """
+    above, below = False, False
+    for i in range(count):
+        block.taken[i] = 0.0
+        above, below = above or block.axes[VIEW, Z, i] >= 0.0, below or block.axes[VIEW, Z, i] < 0.0
+    for j in range(PLACES.shape[0]):
+        place_node(block, whole_lanes(count), scene.pupil, PLACES[j, 0], PLACES[j, 1])
+        if not light.slit.even:
+            weigh_rays(block, light, count)
+        for k in acting:
+            kind, seen = models.heads[k, KIND], below if models.heads[k, TRANSMITS] == 1 else above
+            if seen and kind != REGULAR and kind not in TABLE_KINDS:
+                add_lobe(models, k, block, sums[k, start : start + count])
+        for i in range(count):
+            block.taken[i] += block.ray[WEIGHT, i]
+
+
+@kernel()
+def weigh_rays(block: Block, light: SlitImage, count: int) -> None:
+    """Multiply the weights of `count` rays in `block` by the relative radiance along them."""
+    for i in range(count):
+        if block.ray[WEIGHT, i] > 0.0:
+            a, b, u, v = block.point[PUPIL_A, i], block.point[PUPIL_B, i], block.point[HOLE_U, i], block.point[HOLE_V, i]
+            block.ray[WEIGHT, i] *= relative_radiance(light, a, b, u, v)
 
 
 @kernel()
 def add_bundle(
-    optics: Optics, bundle: Floats, models: Models, scene: SceneArrays, light: SlitImage, centre: Floats, d: Floats,
-    acting: Ints, partly: bool, i: int, column_of_sums: int, block: Block, general: bool | None,
+    block: Block, i: int, optics: Optics, quarter: int, models: Models, scene: SceneArrays, light: SlitImage, acting: Ints,
+    partly: bool, sums: Floats, column: int,
 ) -> None:  # fmt: skip
-    """Fill a column of the sums, of detector i of the block, from a whole bundle; unless `partly` those of tables alone."""
-    lengths, sizes, lanes, t, rays = optics.lengths, optics.sizes, block.lanes, block.tile, block.rays
-    first_v, last_v = light.chords[ALONG_U, -1, 0], light.chords[ALONG_U, -1, 1]
+    """Fill a column of `sums`, of detector i of the block, from a whole bundle; unless `partly` those of tables alone."""
+    first_v, last_v, share = light.chords[ALONG_U, -1, 0], light.chords[ALONG_U, -1, 1], optics.sizes[1] ** 2 / quarter
     edges = light.edges[: 0 if light.everywhere else light.edges.shape[0]]
-    view, near, whole = np.empty((4, 3)), np.zeros(3), models.heads.shape[0]
-    for k in range(whole + 1):
-        for lane in range(TILE):
-            lanes[k, lane] = 0.0
-    fill_view(centre, d, view)
+    lanes, near, blocking, given = np.zeros((models.heads.shape[0], LANES)), np.zeros(3), optics.lengths[HALF_BLOCKING], 0.0
+    below = block.axes[VIEW, Z, i] < 0.0
     if optics.obstruction:
-        mirrors_near(scene.mirrors, lengths[HALF_BLOCKING], centre, sizes, near)
-    share = sizes[1] * sizes[1] / bundle.shape[1]
-    for first in range(0, bundle.shape[1], TILE):
-        count, column = min(TILE, bundle.shape[1] - first), 0
+        mirrors_near(block, i, scene.mirrors, blocking, optics.sizes, near)
+    for first in range(0, quarter, LANES):
+        count = min(LANES, quarter - first)
         for sign in (1.0, -1.0):
             for other in (1.0, -1.0):
                 # An edge of the slit's image is elsewhere for another point of the pupil; else both have the same ends.
                 if other > 0.0 or not light.everywhere:
-                    fill_ends(view, bundle, first, count, sign, sizes, first_v, last_v, edges, other, t)
-                    hide_ends(scene.mirrors, near, lengths[HALF_BLOCKING], count, t)
-                fill_arrivals(scene, lengths[HALF_MIRROR], other, share, count, t, rays, column)
-                if general is not None and not light.slit.even:
-                    weigh_tile(light, other, count, t, rays, column)
-                column += count
-        for k in acting:
-            on_its_side = (d[2] < 0.0) == (models.heads[k, TRANSMITS] == 1)
-            if on_its_side and (partly or models.heads[k, KIND] in TABLE_KINDS):
-                lobe_sums(models, k, rays, 4, count, block.values, lanes, k, 0, general)
-        if not partly:
-            for j in range(4):
+                    fill_ends(block, i, optics.nodes.bundle, first, count, sign, optics.sizes, first_v, last_v, edges, other)
+                    hide_ends(block, scene.mirrors, near, blocking, count)
+                fill_arrivals(block, scene, optics.lengths[HALF_MIRROR], other, share, count)
+                if not light.slit.even:
+                    weigh_rays(block, light, count)
                 for lane in range(count):
-                    lanes[whole, lane] += rays[0, j * count + lane]
-    for k in range(whole + 1):
-        for lane in range(1, TILE):
-            lanes[k, 0] += lanes[k, lane]
-    given = lanes[whole, 0]
+                    given += block.ray[WEIGHT, lane]
+                for k in acting:
+                    if below == (models.heads[k, TRANSMITS] == 1) and (partly or models.heads[k, KIND] in TABLE_KINDS):
+                        add_lobe(models, k, block, lanes[k, :count])
     for k in acting:
-        if partly:
-            block.sums[k, column_of_sums] = lanes[k, 0]
-        elif models.heads[k, KIND] in TABLE_KINDS:
-            block.sums[k, column_of_sums] = block.taken[i] / given * lanes[k, 0] if given > 0.0 else 0.0
-
-
-@kernel()
-def weigh_tile(light: SlitImage, other: float, count: int, t: Floats, rays: Floats, column: int) -> None:
-    """Multiply the weights of `count` `rays` from `column` on, those of the tile `t`, by the relative radiance."""
-    for i in range(count):
-        if rays[0, column + i] > 0.0:
-            a, b = other * t[i + PUPIL_U], other * t[i + PUPIL_V]
-            rays[0, column + i] *= relative_radiance(light, a, b, t[i + END_U], t[i + END_V])
+        if partly or models.heads[k, KIND] in TABLE_KINDS:
+            total = 0.0
+            for lane in range(LANES):
+                total += lanes[k, lane]
+            sums[k, column] = total if partly else block.taken[i] / given * total if given > 0.0 else 0.0
 
 
 @kernel()
 def fill_regular(
-    optics: Optics, bundle: Floats, models: Models, scene: SceneArrays, light: SlitImage, centres: Floats, axes: Floats, k: int,
-    result: Floats,
+    block: Block, optics: Optics, quarter: int, models: Models, scene: SceneArrays, light: SlitImage, centres: Floats,
+    views: Floats, k: int, result: Floats,
 ) -> None:  # fmt: skip
     """Fill `result` (n,) with throughputs in m^2 sr by the REGULAR lobe k."""
     transmits, pupil = models.heads[k, TRANSMITS] == 1, scene.pupil
-    image_measures(
-        centres, axes, optics.sizes, pupil, light.chords, transmits, optics.image_hole, optics.image_line, result
-    )  # fmt: skip
+    image_measures(centres, views, optics.sizes, pupil, light.chords, transmits, result)
     if scene.missed[0] + scene.missed[1] + scene.missed[2] > 0.0 or not light.slit.even:
         half = optics.lengths[HALF_MIRROR]
-        light_shares(centres, axes, optics.sizes, scene, half, light, transmits, optics.image_rays, result)
+        light_shares(centres, views, optics.sizes, scene, half, light, transmits, optics.image_rays, result)
     _, params, sig, _, _, _, table = model_arrays(models, k)
     length = math.sqrt(pupil[0, 0] ** 2 + pupil[0, 1] ** 2 + pupil[0, 2] ** 2)
     share = regular_share(params, sig, table, pupil[0, 0] / length, pupil[0, 1] / length, pupil[0, 2] / length)
@@ -491,8 +395,9 @@ def fill_regular(
         if result[i] != 0.0:
             result[i] *= 1e-6 * share
             if optics.obstruction:
-                one, blocking = slice(i, i + 1), optics.lengths[HALF_BLOCKING]
-                result[i] *= visible_shares(centres[one], axes[one], bundle, optics.sizes, scene.mirrors, blocking)[0]
+                one, blocking, bundle = slice(i, i + 1), optics.lengths[HALF_BLOCKING], optics.nodes.bundle
+                seen = visible_shares(block, centres[one], views[one], bundle, quarter, optics.sizes, scene.mirrors, blocking)
+                result[i] *= seen[0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -591,24 +496,18 @@ class Scenes:
     def _compute(self, samples: tuple[Scatterer, ...], deviations: Floats | None, *, ratios: bool) -> Floats:
         instrument = self._instrument
         rigs = instrument.deviation_rows[None] if deviations is None else _check_deviations(deviations)
-        optics, (models, owners, plain) = _optics(instrument, self._rays, ratios), _pack_samples(samples)
+        optics, (models, owners) = _optics(instrument, self._rays, ratios), _pack_samples(samples)
         spectra = _spectra(instrument, samples, owners, self._wavelengths_nm)
         result = np.empty((len(rigs), len(samples), spectra.weights.shape[1], self.detectors))
         tasks = list(_tasks(len(rigs), self._starts))
-        general = None if plain and optics.slit.even and not optics.wide else True
-
-        def run(task: tuple[int, int, int, int]) -> None:
-            first, last, begin, end = task
-            some = rigs[first:last], self._poses[begin:end], self._starts[begin : end + 1]
-            if score_scenes(optics, models, spectra, *some, self._directions, first, result, general):
-                score_scenes(optics, models, spectra, *some, self._directions, first, result, False)
-
         threads = 1 if _ALONE.threads else min(thread_count(), len(tasks))
         waiting = iter(tasks)
 
         def work() -> None:
-            for task in waiting:
-                run(task)
+            block = empty_block()
+            for first, last, begin, end in waiting:
+                some = rigs[first:last], self._poses[begin:end], self._starts[begin : end + 1]
+                score_scenes(block, optics, models, spectra, *some, self._directions, first, result)
 
         if threads > 1:
             # Plain threads: the kernels hold no lock. numba's own threads would add seconds of compilation, and one of its
@@ -707,24 +606,33 @@ def _check_deviations(deviations: Floats) -> Floats:
 def _optics(instrument: Instrument, rays: int | None, ratios: bool) -> Optics:
     sizes = aperture_sizes(instrument)
     sine, seen_sr = float(sizes[2]), math.pi * sizes[2] ** 2
-    nodes, cut_nodes, clip_nodes = (
-        Nodes(cone, side, hole, ray_bundle(partly if rays is None else rays, sine))
-        for cone, side, hole, partly in ((COARSE_RULE, FINE_RULE, CLIP_RULE) if ratios else (FINE_RULE, FINEST_RULE, CLIP_RULE))
-    )
+    rules = (COARSE_RULE, FINE_RULE, CLIP_RULE) if ratios else (FINE_RULE, FINEST_RULE, CLIP_RULE)
     return Optics(
-        instrument.lengths, instrument.exit_pupil, sizes, slit_of(instrument), GRID, clip_fit(GRID), nodes, cut_nodes,
-        clip_nodes, PLACES, HOLE, LINE,
+        instrument.lengths, instrument.exit_pupil, sizes, slit_of(instrument), _nodes(rules, rays, sine),
         ray_bundle(LIGHT_RAYS, sine), rays is not None, bool(sine * instrument.arc_radius_mm > WIDE * sizes[0]),
         instrument.obstruction, float(seen_sr * math.pi * instrument.pupil_radius_mm**2 * 1e-6),
     )  # fmt: skip
 
 
+def _nodes(rules: tuple[Rule, ...], rays: int | None, sine: float) -> Nodes:
+    """Nodes of the rules; `rays` in place of theirs. A bundle begins as every longer one."""
+    numbers = [partly if rays is None else rays for *_, partly in rules]
+    counts = np.array([(len(c), len(s), len(h), each // 4) for (c, s, h, _), each in zip(rules, numbers, strict=True)])
+    cone, side, hole = (
+        np.zeros((len(rules), most, width)) for most, width in zip(counts.max(axis=0)[:3], (3, 2, 2), strict=True)
+    )
+    for k, rule in enumerate(rules):
+        for room, nodes in zip((cone, side, hole), rule[:3], strict=True):
+            room[k, : len(nodes)] = nodes
+    return Nodes(counts, cone, side, hole, ray_bundle(max(numbers), sine))
+
+
 @lru_cache(maxsize=16)
-def _pack_samples(samples: tuple[Scatterer, ...]) -> tuple[Models, Ints, bool]:
-    """Models of all lobes, the number of each one's sample, and whether all are of PLAIN_KINDS."""
+def _pack_samples(samples: tuple[Scatterer, ...]) -> tuple[Models, Ints]:
+    """Models of all lobes, and the number of each one's sample."""
     owners = np.repeat(np.arange(len(samples)), [len(each.lobes) for each in samples])
     lobes = [lobe for each in samples for lobe in each.lobes]
-    return pack_models(lobes), owners, all(lobe.kind in PLAIN_KINDS for lobe in lobes)
+    return pack_models(lobes), owners
 
 
 def _spectra(instrument: Instrument, samples: tuple[Scatterer, ...], owners: Ints, wavelengths_nm: Floats | None) -> Spectra:

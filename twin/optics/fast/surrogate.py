@@ -4,7 +4,7 @@ The logarithm of a Gaussian lobe is quadratic in the shift of its axis, which is
 beam and detector changes that little. So the logarithm of a ratio is expanded, with all products of two deviations. For twelve
 deviations that takes 157 exact scenes, and then a rig costs about a hundredth of an exact one. The expansion has few
 independent columns over the detectors (of a lobe: those of a shift along two directions and of a width), so sums over the
-detectors are computed from these.
+detectors are computed from these (optics.md, section 7).
 
 It is a second evaluator, not the instrument: what it finds is confirmed with `Scenes`. It knows no edge of a mirror; its error
 grows with the third power of the deviations (`benchmarks.tolerances` states it).

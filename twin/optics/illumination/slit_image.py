@@ -59,7 +59,7 @@ class SlitImage(NamedTuple):
 
     `edges` (4, 3, 3): a ray from (a, b) to (u, v) passes inside edge k if (1, a, b) edges[k] (1, u, v) >= 0, which is about the
     distance from the edge in mm. `chords` (2, 10, 2): the lit part of the hole, as seen from the pupil's centre, see
-    `_fill_chords`. `hole` (3, 3): the hole's centre and its two axes in the output condenser's frame.
+    `_clear_chords`. `hole` (3, 3): the hole's centre and its two axes in the output condenser's frame.
 
     `everywhere`: no ray of pupil and hole is beyond an edge.
     """
@@ -177,13 +177,15 @@ def place_slit(
             b = edges[k, 2, 0] + edges[k, 2, 1] * u + edges[k, 2, 2] * v
             if edges[k, 0, 0] + edges[k, 0, 1] * u + edges[k, 0, 2] * v < math.sqrt(a * a + b * b):
                 everywhere = False
-    _fill_chords(edges, half, everywhere, chords)
+    _clear_chords(half, chords)
+    if not everywhere:
+        _fill_chords(edges, half, chords)
     return SlitImage(slit, edges, chords, hole, everywhere)
 
 
 @kernel()
-def _fill_chords(edges: Floats, half: float, everywhere: bool, chords: Floats) -> None:
-    """Fill `chords` (2, 10, 2): the hole's part within the edges, as seen from the middle of the pupil.
+def _clear_chords(half: float, chords: Floats) -> None:
+    """Fill `chords` (2, 10, 2) for a hole that is lit everywhere.
 
     Row 0 has the ends of the lit part in the direction across the chord; rows 1 to 4 an offset and a slope of each line that
     limits a chord's lower end, rows 5 to 8 the same for its upper end. The last row has the ends of what any point of the pupil
@@ -196,8 +198,12 @@ def _fill_chords(edges: Floats, half: float, everywhere: bool, chords: Floats) -
         for line in range(LINES):
             chords[across, 1 + line, 0], chords[across, 1 + line, 1] = -math.inf, 0.0
             chords[across, 1 + LINES + line, 0], chords[across, 1 + LINES + line, 1] = math.inf, 0.0
-    if everywhere:
-        return
+
+
+@kernel()
+def _fill_chords(edges: Floats, half: float, chords: Floats) -> None:
+    """Limit `chords` to the hole's part within the edges, as seen from the middle of the pupil, see `_clear_chords`."""
+    last = 1 + 2 * LINES
     points, cut = np.empty((2 * LINES + 4, 2)), np.empty((2 * LINES + 4, 2))
     for row in (0, last):
         count = _lit_polygon(edges, half, row == last, points, cut)
@@ -355,11 +361,3 @@ def _radiance(frames: Floats, sizes: Floats, pa: float, pb: float, p: float, q: 
     along = -1.0 / math.sqrt(1.0 + behind_p * behind_p + behind_q * behind_q)
     x, y, z, s, t = to_plane(frames, SLIT, pa, 0.0, pb, along * behind_p, along, along * behind_q)
     return lit_length(frames, sizes, x, y, z, along * behind_p, along, along * behind_q) * change * change, s, t
-
-
-@kernel(nogil=True)
-def weigh_rays(image: SlitImage, points: Floats, weights: Floats) -> None:
-    """Multiply the `weights` (n,) of rays with `points` (4, n), a, b, u, v, by the relative radiance along them."""
-    for i in range(weights.size):
-        if weights[i] > 0.0:
-            weights[i] *= relative_radiance(image, points[0, i], points[1, i], points[2, i], points[3, i])

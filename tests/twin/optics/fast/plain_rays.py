@@ -120,7 +120,7 @@ def plain_throughput(
     centres, axes = scene.detectors(unit / np.linalg.norm(unit, axis=1)[:, None])
     sine, half = math.sin(math.radians(0.5 * instrument.field_deg)), 0.5 * instrument.spot_side_mm
     radius, result = 0.5 * instrument.detector_diameter_mm, np.zeros(len(unit))
-    u0, v0, p0, q0, _, a0, b0 = ray_bundle(rays, sine)
+    _, u0, v0, a0, b0, p0, q0 = ray_bundle(rays, sine)
     ends = [(s * u0, s * v0, s * p0, s * q0, t * a0, t * b0) for s in (1.0, -1.0) for t in (1.0, -1.0)]
     hole_u, hole_v, p, q, pupil_a, pupil_b = np.concatenate(ends, axis=1)
     for n, (centre, d) in enumerate(zip(centres, axes, strict=True)):

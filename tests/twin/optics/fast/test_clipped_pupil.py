@@ -7,7 +7,8 @@ import pytest
 
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics import Deviation, Instrument
-from goniotwin.twin.optics.fast.clipped_pupil import CLIPPED, CORNERS, fill_disc_moments, left_polygon
+from goniotwin.twin.optics.fast.clipped_pupil import CORNERS, fill_disc_moments, left_polygon
+from goniotwin.twin.optics.fast.detector_block import CLIPPED
 from goniotwin.twin.optics.geometry.scene import scene_at
 from goniotwin.twin.optics.illumination.slit_image import cut_polygon
 from tests.twin.optics.fast.plain_rays import PlainScene

@@ -148,10 +148,7 @@ def test_the_kernel_is_compiled_once_for_all_calls() -> None:
             assert scenes.throughputs().shape[0] == 1
             assert scenes.ratios(fixed[:, :, :]).shape[0] == scenes.ratios(np.repeat(fixed, 2, axis=0)[::2]).shape[0] == 2
     throughput(OPEN, 30.0, [[0.0, 0.0, 1.0]], gaussian(5.0), wavelength_nm=500.0)
-    # Two at most: with the code for every lobe, cone and light, and without what is rare.
-    signatures = score_scenes.signatures  # type: ignore[attr-defined]
-    assert len({each[:-1] for each in signatures}) == 1
-    assert {str(each[-1]) for each in signatures} <= {"none", "bool"}
+    assert len(score_scenes.signatures) == 1  # type: ignore[attr-defined]
 
 
 def random_rigs(count: int) -> Floats:
