@@ -160,7 +160,7 @@ PARTS = {
 REHEARSAL = ("scenes", "rig", "uncertainties")
 """What every rehearsal needs; Gaussian and diffuse samples need no more."""
 LOG = logging.getLogger("goniotwin.compilation")
-NOTE = "compiling the optics, once with this version: about half a minute for a rehearsal"
+NOTE = "compiling the optics, once with this version: about a minute for a rehearsal"
 FIRST_LOOK_S, LAST_LOOK_S = 0.2, 60.0
 
 

@@ -158,4 +158,6 @@ def convert_readings(
                 changed[module], constants, dark_keys, noise_keys,
             )  # fmt: skip
         if tick >= 0:
-            volts[:, tick] = now
+            for module in range(modules):  # numba takes three seconds to compile an assignment of arrays
+                for channel in range(channels):
+                    volts[module, tick, channel] = now[module, channel]
