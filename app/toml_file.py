@@ -264,6 +264,7 @@ def _tag_names(tags: str) -> list[str]:
     return [tag.strip(" '") for tag in tags.split(",")]
 
 
+@cache
 def _known_keys(table: Any) -> list[str]:
     """All keys of a file: the candidates for a correction of a mistyped key."""
     schema = _reader(table).json_schema(schema_generator=_FileSchema)

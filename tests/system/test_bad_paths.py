@@ -248,6 +248,7 @@ def faults_without_permission(pipe: Connection, folder: Path) -> None:
     pipe.send([fault for case, path in paths if (fault := case.run(path))])
 
 
+@pytest.mark.long
 @pytest.mark.skipif(sys.platform == "win32", reason="a folder has no permissions that refuse its owner")
 def test_an_unreadable_file_and_a_read_only_folder_are_one_line(folder: Path) -> None:
     context = multiprocessing.get_context("forkserver")

@@ -169,6 +169,7 @@ QUICK = ("ddr", "csv", "archive", "archive of a journal")
 """Files that stand for the others here: a table with the files beside it, lines, HDF5."""
 
 
+@pytest.mark.long
 def test_a_file_without_room_is_one_line_and_status_2_and_leaves_nothing(tmp_path: Path) -> None:
     """With 5000 bytes: each needs twice as many, or more. HDF5 ends in a segmentation fault where it cannot write."""
     folder = tmp_path / "files"

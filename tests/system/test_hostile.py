@@ -829,6 +829,7 @@ def test_a_campaign_that_ended_after_its_last_row_becomes_done(tmp_path: Path, o
 # ---- a million rows ----
 
 
+@pytest.mark.long
 def test_the_memory_of_an_export_grows_by_less_than_a_kilobyte_per_row_and_each_row_is_read_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

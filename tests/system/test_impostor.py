@@ -142,6 +142,7 @@ def test_a_program_at_the_ports_of_a_dead_served_rig_is_believed_by_no_command(
         assert port["token"] not in log()
 
 
+@pytest.mark.long
 def test_a_served_rig_is_used_as_long_as_its_server_lives(tmp_path: Path, write_rig: Writer) -> None:
     path, locks = tmp_path / "served.toml", state_folder() / "locks"
     before = {*locks.glob("served-*")}

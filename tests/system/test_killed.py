@@ -176,6 +176,7 @@ def test_with_noise_a_killed_campaign_differs_within_its_uncertainty(
     assert largest < 5.0
 
 
+@pytest.mark.long
 def test_a_killed_campaign_is_listed_as_killed_and_can_be_exported(
     write_rig: Writer, write_schedule: Writer, tmp_path: Path
 ) -> None:
@@ -195,6 +196,7 @@ def test_a_killed_campaign_is_listed_as_killed_and_can_be_exported(
     assert {file: file.read_bytes() for file in before} == before
 
 
+@pytest.mark.long
 def test_the_wal_file_of_a_killed_program_is_not_applied_to_another_journal(
     write_rig: Writer, write_schedule: Writer, tmp_path: Path
 ) -> None:
@@ -212,7 +214,7 @@ def test_the_wal_file_of_a_killed_program_is_not_applied_to_another_journal(
     assert campaign_summary(tmp_path / "b.journal").rows == 4
 
 
-@pytest.mark.parametrize("times", [pytest.param(2, id="2"), pytest.param(40, id="40", marks=pytest.mark.long)])
+@pytest.mark.parametrize("times", [pytest.param(1, id="1"), pytest.param(40, id="40", marks=pytest.mark.long)])
 def test_a_program_killed_while_it_creates_its_journal_leaves_none_or_a_resumable_one(
     write_rig: Writer, write_schedule: Writer, tmp_path: Path, times: int
 ) -> None:

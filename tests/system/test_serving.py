@@ -84,6 +84,7 @@ def test_it_ends_with_status_0_and_releases_ports_and_names(served: Served, numb
             assert not Path(line["path"]).is_symlink()
 
 
+@pytest.mark.long
 def test_an_unmodified_pyusb_program_finds_the_monitor(tmp_path: Path) -> None:
     program = tmp_path / "ask.py"
     program.write_text("import sys, usbtmc\nprint(usbtmc.Instrument(0x1313, 0x8078).ask(sys.argv[1]))\n", encoding="utf-8")

@@ -154,6 +154,7 @@ def test_a_certificate_of_a_half_halves_the_values_that_are_shown(
     assert highest[1] == pytest.approx(0.5 * highest[0], rel=1e-9)  # the rig file's etalon has 0.99
 
 
+@pytest.mark.long
 def test_both_arcs_and_both_sides_are_those_of_the_journal(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
     rig = read_rig(write_rig(WHITE, SHEETS))
     text = SMALL + 'side = "both"\nlight = "both"\nsignature = true\n'

@@ -277,6 +277,7 @@ def served(write_rig: Writer, tmp_path: Path) -> Iterator[tuple[OpenRig, Control
     server.stop()
 
 
+@pytest.mark.long
 @pytest.mark.endpoint
 def test_a_served_rig_has_the_second_controller_with_its_plug_and_faults(served: tuple[OpenRig, ControlClient]) -> None:
     opened, control = served

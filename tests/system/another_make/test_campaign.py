@@ -134,6 +134,7 @@ def test_a_reset_is_noticed_and_concerns_this_controller_alone(mixed_rig: MixedR
         assert rig.axes["gamma"].position_deg() == pytest.approx(20.0, abs=1e-3)
 
 
+@pytest.mark.long
 @pytest.mark.endpoint
 def test_the_device_is_served_with_its_plug_and_faults(mixed_rig: MixedRig, tmp_path: Path) -> None:
     description = read_rig(mixed_rig(*STEADY))

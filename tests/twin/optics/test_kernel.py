@@ -81,6 +81,7 @@ def test_a_changed_kernel_in_another_file_gives_the_new_value(install: Installer
         assert values == ["3.0", second], name
 
 
+@pytest.mark.long
 def test_two_versions_in_turn_each_find_their_own_code_again(install: Installer, tmp_path: Path) -> None:
     results = [run(install(factor, name), tmp_path / "home") for factor, name in 2 * [(3.0, "installed"), (4.0, "installed")]]
     assert [each[:2] for each in results] == [["3.0", "0"], ["4.0", "0"], ["3.0", "1"], ["4.0", "1"]]
@@ -140,6 +141,7 @@ def test_without_a_home_that_can_be_written_to_the_code_is_in_a_private_folder_f
             assert [stat.S_IMODE(each.stat().st_mode) for each in (Path(place), Path(place).parent)] == [0o700, 0o700]
 
 
+@pytest.mark.long
 def test_without_any_folder_each_program_compiles_for_itself(install: Installer, tmp_path: Path) -> None:
     (tmp_path / "home").touch()
     for _ in range(2):

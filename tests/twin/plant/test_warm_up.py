@@ -88,6 +88,7 @@ def first_light(**environment: str) -> list[str]:
     return done.stdout.split()
 
 
+@pytest.mark.long
 def test_the_warm_up_compiles_all_kernels_of_the_first_reading() -> None:
     _, count, complete = first_light()
     assert int(count) > 5  # those that are called from Python

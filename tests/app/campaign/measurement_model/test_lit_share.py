@@ -128,7 +128,8 @@ def test_the_modes_have_the_second_moments_of_drawn_rigs(sigma_deg: float, gamma
     assert off.max() < 0.15
 
 
-@pytest.mark.parametrize("sigma_deg", [15.0, pytest.param(65.0, marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("sigma_deg", [15.0, 65.0])
 def test_a_value_of_an_aligned_rig_is_corrected_and_the_rest_is_that_of_rigs_about_it(sigma_deg: float) -> None:
     """A rig whose hole is dark in part, all inputs known to a third of what is stated, two tilts together to a tenth."""
     inputs, rng = tuple(rig_inputs(FILE.uncertainty)), np.random.default_rng(8)
@@ -150,7 +151,7 @@ def test_a_value_of_an_aligned_rig_is_corrected_and_the_rest_is_that_of_rigs_abo
     assert np.abs((moments - expected) / np.outer(spread, spread)).max() < 0.15
 
 
-@pytest.mark.parametrize("rest", [0.3, 3.0])
+@pytest.mark.parametrize("rest", [3.0, pytest.param(0.3, marks=pytest.mark.long)])
 @pytest.mark.parametrize("sigma_deg", [15.0, *(pytest.param(each, marks=pytest.mark.long) for each in (5.0, 65.0))])
 def test_an_interval_has_the_ends_of_drawn_rigs_with_normal_errors(sigma_deg: float, rest: float) -> None:
     """`rest`: of the other, normal errors, in the root of the mean square of the effect."""

@@ -73,6 +73,7 @@ def _is_anisotropic(lobe: object) -> bool:
     return isinstance(lobe, AnisotropicTable) or (isinstance(lobe, WardTable) and lobe.alpha_x != lobe.alpha_y)
 
 
+@pytest.mark.long
 def test_what_the_planner_refuses_is_drawn_again(base: RigDescription) -> None:
     """A shift that travels less refuses some drawings; a sigma that does not move refuses all."""
     low = replace_in(base, "upper_deg = 5.5", "upper_deg = 1.4")
@@ -91,6 +92,7 @@ def replace_in(base: RigDescription, old: str, new: str) -> RigDescription:
     return parse_rig(base.text.replace(old, new), base.folder, base.name)
 
 
+@pytest.mark.long
 def test_a_structure_proves_by_itself_what_it_does_among_others(base: RigDescription, tmp_path: Path) -> None:
     """Its files in the folder of the results, through the parsers of files, on the same rigs: the same sums."""
     pooled = PooledProof(base, 1, 2, tmp_path / "pooled", wires=False)

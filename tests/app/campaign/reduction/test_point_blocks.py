@@ -71,6 +71,7 @@ def bits(points: BsdfPoints) -> list[bytes]:
     return [np.where(np.isnan(each), np.nan, each).tobytes() for each in arrays]  # NaN has a sign, which means nothing
 
 
+@pytest.mark.long
 @JOURNALS
 def test_values_are_the_same_for_any_size_of_a_block(journal: Path, sizes: tuple[int, ...]) -> None:
     with Journal.open(journal) as opened:
@@ -91,6 +92,7 @@ def test_values_are_the_same_for_any_size_of_a_block(journal: Path, sizes: tuple
     assert whole.samples["glass"].back.any()
 
 
+@pytest.mark.long
 @JOURNALS
 def test_a_forecast_is_the_same_for_any_size_of_a_block(journal: Path, sizes: tuple[int, ...], tmp_path: Path) -> None:
     forecasts = [forecast(journal, tmp_path / f"{size}.csv", ["of a test"], size) for size in sizes]

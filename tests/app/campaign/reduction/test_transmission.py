@@ -82,6 +82,7 @@ def test_directions_blocked_at_the_etalon_are_flagged_and_all_others_are_right(
     assert checked["shadowed_only_for_etalon"] == len(expected) > 50 * len(sigmas)
 
 
+@pytest.mark.long
 def test_values_are_corrected_for_a_dark_corner_that_an_alignment_knows(
     write_rig: Writer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -138,6 +139,7 @@ def test_check_warns_of_samples_of_a_virtual_rig_that_give_no_light() -> None:
     assert check_plan(make_plan(read_schedule(EXAMPLE), read_rig(RIG)))["shadowed_only_for_etalon"] == 135
 
 
+@pytest.mark.long
 def test_a_rehearsal_warns_of_a_sample_without_values_and_gives_the_reason() -> None:
     def warnings(text: str) -> list[str]:
         result = rehearse(*plan_rehearsal(parse_schedule(text, "t.toml"), read_rig(RIG), {}))

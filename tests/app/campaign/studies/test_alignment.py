@@ -185,6 +185,7 @@ def flank(small: Small, alignment: Alignment | None) -> tuple[Floats, Floats]:
     return points.bsdf / truth - 1.0, points.u_bsdf / points.bsdf
 
 
+@pytest.mark.long
 def test_the_budget_of_an_aligned_value_has_modes_and_sums_to_its_uncertainty(small: Small) -> None:
     with Journal.open(small.path) as journal:
         reduction = evaluate_journal(journal).reduction

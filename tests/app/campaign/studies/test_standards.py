@@ -138,6 +138,7 @@ def is_chance(chi_square: float, freedom: int) -> bool:
 # On virtual rigs.
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("stated", [CERTIFICATE, TURNED])
 def test_on_good_rigs_the_difference_is_chance(stated: str) -> None:
     found = campaigns(range(1, 1 + GOOD_RIGS[stated]), stated=stated)
