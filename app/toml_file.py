@@ -146,7 +146,7 @@ def validate_table(table: type[Model], content: dict[str, Any], name: str) -> Mo
         # A mistyped key is reported as unknown and as missing; the unknown one has the text that was typed.
         errors = sorted(error.errors(include_url=False), key=lambda detail: not _is_unknown(detail))
         more = f" (and {len(errors) - 1} more)" if len(errors) > 1 else ""
-        known = _known_keys(table)
+        known = _known_keys(cast(Any, table))
         place, reason = _place(content, errors[0]), _reason(known, errors[0])
         if (key := KEY_FIRST.match(reason)) and key[1].partition(".")[0] in known:
             place, reason = [*place, key[1]], reason[key.end() :]

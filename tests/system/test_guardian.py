@@ -172,7 +172,8 @@ def positions(count: int, statement: bytes) -> list[int]:
     return [len(statement) - k % (len(statement) + 1) for k in range(count)]
 
 
-@pytest.mark.parametrize("times", [pytest.param(1, id="1"), pytest.param(100, id="100", marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("times", [1, 100])
 def test_the_shutter_of_a_killed_run_is_closed(rig: Rig, run: Start, times: int) -> None:
     """Killed after each byte of the statement that opens the shutter, or of one while it is open; every fifth after Ctrl-C."""
     seconds, reactions = [], []

@@ -33,7 +33,7 @@ def rows(journal: Path) -> list[tuple[Any, ...]]:
     ("converters", "gains"),
     [
         pytest.param((), "[1e8, 1e10]", id="modbus tcp", marks=pytest.mark.long),
-        pytest.param(SERIAL, "[1e11]", id="modbus rtu"),
+        pytest.param(SERIAL, "[1e11]", id="modbus rtu", marks=pytest.mark.long),
     ],
 )
 def test_rows_have_the_same_values_in_process_and_over_served_ports(

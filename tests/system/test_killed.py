@@ -214,7 +214,9 @@ def test_the_wal_file_of_a_killed_program_is_not_applied_to_another_journal(
     assert campaign_summary(tmp_path / "b.journal").rows == 4
 
 
-@pytest.mark.parametrize("times", [pytest.param(1, id="1"), pytest.param(40, id="40", marks=pytest.mark.long)])
+@pytest.mark.parametrize(
+    "times", [pytest.param(2, id="2", marks=pytest.mark.long), pytest.param(40, id="40", marks=pytest.mark.long)]
+)
 def test_a_program_killed_while_it_creates_its_journal_leaves_none_or_a_resumable_one(
     write_rig: Writer, write_schedule: Writer, tmp_path: Path, times: int
 ) -> None:

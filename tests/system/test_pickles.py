@@ -28,7 +28,11 @@ print(np.sum(dataset.covariance()).hex())
 """What another process finds in a pickle."""
 
 
-@pytest.mark.parametrize("path", RIGS, ids=lambda path: path.stem)
+@pytest.mark.parametrize(
+    "path",
+    [pytest.param(each, marks=[pytest.mark.long] if k else []) for k, each in enumerate(RIGS)],
+    ids=lambda path: path.stem,
+)
 def test_the_rig_file_and_the_dataset_of_a_shipped_rig_are_pickled_and_copied(path: Path, tmp_path: Path) -> None:
     rig = read_rig(path)
     run_without_wires(make_plan(parse_schedule(SMALL, "small.toml"), rig), tmp_path / "a.journal")

@@ -103,15 +103,10 @@ def test_a_transmitted_value_is_off_by_the_lit_shares_of_the_virtual_rig(sigma_d
     assert np.abs(expected).max() > 0.03
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("sigma_deg", "gamma_deg"),
-    [
-        (140.0, 30.0),
-        *(
-            pytest.param(*each, marks=pytest.mark.long)
-            for each in ((33.0, 20.0), (15.0, 0.0), (45.0, 0.0), (40.0, 100.0), (65.0, 0.0))
-        ),
-    ],
+    [(140.0, 30.0), (33.0, 20.0), (15.0, 0.0), (45.0, 0.0), (40.0, 100.0), (65.0, 0.0)],
 )
 def test_the_modes_have_the_second_moments_of_drawn_rigs(sigma_deg: float, gamma_deg: float) -> None:
     """Of each direction, and of two of them together; the last is the first one, seen from beyond the pole.

@@ -124,6 +124,7 @@ def test_a_rectangular_input_has_no_tails() -> None:
         assert found.chance == pytest.approx(share, abs=0.01)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("correlated", [False, True])
 def test_chances_of_errors_of_the_stated_law_are_uniform(correlated: bool) -> None:
     """Of drawn errors 5 % have a chance below 0.05, 50 % below 0.5; chi-square has its mean."""

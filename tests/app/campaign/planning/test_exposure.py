@@ -87,6 +87,7 @@ def test_the_expected_exposure_is_reproducible_and_fast() -> None:
     assert found["check_s"] < 10.0
 
 
+@pytest.mark.long
 def test_the_expected_exposure_has_no_largest_number_of_readings() -> None:
     """Rows of some eight thousand readings; the scatter of the expected ones is known to 4 %, and so is their number to 9 %."""
     plan = planned(
