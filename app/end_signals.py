@@ -87,6 +87,12 @@ def call_on_end_signal(act: Callable[[], None]) -> Iterator[EndSignalHandlers]:
                 signal.signal(number, handler)
 
 
+def end_signal_received() -> bool:
+    """Whether a signal has come that ends the program."""
+    owner = getattr(signal.getsignal(signal.SIGINT), "__self__", None)
+    return isinstance(owner, EndSignalHandlers) and owner.received
+
+
 def _leave_closed_terminal() -> None:
     """Let output and errors go nowhere if the terminal is closed: no message may break off the stop, or change its status."""
     for number in (1, 2):

@@ -9,6 +9,7 @@ import inspect
 import json
 import math
 import re
+import secrets
 import tomllib
 from collections.abc import Callable
 from dataclasses import is_dataclass
@@ -50,8 +51,8 @@ TYPES = {
     "list_type": "list",
     "union_tag_not_found": "table",
 }
-DATE = "date of TOML"
-"""Key of the JSON object that a date becomes, so that text is no date, and a date no text."""
+DATE = secrets.token_hex()
+"""Key of the JSON object that a date becomes, so that text is no date, and a date no text: one that no file has."""
 
 
 def _read_day(value: Any) -> Any:

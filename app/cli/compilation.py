@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import typer
 
 from goniotwin.app.cli.output import Json, answer, print_note
+from goniotwin.app.end_signals import end_signal_received
 from goniotwin.app.errors import UserError
 
 if TYPE_CHECKING:
@@ -162,6 +163,8 @@ REHEARSAL = ("scenes", "rig", "uncertainties")
 LOG = logging.getLogger("goniotwin.compilation")
 NOTE = "compiling the optics, once with this version: about a minute for a rehearsal"
 FIRST_LOOK_S, LAST_LOOK_S = 0.2, 60.0
+NUMBAS_CACHE = ("numba", "core", "caching.py")
+NOT_KEPT = "compiling the optics, for this command alone: code can be kept nowhere; set NUMBA_CACHE_DIR to a folder of yours"
 
 
 def parts_of_rehearsal(schedule: "ScheduleFile", model: "TwinModel | None") -> tuple[str, ...]:
@@ -226,15 +229,29 @@ def _compile(names: Iterable[str]) -> None:
                 (FOLDER / f"{name}.done").touch()
 
 
+def compile_for_another(*names: str) -> None:
+    """Compile parts in a process of their own. Exits with the reason where code was damaged, which is dropped."""
+    try:
+        _compile(names)
+    except Exception as error:
+        if damaged := drop_damaged_code(error):
+            sys.exit(damaged)
+        raise
+
+
 @contextlib.contextmanager
 def _compiling_elsewhere(names: Collection[str]) -> Iterator[None]:
     """Have another process compile parts meanwhile; at the end it has, or it is ended. Raises UserError where it cannot."""
     if not names:
         yield
         return
-    code = f"from goniotwin.app.cli import compilation; compilation._compile({list(names)!r})"
+    code = "import sys; from goniotwin.app.cli import compilation; compilation.compile_for_another(*sys.argv[1:])"
     with subprocess.Popen(
-        [sys.executable, "-c", code], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+        [sys.executable, "-c", code, *names],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
     ) as other:
         try:
             yield
@@ -257,7 +274,10 @@ class CompilationNotes(logging.Handler):
         """Begin to look: kernels are about to be defined, by the record of `twin.optics.kernel` (logging calls this)."""
         from goniotwin.twin.optics.kernel import FOLDER
 
-        if self._watch is None and FOLDER is not None:
+        if FOLDER is None:
+            print_note(NOT_KEPT)
+            self._ended.set()
+        elif self._watch is None:
             self._watch = threading.Thread(target=self._look, args=(FOLDER, _files(FOLDER)), name="compiled code", daemon=True)
             self._watch.start()
 
@@ -303,11 +323,18 @@ def state_no_more() -> None:
     LOG.propagate = True
 
 
+def is_of_kept_code(error: BaseException) -> bool:
+    """Whether an error is of numba's reading or writing of compiled code."""
+    return any(Path(each.filename).parts[-3:] == NUMBAS_CACHE for each in traceback.extract_tb(error.__traceback__))
+
+
 def drop_damaged_code(error: BaseException) -> str:
-    """Drop compiled code that numba cannot read, as after a power failure; the message. Empty for another error."""
+    """Drop compiled code that numba cannot read, as after a power failure; the message. Empty for another error.
+
+    A program that is being ended breaks off what numba writes: then nothing is damaged.
+    """
     kernel = sys.modules.get("goniotwin.twin.optics.kernel")
-    files = [Path(each.filename).name for each in traceback.extract_tb(error.__traceback__)]
-    folder = kernel.FOLDER if kernel is not None and "caching.py" in files else None
+    folder = kernel.FOLDER if kernel is not None and is_of_kept_code(error) and not end_signal_received() else None
     if folder is None:
         return ""
     shutil.rmtree(folder, ignore_errors=True)

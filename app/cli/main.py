@@ -20,7 +20,7 @@ import goniotwin
 from goniotwin import examples
 from goniotwin.app.cli import campaign, compilation, data, instrument, render, serving, simulation, station, tolerances, views
 from goniotwin.app.cli.output import Json, Speed, TranscriptOption, answer, error_console, print_error
-from goniotwin.app.end_signals import ignore_end_signals, interrupt_on_end_signal
+from goniotwin.app.end_signals import end_signal_received, ignore_end_signals, interrupt_on_end_signal
 from goniotwin.app.errors import UserError, fault_of_named_path, room_on_disk, unexpected_error, unusable
 
 FAULT = 1
@@ -198,7 +198,8 @@ def _run_command() -> int:
     try:
         return int(app(standalone_mode=False) or 0)
     except (KeyboardInterrupt, typer.Abort) as error:
-        if damaged := compilation.drop_damaged_code(error.__cause__ or error):  # typer takes the end of a file for Ctrl-C
+        # typer takes the end of a file for Ctrl-C
+        if isinstance(error.__cause__, EOFError) and (damaged := compilation.drop_damaged_code(error.__cause__)):
             print_error(damaged)
             return FAULT
         print_error("stopped")
@@ -212,6 +213,9 @@ def _run_command() -> int:
     except BrokenPipeError:  # such as of `goniotwin ... | head`: the reader has what it wants
         return FAULT
     except Exception as error:  # noqa: BLE001  (last resort)
+        if end_signal_received() and compilation.is_of_kept_code(error):  # Ctrl-C while numba was called by its compiler
+            print_error("stopped")
+            return INTERRUPTED
         if isinstance(error, OSError) and (fault := fault_of_named_path(error, sys.argv[1:])):
             print_error(fault)
             return UserError.status

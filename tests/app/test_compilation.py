@@ -4,6 +4,7 @@ import ast
 import importlib
 import json
 import os
+import signal
 import subprocess
 import sys
 import threading
@@ -31,6 +32,7 @@ from goniotwin.app.cli.compilation import (
     state_no_more,
 )
 from goniotwin.app.cli.main import _run_command, app
+from goniotwin.app.end_signals import EndSignalHandlers
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import read_rig
 from goniotwin.twin.optics import kernel
@@ -56,7 +58,7 @@ class Compiler:
             monkeypatch.setitem(PARTS, name, part._replace(call=partial(self.here.append, name)))
 
         def start(command: list[str], **how: Any) -> "subprocess.Popen[str]":
-            names = ast.literal_eval(command[-1].partition("_compile(")[2].rstrip(")"))
+            names = command[3:]
             self.there += names
             marks = f"import pathlib; [pathlib.Path({str(kernel.FOLDER)!r}, n + '.done').touch() for n in {names!r}]"
             return usual([sys.executable, "-c", code or marks], **how)
@@ -229,3 +231,44 @@ def test_after_compile_there_is_nothing_to_compile(tmp_path: Path) -> None:
         assert sorted(json.loads(done.stdout)["compiled"]) == expected
     assert set(kernels()) - {each.name.partition("-")[0] for each in tmp_path.rglob("*.nbi")} == NO_PART
     subprocess.run([sys.executable, "-c", FIRST_USE], env=environment, cwd=tmp_path, check=True, capture_output=True)
+
+
+def test_damage_that_another_process_meets_is_removed_and_that_is_stated(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(folder.parent))
+    with compilation._compiling_elsewhere(["sequences"]):
+        pass
+    code = list(folder.parent.glob("code-*/*/path_kernels*.nbi"))
+    assert code
+    for each in code:
+        each.write_bytes(each.read_bytes()[:20])
+    with (
+        pytest.raises(UserError, match="compiled code was damaged, and is removed; repeat"),
+        compilation._compiling_elsewhere(["sequences"]),
+    ):
+        pass
+    assert not any(each.exists() for each in code)
+
+
+@pytest.mark.parametrize("ended", [False, True])
+def test_what_a_signal_breaks_off_is_no_damage(ended: bool, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    handlers = EndSignalHandlers(lambda: None, of_program=False)
+    handlers.received = ended
+    monkeypatch.setattr(compilation, "is_of_kept_code", lambda _: True)
+    before = signal.signal(signal.SIGINT, handlers.handle_first)
+    try:
+        assert bool(compilation.drop_damaged_code(EOFError())) != ended
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert folder.exists() == ended
+
+
+def test_a_command_without_a_folder_states_that_it_compiles(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(kernel, "FOLDER", None)
+    monkeypatch.setattr(LOG, "disabled", False)
+    state_compilation()
+    try:
+        assert "compiling the optics, for this command alone" in " ".join(capsys.readouterr().err.split())
+    finally:
+        state_no_more()

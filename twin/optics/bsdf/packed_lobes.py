@@ -14,7 +14,6 @@ from goniotwin.twin.optics.montecarlo import uniform
 
 KIND, ABOVE, TRANSMITS, FIRST = range(4)
 """Columns of `Models.heads`; from FIRST on the sizes of sigma, phi, theta, psi, the table's first axis and the cells' three."""
-SIZES = 8
 
 
 class Models(NamedTuple):
