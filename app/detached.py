@@ -14,8 +14,11 @@ def start_detached(
         flags = subprocess.CREATE_NEW_PROCESS_GROUP | subprocess.DETACHED_PROCESS
         with contextlib.suppress(PermissionError):  # a job that lets no process out
             return subprocess.Popen(
-                command, stdin=stdin, stdout=output, stderr=output,
+                command,
+                stdin=stdin,
+                stdout=output,
+                stderr=output,
                 creationflags=flags | subprocess.CREATE_BREAKAWAY_FROM_JOB,
-            )  # fmt: skip
+            )
         return subprocess.Popen(command, stdin=stdin, stdout=output, stderr=output, creationflags=flags)
     return subprocess.Popen(command, stdin=stdin, stdout=output, stderr=output, start_new_session=True)

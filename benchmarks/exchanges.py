@@ -207,11 +207,15 @@ def figures(rounds: int) -> list[Figure]:
     names = ["9 bytes through pyserial's loop://", *(case.name for case in CASES)]
     return [
         Figure(
-            name, exchanges[k], min(row[k] for row in table), statistics.median(row[k] for row in table),
-            max(row[k] for row in table), statistics.median(row[k] / row[0] for row in table),
+            name,
+            exchanges[k],
+            min(row[k] for row in table),
+            statistics.median(row[k] for row in table),
+            max(row[k] for row in table),
+            statistics.median(row[k] / row[0] for row in table),
         )
         for k, name in enumerate(names)
-    ]  # fmt: skip
+    ]
 
 
 def main() -> None:

@@ -69,9 +69,18 @@ def scored_rates(scatterer: Scatterer, threads: int = 1) -> tuple[float, float]:
 
     def trace_blocks(first: int) -> None:
         trace(
-            first, first + SCORED_BLOCKS, U64(1), setting.beam, setting.strata, setting.lobes, setting.surfaces,
-            setting.targets, setting.spread, setting.longest, setting.detectors,
-        )  # fmt: skip
+            first,
+            first + SCORED_BLOCKS,
+            U64(1),
+            setting.beam,
+            setting.strata,
+            setting.lobes,
+            setting.surfaces,
+            setting.targets,
+            setting.spread,
+            setting.longest,
+            setting.detectors,
+        )
 
     def trace_all() -> None:
         with ThreadPoolExecutor(threads) as pool:

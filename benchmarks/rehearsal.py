@@ -148,8 +148,11 @@ def measure() -> dict[str, float]:
     light = LightTimes()
     row_seconds(plan)
     return {
-        "row_ms": row_ms, "row_ms_one_process": one, "row_ms_two_processes": two, "photodiodes_us": 1e6 * light.of_a_pose,
-    }  # fmt: skip
+        "row_ms": row_ms,
+        "row_ms_one_process": one,
+        "row_ms_two_processes": two,
+        "photodiodes_us": 1e6 * light.of_a_pose,
+    }
 
 
 def compare(versions: dict[str, Path], rounds: int) -> dict[str, Any]:
@@ -196,9 +199,13 @@ def memory(rows: int) -> dict[str, float]:
     seconds = time.perf_counter() - start
     last, most = len(plan.rows), peak_bytes()
     return {
-        "rows": last, "seconds": seconds, "most_mb": most / 1e6, "grown_in_rows_mb": (at[last] - at[FROM_ROW]) / 1e6,
-        "grown_mb": (most - at[FROM_ROW]) / 1e6, "bytes_a_row": (most - at[FROM_ROW]) / (last - FROM_ROW),
-    }  # fmt: skip
+        "rows": last,
+        "seconds": seconds,
+        "most_mb": most / 1e6,
+        "grown_in_rows_mb": (at[last] - at[FROM_ROW]) / 1e6,
+        "grown_mb": (most - at[FROM_ROW]) / 1e6,
+        "bytes_a_row": (most - at[FROM_ROW]) / (last - FROM_ROW),
+    }
 
 
 def main() -> None:

@@ -45,10 +45,13 @@ FIRST_SHARE, SHARE = 0.2, 0.85
 """Parts of the rows that are measured in the pictures of a run."""
 LONGEST_S, SETTLE_S = 60.0, 0.3
 BENCH: tuple[tuple[str, dict[str, object]], ...] = (
-    ("mount", {"sample": "satin"}), ("move", {"axis": "sigma", "target_deg": 30.0}),
-    ("move", {"axis": "beta", "target_deg": 180.0}), ("wavelength", {"nm": 550.0}), ("gain", {"v_per_a": 1e8}),
+    ("mount", {"sample": "satin"}),
+    ("move", {"axis": "sigma", "target_deg": 30.0}),
+    ("move", {"axis": "beta", "target_deg": 180.0}),
+    ("wavelength", {"nm": 550.0}),
+    ("gain", {"v_per_a": 1e8}),
     ("shutter", {"opened": True}),
-)  # fmt: skip
+)
 """Commands before the first reading."""
 README = {"bench-bench": "window-bench", "running-run": "window-run"}
 """The pictures of the README, and the names of their files."""
@@ -229,10 +232,22 @@ class Pictures:
             state = tuple(MARKS)[number % len(MARKS)]
             name = f"panel-{number}" if number % 4 else f"panel-{number}-anodised-aluminium-after-weathering-second-side"
             summary = CampaignSummary(
-                str(folder / f"{name}-001.journal"), name, state, 17 * number, number % 3, 1096, 60.0 * number, 300.0 * number,
-                bool(number % 2), "2026-11-23T04:26:00", None, 2, ["Monitor (PM100D) is not responding"] if number % 3 else [],
-                ["Cut the motors' power"] if number == 3 else [], "",
-            )  # fmt: skip
+                str(folder / f"{name}-001.journal"),
+                name,
+                state,
+                17 * number,
+                number % 3,
+                1096,
+                60.0 * number,
+                300.0 * number,
+                bool(number % 2),
+                "2026-11-23T04:26:00",
+                None,
+                2,
+                ["Monitor (PM100D) is not responding"] if number % 3 else [],
+                ["Cut the motors' power"] if number == 3 else [],
+                "",
+            )
             found.append(Campaign(summary, ""))
         screen.refresh_wanted.disconnect()
         self._show(CampaignsScreen)
@@ -338,9 +353,13 @@ def of_all_scales(folder: Path, percents: list[int], schemes: list[Scheme], more
         command = [sys.executable, "-m", "benchmarks.screenshots", str(folder), *more, "--one", str(percent)]
         with TemporaryDirectory() as state:
             environment = {
-                **os.environ, "QT_QPA_PLATFORM": "offscreen", "QT_SCALE_FACTOR": str(percent / 100), "XDG_STATE_HOME": state,
-                "WIN_PD_OVERRIDE_LOCAL_APPDATA": state, "QT_LOGGING_RULES": "qt.qpa.*=false",
-            }  # fmt: skip
+                **os.environ,
+                "QT_QPA_PLATFORM": "offscreen",
+                "QT_SCALE_FACTOR": str(percent / 100),
+                "XDG_STATE_HOME": state,
+                "WIN_PD_OVERRIDE_LOCAL_APPDATA": state,
+                "QT_LOGGING_RULES": "qt.qpa.*=false",
+            }
             child = subprocess.run([*command, "--scheme", *schemes], env=environment, stdout=subprocess.PIPE, text=True)
         yield from child.stdout.splitlines()
         if child.returncode not in (0, 1):

@@ -47,9 +47,14 @@ def measure(*, with_lobe: bool) -> dict[str, Any]:
     instrument = Instrument(obstruction=False, lit_everywhere=True)
     beams = {"pupil_800_mm": instrument, "collimated": collimated(instrument)}
     result: dict[str, Any] = {
-        "load": os.getloadavg()[0], "threads": numba.get_num_threads(), "rigs": sum(map(len, blocks)),
-        "worst_rms_percent": {}, "median_rms_percent": {}, "passed_percent": {}, "surrogate_error_points": {},
-    }  # fmt: skip
+        "load": os.getloadavg()[0],
+        "threads": numba.get_num_threads(),
+        "rigs": sum(map(len, blocks)),
+        "worst_rms_percent": {},
+        "median_rms_percent": {},
+        "passed_percent": {},
+        "surrogate_error_points": {},
+    }
 
     def add(name: str, action: Callable[[], Result]) -> Result:
         found, result[f"{name}_s"], result[f"{name}_cpu_s"] = timed(action)

@@ -31,8 +31,19 @@ from typing import Any
 from goniotwin.own_files import cache_folder
 
 HEAVY = (
-    "numba", "llvmlite", "h5py", "pymodbus", "scipy", "pandas", "matplotlib", "xarray", "pyqtgraph", "serial", "usb", "numpy",
-)  # fmt: skip
+    "numba",
+    "llvmlite",
+    "h5py",
+    "pymodbus",
+    "scipy",
+    "pandas",
+    "matplotlib",
+    "xarray",
+    "pyqtgraph",
+    "serial",
+    "usb",
+    "numpy",
+)
 """Packages that the first window does without."""
 SPEED = 60.0
 TIMED_SPEEDS = (1.0, 10.0, 60.0)
@@ -142,10 +153,13 @@ def run() -> dict[str, Any]:
         rows = window.view.run.progress.value()
         window.shut_down()
     return {
-        "frame_p99_ms": 1e3 * percentile(frames), "frames": len(frames),
+        "frame_p99_ms": 1e3 * percentile(frames),
+        "frames": len(frames),
         "frame_cpu_p99_ms": 1e3 * percentile(frames_cpu),
-        "block_p99_ms": 1e3 * percentile(ping.waits), "block_longest_ms": 1e3 * max(ping.waits), "rows": rows,
-    }  # fmt: skip
+        "block_p99_ms": 1e3 * percentile(ping.waits),
+        "block_longest_ms": 1e3 * max(ping.waits),
+        "rows": rows,
+    }
 
 
 def wait_until_ready(window: Any) -> None:
@@ -250,9 +264,12 @@ def measure(part: str) -> dict[str, Any]:
     """The result of a part, measured in a process of its own, with a state folder of its own."""
     with TemporaryDirectory() as state:
         environment = {
-            **os.environ, "QT_QPA_PLATFORM": "offscreen", "XDG_STATE_HOME": state, "HOME": state,
+            **os.environ,
+            "QT_QPA_PLATFORM": "offscreen",
+            "XDG_STATE_HOME": state,
+            "HOME": state,
             "NUMBA_CACHE_DIR": str(cache_folder()),  # compiled once
-        }  # fmt: skip
+        }
         command = [sys.executable, "-m", "benchmarks.window", "--part", part]
         child = subprocess.run(command, env=environment, stdout=subprocess.PIPE, text=True, check=True)
     result: dict[str, Any] = json.loads(child.stdout.splitlines()[-1])

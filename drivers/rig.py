@@ -167,10 +167,11 @@ class Rig:
             if SIMULATED_SERIAL in identity and not self.simulated:
                 device.close()
                 raise WrongDevice(
-                    device.name, "identify it",
+                    device.name,
+                    "identify it",
                     f"{identity} is a simulated instrument, but the rig file has no [simulated] table",
                     "add a [simulated] table to the rig file, or connect the real instrument",
-                )  # fmt: skip
+                )
         except DeviceError as error:
             return error
         self.identities[device.name] = identity

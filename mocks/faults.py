@@ -37,9 +37,19 @@ class Fault(StrEnum):
 
 
 _ANY_STREAM = (
-    Fault.LATE, Fault.LOST, Fault.UNHEARD, Fault.TRUNCATED, Fault.MERGED, Fault.CORRUPTED, Fault.GARBLED, Fault.REPEATED,
-    Fault.NOISE, Fault.HANG, Fault.UNPLUGGED, Fault.RESET,
-)  # fmt: skip
+    Fault.LATE,
+    Fault.LOST,
+    Fault.UNHEARD,
+    Fault.TRUNCATED,
+    Fault.MERGED,
+    Fault.CORRUPTED,
+    Fault.GARBLED,
+    Fault.REPEATED,
+    Fault.NOISE,
+    Fault.HANG,
+    Fault.UNPLUGGED,
+    Fault.RESET,
+)
 ON_A_TEXT_LINE = _ANY_STREAM
 """A line of ASCII to one device: there are no addresses."""
 ON_A_SERIAL_LINE = (*_ANY_STREAM, Fault.FOREIGN)
@@ -48,9 +58,17 @@ ON_MODBUS_RTU = (*ON_A_SERIAL_LINE, Fault.EXCEPTION)
 ON_MODBUS = tuple(each for each in ON_MODBUS_RTU if each is not Fault.GARBLED)
 """Modbus TCP. A changed request is a right request for something else: see docs/faults.md."""
 ON_USB = (
-    Fault.LATE, Fault.LOST, Fault.UNHEARD, Fault.TRUNCATED, Fault.CORRUPTED, Fault.HANG, Fault.UNPLUGGED, Fault.RESET,
-    Fault.STALL, Fault.NAK,
-)  # fmt: skip
+    Fault.LATE,
+    Fault.LOST,
+    Fault.UNHEARD,
+    Fault.TRUNCATED,
+    Fault.CORRUPTED,
+    Fault.HANG,
+    Fault.UNPLUGGED,
+    Fault.RESET,
+    Fault.STALL,
+    Fault.NAK,
+)
 """The bus itself handles addresses, order, checksums and repetition, so that nothing is merged, repeated or garbled."""
 
 

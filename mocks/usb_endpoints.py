@@ -135,9 +135,20 @@ class UsbEndpoints:
             for each in configuration.settings
         )
         return usbip.ExportedDevice(
-            f"/goniotwin/{name}", self.bus_ids[name], BUS, address, usbip.FULL_SPEED, instrument.vendor_id,
-            instrument.product_id, 0x0100, (0, 0, 0), 1, 1, len(kinds), kinds,
-        )  # fmt: skip
+            f"/goniotwin/{name}",
+            self.bus_ids[name],
+            BUS,
+            address,
+            usbip.FULL_SPEED,
+            instrument.vendor_id,
+            instrument.product_id,
+            0x0100,
+            (0, 0, 0),
+            1,
+            1,
+            len(kinds),
+            kinds,
+        )
 
 
 class _Import:

@@ -60,9 +60,19 @@ class ExportedDevice:
     def encode(self) -> bytes:
         """312 bytes, without the interfaces."""
         return DEVICE.pack(
-            self.path.encode()[:255], self.bus_id.encode()[:31], self.bus, self.address, self.speed, self.vendor_id,
-            self.product_id, self.release, *self.device_class, self.configuration, self.configurations, self.interface_count,
-        )  # fmt: skip
+            self.path.encode()[:255],
+            self.bus_id.encode()[:31],
+            self.bus,
+            self.address,
+            self.speed,
+            self.vendor_id,
+            self.product_id,
+            self.release,
+            *self.device_class,
+            self.configuration,
+            self.configurations,
+            self.interface_count,
+        )
 
     @classmethod
     def decode(cls, data: bytes) -> "ExportedDevice":
@@ -124,10 +134,22 @@ class Submit:
 
     def encode(self) -> bytes:
         """48 bytes, and what goes to the device."""
-        return SUBMIT_FIELDS.pack(
-            SUBMIT, self.number, self.device, int(self.to_host), self.endpoint, self.flags, self.length, 0, self.packets,
-            self.interval, self.setup,
-        ) + self.data  # fmt: skip
+        return (
+            SUBMIT_FIELDS.pack(
+                SUBMIT,
+                self.number,
+                self.device,
+                int(self.to_host),
+                self.endpoint,
+                self.flags,
+                self.length,
+                0,
+                self.packets,
+                self.interval,
+                self.setup,
+            )
+            + self.data
+        )
 
 
 @dataclass(frozen=True)

@@ -60,9 +60,12 @@ class RequestStatus(IntEnum):
 
 
 _ATTRIBUTES_OF_A_HOST: dict[int, int] = {
-    MsgId.DEV_DEP_MSG_OUT: 0x01, MsgId.DEV_DEP_MSG_IN: 0x02,
-    MsgId.VENDOR_OUT: 0x00, MsgId.VENDOR_IN: 0x00, MsgId.TRIGGER: 0x00,
-}  # fmt: skip
+    MsgId.DEV_DEP_MSG_OUT: 0x01,
+    MsgId.DEV_DEP_MSG_IN: 0x02,
+    MsgId.VENDOR_OUT: 0x00,
+    MsgId.VENDOR_IN: 0x00,
+    MsgId.TRIGGER: 0x00,
+}
 """By MsgID, the bits of bmTransferAttributes that a host may set."""
 
 

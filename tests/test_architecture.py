@@ -9,13 +9,40 @@ from tests.conftest import REPOSITORY
 
 DOCUMENT = REPOSITORY / "docs" / "architecture.md"
 ROOMS = (
-    "app.cli", "app.desktop", "app.data", "app.station", "app.campaign", "app.simulation", "app.sweeps", "app.rig",
-    "app.guardian", "app.formats", "mocks", "twin.doors", "twin.devices", "twin.plant", "twin.optics", "drivers", "protocols",
-)  # fmt: skip
+    "app.cli",
+    "app.desktop",
+    "app.data",
+    "app.station",
+    "app.campaign",
+    "app.simulation",
+    "app.sweeps",
+    "app.rig",
+    "app.guardian",
+    "app.formats",
+    "mocks",
+    "twin.doors",
+    "twin.devices",
+    "twin.plant",
+    "twin.optics",
+    "drivers",
+    "protocols",
+)
 CAMPAIGN = (
-    "campaign", "proof", "rehearsal", "running", "studies", "reduction", "journal", "planning", "geometry", "schedule",
-    "readout", "row", "measurement_model", "wording",
-)  # fmt: skip
+    "campaign",
+    "proof",
+    "rehearsal",
+    "running",
+    "studies",
+    "reduction",
+    "journal",
+    "planning",
+    "geometry",
+    "schedule",
+    "readout",
+    "row",
+    "measurement_model",
+    "wording",
+)
 
 Graph = dict[str, set[str]]
 

@@ -11,14 +11,47 @@ from pathlib import Path
 REPOSITORY = Path(__file__).resolve().parents[1]
 FORBIDDEN = (
     # persons where there are none
-    "nobody", "somebody", "anybody", "whoever", "who",
+    "nobody",
+    "somebody",
+    "anybody",
+    "whoever",
+    "who",
     # verbs of speech for data
-    "told", "tell", "tells", "telling", "said", "say", "says", "saying", "heed", "heeds", "heeded",
-    "foretold", "foretell", "foretells", "foreseen", "foresee", "foresees",
+    "told",
+    "tell",
+    "tells",
+    "telling",
+    "said",
+    "say",
+    "says",
+    "saying",
+    "heed",
+    "heeds",
+    "heeded",
+    "foretold",
+    "foretell",
+    "foretells",
+    "foreseen",
+    "foresee",
+    "foresees",
     # words that the field does not have
-    "darks", "mend", "mends", "mended", "reckon", "reckoned", "by and by", "gone on with", "begun with", "own light",
-    "in between whiles", "it is its own", "back door", "doubts", "automatic gains", "left out",
-)  # fmt: skip
+    "darks",
+    "mend",
+    "mends",
+    "mended",
+    "reckon",
+    "reckoned",
+    "by and by",
+    "gone on with",
+    "begun with",
+    "own light",
+    "in between whiles",
+    "it is its own",
+    "back door",
+    "doubts",
+    "automatic gains",
+    "left out",
+)
 ALLOWED = {
     # names that others read: keys of JSON answers
     "foretold_s",

@@ -167,9 +167,14 @@ def _connect(
 
 
 def _run_engine(
-    opened: OpenRig, plan: Plan, journal: Journal, operator: Operator, listeners: list[Listener] | None, work: Sequence[Row],
+    opened: OpenRig,
+    plan: Plan,
+    journal: Journal,
+    operator: Operator,
+    listeners: list[Listener] | None,
+    work: Sequence[Row],
     host: RunHost | None,
-) -> Outcome:  # fmt: skip
+) -> Outcome:
     opened.guard.journal = str(journal.path.resolve())
     if host is None:
         engine = Engine(opened.rig, plan, journal, operator, listeners, work=work)
@@ -187,9 +192,17 @@ def _run_engine(
     failures = filter(None, (opened.transcript_failure, opened.guard.failure))
     faults = (*engine.faults, *failures)
     return Outcome(
-        state, engine.ended_by_schedule, rows, skipped, planned, journal.seconds, faults, plan.rig.simulated, journal.chain,
+        state,
+        engine.ended_by_schedule,
+        rows,
+        skipped,
+        planned,
+        journal.seconds,
+        faults,
+        plan.rig.simulated,
+        journal.chain,
         journal.path,
-    )  # fmt: skip
+    )
 
 
 def check_referenced(opened: OpenRig, rig_name: str, *, homing: bool = False) -> None:

@@ -209,9 +209,15 @@ def prove(
 
 
 def _prove_structures(
-    structures: int, rig: Path | None, rigs: int, without_wires: bool, out: Path | None, processes: int | None,
-    dask: str | None, as_json: bool,
-) -> None:  # fmt: skip
+    structures: int,
+    rig: Path | None,
+    rigs: int,
+    without_wires: bool,
+    out: Path | None,
+    processes: int | None,
+    dask: str | None,
+    as_json: bool,
+) -> None:
     from goniotwin import examples
     from goniotwin.app.campaign.proof.pooled import PooledProof, prove_structures
     from goniotwin.app.campaign.proof.report import pooled_text
@@ -294,10 +300,15 @@ def run(
         rig_now = read_rig(rig) if rig is not None else None
         with RowProgress(error_console(), title, None) as progress, _hosted(speed, _rig_of(resume, rig_now)) as (host, ask):
             outcome = resume_campaign(
-                resume, rig_now, listeners=[progress], transcript=transcript, ask=ask, host=host,
+                resume,
+                rig_now,
+                listeners=[progress],
+                transcript=transcript,
+                ask=ask,
+                host=host,
                 accept_rig=(lambda _: True) if accept_rig else _ask_rig if sys.stdin.isatty() else None,
                 remind=lambda order: print_order(f"of the last session, not acknowledged: {order}"),
-            )  # fmt: skip
+            )
             _report_end(host, outcome)
     else:
         assert schedule is not None

@@ -33,10 +33,12 @@ app = typer.Typer()
 FormatOption = Annotated[
     str | None,
     typer.Option(
-        "--format", metavar="FORMAT", help="A format of the list below, by its name; else that of the file's suffix.",
+        "--format",
+        metavar="FORMAT",
+        help="A format of the list below, by its name; else that of the file's suffix.",
         show_default=False,
     ),
-]  # fmt: skip
+]
 SampleOption = Annotated[str | None, typer.Option("--sample", help="Sample, if there are several.", show_default=False)]
 LightOption = Annotated[
     Literal["reflected", "transmitted"] | None,
@@ -111,9 +113,15 @@ def convert(
 
 
 def _convert(
-    source: Path, out: Path, name: str | None, options: tuple[Any, ...], without_damaged: bool, as_json: bool, *,
+    source: Path,
+    out: Path,
+    name: str | None,
+    options: tuple[Any, ...],
+    without_damaged: bool,
+    as_json: bool,
+    *,
     of_journal: bool,
-) -> None:  # fmt: skip
+) -> None:
     """Convert a file or a journal, and print the result."""
     from goniotwin.app.campaign.journal.writing import Journal
     from goniotwin.app.campaign.studies.reduced_journal import reduce_to_files
@@ -258,13 +266,19 @@ def _print_budget(budget: "Budget", simulated: bool, every: bool) -> None:
 def align(
     journal: Annotated[
         Path,
-        typer.Argument(metavar="JOURNAL", help="Data file (journal) of a campaign; with --plan a schedule.",
-                       show_default=False),
+        typer.Argument(
+            metavar="JOURNAL", help="Data file (journal) of a campaign; with --plan a schedule.", show_default=False
+        ),
     ],
     output: Annotated[
         Path | None,
-        typer.Option("--output", metavar="FILE", help="File to write: the alignment, for [alignment] of the rig file; with "
-                     "--plan the schedule. Only a file of its kind is replaced.", show_default=False),
+        typer.Option(
+            "--output",
+            metavar="FILE",
+            help="File to write: the alignment, for [alignment] of the rig file; with "
+            "--plan the schedule. Only a file of its kind is replaced.",
+            show_default=False,
+        ),
     ] = None,
     sample: SampleOption = None,
     watch: Annotated[
@@ -275,14 +289,15 @@ def align(
     ] = False,
     minutes: Annotated[
         float | None,
-        typer.Option("--minutes", metavar="N", min=1.0, help="With --plan: time on the rig's clock, at most 180.",
-                     show_default=False),
+        typer.Option(
+            "--minutes", metavar="N", min=1.0, help="With --plan: time on the rig's clock, at most 180.", show_default=False
+        ),
     ] = None,
     rig: Annotated[
         Path | None, typer.Option("--rig", metavar="RIG.toml", help="With --plan: rig file.", show_default=False)
     ] = None,
     as_json: Json = False,
-) -> None:  # fmt: skip
+) -> None:
     """Estimate the rig's misalignments from a measured lobe.
 
     Given are the combinations of tilts, zeros and shifts that the values determine, each with its uncertainty: a single
@@ -381,8 +396,9 @@ def _print_design(design: "AlignmentDesign") -> None:
     console.print(
         f"{mark}alignment on {design.sample}: {forecast.rows} rows, {duration_text(forecast.seconds)} of "
         f"{duration_text(design.allowed_s)}; the schedule's own: {duration_text(design.began_s)}",
-        markup=False, soft_wrap=True,
-    )  # fmt: skip
+        markup=False,
+        soft_wrap=True,
+    )
     for key, values in design.levels.items():
         console.print(f"{key} = [{', '.join(f'{each:g}' for each in values)}]", markup=False, soft_wrap=True)
     table = Table(box=None, pad_edge=False)
@@ -405,8 +421,9 @@ def _print_alignment(result: "AlignmentResult", simulated: bool) -> None:
     console.print(
         f"{mark}alignment on {', '.join(result.mountings)}: {len(result.combinations)} combinations from {result.values} "
         f"values{scans}, chi-square {result.chi_square:.2f} per degree of freedom",
-        markup=False, soft_wrap=True,
-    )  # fmt: skip
+        markup=False,
+        soft_wrap=True,
+    )
     table = Table(box=None, pad_edge=False)
     for name in ("value, deg", "u, deg", "u before"):
         table.add_column(name, justify="right", no_wrap=True)
@@ -419,8 +436,9 @@ def _print_alignment(result: "AlignmentResult", simulated: bool) -> None:
     if result.light is not None and not result.light.missing:
         console.print(result.light.text, soft_wrap=True)
     if not result.scans:
-        console.print("light and arc are one sum in the plane of incidence: a scan of the open beam separates them",
-                      soft_wrap=True)  # fmt: skip
+        console.print(
+            "light and arc are one sum in the plane of incidence: a scan of the open beam separates them", soft_wrap=True
+        )
 
 
 @app.command()
@@ -490,9 +508,12 @@ def closure(
         evaluation = evaluate_journal(opened, without_damaged=without_damaged)
         report, standards = evaluation.closure, evaluation.standards
         result = {
-            "journal": str(journal), "simulated": opened.simulated, **report.as_dict(),
-            "standards": None if standards is None else standards.as_dict(), "chain": opened.chain.as_dict(),
-        }  # fmt: skip
+            "journal": str(journal),
+            "simulated": opened.simulated,
+            **report.as_dict(),
+            "standards": None if standards is None else standards.as_dict(),
+            "chain": opened.chain.as_dict(),
+        }
         mark = "SIMULATED, " if opened.simulated else ""
     text = f"{mark}closure of {journal}\n{closure_text(report)}"
     text += "" if standards is None else f"\n{standards_text(standards)}"

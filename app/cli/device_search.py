@@ -75,11 +75,14 @@ def _rig_devices(rig: RigDescription, clock: Clock) -> list[PortStatus]:
         outcome = opened.rig.identify()
         return [
             PortStatus(
-                RIG_BUS, device.name, opened.rig.identities.get(device.name),
-                "" if error is None else str(opened.rig.in_words(error)), _order(opened, device, answers=error is None),
+                RIG_BUS,
+                device.name,
+                opened.rig.identities.get(device.name),
+                "" if error is None else str(opened.rig.in_words(error)),
+                _order(opened, device, answers=error is None),
             )
             for device, error in zip(opened.rig.devices, outcome.values(), strict=True)
-        ]  # fmt: skip
+        ]
 
 
 def _order(opened: OpenRig, device: Device, *, answers: bool) -> str:

@@ -28,10 +28,40 @@ FAULT = 1
 INTERRUPTED = 130
 """Exit status after Ctrl-C: 128 + SIGINT, as of a shell."""
 COMMANDS = (
-    "devices", "home", "here", "move", "read", "check", "rehearse", "prove", "run", "runs", "align", "verify", "budget",
-    "closure", "export", "convert", "info", "report", "plot", "compare", "render", "copy", "simulate", "tolerances",
-    "demo", "examples", "compile", "schema", "serve", "usb", "replay", "station", "desktop",
-)  # fmt: skip
+    "devices",
+    "home",
+    "here",
+    "move",
+    "read",
+    "check",
+    "rehearse",
+    "prove",
+    "run",
+    "runs",
+    "align",
+    "verify",
+    "budget",
+    "closure",
+    "export",
+    "convert",
+    "info",
+    "report",
+    "plot",
+    "compare",
+    "render",
+    "copy",
+    "simulate",
+    "tolerances",
+    "demo",
+    "examples",
+    "compile",
+    "schema",
+    "serve",
+    "usb",
+    "replay",
+    "station",
+    "desktop",
+)
 """In the order of an operator's day; then what is needed less often."""
 
 

@@ -252,13 +252,17 @@ def rigs(
     from goniotwin.app.sweeps.chunk_files import ChunkFiles
 
     check_suffix(out, Holds.COLUMNS)
-    angles = np.meshgrid(
-        parse_list(polar, "--polar", 0.0, 89.5), parse_list(azimuth, "--azimuth", 0.0, 360.0), indexing="ij"
-    )  # fmt: skip
+    angles = np.meshgrid(parse_list(polar, "--polar", 0.0, 89.5), parse_list(azimuth, "--azimuth", 0.0, 360.0), indexing="ij")
     sweep = RigSweep(
-        tuple(parse_sample(each) for each in sample), _instrument_and_frames(rig)[0],
-        parse_list(sigma, "--sigma", 0.0, SIGMA_END_DEG), angles[0].ravel(), angles[1].ravel(), tilt, shift, seed,
-    )  # fmt: skip
+        tuple(parse_sample(each) for each in sample),
+        _instrument_and_frames(rig)[0],
+        parse_list(sigma, "--sigma", 0.0, SIGMA_END_DEG),
+        angles[0].ravel(),
+        angles[1].ravel(),
+        tilt,
+        shift,
+        seed,
+    )
     place = out.with_suffix(".rigs") if folder is None else folder
     files = ChunkFiles(place, sweep.specification, "--folder", "sample, instrument, grid, tilt, shift or seed", print_note)
     chunks = sweep.chunks(count)
@@ -431,8 +435,12 @@ def shadow(
         f"{each.sigma_deg:g} {'lower' if each.lower else 'upper'}": int((each.visible[:, :-1] < 1.0).sum()) for each in maps
     }
     result = {
-        "file": str(out), "simulated": True, "obstruction": maps[0].obstruction, "step_deg": step, "hidden_in_part": blocked,
-    }  # fmt: skip
+        "file": str(out),
+        "simulated": True,
+        "obstruction": maps[0].obstruction,
+        "step_deg": step,
+        "hidden_in_part": blocked,
+    }
     counts = "; ".join(f"sigma {name}: {count}" for name, count in blocked.items())
     text = f"SIMULATED, the shadow of the mirror unit: {out}\ndirections blocked, at least in part: {counts}"
     answer(as_json, result, lambda: print(text))

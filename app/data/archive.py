@@ -40,10 +40,27 @@ from goniotwin.app.formats.table import BsdfTable
 CHUNK_POINTS = 10_000
 """Points whose effects are in memory together: some hundred numbers each."""
 MORE = (
-    "gamma_deg", "beta_deg", "shift_deg", "zenith_deg", "theta_deg", "phi_deg", "mirrored", "signature", "slope_along",
-    "slope_across", "field_correction", "row", "etalon_row", "second_row", "gain", "etalon_gain", "wavelength_slope",
-    "band_correction", "stray_contrast", "good",
-)  # fmt: skip
+    "gamma_deg",
+    "beta_deg",
+    "shift_deg",
+    "zenith_deg",
+    "theta_deg",
+    "phi_deg",
+    "mirrored",
+    "signature",
+    "slope_along",
+    "slope_across",
+    "field_correction",
+    "row",
+    "etalon_row",
+    "second_row",
+    "gain",
+    "etalon_gain",
+    "wavelength_slope",
+    "band_correction",
+    "stray_contrast",
+    "good",
+)
 """What a point of a journal has besides the columns of scattered values."""
 
 
@@ -107,7 +124,7 @@ def _empty(reduced: ReducedJournal, name: str) -> ScatteredBsdf:
     about = (gap_line(WIDEST_GAP_DEG), *([f"symmetry: {reduced.symmetry[name]}"] if name in reduced.symmetry else []))
     return ScatteredBsdf(
         none, none, none, none, none, sample=name, isotropic=reduced.isotropic, generated=reduced.simulated, comments=about
-    )  # fmt: skip
+    )
 
 
 class _Inputs:
@@ -130,9 +147,7 @@ class _Inputs:
             archive.put_array(group, number, np.array([getattr(each, number) for each in inputs]))
 
 
-def _put_points(
-    group: h5py.Group, name: str, source: PointSource, reduction: Reduction, inputs: _Inputs
-) -> Iterator[None]:  # fmt: skip
+def _put_points(group: h5py.Group, name: str, source: PointSource, reduction: Reduction, inputs: _Inputs) -> Iterator[None]:
     """Fill a part with the points of a sample, in the order of wavelength and sigma, and what their uncertainty is made of."""
     columns: dict[str, archive.Column] = {}
     words: dict[str, dict[str, int]] = {column: {} for column in archive.WORDS}
@@ -229,9 +244,14 @@ class _EffectRows:
 
 
 def _put_reflectance(
-    group: h5py.Group, title: str, name: str, begin: int, points: BsdfPoints, setting: Setting,
+    group: h5py.Group,
+    title: str,
+    name: str,
+    begin: int,
+    points: BsdfPoints,
+    setting: Setting,
     settings: ReductionSettings,
-) -> bool:  # fmt: skip
+) -> bool:
     """Write a reflectance with the weights of its values; nothing where the directions do not cover the half sphere."""
     here = points.where(setting.index)
     rule = quadrature(here, settings.schedule.symmetry)
@@ -243,11 +263,17 @@ def _put_reflectance(
     found = group.create_group(title)
     found.attrs.update(
         {
-            "NX_class": "NXcollection", "wavelength_nm": setting.wavelength_nm, "sigma_deg": setting.sigma_deg,
-            "gamma_deg": setting.gamma_deg, "transmitted": setting.transmitted, "value": budget.value, "u": budget.u,
-            "u_interpolation": own.get(INTERPOLATION, 0.0), "u_filled": own.get(FILLED, 0.0),
+            "NX_class": "NXcollection",
+            "wavelength_nm": setting.wavelength_nm,
+            "sigma_deg": setting.sigma_deg,
+            "gamma_deg": setting.gamma_deg,
+            "transmitted": setting.transmitted,
+            "value": budget.value,
+            "u": budget.u,
+            "u_interpolation": own.get(INTERPOLATION, 0.0),
+            "u_filled": own.get(FILLED, 0.0),
         }
-    )  # fmt: skip
+    )
     archive.put_array(found, "index", begin + setting.index[used])
     archive.put_array(found, "weight", rule.weight[used])
     return True
@@ -296,12 +322,28 @@ def _put_journal(group: h5py.Group, journal: JournalReader, reduction: Reduction
 
 ROWS_TOGETHER = 1000
 ROW = {
-    "number": "<i8", "kind": archive.TEXT, "sample": archive.TEXT, "identity": archive.TEXT, "positions": archive.TEXT,
-    "flags": archive.TEXT, "wavelength_nm": "<f8", "gamma_deg": "<f8", "sigma_deg": "<f8", "beta_deg": "<f8",
-    "shift_deg": "<f8", "started_s": "<f8", "ended_s": "<f8",
-}  # fmt: skip
+    "number": "<i8",
+    "kind": archive.TEXT,
+    "sample": archive.TEXT,
+    "identity": archive.TEXT,
+    "positions": archive.TEXT,
+    "flags": archive.TEXT,
+    "wavelength_nm": "<f8",
+    "gamma_deg": "<f8",
+    "sigma_deg": "<f8",
+    "beta_deg": "<f8",
+    "shift_deg": "<f8",
+    "started_s": "<f8",
+    "ended_s": "<f8",
+}
 READING = {
-    "row": "<i8", "gain_v_per_a": "<f8", "first_s": "<f8", "period_s": "<f8", "monitor_a": "<f8", "begin": "<i8",
-    "readings": "<i8", "photodiodes": "<i8",
-}  # fmt: skip
+    "row": "<i8",
+    "gain_v_per_a": "<f8",
+    "first_s": "<f8",
+    "period_s": "<f8",
+    "monitor_a": "<f8",
+    "begin": "<i8",
+    "readings": "<i8",
+    "photodiodes": "<i8",
+}
 """Columns of the rows and of the readings: `begin` is the place of the first count, of readings times photodiodes."""

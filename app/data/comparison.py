@@ -125,16 +125,23 @@ class LightComparison:
         """The figures for JSON; None for those that are not known."""
         light = self.light
         numbers = {
-            "relative_rms_percent": self.relative_rms_percent, "largest_abs_z": self.largest_z,
-            "share_within_2_u": self.share_within_2, "chi_square": self.chi_square,
-        }  # fmt: skip
+            "relative_rms_percent": self.relative_rms_percent,
+            "largest_abs_z": self.largest_z,
+            "share_within_2_u": self.share_within_2,
+            "chi_square": self.chi_square,
+        }
         return {
-            "wavelength_nm": None if math.isnan(light.wavelength_nm) else light.wavelength_nm, "channel": light.channel,
-            "sigma_deg": light.sigma_deg, "psi_deg": light.psi_deg, "transmitted": light.transmitted, "back": light.back,
-            "directions": self.count, "compared": int(np.isfinite(self.second).sum()),
+            "wavelength_nm": None if math.isnan(light.wavelength_nm) else light.wavelength_nm,
+            "channel": light.channel,
+            "sigma_deg": light.sigma_deg,
+            "psi_deg": light.psi_deg,
+            "transmitted": light.transmitted,
+            "back": light.back,
+            "directions": self.count,
+            "compared": int(np.isfinite(self.second).sum()),
             **{name: each if math.isfinite(each) else None for name, each in numbers.items()},
             "degrees_of_freedom": self.degrees,
-        }  # fmt: skip
+        }
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,9 +186,14 @@ class DatasetComparison:
 
 @with_names
 def compare(
-    first: Dataset | StrPath, second: Dataset | StrPath, *, theta_deg: float = 180.0, polar_deg: float = HIGHEST_ZENITH_DEG,
-    least_share: float = LEAST_SHARE, in_plane: bool = False,
-) -> DatasetComparison:  # fmt: skip
+    first: Dataset | StrPath,
+    second: Dataset | StrPath,
+    *,
+    theta_deg: float = 180.0,
+    polar_deg: float = HIGHEST_ZENITH_DEG,
+    least_share: float = LEAST_SHARE,
+    in_plane: bool = False,
+) -> DatasetComparison:
     """Compare two datasets, or files, of one sample each: formula 5, z, chi-square; at the directions of the first.
 
     `theta_deg`, `polar_deg`, `least_share` and `in_plane` are the range of formula 5, see `Range`; the paper's figure 13 is
@@ -231,9 +243,16 @@ def theory(dataset: Dataset | StrPath, sample: str | None = None) -> Dataset:
         truth = true_bsdf(model.samples[like.sample], data.measured.points)
         name = f"{like.sample} of the virtual rig"
     values = replace(
-        data.values, values=truth, u=np.zeros(truth.size), u_shared=np.zeros(truth.size), flags=np.full(truth.size, ""),
-        low95=ABSENT, high95=ABSENT, interval=ABSENT, generated=True,
-    )  # fmt: skip
+        data.values,
+        values=truth,
+        u=np.zeros(truth.size),
+        u_shared=np.zeros(truth.size),
+        flags=np.full(truth.size, ""),
+        low95=ABSENT,
+        high95=ABSENT,
+        interval=ABSENT,
+        generated=True,
+    )
     made = replace(data, values=values, regular=(), measured=None)
     return Dataset(f"theory: {name}", "theory", {like.sample: made}, ("a model's BSDF, without an instrument",))
 
@@ -356,9 +375,23 @@ def _compare_light(
     z = _deviations((one, index, first, u_first), (other, there, second, u_second))
     chi_square, degrees = _chi_square((one, index, first, u_first), (other, there, second, u_second), chosen)
     return LightComparison(
-        light, index, theta, phi, polar, azimuth, first, u_first, second, u_second, z, chosen,
-        relative_rms_percent(once_first, once_second), once_first.size, chi_square, degrees,
-    )  # fmt: skip
+        light,
+        index,
+        theta,
+        phi,
+        polar,
+        azimuth,
+        first,
+        u_first,
+        second,
+        u_second,
+        z,
+        chosen,
+        relative_rms_percent(once_first, once_second),
+        once_first.size,
+        chi_square,
+        degrees,
+    )
 
 
 def _direction_means(theta: Floats, phi: Floats, *values: Floats) -> list[Floats]:

@@ -127,9 +127,15 @@ class Converted:
         """The result for JSON."""
         files = [str(file) for file in self.files]
         return {
-            "file": files[0], "files": files, "format": self.format, "values": self.values, "simulated": self.simulated,
-            "fill": self.fill, "not_measured": [vars(each) for each in self.shares], "notes": list(self.notes),
-        }  # fmt: skip
+            "file": files[0],
+            "files": files,
+            "format": self.format,
+            "values": self.values,
+            "simulated": self.simulated,
+            "fill": self.fill,
+            "not_measured": [vars(each) for each in self.shares],
+            "notes": list(self.notes),
+        }
 
 
 # ---- formats ----
@@ -212,9 +218,7 @@ def archive_journal(
     return Converted((path,), "archive", done.values, reduced.simulated, choice.fill, shares, done.without_table)
 
 
-def convert_content(
-    content: BsdfFile, path: Path, form: Format, choice: Choice, source: Path | None = None
-) -> Converted:  # fmt: skip
+def convert_content(content: BsdfFile, path: Path, form: Format, choice: Choice, source: Path | None = None) -> Converted:
     """Write what a format holds of a content. Raises UserError and FormatError, in words, where that is not possible.
 
     `source` is a file that must not be overwritten.
@@ -398,9 +402,7 @@ def _check_wavelength(path: Path, there: Floats, wavelength_nm: float) -> None:
         raise UserError(f"{path}: there is no wavelength {wavelength_nm:g} nm: {has}")
 
 
-def _of_wavelength(
-    content: BsdfFile, path: Path, form: Format, wavelength_nm: float | None, notes: list[str]
-) -> BsdfFile:  # fmt: skip
+def _of_wavelength(content: BsdfFile, path: Path, form: Format, wavelength_nm: float | None, notes: list[str]) -> BsdfFile:
     there = wavelengths_nm(content)
     if wavelength_nm is None:
         if there.size > 1 and Holds.WAVELENGTHS not in form.holds:

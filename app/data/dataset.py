@@ -255,21 +255,38 @@ class Dataset:
 
     @with_names
     def select(
-        self, *, wavelength_nm: Number | None = None, channel: str | None = None, sigma_deg: Number | None = None,
-        psi_deg: Number | None = None, theta_deg: Number | None = None, phi_deg: Number | None = None,
-        polar_deg: Number | None = None, azimuth_deg: Number | None = None, photodiode: Number | None = None,
-        transmitted: bool | None = None, back: bool | None = None,
-    ) -> "Dataset":  # fmt: skip
+        self,
+        *,
+        wavelength_nm: Number | None = None,
+        channel: str | None = None,
+        sigma_deg: Number | None = None,
+        psi_deg: Number | None = None,
+        theta_deg: Number | None = None,
+        phi_deg: Number | None = None,
+        polar_deg: Number | None = None,
+        azimuth_deg: Number | None = None,
+        photodiode: Number | None = None,
+        transmitted: bool | None = None,
+        back: bool | None = None,
+    ) -> "Dataset":
         """The values at these angles and wavelengths, exact to the sixth decimal; a list of numbers takes each of them.
 
         At a pole (theta, or polar, 0) every azimuth is the same direction, so any phi (azimuth) selects it. Raises
         GoniotwinError, with the nearest numbers that are there, for a number without a value.
         """
         wanted = {
-            "transmitted": transmitted, "back": back, "channel": channel, "wavelength_nm": wavelength_nm,
-            "sigma_deg": sigma_deg, "psi_deg": psi_deg, "theta_deg": theta_deg, "phi_deg": phi_deg, "polar_deg": polar_deg,
-            "azimuth_deg": azimuth_deg, "photodiode": photodiode,
-        }  # fmt: skip
+            "transmitted": transmitted,
+            "back": back,
+            "channel": channel,
+            "wavelength_nm": wavelength_nm,
+            "sigma_deg": sigma_deg,
+            "psi_deg": psi_deg,
+            "theta_deg": theta_deg,
+            "phi_deg": phi_deg,
+            "polar_deg": polar_deg,
+            "azimuth_deg": azimuth_deg,
+            "photodiode": photodiode,
+        }
         data = self.only
         before = ""
         for name, value in wanted.items():
@@ -310,11 +327,19 @@ class Dataset:
 
     @with_names
     def at(
-        self, *, theta_deg: Number | None = None, phi_deg: Number | None = None,
-        polar_deg: Number | None = None, azimuth_deg: Number | None = None, sigma_deg: float | None = None,
-        psi_deg: float | None = None, wavelength_nm: float | None = None, channel: str | None = None,
-        transmitted: bool | None = None, back: bool | None = None,
-    ) -> ValueWithU:  # fmt: skip
+        self,
+        *,
+        theta_deg: Number | None = None,
+        phi_deg: Number | None = None,
+        polar_deg: Number | None = None,
+        azimuth_deg: Number | None = None,
+        sigma_deg: float | None = None,
+        psi_deg: float | None = None,
+        wavelength_nm: float | None = None,
+        channel: str | None = None,
+        transmitted: bool | None = None,
+        back: bool | None = None,
+    ) -> ValueWithU:
         """The BSDF in any direction, interpolated between trusted values, with u: `value, u = d.at(...)`.
 
         The direction is theta and phi, about the specular direction (phi need not be given at theta 0), or polar angle and
@@ -325,10 +350,15 @@ class Dataset:
         """
         data, place = self.only, self._place()
         lights = lights_at(
-            data, place, sigma_deg=_number("sigma_deg", sigma_deg), psi_deg=_number("psi_deg", psi_deg),
-            wavelength_nm=_number("wavelength_nm", wavelength_nm), channel=_channel(channel),
-            transmitted=flag("transmitted", transmitted), back=flag("back", back),
-        )  # fmt: skip
+            data,
+            place,
+            sigma_deg=_number("sigma_deg", sigma_deg),
+            psi_deg=_number("psi_deg", psi_deg),
+            wavelength_nm=_number("wavelength_nm", wavelength_nm),
+            channel=_channel(channel),
+            transmitted=flag("transmitted", transmitted),
+            back=flag("back", back),
+        )
         sigma = float(sum(light.sigma_deg * weight for light, weight in lights))
         psi = lights[0][0].psi_deg
         theta, phi = _direction(theta_deg, phi_deg, polar_deg, azimuth_deg, sigma, psi)
@@ -351,9 +381,15 @@ class Dataset:
 
     @with_names
     def reflectance(
-        self, *, sigma_deg: float | None = None, psi_deg: float | None = None, wavelength_nm: float | None = None,
-        channel: str | None = None, transmitted: bool | None = None, back: bool | None = None,
-    ) -> ValueWithU:  # fmt: skip
+        self,
+        *,
+        sigma_deg: float | None = None,
+        psi_deg: float | None = None,
+        wavelength_nm: float | None = None,
+        channel: str | None = None,
+        transmitted: bool | None = None,
+        back: bool | None = None,
+    ) -> ValueWithU:
         """The directional-hemispherical reflectance (or transmittance) at one incidence: `value, u = d.reflectance(...)`.
 
         u is by the covariance of the values: of a journal from all inputs of its uncertainty, of a file by an assumption that
@@ -364,10 +400,16 @@ class Dataset:
         if not self.only.values.size and self.only.regular:
             return hemisphere.only_regular(self.only, self._place(), sigma)
         lights = lights_at(
-            self.only, self._place(), sigma_deg=sigma, psi_deg=_number("psi_deg", psi_deg), between=False,
-            wavelength_nm=_number("wavelength_nm", wavelength_nm), channel=_channel(channel),
-            transmitted=flag("transmitted", transmitted), back=flag("back", back),
-        )  # fmt: skip
+            self.only,
+            self._place(),
+            sigma_deg=sigma,
+            psi_deg=_number("psi_deg", psi_deg),
+            between=False,
+            wavelength_nm=_number("wavelength_nm", wavelength_nm),
+            channel=_channel(channel),
+            transmitted=flag("transmitted", transmitted),
+            back=flag("back", back),
+        )
         return hemisphere.reflectance(self.only, lights[0][0], self._place())
 
     # ---- uncertainty ----

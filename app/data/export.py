@@ -55,7 +55,7 @@ def scattered_points(points: BsdfPoints, sample: str, *, isotropic: bool, genera
 
 def _scattered(
     columns: dict[str, np.ndarray], sample: str, isotropic: bool, generated: bool, comments: tuple[str, ...] = ()
-) -> ScatteredBsdf:  # fmt: skip
+) -> ScatteredBsdf:
     return ScatteredBsdf(
         **columns, sample=sample, isotropic=isotropic, generated=generated, comments=comments, widest_gap_deg=WIDEST_GAP_DEG
     )
@@ -66,14 +66,22 @@ def _scattered_columns(points: BsdfPoints) -> dict[str, np.ndarray]:
     psi = psi_of_gamma(points.gamma_deg, points.back)
     low, high, law = points.interval
     return {
-        "sigma_deg": np.where(points.back, HALF_TURN_DEG - points.sigma_deg, points.sigma_deg), "psi_deg": psi,
+        "sigma_deg": np.where(points.back, HALF_TURN_DEG - points.sigma_deg, points.sigma_deg),
+        "psi_deg": psi,
         "polar_deg": polar_from_zenith(points.zenith_deg),
         "azimuth_deg": wrap_azimuth(np.where(points.back, -points.azimuth_deg, points.azimuth_deg) + psi),
-        "values": points.bsdf, "u": points.u_bsdf, "u_shared": np.sqrt(shared_variance(points.components)),
-        "low95": low, "high95": high, "interval": law,
-        "wavelength_nm": points.wavelength_nm, "transmitted": points.transmitted, "back": points.back,
-        "photodiode": points.photodiode, "flags": _flags(points, CHECK),
-    }  # fmt: skip
+        "values": points.bsdf,
+        "u": points.u_bsdf,
+        "u_shared": np.sqrt(shared_variance(points.components)),
+        "low95": low,
+        "high95": high,
+        "interval": law,
+        "wavelength_nm": points.wavelength_nm,
+        "transmitted": points.transmitted,
+        "back": points.back,
+        "photodiode": points.photodiode,
+        "flags": _flags(points, CHECK),
+    }
 
 
 def points_of(reduced: ReducedJournal, sample: str | None, path: Path) -> tuple[PointStream, int]:
@@ -166,9 +174,20 @@ def _columns(name: str, points: BsdfPoints) -> dict[str, np.ndarray]:
     """The columns of a CSV for points of one sample."""
     columns: dict[str, np.ndarray] = {"sample": np.full(points.bsdf.size, name)}
     for column in (
-        "wavelength_nm", "sigma_deg", "gamma_deg", "beta_deg", "shift_deg", "photodiode", "zenith_deg", "azimuth_deg",
-        "theta_deg", "phi_deg", "bsdf", "u_bsdf", "luminance_factor",
-    ):  # fmt: skip
+        "wavelength_nm",
+        "sigma_deg",
+        "gamma_deg",
+        "beta_deg",
+        "shift_deg",
+        "photodiode",
+        "zenith_deg",
+        "azimuth_deg",
+        "theta_deg",
+        "phi_deg",
+        "bsdf",
+        "u_bsdf",
+        "luminance_factor",
+    ):
         unit = "_per_sr" if column in ("bsdf", "u_bsdf") else ""
         columns[column + unit] = getattr(points, column)
     columns["side"] = np.where(points.back, "back", "front")

@@ -237,9 +237,17 @@ def interpolated(
 
 
 def lights_at(
-    data: SampleData, place: str, *, sigma_deg: float | None, psi_deg: float | None, wavelength_nm: float | None,
-    channel: str | None, transmitted: bool | None, back: bool | None, between: bool = True,
-) -> list[tuple[LightSetting, float]]:  # fmt: skip
+    data: SampleData,
+    place: str,
+    *,
+    sigma_deg: float | None,
+    psi_deg: float | None,
+    wavelength_nm: float | None,
+    channel: str | None,
+    transmitted: bool | None,
+    back: bool | None,
+    between: bool = True,
+) -> list[tuple[LightSetting, float]]:
     """The light that is asked for, or those around it with their weights; what only one value is measured at need not be given.
 
     Without `between` it has to be one that is there. Raises UserError, with what is there.

@@ -79,10 +79,11 @@ def dataset_of_evaluation(evaluation: Evaluation) -> Dataset:
     data = {
         name: replace(
             sample_of_points(points, name, isotropic=reduced.isotropic, generated=reduced.simulated),
-            measured=Measured(points, settings), metadata=reduced.metadata[name],
+            measured=Measured(points, settings),
+            metadata=reduced.metadata[name],
         )
         for name, points in reduced.samples.items()
-    }  # fmt: skip
+    }
     notes = (*reduced.notes, *([ISOTROPIC] if reduced.isotropic else []))
     return Dataset(reduced.name, "journal", data, notes, reduced.findings, reduced=reduced)
 
@@ -179,9 +180,11 @@ def _join(pieces: Sequence[SampleData]) -> SampleData:
         return pieces[0]
     columns: dict[str, Any] = {name: np.concatenate([getattr(each.values, name) for each in pieces]) for name in COLUMNS}
     values = replace(
-        pieces[0].values, **columns, isotropic=all(each.values.isotropic for each in pieces),
+        pieces[0].values,
+        **columns,
+        isotropic=all(each.values.isotropic for each in pieces),
         generated=any(each.values.generated for each in pieces),
-    )  # fmt: skip
+    )
     return SampleData(
         values, np.concatenate([each.theta_deg for each in pieces]), np.concatenate([each.phi_deg for each in pieces])
     )

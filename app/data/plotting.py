@@ -80,9 +80,14 @@ SUFFIXES = (".png", ".svg")
 
 @with_names
 def plot(
-    dataset: Dataset | StrPath, kind: Kind = "cuts", *, sigma_deg: Number | None = None, psi_deg: Number | None = None,
-    wavelength_nm: Number | None = None, log: bool | None = None,
-) -> "Figure":  # fmt: skip
+    dataset: Dataset | StrPath,
+    kind: Kind = "cuts",
+    *,
+    sigma_deg: Number | None = None,
+    psi_deg: Number | None = None,
+    wavelength_nm: Number | None = None,
+    log: bool | None = None,
+) -> "Figure":
     """Draw the values of one sample, of a dataset or a file; returns the matplotlib figure, which is not shown anywhere yet.
 
     "cuts": the plane of incidence at each sigma. "hemisphere": a map of all directions at each sigma. "polar": the plane of
@@ -215,9 +220,7 @@ def _gaps(x: Floats, widest: float = WIDEST_GAP_DEG) -> Ints:
     return np.flatnonzero(apart > min(max(4.0 * typical, GAP_DEG), widest))
 
 
-def draw_curve(
-    axes: "Axes", found: Curve, scale: Scale, colour: str, marker: str, label: str, *, broad: bool = False
-) -> None:  # fmt: skip
+def draw_curve(axes: "Axes", found: Curve, scale: Scale, colour: str, marker: str, label: str, *, broad: bool = False) -> None:
     """Draw a curve with its band on rectangular axes; a `broad` one is seen beneath another."""
     dense = np.isfinite(found.y).sum() > MOST_MARKED
     lost = found.lost_in_noise if scale.log else np.zeros(found.y.size, dtype=bool)
@@ -243,9 +246,14 @@ def draw_curve(
         )
     if found.untrusted.size:
         axes.plot(
-            found.untrusted, np.zeros(found.untrusted.size), "|", ms=6, color="0.6", zorder=1,
+            found.untrusted,
+            np.zeros(found.untrusted.size),
+            "|",
+            ms=6,
+            color="0.6",
+            zorder=1,
             transform=axes.get_xaxis_transform(),
-        )  # fmt: skip
+        )
 
 
 # ---- choice of values ----
@@ -388,10 +396,16 @@ def _cuts(dataset: Dataset, log: bool | None) -> "Figure":
 def _legend(axes: "Axes", title: str) -> None:
     """The names of the curves above the axes, where they hide nothing."""
     axes.legend(
-        loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, frameon=False, fontsize=9, title=fill(title, MOST_LETTERS),
+        loc="lower left",
+        bbox_to_anchor=(0.0, 1.0),
+        ncols=3,
+        frameon=False,
+        fontsize=9,
+        title=fill(title, MOST_LETTERS),
         title_fontsize=9,
-        alignment="left", borderaxespad=0.2,
-    )  # fmt: skip
+        alignment="left",
+        borderaxespad=0.2,
+    )
 
 
 def about_curves(drawn: Sequence[Dataset], scale: Scale, more: str = "", *, below: str = "below the scale (triangles)") -> str:
@@ -464,9 +478,7 @@ class Directions:
         return cls(sigma, polar_deg, around_deg, isotropic and bool((side > -ON_AXIS).all() or (side < ON_AXIS).all()))
 
 
-def _draw_map(
-    axes: "Axes", at: Directions, trusted: Flags, placed: Floats, norm: "Normalize", colours: str
-) -> None:  # fmt: skip
+def _draw_map(axes: "Axes", at: Directions, trusted: Flags, placed: Floats, norm: "Normalize", colours: str) -> None:
     """Draw values (n,) at their directions: the polar angle is the radius, the light comes from the left."""
     from matplotlib.patheffects import withStroke
 
@@ -493,9 +505,7 @@ def _draw_map(
     axes.set_axis_off()
 
 
-def _draw_surface(
-    axes: "Axes", x: Floats, y: Floats, placed: Floats, trusted: Flags, norm: "Normalize", colours: str
-) -> None:  # fmt: skip
+def _draw_surface(axes: "Axes", x: Floats, y: Floats, placed: Floats, trusted: Flags, norm: "Normalize", colours: str) -> None:
     """Colours between directions that are near each other; where they span no area, a mark at each."""
     from matplotlib.tri import Triangulation
 
@@ -517,7 +527,7 @@ def _draw_surface(
         size, edge = (9.0, 0.0) if x.size > MOST_MARKED else (30.0, 0.5)
         axes.scatter(
             x[trusted], y[trusted], c=placed[trusted], s=size, norm=norm, cmap=colours, lw=edge, edgecolors="0.3", zorder=2
-        )  # fmt: skip
+        )
         return
     at = np.where(trusted, placed, norm.vmin or 0.0)[order]
     axes.tripcolor(found, at, shading="gouraud", norm=norm, cmap=colours, rasterized=True, zorder=2)
@@ -555,9 +565,11 @@ def _polar(dataset: Dataset, log: bool | None) -> "Figure":
             (line,) = axes.plot(angle, middle, style, color=colour, lw=1.4, marker=dot, ms=4.0)
             if not {(False, sigma), (True, sigma)} & set(named):
                 axes.annotate(
-                    "", (-math.radians(sigma), 0.82 * outer), (-math.radians(sigma), outer),
+                    "",
+                    (-math.radians(sigma), 0.82 * outer),
+                    (-math.radians(sigma), outer),
                     arrowprops={"arrowstyle": "->", "color": colour, "lw": 1.3},
-                )  # fmt: skip
+                )
             named.setdefault((back, sigma), line)
     axes.set_rlim(0.0, outer)
     _label_rings(axes, scale, outer)
@@ -676,9 +688,16 @@ def plot_comparison(found: "DatasetComparison", *, log: bool | None = None) -> "
     short = [shortened(each, width) for each in labels]
     beside_each_other = sum(map(len, short)) + 12 < width
     figure.legend(
-        handles, short, loc="outside upper left", ncols=2 if beside_each_other else 1, frameon=False, fontsize=9,
-        title=fill(names, round(1.1 * width)), title_fontsize=9, alignment="left",
-    )  # fmt: skip
+        handles,
+        short,
+        loc="outside upper left",
+        ncols=2 if beside_each_other else 1,
+        frameon=False,
+        fontsize=9,
+        title=fill(names, round(1.1 * width)),
+        title_fontsize=9,
+        alignment="left",
+    )
     mark(figure, found.simulated)
     return figure
 

@@ -135,23 +135,32 @@ def _scene(mitsuba: Any, path: Path, size: int, rays: int) -> dict[str, Any]:
 
     def wall(axis: Sequence[float], angle: float, place: Sequence[float]) -> dict[str, Any]:
         checks = {
-            "type": "checkerboard", "color0": grey(0.15), "color1": grey(0.7),
+            "type": "checkerboard",
+            "color0": grey(0.15),
+            "color1": grey(0.7),
             "to_uv": turn().scale([4.0, 4.0, 1.0]),
-        }  # fmt: skip
+        }
         to_world = turn().translate(list(place)).rotate(list(axis), angle)
         bsdf = {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": checks}}
         return {"type": "rectangle", "to_world": to_world, "bsdf": bsdf}
 
     camera = turn().look_at(origin=[0.0, -3.9, 0.0], target=[0.0, 0.0, 0.0], up=[0.0, 0.0, 1.0])
     film = {
-        "type": "hdrfilm", "width": size, "height": size, "pixel_format": "rgb", "component_format": "float32",
+        "type": "hdrfilm",
+        "width": size,
+        "height": size,
+        "pixel_format": "rgb",
+        "component_format": "float32",
         "rfilter": {"type": "box"},
-    }  # fmt: skip
+    }
     return {
         "type": "scene",
         "integrator": {"type": "path", "max_depth": 6},
         "sensor": {
-            "type": "perspective", "fov": 38.0, "to_world": camera, "film": film,
+            "type": "perspective",
+            "fov": 38.0,
+            "to_world": camera,
+            "film": film,
             "sampler": {"type": "independent", "sample_count": rays},
         },
         "floor": wall([1, 0, 0], 0.0, [0, 0, -1]),
@@ -165,12 +174,10 @@ def _scene(mitsuba: Any, path: Path, size: int, rays: int) -> dict[str, Any]:
             "emitter": {"type": "area", "radiance": grey(10.0)},
         },
         "sphere": {"type": "sphere", "radius": 0.6, "bsdf": {"type": "measured", "filename": str(path)}},
-    }  # fmt: skip
+    }
 
 
-def render_pair(
-    first: BsdfTable, second: BsdfTable, title: str, size: int = SIZE, rays: int = RAYS, seed: int = SEED
-) -> Pair:  # fmt: skip
+def render_pair(first: BsdfTable, second: BsdfTable, title: str, size: int = SIZE, rays: int = RAYS, seed: int = SEED) -> Pair:
     """Two pictures with the same random numbers. Raises UserError."""
     one, other = (render(table, size, rays, seed) for table in (first, second))
     return Pair(title, one, other, (reflectance(first), reflectance(second)))
@@ -200,9 +207,11 @@ def figure14_tables(width_deg: float) -> tuple[BsdfTable, BsdfTable]:
     step = width_deg / 20.0
     theta = np.concatenate([np.arange(0.0, 3.5 * width_deg, step), np.arange(3.5 * width_deg, 180.0, 5.0)])
     task = Task(
-        sample=sample, sigma_deg=np.array(FIGURE_SIGMAS_DEG), theta_deg=theta[theta < 180.0],
+        sample=sample,
+        sigma_deg=np.array(FIGURE_SIGMAS_DEG),
+        theta_deg=theta[theta < 180.0],
         instrument=with_deviations(instrument, corner.tolerances, corner.signs),
-    )  # fmt: skip
+    )
     measured = bsdf_table(simulate(task))
     peak, exponent = (float(each) for each in sample.lobes[0].params[:2])
     row = peak * np.exp(-exponent * np.radians(measured.theta_deg) ** 2)
@@ -212,7 +221,7 @@ def figure14_tables(width_deg: float) -> tuple[BsdfTable, BsdfTable]:
 
 def figure14(
     report: Callable[[str], None] = lambda _: None, size: int = SIZE, rays: int = RAYS, seed: int = SEED
-) -> list[Pair]:  # fmt: skip
+) -> list[Pair]:
     """The pairs of figure 14, theory and measured, for the four widths; `report` gets the name of each step."""
     pairs = []
     load_mitsuba()

@@ -21,9 +21,15 @@ SIGMA_LIMITS_DEG = (0.0, 90.0)
 
 @with_names
 def simulate(
-    sample: str, sigma_deg: Sequence[float] = (0.0, 30.0, 60.0), *, wavelengths_nm: Sequence[float] | None = None,
-    psi_deg: Sequence[float] | None = None, back: bool = False, transmitted: bool = False, regular_apart: bool = False,
-) -> Dataset:  # fmt: skip
+    sample: str,
+    sigma_deg: Sequence[float] = (0.0, 30.0, 60.0),
+    *,
+    wavelengths_nm: Sequence[float] | None = None,
+    psi_deg: Sequence[float] | None = None,
+    back: bool = False,
+    transmitted: bool = False,
+    regular_apart: bool = False,
+) -> Dataset:
     """Simulate the BSDF of a sample as the instrument measures it, by the fast estimator (paper, figure 7).
 
     `sample` is a model as in `goniotwin simulate sample`; `sigma_deg` are angles of incidence in degrees, from 0 to less
@@ -43,9 +49,14 @@ def simulate(
     psi = None if psi_deg is None else _ascending("psi_deg", psi_deg, 0.0, 360.0)
     back, transmitted = bool(flag("back", back)), bool(flag("transmitted", transmitted))
     task = Task(
-        parse_sample(sample), sigmas, wavelengths_nm=wavelengths, back=back, transmitted=transmitted, psi_deg=psi,
+        parse_sample(sample),
+        sigmas,
+        wavelengths_nm=wavelengths,
+        back=back,
+        transmitted=transmitted,
+        psi_deg=psi,
         regular="apart" if flag("regular_apart", regular_apart) else "seen",
-    )  # fmt: skip
+    )
     return dataset_of_simulation(simulate_task(task))
 
 

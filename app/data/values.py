@@ -112,9 +112,12 @@ class SampleData:
             return self
         measured = self.measured
         return replace(
-            self, values=self.values.where(chosen), theta_deg=self.theta_deg[chosen], phi_deg=self.phi_deg[chosen],
+            self,
+            values=self.values.where(chosen),
+            theta_deg=self.theta_deg[chosen],
+            phi_deg=self.phi_deg[chosen],
             measured=None if measured is None else replace(measured, points=measured.points.where(chosen)),
-        )  # fmt: skip
+        )
 
     def column(self, name: str) -> npt.NDArray[Any]:
         """An array (n,) by its name in `COLUMNS`."""
@@ -124,9 +127,25 @@ class SampleData:
 
 
 COLUMNS = (
-    "wavelength_nm", "channel", "sigma_deg", "psi_deg", "theta_deg", "phi_deg", "polar_deg", "azimuth_deg", "transmitted",
-    "back", "photodiode", "bsdf", "u", "u_shared", "low95", "high95", "interval", "flags",
-)  # fmt: skip
+    "wavelength_nm",
+    "channel",
+    "sigma_deg",
+    "psi_deg",
+    "theta_deg",
+    "phi_deg",
+    "polar_deg",
+    "azimuth_deg",
+    "transmitted",
+    "back",
+    "photodiode",
+    "bsdf",
+    "u",
+    "u_shared",
+    "low95",
+    "high95",
+    "interval",
+    "flags",
+)
 """The arrays of a dataset, all of one length."""
 
 

@@ -39,8 +39,11 @@ class Menus(QObject):
         bar = window.menuBar()
         bar.setAccessibleName("Menus")
         for text, fill in (
-            ("&File", self._fill_file), ("&Run", self._fill_run), ("&View", self._fill_view), ("&Help", self._fill_help),
-        ):  # fmt: skip
+            ("&File", self._fill_file),
+            ("&Run", self._fill_run),
+            ("&View", self._fill_view),
+            ("&Help", self._fill_help),
+        ):
             menu = QMenu(text, bar)
             bar.addMenu(menu)
             fill(menu)
@@ -61,11 +64,15 @@ class Menus(QObject):
         """Enable each action as its button is."""
         run, rig, schedule = self._view.run, self._view.rig, self._view.schedule
         for action, button in (
-            (self._start, run.start_button), (self._pause, run.pause_button), (self._stop, run.stop_button),
+            (self._start, run.start_button),
+            (self._pause, run.pause_button),
+            (self._stop, run.stop_button),
             (self._finish, run.finish_button),
-            (self._open_rig, rig.open_button), (self._again, rig.again_button),
-            (self._open_schedule, schedule.open_button), (self._save_in, schedule.folder_button),
-        ):  # fmt: skip
+            (self._open_rig, rig.open_button),
+            (self._again, rig.again_button),
+            (self._open_schedule, schedule.open_button),
+            (self._save_in, schedule.folder_button),
+        ):
             action.setEnabled(button.isEnabled())
         for menu in (self._recent_rigs, self._recent_schedules):
             menu.setEnabled(rig.open_button.isEnabled())

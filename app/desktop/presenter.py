@@ -149,8 +149,14 @@ class Presenter(QObject):
     def permissions(self) -> Permissions:
         """Which controls are enabled now."""
         found = permissions(
-            self.station, self.name, self.plan, self._no_plan, self.state, opening=self._opening, lost=self._lost,
-        )  # fmt: skip
+            self.station,
+            self.name,
+            self.plan,
+            self._no_plan,
+            self.state,
+            opening=self._opening,
+            lost=self._lost,
+        )
         return replace(found, pause=False, resume=True) if self._pausing else found
 
     @property

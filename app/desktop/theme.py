@@ -42,17 +42,47 @@ class Colours:
 
 
 LIGHT = Colours(
-    window="#f3f4f6", base="#ffffff", button="#e6e8ec", text="#1b1f24", dim="#59616b", line="#c3c8d0",
-    accent="#0b62c4", on_accent="#ffffff", good="#17692c", bad="#b3161b",
-    simulated="#ffd24d", on_simulated="#1b1f24", stop="#c1121f", stop_pressed="#8d0c16",
-    points="#0b62c4", blocked="#6b7280", beam="#b85c00", predicted="#b45f06", map="crameri:batlow",
-)  # fmt: skip
+    window="#f3f4f6",
+    base="#ffffff",
+    button="#e6e8ec",
+    text="#1b1f24",
+    dim="#59616b",
+    line="#c3c8d0",
+    accent="#0b62c4",
+    on_accent="#ffffff",
+    good="#17692c",
+    bad="#b3161b",
+    simulated="#ffd24d",
+    on_simulated="#1b1f24",
+    stop="#c1121f",
+    stop_pressed="#8d0c16",
+    points="#0b62c4",
+    blocked="#6b7280",
+    beam="#b85c00",
+    predicted="#b45f06",
+    map="crameri:batlow",
+)
 DARK = Colours(
-    window="#1e2126", base="#15171b", button="#2d3138", text="#e8eaed", dim="#a4abb5", line="#454b55",
-    accent="#5aa5ff", on_accent="#10131a", good="#66cf80", bad="#ff8080",
-    simulated="#e0b02f", on_simulated="#15171b", stop="#d11a28", stop_pressed="#8d0c16",
-    points="#5aa5ff", blocked="#9aa2ad", beam="#ffb454", predicted="#f0a63a", map="crameri:batlow",
-)  # fmt: skip
+    window="#1e2126",
+    base="#15171b",
+    button="#2d3138",
+    text="#e8eaed",
+    dim="#a4abb5",
+    line="#454b55",
+    accent="#5aa5ff",
+    on_accent="#10131a",
+    good="#66cf80",
+    bad="#ff8080",
+    simulated="#e0b02f",
+    on_simulated="#15171b",
+    stop="#d11a28",
+    stop_pressed="#8d0c16",
+    points="#5aa5ff",
+    blocked="#9aa2ad",
+    beam="#ffb454",
+    predicted="#f0a63a",
+    map="crameri:batlow",
+)
 
 
 class Theme(QObject):

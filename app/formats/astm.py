@@ -42,8 +42,16 @@ VARS = re.compile(rb"(?:^|[\r\n])[ \t]*VARS[ \t,]+\"?theta_i", re.IGNORECASE)
 KEYWORD = re.compile(r"[ \t]*(NUM_POINTS|VARS)(?![^\s,:=])[\s,:=]*(.*)", re.IGNORECASE)
 VARIABLES = (("theta_i",), ("phi_i",), ("theta_s", "theta_r", "theta_o"), ("phi_s", "phi_r", "phi_o"))
 COLOURS = {
-    "r": "red", "g": "green", "b": "blue", "x": "X", "y": "Y", "z": "Z", "red": "red", "green": "green", "blue": "blue",
-}  # fmt: skip
+    "r": "red",
+    "g": "green",
+    "b": "blue",
+    "x": "X",
+    "y": "Y",
+    "z": "Z",
+    "red": "red",
+    "green": "green",
+    "blue": "blue",
+}
 
 WAVELENGTH = re.compile(r"([0-9.]+)[ \t]*nm", re.IGNORECASE)
 ROWS_AT_ONCE = 1 << 16
@@ -85,9 +93,11 @@ def _list(lines: Lines) -> ScatteredBsdf:
     polar, azimuth = observed(out, angles[:, 3])
     beyond = polar > 90.0 + BEYOND_DEG
     columns = {
-        "sigma_deg": sigma, "psi_deg": wrap_azimuth(angles[:, 1]),
-        "polar_deg": np.where(beyond, 180.0 - polar, np.minimum(polar, 90.0)), "azimuth_deg": azimuth,
-    }  # fmt: skip
+        "sigma_deg": sigma,
+        "psi_deg": wrap_azimuth(angles[:, 1]),
+        "polar_deg": np.where(beyond, 180.0 - polar, np.minimum(polar, 90.0)),
+        "azimuth_deg": azimuth,
+    }
     whole = " ".join(header)
     btdf, brdf = (re.search(rf"\b{word}\b", whole, re.IGNORECASE) is not None for word in ("BTDF", "BRDF"))
     transmitted = beyond | (btdf and not brdf)
@@ -97,10 +107,14 @@ def _list(lines: Lines) -> ScatteredBsdf:
         comments.append(f"NUM_POINTS is {count}, and {data.size} lines of numbers follow, which are all read")
     isotropic = "anisotropic" not in stated if stated else np.unique(columns["psi_deg"]).size == 1
     return ScatteredBsdf(
-        **by_channel(columns, found[:, 4:], channels), transmitted=np.tile(transmitted, len(channels)),
-        back=np.full(found.shape[0] * len(channels), "back" in stated), sample=_sample(header), isotropic=isotropic,
-        generated="simulated" in stated, comments=tuple(comments),
-    )  # fmt: skip
+        **by_channel(columns, found[:, 4:], channels),
+        transmitted=np.tile(transmitted, len(channels)),
+        back=np.full(found.shape[0] * len(channels), "back" in stated),
+        sample=_sample(header),
+        isotropic=isotropic,
+        generated="simulated" in stated,
+        comments=tuple(comments),
+    )
 
 
 def _header(lines: Lines) -> tuple[int | None, list[str], int, list[str]]:
@@ -186,7 +200,7 @@ def write(path: Path, content: BsdfFile) -> None:
         "light and observed directions about the normal, rad; values in 1/sr",
         *([f"{without} directions without a value are not written"] if without else []),
         *content.heading(values.comments),
-    ]  # fmt: skip
+    ]
     head = [f"# {_safe(line)}".rstrip() for line in comment_lines(comments, ascii_only=True)]
     head += [f"NUM_POINTS {table.shape[1]}", f"VARS theta_i,phi_i,theta_s,phi_s,{','.join(channels)}\n"]
     write_text(path, itertools.chain(["\n".join(head)], _rows(rows, table)))

@@ -116,11 +116,19 @@ class _Reader:
         comments = [line for line in comment_lines([stated] if isinstance(stated, str) else [], ascii_only=False) if line]
         u, about_u = self._u(values)
         found = ScatteredBsdf(
-            self._polar("theta_i", sigma), wrap_azimuth(psi), self._polar("theta_r", polar), azimuth, values, u,
-            wavelength_nm=self._wavelengths(), back=np.full(self.size, own.get("lit_on_the_back") is True),
-            generated=self.metadata.get("method") == "simulation", sample=self._sample(own),
-            isotropic=self._isotropic(psi), **self._own_columns(),
-        )  # fmt: skip
+            self._polar("theta_i", sigma),
+            wrap_azimuth(psi),
+            self._polar("theta_r", polar),
+            azimuth,
+            values,
+            u,
+            wavelength_nm=self._wavelengths(),
+            back=np.full(self.size, own.get("lit_on_the_back") is True),
+            generated=self.metadata.get("method") == "simulation",
+            sample=self._sample(own),
+            isotropic=self._isotropic(psi),
+            **self._own_columns(),
+        )
         states = self._polarisations()
         parts = [replace(found, comments=(*comments, *about_u, *self._left_out()))]
         if len(names := list(dict.fromkeys(states))) > 1:
@@ -228,9 +236,13 @@ class _Reader:
         found: dict[str, Any] = {}
         columns = self.data.get("adhoc_variables")
         for name, kinds, dtype in (
-            ("flags", (str,), np.str_), ("photodiode", (int,), np.int64), ("u_shared", (int, float), np.float64),
-            ("low95", (int, float), np.float64), ("high95", (int, float), np.float64), ("interval", (str,), np.str_),
-        ):  # fmt: skip
+            ("flags", (str,), np.str_),
+            ("photodiode", (int,), np.int64),
+            ("u_shared", (int, float), np.float64),
+            ("low95", (int, float), np.float64),
+            ("high95", (int, float), np.float64),
+            ("interval", (str,), np.str_),
+        ):
             column = columns.get(f"{OWN}_{name}") if isinstance(columns, dict) else None
             values = column.get("values") if isinstance(column, dict) else None
             if isinstance(values, list) and all(type(each) in kinds for each in values):
@@ -271,11 +283,19 @@ class _Reader:
         lamp = "instrumentation", "illumination_system"
         angle = _at(self.metadata, "instrumentation", "detection_system", "solid_angle", "value")
         return Metadata(
-            title=text("description"), date=text("timestamp"), operator=text("instrumentation", "operator_name"),
-            laboratory=text("provenance", "organization"), licence=text("license", "type"), environment=text("environment"),
+            title=text("description"),
+            date=text("timestamp"),
+            operator=text("instrumentation", "operator_name"),
+            laboratory=text("provenance", "organization"),
+            licence=text("license", "type"),
+            environment=text("environment"),
             sample=SampleMetadata(
-                text("sample", "name"), text("sample", "manufacturer"), text("sample", "type"), "",
-                text("sample", "zero_azimuth_location"), text("sample", "treatment"),
+                text("sample", "name"),
+                text("sample", "manufacturer"),
+                text("sample", "type"),
+                "",
+                text("sample", "zero_azimuth_location"),
+                text("sample", "treatment"),
             ),
             instrument=InstrumentMetadata(text("instrumentation", "name"), text("software", "name")),
             source=SourceMetadata(text(*lamp, "source", "name") or text(*lamp, "name")),
@@ -283,7 +303,7 @@ class _Reader:
                 text("instrumentation", "detection_system", "name"),
                 float(angle) if isinstance(angle, float | int) else None,
             ),
-        )  # fmt: skip
+        )
 
 
 def _state(value: Any) -> str:
@@ -349,8 +369,11 @@ def _document(head: str, columns: Sequence[str]) -> Iterator[str]:
 
 def _columns(path: StrPath, values: ScatteredBsdf) -> Iterator[tuple[str, str]]:
     for name, angles in (
-        ("theta_i", values.sigma_deg), ("phi_i", values.psi_deg), ("theta_r", values.polar_deg), ("phi_r", values.azimuth_deg)
-    ):  # fmt: skip
+        ("theta_i", values.sigma_deg),
+        ("phi_i", values.psi_deg),
+        ("theta_r", values.polar_deg),
+        ("phi_r", values.azimuth_deg),
+    ):
         yield name, _spelled("deg", wrap_azimuth(round_deg(angles)) if name.startswith("phi") else angles)
     negative, grazing = int((values.values < 0.0).sum()), int(((values.sigma_deg >= 90.0) | (values.polar_deg >= 90.0)).sum())
     notes = [f"{negative} values are below 0, as measured"] if negative else []
@@ -381,17 +404,37 @@ def _own_columns(values: ScatteredBsdf) -> Iterator[str]:
     """Columns that BiRD has no name for, where they differ from what is meant without them."""
     stated = bool((column(values, "interval") != "").all())  # there is no number for one that is not
     columns: Iterable[tuple[str, str, str, bool, Callable[[], str]]] = (
-        ("u_shared", "part of uBRDF that neighbouring values share", "number", bool((column(values, "u_shared") != 0.0).any()),
-         lambda: _numbers(column(values, "u_shared"))),
+        (
+            "u_shared",
+            "part of uBRDF that neighbouring values share",
+            "number",
+            bool((column(values, "u_shared") != 0.0).any()),
+            lambda: _numbers(column(values, "u_shared")),
+        ),
         ("low95", "lower end of the interval of 95 %", "number", stated, lambda: _numbers(column(values, "low95"))),
         ("high95", "upper end of the interval of 95 %", "number", stated, lambda: _numbers(column(values, "high95"))),
-        ("interval", "law of the interval of 95 %", "string", stated,
-         lambda: json.dumps(column(values, "interval").tolist())[1:-1]),
-        ("flags", "flags of each value, words between blanks", "string", bool((column(values, "flags") != "").any()),
-         lambda: json.dumps(column(values, "flags").tolist())[1:-1]),
-        ("photodiode", "number of the photodiode", "integer", bool((column(values, "photodiode") >= 0).any()),
-         lambda: json.dumps(column(values, "photodiode").tolist())[1:-1]),
-    )  # fmt: skip
+        (
+            "interval",
+            "law of the interval of 95 %",
+            "string",
+            stated,
+            lambda: json.dumps(column(values, "interval").tolist())[1:-1],
+        ),
+        (
+            "flags",
+            "flags of each value, words between blanks",
+            "string",
+            bool((column(values, "flags") != "").any()),
+            lambda: json.dumps(column(values, "flags").tolist())[1:-1],
+        ),
+        (
+            "photodiode",
+            "number of the photodiode",
+            "integer",
+            bool((column(values, "photodiode") >= 0).any()),
+            lambda: json.dumps(column(values, "photodiode").tolist())[1:-1],
+        ),
+    )
     for name, what, kind, there, spelled in columns:
         if there:
             unit = "sr^-1" if kind == "number" else ""

@@ -29,10 +29,21 @@ CHECK = "mirrored"
 """Flag of a direction that was measured only to check the stated symmetry."""
 UNTRUSTED = frozenset(
     {
-        FILLED, "shadowed", "clipped", "no-etalon", "dead", "uncertified", "drift", "module", "monitor", "contradiction",
-        "scale", "hidden", "no-hits",
+        FILLED,
+        "shadowed",
+        "clipped",
+        "no-etalon",
+        "dead",
+        "uncertified",
+        "drift",
+        "module",
+        "monitor",
+        "contradiction",
+        "scale",
+        "hidden",
+        "no-hits",
     }
-)  # fmt: skip
+)
 """Flags of values that are not to be trusted."""
 ISOTROPIC = "taken as isotropic: both sides of the plane of incidence are one, and every azimuth of the light"
 """Comment where the values of an isotropic sample are folded."""
@@ -85,10 +96,18 @@ class ScatteredBsdf:
         keep = object.__setattr__
         n = np.asarray(self.values).size
         defaults: dict[str, Any] = {
-            "u": math.nan, "u_shared": 0.0, "low95": math.nan, "high95": math.nan, "interval": "",
-            "wavelength_nm": math.nan, "channel": "", "transmitted": False, "back": False,
-            "flags": "", "photodiode": -1,
-        }  # fmt: skip
+            "u": math.nan,
+            "u_shared": 0.0,
+            "low95": math.nan,
+            "high95": math.nan,
+            "interval": "",
+            "wavelength_nm": math.nan,
+            "channel": "",
+            "transmitted": False,
+            "back": False,
+            "flags": "",
+            "photodiode": -1,
+        }
         for each in COLUMNS:
             given = getattr(self, each)
             column = np.full(n, defaults[each]) if given is None else np.asarray(given)
@@ -250,9 +269,10 @@ class BsdfFile:
         tables are made of the others."""
         own = {(each.sample, bool(one.transmitted[0]), bool(one.back[0])) for each in self.scattered for one in separate(each)}
         kept = (
-            each for each in self.parts
+            each
+            for each in self.parts
             if not (isinstance(each, BsdfTable) and (each.sample, each.transmitted, each.back) in own)
-        )  # fmt: skip
+        )
         return replace(self, parts=tuple(kept))
 
 
@@ -314,10 +334,16 @@ def nodes(table: BsdfTable, *, once: bool = False) -> ScatteredBsdf:
     names = np.array(table.colours or ("",) * count)
     wavelengths = np.array(table.wavelengths_nm or (math.nan,) * count)
     columns: dict[str, Any] = {
-        "sigma_deg": sigma, "psi_deg": psi, "polar_deg": np.minimum(polar, 90.0), "azimuth_deg": wrap_azimuth(azimuth + psi),
-        "values": table.values.ravel(), "wavelength_nm": wavelengths[channel], "channel": names[channel],
-        "transmitted": np.full(sigma.size, table.transmitted), "back": np.full(sigma.size, table.back),
-    }  # fmt: skip
+        "sigma_deg": sigma,
+        "psi_deg": psi,
+        "polar_deg": np.minimum(polar, 90.0),
+        "azimuth_deg": wrap_azimuth(azimuth + psi),
+        "values": table.values.ravel(),
+        "wavelength_nm": wavelengths[channel],
+        "channel": names[channel],
+        "transmitted": np.full(sigma.size, table.transmitted),
+        "back": np.full(sigma.size, table.back),
+    }
     if table.u is not None:
         columns["u"] = table.u.ravel()
     if table.known is not None:

@@ -145,11 +145,16 @@ def about_axis(table: BsdfTable, axis_deg: Floats) -> ScatteredBsdf:
     above = polar <= HORIZON_DEG
     wavelengths = np.array(table.wavelengths_nm or (math.nan,) * values.shape[0])
     columns = {
-        "sigma_deg": table.sigma_deg[n], "psi_deg": psi, "polar_deg": np.minimum(polar, 90.0),
-        "azimuth_deg": wrap_azimuth(azimuth + psi), "values": values.ravel(), "wavelength_nm": wavelengths[channel],
+        "sigma_deg": table.sigma_deg[n],
+        "psi_deg": psi,
+        "polar_deg": np.minimum(polar, 90.0),
+        "azimuth_deg": wrap_azimuth(azimuth + psi),
+        "values": values.ravel(),
+        "wavelength_nm": wavelengths[channel],
         "channel": np.array(table.colours or ("",) * values.shape[0])[channel],
-        "transmitted": np.full(n.size, table.transmitted), "back": np.full(n.size, table.back),
-    }  # fmt: skip
+        "transmitted": np.full(n.size, table.transmitted),
+        "back": np.full(n.size, table.back),
+    }
     axis = ", ".join(f"{angle:g}" for angle in axis_deg)
     about = f"theta and phi are about an axis at the polar angles {axis} deg, one for each sigma"
     found = ScatteredBsdf(**{name: each[above] for name, each in columns.items()}, comments=(*table.comments, about))

@@ -53,9 +53,16 @@ def _list(name: str, blocks: Iterable[tuple[Floats, Floats, Floats]], comments: 
     whose = "the direction in which the light goes on" if forward else "the light"
     comments = [*comments, f"the azimuth of the incidence is that of {whose}, as the values show", ASSUMED_TRANSMITTED]
     return ScatteredBsdf(
-        light[:, 0], psi, out[:, 0], azimuth, values, transmitted=np.full(values.size, True), sample=name,
-        isotropic=isotropic, comments=tuple(dict.fromkeys(comments)),
-    )  # fmt: skip
+        light[:, 0],
+        psi,
+        out[:, 0],
+        azimuth,
+        values,
+        transmitted=np.full(values.size, True),
+        sample=name,
+        isotropic=isotropic,
+        comments=tuple(dict.fromkeys(comments)),
+    )
 
 
 def _goes_to_azimuth_of_incidence(light: Floats, out: Floats, values: Floats) -> bool:

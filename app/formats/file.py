@@ -19,12 +19,21 @@ MOST_BYTES = 100_000_000
 """Of a file that is read as a whole: parsed, it may take several times as much."""
 SQLITE = b"SQLite format 3\0"
 BEGINNINGS = {
-    SQLITE: "a data file (journal) or another database", b"\x89HDF\r\n\x1a\n": "HDF5", b"\x89PNG": "a picture (PNG)",
-    b"\xff\xd8\xff": "a picture (JPEG)", b"%PDF": "a PDF", b"PK\x03\x04": "a ZIP archive, or a file of an office program",
-    b"\x1f\x8b": "compressed (gzip)", b"\xd0\xcf\x11\xe0": "a file of an office program", b"OPTIS": "a file of Ansys Speos",
-    b"<?xml": "XML", b"<!DOCTYPE": "a page of the web (HTML)", b"<html": "a page of the web (HTML)",
-    b"version https://git-lfs": "a pointer to a file that was not fetched (Git LFS)", b"tensor_file": "a file of tensors",
-}  # fmt: skip
+    SQLITE: "a data file (journal) or another database",
+    b"\x89HDF\r\n\x1a\n": "HDF5",
+    b"\x89PNG": "a picture (PNG)",
+    b"\xff\xd8\xff": "a picture (JPEG)",
+    b"%PDF": "a PDF",
+    b"PK\x03\x04": "a ZIP archive, or a file of an office program",
+    b"\x1f\x8b": "compressed (gzip)",
+    b"\xd0\xcf\x11\xe0": "a file of an office program",
+    b"OPTIS": "a file of Ansys Speos",
+    b"<?xml": "XML",
+    b"<!DOCTYPE": "a page of the web (HTML)",
+    b"<html": "a page of the web (HTML)",
+    b"version https://git-lfs": "a pointer to a file that was not fetched (Git LFS)",
+    b"tensor_file": "a file of tensors",
+}
 """What a file is, by its first bytes, for the message that refuses it."""
 BESIDE_DATABASE = re.compile("-(wal|shm|journal)$")
 NO_LINKS = frozenset({errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS})

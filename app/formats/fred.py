@@ -52,9 +52,7 @@ def _list(lines: Lines) -> ScatteredBsdf:
     comments = [*comments, ASSUMED_REFLECTED]
     if isotropic and one_sided(psi, azimuth):
         comments.append("the directions are on one side of the plane of incidence: the others are their mirror image")
-    return ScatteredBsdf(
-        light[:, 0], psi, out[:, 0], azimuth, scale * values, isotropic=isotropic, comments=tuple(comments)
-    )  # fmt: skip
+    return ScatteredBsdf(light[:, 0], psi, out[:, 0], azimuth, scale * values, isotropic=isotropic, comments=tuple(comments))
 
 
 def _header(lines: Lines) -> tuple[float, list[str], Ints]:

@@ -99,9 +99,16 @@ def grid_table(
     u = np.where(np.isfinite(values.u), values.u, np.abs(values.values))  # nothing is known of such a value
     shared = np.minimum(values.u_shared, u)
     points = _Values(
-        channel, psi_index, sigma_index, values.sigma_deg, values.polar_deg, values.azimuth_deg - values.psi_deg, values.values,
-        np.sqrt(np.maximum(u**2 - shared**2, 0.0)), shared,
-    ).where(trusted)  # fmt: skip
+        channel,
+        psi_index,
+        sigma_index,
+        values.sigma_deg,
+        values.polar_deg,
+        values.azimuth_deg - values.psi_deg,
+        values.values,
+        np.sqrt(np.maximum(u**2 - shared**2, 0.0)),
+        shared,
+    ).where(trusted)
     half = _is_half(points)
     mirrored = values.isotropic or half
     if values.isotropic and not half:
@@ -120,10 +127,21 @@ def grid_table(
     cut = _Cuts(points, sigma, psi, mirrored, widest_gap_deg)
     cuts = [[cut(c, p, s) for s in range(sigma.size)] for c in range(len(names)) for p in range(psi.size)]
     table = specular_table(
-        sigma, cut.phi, cut.theta, cuts, wavelengths, psi_deg=psi, colours=colours, transmitted=bool(values.transmitted[0]),
-        back=bool(values.back[0]), generated=values.generated, sample=values.sample, comments=comments,
-        done=done, fill=fill,
-    )  # fmt: skip
+        sigma,
+        cut.phi,
+        cut.theta,
+        cuts,
+        wavelengths,
+        psi_deg=psi,
+        colours=colours,
+        transmitted=bool(values.transmitted[0]),
+        back=bool(values.back[0]),
+        generated=values.generated,
+        sample=values.sample,
+        comments=comments,
+        done=done,
+        fill=fill,
+    )
     return table if np.isfinite(values.u).any() else replace(table, u=None)
 
 

@@ -63,9 +63,20 @@ def read(path: StrPath) -> BsdfFile:
         f"MERL: {Path(path).name}; isotropic and reciprocal by its format, in red, green and blue",
         "0 in the place of a direction without a value, and below the horizon; these are marked as not measured",
     )
-    return BsdfFile((BsdfTable(
-        SIGMA_DEG, PHI_DEG, THETA_DEG, values, colours=COLOURS, known=known, comments=comments, sample=Path(path).stem,
-    ),))  # fmt: skip
+    return BsdfFile(
+        (
+            BsdfTable(
+                SIGMA_DEG,
+                PHI_DEG,
+                THETA_DEG,
+                values,
+                colours=COLOURS,
+                known=known,
+                comments=comments,
+                sample=Path(path).stem,
+            ),
+        )
+    )
 
 
 def half_difference(light: Floats, out: Floats) -> tuple[Floats, Floats, Floats]:

@@ -125,13 +125,18 @@ class _Reader:
             self.comments.append(f"the upper edge of the sample is at azimuth {self.angles['upphi']:g} deg of the file")
         values = found[:, 2:] if self.quantity != "DSF" else self._without_cosine(found[:, 2:], polar)
         columns: dict[str, Floats] = {
-            "sigma_deg": np.full(polar.size, 180.0 - light if back else light), "psi_deg": np.full(polar.size, float(psi)),
-            "polar_deg": polar, "azimuth_deg": azimuth,
-        }  # fmt: skip
+            "sigma_deg": np.full(polar.size, 180.0 - light if back else light),
+            "psi_deg": np.full(polar.size, float(psi)),
+            "polar_deg": polar,
+            "azimuth_deg": azimuth,
+        }
         return ScatteredBsdf(
-            **by_channel(columns, values, channels), transmitted=np.tile(transmitted, len(channels)),
-            back=np.full(polar.size * len(channels), back), sample=self.sample, comments=tuple(self.comments),
-        )  # fmt: skip
+            **by_channel(columns, values, channels),
+            transmitted=np.tile(transmitted, len(channels)),
+            back=np.full(polar.size * len(channels), back),
+            sample=self.sample,
+            comments=tuple(self.comments),
+        )
 
     def _without_cosine(self, values: Floats, polar_deg: Floats) -> Floats:
         cosine = np.cos(np.radians(polar_deg))[:, None]

@@ -147,14 +147,27 @@ def _pieces(part: ScatteredBsdf) -> Iterator[ScatteredBsdf]:
 def _columns_of(part: ScatteredBsdf, optional: Collection[str]) -> dict[str, NDArray[Any]]:
     theta, phi = part.specular()
     columns = {
-        "sample": np.full(part.size, part.sample), "wavelength_nm": part.wavelength_nm, "channel": part.channel,
-        "sigma_deg": part.sigma_deg, "psi_deg": part.psi_deg, "polar_deg": part.polar_deg, "azimuth_deg": part.azimuth_deg,
-        "theta_deg": theta, "phi_deg": phi, "photodiode": part.photodiode,
-        "bsdf_per_sr": part.values, "u_bsdf_per_sr": part.u, "u_shared_per_sr": part.u_shared,
-        "low95_per_sr": part.low95, "high95_per_sr": part.high95, "interval": part.interval,
-        "luminance_factor": np.pi * part.values, "side": np.where(part.back, "back", "front"),
-        "light": np.where(part.transmitted, "transmitted", "reflected"), "flags": part.flags,
-    }  # fmt: skip
+        "sample": np.full(part.size, part.sample),
+        "wavelength_nm": part.wavelength_nm,
+        "channel": part.channel,
+        "sigma_deg": part.sigma_deg,
+        "psi_deg": part.psi_deg,
+        "polar_deg": part.polar_deg,
+        "azimuth_deg": part.azimuth_deg,
+        "theta_deg": theta,
+        "phi_deg": phi,
+        "photodiode": part.photodiode,
+        "bsdf_per_sr": part.values,
+        "u_bsdf_per_sr": part.u,
+        "u_shared_per_sr": part.u_shared,
+        "low95_per_sr": part.low95,
+        "high95_per_sr": part.high95,
+        "interval": part.interval,
+        "luminance_factor": np.pi * part.values,
+        "side": np.where(part.back, "back", "front"),
+        "light": np.where(part.transmitted, "transmitted", "reflected"),
+        "flags": part.flags,
+    }
     return {name: np.asarray(column) for name, column in columns.items() if name not in OPTIONAL_COLUMNS or name in optional}
 
 
@@ -172,13 +185,24 @@ def _bsdf_file(path: StrPath, points: Points) -> BsdfFile:
     names = found.texts("sample", next(stated, ""))
     photodiode = found.numbers("photodiode", -1.0)
     everything = ScatteredBsdf(
-        sigma, psi, polar, azimuth, values, u, u_shared=found.numbers("u_shared_per_sr", 0.0),
-        low95=found.numbers("low95_per_sr", np.nan), high95=found.numbers("high95_per_sr", np.nan),
+        sigma,
+        psi,
+        polar,
+        azimuth,
+        values,
+        u,
+        u_shared=found.numbers("u_shared_per_sr", 0.0),
+        low95=found.numbers("low95_per_sr", np.nan),
+        high95=found.numbers("high95_per_sr", np.nan),
         interval=found.texts("interval", ""),
-        wavelength_nm=found.numbers("wavelength_nm", np.nan), channel=found.texts("channel", ""), transmitted=transmitted,
-        back=back, flags=flags, photodiode=np.where(np.isnan(photodiode), -1.0, photodiode).astype(np.int64),
+        wavelength_nm=found.numbers("wavelength_nm", np.nan),
+        channel=found.texts("channel", ""),
+        transmitted=transmitted,
+        back=back,
+        flags=flags,
+        photodiode=np.where(np.isnan(photodiode), -1.0, photodiode).astype(np.int64),
         generated=any(line.startswith(SIMULATED) for line in points.comments),
-    )  # fmt: skip
+    )
     samples = list(dict.fromkeys(names.tolist()))
     if not size:
         raise FormatError(path, "it has columns and no values", "give a file with values")
@@ -451,9 +475,7 @@ def _lines_of(text: str, start: int = 0) -> Iterator[str]:
         yield text[start:]
 
 
-def _columns(
-    path: StrPath, text: str, start: int, line: int, as_text: set[int]
-) -> tuple[list[str], list[NDArray[Any]] | None]:  # fmt: skip
+def _columns(path: StrPath, text: str, start: int, line: int, as_text: set[int]) -> tuple[list[str], list[NDArray[Any]] | None]:
     """The names and columns of a text from a place, after so many lines, in blocks of rows: as lists, all would take gigabytes.
 
     `as_text` are the columns that are not of numbers; it gets others that are found. None instead of columns where one of

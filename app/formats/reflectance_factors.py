@@ -68,7 +68,7 @@ def _list(lines: Lines) -> ScatteredBsdf:
     sample = title[1] if len(title) > 1 else ""
     return ScatteredBsdf(
         **by_channel(columns, values, bands), sample=sample, comments=comments, isotropic=np.unique(psi).size == 1
-    )  # fmt: skip
+    )
 
 
 def _band(lines: Lines, at: int, word: str) -> float:

@@ -105,9 +105,14 @@ class _Block:
         texts = [self.lines.lines[at].strip() for at in range(self.start, self.stop) if at not in set(table)]
         comments = [" ".join(text.split()) for text in texts if text]
         return ScatteredBsdf(
-            np.full(polar.size, light), np.zeros(polar.size), polar, azimuth, found_numbers[:, 1:].ravel(),
-            sample=self.stated.get("name / comment", (0, ""))[1], comments=(AS_THEY_STAND, *comments),
-        )  # fmt: skip
+            np.full(polar.size, light),
+            np.zeros(polar.size),
+            polar,
+            azimuth,
+            found_numbers[:, 1:].ravel(),
+            sample=self.stated.get("name / comment", (0, ""))[1],
+            comments=(AS_THEY_STAND, *comments),
+        )
 
     def _refuse_unknown(self) -> None:
         for name, allowed, what in (

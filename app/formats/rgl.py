@@ -161,9 +161,12 @@ def _writable(path: Path, content: BsdfFile) -> BsdfTable:
 
 
 def _parts(
-    shapes: Mapping[str, tuple[str, tuple[int, ...]]], small: Mapping[str, npt.NDArray[np.generic]], samples: "_Samples",
-    sigmas: Floats, side: int,
-) -> Iterator[bytes]:  # fmt: skip
+    shapes: Mapping[str, tuple[str, tuple[int, ...]]],
+    small: Mapping[str, npt.NDArray[np.generic]],
+    samples: "_Samples",
+    sigmas: Floats,
+    side: int,
+) -> Iterator[bytes]:
     """The bytes of a file in parts: header and small fields, the spectra of one incidence after another, the luminance."""
     numbers = {kind: number for number, kind in TYPES.items()}
     header = MAGIC + VERSION + struct.pack("<I", len(shapes))
@@ -322,9 +325,14 @@ class _Samples:
         return self._of_azimuths(around, psi_deg, sigma_deg, theta_m, phi_m, wanted)
 
     def _of_azimuths(
-        self, around: Sequence[tuple[int, float]], psi_deg: float, sigma_deg: float, theta_m: Floats, phi_m: Floats,
+        self,
+        around: Sequence[tuple[int, float]],
+        psi_deg: float,
+        sigma_deg: float,
+        theta_m: Floats,
+        phi_m: Floats,
         channels: Sequence[int],
-    ) -> tuple[Floats, Flags]:  # fmt: skip
+    ) -> tuple[Floats, Flags]:
         """As `at`, from azimuths of the table with their weights."""
         out, place = self._directions(psi_deg, sigma_deg, theta_m, phi_m)
         if len(around) == 1:
@@ -604,15 +612,21 @@ def _fields(path: StrPath) -> dict[str, npt.NDArray[np.generic]]:
 
 
 FIELDS = {
-    "description": 1, "theta_i": 1, "phi_i": 1, "wavelengths": 1, "ndf": 2, "sigma": 2, "vndf": 4, "spectra": 5, "rgb": 5,
+    "description": 1,
+    "theta_i": 1,
+    "phi_i": 1,
+    "wavelengths": 1,
+    "ndf": 2,
+    "sigma": 2,
+    "vndf": 4,
+    "spectra": 5,
+    "rgb": 5,
     "jacobian": 1,
-}  # fmt: skip
+}
 """The number of axes of each field that is read."""
 
 
-def _material(
-    path: StrPath, fields: Mapping[str, npt.NDArray[np.generic]]
-) -> tuple[_Material, tuple[float, ...] | None, str]:  # fmt: skip
+def _material(path: StrPath, fields: Mapping[str, npt.NDArray[np.generic]]) -> tuple[_Material, tuple[float, ...] | None, str]:
     """The checked fields, the wavelengths (None for red, green and blue), and the description. Raises FormatError."""
     grid = "spectra" if "spectra" in fields or "rgb" not in fields else "rgb"
     needed = ["theta_i", "phi_i", "vndf", "ndf", "sigma", grid, *(["wavelengths"] if grid == "spectra" else [])]
@@ -674,9 +688,18 @@ def _table(path: StrPath, material: _Material, wavelengths: tuple[float, ...] | 
     sample = next((line.removeprefix("sample: ") for line in lines if line.startswith("sample: ")), "")
     about = "values near and below the horizon go on those above it along theta, and are marked as not measured"
     return BsdfTable(
-        sigma, phi, theta, values, None if grey or wavelengths is None else wavelengths, psi, generated=simulated,
-        comments=(*lines, about), known=known, sample=sample, colours=() if wavelengths is not None else COLOURS,
-    )  # fmt: skip
+        sigma,
+        phi,
+        theta,
+        values,
+        None if grey or wavelengths is None else wavelengths,
+        psi,
+        generated=simulated,
+        comments=(*lines, about),
+        known=known,
+        sample=sample,
+        colours=() if wavelengths is not None else COLOURS,
+    )
 
 
 COLOURS = ("red", "green", "blue")
@@ -707,7 +730,7 @@ def _azimuths(material: _Material) -> tuple[Floats, list[float]]:
 
 def _cut(
     material: _Material, phi_i: float, k: int, sigma_deg: float, phi_deg: Floats, theta_deg: Floats
-) -> tuple[Floats, Flags]:  # fmt: skip
+) -> tuple[Floats, Flags]:
     """Values (channel, phi, theta) in 1/sr at one incidence, and whether they are those of the file."""
     out = from_specular(sigma_deg, theta_deg[None, :], phi_deg[:, None]).reshape(-1, 3)
     light = light_direction(sigma_deg)

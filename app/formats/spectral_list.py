@@ -90,14 +90,20 @@ def _list(path: StrPath, numbers: Floats, comments: tuple[str, ...]) -> Scattere
     samples = rest.reshape(-1, per_sample)
     angles = degrees_of(samples[:, :4])
     polar, azimuth = observed(angles[:, 2], angles[:, 3])
-    for name, column, low in (("theta_i", angles[:, 0], 0.0), ("theta_o", polar, 0.0), ("phi_i", angles[:, 1], -361.0),
-                              ("phi_o", angles[:, 3], -361.0)):  # fmt: skip
+    for name, column, low in (
+        ("theta_i", angles[:, 0], 0.0),
+        ("theta_o", polar, 0.0),
+        ("phi_i", angles[:, 1], -361.0),
+        ("phi_o", angles[:, 3], -361.0),
+    ):
         high = 90.0 + BEYOND_DEG if low == 0.0 else 361.0
         odd = np.flatnonzero(~((column >= low) & (column <= high)))
         if odd.size:
             raise FormatError(path, f"{name} of sample {odd[0] + 1} is {column[odd[0]]:g} deg", NOT_RADIANS)
     columns = {
-        "sigma_deg": np.minimum(angles[:, 0], 90.0), "psi_deg": wrap_azimuth(angles[:, 1]),
-        "polar_deg": np.minimum(polar, 90.0), "azimuth_deg": azimuth,
-    }  # fmt: skip
+        "sigma_deg": np.minimum(angles[:, 0], 90.0),
+        "psi_deg": wrap_azimuth(angles[:, 1]),
+        "polar_deg": np.minimum(polar, 90.0),
+        "azimuth_deg": azimuth,
+    }
     return ScatteredBsdf(**by_channel(columns, samples[:, 4:], wavelengths.tolist()), comments=comments)

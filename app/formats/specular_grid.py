@@ -252,10 +252,22 @@ def _gap(axis: Floats, at: Floats) -> Floats:
 
 
 def specular_table(
-    sigma_deg: Floats, phi_deg: Floats, theta_deg: Floats, cuts: Sequence[Sequence[SpecularCut]],
-    wavelengths_nm: tuple[float, ...] | None, *, transmitted: bool, generated: bool, comments: Sequence[str], done: str,
-    psi_deg: Floats | None = None, colours: tuple[str, ...] = (), back: bool = False, sample: str = "", fill: Fill = "hold",
-) -> BsdfTable:  # fmt: skip
+    sigma_deg: Floats,
+    phi_deg: Floats,
+    theta_deg: Floats,
+    cuts: Sequence[Sequence[SpecularCut]],
+    wavelengths_nm: tuple[float, ...] | None,
+    *,
+    transmitted: bool,
+    generated: bool,
+    comments: Sequence[str],
+    done: str,
+    psi_deg: Floats | None = None,
+    colours: tuple[str, ...] = (),
+    back: bool = False,
+    sample: str = "",
+    fill: Fill = "hold",
+) -> BsdfTable:
     """The table of cuts by channel, psi (the faster) and sigma; values in 1/sr.
 
     Nodes that are not known are filled, see `holes`; comments list them, and the share of the light that is in them. The first
@@ -279,9 +291,21 @@ def specular_table(
         *_continued_nodes(sigma_deg, phi_deg, theta_deg, known, channels, psi, done, fill),
     ]
     table = BsdfTable(
-        sigma_deg, phi_deg, theta_deg, values, wavelengths_nm, psi, transmitted=transmitted, generated=generated,
-        comments=tuple(about), u=u, known=known, colours=colours, back=back, sample=sample,
-    )  # fmt: skip
+        sigma_deg,
+        phi_deg,
+        theta_deg,
+        values,
+        wavelengths_nm,
+        psi,
+        transmitted=transmitted,
+        generated=generated,
+        comments=tuple(about),
+        u=u,
+        known=known,
+        colours=colours,
+        back=back,
+        sample=sample,
+    )
     for end in (0.0, 90.0):
         table = repeated(table, "sigma_deg", end)
     assert table.known is not None
@@ -307,9 +331,15 @@ def _light(channels: Sequence[str], psi_deg: Floats, channel: int, psi: int) -> 
 
 
 def _continued_nodes(
-    sigma_deg: Floats, phi_deg: Floats, theta_deg: Floats, known: Flags, channels: Sequence[str], psi_deg: Floats, done: str,
+    sigma_deg: Floats,
+    phi_deg: Floats,
+    theta_deg: Floats,
+    known: Flags,
+    channels: Sequence[str],
+    psi_deg: Floats,
+    done: str,
     fill: Fill,
-) -> list[str]:  # fmt: skip
+) -> list[str]:
     """Comments on the nodes of (channel, psi, sigma, phi, theta) that are not known; for each channel, if they differ."""
     lines = [
         f"{done} at sigma {', '.join(f'{sigma:g}' for sigma in sigma_deg)} deg only; the first and the last table are repeated "

@@ -102,6 +102,11 @@ def _part(name: str, light: float, header: list[str], table: Table, index: int) 
     polar, azimuth = directions(*grid) if index == 0 else observed(grid[0], grid[1] + 180.0)
     comments = (AS_THEY_STAND, *([] if index == 0 else [OWN_TABLE]), *header)
     return ScatteredBsdf(
-        np.full(polar.size, light), np.zeros(polar.size), polar, azimuth, values.ravel(),
-        sample=name if index == 0 else f"{name}, table {index + 1}", comments=comments,
-    )  # fmt: skip
+        np.full(polar.size, light),
+        np.zeros(polar.size),
+        polar,
+        azimuth,
+        values.ravel(),
+        sample=name if index == 0 else f"{name}, table {index + 1}",
+        comments=comments,
+    )

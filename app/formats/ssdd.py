@@ -49,9 +49,20 @@ FILE_WORDS = ("VERSION", "SOFTWARE", "API", "DATE")
 LISTS = ("PARAM0_LIST", "PARAM1_LIST", "PARAM2_LIST", "PARAM3_LIST")
 OFFSETS = "PARAM4_LIST"
 BLOCK_WORDS = (
-    "DATA_TYPE", "COLOR_MODEL", "WAVELENGTH_LIST", "PARAM_TYPE", "REDUCTION_TYPE", *LISTS, OFFSETS,
-    "NAME", "SOURCE_TYPE", "DEVICE", "CREATION_DATE", "MEASUREMENT_DATE", "DATA",
-)  # fmt: skip
+    "DATA_TYPE",
+    "COLOR_MODEL",
+    "WAVELENGTH_LIST",
+    "PARAM_TYPE",
+    "REDUCTION_TYPE",
+    *LISTS,
+    OFFSETS,
+    "NAME",
+    "SOURCE_TYPE",
+    "DEVICE",
+    "CREATION_DATE",
+    "MEASUREMENT_DATE",
+    "DATA",
+)
 TEXTS = {"SOFTWARE", "API", "NAME", "DEVICE"}
 """Entries of any text to the end of the line; the others may have a comment there."""
 REMARK = re.compile(r"(^|\s)#(\s.*)?$")
@@ -250,9 +261,16 @@ class _Reader:
         return reductions
 
     def _table(
-        self, block: dict[str, str], lists: list[Floats], values: Floats, wavelengths: tuple[float, ...] | None,
-        colours: tuple[str, ...], *, transmitted: bool, mirrored: bool,
-    ) -> Part:  # fmt: skip
+        self,
+        block: dict[str, str],
+        lists: list[Floats],
+        values: Floats,
+        wavelengths: tuple[float, ...] | None,
+        colours: tuple[str, ...],
+        *,
+        transmitted: bool,
+        mirrored: bool,
+    ) -> Part:
         sigma, psi, theta, phi = lists
         comments: tuple[str, ...] = ()
         if phi.size == 1:  # one row, whatever phi is
@@ -260,9 +278,16 @@ class _Reader:
         elif phi[-1] <= 180.0 and not mirrored:
             comments = (HALF,)
         table = BsdfTable(
-            sigma, phi, theta, values.transpose(4, 2, 3, 0, 1), wavelengths,
-            psi_deg=psi, transmitted=transmitted, comments=comments, colours=colours,
-        )  # fmt: skip
+            sigma,
+            phi,
+            theta,
+            values.transpose(4, 2, 3, 0, 1),
+            wavelengths,
+            psi_deg=psi,
+            transmitted=transmitted,
+            comments=comments,
+            colours=colours,
+        )
         if OFFSETS not in block:
             return table
         offsets = self._numbers(block, OFFSETS, -90.0, 90.0, ascending=False)
@@ -357,9 +382,15 @@ def _metadata(before: Metadata, block: dict[str, str]) -> Metadata:
 
 
 def _scattered(
-    system: str, lists: list[Floats], values: Floats, reductions: set[str], wavelengths: tuple[float, ...] | None,
-    colours: tuple[str, ...], *, transmitted: bool,
-) -> ScatteredBsdf:  # fmt: skip
+    system: str,
+    lists: list[Floats],
+    values: Floats,
+    reductions: set[str],
+    wavelengths: tuple[float, ...] | None,
+    colours: tuple[str, ...],
+    *,
+    transmitted: bool,
+) -> ScatteredBsdf:
     """The values [3, 2, 1, 0, channel] of other parameters, with all that reductions leave out, at their directions."""
     zero, one, two, three = lists
     isotropic = one.size == 1

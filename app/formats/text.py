@@ -73,11 +73,32 @@ def encode_text(path: StrPath, text: str) -> bytes:
 # Characters of laboratory notes that are not ASCII, and their spelling in ASCII.
 ASCII_SPELLING = str.maketrans(
     {
-        "°": " deg", "µ": "u", "μ": "u", "α": "alpha", "β": "beta", "γ": "gamma", "θ": "theta", "λ": "lambda",
-        "π": "pi", "σ": "sigma", "φ": "phi", "ψ": "psi", "Ω": "Ohm", "±": "+/-", "·": "*", "×": "x", "−": "-",
-        "–": "-", "—": "-", "‘": "'", "’": "'", "“": '"', "”": '"', "ß": "ss",
+        "°": " deg",
+        "µ": "u",
+        "μ": "u",
+        "α": "alpha",
+        "β": "beta",
+        "γ": "gamma",
+        "θ": "theta",
+        "λ": "lambda",
+        "π": "pi",
+        "σ": "sigma",
+        "φ": "phi",
+        "ψ": "psi",
+        "Ω": "Ohm",
+        "±": "+/-",
+        "·": "*",
+        "×": "x",
+        "−": "-",
+        "–": "-",
+        "—": "-",
+        "‘": "'",
+        "’": "'",
+        "“": '"',
+        "”": '"',
+        "ß": "ss",
     }
-)  # fmt: skip
+)
 
 
 def comment_lines(comments: Iterable[str], *, ascii_only: bool) -> tuple[str, ...]:

@@ -153,9 +153,16 @@ class DeviceGuard:
             key: each.decode(BYTES) if isinstance(each, bytes) else each for key, each in asdict(will).items()
         }
         self.record = Record(
-            **wire, address=self._address, rig=rig.rig, pid=os.getpid(), since=calendar_stamp(), path=str(self.path),
-            journal=rig.journal, locks=rig.locks, names=rig.names,
-        )  # fmt: skip
+            **wire,
+            address=self._address,
+            rig=rig.rig,
+            pid=os.getpid(),
+            since=calendar_stamp(),
+            path=str(self.path),
+            journal=rig.journal,
+            locks=rig.locks,
+            names=rig.names,
+        )
         rig.guardian.hand(rig.armed)
         with contextlib.suppress(OSError):
             make_own_folder(self.path.parent)

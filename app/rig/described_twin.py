@@ -55,7 +55,7 @@ class DescribedTwin:
 
 def described_twin(
     real: RigDescription, standards: str | Mapping[str, float | None], samples: Iterable[str], models: Mapping[str, str]
-) -> DescribedTwin:  # fmt: skip
+) -> DescribedTwin:
     """The virtual rig in this process for a rig file; a file that describes such a rig already is not changed.
 
     `standards` are the etalon's name, or several with the radiance factor that the schedule states, None for the etalon's;
@@ -133,12 +133,15 @@ def _twin_table(file: RigFile, assumptions: list[str]) -> dict[str, Any]:
         "photodiodes": {"upper_deg": file.photodiodes.upper_deg, "lower_deg": file.photodiodes.lower_deg},
         "electronics": _electronics(file, assumptions),
         "monochromator": {
-            "slew_nm_per_s": drive.slew_nm_per_s, "settle_s": drive.slew_settle_s, "shutter_s": drive.shutter_s,
-            "filter_s": drive.filter_s, "grating_s": drive.grating_s,
+            "slew_nm_per_s": drive.slew_nm_per_s,
+            "settle_s": drive.slew_settle_s,
+            "shutter_s": drive.shutter_s,
+            "filter_s": drive.filter_s,
+            "grating_s": drive.grating_s,
         },
         "filters": [{"position": each.position, "cut_on_nm": each.cut_on_nm} for each in filters],
         "samples": {},
-    }  # fmt: skip
+    }
 
 
 def _motion(file: RigFile, assumptions: list[str]) -> dict[str, Any]:

@@ -132,75 +132,124 @@ def shifts_of(*elements: str, part: str = "") -> Names:
 
 MIRRORS = ("mirror_1", "mirror_2", "mirror_3")
 FRAME = "about x and y of the frame that turns with gamma"
-# fmt: off
 SAMPLE_TILT = Input("sample_tilt_deg", 0.05, f"tilt of a sample, {FRAME}", tilts_of(SAMPLE), SharedBy.MOUNTING)
 SAMPLE_HEIGHT = Input(
-    "sample_height_mm", 0.1, "lift of a sample along its normal", (Target(SAMPLE, "z_mm"),), SharedBy.MOUNTING)
+    "sample_height_mm", 0.1, "lift of a sample along its normal", (Target(SAMPLE, "z_mm"),), SharedBy.MOUNTING
+)
 ETALON_TILT = Input("etalon_tilt_deg", 0.05, f"tilt of the etalon, {FRAME}", tilts_of(ETALON), SharedBy.MOUNTING)
 ETALON_HEIGHT = Input(
-    "etalon_height_mm", 0.1, "lift of the etalon along its normal", (Target(ETALON, "z_mm"),), SharedBy.MOUNTING)
+    "etalon_height_mm", 0.1, "lift of the etalon along its normal", (Target(ETALON, "z_mm"),), SharedBy.MOUNTING
+)
 MIRROR_TILT = Input("mirror_tilt_deg", 0.05, "tilt of each mirror, about x and y along its sides", tilts_of(*MIRRORS))
 MIRROR_SHIFT = Input("mirror_shift_mm", 0.1, "shift of each mirror along x, y, and z, its normal", shifts_of(*MIRRORS))
 ILLUMINATION_SHIFT = Input(
-    "illumination_shift_mm", 0.1, "shift of the exit pupil along the rig's axes", shifts_of("illumination", part="pupil"))
+    "illumination_shift_mm", 0.1, "shift of the exit pupil along the rig's axes", shifts_of("illumination", part="pupil")
+)
 ARC_TILT = Input("arc_tilt_deg", 0.05, "tilt of the arc about the rig's axes", tilts_of("arc", axes="xyz"))
 ARC_SHIFT = Input("arc_shift_mm", 0.1, "shift of the arc along the rig's axes", shifts_of("arc"))
 SENSOR_TILT = Input(
-    "sensor_tilt_deg", 0.05, "tilt of all photodiodes alike, each about its own x, along its arc, and its y, across it",
-    tilts_of("sensor"))
+    "sensor_tilt_deg",
+    0.05,
+    "tilt of all photodiodes alike, each about its own x, along its arc, and its y, across it",
+    tilts_of("sensor"),
+)
 SENSOR_SHIFT = Input(
-    "sensor_shift_mm", 0.1, "shift of all photodiodes alike, each along its own x, y, and z, its view", shifts_of("sensor"))
+    "sensor_shift_mm", 0.1, "shift of all photodiodes alike, each along its own x, y, and z, its view", shifts_of("sensor")
+)
 SIGMA_ZERO, BETA_ZERO, SHIFT_ZERO = (
     Input(f"{axis}_zero_deg", 0.05, f"angle of {axis} less that of its motor, unseen by switches and encoder", (ANGLE[axis],))
-    for axis in ("sigma", "beta", "shift"))
+    for axis in ("sigma", "beta", "shift")
+)
 PHOTODIODE_ANGLE = Input(
-    "photodiode_angle_deg", 0.05, "place of a photodiode on the arc, towards growing polar angle", (twin.ALONG,),
-    SharedBy.PHOTODIODE)
+    "photodiode_angle_deg",
+    0.05,
+    "place of a photodiode on the arc, towards growing polar angle",
+    (twin.ALONG,),
+    SharedBy.PHOTODIODE,
+)
 PHOTODIODE_ACROSS = Input(
-    "photodiode_across_deg", 0.05, "place of a photodiode across the arc, towards growing beta", (twin.ACROSS,),
-    SharedBy.PHOTODIODE)
+    "photodiode_across_deg",
+    0.05,
+    "place of a photodiode across the arc, towards growing beta",
+    (twin.ACROSS,),
+    SharedBy.PHOTODIODE,
+)
 POSITION = Input(
-    "position_deg", 0.01, "true angle of an axis, gamma too, after a move", tuple(ANGLE.values()), SharedBy.AXIS_MOVE)
+    "position_deg", 0.01, "true angle of an axis, gamma too, after a move", tuple(ANGLE.values()), SharedBy.AXIS_MOVE
+)
 BACKLASH = Input(
-    "backlash_deg", 0.0, "play of an axis that is not taken up; not drawn: each axis has so much more", (twin.PLAY,),
-    SharedBy.AXIS_MOVE)
+    "backlash_deg",
+    0.0,
+    "play of an axis that is not taken up; not drawn: each axis has so much more",
+    (twin.PLAY,),
+    SharedBy.AXIS_MOVE,
+)
 FIELD_OF_VIEW = Input(
-    "field_of_view", 0.12, "logarithm of the variance of directions, by which exit pupil and acceptance cone are scaled alike",
-    (twin.FIELD,), name="field", largest=2.0)
+    "field_of_view",
+    0.12,
+    "logarithm of the variance of directions, by which exit pupil and acceptance cone are scaled alike",
+    (twin.FIELD,),
+    name="field",
+    largest=2.0,
+)
 WAVELENGTH = Input("wavelength_nm", 0.35, "true wavelength less the one that is set", (twin.WAVELENGTH,))
 LINEARITY = Input(
-    "linearity_per_decade", 1e-3, "responsivity of the photodiodes, for a decade of current (above 1 nA)", (twin.LINEARITY,))
-CROSSTALK = Input(
-    "crosstalk", 1e-5, "share of a channel's volts (12 at most) in the others of its module", (twin.CROSSTALK,))
+    "linearity_per_decade", 1e-3, "responsivity of the photodiodes, for a decade of current (above 1 nA)", (twin.LINEARITY,)
+)
+CROSSTALK = Input("crosstalk", 1e-5, "share of a channel's volts (12 at most) in the others of its module", (twin.CROSSTALK,))
 MONITOR_LINEARITY = Input(
-    "monitor_linearity_per_decade", 1e-3, "responsivity of the monitor, for a decade of current", (twin.MONITOR_LINEARITY,))
+    "monitor_linearity_per_decade", 1e-3, "responsivity of the monitor, for a decade of current", (twin.MONITOR_LINEARITY,)
+)
 MONITOR_DRIFT = Input("monitor_drift_per_hour", 2e-4, "responsivity of the monitor, in an hour", (twin.MONITOR_DRIFT,))
 CERTIFICATE_LEVEL = Input(
-    "certificate_level", None, "the etalon's radiance factor over its certificate's, less 1", factor_of(ETALON),
-    name="certificate[level]")
+    "certificate_level",
+    None,
+    "the etalon's radiance factor over its certificate's, less 1",
+    factor_of(ETALON),
+    name="certificate[level]",
+)
 ETALON_AGE = Input(
-    "etalon_age_per_year", 1e-3, "drift of the etalon in a year since its calibration; of a second standard another one",
-    {"etalon_age": factor_of(ETALON), "second_age": factor_of(SECOND)}, name="etalon_age")
+    "etalon_age_per_year",
+    1e-3,
+    "drift of the etalon in a year since its calibration; of a second standard another one",
+    {"etalon_age": factor_of(ETALON), "second_age": factor_of(SECOND)},
+    name="etalon_age",
+)
 ETALON_EDGE = Input(
-    "etalon_edge", 2e-3, "light that the etalon, a diffuser, loses at the frames' edges; that a second standard loses",
-    {"etalon_edge": factor_of(ETALON), "second_edge": factor_of(SECOND)})
+    "etalon_edge",
+    2e-3,
+    "light that the etalon, a diffuser, loses at the frames' edges; that a second standard loses",
+    {"etalon_edge": factor_of(ETALON), "second_edge": factor_of(SECOND)},
+)
 MONOCHROMATOR_STRAY = Input(
-    "monochromator_stray", 1e-4, "light of all wavelengths, as the lamp has them, as a share of the light at the set one",
-    (twin.STRAY_LIGHT,))
+    "monochromator_stray",
+    1e-4,
+    "light of all wavelengths, as the lamp has them, as a share of the light at the set one",
+    (twin.STRAY_LIGHT,),
+)
 SCAN = Input("scan", 1e-3, "sum of a scan of the open beam with steps of 0.2 deg", shared_by=SharedBy.SCAN)
 BEAM_HOLE = Input("beam_hole", 4e-3, "light of the open beam that the hole of one frame cuts off, of each of two")
 REPEATABILITY = Input(
-    "repeatability", 0.0, "signal of sample and etalon when a pose is reached again", factor_of(SAMPLE, ETALON), SharedBy.MOVE)
+    "repeatability", 0.0, "signal of sample and etalon when a pose is reached again", factor_of(SAMPLE, ETALON), SharedBy.MOVE
+)
 UNIFORMITY = Input(
-    "uniformity", 0.0, "place of the spot on the surface of sample and etalon", factor_of(SAMPLE, ETALON), SharedBy.MOUNTING)
+    "uniformity", 0.0, "place of the spot on the surface of sample and etalon", factor_of(SAMPLE, ETALON), SharedBy.MOUNTING
+)
 MOUNTING = Input(
-    "mounting", 0.0, "signal of sample and etalon when they are mounted again", factor_of(SAMPLE, ETALON), SharedBy.MOUNTING)
+    "mounting", 0.0, "signal of sample and etalon when they are mounted again", factor_of(SAMPLE, ETALON), SharedBy.MOUNTING
+)
 HASHED = frozenset(inputs())
 """The inputs of the first hash of a model, which has all of them. A later one is in it where it is not 0: declare it below."""
 BEAM_TILT = Input(
-    "beam_tilt_deg", 0.0, "tilt of the illumination unit about the sample's centre: the light turns, the slit's image stays",
-    tilts_of("beam", axes="xz"))
+    "beam_tilt_deg",
+    0.0,
+    "tilt of the illumination unit about the sample's centre: the light turns, the slit's image stays",
+    tilts_of("beam", axes="xz"),
+)
 SECOND_LEVEL = Input(
-    "second_level", None, "the second standard's radiance factor over its certificate's, less 1", factor_of(SECOND),
-    name="second_certificate[level]")
-# fmt: on
+    "second_level",
+    None,
+    "the second standard's radiance factor over its certificate's, less 1",
+    factor_of(SECOND),
+    name="second_certificate[level]",
+)

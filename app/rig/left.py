@@ -15,10 +15,12 @@ def left_unsafe(journal: Path | None = None) -> list[Record]:
     found = [record for path in sorted(record_folder().glob("*.json")) if (record := read_record(path)) is not None]
     wanted = "" if journal is None else str(journal.resolve())
     return [
-        each for each in found
-        if not each.done and (journal is None or each.journal == wanted)
+        each
+        for each in found
+        if not each.done
+        and (journal is None or each.journal == wanted)
         and all(holder_of(Path(lock)) is None for lock in each.locks)
-    ]  # fmt: skip
+    ]
 
 
 def acknowledge_left(text: str) -> None:

@@ -117,9 +117,15 @@ def _describe_tmcl(
 
 def _tmcl_mechanics(name: str, axis: AxisSettings, assumptions: list[str]) -> dict[str, Any]:
     mechanics: dict[str, Any] = {
-        "motor": axis.motor, "module": axis.module, "gear": axis.gear, "sense": axis.sense, "zero_deg": axis.zero_offset_deg,
-        "full_steps": axis.full_steps, "encoder": axis.encoder, "backlash_deg": axis.backlash_deg,
-    }  # fmt: skip
+        "motor": axis.motor,
+        "module": axis.module,
+        "gear": axis.gear,
+        "sense": axis.sense,
+        "zero_deg": axis.zero_offset_deg,
+        "full_steps": axis.full_steps,
+        "encoder": axis.encoder,
+        "backlash_deg": axis.backlash_deg,
+    }
     if axis.encoder and axis.encoder_counts is not None:
         mechanics["encoder_counts"] = axis.encoder_counts
     if axis.switches:
@@ -184,17 +190,28 @@ def _probe_cornerstone(open_port: "PortOpener", clock: "Clock") -> str:
 
 OWN_KINDS: tuple[Kind, ...] = (
     MotionKind(
-        "tmcl", controller=TmclSettings, axis=AxisSettings, axes=TmclAxesTable, own_axis=TmclAxisTable, open=_open_tmcl,
+        "tmcl",
+        controller=TmclSettings,
+        axis=AxisSettings,
+        axes=TmclAxesTable,
+        own_axis=TmclAxisTable,
+        open=_open_tmcl,
         timing=lambda controller, axis: axis_timing(axis, exchange_seconds(controller.baudrate)),
-        check=_check_motors, explain=explain_tmcl, twins=(FurtherTmclLine,), describe=_describe_tmcl,
+        check=_check_motors,
+        explain=explain_tmcl,
+        twins=(FurtherTmclLine,),
+        describe=_describe_tmcl,
         probes=tuple((f"TMCL at {rate} Bd", partial(_probe_tmcl, baudrate=rate)) for rate in (115200, 9600)),
     ),
     DeviceKind(
-        "monochromator", "cornerstone", MonochromatorTable, _open_cornerstone,
+        "monochromator",
+        "cornerstone",
+        MonochromatorTable,
+        _open_cornerstone,
         probes=(("Cornerstone at 9600 Bd", _probe_cornerstone),),
     ),
     *(DeviceKind("photodiodes", model, PhotodiodesTable, _open_adam, _explain_modbus) for model in adam.MODELS),
     DeviceKind("monitor", "pm100d", MonitorTable, _open_pm100d, _explain_usbtmc),
-)  # fmt: skip
+)
 for _kind in OWN_KINDS:
     register(_kind)

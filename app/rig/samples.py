@@ -235,9 +235,22 @@ FILE_KEY = re.compile(r",\s*(side|sample|fill)\s*=")
 FILE_ONLY_KEYS = ("model", "sigma_deg", "wavelengths_nm", "factors")
 """Keys of a rig file that have no form in one line of text: the model itself, and those whose values are lists."""
 LUMINANCE = {
-    "red": 0.2126, "green": 0.7152, "blue": 0.0722, "r": 0.2126, "g": 0.7152, "b": 0.0722, "x": 0.0, "y": 1.0, "z": 0.0,
-    "trisx": 0.0, "trisy": 1.0, "trisz": 0.0, "tristimulusx": 0.0, "tristimulusy": 1.0, "tristimulusz": 0.0,
-}  # fmt: skip
+    "red": 0.2126,
+    "green": 0.7152,
+    "blue": 0.0722,
+    "r": 0.2126,
+    "g": 0.7152,
+    "b": 0.0722,
+    "x": 0.0,
+    "y": 1.0,
+    "z": 0.0,
+    "trisx": 0.0,
+    "trisy": 1.0,
+    "trisz": 0.0,
+    "tristimulusx": 0.0,
+    "tristimulusy": 1.0,
+    "tristimulusz": 0.0,
+}
 """Share of a colour in the luminance: of the primaries of ITU-R BT.709, and of CIE tristimulus values."""
 HIGHEST_ALBEDO = 1.001
 HIGHEST_MEASURED_ALBEDO = 1.5

@@ -17,9 +17,12 @@ FIRST_LINE = "# Written by goniotwin serve, which writes it anew at every start.
 
 
 def served_rig(
-    description: RigDescription, endpoints: Iterable[Endpoint], speed: float, alignment: Path | None = None,
+    description: RigDescription,
+    endpoints: Iterable[Endpoint],
+    speed: float,
+    alignment: Path | None = None,
     server: str | None = None,
-) -> str:  # fmt: skip
+) -> str:
     """The text of the rig file: the operator's part with the addresses of the endpoints, marked as simulated.
 
     Of the [twin] table it has only the hash of the model, in both versions. `alignment` is the file beside it that has the

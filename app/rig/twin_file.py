@@ -195,8 +195,10 @@ class TwinTable(Parts, Generic[AnyController, AnyDevice, AnyDisturbances]):
         """The instrument, with sensor and deviations. Raises ValueError for a deviation of an unknown element."""
         return replace(
             Instrument(**values_of(self.optics, Instrument)),
-            deviations=self.deviations, illumination=self.illumination, sensor=self.sensor,
-        )  # fmt: skip
+            deviations=self.deviations,
+            illumination=self.illumination,
+            sensor=self.sensor,
+        )
 
     def estimator(self) -> Estimator:
         """The estimator of the light on the photodiodes."""

@@ -183,9 +183,17 @@ def trace_batch(
         seed = settings.seed * 2**20 + 2 * batch + k
         try:
             result = forward_throughput(
-                setup.instrument, setup.sigma_deg, setup.directions, each, size, seed % 2**64, setup.gamma_deg,
-                wavelength_nm=wavelength_nm, source=setup.source, sample_frames=setup.frames,
-            )  # fmt: skip
+                setup.instrument,
+                setup.sigma_deg,
+                setup.directions,
+                each,
+                size,
+                seed % 2**64,
+                setup.gamma_deg,
+                wavelength_nm=wavelength_nm,
+                source=setup.source,
+                sample_frames=setup.frames,
+            )
         except ValueError as error:
             raise UserError(f"--estimator forward: {error}") from None
         results.append(result)
@@ -208,9 +216,12 @@ def traced_wavelengths(setup: MeasurementSetup, sample: Scatterer) -> list[float
 
 
 def estimate_ratio(
-    setup: MeasurementSetup, sample: Scatterer, settings: EstimatorSettings, report: ReportFraction = lambda _: None,
+    setup: MeasurementSetup,
+    sample: Scatterer,
+    settings: EstimatorSettings,
+    report: ReportFraction = lambda _: None,
     trace: TraceBatch = trace_batch,
-) -> Ratio:  # fmt: skip
+) -> Ratio:
     """Estimate the throughputs of etalon and sample, and their ratio (paper, figure 7). Raises UserError.
 
     `trace` gives the batches of the forward estimator, which may have been traced before.

@@ -150,13 +150,21 @@ def scattered(simulation: Simulation) -> ScatteredBsdf:
     size = columns["sigma_deg"].size
     error = columns["standard_error"]
     return ScatteredBsdf(
-        sigma_deg=columns["sigma_deg"], psi_deg=columns.get("psi_deg", np.zeros(size)), polar_deg=columns["polar_deg"],
-        azimuth_deg=columns["azimuth_deg"], values=columns["luminance_factor"] / np.pi,
+        sigma_deg=columns["sigma_deg"],
+        psi_deg=columns.get("psi_deg", np.zeros(size)),
+        polar_deg=columns["polar_deg"],
+        azimuth_deg=columns["azimuth_deg"],
+        values=columns["luminance_factor"] / np.pi,
         u=np.where(np.isfinite(error), error, np.nan) / np.pi,
-        flags=columns["flags"], wavelength_nm=columns["wavelength_nm"], transmitted=np.full(size, task.transmitted),
-        back=np.full(size, task.back), sample=task.sample.name, isotropic=simulation.at[0].detectors.mirrored, generated=True,
+        flags=columns["flags"],
+        wavelength_nm=columns["wavelength_nm"],
+        transmitted=np.full(size, task.transmitted),
+        back=np.full(size, task.back),
+        sample=task.sample.name,
+        isotropic=simulation.at[0].detectors.mirrored,
+        generated=True,
         comments=tuple(_heading(simulation, every_detector=False)),
-    )  # fmt: skip
+    )
 
 
 def bsdf_table(simulation: Simulation) -> BsdfTable:
@@ -164,11 +172,19 @@ def bsdf_table(simulation: Simulation) -> BsdfTable:
     task = simulation.task
     cuts = [[SpecularCut(cut.values / np.pi, cut.u / np.pi, cut.known) for cut in each] for each in simulation.cuts]
     return specular_table(
-        task.sigma_deg, simulation.phi_deg, simulation.theta_deg, cuts,
+        task.sigma_deg,
+        simulation.phi_deg,
+        simulation.theta_deg,
+        cuts,
         None if simulation.wavelengths_nm is None else tuple(simulation.wavelengths_nm.tolist()),
-        transmitted=task.transmitted, generated=True, comments=_heading(simulation, every_detector=False), done="simulated",
-        psi_deg=task.psis_deg if task.psis_deg.size > 1 else None, back=task.back, sample=task.sample.name,
-    )  # fmt: skip
+        transmitted=task.transmitted,
+        generated=True,
+        comments=_heading(simulation, every_detector=False),
+        done="simulated",
+        psi_deg=task.psis_deg if task.psis_deg.size > 1 else None,
+        back=task.back,
+        sample=task.sample.name,
+    )
 
 
 def summary(simulation: Simulation, paths: list[Path]) -> dict[str, Any]:

@@ -83,9 +83,13 @@ class ForwardSweep:
         }
 
         def read(
-            setup: MeasurementSetup, _sample: Scatterer, wavelength: float | None, _settings: EstimatorSettings, number: int,
+            setup: MeasurementSetup,
+            _sample: Scatterer,
+            wavelength: float | None,
+            _settings: EstimatorSettings,
+            number: int,
             _size: int,
-        ) -> Batch:  # fmt: skip
+        ) -> Batch:
             chunk = first[setup.sigma_deg, setup.gamma_deg, wavelength] + number
             if (found := files.read(chunk)) is None:
                 raise UserError(f"{files.path(chunk)}: is missing or damaged; run the same command again")
@@ -95,9 +99,12 @@ class ForwardSweep:
 
 
 def simulate_in_chunks(
-    sweep: ForwardSweep, files: ChunkFiles, runner: Runner, report: Report = lambda _done, _now: None,
+    sweep: ForwardSweep,
+    files: ChunkFiles,
+    runner: Runner,
+    report: Report = lambda _done, _now: None,
     report_simulation: ReportProgress = lambda _fraction, _step: None,
-) -> Simulation:  # fmt: skip
+) -> Simulation:
     """Simulate a task by the batches that are finished and those that a runner traces now. Raises UserError."""
     failures = run_sweep(trace_chunk, files, sweep.chunks, runner, report)
     for reason in failures.values():

@@ -130,15 +130,18 @@ class RigResults:
     def as_dict(self) -> dict[str, Any]:
         """The result for JSON: by sample and sigma the median, the 95th percentile and the worst rig."""
         return {
-            "simulated": True, "rigs": self.factors.shape[0] - 1, "tilt_deg": self.sweep.tilt_deg,
-            "shift_mm": self.sweep.shift_mm, "seed": self.sweep.seed,
+            "simulated": True,
+            "rigs": self.factors.shape[0] - 1,
+            "tilt_deg": self.sweep.tilt_deg,
+            "shift_mm": self.sweep.shift_mm,
+            "seed": self.sweep.seed,
             "deviations": [f"{element}.{name}" for element, name, _ in self.sweep.tolerances],
             "samples": [
                 {"sample": sample.name, "sigma": sigma, **_summary(self.relative_rms[:, k, m])}
                 for k, sample in enumerate(self.sweep.samples)
                 for m, sigma in enumerate(self.sweep.sigma_deg.tolist())
             ],
-        }  # fmt: skip
+        }
 
     def columns(self) -> dict[str, Any]:
         """The columns of the file: a row for each sample, sigma and rig, with the rig's deviations."""
@@ -150,18 +153,17 @@ class RigResults:
             "sigma_deg": self.sweep.sigma_deg[shape[1]],
             "rig": shape[2] + 1,
             "relative_rms": self.relative_rms.transpose(1, 2, 0).ravel(),
-            **{
-                f"{element}_{name}": drawn[shape[2], k]
-                for k, (element, name, _) in enumerate(self.sweep.tolerances)
-            },
-        }  # fmt: skip
+            **{f"{element}_{name}": drawn[shape[2], k] for k, (element, name, _) in enumerate(self.sweep.tolerances)},
+        }
 
 
 def _summary(rms: Floats) -> dict[str, Any]:
     return {
-        "median_percent": 100.0 * float(np.median(rms)), "percentile_95_percent": 100.0 * float(np.percentile(rms, 95.0)),
-        "worst_percent": 100.0 * float(rms.max()), "worst_rig": 1 + int(np.argmax(rms)),
-    }  # fmt: skip
+        "median_percent": 100.0 * float(np.median(rms)),
+        "percentile_95_percent": 100.0 * float(np.percentile(rms, 95.0)),
+        "worst_percent": 100.0 * float(rms.max()),
+        "worst_rig": 1 + int(np.argmax(rms)),
+    }
 
 
 def simulate_rigs(

@@ -228,9 +228,7 @@ class Simulation:
         return np.array([[cut.known for cut in each] for each in self.cuts])
 
 
-def simulate(
-    task: Task, report: ReportProgress = lambda _fraction, _step: None, trace: TraceBatch = trace_batch
-) -> Simulation:  # fmt: skip
+def simulate(task: Task, report: ReportProgress = lambda _fraction, _step: None, trace: TraceBatch = trace_batch) -> Simulation:
     """Simulate all sigmas of a task. Raises UserError for a task that is not possible.
 
     `trace` gives the batches of the forward estimator, which may have been traced before.
@@ -293,9 +291,14 @@ def _regular_table(task: Task, wavelengths: Floats | None) -> RegularTable:
         regular_fractions(task.sample, sigma, task.back, task.transmitted, wavelengths) for sigma in task.sigma_deg.tolist()
     ]
     return RegularTable(
-        task.sigma_deg, np.array(shares).T[:, None], None if wavelengths is None else tuple(wavelengths.tolist()),
-        transmitted=task.transmitted, back=task.back, sample=task.sample.name, generated=True,
-    )  # fmt: skip
+        task.sigma_deg,
+        np.array(shares).T[:, None],
+        None if wavelengths is None else tuple(wavelengths.tolist()),
+        transmitted=task.transmitted,
+        back=task.back,
+        sample=task.sample.name,
+        generated=True,
+    )
 
 
 def _setup(task: Task, sigma: float, psi: float) -> tuple[Detectors, MeasurementSetup]:
@@ -308,9 +311,17 @@ def _setup(task: Task, sigma: float, psi: float) -> tuple[Detectors, Measurement
         detectors = detector_grid(sigma, mirrored, near_axes)
     directions, unit_deg = detectors.directions(task.lower), opposite_sigma_deg(sigma) if task.back else sigma
     setup = MeasurementSetup(
-        task.instrument, unit_deg, directions, task.tabulated_wavelengths_nm, task.transmitted, task.stray, task.frames,
-        None if task.source is None else task.source.rays, float(psi_of_gamma(psi, task.back)), regular=task.regular == "seen",
-    )  # fmt: skip
+        task.instrument,
+        unit_deg,
+        directions,
+        task.tabulated_wavelengths_nm,
+        task.transmitted,
+        task.stray,
+        task.frames,
+        None if task.source is None else task.source.rays,
+        float(psi_of_gamma(psi, task.back)),
+        regular=task.regular == "seen",
+    )
     return detectors, setup
 
 

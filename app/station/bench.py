@@ -180,7 +180,14 @@ class PendingReading:
         volts = [None if over else float(value) for value, over in zip(converter.volts(mean), saturated, strict=True)]
         assert self._mean is not None
         return BenchReading(
-            t_s=self._photodiodes.started, readings=len(counts), gain_v_per_a=settings.gain_v_per_a or 0.0,
-            counts=tuple(mean.tolist()), volts=tuple(volts), saturated=tuple(saturated), monitor_a=self._mean.current_a,
-            wavelength_nm=settings.wavelength_nm, dark=settings.shutter_open is False, live=self._live,
-        )  # fmt: skip
+            t_s=self._photodiodes.started,
+            readings=len(counts),
+            gain_v_per_a=settings.gain_v_per_a or 0.0,
+            counts=tuple(mean.tolist()),
+            volts=tuple(volts),
+            saturated=tuple(saturated),
+            monitor_a=self._mean.current_a,
+            wavelength_nm=settings.wavelength_nm,
+            dark=settings.shutter_open is False,
+            live=self._live,
+        )

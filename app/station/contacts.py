@@ -46,10 +46,11 @@ class Contacts:
         now = calendar_stamp()
         faults = {device: self._rig.in_words(error) for device, error in outcome.items() if error is not None}
         return {
-            device: DeviceStatus(Contact.CONNECTED, self._rig.identities[device], now) if device not in faults
+            device: DeviceStatus(Contact.CONNECTED, self._rig.identities[device], now)
+            if device not in faults
             else DeviceStatus(Contact.DISCONNECTED, error=faults[device].headline, detail=faults[device].detail, failed=now)
             for device in outcome
-        }  # fmt: skip
+        }
 
     def ask_now_and_then(self, device: str, question: Callable[[], object], *, recovered: bool = False) -> None:
         """Ask an idle device, if that is due; `recovered` as in `ask`."""

@@ -70,9 +70,15 @@ def serving(station: Station, rig: RigDescription) -> Iterator[StationServer]:
             path.unlink(missing_ok=True)  # of a station that has died: with this lock it would seem alive
         server = StationServer(station)
         about = Connection(
-            PROTOCOL, os.getpid(), socket.gethostname(), server.port, server.token, str(Path(rig.name).absolute()), "",
+            PROTOCOL,
+            os.getpid(),
+            socket.gethostname(),
+            server.port,
+            server.token,
+            str(Path(rig.name).absolute()),
+            "",
             calendar_stamp(),
-        )  # fmt: skip
+        )
 
         def write(_number: int, message: Message) -> None:
             nonlocal about

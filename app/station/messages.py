@@ -257,11 +257,32 @@ class StopReceived:
 
 
 Message = (
-    StateChanged | RowStarted | Positions | EventLogged | SafetyOrder | RigOpened | RigClosed | DeviceChanged | DevicesAnswered
-    | ReferencesChanged | ActivityChanged | BenchChanged | BenchReading | RunBegun | RowSaved | RunEnded | RunRefused
-    | QuestionAsked | QuestionClosed | OrderAcknowledged | SpeedChanged | OperatorChanged | StopReceived
-    | LightChanged | LampRead
-)  # fmt: skip
+    StateChanged
+    | RowStarted
+    | Positions
+    | EventLogged
+    | SafetyOrder
+    | RigOpened
+    | RigClosed
+    | DeviceChanged
+    | DevicesAnswered
+    | ReferencesChanged
+    | ActivityChanged
+    | BenchChanged
+    | BenchReading
+    | RunBegun
+    | RowSaved
+    | RunEnded
+    | RunRefused
+    | QuestionAsked
+    | QuestionClosed
+    | OrderAcknowledged
+    | SpeedChanged
+    | OperatorChanged
+    | StopReceived
+    | LightChanged
+    | LampRead
+)
 NEWEST_ONLY = (Positions, BenchReading, DevicesAnswered, LampRead)
 """Of these a client needs only the newest."""
 
@@ -337,9 +358,19 @@ def advance(before: Snapshot, message: Message) -> Snapshot:
             changes = {"rig": message, "closed": "", "activity": ""}
         case RigClosed(reason):
             changes = {
-                "rig": None, "closed": reason, "state": State.IDLE, "activity": "", "positions": {}, "encoders": {},
-                "unreferenced": {}, "row": None, "bench": BenchChanged(), "reading": None, "lamp": None, "starting": False,
-            }  # fmt: skip
+                "rig": None,
+                "closed": reason,
+                "state": State.IDLE,
+                "activity": "",
+                "positions": {},
+                "encoders": {},
+                "unreferenced": {},
+                "row": None,
+                "bench": BenchChanged(),
+                "reading": None,
+                "lamp": None,
+                "starting": False,
+            }
         case DeviceChanged(device, status) if before.rig is not None:
             rig = _with_devices(before.rig, {device: status})
             changes = {"rig": rig} | {
@@ -348,9 +379,11 @@ def advance(before: Snapshot, message: Message) -> Snapshot:
             }
         case DevicesAnswered(times) if before.rig is not None:
             known = before.rig.devices
-            changes = {"rig": _with_devices(before.rig, {
-                name: replace(known[name], answered=time) for name, time in times.items() if name in known
-            })}  # fmt: skip
+            changes = {
+                "rig": _with_devices(
+                    before.rig, {name: replace(known[name], answered=time) for name, time in times.items() if name in known}
+                )
+            }
         case ReferencesChanged(unreferenced):
             changes = {"unreferenced": unreferenced}
         case ActivityChanged(activity, starts=starts):
@@ -365,15 +398,27 @@ def advance(before: Snapshot, message: Message) -> Snapshot:
             changes = {"lamp": message}
         case RunBegun(journal, name, done, total, seconds_left, person):
             changes = {
-                "journal": journal, "campaign": name, "done": done, "total": total, "seconds_left": seconds_left,
-                "person": person, "activity": "", "row": None, "starting": True,
-            }  # fmt: skip
+                "journal": journal,
+                "campaign": name,
+                "done": done,
+                "total": total,
+                "seconds_left": seconds_left,
+                "person": person,
+                "activity": "",
+                "row": None,
+                "starting": True,
+            }
         case RowSaved(_row, _flags, done, total, seconds_left):
             changes = {"done": done, "total": total, "seconds_left": seconds_left}
         case RunEnded(state, reason, journal):
             changes = {
-                "state": state, "reason": reason, "journal": journal, "row": None, "question": None, "starting": False,
-            }  # fmt: skip
+                "state": state,
+                "reason": reason,
+                "journal": journal,
+                "row": None,
+                "question": None,
+                "starting": False,
+            }
         case RunRefused(reason):
             changes = {"state": State.IDLE, "reason": reason, "activity": "", "starting": False}
         case QuestionAsked():

@@ -12,8 +12,19 @@ ANYTIME = ("stop", "operate", "disconnect")
 """Commands that do not need a rig at rest."""
 OF_RUN = ("pause", "resume", "finish_cut", "answer", "acknowledge", "speed")
 OF_BENCH = (
-    "start", "continue", "connect", "move", "home", "set_position", "wavelength", "shutter", "gain", "read", "live", "mount",
-)  # fmt: skip
+    "start",
+    "continue",
+    "connect",
+    "move",
+    "home",
+    "set_position",
+    "wavelength",
+    "shutter",
+    "gain",
+    "read",
+    "live",
+    "mount",
+)
 COMMANDS = (*ANYTIME, *OF_RUN, *OF_BENCH)
 
 
@@ -65,9 +76,12 @@ def _no_bench(station: Snapshot, command: str) -> str:
     if command in ("start", "continue") and silent:
         return f"not responding: {' and '.join(silent)}"
     needed = {
-        "wavelength": "monochromator", "shutter": "monochromator", "gain": "photodiodes", "read": "photodiodes",
+        "wavelength": "monochromator",
+        "shutter": "monochromator",
+        "gain": "photodiodes",
+        "read": "photodiodes",
         "live": "photodiodes",
-    }.get(command, "")  # fmt: skip
+    }.get(command, "")
     if needed in silent:
         return f"not responding: {needed}"
     if command == "mount" and not rig.simulated:

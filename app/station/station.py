@@ -431,10 +431,18 @@ class Station:
             remember_rig(description.file)
         devices = self._device_contacts.first_statuses(outcome)
         controllers = {axis: each.name for each in opened.rig.controllers for axis in each.axes}
-        self._publish(RigOpened(
-            description.file.name, Path(description.name), description.digest, description.simulated,
-            description.seed, description.file.in_process, devices, controllers,
-        ))  # fmt: skip
+        self._publish(
+            RigOpened(
+                description.file.name,
+                Path(description.name),
+                description.digest,
+                description.simulated,
+                description.seed,
+                description.file.in_process,
+                devices,
+                controllers,
+            )
+        )
         self._look(closing=closing)
 
     def serve(self) -> None:
@@ -518,9 +526,12 @@ class Station:
         if self._opened is None or contacts is None or self._engine is not None:
             return
         for name, every_s, action in (
-            ("positions", POLL_S, self._poll_axes), ("live", LIVE_POLL_S, self._poll_live), ("ask", POLL_S, self._ask_devices),
-            ("answered", POLL_S, contacts.report_answers_now_and_then), ("connect", POLL_S, self._connect_lost),
-        ):  # fmt: skip
+            ("positions", POLL_S, self._poll_axes),
+            ("live", LIVE_POLL_S, self._poll_live),
+            ("ask", POLL_S, self._ask_devices),
+            ("answered", POLL_S, contacts.report_answers_now_and_then),
+            ("connect", POLL_S, self._connect_lost),
+        ):
             if now >= self._due[name]:
                 self._due[name] = now + every_s
                 try:
@@ -785,9 +796,15 @@ class Station:
         return max(POLL_S, 0.25 * POLL_S * speed)
 
     def run_begun(
-        self, engine: Engine, plan: Plan, journal: Journal, work: Sequence[Row], record: RunRecord | None = None,
-        *, person: bool = False,
-    ) -> None:  # fmt: skip
+        self,
+        engine: Engine,
+        plan: Plan,
+        journal: Journal,
+        work: Sequence[Row],
+        record: RunRecord | None = None,
+        *,
+        person: bool = False,
+    ) -> None:
         """Report a run of this rig that begins: its commands go to `engine` from now on."""
         self._record = record or RunRecord(journal, self._clock)
         self._engine = engine

@@ -146,9 +146,12 @@ class DaskCluster:
         address: Any = self._address
         if self._address == LOCAL:
             cluster = LocalCluster(
-                n_workers=self._count, threads_per_worker=1, host=LOOPBACK, dashboard_address=f"{LOOPBACK}:0",
+                n_workers=self._count,
+                threads_per_worker=1,
+                host=LOOPBACK,
+                dashboard_address=f"{LOOPBACK}:0",
                 silence_logs=logging.CRITICAL,
-            )  # fmt: skip
+            )
             address = self._opened.enter_context(cluster)
         else:  # a client of an address that is none waits for it, and ends with a traceback
             get_address_host_port(self._address, strict=True)

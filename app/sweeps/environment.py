@@ -47,9 +47,13 @@ class Environment:
 def environment() -> Environment:
     """The environment of this process."""
     return Environment(
-        f"{version('goniotwin')} ({_digest_of_sources()})", np.__version__, _linear_algebra(), numba.__version__,
-        platform.python_version(), _processor(),
-    )  # fmt: skip
+        f"{version('goniotwin')} ({_digest_of_sources()})",
+        np.__version__,
+        _linear_algebra(),
+        numba.__version__,
+        platform.python_version(),
+        _processor(),
+    )
 
 
 def _linear_algebra() -> str:

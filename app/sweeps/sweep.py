@@ -13,8 +13,12 @@ Report = Callable[[int, str], None]
 
 
 def run_sweep(
-    work: Work, files: ChunkFiles, chunks: int, runner: Runner, report: Report = lambda _done, _now: None,
-) -> dict[int, str]:  # fmt: skip
+    work: Work,
+    files: ChunkFiles,
+    chunks: int,
+    runner: Runner,
+    report: Report = lambda _done, _now: None,
+) -> dict[int, str]:
     """Compute the first `chunks` chunks of a sweep that have no file yet; the reasons of those that have no result, by chunk.
 
     The results are then in `files`, to be read in the order of the chunks. All have the same versions and processor. Raises

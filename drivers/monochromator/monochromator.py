@@ -103,9 +103,16 @@ class Monochromator:
         """Abort the motion in progress, close the shutter, and ask for it."""
         order = ABORT.encode() + Statement("SHUTTER", parameter="C").encode()
         return LastWill(
-            NAME, self.settings.baudrate, LINE_END, order, SHUTTER.encode(), r"(^|[\r\n])[Cc][\r\n]",
-            "the shutter may be open", CLOSE_SHUTTER, "the shutter is closed",
-        )  # fmt: skip
+            NAME,
+            self.settings.baudrate,
+            LINE_END,
+            order,
+            SHUTTER.encode(),
+            r"(^|[\r\n])[Cc][\r\n]",
+            "the shutter may be open",
+            CLOSE_SHUTTER,
+            "the shutter is closed",
+        )
 
     def is_safe(self) -> bool:
         """Whether the shutter is closed, asked of a unit that is identified only. Raises DeviceError."""
@@ -175,9 +182,12 @@ class Monochromator:
         if opened:
             self._guard.arm(self.last_will())  # before a byte of it is sent
         pending = self._start(
-            Statement(SHUTTER.word, parameter=letter), self.settings.shutter_s, SHUTTER.word, letter,
+            Statement(SHUTTER.word, parameter=letter),
+            self.settings.shutter_s,
+            SHUTTER.word,
+            letter,
             lambda: self.shutter_is_open() is opened,
-        )  # fmt: skip
+        )
         if opened:
             self._opening = pending
         return pending
@@ -200,17 +210,24 @@ class Monochromator:
             return abs(position - here) * self.settings.filter_s
 
         return self._start(
-            Statement("FILTER", parameter=str(position)), 0.0, "FILTER", str(position), lambda: self.filter() == position,
+            Statement("FILTER", parameter=str(position)),
+            0.0,
+            "FILTER",
+            str(position),
+            lambda: self.filter() == position,
             seconds,
-        )  # fmt: skip
+        )
 
     def start_grating(self, number: int) -> Pending:
         """Start to turn the turret to a grating; the unit then returns to its wavelength. Raises DeviceError."""
         self._known.pop("WAVE", None)
         return self._start(
-            Statement("GRAT", parameter=str(number)), self.settings.grating_s, "GRAT", None,
+            Statement("GRAT", parameter=str(number)),
+            self.settings.grating_s,
+            "GRAT",
+            None,
             lambda: self.grating().number == number,
-        )  # fmt: skip
+        )
 
     def start_slit(self, slit: int, width_um: float) -> Pending:
         """Start to set the width of slit 1, 2 or 3, whole micrometres. Raises DeviceError."""
@@ -218,9 +235,12 @@ class Monochromator:
         known = self._known.get(word)
         distance = 3000.0 if known is None else abs(round(width_um) - float(known))
         return self._start(
-            Statement(word, parameter=width), distance / self.settings.slit_um_per_s, word, width,
+            Statement(word, parameter=width),
+            distance / self.settings.slit_um_per_s,
+            word,
+            width,
             lambda: self.slit_um(slit) == round(width_um),
-        )  # fmt: skip
+        )
 
     def start_step(self, steps: int) -> Pending:
         """Start to turn the grating by a number of steps; never sent twice. Raises DeviceError."""
@@ -250,9 +270,14 @@ class Monochromator:
         return self._motion is not None and not self._motion.done
 
     def _start(
-        self, statement: Statement, seconds: float, word: str, target: str | None, arrived: Callable[[], bool],
+        self,
+        statement: Statement,
+        seconds: float,
+        word: str,
+        target: str | None,
+        arrived: Callable[[], bool],
         ask_first: Callable[[], float | None] | None = None,
-    ) -> PendingStatement:  # fmt: skip
+    ) -> PendingStatement:
         with self._lock:
             before = self._motion if self.moving else None
             if ask_first is None:

@@ -67,9 +67,11 @@ class ModuleRefused(Refused):
 
     def __init__(self, device: str, doing: str, code: int) -> None:
         super().__init__(
-            device, doing, f"the module replies with exception {code}: {EXCEPTIONS.get(code, 'a code it should not have')}",
+            device,
+            doing,
+            f"the module replies with exception {code}: {EXCEPTIONS.get(code, 'a code it should not have')}",
             "check that the rig file names the kind of the connected module",
-        )  # fmt: skip
+        )
         self.code = code
 
 
@@ -453,9 +455,11 @@ class AdamModule:
         """Raise BadAnswer for the name of another model. The second word may have the letter of a revision."""
         if name[0] != self._model.name[0]:
             raise WrongDevice(
-                self.name, "read its name", f"it is {name[0]:04x}, not {self._model.name[0]:04x}",
+                self.name,
+                "read its name",
+                f"it is {name[0]:04x}, not {self._model.name[0]:04x}",
                 "check which module has this address, and the kind in the rig file",
-            )  # fmt: skip
+            )
 
     def _open(self) -> None:
         try:

@@ -211,9 +211,13 @@ class UsbIpBackend(IBackend):
     def get_device_descriptor(self, dev: UsbIpDevice) -> SimpleNamespace:
         exported = dev.exported
         return decode_device(
-            dev.descriptors()[0], address=exported.address, bus=exported.bus, port_number=exported.address,
-            port_numbers=(exported.address,), speed=exported.speed,
-        )  # fmt: skip
+            dev.descriptors()[0],
+            address=exported.address,
+            bus=exported.bus,
+            port_number=exported.address,
+            port_numbers=(exported.address,),
+            speed=exported.speed,
+        )
 
     def get_configuration_descriptor(self, dev: UsbIpDevice, config: int) -> SimpleNamespace:
         return dev.descriptors()[1][config].fields

@@ -46,10 +46,12 @@ class MyTable:
 
 
 MY_TABLE = Format(
-    "my", "a table of the test", (".my",),
-    frozenset({Holds.GRID, Holds.SIGMAS, Holds.WAVELENGTHS, Holds.REFLECTED, Holds.TRANSMITTED, Holds.UNCERTAINTY,
-               Holds.MASK}), MyTable(),
-)  # fmt: skip
+    "my",
+    "a table of the test",
+    (".my",),
+    frozenset({Holds.GRID, Holds.SIGMAS, Holds.WAVELENGTHS, Holds.REFLECTED, Holds.TRANSMITTED, Holds.UNCERTAINTY, Holds.MASK}),
+    MyTable(),
+)
 
 
 @pytest.fixture(autouse=True)

@@ -25,10 +25,25 @@ HEAVY = ("numpy", "numba", "PySide6", "matplotlib", "h5py", "rich")
 HEAVIER = (*HEAVY, "pydantic", "importlib.metadata")
 """What the help of the program does without."""
 LIGHT = (
-    "numba", "llvmlite", "scipy", "PySide6", "matplotlib", "h5py", "rich", "pymodbus", "asyncio", "concurrent", "usb",
-    "tomlkit", "filelock", "goniotwin.twin.plant.plant", "goniotwin.twin.devices.adam", "goniotwin.drivers.rig",
-    "goniotwin.twin.optics.forward.estimator", "goniotwin.app.formats.registry",
-)  # fmt: skip
+    "numba",
+    "llvmlite",
+    "scipy",
+    "PySide6",
+    "matplotlib",
+    "h5py",
+    "rich",
+    "pymodbus",
+    "asyncio",
+    "concurrent",
+    "usb",
+    "tomlkit",
+    "filelock",
+    "goniotwin.twin.plant.plant",
+    "goniotwin.twin.devices.adam",
+    "goniotwin.drivers.rig",
+    "goniotwin.twin.optics.forward.estimator",
+    "goniotwin.app.formats.registry",
+)
 """What a command without light and devices does without."""
 TABLE = """
 import sys
@@ -347,8 +362,12 @@ def test_closed_standard_streams_lead_nowhere(tmp_path: Path, closed: str) -> No
     text += "with open('first', 'w') as file: print(status, file.fileno() > 2, file=file); os.write(1, b'!'); os.write(2, b'!')"
     done = subprocess.run(
         ["/bin/sh", "-c", f'exec "$0" -c "$1" {closed}', sys.executable, text],
-        cwd=tmp_path, capture_output=True, text=True, timeout=300, check=False,
-    )  # fmt: skip
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
     assert "Error" not in done.stderr
     assert (tmp_path / "first").read_text() == "0 True\n"
 
@@ -360,7 +379,11 @@ def test_a_host_process_that_calls_a_command_keeps_its_hooks_signals_streams_and
     """Commands that succeed, that are refused, that measure; and a station that a signal ends."""
     done = subprocess.run(
         [sys.executable, "-c", HOST, str(write_schedule()), str(RIG)],
-        capture_output=True, text=True, timeout=300, check=False, cwd=tmp_path,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+        cwd=tmp_path,
+    )
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines()[-1] == "kept"

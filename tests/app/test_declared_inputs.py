@@ -84,9 +84,12 @@ def test_the_rig_file_has_its_keys_with_bounds_and_defaults() -> None:
     tables = json_schema(rig_file_table(), "rig")["$defs"]
     stated, off = (tables[name]["properties"]["etalon_stain"] for name in ("UncertaintyTable", "Disturbances"))
     assert stated == {
-        "type": "number", "minimum": 0, "exclusiveMaximum": 1, "default": 0.01,
+        "type": "number",
+        "minimum": 0,
+        "exclusiveMaximum": 1,
+        "default": 0.01,
         "description": "`etalon_stain`: stain on the etalon.",
-    }  # fmt: skip
+    }
     assert off == {**stated, "default": 0.0}
     table = rig(STATED).file.uncertainty
     assert (table.u(input_of("sample_frame")), table.u(input_of("etalon_stain"))) == (0.03, 0.01)

@@ -94,9 +94,7 @@ def test_a_signal_that_is_ignored_stays_ignored() -> None:
 
 
 def test_an_overdue_stop_is_ended_by_a_later_signal() -> None:
-    done = subprocess.run(
-        [sys.executable, "-c", OVERDUE_STOP], capture_output=True, text=True, timeout=300, check=False
-    )  # fmt: skip
+    done = subprocess.run([sys.executable, "-c", OVERDUE_STOP], capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == -signal.SIGTERM
     assert done.stdout == "stopping\n"
     assert done.stderr == "\ngoniotwin: stopping\n"

@@ -202,7 +202,7 @@ def test_a_key_that_is_a_table_has_the_first_sentence_of_its_table() -> None:
         ("rig", {"axes": {"gamma": {"microstep_exponent": 8}}}),
         ("rig", {"geometry": {"obstruction": True}}),
     ],
-)  # fmt: skip
+)
 def test_what_is_in_the_model_and_no_key_of_the_file_is_refused_by_both(kind: str, change: dict[str, Any]) -> None:
     content = tomllib.loads(RIG.read_text(encoding="utf-8"))
     here, part = content, change
@@ -231,9 +231,13 @@ def test_drivers_and_twin_use_the_tables_themselves() -> None:
 # ---- keys that are declared twice ----
 
 USED_IN = {
-    "axes": "drivers.motion", "monochromator": "drivers.monochromator", "photodiodes": "drivers.photodiodes",
-    "monitor": "drivers.monitor", "geometry": "twin.optics.geometry", "twin": "twin",
-}  # fmt: skip
+    "axes": "drivers.motion",
+    "monochromator": "drivers.monochromator",
+    "photodiodes": "drivers.photodiodes",
+    "monitor": "drivers.monitor",
+    "geometry": "twin.optics.geometry",
+    "twin": "twin",
+}
 """By table of the rig file, the package whose dataclasses its values become."""
 
 

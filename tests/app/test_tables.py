@@ -194,10 +194,15 @@ def test_a_range_includes_its_stop() -> None:
 def test_a_grid_is_a_list_or_a_range() -> None:
     file = ScheduleFile.model_validate(
         {
-            "name": "n", "samples": ["a"], "etalon": "e", "sigma_deg": [1, 2], "beta_deg": {"start": 0, "stop": 1, "step": 1},
-            "wavelength_nm": [550], "gains_v_per_a": [1e8],
+            "name": "n",
+            "samples": ["a"],
+            "etalon": "e",
+            "sigma_deg": [1, 2],
+            "beta_deg": {"start": 0, "stop": 1, "step": 1},
+            "wavelength_nm": [550],
+            "gains_v_per_a": [1e8],
         }
-    )  # fmt: skip
+    )
     assert grid_values(file.sigma_deg) == (1.0, 2.0)
     assert grid_values(file.beta_deg) == (0.0, 1.0)
 

@@ -39,8 +39,11 @@ def ddr(tmp_path: Path) -> Path:
 def test_plot_writes_a_picture_of_a_journal_and_of_a_file(ddr: Path, tmp_path: Path) -> None:
     out = tmp_path / "a.png"
     assert json_of("plot", JOURNAL, "--out", out, "--dpi", 50) == {
-        "file": str(out), "kind": "cuts", "sample": "gaussian-5", "simulated": True,
-    }  # fmt: skip
+        "file": str(out),
+        "kind": "cuts",
+        "sample": "gaussian-5",
+        "simulated": True,
+    }
     assert out.read_bytes().startswith(b"\x89PNG")
     out = tmp_path / "a.svg"
     done = invoke("plot", ddr, "--out", out, "--kind", "polar", "--sigma", 30, "--log")

@@ -227,8 +227,12 @@ class MonitorFaultBench(FaultBench):
 
 
 BENCHES: tuple[type[FaultBench], ...] = (
-    AxesFaultBench, MonochromatorFaultBench, TcpPhotodiodesFaultBench, RtuPhotodiodesFaultBench, MonitorFaultBench,
-)  # fmt: skip
+    AxesFaultBench,
+    MonochromatorFaultBench,
+    TcpPhotodiodesFaultBench,
+    RtuPhotodiodesFaultBench,
+    MonitorFaultBench,
+)
 
 
 @cache

@@ -22,11 +22,13 @@ WITHOUT_REMEDY = {"Interrupted"}
     [
         (
             NoAnswer("axes", "GGP 254 motor 2 = 0", "0 of 9 bytes within 0.072 s", "check cable and power"),
-            "Axes (TMCM-6214) are not responding: check cable and power", "GGP 254 motor 2 = 0: 0 of 9 bytes within 0.072 s",
+            "Axes (TMCM-6214) are not responding: check cable and power",
+            "GGP 254 motor 2 = 0: 0 of 9 bytes within 0.072 s",
         ),
         (
             NoAnswer("monitor", "READ?", "not responding within 2 s", "check cable and power"),
-            "Monitor (PM100D) is not responding: check cable and power", "READ?: not responding within 2 s",
+            "Monitor (PM100D) is not responding: check cable and power",
+            "READ?: not responding within 2 s",
         ),
         (
             BadAnswer("sigma", "GAP 1 motor 0", "a checksum of 3", "check cable and grounding"),
@@ -35,22 +37,25 @@ WITHOUT_REMEDY = {"Interrupted"}
         ),
         (
             Refused("photodiodes module 2", "write the range", "exception 3", "check the kind"),
-            "Photodiodes module 2 (ADAM-6017) has refused a command: check the kind", "write the range: exception 3",
+            "Photodiodes module 2 (ADAM-6017) has refused a command: check the kind",
+            "write the range: exception 3",
         ),
         (
             Forgotten("photodiodes", "read", "ranges", "reconnect it"),
-            "Photodiodes (ADAM-6017) have lost their settings: reconnect it", "read: ranges",
+            "Photodiodes (ADAM-6017) have lost their settings: reconnect it",
+            "read: ranges",
         ),
         (Taken("axes", "GGP 254", "5", "end it"), "Axes (TMCM-6214) are in use by another program: end it", "GGP 254: 5"),
         (Overrange("monitor", "READ?", "9.9e37", "widen it"), "Monitor (PM100D) is overrange: widen it", "READ?: 9.9e37"),
         (
             WrongDevice("monochromator", "identify it", "A is connected, not B", "connect B"),
-            "monochromator: identify it: A is connected, not B; connect B", "",
+            "monochromator: identify it: A is connected, not B; connect B",
+            "",
         ),
         (LimitError("sigma", "move to 99 deg", "outside 0 to 90", "x"), "sigma: move to 99 deg: outside 0 to 90; x", ""),
         (NoAnswer("pump", "PING", "silence"), "Pump is not responding", "PING: silence"),
     ],
-)  # fmt: skip
+)
 def test_a_fault_has_a_headline_and_the_words_of_the_wire_behind_it(
     opened: RigOpener, error: DeviceError, headline: str, detail: str
 ) -> None:

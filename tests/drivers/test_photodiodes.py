@@ -59,12 +59,24 @@ def test_a_range_by_its_code_of_the_6000_series_is_written_by_that_of_the_4117(b
     assert rig.rig.photodiodes.settings.range.code == 0x09
 
 
-@pytest.mark.parametrize(("changes", "kind", "wrong"), [
-    ({"range_code": 0x0180}, "adam-6017", "0x0180 is not the code of a voltage range of an ADAM-6017; give one of 0x0103, "),
-    ({"range_code": 0x07}, "adam-4117", "0x07 is not the code of a voltage range of an ADAM-4117; give one of 0x08, 0x09, "),
-    ({"range_code": 0x15}, "adam-6017", "0x15 is not the code"), ({"range_code": -1}, "adam-4117", "is not the code"),
-    ({"raw_format": "twos-complement"}, "adam-6017", "raw_format: the registers of an ADAM-6017 are unsigned"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("changes", "kind", "wrong"),
+    [
+        (
+            {"range_code": 0x0180},
+            "adam-6017",
+            "0x0180 is not the code of a voltage range of an ADAM-6017; give one of 0x0103, ",
+        ),
+        (
+            {"range_code": 0x07},
+            "adam-4117",
+            "0x07 is not the code of a voltage range of an ADAM-4117; give one of 0x08, 0x09, ",
+        ),
+        ({"range_code": 0x15}, "adam-6017", "0x15 is not the code"),
+        ({"range_code": -1}, "adam-4117", "is not the code"),
+        ({"raw_format": "twos-complement"}, "adam-6017", "raw_format: the registers of an ADAM-6017 are unsigned"),
+    ],
+)
 def test_settings_that_a_module_cannot_have_are_refused(changes: dict[str, Any], kind: adam.ModelName, wrong: str) -> None:
     with pytest.raises(ValueError, match=wrong):
         PhotodiodeSettings((0.0,), (), (1e6,), kind, **changes)

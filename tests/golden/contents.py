@@ -47,9 +47,17 @@ PLANS = {
 }
 """Each schedule of the examples with the rigs of the examples that it is for."""
 PLAN_ROW = (
-    "identity", "kind", "sample", "pose (gamma, sigma, beta, shift)", "wavelength_nm", "gains", "readings", "automatic gains",
-    "target", "longest_s",
-)  # fmt: skip
+    "identity",
+    "kind",
+    "sample",
+    "pose (gamma, sigma, beta, shift)",
+    "wavelength_nm",
+    "gains",
+    "readings",
+    "automatic gains",
+    "target",
+    "longest_s",
+)
 SPANS = 40
 """So many stretches of a plan have a duration of their own in the golden file."""
 ALL_POINTS = 2500
@@ -61,22 +69,50 @@ DETECTORS = ("--polar", "0:80:5", "--azimuth", "0:180:20")
 SIMULATIONS: dict[str, tuple[str, ...]] = {
     "gaussian.ddr": ("--sample", "gaussian:width_deg=5", "--sigma", "30", *GRID),
     "sum.csv": (
-        "--sample", "lambertian:reflectance=0.5+regular:reflectance=0.04+gaussian:width_deg=15,reflectance=0.3",
-        "--sigma", "20,50", "--rays", "64", "--rig", str(VIRTUAL), *DETECTORS,
+        "--sample",
+        "lambertian:reflectance=0.5+regular:reflectance=0.04+gaussian:width_deg=15,reflectance=0.3",
+        "--sigma",
+        "20,50",
+        "--rays",
+        "64",
+        "--rig",
+        str(VIRTUAL),
+        *DETECTORS,
     ),
     "through.ddt": (
-        "--sample", "gaussian:width_deg=20,transmits=true,refraction=1.5,reflectance=0.4,side=back", "--side", "back",
-        "--sigma", "30", *DETECTORS, *GRID,
+        "--sample",
+        "gaussian:width_deg=20,transmits=true,refraction=1.5,reflectance=0.4,side=back",
+        "--side",
+        "back",
+        "--sigma",
+        "30",
+        *DETECTORS,
+        *GRID,
     ),
     "through.csv": (
-        "--sample", "gaussian:width_deg=20,transmits=true,reflectance=0.4", "--transmitted", "--sigma", "30",
-        "--no-obstruction", *DETECTORS,
+        "--sample",
+        "gaussian:width_deg=20,transmits=true,reflectance=0.4",
+        "--transmitted",
+        "--sigma",
+        "30",
+        "--no-obstruction",
+        *DETECTORS,
     ),
     "forward.csv": (
-        "--sample", "gaussian:width_deg=15", "--sigma", "30", "--estimator", "forward", "--paths", "100000", "--seed", "4",
-        "--stray", *DETECTORS,
+        "--sample",
+        "gaussian:width_deg=15",
+        "--sigma",
+        "30",
+        "--estimator",
+        "forward",
+        "--paths",
+        "100000",
+        "--seed",
+        "4",
+        "--stray",
+        *DETECTORS,
     ),
-}  # fmt: skip
+}
 """Each file with the options of `goniotwin simulate sample` that write it."""
 
 

@@ -83,11 +83,19 @@ def plan_rows(schedule: Path, rig: Path) -> tuple[list[list[Any]], list[float]]:
     rows = make_plan(read_schedule(schedule), read_rig(rig)).rows
     found = [
         [
-            row.identity, str(row.kind), row.sample, None if row.pose is None else list(row.pose), row.wavelength_nm,
-            list(row.gains), row.readings, row.automatic, row.target, row.longest_s,
+            row.identity,
+            str(row.kind),
+            row.sample,
+            None if row.pose is None else list(row.pose),
+            row.wavelength_nm,
+            list(row.gains),
+            row.readings,
+            row.automatic,
+            row.target,
+            row.longest_s,
         ]
         for row in rows
-    ]  # fmt: skip
+    ]
     return found, [row.seconds for row in rows]
 
 

@@ -32,13 +32,26 @@ def test_a_jammed_axis_does_not_turn_and_the_encoder_shows_it(opened: RigOpener)
 
 
 BAD: list[dict[str, Any]] = [
-    {"do": "mount", "sample": 3}, {"do": "mount", "sample": "satin"}, {"do": "mount"},
-    {"do": "jam", "axis": "delta"}, {"do": "jam", "axis": ["beta"]}, {"do": "jam", "axis": {"a": 1}},
-    {"do": "jam"}, {"do": "jam", "axis": "beta", "jammed": "no"}, {"do": "jam", "axis": "beta", "jammed": None},
-    {"do": "lamp", "level": "x"}, {"do": "lamp", "level": -0.1}, {"do": "lamp", "drift_per_hour": True},
-    {"do": "tilt"}, {"do": "tilt", "deg": 91}, {"do": "tilt", "deg": -10.1}, {"do": "tilt", "deg": float("nan")},
-    {"do": ["x"]}, {"do": {"a": 1}}, {"do": None},
-]  # fmt: skip
+    {"do": "mount", "sample": 3},
+    {"do": "mount", "sample": "satin"},
+    {"do": "mount"},
+    {"do": "jam", "axis": "delta"},
+    {"do": "jam", "axis": ["beta"]},
+    {"do": "jam", "axis": {"a": 1}},
+    {"do": "jam"},
+    {"do": "jam", "axis": "beta", "jammed": "no"},
+    {"do": "jam", "axis": "beta", "jammed": None},
+    {"do": "lamp", "level": "x"},
+    {"do": "lamp", "level": -0.1},
+    {"do": "lamp", "drift_per_hour": True},
+    {"do": "tilt"},
+    {"do": "tilt", "deg": 91},
+    {"do": "tilt", "deg": -10.1},
+    {"do": "tilt", "deg": float("nan")},
+    {"do": ["x"]},
+    {"do": {"a": 1}},
+    {"do": None},
+]
 
 
 @pytest.mark.parametrize("order", BAD, ids=repr)
@@ -67,8 +80,22 @@ JSON = st.recursive(
     lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=6), inner, max_size=4),
     max_leaves=10,
 )
-WORDS = ("do", "sample", "deg", "level", "drift_per_hour", "axis", "jammed", "device", "kinds", "share", "seed", "exchanges",
-         "script", "reset")  # fmt: skip
+WORDS = (
+    "do",
+    "sample",
+    "deg",
+    "level",
+    "drift_per_hour",
+    "axis",
+    "jammed",
+    "device",
+    "kinds",
+    "share",
+    "seed",
+    "exchanges",
+    "script",
+    "reset",
+)
 VALUES = (
     st.sampled_from(["mount", "lamp", "tilt", "jam", "state", "faults", "beta", "etalon", "axes", "adc-0", "monitor"]) | JSON
 )

@@ -23,7 +23,7 @@ from tests.mocks.replay_bench import (
     same,
     transcripts,
     virtual,
-)  # fmt: skip
+)
 from tests.mocks.replay_bench import rig_of as rig_of
 
 

@@ -91,13 +91,32 @@ def test_a_client_with_the_token_is_served(server: ChannelServer) -> None:
     end.close()
 
 
-@pytest.mark.parametrize("first", [
-    POST, b"\n", b"[]\n", b"null\n", b"\xff\n", b"{}\n", b'{"protocol": 2}\n', b'{"protocol": 2, "nonce": ""}\n',
-    b'{"protocol": 2, "nonce": null}\n', b'{"protocol": 2, "nonce": "\\ud800"}\n', HELLO.replace(b"2", b"1"),
-    HELLO.replace(b"2", b"2.0"), HELLO.replace(b"2", b'"2"'), HELLO.replace(b"2", b"true"), HELLO.replace(b"0c", b"0C"),
-    HELLO.replace(b"0c", b"0", 1), json_line({"protocol": 1, "token": TOKEN}), b"[" * 60_000 + b"\n",
-    b" " * LONGEST_LINE + HELLO, b'{"protocol": ' + b"9" * 5000 + b"}\n",
-], ids=lambda line: repr(line[:40]))  # fmt: skip
+@pytest.mark.parametrize(
+    "first",
+    [
+        POST,
+        b"\n",
+        b"[]\n",
+        b"null\n",
+        b"\xff\n",
+        b"{}\n",
+        b'{"protocol": 2}\n',
+        b'{"protocol": 2, "nonce": ""}\n',
+        b'{"protocol": 2, "nonce": null}\n',
+        b'{"protocol": 2, "nonce": "\\ud800"}\n',
+        HELLO.replace(b"2", b"1"),
+        HELLO.replace(b"2", b"2.0"),
+        HELLO.replace(b"2", b'"2"'),
+        HELLO.replace(b"2", b"true"),
+        HELLO.replace(b"0c", b"0C"),
+        HELLO.replace(b"0c", b"0", 1),
+        json_line({"protocol": 1, "token": TOKEN}),
+        b"[" * 60_000 + b"\n",
+        b" " * LONGEST_LINE + HELLO,
+        b'{"protocol": ' + b"9" * 5000 + b"}\n",
+    ],
+    ids=lambda line: repr(line[:40]),
+)
 def test_any_other_first_line_is_hung_up_on_without_an_answer(server: ChannelServer, first: bytes) -> None:
     assert answer(server, first + HELLO + b'{"do": "it"}\n') == b""
 
@@ -110,9 +129,14 @@ def test_a_client_without_the_right_proof_is_hung_up_on(server: ChannelServer, g
         first = line_of(client)
         nonce = first["nonce"]
         proofs: dict[str, object] = {
-            "token": TOKEN, "server": first["proof"], "port": proof(TOKEN, "client", server.port + 1, OWN, nonce),
-            "nonce": proof(TOKEN, "client", server.port, OWN, OWN), "none": None, "number": 3, "surrogate": "\ud800" * 64,
-        }  # fmt: skip
+            "token": TOKEN,
+            "server": first["proof"],
+            "port": proof(TOKEN, "client", server.port + 1, OWN, nonce),
+            "nonce": proof(TOKEN, "client", server.port, OWN, OWN),
+            "none": None,
+            "number": 3,
+            "surrogate": "\ud800" * 64,
+        }
         client.sendall(json_line({"proof": proofs[given]}) + b'{"do": "it"}\n')
         with contextlib.suppress(ConnectionError):
             assert client.recv(100) == b""
@@ -143,16 +167,29 @@ def impostor(answers: Callable[[dict[str, Any]], bytes]) -> Iterator[tuple[int, 
 
 def own_proof(nonce: str, role: str = "client") -> Callable[[dict[str, Any]], bytes]:
     """Answers with a proof made with a wrong guess of the token."""
-    return lambda line: json_line({
-        "protocol": PROTOCOL, "nonce": nonce, "proof": proof("a guess", "server", 1, line["nonce"], nonce), "ok": True,
-    })  # fmt: skip
+    return lambda line: json_line(
+        {
+            "protocol": PROTOCOL,
+            "nonce": nonce,
+            "proof": proof("a guess", "server", 1, line["nonce"], nonce),
+            "ok": True,
+        }
+    )
 
 
-@pytest.mark.parametrize("answers", [
-    lambda _: b'{"ok": true}\n', lambda line: json_line({**line, "ok": True}), own_proof("0c" * 32),
-    lambda line: json_line({**line, "proof": line["nonce"], "token": "x", "ok": True}), lambda _: b"\n",
-    lambda line: json_line({"protocol": PROTOCOL, "nonce": 3, "proof": 3}), lambda _: b"x" * 200_000,
-], ids=["ok", "echo", "guess", "nonce", "empty", "numbers", "endless"])  # fmt: skip
+@pytest.mark.parametrize(
+    "answers",
+    [
+        lambda _: b'{"ok": true}\n',
+        lambda line: json_line({**line, "ok": True}),
+        own_proof("0c" * 32),
+        lambda line: json_line({**line, "proof": line["nonce"], "token": "x", "ok": True}),
+        lambda _: b"\n",
+        lambda line: json_line({"protocol": PROTOCOL, "nonce": 3, "proof": 3}),
+        lambda _: b"x" * 200_000,
+    ],
+    ids=["ok", "echo", "guess", "nonce", "empty", "numbers", "endless"],
+)
 def test_a_program_without_the_token_gets_no_more_than_a_nonce(answers: Callable[[dict[str, Any]], bytes]) -> None:
     with impostor(answers) as (port, received):
         for _ in range(3):
@@ -197,9 +234,18 @@ def test_a_silent_server_is_not_waited_for() -> None:
         connect(silent.getsockname()[1], TOKEN, 0.05)
 
 
-@pytest.mark.parametrize("line", [
-    b"x\n", b"[]\n", b"3\n", b"GET / HTTP/1.1\r\n", b"{" * 60_000 + b"\n", b'{"a": "' + b"b" * 200_000 + b'"}\n',
-], ids=lambda line: repr(line[:40]))  # fmt: skip
+@pytest.mark.parametrize(
+    "line",
+    [
+        b"x\n",
+        b"[]\n",
+        b"3\n",
+        b"GET / HTTP/1.1\r\n",
+        b"{" * 60_000 + b"\n",
+        b'{"a": "' + b"b" * 200_000 + b'"}\n',
+    ],
+    ids=lambda line: repr(line[:40]),
+)
 def test_the_first_line_that_is_not_an_object_ends_the_connection(server: ChannelServer, line: bytes) -> None:
     assert answer(server, b'{"a": 1}\n' + line + b'{"b": 2}\n', TOKEN) == b'{"a": 1}\n'
 

@@ -21,18 +21,35 @@ HALF = st.integers(0, 0xFFFF)
 def devices(draw: st.DrawFn) -> usbip.ExportedDevice:
     kinds = tuple(draw(st.lists(KIND, max_size=3)))
     return usbip.ExportedDevice(
-        draw(NAME), draw(NAME), draw(WORD), draw(WORD), draw(WORD), draw(HALF), draw(HALF), draw(HALF), draw(KIND), draw(BYTE),
-        draw(BYTE), len(kinds), kinds,
-    )  # fmt: skip
+        draw(NAME),
+        draw(NAME),
+        draw(WORD),
+        draw(WORD),
+        draw(WORD),
+        draw(HALF),
+        draw(HALF),
+        draw(HALF),
+        draw(KIND),
+        draw(BYTE),
+        draw(BYTE),
+        len(kinds),
+        kinds,
+    )
 
 
 SUBMITS = st.builds(
     lambda number, device, endpoint, to_host, length, data, setup, flags: usbip.Submit(
         number, device, endpoint, to_host, length if to_host else len(data), b"" if to_host else data, setup, flags
     ),
-    WORD, WORD, st.integers(0, 15), st.booleans(), st.integers(0, usbip.LONGEST_TRANSFER), st.binary(max_size=60),
-    st.binary(min_size=8, max_size=8), WORD,
-)  # fmt: skip
+    WORD,
+    WORD,
+    st.integers(0, 15),
+    st.booleans(),
+    st.integers(0, usbip.LONGEST_TRANSFER),
+    st.binary(max_size=60),
+    st.binary(min_size=8, max_size=8),
+    WORD,
+)
 COMMANDS = st.one_of(SUBMITS, st.builds(usbip.Unlink, WORD, WORD, WORD))
 
 
@@ -70,8 +87,10 @@ def test_commands_survive_any_split(commands: list[usbip.Submit | usbip.Unlink],
     assert pieces(data, sizes, usbip.take_command) == commands
 
 
-@given(st.lists(st.tuples(WORD, st.integers(-200, 0), st.binary(max_size=60)), max_size=4, unique_by=lambda each: each[0]),
-       st.lists(st.integers(1, 70), max_size=10))  # fmt: skip
+@given(
+    st.lists(st.tuples(WORD, st.integers(-200, 0), st.binary(max_size=60)), max_size=4, unique_by=lambda each: each[0]),
+    st.lists(st.integers(1, 70), max_size=10),
+)
 def test_results_survive_any_split(results: list[tuple[int, int, bytes]], sizes: list[int]) -> None:
     sent = [usbip.Submitted(number, status, len(data), data) for number, status, data in results]
     ended = [usbip.Unlinked(number, status) for number, status, _ in results]

@@ -45,9 +45,14 @@ class ServedRun:
 
 
 def served_runs(
-    folder: Path, rig: Path, schedule: Path, speed: float, runs: int, busy: int,
+    folder: Path,
+    rig: Path,
+    schedule: Path,
+    speed: float,
+    runs: int,
+    busy: int,
     report: Callable[[int, ServedRun], None] = lambda _number, _run: None,
-) -> list[ServedRun]:  # fmt: skip
+) -> list[ServedRun]:
     """Runs of a schedule, one after the other, each in a process of its own, on one served rig beside busy programs."""
     served = folder / "served.toml"
     server = CommandProcess(folder, "serve", "--rig", rig, "--speed", speed, "--ptys", folder / "ptys", "--write-rig", served)

@@ -28,8 +28,10 @@ def serve(tmp_path: Path) -> Iterator[Serve]:
     def start(rig: Path, *options: object) -> Served:
         process = subprocess.Popen(
             [*MAIN, "serve", "--rig", str(rig), "--ptys", str(tmp_path / "ptys"), *map(str, options)],
-            stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-        )  # fmt: skip
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
         processes.append(process)
         assert process.stdout is not None
         lines: list[dict[str, Any]] = []

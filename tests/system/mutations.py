@@ -29,10 +29,39 @@ from tests.system.command import invoke
 CPU_S = 10
 MEMORY_BYTES = 1_000_000_000
 EXTREMES = (
-    "0", "-1", "1e300", "1e-300", "-1e24", "1e20", "1e-20", "nan", "-inf", "9e999", "9" * 5000, "0x" + "f" * 100, "2147483648",
-    "18446744073709551616", "1_0", "true", '""', '"a"', "[]", "{}", "[[1]]", "{ start = 0, stop = 1e9, step = 1e-9 }",
-    "1979-05-27", "[" * 400, "a" + ".a" * 9, "\x00", "\N{ZERO WIDTH SPACE}", '"' + "x" * 100_000 + '"', "'''", "1 2", ",", "=",
-)  # fmt: skip
+    "0",
+    "-1",
+    "1e300",
+    "1e-300",
+    "-1e24",
+    "1e20",
+    "1e-20",
+    "nan",
+    "-inf",
+    "9e999",
+    "9" * 5000,
+    "0x" + "f" * 100,
+    "2147483648",
+    "18446744073709551616",
+    "1_0",
+    "true",
+    '""',
+    '"a"',
+    "[]",
+    "{}",
+    "[[1]]",
+    "{ start = 0, stop = 1e9, step = 1e-9 }",
+    "1979-05-27",
+    "[" * 400,
+    "a" + ".a" * 9,
+    "\x00",
+    "\N{ZERO WIDTH SPACE}",
+    '"' + "x" * 100_000 + '"',
+    "'''",
+    "1 2",
+    ",",
+    "=",
+)
 HUGE = {
     "lists": ("[", "[],", "[]]"),
     "lists of a key": ('{"gains": [', "[],", "[]]}"),
@@ -43,9 +72,28 @@ HUGE = {
 """Beginning, repeated part and end of texts of tens of MB; as objects they would take up to a hundred times as much."""
 HUGE_PARTS = 16_000_000
 JSON_EXTREMES: tuple[Any, ...] = (
-    None, True, -1, 0, 10**9, 10**30, 1e300, float("nan"), float("inf"), "", "x" * 50_000, "\x00", "\ud800", [], [[]], [None],
-    {}, {"": {}}, [0] * 20_000, ["skipped"] * 10_000, {str(key): "" for key in range(10_000)},
-)  # fmt: skip
+    None,
+    True,
+    -1,
+    0,
+    10**9,
+    10**30,
+    1e300,
+    float("nan"),
+    float("inf"),
+    "",
+    "x" * 50_000,
+    "\x00",
+    "\ud800",
+    [],
+    [[]],
+    [None],
+    {},
+    {"": {}},
+    [0] * 20_000,
+    ["skipped"] * 10_000,
+    {str(key): "" for key in range(10_000)},
+)
 TEXTS = {"schedule.toml", "rig.toml", "certificate.csv", "table.ddr", "table.bsdf"}
 COMMANDS: dict[str, list[str]] = {
     "schedule.toml": ["check", "schedule.toml", "--rig", "rig.toml", "--json"],
@@ -57,9 +105,27 @@ COMMANDS: dict[str, list[str]] = {
     "interrupted.journal": ["runs", ".", "--json"],
     "chained.journal": ["export", "chained.journal", "--format", "csv", "--out", "points.csv"],
     "left.journal": ["runs", ".", "--json"],
-    "rays.h5": ["simulate", "sample", "--sample", "lambertian:reflectance=0.5", "--sigma", "0", "--estimator", "forward",
-                "--paths", "1", "--source", "rays.h5", "--wavelength", "550", "--interval", "10", "--out", "simulated.ddr"],
-}  # fmt: skip
+    "rays.h5": [
+        "simulate",
+        "sample",
+        "--sample",
+        "lambertian:reflectance=0.5",
+        "--sigma",
+        "0",
+        "--estimator",
+        "forward",
+        "--paths",
+        "1",
+        "--source",
+        "rays.h5",
+        "--wavelength",
+        "550",
+        "--interval",
+        "10",
+        "--out",
+        "simulated.ddr",
+    ],
+}
 """By the file that is changed, a command that reads it."""
 
 
@@ -221,8 +287,20 @@ def _change_readings(db: sqlite3.Connection, numbers: np.random.Generator) -> No
     if not rows:
         return
     row, readings, channels = rows[int(numbers.integers(len(rows)))]
-    shapes = ((readings * 100, channels), (readings, channels + 1), (readings, 1), (1, channels), (0, channels), (readings, 0),
-              (-1, channels), (-1, -1), (15_000_000, 1), (400_000, 36), (1, 15_000_000), (2**40, 2**40))  # fmt: skip
+    shapes = (
+        (readings * 100, channels),
+        (readings, channels + 1),
+        (readings, 1),
+        (1, channels),
+        (0, channels),
+        (readings, 0),
+        (-1, channels),
+        (-1, -1),
+        (15_000_000, 1),
+        (400_000, 36),
+        (1, 15_000_000),
+        (2**40, 2**40),
+    )
     shape = shapes[int(numbers.integers(len(shapes)))]
     size = 2 * abs(shape[0] * shape[1])
     counts = bytes(size) if numbers.random() < 0.5 and size < 1000 else b"\x05\x02" * (min(size, 30_000_000) // 2)

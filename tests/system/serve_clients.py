@@ -130,8 +130,11 @@ def control(address: str, abrupt: bool) -> Iterator[None]:
 
 
 KINDS: dict[str, Callable[[str, bool], Iterator[None]]] = {
-    "tmcl": tmcl, "cornerstone": cornerstone, "modbus": modbus, "control": control,
-}  # fmt: skip
+    "tmcl": tmcl,
+    "cornerstone": cornerstone,
+    "modbus": modbus,
+    "control": control,
+}
 
 
 def talk(kind: str, seconds: float, addresses: list[str], pause_s: float = 0.0) -> dict[str, int]:

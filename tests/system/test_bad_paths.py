@@ -129,13 +129,18 @@ CASES = [
     read("simulate sample", "source", "--sample lambertian:reflectance=0.9 --out none.csv --estimator forward --source {path}"),
     write("simulate sample", "out", "--sample lambertian:reflectance=0.9 --rays 64 --out {path}", ".csv"),
     write(
-        "simulate sample", "folder",
-        "--sample lambertian:reflectance=0.9 --estimator forward --out none.csv --paths 1000 --folder {path}", folder=True,
+        "simulate sample",
+        "folder",
+        "--sample lambertian:reflectance=0.9 --estimator forward --out none.csv --paths 1000 --folder {path}",
+        folder=True,
     ),
     read("simulate rigs", "rig", "--sample lambertian:reflectance=0.9 --out none.csv --rig {path}"),
     write("simulate rigs", "out", "--sample lambertian:reflectance=0.9 --rigs 1 --out {path}", ".csv"),
     write(
-        "simulate rigs", "folder", "--sample lambertian:reflectance=0.9 --rigs 1 --out none.csv --folder {path}", folder=True,
+        "simulate rigs",
+        "folder",
+        "--sample lambertian:reflectance=0.9 --rigs 1 --out none.csv --folder {path}",
+        folder=True,
     ),
     read("simulate illumination", "rig", "--out none.csv --rig {path}"),
     write("simulate illumination", "out", "--error 0.5 --out {path}", ".csv"),
@@ -147,7 +152,7 @@ CASES = [
     write("demo", "transcript", "--out none --transcript {path}", folder=True),
     write("examples", "folder", "{path}", folder=True),
     write("schema", "out", "rig --out {path}", ".json"),
-]  # fmt: skip
+]
 
 
 def paths_of_commands(group: typer.Typer = app, above: str = "") -> Iterator[tuple[str, str]]:

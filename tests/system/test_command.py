@@ -113,9 +113,15 @@ BAD: list[tuple[Change | None, Change | None, str]] = [
     (('port = "twin://virtual/axes"', 'port = "/dev/tty-that-is-not-there"'), None, "/dev/tty-that-is-not-there"),
     (('"twin://virtual/adc-3"', '"twin://virtual/adc-33"'), None, "adc-33"),
     (('usb = "twin://virtual/monitor"', 'usb = "nonsense"'), None, "monitor.usb: 'nonsense'"),
-    (('model = "gaussian"\nwidth_deg = 5.0\nform = "one_over_e"\nquantity = "luminance"\nreflectance = 0.9',
-      'model = "zemax"\nfile = "broken.bsdf"'), None, "broken.bsdf"),
-]  # fmt: skip
+    (
+        (
+            'model = "gaussian"\nwidth_deg = 5.0\nform = "one_over_e"\nquantity = "luminance"\nreflectance = 0.9',
+            'model = "zemax"\nfile = "broken.bsdf"',
+        ),
+        None,
+        "broken.bsdf",
+    ),
+]
 
 
 @pytest.mark.parametrize("call", CALLS)

@@ -38,8 +38,10 @@ def test_a_second_signal_does_not_interrupt_the_stop(
     journal = tmp_path / "c.journal"
     run = subprocess.Popen(
         [*MAIN, "run", write_schedule(TURNS), "--rig", there, "--out", journal, "--transcript", tmp_path / "wires"],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
     until(lambda: run.poll() is not None or turns_in_light(control.do("state")))
     assert run.poll() is None
     for number in (first, second, second, signal.SIGINT):
@@ -73,9 +75,12 @@ def test_the_shutter_closes_after_the_end_of_the_terminal(
     terminal, end = os.openpty()
     run = subprocess.Popen(
         [*MAIN, "run", str(write_schedule(TURNS)), "--rig", str(there), "--out", str(journal)],
-        stdin=end, stdout=end, stderr=end, start_new_session=True,
+        stdin=end,
+        stdout=end,
+        stderr=end,
+        start_new_session=True,
         preexec_fn=lambda: fcntl.ioctl(0, termios.TIOCSCTTY, 0),
-    )  # fmt: skip
+    )
     os.close(end)
 
     def turns() -> bool:

@@ -42,8 +42,10 @@ class X11Window:
         with self._errors.open("w", encoding="utf-8") as errors:
             self.process = subprocess.Popen(
                 [*MAIN, "desktop", "--rig", str(rig), "--schedule", str(schedule), "--out", str(folder / "out")],
-                env=self._display, stdout=errors, stderr=errors,
-            )  # fmt: skip
+                env=self._display,
+                stdout=errors,
+                stderr=errors,
+            )
         self._clock = RealClock()
         until(lambda: self.process.poll() is not None or bool(known_stations()))
         if self.process.poll() is not None and "xcb" in self.errors:
@@ -99,8 +101,10 @@ def display() -> Iterator[str]:
     """An X server, by its name."""
     server = subprocess.Popen(
         ["Xvfb", "-displayfd", "1", "-screen", "0", "1280x1024x24", "-nolisten", "tcp"],
-        stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
-    )  # fmt: skip
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+    )
     assert server.stdout is not None
     yield f":{server.stdout.readline().strip()}"
     server.terminate()

@@ -27,9 +27,12 @@ class Terminal:
         with self._errors.open("w", encoding="utf-8") as errors:
             self.process = subprocess.Popen(
                 [sys.executable, "-m", "goniotwin", "run", *map(str, arguments)],
-                stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=errors, text=True,
+                stdin=subprocess.PIPE,
+                stdout=subprocess.DEVNULL,
+                stderr=errors,
+                text=True,
                 env={**os.environ, "COLUMNS": "400"},
-            )  # fmt: skip
+            )
 
     def close(self) -> None:
         self.process.kill()

@@ -42,9 +42,10 @@ def test_the_uncertainty_agrees_with_the_deviations_over_many_seeds(
     Of the components those that this virtual rig has: it is off by nothing, and its pose, certificate and linearity are exact.
     """
     schedule = write_schedule(
-        ("[1e8, 1e10]", "[1e11]"), ("dark_readings = 4", f"dark_readings = {dark_readings}"),
+        ("[1e8, 1e10]", "[1e11]"),
+        ("dark_readings = 4", f"dark_readings = {dark_readings}"),
         ("shift_deg = [0, 1]", "shift_deg = [0, 1, 2, 3, 4]"),
-    )  # fmt: skip
+    )
     squares = []
     for seed in SEEDS:
         black = ("width_deg = 5.0", "width_deg = 40.0"), ("reflectance = 0.9\n", "reflectance = 0.009\n")

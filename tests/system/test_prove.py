@@ -52,8 +52,20 @@ RIGS = 8
 
 
 def proof_command(schedule: Path, rig: Path, folder: Path, *options: str) -> list[str]:
-    return [*MAIN, "prove", str(schedule), "--rig", str(rig), "--rigs", str(RIGS), "--without-wires", "--out", str(folder),
-            "--json", *options]  # fmt: skip
+    return [
+        *MAIN,
+        "prove",
+        str(schedule),
+        "--rig",
+        str(rig),
+        "--rigs",
+        str(RIGS),
+        "--without-wires",
+        "--out",
+        str(folder),
+        "--json",
+        *options,
+    ]
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -61,9 +73,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 def run(command: list[str], **environment: str) -> str:
-    done = subprocess.run(
-        command, capture_output=True, text=True, timeout=600, env={**os.environ, **environment}, check=False
-    )  # fmt: skip
+    done = subprocess.run(command, capture_output=True, text=True, timeout=600, env={**os.environ, **environment}, check=False)
     assert done.returncode == 0, done.stderr
     return done.stdout
 

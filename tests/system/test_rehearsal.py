@@ -77,9 +77,11 @@ def test_files_that_cannot_be_written_are_refused_before_the_first_row(
 
 
 SIGMAS: tuple[Change, ...] = (
-    ("sigma_deg = [30]", "sigma_deg = [0, 30, 60]"), ("[0, 1]", "[0]"), ("[1e8, 1e10]", "[1e8]"),
+    ("sigma_deg = [30]", "sigma_deg = [0, 30, 60]"),
+    ("[0, 1]", "[0]"),
+    ("[1e8, 1e10]", "[1e8]"),
     ("readings = 2", "readings = 12"),
-)  # fmt: skip
+)
 SHIFTS: tuple[Change, ...] = (("[0, 1]", "{ start = 0.0, stop = 4.5, step = 0.5 }"), ("readings = 2", "readings = 4"))
 
 

@@ -179,8 +179,11 @@ def test_serve_states_what_it_does_before_it_loads_the_twin(tmp_path: Path) -> N
     """Python's list of imports has the note before everything that takes long, compiling above all."""
     done = subprocess.run(
         [sys.executable, "-X", "importtime", "-m", "goniotwin", "serve", "--rig", tmp_path / "none.toml"],
-        capture_output=True, text=True, timeout=300, check=False,
-    )  # fmt: skip
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
     before, note, after = done.stderr.partition("goniotwin: preparing the virtual rig")
     assert note
     assert not re.search(r"\| +(numba|numpy|goniotwin\.(twin|drivers|app\.rig))\b", before)

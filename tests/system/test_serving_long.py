@@ -86,8 +86,11 @@ def start_client(kind: str, seconds: float, addresses: list[str]) -> subprocess.
     """Start a client in a process of its own; return when its first exchange is done."""
     process = subprocess.Popen(
         [sys.executable, "-m", "tests.system.serve_clients", kind, str(seconds), *addresses],
-        stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, cwd=REPOSITORY,
-    )  # fmt: skip
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+        cwd=REPOSITORY,
+    )
     assert process.stdout is not None
     assert process.stdout.readline() == f"{TALKING}\n"
     return process

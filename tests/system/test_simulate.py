@@ -82,8 +82,9 @@ def test_random_rigs_are_a_table_and_a_summary(tmp_path: Path) -> None:
     command += ["--polar", "20:40:5", "--azimuth", 180, "--out", out, "--processes", 1]
     result = json_result(invoke(*command, "--rigs", 6, "--json"))
     assert [(each["sample"], each["sigma"]) for each in result["samples"]] == [
-        ("gaussian:width_deg=5", 30.0), ("gaussian:width_deg=15", 30.0),
-    ]  # fmt: skip
+        ("gaussian:width_deg=5", 30.0),
+        ("gaussian:width_deg=15", 30.0),
+    ]
     lines = [line for line in out.read_text(encoding="utf-8").splitlines() if not line.startswith("#")]
     assert lines[0].startswith("sample,sigma_deg,rig,relative_rms,mirror_1_rx_deg,")
     assert len(lines) == 1 + 2 * 6

@@ -140,9 +140,14 @@ def test_a_killed_station_leaves_a_journal_that_the_next_one_resumes(
         each.client.close()
 
 
-@pytest.mark.parametrize("number", [
-    signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.long), pytest.param(signal.SIGHUP, marks=pytest.mark.long),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "number",
+    [
+        signal.SIGTERM,
+        pytest.param(signal.SIGINT, marks=pytest.mark.long),
+        pytest.param(signal.SIGHUP, marks=pytest.mark.long),
+    ],
+)
 def test_a_signal_to_the_station_stops_the_run_in_order(
     start: Start, write_rig: Writer, write_schedule: Writer, tmp_path: Path, number: int
 ) -> None:
@@ -165,9 +170,7 @@ def test_goniotwin_run_can_be_watched_paused_and_stopped(
     start: Start, write_rig: Writer, write_schedule: Writer, tmp_path: Path
 ) -> None:
     journal = tmp_path / "run.journal"
-    process = CommandProcess(
-        tmp_path, "run", write_schedule(), "--rig", write_rig(*QUIET), "--out", journal, "--speed", 20
-    )  # fmt: skip
+    process = CommandProcess(tmp_path, "run", write_schedule(), "--rig", write_rig(*QUIET), "--out", journal, "--speed", 20)
     client = Attached(connection_of(process))
     client.wait_for(lambda: client.snapshot.done >= 3)
     with pytest.raises(Refused, match="a run is"):
@@ -239,8 +242,11 @@ def test_a_killed_parent_leaves_the_run_on(write_rig: Writer, write_schedule: Wr
     """With its whole process group, and its ends of all pipes: as a terminal that is closed, or a log-out."""
     parent = subprocess.Popen(
         [sys.executable, "-c", STARTER, str(write_rig(*QUIET)), str(write_schedule()), str(tmp_path / "journals")],
-        cwd=REPOSITORY, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True,
-    )  # fmt: skip
+        cwd=REPOSITORY,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        start_new_session=True,
+    )
     assert parent.stdout is not None
     assert parent.stdin is not None
     try:

@@ -45,9 +45,14 @@ pytestmark = [
     pytest.mark.skipif(not sys.platform.startswith("linux"), reason="this system does not list what its sockets hold"),
 ]
 STOPS = {
-    "none": 100, "deaf axes": 100, "deaf monochromator": 100, "deaf converter module": 100, "hung monitor": 100,
-    "busy processes": 100, "a run": 10,
-}  # fmt: skip
+    "none": 100,
+    "deaf axes": 100,
+    "deaf monochromator": 100,
+    "deaf converter module": 100,
+    "hung monitor": 100,
+    "busy processes": 100,
+    "a run": 10,
+}
 BY_A_KEY = {"none": 100, "deaf axes": 20, "busy processes": 100}
 ANSWERS, FLOOD_S = 300, 0.5
 """Commands at once whose answers are not read, and the time for them: fewer than a station holds for a client."""

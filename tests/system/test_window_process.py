@@ -54,12 +54,26 @@ class WindowProcess:
         with self._errors.open("w", encoding="utf-8") as errors:
             self.process = subprocess.Popen(
                 [
-                    sys.executable, "-m", "tests.system.window_starter", "desktop", "--rig", str(rig),
-                    "--schedule", str(schedule), "--out", str(folder), "--speed", str(speed),
+                    sys.executable,
+                    "-m",
+                    "tests.system.window_starter",
+                    "desktop",
+                    "--rig",
+                    str(rig),
+                    "--schedule",
+                    str(schedule),
+                    "--out",
+                    str(folder),
+                    "--speed",
+                    str(speed),
                 ],
-                cwd=REPOSITORY, env={**os.environ, "QT_QPA_PLATFORM": "offscreen"},
-                stdout=subprocess.PIPE, stderr=errors, text=True, start_new_session=True,
-            )  # fmt: skip
+                cwd=REPOSITORY,
+                env={**os.environ, "QT_QPA_PLATFORM": "offscreen"},
+                stdout=subprocess.PIPE,
+                stderr=errors,
+                text=True,
+                start_new_session=True,
+            )
         clock = RealClock()
         self._limit = clock.at(clock.now() + longest_s, self.process.kill)
         self.counts: dict[int, list[int]] = {}

@@ -30,9 +30,13 @@ class WindowByKeys:
         with self._errors.open("w", encoding="utf-8") as errors:
             self.process = subprocess.Popen(
                 [sys.executable, "-m", "tests.system.window_by_keys", *map(str, arguments)],
-                cwd=REPOSITORY, env={**os.environ, "QT_QPA_PLATFORM": "offscreen"},
-                stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors, text=True,
-            )  # fmt: skip
+                cwd=REPOSITORY,
+                env={**os.environ, "QT_QPA_PLATFORM": "offscreen"},
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=errors,
+                text=True,
+            )
         self._clock = RealClock()
 
     def press(self, *keys: str) -> None:

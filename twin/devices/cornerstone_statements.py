@@ -115,11 +115,19 @@ class Statements:
         self._plant = plant
         self._drive = drive
         self._commands: dict[str, Callable[[UnitState, str, float], StatementResult]] = {
-            "GOWAVE": self._go_wave, "STEP": self._step, "ABORT": lambda state, _, t: StatementResult(state, t),
-            "CALIBRATE": self._calibrate, "GRAT": self._go_grating, "SHUTTER": self._shutter, "FILTER": self._go_filter,
-            "OUTPORT": self._outport, "BANDPASS": self._bandpass, "UNITS": self._units, "HANDSHAKE": self._handshake,
+            "GOWAVE": self._go_wave,
+            "STEP": self._step,
+            "ABORT": lambda state, _, t: StatementResult(state, t),
+            "CALIBRATE": self._calibrate,
+            "GRAT": self._go_grating,
+            "SHUTTER": self._shutter,
+            "FILTER": self._go_filter,
+            "OUTPORT": self._outport,
+            "BANDPASS": self._bandpass,
+            "UNITS": self._units,
+            "HANDSHAKE": self._handshake,
             "ADDRESS": self._address,
-        }  # fmt: skip
+        }
 
     def perform(self, state: UnitState, statement: Statement, t: float) -> StatementResult:
         """Carry out a statement at `t`. Raises StatementRefused."""

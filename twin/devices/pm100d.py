@@ -42,8 +42,12 @@ CALIBRATING, MEASURING = 0, 4  # bits of STATus:OPERation
 OVER_CURRENT, OVER_POWER, ZEROED_BADLY = 1, 3, 8  # bits of STATus:QUEStionable
 CURRENT, POWER, DENSITY, FREQUENCY, TEMPERATURE = "CURR", "POW", "PDEN", "FREQ", "TEMP"
 MEASURABLE = {
-    CURRENT: "CURRent[:DC]", POWER: "[POWer]", DENSITY: "PDENsity", FREQUENCY: "FREQuency", TEMPERATURE: "TEMPerature",
-}  # fmt: skip
+    CURRENT: "CURRent[:DC]",
+    POWER: "[POWer]",
+    DENSITY: "PDENsity",
+    FREQUENCY: "FREQuency",
+    TEMPERATURE: "TEMPerature",
+}
 OTHER_SENSORS = ("VOLTage[:DC]", "ENERgy", "EDENsity")
 """What thermopiles and pyroelectric sensors measure, and a photodiode does not."""
 ADAPTERS = ("PHOTodiode", "THERmal", "PYRo")

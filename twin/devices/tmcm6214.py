@@ -267,10 +267,19 @@ class MotionModule:
         return motor.search(request.type, t)
 
     _actions: ClassVar[dict[int, Callable[["MotionModule", Motor, CommandFrame, float], int]]] = {
-        Command.ROR: _turn, Command.ROL: _turn, Command.MST: _turn, Command.MVP: _move, Command.RFS: _search,
-        Command.SAP: _parameter, Command.GAP: _parameter, Command.STAP: _parameter, Command.RSAP: _parameter,
-        Command.SCO: _coordinate, Command.GCO: _coordinate, Command.CCO: _coordinate,
-    }  # fmt: skip
+        Command.ROR: _turn,
+        Command.ROL: _turn,
+        Command.MST: _turn,
+        Command.MVP: _move,
+        Command.RFS: _search,
+        Command.SAP: _parameter,
+        Command.GAP: _parameter,
+        Command.STAP: _parameter,
+        Command.RSAP: _parameter,
+        Command.SCO: _coordinate,
+        Command.GCO: _coordinate,
+        Command.CCO: _coordinate,
+    }
 
     def _port(self, request: CommandFrame) -> int:
         number, bank = request.type, request.motor

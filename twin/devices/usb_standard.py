@@ -25,9 +25,22 @@ def packet_bytes(endpoint: int) -> int:
 def device_descriptor(vendor_id: int, product_id: int) -> bytes:
     """Eighteen bytes."""
     return struct.pack(
-        "<BBHBBBBHHHBBBB", 18, DEVICE, 0x0200, 0, 0, 0, 64, vendor_id, product_id, 0x0100,
-        MANUFACTURER_STRING, PRODUCT_STRING, SERIAL_STRING, 1,
-    )  # fmt: skip
+        "<BBHBBBBHHHBBBB",
+        18,
+        DEVICE,
+        0x0200,
+        0,
+        0,
+        0,
+        64,
+        vendor_id,
+        product_id,
+        0x0100,
+        MANUFACTURER_STRING,
+        PRODUCT_STRING,
+        SERIAL_STRING,
+        1,
+    )
 
 
 def configuration_descriptor() -> bytes:

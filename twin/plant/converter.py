@@ -118,9 +118,21 @@ def convert_channels(
     for c in range(begin, end):
         t = (numbers[c] + c / volts.size) * period
         volts[c] = _channel_v(
-            first + c, numbers[c], t, lamp_level(t, lamp, lamp_keys), signal_a, dark_a, gains, deviations, gain, old_gain,
-            changed, constants, dark_keys, noise_keys,
-        )  # fmt: skip
+            first + c,
+            numbers[c],
+            t,
+            lamp_level(t, lamp, lamp_keys),
+            signal_a,
+            dark_a,
+            gains,
+            deviations,
+            gain,
+            old_gain,
+            changed,
+            constants,
+            dark_keys,
+            noise_keys,
+        )
 
 
 @kernel()
@@ -154,9 +166,21 @@ def convert_readings(
         level = lamp_level(t, lamp, lamp_keys)
         for module in range(modules):
             now[module, c] = _channel_v(
-                module * channels + c, number, t, level, signal_a, dark_a, gains, deviations, gain[module], old_gain[module],
-                changed[module], constants, dark_keys, noise_keys,
-            )  # fmt: skip
+                module * channels + c,
+                number,
+                t,
+                level,
+                signal_a,
+                dark_a,
+                gains,
+                deviations,
+                gain[module],
+                old_gain[module],
+                changed[module],
+                constants,
+                dark_keys,
+                noise_keys,
+            )
         if tick >= 0:
             for module in range(modules):  # numba takes three seconds to compile an assignment of arrays
                 for channel in range(channels):

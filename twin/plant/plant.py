@@ -335,10 +335,24 @@ class Plant:
             signal_a = self._settled_currents[1] if light else self.photocurrents_a(at)
             before, _ = gain.before(at)
             convert_channels(
-                volts, begin, end, module * MODULE_CHANNELS, numbers, period, signal_a, self._dark_a, self._gains,
-                self._deviation, gain.at(at), before, gain.held_since(at), self._constants, *self._lamp, self._dark_keys,
+                volts,
+                begin,
+                end,
+                module * MODULE_CHANNELS,
+                numbers,
+                period,
+                signal_a,
+                self._dark_a,
+                self._gains,
+                self._deviation,
+                gain.at(at),
+                before,
+                gain.held_since(at),
+                self._constants,
+                *self._lamp,
+                self._dark_keys,
                 self._noise_keys,
-            )  # fmt: skip
+            )
         return self.with_crosstalk(volts)
 
     def tick(self, t: float) -> int:
@@ -357,10 +371,21 @@ class Plant:
         volts = np.empty((self.modules, TICKS_AHEAD, MODULE_CHANNELS))
         changed = [each.last_change for each in self.gain]
         convert_readings(
-            volts, tick, self.conversion_period_s, self._settled_currents[1], self._dark_a, self._gains, self._deviation,
-            np.array([each.newest for each in self.gain]), np.array([each.before(each.last_change)[0] for each in self.gain]),
-            np.array(changed), self._constants, *self._lamp, self._dark_keys, self._noise_keys,
-        )  # fmt: skip
+            volts,
+            tick,
+            self.conversion_period_s,
+            self._settled_currents[1],
+            self._dark_a,
+            self._gains,
+            self._deviation,
+            np.array([each.newest for each in self.gain]),
+            np.array([each.before(each.last_change)[0] for each in self.gain]),
+            np.array(changed),
+            self._constants,
+            *self._lamp,
+            self._dark_keys,
+            self._noise_keys,
+        )
         steady = [each <= earliest for each in changed]
         self._coming = ComingReadings(self.changes.number, tick, steady, self.with_crosstalk(volts))
         return self._coming

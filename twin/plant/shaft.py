@@ -130,9 +130,13 @@ class Shaft:
         """Drive that would result if the motor's counter followed `trajectory` from `t` on."""
         old = self._drives.at(t)
         return replace(
-            old, trajectory=trajectory, since=t, start_deg=old.angle_deg(t), deceleration=deceleration,
+            old,
+            trajectory=trajectory,
+            since=t,
+            start_deg=old.angle_deg(t),
+            deceleration=deceleration,
             heartbeat=heartbeat if heartbeat is not None else Heartbeat(),
-        )  # fmt: skip
+        )
 
     def follow(
         self, t: float, trajectory: Trajectory, deceleration: float = math.inf, heartbeat: Heartbeat | None = None

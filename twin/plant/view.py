@@ -194,17 +194,27 @@ class View:
         if model.estimator.kind == "forward":
             return self._trace(instrument, sample, sigma, directions, wavelength, mounted, aspect)
         direct = throughput(
-            instrument, sigma, directions, sample, rays=model.estimator.rays, gamma_deg=aspect.gamma_deg,
+            instrument,
+            sigma,
+            directions,
+            sample,
+            rays=model.estimator.rays,
+            gamma_deg=aspect.gamma_deg,
             wavelength_nm=wavelength,
-        )  # fmt: skip
+        )
         if not model.estimator.stray:
             return direct
 
         def compute_map() -> StrayMap:
             return stray_map(
-                instrument, sigma, sample, seed=model.seed, gamma_deg=aspect.gamma_deg, wavelength_nm=wavelength,
+                instrument,
+                sigma,
+                sample,
+                seed=model.seed,
+                gamma_deg=aspect.gamma_deg,
+                wavelength_nm=wavelength,
                 sample_frames=model.frames,
-            )  # fmt: skip
+            )
 
         stray = _cached(self._maps, light, MAPS_KEPT, compute_map)
         return direct + stray_throughput(stray, directions, instrument)
@@ -215,16 +225,29 @@ class View:
         return replace(self._instrument, deviations={**self._instrument.deviations, "sample": own})
 
     def _trace(
-        self, instrument: Instrument, sample: Scatterer, sigma: float, directions: Floats, wavelength: float | None,
-        mounted: Deviation, aspect: Aspect,
-    ) -> Floats:  # fmt: skip
+        self,
+        instrument: Instrument,
+        sample: Scatterer,
+        sigma: float,
+        directions: Floats,
+        wavelength: float | None,
+        mounted: Deviation,
+        aspect: Aspect,
+    ) -> Floats:
         # Each pose has its own random numbers: with the same ones the errors of all rows would be correlated.
         text = _seed_text(self._model.seed, aspect) + (f" {aspect.mounting}" if mounted != NO_DEVIATION else "")
         seed = blake2b(text.encode(), digest_size=8).digest()
         estimate = forward_throughput(
-            instrument, sigma, directions, sample, seed=int.from_bytes(seed, "big"), gamma_deg=aspect.gamma_deg,
-            wavelength_nm=wavelength, relative_error=self._model.estimator.relative_error, sample_frames=self._model.frames,
-        )  # fmt: skip
+            instrument,
+            sigma,
+            directions,
+            sample,
+            seed=int.from_bytes(seed, "big"),
+            gamma_deg=aspect.gamma_deg,
+            wavelength_nm=wavelength,
+            relative_error=self._model.estimator.relative_error,
+            sample_frames=self._model.frames,
+        )
         return estimate.throughput_m2sr if self._model.estimator.stray else estimate.single_m2sr
 
 

@@ -411,11 +411,19 @@ class Journal(JournalReader):
             self._db.executemany(
                 INSERT_READING,
                 [
-                    (row.number, attempt, each.gain_v_per_a, each.first_s, each.period_s, each.monitor_a,
-                     *each.counts.shape, each.counts.astype("<u2").tobytes())
+                    (
+                        row.number,
+                        attempt,
+                        each.gain_v_per_a,
+                        each.first_s,
+                        each.period_s,
+                        each.monitor_a,
+                        *each.counts.shape,
+                        each.counts.astype("<u2").tobytes(),
+                    )
                     for each in data.readings
                 ],
-            )  # fmt: skip
+            )
             self._unlinked.append((row.number, attempt))
             if self._written:
                 if row.number in self.chain.damaged:

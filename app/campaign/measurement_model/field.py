@@ -157,10 +157,15 @@ def acceptance_moments(instrument: Instrument) -> Floats:
             total[:, n] += [
                 float(np.sum(each))
                 for each in (
-                    own * cos2 + other * sin2, own * sin2 + other * cos2, first * seen * share * towards,
-                    first * aside * share * aside, area * towards**2, area * aside**2, area,
+                    own * cos2 + other * sin2,
+                    own * sin2 + other * cos2,
+                    first * seen * share * towards,
+                    first * aside * share * aside,
+                    area * towards**2,
+                    area * aside**2,
+                    area,
                 )
-            ]  # fmt: skip
+            ]
     moments = total[:6] / total[6]
     moments[:4] /= instrument.arc_radius_mm
     moments[:2] /= instrument.arc_radius_mm

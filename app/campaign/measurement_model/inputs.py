@@ -27,12 +27,16 @@ class InputQuantity:
     origin: Origin = STATED
 
 
-def quantity(
-    each: Input, table: UncertaintyTable, name: str = "", *, shared_by: str = "", times: float = 1.0
-) -> InputQuantity:  # fmt: skip
+def quantity(each: Input, table: UncertaintyTable, name: str = "", *, shared_by: str = "", times: float = 1.0) -> InputQuantity:
     """A quantity of a declared input, by the `name` of one where it has several; with so many `times` its uncertainty."""
     return InputQuantity(
-        name or each.name, each.unit, times * table.u(each), each.distribution, shared_by or each.shared_by.value,
-        table.source(each), f"disturbances.{each.key}" if each.targets else "", table.degrees_of_freedom(each),
+        name or each.name,
+        each.unit,
+        times * table.u(each),
+        each.distribution,
+        shared_by or each.shared_by.value,
+        table.source(each),
+        f"disturbances.{each.key}" if each.targets else "",
+        table.degrees_of_freedom(each),
         table.origin(each),
-    )  # fmt: skip
+    )

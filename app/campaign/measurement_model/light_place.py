@@ -150,10 +150,12 @@ def light_place(instrument: Instrument, views: Views, common: Displacement, rig:
     by_field = (wider - narrower) / (2.0 * FIELD_STEP)
     moved = change[:, which]
     return LightPlace(
-        np.einsum("ni,ni->n", along, centre), np.einsum("ni,ni->n", across, centre),
-        np.einsum("ni,kni->nk", along, moved), np.einsum("ni,kni->nk", across, moved),
+        np.einsum("ni,ni->n", along, centre),
+        np.einsum("ni,ni->n", across, centre),
+        np.einsum("ni,kni->nk", along, moved),
+        np.einsum("ni,kni->nk", across, moved),
         np.stack([np.einsum("ni,ni->n", each, by_field) for each in (along, across)], axis=1),
-    )  # fmt: skip
+    )
 
 
 def across_beam(sigma_deg: float) -> Floats:
@@ -292,9 +294,7 @@ def seen_light(instrument: Instrument, pose: tuple[float, float], view: Floats, 
     )
 
 
-def seen_logarithm(
-    instrument: Instrument, pose: tuple[float, float], views: Floats, places: Floats, discs: Floats
-) -> Floats:  # fmt: skip
+def seen_logarithm(instrument: Instrument, pose: tuple[float, float], views: Floats, places: Floats, discs: Floats) -> Floats:
     """The logarithm (m, n) of a diffuser's light at a pose of sigma and gamma in the directions `views` (m, 3), with the slit's
     image at `places` (n, 2), against a hole that is lit everywhere; to first order with each photodiode's disc moved against
     its cone by `discs` (m, n, 3), mm along the rig's axes.

@@ -550,11 +550,17 @@ def lifted_inputs(table: UncertaintyTable, kind: str, mounting: str) -> list[Inp
     others = {name: quantity(input_named(name), table, name) for name in ASIDE}
     return [
         InputQuantity(
-            f"{kind}_height*{name}@{mounting}", f"mm {other.unit}", height.u * other.u, "normal", height.shared_by,
-            f"{height.source}, {other.source}", height.twin, origin=max(height.origin, other.origin, key=ORIGINS.index),
+            f"{kind}_height*{name}@{mounting}",
+            f"mm {other.unit}",
+            height.u * other.u,
+            "normal",
+            height.shared_by,
+            f"{height.source}, {other.source}",
+            height.twin,
+            origin=max(height.origin, other.origin, key=ORIGINS.index),
         )
         for name, other in others.items()
-    ]  # fmt: skip
+    ]
 
 
 def photodiode_inputs(table: UncertaintyTable, photodiode: int) -> list[InputQuantity]:

@@ -103,19 +103,23 @@ class Quantity:
     def each(self, part: Callable[[NDArray[Any]], NDArray[Any]]) -> Self:
         """With a function of every array, such as the choice of some values along the first axis."""
         return replace(
-            self, value=part(self.value), own={name: part(each) for name, each in self.own.items()},
+            self,
+            value=part(self.value),
+            own={name: part(each) for name, each in self.own.items()},
             common={name: part(each) for name, each in self.common.items()},
             grouped={name: each.each(part) for name, each in self.grouped.items()},
-        )  # fmt: skip
+        )
 
     def scaled(self, factor: Floats | float) -> Self:
         """The values times an exactly known factor."""
         squared = np.square(factor)
         return replace(
-            self, value=self.value * factor, own={name: each * squared for name, each in self.own.items()},
+            self,
+            value=self.value * factor,
+            own={name: each * squared for name, each in self.own.items()},
             common={name: each * factor for name, each in self.common.items()},
             grouped={name: each.scaled(factor) for name, each in self.grouped.items()},
-        )  # fmt: skip
+        )
 
     def __sub__(self, other: "Quantity") -> "Quantity":
         return self._plus(other.scaled(-1.0))
@@ -159,9 +163,10 @@ class Quantity:
     def summed(self) -> "Quantity":
         """The sum of the values along the first axis."""
         total = Quantity(
-            self.value.sum(axis=0), {name: each.sum(axis=0) for name, each in self.own.items()},
+            self.value.sum(axis=0),
+            {name: each.sum(axis=0) for name, each in self.own.items()},
             {name: each.sum(axis=0) for name, each in self.common.items()},
-        )  # fmt: skip
+        )
         return replace(total, grouped={name: _summed(each) for name, each in self.grouped.items()})
 
 

@@ -401,9 +401,17 @@ def slopes_of(directions: Directions, y: Floats, variance: Floats, window: float
     across = Parabola(*(np.where(measured, a, b) for a, b in zip(vars(circle).values(), vars(beside).values(), strict=True)))
     mixing = np.zeros((y.size, 5, 5))
     _mix(
-        directions.polar, directions.up, directions.middle, directions.along, directions.across, measured,
-        np.isfinite(across.second), directions.radial, window, mixing,
-    )  # fmt: skip
+        directions.polar,
+        directions.up,
+        directions.middle,
+        directions.along,
+        directions.across,
+        measured,
+        np.isfinite(across.second),
+        directions.radial,
+        window,
+        mixing,
+    )
     unknown = ~measured & ~((directions.radial | np.isfinite(across.second)) & round_lobe)
     mixing[unknown, 1] = 0.0
     beside_it, brighter, step = circles.steepest(y, variance)
@@ -426,9 +434,21 @@ def slopes_of(directions: Directions, y: Floats, variance: Floats, window: float
     curved = np.maximum(np.abs(second_along), np.abs(second_across)) - NOISE_MARGIN * np.sqrt(arc.variance_second)
     narrower = np.where(measured, 0.0, np.maximum(curved, 0.0) * directions.narrowing / math.sqrt(3.0))
     return Slopes(
-        first_along, first_across, second_along, second_across, mixed, arc, across, crossed, mixing, measured, bound, narrower,
-        beside_it, step,
-    )  # fmt: skip
+        first_along,
+        first_across,
+        second_along,
+        second_across,
+        mixed,
+        arc,
+        across,
+        crossed,
+        mixing,
+        measured,
+        bound,
+        narrower,
+        beside_it,
+        step,
+    )
 
 
 def _over_theta(directions: Directions, y: Floats, variance: Floats, window: float, chosen: Flags) -> Parabola:
@@ -580,9 +600,17 @@ def _largest_slope(directions: Directions, y: Floats, arc: Parabola, brighter: F
 
 @kernel()
 def _mix(
-    polar: Floats, up: Floats, middle: Floats, along: Floats, across: Floats, measured: Flags, beside: Flags,
-    radial: Flags, window: float, mixing: Floats,
-) -> None:  # fmt: skip
+    polar: Floats,
+    up: Floats,
+    middle: Floats,
+    along: Floats,
+    across: Floats,
+    measured: Flags,
+    beside: Flags,
+    radial: Flags,
+    window: float,
+    mixing: Floats,
+) -> None:
     """`mixing` of `Slopes`, whose third and fourth source are derivatives along the circle where it was `measured`.
 
     The derivative along the circle is that across, but for its curvature against a great circle. Where there is no circle, y

@@ -59,9 +59,19 @@ class RowTemplates:
         """A measurement without number, identity, pose and wavelength."""
         file, averaging = self.file, self.file.averaging
         return Row(
-            0, "", "measure", sample, 0.0, None, None, self.gains, file.readings, file.gains_v_per_a == "automatic",
-            None if averaging is None else averaging.relative_uncertainty, 0.0 if averaging is None else averaging.longest_s,
-        )  # fmt: skip
+            0,
+            "",
+            "measure",
+            sample,
+            0.0,
+            None,
+            None,
+            self.gains,
+            file.readings,
+            file.gains_v_per_a == "automatic",
+            None if averaging is None else averaging.relative_uncertainty,
+            0.0 if averaging is None else averaging.longest_s,
+        )
 
     def dark(self, reading: DarkReading, number: int = 0) -> Row:
         """A dark reading as row `number`; always at every gain, because any of them may be needed."""
@@ -200,9 +210,19 @@ class PlanTimeline:
         pose = (table.gamma_deg, table.sigma_deg, table.beta_deg, table.shift_deg)
         template = self.templates.measurement(sample)
         row = Row(
-            0, f"{sample}/drift {self._drift_count + 1}", "drift", sample, 0.0, table.wavelength_nm, pose,
-            template.gains, template.readings, template.automatic, template.target, template.longest_s,
-        )  # fmt: skip
+            0,
+            f"{sample}/drift {self._drift_count + 1}",
+            "drift",
+            sample,
+            0.0,
+            table.wavelength_nm,
+            pose,
+            template.gains,
+            template.readings,
+            template.automatic,
+            template.target,
+            template.longest_s,
+        )
         seconds, _ = self.timing.row(self.state, row)
         if self._lit_since_dark and self._since_dark + seconds > self.file.dark_every_s:
             self._dark(sample)
@@ -310,8 +330,17 @@ class PlannedRows(Sequence[Row]):
         poses, wavelengths = scan_pass.poses.angles.tolist(), scan_pass.grid.wavelengths_nm.tolist()
         pose, wavelength = divmod(block.points, len(wavelengths))
         return map(
-            Row, range(number, number + len(block.points)), scan_pass.identities(block.points), repeat(template.kind),
-            repeat(template.sample), block.seconds.tolist(), [wavelengths[k] for k in wavelength.tolist()],
-            [tuple(poses[k]) for k in pose.tolist()], repeat(template.gains), repeat(template.readings),
-            repeat(template.automatic), repeat(template.target), repeat(template.longest_s),
-        )  # fmt: skip
+            Row,
+            range(number, number + len(block.points)),
+            scan_pass.identities(block.points),
+            repeat(template.kind),
+            repeat(template.sample),
+            block.seconds.tolist(),
+            [wavelengths[k] for k in wavelength.tolist()],
+            [tuple(poses[k]) for k in pose.tolist()],
+            repeat(template.gains),
+            repeat(template.readings),
+            repeat(template.automatic),
+            repeat(template.target),
+            repeat(template.longest_s),
+        )

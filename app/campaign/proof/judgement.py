@@ -168,7 +168,7 @@ class _DrawnInputs:
 
 def _add_sample(
     result: RigResult, reduction: Reduction, name: str, points: BsdfPoints, scatterer: Scatterer, drawn: _DrawnInputs
-) -> None:  # fmt: skip
+) -> None:
     truth = true_bsdf(scatterer, points)
     chosen = points.good & np.isfinite(truth)
     points_of, truth_of = points.where(chosen), truth[chosen]

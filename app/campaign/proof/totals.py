@@ -95,9 +95,14 @@ class ReflectanceTotal:
     def as_dict(self) -> dict[str, Any]:
         """The reflectance for JSON."""
         return {
-            "label": self.label, "rigs": self.rigs, "chi2": self.chi_square, "limits_99": list(self.limits),
-            "u_over_scatter": _finite(self.u_over_scatter), "beyond_99": self.beyond, "limited": self.limited,
-        }  # fmt: skip
+            "label": self.label,
+            "rigs": self.rigs,
+            "chi2": self.chi_square,
+            "limits_99": list(self.limits),
+            "u_over_scatter": _finite(self.u_over_scatter),
+            "beyond_99": self.beyond,
+            "limited": self.limited,
+        }
 
 
 class Totals:
@@ -200,12 +205,18 @@ def _cell_total(label: str, cells: list[Cell], structure: Ints) -> CellTotal:
     counts, squares = (np.bincount(which, weights=each) for each in (values, square))
     known = (counts > 0.0) & (squares > 0.0)
     return CellTotal(
-        label, int(values.sum()), coverage, _ratio_error(covered, values, coverage),
-        mean, _ratio_error(deviation, values, mean),
-        math.fsum(each.chi_square for each in cells) / freedom if freedom > 0.0 else math.nan, int(beyond.sum()),
-        int(np.sum(values > 0.0)), int(np.sum(counts > 0.0)),
+        label,
+        int(values.sum()),
+        coverage,
+        _ratio_error(covered, values, coverage),
+        mean,
+        _ratio_error(deviation, values, mean),
+        math.fsum(each.chi_square for each in cells) / freedom if freedom > 0.0 else math.nan,
+        int(beyond.sum()),
+        int(np.sum(values > 0.0)),
+        int(np.sum(counts > 0.0)),
         float(np.median(np.sqrt(counts[known] / squares[known]))) if known.any() else math.nan,
-    )  # fmt: skip
+    )
 
 
 def _ratio_error(part: Floats, whole: Floats, ratio: float) -> float:

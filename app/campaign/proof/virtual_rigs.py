@@ -27,7 +27,7 @@ class DrawnRigs:
 
     def __init__(
         self, rig: RigDescription, etalon: str, *, level: float, years: float, second: SecondStandard | None = None
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._document = tomlkit.parse(rig.text)
         drawn = [each for each in inputs() if each.targets and each.u is not None]
         stated: dict[str, Any] = {each.key: rig.file.uncertainty.width(each) for each in drawn}

@@ -200,9 +200,7 @@ def aligned_displacement(points: BsdfPoints, settings: ReductionSettings) -> tup
     return found, np.stack(variance_deg2, axis=1)
 
 
-def _positions(
-    paths: Sequence[PathOfPoints], settings: ReductionSettings, at_sample: Floats, at_etalon: Floats
-) -> Group:  # fmt: skip
+def _positions(paths: Sequence[PathOfPoints], settings: ReductionSettings, at_sample: Floats, at_etalon: Floats) -> Group:
     """The axes' positions at the rows of all paths, each common to all rows until the axis' next move."""
     count = len(POSITIONS)
     history = settings.history

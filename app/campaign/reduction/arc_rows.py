@@ -53,9 +53,11 @@ def arcs_of_rows(places: Floats, geometry: ArcGeometry) -> list[tuple[Ints, ArcV
         view_of_row = of_pose[which]
         rows = np.flatnonzero(view_of_row >= 0)
         planned = ArcViews(
-            tuple(each for _, each, _, _ in seen), view_of_row[rows], np.array([sigma for *_, sigma in seen]),
+            tuple(each for _, each, _, _ in seen),
+            view_of_row[rows],
+            np.array([sigma for *_, sigma in seen]),
             np.stack([blocked for _, _, blocked, _ in seen]),
-        )  # fmt: skip
+        )
         arcs.append((rows, planned))
     return arcs
 

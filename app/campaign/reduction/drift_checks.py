@@ -211,7 +211,7 @@ class DriftChange:
 
 def drift_changes(
     rows: Iterable[CommittedRow], signal_of: Callable[[CommittedRow], Signal], rig: RigFile, limit: float
-) -> list[DriftChange]:  # fmt: skip
+) -> list[DriftChange]:
     """The drift checks that see light, but the first of each mounting; `rows` as those of `drift_intervals`."""
     found: list[DriftChange] = []
     first, began_s, mounting = None, 0.0, 0
@@ -255,9 +255,7 @@ def unchecked_photodiodes(
     `trusted` are the photodiodes of each sample; the standards count for the photodiodes of all samples.
     """
     own = {**trusted, **dict.fromkeys(standards, set().union(*trusted.values()))} if trusted else {}
-    unchecked = {
-        name: tuple(k for k in sorted(own[name]) if insensitive[name][k]) for name in insensitive if name in own
-    }  # fmt: skip
+    unchecked = {name: tuple(k for k in sorted(own[name]) if insensitive[name][k]) for name in insensitive if name in own}
     return {name: photodiodes for name, photodiodes in unchecked.items() if photodiodes}
 
 

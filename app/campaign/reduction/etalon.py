@@ -101,9 +101,15 @@ def _with_second(data: ArcRows, second: RowSignals, found: Ints, rig: RigFile) -
 
 
 def _arc_rows(
-    rows: RowSignals, views: ArcViews, etalon: RowSignals, found: Ints, signature: RowSignals | None, own: Ints,
-    with_etalon: Ints, rig: RigFile,
-) -> ArcRows:  # fmt: skip
+    rows: RowSignals,
+    views: ArcViews,
+    etalon: RowSignals,
+    found: Ints,
+    signature: RowSignals | None,
+    own: Ints,
+    with_etalon: Ints,
+    rig: RigFile,
+) -> ArcRows:
     """The rows of an arc with their references: `found`, `own` and `with_etalon` (rows,) are the indices of these, -1: none."""
     c = views.views[0].channels
     sample = comparable_signals(rows, c, rig)
@@ -146,8 +152,10 @@ def comparable_signals(rows: RowSignals, channels: Ints, rig: RigFile) -> Signal
     with np.errstate(invalid="ignore", divide="ignore"):
         decades = np.nan_to_num(np.log10(np.where(size > 0.0, size, np.nan)))
     changes = {
-        LINEARITY: decades, MONITOR_DRIFT: -rows.hours[:, None], MONITOR_LINEARITY: -rows.monitor_decades[:, None],
-    }  # fmt: skip
+        LINEARITY: decades,
+        MONITOR_DRIFT: -rows.hours[:, None],
+        MONITOR_LINEARITY: -rows.monitor_decades[:, None],
+    }
     for each, change in changes.items():
         if u := table.u(each):
             signal = signal.with_common(each.name, u * change * signal.value)
@@ -212,9 +220,7 @@ def divide_by_etalon(data: ArcRows, settings: ReductionSettings) -> ArcRows:
     return replace(data, estimate=data.estimate / reference.own_as("etalon_reading", reading)).flagged({"no-etalon": too_low})
 
 
-def _mean_of_standards(
-    data: ArcRows, reference: Quantity, settings: ReductionSettings
-) -> tuple[ArcRows, Quantity]:  # fmt: skip
+def _mean_of_standards(data: ArcRows, reference: Quantity, settings: ReductionSettings) -> tuple[ArcRows, Quantity]:
     """The mean of both standards' light where the second one has a share in the scale, and the rows with the numbers of these.
 
     It has none where it has no light or no certificate, and where the open beam is the scale. Values that divide by a reading

@@ -596,7 +596,7 @@ class EvidenceSums:
                 f"the gains are not those of the rig file within its gain_uncertainty of {_percent(self._certified)}: their "
                 f"ratios are off by up to {_percent(value)} (most certainly of photodiodes {number_list(off.tolist())}); the "
                 "measured ratios are applied; correct gain_uncertainty of [photodiodes]",
-            )  # fmt: skip
+            )
         step = np.zeros((len(self._pairs), gains))
         for p, (low, high) in enumerate(self._pairs):
             step[p, low], step[p, high] = -1.0, 1.0
@@ -608,9 +608,14 @@ class EvidenceSums:
         unseen = np.minimum(0.5 * (UNSEEN * self._certified) ** 2, np.maximum(certified[:, None] - own, 0.0))
         modes = np.linalg.cholesky(covariance + unseen[:, :, None] * np.eye(gains))
         return replace(
-            evidence, deviation=deviation, gains=modes, notes=notes, ratios=count, worst_ratio=math.sqrt(float(chi.max())),
+            evidence,
+            deviation=deviation,
+            gains=modes,
+            notes=notes,
+            ratios=count,
+            worst_ratio=math.sqrt(float(chi.max())),
             linked=LinkedGains(value, weight, step),
-        )  # fmt: skip
+        )
 
 
 class RunningEvidence:
@@ -670,7 +675,7 @@ class _CrosstalkSums:
 
     def add(
         self, pair: int, interval: int, weight: Floats, volts: Floats, missing: Floats, difference: Floats, fixed: Floats
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Add rows (rows, photodiodes) between two dark readings; `fixed` is the uncertainty of the error they share, V."""
         if interval != self._intervals[pair]:
             self._fixed[pair] += self._of_interval[pair] ** 2

@@ -34,9 +34,15 @@ METHOD = (
 
 
 def journal_metadata(
-    journal: JournalReader, settings: ReductionSettings, sample: str, tally: Tally, *, polarisation: str, drift: Sequence[str],
+    journal: JournalReader,
+    settings: ReductionSettings,
+    sample: str,
+    tally: Tally,
+    *,
+    polarisation: str,
+    drift: Sequence[str],
     findings: Iterable[str],
-) -> Metadata:  # fmt: skip
+) -> Metadata:
     """The metadata of one sample's values, which `tally` has counted.
 
     `polarisation` of the light, times of excessive `drift` and `findings` are in words. What a person states in the schedule
@@ -58,30 +64,43 @@ def journal_metadata(
         method=METHOD,
         raw_data=journal.chain.statement,
         sample=SampleMetadata(
-            of_sample.identifier or sample, of_sample.maker, of_sample.description, of_sample.side or schedule.side,
-            of_sample.azimuth_mark, of_sample.preparation,
+            of_sample.identifier or sample,
+            of_sample.maker,
+            of_sample.description,
+            of_sample.side or schedule.side,
+            of_sample.azimuth_mark,
+            of_sample.preparation,
         ),
         instrument=InstrumentMetadata(
-            f"{stated.instrument} ({rig.name})" if stated.instrument else rig.name, f"goniotwin {version('goniotwin')}",
-            rig.geometry.arc_radius_mm, instrument.pupil_distance_mm,
+            f"{stated.instrument} ({rig.name})" if stated.instrument else rig.name,
+            f"goniotwin {version('goniotwin')}",
+            rig.geometry.arc_radius_mm,
+            instrument.pupil_distance_mm,
         ),
         source=SourceMetadata(
-            stated.source, tuple(sorted(grid_values(schedule.wavelength_nm))), rig.light.bandwidth_nm, polarisation,
-            rig.geometry.spot_side_mm, instrument.divergence_deg,
+            stated.source,
+            tuple(sorted(grid_values(schedule.wavelength_nm))),
+            rig.light.bandwidth_nm,
+            polarisation,
+            rig.geometry.spot_side_mm,
+            instrument.divergence_deg,
         ),
         receiver=ReceiverMetadata(
-            stated.receiver, solid_angle_sr(rig), rig.geometry.field_deg,
+            stated.receiver,
+            solid_angle_sr(rig),
+            rig.geometry.field_deg,
             tuple(rig.photodiodes.gains_v_per_a[k] for k in sorted(tally.gains)),
         ),
         reference=ReferenceMetadata(
-            stated.reference or ", ".join(schedule.standards), stated.certificate or _certificate(schedule),
+            stated.reference or ", ".join(schedule.standards),
+            stated.certificate or _certificate(schedule),
             "" if certificate.calibrated is None else certificate.calibrated.isoformat(),
             float(certificate.relative_uncertainty.max()),
         ),
         quality=QualityMetadata(
             _signature(schedule, tally, rig), tally.noise_floor, _drift(schedule, drift), schedule.repeats, tuple(findings)
         ),
-    )  # fmt: skip
+    )
 
 
 def solid_angle_sr(rig: RigFile) -> float:

@@ -68,33 +68,41 @@ FLAGS: dict[str, Flag] = {
     # For sample, etalon or signature.
     "clipped": Flag("saturated at every gain", "saturated at every gain", "add a lower gain"),
     "no-etalon": Flag(
-        "etalon signal too low", "without a signal of the etalon",
+        "etalon signal too low",
+        "without a signal of the etalon",
         "choose one that scatters to the side that the photodiodes look at",
     ),
     # No signal of the etalon where there should be one; or the photodiode has lost its dark current.
     "dead": Flag("the photodiode", "of dead photodiodes", "repair them"),
     "uncertified": Flag(
-        "not covered by the etalon's certificate", "not covered by the etalon's certificate",
+        "not covered by the etalon's certificate",
+        "not covered by the etalon's certificate",
         "choose an etalon with a certificate that covers them",
     ),
     # Between drift checks one of which was beyond its limit. The value is there, and may be wrong.
     "drift": Flag("beyond its limit", "flagged for drift", "see the drift checks"),
     # In a test of all rows: a ratio of two gains, or the first reading against the later ones. Of all channels of a module.
     "module": Flag(
-        "the module of the photodiode: settling or linearity, see the notes", "of modules that did not pass their tests",
+        "the module of the photodiode: settling or linearity, see the notes",
+        "of modules that did not pass their tests",
         "see the notes on the modules",
     ),
-    "monitor": Flag("the monitor was at the end of its range", "measured with the monitor at the end of its range",
-                    "set a wider range of the monitor in the rig file"),
+    "monitor": Flag(
+        "the monitor was at the end of its range",
+        "measured with the monitor at the end of its range",
+        "set a wider range of the monitor in the rig file",
+    ),
     # Of the row, or of a dark reading beside it: in every attempt a count was far from the others of its photodiode.
     "contradiction": Flag(
         "readings of the row, or of its dark reading, contradict each other",
-        "of rows whose readings contradict each other", "check the wire of the photodiodes, and measure these rows again",
+        "of rows whose readings contradict each other",
+        "check the wire of the photodiodes, and measure these rows again",
     ),
     # By the scan of the open beam. All values that the etalon scales have it.
     "scale": Flag(
         "the etalon and the scan of the open beam do not agree, see the notes",
-        "of an etalon that does not agree with the scan of the open beam", "see goniotwin closure",
+        "of an etalon that does not agree with the scan of the open beam",
+        "see goniotwin closure",
     ),
     # Or in the uncertainty of the signature: the value is right, but its relative uncertainty is large.
     "under-range": Flag("lost in its noise"),
@@ -104,7 +112,7 @@ FLAGS: dict[str, Flag] = {
         "the slope of the lobe along or across the arc, or of the spectrum, is not resolved by the measured directions or "
         "wavelengths nearby: u_bsdf may be too small",
     ),
-}  # fmt: skip
+}
 """The flags of a point by their names in files. Where a point has no value, a flag gives the reason."""
 BITS = {name: np.uint16(1 << k) for k, name in enumerate(FLAGS)}
 UNTRUSTED = np.uint16(sum(int(BITS[name]) for name in FLAGS if name in content.UNTRUSTED))

@@ -78,20 +78,30 @@ def lamp_input(number: int, rig: RigFile) -> InputQuantity:
 def monitor_input(number: int, rig: RigFile) -> InputQuantity:
     """The monitor's reading beside a row's readings at a gain."""
     return InputQuantity(
-        f"monitor@{_row(number, rig)}", "1", rig.monitor.relative_uncertainty, "normal",
-        "all photodiodes of the row at this gain", "[monitor] relative_uncertainty", "monitor.noise",
+        f"monitor@{_row(number, rig)}",
+        "1",
+        rig.monitor.relative_uncertainty,
+        "normal",
+        "all photodiodes of the row at this gain",
+        "[monitor] relative_uncertainty",
+        "monitor.noise",
         origin=origin_of(rig.monitor.relative_uncertainty),
-    )  # fmt: skip
+    )
 
 
 def gain_input(number: int, rig: RigFile) -> InputQuantity:
     """The gain of a photodiode's channel, by its place in the rig's list: of two that were compared, what is left of it."""
     photodiode, gain = divmod(number, Numbers.of(rig).gains)
     return InputQuantity(
-        f"gain_ratio[{photodiode}, {_volts(gain, rig)}]", "1", certified_gain(rig), "normal",
-        "all values of this photodiode at this gain", "[photodiodes] gain_uncertainty, and rows at two gains",
-        "electronics.gain_spread", origin=origin_of(rig.photodiodes.gain_uncertainty),
-    )  # fmt: skip
+        f"gain_ratio[{photodiode}, {_volts(gain, rig)}]",
+        "1",
+        certified_gain(rig),
+        "normal",
+        "all values of this photodiode at this gain",
+        "[photodiodes] gain_uncertainty, and rows at two gains",
+        "electronics.gain_spread",
+        origin=origin_of(rig.photodiodes.gain_uncertainty),
+    )
 
 
 def etalon_input(number: int, rig: RigFile) -> InputQuantity:
@@ -148,7 +158,7 @@ def signature_common(number: int, rig: RigFile) -> InputQuantity:
     origin = origin_of(rig.sample_unit.signature_uncertainty)
     return InputQuantity(
         "signature", "1", 1.0, "normal", "all values", "[sample_unit] signature_uncertainty", "", origin=origin
-    )  # fmt: skip
+    )
 
 
 def declared_input(each: Input) -> Describe:

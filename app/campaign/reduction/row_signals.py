@@ -54,9 +54,14 @@ class RowSignals:
     def at(self, index: Ints | Flags) -> "RowSignals":
         """Some of the rows, or all in another order."""
         return RowSignals(
-            self.numbers[index], self.places[index], self.mirrored[index], self.signal.at(index),
-            {name: each[index] for name, each in self.flags.items()}, self.hours[index], self.monitor_decades[index],
-        )  # fmt: skip
+            self.numbers[index],
+            self.places[index],
+            self.mirrored[index],
+            self.signal.at(index),
+            {name: each[index] for name, each in self.flags.items()},
+            self.hours[index],
+            self.monitor_decades[index],
+        )
 
 
 def join_rows(parts: Sequence[RowSignals]) -> RowSignals:

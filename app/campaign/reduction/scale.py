@@ -105,7 +105,7 @@ def _deviation(angle_deg: Floats) -> Floats:
 
 def _entries(
     points: BsdfPoints, name: str, certificate: Certificate, incidence: Floats, polar: Floats, scaled: Floats
-) -> Group | None:  # fmt: skip
+) -> Group | None:
     """What the modes leave of the uncertainty at each value, shared by all values that are nearest to one entry."""
     if np.all(certificate.relative_uncertainty <= certificate.level):
         return None
@@ -279,13 +279,11 @@ def polarisation(points: BsdfPoints, settings: ReductionSettings) -> Effects | N
 
 def _shared(
     name: str, u: float, sensitivity: Floats, shared_by: str, source: str, twin: str = "", origin: Origin = STATED
-) -> Dense:  # fmt: skip
+) -> Dense:
     return Dense([_input(name, u, shared_by, source, twin, origin)], sensitivity[:, None])
 
 
-def _input(
-    name: str, u: float, shared_by: str, source: str, twin: str = "", origin: Origin = STATED
-) -> InputQuantity:  # fmt: skip
+def _input(name: str, u: float, shared_by: str, source: str, twin: str = "", origin: Origin = STATED) -> InputQuantity:
     return InputQuantity(name, "1", u, "normal", shared_by, source, twin and f"disturbances.{twin}", origin=origin)
 
 

@@ -92,9 +92,13 @@ class ReductionSettings:
 
 
 def reduction_settings(
-    rig: RigFile, schedule: ScheduleFile, certificate: str | None, name: str, measured: date | None = None,
+    rig: RigFile,
+    schedule: ScheduleFile,
+    certificate: str | None,
+    name: str,
+    measured: date | None = None,
     alignment: str | None = None,
-) -> ReductionSettings:  # fmt: skip
+) -> ReductionSettings:
     """The settings of a reduction; `certificate` is the text of the schedule's certificate, `name` its name in an error.
 
     `alignment` is the text of the rig's alignment file. Without a certificate it is the rig file's. `measured` is the day of
@@ -104,10 +108,14 @@ def reduction_settings(
     parsed = constant_certificate(rig.etalon) if certificate is None else parse_certificate(certificate, name)
     day = measured or today()
     return ReductionSettings(
-        rig, ArcGeometry(rig), schedule, parsed, etalon_years=_years(parsed, day),
+        rig,
+        ArcGeometry(rig),
+        schedule,
+        parsed,
+        etalon_years=_years(parsed, day),
         alignment=None if alignment is None or why_not_aligned(alignment) else rig_alignment(alignment, rig),
         second=_second_standard(schedule, parsed, day),
-    )  # fmt: skip
+    )
 
 
 def _years(certificate: Certificate, day: date) -> float:

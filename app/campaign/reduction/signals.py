@@ -79,12 +79,15 @@ class DarkReadings:
         # Without noise as dither, the error of a mean does not fall below that of the converter's step.
         dither = np.maximum(pooled - QUANTISATION_VARIANCE, 0.0)
         return cls(
-            np.array([number for number, _ in numbered]), np.array([middle_s(each) for each in readings]),
-            np.array([each.counts.mean(axis=0) for each in readings]), np.array([each.monitor_a for each in readings]),
-            np.array([independent_conversions(each.counts) for each in readings]), freedom,
+            np.array([number for number, _ in numbered]),
+            np.array([middle_s(each) for each in readings]),
+            np.array([each.counts.mean(axis=0) for each in readings]),
+            np.array([each.monitor_a for each in readings]),
+            np.array([independent_conversions(each.counts) for each in readings]),
+            freedom,
             np.maximum(pooled, QUANTISATION_VARIANCE) * converter.lsb_v**2,
             QUANTISATION_VARIANCE * np.exp(-4.0 * np.pi**2 * dither) * converter.lsb_v**2,
-        )  # fmt: skip
+        )
 
     def interval(self, t: Floats) -> Ints:
         """The number of the dark reading before a time, or of the one before the last; at least 0."""

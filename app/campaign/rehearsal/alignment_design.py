@@ -228,11 +228,18 @@ class _Light:
         like = self._points.where(self._alike(table[:, 3], of_places[at, PLACE.index("sigma_deg")]))
         change = np.exp((self._basis(table[:, 3]) - self._basis(like.theta_deg)) @ self._form)
         return replace(
-            like.scaled(change), places=of_places, place=at.astype(like.place.dtype),
+            like.scaled(change),
+            places=of_places,
+            place=at.astype(like.place.dtype),
             photodiode=table[:, 0].astype(like.photodiode.dtype),
-            zenith_deg=table[:, 1], azimuth_deg=table[:, 2], theta_deg=table[:, 3], phi_deg=table[:, 4],
-            back=table[:, 8] > 0.0, row=table[:, 6].astype(np.int64), etalon_row=table[:, 7].astype(np.int64),
-        )  # fmt: skip
+            zenith_deg=table[:, 1],
+            azimuth_deg=table[:, 2],
+            theta_deg=table[:, 3],
+            phi_deg=table[:, 4],
+            back=table[:, 8] > 0.0,
+            row=table[:, 6].astype(np.int64),
+            etalon_row=table[:, 7].astype(np.int64),
+        )
 
     @staticmethod
     def _peaks(sigma: Floats, logarithm: Floats) -> Floats:
@@ -245,11 +252,9 @@ class _Light:
         """The point that was read with the most similar light, for each direction (n,)."""
         read = self._points
         found = [
-            np.argmin(
-                np.abs(theta - read.theta_deg) + SAME_INCIDENCE * np.abs(sigma - read.sigma_deg)
-            )
+            np.argmin(np.abs(theta - read.theta_deg) + SAME_INCIDENCE * np.abs(sigma - read.sigma_deg))
             for theta, sigma in zip(theta_deg.tolist(), sigma_deg.tolist(), strict=True)
-        ]  # fmt: skip
+        ]
         return np.array(found, dtype=np.int64)
 
 
@@ -384,8 +389,11 @@ class _Search:
         effects, self.stated = lobe_effects(points, settings, self._beams)
         sigma = np.where(points.back, 180.0 - points.sigma_deg, points.sigma_deg)
         self._levels = {
-            "sigma_deg": sigma, "gamma_deg": points.gamma_deg, "beta_deg": points.beta_deg, "shift_deg": points.shift_deg,
-        }  # fmt: skip
+            "sigma_deg": sigma,
+            "gamma_deg": points.gamma_deg,
+            "beta_deg": points.beta_deg,
+            "shift_deg": points.shift_deg,
+        }
         self._white = _decorrelated(effects, points.row)
         modes, of_modes = self.stated.modes
         self._modes = len(modes)

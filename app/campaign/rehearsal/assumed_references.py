@@ -8,6 +8,4 @@ def assume_referenced(opened: OpenRig) -> list[str]:
     unreferenced = [name for name, axis in opened.rig.axes.items() if axis.unreferenced_reason]
     for name in unreferenced:
         opened.rig.axes[name].set_position()
-    return [
-        f"{name} has been referenced before the campaign begins (goniotwin home, goniotwin here)" for name in unreferenced
-    ]  # fmt: skip
+    return [f"{name} has been referenced before the campaign begins (goniotwin home, goniotwin here)" for name in unreferenced]

@@ -27,9 +27,17 @@ from goniotwin.arrays import Floats
 from goniotwin.twin.optics import Scatterer
 
 POINT_COLUMNS = (
-    "wavelength_nm", "sigma_deg", "gamma_deg", "beta_deg", "shift_deg", "photodiode", "zenith_deg", "azimuth_deg", "theta_deg",
+    "wavelength_nm",
+    "sigma_deg",
+    "gamma_deg",
+    "beta_deg",
+    "shift_deg",
+    "photodiode",
+    "zenith_deg",
+    "azimuth_deg",
+    "theta_deg",
     "phi_deg",
-)  # fmt: skip
+)
 COMMENTS = (
     "in the order of sigma, gamma, wavelength and half planes",
     "relative_uncertainty: the predicted standard uncertainty over the value; empty where there is no value",

@@ -145,11 +145,22 @@ class Motor:
     def __init__(self, axis: AxisDescription, shaft: Shaft) -> None:
         built = shaft.mechanics
         self._shaft = shaft
-        self._settings = axis if isinstance(axis, AxisSettings) else AxisSettings(
-            motor=built.motor, gear=built.gear, sense=built.sense, full_steps=built.full_steps, lower_deg=axis.lower_deg,
-            upper_deg=axis.upper_deg, speed_deg_s=axis.speed_deg_s, acceleration_deg_s2=axis.speed_deg_s,
-            backlash_deg=axis.backlash_deg, approach_from=axis.approach_from,
-        )  # fmt: skip
+        self._settings = (
+            axis
+            if isinstance(axis, AxisSettings)
+            else AxisSettings(
+                motor=built.motor,
+                gear=built.gear,
+                sense=built.sense,
+                full_steps=built.full_steps,
+                lower_deg=axis.lower_deg,
+                upper_deg=axis.upper_deg,
+                speed_deg_s=axis.speed_deg_s,
+                acceleration_deg_s2=axis.speed_deg_s,
+                backlash_deg=axis.backlash_deg,
+                approach_from=axis.approach_from,
+            )
+        )
         self._counter = 0
         self._taken_up = self._settings.approach > 0  # as the virtual rig begins
 

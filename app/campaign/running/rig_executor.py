@@ -229,9 +229,11 @@ class AxisSettling:
         self._at_rest = bool(changes) and not moving
         if moving and self._clock.now() > self._settled + MAX_REST_TIME_S:
             raise DeviceError(
-                moving[0].name, "come to rest", f"its encoder still moves {MAX_REST_TIME_S:g} s after the settling time",
+                moving[0].name,
+                "come to rest",
+                f"its encoder still moves {MAX_REST_TIME_S:g} s after the settling time",
                 "find what moves the axis; is settling_s in the rig file too short?",
-            )  # fmt: skip
+            )
         self._before, self._now = self._now, []
         self.due = max(self._settled, self._clock.now()) if self._at_rest else self._clock.now() + ENCODER_POLL_S
 

@@ -181,9 +181,14 @@ def constant_certificate(etalon: EtalonTable) -> Certificate:
     """The certificate of a rig file: the same values at all wavelengths and in all directions."""
     one = np.ones((1, 1, 1, 1))
     return Certificate(
-        (np.zeros(0),) * 4, etalon.radiance_factor * one, etalon.relative_uncertainty * one, etalon.relative_uncertainty,
-        geometry=etalon.geometry, shape=0.0 if etalon.geometry is None else etalon.shape, calibrated=etalon.calibrated,
-    )  # fmt: skip
+        (np.zeros(0),) * 4,
+        etalon.radiance_factor * one,
+        etalon.relative_uncertainty * one,
+        etalon.relative_uncertainty,
+        geometry=etalon.geometry,
+        shape=0.0 if etalon.geometry is None else etalon.shape,
+        calibrated=etalon.calibrated,
+    )
 
 
 def parse_certificate(text: str, name: str) -> Certificate:
@@ -288,9 +293,16 @@ def _make_grid(
     values = np.array([rows[tuple(key)] for key in coordinates.tolist()])
     grid = tuple(axis if column in heading else np.zeros(0) for axis, column in zip(axes, INPUT_COLUMNS, strict=True))
     certificate = Certificate(
-        grid, values[:, 0].reshape(shape), values[:, 1].reshape(shape), keys.level or 0.0, keys.wavelength, keys.angle,
-        keys.geometry, 0.0 if keys.geometry is None else keys.shape, keys.calibrated,
-    )  # fmt: skip
+        grid,
+        values[:, 0].reshape(shape),
+        values[:, 1].reshape(shape),
+        keys.level or 0.0,
+        keys.wavelength,
+        keys.angle,
+        keys.geometry,
+        0.0 if keys.geometry is None else keys.shape,
+        keys.calibrated,
+    )
     _check_keys(certificate, name)
     at = coordinates.T
     left = values[:, 1] ** 2 - certificate.common_variance(

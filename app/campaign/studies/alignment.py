@@ -215,9 +215,12 @@ def lobe_points(points: BsdfPoints) -> BsdfPoints:
 
 
 def estimate_alignment(
-    points: BsdfPoints, settings: ReductionSettings, beams: Sequence[ScannedBeam] = (), source: str = "",
+    points: BsdfPoints,
+    settings: ReductionSettings,
+    beams: Sequence[ScannedBeam] = (),
+    source: str = "",
     seen: LightSeen | None = None,
-) -> AlignmentResult:  # fmt: skip
+) -> AlignmentResult:
     """The alignment by the points of one sample at one wavelength, before their corrections, and by scans of the open beam.
 
     Where the residuals are larger than those of displaced lobes the uncertainties are widened. Raises UserError, without the
@@ -239,9 +242,19 @@ def estimate_alignment(
     if light is not None and light.missing:
         findings = (*findings, light.text)
     return AlignmentResult(
-        settings.sample, found.mountings, aligned, whole, combinations, covariance, chi_square, found.points.size,
-        found.scans, light, findings, "" if settings.alignment is None else settings.alignment.source,
-    )  # fmt: skip
+        settings.sample,
+        found.mountings,
+        aligned,
+        whole,
+        combinations,
+        covariance,
+        chi_square,
+        found.points.size,
+        found.scans,
+        light,
+        findings,
+        "" if settings.alignment is None else settings.alignment.source,
+    )
 
 
 @dataclass(frozen=True)
@@ -307,9 +320,14 @@ class Step:
 
 
 def fit_lobe(
-    points: BsdfPoints, settings: ReductionSettings, beams: Sequence[ScannedBeam] = (), source: str = "",
-    step: Step | None = None, *, seen: LightSeen | None = None,
-) -> LobeFit:  # fmt: skip
+    points: BsdfPoints,
+    settings: ReductionSettings,
+    beams: Sequence[ScannedBeam] = (),
+    source: str = "",
+    step: Step | None = None,
+    *,
+    seen: LightSeen | None = None,
+) -> LobeFit:
     """Fit the inputs of pose to the points of one sample at one wavelength, before their corrections, and to scans.
 
     With a `step` its size is fitted too, and a change of the light at that row. `seen` is what else shows the light on the
@@ -339,13 +357,26 @@ def fit_lobe(
     crossed[used] = fit.covariance[np.ix_(columns, photodiodes)]
     crossed = of_modes @ crossed
     whole = Alignment(
-        (*before.inputs, *(fit.inputs[k] for k in photodiodes)), np.append(value, fit.estimate[photodiodes]),
-        np.block([[aligned.covariance, crossed], [crossed.T, fit.covariance[np.ix_(photodiodes, photodiodes)]]]), source,
-    )  # fmt: skip
+        (*before.inputs, *(fit.inputs[k] for k in photodiodes)),
+        np.append(value, fit.estimate[photodiodes]),
+        np.block([[aligned.covariance, crossed], [crossed.T, fit.covariance[np.ix_(photodiodes, photodiodes)]]]),
+        source,
+    )
     return LobeFit(
-        points, tuple(values.mountings), len(scans), aligned, whole, state.effects, state.residual, fit, values.sensitivities,
-        (size, math.sqrt(fit.variance_of(SIZE))), place, state.lit, seen.instrument,
-    )  # fmt: skip
+        points,
+        tuple(values.mountings),
+        len(scans),
+        aligned,
+        whole,
+        state.effects,
+        state.residual,
+        fit,
+        values.sensitivities,
+        (size, math.sqrt(fit.variance_of(SIZE))),
+        place,
+        state.lit,
+        seen.instrument,
+    )
 
 
 @dataclass(frozen=True)
@@ -370,9 +401,13 @@ class _Fitting:
     """The fit of a lobe and of scans: the same values, from one place of the light or another."""
 
     def __init__(
-        self, values: "LobeValues", scans: Sequence[ScannedBeam], before: Alignment, settings: ReductionSettings,
+        self,
+        values: "LobeValues",
+        scans: Sequence[ScannedBeam],
+        before: Alignment,
+        settings: ReductionSettings,
         step: Step | None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._values, self._scans, self._before, self._settings, self._step = values, scans, before, settings, step
         self._instrument = nominal_instrument(settings.rig)
 
@@ -390,7 +425,7 @@ class _Fitting:
             if self._scans:
                 effects, residual = _with_scans(
                     effects, residual, self._scans, known, before, error, self._settings, values.light(lit=lit)
-                )  # fmt: skip
+                )
             weight = ValuesCovariance(effects)
             fit = weight.fit(residual)
             place = {each.name: k for k, each in enumerate(fit.inputs)}
@@ -524,9 +559,14 @@ class LobeValues:
         return known_displacement(self._instrument, self._views, known, of_mounting[self._mounting], lit=self.light(lit=lit))
 
     def linearised(
-        self, known: Mapping[str, float], before: Alignment, error: Floats,
-        changed: tuple[Mapping[str, float], Flags] | None = None, *, lit: bool = True,
-    ) -> tuple[Effects, Floats]:  # fmt: skip
+        self,
+        known: Mapping[str, float],
+        before: Alignment,
+        error: Floats,
+        changed: tuple[Mapping[str, float], Flags] | None = None,
+        *,
+        lit: bool = True,
+    ) -> tuple[Effects, Floats]:
         """The effects of all inputs about `known` values, and what the values are beside a prediction without the modes.
 
         The modes have the values `error` there. In some of the values inputs may have `changed` by so much.
@@ -641,7 +681,7 @@ class ScanCentroids:
     @classmethod
     def of(
         cls, scans: Sequence[ScannedBeam], known: Mapping[str, float], settings: ReductionSettings, light: Instrument
-    ) -> "ScanCentroids":  # fmt: skip
+    ) -> "ScanCentroids":
         """Those of scans, predicted with `known` values of the inputs and the light of an instrument.
 
         A scan sees the light straight through the empty holder: where it is beside the photodiode, the photodiode is beside it
@@ -657,8 +697,9 @@ class ScanCentroids:
         return cls(
             np.concatenate([-seen[:, 0] - moved.along[:, 0], across - moved.across[:, 0]]),
             np.concatenate([own + stop, own]),  # beside the stops of the scan itself, in the plane there is that of sigma
-            effects, np.array([each.scan.photodiode for each in scans]),
-        )  # fmt: skip
+            effects,
+            np.array([each.scan.photodiode for each in scans]),
+        )
 
     def sensitivity(self, before: Alignment, table: UncertaintyTable) -> Floats:
         """The change (2 m, inputs) of the centroids for one unit of each input of an alignment."""
@@ -671,19 +712,27 @@ class ScanCentroids:
 
 
 def _with_scans(
-    effects: Effects, residual: Floats, scans: Sequence[ScannedBeam], known: Mapping[str, float], before: Alignment,
-    error: Floats, settings: ReductionSettings, light: Instrument,
-) -> tuple[Effects, Floats]:  # fmt: skip
+    effects: Effects,
+    residual: Floats,
+    scans: Sequence[ScannedBeam],
+    known: Mapping[str, float],
+    before: Alignment,
+    error: Floats,
+    settings: ReductionSettings,
+    light: Instrument,
+) -> tuple[Effects, Floats]:
     """The effects and residuals of the scans' centroids after those of the values: two for each, along and across."""
     table, seen = settings.rig.uncertainty, ScanCentroids.of(scans, known, settings, light)
     modes, of_modes = before.modes
     own = seen.sensitivity(before, table) @ of_modes
     count = seen.residual.size
     dense = [
-        Dense(each.inputs, np.concatenate([each.sensitivity, own if each.inputs is modes else
-                                           np.zeros((count, len(each.inputs)))]))
+        Dense(
+            each.inputs,
+            np.concatenate([each.sensitivity, own if each.inputs is modes else np.zeros((count, len(each.inputs)))]),
+        )
         for each in effects.dense
-    ]  # fmt: skip
+    ]
     of_photodiodes = Group(
         "photodiode_angle",
         {2 * c + k: each for c in seen.photodiode.tolist() for k, each in enumerate(photodiode_inputs(table, c))},
@@ -703,9 +752,14 @@ def _scan_views(scans: Sequence[ScannedBeam]) -> Views:
     lower = np.array([each.scan.arc == "lower" for each in scans])
     none = np.zeros(len(scans), dtype=bool)
     return Views(
-        sigma_deg=poses[:, 1], gamma_deg=poses[:, 0], polar=np.radians([each.scan.at_deg for each in scans]),
-        azimuth=np.full(len(scans), math.radians(SPECULAR_AZIMUTH_DEG)), lower=lower, transmitted=~none, reverse=none,
-    )  # fmt: skip
+        sigma_deg=poses[:, 1],
+        gamma_deg=poses[:, 0],
+        polar=np.radians([each.scan.at_deg for each in scans]),
+        azimuth=np.full(len(scans), math.radians(SPECULAR_AZIMUTH_DEG)),
+        lower=lower,
+        transmitted=~none,
+        reverse=none,
+    )
 
 
 def _spread(moved: Floats, which: Ints, poses: int) -> Floats:

@@ -47,8 +47,13 @@ INTERPOLATION, FILLED = "interpolation", "directions without a value"
 MOST_FREEDOM = 1e6
 NOISE, LAMP = "noise", "lamp"
 ESTIMATES = {
-    NOISE: NOISE, "dark": NOISE, "etalon_reading": NOISE, "signature_reading": NOISE, "field_noise": NOISE, LAMP: LAMP,
-}  # fmt: skip
+    NOISE: NOISE,
+    "dark": NOISE,
+    "etalon_reading": NOISE,
+    "signature_reading": NOISE,
+    "field_noise": NOISE,
+    LAMP: LAMP,
+}
 """By component, the estimate of a variance that it is from: what is from one is one input to the degrees of freedom."""
 OF_READINGS = ("noise", "field_noise", "ray_tracing")
 """Components without an input that the readings, or the traced rays, themselves show."""
@@ -158,9 +163,14 @@ class Budget:
         if each.input is None:
             return {**result, "shared_by": "no other value"}
         return {
-            **result, "shared_by": each.input.shared_by, "input_u": each.input.u, "input_unit": each.input.unit,
-            "distribution": each.input.distribution, "source": each.input.source, "twin": each.input.twin,
-        }  # fmt: skip
+            **result,
+            "shared_by": each.input.shared_by,
+            "input_u": each.input.u,
+            "input_unit": each.input.unit,
+            "distribution": each.input.distribution,
+            "source": each.input.source,
+            "twin": each.input.twin,
+        }
 
 
 def parse_place(text: str) -> dict[str, str | float]:
@@ -265,9 +275,13 @@ def reflectance(settings: ReductionSettings, name: str, points: BsdfPoints, sett
         about += [f"{100.0 * abs(np.sum(part * value) / total):.2f} % of it is of {title}" for title, part in parts]
     kind = "transmittance" if setting.transmitted else "reflectance"
     return Budget(
-        f"directional-hemispherical {kind} of {name}, {setting}", total, _root_sum(components), "1",
-        lines_of(components, freedom_of(settings, here)), tuple(about),
-    )  # fmt: skip
+        f"directional-hemispherical {kind} of {name}, {setting}",
+        total,
+        _root_sum(components),
+        "1",
+        lines_of(components, freedom_of(settings, here)),
+        tuple(about),
+    )
 
 
 def finished_blocks(reduction: Reduction, sample: str) -> Iterator[BsdfPoints]:

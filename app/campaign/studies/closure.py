@@ -239,8 +239,12 @@ class JointClosure:
     def as_dict(self) -> dict[str, Any]:
         """The result for JSON."""
         return {
-            "sigmas_deg": list(self.sigmas_deg), "ratio": self.ratio, "u": self.u, "z": self.z, "chance": self.chance,
-        }  # fmt: skip
+            "sigmas_deg": list(self.sigmas_deg),
+            "ratio": self.ratio,
+            "u": self.u,
+            "z": self.z,
+            "chance": self.chance,
+        }
 
     def __str__(self) -> str:
         sigmas = ", ".join(f"{each:g}" for each in self.sigmas_deg)
@@ -285,9 +289,13 @@ class ScannedField:
     def as_dict(self) -> dict[str, Any]:
         """The result for JSON."""
         return {
-            "ratio": self.ratio, "u": self.u, "z": self.z, "field_deg": self.field_deg, "applied": self.applied,
+            "ratio": self.ratio,
+            "u": self.u,
+            "z": self.z,
+            "field_deg": self.field_deg,
+            "applied": self.applied,
             "verdict": str(self),
-        }  # fmt: skip
+        }
 
     def __str__(self) -> str:
         shown = f"the scan of the open beam has {self.ratio:.2f} of the variance of directions that the rig file has"
@@ -635,19 +643,32 @@ def scanned_beam(
     edge = float(np.max(signal.value[scan.edge]) / np.max(signal.value))
     none = np.zeros(0)
     return ScannedBeam(
-        scan, wavelength_nm, total, share, centroid, moment, edge, none if crosstalk is None else crosstalk,
+        scan,
+        wavelength_nm,
+        total,
+        share,
+        centroid,
+        moment,
+        edge,
+        none if crosstalk is None else crosstalk,
         none if u_crosstalk is None else u_crosstalk,
-    )  # fmt: skip
+    )
 
 
 def moment_deg2(scan: BeamScan, instrument: Instrument) -> Floats:
     """The second moment (2, 2) that a scan has with an instrument, deg^2: of light straight through the empty holder."""
     one, none, number = np.ones(1), np.zeros(1), np.zeros(1, dtype=np.int64)
     place = Directions(
-        light=number, setting=number, plane=number, polar=np.radians(scan.at_deg) * one,
-        azimuth=np.radians(SPECULAR_AZIMUTH_DEG) * one, up=one if scan.arc == "upper" else -one, middle=one, along=none,
+        light=number,
+        setting=number,
+        plane=number,
+        polar=np.radians(scan.at_deg) * one,
+        azimuth=np.radians(SPECULAR_AZIMUTH_DEG) * one,
+        up=one if scan.arc == "upper" else -one,
+        middle=one,
+        along=none,
         across=none,
-    )  # fmt: skip
+    )
     sigma = np.radians(scan.poses[scan.middle, 1]) * one
     along, across, both = directions_covariance(instrument, place, sigma, np.ones(1, dtype=bool))[0].tolist()
     return np.array([[along, both], [both, across]]) * math.degrees(1.0) ** 2
@@ -704,9 +725,16 @@ def signed(z: float) -> str:
 
 
 def compare(
-    beam: ScannedBeam, wavelength_nm: float, scanned: Signal, middle: Signal | None, etalon: Signal, certified: float,
-    of_etalon: Sequence[Component], rig: RigFile, moves: Ints | None = None,
-) -> Closure:  # fmt: skip
+    beam: ScannedBeam,
+    wavelength_nm: float,
+    scanned: Signal,
+    middle: Signal | None,
+    etalon: Signal,
+    certified: float,
+    of_etalon: Sequence[Component],
+    rig: RigFile,
+    moves: Ints | None = None,
+) -> Closure:
     """The closure at a wavelength: `scanned` (n,) is the scan, `etalon` (1,) the etalon's signal.
 
     `of_etalon` are the components of the etalon's light: of its certificate, and of the factors on it.
@@ -731,7 +759,7 @@ def compare(
             declared.SCAN, math.hypot(1.0, 0.5 * math.tan(math.radians(scan.at_deg))) * (scan.step_deg / STEP_DEG) ** 2, rig
         ),
         *of_etalon,
-    ]  # fmt: skip
+    ]
     found = tuple(sorted(components, key=lambda each: -each.u))
     return Closure(beam, wavelength_nm, certified, plain * math.exp(correction), correction, found, light)
 
@@ -774,9 +802,11 @@ def pose_inputs(scan: BeamScan, rig: RigFile) -> list[PoseInput]:
     table = rig.uncertainty
     moves = (("sigma", "etalon"), ("shift", "etalon"), ("sigma", "open beam"))
     named = [
-        *rig_inputs(table), *photodiode_inputs(table, scan.photodiode), *mounting_inputs(table, "sample", "nothing"),
+        *rig_inputs(table),
+        *photodiode_inputs(table, scan.photodiode),
+        *mounting_inputs(table, "sample", "nothing"),
         *(position_input(table, axis, move) for axis, move in moves),
-    ]  # fmt: skip
+    ]
     inputs = {each.name: each for each in named}
     return [PoseInput(inputs[name], *effect) for name, effect in effects.items()]
 
@@ -875,8 +905,9 @@ def _light_effects(
         # What moves the image alike at both sigmas is in the law of its place.
         *zip(of_light, ((etalon.by_place + beam.by_place) @ (0.5 * (ways[0] - ways[1])).T).T, strict=True),
         # A hole that is lifted meets the beam beside its middle, and the photodiode sees it from there.
-        (mounted[0], by_lift[0]), (mounted[1], -by_lift[1]),
-    ]  # fmt: skip
+        (mounted[0], by_lift[0]),
+        (mounted[1], -by_lift[1]),
+    ]
     for each, effect in with_image:
         sensitivity = math.sqrt(float(law.probability @ effect**2))
         effects.append(effect * each.u)
@@ -888,7 +919,7 @@ def _light_effects(
 
 def _scan_positions(
     beam: ScannedBeam, scanned: Signal, middle: Signal | None, moves: Ints | None, rig: RigFile
-) -> Iterator[Component]:  # fmt: skip
+) -> Iterator[Component]:
     """Where shift and beta stop for each pose of the scan: poses between two moves of an axis have one error."""
     scan = beam.scan
     slopes = scan.slopes(scanned.value) * [1.0, math.sin(math.radians(scan.at_deg))]
@@ -905,7 +936,7 @@ def _scan_positions(
 
 def _reading_components(
     beam: ScannedBeam, scanned: Signal, middle: Signal | None, etalon: Signal, rig: RigFile
-) -> Iterator[Component]:  # fmt: skip
+) -> Iterator[Component]:
     """What the readings do to the etalon's signal over the sum of the scan: what both have in common cancels."""
     numbers = np.arange(len(scanned.value) + 1, dtype=np.int32)
     poses = scanned.own_as("scan_reading", numbers[:-1])

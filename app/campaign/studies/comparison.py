@@ -88,10 +88,12 @@ def with_true_slopes(scatterer: Scatterer, points: BsdfPoints, rig: RigFile) -> 
     correction = FieldOfView.of(replace(points, bsdf=truth), nominal_instrument(rig)).correction
     corrected = (points.field_correction != 0.0) & np.isfinite(correction)
     return replace(
-        points, slope_along=slopes[0], slope_across=slopes[1],
+        points,
+        slope_along=slopes[0],
+        slope_across=slopes[1],
         field_correction=np.where(corrected, correction, points.field_correction),
         wavelength_slope=np.where(known, over_wavelength, points.wavelength_slope),
-    )  # fmt: skip
+    )
 
 
 def moved_logarithm(scatterer: Scatterer, points: BsdfPoints, along: Floats | float, across: Floats | float) -> Floats:
@@ -217,9 +219,15 @@ def _draw_cut(
     for start, stop in _blocked_ranges(here):
         upper.axvspan(start, stop, ymax=0.97, color=colour, alpha=0.10, lw=0)
         upper.annotate(
-            "blocked", (0.5 * (start + stop), 0.5), xycoords=("data", "axes fraction"), rotation=90, color=colour,
-            fontsize=8, ha="center", va="center",
-        )  # fmt: skip
+            "blocked",
+            (0.5 * (start + stop), 0.5),
+            xycoords=("data", "axes fraction"),
+            rotation=90,
+            color=colour,
+            fontsize=8,
+            ha="center",
+            va="center",
+        )
     near = good.theta_deg <= WIDTHS * _width(reduced, sample) + TOLERANCE_DEG
     close = good.where(near & (good.zenith_deg <= HIGHEST_ZENITH_DEG))
     deviation = 100.0 * (close.bsdf / theoretical_bsdf(reduced.rig, sample, close) - 1.0)

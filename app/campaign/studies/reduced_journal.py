@@ -126,11 +126,20 @@ def _reduce(evaluation: Evaluation, keep: Keep) -> ReducedJournal:
     notes += [f"symmetry of {name}: {result}" for name, result in symmetry.items()]
     notes += [f"overlaps of {name}: {note}" for name, each in overlaps.items() for note in calibration_notes(reduction, each)]
     return ReducedJournal(
-        journal.value("name"), reduction.rig, journal.simulated, {}, overlaps, tuple(notes), symmetry,
-        reduction.unchecked(tallies), journal.chain.statement, tuple(light_lines(reduction, tallies)),
-        tuple(evaluation.findings), {name: _metadata(evaluation, name, tally) for name, tally in tallies.items()},
+        journal.value("name"),
+        reduction.rig,
+        journal.simulated,
+        {},
+        overlaps,
+        tuple(notes),
+        symmetry,
+        reduction.unchecked(tallies),
+        journal.chain.statement,
+        tuple(light_lines(reduction, tallies)),
+        tuple(evaluation.findings),
+        {name: _metadata(evaluation, name, tally) for name, tally in tallies.items()},
         reduction.schedule.symmetry == "isotropic",
-    )  # fmt: skip
+    )
 
 
 def _metadata(evaluation: Evaluation, sample: str, tally: Tally) -> Metadata:
@@ -138,6 +147,11 @@ def _metadata(evaluation: Evaluation, sample: str, tally: Tally) -> Metadata:
     reduction = evaluation.reduction
     sigmas = np.unique(reduction.measurements.row_table(sample)["sigma_deg"])
     return journal_metadata(
-        reduction.journal, reduction.settings, sample, tally, polarisation=light_words(reduction.rig.file.light, sigmas),
-        drift=[str(each) for each in reduction.measurements.drift_intervals], findings=evaluation.findings,
-    )  # fmt: skip
+        reduction.journal,
+        reduction.settings,
+        sample,
+        tally,
+        polarisation=light_words(reduction.rig.file.light, sigmas),
+        drift=[str(each) for each in reduction.measurements.drift_intervals],
+        findings=evaluation.findings,
+    )

@@ -118,9 +118,12 @@ def quadrature(points: MeasuredRings, symmetry: StatedSymmetry) -> Quadrature:
     apart = float(np.diff(known).max(initial=0.0))
     covered = known.size > 1 and known[-1] >= LEAST_POLAR_DEG and apart <= WIDEST_POLAR_DEG
     return Quadrature(
-        weight, obstructed, extrapolated, _coarse(rings, ring, azimuth, good & with_value[ring], folded),
+        weight,
+        obstructed,
+        extrapolated,
+        _coarse(rings, ring, azimuth, good & with_value[ring], folded),
         bool(covered and widest <= WIDEST_AZIMUTH_DEG),
-    )  # fmt: skip
+    )
 
 
 def components_of_sum(points: BsdfPoints, weight: Floats, settings: ReductionSettings) -> list[Component]:

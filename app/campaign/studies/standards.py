@@ -260,13 +260,15 @@ def _compared(points: BsdfPoints, settings: ReductionSettings) -> StandardsRepor
     mean = float(best @ logarithm)
     left = means - _best(of_means) @ means
     return StandardsReport(
-        settings.sample, settings.second.name, Ratio(math.exp(mean), math.sqrt(best @ covariance @ best), points.size),
+        settings.sample,
+        settings.second.name,
+        Ratio(math.exp(mean), math.sqrt(best @ covariance @ best), points.size),
         tuple(
             Ratio(math.exp(each), math.sqrt(variance), at.size, *place)
             for each, variance, at, place in zip(means, np.diag(of_means), parts, places.tolist(), strict=True)
         ),
         float(left @ np.linalg.solve(of_means, left)),
-    )  # fmt: skip
+    )
 
 
 def _best(covariance: Floats) -> Floats:

@@ -109,8 +109,10 @@ class SymmetryCheck:
         columns = {name: np.concatenate([each[name] for each in self._kept]) for name in self._kept[0]}
         keys, first, which = np.unique(
             round_deg(np.stack([columns[name] for name in PAIR_KEYS], axis=1)),
-            axis=0, return_index=True, return_inverse=True,
-        )  # fmt: skip
+            axis=0,
+            return_index=True,
+            return_inverse=True,
+        )
         mirrored = columns["mirrored"] > 0.0
         means = [_means(columns, which.ravel(), len(keys), chosen) for chosen in (~mirrored, mirrored)]
         paired = np.isfinite(means[0][0]) & np.isfinite(means[1][0])

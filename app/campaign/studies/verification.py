@@ -411,9 +411,12 @@ def _drift(reduction: Reduction, tallies: dict[str, Tally]) -> Verdict:
                 f"{100.0 * error.u:.3f} %), more than {MONITOR_DRIFT.key} of [uncertainty] states: state that"
             )
     return Verdict(
-        "drift", verdict, f"{text}; not covered: {listed}" if listed else text,
-        {"intervals": intervals, "unchecked": unchecked}, evidence,
-    )  # fmt: skip
+        "drift",
+        verdict,
+        f"{text}; not covered: {listed}" if listed else text,
+        {"intervals": intervals, "unchecked": unchecked},
+        evidence,
+    )
 
 
 def _monitor_drift(reduction: Reduction) -> Posterior | None:

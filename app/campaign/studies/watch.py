@@ -67,7 +67,8 @@ class Pattern:
 
 PATTERNS = (
     Pattern(
-        "sigma_zero", "light against arc in the plane of incidence",
+        "sigma_zero",
+        "light against arc in the plane of incidence",
         "sigma's zero, a mirror or the arc: the open beam distinguishes them",
     ),
     Pattern("mirror_2_tilt_x", "light across the plane of incidence", "a mirror or the beam"),
@@ -78,7 +79,7 @@ PATTERNS = (
     Pattern("illumination_shift_z", "exit pupil along z", "the illumination unit", "mm"),
     Pattern("tilt_x", "tilt of the sample about its x", "the sample's mounting", mounting=True),
     Pattern("tilt_y", "tilt of the sample about its y", "the sample's mounting", mounting=True),
-)  # fmt: skip
+)
 """The misalignments that are distinguished: those of mirrors, arc and zeros that do the same to a lobe are one."""
 
 
@@ -201,9 +202,19 @@ def find_misalignment(lobe: LobeFit, refit: Callable[[Step], LobeFit], sample: s
     if stepped.chi_square <= REFUSED_CHI_SQUARE and abs(statistic[k]) <= limit:
         return None
     return Misalignment(
-        sample, pattern, size, u, row, earliest, int(rows[within[-1]]), begin + k == 0, float(statistic[k]), limit,
-        tuple(PATTERNS[each] for each in alike), stepped.chi_square,
-    )  # fmt: skip
+        sample,
+        pattern,
+        size,
+        u,
+        row,
+        earliest,
+        int(rows[within[-1]]),
+        begin + k == 0,
+        float(statistic[k]),
+        limit,
+        tuple(PATTERNS[each] for each in alike),
+        stepped.chi_square,
+    )
 
 
 def watch_samples(evaluation: Evaluation, names: Sequence[str] | None = None) -> WatchResult:

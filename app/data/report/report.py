@@ -49,10 +49,17 @@ CAPTIONS: dict[Kind, str] = {
     "spectrum": "Some directions over the wavelength.",
 }
 EVENTS = {
-    "fault": "faults", "answer": "answers of the operator", "order": "safety orders", "stop": "stops", "drift": "drift",
-    "warm-up": "warm-up", "encoder": "encoders", "sleep": "sleep of the computer", "listener": "listeners",
+    "fault": "faults",
+    "answer": "answers of the operator",
+    "order": "safety orders",
+    "stop": "stops",
+    "drift": "drift",
+    "warm-up": "warm-up",
+    "encoder": "encoders",
+    "sleep": "sleep of the computer",
+    "listener": "listeners",
     "guardian": "after the death of a program",
-}  # fmt: skip
+}
 """Kinds of events that a report has, with their headings."""
 MOST_EVENTS, MOST_LIGHTS, MOST_LISTED, LEAST_SHARE = 30, 24, 24, 0.005
 DIFFUSE_DEG = 30.0
@@ -101,20 +108,42 @@ def report_html(path: Path, *, without_damaged: bool = False) -> tuple[str, dict
     first = next(iter(metadata.values()), Metadata(title=dataset.name))
     reflectances = _reflectances(verdicts)
     html = template.render(
-        title=first.title, name=dataset.name, simulated=dataset.simulated, seed=rig.seed if dataset.simulated else None,
-        written=calendar_stamp(), metadata=list(_groups(first)), date=first.date, method=first.method, geometry=first.geometry,
-        summary=_summary(dataset, verdicts), samples=[_sample(dataset[name], metadata[name]) for name in dataset],
-        verdicts=verdicts, reflectances=_spread(reflectances, MOST_LIGHTS), all_reflectances=len(reflectances),
-        closure=_closure(evaluation.closure), rule=INTERVAL_RULE,
-        interval_u=INTERVAL_U, notes=dataset.notes, findings=dataset.findings,
+        title=first.title,
+        name=dataset.name,
+        simulated=dataset.simulated,
+        seed=rig.seed if dataset.simulated else None,
+        written=calendar_stamp(),
+        metadata=list(_groups(first)),
+        date=first.date,
+        method=first.method,
+        geometry=first.geometry,
+        summary=_summary(dataset, verdicts),
+        samples=[_sample(dataset[name], metadata[name]) for name in dataset],
+        verdicts=verdicts,
+        reflectances=_spread(reflectances, MOST_LIGHTS),
+        all_reflectances=len(reflectances),
+        closure=_closure(evaluation.closure),
+        rule=INTERVAL_RULE,
+        interval_u=INTERVAL_U,
+        notes=dataset.notes,
+        findings=dataset.findings,
         events=[(title, found[:MOST_EVENTS], max(0, len(found) - MOST_EVENTS)) for title, found in events],
-        sessions=sessions, rows=(done, planned), seconds=seconds, chain=chain, schedule=schedule,
-    )  # fmt: skip
+        sessions=sessions,
+        rows=(done, planned),
+        seconds=seconds,
+        chain=chain,
+        schedule=schedule,
+    )
     failed = [each.name for each in verdicts if each.verdict == "fails"]
     result = {
-        "journal": str(path), "simulated": dataset.simulated, "samples": list(dataset.samples), "fails": failed,
-        "findings": list(dataset.findings), "chain": chain.as_dict(), "damaged": sorted(chain.without_values),
-    }  # fmt: skip
+        "journal": str(path),
+        "simulated": dataset.simulated,
+        "samples": list(dataset.samples),
+        "fails": failed,
+        "findings": list(dataset.findings),
+        "chain": chain.as_dict(),
+        "damaged": sorted(chain.without_values),
+    }
     return html, result
 
 
@@ -125,9 +154,12 @@ def _template() -> Any:
     except ImportError:
         raise MissingPackage(MISSING) from None
     environment = Environment(
-        loader=PackageLoader("goniotwin.app.data", "report"), autoescape=True, undefined=StrictUndefined, trim_blocks=True,
+        loader=PackageLoader("goniotwin.app.data", "report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
         lstrip_blocks=True,
-    )  # fmt: skip
+    )
     environment.filters.update(number=_number, percent=_percent, duration=_duration, signed=signed)
     return environment.get_template(TEMPLATE)
 
@@ -258,10 +290,16 @@ def _lights(dataset: Dataset) -> Iterator[dict[str, Any]]:
         low, middle, high = np.quantile(relative, [0.05, 0.5, 0.95]).tolist() if relative.size else [math.nan] * 3
         yield {
             "light": f"{'transmitted' if transmitted else 'reflected'}{', lit on the back' if back else ''}",
-            "wavelength": f"{wavelength:g} nm" if wavelength else "all", "sigma": sigma, "values": int(here.sum()),
-            "trusted": int(trusted.sum()), "above": relative.size, "low": low, "middle": middle, "high": high,
+            "wavelength": f"{wavelength:g} nm" if wavelength else "all",
+            "sigma": sigma,
+            "values": int(here.sum()),
+            "trusted": int(trusted.sum()),
+            "above": relative.size,
+            "low": low,
+            "middle": middle,
+            "high": high,
             "largest": float(np.max(dataset.bsdf[trusted], initial=0.0)),
-        }  # fmt: skip
+        }
 
 
 def _distinct(columns: Sequence[np.ndarray]) -> tuple[list[tuple[float, ...]], np.ndarray]:
@@ -311,10 +349,17 @@ def _budget(dataset: Dataset, measured: Measured, k: int) -> dict[str, Any]:
     found = lines_of(components, freedom_of(measured.settings, measured.points.where(np.array([k]))))
     value, u = float(dataset.bsdf[k]), math.sqrt(math.fsum(each.u**2 for each in components))
     lines = [
-        _Line(each.name, abs(each.u / value), each.u**2 / u**2, *(("no other value", "") if each.input is None else
-              (each.input.shared_by, each.input.source)), line.origin, finite(line.degrees_of_freedom))
-        for line in found for each in (line.component,)
-    ]  # fmt: skip
+        _Line(
+            each.name,
+            abs(each.u / value),
+            each.u**2 / u**2,
+            *(("no other value", "") if each.input is None else (each.input.shared_by, each.input.source)),
+            line.origin,
+            finite(line.degrees_of_freedom),
+        )
+        for line in found
+        for each in (line.component,)
+    ]
     shown = [each for each in lines if each.share >= LEAST_SHARE]
     place = (
         f"{dataset.wavelength_nm[k]:g} nm, sigma {dataset.sigma_deg[k]:g}, theta {dataset.theta_deg[k]:.4g}, "
@@ -322,9 +367,15 @@ def _budget(dataset: Dataset, measured: Measured, k: int) -> dict[str, Any]:
     )
     rest = math.sqrt(max(1.0 - math.fsum(each.share for each in shown), 0.0))
     return {
-        "place": place, "value": value, "u": u, "relative": u / value, "lines": shown, "more": len(lines) - len(shown),
-        "rest": rest, "freedom": finite(effective_degrees_of_freedom(found)),
-    }  # fmt: skip
+        "place": place,
+        "value": value,
+        "u": u,
+        "relative": u / value,
+        "lines": shown,
+        "more": len(lines) - len(shown),
+        "rest": rest,
+        "freedom": finite(effective_degrees_of_freedom(found)),
+    }
 
 
 def _reflectances(verdicts: list[Verdict]) -> list[dict[str, Any]]:
@@ -342,10 +393,16 @@ def _spread(every: Sequence[T], most: int) -> Sequence[T]:
 def _closure(report: ClosureReport) -> dict[str, Any]:
     lines = [
         {
-            "sigma": each.beam.scan.at_deg, "wavelength": each.wavelength_nm, "certified": each.certified,
-            "absolute": each.absolute, "ratio": each.ratio, "u": each.u, "z": each.z, "word": each.word,
+            "sigma": each.beam.scan.at_deg,
+            "wavelength": each.wavelength_nm,
+            "certified": each.certified,
+            "absolute": each.absolute,
+            "ratio": each.ratio,
+            "u": each.u,
+            "z": each.z,
+            "word": each.word,
         }
         for each in report.closures
-    ]  # fmt: skip
+    ]
     field = "" if report.field is None else str(report.field)
     return {"verdict": report.verdict, "lines": lines, "field": field, "missing": [*report.not_planned, *report.missing]}

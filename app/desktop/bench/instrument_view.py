@@ -244,9 +244,14 @@ class ViewPainter:
     """Draws one view into a rectangle."""
 
     def __init__(
-        self, painter: QPainter, place: QRectF, view: "View", drawing: "InstrumentDrawing", colours: Colours,
+        self,
+        painter: QPainter,
+        place: QRectF,
+        view: "View",
+        drawing: "InstrumentDrawing",
+        colours: Colours,
         shutter_open: bool | None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self._painter = painter
         self._view: View = view
         self._drawing = drawing

@@ -82,8 +82,12 @@ class CampaignsScreen(Screen):
         self.folder_button = self._button("Open the fol&der", "Open the folder of the campaigns", self.folder_wanted.emit)
         self.refresh_button = self._button("List agai&n", "List the campaigns again", self.refresh_wanted.emit)
         self.buttons = (
-            self.resume_button, self.export_button, self.report_button, self.folder_button, self.refresh_button,
-        )  # fmt: skip
+            self.resume_button,
+            self.export_button,
+            self.report_button,
+            self.folder_button,
+            self.refresh_button,
+        )
         row = QHBoxLayout()
         for each in self.buttons:
             row.addWidget(each)

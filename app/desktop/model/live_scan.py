@@ -370,9 +370,7 @@ class LiveScan:
     def _reference_rows(self, rows: list[CommittedRow]) -> Iterator[CommittedRow]:
         """The rows of the etalon and without a sample that rows need."""
         at_sample, at_etalon = reference_keys([each.row for each in rows], self._settings.geometry)
-        for sample, keys in (
-            *((name, at_etalon) for name in self._schedule.standards), (NO_SAMPLE, at_sample + at_etalon)
-        ):  # fmt: skip
+        for sample, keys in (*((name, at_etalon) for name in self._schedule.standards), (NO_SAMPLE, at_sample + at_etalon)):
             for key in dict.fromkeys(keys):
                 yield from self._references[sample].get(key, [])
 

@@ -118,6 +118,18 @@ class StopReport:
 
 
 Message = (
-    StationMessage | RowCommitted | Attached | PastRead | NotAttached | StationLost | RigRead | PlanBegun | PlanMade
-    | PlanRefused | RunStarted | ValuesMissing | CommandRefused | StopReport
-)  # fmt: skip
+    StationMessage
+    | RowCommitted
+    | Attached
+    | PastRead
+    | NotAttached
+    | StationLost
+    | RigRead
+    | PlanBegun
+    | PlanMade
+    | PlanRefused
+    | RunStarted
+    | ValuesMissing
+    | CommandRefused
+    | StopReport
+)

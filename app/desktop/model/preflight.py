@@ -95,9 +95,15 @@ class Facts:
 def preflight(facts: Facts) -> tuple[Check, ...]:
     """The list, always with the same checks in the same order."""
     return (
-        _ports(facts), _homed(facts), _limits(facts), _lamp(facts),
-        _dark(facts), _drift(facts), _certificate(facts), _disk(facts),
-    )  # fmt: skip
+        _ports(facts),
+        _homed(facts),
+        _limits(facts),
+        _lamp(facts),
+        _dark(facts),
+        _drift(facts),
+        _certificate(facts),
+        _disk(facts),
+    )
 
 
 def summary(checks: Sequence[Check]) -> str:

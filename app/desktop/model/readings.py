@@ -104,9 +104,13 @@ class BenchReadings:
             self.trend.add(t_s, current_a)
 
     def bars(
-        self, counts: Sequence[float], saturated: Sequence[bool], gain_v_per_a: float, shift_deg: float,
+        self,
+        counts: Sequence[float],
+        saturated: Sequence[bool],
+        gain_v_per_a: float,
+        shift_deg: float,
         shutter_open: bool | None = None,
-    ) -> Bars:  # fmt: skip
+    ) -> Bars:
         """The signals of a reading: mean counts and whether saturated (photodiodes,), at a gain and a shift of the arc."""
         converter = self.rig.photodiodes.range
         dark = self._dark.get(gain_v_per_a)

@@ -135,7 +135,7 @@ class RigFacts:
             folder="" if folder is None else str(folder),
             free_bytes=None if folder is None else free_bytes(folder),
             needed_bytes=0 if plan is None else needed_bytes(plan),
-        )  # fmt: skip
+        )
 
 
 class DarkAges:

@@ -109,9 +109,15 @@ class RunPoints:
         rotation = f", γ {gamma:g}°" if gamma else ""
         title = f"{sample}: σ {sigma:g}°{rotation}, plane φ {phi_deg:g}° (± {PLANE_HALF_WIDTH_DEG:g}°), {wavelength:g} nm"
         scan = ScanData(
-            title, "aspecular angle θ (°), positive at φ", latest.y_label, (-180.0, 180.0), (), _take(points, order, x),
-            findings=latest.findings, key=latest.key,
-        )  # fmt: skip
+            title,
+            "aspecular angle θ (°), positive at φ",
+            latest.y_label,
+            (-180.0, 180.0),
+            (),
+            _take(points, order, x),
+            findings=latest.findings,
+            key=latest.key,
+        )
         shown = scan.points.x_deg if line is None else np.concatenate([scan.points.x_deg, line.x_deg])
         if shown.size:
             low, high = float(shown.min()), float(shown.max())

@@ -95,9 +95,12 @@ class RigScreen(Screen):
         for device in rig.devices if rig is not None else ():
             name = "photodiodes" if device.name.startswith("photodiodes-") else device.name
             addresses.setdefault(name, []).append(device.address)
-        self.devices.set_addresses({
-            name: found[0] if len(found) == 1 else f"{found[0]} and {len(found) - 1} more" for name, found in addresses.items()
-        })  # fmt: skip
+        self.devices.set_addresses(
+            {
+                name: found[0] if len(found) == 1 else f"{found[0]} and {len(found) - 1} more"
+                for name, found in addresses.items()
+            }
+        )
         self._look()
 
     @Slot(object)

@@ -111,8 +111,9 @@ class ScanPlot(QWidget):
         }
         self._alarms = pg.ScatterPlotItem(symbol="s", size=POINT_SIZE + 7)
         self._residual_items = (
-            pg.ScatterPlotItem(symbol="o", size=POINT_SIZE - 2), pg.ScatterPlotItem(symbol="s", size=POINT_SIZE + 3),
-        )  # fmt: skip
+            pg.ScatterPlotItem(symbol="o", size=POINT_SIZE - 2),
+            pg.ScatterPlotItem(symbol="s", size=POINT_SIZE + 3),
+        )
         for item in (*self._items.values(), self._alarms):
             self._plot.addItem(item)
         for item in self._residual_items:

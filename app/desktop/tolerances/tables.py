@@ -180,10 +180,13 @@ def show_deviations(table: NumberTable, outcome: "StudyOutcome") -> None:
     rows = []
     for k, each in enumerate(outcome.deviations):
         row = [
-            Cell(each.title), Cell(f"±{each.limit:g} {each.unit}"), _alone_cell(each, limit, greatest),
+            Cell(each.title),
+            Cell(f"±{each.limit:g} {each.unit}"),
+            _alone_cell(each, limit, greatest),
             Cell(f"{each.alone:.3f}" if math.isfinite(each.alone) else f"> {each.searched:g}"),
-            Cell(f"{each.common:.4f}"), Cell(f"{each.individual:.4f}"),
-        ]  # fmt: skip
+            Cell(f"{each.common:.4f}"),
+            Cell(f"{each.individual:.4f}"),
+        ]
         rows.append([*row, *(column[k] for column in slopes)] if with_slopes else row)
     table.fill(columns, rows)
 

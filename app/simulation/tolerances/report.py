@@ -353,9 +353,14 @@ def _deviation_table(result: StudyResult) -> Table:
     case = result.case
     table = _new_table(
         f"each deviation alone, {quantity(result)}; and limits of all together",
-        "deviation", "range", "at -, %", "at +, %", *(f"{each:g} % at" for each in case.combinations.within),
-        "one factor", "individual",
-    )  # fmt: skip
+        "deviation",
+        "range",
+        "at -, %",
+        "at +, %",
+        *(f"{each:g} % at" for each in case.combinations.within),
+        "one factor",
+        "individual",
+    )
     for k, parameter in enumerate(case.parameters):
         largest = float(case.alone.largest[k])
         table.add_row(
@@ -388,8 +393,15 @@ def _case_table(result: StudyResult) -> Table:
     within = result.case.combinations.within
     table = _new_table(
         f"all deviations, {quantity(result)} in %; standard errors in brackets",
-        "", "number", "aligned", "alone", "median", "worst", *(f"within {each:g}" for each in within), "factor",
-    )  # fmt: skip
+        "",
+        "number",
+        "aligned",
+        "alone",
+        "median",
+        "worst",
+        *(f"within {each:g}" for each in within),
+        "factor",
+    )
     for case in result.cases:
         drawn = case.combinations
         table.add_row(
@@ -420,9 +432,15 @@ def _light_table(lights: LightComparison) -> Table:
     within = lights.lights[0].combinations.within
     table = _new_table(
         "all deviations in the light of the illumination unit; relative RMS in %, flux relative to that without deviations",
-        "light", "median", "worst drawn", "worst found", *(f"within {each:g}" for each in within),
-        "median flux", "least flux", "flux at worst",
-    )  # fmt: skip
+        "light",
+        "median",
+        "worst drawn",
+        "worst found",
+        *(f"within {each:g}" for each in within),
+        "median flux",
+        "least flux",
+        "flux at worst",
+    )
     for each in lights.lights:
         drawn = each.combinations
         table.add_row(
@@ -629,9 +647,7 @@ def _combination_columns(result: StudyResult) -> dict[str, Any]:
         names.append(np.repeat([name], CELLS))
         percents.append(edges)
         shares.append(np.searchsorted(values, edges, side="right") / values.size)
-    return {
-        "set": np.concatenate(names), "criterion_percent": np.concatenate(percents), "share_within": np.concatenate(shares)
-    }  # fmt: skip
+    return {"set": np.concatenate(names), "criterion_percent": np.concatenate(percents), "share_within": np.concatenate(shares)}
 
 
 def _light_columns(lights: LightComparison) -> dict[str, Any]:
@@ -654,7 +670,14 @@ def _light_columns(lights: LightComparison) -> dict[str, Any]:
         criteria = (difference.median_percent, math.nan, difference.worst_percent, *difference.shares[0])
         rows.append(("frozen minus anew", *criteria, difference.median_flux, difference.least_flux, math.nan))
     names = (
-        "light", "median_percent", "worst_drawn_percent", "worst_found_percent", "share_within", "standard_error",
-        "median_flux", "least_flux", "flux_at_worst",
-    )  # fmt: skip
+        "light",
+        "median_percent",
+        "worst_drawn_percent",
+        "worst_found_percent",
+        "share_within",
+        "standard_error",
+        "median_flux",
+        "least_flux",
+        "flux_at_worst",
+    )
     return {name: np.array(column) for name, column in zip(names, zip(*rows, strict=True), strict=True)}

@@ -182,9 +182,13 @@ def _with_percents(response: Response, chunks: Iterable[Floats]) -> Iterator[tup
 
 
 def _evaluate(
-    chunks: Iterable[tuple[Floats, Floats]], number: int, count: int, complete: bool, within: tuple[float, ...],
+    chunks: Iterable[tuple[Floats, Floats]],
+    number: int,
+    count: int,
+    complete: bool,
+    within: tuple[float, ...],
     report: ReportShare,
-) -> Combinations:  # fmt: skip
+) -> Combinations:
     percent = np.empty(number)
     surviving = np.stack([np.full(count, np.inf), np.full(count, -np.inf)], axis=1)
     worst, largest, done = np.zeros(count), -math.inf, 0

@@ -55,9 +55,18 @@ class TmclController:
         self.name = name
         addresses = [axis.module for axis in axes.values()]
         self.module = TmclModule(
-            open_port, clock, settings.baudrate, tap, addresses, settings.heartbeat_s, name, session, found,
-            settings.reply_timeout_s, speed,
-        )  # fmt: skip
+            open_port,
+            clock,
+            settings.baudrate,
+            tap,
+            addresses,
+            settings.heartbeat_s,
+            name,
+            session,
+            found,
+            settings.reply_timeout_s,
+            speed,
+        )
         self.axes = {axis: TmclAxis(axis, self.module, table, clock) for axis, table in axes.items()}
 
     @property

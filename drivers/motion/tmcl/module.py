@@ -242,9 +242,11 @@ class TmclModule:
             self._check_not_taken(address, value)
             self._note_reset(address)
             raise Forgotten(
-                self.name, f"check the canary of module {address}", "the module has reset and lost its settings",
+                self.name,
+                f"check the canary of module {address}",
+                "the module has reset and lost its settings",
                 "connect again, then home its axes or set their positions (goniotwin home, goniotwin here)",
-            )  # fmt: skip
+            )
 
     def begin_stop(self, targets: Targets) -> StopSteps:
         """Request a stop of axes, by their names, before anything else; return its steps. Thread-safe.
@@ -299,9 +301,11 @@ class TmclModule:
         number = self._number(address)
         if number not in MODELS:
             raise WrongDevice(
-                self.name, f"identify module {address}", f"it is a TMCM-{number}",
+                self.name,
+                f"identify module {address}",
+                f"it is a TMCM-{number}",
                 f"this driver supports {' and '.join(f'TMCM-{each}' for each in MODELS)}",
-            )  # fmt: skip
+            )
         if address == self.addresses[0]:
             self.found.take_up(f"TMCM-{number}")
         canary = CommandFrame(address, Command.SGP, CANARY_VARIABLE, USER_BANK, self._session)
@@ -334,9 +338,11 @@ class TmclModule:
         again = CommandFrame(address, Command.GGP, CANARY_VARIABLE, USER_BANK)
         if value != 0 and self.exchange(again) == value:
             self._taken = Taken(
-                self.name, f"check the canary of module {address}", "another program has taken the controller",
+                self.name,
+                f"check the canary of module {address}",
+                "another program has taken the controller",
                 "end that program, on this computer or another, then start again",
-            )  # fmt: skip
+            )
             raise self._taken
 
     def _note_reset(self, address: int) -> None:

@@ -132,7 +132,7 @@ CASES = (
     Case("cross-talk of 1e-5 in a module", "corrected", sample="gaussian-5", gains=WIDE, rig=CROSSTALK),
     Case("saturation at the peak, one gain", "flagged", sample="gaussian-15", gains="[1e11]"),
     Case("saturation at the peak, auto-range", "corrected", sample="gaussian-15", gains='"automatic"'),
-)  # fmt: skip
+)
 
 
 @dataclass(frozen=True)

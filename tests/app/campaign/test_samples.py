@@ -54,10 +54,13 @@ symmetry = "orthotropic"
 [twin.samples.etalon]"""
 POSES = (
     ('samples = ["gaussian-5"]', 'symmetry = "anisotropic"\nsamples = ["brushed", "rough", "tails", "turned"]'),
-    ("sigma_deg = [30]", "sigma_deg = [30]\ngamma_deg = [0, 40]"), ("[550]", "[500, 600]"), ("[0, 1]", "[0]"),
+    ("sigma_deg = [30]", "sigma_deg = [30]\ngamma_deg = [0, 40]"),
+    ("[550]", "[500, 600]"),
+    ("[0, 1]", "[0]"),
     ("beta_deg = [180]", "beta_deg = [172, 180, 188]"),  # the slopes across a lobe that need not be round
-    ("[1e8, 1e10]", "[1e6, 1e8, 1e10]"), ("dark_readings = 4", "dark_readings = 16"),
-)  # fmt: skip
+    ("[1e8, 1e10]", "[1e6, 1e8, 1e10]"),
+    ("dark_readings = 4", "dark_readings = 16"),
+)
 BROAD = anisotropic_gaussian(12.0, 25.0, reflectance=0.5)
 
 

@@ -40,9 +40,11 @@ poses = 11
 step_deg = 0.24
 """
 SMALLER = (
-    ('samples = ["gaussian-15", "gaussian-5"]', 'samples = ["gaussian-5"]'), ("sigma_deg = [5, 42]", "sigma_deg = [42]"),
-    ("step = 1.0", "step = 2.0"), ("readings = 8", "readings = 4"),
-)  # fmt: skip
+    ('samples = ["gaussian-15", "gaussian-5"]', 'samples = ["gaussian-5"]'),
+    ("sigma_deg = [5, 42]", "sigma_deg = [42]"),
+    ("step = 1.0", "step = 2.0"),
+    ("readings = 8", "readings = 4"),
+)
 GAUSSIAN_15: Change = (
     "[twin.samples.etalon]",
     '[twin.samples.gaussian-15]\nmodel = "gaussian"\nwidth_deg = 15.0\nform = "one_over_e"\nquantity = "luminance"\n'
@@ -200,11 +202,13 @@ def test_cross_talk_beyond_what_is_stated_is_in_u(crosstalk: float, tmp_path: Pa
         (
             ('samples = ["gaussian-15", "gaussian-5"]', 'samples = ["gaussian-15"]'),
             ("sigma_deg = [5, 42]", "sigma_deg = [30]"),
-            ("beta_deg = [0, 180]", "beta_deg = [180]"), ("stop = 4.0, step = 1.0", "stop = 4.5, step = 0.5"),
-            ("gains_v_per_a = [1e6, 1e8, 1e10]", "gains_v_per_a = [1e6, 1e8, 1e10, 1e11]"), ("readings = 8", "readings = 4"),
+            ("beta_deg = [0, 180]", "beta_deg = [180]"),
+            ("stop = 4.0, step = 1.0", "stop = 4.5, step = 0.5"),
+            ("gains_v_per_a = [1e6, 1e8, 1e10]", "gains_v_per_a = [1e6, 1e8, 1e10, 1e11]"),
+            ("readings = 8", "readings = 4"),
             ("dark_readings = 32\n", ""),
         ),
-    )  # fmt: skip
+    )
     changes = (WIDE, twin("disturbances", f"crosstalk = {crosstalk}"))
     rig = parse_rig(changed(RIG.read_text(encoding="utf-8"), changes), RIG.parent, "rig")
     path = tmp_path / "a.journal"

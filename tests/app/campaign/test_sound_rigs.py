@@ -23,20 +23,26 @@ SMALLER: dict[str, tuple[Change, ...]] = {
     "quick": (("step = 0.5", "step = 1.5"),),
     "anisotropic": (("stop = 345, step = 15", "stop = 90, step = 90"), ("stop = 355, step = 5", "stop = 300, step = 60")),
     "dense-lobe-spectral": (
-        ("[15, 30, 45, 60]", "[30]"), ("stop = 180, step = 5", "stop = 180, step = 60"),
-        ("{ start = 400, stop = 700, step = 20 }", "[450, 550]"), ("stop = 4.5, step = 0.5", "stop = 4, step = 2"),
+        ("[15, 30, 45, 60]", "[30]"),
+        ("stop = 180, step = 5", "stop = 180, step = 60"),
+        ("{ start = 400, stop = 700, step = 20 }", "[450, 550]"),
+        ("stop = 4.5, step = 0.5", "stop = 4, step = 2"),
         ("beta_step_deg = 1", "beta_step_deg = 4"),
     ),
     "diffuse-spectral": (("stop = 180, step = 5", "stop = 180, step = 60"), ("step = 10 }", "step = 110 }")),
     "paper-order": (("stop = 180, step = 30", "stop = 180, step = 90"), ("stop = 4, step = 1", "stop = 4, step = 2")),
     "transmission": (
-        ("[0, 20, 40, 60]", "[20, 40]"), ("stop = 180, step = 10", "stop = 180, step = 60"),
-        ("stop = 650, step = 50", "stop = 650, step = 200"), ("stop = 4.5, step = 0.5", "stop = 4, step = 2"),
+        ("[0, 20, 40, 60]", "[20, 40]"),
+        ("stop = 180, step = 10", "stop = 180, step = 60"),
+        ("stop = 650, step = 50", "stop = 650, step = 200"),
+        ("stop = 4.5, step = 0.5", "stop = 4, step = 2"),
     ),
     "closure": (
-        ("[17, 42, 67]", "[42]"), ("[450, 550, 650]", "[550]"), ("poses = 13\nstep_deg = 0.2", "poses = 9\nstep_deg = 0.25"),
+        ("[17, 42, 67]", "[42]"),
+        ("[450, 550, 650]", "[550]"),
+        ("poses = 13\nstep_deg = 0.2", "poses = 9\nstep_deg = 0.25"),
     ),
-}  # fmt: skip
+}
 
 
 def found_on(name: str, seed: int, folder: Path) -> list[str]:

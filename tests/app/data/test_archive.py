@@ -77,9 +77,11 @@ def test_a_value_has_the_budget_that_the_program_gives(archived: tuple[Path, Pat
         part, inputs = file["entry/part_1"], file["entry/inputs"]
         columns = {each: part[each][()] for each in ("sigma_deg", "wavelength_nm", "polar_deg", "azimuth_deg", "transmitted")}
         (k,) = np.flatnonzero(
-            (columns["sigma_deg"] == 30.0) & (np.abs(columns["polar_deg"] - 40.0) < 1e-6)
-            & (np.abs(columns["azimuth_deg"] - 45.0) < 1e-6) & ~columns["transmitted"]
-        )  # fmt: skip
+            (columns["sigma_deg"] == 30.0)
+            & (np.abs(columns["polar_deg"] - 40.0) < 1e-6)
+            & (np.abs(columns["azimuth_deg"] - 45.0) < 1e-6)
+            & ~columns["transmitted"]
+        )
         assert part["values"][k] == found.value
         assert part["values_errors"][k] == pytest.approx(found.u, rel=1e-9)
         shared, _ = effects(part, unit(part["values"].size, int(k)))

@@ -200,10 +200,14 @@ def test_an_anisotropic_theory_turns_with_psi() -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"theta_deg": -1.0}, "theta_deg"), ({"polar_deg": "x"}, "polar_deg"), ({"least_share": 2.0}, "least_share"),
-        ({"theta_deg": float("nan")}, "theta_deg"), ({"in_plane": 1}, "in_plane"), ({"theta_deg": True}, "theta_deg"),
+        ({"theta_deg": -1.0}, "theta_deg"),
+        ({"polar_deg": "x"}, "polar_deg"),
+        ({"least_share": 2.0}, "least_share"),
+        ({"theta_deg": float("nan")}, "theta_deg"),
+        ({"in_plane": 1}, "in_plane"),
+        ({"theta_deg": True}, "theta_deg"),
     ],
-)  # fmt: skip
+)
 def test_a_range_that_is_none_is_refused(arguments: dict[str, Any], message: str) -> None:
     d = dataset_of(rings(lambertian(1.0), 0.0, POLAR, AZIMUTH))
     with pytest.raises(goniotwin.GoniotwinError, match=message):

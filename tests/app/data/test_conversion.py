@@ -143,10 +143,11 @@ def test_a_file_is_not_converted_to_itself_nor_to_one_beside_it(tmp_path: Path) 
 
 def test_a_folder_a_missing_file_and_an_unknown_format_are_one_line(tmp_path: Path) -> None:
     for source, out, wrong in (
-        (tmp_path, "a.ddr", "is a folder without files that can be read"), (tmp_path / "no", "a.ddr", "there is no such file"),
+        (tmp_path, "a.ddr", "is a folder without files that can be read"),
+        (tmp_path / "no", "a.ddr", "there is no such file"),
         (tmp_path / "no", "a.xyz", r"the format is unknown; give a name that ends with \.ddr"),
         (tmp_path / "no", "sub/a.ddr", "there is no folder"),
-    ):  # fmt: skip
+    ):
         with pytest.raises(UserError, match=wrong):
             app(["convert", str(source), str(tmp_path / out)], standalone_mode=False)
 
@@ -170,9 +171,15 @@ def test_info_states_what_a_file_is_and_how_complete(tmp_path: Path, capsys: pyt
 def test_info_counts_flags_and_lists_wavelengths(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     sigma, psi, polar, azimuth = (np.full(4, value) for value in (30.0, 0.0, 40.0, 180.0))
     points = ScatteredBsdf(
-        sigma, psi, polar, azimuth, np.array([1.0, np.nan, 2.0, 3.0]), wavelength_nm=np.array([450.0, 450.0, 550.0, 550.0]),
-        flags=np.array(["", "dead", "drift steep", ""]), sample="paint",
-    )  # fmt: skip
+        sigma,
+        psi,
+        polar,
+        azimuth,
+        np.array([1.0, np.nan, 2.0, 3.0]),
+        wavelength_nm=np.array([450.0, 450.0, 550.0, 550.0]),
+        flags=np.array(["", "dead", "drift steep", ""]),
+        sample="paint",
+    )
     convert(BsdfFile((points,)), tmp_path / "a.csv")
     (part,) = run(capsys, "info", tmp_path / "a.csv")["parts"]
     assert part["flags"] == {"dead": 1, "drift": 1, "steep": 1}

@@ -128,11 +128,24 @@ def test_azimuths_repeat_after_a_turn() -> None:
 @pytest.mark.parametrize(
     "arguments",
     [
-        {"sigma_deg": "30"}, {"sigma_deg": float("nan")}, {"sigma_deg": []}, {"sigma_deg": [[30.0]]}, {"sigma_deg": True},
-        {"sigma_deg": object()}, {"channel": 3}, {"channel": "red"}, {"transmitted": 1}, {"back": "no"}, {"photodiode": 1e6},
-        {"wavelength_nm": 1.0}, {"sigma_deg": 10**400}, {"sigma_deg": 1j}, {"sigma": 30}, {"transmitted": [True]},
+        {"sigma_deg": "30"},
+        {"sigma_deg": float("nan")},
+        {"sigma_deg": []},
+        {"sigma_deg": [[30.0]]},
+        {"sigma_deg": True},
+        {"sigma_deg": object()},
+        {"channel": 3},
+        {"channel": "red"},
+        {"transmitted": 1},
+        {"back": "no"},
+        {"photodiode": 1e6},
+        {"wavelength_nm": 1.0},
+        {"sigma_deg": 10**400},
+        {"sigma_deg": 1j},
+        {"sigma": 30},
+        {"transmitted": [True]},
     ],
-)  # fmt: skip
+)
 def test_what_cannot_be_selected_is_refused(dataset: goniotwin.Dataset, arguments: dict[str, Any]) -> None:
     with pytest.raises(goniotwin.GoniotwinError, match=next(iter(arguments))):
         dataset.select(**arguments)

@@ -381,10 +381,11 @@ def test_a_refused_export_leaves_every_file_as_it_was(reduced: BsdfDataset, tmp_
     for path, wrong in (
         (latest, r"a\.ddr-wal: .*or belongs to one, and is not overwritten"),
         (tmp_path / "a.ddr-shm", r"a\.ddr-shm: .*or belongs to one, and is not overwritten"),
-        (journal, r"a\.ddr: is a data file \(journal\)"), (folder, r"f\.ddr: is a folder"),
+        (journal, r"a\.ddr: is a data file \(journal\)"),
+        (folder, r"f\.ddr: is a folder"),
         (tmp_path / "sub" / "none.ddr", r"none\.ddr: there is no folder .*sub; make it first"),
         (tmp_path / "b.ddr", r"b\.ddr: the uncertainties go to .*b\.u\.ddr, and another file is there; choose another name"),
-    ):  # fmt: skip
+    ):
         with pytest.raises(UserError, match=wrong):
             export(reduced, None, path, "ddr")
         assert sorted(tmp_path.iterdir()) == before

@@ -14,9 +14,13 @@ from tests.app.data.made import gaussian, rings
 
 THETA = np.array([0.0, 10.0, 90.0])
 TABLE = BsdfTable(
-    np.array([0.0, 60.0]), np.array([0.0, 180.0]), THETA, np.arange(24.0).reshape(2, 1, 2, 2, 3), (500.0, 600.0),
+    np.array([0.0, 60.0]),
+    np.array([0.0, 180.0]),
+    THETA,
+    np.arange(24.0).reshape(2, 1, 2, 2, 3),
+    (500.0, 600.0),
     u=0.1 * np.arange(24.0).reshape(2, 1, 2, 2, 3),
-)  # fmt: skip
+)
 
 
 def test_a_dataframe_has_a_row_for_each_value(dataset: goniotwin.Dataset) -> None:

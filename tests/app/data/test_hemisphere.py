@@ -39,9 +39,10 @@ def test_a_journal_has_that_of_its_budget_with_the_journal_closed(
 ) -> None:
     path = tmp_path / "tile.journal"
     schedule = write_schedule(
-        ("beta_deg = [180]", "beta_deg = [0, 30, 60, 90, 120, 150, 180]"), ('["gaussian-5"]', '["white-tile"]'),
+        ("beta_deg = [180]", "beta_deg = [0, 30, 60, 90, 120, 150, 180]"),
+        ('["gaussian-5"]', '["white-tile"]'),
         ("shift_deg = [0, 1]", "shift_deg = [0]"),
-    )  # fmt: skip
+    )
     run_campaign(make_plan(read_schedule(schedule), read_rig(write_rig())), path)
     with Journal.open(path) as journal:
         expected = budget_of_reflectance(evaluate_journal(journal).reduction, parse_place("sigma=30"))

@@ -158,14 +158,24 @@ def test_lights_that_are_not_clear_have_to_be_given() -> None:
 @pytest.mark.parametrize(
     "arguments",
     [
-        {}, {"theta_deg": 10}, {"polar_deg": 10}, {"theta_deg": 10, "polar_deg": 10}, {"theta_deg": "x", "phi_deg": 0},
-        {"theta_deg": -1, "phi_deg": 0}, {"polar_deg": 91, "azimuth_deg": 0}, {"theta_deg": float("nan"), "phi_deg": 0},
-        {"theta_deg": [1, 2], "phi_deg": [1, 2, 3]}, {"polar_deg": [1, 2], "azimuth_deg": [1, 2, 3]},
-        {"theta_deg": 1, "phi_deg": 0, "sigma_deg": [0, 1]}, {"theta_deg": 1, "phi_deg": 0, "wavelength_nm": 550},
-        {"theta_deg": 1, "phi_deg": 0, "channel": "red"}, {"theta_deg": 1, "phi_deg": 0, "back": True},
-        {"theta_deg": 1, "phi_deg": 0, "sigma_deg": float("inf")}, {"theta_deg": True, "phi_deg": 0},
+        {},
+        {"theta_deg": 10},
+        {"polar_deg": 10},
+        {"theta_deg": 10, "polar_deg": 10},
+        {"theta_deg": "x", "phi_deg": 0},
+        {"theta_deg": -1, "phi_deg": 0},
+        {"polar_deg": 91, "azimuth_deg": 0},
+        {"theta_deg": float("nan"), "phi_deg": 0},
+        {"theta_deg": [1, 2], "phi_deg": [1, 2, 3]},
+        {"polar_deg": [1, 2], "azimuth_deg": [1, 2, 3]},
+        {"theta_deg": 1, "phi_deg": 0, "sigma_deg": [0, 1]},
+        {"theta_deg": 1, "phi_deg": 0, "wavelength_nm": 550},
+        {"theta_deg": 1, "phi_deg": 0, "channel": "red"},
+        {"theta_deg": 1, "phi_deg": 0, "back": True},
+        {"theta_deg": 1, "phi_deg": 0, "sigma_deg": float("inf")},
+        {"theta_deg": True, "phi_deg": 0},
     ],
-)  # fmt: skip
+)
 def test_arguments_that_are_none_are_refused(arguments: dict[str, Any]) -> None:
     d = dataset(rings(lambertian(1.0), 0.0, POLAR, AZIMUTH))
     with pytest.raises(goniotwin.GoniotwinError):

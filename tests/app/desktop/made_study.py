@@ -11,9 +11,18 @@ def made_distribution(
     """A criterion that is evenly distributed from 0 to its largest value."""
     shares = tuple((limit, min(limit / largest_percent, 1.0), 0.004 if drawn else 0.0) for limit in (5.0, 10.0))
     return Distribution(
-        name, 20_000 if drawn else 531_441, not drawn, 0.5 * largest_percent, largest_percent, shares, largest_percent,
-        tuple((number + 1) / CELLS for number in range(CELLS)), 0.6, alone_percent, None if drawn else 5.0 / largest_percent,
-    )  # fmt: skip
+        name,
+        20_000 if drawn else 531_441,
+        not drawn,
+        0.5 * largest_percent,
+        largest_percent,
+        shares,
+        largest_percent,
+        tuple((number + 1) / CELLS for number in range(CELLS)),
+        0.6,
+        alone_percent,
+        None if drawn else 5.0 / largest_percent,
+    )
 
 
 def made_outcome(*, slopes: bool = True) -> StudyOutcome:

@@ -19,8 +19,15 @@ from PySide6.QtWidgets import (
 SCREEN = 1280, 800
 """Pixels of the smallest screen."""
 CONTROLS = (
-    QAbstractButton, QComboBox, QProgressBar, QAbstractItemView, QPlainTextEdit, QLineEdit, QAbstractSlider, QMenuBar,
-)  # fmt: skip
+    QAbstractButton,
+    QComboBox,
+    QProgressBar,
+    QAbstractItemView,
+    QPlainTextEdit,
+    QLineEdit,
+    QAbstractSlider,
+    QMenuBar,
+)
 PARTS = (QScrollBar, QHeaderView)
 OWNERS = (QComboBox, QAbstractItemView)
 """Controls that belong to others, and these others."""

@@ -226,8 +226,11 @@ def test_tab_goes_from_the_navigation_through_the_screen_to_the_run_and_not_to_s
         assert first < min(own) <= max(own) < run[0] < run[1] < run[2]
         assert frame.view.run.stop_button not in stops
     assert set(controls(frame)) - set(stops) <= {
-        frame.view.run.stop_button, frame.view.run.progress, frame.menuBar(), *frame.view.navigation.buttons
-    }  # fmt: skip
+        frame.view.run.stop_button,
+        frame.view.run.progress,
+        frame.menuBar(),
+        *frame.view.navigation.buttons,
+    }
 
 
 def test_the_first_focus_is_on_the_screen_that_is_shown(qtbot: QtBot, frame: MainWindow) -> None:

@@ -106,9 +106,13 @@ def some_stalls(draw: st.DrawFn) -> list[Stall]:
 
 
 @given(
-    fingers(), keyboards, some_stalls(), st.integers(1, STAMPS - 1),
-    st.floats(0.0, (LOOKS - 1) * LOOK_MS - 1.0), st.integers(1, 3),
-)  # fmt: skip
+    fingers(),
+    keyboards,
+    some_stalls(),
+    st.integers(1, STAMPS - 1),
+    st.floats(0.0, (LOOKS - 1) * LOOK_MS - 1.0),
+    st.integers(1, 3),
+)
 @example([(100, 1200)], X11, [(50.0, 1550.0)], 1, 0.0, 1)  # a hold of 1.1 s in a stall
 @example([(100, 200), (1300, 1400)], X11, [(50.0, 1550.0)], 1, 0.0, 1)  # two taps 1.2 s apart in one
 @example([(100, 600)], X11, [(550.0, 2050.0)], 1, 39.0, 1)  # the release comes after two looks that found nothing

@@ -278,10 +278,16 @@ def plot(qtbot: QtBot) -> ScanPlot:
 def scan_data(values: list[float], u_values: list[float], blocked: list[bool], untrusted: list[bool] | None = None) -> ScanData:
     none = np.zeros(len(values), dtype=bool)
     points = ScanPoints(
-        np.arange(float(len(values))), np.array(values), np.array(u_values), np.array(blocked),
-        np.array(blocked if untrusted is None else untrusted), none, np.array(values) < DETECTED * np.array(u_values), none,
+        np.arange(float(len(values))),
+        np.array(values),
+        np.array(u_values),
+        np.array(blocked),
+        np.array(blocked if untrusted is None else untrusted),
+        none,
+        np.array(values) < DETECTED * np.array(u_values),
+        none,
         np.zeros(len(values), dtype=np.uint16),
-    )  # fmt: skip
+    )
     return ScanData("a scan", "x", "y", (-90.0, 90.0), ((2.5, 3.5),), points)
 
 
@@ -295,8 +301,11 @@ def test_values_below_the_detection_limit_are_marks_and_hide_no_other_point(plot
         assert np.all(np.isfinite(x))
         assert np.all(np.isfinite(y))
     assert {name: len(x) for name, (x, _y) in plot.marks().items()} == {
-        "measured": 2, "blocked": 1, "flagged": 0, "below limit": 3,
-    }  # fmt: skip
+        "measured": 2,
+        "blocked": 1,
+        "flagged": 0,
+        "below limit": 3,
+    }
 
 
 def test_the_marks_below_the_detection_limit_are_the_values_that_the_journal_calls_lost(plot: ScanPlot) -> None:
@@ -306,8 +315,11 @@ def test_the_marks_below_the_detection_limit_are_the_values_that_the_journal_cal
     plot.show_cut(match(scan, None))
     assert "▽\u00a01 below detection limit (signal under 3 u)" in plot.summary
     assert {name: x.tolist() for name, (x, _y) in plot.marks().items()} == {
-        "measured": [0.0, 2.0], "blocked": [], "flagged": [], "below limit": [1.0],
-    }  # fmt: skip
+        "measured": [0.0, 2.0],
+        "blocked": [],
+        "flagged": [],
+        "below limit": [1.0],
+    }
     plot.grab()
 
 
@@ -315,8 +327,11 @@ def test_values_flagged_for_drift_are_marks_of_their_own(plot: ScanPlot) -> None
     plot.show_cut(match(scan_data([1.0, 0.9, 0.8], [0.01] * 3, [False, True, False], [False, True, True]), None))
     assert "×\u00a01 flagged" in plot.summary
     assert {name: x.tolist() for name, (x, _y) in plot.marks().items()} == {
-        "measured": [0.0], "blocked": [1.0], "flagged": [2.0], "below limit": [],
-    }  # fmt: skip
+        "measured": [0.0],
+        "blocked": [1.0],
+        "flagged": [2.0],
+        "below limit": [],
+    }
 
 
 def test_flags_are_named_steep_values_have_a_mark_and_findings_a_line(plot: ScanPlot) -> None:

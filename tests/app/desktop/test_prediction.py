@@ -113,9 +113,17 @@ def points_at(theta: np.ndarray, phi: np.ndarray, transmitted: np.ndarray | None
     none = np.zeros(theta.size, dtype=bool)
     values = 1.0 + theta
     return ScanPoints(
-        theta, values, 0.1 * values, none, none, none if transmitted is None else transmitted, none, none,
-        none.astype(np.uint16), np.stack([zenith, azimuth, theta, phi], axis=1),
-    )  # fmt: skip
+        theta,
+        values,
+        0.1 * values,
+        none,
+        none,
+        none if transmitted is None else transmitted,
+        none,
+        none,
+        none.astype(np.uint16),
+        np.stack([zenith, azimuth, theta, phi], axis=1),
+    )
 
 
 def scan_of(points: ScanPoints, plane: float = 0.0) -> ScanData:

@@ -24,10 +24,18 @@ def trace(percent_in_10_min: float, readings: int = 61, noise: float = 0.0) -> W
 
 
 READY = Facts(
-    today=TODAY, devices={"axes": ANSWERS, "monitor": ANSWERS}, limits_deg={"sigma": (0.0, 180.0)},
-    positions_deg={"sigma": 30.0}, monitor=trace(0.1), dark_age_s=20.0, drift="+0.12 % (limit 0.5 %)",
-    expires=date(2027, 6, 1), folder="/data", free_bytes=200_000_000_000, needed_bytes=3_000_000,
-)  # fmt: skip
+    today=TODAY,
+    devices={"axes": ANSWERS, "monitor": ANSWERS},
+    limits_deg={"sigma": (0.0, 180.0)},
+    positions_deg={"sigma": 30.0},
+    monitor=trace(0.1),
+    dark_age_s=20.0,
+    drift="+0.12 % (limit 0.5 %)",
+    expires=date(2027, 6, 1),
+    folder="/data",
+    free_bytes=200_000_000_000,
+    needed_bytes=3_000_000,
+)
 
 
 def test_all_is_ready() -> None:
@@ -78,7 +86,7 @@ def test_nothing_is_known_and_nothing_is_called_good() -> None:
         ("Disk", {"free_bytes": 1_500_000_000}, "look", "1.5 GB", "soon"),
         ("Disk", {"free_bytes": None}, "bad", "/data: cannot be looked at", "another folder"),
     ],
-)  # fmt: skip
+)
 def test_a_check_states_what_is_found_and_what_to_do(
     name: str, changes: dict[str, object], outcome: str, found: str, remedy: str
 ) -> None:

@@ -50,10 +50,19 @@ def bsdf_tables(draw: st.DrawFn, *colours: str, transmitted: bool | None = None)
     shape = count, psi.size, sigma.size, phi.size, theta.size
     numbers = st.floats(-1e6, 1e6).map(lambda number: 0.0 if abs(number) < 1e-30 else number)
     return BsdfTable(
-        sigma, phi, theta, draw(arrays(np.float64, shape, elements=numbers)), wavelengths, psi,
-        transmitted=draw(st.booleans()) if transmitted is None else transmitted, generated=draw(st.booleans()),
-        comments=tuple(draw(COMMENTS)), colours=names, back=draw(st.booleans()), sample=draw(st.sampled_from(["", "paint 3"])),
-    )  # fmt: skip
+        sigma,
+        phi,
+        theta,
+        draw(arrays(np.float64, shape, elements=numbers)),
+        wavelengths,
+        psi,
+        transmitted=draw(st.booleans()) if transmitted is None else transmitted,
+        generated=draw(st.booleans()),
+        comments=tuple(draw(COMMENTS)),
+        colours=names,
+        back=draw(st.booleans()),
+        sample=draw(st.sampled_from(["", "paint 3"])),
+    )
 
 
 @st.composite
@@ -63,9 +72,17 @@ def regular_tables(draw: st.DrawFn, *colours: str, isotropic: bool, transmitted:
     sigma, psi = draw(angles(90.0)), np.zeros(1) if isotropic else draw(angles(360.0))
     values = draw(arrays(np.float64, (count, psi.size, sigma.size), elements=st.integers(0, 10**9).map(lambda n: n / 1e9)))
     return RegularTable(
-        sigma, values, wavelengths, names, psi, transmitted, back=draw(st.booleans()), generated=draw(st.booleans()),
-        sample=draw(st.sampled_from(["", "paint 3"])), comments=tuple(draw(COMMENTS)),
-    )  # fmt: skip
+        sigma,
+        values,
+        wavelengths,
+        names,
+        psi,
+        transmitted,
+        back=draw(st.booleans()),
+        generated=draw(st.booleans()),
+        sample=draw(st.sampled_from(["", "paint 3"])),
+        comments=tuple(draw(COMMENTS)),
+    )
 
 
 def check_same_text(again: str, first: str, largest: float) -> None:

@@ -45,10 +45,19 @@ def parts(draw: st.DrawFn) -> Part:
         words = np.array(draw(st.lists(TEXT, min_size=n, max_size=n)), dtype=np.str_)
         more: dict[str, Any] = {each: draw(arrays(np.bool_, n)) for each in ("transmitted", "back")}
         return ScatteredBsdf(
-            **columns, values=values, u=np.abs(values), low95=values - 1.0, high95=values + 1.0, interval=words,
-            flags=words, channel=words[::-1], **more,
-            photodiode=draw(arrays(np.int64, n, elements=st.integers(-1, 40))), isotropic=draw(st.booleans()), **about,
-        )  # fmt: skip
+            **columns,
+            values=values,
+            u=np.abs(values),
+            low95=values - 1.0,
+            high95=values + 1.0,
+            interval=words,
+            flags=words,
+            channel=words[::-1],
+            **more,
+            photodiode=draw(arrays(np.int64, n, elements=st.integers(-1, 40))),
+            isotropic=draw(st.booleans()),
+            **about,
+        )
     psi, sigma = draw(angles(360.0)), draw(angles(90.0))
     about |= {"psi_deg": psi, "transmitted": draw(st.booleans()), "back": draw(st.booleans())}
     colours = draw(st.sampled_from([(), ("red", "green", "blue"), ("X",)]))
@@ -246,9 +255,14 @@ def test_a_million_values_are_read_as_they_were_written(tmp_path: Path) -> None:
     random = np.random.default_rng(1)
     sigma, psi, polar, azimuth = random.uniform(0.0, 90.0, (4, n))
     many = ScatteredBsdf(
-        sigma, psi, polar, azimuth, random.normal(size=n), random.normal(size=n),
+        sigma,
+        psi,
+        polar,
+        azimuth,
+        random.normal(size=n),
+        random.normal(size=n),
         flags=np.array(["", "drift", "drift steep"])[random.integers(0, 3, n)],
-    )  # fmt: skip
+    )
     archive.write(tmp_path / "many.h5", BsdfFile((many,)))
     (read,) = archive.read(tmp_path / "many.h5").parts
     assert same(many, read)

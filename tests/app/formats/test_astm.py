@@ -77,10 +77,14 @@ def test_colours_may_be_named_in_full(tmp_path: Path) -> None:
 def test_an_independent_reader_finds_what_was_written(tmp_path: Path) -> None:
     path = tmp_path / "a.astm"
     values = ScatteredBsdf(
-        np.array([30.0, 60.0] * 2), np.zeros(4), np.array([30.0, 5.0] * 2), np.array([180.0, 90.0] * 2),
-        np.array([0.1, 0.2, 0.3, 0.4]), wavelength_nm=np.array([550.0, 550.0, 450.5, 450.5]),
+        np.array([30.0, 60.0] * 2),
+        np.zeros(4),
+        np.array([30.0, 5.0] * 2),
+        np.array([180.0, 90.0] * 2),
+        np.array([0.1, 0.2, 0.3, 0.4]),
+        wavelength_nm=np.array([550.0, 550.0, 450.5, 450.5]),
         comments=("the words VARS and NUM_POINTS 3 are no trap", "n = 1.5 \u00b0"),
-    )  # fmt: skip
+    )
     astm.write(path, BsdfFile((values,), Metadata(operator="A. Person")))
     names, found = as_libbsdf_reads(path)
     assert names == ["theta_i", "phi_i", "theta_s", "phi_s", "450.5nm", "550nm"]
@@ -98,9 +102,14 @@ def test_what_is_written_is_read_again(
     path = tmp_path_factory.mktemp("astm") / "a.astm"
     flags = np.full(values.size, True)
     values = replace(
-        values, transmitted=flags & transmitted, back=flags & back, generated=generated, sample="paper 3", isotropic=False,
+        values,
+        transmitted=flags & transmitted,
+        back=flags & back,
+        generated=generated,
+        sample="paper 3",
+        isotropic=False,
         comments=("one", "two: 2"),
-    )  # fmt: skip
+    )
     astm.write(path, BsdfFile((values,)))
     again = only_list(astm.read(path))
     np.testing.assert_array_equal(rows(again, "transmitted", "back"), rows(values, "transmitted", "back"))

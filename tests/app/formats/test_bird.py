@@ -33,55 +33,81 @@ def column(*units: str, least: float | None = 0.0, below: float | None = None) -
 
 
 ADHOC = obj(
-    "description unit type values", "name comments",
+    "description unit type values",
+    "name comments",
     values={"type": "array", "items": {"not": {"type": "object"}}},
-)  # fmt: skip
+)
 NAMED = {"type": "object", "required": ["name"]}
 # The structure of BRDF_JSON_schema/*_v1.0.json of BiRD-project/BiRD_view: brdf, data (commit 0b2edf8), metadata (abb260b),
 # provenance, license, sample, instrumentation and software (00d7fee), adhoc_varible (0476cc0). Three lists of required names
 # that their own schemas forbid are put right: see the docstring of the codec.
 STRUCTURE = obj(
-    "", metadata=obj(
-        "schema id type timestamp provenance method instrumentation software sample environment", "description comments",
-        schema={"type": "string", "pattern": "^https://"}, id={"type": "string", "pattern": "^[a-z]+:"},
+    "",
+    metadata=obj(
+        "schema id type timestamp provenance method instrumentation software sample environment",
+        "description comments",
+        schema={"type": "string", "pattern": "^https://"},
+        id={"type": "string", "pattern": "^[a-z]+:"},
         type={"const": "BRDF"},
         provenance=obj(
-            "organization location email contact_person", "website phone comments",
+            "organization location email contact_person",
+            "website phone comments",
             location=obj("country city street building_nr postal_code", "county room_nr coordinates"),
             email={"type": "string", "pattern": "@"},
         ),
         license=obj("type rights_holder", "link email phone proprietary"),
         method={"enum": ["simulation", "measurement"]},
-        instrumentation={"oneOf": [{"const": "NA"}, obj(
-            "name illumination_system detection_system", "model manufacturer serial_number operator_name comments",
-            illumination_system=NAMED, detection_system=NAMED, adhoc_section={"type": "object"},
-        )]},
+        instrumentation={
+            "oneOf": [
+                {"const": "NA"},
+                obj(
+                    "name illumination_system detection_system",
+                    "model manufacturer serial_number operator_name comments",
+                    illumination_system=NAMED,
+                    detection_system=NAMED,
+                    adhoc_section={"type": "object"},
+                ),
+            ]
+        },
         software={"oneOf": [{"const": "NA"}, obj("name", "version author description comments")]},
         sample=obj(
             "name type dimensions shape zero_azimuth_location",
             "model manufacturer manufacturing_method treatment properties_symmetry comments origin_location",
-            dimensions={"type": "object"}, adhoc_section={"type": "object"},
+            dimensions={"type": "object"},
+            adhoc_section={"type": "object"},
         ),
-        environment={"oneOf": [{"const": "NA"}, {"type": "object"}]}, data_links={"type": "array"},
+        environment={"oneOf": [{"const": "NA"}, {"type": "object"}]},
+        data_links={"type": "array"},
         adhoc_section={"type": "object"},
     ),
     data=obj(
         "theta_i phi_i theta_r phi_r BRDF",
-        theta_i=column("rad", "deg", "°", below=90), phi_i=column("rad", "deg", "°", below=360),
-        theta_r=column("rad", "deg", "°", below=90), phi_r=column("rad", "deg", "°", below=360),
-        BRDF=column("1/sr", "sr^-1"), uBRDF=column("1/sr", "sr^-1", "%"), wavelength_i=column("nm", "μm"),
-        wavelength_r=column("nm", "μm"), adhoc_variables={"type": "object", "additionalProperties": ADHOC},
+        theta_i=column("rad", "deg", "°", below=90),
+        phi_i=column("rad", "deg", "°", below=360),
+        theta_r=column("rad", "deg", "°", below=90),
+        phi_r=column("rad", "deg", "°", below=360),
+        BRDF=column("1/sr", "sr^-1"),
+        uBRDF=column("1/sr", "sr^-1", "%"),
+        wavelength_i=column("nm", "μm"),
+        wavelength_r=column("nm", "μm"),
+        adhoc_variables={"type": "object", "additionalProperties": ADHOC},
     ),
-)  # fmt: skip
+)
 STRUCTURE["required"] = ["metadata", "data"]
 VALIDATOR = jsonschema.Draft202012Validator(STRUCTURE)
 
 METADATA = Metadata(
-    title="a paint", date="2026-11-22T21:00:00+01:00", operator="A. Person", laboratory="A Laboratory", licence="CC-BY-4.0",
-    environment="23 °C", sample=SampleMetadata("7/3", "A Maker", "paint", azimuth_mark="arrow", preparation="wiped"),
+    title="a paint",
+    date="2026-11-22T21:00:00+01:00",
+    operator="A. Person",
+    laboratory="A Laboratory",
+    licence="CC-BY-4.0",
+    environment="23 °C",
+    sample=SampleMetadata("7/3", "A Maker", "paint", azimuth_mark="arrow", preparation="wiped"),
     instrument=InstrumentMetadata("a goniophotometer", "goniotwin 0.1.0", 500.0),
-    source=SourceMetadata("a laser", (550.0,)), receiver=ReceiverMetadata("photodiodes", 1e-4, gains_v_per_a=(1e6, 1e7)),
-)  # fmt: skip
+    source=SourceMetadata("a laser", (550.0,)),
+    receiver=ReceiverMetadata("photodiodes", 1e-4, gains_v_per_a=(1e6, 1e7)),
+)
 
 
 def faults(path: Path) -> list[str]:
@@ -96,15 +122,22 @@ def test_what_is_written_has_the_public_structure_and_is_read_again(
 ) -> None:
     path = tmp_path_factory.mktemp("bird") / "a.brdf"
     values = replace(
-        values, back=np.full(values.size, back), generated=generated, sample="paint °", isotropic=False,
+        values,
+        back=np.full(values.size, back),
+        generated=generated,
+        sample="paint °",
+        isotropic=False,
         comments=("one", "two"),
-        sigma_deg=np.minimum(values.sigma_deg, 89.5), polar_deg=np.minimum(values.polar_deg, 89.5),
+        sigma_deg=np.minimum(values.sigma_deg, 89.5),
+        polar_deg=np.minimum(values.polar_deg, 89.5),
         u=0.01 * np.arange(values.size) if with_u else None,
-        low95=values.values - 1.0 if marked else None, high95=values.values + 1.0 if marked else None,
+        low95=values.values - 1.0 if marked else None,
+        high95=values.values + 1.0 if marked else None,
         interval=np.full(values.size, "linear" if marked else ""),
-        u_shared=np.full(values.size, 0.001 * marked), photodiode=np.arange(values.size) if marked else None,
+        u_shared=np.full(values.size, 0.001 * marked),
+        photodiode=np.arange(values.size) if marked else None,
         flags=np.full(values.size, 'dark "x"' if marked else ""),
-    )  # fmt: skip
+    )
     bird.write(path, BsdfFile((values,), METADATA, ("three",)))
     assert not faults(path)
     again = bird.read(path)
@@ -134,8 +167,11 @@ def test_the_metadata_are_in_birds_own_fields(tmp_path: Path) -> None:
     (tmp_path / "a.brdf").write_text(json.dumps(document))
     again = bird.read(tmp_path / "a.brdf").metadata
     assert (again.operator, again.laboratory, again.date, again.licence) == (
-        METADATA.operator, METADATA.laboratory, METADATA.date, METADATA.licence,
-    )  # fmt: skip
+        METADATA.operator,
+        METADATA.laboratory,
+        METADATA.date,
+        METADATA.licence,
+    )
     assert (again.instrument.name, again.source.description, again.receiver.solid_angle_sr) == (
         "a goniophotometer",
         "a laser",
@@ -154,9 +190,13 @@ def test_nothing_stated_is_na(tmp_path: Path) -> None:
 # Example.brdf of BiRD-project/BiRD_view ("Test BRDF data files", commit dd38750), shortened.
 EXAMPLE: dict[str, Any] = {
     "metadata": {
-        "schema": bird.SCHEMA, "id": "https://example.invalid/1", "type": "BRDF", "timestamp": "2022-01-14T12:00:00+02",
+        "schema": bird.SCHEMA,
+        "id": "https://example.invalid/1",
+        "type": "BRDF",
+        "timestamp": "2022-01-14T12:00:00+02",
         "provenance": {"organization": "Aalto University", "contact_person": "A. Person"},
-        "license": {"type": "BY-SA", "rights_holder": "Aalto University"}, "method": "measurement",
+        "license": {"type": "BY-SA", "rights_holder": "Aalto University"},
+        "method": "measurement",
         "instrumentation": {"name": "Aalto reference gonioreflectometer", "operator_name": "A. Person"},
         "software": {"name": "a program"},
         "sample": {"name": "SRT1", "manufacturer": "Labsphere", "properties_symmetry": "isotropic"},
@@ -171,7 +211,7 @@ EXAMPLE: dict[str, Any] = {
         "phi_r": {"unit": "°", "values": [60, 60, 60, 60]},
         "BRDF": {"unit": "sr^-1", "values": [0.254, 0.263, 0.267, 0.273]},
     },
-}  # fmt: skip
+}
 
 
 def test_each_state_of_polarisation_is_a_sample(tmp_path: Path) -> None:
@@ -193,7 +233,7 @@ def test_the_older_layout_radians_and_relative_uncertainties_are_read(tmp_path: 
             "variables": [{"name": n, "type": "number", "unit": u, "description": ""} for n, u in [*variables, ("spot", "mm")]],
             "values": [[np.pi / 6, np.pi, 20, 0, 0.5, 2, 1], [np.pi / 6, 0, -20, 0, 0.25, 4, 1]],
         },
-    }  # fmt: skip
+    }
     (tmp_path / "a.json").write_text(json.dumps(document))
     found = only_list(bird.read(tmp_path / "a.json"))
     assert (found.sample, found.sigma_deg.tolist(), found.psi_deg.tolist()) == ("sand", [30.0, 30.0], [180.0, 0.0])
@@ -224,7 +264,7 @@ def changed(**columns: Any) -> dict[str, Any]:
         (changed(uBRDF={"unit": "%", "values": [1, -2, 3, 4]}), "uBRDF has negative values"),
         ({"data": {"variables": [{}], "values": [[1, 2]]}}, "row 1 has not 1 values"),
     ],
-)  # fmt: skip
+)
 def test_a_file_that_is_not_whole_is_refused(tmp_path: Path, document: Any, wanted: str) -> None:
     assert wanted in refusal(bird.read, tmp_path / "a.brdf", json.dumps(document))
 
@@ -237,7 +277,7 @@ def test_a_file_that_is_not_whole_is_refused(tmp_path: Path, document: Any, want
         ('{"a": 1' + "0" * 5000 + "}", "not JSON of this format"),
         ('{"data": {"BRDF": {"unit": "1/sr", "values": [Infinity]}}}', "Infinity is not a finite number"),
     ],
-)  # fmt: skip
+)
 def test_damaged_json_is_refused(tmp_path: Path, text: str, wanted: str) -> None:
     assert wanted in refusal(bird.read, tmp_path / "a.brdf", text)
 

@@ -23,11 +23,16 @@ from tests.system.mutations import MEMORY_BYTES, TooLong, with_changed_bytes, wi
 CPU_S = 10
 """For one file of the usual size; a file of tens of MB has ten times as much."""
 READ_ONLY = {
-    "eds": EDS, "fred": FRED, "pab": PAB, "reflet": REFLET, "speos_rtd": RTD, "reflectance_factors": FACTORS,
+    "eds": EDS,
+    "fred": FRED,
+    "pab": PAB,
+    "reflet": REFLET,
+    "speos_rtd": RTD,
+    "reflectance_factors": FACTORS,
     "spectral_list": SPECTRAL_LIST,
     "lighttools": "Symmetry Asymmetric\nSpectralContent Monochrome\nScatterAzimuth 2\n0 180\nScatterRadial 2\n0 60\nDataBegin\n"
     "AOI 30\nPOI 0\nSide Front\nWavelength 550\nScatterType BRDF\nTIS 0.5\n1 2\n3 4\nDataEnd\n",
-}  # fmt: skip
+}
 """A small file of each format that is not written."""
 READERS = [each for each in BUILT_IN if each.reads and each.name != "merl"]
 """A file of MERL has 35 MB: test_merl.py has its damaged ones."""
@@ -45,9 +50,14 @@ def original(found: Format, folder: Path) -> bytes:
     through = Holds.REFLECTED not in found.holds
     table = BsdfTable(*grid, np.full((1, 1, 2, 3, 3), 0.2), transmitted=through, generated=True)
     points = ScatteredBsdf(
-        np.array([0.0, 30.0]), np.zeros(2), np.array([10.0, 30.0]), np.array([0.0, 180.0]), np.array([0.2, 0.3]),
-        np.array([0.01, 0.02]), transmitted=np.full(2, through),
-    )  # fmt: skip
+        np.array([0.0, 30.0]),
+        np.zeros(2),
+        np.array([10.0, 30.0]),
+        np.array([0.0, 180.0]),
+        np.array([0.2, 0.3]),
+        np.array([0.01, 0.02]),
+        transmitted=np.full(2, through),
+    )
     regular = RegularTable(np.array([0.0, 60.0]), np.array([[[0.04, 0.09]]]), transmitted=through)
     possible: dict[Holds, Part] = {Holds.GRID: table, Holds.POINTS: points, Holds.REGULAR: regular}
     parts = tuple(part for kind, part in possible.items() if kind in found.holds)

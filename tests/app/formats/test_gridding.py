@@ -22,9 +22,16 @@ def at(sigma: np.ndarray, polar: np.ndarray, azimuth: np.ndarray, psi: float = 0
     sigma, polar, azimuth = (each.ravel() for each in np.broadcast_arrays(sigma, polar, azimuth))
     size = sigma.size
     empty = ScatteredBsdf(
-        sigma, np.full(size, psi), polar, np.mod(azimuth + psi, 360.0), np.zeros(size), u=np.full(size, 0.01),
-        wavelength_nm=np.full(size, 550.0), sample="paint", isotropic=isotropic,
-    )  # fmt: skip
+        sigma,
+        np.full(size, psi),
+        polar,
+        np.mod(azimuth + psi, 360.0),
+        np.zeros(size),
+        u=np.full(size, 0.01),
+        wavelength_nm=np.full(size, 550.0),
+        sample="paint",
+        isotropic=isotropic,
+    )
     return replace(empty, values=lobe(empty))
 
 

@@ -30,8 +30,10 @@ def hidden_peak() -> np.ndarray:
 
 
 def filled(fill: Fill, wide: bool = False) -> BsdfTable:
-    cuts = [continued(THETA, np.where(known, values, np.nan), 0.01 * values)
-            for values, known in zip(lobe(wide), hidden_peak(), strict=True)]  # fmt: skip
+    cuts = [
+        continued(THETA, np.where(known, values, np.nan), 0.01 * values)
+        for values, known in zip(lobe(wide), hidden_peak(), strict=True)
+    ]
     options: dict[str, Any] = {"transmitted": False, "generated": False, "comments": [], "done": "measured"}
     return specular_table(SIGMA, PHI, THETA, [cuts], None, **options, fill=fill)
 
@@ -80,8 +82,10 @@ def test_no_known_value_is_changed_and_each_hole_has_a_number(seed: int, fill: F
     sigma, theta = np.array([0.0, 20.0, 50.0]), np.linspace(0.0, 90.0, 10)
     values = generator.normal(1.0, 1.0, (2, 1, 3, 3, 10)) * 10.0 ** generator.integers(-30, 30)
     known = generator.random(values.shape) < share
-    cuts = [[continued(theta, np.where(k, v, np.nan), np.abs(v)) for v, k in zip(*each, strict=True)]
-            for each in zip(values[:, 0], known[:, 0], strict=True)]  # fmt: skip
+    cuts = [
+        [continued(theta, np.where(k, v, np.nan), np.abs(v)) for v, k in zip(*each, strict=True)]
+        for each in zip(values[:, 0], known[:, 0], strict=True)
+    ]
     held = np.array([[cut.values for cut in each] for each in cuts])[:, None]
     found = fill_holes(theta, sigma, held, known, fill)
     np.testing.assert_array_equal(found[known], values[known])

@@ -38,8 +38,10 @@ def check(found: libbsdf.Read, table: BsdfTable, *, covers: bool) -> None:
         np.testing.assert_array_equal(found.values[-1], found.values[0])
     else:
         assert not (table.psi_deg[0] == 0.0 and 180.0 < table.psi_deg[-1] < 360.0)
-    rows = [[np.abs(np.array(read) - angle).argmin() for angle in angles] for read, angles in (
-        (found.sigma, table.sigma_deg), (found.phi, table.phi_deg), (found.theta, table.theta_deg))]  # fmt: skip
+    rows = [
+        [np.abs(np.array(read) - angle).argmin() for angle in angles]
+        for read, angles in ((found.sigma, table.sigma_deg), (found.phi, table.phi_deg), (found.theta, table.theta_deg))
+    ]
     for read, places, angles in zip(
         (found.sigma, found.phi, found.theta), rows, (table.sigma_deg, table.phi_deg, table.theta_deg), strict=True
     ):

@@ -130,12 +130,16 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @given(
     st.lists(
         st.tuples(
-            st.sampled_from([0.0, 12.5, 60.0, 90.0]), st.sampled_from(["Front", "Back"]), st.sampled_from(["BRDF", "BTDF"]),
+            st.sampled_from([0.0, 12.5, 60.0, 90.0]),
+            st.sampled_from(["Front", "Back"]),
+            st.sampled_from(["BRDF", "BTDF"]),
             st.floats(0.0, 1e6),
         ),
-        min_size=1, max_size=6, unique_by=lambda each: each[:3],
+        min_size=1,
+        max_size=6,
+        unique_by=lambda each: each[:3],
     )
-)  # fmt: skip
+)
 def test_the_values_of_any_blocks_are_read(folder: Path, stated: list[tuple[float, str, str, float]]) -> None:
     text = HEADER + "".join(block(aoi, first, side, kind) for aoi, side, kind, first in stated) + "DataEnd\n"
     part = part_of(saved(folder, text))

@@ -78,10 +78,13 @@ def test_a_file_of_another_kind_is_refused_with_what_it_is(tmp_path: Path) -> No
 @pytest.mark.parametrize(
     ("head", "what"),
     [
-        (b"1 2 3\n4 5 6\n", "text that begins with '1 2 3'"), (b"\x89PNG\r\n", r"a picture \(PNG\)"), (b"", "empty"),
-        (b"\x00\x01", "binary data"), (b"SQLite format 3\0", r"a data file \(journal\) or another database"),
+        (b"1 2 3\n4 5 6\n", "text that begins with '1 2 3'"),
+        (b"\x89PNG\r\n", r"a picture \(PNG\)"),
+        (b"", "empty"),
+        (b"\x00\x01", "binary data"),
+        (b"SQLite format 3\0", r"a data file \(journal\) or another database"),
     ],
-)  # fmt: skip
+)
 def test_an_unknown_file_is_refused_with_what_it_is_and_what_can_be_read(head: bytes, what: str, tmp_path: Path) -> None:
     unknown = tmp_path / "a.xyz"
     unknown.write_bytes(head)
@@ -146,8 +149,10 @@ def test_long_comments_at_the_top_do_not_hide_the_content(tmp_path: Path) -> Non
         with path.open("rb") as file:
             head = file.read(registry.HEAD_BYTES)
         assert [found.name for found in BUILT_IN if found.load().recognise(head)] == {
-            DDR: ["ddr", "ddt"], ZEMAX: ["zemax"], CSV: ["csv"],
-        }[each]  # fmt: skip
+            DDR: ["ddr", "ddt"],
+            ZEMAX: ["zemax"],
+            CSV: ["csv"],
+        }[each]
 
 
 @settings(deadline=None)
@@ -250,8 +255,12 @@ def test_a_file_name_gives_the_format_and_a_refusal_names_the_others(tmp_path: P
 
 def test_an_impossible_format_is_refused() -> None:
     for change in (
-        {"name": "two words"}, {"suffixes": ()}, {"suffixes": ("DDR",)}, {"holds": frozenset({Holds.FLAGS})}, {"holds": KINDS},
-    ):  # fmt: skip
+        {"name": "two words"},
+        {"suffixes": ()},
+        {"suffixes": ("DDR",)},
+        {"holds": frozenset({Holds.FLAGS})},
+        {"holds": KINDS},
+    ):
         with pytest.raises(ValueError, match=r"format '.*': "):
             replace(DDR, **change)
     with pytest.raises(ValueError, match="there is a format 'ddr' already"):
@@ -290,9 +299,11 @@ from dataclasses import replace
 FORMATS = (replace(BUILT_IN[0], name="mine", suffixes=(".mine",)),)
 """
     for name, text in (
-        ("good_tables", code), ("bad_tables", "raise OSError('no licence')"), ("odd_tables", "FORMATS = 3"),
+        ("good_tables", code),
+        ("bad_tables", "raise OSError('no licence')"),
+        ("odd_tables", "FORMATS = 3"),
         ("same_tables", code.replace('"mine"', '"ddr"')),
-    ):  # fmt: skip
+    ):
         install(tmp_path, name, text)
         monkeypatch.delitem(sys.modules, name, raising=False)
     monkeypatch.syspath_prepend(tmp_path)
@@ -300,9 +311,12 @@ FORMATS = (replace(BUILT_IN[0], name="mine", suffixes=(".mine",)),)
     with pytest.raises(FormatError) as refused:
         registry.format_named("theirs", KINDS)
     for fault in (
-        "bad_tables of the package bad_tables cannot be used: no licence", "it is a int, not a Format",
-        "there is a format 'ddr' already", "give ddr, ddt, ", "rayset or mine",
-    ):  # fmt: skip
+        "bad_tables of the package bad_tables cannot be used: no licence",
+        "it is a int, not a Format",
+        "there is a format 'ddr' already",
+        "give ddr, ddt, ",
+        "rayset or mine",
+    ):
         assert fault in str(refused.value)
 
 

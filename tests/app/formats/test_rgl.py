@@ -218,13 +218,17 @@ def test_a_warp_and_a_jacobian_are_read_as_mitsuba_reads_them(tmp_path: Path) ->
     random = np.random.default_rng(5)
     theta_i, side = np.radians([5.0, 25.0, 70.0]), 9  # at normal incidence the azimuth of the light is none
     small: dict[str, Any] = {
-        "description": np.frombuffer(b"made up", np.uint8), "theta_i": theta_i.astype("<f4"), "phi_i": np.zeros(1, "<f4"),
-        "wavelengths": np.array([400.0, 600.0], "<f4"), "ndf": random.uniform(1.0, 4.0, (1, 7)).repeat(3, 0).astype("<f4"),
+        "description": np.frombuffer(b"made up", np.uint8),
+        "theta_i": theta_i.astype("<f4"),
+        "phi_i": np.zeros(1, "<f4"),
+        "wavelengths": np.array([400.0, 600.0], "<f4"),
+        "ndf": random.uniform(1.0, 4.0, (1, 7)).repeat(3, 0).astype("<f4"),
         "sigma": random.uniform(0.5, 1.0, (1, 6)).repeat(2, 0).astype("<f4"),
-        "vndf": random.uniform(0.1, 2.0, (1, 3, 8, 11)).astype("<f4"), "jacobian": np.ones(1, np.uint8),
+        "vndf": random.uniform(0.1, 2.0, (1, 3, 8, 11)).astype("<f4"),
+        "jacobian": np.ones(1, np.uint8),
         "spectra": random.uniform(0.1, 1.0, (1, 3, 2, side, side)).astype("<f4"),
         "luminance": np.ones((1, 3, side, side), "<f4"),
-    }  # fmt: skip
+    }
     write_fields(tmp_path / "rgl.bsdf", small)
     brdf = measured(tmp_path / "rgl.bsdf")
     (read,) = rgl.read(tmp_path / "rgl.bsdf").tables
@@ -284,10 +288,15 @@ def test_a_damaged_file_is_read_or_refused(tmp_path: Path, data: st.DataObject) 
     source = tmp_path / "sound.bsdf"
     if not source.exists():
         small: dict[str, Any] = {
-            "theta_i": np.zeros(1, "<f4"), "phi_i": np.zeros(1, "<f4"), "wavelengths": np.array([400.0], "<f4"),
-            "ndf": np.ones((2, 2), "<f4"), "sigma": np.ones((2, 2), "<f4"), "vndf": np.ones((1, 1, 2, 2), "<f4"),
-            "spectra": np.ones((1, 1, 1, 2, 2), "<f4"), "jacobian": np.ones(1, np.uint8),
-        }  # fmt: skip
+            "theta_i": np.zeros(1, "<f4"),
+            "phi_i": np.zeros(1, "<f4"),
+            "wavelengths": np.array([400.0], "<f4"),
+            "ndf": np.ones((2, 2), "<f4"),
+            "sigma": np.ones((2, 2), "<f4"),
+            "vndf": np.ones((1, 1, 2, 2), "<f4"),
+            "spectra": np.ones((1, 1, 1, 2, 2), "<f4"),
+            "jacobian": np.ones(1, np.uint8),
+        }
         write_fields(source, small)
         rgl.read(source)
     raw = bytearray(source.read_bytes())

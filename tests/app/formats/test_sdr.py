@@ -132,9 +132,11 @@ def test_what_the_format_cannot_hold_is_refused(tmp_path: Path) -> None:
     turned = RegularTable(sigma, np.zeros((1, 2, 2)), psi_deg=np.array([0.0, 90.0]))
     tristimulus = RegularTable(sigma, np.zeros((3, 1, 2)), colours=("X", "Y", "Z"))
     for parts, message in (
-        ((turned,), "of an anisotropic sample"), ((tristimulus,), "has the colours X, Y, Z"), ((grey, grey), "it has 2 parts"),
+        ((turned,), "of an anisotropic sample"),
+        ((tristimulus,), "has the colours X, Y, Z"),
+        ((grey, grey), "it has 2 parts"),
         ((), "it has 0 parts"),
-    ):  # fmt: skip
+    ):
         with pytest.raises(FormatError, match=message):
             write(tmp_path / "a.sdr", BsdfFile(parts))
     assert list(tmp_path.iterdir()) == []

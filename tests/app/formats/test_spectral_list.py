@@ -73,7 +73,7 @@ def test_any_list_is_read_as_it_was_meant(tmp_path_factory: pytest.TempPathFacto
         ("0.872665", "50", "theta_i of sample 1 is 2864.79 deg"),
         ("3.141593", "180", "phi_o of sample 2 is 10313.2 deg"),
     ],
-)  # fmt: skip
+)
 def test_a_damaged_list_is_refused(tmp_path: Path, old: str, new: str, wanted: str) -> None:
     assert wanted in refusal(spectral_list.read, tmp_path / "a.brdf", TEXT.replace(old, new, 1))
 

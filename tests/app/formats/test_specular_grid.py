@@ -176,9 +176,16 @@ def test_a_continued_zero_is_not_stated_as_exact(u: float, expected: float) -> N
     known = np.array([[True, True, False, False]])
     cut = SpecularCut(np.zeros((1, 4)), np.array([[u, 0.0, 0.0, 0.0]]), known)
     table = specular_table(
-        np.array([30.0]), np.zeros(1), np.array([0.0, 1.0, 2.0, 3.0]), [[cut]], None,
-        transmitted=False, generated=True, comments=[], done="simulated",
-    )  # fmt: skip
+        np.array([30.0]),
+        np.zeros(1),
+        np.array([0.0, 1.0, 2.0, 3.0]),
+        [[cut]],
+        None,
+        transmitted=False,
+        generated=True,
+        comments=[],
+        done="simulated",
+    )
     assert table.u is not None
     assert table.u[0, 0, 1, 0].tolist() == [u, 0.0, expected, expected]
     assert table.u[0, 0, [0, 2], 0].min() > 0.0

@@ -346,9 +346,12 @@ def test_what_the_format_cannot_hold_is_refused(tmp_path: Path) -> None:
     colours = BsdfTable(*axes, np.zeros((1, 1, 2, 2, 2)), colours=("V",))
     points = ScatteredBsdf(np.zeros(1), np.zeros(1), np.zeros(1), np.zeros(1), np.ones(1))
     for parts, message in (
-        ((table, table), "two parts that are a brdf, and a .ssdd holds one"), ((table, back), "several samples or sides"),
-        ((colours,), "has the colours V"), ((points,), "scattered values, .*; convert it to a grid"), ((), "nothing to write"),
-    ):  # fmt: skip
+        ((table, table), "two parts that are a brdf, and a .ssdd holds one"),
+        ((table, back), "several samples or sides"),
+        ((colours,), "has the colours V"),
+        ((points,), "scattered values, .*; convert it to a grid"),
+        ((), "nothing to write"),
+    ):
         with pytest.raises(FormatError, match=message):
             write(tmp_path / "a.ssdd", BsdfFile(parts))
     assert list(tmp_path.iterdir()) == []

@@ -93,10 +93,24 @@ def record(tmp_path: Path) -> Record:
     will = last_will()
     ending, order, question = (each.decode() for each in (will.ending, will.order, will.question))
     return Record(
-        will.device, "socket://127.0.0.1:1", will.baudrate, ending, order, question, will.safe, will.danger, will.remedy,
-        will.relief, "rig", 4711, "2026-01-01T00:00:00+00:00", str(tmp_path / "record.json"), str(tmp_path / "a.journal"),
-        (str(tmp_path / "rig.lock"),), (),
-    )  # fmt: skip
+        will.device,
+        "socket://127.0.0.1:1",
+        will.baudrate,
+        ending,
+        order,
+        question,
+        will.safe,
+        will.danger,
+        will.remedy,
+        will.relief,
+        "rig",
+        4711,
+        "2026-01-01T00:00:00+00:00",
+        str(tmp_path / "record.json"),
+        str(tmp_path / "a.journal"),
+        (str(tmp_path / "rig.lock"),),
+        (),
+    )
 
 
 def at(unit: Unit, record: Record) -> Record:
@@ -164,9 +178,17 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(guardian, name, 0.1)
 
 
-@pytest.mark.parametrize("lines", [
-    [b"RECORD", FAREWELL], [b"RECORD", b"[]\n"], [b"[]\n"], [], [b"RECORD"[:3]],
-], ids=["farewell", "disarmed", "never armed", "no line", "half a line"])  # fmt: skip
+@pytest.mark.parametrize(
+    "lines",
+    [
+        [b"RECORD", FAREWELL],
+        [b"RECORD", b"[]\n"],
+        [b"[]\n"],
+        [],
+        [b"RECORD"[:3]],
+    ],
+    ids=["farewell", "disarmed", "never armed", "no line", "half a line"],
+)
 def test_nothing_is_sent_where_nothing_is_armed(unit_with: Callable[..., Unit], record: Record, lines: list[bytes]) -> None:
     unit = unit_with(CLOSED)
     armed = encode_all([at(unit, record)])
@@ -260,10 +282,16 @@ def test_the_process_loads_the_standard_library_and_pyserial_alone() -> None:
     loaded = {each for each in json.loads(done.stdout) if each.partition(".")[0] not in sys.stdlib_module_names}
     own = {each for each in loaded if each.partition(".")[0] == "goniotwin"}
     assert own == {
-        "goniotwin", "goniotwin.app", "goniotwin.app.guardian", "goniotwin.app.guardian.__main__",
-        "goniotwin.app.guardian.held", "goniotwin.app.guardian.record", "goniotwin.own_files", "goniotwin.protocols",
+        "goniotwin",
+        "goniotwin.app",
+        "goniotwin.app.guardian",
+        "goniotwin.app.guardian.__main__",
+        "goniotwin.app.guardian.held",
+        "goniotwin.app.guardian.record",
+        "goniotwin.own_files",
+        "goniotwin.protocols",
         "goniotwin.protocols.clock",
-    }  # fmt: skip
+    }
     assert {each.partition(".")[0] for each in loaded - own if not each.startswith(("_", "sitecustomize"))} == {"serial"}
 
 

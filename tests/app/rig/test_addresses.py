@@ -30,12 +30,34 @@ def test_an_rtu_address_has_port_unit_and_baud_rate() -> None:
     assert rtu_address("rtu:COM4") == ("COM4", 1, 9600)
 
 
-@pytest.mark.parametrize("address", [
-    "rtu:", "rtu:?unit=3", "rtu:COM4?unit=0", "rtu:COM4?unit=248", "rtu:COM4?unit=x", "rtu:COM4?unit=", "rtu:COM4?unit",
-    "rtu:COM4?unit=1&unit=2", "rtu:COM4?baudrate=9601", "rtu:COM4?parity=E", "rtu:COM4?unit=1,baudrate=9600",
-    "rtu:twin://virtual/adcs?unit=1", "", ":502", "adam-0:", "adam-0:0", "adam-0:65536", "adam-0:http",
-    "adam-0:502?unit=256", "adam-0:502?unit=-1", "adam-0:502?baudrate=9600", "adam-0?unit=", "adam-0:502?3",
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "address",
+    [
+        "rtu:",
+        "rtu:?unit=3",
+        "rtu:COM4?unit=0",
+        "rtu:COM4?unit=248",
+        "rtu:COM4?unit=x",
+        "rtu:COM4?unit=",
+        "rtu:COM4?unit",
+        "rtu:COM4?unit=1&unit=2",
+        "rtu:COM4?baudrate=9601",
+        "rtu:COM4?parity=E",
+        "rtu:COM4?unit=1,baudrate=9600",
+        "rtu:twin://virtual/adcs?unit=1",
+        "",
+        ":502",
+        "adam-0:",
+        "adam-0:0",
+        "adam-0:65536",
+        "adam-0:http",
+        "adam-0:502?unit=256",
+        "adam-0:502?unit=-1",
+        "adam-0:502?baudrate=9600",
+        "adam-0?unit=",
+        "adam-0:502?3",
+    ],
+)
 def test_an_invalid_address_is_refused_with_its_text(address: str) -> None:
     with pytest.raises(UserError) as error:
         ModbusUnits(None).unit(address)
@@ -142,22 +164,60 @@ def test_a_rig_with_an_invalid_address_leaves_no_virtual_rig_behind(write_rig: W
         find("twin://virtual/axes")
 
 
-@pytest.mark.parametrize("address", [
-    "/dev/ttyUSB0", "/dev/serial/by-id/usb-FTDI_FT232R-if00-port0", "COM4", "com12", r"\\.\COM10", "socket://moxa-1.lab:4001",
-    "socket://[::1]:4001", "rfc2217://moxa:4001?ign_set_control&timeout=3", "hwgrep://0403:6001", "hwgrep://.*FT232R.*",
-    "twin://virtual/adc-0", "rtu:/dev/ttyUSB1?unit=3&baudrate=9600", "rtu:socket://moxa:4001?unit=9", "rtu:hwgrep://FT232R?unit=2",
-    "usbip:127.0.0.1:3240/1-1", "usbip:localhost/1-1.4", "10.0.0.7", "adam-0:502", "[fe80::1%eth0]:502", "1313:8078:P0012345",
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "address",
+    [
+        "/dev/ttyUSB0",
+        "/dev/serial/by-id/usb-FTDI_FT232R-if00-port0",
+        "COM4",
+        "com12",
+        r"\\.\COM10",
+        "socket://moxa-1.lab:4001",
+        "socket://[::1]:4001",
+        "rfc2217://moxa:4001?ign_set_control&timeout=3",
+        "hwgrep://0403:6001",
+        "hwgrep://.*FT232R.*",
+        "twin://virtual/adc-0",
+        "rtu:/dev/ttyUSB1?unit=3&baudrate=9600",
+        "rtu:socket://moxa:4001?unit=9",
+        "rtu:hwgrep://FT232R?unit=2",
+        "usbip:127.0.0.1:3240/1-1",
+        "usbip:localhost/1-1.4",
+        "10.0.0.7",
+        "adam-0:502",
+        "[fe80::1%eth0]:502",
+        "1313:8078:P0012345",
+    ],
+)
 def test_an_address_of_a_known_kind_is_accepted(address: str) -> None:
     check_address(address)
 
 
-@pytest.mark.parametrize("address", [
-    "spy:///dev/ttyUSB0?file=precious.txt", "SPY://COM4?file=x", "spy://socket://moxa:4001?file=x", "rtu:spy:///dev/ttyUSB0?file=x",
-    "alt:///dev/ttyUSB0?class=PosixPollSerial", "loop://", "cp2110://", "/dev/x://y", "rfc2217://moxa:4001?logging=debug",
-    "file:///etc/passwd", "http://moxa/", r"\\server\share\x", "ttyUSB0/../x", "hwgrep://(a+)+$", "hwgrep://.*.*.*.*x",
-    "hwgrep://a&skip_busy", "socket://moxa:4001?logging=debug", "/dev/tty\nUSB0", "", "/" + "x" * 1000,
-])  # fmt: skip
+@pytest.mark.parametrize(
+    "address",
+    [
+        "spy:///dev/ttyUSB0?file=precious.txt",
+        "SPY://COM4?file=x",
+        "spy://socket://moxa:4001?file=x",
+        "rtu:spy:///dev/ttyUSB0?file=x",
+        "alt:///dev/ttyUSB0?class=PosixPollSerial",
+        "loop://",
+        "cp2110://",
+        "/dev/x://y",
+        "rfc2217://moxa:4001?logging=debug",
+        "file:///etc/passwd",
+        "http://moxa/",
+        r"\\server\share\x",
+        "ttyUSB0/../x",
+        "hwgrep://(a+)+$",
+        "hwgrep://.*.*.*.*x",
+        "hwgrep://a&skip_busy",
+        "socket://moxa:4001?logging=debug",
+        "/dev/tty\nUSB0",
+        "",
+        "/" + "x" * 1000,
+    ],
+)
 def test_an_address_of_another_kind_is_refused_by_the_file(write_rig: Writer, address: str) -> None:
     with pytest.raises(ValueError, match="not an address of a known kind"):
         check_address(address)
@@ -196,10 +256,13 @@ def test_a_port_is_found_by_its_description_before_it_is_locked(monkeypatch: pyt
             resolve_port(address)
 
 
-@pytest.mark.parametrize(("addresses", "other"), [
-    (("127.0.0.1:502", "127.0.0.1", "localhost?unit=1"), "127.0.0.1?unit=2"),
-    (("rtu:/dev/null", "rtu:/dev/null?unit=1&baudrate=9600", "rtu:/dev/null?baudrate=9600&unit=1"), "rtu:/dev/null?unit=2"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("addresses", "other"),
+    [
+        (("127.0.0.1:502", "127.0.0.1", "localhost?unit=1"), "127.0.0.1?unit=2"),
+        (("rtu:/dev/null", "rtu:/dev/null?unit=1&baudrate=9600", "rtu:/dev/null?baudrate=9600&unit=1"), "rtu:/dev/null?unit=2"),
+    ],
+)
 def test_the_note_of_a_module_is_the_same_however_its_address_is_written(addresses: tuple[str, ...], other: str) -> None:
     """After a kill another rig file finds it."""
 

@@ -32,11 +32,25 @@ def whole(tmp_path: Path) -> AlignmentFile:
     (tmp_path / "plain.toml").write_text(RIG, encoding="utf-8")
     rig = read_rig(tmp_path / "plain.toml")
     return AlignmentFile(
-        alignment=1, simulated=True, seed=1, rig=rig.file.name, rig_sha256=rig.digest, campaign="first", journal="",
-        measured="2026-11-23", sample="lobe", mountings=("lobe#1",), values=100, chi_square=1.0, open_beam=0,
-        combinations=COMBINATIONS, covariance=((1e-4, 1e-4), (1e-4, 4e-4)), inputs={"sigma_zero": 0.02, "arc_tilt_y": 0.03},
-        geometry_sha256=rig.identity.geometry, tables_sha256=dict(rig.identity.tables),
-    )  # fmt: skip
+        alignment=1,
+        simulated=True,
+        seed=1,
+        rig=rig.file.name,
+        rig_sha256=rig.digest,
+        campaign="first",
+        journal="",
+        measured="2026-11-23",
+        sample="lobe",
+        mountings=("lobe#1",),
+        values=100,
+        chi_square=1.0,
+        open_beam=0,
+        combinations=COMBINATIONS,
+        covariance=((1e-4, 1e-4), (1e-4, 4e-4)),
+        inputs={"sigma_zero": 0.02, "arc_tilt_y": 0.03},
+        geometry_sha256=rig.identity.geometry,
+        tables_sha256=dict(rig.identity.tables),
+    )
 
 
 def test_a_whole_file_of_this_rig_is_taken_without_a_note(whole: AlignmentFile, tmp_path: Path) -> None:
@@ -62,7 +76,7 @@ def test_a_whole_file_of_this_rig_is_taken_without_a_note(whole: AlignmentFile, 
             "combinations.1.coefficients: there is no input 'sample_tilt_x@b#1'",
         ),
     ],
-)  # fmt: skip
+)
 def test_a_damaged_file_is_refused(whole: AlignmentFile, change: dict[str, object], wrong: str, tmp_path: Path) -> None:
     with pytest.raises(UserError) as caught:
         read(tmp_path, alignment_text(replace(whole, **change)))  # type: ignore[arg-type]  # keys of a table of tests

@@ -53,9 +53,12 @@ def without_twin() -> str:
 
 
 PORTS = (
-    ("axes", "/dev/ttyS20"), ("second", "/dev/ttyS21"), ("mono", "/dev/ttyS22"), ("monitor", "1313:8078"),
+    ("axes", "/dev/ttyS20"),
+    ("second", "/dev/ttyS21"),
+    ("mono", "/dev/ttyS22"),
+    ("monitor", "1313:8078"),
     *((f"adc-{k}", f"10.0.0.{k}") for k in range(5)),
-)  # fmt: skip
+)
 
 
 def test_two_modules_on_two_ports_move_home_and_read_back(opened: RigOpener, tmp_path: Path) -> None:
@@ -101,8 +104,9 @@ def test_axes_of_one_port_share_a_controller(write_rig: Writer) -> None:
     both = (TWIN[0], TWIN[1].replace('["shift"]', '["beta", "shift"]').replace("1240", "6214"))
     file = read_rig(write_rig(OWN, beta, both)).file
     assert [(each.name, list(each.axes)) for each in file.axes.controllers] == [
-        ("axes", ["gamma", "sigma"]), ("axes-beta", ["beta", "shift"]),
-    ]  # fmt: skip
+        ("axes", ["gamma", "sigma"]),
+        ("axes-beta", ["beta", "shift"]),
+    ]
     slower = (beta[0], beta[1].replace("57600", "9600"))
     with pytest.raises(UserError, match=r"shift\.baudrate: differs from that of axes\.beta, which has the same port"):
         read_rig(write_rig(OWN, slower))

@@ -118,10 +118,22 @@ def test_its_text_is_a_complete_rig_file() -> None:
 def test_it_is_off_by_what_an_alignment_has_found() -> None:
     """The values of the rehearsal are corrected by the alignment: without this they would be wrong by it."""
     found = AlignmentFile(
-        alignment=1, simulated=False, rig="r", rig_sha256="", campaign="c", journal="", measured="", sample="s", mountings=(),
-        values=0, chi_square=1.0, open_beam=0, combinations=(), covariance=(),
+        alignment=1,
+        simulated=False,
+        rig="r",
+        rig_sha256="",
+        campaign="c",
+        journal="",
+        measured="",
+        sample="s",
+        mountings=(),
+        values=0,
+        chi_square=1.0,
+        open_beam=0,
+        combinations=(),
+        covariance=(),
         inputs={"beta_zero": 0.1, "mirror_3_tilt_x": 0.05, "arc_tilt_y": 0.0},
-    )  # fmt: skip
+    )
     text = alignment_text(found)
     twin = described_twin(replace(real_rig(), alignment=text), "etalon", ["paper"], {})
     assert twin.rig.alignment == text

@@ -33,9 +33,10 @@ def test_the_operators_filters_are_sorted_by_wavelength(write_rig: Writer) -> No
     for text in (FILTERS, upside_down):
         rig = read_rig(write_rig(("[photodiodes]\n", f"{text}\n[photodiodes]\n")))
         assert rig.file.monochromator.wheel.filters == (
-            OrderFilter(1, "open", 380.0, 550.0), OrderFilter(4, "GG495", 550.0, 650.0, 495.0),
+            OrderFilter(1, "open", 380.0, 550.0),
+            OrderFilter(4, "GG495", 550.0, 650.0, 495.0),
             OrderFilter(2, "RG610", 650.0, 780.0, 610.0),
-        )  # fmt: skip
+        )
         model = rig.model()
         assert model is not None
         assert model.order_sorting == OrderSorting()  # the filters of the twin are another table
@@ -67,7 +68,7 @@ def test_the_twins_filters_are_its_own(write_rig: Writer) -> None:
         (("from_nm = 380", "from_nm = -380"), r"monochromator\.filters\.0\.from_nm: .*greater than 0"),
         (("position = 4", 'position = "4"'), r"monochromator\.filters\.1\.position: .*integer"),
     ],
-)  # fmt: skip
+)
 def test_an_impossible_filter_table_is_refused_in_one_line(write_rig: Writer, change: Change, message: str) -> None:
     with pytest.raises(UserError, match=message) as caught:
         read_rig(write_rig(("[photodiodes]\n", f"{changed(FILTERS, (change,))}[photodiodes]\n")))
@@ -97,7 +98,7 @@ def test_bands_may_extend_beyond_the_range_of_the_monochromator(write_rig: Write
         ("position = 2", r"twin\.filters\.0\.cut_on_nm: is missing"),
         ("position = 2\ncut_on_nm = 500\n[twin.monochromator]\nsecond_order = 1.0", r"second_order: .*less than 1"),
     ],
-)  # fmt: skip
+)
 def test_an_impossible_filter_wheel_of_the_twin_is_refused(write_rig: Writer, text: str, message: str) -> None:
     with pytest.raises(UserError, match=message) as caught:
         read_rig(write_rig(("[twin.light]\n", f"[[twin.filters]]\n{text}\n\n[twin.light]\n")))

@@ -17,9 +17,10 @@ from tests.conftest import Writer
 
 HEARTBEAT = CommandFrame(1, Command.GGP, GlobalParameter.HEARTBEAT, 0)
 REAL = [
-    ('port = "twin://virtual/mono"', 'port = "COM97"'), ('usb = "twin://virtual/monitor"', 'usb = "1313:8078"'),
+    ('port = "twin://virtual/mono"', 'port = "COM97"'),
+    ('usb = "twin://virtual/monitor"', 'usb = "1313:8078"'),
     *((f'"twin://virtual/adc-{k}"', f'"127.0.0.1:{1500 + k}"') for k in range(5)),
-]  # fmt: skip
+]
 NETWORK = "socket://127.0.0.1:4001"
 SLOW, KEY = "baudrate = 9600", "reply_timeout_s = 0.1"
 Served = Callable[[float], OpenRig]
@@ -73,11 +74,20 @@ def test_a_pause_of_this_computer_stops_no_axis_of_a_fast_served_rig(served: Ser
     assert opened.rig.axes["sigma"].position_deg() == pytest.approx(120.0, abs=0.01)
 
 
-@pytest.mark.parametrize(("port", "keys", "speed", "expected_s"), [
-    ("COM98", "", 1.0, 0.06), ("COM98", SLOW, 1.0, 0.5), ("COM98", KEY, 1.0, 0.1), ("COM98", "", 60.0, 3.6),
-    (NETWORK, "", 1.0, 0.25), (NETWORK, SLOW, 1.0, 0.5), (NETWORK, KEY, 1.0, 0.1), (NETWORK, "", 10.0, 2.5),
-    ("RFC2217://127.0.0.1:4001", "", 1.0, 0.25),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("port", "keys", "speed", "expected_s"),
+    [
+        ("COM98", "", 1.0, 0.06),
+        ("COM98", SLOW, 1.0, 0.5),
+        ("COM98", KEY, 1.0, 0.1),
+        ("COM98", "", 60.0, 3.6),
+        (NETWORK, "", 1.0, 0.25),
+        (NETWORK, SLOW, 1.0, 0.5),
+        (NETWORK, KEY, 1.0, 0.1),
+        (NETWORK, "", 10.0, 2.5),
+        ("RFC2217://127.0.0.1:4001", "", 1.0, 0.25),
+    ],
+)
 def test_a_reply_may_be_late_by_the_kind_of_its_port(
     write_rig: Writer, port: str, keys: str, speed: float, expected_s: float
 ) -> None:

@@ -72,11 +72,22 @@ ANGLES = st.one_of(LIKELY_ANGLES, LIKELY_ANGLES, st.lists(ANY_ANGLE, max_size=20
 UNITS = st.one_of(
     st.integers(0, 7).map(lambda n: [f"twin://virtual/adc-{k}" for k in range(n)]),
     st.lists(
-        st.sampled_from(["twin://virtual/adc-0", "twin://virtual/adc-1", "twin://virtual/adc-77", "twin://virtual/mono",
-                         "twin://other/adc-0", "twin://virtual", "adam-0:502", "rtu:twin://virtual/adcs?unit=1", ""]),
+        st.sampled_from(
+            [
+                "twin://virtual/adc-0",
+                "twin://virtual/adc-1",
+                "twin://virtual/adc-77",
+                "twin://virtual/mono",
+                "twin://other/adc-0",
+                "twin://virtual",
+                "adam-0:502",
+                "rtu:twin://virtual/adcs?unit=1",
+                "",
+            ]
+        ),
         max_size=6,
     ),
-)  # fmt: skip
+)
 KINDS = st.sampled_from(["adam-6017", "adam-4117"])
 
 

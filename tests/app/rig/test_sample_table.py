@@ -117,9 +117,18 @@ def zemax(folder: Path, scatter_type: str) -> None:
     angles = np.array([0.0, 90.0])
     write_zemax(
         folder / "measured.bsdf",
-        ZemaxBsdf("Measured", "PlaneSymmetrical", scatter_type, np.array([0.0]), np.array([0.0, 60.0]), np.array([0.0, 180.0]),
-                  angles, np.full((1, 1, 2, 2, 2), 0.2), np.zeros((1, 1, 2))),
-    )  # fmt: skip
+        ZemaxBsdf(
+            "Measured",
+            "PlaneSymmetrical",
+            scatter_type,
+            np.array([0.0]),
+            np.array([0.0, 60.0]),
+            np.array([0.0, 180.0]),
+            angles,
+            np.full((1, 1, 2, 2, 2), 0.2),
+            np.zeros((1, 1, 2)),
+        ),
+    )
 
 
 @pytest.mark.parametrize(("scatter_type", "expected"), [("BRDF", [0.2, 0.0]), ("BTDF", [0.0, 0.2])])

@@ -150,9 +150,15 @@ def test_rays_of_another_geometry_and_invalid_files_are_refused_in_one_line(rays
 @pytest.mark.usefixtures("quick_adjoint")
 @pytest.mark.parametrize(
     ("error", "seed", "count", "message"),
-    [(0.0, 1, None, "--error"), (float("nan"), 1, None, "--error"), (1e-7, 1, None, "illumination: "),
-     (1.0, -1, None, "--seed"), (1.0, 1, 1, "--rays"), (1.0, 1, 10**9, "--rays")],
-)  # fmt: skip
+    [
+        (0.0, 1, None, "--error"),
+        (float("nan"), 1, None, "--error"),
+        (1e-7, 1, None, "illumination: "),
+        (1.0, -1, None, "--seed"),
+        (1.0, 1, 1, "--rays"),
+        (1.0, 1, 10**9, "--rays"),
+    ],
+)
 def test_impossible_settings_are_refused(error: float, seed: int, count: int | None, message: str) -> None:
     with pytest.raises(UserError, match=message):
         simulate_illumination(UNIT, error, seed, count)
@@ -169,12 +175,14 @@ def test_deviations_are_given_by_element_and_field_and_stated() -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("slit", "'slit' is no deviation; write ELEMENT.FIELD=NUMBER"), ("slit=3", "'slit=3' is no deviation"),
+        ("slit", "'slit' is no deviation; write ELEMENT.FIELD=NUMBER"),
+        ("slit=3", "'slit=3' is no deviation"),
         ("lens.x_mm=1", "there is no 'lens' in the illumination unit; it has arc, "),
-        ("slit.x=1", "slit has no 'x'; its deviations are rx_deg, "), ("slit.x_mm=wide", "'slit.x_mm=wide' has no number"),
+        ("slit.x=1", "slit has no 'x'; its deviations are rx_deg, "),
+        ("slit.x_mm=wide", "'slit.x_mm=wide' has no number"),
         ("slit.x_mm=nan", "'slit.x_mm=nan' has no number"),
     ],
-)  # fmt: skip
+)
 def test_impossible_deviations_are_refused_in_one_line(text: str, message: str) -> None:
     with pytest.raises(UserError, match=f"^--deviation: {message}") as caught:
         parse_deviations([text])
@@ -194,9 +202,11 @@ def test_a_unit_that_lights_the_sample_no_more_is_stated_with_its_deviations() -
 
 def test_impossible_monochromators_and_file_names_are_refused(tmp_path: Path) -> None:
     for wavelength, interval, bandwidth, option in (
-        (-1.0, 0.0, 5.0, "--wavelength"), (555.0, -1.0, 5.0, "--interval"), (555.0, 0.0, 0.0, "--bandwidth"),
+        (-1.0, 0.0, 5.0, "--wavelength"),
+        (555.0, -1.0, 5.0, "--interval"),
+        (555.0, 0.0, 0.0, "--bandwidth"),
         (3.0, 0.0, 5.0, "--wavelength"),
-    ):  # fmt: skip
+    ):
         with pytest.raises(UserError, match=f"^{option} "):
             illumination_unit(WIDE, wavelength, interval, bandwidth)
     with pytest.raises(UserError, match=r"^--wavelength: no light of the lamp passes at 9000 nm"):

@@ -111,9 +111,12 @@ def test_every_file_has_what_it_can_hold_and_what_is_omitted_is_stated(apart: Si
         write_simulation(apart, path)
     kinds = {path.suffix: [type(part).__name__ for part in registry.recognise(path).read(path).parts] for path in paths}
     assert kinds == {
-        ".ddr": ["BsdfTable"], ".sdr": ["RegularTable"], ".ssdd": ["BsdfTable", "RegularTable"], ".csv": ["ScatteredBsdf"],
+        ".ddr": ["BsdfTable"],
+        ".sdr": ["RegularTable"],
+        ".ssdd": ["BsdfTable", "RegularTable"],
+        ".csv": ["ScatteredBsdf"],
         ".h5": ["BsdfTable", "ScatteredBsdf", "RegularTable"],
-    }  # fmt: skip
+    }
     (factors,) = registry.read(tmp_path / "a.sdr").regular
     assert (factors.values.tolist(), factors.generated) == ([[[0.04]], [[0.04]]], True)
     notes = summary(apart, paths)["notes"]

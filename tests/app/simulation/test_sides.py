@@ -91,8 +91,9 @@ def test_a_detector_measures_the_bsdf_in_its_direction(
         # The aperture blurs the table's kinks.
         np.testing.assert_allclose(columns["luminance_factor"][here], expected, rtol=0.02)
         theta, phi_there = columns["theta_deg"][here], columns["phi_deg"][here]
-        np.testing.assert_allclose(np.interp(theta, [0.0, 60.0, 180.0], [0.5, 0.3, 0.1])[phi_there == 0.0],
-                                   expected[phi_there == 0.0], rtol=1e-6)  # fmt: skip
+        np.testing.assert_allclose(
+            np.interp(theta, [0.0, 60.0, 180.0], [0.5, 0.3, 0.1])[phi_there == 0.0], expected[phi_there == 0.0], rtol=1e-6
+        )
     # On the output grid, in the sample's specular coordinates: half way from 0.5 to 0.3, times 2 and 0.5.
     nodes = {"theta_deg": np.array([30.0]), "phi_deg": np.array([90.0, 270.0])}
     grid = {"polar_deg": np.arange(0.0, 81.0, 5.0), "azimuth_deg": np.arange(0.0, 361.0, 10.0)}
@@ -103,8 +104,10 @@ def test_a_detector_measures_the_bsdf_in_its_direction(
 @pytest.mark.parametrize(("back", "transmitted"), WAYS[2:])
 def test_the_forward_estimator_agrees_for_light_on_the_back(back: bool, transmitted: bool) -> None:
     grid: dict[str, Any] = {
-        "polar_deg": np.arange(5.0, 80.0, 12.0), "azimuth_deg": np.array([0.0, 60.0, 120.0, 180.0]), "instrument": WIDE,
-    }  # fmt: skip
+        "polar_deg": np.arange(5.0, 80.0, 12.0),
+        "azimuth_deg": np.array([0.0, 60.0, 120.0, 180.0]),
+        "instrument": WIDE,
+    }
     fast = simulate_sheet(SHEET, back, transmitted, (20.0,), **grid).at[0].ratio
     settings = EstimatorSettings("forward", paths=200_000, seed=3)
     forward = simulate_sheet(SHEET, back, transmitted, (20.0,), **grid, estimator=settings).at[0].ratio

@@ -88,9 +88,13 @@ def test_a_rig_that_is_off_is_simulated_at_all_azimuths() -> None:
 
 @pytest.mark.parametrize(
     ("instrument", "symmetric"),
-    [(OPEN, True), (replace(OPEN, deviations={"arc": Deviation()}), True), (OFF, False),
-     (replace(OPEN, illumination={"unit": Deviation(rx_deg=0.02)}), False)],
-)  # fmt: skip
+    [
+        (OPEN, True),
+        (replace(OPEN, deviations={"arc": Deviation()}), True),
+        (OFF, False),
+        (replace(OPEN, illumination={"unit": Deviation(rx_deg=0.02)}), False),
+    ],
+)
 def test_half_of_the_azimuths_is_enough_where_sample_and_rig_are_symmetric(instrument: Instrument, symmetric: bool) -> None:
     beyond = task(instrument=instrument, polar_deg=np.array([29.0, 31.0]), azimuth_deg=np.array([179.0, 181.0]))
     if symmetric:
@@ -305,10 +309,17 @@ def test_an_impossible_task_is_refused(change: dict[str, Any], message: str) -> 
 @pytest.mark.parametrize(
     "settings",
     [
-        {"paths": 1000}, {"kind": "forward", "rays": 8}, {"rays": 9}, {"rays": 0}, {"kind": "forward", "paths": 1},
-        {"rays": 8, "error_percent": 1.0}, {"error_percent": 0.0}, {"error_percent": float("nan")}, {"seed": -1},
+        {"paths": 1000},
+        {"kind": "forward", "rays": 8},
+        {"rays": 9},
+        {"rays": 0},
+        {"kind": "forward", "paths": 1},
+        {"rays": 8, "error_percent": 1.0},
+        {"error_percent": 0.0},
+        {"error_percent": float("nan")},
+        {"seed": -1},
     ],
-)  # fmt: skip
+)
 def test_settings_that_an_estimator_does_not_have_are_refused(settings: dict[str, Any]) -> None:
     with pytest.raises(UserError, match=r"^--"):
         EstimatorSettings(**settings)

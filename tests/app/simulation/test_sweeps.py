@@ -54,14 +54,19 @@ def small_task(**changes: object) -> Task:
 TASKS = {
     "grey": small_task(),
     "two wavelengths and azimuths of the light": small_task(
-        sample=apply_spectrum([450.0, 650.0], [0.2, 0.8], anisotropic_gaussian(20.0, 40.0)), sigma_deg=np.array([30.0]),
-        psi_deg=np.array([0.0, 45.0, 180.0]), azimuth_deg=np.array([0.0, 90.0, 180.0, 270.0]),
+        sample=apply_spectrum([450.0, 650.0], [0.2, 0.8], anisotropic_gaussian(20.0, 40.0)),
+        sigma_deg=np.array([30.0]),
+        psi_deg=np.array([0.0, 45.0, 180.0]),
+        azimuth_deg=np.array([0.0, 90.0, 180.0, 270.0]),
     ),
     "stray light, the back": small_task(
-        sample=lambertian(0.5, 0.3, "both"), back=True, transmitted=True, stray=True,
+        sample=lambertian(0.5, 0.3, "both"),
+        back=True,
+        transmitted=True,
+        stray=True,
         instrument=replace(WIDE, deviations={"mirror_2": Deviation(rx_deg=0.1)}),
     ),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", [name if name == "grey" else pytest.param(name, marks=pytest.mark.long) for name in TASKS])
@@ -91,11 +96,14 @@ def test_another_output_grid_has_the_same_batches_and_another_task_has_others() 
     known = ForwardSweep(small_task()).specification.digest
     assert ForwardSweep(small_task(theta_deg=np.array([0.0, 5.0]))).specification.digest == known
     others = [
-        small_task(sample=lambertian(0.6)), small_task(sigma_deg=np.array([0.0])), small_task(stray=True),
-        small_task(instrument=replace(WIDE, obstruction=False)), small_task(polar_deg=np.array([0.0, 20.0])),
+        small_task(sample=lambertian(0.6)),
+        small_task(sigma_deg=np.array([0.0])),
+        small_task(stray=True),
+        small_task(instrument=replace(WIDE, obstruction=False)),
+        small_task(polar_deg=np.array([0.0, 20.0])),
         small_task(estimator=EstimatorSettings("forward", paths=20_000, seed=5)),
         small_task(estimator=EstimatorSettings("forward", paths=10_000, seed=6)),
-    ]  # fmt: skip
+    ]
     assert len({known, *(ForwardSweep(each).specification.digest for each in others)}) == 1 + len(others)
 
 

@@ -127,10 +127,18 @@ def test_a_wrong_token_is_no_station(server: StationServer) -> None:
         StationClient(server.port, server.token, "x")
 
 
-@pytest.mark.parametrize("first", [
-    b"POST / HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n", b"{}\n", b'{"protocol": true, "nonce": "NONCE"}\n',
-    b'{"protocol": 1, "token": "TOKEN"}\n', b" " * (LONGEST_LINE + 2) + b"\n", b'{"do": "stop"}\n',
-], ids=["POST", "no nonce", "protocol", "token", "long", "stop"])  # fmt: skip
+@pytest.mark.parametrize(
+    "first",
+    [
+        b"POST / HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n",
+        b"{}\n",
+        b'{"protocol": true, "nonce": "NONCE"}\n',
+        b'{"protocol": 1, "token": "TOKEN"}\n',
+        b" " * (LONGEST_LINE + 2) + b"\n",
+        b'{"do": "stop"}\n',
+    ],
+    ids=["POST", "no nonce", "protocol", "token", "long", "stop"],
+)
 def test_what_is_no_hello_learns_nothing(server: StationServer, first: bytes, station: Station) -> None:
     stopped: list[int] = []
     note_stops(station, stopped)
@@ -173,18 +181,22 @@ def test_an_answer_is_json_whatever_the_number_of_the_command(server: StationSer
     end.close()
 
 
-@pytest.mark.parametrize(("command", "arguments", "error"), [
-    ("pause", {}, "no run is in progress"),
-    ("move", {"axis": "sigma", "target_deg": 3.0}, "opening the rig"),
-    ("move", {"axis": "sigma"}, "target_deg"),
-    ("move", {"axis": "sigma", "target_deg": "far"}, "target_deg"),
-    ("move", {"axis": "sigma", "target_deg": 1.0, "quickly": True}, "quickly"),
-    ("move", {"axis": "\ud800", "target_deg": 1.0}, "axis: has characters"),
-    ("start", {"schedule": "a\0b", "folder": "."}, "schedule: has characters"),
-    ("close_rig", {}, "there is no command"),
-    ("__init__", {}, "there is no command"),
-    ("answer", {"question": 1, "choice": "Perhaps"}, "choice"),
-], ids=str)  # fmt: skip
+@pytest.mark.parametrize(
+    ("command", "arguments", "error"),
+    [
+        ("pause", {}, "no run is in progress"),
+        ("move", {"axis": "sigma", "target_deg": 3.0}, "opening the rig"),
+        ("move", {"axis": "sigma"}, "target_deg"),
+        ("move", {"axis": "sigma", "target_deg": "far"}, "target_deg"),
+        ("move", {"axis": "sigma", "target_deg": 1.0, "quickly": True}, "quickly"),
+        ("move", {"axis": "\ud800", "target_deg": 1.0}, "axis: has characters"),
+        ("start", {"schedule": "a\0b", "folder": "."}, "schedule: has characters"),
+        ("close_rig", {}, "there is no command"),
+        ("__init__", {}, "there is no command"),
+        ("answer", {"question": 1, "choice": "Perhaps"}, "choice"),
+    ],
+    ids=str,
+)
 def test_a_command_is_refused_in_one_line(
     attach: Callable[[str], Watcher], command: str, arguments: dict[str, object], error: str
 ) -> None:

@@ -43,9 +43,11 @@ from tests.system.command import invoke, json_result
 pytestmark = pytest.mark.endpoint
 MOUNT = Question("Mount x", "Mount x.", (Answer.MOUNTED, Answer.WAIT, Answer.STOP), Answer.WAIT)
 WHERE = Question(
-    "Position of beta unknown", "jammed", (Answer.SET_POSITION, Answer.RETRY, Answer.SKIP, Answer.STOP),
+    "Position of beta unknown",
+    "jammed",
+    (Answer.SET_POSITION, Answer.RETRY, Answer.SKIP, Answer.STOP),
     axis=UnreferencedAxis("beta", -5.0, 360.0, False),
-)  # fmt: skip
+)
 
 
 @pytest.fixture
@@ -73,10 +75,14 @@ def test_a_move_and_a_reading_without_a_station(write_rig: Writer) -> None:
     assert (len(found["counts"]), found["gain_v_per_a"], found["readings"], found["dark"]) == (36, 1e10, 4, True)
 
 
-@pytest.mark.parametrize(("arguments", "error"), [
-    (("move", "sigma", "2000"), "outside its soft limits"), (("move", "tau", "2"), "is no axis"),
-    (("read", "--gain", "3"), "is no gain of this rig"),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("arguments", "error"),
+    [
+        (("move", "sigma", "2000"), "outside its soft limits"),
+        (("move", "tau", "2"), "is no axis"),
+        (("read", "--gain", "3"), "is no gain of this rig"),
+    ],
+)
 def test_what_is_refused_is_one_line(write_rig: Writer, arguments: tuple[str, ...], error: str) -> None:
     name, *rest = arguments
     result = invoke(name, "--rig", write_rig(), *rest)

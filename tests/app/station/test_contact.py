@@ -232,9 +232,10 @@ def test_the_run_learns_of_a_reset_while_a_question_waits(
     """The question that finds a device reset restores nothing: wavelength, gain and averaging are the run's."""
     monkeypatch.setattr("goniotwin.app.station.station.ENCODERS_S", 0.01)
     resets: dict[str, Callable[[float], None]] = {
-        "monochromator": idle.virtual.serial["mono"].reset, "photodiodes": idle.virtual.modbus["adc-2"].reset,
+        "monochromator": idle.virtual.serial["mono"].reset,
+        "photodiodes": idle.virtual.modbus["adc-2"].reset,
         "monitor": idle.virtual.usb["monitor"].instrument.power_cycle,
-    }  # fmt: skip
+    }
     driver = idle.station._rig().rig.device(device)
     ask = getattr(driver, question)
     asked: list[int] = []

@@ -90,8 +90,9 @@ def test_a_position_is_refused_without_an_angle_and_outside_the_soft_limits_and_
         assert bench.station.snapshot.positions[AXIS] == pytest.approx(COUNTED_DEG, abs=0.001)
         assert bench.station.snapshot.encoders[AXIS] == pytest.approx(JAMMED_DEG, abs=0.001)
         commands: tuple[Callable[[], None], ...] = (
-            lambda: bench.station.home(AXIS), lambda: bench.station.set_position(AXIS, 180.0),
-        )  # fmt: skip
+            lambda: bench.station.home(AXIS),
+            lambda: bench.station.set_position(AXIS, 180.0),
+        )
         for command in commands:
             with pytest.raises(CommandRefused, match="Home and Set position are answers of its question"):
                 command()

@@ -31,8 +31,11 @@ def test_at_rest_the_lamp_is_known_from_a_reading_with_the_shutter_open(bench: S
     bench.work()
     assert bench.work().lamp is None  # nothing is known by what a closed shutter lets through
     commands: tuple[Callable[[], None], ...] = (
-        lambda: station.read(1, True), lambda: station.wavelength(550.0), lambda: station.shutter(True), lambda: station.read(),
-    )  # fmt: skip
+        lambda: station.read(1, True),
+        lambda: station.wavelength(550.0),
+        lambda: station.shutter(True),
+        lambda: station.read(),
+    )
     for command in commands:
         command()
         bench.work()

@@ -142,9 +142,11 @@ def test_positions_are_reported_while_an_axis_moves(bench: StationBench, monkeyp
 def test_one_thing_at_a_time(bench: StationBench, write_schedule: Writer, tmp_path: Path) -> None:
     bench.station.move("sigma", 30.0)
     commands: tuple[Callable[[], None], ...] = (
-        lambda: bench.station.move("beta", 10.0), lambda: bench.station.read(), lambda: bench.station.shutter(True),
+        lambda: bench.station.move("beta", 10.0),
+        lambda: bench.station.read(),
+        lambda: bench.station.shutter(True),
         lambda: bench.station.start(write_schedule(), tmp_path),
-    )  # fmt: skip
+    )
     for command in commands:
         with pytest.raises(CommandRefused, match="moving sigma to 30 deg"):
             command()
@@ -272,9 +274,14 @@ def test_a_stop_is_counted_before_it_looks_for_the_run(bench: StationBench, monk
 def test_wavelength_shutter_gain_and_reading(bench: StationBench) -> None:
     station = bench.station
     commands: tuple[Callable[[], None], ...] = (
-        lambda: station.mount("etalon"), lambda: station.move("beta", 180.0), lambda: station.wavelength(600.0),
-        lambda: station.gain(1e10), lambda: station.read(4, dark=True), lambda: station.shutter(True), lambda: station.read(4),
-    )  # fmt: skip
+        lambda: station.mount("etalon"),
+        lambda: station.move("beta", 180.0),
+        lambda: station.wavelength(600.0),
+        lambda: station.gain(1e10),
+        lambda: station.read(4, dark=True),
+        lambda: station.shutter(True),
+        lambda: station.read(4),
+    )
     for command in commands:
         command()
         bench.work()
@@ -350,8 +357,9 @@ def test_no_command_is_accepted_while_a_stop_is_carried_out(
 
     def stop(_request: StopRequest) -> list[DeviceError]:
         commands: tuple[Callable[[], None], ...] = (
-            lambda: bench.station.start(write_schedule(), tmp_path), lambda: bench.station.live(on=True),
-        )  # fmt: skip
+            lambda: bench.station.start(write_schedule(), tmp_path),
+            lambda: bench.station.live(on=True),
+        )
         for command in commands:
             with pytest.raises(CommandRefused, match="being stopped") as error:
                 command()

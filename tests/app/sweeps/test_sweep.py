@@ -179,8 +179,11 @@ def test_other_versions_are_refused_in_one_line(tmp_path: Path, monkeypatch: pyt
 
 def test_no_more_processes_than_chunks() -> None:
     assert [on_this_computer(given, chunks).title for given, chunks in ((1, 9), (4, 1), (4, 3), (4, 9))] == [
-        "this process", "this process", "3 processes", "4 processes",
-    ]  # fmt: skip
+        "this process",
+        "this process",
+        "3 processes",
+        "4 processes",
+    ]
 
 
 def test_the_environment_is_that_of_the_sources_and_the_processor(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -364,6 +364,13 @@ def open_esp(wires: Wires, name: str, table: Any, axes: Mapping[str, EspAxisSett
 
 
 ESP = MotionKind(
-    "esp", controller=EspSettings, axis=EspAxisSettings, axes=EspAxesTable, own_axis=EspAxisTable, open=open_esp,
-    timing=axis_timing, explain=as_text, twins=(EspModel,),
-)  # fmt: skip
+    "esp",
+    controller=EspSettings,
+    axis=EspAxisSettings,
+    axes=EspAxesTable,
+    own_axis=EspAxisTable,
+    open=open_esp,
+    timing=axis_timing,
+    explain=as_text,
+    twins=(EspModel,),
+)

@@ -95,10 +95,16 @@ def test_there_is_nothing_between_the_registers(module: Adam6017, address: int, 
         module.registers(address, count, T)
 
 
-@pytest.mark.parametrize(("address", "values", "code"), [
-    (adam.RANGE_CODE, [0x0143, 0x0007], 3), (adam.RANGE_CODE + 7, [0x0143, 0x0143], 2), (adam.AI_VALUE, [1], 2),
-    (adam.CHANNEL_ENABLE, [0x100], 3), (adam.MODULE_NAME, [1], 2),
-])  # fmt: skip
+@pytest.mark.parametrize(
+    ("address", "values", "code"),
+    [
+        (adam.RANGE_CODE, [0x0143, 0x0007], 3),
+        (adam.RANGE_CODE + 7, [0x0143, 0x0143], 2),
+        (adam.AI_VALUE, [1], 2),
+        (adam.CHANNEL_ENABLE, [0x100], 3),
+        (adam.MODULE_NAME, [1], 2),
+    ],
+)
 def test_what_cannot_be_written_changes_nothing(module: Adam6017, address: int, values: list[int], code: int) -> None:
     before = module.registers(adam.RANGE_CODE, 8, T)
     with pytest.raises(ModbusFault, match=str(code)):

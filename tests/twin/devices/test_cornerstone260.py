@@ -178,12 +178,23 @@ def test_a_query_returns_the_set_value(device: Cornerstone260, command: bytes, q
 @pytest.mark.parametrize(
     ("line", "error"),
     [
-        (b"GRAT1LABEL much too long", b"9"), (b"GRAT 9", b"3"), (b"GRAT9LINES?", b"2"), (b"SLIT4MICRONS 10", b"2"),
-        (b"SLIT1MICRONS 99999", b"3"), (b"OUTPORT 3", b"2"), (b"UNITS ell", b"2"), (b"STEP 1.5", b"2"), (b"STEP 999999", b"3"),
+        (b"GRAT1LABEL much too long", b"9"),
+        (b"GRAT 9", b"3"),
+        (b"GRAT9LINES?", b"2"),
+        (b"SLIT4MICRONS 10", b"2"),
+        (b"SLIT1MICRONS 99999", b"3"),
+        (b"OUTPORT 3", b"2"),
+        (b"UNITS ell", b"2"),
+        (b"STEP 1.5", b"2"),
+        (b"STEP 999999", b"3"),
         (b"ADDRESS 31", b"2"),
-        (b"HANDSHAKE 2", b"2"), (b"\xff\xfe", b"1"), (b"WAVE", b"1"), (b"GOWAVE nan", b"2"), (b"IDLE?", b"1"),
+        (b"HANDSHAKE 2", b"2"),
+        (b"\xff\xfe", b"1"),
+        (b"WAVE", b"1"),
+        (b"GOWAVE nan", b"2"),
+        (b"IDLE?", b"1"),
     ],
-)  # fmt: skip
+)
 def test_an_unsupported_command_sets_the_error_code(device: Cornerstone260, line: bytes, error: bytes) -> None:
     lines(device, line + b"\n", 200.0)
     assert lines(device, b"ERROR?\n", 201.0) == [error]

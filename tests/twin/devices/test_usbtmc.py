@@ -185,9 +185,15 @@ def test_pulse_remote_and_lockout(device: UsbTmcDevice) -> None:
 
 @pytest.mark.parametrize(
     ("kind", "request_number", "index"),
-    [(0xA1, 99, 0), (0xA1, ClassRequest.INITIATE_ABORT_BULK_IN, BULK_IN), (0xA2, ClassRequest.INITIATE_CLEAR, 0), (0xA1, 7, 3),
-     (0xA2, ClassRequest.INITIATE_ABORT_BULK_OUT, BULK_IN), (0x80, 99, 0)],
-)  # fmt: skip
+    [
+        (0xA1, 99, 0),
+        (0xA1, ClassRequest.INITIATE_ABORT_BULK_IN, BULK_IN),
+        (0xA2, ClassRequest.INITIATE_CLEAR, 0),
+        (0xA1, 7, 3),
+        (0xA2, ClassRequest.INITIATE_ABORT_BULK_OUT, BULK_IN),
+        (0x80, 99, 0),
+    ],
+)
 def test_other_requests_stall_endpoint_0(device: UsbTmcDevice, kind: int, request_number: int, index: int) -> None:
     with pytest.raises(Stall):
         device.control(kind, request_number, 0, index, 24, 10.0)

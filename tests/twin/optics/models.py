@@ -25,9 +25,11 @@ ward = functools.cache(optics.ward)
 
 SIGMA_AXIS, PHI_AXIS, THETA_AXIS = [0.0, 30.0, 60.0], [0.0, 90.0, 180.0], [0.0, 10.0, 30.0, 90.0]
 TABLE = table_sample(
-    SIGMA_AXIS, PHI_AXIS, THETA_AXIS,
+    SIGMA_AXIS,
+    PHI_AXIS,
+    THETA_AXIS,
     0.05 + 0.1 * np.arange(3)[:, None, None] + 0.03 * np.arange(3)[:, None] + 0.2 * np.exp(-np.arange(4.0)),
-)  # fmt: skip
+)
 PSI_AXIS = [20.0, 100.0, 200.0, 300.0]
 TURN_AXIS = [0.0, 60.0, 150.0, 240.0, 360.0]
 UNEVEN = np.random.default_rng(1).random((4, 3, 5, 4)) * np.array([8.0, 4.0, 0.3, 0.1])
@@ -35,9 +37,14 @@ UNEVEN[..., 0] = UNEVEN[..., :1, 0]
 UNEVEN[..., -1, :] = UNEVEN[..., 0, :]
 ANISOTROPIC = table_sample(SIGMA_AXIS, TURN_AXIS, THETA_AXIS, UNEVEN, "anisotropic", psi_deg=PSI_AXIS)
 BRUSHED = table_sample(
-    [10.0, 50.0], TURN_AXIS, [2.0, 15.0, 40.0], UNEVEN[:3, :2, :, :3], "brushed", psi_deg=[0.0, 40.0, 90.0],
+    [10.0, 50.0],
+    TURN_AXIS,
+    [2.0, 15.0, 40.0],
+    UNEVEN[:3, :2, :, :3],
+    "brushed",
+    psi_deg=[0.0, 40.0, 90.0],
     symmetry="orthotropic",
-)  # fmt: skip
+)
 
 
 def points(incidences: list[float], step_deg: float = 4.0) -> Floats:
@@ -65,10 +72,19 @@ FINE = scattered_points(SPREAD[:, 0], SPREAD[:, 1], SPREAD[:, 2], SPREAD_VALUES,
 POINTS = thinned(FINE, 5)
 
 SINGLE = [
-    lambertian(0.8), gaussian(5.0), gaussian(25.0), gaussian(60.0),
-    gaussian(8.0, "half_width", "intensity", peak=2.0), TABLE, ANISOTROPIC, BRUSHED, POINTS,
-    anisotropic_gaussian(5.0, 20.0, 30.0), wide_tailed(4.0), ward(0.15, 0.3, 70.0),
-]  # fmt: skip
+    lambertian(0.8),
+    gaussian(5.0),
+    gaussian(25.0),
+    gaussian(60.0),
+    gaussian(8.0, "half_width", "intensity", peak=2.0),
+    TABLE,
+    ANISOTROPIC,
+    BRUSHED,
+    POINTS,
+    anisotropic_gaussian(5.0, 20.0, 30.0),
+    wide_tailed(4.0),
+    ward(0.15, 0.3, 70.0),
+]
 COMBINED = [
     lambertian(0.5, 0.4, side="both"),
     gaussian(10.0, transmits=True),

@@ -33,8 +33,14 @@ from tests.rig_tables import disturbances, stated
 
 LOBE = Aspect("paint", 0.0, 550.0, 30.0, 20.0, 150.0, 1.0)
 TWIN_ONLY = {
-    "etalon", "etalon_years", "certificate_level", "second_standard", "second_years", "second_level", "turned",
-}  # fmt: skip
+    "etalon",
+    "etalon_years",
+    "certificate_level",
+    "second_standard",
+    "second_years",
+    "second_level",
+    "turned",
+}
 """Keys of the twin alone: the etalon's name, and its certificate, whose uncertainty is in the certificate's own file."""
 BEAM = {"scan", "beam_hole"}
 """Uncertainties of the open beam, which the virtual rig has by its geometry."""
@@ -160,17 +166,26 @@ def test_elements_are_off_by_the_drawn_values_besides_their_deviations(changed: 
     own = Instrument(deviations={"mirror_2": Deviation(ry_deg=0.2)})
     parts = {"instrument": own, "estimator": Estimator(kind, relative_error=0.3)}
     model = changed(
-        parts, mirror_tilt_deg=0.1, mirror_shift_mm=0.2, illumination_shift_mm=0.2, arc_tilt_deg=0.1, arc_shift_mm=0.2,
-        sensor_tilt_deg=0.1, sensor_shift_mm=0.2,
-    )  # fmt: skip
+        parts,
+        mirror_tilt_deg=0.1,
+        mirror_shift_mm=0.2,
+        illumination_shift_mm=0.2,
+        arc_tilt_deg=0.1,
+        arc_shift_mm=0.2,
+        sensor_tilt_deg=0.1,
+        sensor_shift_mm=0.2,
+    )
     drawn = Plant(model).drawn
     deviations = {
         f"mirror_{m}": Deviation(
-            drawn[f"mirror_{m}_tilt_x"], drawn[f"mirror_{m}_tilt_y"] + 0.2 * (m == 2),
-            x_mm=drawn[f"mirror_{m}_shift_x"], y_mm=drawn[f"mirror_{m}_shift_y"], z_mm=drawn[f"mirror_{m}_shift_z"],
+            drawn[f"mirror_{m}_tilt_x"],
+            drawn[f"mirror_{m}_tilt_y"] + 0.2 * (m == 2),
+            x_mm=drawn[f"mirror_{m}_shift_x"],
+            y_mm=drawn[f"mirror_{m}_shift_y"],
+            z_mm=drawn[f"mirror_{m}_shift_z"],
         )
         for m in (1, 2, 3)
-    }  # fmt: skip
+    }
     deviations["pupil"] = Deviation(**{f"{a}_mm": drawn[f"illumination_shift_{a}"] for a in "xyz"})
     deviations["arc"] = Deviation(
         **{f"r{a}_deg": drawn[f"arc_tilt_{a}"] for a in "xyz"}, **{f"{a}_mm": drawn[f"arc_shift_{a}"] for a in "xyz"}
@@ -261,8 +276,12 @@ def test_zeros_and_positions_turn_the_axes_unseen_by_their_encoders(changed: Cha
         move(plant, "sigma", t, 20_000.0)
         errors += [plant.angle_deg("sigma", t + each) - plant.shafts["sigma"].angle_deg(t + each) for each in (5.0, 9.0)]
         shaft = plant.shafts["sigma"]
-        shaft.follow(t + 9.5, ramp_to_target(t + 9.5, shaft.drive(t + 9.5).counter(t + 9.5), 0.0,
-                                             shaft.drive(t + 9.5).counter(t + 9.5), 1e5, 1e5, 1e5))  # fmt: skip
+        shaft.follow(
+            t + 9.5,
+            ramp_to_target(
+                t + 9.5, shaft.drive(t + 9.5).counter(t + 9.5), 0.0, shaft.drive(t + 9.5).counter(t + 9.5), 1e5, 1e5, 1e5
+            ),
+        )
     drawn = plant.drawn
     numbers = [0, 1, 1, 2, 2, 3, 3]
     expected = [drawn["sigma_zero"] + drawn[f"position@sigma#{n}"] for n in numbers]

@@ -229,9 +229,13 @@ def _finite(name: str, value: float) -> float:
 
 
 def _scaled(
-    name: str, lobe: Callable[[float, int], Lobe], peak: float | None, reflectance: float | None, transmits: bool,
+    name: str,
+    lobe: Callable[[float, int], Lobe],
+    peak: float | None,
+    reflectance: float | None,
+    transmits: bool,
     side: Side | None,
-) -> Scatterer:  # fmt: skip
+) -> Scatterer:
     """The sample of a lobe, a function of its peak and the side of its light; a reflectance, at the normal, gives the peak."""
     if peak is not None and reflectance is not None:
         raise ValueError("peak and reflectance are both given: give one of them; the other follows from it")

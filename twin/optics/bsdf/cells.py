@@ -53,7 +53,7 @@ def _share(shares: Floats, n: int, m: int, cell: int) -> float:
 @kernel(forceinline=True)
 def cell_density(
     ph: Floats, th: Floats, shares: Floats, n: int, n1: int, share: float, m: int, a: float, j: int, k: int, theta: float
-) -> float:  # fmt: skip
+) -> float:
     """Density in 1/sr of `cell_direction`, at the places of light and observer: linear between neighbouring sigma and psi."""
     count, lead = theta_cells(th)
     if theta < th[0]:
@@ -76,9 +76,22 @@ def cell_density(
 
 @kernel(forceinline=True)
 def cell_direction(
-    ph: Floats, th: Floats, shares: Floats, n: int, n1: int, share: float, sign: float, m: int, a: float,
-    lx: float, ly: float, lz: float, u: float, v: float, choice: float,
-) -> tuple[float, float, float]:  # fmt: skip
+    ph: Floats,
+    th: Floats,
+    shares: Floats,
+    n: int,
+    n1: int,
+    share: float,
+    sign: float,
+    m: int,
+    a: float,
+    lx: float,
+    ly: float,
+    lz: float,
+    u: float,
+    v: float,
+    choice: float,
+) -> tuple[float, float, float]:
     """Direction for light at its place, from three uniform numbers in [0, 1).
 
     `choice` selects the list, u the cell and theta in it, v phi.

@@ -58,9 +58,17 @@ def refract(ratio: float, lx: float, ly: float, lz: float) -> tuple[float, float
 
 @kernel(forceinline=True)
 def analytic_value(
-    kind: int, peak: float, exponent: float, intensity: float,
-    lx: float, ly: float, lz: float, dx: float, dy: float, dz: float,
-) -> float:  # fmt: skip
+    kind: int,
+    peak: float,
+    exponent: float,
+    intensity: float,
+    lx: float,
+    ly: float,
+    lz: float,
+    dx: float,
+    dy: float,
+    dz: float,
+) -> float:
     """`bsdf` of a LAMBERTIAN or GAUSSIAN lobe, with its parameters one by one; for a ratio other than 1, l is from `refract`.
 
     Loops call this directly: passing arrays to a function costs numba's reference counting, ten times the time of the model.
@@ -109,9 +117,20 @@ def regular_share(params: Floats, sig: Floats, table: Floats, lx: float, ly: flo
 
 @kernel()
 def bsdf(
-    kind: int, params: Floats, sig: Floats, ph: Floats, th: Floats, psi: Floats, table: Floats,
-    lx: float, ly: float, lz: float, dx: float, dy: float, dz: float,
-) -> float:  # fmt: skip
+    kind: int,
+    params: Floats,
+    sig: Floats,
+    ph: Floats,
+    th: Floats,
+    psi: Floats,
+    table: Floats,
+    lx: float,
+    ly: float,
+    lz: float,
+    dx: float,
+    dy: float,
+    dz: float,
+) -> float:
     """Value in 1/sr of a lobe for canonical light l and observer d; 0 for a REGULAR one."""
     if kind == REGULAR:
         return 0.0
@@ -126,9 +145,18 @@ def bsdf(
 
 @kernel()
 def evaluate_all(
-    kind: int, params: Floats, sig: Floats, ph: Floats, th: Floats, psi: Floats, table: Floats,
-    incident: int, transmits: bool, light: Floats, observer: Floats,
-) -> Floats:  # fmt: skip
+    kind: int,
+    params: Floats,
+    sig: Floats,
+    ph: Floats,
+    th: Floats,
+    psi: Floats,
+    table: Floats,
+    incident: int,
+    transmits: bool,
+    light: Floats,
+    observer: Floats,
+) -> Floats:
     """`bsdf` of rows (n, 3) of directions in the sample's own frame."""
     result = np.empty(light.shape[0])
     for i in range(light.shape[0]):

@@ -86,9 +86,7 @@ def model_arrays(models: Models, k: int) -> tuple[int, Floats, Floats, Floats, F
 
 
 @kernel()
-def lobe_arrays(
-    models: Models, k: int
-) -> tuple[int, Floats, Floats, Floats, Floats, Floats, Floats, Floats]:  # fmt: skip
+def lobe_arrays(models: Models, k: int) -> tuple[int, Floats, Floats, Floats, Floats, Floats, Floats, Floats]:
     """Arguments of `scatter` for lobe k: those of `bsdf` and the cells."""
     heads, start = models.heads, models.starts[k, 5]
     size = heads[k, FIRST + 5] * heads[k, FIRST + 6] * heads[k, FIRST + 7]
@@ -142,8 +140,13 @@ def scatter_at_sample(
     transmits, side = lobes.models.heads[which, TRANSMITS] == 1, 1 if above else -1
     lx, ly, lz, _, _, _ = to_canonical(side, transmits, -wx, -wy, -wz, 0.0, 0.0, 0.0)
     dx, dy, dz, factor = scatter(
-        *lobe_arrays(lobes.models, which), lx, ly, lz,
-        uniform(key, counter + 1), uniform(key, counter + 2), uniform(key, counter + 3),
-    )  # fmt: skip
+        *lobe_arrays(lobes.models, which),
+        lx,
+        ly,
+        lz,
+        uniform(key, counter + 1),
+        uniform(key, counter + 2),
+        uniform(key, counter + 3),
+    )
     dx, dy, dz = from_canonical(side, transmits, dx, dy, dz)
     return dx, dy, dz, factor * lobes.weights[which] * total / share

@@ -163,8 +163,12 @@ def _plane(x: Floats, y: Floats, values: Floats, count: int) -> float:
         a, b, c = x[i] - mx, y[i] - my, values[i] - mv
         weight = 1.0 / (x[i] * x[i] + y[i] * y[i]) ** 2 / w0
         xx, xy, yy, xv, yv = (
-            xx + weight * a * a, xy + weight * a * b, yy + weight * b * b, xv + weight * a * c, yv + weight * b * c
-        )  # fmt: skip
+            xx + weight * a * a,
+            xy + weight * a * b,
+            yy + weight * b * b,
+            xv + weight * a * c,
+            yv + weight * b * c,
+        )
     # Points on one line do not determine the slope across it: this term makes it zero.
     trace = xx + yy
     if trace <= 0.0:

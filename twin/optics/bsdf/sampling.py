@@ -133,9 +133,20 @@ def shaped_sample(
 
 @kernel()
 def density(
-    kind: int, params: Floats, sig: Floats, ph: Floats, th: Floats, psi: Floats, cells: Floats,
-    lx: float, ly: float, lz: float, dx: float, dy: float, dz: float,
-) -> float:  # fmt: skip
+    kind: int,
+    params: Floats,
+    sig: Floats,
+    ph: Floats,
+    th: Floats,
+    psi: Floats,
+    cells: Floats,
+    lx: float,
+    ly: float,
+    lz: float,
+    dx: float,
+    dy: float,
+    dz: float,
+) -> float:
     """Density of the canonical directions that `scatter` draws, in 1/sr; 0 for a REGULAR lobe, which has one direction only."""
     if kind == REGULAR:
         return 0.0
@@ -153,9 +164,20 @@ def density(
 
 @kernel(forceinline=True)
 def scatter_by_table(
-    params: Floats, sig: Floats, ph: Floats, th: Floats, psi: Floats, table: Floats, cells: Floats,
-    lx: float, ly: float, lz: float, u: float, v: float, choice: float,
-) -> tuple[float, float, float, float]:  # fmt: skip
+    params: Floats,
+    sig: Floats,
+    ph: Floats,
+    th: Floats,
+    psi: Floats,
+    table: Floats,
+    cells: Floats,
+    lx: float,
+    ly: float,
+    lz: float,
+    u: float,
+    v: float,
+    choice: float,
+) -> tuple[float, float, float, float]:
     """`scatter` of a table: the places of light and observer in it are found once for draw, value and density."""
     n, n1, share, sign, m, a = light_place(sig, psi, params, lx, ly, lz)
     if choice < LOBE_SHARE and lz > 0.0:
@@ -174,9 +196,21 @@ def scatter_by_table(
 
 @kernel()
 def scatter(
-    kind: int, params: Floats, sig: Floats, ph: Floats, th: Floats, psi: Floats, table: Floats, cells: Floats,
-    lx: float, ly: float, lz: float, u: float, v: float, choice: float,
-) -> tuple[float, float, float, float]:  # fmt: skip
+    kind: int,
+    params: Floats,
+    sig: Floats,
+    ph: Floats,
+    th: Floats,
+    psi: Floats,
+    table: Floats,
+    cells: Floats,
+    lx: float,
+    ly: float,
+    lz: float,
+    u: float,
+    v: float,
+    choice: float,
+) -> tuple[float, float, float, float]:
     """Canonical direction from three uniform numbers in [0, 1), and its weight: value times cosine over density.
 
     The mean of the weight is the lobe's albedo. It is 0 where the direction points below the surface. The direction of a
@@ -202,9 +236,21 @@ def scatter(
 
 @kernel()
 def scatter_all(
-    kind: int, params: Floats, sig: Floats, ph: Floats, th: Floats, psi: Floats, table: Floats, cells: Floats,
-    incident: int, transmits: bool, lx: float, ly: float, lz: float, uniform: Floats,
-) -> Floats:  # fmt: skip
+    kind: int,
+    params: Floats,
+    sig: Floats,
+    ph: Floats,
+    th: Floats,
+    psi: Floats,
+    table: Floats,
+    cells: Floats,
+    incident: int,
+    transmits: bool,
+    lx: float,
+    ly: float,
+    lz: float,
+    uniform: Floats,
+) -> Floats:
     """`scatter` for canonical light and rows (n, 3) of numbers: direction in the sample's own frame and weight (n, 4)."""
     result = np.empty((uniform.shape[0], 4))
     for i in range(uniform.shape[0]):
@@ -218,9 +264,18 @@ def scatter_all(
 
 @kernel()
 def density_all(
-    kind: int, params: Floats, sig: Floats, ph: Floats, th: Floats, psi: Floats, cells: Floats,
-    lx: float, ly: float, lz: float, observer: Floats,
-) -> Floats:  # fmt: skip
+    kind: int,
+    params: Floats,
+    sig: Floats,
+    ph: Floats,
+    th: Floats,
+    psi: Floats,
+    cells: Floats,
+    lx: float,
+    ly: float,
+    lz: float,
+    observer: Floats,
+) -> Floats:
     """`density` of rows (n, 3) of canonical directions, for canonical light."""
     result = np.empty(observer.shape[0])
     for i in range(observer.shape[0]):

@@ -207,9 +207,13 @@ def draw_directions(
         x, y, z = (float(c) for c in own)
         canonical_light = to_canonical(lobe.incident, lobe.transmits, x, y, z, 0.0, 0.0, 0.0)[:3]
         drawn = scatter_all(
-            *lobe.kernel_arguments, lobe.cells, lobe.incident, lobe.transmits, *canonical_light,
+            *lobe.kernel_arguments,
+            lobe.cells,
+            lobe.incident,
+            lobe.transmits,
+            *canonical_light,
             np.ascontiguousarray(numbers[members, 1:]),
-        )  # fmt: skip
+        )
         directions[members] = rotate_about_z(gamma_deg, drawn[:, :3])
         scattered[members] = drawn[:, 3] * weights[i] / shares[i]
     return directions, scattered

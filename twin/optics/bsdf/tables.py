@@ -106,7 +106,7 @@ def light_place(
 @kernel(forceinline=True)
 def observer_place(
     ph: Floats, th: Floats, sign: float, lx: float, ly: float, lz: float, dx: float, dy: float, dz: float
-) -> tuple[int, float, int, float, float]:  # fmt: skip
+) -> tuple[int, float, int, float, float]:
     """The observer's place: the intervals of phi and theta, each with the relative position in it, and theta in deg."""
     theta, phi = specular_angles(lx, ly, lz, dx, dy, dz)
     j, b = find_interval(ph, phi_in_list(ph, sign * phi))
@@ -115,9 +115,7 @@ def observer_place(
 
 
 @kernel(forceinline=True)
-def _block_value(
-    sig: Floats, table: Floats, block: int, m: int, a: float, j: int, b: float, k: int, c: float
-) -> float:  # fmt: skip
+def _block_value(sig: Floats, table: Floats, block: int, m: int, a: float, j: int, b: float, k: int, c: float) -> float:
     """Value of one block of psi: cubic in sigma, linear in phi and theta; end values hold beyond each list."""
     m1, j1, k1 = min(m + 1, table.shape[1] - 1), min(j + 1, table.shape[2] - 1), min(k + 1, table.shape[3] - 1)
     weights = hermite_weights(a, sig[m1] - sig[m])
@@ -133,7 +131,7 @@ def _block_value(
 @kernel(forceinline=True)
 def value_at(
     sig: Floats, table: Floats, n: int, n1: int, share: float, m: int, a: float, j: int, b: float, k: int, c: float
-) -> float:  # fmt: skip
+) -> float:
     """Value in 1/sr at the places of light and observer, linear in psi."""
     value = _block_value(sig, table, n, m, a, j, b, k, c)
     if share == 0.0:
@@ -143,9 +141,19 @@ def value_at(
 
 @kernel()
 def table_value(
-    params: Floats, sig: Floats, ph: Floats, th: Floats, psi: Floats, table: Floats,
-    lx: float, ly: float, lz: float, dx: float, dy: float, dz: float,
-) -> float:  # fmt: skip
+    params: Floats,
+    sig: Floats,
+    ph: Floats,
+    th: Floats,
+    psi: Floats,
+    table: Floats,
+    lx: float,
+    ly: float,
+    lz: float,
+    dx: float,
+    dy: float,
+    dz: float,
+) -> float:
     """Value of a table in 1/sr, for directions in the sample's own frame; zero where light or observer is not in front."""
     if lz <= 0.0 or dz <= 0.0:
         return 0.0

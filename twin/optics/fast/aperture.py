@@ -104,9 +104,7 @@ def clear(moments: Floats, last: int, count: int) -> None:
 
 
 @kernel(nogil=True, fastmath={"contract"})
-def fill_apertures(
-    block: Block, count: int, cone: Floats, side: Floats, sizes: Floats, chords: Floats, clip: bool
-) -> None:  # fmt: skip
+def fill_apertures(block: Block, count: int, cone: Floats, side: Floats, sizes: Floats, chords: Floats, clip: bool) -> None:
     """Fill the moments of the detectors in `block`, the first in mm^2, from nodes over the slopes.
 
     `sizes`: the disc's radius, the hole's half side, mm, and the sine of half the field. See `cone_nodes`, `side_nodes`.
@@ -160,9 +158,7 @@ def find_strip(block: Block, count: int, p: float, q: float, share: float, radiu
 
 
 @kernel(forceinline=True)
-def chord(
-    block: Block, k: int, place: float, half: float, lines: Lines, cut: bool
-) -> tuple[float, float, float]:  # fmt: skip
+def chord(block: Block, k: int, place: float, half: float, lines: Lines, cut: bool) -> tuple[float, float, float]:
     """Chord at `place` of a strip, from -1 to 1, within the hole of half side `half` and its lit part: v, middle, length."""
     v = block.middle[k] + block.half[k] * place
     foot, beside = block.foot[0, k] + block.foot[1, k] * v, block.beside[0, k] + block.beside[1, k] * v

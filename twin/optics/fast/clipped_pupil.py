@@ -50,9 +50,22 @@ FIT = clip_fit(GRID)
 def clip_terms(clip: Floats, m: int) -> Terms:
     """Terms of moment m of a `clip` as numbers: outside a loop, so that it does not read them again each time."""
     return (
-        clip[m, 0], clip[m, 1], clip[m, 2], clip[m, 3], clip[m, 4], clip[m, 5], clip[m, 6], clip[m, 7], clip[m, 8], clip[m, 9],
-        clip[m, 10], clip[m, 11], clip[m, 12], clip[m, 13], clip[m, 14],
-    )  # fmt: skip
+        clip[m, 0],
+        clip[m, 1],
+        clip[m, 2],
+        clip[m, 3],
+        clip[m, 4],
+        clip[m, 5],
+        clip[m, 6],
+        clip[m, 7],
+        clip[m, 8],
+        clip[m, 9],
+        clip[m, 10],
+        clip[m, 11],
+        clip[m, 12],
+        clip[m, 13],
+        clip[m, 14],
+    )
 
 
 @kernel(forceinline=True)

@@ -31,26 +31,47 @@ CLIPPED, TERMS = 6, 15
 
 _FIELDS: dict[str, tuple[int, ...]] = {
     # The detectors, and their centres along their own axes.
-    "position": (3, LANES), "axes": (3, 3, LANES), "centre": (3, LANES),
+    "position": (3, LANES),
+    "axes": (3, 3, LANES),
+    "centre": (3, LANES),
     # Over all accepted rays; from the first row on the upper half is filled.
     "moments": (7, 7, LANES),
     # For one slope, over v along the hole: ends along u of the strip of the hole within the disc, by a chord's middle and its
     # distance from the disc's centre (constant and slope), the square of the disc's radius; and the sums over it.
-    "foot": (2, LANES), "beside": (2, LANES), "reach_square": (LANES,), "middle": (LANES,), "half": (LANES,),
-    "share": (LANES,), "sums": (7, 7, LANES),
+    "foot": (2, LANES),
+    "beside": (2, LANES),
+    "reach_square": (LANES,),
+    "middle": (LANES,),
+    "half": (LANES,),
+    "share": (LANES,),
+    "sums": (7, 7, LANES),
     # A point of a chord of the strip, u, v and weight; moments of the pupil there.
-    "chord_point": (3, LANES), "clip_moments": (CLIPPED, LANES),
+    "chord_point": (3, LANES),
+    "clip_moments": (CLIPPED, LANES),
     # Of the accepted rays: mean (its first row has 1 / total) and covariance; slopes of the two offsets over each number, and
     # covariances of these with each number; inverse root of the offsets' covariance; radius and weight of the outer nodes.
-    "mean": (7, LANES), "covariance": (7, 7, LANES), "slope": (2, 7, LANES), "shift": (2, 7, LANES),
-    "inverse": (2, LANES), "mixed": (LANES,), "radius": (LANES,), "outer_weight": (LANES,),
+    "mean": (7, LANES),
+    "covariance": (7, 7, LANES),
+    "slope": (2, 7, LANES),
+    "shift": (2, 7, LANES),
+    "inverse": (2, LANES),
+    "mixed": (LANES,),
+    "radius": (LANES,),
+    "outer_weight": (LANES,),
     # One ray of each detector, or a tile of one detector's rays: WEIGHT, LIGHT and OBSERVER; points of hole and pupil; value.
-    "ray": (7, LANES), "point": (5, LANES), "value": (LANES,),
+    "ray": (7, LANES),
+    "point": (5, LANES),
+    "value": (LANES,),
     # A tile of a bundle, the ends of its chords, and the ends of its rays at the detector.
-    "tile": (7, LANES), "low": (LANES,), "high": (LANES,), "end_weight": (LANES,), "length": (LANES,),
+    "tile": (7, LANES),
+    "low": (LANES,),
+    "high": (LANES,),
+    "end_weight": (LANES,),
+    "length": (LANES,),
     # The aperture's share that the seven rays have taken; what mirrors leave of the pupil.
-    "taken": (LANES,), "clip": (CLIPPED, TERMS),
-}  # fmt: skip
+    "taken": (LANES,),
+    "clip": (CLIPPED, TERMS),
+}
 BLOCK = np.dtype([(name, np.float64, shape) for name, shape in _FIELDS.items()], align=True)
 Block = Any
 """A record of BLOCK."""

@@ -92,8 +92,19 @@ def add_lobe(models: Models, lobe: int, block: Block, sums: Floats) -> None:
             block.value[i] = 0.0
             if (rays[OBSERVER + Z, i] < 0.0) == transmits and rays[WEIGHT, i] > 0.0:
                 block.value[i] = rays[WEIGHT, i] * bsdf(
-                    kind, own, sig, ph, th, psi, table, rays[LIGHT + X, i], rays[LIGHT + Y, i], rays[LIGHT + Z, i],
-                    rays[OBSERVER + X, i], rays[OBSERVER + Y, i], abs(rays[OBSERVER + Z, i]),
-                )  # fmt: skip
+                    kind,
+                    own,
+                    sig,
+                    ph,
+                    th,
+                    psi,
+                    table,
+                    rays[LIGHT + X, i],
+                    rays[LIGHT + Y, i],
+                    rays[LIGHT + Z, i],
+                    rays[OBSERVER + X, i],
+                    rays[OBSERVER + Y, i],
+                    abs(rays[OBSERVER + Z, i]),
+                )
     for i in range(sums.size):
         sums[i] += block.value[i]

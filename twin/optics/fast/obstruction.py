@@ -93,7 +93,7 @@ def find_shadow(block: Block, k: int, mirrors: Floats, near: Floats, half: float
 @kernel(nogil=True)
 def visible_shares(
     block: Block, centres: Floats, directions: Floats, bundle: Floats, quarter: int, sizes: Floats, mirrors: Floats, half: float
-) -> Floats:  # fmt: skip
+) -> Floats:
     """Share (n,) of rays that no mirror blocks, for detectors at `centres` that look along -`directions`.
 
     Of the first `quarter` rays of a bundle and those that come with them.

@@ -33,24 +33,46 @@ from goniotwin.twin.optics.kernel import kernel
 
 @kernel(forceinline=True, fastmath={"contract"})
 def map_to_disc(
-    e1x: float, e1y: float, e2x: float, e2y: float, dx: float, dy: float, beside1: float, beside2: float, ahead: float,
-    p: float, q: float,
-) -> tuple[float, float, float, float, float, float]:  # fmt: skip
+    e1x: float,
+    e1y: float,
+    e2x: float,
+    e2y: float,
+    dx: float,
+    dy: float,
+    beside1: float,
+    beside2: float,
+    ahead: float,
+    p: float,
+    q: float,
+) -> tuple[float, float, float, float, float, float]:
     """Map of the hole to a detector's disc along the slopes p and q, for a detector's axes: a0, au, av, b0, bu, bv.
 
     A point (u, v) of the hole meets the disc's plane at (au u + av v + a0, bu u + bv v + b0) from the disc's centre.
     """
     return (
-        ahead * p - beside1, e1x - p * dx, e1y - p * dy,
-        ahead * q - beside2, e2x - q * dx, e2y - q * dy,
-    )  # fmt: skip
+        ahead * p - beside1,
+        e1x - p * dx,
+        e1y - p * dy,
+        ahead * q - beside2,
+        e2x - q * dx,
+        e2y - q * dy,
+    )
 
 
 @kernel(nogil=True, fastmath={"contract"})
 def fill_ends(
-    block: Block, k: int, bundle: Floats, first: int, count: int, sign: float, sizes: Floats, first_v: float, last_v: float,
-    edges: Floats, other: float,
-) -> None:  # fmt: skip
+    block: Block,
+    k: int,
+    bundle: Floats,
+    first: int,
+    count: int,
+    sign: float,
+    sizes: Floats,
+    first_v: float,
+    last_v: float,
+    edges: Floats,
+    other: float,
+) -> None:
     """Fill the ends at detector k of `count` rays of a bundle from number `first` on, of the given sign, a lane for each.
 
     A ray is from the part of the hole that the disc of the detector covers along it: weight (0 if disc and hole do not meet),
@@ -85,9 +107,7 @@ def fill_ends(
 
 
 @kernel(nogil=True, fastmath={"contract"})
-def fill_chords(
-    block: Block, k: int, count: int, sign: float, sizes: Floats, first_v: float, last_v: float
-) -> None:  # fmt: skip
+def fill_chords(block: Block, k: int, count: int, sign: float, sizes: Floats, first_v: float, last_v: float) -> None:
     """Fill the chord of the hole, along u, from which each ray meets the disc of detector k; its weight and its direction."""
     radius, half, spot = sizes[0], sizes[1], 0.25 / (sizes[1] * sizes[1])
     axes, tile, ray = block.axes, block.tile, block.ray
@@ -122,10 +142,26 @@ def fill_chords(
 
 @kernel(forceinline=True, fastmath={"contract"})
 def is_blocked(
-    cx: float, cy: float, cz: float, nx: float, ny: float, nz: float, ux: float, uy: float, uz: float,
-    vx: float, vy: float, vz: float, half: float,
-    u: float, v: float, wx: float, wy: float, wz: float, length: float,
-) -> Any:  # fmt: skip
+    cx: float,
+    cy: float,
+    cz: float,
+    nx: float,
+    ny: float,
+    nz: float,
+    ux: float,
+    uy: float,
+    uz: float,
+    vx: float,
+    vy: float,
+    vz: float,
+    half: float,
+    u: float,
+    v: float,
+    wx: float,
+    wy: float,
+    wz: float,
+    length: float,
+) -> Any:
     """Whether a square of half side `half` (centre c, normal n, axes u and v) blocks a ray.
 
     The ray is from the point (u, v, 0) in the direction w, a unit vector, and ends at `length`.
@@ -150,9 +186,26 @@ def hide_ends(block: Block, mirrors: Floats, near: Floats, half: float, count: i
             vx, vy, vz = mirrors[m, 3, 0], mirrors[m, 3, 1], mirrors[m, 3, 2]
             for i in range(count):
                 blocked = is_blocked(
-                    cx, cy, cz, nx, ny, nz, ux, uy, uz, vx, vy, vz, half, point[HOLE_U, i], point[HOLE_V, i],
-                    ray[OBSERVER + X, i], ray[OBSERVER + Y, i], ray[OBSERVER + Z, i], block.length[i],
-                )  # fmt: skip
+                    cx,
+                    cy,
+                    cz,
+                    nx,
+                    ny,
+                    nz,
+                    ux,
+                    uy,
+                    uz,
+                    vx,
+                    vy,
+                    vz,
+                    half,
+                    point[HOLE_U, i],
+                    point[HOLE_V, i],
+                    ray[OBSERVER + X, i],
+                    ray[OBSERVER + Y, i],
+                    ray[OBSERVER + Z, i],
+                    block.length[i],
+                )
                 block.end_weight[i] = 0.0 if blocked else block.end_weight[i]
 
 

@@ -109,10 +109,13 @@ def fill_slopes(block: Block, count: int, pupil: Floats) -> None:
 def product(rows: Floats, others: Floats, k: int) -> float:
     """Sum over a ray's six numbers of the products of two rows each, in lane k."""
     total: float = (
-        rows[HOLE_U, k] * others[HOLE_U, k] + rows[HOLE_V, k] * others[HOLE_V, k]
-        + rows[PUPIL_A, k] * others[PUPIL_A, k] + rows[PUPIL_B, k] * others[PUPIL_B, k]
-        + rows[SLOPE_P, k] * others[SLOPE_P, k] + rows[SLOPE_Q, k] * others[SLOPE_Q, k]
-    )  # fmt: skip
+        rows[HOLE_U, k] * others[HOLE_U, k]
+        + rows[HOLE_V, k] * others[HOLE_V, k]
+        + rows[PUPIL_A, k] * others[PUPIL_A, k]
+        + rows[PUPIL_B, k] * others[PUPIL_B, k]
+        + rows[SLOPE_P, k] * others[SLOPE_P, k]
+        + rows[SLOPE_Q, k] * others[SLOPE_Q, k]
+    )
     return total
 
 

@@ -90,7 +90,7 @@ def image_measures(
 @kernel()
 def slope_integral(
     u: float, v: float, centre: Floats, d: Floats, e1: Floats, e2: Floats, image: Floats, sizes: Floats
-) -> float:  # fmt: skip
+) -> float:
     """Integral of the cosine on the sample over the directions from (u, v) of the hole that a detector counts, sr."""
     tangent = sizes[2] / math.sqrt(1.0 - sizes[2] * sizes[2])
     square_radius = image[1, 0] ** 2 + image[1, 1] ** 2 + image[1, 2] ** 2
@@ -135,9 +135,16 @@ def slope_integral(
 
 @kernel(nogil=True)
 def light_shares(
-    centres: Floats, axes: Floats, sizes: Floats, scene: SceneArrays, half: float, light: SlitImage, transmits: bool,
-    bundle: Floats, result: Floats,
-) -> None:  # fmt: skip
+    centres: Floats,
+    axes: Floats,
+    sizes: Floats,
+    scene: SceneArrays,
+    half: float,
+    light: SlitImage,
+    transmits: bool,
+    bundle: Floats,
+    result: Floats,
+) -> None:
     """Multiply `result` (n,) by the mean relative radiance of each detector's rays, 0 for those that miss a mirror.
 
     Over those rays of a `bundle` from pupil to hole that the detector accepts; a detector that accepts none of them keeps its
@@ -157,9 +164,21 @@ def light_shares(
 
 @kernel()
 def add_light(
-    centres: Floats, axes: Floats, sizes: Floats, scene: SceneArrays, half: float, light: SlitImage, transmits: bool,
-    result: Floats, u: float, v: float, a: float, b: float, accepted: Floats, carried: Floats,
-) -> None:  # fmt: skip
+    centres: Floats,
+    axes: Floats,
+    sizes: Floats,
+    scene: SceneArrays,
+    half: float,
+    light: SlitImage,
+    transmits: bool,
+    result: Floats,
+    u: float,
+    v: float,
+    a: float,
+    b: float,
+    accepted: Floats,
+    carried: Floats,
+) -> None:
     """Add the ray from (a, b) of the pupil to (u, v) of the hole to what the detectors accept, and to what it carries."""
     low = high = u
     for k in range(light.edges.shape[0]):

@@ -154,9 +154,17 @@ class Spectra(NamedTuple):
 
 @kernel(nogil=True)
 def score_scenes(
-    block: Block, optics: Optics, models: Models, spectra: Spectra, deviations: Floats, poses: Floats, starts: Ints,
-    directions: Floats, first_rig: int, result: Floats,
-) -> None:  # fmt: skip
+    block: Block,
+    optics: Optics,
+    models: Models,
+    spectra: Spectra,
+    deviations: Floats,
+    poses: Floats,
+    starts: Ints,
+    directions: Floats,
+    first_rig: int,
+    result: Floats,
+) -> None:
     """Fill `result` (rigs, samples, w, detectors) with throughputs in m^2 sr, from `first_rig` on.
 
     `deviations` (n, elements, 6); `poses` (p, 2): sigma and gamma, deg; the detectors of pose p are the rows of
@@ -246,9 +254,16 @@ def add_wavelengths(spectra: Spectra, mirrors: Floats, acting: Ints, sums: Float
 
 @kernel()
 def score_detectors(
-    block: Block, optics: Optics, models: Models, scene: SceneArrays, light: SlitImage, centres: Floats, views: Floats,
-    acting: Ints, sums: Floats,
-) -> None:  # fmt: skip
+    block: Block,
+    optics: Optics,
+    models: Models,
+    scene: SceneArrays,
+    light: SlitImage,
+    centres: Floats,
+    views: Floats,
+    acting: Ints,
+    sums: Floats,
+) -> None:
     """Fill `sums` (lobes, at least n): throughputs by the lobes `acting` alone, mirrors without loss, of n detectors."""
     nodes, counts, clipped = optics.nodes, optics.nodes.counts, scene.missed[0] + scene.missed[1] + scene.missed[2] > 0.0
     rule, fitted = LIT if light.everywhere else CUT, False
@@ -343,9 +358,18 @@ def weigh_rays(block: Block, light: SlitImage, count: int) -> None:
 
 @kernel()
 def add_bundle(
-    block: Block, i: int, optics: Optics, quarter: int, models: Models, scene: SceneArrays, light: SlitImage, acting: Ints,
-    partly: bool, sums: Floats, column: int,
-) -> None:  # fmt: skip
+    block: Block,
+    i: int,
+    optics: Optics,
+    quarter: int,
+    models: Models,
+    scene: SceneArrays,
+    light: SlitImage,
+    acting: Ints,
+    partly: bool,
+    sums: Floats,
+    column: int,
+) -> None:
     """Fill a column of `sums`, of detector i of the block, from a whole bundle; unless `partly` those of tables alone."""
     first_v, last_v, share = light.chords[ALONG_U, -1, 0], light.chords[ALONG_U, -1, 1], optics.sizes[1] ** 2 / quarter
     edges = light.edges[: 0 if light.everywhere else light.edges.shape[0]]
@@ -379,9 +403,17 @@ def add_bundle(
 
 @kernel()
 def fill_regular(
-    block: Block, optics: Optics, quarter: int, models: Models, scene: SceneArrays, light: SlitImage, centres: Floats,
-    views: Floats, k: int, result: Floats,
-) -> None:  # fmt: skip
+    block: Block,
+    optics: Optics,
+    quarter: int,
+    models: Models,
+    scene: SceneArrays,
+    light: SlitImage,
+    centres: Floats,
+    views: Floats,
+    k: int,
+    result: Floats,
+) -> None:
     """Fill `result` (n,) with throughputs in m^2 sr by the REGULAR lobe k."""
     transmits, pupil = models.heads[k, TRANSMITS] == 1, scene.pupil
     image_measures(centres, views, optics.sizes, pupil, light.chords, transmits, result)
@@ -608,10 +640,17 @@ def _optics(instrument: Instrument, rays: int | None, ratios: bool) -> Optics:
     sine, seen_sr = float(sizes[2]), math.pi * sizes[2] ** 2
     rules = (COARSE_RULE, FINE_RULE, CLIP_RULE) if ratios else (FINE_RULE, FINEST_RULE, CLIP_RULE)
     return Optics(
-        instrument.lengths, instrument.exit_pupil, sizes, slit_of(instrument), _nodes(rules, rays, sine),
-        ray_bundle(LIGHT_RAYS, sine), rays is not None, bool(sine * instrument.arc_radius_mm > WIDE * sizes[0]),
-        instrument.obstruction, float(seen_sr * math.pi * instrument.pupil_radius_mm**2 * 1e-6),
-    )  # fmt: skip
+        instrument.lengths,
+        instrument.exit_pupil,
+        sizes,
+        slit_of(instrument),
+        _nodes(rules, rays, sine),
+        ray_bundle(LIGHT_RAYS, sine),
+        rays is not None,
+        bool(sine * instrument.arc_radius_mm > WIDE * sizes[0]),
+        instrument.obstruction,
+        float(seen_sr * math.pi * instrument.pupil_radius_mm**2 * 1e-6),
+    )
 
 
 def _nodes(rules: tuple[Rule, ...], rays: int | None, sine: float) -> Nodes:

@@ -74,9 +74,18 @@ def scatter_stratum(buffer: Singles, strata: Strata, k: int, key: np.uint64, key
 
 @kernel(nogil=True)
 def trace(
-    first: int, last: int, seed: np.uint64, beam: Beam, strata: Strata, lobes: Lobes, surfaces: Surfaces, targets: Targets,
-    spread: Spread, longest: int, detectors: int,
-) -> Floats:  # fmt: skip
+    first: int,
+    last: int,
+    seed: np.uint64,
+    beam: Beam,
+    strata: Strata,
+    lobes: Lobes,
+    surfaces: Surfaces,
+    targets: Targets,
+    spread: Spread,
+    longest: int,
+    detectors: int,
+) -> Floats:
     """Sums (detectors, 4) over blocks first..last-1.
 
     Columns: weights and their squares of light scattered once, then the same of all other light. With a map its bins follow as
@@ -110,9 +119,20 @@ def trace(
                     weight = np.float64(buffer[i + WEIGHT])
                     dx, dy, dz = np.float64(buffer[i + DX]), np.float64(buffer[i + DY]), np.float64(buffer[i + DZ])
                     trace_bounces(
-                        surfaces, lobes, targets, spread, path_key(key, stream, i),
-                        np.float64(buffer[i + PX]), np.float64(buffer[i + PY]), height, dx, dy, dz, weight, sums,
-                    )  # fmt: skip
+                        surfaces,
+                        lobes,
+                        targets,
+                        spread,
+                        path_key(key, stream, i),
+                        np.float64(buffer[i + PX]),
+                        np.float64(buffer[i + PY]),
+                        height,
+                        dx,
+                        dy,
+                        dz,
+                        weight,
+                        sums,
+                    )
     return sums
 
 

@@ -50,9 +50,7 @@ class Surfaces(NamedTuple):
 
 
 @kernel()
-def next_surface(
-    surfaces: Surfaces, px: float, py: float, pz: float, dx: float, dy: float, dz: float
-) -> tuple[int, float]:  # fmt: skip
+def next_surface(surfaces: Surfaces, px: float, py: float, pz: float, dx: float, dy: float, dz: float) -> tuple[int, float]:
     """First surface on a ray, and its distance."""
     surface, nearest = NOTHING, math.inf
     if surfaces.obstruction:
@@ -98,9 +96,20 @@ def interpolate_degrees(table: Floats, cosine: float) -> float:
 
 @kernel()
 def trace_bounces(
-    surfaces: Surfaces, lobes: Lobes, targets: Targets, spread: Spread, key: np.uint64,
-    px: float, py: float, pz: float, dx: float, dy: float, dz: float, weight: float, sums: Floats,
-) -> None:  # fmt: skip
+    surfaces: Surfaces,
+    lobes: Lobes,
+    targets: Targets,
+    spread: Spread,
+    key: np.uint64,
+    px: float,
+    py: float,
+    pz: float,
+    dx: float,
+    dy: float,
+    dz: float,
+    weight: float,
+    sums: Floats,
+) -> None:
     """Trace a path from p along d after its first scattering; what it meets there is already scored (`score`)."""
     interactions, mirrored = 1, False
     while True:

@@ -90,9 +90,16 @@ def forward_throughput(
     if source is not None and wavelength_nm is None:
         wavelength_nm = float(np.average(source.wavelength_nm, weights=source.flux))
     setting = set_up(
-        instrument, sigma_deg, directions, scatterer, gamma_deg, wavelength_nm, source, max_interactions,
+        instrument,
+        sigma_deg,
+        directions,
+        scatterer,
+        gamma_deg,
+        wavelength_nm,
+        source,
+        max_interactions,
         sample_frames or SampleFrames(),
-    )  # fmt: skip
+    )
     return _run(setting, paths, relative_error, seed)
 
 
@@ -101,9 +108,18 @@ def trace_paths(setting: Setting, seed: int, first: int, last: int) -> Floats:
     if not setting.strata.ways.size:
         return np.zeros((setting.rows, 4))
     sums: Floats = trace(
-        first // BLOCK, last // BLOCK, U64(seed), setting.beam, setting.strata, setting.lobes, setting.surfaces,
-        setting.targets, setting.spread, setting.longest, setting.detectors,
-    )  # fmt: skip
+        first // BLOCK,
+        last // BLOCK,
+        U64(seed),
+        setting.beam,
+        setting.strata,
+        setting.lobes,
+        setting.surfaces,
+        setting.targets,
+        setting.spread,
+        setting.longest,
+        setting.detectors,
+    )
     return sums
 
 
@@ -123,7 +139,7 @@ def _run(setting: Setting, paths: int | None, relative_error: float | None, seed
         value, uncertainty = mean * scale, error * scale
         result = Estimate(
             value[0], uncertainty[0], value[1], uncertainty[1], value[2], uncertainty[2], done, setting.radiance, setting.unit
-        )  # fmt: skip
+        )
         lit = mean[0] > 0.0
         if not np.any(lit):
             return 0.0, 0.0, result
@@ -133,6 +149,12 @@ def _run(setting: Setting, paths: int | None, relative_error: float | None, seed
     chunk = CHUNK * min(16, max(1, setting.rows // 4096))
     rounded = None if paths is None else BLOCK * math.ceil(paths / BLOCK)
     return run_until(
-        lambda first, last: trace_paths(setting, seed, first, last), estimate, rounded, relative_error, max(FIRST_PATHS, chunk),
-        DARK_PATHS, MOST_PATHS, chunk,
-    )  # fmt: skip
+        lambda first, last: trace_paths(setting, seed, first, last),
+        estimate,
+        rounded,
+        relative_error,
+        max(FIRST_PATHS, chunk),
+        DARK_PATHS,
+        MOST_PATHS,
+        chunk,
+    )

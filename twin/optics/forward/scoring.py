@@ -108,9 +108,15 @@ def make_targets(centres: Floats, axes: Floats, field_deg: float, diameter_mm: f
     frames = np.hstack([axes, centres]).astype(np.float32)
     chord2 = (2.0 * math.sin(0.5 * half)) ** 2
     return Targets(
-        starts.astype(np.uint32), (counts > 0).astype(np.uint8), numbers.astype(np.uint32), frames, cells, chord2,
-        (0.5 * diameter_mm) ** 2, None,
-    )  # fmt: skip
+        starts.astype(np.uint32),
+        (counts > 0).astype(np.uint8),
+        numbers.astype(np.uint32),
+        frames,
+        cells,
+        chord2,
+        (0.5 * diameter_mm) ** 2,
+        None,
+    )
 
 
 def make_sensor_targets(centres: Floats, axes: Floats, sides: Floats, sensor: RealSensor) -> Targets:
@@ -149,14 +155,22 @@ def make_hit_buffer(longest: int) -> HitBuffer:
     size = HITS + longest + AT_ONCE
     return HitBuffer(
         np.empty(BLOCK, np.uint32), np.empty(size, np.uint32), np.empty(size, np.uint32), np.empty(size, np.float32)
-    )  # fmt: skip
+    )
 
 
 @kernel(forceinline=True)
 def is_counted(
-    targets: Targets, sensor: Floats | None, j: int, px: float, py: float, pz: float, dx: float, dy: float, dz: float,
+    targets: Targets,
+    sensor: Floats | None,
+    j: int,
+    px: float,
+    py: float,
+    pz: float,
+    dx: float,
+    dy: float,
+    dz: float,
     stop: float,
-) -> bool:  # fmt: skip
+) -> bool:
     """Whether the detector of row j counts a ray within its cone from p along d, up to the distance `stop`."""
     frames = targets.frames
     ex, ey, ez = frames[j, 0], frames[j, 1], frames[j, 2]
@@ -213,9 +227,15 @@ def add_sensor_hits(
 
 @kernel(fastmath={"contract"})
 def add_hits(
-    buffer: Singles, pairs: np.uint64, height: float, targets: Targets, sensor: Floats | None, hit_buffer: HitBuffer,
-    sums: Floats, column: int,
-) -> None:  # fmt: skip
+    buffer: Singles,
+    pairs: np.uint64,
+    height: float,
+    targets: Targets,
+    sensor: Floats | None,
+    hit_buffer: HitBuffer,
+    sums: Floats,
+    column: int,
+) -> None:
     """Add those of the first `pairs`, within the cone, that cross the detector's disc, or pass its sensor: see `score`."""
     if sensor is not None:
         add_sensor_hits(buffer, pairs, height, targets, hit_buffer, sums, column)
@@ -241,9 +261,15 @@ def add_hits(
 
 @kernel()
 def score(
-    buffer: Singles, count: int, height: float, path_cells: Words, targets: Targets, hit_buffer: HitBuffer, sums: Floats,
+    buffer: Singles,
+    count: int,
+    height: float,
+    path_cells: Words,
+    targets: Targets,
+    hit_buffer: HitBuffer,
+    sums: Floats,
     column: int,
-) -> None:  # fmt: skip
+) -> None:
     """Add the paths of a block, from points `height` above the sample, to a column of `sums`, their squares to the next."""
     starts, numbers, places, paths = targets.starts, targets.numbers, hit_buffer.places, hit_buffer.paths
     pairs = U64(0)

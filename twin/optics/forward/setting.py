@@ -201,10 +201,18 @@ def _beam(
         rays = np.hstack([(source.rays[:, :3] - scene.origin) @ scene.to_sample.T, source.rays[:, 3:] @ scene.to_sample.T])
         flux = np.array(source.flux)
     return Beam(
-        own, aim, np.array(scene.mirrors), _linear_reflectance(instrument, scene, wavelength_nm),
-        0.5 * instrument.mirror_side_mm, hole, 0.5 * frames.side_mm, frames.gap_mm,
-        slit_image(instrument, scene, frames.gap_mm), rays, flux,
-    )  # fmt: skip
+        own,
+        aim,
+        np.array(scene.mirrors),
+        _linear_reflectance(instrument, scene, wavelength_nm),
+        0.5 * instrument.mirror_side_mm,
+        hole,
+        0.5 * frames.side_mm,
+        frames.gap_mm,
+        slit_image(instrument, scene, frames.gap_mm),
+        rays,
+        flux,
+    )
 
 
 def _linear_reflectance(instrument: Instrument, scene: Scene, wavelength_nm: float | None) -> Floats:

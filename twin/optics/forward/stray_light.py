@@ -69,9 +69,17 @@ def stray_map(
     if paths < 2:
         raise ValueError(f"paths is {paths}: give at least 2; a standard error needs two")
     setting = set_up(
-        instrument, sigma_deg, np.zeros((0, 3)), scatterer, gamma_deg, wavelength_nm, source, max_interactions,
-        sample_frames or SampleFrames(), spread=True,
-    )  # fmt: skip
+        instrument,
+        sigma_deg,
+        np.zeros((0, 3)),
+        scatterer,
+        gamma_deg,
+        wavelength_nm,
+        source,
+        max_interactions,
+        sample_frames or SampleFrames(),
+        spread=True,
+    )
     sums, done = run_sums(setting, paths, seed)
     mean, square = sums[:, 2] / done, sums[:, 3] / done
     error = np.sqrt(np.maximum(square - mean**2, 0.0) / (done - 1))
@@ -79,7 +87,7 @@ def stray_map(
     scale = 1.0 / (setting.radiance * projected_solid_angles()[:, None])
     return StrayMap(
         sigma_deg, gamma_deg, mean.reshape(shape) * scale, error.reshape(shape) * scale, done, _detector(instrument)
-    )  # fmt: skip
+    )
 
 
 def stray_throughput(stray: StrayMap, directions: npt.ArrayLike, instrument: Instrument) -> Floats:

@@ -203,6 +203,4 @@ def from_specular(sigma_deg: npt.ArrayLike, theta_deg: npt.ArrayLike, phi_deg: n
     sigma, theta, phi = np.radians(sigma_deg), np.radians(theta_deg), np.radians(phi_deg)
     sine, along, cos, sin = np.sin(theta), np.cos(theta), np.cos(sigma), np.sin(sigma)  # of each angle once, see above
     inward = sine * np.cos(phi)
-    return np.stack(
-        np.broadcast_arrays(cos * inward - sin * along, sine * np.sin(phi), sin * inward + cos * along), axis=-1
-    )  # fmt: skip
+    return np.stack(np.broadcast_arrays(cos * inward - sin * along, sine * np.sin(phi), sin * inward + cos * along), axis=-1)

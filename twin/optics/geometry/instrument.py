@@ -184,10 +184,15 @@ class Instrument(Dimensions):
         """Argument of the kernels (7,), mm: the entries are MIRROR_DISTANCE and the names that follow it."""
         return np.array(
             [
-                self.mirror_distance_mm, self.pupil_to_mirror_mm, self.pupil_radius_mm, self.arc_radius_mm,
-                0.5 * self.spot_side_mm, 0.5 * self.mirror_side_mm, 0.5 * self.blocking_side_mm,
+                self.mirror_distance_mm,
+                self.pupil_to_mirror_mm,
+                self.pupil_radius_mm,
+                self.arc_radius_mm,
+                0.5 * self.spot_side_mm,
+                0.5 * self.mirror_side_mm,
+                0.5 * self.blocking_side_mm,
             ]
-        )  # fmt: skip
+        )
 
     def simplified(self) -> "Instrument":
         """The instrument with virtual detectors: discs with an acceptance cone, the only kind of the fast estimator.

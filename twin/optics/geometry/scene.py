@@ -133,9 +133,7 @@ def place_scene(instrument: Instrument, sigma_deg: float, gamma_deg: float) -> S
 @kernel()
 def empty_scene() -> SceneArrays:
     """Arrays for `fill_scene`."""
-    return SceneArrays(
-        np.empty((4, 3)), np.empty((3, 4, 3)), np.empty((3, 4, 3)), np.empty((3, 3)), np.empty(3), np.empty(3)
-    )  # fmt: skip
+    return SceneArrays(np.empty((4, 3)), np.empty((3, 4, 3)), np.empty((3, 4, 3)), np.empty((3, 3)), np.empty(3), np.empty(3))
 
 
 @kernel()

@@ -67,8 +67,9 @@ class RealSensor:
         """
         slope = math.inf
         for behind, reach in (
-            (self.diaphragm_mm, 0.5 * self.aperture_mm), (self.detector_mm, math.sqrt(0.5) * self.detector_side_mm),
-        ):  # fmt: skip
+            (self.diaphragm_mm, 0.5 * self.aperture_mm),
+            (self.detector_mm, math.sqrt(0.5) * self.detector_side_mm),
+        ):
             aside = 0.5 * self.lens_diameter_mm * abs(1.0 - behind / self.focal_length_mm)
             slope = min(slope, (reach + aside) / behind)
         return 2.0 * math.degrees(math.atan(slope))
@@ -78,7 +79,11 @@ class RealSensor:
         """Argument of `passes_sensor`: squared radii of lens and aperture, 1/f, diaphragm, detector, half its side."""
         return np.array(
             [
-                0.25 * self.lens_diameter_mm**2, 0.25 * self.aperture_mm**2, 1.0 / self.focal_length_mm, self.diaphragm_mm,
-                self.detector_mm, 0.5 * self.detector_side_mm,
+                0.25 * self.lens_diameter_mm**2,
+                0.25 * self.aperture_mm**2,
+                1.0 / self.focal_length_mm,
+                self.diaphragm_mm,
+                self.detector_mm,
+                0.5 * self.detector_side_mm,
             ]
-        )  # fmt: skip
+        )

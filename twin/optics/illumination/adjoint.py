@@ -65,9 +65,16 @@ def weigh_tile(tile: Floats, count: int, frames: Floats, sizes: Floats) -> None:
 
 @kernel(nogil=True)
 def _trace(
-    first: int, last: int, seed: np.uint64, frames: Floats, sizes: Floats,
-    side: float, cells: int, bins: int, widest: float,
-) -> Floats:  # fmt: skip
+    first: int,
+    last: int,
+    seed: np.uint64,
+    frames: Floats,
+    sizes: Floats,
+    side: float,
+    cells: int,
+    bins: int,
+    widest: float,
+) -> Floats:
     """Sums (2, cells^2 + bins) of the weights, in 1/mm, and of their squares over rays first..last-1."""
     sums, tile, places = np.zeros((2, cells * cells + bins)), np.empty(ROWS * TILE), cells * cells
     start, scale, cell = scramble(U64(seed)), bins / widest, first % places

@@ -132,9 +132,7 @@ def lit_length(frames: Floats, sizes: Floats, x: float, y: float, z: float, p: f
 
 
 @kernel(forceinline=True)
-def field_ray(
-    frames: Floats, sizes: Floats, u: float, v: float, x: float, z: float
-) -> tuple[float, float, float, float]:  # fmt: skip
+def field_ray(frames: Floats, sizes: Floats, u: float, v: float, x: float, z: float) -> tuple[float, float, float, float]:
     """Backward ray from (x, z) of the field to (u, v) of the exit pupil, in mm, bent there, and on to the arc.
 
     Its weight in 1/mm, wherever it crosses the slit's plane; its point (s, t) there, mm; the tangent of its angle to the axis

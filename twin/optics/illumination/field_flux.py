@@ -146,9 +146,7 @@ def _lit_part(edges: Floats, x: float, z: float, side: float, points: Floats, cu
 
 
 @kernel()
-def _add_rays(
-    tile: Floats, count: int, frames: Floats, sizes: Floats, areas: Floats, places: Ints, weights: Floats
-) -> None:  # fmt: skip
+def _add_rays(tile: Floats, count: int, frames: Floats, sizes: Floats, areas: Floats, places: Ints, weights: Floats) -> None:
     """Add `count` rays of a tile, times the areas that they stand for, to the weights of their cells."""
     weigh_tile(tile, count, frames, sizes)
     for n in range(count):

@@ -23,9 +23,18 @@ MOST_RAYS = 1 << 34
 
 @kernel(nogil=True)
 def _trace(
-    first: int, last: int, seed: np.uint64, frames: Floats, sizes: Floats, aim: Floats, across: Floats,
-    side: float, cells: int, bins: int, widest: float,
-) -> Floats:  # fmt: skip
+    first: int,
+    last: int,
+    seed: np.uint64,
+    frames: Floats,
+    sizes: Floats,
+    aim: Floats,
+    across: Floats,
+    side: float,
+    cells: int,
+    bins: int,
+    widest: float,
+) -> Floats:
     """Sums (2, cells^2 + bins) of the weights and of their squares over rays first..last-1."""
     sums = np.zeros((2, cells * cells + bins))
     start = scramble(U64(seed))

@@ -80,9 +80,11 @@ def slit_image(instrument: Instrument, scene: Scene, height_mm: float = 0.0) -> 
 def slit_of(instrument: Instrument) -> Slit:
     """Slit of an instrument. Its illumination unit as a whole moves the pupil, and is in the scene."""
     slit = _elements(
-        instrument.pupil_radius_mm, instrument.pupil_distance_mm, instrument.spot_side_mm,
+        instrument.pupil_radius_mm,
+        instrument.pupil_distance_mm,
+        instrument.spot_side_mm,
         tuple((name, each) for name, each in instrument.illumination.items() if each != NO_DEVIATION and name != "unit"),
-    )  # fmt: skip
+    )
     return slit._replace(edges=EVERYWHERE) if instrument.lit_everywhere else slit
 
 
@@ -92,9 +94,11 @@ def _elements(
 ) -> Slit:
     distance = 0.25 * pupil_distance_mm
     instrument = Instrument(
-        pupil_radius_mm=pupil_radius_mm, pupil_to_mirror_mm=pupil_distance_mm - 3.0 * distance, mirror_distance_mm=distance,
+        pupil_radius_mm=pupil_radius_mm,
+        pupil_to_mirror_mm=pupil_distance_mm - 3.0 * distance,
+        mirror_distance_mm=distance,
         spot_side_mm=spot_side_mm,
-    )  # fmt: skip
+    )
     unit = unit_of(replace(instrument, illumination=dict(deviations)))
     frames, straight = _within_condenser(unit.frames), _within_condenser(unit_of(instrument).frames)
     return Slit(slit_edges(frames[SLIT], unit), frames, straight, unit.sizes, not deviations)
@@ -149,9 +153,7 @@ def empty_image() -> tuple[Floats, Floats, Floats]:
 
 
 @kernel()
-def place_slit(
-    slit: Slit, pupil: Floats, half: float, height: float, edges: Floats, chords: Floats, hole: Floats
-) -> SlitImage:  # fmt: skip
+def place_slit(slit: Slit, pupil: Floats, half: float, height: float, edges: Floats, chords: Floats, hole: Floats) -> SlitImage:
     """Image of a slit for a `pupil` (4, 3) as in a `Scene`, in the arrays of `empty_image`.
 
     `half` is half the hole's side, `height` its height above the sample, mm.
@@ -285,11 +287,23 @@ Lines = tuple[float, float, float, float, float, float, float, float, float, flo
 def chord_lines(chords: Floats, across: int) -> Lines:
     """Lines of `cut_chord` as numbers: outside a loop, so that it does not read them again each time."""
     return (
-        chords[across, 1, 0], chords[across, 1, 1], chords[across, 2, 0], chords[across, 2, 1],
-        chords[across, 3, 0], chords[across, 3, 1], chords[across, 4, 0], chords[across, 4, 1],
-        chords[across, 5, 0], chords[across, 5, 1], chords[across, 6, 0], chords[across, 6, 1],
-        chords[across, 7, 0], chords[across, 7, 1], chords[across, 8, 0], chords[across, 8, 1],
-    )  # fmt: skip
+        chords[across, 1, 0],
+        chords[across, 1, 1],
+        chords[across, 2, 0],
+        chords[across, 2, 1],
+        chords[across, 3, 0],
+        chords[across, 3, 1],
+        chords[across, 4, 0],
+        chords[across, 4, 1],
+        chords[across, 5, 0],
+        chords[across, 5, 1],
+        chords[across, 6, 0],
+        chords[across, 6, 1],
+        chords[across, 7, 0],
+        chords[across, 7, 1],
+        chords[across, 8, 0],
+        chords[across, 8, 1],
+    )
 
 
 @kernel()

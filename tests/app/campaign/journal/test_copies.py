@@ -148,8 +148,11 @@ def test_a_copy_is_not_made_over_a_file_nor_of_a_file_that_is_no_journal(
     assert app(["copy", str(journal), str(tmp_path / "d.journal")], standalone_mode=False) == 1
     assert "d.journal: differs from what was measured, as " in capsys.readouterr().err
     assert sorted(each.name for each in tmp_path.iterdir() if "journal" in each.name) == [
-        "a.journal", "b.journal", "c.journal", "d.journal",
-    ]  # fmt: skip
+        "a.journal",
+        "b.journal",
+        "c.journal",
+        "d.journal",
+    ]
 
 
 def test_of_two_copies_to_one_name_one_is_made_and_nothing_is_overwritten(

@@ -50,15 +50,22 @@ INSTRUMENT = Instrument(obstruction=False)
 TABLE = UncertaintyTable()
 COMMON = (*LIGHT, *VIEW)
 NAMES = (
-    *COMMON, *(f"sample_{each}" for each in MOUNTED), *(f"etalon_{each}" for each in MOUNTED),
-    *(f"sample_position_{each}" for each in POSITIONS), *(f"etalon_position_{each}" for each in POSITIONS),
-    "photodiode_angle", "photodiode_across",
-)  # fmt: skip
+    *COMMON,
+    *(f"sample_{each}" for each in MOUNTED),
+    *(f"etalon_{each}" for each in MOUNTED),
+    *(f"sample_position_{each}" for each in POSITIONS),
+    *(f"etalon_position_{each}" for each in POSITIONS),
+    "photodiode_angle",
+    "photodiode_across",
+)
 """All inputs; those that act on the sample alone, or on the etalon, begin with that word."""
 INPUTS = (
-    *rig_inputs(TABLE), *mounting_inputs(TABLE, "sample", "a"), *mounting_inputs(TABLE, "etalon", "b"),
-    *(position_input(TABLE, axis, 1) for axis in (*POSITIONS, *POSITIONS)), *photodiode_inputs(TABLE, 3),
-)  # fmt: skip
+    *rig_inputs(TABLE),
+    *mounting_inputs(TABLE, "sample", "a"),
+    *mounting_inputs(TABLE, "etalon", "b"),
+    *(position_input(TABLE, axis, 1) for axis in (*POSITIONS, *POSITIONS)),
+    *photodiode_inputs(TABLE, 3),
+)
 U = np.array([each.u for each in INPUTS])
 TILT_U = 0.05 / 3.0**0.5
 """Of the beam, whose tilt has no uncertainty by default."""
@@ -260,9 +267,7 @@ class Twin:
                 instrument = replace(INSTRUMENT, deviations={element: moved})
         return self._of(of_sample, instrument, turned, arc_direction(polar, azimuth, self._lower), gamma)
 
-    def _of(
-        self, of_sample: bool, instrument: Instrument, turned: float, directions: Floats, gamma: float = 0.0
-    ) -> Floats:  # fmt: skip
+    def _of(self, of_sample: bool, instrument: Instrument, turned: float, directions: Floats, gamma: float = 0.0) -> Floats:
         sigma = float(self._at.sigma_deg[0])
         at = sigma if of_sample or not self._far else 180.0 - sigma
         scatterer = self._sample if of_sample else DIFFUSER
@@ -275,8 +280,13 @@ def compare(sample: Scatterer, at: Views, step: float = 0.02) -> None:
     twin, effects = Twin(sample, at), pose_effects(INSTRUMENT, at)
     along, across = twin.slopes()
     parts: list[Displacement] = [
-        effects.common, effects.sample, effects.etalon, effects.position, effects.etalon_position, effects.photodiode,
-    ]  # fmt: skip
+        effects.common,
+        effects.sample,
+        effects.etalon,
+        effects.position,
+        effects.etalon_position,
+        effects.photodiode,
+    ]
     computed = np.concatenate([part.relative(along, across) for part in parts], axis=1)
     differences = [np.log(twin.value(name, step) / twin.value(name, -step)) / (2.0 * step) for name in NAMES]
     u = np.where(np.array([name.startswith("beam_tilt") for name in NAMES]), TILT_U, U)

@@ -149,8 +149,10 @@ def test_refusals_name_the_key(table: str, rig: str, reason: str) -> None:
 
 
 def test_the_limits_of_an_axis_and_a_gap_between_photodiodes_are_refused() -> None:
-    assert "the scan needs beta" in refused("sigma_deg = [12]\n[open_beam]\nposes = 51\nstep_deg = 0.1\n", WIDE.replace(
-        "lower_deg = -5.0\nupper_deg = 360.0", "lower_deg = -5.0\nupper_deg = 185.0"))  # fmt: skip
+    assert "the scan needs beta" in refused(
+        "sigma_deg = [12]\n[open_beam]\nposes = 51\nstep_deg = 0.1\n",
+        WIDE.replace("lower_deg = -5.0\nupper_deg = 360.0", "lower_deg = -5.0\nupper_deg = 185.0"),
+    )
     sparse = NARROW.replace("upper_deg = [0, 5,", "upper_deg = [0, 1,", 1).replace("15, 20, 25,", "15, 16, 17,", 1)
     table = "[open_beam]\nposes = 7\nstep_deg = 0.2\n"
     assert "at sigma 22 deg no photodiode of the upper arc reaches the beam" in refused(f"sigma_deg = [22]\n{table}", sparse)

@@ -78,11 +78,14 @@ def test_the_rows_do_not_depend_on_the_order(order: str | list[str], both: bool,
 @pytest.mark.parametrize(
     "text",
     [
-        "", "repeats = 2\nsignature = true\nopen_beam = true\n", "dark_every_s = 10\n", 'side = "both"\nlight = "both"\n',
-        '[drift]\nevery_s = 20\nsigma_deg = 45\nbeta_deg = 90\nwavelength_nm = 550\n[warm_up]\npercent_per_10min = 1\n',
+        "",
+        "repeats = 2\nsignature = true\nopen_beam = true\n",
+        "dark_every_s = 10\n",
+        'side = "both"\nlight = "both"\n',
+        "[drift]\nevery_s = 20\nsigma_deg = 45\nbeta_deg = 90\nwavelength_nm = 550\n[warm_up]\npercent_per_10min = 1\n",
         "[averaging]\nrelative_uncertainty = 0.01\n",
     ],
-)  # fmt: skip
+)
 def test_the_duration_of_each_row_is_that_of_the_timing(text: str) -> None:
     plan, state = planned(text), UNKNOWN_STATE
     timing = Timing(VIRTUAL.file, plan.expected_reading_s)
@@ -275,8 +278,9 @@ def test_the_warm_up_is_the_first_row() -> None:
 def test_auto_range_plans_all_gains_of_the_rig() -> None:
     plan = make_plan(parse_schedule(HEAD.replace("[1e8, 1e10]", '"automatic"') + GRIDS, "small.toml"), VIRTUAL)
     assert {(row.kind, row.automatic, row.gains) for row in plan.rows if row.kind != "mount"} == {
-        ("dark", False, (0, 1, 2, 3)), ("measure", True, (0, 1, 2, 3)),
-    }  # fmt: skip
+        ("dark", False, (0, 1, 2, 3)),
+        ("measure", True, (0, 1, 2, 3)),
+    }
 
 
 def test_the_next_sample_starts_at_the_last_point_of_the_one_before() -> None:

@@ -47,10 +47,16 @@ FILTERS = parse_rig(
 def schedule(**keys: object) -> ScheduleFile:
     return ScheduleFile.model_validate(
         {
-            "name": "n", "samples": ["a"], "etalon": "e", "sigma_deg": [0.0], "beta_deg": [0.0], "wavelength_nm": [550.0],
-            "gains_v_per_a": [1e8], **keys,
+            "name": "n",
+            "samples": ["a"],
+            "etalon": "e",
+            "sigma_deg": [0.0],
+            "beta_deg": [0.0],
+            "wavelength_nm": [550.0],
+            "gains_v_per_a": [1e8],
+            **keys,
         }
-    )  # fmt: skip
+    )
 
 
 def pose_product(*axes: list[float]) -> Floats:

@@ -122,8 +122,18 @@ def test_a_proof_continues_and_its_results_are_those_of_one_run(
     again = prove(proof, Here())
     assert run == [2, 2]
     assert json.dumps(again.as_dict()) == json.dumps(totals.as_dict())
-    assert {"rigs", "points", "coverage_percent", "standard_error_percent", "chi2_independent", "variance_shared", "mean_z",
-            "worst_cell_percent", "beyond_5u", "expected_beyond_5u"} <= again.as_dict().keys()  # fmt: skip
+    assert {
+        "rigs",
+        "points",
+        "coverage_percent",
+        "standard_error_percent",
+        "chi2_independent",
+        "variance_shared",
+        "mean_z",
+        "worst_cell_percent",
+        "beyond_5u",
+        "expected_beyond_5u",
+    } <= again.as_dict().keys()
     assert proof_text(proof, totals).startswith("SIMULATED: small on 2 virtual rigs")
     with pytest.raises(UserError, match="has results of another schedule, rig file, kind of proof or version"):
         prove(small_proof(write_rig, write_schedule, folder, wires=True), Here())

@@ -17,7 +17,7 @@ RIGS = 8
 @pytest.mark.parametrize("wires", [False, pytest.param(True, marks=pytest.mark.long)], ids=["without wires", "with wires"])
 def test_eight_rigs_have_the_law_that_they_state(
     wires: bool, write_rig: Writer, write_schedule: Writer, tmp_path: Path
-) -> None:  # fmt: skip
+) -> None:
     """(a) what a fit of all shared inputs leaves; (b) the fitted inputs over their u, and the angle as it was drawn.
 
     Of eight rigs: 1,400 values, whose chi-square has a standard error of 4 %; 35 determined inputs, one of 25 %.

@@ -19,9 +19,13 @@ def made_results(seed: int, rigs: int, values: int, common: float, wrong: float 
         z = wrong * (math.sqrt(common) * rng.normal() + math.sqrt(1.0 - common) * rng.normal(size=values))
         left = z - z.mean()
         cell = Cell(
-            values, int(np.sum(np.abs(z) <= 1.96)), float(z.sum()), int(np.sum(np.abs(z) > 5.0)), float(np.sum(left**2)),
+            values,
+            int(np.sum(np.abs(z) <= 1.96)),
+            float(z.sum()),
+            int(np.sum(np.abs(z) > 5.0)),
+            float(np.sum(left**2)),
             (1.0 - common) * (values - 1.0),
-        )  # fmt: skip
+        )
         u = 0.01
         results.append(
             RigResult(

@@ -67,10 +67,13 @@ wavelength_nm, radiance_factor, relative_uncertainty
 700, 1.0, 0.003
 """
 ALL_SETTINGS = replace(
-    SETTINGS, rig=replace(FILE, uncertainty=TABLE), geometry=ArcGeometry(replace(FILE, uncertainty=TABLE)),
-    certificate=parse_certificate(CERTIFIED, "c"), sample="paint",
+    SETTINGS,
+    rig=replace(FILE, uncertainty=TABLE),
+    geometry=ArcGeometry(replace(FILE, uncertainty=TABLE)),
+    certificate=parse_certificate(CERTIFIED, "c"),
+    sample="paint",
     schedule=SETTINGS.schedule.model_copy(update={"diattenuation": {"paint": 0.3}}),
-)  # fmt: skip
+)
 """With every component that a rig file, certificate and schedule can state of one standard."""
 TWO_STANDARDS = replace(
     ALL_SETTINGS,
@@ -92,9 +95,14 @@ def measured(
         parts.append(replace(made, row=rows[0], etalon_row=rows[1], second_row=second))
     points = join_points(parts)
     given = replace(
-        points.with_quantity(divided(points, relative or {})), slope_along=slope[:, 0], slope_across=slope[:, 1], gain=GAIN,
-        field_correction=CORRECTION, wavelength_slope=0.01 * CORRECTION, band_correction=0.02 * CORRECTION,
-    )  # fmt: skip
+        points.with_quantity(divided(points, relative or {})),
+        slope_along=slope[:, 0],
+        slope_across=slope[:, 1],
+        gain=GAIN,
+        field_correction=CORRECTION,
+        wavelength_slope=0.01 * CORRECTION,
+        band_correction=0.02 * CORRECTION,
+    )
     return add_pose(add_shared(given, settings_of), settings_of)
 
 
@@ -106,9 +114,12 @@ def divided(points: BsdfPoints, relative: dict[str, Floats]) -> Quantity:
         """One with the effects of `names`, by what they are called in `relative`."""
         of_row = numbers.row(rows, gain)
         members = {
-            "dark": (rows * numbers.gains + gain) * numbers.photodiodes + points.photodiode, "lamp": of_row, "monitor": of_row,
-            "gain": numbers.gain(points.photodiode, gain), "signature_reading": numbers.reading(rows, points.photodiode),
-        }  # fmt: skip
+            "dark": (rows * numbers.gains + gain) * numbers.photodiodes + points.photodiode,
+            "lamp": of_row,
+            "monitor": of_row,
+            "gain": numbers.gain(points.photodiode, gain),
+            "signature_reading": numbers.reading(rows, points.photodiode),
+        }
         result = Quantity(value)
         for name, called in names.items():
             if called in relative:
@@ -227,9 +238,17 @@ def test_the_pipeline_and_the_effects_agree_on_what_is_a_family() -> None:
     effects = effects_of(points, SETTINGS)
     assert set(effects.independent) == OWN
     assert sorted(group.name for group in effects.groups) == [
-        "band_shape", "calibration", "dark", "etalon_reading", "gain", "lamp", "monitor", "photodiode_angle", "position",
+        "band_shape",
+        "calibration",
+        "dark",
+        "etalon_reading",
+        "gain",
+        "lamp",
+        "monitor",
+        "photodiode_angle",
+        "position",
         "signature_reading",
-    ]  # fmt: skip
+    ]
     names = [each.name for part in effects.dense for each in part.inputs]
     assert {"certificate[level]", "field", "signature", "sigma_zero", "sample_tilt_x@sample#1"} <= set(names)
     assert len(names) == len(set(names))
@@ -275,9 +294,18 @@ def test_covariances_are_those_that_gtc_finds_from_the_formula_of_a_value(settin
 
 
 GTC_NAMES = (
-    "noise", "monitor", "lamp", "etalon_lamp", "gain", "crosstalk", "etalon_crosstalk", "etalon_reading", "calibration", "dark",
+    "noise",
+    "monitor",
+    "lamp",
+    "etalon_lamp",
+    "gain",
+    "crosstalk",
+    "etalon_crosstalk",
+    "etalon_reading",
+    "calibration",
+    "dark",
     "etalon_dark",
-)  # fmt: skip
+)
 COMMON = ("linearity", "crosstalk", "signature", "monitor_drift", "monitor_linearity", "field")
 OWN = {"noise", "resolution", "ray_tracing", "field_noise", "field_unresolved", "second_order", "slope_unresolved"}
 
@@ -295,9 +323,14 @@ class Formula:
         self._points, self._relative, self._sample = points, relative, sample
         self.inputs: dict[str, GTC.lib.UncertainReal] = {}
         views = Views(
-            points.sigma_deg, points.gamma_deg, np.radians(points.zenith_deg), np.radians(points.azimuth_deg),
-            points.back, points.transmitted, points.back,
-        )  # fmt: skip
+            points.sigma_deg,
+            points.gamma_deg,
+            np.radians(points.zenith_deg),
+            np.radians(points.azimuth_deg),
+            points.back,
+            points.transmitted,
+            points.back,
+        )
         self._effects, self._by_image = pose_effects(nominal_instrument(FILE), views), height_effects(RigLaw.of(FILE), views)
 
     def value(self, k: int) -> GTC.lib.UncertainReal:
@@ -352,9 +385,10 @@ class Formula:
         s, p = FILE.light.mirror_p**3, FILE.light.mirror_s**3  # of unpolarised light, over three mirrors
         signal = signal * (1.0 + (s - p) / (s + p) * self._input(f"polarisation@{self._sample}", 0.3))
         for name, key in (
-            ("linearity", "linearity_per_decade"), ("monitor_drift", "monitor_drift_per_hour"),
+            ("linearity", "linearity_per_decade"),
+            ("monitor_drift", "monitor_drift_per_hour"),
             ("monitor_linearity", "monitor_linearity_per_decade"),
-        ):  # fmt: skip
+        ):
             u = getattr(KEYS, key)
             signal = signal * (1.0 + self._relative[name][k] / u * self._input(name, u))
         signal = signal * (1.0 + self._relative["signature"][k] * self._input("signature", 1.0))
@@ -419,11 +453,17 @@ def executed(
 def test_the_history_counts_mountings_and_moves() -> None:
     one, two = (0.0, 30.0, 0.0, 0.0), (0.0, 30.0, 45.0, 0.0)
     rows = [
-        executed(0, "mount", "etalon"), executed(1, "dark", "etalon"), executed(2, "measure", "etalon", one),
-        executed(3, "measure", "etalon", two), executed(4, "mount", "paint"), executed(5, "dark", "paint"),
-        executed(6, "measure", "paint", two), executed(7, "measure", "paint", (0.0, 30.0, 45.0 + 1e-9, 0.0)),
-        executed(9, "mount", "paint", session=2), executed(8, "measure", "paint", two, session=2),
-    ]  # fmt: skip
+        executed(0, "mount", "etalon"),
+        executed(1, "dark", "etalon"),
+        executed(2, "measure", "etalon", one),
+        executed(3, "measure", "etalon", two),
+        executed(4, "mount", "paint"),
+        executed(5, "dark", "paint"),
+        executed(6, "measure", "paint", two),
+        executed(7, "measure", "paint", (0.0, 30.0, 45.0 + 1e-9, 0.0)),
+        executed(9, "mount", "paint", session=2),
+        executed(8, "measure", "paint", two, session=2),
+    ]
     names, table = history_of(rows)
     assert names[1:] == ["etalon#1", "paint#1", "paint#2"]
     by_row = {each[0]: each[1:] for each in table.tolist()}

@@ -286,8 +286,10 @@ def test_gains_that_are_not_those_of_the_rig_file_are_found_and_corrected() -> N
         signal = drawn.signals(known)
         at_high = signal.gain == RIG_FILE.photodiodes.gains_v_per_a.index(HIGH)
         real = np.log(signal.value * MONITOR_A / drawn.truth_a)
-        scale = {gain: np.array([np.median(real[here[:, c], c]) if here[:, c].any() else np.nan for c in range(N)])
-                 for gain, here in ((HIGH, at_high), (LOW, ~at_high))}  # fmt: skip
+        scale = {
+            gain: np.array([np.median(real[here[:, c], c]) if here[:, c].any() else np.nan for c in range(N)])
+            for gain, here in ((HIGH, at_high), (LOW, ~at_high))
+        }
         return float(np.nanstd(scale[HIGH] - scale[LOW]))
 
     assert rms(plain(drawn)) > 0.02

@@ -125,9 +125,18 @@ def test_the_correction_inverts_the_mean_over_directions_of_a_gaussian_lobe(widt
         fits.append(replace(fit, **{name: each[2::5] for name, each in vars(fit).items()}))
     along, across = fits
     slopes = Slopes(
-        along.first, across.first, along.second, across.second, np.full(x.size, -inverse[0, 1]), along, across,
-        across, np.zeros((x.size, 5, 5)), np.ones(x.size, dtype=bool), *np.zeros((4, x.size)),
-    )  # fmt: skip
+        along.first,
+        across.first,
+        along.second,
+        across.second,
+        np.full(x.size, -inverse[0, 1]),
+        along,
+        across,
+        across,
+        np.zeros((x.size, 5, 5)),
+        np.ones(x.size, dtype=bool),
+        *np.zeros((4, x.size)),
+    )
     found = correct_logarithm(slopes, np.tile([field[0, 0], field[1, 1], field[0, 1]], (x.size, 1)))
     original = np.linalg.inv(of_lobe)
     assert mean(at) + found.logarithm == pytest.approx(-0.5 * np.einsum("ni,ij,nj->n", at, original, at), abs=1e-6)
@@ -275,9 +284,13 @@ def test_the_lobes_centre_and_the_axes_are_those_of_the_point_on_both_sides_and_
     for view in (view for beta in (20.0, 180.0) for view in arc_views(rig, (0.0, sigma, beta, 2.5))):
         points = points_of(1.0, view.polar, (0.0,), sigma)
         points = replace(
-            points, zenith_deg=view.zenith, azimuth_deg=view.azimuth, theta_deg=view.theta,
-            back=np.full(view.theta.size, view.back), transmitted=np.full(view.theta.size, view.transmitted),
-        )  # fmt: skip
+            points,
+            zenith_deg=view.zenith,
+            azimuth_deg=view.azimuth,
+            theta_deg=view.theta,
+            back=np.full(view.theta.size, view.back),
+            transmitted=np.full(view.theta.size, view.transmitted),
+        )
         values = merge_directions(points)
         assert np.degrees(np.arccos(values.directions.middle))[values.which] == pytest.approx(view.theta, abs=1e-5)
         centre = np.array([-1.0, -1.0, 1.0]) * light_direction(sigma) if not view.transmitted else -light_direction(sigma)
@@ -484,9 +497,16 @@ def test_at_the_very_centre_of_a_lobe_there_is_no_slope(middle: float, along: fl
     number, one, none = np.zeros(theta.size, dtype=np.int64), np.ones(theta.size), np.zeros(theta.size)
     at = theta == 0.0
     directions = Directions(
-        number, number, number, theta + 0.5, none + math.pi, one, np.where(at, middle, np.cos(theta)),
-        np.where(at, along, -np.sin(theta)), none,
-    )  # fmt: skip
+        number,
+        number,
+        number,
+        theta + 0.5,
+        none + math.pi,
+        one,
+        np.where(at, middle, np.cos(theta)),
+        np.where(at, along, -np.sin(theta)),
+        none,
+    )
     found = slopes_of(directions, -(((theta - 0.001) / 0.05) ** 2), none + 1e-6, math.radians(1.2))
     centre = np.flatnonzero(at)[0]
     assert abs(found.first_across[centre]) < 1e-3

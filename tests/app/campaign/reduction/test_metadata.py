@@ -34,10 +34,12 @@ def metadata(write_rig: Writer, write_schedule: Writer, schedule: str, *rig: Cha
 def test_what_a_person_states_and_what_rig_and_journal_know_are_the_metadata(write_rig: Writer, write_schedule: Writer) -> None:
     drift = "[drift]\nevery_s = 60.0\nsigma_deg = 30.0\nbeta_deg = 180.0\nwavelength_nm = 550.0\n"
     found = metadata(
-        write_rig, write_schedule, f"{SMALL}signature = true\n{drift}{STATED}",
+        write_rig,
+        write_schedule,
+        f"{SMALL}signature = true\n{drift}{STATED}",
         ("[etalon] ", "[light]\nbandwidth_nm = 4.0\n\n[etalon] "),
         ("radiance_factor = 0.99", "radiance_factor = 0.99\ncalibrated = 2026-01-15"),
-    )  # fmt: skip
+    )
     stated = tomllib.loads(STATED)["metadata"]
     assert asdict(found.sample) == stated["samples"]["gaussian-5"]
     names = ("title", "operator", "laboratory", "environment", "licence")

@@ -34,9 +34,11 @@ def measure(write_rig: Writer, write_schedule: Writer, path: Path, *, share: flo
     """A journal with noise and 84 overlaps; after the etalon, photodiode 5 gives only a `share` of its signal."""
     rig = write_rig(("[twin.samples.etalon]", sample))
     changes = (
-        ("gaussian-5", "grey"), ("[1e8, 1e10]", '"automatic"'), ("shift_deg = [0, 1]", "shift_deg = [0]"),
+        ("gaussian-5", "grey"),
+        ("[1e8, 1e10]", '"automatic"'),
+        ("shift_deg = [0, 1]", "shift_deg = [0]"),
         ("beta_deg = [180]", "beta_deg = { start = 0, stop = 180, step = 45 }"),
-    )  # fmt: skip
+    )
     schedule = write_schedule(*changes, text=f"{SMALL}[overlap]\npoints = 5\n")
     rigs: list[OpenRig] = []
 
@@ -190,9 +192,12 @@ def test_parts_without_a_connecting_overlap_have_levels_of_their_own() -> None:
     left = chain(rng, np.array([0.0, 0.02, 0.0, 0.0]), 20, 1e-4, 0.0)
     right = chain(rng, np.zeros(3), 20, 1e-4, 0.0)
     pairs = OverlapPairs(
-        np.append(left.one, right.one + 10), np.append(left.other, right.other + 10), np.append(left.ratio, right.ratio),
-        np.append(left.variance, right.variance), np.append(left.together, right.together + 100),
-    )  # fmt: skip
+        np.append(left.one, right.one + 10),
+        np.append(left.other, right.other + 10),
+        np.append(left.ratio, right.ratio),
+        np.append(left.variance, right.variance),
+        np.append(left.together, right.together + 100),
+    )
     result = fit_factors(pairs, 0.0, {*range(4), 10, 11, 12, 20})
     assert result.photodiodes == (0, 1, 2, 3, 10, 11, 12)
     assert result.unconnected == (20,)

@@ -31,8 +31,10 @@ from tests.conftest import RIG, SMALL, Writer, changed
 WHITE = ('model = "lambertian"\nreflectance = 0.99', 'model = "lambertian"\nreflectance = 0.99\nside = "both"')
 GLASS = '[twin.samples.glass]\nmodel = "lambertian"\nreflectance = 0.4\ntransmittance = 0.3\nside = "both"\n\n'
 FEW = (
-    ('["gaussian-5"]', '["glass", "gaussian-5"]'), ("beta_deg = [180]", "beta_deg = [0, 45, 180]"), ("[0, 1]", "[0]"),
-)  # fmt: skip
+    ('["gaussian-5"]', '["glass", "gaussian-5"]'),
+    ("beta_deg = [180]", "beta_deg = [0, 45, 180]"),
+    ("[0, 1]", "[0]"),
+)
 MANY = (*FEW[:2], ("[30]", "[30, 45]"), ("[550]", "[500, 550]"))
 JOURNALS = pytest.mark.parametrize(
     ("journal", "sizes"),
@@ -47,7 +49,7 @@ EVERYTHING = (
     SMALL + 'side = "both"\nlight = "both"\nsignature = true\nrepeats = 2\n'
     "[drift]\nevery_s = 60\nsigma_deg = 30\nbeta_deg = 180\nwavelength_nm = 550\n"
     "[symmetry_check]\npoints = 2\n[overlap]\npoints = 2\ncalibrate = true\n"
-)  # fmt: skip
+)
 
 
 @pytest.fixture(scope="session")

@@ -103,14 +103,18 @@ def test_the_blur_that_is_corrected_is_that_of_an_independent_program(
 @pytest.mark.parametrize(
     "change",
     [
-        ("[axes.sigma]                            # the mirror unit about the illumination axis\nmotor = 4\ngear = 36.0",
-         "[axes.sigma]\nmotor = 4\ngear = 40.0"),
-        ("[axes.sigma]                            # the mirror unit about the illumination axis\nmotor = 4",
-         "[axes.sigma]\nsense = -1\nmotor = 4"),
+        (
+            "[axes.sigma]                            # the mirror unit about the illumination axis\nmotor = 4\ngear = 36.0",
+            "[axes.sigma]\nmotor = 4\ngear = 40.0",
+        ),
+        (
+            "[axes.sigma]                            # the mirror unit about the illumination axis\nmotor = 4",
+            "[axes.sigma]\nsense = -1\nmotor = 4",
+        ),
         ("encoder = false\n\n[mono", "encoder = false\nsense = -1\n\n[mono"),
     ],
     ids=["gear of sigma", "sense of sigma", "sense of the shift"],
-)  # fmt: skip
+)
 def test_a_wrong_gear_or_sense_in_the_rig_file_shows_in_the_bsdf(
     write_rig: Writer, write_schedule: Writer, measure: Measure, change: tuple[str, str], demo: BsdfDataset
 ) -> None:

@@ -62,10 +62,26 @@ def arc_rows(values: Floats, etalon: Floats, at: Floats = AT, noise: float = 1e-
     signal = Signal(etalon, {"noise": np.zeros(values.shape)}, gain=np.zeros(values.shape, dtype=np.int64))
     estimate = Quantity(values, {"noise": (noise * values) ** 2})
     return ArcRows(
-        np.arange(at.size), places, none[:, 0], np.arange(at.size), (), np.zeros(at.size, dtype=np.int64),
-        np.full((at.size, 1), 30.0), none,
-        estimate, signal, signal, signal, signal, none[:, :1], unknown, unknown, unknown, unknown, {},
-    )  # fmt: skip
+        np.arange(at.size),
+        places,
+        none[:, 0],
+        np.arange(at.size),
+        (),
+        np.zeros(at.size, dtype=np.int64),
+        np.full((at.size, 1), 30.0),
+        none,
+        estimate,
+        signal,
+        signal,
+        signal,
+        signal,
+        none[:, :1],
+        unknown,
+        unknown,
+        unknown,
+        unknown,
+        {},
+    )
 
 
 def through_band(f: Polynomial, s: Polynomial, at: Floats, band: float) -> tuple[Floats, Floats]:
@@ -117,8 +133,9 @@ def test_without_a_stated_band_nothing_is_corrected_and_all_of_the_effect_is_in_
     assert assumed.band_correction == pytest.approx(stated.band_correction)
     points = replace(
         made_points(30.0, np.zeros(AT.size), np.zeros(AT.size), measured[:, 0], 0.0),
-        band_correction=assumed.band_correction[:, 0], wavelength_slope=assumed.wavelength_slope[:, 0],
-    )  # fmt: skip
+        band_correction=assumed.band_correction[:, 0],
+        wavelength_slope=assumed.wavelength_slope[:, 0],
+    )
     for band, share in ((None, 1.0), (5.0, 0.5)):
         effects = bandwidth_effects(points, settings(band))
         assert effects is not None

@@ -88,10 +88,8 @@ class Formula:
         volts = [reading.counts[:, j].mean() * lsb - self._dark_volts(reading, j) for j in self._module]
         clipped = np.any(range_.saturated(reading.counts), axis=0).tolist()
         others = sum(
-            (1.5 if clipped[j] else 1.0) * GTC.value(each)
-            for j, each in zip(self._module, volts, strict=True)
-            if j != c
-        )  # fmt: skip
+            (1.5 if clipped[j] else 1.0) * GTC.value(each) for j, each in zip(self._module, volts, strict=True) if j != c
+        )
         evidence, n = self._reduction.measurements.evidence, self._conversions(reading)
         mine = volts[self._module.index(c)] + others * self._input("crosstalk", keys.crosstalk)
         current = mine / gain
@@ -205,9 +203,10 @@ class Formula:
         for i, each in enumerate(rig_inputs(self._rig.uncertainty)):
             yield each.name, change(effects.common, i), each.u
         for place, kind, part, sign in (
-            (self._sample, "sample", effects.sample, 1.0), ("etalon", "etalon", effects.etalon, weights[0]),
+            (self._sample, "sample", effects.sample, 1.0),
+            ("etalon", "etalon", effects.etalon, weights[0]),
             ("second", "etalon", effects.etalon, weights[1]),
-        ):  # fmt: skip
+        ):
             for i, name in enumerate(MOUNTED):
                 key = f"{kind}_height_mm" if name == "height" else f"{kind}_tilt_deg"
                 yield f"{kind}_{name}@{place}#1", sign * change(part, i), width(key)
@@ -220,7 +219,7 @@ class Formula:
         for i, axis in enumerate(POSITIONS):
             for row, part, sign in zip(
                 rows, (effects.position, effects.etalon_position, effects.etalon_position), (1.0, *weights), strict=True
-            ):  # fmt: skip
+            ):
                 yield f"position@{axis}#{self._moves(i, row)}", sign * change(part, i), width("position_deg")
         law = RigLaw.of(self._rig)
         by_image = height_effects(law, views)

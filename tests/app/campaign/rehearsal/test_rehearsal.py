@@ -26,10 +26,12 @@ from tests.conftest import Change, Writer
 REAL = tuple(
     (f"twin://virtual/{name}", address)
     for name, address in (
-        ("axes", "/dev/ttyACM0"), ("mono", "/dev/ttyUSB0"), ("monitor", "1313:8078:P0012345"),
+        ("axes", "/dev/ttyACM0"),
+        ("mono", "/dev/ttyUSB0"),
+        ("monitor", "1313:8078:P0012345"),
         *((f"adc-{k}", f"adam-{k}:502") for k in range(5)),
     )
-)  # fmt: skip
+)
 """Addresses of a real rig's devices."""
 
 

@@ -92,9 +92,17 @@ def test_each_move_arrives_at_its_angle_in_spite_of_backlash(approach: str, sens
     """Also the first one, which may be none: driven downwards the axis is higher by the backlash, in the twin and in truth."""
     play = 0.3
     settings = AxisSettings(
-        motor=0, gear=36.0, sense=sense, zero_offset_deg=zero_deg, lower_deg=-90.0, upper_deg=90.0, speed_deg_s=10.0,  # type: ignore[arg-type]
-        acceleration_deg_s2=10.0, backlash_deg=play, approach_from=approach,  # type: ignore[arg-type]
-    )  # fmt: skip
+        motor=0,
+        gear=36.0,
+        sense=sense,
+        zero_offset_deg=zero_deg,
+        lower_deg=-90.0,
+        upper_deg=90.0,
+        speed_deg_s=10.0,  # type: ignore[arg-type]
+        acceleration_deg_s2=10.0,
+        backlash_deg=play,
+        approach_from=approach,  # type: ignore[arg-type]
+    )
     built = zero_deg - (play if approach == "above" else 0.0)
     targets = [zero_deg, zero_deg - 0.1, *np.random.default_rng(1).uniform(-60.0, 60.0, 20).tolist()]
     for first in (0, 1):

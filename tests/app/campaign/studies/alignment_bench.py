@@ -38,18 +38,29 @@ PROOF = REPOSITORY / "examples" / "proof"
 SCHEDULE = PROOF / "alignment.toml"
 SAMPLE = "two-sided-5"
 OF_RIG = {
-    "sample_tilt_deg": 0.1, "etalon_tilt_deg": 0.1, "mirror_tilt_deg": 0.1, "arc_tilt_deg": 0.1,
+    "sample_tilt_deg": 0.1,
+    "etalon_tilt_deg": 0.1,
+    "mirror_tilt_deg": 0.1,
+    "arc_tilt_deg": 0.1,
     "beam_tilt_deg": 0.1,
-    "sigma_zero_deg": 0.2, "beta_zero_deg": 0.2, "shift_zero_deg": 0.2,
-}  # fmt: skip
+    "sigma_zero_deg": 0.2,
+    "beta_zero_deg": 0.2,
+    "shift_zero_deg": 0.2,
+}
 """Half widths of the angles that are found: a tilt of the beam is one of the whole unit about the sample's centre."""
 OF_READINGS = {"photodiode_angle_deg": 0.02, "photodiode_across_deg": 0.02, "position_deg": 0.005}
 NONE = dict.fromkeys(
     (
-        "sensor_tilt_deg", "sample_height_mm", "etalon_height_mm", "mirror_shift_mm", "illumination_shift_mm", "arc_shift_mm",
+        "sensor_tilt_deg",
+        "sample_height_mm",
+        "etalon_height_mm",
+        "mirror_shift_mm",
+        "illumination_shift_mm",
+        "arc_shift_mm",
         "sensor_shift_mm",
-    ), 0.0
-)  # fmt: skip
+    ),
+    0.0,
+)
 CUT = """
 name = "cut"
 symmetry = "anisotropic"
@@ -204,9 +215,14 @@ def unmeasured_views() -> Views:
     polar = np.array([s for s, _ in places] * 2)
     n = sigma.size
     return Views(
-        sigma, np.array([g for _, g in places] * 2), np.radians(polar), np.full(n, math.pi), sigma > 90.0,
-        np.zeros(n, dtype=bool), np.zeros(n, dtype=bool),
-    )  # fmt: skip
+        sigma,
+        np.array([g for _, g in places] * 2),
+        np.radians(polar),
+        np.full(n, math.pi),
+        sigma > 90.0,
+        np.zeros(n, dtype=bool),
+        np.zeros(n, dtype=bool),
+    )
 
 
 def predictions(alignment: Alignment, rig: RigDescription, views: Views, mounting: str) -> tuple[Floats, Floats]:
@@ -240,11 +256,18 @@ def judge_alignment(result: AlignmentResult, plan: NewPlan) -> RigFindings:
     known = variance > LEAST_EIGENVALUE
     scores = (vectors.T @ difference.T.ravel())[known] ** 2 / variance[known]
     return RigFindings(
-        plan.rig.seed, len(plan.rows), errors, tuple(each.u for each in result.combinations),
+        plan.rig.seed,
+        len(plan.rows),
+        errors,
+        tuple(each.u for each in result.combinations),
         float(np.median(np.linalg.norm(difference + own, axis=1))),
-        float(np.median(np.linalg.norm(difference, axis=1))), float(np.mean(scores)), result.chi_square,
-        dark_share(model, drawn), 0.0 if result.light is None else result.light.dark, result.findings,
-    )  # fmt: skip
+        float(np.median(np.linalg.norm(difference, axis=1))),
+        float(np.mean(scores)),
+        result.chi_square,
+        dark_share(model, drawn),
+        0.0 if result.light is None else result.light.dark,
+        result.findings,
+    )
 
 
 def find(seed: int, folder: Path, *, wires: bool = False, cut: bool = True) -> RigFindings:

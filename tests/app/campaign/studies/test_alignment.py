@@ -55,10 +55,7 @@ gains_v_per_a = [1e8, 1e10]
 readings = 2
 dark_every_s = 6000
 """
-FEW = (
-    SMALL.replace('side = "both"', 'side = "front"').replace("[5, 30, 60]", "[5, 30]")
-    .replace("small alignment", "few")
-)  # fmt: skip
+FEW = SMALL.replace('side = "both"', 'side = "front"').replace("[5, 30, 60]", "[5, 30]").replace("small alignment", "few")
 """Of the front alone, at two incidences."""
 LIT, PART_DARK = 7, 8
 """Seeds of rigs with a hole of which 2 % and a fifth are dark."""

@@ -89,9 +89,7 @@ gains_v_per_a = [1e10]
 poses = 5
 step_deg = 0.4
 """
-CERTIFICATE = Component(
-    "certificate", 0.002, 1.0, InputQuantity("certificate", "1", 0.002, "normal", "all values", "", "")
-)  # fmt: skip
+CERTIFICATE = Component("certificate", 0.002, 1.0, InputQuantity("certificate", "1", 0.002, "normal", "all values", "", ""))
 
 
 def scans_of(sigmas: str, table: str = "") -> list[BeamScan]:
@@ -112,9 +110,12 @@ def as_read(seen: Floats, gain: int, first_row: int) -> Signal:
 
 
 def beam_signal(
-    scan: BeamScan, instrument: Instrument, along_deg: float | Floats = 0.0, across_deg: float | Floats = 0.0,
+    scan: BeamScan,
+    instrument: Instrument,
+    along_deg: float | Floats = 0.0,
+    across_deg: float | Floats = 0.0,
     sigma_deg: float = 0.0,
-) -> Signal:  # fmt: skip
+) -> Signal:
     """The open beam at all poses of a scan, without wires; the photodiode is off by two angles, the mirror unit by one."""
     azimuth = scan.azimuth_deg + across_deg / math.sin(math.radians(scan.at_deg))
     directions = arc_direction(scan.polar_deg + along_deg, azimuth, scan.arc == "lower")
@@ -394,11 +395,14 @@ def at_places(scan: BeamScan, tilts: dict[str, float]) -> tuple[SeenLight, SeenL
 @pytest.mark.parametrize(
     ("sigmas", "tilts", "least"),
     [
-        ("[15]", {"rx_deg": 0.1}, 0.0), ("[15]", {"ry_deg": 0.1}, 0.0),
-        ("[15]", {"rx_deg": 0.05, "ry_deg": 0.07}, 0.004), ("[15]", {"rx_deg": 0.08, "ry_deg": -0.1}, -0.015),
-        ("[65]", {"rx_deg": 0.05, "ry_deg": 0.07}, -0.025), ("[65]", {"rx_deg": 0.08, "ry_deg": -0.1}, 0.13),
+        ("[15]", {"rx_deg": 0.1}, 0.0),
+        ("[15]", {"ry_deg": 0.1}, 0.0),
+        ("[15]", {"rx_deg": 0.05, "ry_deg": 0.07}, 0.004),
+        ("[15]", {"rx_deg": 0.08, "ry_deg": -0.1}, -0.015),
+        ("[65]", {"rx_deg": 0.05, "ry_deg": 0.07}, -0.025),
+        ("[65]", {"rx_deg": 0.08, "ry_deg": -0.1}, 0.13),
     ],
-)  # fmt: skip
+)
 def test_a_dark_corner_of_the_hole_is_another_one_at_the_open_beam(sigmas: str, tilts: dict[str, float], least: float) -> None:
     """Against the twin with the slit's image, and without. An image that is off in one direction alone does nothing."""
     (scan,) = scans_of(sigmas)
@@ -414,10 +418,12 @@ def test_a_dark_corner_of_the_hole_is_another_one_at_the_open_beam(sigmas: str, 
 @pytest.mark.parametrize(
     ("tilts", "off"),
     [
-        ({"ry_deg": 0.1}, {"ry_deg": 0.05}), ({"ry_deg": 0.1}, {"rx_deg": 0.05}), ({"ry_deg": 0.1}, {"x_mm": 0.1}),
+        ({"ry_deg": 0.1}, {"ry_deg": 0.05}),
+        ({"ry_deg": 0.1}, {"rx_deg": 0.05}),
+        ({"ry_deg": 0.1}, {"x_mm": 0.1}),
         ({"rx_deg": 0.1}, {"ry_deg": 0.05}),
     ],
-)  # fmt: skip
+)
 def test_a_disc_that_is_off_sees_two_dark_sides_unlike(tilts: dict[str, float], off: dict[str, float]) -> None:
     """Both ways, against the twin: the part of the hole that is lit at the etalon is opposite to that of the open beam."""
     (scan,) = scans_of("[15]")

@@ -126,9 +126,10 @@ def pose_u(at: Views, known: Alignment, photodiode: int, mounting: str = "paint#
     table, effects = FILE.uncertainty, pose_effects(nominal_instrument(FILE), at)
     known = known.with_inputs([*mounting_inputs(table, "sample", mounting), *photodiode_inputs(table, photodiode)])
     parts = [
-        (rig_inputs(table), effects.common), (mounting_inputs(table, "sample", mounting), effects.sample),
+        (rig_inputs(table), effects.common),
+        (mounting_inputs(table, "sample", mounting), effects.sample),
         (photodiode_inputs(table, photodiode), effects.photodiode),
-    ]  # fmt: skip
+    ]
     moved = displacement_of(known, parts)
     along, across = (math.sqrt(float((each @ known.covariance @ each.T)[0, 0])) for each in (moved.along, moved.across))
     return along, across

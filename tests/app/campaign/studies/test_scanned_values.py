@@ -49,10 +49,12 @@ REFLECTED: tuple[Change, ...] = (
     ("sigma_deg = [45]", "sigma_deg = [20]"),
 )
 THREE_SCANS: tuple[Change, ...] = (
-    ('light = "transmitted"\nsamples = ["film"]', 'samples = ["gaussian-5", "gaussian-15"]'), ("white-tile", "etalon"),
-    ("sigma_deg = [45]", "sigma_deg = [16, 41, 66]"), ("beta_deg = [165, 170, 175, 185]", "beta_deg = [180]"),
+    ('light = "transmitted"\nsamples = ["film"]', 'samples = ["gaussian-5", "gaussian-15"]'),
+    ("white-tile", "etalon"),
+    ("sigma_deg = [45]", "sigma_deg = [16, 41, 66]"),
+    ("beta_deg = [165, 170, 175, 185]", "beta_deg = [180]"),
     ("shift_deg = [0, 2.5]", "shift_deg = [0, 1, 2, 3, 4]"),
-)  # fmt: skip
+)
 DOCUMENT = REPOSITORY / "docs" / "uncertainty.md"
 RIGS = 4
 UPPER = 1e-2

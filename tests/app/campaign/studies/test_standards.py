@@ -250,7 +250,7 @@ def reduced(
         place = np.array([[640.0, 0.0, 20.0, 180.0, 0.0]])
         return RowSignals(
             np.array([number]), place, none[:, 0], signal, dict.fromkeys(TROUBLES, none), np.zeros(1), np.zeros(1)
-        )  # fmt: skip
+        )
 
     found = reduce_rows(rows(9, np.ones(1)), ReferenceSignals(rows(3, etalon), None, rows(6, second)), settings)
     assert found is not None
@@ -320,8 +320,10 @@ def test_where_the_second_standard_has_no_light_the_etalon_alone_is_the_scale() 
 def test_the_second_standard_is_measured_after_the_etalon_in_all_of_its_poses() -> None:
     (plan,) = plans(range(1, 2))
     assert [passes[0].sample for passes in plan.mountings] == ["etalon", "second", "gaussian-5"]
-    poses = [[(row.pose, row.wavelength_nm) for row in plan.rows if (row.kind, row.sample) == ("measure", name)]
-             for name in ("etalon", "second")]  # fmt: skip
+    poses = [
+        [(row.pose, row.wavelength_nm) for row in plan.rows if (row.kind, row.sample) == ("measure", name)]
+        for name in ("etalon", "second")
+    ]
     assert sorted(poses[0]) == sorted(poses[1])
     identities = [row.identity for row in plan.rows]
     assert len(set(identities)) == len(identities)

@@ -35,9 +35,10 @@ from tests.conftest import Change, Writer
 
 PAIRS = (("sigma_deg = [30]", "sigma_deg = [30, 35]"), ("beta_deg = [180]", "beta_deg = [0, 180]"))
 HALF_SPHERE = (
-    ("beta_deg = [180]", "beta_deg = { start = 0, stop = 180, step = 45 }"), ("shift_deg = [0, 1]", "shift_deg = [0]"),
+    ("beta_deg = [180]", "beta_deg = { start = 0, stop = 180, step = 45 }"),
+    ("shift_deg = [0, 1]", "shift_deg = [0]"),
     ('samples = ["gaussian-5"]', 'samples = ["paint"]'),
-)  # fmt: skip
+)
 PAINT = ("[twin.samples.etalon]", '[twin.samples.paint]\nmodel = "lambertian"\nreflectance = 0.6\n\n[twin.samples.etalon]')
 SPREAD = ("[twin.light]", "[twin.electronics]\ngain_spread = 0.02\n\n[twin.light]")
 TURNED = ("sigma = { motor = 4, gear = 36.0 }", "sigma = { motor = 4, gear = 36.0, zero_deg = 1.0 }")
@@ -151,7 +152,7 @@ def test_a_budget_marks_what_is_measured_stated_and_assumed(measure: Measure) ->
         ("sigma=30,zenith=36,azimuth=180,photodiode=3.5", r"photodiode=3.5: gaussian-5 has no values of it there, but of \d"),
         ("sample=paint,sigma=30,zenith=36,azimuth=180", "--at sample=paint: choose one of the journal's samples: gaussian-5"),
     ],
-)  # fmt: skip
+)
 def test_a_place_without_a_value_is_refused_with_its_neighbours(at: str, words: str, measure: Measure) -> None:
     with Journal.open(measure(PAIRS)) as journal, pytest.raises(UserError, match=words):
         budget_of_value(evaluate_journal(journal).reduction, parse_place(at))
@@ -199,7 +200,7 @@ def test_reciprocity_holds_and_a_wrong_zero_of_sigma_breaks_it(measure: Measure)
 
 def test_gains_that_are_not_those_of_the_rig_file_reach_the_operator(
     measure: Measure, write_rig: Writer, write_schedule: Writer, tmp_path: Path
-) -> None:  # fmt: skip
+) -> None:
     """By the run itself, by an export and by `verify`; and sound gains are no finding."""
     schedule = (*HALF_SPHERE, ("[1e8, 1e10]", "[1e10, 1e11]"))
     sound = measure(schedule, PAINT)
@@ -280,9 +281,12 @@ def test_pairs_have_light_and_view_exchanged() -> None:
             if name not in ("places", "place", "own", "common", "grouped", "stated")
         }
         both = replace(
-            one, places=np.concatenate([one.places, turned]), place=np.array([0, 1], dtype=np.int32),
-            own={"noise": np.zeros(2)}, **columns,
-        )  # fmt: skip
+            one,
+            places=np.concatenate([one.places, turned]),
+            place=np.array([0, 1], dtype=np.int32),
+            own={"noise": np.zeros(2)},
+            **columns,
+        )
         return int(reciprocal_pairs(both, symmetry)[0].size)  # type: ignore[arg-type]
 
     assert pairs(0.0, "isotropic") == 1

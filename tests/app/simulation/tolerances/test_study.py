@@ -116,13 +116,15 @@ angles = ["rx"]
 limit_deg = 0.05
 """
 BAD_LIGHT = [
-    ((LIGHT, '[combinations]\nevaluator = "surrogate"\n[instrument]\nlit_everywhere = false\n'),
-     r"instrument\.lit_everywhere: the surrogate knows no edge of the slit's image; write combinations\.evaluator = .exact."),
+    (
+        (LIGHT, '[combinations]\nevaluator = "surrogate"\n[instrument]\nlit_everywhere = false\n'),
+        r"instrument\.lit_everywhere: the surrogate knows no edge of the slit's image; write combinations\.evaluator = .exact.",
+    ),
     (('["unit"]', '["mirror_1"]'), r"illumination\.deviations\.0\.elements: there is no 'mirror_1' of the illumination unit"),
     (('["unit"]', '["unit", "unit"]'), r"illumination\.deviations: unit rx is in it twice"),
     ((LIGHT, LIGHT + "[instrument]\ncollimated = true\n"), r"illumination: a collimated beam has no illumination unit"),
     (("[illumination]\n", '[illumination]\nlight = ["warm"]\n'), r"illumination\.light\.0: .*anew.*frozen"),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(("change", "message"), BAD_LIGHT)

@@ -48,11 +48,13 @@ INSTRUMENT = Instrument(obstruction=False)
 UNIT = {"elements": ["unit"], "angles": ["rx", "rz"], "limit_deg": 0.05}
 CUTTING = {"elements": ["slit", "output_condenser"], "shifts": ["x"], "limit_mm": 0.025}
 STUDY = {
-    "name": "light", "paper": 2, "criterion": {"kind": "gaussian", "sigma_deg": [30], "step_deg": 2.0},
+    "name": "light",
+    "paper": 2,
+    "criterion": {"kind": "gaussian", "sigma_deg": [30], "step_deg": 2.0},
     "deviations": [{"elements": ["mirror_1", "sample"], "angles": ["ry"], "limit_deg": 0.05}],
     "yields": {"distributions": []},
     "illumination": {"deviations": [UNIT, CUTTING], "draws": 100},
-}  # fmt: skip
+}
 
 
 def parameters(*tables: dict[str, object]) -> tuple[Parameter, ...]:

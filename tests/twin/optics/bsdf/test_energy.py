@@ -25,12 +25,21 @@ from tests.twin.optics.models import BRUSHED, TABLE, model_name
 
 INCIDENCES = [0.0, 15.0, 45.0, 70.0, 85.0, 89.0]
 DEFAULTS = [
-    lambertian(), regular(),
-    *[gaussian(width, form, quantity) for width in (0.5, 2.0, 5.0, 15.0, 30.0, 90.0)
-      for form in ("one_over_e", "half_width") for quantity in ("luminance", "intensity")],
-    anisotropic_gaussian(0.5, 20.0), anisotropic_gaussian(40.0, 10.0, 60.0), wide_tailed(0.5), wide_tailed(30.0),
-    ward(0.02, 0.3, reflectance=1.0), ward(0.8, 0.5, 45.0, reflectance=1.0),
-]  # fmt: skip
+    lambertian(),
+    regular(),
+    *[
+        gaussian(width, form, quantity)
+        for width in (0.5, 2.0, 5.0, 15.0, 30.0, 90.0)
+        for form in ("one_over_e", "half_width")
+        for quantity in ("luminance", "intensity")
+    ],
+    anisotropic_gaussian(0.5, 20.0),
+    anisotropic_gaussian(40.0, 10.0, 60.0),
+    wide_tailed(0.5),
+    wide_tailed(30.0),
+    ward(0.02, 0.3, reflectance=1.0),
+    ward(0.8, 0.5, 45.0, reflectance=1.0),
+]
 
 
 @pytest.mark.parametrize("model", DEFAULTS, ids=model_name)

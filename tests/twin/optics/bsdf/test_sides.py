@@ -85,10 +85,17 @@ def test_gamma_changes_anisotropic_samples_only() -> None:
 
 
 RECIPROCAL = [
-    lambertian(0.7), lambertian(0.3, 0.6), gaussian(2.0), gaussian(5.0, "half_width"), gaussian(30.0),
-    gaussian(120.0), gaussian(10.0, transmits=True), wide_tailed(10.0, transmits=True), ward(0.1, 0.1, transmits=True),
+    lambertian(0.7),
+    lambertian(0.3, 0.6),
+    gaussian(2.0),
+    gaussian(5.0, "half_width"),
+    gaussian(30.0),
+    gaussian(120.0),
+    gaussian(10.0, transmits=True),
+    wide_tailed(10.0, transmits=True),
+    ward(0.1, 0.1, transmits=True),
     sum_samples(lambertian(0.2, 0.2, side="both"), gaussian(20.0, side="both"), gaussian(8.0, transmits=True, side="both")),
-]  # fmt: skip
+]
 
 
 @settings(deadline=None)
@@ -99,9 +106,10 @@ def test_reciprocal_models_are_symmetric_in_light_and_observer(model: Scatterer,
 
 
 @pytest.mark.parametrize(
-    "model", [gaussian(20.0, quantity="intensity"), gaussian(20.0, transmits=True, refraction=1.5, side="both"), TABLE],
+    "model",
+    [gaussian(20.0, quantity="intensity"), gaussian(20.0, transmits=True, refraction=1.5, side="both"), TABLE],
     ids=model_name,
-)  # fmt: skip
+)
 def test_other_models_are_not_reciprocal(model: Scatterer) -> None:
     light, observer = from_specular(0.0, 20.0, 0.0), from_specular(0.0, 50.0, 180.0)
     if model.lobes[0].transmits:

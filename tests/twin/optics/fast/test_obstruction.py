@@ -132,7 +132,7 @@ def test_a_mount_absorbs_light(mirror: int) -> None:
 )
 def test_numpy_and_the_kernel_see_the_same_shadow(
     sigma_deg: float, gamma_deg: float, seed: int, rays: int, mount_mm: float, field_deg: float
-) -> None:  # fmt: skip
+) -> None:
     """Near the mirrors' images on the arc, where some rays are blocked, and anywhere."""
     rng = np.random.default_rng(seed)
     mirrors = light_direction(sigma_deg) - [[0.0, 0.0, 0.0], ALONG_Y]

@@ -100,7 +100,7 @@ def test_a_detector_that_a_mirror_partly_hides_has_a_bundle(sample: Scatterer) -
 @pytest.mark.parametrize(("side_mm", "flux"), [(9.5, 0.01), (7.0, 0.01), (4.0, 0.03)])
 def test_a_beam_that_partly_misses_the_mirrors_has_seven_rays_in_what_is_left_of_it(
     side_mm: float, flux: float, part: int
-) -> None:  # fmt: skip
+) -> None:
     narrow, sample = Instrument(mirror_side_mm=side_mm, obstruction=False), gaussian(5.0)
     directions = lobe_grid(60.0, 5.0, part)
     few, many = (throughput(narrow, 60.0, directions, sample, rays) for rays in (None, MANY))
@@ -124,10 +124,16 @@ def test_a_table_with_kinks_has_bundles_and_agrees_with_the_etalon(part: int) ->
 
 @pytest.mark.parametrize(
     "sample",
-    [gaussian(2.0), gaussian(30.0), gaussian(90.0), gaussian(8.0, "half_width", "intensity"),
-     gaussian(20.0, transmits=True, refraction=1.5), gaussian(20.0, transmits=True, refraction=0.7)],
+    [
+        gaussian(2.0),
+        gaussian(30.0),
+        gaussian(90.0),
+        gaussian(8.0, "half_width", "intensity"),
+        gaussian(20.0, transmits=True, refraction=1.5),
+        gaussian(20.0, transmits=True, refraction=0.7),
+    ],
     ids=lambda each: each.name,
-)  # fmt: skip
+)
 def test_the_vectorised_gaussian_equals_the_model(sample: Scatterer) -> None:
     """Compared with `evaluate`, which calls the library's arccosine and exponential."""
     random = np.random.default_rng(1)

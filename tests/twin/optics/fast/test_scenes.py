@@ -44,9 +44,7 @@ from tests.twin.optics.models import TABLE
 OPEN, SHADED = Instrument(obstruction=False), Instrument()
 NARROW = Instrument(mirror_side_mm=9.5)
 """Its mirrors cut the beam's edges, and hide directions."""
-TILTED = {
-    name: Deviation(*np.random.default_rng(k).normal(scale=0.15, size=6)) for k, name in enumerate(ELEMENTS)
-}  # fmt: skip
+TILTED = {name: Deviation(*np.random.default_rng(k).normal(scale=0.15, size=6)) for k, name in enumerate(ELEMENTS)}
 
 
 def around(sigma_deg: float) -> Floats:
@@ -76,12 +74,12 @@ def test_a_gaussian_is_that_of_plain_numpy() -> None:
 
 
 SAMPLES = [
-    gaussian(5.0), TABLE, apply_spectrum([400.0, 700.0], [0.2, 0.9], gaussian(8.0)),
+    gaussian(5.0),
+    TABLE,
+    apply_spectrum([400.0, 700.0], [0.2, 0.9], gaussian(8.0)),
     sum_samples(lambertian(0.5), regular(0.3), regular(0.1, transmits=True, side="both")),
-]  # fmt: skip
-COATED = Reflectance(
-    np.array([400.0, 700.0]), np.array([0.0, 40.0, 50.0]), np.array([[0.9, 0.8, 0.7], [0.95, 0.9, 0.85]])
-)  # fmt: skip
+]
+COATED = Reflectance(np.array([400.0, 700.0]), np.array([0.0, 40.0, 50.0]), np.array([[0.9, 0.8, 0.7], [0.95, 0.9, 0.85]]))
 
 
 @pytest.mark.parametrize(
@@ -99,7 +97,7 @@ def test_many_scenes_in_one_call_equal_one_at_a_time(instrument: Instrument) -> 
         for j, sample in enumerate(SAMPLES):
             expected = spectral_throughput(
                 alone, pose.sigma_deg, pose.directions, sample, wavelengths, gamma_deg=pose.gamma_deg
-            )  # fmt: skip
+            )
             np.testing.assert_allclose(found[k, j, :, piece], expected, rtol=1e-12)
         factor = luminance_factor(alone, pose.sigma_deg, pose.directions, SAMPLES[2], None, pose.gamma_deg, 600.0)
         np.testing.assert_allclose(ratios[k, 2, 1, piece], factor, rtol=1e-12)
@@ -214,8 +212,13 @@ def test_each_tilt_alone_has_the_error_of_an_independent_prototype() -> None:
     percents = [relative_rms_percent(each, theory) for each in scenes.ratios(rigs)[:, 0, 0]]
     found = dict(zip((tilt.title for tilt in tilts(OPEN)), percents, strict=True))
     prototype = {
-        "mirror 1 ry": 1.01, "mirror 2 ry": 1.75, "mirror 3 ry": 2.54, "sample ry": 4.78, "arc ry": 2.41,
-        "beam x": 2.10, "beam z": 1.35,
+        "mirror 1 ry": 1.01,
+        "mirror 2 ry": 1.75,
+        "mirror 3 ry": 2.54,
+        "sample ry": 4.78,
+        "arc ry": 2.41,
+        "beam x": 2.10,
+        "beam z": 1.35,
         **{f"{each} rx": 0.61 for each in ("mirror 1", "mirror 2", "mirror 3", "sample", "arc")},
-    }  # fmt: skip
+    }
     assert found == pytest.approx(prototype, abs=0.006)

@@ -107,9 +107,7 @@ def test_mirrors_reflect_their_share_of_the_beam_and_of_scattered_light() -> Non
 
 
 def test_mirrors_with_a_table_reflect_its_value_at_the_wavelength_and_angle() -> None:
-    table = Reflectance(
-        np.array([400.0, 600.0]), np.array([40.0, 45.0, 50.0]), np.array([[0.5, 0.6, 0.7], [0.8, 0.85, 0.9]])
-    )  # fmt: skip
+    table = Reflectance(np.array([400.0, 600.0]), np.array([40.0, 45.0, 50.0]), np.array([[0.5, 0.6, 0.7], [0.8, 0.85, 0.9]]))
     instrument = replace(OPEN, detector_diameter_mm=30.0, field_deg=6.0, mirror_reflectance=table)
     perfect = replace(instrument, mirror_reflectance=1.0)
     directions = spread_out(10)

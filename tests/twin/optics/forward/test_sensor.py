@@ -157,9 +157,11 @@ def test_every_ray_is_counted_by_exactly_the_sensors_that_it_passes(sensor: Real
 
     def expected(change: float) -> Flags:
         changed = replace(
-            sensor, lens_diameter_mm=sensor.lens_diameter_mm + change, aperture_mm=sensor.aperture_mm + change,
+            sensor,
+            lens_diameter_mm=sensor.lens_diameter_mm + change,
+            aperture_mm=sensor.aperture_mm + change,
             detector_side_mm=sensor.detector_side_mm + change,
-        )  # fmt: skip
+        )
         ahead = rays @ axes.T
         distance = ((centres - places[:, None]) * axes).sum(axis=2) / ahead
         off = places[:, None] + distance[..., None] * rays[:, None] - centres

@@ -34,9 +34,10 @@ def test_the_image_of_the_pupil_is_800_mm_away_along_the_light(sigma_deg: float)
 
 def test_the_beams_section_turns_with_the_mirror_unit() -> None:
     # Relative to the plane of incidence, whose normal is y: turned by 90 deg for a mirror unit turned by 90 deg.
-    turned = [np.degrees(np.arctan2(axis[1], abs(axis[0]) + abs(axis[2]))) for axis in (
-        pupil_image(Instrument(), 0.0)[1], pupil_image(Instrument(), 90.0)[1]
-    )]  # fmt: skip
+    turned = [
+        np.degrees(np.arctan2(axis[1], abs(axis[0]) + abs(axis[2])))
+        for axis in (pupil_image(Instrument(), 0.0)[1], pupil_image(Instrument(), 90.0)[1])
+    ]
     assert abs(turned[1] - turned[0]) == pytest.approx(90.0)
 
 

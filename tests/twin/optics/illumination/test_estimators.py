@@ -73,9 +73,14 @@ def test_both_agree_with_a_small_reflector_and_condenser() -> None:
 def test_the_flux_is_radiance_times_etendue(estimate: Any, opening_mm: float, pupil_mm: float, error: float, part: int) -> None:
     # Slit and pupil are so small that the light is that of the arc's centre, and every cosine almost one; no losses.
     unit = IlluminationUnit(
-        slit_width_mm=opening_mm, height_stop_mm=opening_mm, exit_pupil_radius_mm=pupil_mm, input_condenser_magnification=1.0,
-        reflector_reflectance=0.0, bulb_transmittance=1.0, monochromator_transmittance=1.0,
-    )  # fmt: skip
+        slit_width_mm=opening_mm,
+        height_stop_mm=opening_mm,
+        exit_pupil_radius_mm=pupil_mm,
+        input_condenser_magnification=1.0,
+        reflector_reflectance=0.0,
+        bulb_transmittance=1.0,
+        monochromator_transmittance=1.0,
+    )
     result = estimate(unit, relative_error=error * math.sqrt(part), cells=1, side_mm=16.0 * opening_mm)
     # Emission of the arc per volume and solid angle, along its cylinder's chords, averaged over the slit's image in it.
     chord_mm = 2.0 * unit.arc_radius_mm * (1.0 - (0.5 * opening_mm / unit.arc_radius_mm) ** 2 / 6.0)

@@ -72,10 +72,15 @@ def test_alone_nothing_within_table_1_changes_the_flux_by_more_than_half_a_perce
 @pytest.mark.parametrize(
     ("element", "name", "limit"),
     [
-        ("unit", "rx_deg", 0.089), ("output_condenser", "x_mm", 0.083), ("slit", "x_mm", 0.09), ("reflector", "x_mm", 0.127),
-        ("input_condenser", "x_mm", 0.133), ("arc", "x_mm", 0.16), ("reflector", "rx_deg", 0.59),
+        ("unit", "rx_deg", 0.089),
+        ("output_condenser", "x_mm", 0.083),
+        ("slit", "x_mm", 0.09),
+        ("reflector", "x_mm", 0.127),
+        ("input_condenser", "x_mm", 0.133),
+        ("arc", "x_mm", 0.16),
+        ("reflector", "rx_deg", 0.59),
     ],
-)  # fmt: skip
+)
 def test_the_limits_alone_for_five_percent_are_the_known_ones(element: str, name: str, limit: float) -> None:
     # optics.md, section 7.
     values = np.linspace(0.9, 1.1, 201) * limit
