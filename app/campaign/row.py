@@ -1,11 +1,12 @@
 """A row: the work between two commits to the journal. As it is planned, and what was recorded: raw counts, times, positions."""
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
+from goniotwin.app.columns import Amperes, ColumnTable, IntegerColumn, Seconds, VoltsPerAmpere
 from goniotwin.arrays import Counts, Floats, Ints
 
 RowKind = Literal["mount", "dark", "measure", "drift", "warm-up"]
@@ -98,7 +99,7 @@ class CommittedRow:
 
 
 @dataclass(frozen=True)
-class ReadingTable:
+class ReadingTable(ColumnTable):
     """The readings of some rows in columns, an element for each `Reading`: there may be a hundred thousand of them.
 
     `row` (n,) is the index of each reading's row, ascending; `rows` their number. `readings` and `channels` (n,) are the shape
@@ -107,14 +108,14 @@ class ReadingTable:
     """
 
     rows: int
-    row: Ints
-    gain_v_per_a: Floats
-    first_s: Floats
-    period_s: Floats
-    monitor_a: Floats
-    readings: Ints
-    channels: Ints
-    begin: Ints
+    row: IntegerColumn
+    gain_v_per_a: VoltsPerAmpere
+    first_s: Seconds
+    period_s: Seconds
+    monitor_a: Amperes
+    readings: IntegerColumn
+    channels: IntegerColumn
+    begin: IntegerColumn
     counts: Counts
 
     def counts_of(self, which: Ints, readings: int) -> Counts:
@@ -127,7 +128,7 @@ class ReadingTable:
     def reading(self, k: int) -> Reading:
         """One of the readings."""
         counts = self.counts_of(np.array([k]), int(self.readings[k]))[0]
-        gain, first, period, monitor = (float(getattr(self, name)[k]) for name in COLUMNS[:4])
+        gain, first, period, monitor = (float(getattr(self, name)[k]) for name in OF_READING)
         return Reading(gain, first, period, monitor, counts)
 
     def of_rows(self, which: Ints) -> "ReadingTable":
@@ -136,19 +137,17 @@ class ReadingTable:
         each = last - first
         row = np.repeat(np.arange(which.size), each)
         here = np.arange(row.size) + np.repeat(first - (np.cumsum(each) - each), each)
-        columns = {name: getattr(self, name)[here] for name in COLUMNS}
-        return ReadingTable(rows=which.size, row=row, counts=self.counts, **columns)
+        return replace(self.where(here), rows=which.size, row=row)
 
     def joined(self, more: "ReadingTable") -> "ReadingTable":
         """The readings of these rows, and of more after them."""
-        columns = {name: np.concatenate([getattr(self, name), getattr(more, name)]) for name in COLUMNS}
-        columns["begin"][self.row.size :] += self.counts.size
-        row, counts = np.concatenate([self.row, self.rows + more.row]), np.concatenate([self.counts, more.counts])
-        return ReadingTable(rows=self.rows + more.rows, row=row, counts=counts, **columns)
+        more = replace(more, row=self.rows + more.row, begin=self.counts.size + more.begin)
+        counts = np.concatenate([self.counts, more.counts])
+        return replace(ReadingTable.join([self, more]), rows=self.rows + more.rows, counts=counts)
 
 
-COLUMNS = ("gain_v_per_a", "first_s", "period_s", "monitor_a", "readings", "channels", "begin")
-"""The columns of `ReadingTable` with an element for each reading, besides `row`."""
+OF_READING = ("gain_v_per_a", "first_s", "period_s", "monitor_a")
+"""The columns that a `Reading` has, too."""
 
 
 def table_of_columns(rows: int, row: Ints, numbers: Floats, shapes: Ints, counts: Counts) -> ReadingTable:
@@ -164,7 +163,7 @@ def reading_table(rows: Iterable[Sequence[Reading]]) -> ReadingTable:
     every = list(rows)
     found = [each for readings in every for each in readings]
     row = np.repeat(np.arange(len(every)), [len(readings) for readings in every])
-    numbers = np.array([[getattr(each, name) for each in found] for name in COLUMNS[:4]], dtype=np.float64)
+    numbers = np.array([[getattr(each, name) for each in found] for name in OF_READING], dtype=np.float64)
     shapes = np.array([each.counts.shape for each in found], dtype=np.int64).reshape(-1, 2)
     counts = np.concatenate([np.zeros(0, dtype=np.uint16), *(each.counts.ravel() for each in found)])
     return table_of_columns(len(every), row, numbers, shapes, counts)

@@ -20,7 +20,7 @@ from goniotwin.app.campaign.geometry.directions import in_plane_of_incidence
 from goniotwin.app.campaign.measurement_model.effects import Effects
 from goniotwin.app.campaign.reduction.components import logarithmic
 from goniotwin.app.campaign.reduction.effects_of_points import effects_of
-from goniotwin.app.campaign.reduction.points import join_points
+from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.studies.comparison import noisy, true_bsdf
 from goniotwin.app.data.dataset import Dataset
 from goniotwin.app.data.interpolation import direction_grid, interpolated
@@ -432,7 +432,7 @@ def _joined(one: SampleData, index: Ints, other: SampleData, there: Ints) -> Eff
     assert one.measured is not None
     assert other.measured is not None
     points = [one.measured.points.where(index), other.measured.points.where(there)]
-    return effects_of(join_points(points), one.measured.settings)
+    return effects_of(BsdfPoints.join(points), one.measured.settings)
 
 
 def _deviations(first: Values, second: Values) -> Floats:

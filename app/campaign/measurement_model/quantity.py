@@ -7,33 +7,31 @@ change of the value, in its unit, for one standard uncertainty of the input. e a
 keep their signs: what two quantities have in common cancels by itself, and nothing is squared before the end.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from operator import itemgetter
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from goniotwin.app.columns import ColumnTable, MemberColumn, NumberColumn
 from goniotwin.arrays import Floats, Indices
 
-Components = Mapping[str, Floats]
+Components = Mapping[str, NumberColumn]
 """Variances by the names of components, each in the shape of the values and in the square of their unit."""
 NONE = -1
 """Number of no input."""
-OWN, COMMON, MEMBER, EFFECT = "own ", "common ", "member ", "effect "
-"""Beginnings of the names of a quantity's columns."""
 
 
 @dataclass(frozen=True)
-class Terms:
+class Terms(ColumnTable):
     """Effects of a family of inputs: `member` (..., m) are the numbers of the inputs that a value has, NONE for none.
 
     `effect` (..., m) are the changes of the value for one standard uncertainty of each. A value has each input once.
     """
 
-    member: Indices
-    effect: Floats
+    member: MemberColumn
+    effect: NumberColumn
 
     @property
     def variance(self) -> Floats:
@@ -46,10 +44,6 @@ class Terms:
     def scaled(self, factor: Floats | float) -> "Terms":
         """The effects on the values times a factor (...)."""
         return Terms(self.member, self.effect * np.asarray(factor)[..., None])
-
-    def each(self, part: Callable[[NDArray[Any]], NDArray[Any]]) -> "Terms":
-        """With a function of both arrays, such as the choice of some values."""
-        return Terms(part(self.member), part(self.effect))
 
     def plus(self, other: "Terms") -> "Terms":
         """The effects on the sums of values: of an input that both have they add."""
@@ -76,16 +70,16 @@ class Terms:
 
 
 @dataclass(frozen=True)
-class Quantity:
+class Quantity(ColumnTable):
     """Values with the effects of their inputs. All arrays have the shape of `value`; those of `grouped` one axis more.
 
     By name: `own` are variances of what each value has alone; `common` the effects of one input that all values have;
     `grouped` those of families of inputs, each of which some values have.
     """
 
-    value: Floats
+    value: NumberColumn
     own: Components = field(default_factory=dict)
-    common: Mapping[str, Floats] = field(default_factory=dict)
+    common: Mapping[str, NumberColumn] = field(default_factory=dict)
     grouped: Mapping[str, Terms] = field(default_factory=dict)
 
     @property
@@ -99,16 +93,6 @@ class Quantity:
     def variance(self) -> Floats:
         """The variances of the values."""
         return np.zeros(self.value.shape) + sum(self.components.values())
-
-    def each(self, part: Callable[[NDArray[Any]], NDArray[Any]]) -> Self:
-        """With a function of every array, such as the choice of some values along the first axis."""
-        return replace(
-            self,
-            value=part(self.value),
-            own={name: part(each) for name, each in self.own.items()},
-            common={name: part(each) for name, each in self.common.items()},
-            grouped={name: each.each(part) for name, each in self.grouped.items()},
-        )
 
     def scaled(self, factor: Floats | float) -> Self:
         """The values times an exactly known factor."""
@@ -183,49 +167,3 @@ def _summed(terms: Terms) -> Terms:
     for k in range(1, len(terms.member)):
         total = total.plus(terms.each(itemgetter(k)))
     return total
-
-
-def columns_of(quantity: Quantity) -> dict[str, NDArray[Any]]:
-    """All arrays of a quantity under names, for what treats them alike: `quantity_of` is the inverse."""
-    columns: dict[str, NDArray[Any]] = {"value": quantity.value}
-    columns |= {f"{OWN}{name}": each for name, each in quantity.own.items()}
-    columns |= {f"{COMMON}{name}": each for name, each in quantity.common.items()}
-    for name, terms in quantity.grouped.items():
-        columns |= {f"{MEMBER}{name}": terms.member, f"{EFFECT}{name}": terms.effect}
-    return columns
-
-
-def quantity_of(columns: Mapping[str, NDArray[Any]]) -> Quantity:
-    """The quantity of `columns_of`; other columns are none of it."""
-
-    def named(kind: str) -> dict[str, NDArray[Any]]:
-        return {name.removeprefix(kind): each for name, each in columns.items() if name.startswith(kind)}
-
-    members, effects = named(MEMBER), named(EFFECT)
-    grouped = {name: Terms(member, effects[name]) for name, member in members.items()}
-    return Quantity(columns["value"], named(OWN), named(COMMON), grouped)
-
-
-def join_quantities(parts: Sequence[Quantity]) -> Quantity:
-    """The values of all parts, of which there is at least one, along the first axis; what a part does not have is 0 there."""
-    every = [columns_of(each) for each in parts]
-    if len(every) == 1:
-        return parts[0]
-    found: dict[str, NDArray[Any]] = {}
-    for name in dict.fromkeys(name for columns in every for name in columns):
-        none = NONE if name.startswith(MEMBER) else 0
-        several = [columns.get(name) for columns in every]
-        m = max((each.shape[-1] for each in several if each is not None), default=0)
-        arrays = []
-        for columns, each in zip(every, several, strict=True):
-            terms = name.startswith((MEMBER, EFFECT))
-            shape = (*columns["value"].shape, m) if terms else columns["value"].shape
-            if each is None:
-                arrays.append(np.full(shape, none, dtype=np.int32 if name.startswith(MEMBER) else np.float64))
-            elif terms and each.shape[-1] < m:
-                width = [(0, 0)] * (each.ndim - 1) + [(0, m - each.shape[-1])]
-                arrays.append(np.pad(each, width, constant_values=none))
-            else:
-                arrays.append(each)
-        found[name] = np.concatenate(arrays)
-    return quantity_of(found)

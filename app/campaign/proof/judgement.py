@@ -20,7 +20,7 @@ from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.reduction.angles import angles
 from goniotwin.app.campaign.reduction.components import ADDED, COVERAGE, KINDS, OTHER, total_variance
 from goniotwin.app.campaign.reduction.effects_of_points import effects_of
-from goniotwin.app.campaign.reduction.points import BsdfPoints, join_points
+from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.reduction.reduction import Reduction
 from goniotwin.app.campaign.reduction.scale import deviate_of_sum
 from goniotwin.app.campaign.reduction.settings import ReductionSettings
@@ -133,7 +133,7 @@ def judge(journal: Path, plan: Plan) -> RigResult:
         for name in reduction.schedule.samples:
             blocks = list(finished_blocks(reduction, name))
             if blocks:
-                points = join_points(blocks)
+                points = BsdfPoints.join(blocks)
                 _add_sample(result, reduction, name, points, model.samples[name], drawn)
     return result
 

@@ -10,6 +10,15 @@ from goniotwin.app.campaign.measurement_model.quantity import Quantity
 from goniotwin.app.campaign.reduction.arc_geometry import ArcGeometry
 from goniotwin.app.campaign.reduction.components import Signal
 from goniotwin.app.campaign.reduction.points import PLACE
+from goniotwin.app.columns import (
+    ColumnTable,
+    Degrees,
+    FlagColumn,
+    IntegerColumn,
+    NumberColumn,
+    PerNanometre,
+    Ratios,
+)
 from goniotwin.arrays import Flags, Floats, Ints
 
 WAVELENGTH, SIGMA = PLACE.index("wavelength_nm"), PLACE.index("sigma_deg")
@@ -70,7 +79,7 @@ def etalon_places(places: Floats, views: ArcViews) -> Floats:
 
 
 @dataclass(frozen=True)
-class ArcRows:
+class ArcRows(ColumnTable):
     """Rows of one sample as one arc sees them: the dataset of the steps. Arrays (rows, photodiodes), or (rows, 1) for a row.
 
     `numbers`, `places` and `mirrored` are those of `RowSignals`; `view` (rows,) is the index of each row's view in `views`.
@@ -82,27 +91,27 @@ class ArcRows:
     there is one; `second_rows` (rows, photodiodes) are the numbers of its rows, -1 where it has no share in the scale.
     """
 
-    numbers: Ints
-    places: Floats
-    mirrored: Flags
-    etalon_rows: Ints
+    numbers: IntegerColumn
+    places: NumberColumn
+    mirrored: FlagColumn
+    etalon_rows: IntegerColumn
     views: tuple[ArcView, ...]
-    view: Ints
-    incidence_deg: Floats
-    blocked: Flags
+    view: IntegerColumn
+    incidence_deg: Degrees
+    blocked: FlagColumn
     estimate: Quantity
     sample: Signal
     etalon: Signal
     signature: Signal
     signature_at_etalon: Signal
-    signature_measured: Flags
-    share: Floats
-    wavelength_slope: Floats
-    band_correction: Floats
-    stray_contrast: Floats
-    flags: Mapping[str, Flags]
+    signature_measured: FlagColumn
+    share: Ratios
+    wavelength_slope: PerNanometre
+    band_correction: Ratios
+    stray_contrast: Ratios
+    flags: Mapping[str, FlagColumn]
     second: Signal | None = None
-    second_rows: Ints | None = None
+    second_rows: IntegerColumn | None = None
 
     def column(self, name: str) -> Floats:
         """An array (rows, photodiodes) of the views: `polar`, `zenith`, `azimuth`, `theta`, `phi`."""

@@ -5,12 +5,11 @@ array of the values' shape. For tables a component is wholly shared between neig
 not at all. `Quantity` has the effects that they come from.
 """
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
-from typing import Any, Self
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from goniotwin.app.campaign.measurement_model.inputs import InputQuantity
 from goniotwin.app.campaign.measurement_model.quantity import Components, Quantity
@@ -27,6 +26,7 @@ from goniotwin.app.campaign.reduction.reading_inputs import (
     signature_common,
     signature_input,
 )
+from goniotwin.app.columns import IntegerColumn
 from goniotwin.app.rig import RigFile
 from goniotwin.app.rig import inputs as declared
 from goniotwin.arrays import Flags, Floats, Ints
@@ -195,7 +195,7 @@ class Signal(Quantity):
     `gain` is the index of the gain that is used, -1 where all gains are saturated.
     """
 
-    gain: Ints = field(kw_only=True)
+    gain: IntegerColumn = field(kw_only=True)
 
     @classmethod
     def of(cls, quantity: Quantity, gain: Ints) -> Self:
@@ -212,14 +212,6 @@ class Signal(Quantity):
     def lost_in_noise(self) -> Flags:
         """Whether values are below the detection limit."""
         return np.isfinite(self.value) & (self.value < DETECTED * np.sqrt(self.reading_variance))
-
-    def each(self, part: Callable[[NDArray[Any]], NDArray[Any]]) -> Self:
-        """As of any quantity; of the gains too."""
-        return replace(super().each(part), gain=part(self.gain))
-
-    def at(self, index: Ints | Flags) -> "Signal":
-        """The signals (rows, photodiodes) of some rows, or of all in another order."""
-        return self.each(lambda array: array[index])
 
     def of_photodiodes(self, channels: Ints) -> "Signal":
         """The signals (rows, photodiodes) of some photodiodes."""

@@ -9,17 +9,15 @@ from transmitted light: without a sample it is the direct beam.
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from goniotwin.app.campaign.measurement_model.quantity import NONE, Quantity
+from goniotwin.app.campaign.measurement_model.quantity import Quantity
 from goniotwin.app.campaign.reduction.arc_geometry import ArcGeometry
 from goniotwin.app.campaign.reduction.arc_rows import SIGMA, WAVELENGTH, ArcRows, ArcViews, arcs_of_rows, etalon_places
 from goniotwin.app.campaign.reduction.components import COVERAGE, Signal
 from goniotwin.app.campaign.reduction.optical_paths import second_share
-from goniotwin.app.campaign.reduction.points import BsdfPoints, join_points, pack_flags, points_of_quantity
+from goniotwin.app.campaign.reduction.points import BsdfPoints, pack_flags, points_of_quantity
 from goniotwin.app.campaign.reduction.reading_inputs import Numbers
 from goniotwin.app.campaign.reduction.row_signals import PlaceIndex, PoseKey, RowSignals, pose_key
 from goniotwin.app.campaign.reduction.settings import ReductionSettings
@@ -80,7 +78,7 @@ def join_references(rows: RowSignals, references: ReferenceSignals, settings: Re
             own = np.where(transmitted, -1, of_signature.find(rows.places[index]))
             with_etalon = of_signature.find(at_etalon)
         seen = replace(views, view=view)
-        data = _arc_rows(rows.at(index), seen, etalon, found, signature, own, with_etalon, settings.rig)
+        data = _arc_rows(rows.where(index), seen, etalon, found, signature, own, with_etalon, settings.rig)
         if references.second is not None and of_second is not None:
             data = _with_second(data, references.second, of_second.find(at_etalon), settings.rig)
         arcs.append((index, data))
@@ -93,7 +91,7 @@ def _with_second(data: ArcRows, second: RowSignals, found: Ints, rig: RigFile) -
     A signal that is saturated, or has a flag, is none.
     """
     channels = data.views[0].channels
-    rows = second.at(np.where(found < 0, 0, found))
+    rows = second.where(np.where(found < 0, 0, found))
     signal = comparable_signals(rows, channels, rig)
     usable = (found >= 0)[:, None] & (signal.gain >= 0) & ~np.any([each[:, channels] for each in rows.flags.values()], axis=0)
     signal = replace(signal, value=np.where(usable, signal.value, np.nan))
@@ -128,7 +126,7 @@ def _arc_rows(
         blocked=views.blocked[views.view],
         estimate=sample,
         sample=sample,
-        etalon=comparable_signals(etalon.at(found), c, rig),
+        etalon=comparable_signals(etalon.where(found), c, rig),
         signature=_signature(signature, own, c, rig),
         signature_at_etalon=_signature(signature, with_etalon, c, rig),
         signature_measured=measured[:, None],
@@ -171,15 +169,10 @@ def _signature(signature: RowSignals | None, index: Ints, channels: Ints, rig: R
     if signature is None or not known.any():
         shape = index.size, channels.size
         return Signal(np.broadcast_to(0.0, shape), gain=np.broadcast_to(np.int64(0), shape))
-    rows = signature.at(np.where(known, index, 0))
+    rows = signature.where(np.where(known, index, 0))
     reading = Numbers.of(rig).reading(rows.numbers[:, None], channels)
     found = comparable_signals(rows, channels, rig).own_as(SIGNATURE_READING, reading)
-
-    def of_measured(array: NDArray[Any]) -> NDArray[Any]:
-        none = NONE if array.ndim > found.value.ndim and array.dtype.kind == "i" else 0
-        return np.where(known.reshape(-1, *[1] * (array.ndim - 1)), array, none)
-
-    return found if known.all() else found.each(of_measured)
+    return found if known.all() else found.known_at(known)
 
 
 # The steps.
@@ -236,12 +229,7 @@ def _mean_of_standards(data: ArcRows, reference: Quantity, settings: ReductionSe
     bright = second.value > ETALON_SIGNAL * np.sqrt(second.reading_variance)
     used = bright & (share > 0.0) & np.isfinite(factors[0]) & np.isnan(_absolute_scale(data, settings))
     share = np.where(used, share, 0.0)
-
-    def of_used(array: NDArray[Any]) -> NDArray[Any]:
-        none = NONE if array.ndim > used.ndim and array.dtype.kind == "i" else 0
-        return np.where(used.reshape(*used.shape, *[1] * (array.ndim - used.ndim)), array, none)
-
-    others = second.each(of_used).scaled(np.where(used, -share * factors[0] / factors[1], 0.0))
+    others = second.known_at(used).scaled(np.where(used, -share * factors[0] / factors[1], 0.0))
     return replace(data, second_rows=np.where(used, rows, -1)), reference.scaled(1.0 - share) - others
 
 
@@ -289,7 +277,7 @@ def make_points(arcs: Sequence[tuple[Ints, ArcRows]]) -> tuple[Ints, BsdfPoints]
     if len(parts) == 1:
         return index, parts[0]
     order = np.argsort(index, kind="stable")
-    return index[order], join_points(parts).where(order)
+    return index[order], BsdfPoints.join(parts).where(order)
 
 
 def _points(data: ArcRows) -> BsdfPoints:

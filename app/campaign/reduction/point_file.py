@@ -6,7 +6,8 @@ time. Memory holds some 70 bytes a row; the file takes about as much of the disk
 
 import itertools
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, Self
@@ -14,22 +15,14 @@ from typing import IO, Any, Self
 import numpy as np
 import numpy.typing as npt
 
-from goniotwin.app.campaign.measurement_model.quantity import columns_of, quantity_of
-from goniotwin.app.campaign.reduction.points import (
-    COLUMNS,
-    PLACE,
-    BsdfPoints,
-    join_points,
-    order_by_light,
-    points_of_quantity,
-)
+from goniotwin.app.campaign.reduction.points import PLACE, BsdfPoints, order_by_light
 from goniotwin.app.errors import UserError, unusable
-from goniotwin.arrays import Floats, Indices, Ints
+from goniotwin.arrays import Ints
 
 ROW = np.dtype([("rank", "i8"), ("kind", "i4"), ("begin", "i8"), ("count", "i8"), ("place", "f8", len(PLACE))])
 """A row: its place in order of time, the kind of its block, where its points begin in the file, their number, and its pose."""
-STATED = "stated "
-"""Beginning of the names of the columns of `stated`."""
+OF_ROW = "place"
+"""The column of points that the table of rows has."""
 PART_POINTS = 20_000
 """Points that are read together where all are brought into memory."""
 Table = npt.NDArray[np.void]
@@ -46,6 +39,7 @@ class PointFile:
             raise self._unwritable(error) from None
         self._end = 0
         self._kinds: list[np.dtype[Any]] = []
+        self._empty: list[BsdfPoints] = []
         self._added: list[Table] = []
         self._sorted: Table | None = None
 
@@ -64,7 +58,7 @@ class PointFile:
 
     def add(self, rank: Ints, points: BsdfPoints) -> None:
         """Add points with the place (n,) of each point's row in order of time; those of one row follow each other."""
-        columns = _columns_of(points)
+        columns = _without_place(points)
         records = np.empty(points.size, dtype=[(name, each.dtype, each.shape[1:]) for name, each in columns.items()])
         for name, each in columns.items():
             records[name] = each
@@ -72,6 +66,7 @@ class PointFile:
         rows = np.zeros(begin.size, dtype=ROW)
         if records.dtype not in self._kinds:
             self._kinds.append(records.dtype)
+            self._empty.append(replace(points, places=points.places[:0]).where(slice(0)))
         kind = self._kinds.index(records.dtype)
         rows["rank"], rows["kind"], rows["count"] = rank[begin], kind, np.diff(begin, append=points.size)
         rows["begin"] = self._end + begin * records.itemsize
@@ -101,18 +96,18 @@ class PointFile:
         """All points in order of time, in memory, which takes little more than they do."""
         parts = self.parts(PART_POINTS)
         if len(self._kinds) != 1:
-            return join_points(list(parts))
+            return BsdfPoints.join(list(parts))
         kind = self._kinds[0]
         columns = {name: np.empty(self.size, dtype=kind[name]) for name in kind.names or ()}
         place = np.empty(self.size, dtype=np.int32)
         end, rows = 0, 0
         for points in parts:
             here = slice(end, end + points.size)
-            for name, column in _columns_of(points).items():
+            for name, column in _without_place(points).items():
                 columns[name][here] = column
             place[here] = points.place + np.int32(rows)
             end, rows = end + points.size, rows + len(points.places)
-        return _points_of(columns, np.ascontiguousarray(self._rows["place"]), place)
+        return self._of(0, self._rows, columns | {OF_ROW: place})
 
     def settings(self, wavelength_nm: float | None = None) -> Iterator[BsdfPoints]:
         """The points of each wavelength, or of one, and sigma, in the order of these."""
@@ -143,19 +138,23 @@ class PointFile:
         pieces, index = [], []
         for kind in np.unique(rows["kind"]).tolist():
             here = np.flatnonzero(rows["kind"] == kind)
-            pieces.append(self._points(rows[here], self._kinds[kind]))
+            pieces.append(self._points(rows[here], kind))
             index.append(np.repeat(here, rows["count"][here]))
         if len(pieces) == 1:  # as it usually is: all blocks of a sample have the same components
             return pieces[0]
-        points = join_points(pieces)
+        points = BsdfPoints.join(pieces)
         order = np.concatenate(index)
         return points if np.all(order[1:] >= order[:-1]) else points.where(np.argsort(order, kind="stable"))
 
-    def _points(self, rows: Table, record: np.dtype[Any]) -> BsdfPoints:
+    def _points(self, rows: Table, kind: int) -> BsdfPoints:
+        record = self._kinds[kind]
         records = np.frombuffer(self._content(rows, record.itemsize), dtype=record)
         columns = {name: np.ascontiguousarray(records[name]) for name in record.names or ()}
         place = np.repeat(np.arange(len(rows), dtype=np.int32), rows["count"])
-        return _points_of(columns, np.ascontiguousarray(rows["place"]), place)
+        return self._of(kind, rows, columns | {OF_ROW: place})
+
+    def _of(self, kind: int, rows: Table, columns: Mapping[str, npt.NDArray[Any]]) -> BsdfPoints:
+        return replace(self._empty[kind].of_columns(columns), places=np.ascontiguousarray(rows["place"]))
 
     def _content(self, rows: Table, size: int) -> bytearray:
         """The records of rows, of so many bytes each; rows that follow each other in the file are read together."""
@@ -173,15 +172,6 @@ class PointFile:
         return unusable(self._folder, what, error, "check the folder and its permissions")
 
 
-def _columns_of(points: BsdfPoints) -> dict[str, npt.NDArray[Any]]:
-    """All columns of points that a file has."""
-    columns: dict[str, npt.NDArray[Any]] = {name: getattr(points, name) for name in COLUMNS if name != "place"}
-    columns |= {f"{STATED}{name}": each for name, each in points.stated.items()}
-    return columns | columns_of(points.quantity)
-
-
-def _points_of(columns: dict[str, npt.NDArray[Any]], places: Floats, place: Indices) -> BsdfPoints:
-    """Points of the columns of a file."""
-    stated = {name.removeprefix(STATED): each for name, each in columns.items() if name.startswith(STATED)}
-    plain: dict[str, Any] = {name: columns[name] for name in COLUMNS if name != "place"}
-    return BsdfPoints(places=places, place=place, stated=stated, **plain, **points_of_quantity(quantity_of(columns)))
+def _without_place(points: BsdfPoints) -> dict[str, npt.NDArray[Any]]:
+    """The columns of points that the file has: all but the index of their row."""
+    return {name: column for name, column in points.columns().items() if name != OF_ROW}

@@ -7,9 +7,9 @@ calibrations would find a fault in every narrow lobe.
 
 import itertools
 import math
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, fields, replace
-from typing import Any, Protocol
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Protocol, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +19,6 @@ from goniotwin.app.campaign.measurement_model.quantity import (
     Components,
     Quantity,
     Terms,
-    join_quantities,
 )
 from goniotwin.app.campaign.reduction.components import (
     COVERAGE,
@@ -35,8 +34,21 @@ from goniotwin.app.campaign.reduction.components import (
     standard_uncertainty,
     total_variance,
 )
+from goniotwin.app.columns import (
+    BitColumn,
+    ColumnTable,
+    Degrees,
+    FlagColumn,
+    IndexColumn,
+    IntegerColumn,
+    NumberColumn,
+    PerDegree,
+    PerNanometre,
+    PerSteradian,
+    Ratios,
+)
 from goniotwin.app.formats import content
-from goniotwin.arrays import Flags, Floats, Indices, Ints
+from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.twin.optics.geometry.coordinates import aspecular_deg, round_deg, signed_polar
 
 SLOPE_DECIMALS = 3
@@ -140,7 +152,7 @@ def pack_flags(flags: Mapping[str, Flags], count: int) -> Marks:
 
 
 @dataclass(frozen=True)
-class MeasuredDirections:
+class MeasuredDirections(ColumnTable):
     """Where points were measured; arrays with an element for each point, but for `places`.
 
     `places` (rows, 5) are the distinct wavelengths and poses, in the order of PLACE, and `place` the index of each point's.
@@ -151,15 +163,15 @@ class MeasuredDirections:
     """
 
     places: Floats
-    place: Indices
-    photodiode: Ints
-    zenith_deg: Floats
-    azimuth_deg: Floats
-    theta_deg: Floats
-    phi_deg: Floats
-    back: Flags
-    transmitted: Flags
-    mirrored: Flags
+    place: IndexColumn
+    photodiode: IntegerColumn
+    zenith_deg: Degrees
+    azimuth_deg: Degrees
+    theta_deg: Degrees
+    phi_deg: Degrees
+    back: FlagColumn
+    transmitted: FlagColumn
+    mirrored: FlagColumn
 
     @property
     def wavelength_nm(self) -> Floats:
@@ -237,31 +249,32 @@ class BsdfPoints(MeasuredDirections):
     ln f, added to it where the band is stated; `stray_contrast`, the relative change for a share of light of other wavelengths.
     """
 
-    bsdf: Floats
+    bsdf: PerSteradian
     own: Components
-    common: Mapping[str, Floats]
+    common: Mapping[str, NumberColumn]
     grouped: Mapping[str, Terms]
     stated: Components
-    marks: Marks
-    signature: Floats
-    slope_along: Floats
-    slope_across: Floats
-    field_correction: Floats
-    coverage: Floats
-    row: Ints
-    etalon_row: Ints
-    second_row: Ints
-    gain: Ints
-    etalon_gain: Ints
-    wavelength_slope: Floats
-    band_correction: Floats
-    stray_contrast: Floats
+    marks: BitColumn
+    signature: Ratios
+    slope_along: PerDegree
+    slope_across: PerDegree
+    field_correction: Ratios
+    coverage: Ratios
+    row: IntegerColumn
+    etalon_row: IntegerColumn
+    second_row: IntegerColumn
+    gain: IntegerColumn
+    etalon_gain: IntegerColumn
+    wavelength_slope: PerNanometre
+    band_correction: Ratios
+    stray_contrast: Ratios
 
-    def where(self, chosen: Flags | Ints) -> "BsdfPoints":
-        """A selection of the points, or all in another order."""
-        columns = {name: getattr(self, name)[chosen] for name in COLUMNS}
-        stated = {name: each[chosen] for name, each in self.stated.items()}
-        return replace(self, **columns, **points_of_quantity(self.quantity.each(lambda array: array[chosen])), stated=stated)
+    @classmethod
+    def join(cls, tables: Sequence[Self]) -> Self:
+        """The points of all blocks, in order; a component that a block does not have is 0 there."""
+        first = np.cumsum([0, *(len(table.places) for table in tables)], dtype=np.int32)
+        moved = [replace(table, place=table.place + k) for table, k in zip(tables, first[:-1], strict=True)]
+        return replace(super().join(moved), places=np.concatenate([table.places for table in tables]))
 
     @property
     def quantity(self) -> Quantity:
@@ -281,11 +294,6 @@ class BsdfPoints(MeasuredDirections):
     def with_quantity(self, quantity: Quantity, **columns: Any) -> "BsdfPoints":
         """The points with other values and effects, and other columns."""
         return replace(self, **points_of_quantity(quantity), **columns)
-
-    @property
-    def size(self) -> int:
-        """Number of points."""
-        return self.bsdf.size
 
     def parts(self, points: int) -> Iterator["BsdfPoints"]:
         """All points, in parts of so many."""
@@ -369,14 +377,6 @@ def points_of_quantity(quantity: Quantity) -> dict[str, Any]:
     return {"bsdf" if name == "value" else name: each for name, each in vars(quantity).items() if name != "gain"}
 
 
-COLUMNS = tuple(
-    each.name
-    for each in fields(BsdfPoints)
-    if each.name not in ("places", "stated", "bsdf", *(part.name for part in fields(Quantity)))
-)
-"""The arrays of points that have an element for each of them, beside those of their quantity and of `stated`."""
-
-
 def order_by_light(wavelength_nm: Floats, sigma_deg: Floats, only_nm: float | None = None) -> tuple[Ints, Ints]:
     """Indices in the order of wavelength (or of `only_nm` alone) and sigma, else unchanged; and the edges of these sets."""
     chosen = np.arange(wavelength_nm.size) if only_nm is None else np.flatnonzero(wavelength_nm == only_nm)
@@ -384,20 +384,6 @@ def order_by_light(wavelength_nm: Floats, sigma_deg: Floats, only_nm: float | No
     changes = (np.diff(wavelength_nm[order]) != 0.0) | (np.diff(sigma_deg[order]) != 0.0)
     ends = [order.size] if order.size else []
     return order, np.concatenate([[0], 1 + np.flatnonzero(changes), ends]).astype(np.int64)
-
-
-def join_points(blocks: list[BsdfPoints]) -> BsdfPoints:
-    """The points of all blocks, in order; a component that a block does not have is 0 there."""
-    names = list(dict.fromkeys(name for block in blocks for name in block.stated))
-    columns: dict[str, Any] = {name: np.concatenate([getattr(each, name) for each in blocks]) for name in COLUMNS}
-    first = np.cumsum([0, *(len(block.places) for block in blocks)])
-    columns["place"] = np.concatenate([block.place + np.int32(k) for block, k in zip(blocks, first[:-1], strict=True)])
-    return BsdfPoints(
-        places=np.concatenate([block.places for block in blocks]),
-        **points_of_quantity(join_quantities([block.quantity for block in blocks])),
-        stated={name: np.concatenate([block.stated.get(name, np.zeros(block.size)) for block in blocks]) for name in names},
-        **columns,
-    )
 
 
 @dataclass

@@ -35,7 +35,6 @@ from goniotwin.app.campaign.reduction.row_signals import (
     PoseKey,
     RowSignal,
     RowSignals,
-    join_rows,
     mean_row,
     mean_rows,
     rows_in_columns,
@@ -259,10 +258,10 @@ class Measurements:
         left = [number for number in numbers if number not in found] if found else numbers
         parts = [self._reduced(each) for each in self._recorded(np.array(left, dtype=np.int64), ROWS_AT_ONCE)]
         if kept is None:
-            return join_rows(parts) if parts else None
-        rows = join_rows([kept, *parts])
+            return RowSignals.join(parts) if parts else None
+        rows = RowSignals.join([kept, *parts])
         place = {number: k for k, number in enumerate(rows.numbers.tolist())}
-        return rows.at(np.array([place[number] for number in numbers if number in place]))
+        return rows.where(np.array([place[number] for number in numbers if number in place]))
 
     def _reduced(self, rows: RecordedRows) -> RowSignals:
         found = np.searchsorted(self._table["number"], rows.numbers, sorter=self._by_number)

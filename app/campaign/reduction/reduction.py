@@ -17,7 +17,7 @@ from goniotwin.app.campaign.reduction.etalon import ReferenceSignals
 from goniotwin.app.campaign.reduction.overlaps import Overlaps, overlap_check
 from goniotwin.app.campaign.reduction.pipeline import finish_points, reduce_rows
 from goniotwin.app.campaign.reduction.point_file import PointFile
-from goniotwin.app.campaign.reduction.points import BsdfPoints, Tally, join_points
+from goniotwin.app.campaign.reduction.points import BsdfPoints, Tally
 from goniotwin.app.campaign.reduction.readings import (
     Measurements,
     ReferenceMeasurements,
@@ -87,7 +87,7 @@ class Reduction:
                     cut = np.split(np.arange(first, last), range(BLOCK_ROWS, last - first, BLOCK_ROWS))
                     if found := list(self._reduced(sample, table, places, cut)):
                         at, points = zip(*found, strict=True)
-                        yield PointBlock(places[np.concatenate(at)], join_points(list(points)))
+                        yield PointBlock(places[np.concatenate(at)], BsdfPoints.join(list(points)))
 
     def _spectral_blocks(self, sample: str, table: RowTable, places: Ints, edges: Ints, rows: int) -> Iterator[PointBlock]:
         """The blocks of rows at several wavelengths: reduced pose by pose, and put in a file until all of them are known."""
@@ -111,7 +111,7 @@ class Reduction:
         """The points of some rows of a sample, by their indices in its table, not finished yet; None for none."""
         cut = np.split(np.arange(len(places)), range(BLOCK_ROWS, len(places), BLOCK_ROWS))
         found = [points for _, points in self._reduced(sample, self.measurements.row_table(sample), places, cut)]
-        return join_points(found) if found else None
+        return BsdfPoints.join(found) if found else None
 
     def finish(self, sample: str, points: BsdfPoints, overlaps: Overlaps | None) -> BsdfPoints:
         """The BSDF of whole blocks of a sample, calibrated by its overlaps where asked for."""

@@ -8,8 +8,9 @@ import numpy as np
 from goniotwin.app.campaign.geometry.directions import PoseAngles
 from goniotwin.app.campaign.reduction.components import Signal
 from goniotwin.app.campaign.reduction.points import PLACE
-from goniotwin.app.campaign.reduction.signals import join_signals, mean_signals, signals_of_rows, stack_signals
+from goniotwin.app.campaign.reduction.signals import mean_signals, signals_of_rows, stack_signals
 from goniotwin.app.campaign.row import Row
+from goniotwin.app.columns import ColumnTable, FlagColumn, Hours, IntegerColumn, NumberColumn, Ratios
 from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.twin.optics.geometry.coordinates import round_deg
 
@@ -33,50 +34,20 @@ class RowSignal:
 
 
 @dataclass(frozen=True)
-class RowSignals:
+class RowSignals(ColumnTable):
     """Rows as `RowSignal`, in columns: `signal` and `flags` are of (rows, photodiodes), all others of (rows,).
 
     `numbers` are those of the rows; `places` (rows, 5) their wavelengths and poses, in the order of PLACE and not rounded;
     `mirrored` those that only check the symmetry.
     """
 
-    numbers: Ints
-    places: Floats
-    mirrored: Flags
+    numbers: IntegerColumn
+    places: NumberColumn
+    mirrored: FlagColumn
     signal: Signal
-    flags: Mapping[str, Flags]
-    hours: Floats
-    monitor_decades: Floats
-
-    def __len__(self) -> int:
-        return len(self.numbers)
-
-    def at(self, index: Ints | Flags) -> "RowSignals":
-        """Some of the rows, or all in another order."""
-        return RowSignals(
-            self.numbers[index],
-            self.places[index],
-            self.mirrored[index],
-            self.signal.at(index),
-            {name: each[index] for name, each in self.flags.items()},
-            self.hours[index],
-            self.monitor_decades[index],
-        )
-
-
-def join_rows(parts: Sequence[RowSignals]) -> RowSignals:
-    """The rows of all parts, of which there is at least one, in order."""
-    if len(parts) == 1:
-        return parts[0]
-    return RowSignals(
-        np.concatenate([each.numbers for each in parts]),
-        np.concatenate([each.places for each in parts]),
-        np.concatenate([each.mirrored for each in parts]),
-        join_signals([each.signal for each in parts]),
-        {name: np.concatenate([each.flags[name] for each in parts]) for name in parts[0].flags},
-        np.concatenate([each.hours for each in parts]),
-        np.concatenate([each.monitor_decades for each in parts]),
-    )
+    flags: Mapping[str, FlagColumn]
+    hours: Hours
+    monitor_decades: Ratios
 
 
 def rows_in_columns(rows: Sequence[RowSignal]) -> RowSignals | None:
@@ -102,7 +73,7 @@ def mean_rows(rows: RowSignals, repeats: Ints) -> RowSignals:
     for n in np.unique(repeats).tolist():
         here = np.flatnonzero(repeats == n)
         index = begin[here, None] + np.arange(n)
-        first = rows.at(index[:, 0])
+        first = rows.where(index[:, 0])
         mean = replace(
             first,
             signal=mean_signals(rows.signal, index),
@@ -112,7 +83,7 @@ def mean_rows(rows: RowSignals, repeats: Ints) -> RowSignals:
         )
         parts.append(mean)
         places.append(here)
-    return join_rows(parts).at(np.argsort(np.concatenate(places)))
+    return RowSignals.join(parts).where(np.argsort(np.concatenate(places)))
 
 
 def mean_row(rows: Sequence[RowSignal]) -> RowSignal:

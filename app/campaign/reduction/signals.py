@@ -19,7 +19,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from goniotwin.app.campaign.measurement_model.quantity import NONE, Quantity, columns_of, join_quantities, quantity_of
+from goniotwin.app.campaign.measurement_model.quantity import NONE, Quantity
 from goniotwin.app.campaign.readout import QUANTISATION_VARIANCE
 from goniotwin.app.campaign.reduction.components import Signal
 from goniotwin.app.campaign.reduction.reading_inputs import Numbers
@@ -276,14 +276,14 @@ def choose_gain(at_gains: list[tuple[RowReadings, Quantity]], rows: int, setting
     for readings, quantity in at_gains:
         at = readings.rows
         better = ~readings.saturated(settings) & (readings.gain_v_per_a > gains[used[at]])
-        for name, column in columns_of(quantity).items():
+        for name, column in quantity.columns().items():
             if name not in columns:
                 none = NONE if column.dtype.kind == "i" else np.nan
                 columns[name] = np.full((*used.shape, *column.shape[2:]), none, dtype=column.dtype)
             chosen = better if column.ndim == 2 else better[..., None]
             columns[name][at] = np.where(chosen, column, columns[name][at])
         used[at] = np.where(better, settings.gains_v_per_a.index(readings.gain_v_per_a), used[at])
-    found = quantity_of(columns) if columns else Quantity(np.full(used.shape, np.nan))
+    found = at_gains[0][1].of_columns(columns) if columns else Quantity(np.full(used.shape, np.nan))
     return Signal.of(found, used)
 
 
@@ -294,12 +294,7 @@ def signals_of_rows(signals: Signal) -> list[Signal]:
 
 def stack_signals(rows: Sequence[Signal]) -> Signal:
     """The signals (rows, photodiodes) of all rows, of which there is at least one, from that of each."""
-    return join_signals([each.each(lambda array: array[None]) for each in rows])
-
-
-def join_signals(parts: Sequence[Signal]) -> Signal:
-    """The signals (rows, photodiodes) of all parts, of which there is at least one."""
-    return Signal.of(join_quantities(parts), np.concatenate([each.gain for each in parts]))
+    return Signal.join([each.each(lambda array: array[None]) for each in rows])
 
 
 def mean_signals(signals: Signal, repeats: Ints) -> Signal:
@@ -307,7 +302,7 @@ def mean_signals(signals: Signal, repeats: Ints) -> Signal:
 
     A photodiode is saturated where it is so in any of them. The gain is that of the first one.
     """
-    first, n = signals.at(repeats[:, 0]), repeats.shape[1]
+    first, n = signals.where(repeats[:, 0]), repeats.shape[1]
     if n == 1:
         return first
     total = Quantity(signals.value, signals.own, signals.common, signals.grouped).each(lambda array: array[repeats.T]).summed()

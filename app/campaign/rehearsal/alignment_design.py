@@ -29,7 +29,7 @@ from goniotwin.app.campaign.measurement_model.effects import Effects, group_vari
 from goniotwin.app.campaign.measurement_model.pose import POSITIONS, Views, mounting_inputs, pose_effects, rig_inputs
 from goniotwin.app.campaign.planning.exposure import exposure_twin
 from goniotwin.app.campaign.planning.plan import NewPlan, make_plan
-from goniotwin.app.campaign.reduction.points import PLACE, BsdfPoints, join_points
+from goniotwin.app.campaign.reduction.points import PLACE, BsdfPoints
 from goniotwin.app.campaign.reduction.row_history import RowHistory
 from goniotwin.app.campaign.reduction.settings import ReductionSettings, reduction_settings
 from goniotwin.app.campaign.rehearsal.without_wires import rows_without_wires
@@ -385,7 +385,7 @@ class _Search:
             places, first = of_one.places.copy(), turn * len(poses)
             places[:, PLACE.index("gamma_deg")] = gamma
             turned.append(replace(of_one, places=places, row=of_one.row + first, etalon_row=of_one.etalon_row + first))
-        points = join_points(turned)
+        points = BsdfPoints.join(turned)
         effects, self.stated = lobe_effects(points, settings, self._beams)
         sigma = np.where(points.back, 180.0 - points.sigma_deg, points.sigma_deg)
         self._levels = {

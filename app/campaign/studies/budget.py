@@ -12,7 +12,7 @@ from goniotwin.app.campaign.measurement_model.effects import Component
 from goniotwin.app.campaign.measurement_model.quantity import NONE
 from goniotwin.app.campaign.reduction.effects_of_points import effects_of
 from goniotwin.app.campaign.reduction.lit_hole import in_one_line
-from goniotwin.app.campaign.reduction.points import BsdfPoints, join_points
+from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.reduction.reading_inputs import Numbers
 from goniotwin.app.campaign.reduction.reduction import Reduction
 from goniotwin.app.campaign.reduction.settings import ReductionSettings
@@ -319,7 +319,7 @@ def _points_at(reduction: Reduction, place: Mapping[str, str | float]) -> tuple[
             raise UserError(f"--at: {key} is missing; {name} was measured at {listed} {unit}")
     if not found:
         raise UserError(f"--at: {name} has no values there")
-    points = join_points(found)
+    points = BsdfPoints.join(found)
     if "light" in place:
         chosen = points.transmitted == (place["light"] == LIGHTS[1])
         if not chosen.any():

@@ -7,7 +7,7 @@ import numpy as np
 
 from goniotwin.app.campaign.geometry.open_beam import scan_wavelength_nm
 from goniotwin.app.campaign.measurement_model.alignment import Alignment
-from goniotwin.app.campaign.reduction.points import BsdfPoints, join_points
+from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.reduction.reduction import Reduction
 from goniotwin.app.campaign.studies.alignment import AlignmentResult, estimate_alignment, lobe_points
 from goniotwin.app.campaign.studies.closure import ClosureReport
@@ -61,7 +61,7 @@ def sample_lobe(reduction: Reduction, sample: str) -> BsdfPoints | None:
     """The points of a sample that an alignment can use; None without any."""
     wavelength = scan_wavelength_nm(reduction.schedule)
     found = [lobe_points(each.points.where(each.points.wavelength_nm == wavelength)) for each in reduction.blocks(sample)]
-    return join_points(found) if any(each.size for each in found) else None
+    return BsdfPoints.join(found) if any(each.size for each in found) else None
 
 
 def light_seen(reduction: Reduction, closure: ClosureReport) -> LightSeen:

@@ -18,7 +18,7 @@ from goniotwin.app.campaign.measurement_model.inputs import quantity
 from goniotwin.app.campaign.measurement_model.posterior import Posterior
 from goniotwin.app.campaign.reduction.effects_of_points import effects_of
 from goniotwin.app.campaign.reduction.evidence import SignalEvidence
-from goniotwin.app.campaign.reduction.points import BsdfPoints, Tally, join_points, plausible
+from goniotwin.app.campaign.reduction.points import BsdfPoints, Tally, plausible
 from goniotwin.app.campaign.reduction.reading_inputs import gain_input
 from goniotwin.app.campaign.reduction.reduction import Reduction
 from goniotwin.app.campaign.schedule.grids import grid_values
@@ -161,7 +161,7 @@ class _Sample:
 
     def _reciprocity(self) -> Verdict:
         name = f"reciprocity of {self._name}"
-        points = join_points(self._reciprocal)
+        points = BsdfPoints.join(self._reciprocal)
         one, other = reciprocal_pairs(points, self._reduction.schedule.symmetry)
         if not one.size:
             return Verdict(

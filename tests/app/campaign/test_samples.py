@@ -11,7 +11,7 @@ from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.reduction.components import COVERAGE
 from goniotwin.app.campaign.reduction.effects_of_points import effects_of
-from goniotwin.app.campaign.reduction.points import BsdfPoints, join_points
+from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.campaign.studies.budget import finished_blocks
 from goniotwin.app.campaign.studies.comparison import deviations_in_u, theoretical_bsdf, true_bsdf
@@ -128,7 +128,7 @@ def test_components_of_values_and_of_integrals_square_and_sum_to_u_squared(kinds
     with Journal.open(kinds[0]) as journal:
         reduction = evaluate_journal(journal).reduction
         for name in reduction.schedule.samples:
-            points = join_points(list(finished_blocks(reduction, name)))
+            points = BsdfPoints.join(list(finished_blocks(reduction, name)))
             good = points.where(points.good)
             effects = effects_of(good, reduction.settings)
             total = np.sum(list(effects.variances().values()), axis=0)

@@ -13,7 +13,7 @@ import pytest
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.reduction.effects_of_points import effects_of
-from goniotwin.app.campaign.reduction.points import join_points
+from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.rehearsal.without_wires import run_without_wires
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.campaign.studies.budget import budget_of_reflectance, budget_of_value, reflectance
@@ -153,7 +153,7 @@ def test_a_program_without_ours_finds_the_u_of_reflected_and_transmitted_light(l
         reduced = reduce_journal(opened)
         write_archive(opened, reduced, path)
         settings = evaluate_journal(opened).reduction.settings
-        (points,) = (join_points(list(each.settings())) for each in reduced.samples.values())
+        (points,) = (BsdfPoints.join(list(each.settings())) for each in reduced.samples.values())
         for each in integration_settings(points):
             found = reflectance(settings, "opal", points, each)
             expected[each.transmitted, each.sigma_deg, each.wavelength_nm] = found.value, found.u

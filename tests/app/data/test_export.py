@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 import goniotwin
 from goniotwin.app.campaign.reduction.components import interval, mostly_added
 from goniotwin.app.campaign.reduction.overlaps import overlaps
-from goniotwin.app.campaign.reduction.points import FLAGS, BsdfPoints, join_points
+from goniotwin.app.campaign.reduction.points import FLAGS, BsdfPoints
 from goniotwin.app.campaign.studies.reduced_journal import BsdfDataset
 from goniotwin.app.cli.main import app
 from goniotwin.app.data import conversion
@@ -249,7 +249,7 @@ def test_each_flag_that_takes_the_trust_away_is_one_that_values_have() -> None:
 
 def test_what_a_format_does_not_hold_is_refused_with_the_formats_that_do(reduced: BsdfDataset, tmp_path: Path) -> None:
     ((name, points),) = reduced.samples.items()
-    colours = join_points([points, replace(points, places=points.places + np.array([100.0, 0.0, 0.0, 0.0, 0.0]))])
+    colours = BsdfPoints.join([points, replace(points, places=points.places + np.array([100.0, 0.0, 0.0, 0.0, 0.0]))])
     with pytest.raises(
         UserError,
         match=r"the format zemax has one wavelength, .* 650 nm; .* all, or use ddr \(.ddr\), ssdd .* csv \(.csv\)",
@@ -265,7 +265,7 @@ def test_a_sample_measured_at_several_gamma_is_a_table_of_four_dimensions(reduce
     """The light's azimuth in the sample's frame is minus gamma: a quarter turn of the sample is psi 270."""
     ((name, points),) = reduced.samples.items()
     turned = replace(points, places=points.places + np.array([0.0, 90.0, 0.0, 0.0, 0.0]), bsdf=0.5 * points.bsdf)
-    both = replace(reduced, samples={name: join_points([points, turned])}, isotropic=False)
+    both = replace(reduced, samples={name: BsdfPoints.join([points, turned])}, isotropic=False)
     export(both, None, tmp_path / "a.ddr", "ddr")
     export(reduced, None, tmp_path / "b.ddr", "ddr")
     found, one = (registry.read(tmp_path / file).only_table() for file in ("a.ddr", "b.ddr"))
@@ -299,7 +299,7 @@ def test_transmitted_light_is_a_table_about_the_straight_direction(reduced: Bsdf
 def test_light_is_chosen_where_a_format_holds_either(reduced: BsdfDataset, tmp_path: Path) -> None:
     ((name, points),) = reduced.samples.items()
     through = replace(points, transmitted=~points.transmitted, zenith_deg=180.0 - points.zenith_deg, bsdf=0.5 * points.bsdf)
-    both = replace(reduced, samples={name: join_points([points, through])})
+    both = replace(reduced, samples={name: BsdfPoints.join([points, through])})
     path, form = tmp_path / "a.bsdf", "zemax"
     with pytest.raises(UserError, match=r"there is reflected and transmitted light, .*; choose it with --light"):
         export(both, None, path, form)
@@ -322,7 +322,7 @@ def test_what_a_format_does_not_hold_is_refused_before_anything_is_resampled(
     reduced: BsdfDataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     ((name, points),) = reduced.samples.items()
-    colours = join_points([points, replace(points, places=points.places + np.array([100.0, 0.0, 0.0, 0.0, 0.0]))])
+    colours = BsdfPoints.join([points, replace(points, places=points.places + np.array([100.0, 0.0, 0.0, 0.0, 0.0]))])
 
     def resampled(*_: object, **__: object) -> None:
         raise AssertionError("the table was made before it was refused")

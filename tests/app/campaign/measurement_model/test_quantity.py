@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from goniotwin.app.campaign.measurement_model.quantity import NONE, Quantity, columns_of, join_quantities, quantity_of
+from goniotwin.app.campaign.measurement_model.quantity import NONE, Quantity
 from goniotwin.arrays import Floats, Indices
 
 INPUTS = 5
@@ -102,8 +102,8 @@ def test_one_reading_over_itself_is_certain_but_for_what_each_has_alone(several:
 def test_joined_parts_and_columns_are_the_whole(several: list[Reading], data: st.DataObject) -> None:
     cut = data.draw(st.integers(1, len(several) - 1))
     whole = quantity(several)
-    joined = join_quantities([quantity(several[:cut]), quantity(several[cut:])])
-    for each in (joined, quantity_of(columns_of(whole))):
+    joined = Quantity.join([quantity(several[:cut]), quantity(several[cut:])])
+    for each in (joined, Quantity(np.zeros(0)).of_columns(whole.columns())):
         assert np.array_equal(each.value, whole.value)
         assert each.components.keys() == whole.components.keys()
         assert all(np.array_equal(each.components[name], variance) for name, variance in whole.components.items())
@@ -111,7 +111,7 @@ def test_joined_parts_and_columns_are_the_whole(several: list[Reading], data: st
 
 def test_a_part_without_a_family_has_none_of_it() -> None:
     one = Quantity(np.ones(2)).with_grouped("lamp", np.array([[3], [4]], dtype=np.int32), np.ones((2, 1)))
-    joined = join_quantities([Quantity(np.ones(1), {"noise": np.ones(1)}), one])
+    joined = Quantity.join([Quantity(np.ones(1), {"noise": np.ones(1)}), one])
     assert joined.components["lamp"].tolist() == [0.0, 1.0, 1.0]
     assert joined.components["noise"].tolist() == [1.0, 0.0, 0.0]
     member: Indices = joined.grouped["lamp"].member

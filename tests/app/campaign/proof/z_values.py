@@ -14,7 +14,7 @@ from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import NewPlan
 from goniotwin.app.campaign.proof.proof import Proof
 from goniotwin.app.campaign.proof.structures import draw_structure
-from goniotwin.app.campaign.reduction.points import join_points
+from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.rehearsal.without_wires import run_without_wires
 from goniotwin.app.campaign.studies.budget import finished_blocks
 from goniotwin.app.campaign.studies.comparison import deviations_in_u, true_bsdf
@@ -53,7 +53,7 @@ def _of_rig(plan: NewPlan) -> dict[str, Floats]:
         with Journal.open(path) as journal:
             reduction = evaluate_journal(journal).reduction
             for name in reduction.schedule.samples:
-                points = join_points(list(finished_blocks(reduction, name)))
+                points = BsdfPoints.join(list(finished_blocks(reduction, name)))
                 good = points.where(points.good)
                 found[name] = deviations_in_u(good, true_bsdf(model.samples[name], good))
     return found

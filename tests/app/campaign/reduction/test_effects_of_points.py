@@ -35,7 +35,7 @@ from goniotwin.app.campaign.reduction.arc_geometry import ArcGeometry
 from goniotwin.app.campaign.reduction.components import kinds
 from goniotwin.app.campaign.reduction.effects_of_points import effects_of
 from goniotwin.app.campaign.reduction.pipeline import add_shared
-from goniotwin.app.campaign.reduction.points import BsdfPoints, join_points
+from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.reduction.reading_inputs import Numbers
 from goniotwin.app.campaign.reduction.row_history import RowHistory, history_of
 from goniotwin.app.campaign.reduction.settings import ReductionSettings, SecondStandard, reduction_settings
@@ -93,7 +93,7 @@ def measured(
         rows = np.full(POLAR.size, 10 + k), np.full(POLAR.size, 5 if k < 2 else 7)
         second = np.full(POLAR.size, 6 if k < 2 else -1)
         parts.append(replace(made, row=rows[0], etalon_row=rows[1], second_row=second))
-    points = join_points(parts)
+    points = BsdfPoints.join(parts)
     given = replace(
         points.with_quantity(divided(points, relative or {})),
         slope_along=slope[:, 0],

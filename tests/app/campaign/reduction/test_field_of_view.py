@@ -19,7 +19,7 @@ from goniotwin.app.campaign.reduction.field_of_view import (
     merge_directions,
     pose_variance_deg2,
 )
-from goniotwin.app.campaign.reduction.points import BsdfPoints, join_points
+from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.reduction.settings import reduction_settings
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.campaign.studies.comparison import deviations_in_u
@@ -344,8 +344,8 @@ def test_the_noise_of_corrected_values_is_that_of_their_components(step: float) 
         places[:, 1] = 0.1 * k  # gamma
         bsdf = clean.bsdf * (1.0 + 0.01 * rng.standard_normal(clean.size))
         noisy.append(replace(clean, places=places, bsdf=bsdf, own={"noise": (0.01 * clean.bsdf) ** 2}))
-    found = FieldOfView.of(join_points(noisy), INSTRUMENT)
-    logs = (np.log(join_points(noisy).bsdf) + found.correction).reshape(copies, -1)
+    found = FieldOfView.of(BsdfPoints.join(noisy), INSTRUMENT)
+    logs = (np.log(BsdfPoints.join(noisy).bsdf) + found.correction).reshape(copies, -1)
     stated = np.mean(found.noise.reshape(copies, -1) ** 2 + 0.01**2, axis=0)
     ratio = np.var(logs, axis=0) / stated
     assert float(np.mean(ratio)) == pytest.approx(1.0, abs=0.05)
@@ -629,7 +629,7 @@ def test_neither_the_scale_nor_the_order_of_points_nor_chunks_change_a_slope(see
         found[:, order], rel=1e-9, nan_ok=True
     )
     other = replace(points, places=points.places + np.array([10.0, 0.0, 0.0, 0.0, 0.0]), bsdf=2.0 * points.bsdf)
-    both = join_points([points, other])
+    both = BsdfPoints.join([points, other])
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(field_of_view, "CHUNK_POINTS", 10)
         small = columns(correct_field_of_view(both, SETTINGS))

@@ -17,7 +17,7 @@ from goniotwin.app.campaign.reduction import readings
 from goniotwin.app.campaign.reduction import reduction as reducing
 from goniotwin.app.campaign.reduction.effects_of_points import effects_of
 from goniotwin.app.campaign.reduction.etalon import ReferenceSignals, join_references
-from goniotwin.app.campaign.reduction.points import COLUMNS, BsdfPoints, join_points
+from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.rehearsal.forecast import forecast
 from goniotwin.app.campaign.rehearsal.rehearsal import plan_rehearsal, rehearse
 from goniotwin.app.campaign.row import Row
@@ -68,7 +68,7 @@ def plan_rows(journal: Journal, sample: str) -> list[Row]:
 
 
 def bits(points: BsdfPoints) -> list[bytes]:
-    columns = [getattr(points, name) for name in COLUMNS if name != "place"]
+    columns = [each for name, each in points.columns().items() if name != "place" and " " not in name]
     arrays = (*columns, points.places[points.place], points.bsdf, points.u_bsdf, *points.components.values())
     return [np.where(np.isnan(each), np.nan, each).tobytes() for each in arrays]  # NaN has a sign, which means nothing
 
@@ -83,7 +83,7 @@ def test_values_are_the_same_for_any_size_of_a_block(journal: Path, sizes: tuple
             for size in sizes:
                 blocks = list(reduction.blocks(sample, size))
                 overlaps = reduction.overlaps(sample, size)
-                points = join_points([reduction.finish(sample, block.points, overlaps) for block in blocks])
+                points = BsdfPoints.join([reduction.finish(sample, block.points, overlaps) for block in blocks])
                 results[size] = bits(points)
                 ranks = np.concatenate([block.rank for block in blocks])
                 assert bits(points.where(np.argsort(ranks, kind="stable"))) == bits(whole.samples[sample])

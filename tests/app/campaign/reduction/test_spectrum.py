@@ -14,7 +14,7 @@ from goniotwin.app.campaign.measurement_model.quantity import Quantity
 from goniotwin.app.campaign.reduction.arc_geometry import ArcGeometry
 from goniotwin.app.campaign.reduction.arc_rows import ArcRows
 from goniotwin.app.campaign.reduction.components import Signal
-from goniotwin.app.campaign.reduction.points import join_points
+from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.reduction.settings import ReductionSettings
 from goniotwin.app.campaign.reduction.spectrum import (
     bandwidth_effects,
@@ -307,7 +307,7 @@ def test_a_journal_of_many_wavelengths_has_the_same_values_for_any_size_of_a_blo
         found = {}
         for size in (7, 10**9):
             blocks = list(reduction.blocks("gaussian-5", size))
-            found[size] = join_points([reduction.finish("gaussian-5", block.points, None) for block in blocks])
+            found[size] = BsdfPoints.join([reduction.finish("gaussian-5", block.points, None) for block in blocks])
             ranks = np.concatenate([block.rank for block in blocks])
             assert np.bincount(ranks).tolist() == [2] * 600  # two photodiodes on the lit side
             assert max(np.unique(block.rank).size for block in blocks) < 7 + 10 or size > 7

@@ -23,7 +23,7 @@ from goniotwin.app.campaign.measurement_model.lit_share import RigLaw, height_ef
 from goniotwin.app.campaign.measurement_model.pose import ASIDE, MOUNTED, POSITIONS, Views, pose_effects, rig_inputs
 from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.reduction.effects_of_points import effects_of
-from goniotwin.app.campaign.reduction.points import BsdfPoints, join_points
+from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.reduction.reduction import Reduction
 from goniotwin.app.campaign.rehearsal.without_wires import run_without_wires
 from goniotwin.app.campaign.row import CommittedRow, Reading
@@ -272,7 +272,7 @@ def test_a_value_and_its_budget_are_those_of_gtc(sample: str, light: str, theta_
     run_without_wires(make_plan(schedule, parse_rig(rig, RIG.parent, "rig.toml")), tmp_path / "a.journal")
     with Journal.open(tmp_path / "a.journal") as opened:
         reduction = evaluate_journal(opened).reduction
-        points = join_points(list(reduce_journal(opened).samples[sample].settings()))
+        points = BsdfPoints.join(list(reduce_journal(opened).samples[sample].settings()))
         chosen = points.good & (points.transmitted == transmitted) & (points.second_row >= 0) & np.isfinite(points.slope_across)
         beside = np.where(chosen & (points.slope_across != 0.0), np.abs(points.theta_deg - theta_deg), np.inf)
         k = int(np.argmin(beside))

@@ -94,11 +94,11 @@ def test_each_move_arrives_at_its_angle_in_spite_of_backlash(approach: str, sens
     settings = AxisSettings(
         motor=0,
         gear=36.0,
-        sense=sense,
+        sense=sense,  # type: ignore[arg-type]
         zero_offset_deg=zero_deg,
         lower_deg=-90.0,
         upper_deg=90.0,
-        speed_deg_s=10.0,  # type: ignore[arg-type]
+        speed_deg_s=10.0,
         acceleration_deg_s2=10.0,
         backlash_deg=play,
         approach_from=approach,  # type: ignore[arg-type]

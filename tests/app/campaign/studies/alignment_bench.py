@@ -16,7 +16,7 @@ from goniotwin.app.campaign.measurement_model.light_place import lit_spot
 from goniotwin.app.campaign.measurement_model.pose import Views, mounting_inputs, rig_inputs
 from goniotwin.app.campaign.planning.plan import NewPlan, make_plan
 from goniotwin.app.campaign.proof.virtual_rigs import DrawnRigs, run_with_wires
-from goniotwin.app.campaign.reduction.points import BsdfPoints, join_points
+from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.reduction.settings import reduction_settings
 from goniotwin.app.campaign.rehearsal.without_wires import run_without_wires
 from goniotwin.app.campaign.schedule.file import ScheduleDescription, parse_schedule
@@ -298,5 +298,5 @@ def cut_points(path: Path, alignment: Alignment | None) -> BsdfPoints:
     with Journal.open(path) as journal:
         reduction = evaluate_journal(journal).reduction
         reduction = replace(reduction, settings=replace(reduction.settings, alignment=alignment))
-        points = join_points(list(finished_blocks(reduction, SAMPLE)))
+        points = BsdfPoints.join(list(finished_blocks(reduction, SAMPLE)))
     return points.where(points.in_plane & points.good & (points.theta_deg <= 2.0 * WIDTH_DEG + 1e-6))

@@ -12,7 +12,7 @@ from goniotwin.app.campaign.measurement_model.alignment import Alignment, halfwa
 from goniotwin.app.campaign.measurement_model.inputs import InputQuantity
 from goniotwin.app.campaign.planning.plan import NewPlan
 from goniotwin.app.campaign.proof.proof import Proof, prove
-from goniotwin.app.campaign.reduction.points import join_points
+from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.reduction.settings import rig_alignment
 from goniotwin.app.campaign.schedule.file import parse_schedule, read_schedule
 from goniotwin.app.campaign.studies.alignment import LEAST_DARK
@@ -176,7 +176,7 @@ def flank(small: Small, alignment: Alignment | None) -> tuple[Floats, Floats]:
     with Journal.open(small.path) as journal:
         reduction = evaluate_journal(journal).reduction
         reduction = replace(reduction, settings=replace(reduction.settings, alignment=alignment))
-        points = join_points(list(finished_blocks(reduction, SAMPLE)))
+        points = BsdfPoints.join(list(finished_blocks(reduction, SAMPLE)))
     points = points.where(points.good & ~points.transmitted & (points.theta_deg > 5.0) & (points.theta_deg < 10.0))
     truth = true_bsdf(model_of(small.plan)[0].samples[SAMPLE], points)
     return points.bsdf / truth - 1.0, points.u_bsdf / points.bsdf
@@ -189,7 +189,7 @@ def test_the_budget_of_an_aligned_value_has_modes_and_sums_to_its_uncertainty(sm
         reduction = replace(reduction, settings=replace(reduction.settings, alignment=small.alignment))
         place = parse_place("sigma=30,gamma=0,zenith=35,azimuth=165")
         budget = budget_of_value(reduction, place)
-        points = join_points(list(finished_blocks(reduction, SAMPLE)))
+        points = BsdfPoints.join(list(finished_blocks(reduction, SAMPLE)))
     names = [each.name for each in budget.components]
     assert "alignment[1]" in names
     assert not {"mirror_1_tilt_x", "sample_tilt_x@two-sided-5#1"} & {*names}
@@ -298,7 +298,7 @@ def test_values_of_a_campaign_that_is_aligned_on_its_lobe_have_smaller_uncertain
             u = []
             for each in alignments:
                 reduction = replace(reduction, settings=replace(reduction.settings, alignment=each))
-                points = join_points(list(finished_blocks(reduction, sample)))
+                points = BsdfPoints.join(list(finished_blocks(reduction, sample)))
                 points = points.where(points.good & (points.theta_deg > width) & (points.theta_deg < 2.0 * width))
                 u.append(float(np.median(points.u_bsdf / points.bsdf)))
             gains[sample] = u[1] / u[0]

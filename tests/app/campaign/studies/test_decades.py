@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from goniotwin.app.campaign.reduction.points import join_points
+from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.studies.decades import UncertaintyByDecade, uncertainty_texts
 from goniotwin.arrays import Floats
 from tests.app.campaign.reduction.made_points import made_points
@@ -21,7 +21,7 @@ def test_u_is_stated_above_a_hundredth_of_the_peak_of_each_light_and_by_decade()
     blocked = {"shadowed": np.ones(below.size, dtype=bool)}
     blocks += [made_points(60.0, zenith, azimuth, no_value, U), made_points(60.0, zenith, azimuth, 1e9 * below, U, blocked)]
     found = UncertaintyByDecade()
-    for block in (blocks[0], join_points(blocks[1:])):
+    for block in (blocks[0], BsdfPoints.join(blocks[1:])):
         found.add(block)
     result = found.as_dict()
     relative = np.concatenate([U / below[:40], 1e-3 * U / below[:40]])  # sorted by hand: two decades of each light

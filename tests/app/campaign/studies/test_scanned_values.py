@@ -14,7 +14,7 @@ from goniotwin.app.campaign.planning.plan import NewPlan
 from goniotwin.app.campaign.proof.proof import Proof
 from goniotwin.app.campaign.reduction.angles import angles
 from goniotwin.app.campaign.reduction.components import COVERAGE
-from goniotwin.app.campaign.reduction.points import BsdfPoints, join_points
+from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.reduction.reduction import Reduction
 from goniotwin.app.campaign.rehearsal.without_wires import run_without_wires
 from goniotwin.app.campaign.schedule.file import parse_schedule
@@ -73,7 +73,7 @@ def plans(rigs: int, *changes: Change, rig: tuple[Change, ...] = ()) -> Iterator
 
 
 def values(reduction: Reduction, sample: str) -> BsdfPoints:
-    return join_points(list(finished_blocks(reduction, sample)))
+    return BsdfPoints.join(list(finished_blocks(reduction, sample)))
 
 
 def without_scan(reduction: Reduction) -> Reduction:
