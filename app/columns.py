@@ -20,39 +20,42 @@ from typing import Annotated, Any, Self, Union, get_args, get_origin, get_type_h
 import numpy as np
 from numpy.typing import NDArray
 
-from goniotwin.arrays import Flags, Floats, Indices, Ints
+from goniotwin.arrays import Flags, Floats, Indices, Ints, Texts
 
 Array = NDArray[Any]
-Texts = NDArray[np.str_]
 
 
 @dataclass(frozen=True)
 class Column:
-    """What a column is: its `unit`, empty for texts, flags and counts; `absent` stands where one of joined tables lacks it."""
+    """What a column is: its `unit`, empty for texts, flags and counts; `absent` is what stands where there is nothing."""
 
     unit: str = ""
-    absent: int = 0
+    absent: float | str = 0
 
 
 Degrees = Annotated[Floats, Column("deg")]
 Hours = Annotated[Floats, Column("h")]
-Nanometres = Annotated[Floats, Column("nm")]
+Nanometres = Annotated[Floats, Column("nm", np.nan)]
 PerDegree = Annotated[Floats, Column("1/deg")]
 PerNanometre = Annotated[Floats, Column("1/nm")]
 PerSteradian = Annotated[Floats, Column("1/sr")]
+KnownPerSteradian = Annotated[Floats, Column("1/sr", np.nan)]
+"""NaN where it is not known."""
 Seconds = Annotated[Floats, Column("s")]
 Amperes = Annotated[Floats, Column("A")]
 VoltsPerAmpere = Annotated[Floats, Column("V/A")]
 Ratios = Annotated[Floats, Column("1")]
 NumberColumn = Annotated[Floats, Column()]
-"""IntegerColumn in the unit of the values that they belong to."""
+"""Numbers in the unit of the values that they belong to."""
 MemberColumn = Annotated[Indices, Column(absent=-1)]
-"""IntegerColumn of inputs; -1 for none."""
+"""Numbers of inputs; -1 for none."""
+NumberedColumn = Annotated[Ints, Column(absent=-1)]
+"""Numbers of things; -1 for none."""
 IntegerColumn = Annotated[Ints, Column()]
 IndexColumn = Annotated[Indices, Column()]
 BitColumn = Annotated[NDArray[np.uint16], Column()]
-FlagColumn = Annotated[Flags, Column()]
-TextColumn = Annotated[Texts, Column()]
+FlagColumn = Annotated[Flags, Column(absent=False)]
+TextColumn = Annotated[Texts, Column(absent="")]
 
 
 class ColumnTable:
@@ -61,7 +64,7 @@ class ColumnTable:
     @property
     def size(self) -> int:
         """Number of rows."""
-        return len(next(iter(self.columns().values())))
+        return len(next(self._arrays())[1])
 
     def where(self, chosen: Flags | Ints | slice) -> Self:
         """Some of the rows, or all in another order."""
@@ -69,26 +72,24 @@ class ColumnTable:
 
     def each(self, part: Callable[[Array], Array]) -> Self:
         """The table with a function of each array in its place."""
-        parameters, held = _layout(type(self)), vars(self)
-        return type(self)(**{name: kind.each(held[name], part) for name, kind in parameters.items()})
+        return self.mapped(lambda array, _: part(array))
 
     def known_at(self, known: Flags) -> Self:
         """The table with `absent` in all columns where a mask of its rows, or of its values of several axes, is false."""
-        declared = self._declared()
 
-        def masked(name: str, array: Array) -> Array:
-            return np.where(known.reshape(*known.shape, *[1] * (array.ndim - known.ndim)), array, declared[name].absent)
+        def masked(array: Array, column: Column) -> Array:
+            return np.where(known.reshape(*known.shape, *[1] * (array.ndim - known.ndim)), array, column.absent)
 
-        return self.of_columns({name: masked(name, array) for name, array in self.columns().items()})
+        return self.mapped(masked)
+
+    def mapped(self, part: Callable[[Array, Column], Array]) -> Self:
+        """The table with a function of each array, and of what its column is, in its place."""
+        held = vars(self)
+        return type(self)(**{name: kind.mapped(held[name], part) for name, kind in _layout(type(self)).items()})
 
     def columns(self) -> dict[str, Array]:
         """All columns by name. Those of a field with several begin with its name and a blank."""
-        held = vars(self)
-        return {name: array for field, kind in _layout(type(self)).items() for name, array in kind.columns(field, held[field])}
-
-    def units(self) -> dict[str, str]:
-        """The units of all columns by name."""
-        return {name: column.unit for name, column in self._declared().items()}
+        return dict(self._arrays())
 
     def of_columns(self, columns: Mapping[str, Array]) -> Self:
         """A table of these columns, by the names of `columns`, with all that belongs to this whole table."""
@@ -103,22 +104,25 @@ class ColumnTable:
         """
         if len(tables) == 1:
             return tables[0]
-        every = [table.columns() for table in tables]
-        declared = {name: column for table in tables for name, column in table._declared().items()}
         sizes = [table.size for table in tables]
-        return tables[0].of_columns(
-            {name: _joined([columns.get(name) for columns in every], sizes, column.absent) for name, column in declared.items()}
-        )
+        every = [vars(table) for table in tables]
+        layout = _layout(cls).items()
+        return cls(**{name: kind.joined([held[name] for held in every], sizes) for name, kind in layout})
 
-    def _declared(self) -> dict[str, Column]:
+    @classmethod
+    def declared(cls) -> dict[str, Column]:
+        """What the columns of a table of this class are, by name; without those that are in tables of its own."""
+        return {name: kind.column for name, kind in _layout(cls).items() if isinstance(kind, _One)}
+
+    def _arrays(self) -> Iterator[tuple[str, Array]]:
         held = vars(self)
-        return {name: each for field, kind in _layout(type(self)).items() for name, each in kind.declared(field, held[field])}
+        return (each for field, kind in _layout(type(self)).items() for each in kind.columns(field, held[field]))
 
 
 class _Whole:
     """A field that belongs to the whole table."""
 
-    def each(self, held: Any, part: Callable[[Array], Array]) -> Any:
+    def mapped(self, held: Any, part: Callable[[Array, Column], Array]) -> Any:
         """The field with a function of its arrays in their place."""
         del part
         return held
@@ -128,15 +132,15 @@ class _Whole:
         del field, held
         return iter(())
 
-    def declared(self, field: str, held: Any) -> Iterator[tuple[str, Column]]:
-        """What its columns are."""
-        del field, held
-        return iter(())
-
     def found(self, field: str, held: Any, columns: Mapping[str, Array]) -> Any:
         """The field of a table with these columns."""
         del field, columns
         return held
+
+    def joined(self, every: Sequence[Any], sizes: Sequence[int]) -> Any:
+        """The field of several tables of such sizes, joined."""
+        del sizes
+        return every[0]
 
 
 @dataclass(frozen=True)
@@ -145,38 +149,40 @@ class _One(_Whole):
 
     column: Column
 
-    def each(self, held: Any, part: Callable[[Array], Array]) -> Any:
-        return None if held is None else part(held)
+    def mapped(self, held: Any, part: Callable[[Array, Column], Array]) -> Any:
+        return None if held is None else part(held, self.column)
 
     def columns(self, field: str, held: Any) -> Iterator[tuple[str, Array]]:
         if held is not None:
             yield field, held
 
-    def declared(self, field: str, held: Any) -> Iterator[tuple[str, Column]]:
-        if held is not None:
-            yield field, self.column
-
     def found(self, field: str, held: Any, columns: Mapping[str, Array]) -> Any:
         del held
         return columns.get(field)
+
+    def joined(self, every: Sequence[Any], sizes: Sequence[int]) -> Any:
+        return None if all(each is None for each in every) else _joined(every, sizes, self.column.absent)
 
 
 class _Table(_Whole):
     """A field that is a table, or None."""
 
-    def each(self, held: Any, part: Callable[[Array], Array]) -> Any:
-        return None if held is None else held.each(part)
+    def mapped(self, held: Any, part: Callable[[Array, Column], Array]) -> Any:
+        return None if held is None else held.mapped(part)
 
     def columns(self, field: str, held: Any) -> Iterator[tuple[str, Array]]:
         if held is not None:
             yield from ((f"{field} {name}", array) for name, array in held.columns().items())
 
-    def declared(self, field: str, held: Any) -> Iterator[tuple[str, Column]]:
-        if held is not None:
-            yield from ((f"{field} {name}", column) for name, column in held._declared().items())
-
     def found(self, field: str, held: Any, columns: Mapping[str, Array]) -> Any:
         return None if held is None else held.of_columns(_of(field, columns))
+
+    def joined(self, every: Sequence[Any], sizes: Sequence[int]) -> Any:
+        del sizes
+        there = [each for each in every if each is not None]
+        if there and len(there) < len(every):
+            raise ValueError("some of the tables to join have a table that others do not have")
+        return type(there[0]).join(there) if there else None
 
 
 @dataclass(frozen=True)
@@ -185,18 +191,19 @@ class _Named(_Whole):
 
     column: Column
 
-    def each(self, held: Any, part: Callable[[Array], Array]) -> Any:
-        return {name: part(array) for name, array in held.items()}
+    def mapped(self, held: Any, part: Callable[[Array, Column], Array]) -> Any:
+        return {name: part(array, self.column) for name, array in held.items()}
 
     def columns(self, field: str, held: Any) -> Iterator[tuple[str, Array]]:
         return ((f"{field} {name}", array) for name, array in held.items())
 
-    def declared(self, field: str, held: Any) -> Iterator[tuple[str, Column]]:
-        return ((f"{field} {name}", self.column) for name in held)
-
     def found(self, field: str, held: Any, columns: Mapping[str, Array]) -> Any:
         del held
         return _of(field, columns)
+
+    def joined(self, every: Sequence[Any], sizes: Sequence[int]) -> Any:
+        names = dict.fromkeys(name for held in every for name in held)
+        return {name: _joined([held.get(name) for held in every], sizes, self.column.absent) for name in names}
 
 
 @dataclass(frozen=True)
@@ -205,16 +212,11 @@ class _NamedTables(_Whole):
 
     of: type[ColumnTable]
 
-    def each(self, held: Any, part: Callable[[Array], Array]) -> Any:
-        return {name: table.each(part) for name, table in held.items()}
+    def mapped(self, held: Any, part: Callable[[Array, Column], Array]) -> Any:
+        return {name: table.mapped(part) for name, table in held.items()}
 
     def columns(self, field: str, held: Any) -> Iterator[tuple[str, Array]]:
         return ((f"{field} {inner} {name}", array) for name, table in held.items() for inner, array in table.columns().items())
-
-    def declared(self, field: str, held: Any) -> Iterator[tuple[str, Column]]:
-        return (
-            (f"{field} {inner} {name}", column) for name, table in held.items() for inner, column in table._declared().items()
-        )
 
     def found(self, field: str, held: Any, columns: Mapping[str, Array]) -> Any:
         del held
@@ -223,6 +225,15 @@ class _NamedTables(_Whole):
             inner, _, key = name.partition(" ")
             tables.setdefault(key, {})[inner] = array
         return {key: self.of(**found) for key, found in tables.items()}
+
+    def joined(self, every: Sequence[Any], sizes: Sequence[int]) -> Any:
+        tables = {}
+        for name in dict.fromkeys(name for held in every for name in held):
+            there = [vars(held[name]) if name in held else {} for held in every]
+            declared = self.of.declared().items()
+            columns = {inner: _joined([each.get(inner) for each in there], sizes, each.absent) for inner, each in declared}
+            tables[name] = self.of(**columns)
+        return tables
 
 
 def _of(field: str, columns: Mapping[str, Array]) -> dict[str, Array]:
@@ -259,7 +270,7 @@ def _kind(stated: Any) -> _Whole:
     return _Whole()
 
 
-def _joined(parts: Sequence[Array | None], sizes: Sequence[int], absent: int) -> Array:
+def _joined(parts: Sequence[Array | None], sizes: Sequence[int], absent: float | str) -> Array:
     """One column of several tables; of a table without it, and in the rest of shorter axes, `absent`."""
     there = [each for each in parts if each is not None]
     shape = tuple(np.max([each.shape[1:] for each in there], axis=0, initial=0).astype(int).tolist())

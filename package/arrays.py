@@ -6,6 +6,7 @@ import numpy.typing as npt
 Floats = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 Ints = npt.NDArray[np.int64]
+Texts = npt.NDArray[np.str_]
 Counts = npt.NDArray[np.uint16]
 """Raw counts of a converter."""
 Singles = npt.NDArray[np.float32]

@@ -37,9 +37,9 @@ from goniotwin.app.data.values import (
     with_names,
 )
 from goniotwin.app.errors import UserError
-from goniotwin.app.formats.content import BsdfFile, Texts
+from goniotwin.app.formats.content import BsdfFile
 from goniotwin.app.formats.metadata import Metadata
-from goniotwin.arrays import Flags, Floats, Ints
+from goniotwin.arrays import Flags, Floats, Ints, Texts
 from goniotwin.twin.optics import from_specular, to_specular
 from goniotwin.twin.optics.geometry.coordinates import TOLERANCE_DEG, arc_direction, zenith_and_azimuth
 

@@ -12,10 +12,10 @@ from goniotwin.app.campaign.reduction.points import BITS, FLAGS, BsdfPoints, Poi
 from goniotwin.app.campaign.studies.reduced_journal import ReducedJournal
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats import PointStream
-from goniotwin.app.formats.content import CHECK, BsdfFile, ScatteredBsdf, Texts, gap_line, psi_of_gamma
+from goniotwin.app.formats.content import CHECK, BsdfFile, ScatteredBsdf, gap_line, psi_of_gamma
 from goniotwin.app.formats.metadata import Metadata
 from goniotwin.app.formats.points import ABOUT_INTERVAL, SYMMETRY_LINES
-from goniotwin.arrays import Flags, Floats
+from goniotwin.arrays import Flags, Floats, Texts
 from goniotwin.twin.optics.geometry.coordinates import HALF_TURN_DEG, TOLERANCE_DEG, wrap_azimuth
 
 PART_POINTS = 20_000

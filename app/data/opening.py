@@ -1,7 +1,7 @@
 """Opening of data: a journal is reduced, a file is read by the registry, and each becomes a dataset in memory."""
 
 import os
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,6 @@ from goniotwin.app.errors import UserError
 from goniotwin.app.formats import registry
 from goniotwin.app.formats.content import (
     ANGLES,
-    COLUMNS,
     HORIZON_DEG,
     ISOTROPIC,
     BsdfFile,
@@ -149,7 +148,7 @@ def _sample_of_parts(content: BsdfFile) -> SampleData:
     """The parts of one sample as one list of values."""
     content = content.of_points()
     pieces = [*map(_sample_of_table, content.tables), *map(_sample_of_scattered, content.scattered)]
-    joined = _join(pieces) if pieces else _sample_of_scattered(_no_values(content.regular))
+    joined = SampleData.join(pieces) if pieces else _sample_of_scattered(_no_values(content.regular))
     return replace(
         joined, gridded=bool(content.tables) and not content.scattered, regular=content.regular, metadata=content.metadata
     )
@@ -173,18 +172,3 @@ def _no_values(regular: Iterable[RegularTable]) -> ScatteredBsdf:
     some = next(iter(regular))
     none: Floats = np.zeros(0)
     return ScatteredBsdf(none, none, none, none, none, sample=some.sample, generated=some.generated)
-
-
-def _join(pieces: Sequence[SampleData]) -> SampleData:
-    if len(pieces) == 1:
-        return pieces[0]
-    columns: dict[str, Any] = {name: np.concatenate([getattr(each.values, name) for each in pieces]) for name in COLUMNS}
-    values = replace(
-        pieces[0].values,
-        **columns,
-        isotropic=all(each.values.isotropic for each in pieces),
-        generated=any(each.values.generated for each in pieces),
-    )
-    return SampleData(
-        values, np.concatenate([each.theta_deg for each in pieces]), np.concatenate([each.phi_deg for each in pieces])
-    )

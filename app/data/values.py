@@ -3,16 +3,17 @@
 import math
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property, wraps
 from inspect import signature
-from typing import Any, ParamSpec, TypeVar
+from typing import Any, ParamSpec, Self, TypeVar
 
 import numpy as np
 import numpy.typing as npt
 
 from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.reduction.settings import ReductionSettings
+from goniotwin.app.columns import ColumnTable, Degrees
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats.content import UNTRUSTED, RegularTable, ScatteredBsdf, flagged
 from goniotwin.app.formats.metadata import Metadata
@@ -32,7 +33,7 @@ R = TypeVar("R")
 
 
 @dataclass(frozen=True, eq=False)
-class Measured:
+class Measured(ColumnTable):
     """What a journal has beyond the columns: the reduced `points`, one for each value, and the settings of their reduction."""
 
     points: BsdfPoints
@@ -62,7 +63,7 @@ class LightSetting:
 
 
 @dataclass(frozen=True, eq=False)
-class SampleData:
+class SampleData(ColumnTable):
     """One sample: its `values`, with their specular coordinates (n,) in degrees.
 
     `gridded` values are the nodes of tables. `regular` factors have no place among values in 1/sr. `measured`: of a journal.
@@ -70,8 +71,8 @@ class SampleData:
     """
 
     values: ScatteredBsdf
-    theta_deg: Floats
-    phi_deg: Floats
+    theta_deg: Degrees
+    phi_deg: Degrees
     gridded: bool = False
     regular: tuple[RegularTable, ...] = ()
     measured: Measured | None = None
@@ -106,18 +107,10 @@ class SampleData:
             found.append(LightSetting(nm, channel, sigma, psi, transmitted, back, index))
         return tuple(found)
 
-    def where(self, chosen: Flags | Ints) -> "SampleData":
+    def where(self, chosen: Flags | Ints | slice) -> Self:
         """Some of the values, or all in another order."""
-        if chosen.dtype == bool and chosen.all():  # a long journal is not copied
-            return self
-        measured = self.measured
-        return replace(
-            self,
-            values=self.values.where(chosen),
-            theta_deg=self.theta_deg[chosen],
-            phi_deg=self.phi_deg[chosen],
-            measured=None if measured is None else replace(measured, points=measured.points.where(chosen)),
-        )
+        everything = isinstance(chosen, np.ndarray) and chosen.dtype == bool and bool(chosen.all())
+        return self if everything else super().where(chosen)  # a long journal is not copied
 
     def column(self, name: str) -> npt.NDArray[Any]:
         """An array (n,) by its name in `COLUMNS`."""

@@ -43,21 +43,8 @@ LEAST_PACKED = 512
 PACKED = {"compression": "gzip", "compression_opts": 1, "shuffle": True}
 WORDS = ("channel", "interval", "flags")
 """Columns of texts: stored as numbers of words, whose list is in NAME_words."""
-UNITS = {
-    "values": "1/sr",
-    "values_errors": "1/sr",
-    "u_shared": "1/sr",
-    "low95": "1/sr",
-    "high95": "1/sr",
-    "sigma_deg": "deg",
-    "psi_deg": "deg",
-    "polar_deg": "deg",
-    "azimuth_deg": "deg",
-    "phi_deg": "deg",
-    "theta_deg": "deg",
-    "wavelength_nm": "nm",
-    "wavelengths_nm": "nm",
-}
+UNITS = {name: column.unit for name, column in ScatteredBsdf.declared().items() if column.unit}
+UNITS |= {"values_errors": "1/sr", "theta_deg": "deg", "phi_deg": "deg", "wavelengths_nm": "nm"}
 TEXT = h5py.string_dtype()
 
 

@@ -25,7 +25,6 @@ from goniotwin.app.formats.lists import (
     BEYOND_DEG,
     Lines,
     by_channel,
-    column,
     degrees_of,
     observed,
     one_list,
@@ -181,8 +180,8 @@ def _sample(header: Iterable[str]) -> str:
 def write(path: Path, content: BsdfFile) -> None:
     """Write the values of one sample, side and kind of light; not those that are missing. Raises FormatError."""
     values = one_list(path, content, TITLE)
-    transmitted = refuse_mixture(path, TITLE, column(values, "transmitted"), "reflected light", "transmitted light")
-    back = refuse_mixture(path, TITLE, column(values, "back"), "light on the front", "light on the back")
+    transmitted = refuse_mixture(path, TITLE, values.transmitted, "reflected light", "transmitted light")
+    back = refuse_mixture(path, TITLE, values.back, "light on the front", "light on the back")
     measured = values.where(np.isfinite(values.values))
     if not measured.size:
         raise FormatError(path, "there is no value to write", "write values that were measured")
@@ -231,8 +230,8 @@ def _by_direction(path: StrPath, values: ScatteredBsdf) -> tuple[Floats, Floats,
 
 def _named_channels(path: StrPath, values: ScatteredBsdf) -> tuple[list[str], Ints]:
     """The names of the channels as VARS has them, and the index of each value's channel."""
-    wavelengths, of_value = np.unique(column(values, "wavelength_nm"), return_inverse=True)
-    colours_there = column(values, "channel")
+    wavelengths, of_value = np.unique(values.wavelength_nm, return_inverse=True)
+    colours_there = values.channel
     if not (colours_there != "").any():
         names = ["BSDF" if np.isnan(each) else f"{format_number(each)}nm" for each in wavelengths.tolist()]
         if len(set(names)) == len(names) and (len(names) == 1 or "BSDF" not in names):

@@ -27,7 +27,7 @@ import numpy.typing as npt
 from goniotwin.app.errors import printable
 from goniotwin.app.formats.content import ABSENT, BsdfFile, ScatteredBsdf
 from goniotwin.app.formats.file import FormatError, StrPath, name_file, quote_word
-from goniotwin.app.formats.lists import BEYOND_DEG, MOST_BYTES, column, observed, one_list, refuse_mixture
+from goniotwin.app.formats.lists import BEYOND_DEG, MOST_BYTES, observed, one_list, refuse_mixture
 from goniotwin.app.formats.metadata import (
     InstrumentMetadata,
     Metadata,
@@ -342,11 +342,11 @@ def _in_words(entry: Any) -> str:
 def write(path: Path, content: BsdfFile) -> None:
     """Write the values of one sample and side; directions without a value are not written. Raises FormatError."""
     values = one_list(path, content, f"a {TITLE}")
-    if column(values, "transmitted").any():
+    if values.transmitted.any():
         raise FormatError(path, f"a {TITLE} holds reflected light, and some is transmitted", "write it in another format")
-    if (column(values, "channel") != "").any():
+    if (values.channel != "").any():
         raise FormatError(path, f"a {TITLE} holds wavelengths, and these values are of colours", "write another format")
-    back = refuse_mixture(path, f"a {TITLE}", column(values, "back"), "light on the front", "light on the back")
+    back = refuse_mixture(path, f"a {TITLE}", values.back, "light on the front", "light on the back")
     measured = values.where(np.isfinite(values.values))
     if not measured.size:
         raise FormatError(path, "there is no value to write", "write values that were measured")
@@ -379,13 +379,13 @@ def _columns(path: StrPath, values: ScatteredBsdf) -> Iterator[tuple[str, str]]:
     notes = [f"{negative} values are below 0, as measured"] if negative else []
     notes += [f"{grazing} directions are at 90 deg"] if grazing else []
     yield "BRDF", _spelled("sr^-1", values.values, "; ".join(notes))
-    unknown = np.isnan(column(values, "u"))
+    unknown = np.isnan(values.u)
     if not unknown.all():
         note = f"; {unknown.sum()} are unknown, and are the value itself" if unknown.any() else ""
-        yield "uBRDF", _spelled("sr^-1", np.where(unknown, np.abs(values.values), column(values, "u")), ABOUT_U + note)
-    if np.isfinite(column(values, "wavelength_nm")).all():
-        yield "wavelength_i", _spelled("nm", column(values, "wavelength_nm"))
-    elif np.isfinite(column(values, "wavelength_nm")).any():
+        yield "uBRDF", _spelled("sr^-1", np.where(unknown, np.abs(values.values), values.u), ABOUT_U + note)
+    if np.isfinite(values.wavelength_nm).all():
+        yield "wavelength_i", _spelled("nm", values.wavelength_nm)
+    elif np.isfinite(values.wavelength_nm).any():
         raise FormatError(path, f"a {TITLE} has no room for grey and spectral values", "write them in two files")
     if own := ",\n".join(_own_columns(values)):
         yield "adhoc_variables", f"{{{own}}}"
@@ -402,37 +402,37 @@ def _numbers(numbers: Floats) -> str:
 
 def _own_columns(values: ScatteredBsdf) -> Iterator[str]:
     """Columns that BiRD has no name for, where they differ from what is meant without them."""
-    stated = bool((column(values, "interval") != "").all())  # there is no number for one that is not
+    stated = bool((values.interval != "").all())  # there is no number for one that is not
     columns: Iterable[tuple[str, str, str, bool, Callable[[], str]]] = (
         (
             "u_shared",
             "part of uBRDF that neighbouring values share",
             "number",
-            bool((column(values, "u_shared") != 0.0).any()),
-            lambda: _numbers(column(values, "u_shared")),
+            bool((values.u_shared != 0.0).any()),
+            lambda: _numbers(values.u_shared),
         ),
-        ("low95", "lower end of the interval of 95 %", "number", stated, lambda: _numbers(column(values, "low95"))),
-        ("high95", "upper end of the interval of 95 %", "number", stated, lambda: _numbers(column(values, "high95"))),
+        ("low95", "lower end of the interval of 95 %", "number", stated, lambda: _numbers(values.low95)),
+        ("high95", "upper end of the interval of 95 %", "number", stated, lambda: _numbers(values.high95)),
         (
             "interval",
             "law of the interval of 95 %",
             "string",
             stated,
-            lambda: json.dumps(column(values, "interval").tolist())[1:-1],
+            lambda: json.dumps(values.interval.tolist())[1:-1],
         ),
         (
             "flags",
             "flags of each value, words between blanks",
             "string",
-            bool((column(values, "flags") != "").any()),
-            lambda: json.dumps(column(values, "flags").tolist())[1:-1],
+            bool((values.flags != "").any()),
+            lambda: json.dumps(values.flags.tolist())[1:-1],
         ),
         (
             "photodiode",
             "number of the photodiode",
             "integer",
-            bool((column(values, "photodiode") >= 0).any()),
-            lambda: json.dumps(column(values, "photodiode").tolist())[1:-1],
+            bool((values.photodiode >= 0).any()),
+            lambda: json.dumps(values.photodiode.tolist())[1:-1],
         ),
     )
     for name, what, kind, there, spelled in columns:

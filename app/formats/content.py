@@ -6,21 +6,29 @@ comes from the polar angle sigma and the azimuth psi; without psi it comes from 
 
 import math
 import re
-from collections.abc import Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Self
 
 import numpy as np
-import numpy.typing as npt
 
+from goniotwin.app.columns import (
+    ColumnTable,
+    Degrees,
+    FlagColumn,
+    KnownPerSteradian,
+    Nanometres,
+    NumberedColumn,
+    PerSteradian,
+    TextColumn,
+)
 from goniotwin.app.formats.metadata import Metadata
 from goniotwin.app.formats.numerals import finite_array
 from goniotwin.app.formats.table import BsdfTable
-from goniotwin.arrays import Flags, Floats, Ints
+from goniotwin.arrays import Flags, Floats, Ints, Texts
 from goniotwin.twin.optics import from_specular, to_specular
 from goniotwin.twin.optics.geometry.coordinates import TOLERANCE_DEG, arc_direction, wrap_azimuth, zenith_and_azimuth
 
-Texts = npt.NDArray[np.str_]
 ABSENT: Any = None
 """A column that is not given; it is filled in when the values are made, so that it is an array for whatever reads it."""
 FILLED = "filled"
@@ -53,7 +61,7 @@ SAME = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class ScatteredBsdf:
+class ScatteredBsdf(ColumnTable):
     """Values of one sample at any directions; arrays (n,), angles in degrees.
 
     `sigma_deg`, `psi_deg`: polar angle, 0 to 90, and azimuth of the light. `polar_deg`, `azimuth_deg`: those of the observed
@@ -69,22 +77,22 @@ class ScatteredBsdf:
     not fit together.
     """
 
-    sigma_deg: Floats
-    psi_deg: Floats
-    polar_deg: Floats
-    azimuth_deg: Floats
-    values: Floats
-    u: Floats = ABSENT
-    u_shared: Floats = ABSENT
-    low95: Floats = ABSENT
-    high95: Floats = ABSENT
-    interval: Texts = ABSENT
-    wavelength_nm: Floats = ABSENT
-    channel: Texts = ABSENT
-    transmitted: Flags = ABSENT
-    back: Flags = ABSENT
-    flags: Texts = ABSENT
-    photodiode: Ints = ABSENT
+    sigma_deg: Degrees
+    psi_deg: Degrees
+    polar_deg: Degrees
+    azimuth_deg: Degrees
+    values: PerSteradian
+    u: KnownPerSteradian = ABSENT
+    u_shared: PerSteradian = ABSENT
+    low95: KnownPerSteradian = ABSENT
+    high95: KnownPerSteradian = ABSENT
+    interval: TextColumn = ABSENT
+    wavelength_nm: Nanometres = ABSENT
+    channel: TextColumn = ABSENT
+    transmitted: FlagColumn = ABSENT
+    back: FlagColumn = ABSENT
+    flags: TextColumn = ABSENT
+    photodiode: NumberedColumn = ABSENT
     sample: str = ""
     isotropic: bool = True
     generated: bool = False
@@ -95,22 +103,9 @@ class ScatteredBsdf:
         """Fill in the optional columns, and check all of them."""
         keep = object.__setattr__
         n = np.asarray(self.values).size
-        defaults: dict[str, Any] = {
-            "u": math.nan,
-            "u_shared": 0.0,
-            "low95": math.nan,
-            "high95": math.nan,
-            "interval": "",
-            "wavelength_nm": math.nan,
-            "channel": "",
-            "transmitted": False,
-            "back": False,
-            "flags": "",
-            "photodiode": -1,
-        }
-        for each in COLUMNS:
+        for each, declared in self.declared().items():
             given = getattr(self, each)
-            column = np.full(n, defaults[each]) if given is None else np.asarray(given)
+            column = np.full(n, declared.absent) if given is None else np.asarray(given)
             if column.shape != (n,):
                 raise ValueError(f"{each} has the shape {column.shape}, and there are {n} values")
             if column.dtype.kind in "iuf" and each != "photodiode":
@@ -123,25 +118,22 @@ class ScatteredBsdf:
             if outside.any():
                 raise ValueError(f"{each} goes from 0 to 90, and has {getattr(self, each)[outside][0]:g}")
 
-    @property
-    def size(self) -> int:
-        """Number of values."""
-        return int(self.values.size)
-
-    def where(self, chosen: Flags | Ints) -> "ScatteredBsdf":
-        """Some of the values, or all in another order."""
-        return replace(self, **{each: getattr(self, each)[chosen] for each in COLUMNS})
+    @classmethod
+    def join(cls, tables: Sequence[Self]) -> Self:
+        """The values of one sample in one list."""
+        return replace(
+            super().join(tables),
+            comments=tuple(dict.fromkeys(comment for table in tables for comment in table.comments)),
+            isotropic=all(table.isotropic for table in tables),
+            generated=any(table.generated for table in tables),
+        )
 
     def specular(self) -> tuple[Floats, Floats]:
         """theta (n,) and phi (n,) about the specular direction; for transmitted light about that of regular transmission."""
         return to_specular_deg(self.sigma_deg, self.polar_deg, self.azimuth_deg - self.psi_deg)
 
 
-COLUMNS = tuple(
-    each.name
-    for each in fields(ScatteredBsdf)
-    if each.name not in ("sample", "isotropic", "generated", "comments", "widest_gap_deg")
-)
+COLUMNS = tuple(ScatteredBsdf.declared())
 """The arrays of scattered values."""
 INTERVAL_COLUMNS = ("low95", "high95", "interval")
 """Those of the intervals of 95 %, which older files do not have."""

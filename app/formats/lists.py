@@ -2,14 +2,12 @@
 
 import re
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from goniotwin.app.formats.content import COLUMNS, BsdfFile, ScatteredBsdf, nodes
+from goniotwin.app.formats.content import BsdfFile, ScatteredBsdf, nodes
 from goniotwin.app.formats.file import FormatError, StrPath, quote_word, read_head
 from goniotwin.app.formats.numerals import MISSING, NotANumber, parse_number
 from goniotwin.app.formats.text import read_text
@@ -188,26 +186,6 @@ def incidences(lines: Lines, chosen: Ints) -> tuple[Floats, Floats, Floats]:
     return light[block], np.stack(observed(signed, found[:, 1]), axis=1), found[:, 2]
 
 
-def column(values: ScatteredBsdf, name: str) -> npt.NDArray[Any]:
-    """A column of scattered values, which all of them have once they are made."""
-    return np.asarray(getattr(values, name))
-
-
-def joined(parts: Sequence[ScatteredBsdf]) -> ScatteredBsdf:
-    """Scattered values of one sample in one list."""
-    first = parts[0]
-    if len(parts) == 1:
-        return first
-    columns: dict[str, Any] = {name: np.concatenate([column(part, name) for part in parts]) for name in COLUMNS}
-    return replace(
-        first,
-        **columns,
-        comments=tuple(dict.fromkeys(comment for part in parts for comment in part.comments)),
-        isotropic=all(part.isotropic for part in parts),
-        generated=any(part.generated for part in parts),
-    )
-
-
 def one_list(path: StrPath, content: BsdfFile, name: str) -> ScatteredBsdf:
     """All values of a content, for a format that holds one list of one sample. Raises FormatError where it has more."""
     if len(content.samples) > 1:
@@ -216,7 +194,7 @@ def one_list(path: StrPath, content: BsdfFile, name: str) -> ScatteredBsdf:
     if content.regular or not content.parts:
         what = "no regular reflectance or transmittance" if content.parts else "values, and there are none"
         raise FormatError(path, f"{name} holds {what}", "write scattered values, or a table")
-    return joined([*(nodes(table, once=True) for table in content.tables), *content.scattered])
+    return ScatteredBsdf.join([*(nodes(table, once=True) for table in content.tables), *content.scattered])
 
 
 def refuse_mixture(path: StrPath, name: str, column: Flags, one: str, other: str) -> bool:

@@ -21,7 +21,7 @@ import numpy as np
 
 from goniotwin.app.formats.content import BsdfFile, ScatteredBsdf
 from goniotwin.app.formats.file import FormatError, name_file, quote_word
-from goniotwin.app.formats.lists import BEYOND_DEG, Lines, by_channel, files_of, joined
+from goniotwin.app.formats.lists import BEYOND_DEG, Lines, by_channel, files_of
 from goniotwin.app.formats.numerals import NotANumber, parse_number
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics.geometry.coordinates import wrap_azimuth
@@ -45,7 +45,7 @@ def read(path: Path) -> BsdfFile:
         with name_file(file):
             values = _Reader(Lines(file)).values()
         found.setdefault(values.sample, []).append(values)
-    lists = [joined(parts) for parts in found.values()]
+    lists = [ScatteredBsdf.join(parts) for parts in found.values()]
     return BsdfFile(tuple(replace(each, isotropic=np.unique(each.psi_deg).size == 1) for each in lists))
 
 

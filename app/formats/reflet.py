@@ -24,7 +24,7 @@ import numpy as np
 
 from goniotwin.app.formats.content import BsdfFile, ScatteredBsdf
 from goniotwin.app.formats.file import FormatError, name_file, quote_word
-from goniotwin.app.formats.lists import Lines, joined, numbered, observed
+from goniotwin.app.formats.lists import Lines, numbered, observed
 from goniotwin.app.formats.numerals import NotANumber, parse_number
 from goniotwin.arrays import Floats
 
@@ -68,7 +68,9 @@ def _by_measurement(blocks: list[ScatteredBsdf]) -> list[ScatteredBsdf]:
         else:
             groups.append([block])
     names = numbered(group[0].sample for group in groups)
-    return [ScatteredBsdf(**{**vars(joined(group)), "sample": name}) for group, name in zip(groups, names, strict=True)]
+    return [
+        ScatteredBsdf(**{**vars(ScatteredBsdf.join(group)), "sample": name}) for group, name in zip(groups, names, strict=True)
+    ]
 
 
 @dataclass

@@ -33,6 +33,7 @@ from goniotwin.app.campaign.reduction.points import BsdfPoints, plausible, steep
 from goniotwin.app.campaign.reduction.reading_inputs import monitor_variance
 from goniotwin.app.campaign.reduction.settings import ReductionSettings
 from goniotwin.app.campaign.schedule.refinement import DEFAULT_ANGLE_UNCERTAINTY_DEG
+from goniotwin.app.columns import ColumnTable, IntegerColumn, Ratios
 from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.twin.optics.geometry.coordinates import round_deg
 
@@ -45,26 +46,21 @@ KNOWN_TO = 0.01
 HUBER = 2.0
 """Residuals beyond so many standard uncertainties have a constant pull."""
 ITERATIONS = 30
-PAIR_COLUMNS = ("one", "other", "ratio", "variance", "together")
 
 
 @dataclass(frozen=True)
-class OverlapPairs:
+class OverlapPairs(ColumnTable):
     """Logarithms of the ratios of two photodiodes' values, `one` over `other`, for one direction; arrays of one length.
 
     `variance` is that of the logarithm, without the monitor's error. `together` numbers the pairs of poses, all of which share
     the monitor's error.
     """
 
-    one: Ints
-    other: Ints
-    ratio: Floats
-    variance: Floats
-    together: Ints
-
-    def where(self, chosen: Flags) -> "OverlapPairs":
-        """A selection of the pairs."""
-        return OverlapPairs(*(getattr(self, name)[chosen] for name in PAIR_COLUMNS))
+    one: IntegerColumn
+    other: IntegerColumn
+    ratio: Ratios
+    variance: Ratios
+    together: IntegerColumn
 
 
 @dataclass(frozen=True)
@@ -137,7 +133,7 @@ class OverlapCheck:
         z = np.concatenate(self._differences) if self._differences else np.zeros(0)
         none = np.zeros(0, dtype=np.int64)
         kept = self._pairs or [OverlapPairs(none, none, np.zeros(0), np.zeros(0), none)]
-        pairs = OverlapPairs(*(np.concatenate([getattr(each, name) for each in kept]) for name in PAIR_COLUMNS))
+        pairs = OverlapPairs.join(kept)
         factors = fit_factors(pairs, np.sqrt(2.0) * self._monitor, self._seen)
         return Overlaps(z.size, float(np.sum(z**2)), float(np.abs(z).max()) if z.size else 0.0, factors)
 

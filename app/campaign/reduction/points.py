@@ -48,7 +48,7 @@ from goniotwin.app.columns import (
     Ratios,
 )
 from goniotwin.app.formats import content
-from goniotwin.arrays import Flags, Floats, Ints
+from goniotwin.arrays import Flags, Floats, Ints, Texts
 from goniotwin.twin.optics.geometry.coordinates import aspecular_deg, round_deg, signed_polar
 
 SLOPE_DECIMALS = 3
@@ -333,7 +333,7 @@ class BsdfPoints(MeasuredDirections):
         return np.where(known, np.sqrt(components.get("field", none) + own), np.nan)
 
     @property
-    def interval(self) -> tuple[Floats, Floats, content.Texts]:
+    def interval(self) -> tuple[Floats, Floats, Texts]:
         """Lower and upper ends (n,) of the intervals of 95 %, in 1/sr, and the law of each; NaN and "" without a value."""
         components = self.components
         added, u = mostly_added(components), standard_uncertainty(components)
