@@ -3,6 +3,7 @@
 import ast
 import functools
 import re
+from datetime import date
 from pathlib import Path
 
 from tests.conftest import REPOSITORY
@@ -126,6 +127,21 @@ def test_every_link_of_the_documents_leads_to_a_file_and_every_name_in_it_is_def
                 }
                 wanted = {part for part in symbol.groups() if part}
                 assert wanted <= defined, f"{document.name}: {name} is not in {target}"
+
+
+def test_every_decision_states_its_date_and_its_status() -> None:
+    paths = {int(path.name[:4]): path for path in (REPOSITORY / "docs" / "decisions").iterdir()}
+    form = r"# (\d+)\. [^\n]+\n\nDate: (\d{4}-\d\d-\d\d)\. Status: (accepted|superseded by \[(\d+)\]\(([^)]+)\))\.\n\n"
+    assert len(paths) > 40
+    for number, path in paths.items():
+        header = re.match(form, path.read_text(encoding="utf-8"))
+        assert header is not None, f"{path.name}: its header is not a number and a title, then date and status"
+        assert int(header[1]) == number, path.name
+        date.fromisoformat(header[2])
+        if header[4] is not None:
+            later = paths[int(header[4])]
+            assert later.name == header[5], path.name
+            assert f"({path.name})" in later.read_text(encoding="utf-8"), f"{later.name} does not name {path.name}"
 
 
 def test_no_test_imports_a_benchmark() -> None:
