@@ -11,8 +11,9 @@ import numpy as np
 from goniotwin.arrays import Counts, Flags, Floats
 from goniotwin.drivers.device import Pending, Until
 from goniotwin.drivers.errors import DeviceError, NoAnswer, Refused
-from goniotwin.drivers.photodiodes.adam import CHECK_WIRING, AdamModule, SettingsCheck
+from goniotwin.drivers.photodiodes.adam import AdamModule, SettingsCheck
 from goniotwin.drivers.photodiodes.modbus import NOT_QUIET, ModbusUnit, explain, explain_rtu
+from goniotwin.drivers.photodiodes.registers import CHECK_WIRING
 from goniotwin.drivers.photodiodes.settings import PhotodiodeSettings
 from goniotwin.protocols import adam
 from goniotwin.protocols.clock import Clock

@@ -2,7 +2,7 @@
 
 A TCP connection has one module, an RTU line several. Over TCP the transaction identifier shows a late reply; after a fault
 the connection is closed, with everything still in transmission. Over RTU a late reply would be taken for the next one:
-after a fault the line is read until it is quiet, and the module must then return a marker (see `drivers.photodiodes.adam`).
+after a fault the line is read until it is quiet, and the module must then return a marker (see `photodiodes.registers`).
 The library's own retries are off: a retry that reuses an identifier would accept a late reply.
 
 An exchange ends after one timeout, however its reply is divided, and whatever else the wire brings.

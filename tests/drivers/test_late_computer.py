@@ -46,7 +46,7 @@ def resynchronisations(rig: Rig) -> int:
 
 
 def unverified(rig: Rig) -> int:
-    return sum(module._unverified for module in rig.photodiodes._modules)
+    return sum(module.registers.unverified for module in rig.photodiodes._modules)
 
 
 QUESTIONS = {

@@ -176,7 +176,7 @@ class PhotodiodesSetUp(Bench):
     def driver(self) -> PhotodiodeArray:
         first = self.rig.photodiodes
         units = [
-            ModbusUnit(module._bus, module.unit, found=FoundSettings(notes))
+            ModbusUnit(module.bus, module.registers.unit, found=FoundSettings(notes))
             for module, notes in zip(first._modules, self.notes, strict=True)
         ]
         return PhotodiodeArray(units, first.settings, self.clock)

@@ -108,7 +108,7 @@ def test_ranges_of_which_a_killed_program_has_written_some_are_restored(opened: 
     notes = Notes()
 
     def driver() -> AdamModule:
-        unit = ModbusUnit(first._bus, first.unit, found=FoundSettings(notes))
+        unit = ModbusUnit(first.bus, first.registers.unit, found=FoundSettings(notes))
         return AdamModule("module", unit, adam.ADAM_4117, 0x09, clock)
 
     write, left = module.write_registers, [written]
