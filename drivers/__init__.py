@@ -46,24 +46,4 @@ if TYPE_CHECKING:
     from goniotwin.drivers.rig import Rig as Rig
     from goniotwin.drivers.tap import Transcript as Transcript
 else:
-    __getattr__ = first_use(
-        __name__,
-        {
-            "device": ("Device", "Pending", "Poll", "Until", "wait"),
-            "errors": ("BadAnswer", "DeviceError", "Forgotten", "LimitError", "NoAnswer", "Refused"),
-            "monitor.monitor": ("Monitor",),
-            "monitor.settings": ("MonitorDescription", "MonitorSettings"),
-            "monochromator.monochromator": ("Monochromator",),
-            "monochromator.settings": ("FilterWheel", "MonochromatorDescription", "MonochromatorSettings", "OrderFilter"),
-            "motion.axis": ("Axis", "AxisDescription", "check_limits"),
-            "motion.clearance": ("ArcClearance",),
-            "motion.controller": ("MotionController",),
-            "motion.settings": ("AxisSettings", "Homing"),
-            "motion.tmcl": ("TmclAxis", "TmclController", "TmclModule"),
-            "photodiodes.array": ("PhotodiodeArray",),
-            "photodiodes.description": ("ConverterDescription", "ConverterRange"),
-            "photodiodes.settings": ("PhotodiodeSettings",),
-            "rig": ("Rig",),
-            "tap": ("Transcript",),
-        },
-    )
+    __getattr__, __dir__ = first_use(__name__)

@@ -1,5 +1,3 @@
 """Mock hardware: twin devices on real endpoints (serial, TCP, USB), for programs written for real devices."""
 
-from goniotwin.mocks.usb_endpoints import install_backend
-
-__all__ = ["install_backend"]
+from goniotwin.mocks.usb_endpoints import install_backend as install_backend

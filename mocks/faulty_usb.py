@@ -10,7 +10,8 @@ as a driver's or a hub's error would.
 from goniotwin.mocks.faults import Fault, FaultPlan, corrupt, truncate
 from goniotwin.protocols.clock import Clock
 from goniotwin.protocols.usbtmc import HEADER_BYTES
-from goniotwin.twin.devices.usbtmc import BULK_IN, BULK_OUT, UsbTmcDevice
+from goniotwin.twin.devices.usb_standard import BULK_IN, BULK_OUT
+from goniotwin.twin.devices.usbtmc import UsbTmcDevice
 
 
 class FaultyUsb(UsbTmcDevice):

@@ -14,7 +14,8 @@ from goniotwin.mocks.replay import ROUNDING_S, replay_all
 from goniotwin.mocks.replay_difference import Difference, describe_differences
 from goniotwin.mocks.transcript import FROM_DEVICE, Exchange, Transfer, exchanges
 from goniotwin.protocols.usbtmc import ClassRequest
-from goniotwin.twin.devices.usbtmc import Overflow, Stall, UsbTmcDevice
+from goniotwin.twin.devices.usbtmc import UsbTmcDevice
+from goniotwin.twin.devices.usbtmc_transfers import Overflow, Stall
 
 SETUP = struct.Struct("<BBHHH")
 CLEAR_HALT = (0x02, 1)

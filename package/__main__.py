@@ -8,10 +8,10 @@ def main() -> None:
     """Run the command line. `--version` alone does not load it."""
     _open_closed_streams()
     if sys.argv[1:] == ["--version"]:
-        import goniotwin
+        from goniotwin.version import __version__
 
         try:
-            print(f"goniotwin {goniotwin.__version__}", flush=True)
+            print(f"goniotwin {__version__}", flush=True)
             return
         except OSError:  # reported below
             pass

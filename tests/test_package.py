@@ -1,6 +1,7 @@
 """The import package `goniotwin`: five folders under one name, in the tree and in the wheel."""
 
 import os
+import re
 import shutil
 import subprocess
 import sys
@@ -97,7 +98,25 @@ def test_the_import_and_the_version_load_nothing_heavy() -> None:
 
 
 def test_the_public_names_are_there_and_no_others() -> None:
-    assert dir(goniotwin) == sorted(goniotwin.__all__)
-    assert all(getattr(goniotwin, name) is not None for name in goniotwin.__all__)
+    names: dict[str, object] = {}
+    exec("from goniotwin import *", names)
+    assert dir(goniotwin) == sorted(names.keys() - {"__builtins__"})
+    assert all(names[name] is getattr(goniotwin, name) for name in dir(goniotwin))
+    assert goniotwin.open.__name__ == "open_dataset"
     with pytest.raises(AttributeError, match="nothing_of_it"):
-        goniotwin.nothing_of_it  # noqa: B018
+        goniotwin.nothing_of_it  # type: ignore[attr-defined]  # noqa: B018
+
+
+@pytest.mark.long
+def test_each_public_name_has_a_type_for_those_who_install_the_wheel(unpacked: Path, tmp_path: Path) -> None:
+    script = tmp_path / "script.py"
+    script.write_text("\n".join(["import goniotwin as g", *(f"reveal_type(g.{name})" for name in dir(goniotwin)), "g.none"]))
+    command = [sys.executable, "-m", "mypy", "--strict", "--follow-imports", "silent", "--ignore-missing-imports", str(script)]
+    environment = {**os.environ, "MYPYPATH": str(unpacked)}
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    types = dict(re.findall(r'script.py:(\d+): note: Revealed type is "(.*)"', done.stdout))
+    assert [int(line) for line in types] == list(range(2, 2 + len(dir(goniotwin)))), done.stdout
+    assert "Any" not in types.values()
+    errors = [line for line in done.stdout.splitlines() if " error: " in line]
+    assert len(errors) == 1, errors
+    assert 'Module has no attribute "none"' in errors[0]

@@ -11,10 +11,4 @@ if TYPE_CHECKING:
     from goniotwin.twin.plant import TwinModel as TwinModel
     from goniotwin.twin.rig import VirtualRig as VirtualRig
 else:
-    __getattr__ = first_use(
-        __name__,
-        {
-            "plant": ("Plant", "TwinModel"),
-            "rig": ("VirtualRig",),
-        },
-    )
+    __getattr__, __dir__ = first_use(__name__)

@@ -15,13 +15,11 @@ from PySide6.QtWidgets import QApplication
 
 from goniotwin.app.desktop.event_loop import end_signal_notifier
 from goniotwin.app.desktop.remembered import Remembered
-from goniotwin.app.desktop.theme import Theme
-from goniotwin.app.desktop.window import MainWindow
+from goniotwin.app.desktop.theme import Theme as Theme
+from goniotwin.app.desktop.window import MainWindow as MainWindow
 
 if TYPE_CHECKING:
     from goniotwin.app.desktop.model.connection import Stations
-
-__all__ = ["MainWindow", "Theme", "run_desktop"]
 
 STOPPED = 130
 """Exit status after Ctrl-C: 128 + SIGINT, as of a shell."""

@@ -26,14 +26,4 @@ if TYPE_CHECKING:
     from goniotwin.app.formats.zemax import read_zemax as read_zemax
     from goniotwin.app.formats.zemax import write_zemax as write_zemax
 else:
-    __getattr__ = first_use(
-        __name__,
-        {
-            "ddr": ("DdrTable", "bsdf", "read_ddr", "write_ddr"),
-            "file": ("FormatError",),
-            "points": ("PointStream", "Points", "read_points_csv", "write_points_csv"),
-            "rayset": ("read_rayset", "write_rayset"),
-            "table": ("BsdfTable",),
-            "zemax": ("ZemaxBsdf", "read_zemax", "write_zemax"),
-        },
-    )
+    __getattr__, __dir__ = first_use(__name__)

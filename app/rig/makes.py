@@ -163,7 +163,7 @@ def _explain_modbus(direction: str, data: bytes) -> str:
 
 
 def _explain_usbtmc(direction: str, data: bytes) -> str:
-    from goniotwin.drivers.usb.usbtmc import explain
+    from goniotwin.drivers.usb.control_endpoint import explain
 
     return explain(direction, data)
 

@@ -14,10 +14,4 @@ if TYPE_CHECKING:
     from goniotwin.drivers.monochromator.settings import MonochromatorSettings as MonochromatorSettings
     from goniotwin.drivers.monochromator.settings import OrderFilter as OrderFilter
 else:
-    __getattr__ = first_use(
-        __name__,
-        {
-            "monochromator": ("Monochromator",),
-            "settings": ("FilterWheel", "MonochromatorDescription", "MonochromatorSettings", "OrderFilter"),
-        },
-    )
+    __getattr__, __dir__ = first_use(__name__)

@@ -27,23 +27,4 @@ if TYPE_CHECKING:
     from goniotwin.drivers.motion.stop_lock import StopLock as StopLock
     from goniotwin.drivers.motion.tmcl import TmclController as TmclController
 else:
-    __getattr__ = first_use(
-        __name__,
-        {
-            "axis": (
-                "Axis",
-                "AxisDescription",
-                "AxisTiming",
-                "PendingMove",
-                "check_limits",
-                "limit_violation",
-                "within_limits",
-            ),
-            "clearance": ("ArcClearance",),
-            "controller": ("MotionController",),
-            "settings": ("AxisSettings", "Homing"),
-            "stop": ("StopPhase", "StopSteps", "stop_all"),
-            "stop_lock": ("StopLock",),
-            "tmcl": ("TmclController",),
-        },
-    )
+    __getattr__, __dir__ = first_use(__name__)

@@ -12,13 +12,11 @@ from goniotwin.arrays import Counts, Flags, Floats
 from goniotwin.drivers.device import Pending, Until
 from goniotwin.drivers.errors import DeviceError, NoAnswer, Refused
 from goniotwin.drivers.photodiodes.adam import AdamModule, SettingsCheck
-from goniotwin.drivers.photodiodes.modbus import NOT_QUIET, ModbusUnit, explain, explain_rtu
+from goniotwin.drivers.photodiodes.modbus import NOT_QUIET, ModbusUnit
 from goniotwin.drivers.photodiodes.registers import CHECK_WIRING
 from goniotwin.drivers.photodiodes.settings import PhotodiodeSettings
 from goniotwin.protocols import adam
 from goniotwin.protocols.clock import Clock
-
-__all__ = ["PhotodiodeArray", "PhotodiodeSettings", "Readings", "explain", "explain_rtu"]
 
 NAME = "photodiodes"
 LATE = 0.1

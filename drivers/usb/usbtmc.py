@@ -23,7 +23,7 @@ import usb.util
 
 from goniotwin.drivers.errors import BadAnswer, DeviceError, NoAnswer, WrongDevice, unless_late
 from goniotwin.drivers.tap import FROM_DEVICE, TO_DEVICE, Tap, no_tap
-from goniotwin.drivers.usb.control_endpoint import ControlEndpoint, explain
+from goniotwin.drivers.usb.control_endpoint import ControlEndpoint
 from goniotwin.protocols.clock import Clock
 from goniotwin.protocols.usbtmc import (
     HEADER_BYTES,
@@ -36,8 +36,6 @@ from goniotwin.protocols.usbtmc import (
     next_tag,
     request_in,
 )
-
-__all__ = ["UsbOpener", "UsbTmc", "explain"]
 
 UsbOpener = Callable[[], Any]
 """Finds the pyusb device; None if it is not connected."""

@@ -11,7 +11,7 @@ from goniotwin.mocks.faults import ON_USB, Fault, FaultPlan, ScriptedFaults
 from goniotwin.mocks.faulty_usb import FaultyUsb
 from goniotwin.protocols.clock import VirtualClock
 from goniotwin.protocols.usbtmc import HEADER_BYTES
-from goniotwin.twin.devices.usbtmc import BULK_IN, BULK_OUT
+from goniotwin.twin.devices.usb_standard import BULK_IN, BULK_OUT
 from tests.conftest import RigOpener
 from tests.drivers.bounded_calls import BoundedCalls
 from tests.drivers.monitor_bench import TRUTH_A, MonitorBench, bench

@@ -17,7 +17,7 @@ from goniotwin.drivers import Transcript
 from goniotwin.drivers.motion import tmcl
 from goniotwin.drivers.photodiodes.modbus import explain, explain_rtu
 from goniotwin.drivers.tap import Explain, as_text
-from goniotwin.drivers.usb import usbtmc
+from goniotwin.drivers.usb import control_endpoint
 from goniotwin.mocks import transcript as transcripts
 from goniotwin.mocks.transcript import TranscriptError, Transfer, exchanges, merge_transcripts, read_transcript
 from goniotwin.protocols.clock import VirtualClock
@@ -26,7 +26,7 @@ from tests.mocks.replay_bench import QUIET, read_photodiodes
 
 TIMES = st.floats(-1e6, 1e9, allow_nan=False).map(lambda t: round(t, 6))
 PIECES = st.lists(st.tuples(TIMES, st.sampled_from("<>"), st.binary(min_size=1, max_size=40)), max_size=20)
-EXPLAINS = (as_text, tmcl.explain, usbtmc.explain, explain, explain_rtu)
+EXPLAINS = (as_text, tmcl.explain, control_endpoint.explain, explain, explain_rtu)
 
 
 class Times(VirtualClock):

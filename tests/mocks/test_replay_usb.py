@@ -8,7 +8,8 @@ from goniotwin.drivers import DeviceError
 from goniotwin.mocks.replay_usb import RecordedUsb, replay_to_usb
 from goniotwin.mocks.transcript import Transfer
 from goniotwin.protocols.usbtmc import ClassRequest, StatusByte
-from goniotwin.twin.devices.usbtmc import BULK_IN, BULK_OUT, UsbTmcDevice
+from goniotwin.twin.devices.usb_standard import BULK_IN, BULK_OUT
+from goniotwin.twin.devices.usbtmc import UsbTmcDevice
 from tests.mocks.replay_bench import QUIET, RigMaker, read_monitor, same, transcripts, virtual
 from tests.mocks.replay_bench import rig_of as rig_of
 

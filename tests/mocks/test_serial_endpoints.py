@@ -17,7 +17,7 @@ from goniotwin.protocols.clock import RealClock
 from goniotwin.protocols.tmcl import Command, CommandFrame, ReplyFrame
 from goniotwin.protocols.tmcl_parameters import AxisParameter
 from goniotwin.twin import VirtualRig
-from goniotwin.twin.devices.cornerstone260 import IDENTITY
+from goniotwin.twin.devices.cornerstone_statements import IDENTITY
 from tests.conftest import RigOpener
 
 pytestmark = pytest.mark.endpoint

@@ -17,15 +17,4 @@ if TYPE_CHECKING:
     from goniotwin.twin.devices.tmcm6214 import MODULE_KINDS as MODULE_KINDS
     from goniotwin.twin.devices.usbtmc import UsbTmcDevice as UsbTmcDevice
 else:
-    __getattr__ = first_use(
-        __name__,
-        {
-            "adam": ("Adam4117", "Adam6017", "ConverterModule"),
-            "cornerstone260": ("Cornerstone260",),
-            "modbus": ("RtuStation", "TcpStation"),
-            "pm100d": ("Pm100d",),
-            "tmcl_line": ("FurtherTmclLine", "TmclLine"),
-            "tmcm6214": ("MODULE_KINDS",),
-            "usbtmc": ("UsbTmcDevice",),
-        },
-    )
+    __getattr__, __dir__ = first_use(__name__)

@@ -22,7 +22,6 @@ from goniotwin.protocols.cornerstone import (
     StatementError,
 )
 from goniotwin.twin.devices.cornerstone_statements import (
-    IDENTITY,
     GratingData,
     StatementRefused,
     Statements,
@@ -30,8 +29,6 @@ from goniotwin.twin.devices.cornerstone_statements import (
     status_text,
 )
 from goniotwin.twin.plant import Plant
-
-__all__ = ["IDENTITY", "Cornerstone260"]
 
 LATENCY_S = 2.0e-3
 BITS_A_CHARACTER = 10.0

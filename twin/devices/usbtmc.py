@@ -13,15 +13,11 @@ from goniotwin.twin.devices.usb_standard import (
     BULK_OUT,
     ENDPOINTS,
     HALT_FEATURE,
-    INTERRUPT_IN,
-    MAX_PACKET,
     configuration_descriptor,
     device_descriptor,
     string_descriptor,
 )
-from goniotwin.twin.devices.usbtmc_transfers import Overflow, Stall, Transfers
-
-__all__ = ["BULK_IN", "BULK_OUT", "INTERRUPT_IN", "MAX_PACKET", "PROTOCOL", "Overflow", "Stall", "UsbTmcDevice"]
+from goniotwin.twin.devices.usbtmc_transfers import Stall, Transfers
 
 PROTOCOL = PROTOCOL_USB488
 CLASS_TO_INTERFACE, CLASS_TO_ENDPOINT = 0xA1, 0xA2

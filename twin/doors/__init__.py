@@ -5,11 +5,12 @@ Serial: `protocol_twin`, a URL handler of pyserial. Modbus: a subclass of pymodb
 
 import serial
 
-from goniotwin.twin.doors.modbus import TwinModbusClient, TwinRtuClient
-from goniotwin.twin.doors.registry import NoSuchTwin, find, register, unregister
-from goniotwin.twin.doors.usb import TwinUsbBackend
+from goniotwin.twin.doors.modbus import TwinModbusClient as TwinModbusClient
+from goniotwin.twin.doors.modbus import TwinRtuClient as TwinRtuClient
+from goniotwin.twin.doors.registry import NoSuchTwin as NoSuchTwin
+from goniotwin.twin.doors.registry import register as register
+from goniotwin.twin.doors.registry import unregister as unregister
+from goniotwin.twin.doors.usb import TwinUsbBackend as TwinUsbBackend
 
 if __name__ not in serial.protocol_handler_packages:
     serial.protocol_handler_packages.append(__name__)
-
-__all__ = ["NoSuchTwin", "TwinModbusClient", "TwinRtuClient", "TwinUsbBackend", "find", "register", "unregister"]

@@ -16,7 +16,8 @@ from goniotwin.protocols.clock import VirtualClock
 from goniotwin.protocols.usb_descriptors import decode_configuration, decode_device
 from goniotwin.protocols.usbip import FULL_SPEED
 from goniotwin.twin.devices.usb_standard import INTERRUPT_IN, configuration_descriptor, device_descriptor
-from goniotwin.twin.devices.usbtmc import Overflow, Stall, UsbTmcDevice
+from goniotwin.twin.devices.usbtmc import UsbTmcDevice
+from goniotwin.twin.devices.usbtmc_transfers import Overflow, Stall
 from goniotwin.twin.rig import VirtualRig
 
 POLL_S = 0.002

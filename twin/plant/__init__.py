@@ -26,28 +26,4 @@ if TYPE_CHECKING:
     from goniotwin.twin.plant.plant import ExpectedPose as ExpectedPose
     from goniotwin.twin.plant.plant import Plant as Plant
 else:
-    __getattr__ = first_use(
-        __name__,
-        {
-            "disturbances": ("Disturbances", "Drawn"),
-            "model": (
-                "AxisController",
-                "ControllerModel",
-                "DeviceModel",
-                "Electronics",
-                "Estimator",
-                "LightSource",
-                "Mechanics",
-                "ModuleKind",
-                "MonitorPhotodiode",
-                "MonochromatorDrive",
-                "OrderSorting",
-                "Parts",
-                "Photodiodes",
-                "SecondOrder",
-                "TwinModel",
-                "WheelFilter",
-            ),
-            "plant": ("ExpectedPose", "Plant"),
-        },
-    )
+    __getattr__, __dir__ = first_use(__name__)

@@ -23,16 +23,4 @@ if TYPE_CHECKING:
     from goniotwin.drivers.motion.tmcl.rules import CANARY as CANARY
     from goniotwin.drivers.motion.tmcl.rules import explain as explain
 else:
-    __getattr__ = first_use(
-        __name__,
-        {
-            "axis": ("TmclAxis", "axis_timing"),
-            "controller": ("TmclController", "TmclSettings"),
-            "homing": ("HomingSearch",),
-            "module": ("TmclModule", "default_reply_timeout_s"),
-            "move": ("Move",),
-            "port": ("exchange_seconds",),
-            "registers": ("Switches",),
-            "rules": ("CANARY", "explain"),
-        },
-    )
+    __getattr__, __dir__ = first_use(__name__)

@@ -10,7 +10,8 @@ from goniotwin.protocols.clock import RealClock, VirtualClock
 from goniotwin.protocols.usbtmc import MsgId, message, request_in
 from goniotwin.twin import TwinModel, VirtualRig
 from goniotwin.twin.devices import Pm100d, UsbTmcDevice
-from goniotwin.twin.devices.usbtmc import BULK_OUT, Stall
+from goniotwin.twin.devices.usb_standard import BULK_OUT
+from goniotwin.twin.devices.usbtmc_transfers import Stall
 from goniotwin.twin.doors import TwinUsbBackend
 from tests.conftest import RIG, RigOpener
 

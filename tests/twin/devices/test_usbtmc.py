@@ -5,8 +5,8 @@ import pytest
 from goniotwin.protocols.clock import VirtualClock
 from goniotwin.protocols.usbtmc import ClassRequest, Header, MsgId, RequestStatus, message, request_in, trigger
 from goniotwin.twin.devices import Pm100d, UsbTmcDevice
-from goniotwin.twin.devices.usb_standard import configuration_descriptor
-from goniotwin.twin.devices.usbtmc import BULK_IN, BULK_OUT, INTERRUPT_IN, Overflow, Stall
+from goniotwin.twin.devices.usb_standard import BULK_IN, BULK_OUT, INTERRUPT_IN, configuration_descriptor
+from goniotwin.twin.devices.usbtmc_transfers import Overflow, Stall
 from tests.conftest import RigOpener
 
 OUT = MsgId.DEV_DEP_MSG_OUT

@@ -19,7 +19,7 @@ from goniotwin.app.rig import open_rig, read_rig
 from goniotwin.protocols import adam
 from goniotwin.protocols.clock import VirtualClock
 from goniotwin.twin import VirtualRig
-from goniotwin.twin.devices.usbtmc import BULK_IN
+from goniotwin.twin.devices.usb_standard import BULK_IN
 from goniotwin.twin.plant import Plant
 from tests.conftest import Writer
 
