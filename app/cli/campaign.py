@@ -505,14 +505,14 @@ def _hosted(speed: float | None, rig: "RigDescription") -> "Iterator[tuple[Hoste
             print_warning(message.what)
 
     with hosted_run(speed or 1.0, print_warning) as host:
-        host.board.subscribe(print_guardian)
+        host.station.board.subscribe(print_guardian)
         yield host, TerminalAsk(host)
 
 
 def _report_end(host: "HostedRun | None", outcome: "Outcome") -> None:
     if host is not None:
-        host.release()
-        host.run_ended(outcome.state, outcome.ended_by_schedule, outcome.journal, outcome.journal_note)
+        host.station.release()
+        host.station.runs.end(outcome.state, outcome.ended_by_schedule, outcome.journal, outcome.journal_note)
 
 
 class TerminalAsk:
@@ -534,24 +534,24 @@ class TerminalAsk:
                 self._set_question((message.number, message.question))
 
         if question.axis is not None:
-            self._host.report_place(question.axis.name)
+            self._host.station.report_place(question.axis.name)
         _print_question(question, self._place_of(question))
-        self._host.board.subscribe(note)
+        self._host.station.board.subscribe(note)
         try:
             if self._reader is None:
                 self._reader = threading.Thread(target=self._read, name="terminal", daemon=True)
                 self._reader.start()
-            return self._host.ask(question, self._given_up)
+            return self._host.station.ask(question, self._given_up)
         finally:
             self._set_question(None)
-            self._host.board.unsubscribe(note)
+            self._host.station.board.unsubscribe(note)
 
     def _given_up(self) -> str:
         return NO_TERMINAL if self._closed and not self._host.clients else ""
 
     def _place_of(self, question: "Question") -> Place:
         """The axis' counter and encoder now."""
-        now, axis = self._host.snapshot, question.axis
+        now, axis = self._host.station.snapshot, question.axis
         return (now.positions.get(axis.name), now.encoders.get(axis.name)) if axis is not None else NO_PLACE
 
     def _set_question(self, question: "tuple[int, Question] | None") -> None:
@@ -578,7 +578,7 @@ class TerminalAsk:
             self._set_question(None)
             self._answer(asked, found)
         self._closed = True
-        self._host.wake()
+        self._host.station.wake()
 
     def _answer(self, asked: "tuple[int, Question]", reply: "Reply") -> None:
         """Answer a question; one that is refused is still open, unless it was answered elsewhere."""
@@ -587,11 +587,11 @@ class TerminalAsk:
         number, _ = asked
         try:
             if isinstance(reply, PositionGiven):
-                self._host.answer(number, Answer.SET_POSITION, reply.angle_deg)
+                self._host.station.answer(number, Answer.SET_POSITION, reply.angle_deg)
             else:
-                self._host.answer(number, reply)
+                self._host.station.answer(number, reply)
         except UserError as refusal:
-            still = self._host.snapshot.question
+            still = self._host.station.snapshot.question
             if still is not None and still.number == number:
                 print_error(refusal)
                 self._set_question(asked)

@@ -25,7 +25,7 @@ class Bench:
     """
 
     def __init__(self, opened: OpenRig, between: Tick) -> None:
-        self._opened = opened
+        self.opened = opened
         self._rig = opened.rig
         self._clock = opened.rig.clock
         self._between = between
@@ -126,7 +126,7 @@ class Bench:
     def mount(self, sample: str) -> None:
         """Mount a sample in a virtual rig. Raises UserError for one that it does not have."""
         try:
-            operator_for(self._opened, self._opened.file, None).mount(sample)
+            operator_for(self.opened, self.opened.file, None).mount(sample)
         except KeyError as error:
             raise UserError(f"{sample}: {error.args[0] if error.args else 'there is no such sample'}") from None
         self._set(sample=sample)

@@ -8,6 +8,7 @@ from goniotwin.app.station.messages import Message, Snapshot, advance
 
 Listener = Callable[[int, Message], None]
 """Gets an event with its number; must return at once."""
+Publish = Callable[[Message], None]
 
 
 class Board:

@@ -4,10 +4,15 @@ import contextlib
 import hashlib
 import os
 import socket
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+from goniotwin.app.campaign.journal.writing import Journal
+from goniotwin.app.campaign.planning.plan import Plan
+from goniotwin.app.campaign.row import Row
+from goniotwin.app.campaign.running.engine import Engine
+from goniotwin.app.campaign.running.events import Event
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import OpenRig, RigDescription, read_rig
 from goniotwin.app.rig.addresses import device_names
@@ -21,11 +26,13 @@ from goniotwin.app.station.connection_file import (
     write_connection,
 )
 from goniotwin.app.station.messages import Message, RigClosed, RunBegun
+from goniotwin.app.station.orders import RunRecord
+from goniotwin.app.station.runs import positions_every_s
 from goniotwin.app.station.server import StationServer
 from goniotwin.app.station.station import Station
 from goniotwin.own_files import make_own_folder
 from goniotwin.protocols.channel import PROTOCOL
-from goniotwin.protocols.clock import calendar_stamp
+from goniotwin.protocols.clock import Clock, calendar_stamp
 
 LEAVING_S = 5.0
 """Longest time in which a run's program that has given back the devices ends."""
@@ -124,25 +131,50 @@ def hosted_run(speed: float, warn: Callable[[str], None] = lambda _: None) -> It
         yield HostedRun(speed, stack, warn)
 
 
-class HostedRun(Station):
-    """A station whose rig and engine belong to a run of this program (`campaign.RunHost`)."""
+class HostedRun:
+    """The host of a run of this program (`campaign.RunHost`): rig and engine are the run's, and clients have its `station`."""
 
     def __init__(self, speed: float, stack: contextlib.ExitStack, warn: Callable[[str], None] = lambda _: None) -> None:
-        super().__init__(speed)
+        self.station = Station(speed)
         self._stack = stack
         self._warn = warn
-        self.server: StationServer | None = None
-
-    def adopt(self, opened: OpenRig, rig: RigDescription) -> None:
-        """Hold the rig, and serve."""
-        super().adopt(opened, rig)
-        try:
-            self.server = self._stack.enter_context(serving(self, rig))
-        except NotServed as error:
-            self._warn(f"no client can attach to this run: {error}")
-        self._stack.callback(lambda: self._publish(RigClosed("the run's program has ended")))
+        self._server: StationServer | None = None
 
     @property
     def clients(self) -> list[str]:
         """The clients that are attached."""
-        return self.server.clients if self.server is not None else []
+        return self._server.clients if self._server is not None else []
+
+    @property
+    def positions_every_s(self) -> float:
+        """Time between two reports of the positions, s."""
+        return positions_every_s(self.station.clock)
+
+    def clock_for(self, rig: RigDescription, start_s: float) -> Clock:
+        """The clock on which the rig is opened."""
+        return self.station.clock_for(rig, start_s)
+
+    def adopt(self, opened: OpenRig, rig: RigDescription) -> None:
+        """Hold the rig, and serve."""
+        self.station.adopt(opened, rig)
+        try:
+            self._server = self._stack.enter_context(serving(self.station, rig))
+        except NotServed as error:
+            self._warn(f"no client can attach to this run: {error}")
+        self._stack.callback(lambda: self.station.board.publish(RigClosed("the run's program has ended")))
+
+    def report_connected(self) -> None:
+        """All devices are connected, and the run is about to begin."""
+        self.station.report_connected()
+
+    def run_begun(self, engine: Engine, plan: Plan, journal: Journal, work: Sequence[Row]) -> None:
+        """The engine is about to run."""
+        self.station.runs.begin(engine, plan, journal, work, RunRecord(journal, self.station.clock))
+
+    def listen(self, event: Event) -> None:
+        """An event of the engine."""
+        self.station.runs.listen(event)
+
+    def wait_for_stops(self) -> None:
+        """The engine has ended: return when no stop is in progress."""
+        self.station.runs.wait_for_stops()

@@ -2,6 +2,7 @@
 
 from goniotwin.app.campaign.running.events import State
 from goniotwin.app.campaign.running.question import Answer
+from goniotwin.app.errors import UserError
 from goniotwin.app.station.messages import Snapshot
 
 STOPPED = "stopped before the start"
@@ -26,6 +27,10 @@ OF_BENCH = (
     "mount",
 )
 COMMANDS = (*ANYTIME, *OF_RUN, *OF_BENCH)
+
+
+class CommandRefused(UserError):
+    """A command that the station does not carry out now; the message is the reason, in one line."""
 
 
 def allowed(station: Snapshot) -> dict[str, str]:

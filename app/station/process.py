@@ -66,7 +66,7 @@ def run_station(rig: Path, speed: float, log: Log, unattended_s: float = UNATTEN
         finally:
             station.end("the station was ended by a signal" if ended.is_set() else reason)
             engine.join()
-    for order in station.open_orders:
+    for order in station.orders.open:
         note(f"SAFETY: {order.text}")
     note(f"{calendar_stamp()} ended")
     return signals.received

@@ -17,8 +17,8 @@ from pydantic import ValidationError, validate_call
 
 from goniotwin.app.errors import one_line
 from goniotwin.app.station.messages import NEWEST_ONLY, Message, encode
-from goniotwin.app.station.permissions import COMMANDS, EVERYBODYS, OF_BENCH, STOPPED, allowed, watching
-from goniotwin.app.station.station import CommandRefused, Station
+from goniotwin.app.station.permissions import COMMANDS, EVERYBODYS, OF_BENCH, STOPPED, CommandRefused, allowed, watching
+from goniotwin.app.station.station import Station
 from goniotwin.protocols.channel import LONGEST_LINE, Channel, ChannelServer, new_token
 from goniotwin.protocols.clock import RealClock
 

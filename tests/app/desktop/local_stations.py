@@ -27,7 +27,7 @@ class Host:
         self.server = StationServer(self.station)
         self.server.start()
         self._engine = threading.Thread(target=self.station.serve, name="engine")
-        clock = self.station._clock
+        clock = self.station.clock
         assert isinstance(clock, ScaledClock)
         clock.set_speed(FAST)
         self._clock = clock

@@ -30,9 +30,10 @@ from goniotwin.app.station.messages import (
     SpeedChanged,
     advance,
 )
-from goniotwin.app.station.permissions import allowed
-from goniotwin.app.station.station import CommandRefused, Station
-from goniotwin.drivers import NoAnswer
+from goniotwin.app.station.permissions import CommandRefused, allowed
+from goniotwin.app.station.poller import ENCODERS_S, POLL_S
+from goniotwin.app.station.station import Station
+from goniotwin.drivers import Monitor, NoAnswer
 from goniotwin.protocols.clock import VirtualClock
 from tests.app.campaign.campaign_bench import QUIET
 from tests.app.desktop.conftest import READY_MS
@@ -50,7 +51,8 @@ class Desk:
         self.events: list[Message] = []
         self.commands: list[tuple[str, dict[str, object]]] = []
         self.state = Snapshot()
-        self.station = Station(clock=VirtualClock())
+        self.clock, self.wall = VirtualClock(), VirtualClock()
+        self.station = Station(clock=self.clock, wall=self.wall)
         description = read_rig(rig)
         for screen in (self.bench, self.rig):
             qtbot.addWidget(screen)
@@ -85,14 +87,14 @@ class Desk:
     def settle(self) -> None:
         """Do what is asked for, and report the positions."""
         self.station.work()
-        self.station._due["positions"] = 0.0
-        self.station._tick()
+        self.wall.sleep_until(self.wall.now() + POLL_S)
+        self.station.tick()
 
     def rest(self) -> None:
         """Let a second of the rig's time pass, after which counters and encoders at rest are compared."""
         self.settle()
-        self.station._clock.sleep_until(self.station.now_s + 1.0)
-        self.station._due["encoders"] = 0.0
+        self.clock.sleep_until(self.clock.now() + 1.0)
+        self.wall.sleep_until(self.wall.now() + ENCODERS_S)
         self.settle()
 
     def close(self) -> None:
@@ -226,7 +228,7 @@ def test_a_position_is_set_only_after_a_question(desk: Desk) -> None:
 
 def test_an_axis_whose_encoder_contradicts_is_marked_with_both_values(desk: Desk) -> None:
     """A jammed axis: its counter has gone on. The encoder's value is taken by a button."""
-    opened = desk.station._opened
+    opened = desk.station.opened
     assert opened is not None
     assert opened.virtual is not None
     shaft = opened.virtual.plant.shafts["sigma"]
@@ -351,13 +353,20 @@ def test_the_parts_come_back_from_the_tabs_of_a_small_room(desk: Desk) -> None:
 # The rig screen.
 
 
-def test_the_rig_screen_knows_devices_answers_and_errors(desk: Desk) -> None:
+def test_the_rig_screen_knows_devices_answers_and_errors(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
     text = desk.rig.devices.text("axes")
     assert "✓ connected" in text
     assert "TMCM-6214" in text
     assert "answered" in text
     lost = "Monitor (PM100D) is not responding: check the cable"
-    desk.station._device_contacts.note_lost("monitor", NoAnswer("monitor", "READ?", "no reply", "check the cable"))
+
+    def lose(*_: object) -> None:
+        raise NoAnswer("monitor", "READ?", "no reply", "check the cable")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Monitor, "start_mean", lose)
+        desk.station.read()
+        desk.settle()
     text = desk.rig.devices.text("monitor")
     assert "✗ disconnected" in text
     assert "last answered" in text

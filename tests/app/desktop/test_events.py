@@ -68,7 +68,7 @@ def answer(window: MainWindow, label: str) -> None:
 def break_photodiodes(window: MainWindow, *, broken: bool = True) -> None:
     """Let the third module of the photodiodes answer to another address, so that the driver gets no reply."""
     assert isinstance(window._stations, LocalStations)
-    opened = window._stations.station._opened
+    opened = window._stations.station.opened
     assert opened is not None
     assert opened.virtual is not None
     opened.virtual.modbus["adc-2"].units = (9,) if broken else (1,)
@@ -272,7 +272,7 @@ def test_a_run_ends_after_its_stop(qtbot: QtBot, open_window: WindowOpener, monk
     qtbot.waitUntil(lambda: window.presenter.journal is not None, timeout=READY_MS)
     assert isinstance(window._stations, LocalStations)
     station = window._stations.station
-    engine = station._engine
+    engine = station.runs.engine
     assert engine is not None
     ended: list[int] = []
     window.presenter.run_ended.connect(lambda: ended.append(len(window.view.orders.orders)))
@@ -288,7 +288,7 @@ def test_a_run_ends_after_its_stop(qtbot: QtBot, open_window: WindowOpener, monk
 
     def request(_stop: StopRequest) -> list[DeviceError]:
         _stop.requested = True
-        return stop(station._opened.rig)  # type: ignore[union-attr]
+        return stop(station.opened.rig)  # type: ignore[union-attr]
 
     monkeypatch.setattr(Rig, "stop", stop)
     monkeypatch.setattr(StopRequest, "stop", request)

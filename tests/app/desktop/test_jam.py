@@ -19,7 +19,7 @@ from tests.conftest import Writer
 def rig_of(window: MainWindow) -> OpenRig:
     """The rig of the window's station."""
     assert isinstance(window._stations, LocalStations)
-    opened = window._stations.station._opened
+    opened = window._stations.station.opened
     assert opened is not None
     return opened
 

@@ -7,7 +7,7 @@ import pytest
 
 from goniotwin.app.campaign.wording import rounded_duration_text
 from goniotwin.app.desktop.theme import DARK, LIGHT, Colours
-from goniotwin.app.station.station import next_journal
+from goniotwin.app.station.runs import next_journal
 from goniotwin.protocols.clock import ScaledClock
 
 

@@ -479,7 +479,7 @@ def test_the_run_goes_on_without_its_window_and_the_next_one_shows_it(
         assert window.close_question is None
     qtbot.waitUntil(lambda: not window.isVisible(), timeout=READY_MS)
     assert stations.station.snapshot.busy
-    record = stations.station._record
+    record = stations.station.runs.record
     assert record is not None
     record.event("drift", "satin/drift: beyond the limit: +2 %")
     again = open_window(speed=1.0)

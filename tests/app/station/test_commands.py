@@ -185,9 +185,9 @@ def test_without_a_place_for_its_file_a_station_is_refused_and_a_run_measures(
             run_station(Path(rig.name), 1.0, full_disk)
     with contextlib.ExitStack() as stack:
         run = HostedRun(1.0, stack, warnings.append)
-        run.open(rig)
-        assert (run.server, len(warnings), "no client can attach" in warnings[0]) == (None, 1, True)
-        run.close_rig()
+        with open_rig(rig, run.clock_for(rig, 0.0)) as opened:
+            run.adopt(opened, rig)
+        assert (run.clients, len(warnings), "no client can attach" in warnings[0]) == ([], 1, True)
 
 
 def test_the_second_starter_waits_for_the_file_of_the_first(write_rig: Writer, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -349,24 +349,24 @@ def test_the_end_of_a_hosted_run_is_the_rig_given_back(monkeypatch: pytest.Monke
     """To its clients a program that just ends would be a station that has died."""
     monkeypatch.setattr(hosting, "serving", lambda *_: contextlib.nullcontext())
     rig = read_rig(write_rig())
-    with hosting.hosted_run(1.0) as host, open_rig(rig, host.clock_for(rig)) as opened:
+    with hosting.hosted_run(1.0) as host, open_rig(rig, host.clock_for(rig, 0.0)) as opened:
         host.adopt(opened, rig)
-    assert host.snapshot.given_back
-    assert host.snapshot.closed == "the run's program has ended"
+    assert host.station.snapshot.given_back
+    assert host.station.snapshot.closed == "the run's program has ended"
 
 
 def test_the_terminal_answers(host: HostedRun, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "stdin", io.StringIO("\nwhat\nmounted\n"))
     assert TerminalAsk(host)(MOUNT) is Answer.MOUNTED
-    assert host.snapshot.question is None
+    assert host.station.snapshot.question is None
 
 
 def test_the_terminal_states_where_an_axis_is(host: HostedRun, monkeypatch: pytest.MonkeyPatch) -> None:
     """A position without an angle is no answer, and one outside the soft limits is refused; then the encoder's is taken."""
-    host._publish(Positions({"beta": 180.0}, {"beta": 150.0004}))
+    host.station.board.publish(Positions({"beta": 180.0}, {"beta": 150.0004}))
     monkeypatch.setattr(sys, "stdin", io.StringIO("s\nset\nset position\nset 400\nset there\nset 1_0\nset ١٠\nset encoder\n"))
     assert TerminalAsk(host)(WHERE) == PositionGiven(150.0004)
-    assert host.snapshot.question is None
+    assert host.station.snapshot.question is None
 
 
 @pytest.mark.parametrize(("line", "angle_deg"), [("set 12.5", 12.5), ("Set position −3,25", -3.25), ("set p 0", 0.0)])
@@ -388,9 +388,9 @@ def test_another_client_answers_before_the_terminal(host: HostedRun, monkeypatch
 
     def answer(_number: int, message: object) -> None:
         if isinstance(message, QuestionAsked):
-            threading.Thread(target=host.answer, args=(message.number, Answer.MOUNTED)).start()
+            threading.Thread(target=host.station.answer, args=(message.number, Answer.MOUNTED)).start()
 
-    host.board.subscribe(answer)
+    host.station.board.subscribe(answer)
     assert TerminalAsk(host)(MOUNT) is Answer.MOUNTED
     write.set()
 

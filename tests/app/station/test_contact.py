@@ -9,36 +9,15 @@ from goniotwin.app.campaign.running.events import EventLogged, State
 from goniotwin.app.campaign.running.question import Answer
 from goniotwin.app.rig import AXES
 from goniotwin.app.station.contacts import ASK_S, CONNECT_S, REPEAT_S
-from goniotwin.app.station.messages import Contact, DeviceChanged, DeviceStatus, QuestionAsked, RowSaved
+from goniotwin.app.station.messages import Contact, DeviceChanged, QuestionAsked, RowSaved
 from goniotwin.app.station.permissions import allowed
 from goniotwin.drivers import Rig
 from goniotwin.drivers.errors import NoAnswer, Taken
-from goniotwin.protocols.clock import VirtualClock
 from tests.app.campaign.campaign_bench import QUIET
-from tests.app.station.test_station import StationBench
+from tests.app.station.test_station import Idle
 from tests.conftest import SMALL, Writer
 
 ASK = SMALL + '\n[faults]\nwire = "ask"\n'
-
-
-class Idle(StationBench):
-    """A station without a command, on the virtual clock, and on another one in place of the real time between its polls."""
-
-    def __init__(self, rig: Path) -> None:
-        self.wall = VirtualClock()
-        super().__init__(rig, self.wall)
-
-    def wait(self, seconds: float) -> None:
-        """Let time pass, and what is due be done."""
-        for _ in range(round(seconds / 0.1)):
-            self.wall.sleep_until(self.wall.now() + 0.1)
-            self.clock.sleep_until(self.clock.now() + 0.1)
-            self.station._tick()
-
-    def status(self, device: str) -> DeviceStatus:
-        rig = self.station.snapshot.rig
-        assert rig is not None
-        return rig.devices[device]
 
 
 @pytest.fixture
@@ -140,7 +119,7 @@ def test_a_device_that_was_never_there_is_connected_by_hand_alone(
     """Its port may be another device's."""
     idle = Idle(write_rig(*QUIET, ('port = "twin://virtual/axes"', f'port = "{(tmp_path / "none").as_posix()}"')))
     attempts: list[str] = []
-    monkeypatch.setattr(idle.station._rig().rig, "connect_device", attempts.append)
+    monkeypatch.setattr(idle.opened.rig, "connect_device", attempts.append)
     idle.wait(4.0 * CONNECT_S)
     assert idle.status("axes").contact is Contact.DISCONNECTED
     assert attempts == []
@@ -200,7 +179,7 @@ def test_axes_that_do_not_respond_while_a_question_waits_are_silent(
     idle: Idle, write_schedule: Writer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A mounting may last an hour. When they respond again they are connected, and the run goes on."""
-    monkeypatch.setattr("goniotwin.app.station.station.ENCODERS_S", 0.01)
+    monkeypatch.setattr("goniotwin.app.station.questions.LOOK_S", 0.01)
     silent = pytest.MonkeyPatch()
     seen = contacts_during_a_question(idle, "axes", lambda: silent_positions(silent), silent.undo)
     idle.station.start(write_schedule(text=SMALL), tmp_path, person=True)
@@ -212,7 +191,7 @@ def test_a_device_that_fails_while_a_question_waits_is_silent_until_it_responds(
     idle: Idle, write_schedule: Writer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A mounting in whose middle the monitor's cable is pulled and plugged in again."""
-    monkeypatch.setattr("goniotwin.app.station.station.ENCODERS_S", 0.01)
+    monkeypatch.setattr("goniotwin.app.station.questions.LOOK_S", 0.01)
     monitor = idle.virtual.usb["monitor"]
 
     def unplug() -> None:
@@ -230,13 +209,13 @@ def test_the_run_learns_of_a_reset_while_a_question_waits(
     idle: Idle, write_schedule: Writer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, device: str, question: str
 ) -> None:
     """The question that finds a device reset restores nothing: wavelength, gain and averaging are the run's."""
-    monkeypatch.setattr("goniotwin.app.station.station.ENCODERS_S", 0.01)
+    monkeypatch.setattr("goniotwin.app.station.questions.LOOK_S", 0.01)
     resets: dict[str, Callable[[float], None]] = {
         "monochromator": idle.virtual.serial["mono"].reset,
         "photodiodes": idle.virtual.modbus["adc-2"].reset,
         "monitor": idle.virtual.usb["monitor"].instrument.power_cycle,
     }
-    driver = idle.station._rig().rig.device(device)
+    driver = idle.opened.rig.device(device)
     ask = getattr(driver, question)
     asked: list[int] = []
     faults: list[str] = []

@@ -9,7 +9,7 @@ from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.running.events import EventLogged, RowStarted, State
 from goniotwin.app.campaign.running.question import Answer
 from goniotwin.app.station.messages import QuestionAsked, Snapshot
-from goniotwin.app.station.station import CommandRefused
+from goniotwin.app.station.permissions import CommandRefused
 from tests.app.campaign.campaign_bench import QUIET
 from tests.app.campaign.jam import ASK, AXIS, COUNTED_DEG, HOMES, JAMMED_DEG, check_undisturbed
 from tests.app.station.test_station import StationBench

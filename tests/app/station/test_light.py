@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from goniotwin.app.campaign.running.events import LightChanged, State
-from goniotwin.app.station import station as station_module
+from goniotwin.app.station import poller
 from goniotwin.app.station.messages import LampRead, Message, RowSaved
 from goniotwin.drivers import Monochromator, NoAnswer
 from tests.app.campaign.campaign_bench import QUIET
@@ -18,7 +18,7 @@ Light = tuple[str, float | None, bool | None]
 
 @pytest.fixture
 def bench(write_rig: Writer, monkeypatch: pytest.MonkeyPatch) -> Iterator[StationBench]:
-    monkeypatch.setattr(station_module, "LAMP_S", 0.0)
+    monkeypatch.setattr(poller, "LAMP_S", 0.0)
     bench = StationBench(write_rig(*QUIET))
     yield bench
     bench.station.close_rig()

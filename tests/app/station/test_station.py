@@ -20,10 +20,12 @@ from goniotwin.app.campaign.running.events import (
 from goniotwin.app.campaign.running.question import Answer
 from goniotwin.app.campaign.running.stop import StopRequest
 from goniotwin.app.rig import OpenRig, read_rig
+from goniotwin.app.station.contacts import ASK_S
 from goniotwin.app.station.messages import (
     ActivityChanged,
     BenchReading,
     DeviceChanged,
+    DeviceStatus,
     Message,
     OrderAcknowledged,
     QuestionAsked,
@@ -37,9 +39,10 @@ from goniotwin.app.station.messages import (
     decode,
     encode,
 )
-from goniotwin.app.station.permissions import COMMANDS, allowed
+from goniotwin.app.station.permissions import COMMANDS, CommandRefused, allowed
+from goniotwin.app.station.runs import Runs
 from goniotwin.app.station.server import StationServer
-from goniotwin.app.station.station import CommandRefused, Station
+from goniotwin.app.station.station import Station
 from goniotwin.drivers import DeviceError, Monochromator, Pending, Rig
 from goniotwin.drivers.errors import NoAnswer
 from goniotwin.drivers.guard import CLOSE_SHUTTER
@@ -82,11 +85,35 @@ class StationBench:
         return [each.error for each in self.events if isinstance(each, ActivityChanged)][-1]
 
     @property
-    def virtual(self) -> VirtualRig:
-        opened = self.station._opened
+    def opened(self) -> OpenRig:
+        opened = self.station.opened
         assert opened is not None
-        assert opened.virtual is not None
-        return opened.virtual
+        return opened
+
+    @property
+    def virtual(self) -> VirtualRig:
+        assert self.opened.virtual is not None
+        return self.opened.virtual
+
+
+class Idle(StationBench):
+    """A station without a command, on the virtual clock, and on another one in place of the real time between its polls."""
+
+    def __init__(self, rig: Path) -> None:
+        self.wall = VirtualClock()
+        super().__init__(rig, self.wall)
+
+    def wait(self, seconds: float, step_s: float = 0.1) -> None:
+        """Let time pass, and what is due be done."""
+        for _ in range(round(seconds / step_s)):
+            self.wall.sleep_until(self.wall.now() + step_s)
+            self.clock.sleep_until(self.clock.now() + step_s)
+            self.station.tick()
+
+    def status(self, device: str) -> DeviceStatus:
+        rig = self.station.snapshot.rig
+        assert rig is not None
+        return rig.devices[device]
 
 
 @pytest.fixture
@@ -94,6 +121,13 @@ def bench(write_rig: Writer) -> Iterator[StationBench]:
     bench = StationBench(write_rig(*QUIET))
     yield bench
     bench.station.close_rig()
+
+
+@pytest.fixture
+def idle(write_rig: Writer) -> Iterator[Idle]:
+    idle = Idle(write_rig(*QUIET))
+    yield idle
+    idle.station.close_rig()
 
 
 def test_a_station_knows_its_rig(bench: StationBench) -> None:
@@ -131,7 +165,7 @@ def test_unreferenced_axes_are_reported_until_their_position_is_set(write_rig: W
 
 
 def test_positions_are_reported_while_an_axis_moves(bench: StationBench, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("goniotwin.app.station.station.POLL_S", 0.0)
+    monkeypatch.setattr("goniotwin.app.station.poller.POLL_S", 0.0)
     bench.station.move("sigma", 30.0)
     bench.work()
     seen = [each.degrees["sigma"] for each in bench.events if isinstance(each, Positions)]
@@ -264,9 +298,11 @@ def test_no_command_begins_when_the_rig_is_being_given_back(
 def test_a_stop_is_counted_before_it_looks_for_the_run(bench: StationBench, monkeypatch: pytest.MonkeyPatch) -> None:
     """Otherwise a run that ends in this moment would not wait for it, and its safety order would miss the journal."""
     seen: list[int] = []
-    monkeypatch.setattr(
-        Station, "_engine", property(lambda station: seen.append(station._stops), lambda *_: None), raising=False
-    )
+
+    def look(_runs: Runs) -> None:
+        seen.append(bench.station.stops.in_progress)
+
+    monkeypatch.setattr(Runs, "engine", property(look, lambda *_: None), raising=False)
     bench.station.stop()
     assert seen == [1]
 
@@ -323,9 +359,7 @@ def test_homing_and_setting_the_position(bench: StationBench) -> None:
     bench.station.set_position("sigma", 5.0)
     bench.work()
     assert bench.error == ""
-    opened = bench.station._opened
-    assert opened is not None
-    assert opened.rig.axes["sigma"].position_deg() == pytest.approx(5.0, abs=0.01)
+    assert bench.opened.rig.axes["sigma"].position_deg() == pytest.approx(5.0, abs=0.01)
 
 
 def test_a_stop_in_the_middle_of_a_move_on_the_bench(bench: StationBench) -> None:
@@ -403,22 +437,22 @@ def test_a_stop_before_a_run_or_its_resume_has_begun(bench: StationBench, write_
     assert not bench.of(RunBegun)
 
 
-def test_live_readings_after_a_stop(bench: StationBench) -> None:
+def test_live_readings_after_a_stop(idle: Idle) -> None:
     """The station died of its own stop request."""
-    bench.station.stop()
-    bench.station.live(on=True)
-    bench.work()
-    bench.station._poll_live()
-    assert bench.work().bench.live
-    bench.station.stop()
-    bench.station._on_bench()._set(gain=None)
-    bench.station._live = None
-    bench.station._poll_live()
-    assert not bench.work().bench.live
-    bench.station.live(on=True)
-    bench.station.stop()
-    bench.work()
-    assert not bench.work().bench.live
+    idle.station.live(on=True)
+    idle.work()
+    idle.station.stop()  # before the first reading, which sets the gain
+    idle.wait(0.1)
+    assert not idle.work().bench.live
+    idle.station.stop()
+    idle.station.live(on=True)
+    idle.work()
+    idle.wait(0.1)
+    assert idle.work().bench.live
+    idle.station.live(on=True)
+    idle.station.stop()
+    idle.work()
+    assert not idle.work().bench.live
 
 
 def test_a_run_that_would_collide_on_its_way_to_the_first_row_has_no_journal(
@@ -650,7 +684,7 @@ def test_a_resumed_run_has_the_operator_that_it_began_with(
     other.station.close_rig()
 
 
-def test_the_photodiodes_are_asked_when_nothing_else_reads_them(bench: StationBench, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_photodiodes_are_asked_when_nothing_else_reads_them(idle: Idle, monkeypatch: pytest.MonkeyPatch) -> None:
     """So that it is known when they last answered; live readings show it themselves."""
     asked: list[PhotodiodeArray] = []
     check = PhotodiodeArray.check
@@ -660,24 +694,22 @@ def test_the_photodiodes_are_asked_when_nothing_else_reads_them(bench: StationBe
         asked.append(photodiodes)
 
     monkeypatch.setattr(PhotodiodeArray, "check", note)
-    bench.station._ask_devices()
-    assert len(asked) == 1
-    bench.station.live(True)
-    bench.work()
-    bench.station._poll_live()
-    bench.station._ask_devices()
-    assert len(asked) == 1
+    idle.wait(1.5 * ASK_S)
+    assert len(asked) == 2
+    idle.station.live(True)
+    idle.work()
+    idle.wait(1.5 * ASK_S)
+    assert len(asked) == 2
 
 
-def test_live_readings_do_not_wait_for_amplifiers_that_have_settled(bench: StationBench) -> None:
+def test_live_readings_do_not_wait_for_amplifiers_that_have_settled(idle: Idle) -> None:
     """Of the rig's time a reading takes one conversion and the exchanges: ten a second."""
-    bench.station.live(True)
-    bench.work()
-    while len(taken := bench.of(BenchReading)) < 5:
-        bench.station._poll_live()
-        bench.clock.sleep_until(bench.clock.now() + 0.005)
+    idle.station.live(True)
+    idle.work()
+    while len(taken := idle.of(BenchReading)) < 5:
+        idle.wait(0.005, 0.005)
     _, *times = [each.t_s for each in taken if isinstance(each, BenchReading)]  # the first one has waited
-    assert [after - before for before, after in pairwise(times)] == pytest.approx([0.09] * 3, abs=0.03)
+    assert [after - before for before, after in pairwise(times)] == pytest.approx([0.1] * 3, abs=0.02)
 
 
 def test_stop_answers_a_question(bench: StationBench, write_schedule: Writer, tmp_path: Path) -> None:
@@ -718,7 +750,7 @@ def test_an_order_about_the_shutter_ends_when_the_run_has_seen_it_closed(
 
     def give(message: Message) -> None:
         if isinstance(message, RowSaved) and message.row.kind == "measure" and order not in bench.events:
-            bench.station.listen(order)
+            bench.station.runs.listen(order)
             open_orders.append(bench.station.snapshot.orders)
 
     bench.reactions.append(give)
@@ -865,7 +897,7 @@ def test_a_shutter_that_is_found_open_is_an_order_until_it_is_closed(bench: Stat
     assert bench.virtual.plant.shutter_open.at(bench.clock.now())
     bench.station.shutter(opened=False)
     assert bench.work().orders == ()
-    assert bench.station.open_orders == []
+    assert bench.station.orders.open == []
 
 
 def test_a_shutter_that_the_bench_has_opened_is_no_order(bench: StationBench) -> None:
@@ -881,7 +913,7 @@ def test_a_run_closes_a_shutter_that_is_found_open(write_rig: Writer) -> None:
     bench = StationBench(write_rig(*QUIET))
     bench.virtual.plant.shutter_open.set(bench.clock.now(), True)
     bench.station.report_connected()  # as of `goniotwin run`
-    assert bench.station.open_orders == []
+    assert bench.station.orders.open == []
     assert not bench.virtual.plant.shutter_open.at(bench.clock.now())
     assert [each.what for each in bench.events if isinstance(each, EventLogged)][-1].startswith(
         "Shutter closed now: it is open"
