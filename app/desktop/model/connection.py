@@ -6,7 +6,6 @@ thread that calls it, before anything else.
 """
 
 import contextlib
-import hashlib
 import queue
 import threading
 from collections import deque
@@ -17,39 +16,30 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Protocol
 
-from goniotwin.app.campaign.journal.following import JournalFollower
-from goniotwin.app.campaign.planning.plan import Plan, make_plan
-from goniotwin.app.campaign.running.events import EventLogged, RowCommitted, SafetyOrder, left_order
+from goniotwin.app.campaign.planning.plan import Plan
+from goniotwin.app.campaign.running.events import SafetyOrder, left_order
 from goniotwin.app.campaign.running.question import Answer
-from goniotwin.app.campaign.running.resume import recorded_rig
-from goniotwin.app.campaign.schedule.file import ScheduleDescription, parse_schedule, read_schedule
-from goniotwin.app.campaign.studies.journals import journal_findings
+from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.desktop.model.messages import (
     Attached,
     CommandRefused,
     Message,
     NotAttached,
-    PastRead,
-    PlanBegun,
-    PlanMade,
     PlanRefused,
     RigRead,
-    RunStarted,
     StationLost,
     StopReport,
-    ValuesMissing,
 )
-from goniotwin.app.desktop.model.rig_facts import DarkAges, is_drift
-from goniotwin.app.desktop.model.time_left import mountings
+from goniotwin.app.desktop.model.planner import NO_RIG, Planner, description_of
+from goniotwin.app.desktop.model.run_reader import RunReader
 from goniotwin.app.errors import UserError
-from goniotwin.app.rig import RigDescription, read_rig
 from goniotwin.app.rig.left import acknowledge_left, left_unsafe
 from goniotwin.app.station.client import ANSWER_S as COMMAND_S
 from goniotwin.app.station.client import NoStation, Refused, StationClient
 from goniotwin.app.station.connection_file import attach, connection_folder
 from goniotwin.app.station.hosting import station_of
 from goniotwin.app.station.messages import Message as StationMessage
-from goniotwin.app.station.messages import RigOpened, RowSaved, RunBegun, RunEnded, RunRefused, Snapshot
+from goniotwin.app.station.messages import RigOpened, RunEnded, RunRefused, Snapshot
 from goniotwin.app.station.permissions import STOPPED
 from goniotwin.app.station.starting import start_station
 from goniotwin.protocols.clock import RealClock, calendar_s
@@ -57,18 +47,13 @@ from goniotwin.protocols.clock import RealClock, calendar_s
 Send = Callable[[Message], None]
 OnEvent = Callable[[StationMessage], None]
 OnEnd = Callable[[], None]
-NO_RIG = "no rig is open"
 NOT_OPENED = "stopped before the rig was open; connect again"
 LOST_S = 0.5
 """Real time without any reply after which a stop counts as lost."""
-RECORDED = " (rig)"
-"""End of the name of a rig that was read from a journal (`recorded_rig`)."""
 ANSWER_S = 2.0
 """Longest time that a window which is closed waits for answers."""
 END_S = 30.0
 """Longest time in which a station gives its rig back."""
-MOST_HEARD = 50
-"""Events of a station that are kept, to know them in the journal."""
 LOOK_S = 2.0
 """Time between two looks for a station of the rig, while there is none."""
 
@@ -159,10 +144,6 @@ class Connection:
         self._session: Session | None = None
         self._last = Snapshot(speed=speed)
         self._rig_path: Path | None = None
-        self._schedule: Path | None = None
-        self._plan: Plan | None = None
-        self._plans_begun = 0
-        self._planning = threading.Lock()
         self._person = False
         self._closing = False
         self._presses = 0
@@ -172,17 +153,12 @@ class Connection:
         self._pending: list[Future[dict[str, Any]]] = []
         self._wall = RealClock()
         self._tasks: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
-        self._rows: queue.SimpleQueue[Snapshot | RunBegun | RowSaved | RunEnded | None] = queue.SimpleQueue()
-        self._heard: deque[EventLogged] = deque(maxlen=MOST_HEARD)
-        self._follower: JournalFollower | None = None
-        self._dark_ages: DarkAges | None = None
-        self._threads = [  # a device or a station that hangs keeps no window open
-            threading.Thread(target=self._work, name="connection", daemon=True),
-            threading.Thread(target=self._read_rows, name="journal", daemon=True),
-        ]
+        self._planner = Planner(send)
+        self._reader = RunReader(send, lambda: self._planner.plan)
+        # A daemon: a station that hangs keeps no window open.
+        self._thread = threading.Thread(target=self._work, name="connection", daemon=True)
         self._tasks.put(self._show_left)
-        for each in self._threads:
-            each.start()
+        self._thread.start()
 
     # ---- what the window asks for; each returns at once ----
 
@@ -286,19 +262,19 @@ class Connection:
 
     def close(self) -> None:
         """Leave the station, which goes on, and end the threads; return when they have ended, or what they wait for hangs."""
-        with self._planning:  # no plan is sent after this
-            self._closing = True
+        self._closing = True
+        self._planner.close()
+        self._reader.close()
         wait(self._pending, ANSWER_S)  # an acknowledgement is in the journal before the window is closed
         self._tasks.put(None)
-        self._threads[0].join(ANSWER_S)
+        self._thread.join(ANSWER_S)
         session = self._session
         if session is not None and session.client is not None:
             self._last = session.client.snapshot
             session.leaving = True
             self._session = None
             session.client.close()
-        self._rows.put(None)
-        self._threads[1].join(ANSWER_S)
+        self._reader.join(ANSWER_S)
 
     # ---- the thread of the connection ----
 
@@ -404,7 +380,7 @@ class Connection:
     def _leave(self) -> None:
         """Give the open rig back, and wait for the end of its station; or leave it to the other client that operates it."""
         session, self._session = self._session, None
-        self._give_up_plan()
+        self._planner.give_up()
         if session is None or session.client is None:
             return
         session.leaving = True
@@ -418,21 +394,15 @@ class Connection:
         if snapshot.rig is not None:
             self._tasks.put(self._read_rig)
         if snapshot.journal is not None:
-            self._heard.clear()
-            self._rows.put(snapshot)
+            self._reader.attach(snapshot)
 
     def _take(self, session: Session, message: StationMessage) -> None:
         """Take an event of the station, in the thread that reads it."""
         if session is not self._session:
             return
-        match message:
-            case RunEnded():
-                self._rows.put(message)  # after the values of its rows
-                return
-            case RunBegun() | RowSaved():
-                self._rows.put(message)
-            case EventLogged():
-                self._heard.append(message)
+        self._reader.take(message)
+        if isinstance(message, RunEnded):  # the reader sends it, after the values of its rows
+            return
         self._send(message)
         if isinstance(message, RigOpened):  # after it: a window forgets the plan for the rig before
             self._tasks.put(self._read_rig)
@@ -441,7 +411,7 @@ class Connection:
         if session is self._session and not session.leaving:
             self._last = session.client.snapshot if session.client is not None else self._last
             self._session = None
-            self._give_up_plan()
+            self._planner.give_up()
             self._send(StationLost(self._last))
 
     def _read_rig(self) -> None:
@@ -451,41 +421,14 @@ class Connection:
             self._send(RigRead(None if rig is None else description_of(rig).file))
         except (UserError, OSError):
             self._send(RigRead(None))  # the plan is refused with the reason
-        self._load_again()
+        self._make_plan()
 
-    def _load(self, path: Path) -> None:
-        self._schedule = path
-        self._load_again()
+    def _load(self, schedule: Path) -> None:
+        self._planner.schedule = schedule
+        self._make_plan()
 
-    def _load_again(self) -> None:
-        """Make the plan in a thread of its own: nothing waits for a long schedule, and the one that was opened last counts."""
-        path, rig = self._schedule, self.snapshot.rig
-        if path is None:
-            return
-        self._give_up_plan()
-        if self._client is None or rig is None:
-            self._send(PlanRefused(NO_RIG))
-            return
-        self._send(PlanBegun(path.name))
-        threading.Thread(target=self._make_plan, args=(self._plans_begun, path, rig), name="plan", daemon=True).start()
-
-    def _give_up_plan(self) -> None:
-        """A plan that is being made is not sent any more."""
-        with self._planning:
-            self._plans_begun += 1
-
-    def _make_plan(self, number: int, path: Path, rig: RigOpened) -> None:
-        plan, reason = None, ""
-        try:
-            plan = make_plan(read_schedule(path), description_of(rig))
-        except UserError as error:
-            reason = str(error)
-        except Exception as error:  # noqa: BLE001  (of any library: reported, and the window stays open)
-            reason = f"{path}: unexpected error: {type(error).__name__}: {error}"
-        with self._planning:
-            if number == self._plans_begun and not self._closing:
-                self._plan = plan or self._plan
-                self._send(PlanMade(plan) if plan is not None else PlanRefused(reason))
+    def _make_plan(self) -> None:
+        self._planner.make(self.snapshot.rig if self._client is not None else None)
 
     def _start(self, plan: Plan, folder: Path) -> None:
         path = Path(plan.schedule.name).absolute()
@@ -539,101 +482,3 @@ class Connection:
     def _check_stop(self, received: threading.Event, future: "Future[dict[str, Any]]") -> None:
         if not received.is_set() and not future.done() and not self._closing:
             self._send(StopReport(confirmed=False, lost=True))
-
-    # ---- the thread of the journal ----
-
-    def _read_rows(self) -> None:
-        """Send the rows of a run with their values, from its journal, as many at once as have been reported."""
-        while (event := self._rows.get()) is not None:
-            events = [event]
-            while not self._rows.empty():
-                if (more := self._rows.get()) is None:
-                    return
-                events.append(more)
-            saved = {each.row.number: each for each in events if isinstance(each, RowSaved)}
-            for each in events:
-                if self._closing:
-                    return
-                if isinstance(each, Snapshot):
-                    self._read_past(each)
-                if isinstance(each, RunBegun) or (isinstance(each, Snapshot) and each.busy):
-                    self._begin(each)
-            self._send_rows(saved)
-            for each in events:
-                if isinstance(each, RunEnded):
-                    self._send(each)
-                    self._report_findings(each.journal)
-
-    def _read_past(self, attached: Snapshot) -> None:
-        """Send what the journal has of the time before. Events that are in both are those that were heard since."""
-        assert attached.journal is not None
-        try:
-            with JournalFollower(attached.journal).reading() as journal:
-                logged, dark, drift = journal.events(), journal.last_of("dark"), journal.last_of("drift")
-        except (UserError, OSError):  # reported with the values
-            return
-        events = []
-        for _t, kind, text in logged:
-            where = drift[0] if drift is not None and text.startswith(f"{drift[0]}: ") else ""
-            events.append(EventLogged(kind, text.removeprefix(f"{where}: "), where))
-        checks = [each for each in events if is_drift(each)]
-        heard = [each.what for each in self._heard]
-        past = tuple(each for each in events if attached.busy and not any(what in each.what for what in heard))
-        self._send(PastRead(past, None if dark is None else dark[1], checks[-1] if checks else None))
-
-    def _begin(self, begun: RunBegun | Snapshot) -> None:
-        """Send the plan of a run; where it is the one that this window has made, that one."""
-        assert begun.journal is not None
-        self._follower = JournalFollower(begun.journal)
-        try:
-            with self._follower.reading() as journal:
-                schedule, rig = journal.value("schedule"), journal.value("rig")
-                plan = self._plan
-                if plan is None or (plan.schedule.text, plan.rig.text) != (schedule, rig):
-                    parsed = parse_schedule(schedule, f"{begun.journal} (schedule)")
-                    certificate = None if parsed.file.certificate is None else journal.value("certificate")
-                    described = ScheduleDescription(parsed.text, parsed.file, parsed.name, certificate)
-                    plan = Plan(described, recorded_rig(journal), journal.planned_rows())
-            self._dark_ages = DarkAges(plan)
-            self._send(RunStarted(plan, begun.journal, mountings(plan.rows)))
-        except Exception as error:  # noqa: BLE001  (of any library: reported, and the end of the run is shown in its time)
-            self._give_up_values(error)
-
-    def _send_rows(self, saved: dict[int, RowSaved]) -> None:
-        if self._follower is None:
-            return
-        try:
-            for each in self._follower.new_rows():
-                if self._closing:
-                    return
-                known = saved.get(each.row.number)
-                progress = (0, 1, 0.0) if known is None else (known.done, known.total, known.seconds_left)
-                self._send(RowCommitted(each.row, each.data, *progress))
-                if self._dark_ages is not None and (event := self._dark_ages.add(each.row, each.data)) is not None:
-                    self._send(event)
-        except Exception as error:  # noqa: BLE001  (of any library: reported, and the end of the run is shown in its time)
-            self._give_up_values(error)
-
-    def _give_up_values(self, error: Exception) -> None:
-        self._follower = None
-        known = isinstance(error, UserError | OSError)
-        self._send(ValuesMissing(str(error) if known else f"{type(error).__name__}: {error}"))
-
-    def _report_findings(self, journal: Path) -> None:
-        """Send what the data of a run show of the instrument, if they are enough for a reduction."""
-        with contextlib.suppress(UserError, OSError):
-            for finding in journal_findings(journal):
-                self._send(EventLogged("finding", finding, journal.name, "see goniotwin verify"))
-
-
-def description_of(rig: RigOpened) -> RigDescription:
-    """The rig of a station, from the file or the journal that the station has read. Raises UserError if that has changed."""
-    name = str(rig.path)
-    if name.endswith(RECORDED):
-        with JournalFollower(Path(name.removesuffix(RECORDED))).reading() as journal:
-            description = recorded_rig(journal)
-    else:
-        description = read_rig(rig.path)
-    if hashlib.sha256(description.text.encode()).hexdigest() != rig.digest:
-        raise UserError(f"{rig.path}: has changed since the rig was connected; connect again")
-    return description

@@ -22,12 +22,12 @@ from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.running.events import Positions, RowCommitted, RowStarted, State
 from goniotwin.app.campaign.running.question import Answer
-from goniotwin.app.campaign.schedule.file import ScheduleDescription
+from goniotwin.app.campaign.schedule.file import ScheduleDescription, read_schedule
 from goniotwin.app.campaign.studies.reduced_journal import reduce_journal
 from goniotwin.app.desktop import STOPPED, MainWindow, run_desktop
 from goniotwin.app.desktop.bench.screen import BenchScreen
 from goniotwin.app.desktop.dialogs import FileDialog
-from goniotwin.app.desktop.model import connection
+from goniotwin.app.desktop.model import connection, planner
 from goniotwin.app.desktop.model.connection import StationProcesses
 from goniotwin.app.desktop.model.live_scan import LiveScan, ScanData
 from goniotwin.app.desktop.rig.screen import RigScreen
@@ -499,14 +499,25 @@ def test_the_run_goes_on_without_its_window_and_the_next_one_shows_it(
     qtbot.waitUntil(lambda: "measured" in again.view.plot.summary, timeout=READY_MS)
 
 
+def hold_start(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
+    """The event before which no start is sent: the connection reads the schedule."""
+    go_on = threading.Event()
+
+    def wait_and_read(path: Path) -> ScheduleDescription:
+        go_on.wait(READY_MS / 1000.0)
+        return read_schedule(path)
+
+    monkeypatch.setattr(connection, "read_schedule", wait_and_read)
+    return go_on
+
+
 @pytest.mark.parametrize("command", ["pause", "stop"])
 def test_what_is_pressed_right_after_start_is_not_lost(
-    qtbot: QtBot, open_window: WindowOpener, journals: Path, command: str
+    qtbot: QtBot, open_window: WindowOpener, journals: Path, monkeypatch: pytest.MonkeyPatch, command: str
 ) -> None:
-    """The start has not even been sent: the connection makes a plan."""
+    """The start has not even been sent."""
     window = ready(qtbot, open_window(speed=20.0))
-    busy = threading.Event()
-    window.connection._tasks.put(busy.wait)  # type: ignore[arg-type]
+    busy = hold_start(monkeypatch)
     click(window.view.run.start_button)
     click(window.view.run.pause_button if command == "pause" else window.view.run.stop_button)
     busy.set()
@@ -536,11 +547,10 @@ def test_a_stop_right_after_the_letter_of_start(qtbot: QtBot, window: MainWindow
 
 @pytest.mark.long
 def test_a_stop_of_another_window_cancels_a_start_that_waits(
-    qtbot: QtBot, open_window: WindowOpener, journals: Path, stations: LocalStations
+    qtbot: QtBot, open_window: WindowOpener, journals: Path, stations: LocalStations, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     window, other = ready(qtbot, open_window(speed=20.0)), open_window()
-    busy = threading.Event()
-    window.connection._tasks.put(busy.wait)  # type: ignore[arg-type]
+    busy = hold_start(monkeypatch)
     click(window.view.run.start_button)
     qtbot.waitUntil(other.view.run.stop_button.isEnabled, timeout=READY_MS)
     click(other.view.run.stop_button)
@@ -767,7 +777,7 @@ def test_a_schedule_that_takes_long_blocks_nothing(
         made.append(Path(schedule.name).name)
         return make_plan(schedule, rig)
 
-    monkeypatch.setattr(connection, "make_plan", make)
+    monkeypatch.setattr(planner, "make_plan", make)
     assert small is not None
     (tmp_path / "large.toml").write_text(small.schedule.text, encoding="utf-8")
     window.connection.load(tmp_path / "missing.toml")
