@@ -7,23 +7,20 @@ the file does not divide u, all of it counts as shared, so that u is at most too
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from goniotwin.app.campaign.studies.budget import Budget
 from goniotwin.app.campaign.studies.budget import reflectance as measured_reflectance
-from goniotwin.app.campaign.studies.reflectance import LEAST_POLAR_DEG, Setting, quadrature
-from goniotwin.app.data.interpolation import RECTANGULAR, own_and_shared
+from goniotwin.app.campaign.studies.reflectance import Setting, covers_half_sphere, quadrature
+from goniotwin.app.data.interpolation import RECTANGULAR, direction_grid, nodes_of, own_and_shared
 from goniotwin.app.data.values import EQUAL, LightSetting, Measured, SampleData, ValueWithU, neighbours
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats.content import RegularTable
 from goniotwin.app.formats.coverage import share_weights
 from goniotwin.arrays import Flags, Floats
-from goniotwin.twin.optics.geometry.coordinates import HALF_TURN_DEG, TOLERANCE_DEG, TURN_DEG, round_deg
-
-MOST_BEYOND = math.cos(math.radians(LEAST_POLAR_DEG)) ** 2
-"""Share of the half sphere's projected solid angle that may be beyond the last theta of a grid."""
+from goniotwin.twin.optics.geometry.coordinates import HALF_TURN_DEG, TURN_DEG, round_deg
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +39,17 @@ def reflectance(data: SampleData, light: LightSetting, place: str) -> ValueWithU
         return ValueWithU(
             found.value, found.u, "1", (f"covariance: of all inputs of the journal's values; {found.title}", *found.about)
         )
-    result = _of_grid(data, light, place) if data.gridded else _of_rings(data, light, place)
+    grid = direction_grid(data, light)
+    result = None
+    if grid is None or grid.frame == "rings" or light.sigma_deg == 0.0:  # at normal incidence both frames are one
+        result = _of_rings(data, light)
+    if result is None and grid is not None and grid.frame == "specular":
+        result = _of_grid(data, light, place)
+    if result is None:
+        raise UserError(
+            f"{place}, {light}: the directions do not cover the half sphere on rings of one polar angle, so there is no "
+            "reflectance"
+        )
     for part in data.regular:
         if part.transmitted == light.transmitted and part.back == light.back:
             result = _with_regular(result, part, light, place)
@@ -76,15 +83,13 @@ def _of_journal(measured: Measured, light: LightSetting, place: str) -> Budget:
     return measured_reflectance(measured.settings, place, points, setting)
 
 
-def _of_rings(data: SampleData, light: LightSetting, place: str) -> ValueWithU:
+def _of_rings(data: SampleData, light: LightSetting) -> ValueWithU | None:
+    """Of directions on rings; None where they do not cover the half sphere."""
     values, index = data.values, light.index
     rings = Rings(values.polar_deg[index], values.azimuth_deg[index] - values.psi_deg[index], data.good[index])
     rule = quadrature(rings, "isotropic" if values.isotropic else "anisotropic")
     if not rule.hemisphere:
-        raise UserError(
-            f"{place}, {light}: the directions do not cover the half sphere on rings of one polar angle, so there is no "
-            "reflectance"
-        )
+        return None
     bsdf = np.where(rule.weight != 0.0, values.values[index], 0.0)
     filled = float(np.sum((rule.obstructed + rule.extrapolated) * np.abs(bsdf)))
     return _sum(data, light, rule.weight, [rule.interpolation_error(values.values[index]), filled / RECTANGULAR], filled)
@@ -92,29 +97,32 @@ def _of_rings(data: SampleData, light: LightSetting, place: str) -> ValueWithU:
 
 def _of_grid(data: SampleData, light: LightSetting, place: str) -> ValueWithU:
     """Of the nodes of a table, linear between them; a node without a value has that of the nearest in its row."""
-    index = light.index
-    theta, column = np.unique(data.theta_deg[index], return_inverse=True)
-    phi, row = np.unique(data.phi_deg[index], return_inverse=True)
-    mirrored = bool(data.phi_deg.max() <= HALF_TURN_DEG + TOLERANCE_DEG)
-    known = np.isfinite(data.values.values[index])
+    index = light.index[np.isfinite(data.values.values[light.index])]
+    nodes = nodes_of("specular", light.sigma_deg, data.theta_deg[index], data.phi_deg[index], data.values.isotropic)
+    theta, column = np.unique(nodes.polar_deg, return_inverse=True)
+    phi, row = np.unique(nodes.azimuth_deg, return_inverse=True)
     node = np.full((phi.size, theta.size), -1)
-    node[row[known], column[known]] = np.flatnonzero(known)
+    node[row, column] = np.arange(index.size)
+    if theta[0] == 0.0:
+        node[:, 0] = node[0, 0]
     for each in node:  # below the horizon a table has no value
         if (each >= 0).any():
             there = np.flatnonzero(each >= 0)
             each[:] = each[there[np.argmin(np.abs(theta[:, None] - theta[there]), axis=1)]]
     whole = node[(node >= 0).all(axis=1)]
-    if whole.shape != node.shape or theta[0] > EQUAL:
+    if whole.shape != node.shape or theta[0] > 0.0:
         raise UserError(f"{place}, {light}: the table does not begin at theta 0 in all half planes, so there is no reflectance")
-    fine, beyond = grid_weights(theta, phi, light.sigma_deg, mirrored=mirrored)
-    if beyond > MOST_BEYOND:
+    fine, beyond = grid_weights(theta, phi, light.sigma_deg, mirrored=nodes.mirrored)
+    step = float(np.diff(theta)[theta[:-1] < 90.0 + light.sigma_deg].max(initial=0.0))
+    if not covers_half_sphere(step, nodes.azimuth_step_deg, beyond):
         raise UserError(
             f"{place}, {light}: the table ends at theta {theta[-1]:g} deg, and {100.0 * beyond:.0f} % of the half sphere is "
-            "beyond it, so there is no reflectance"
+            f"beyond it; its nodes are up to {step:g} deg apart in theta and {nodes.azimuth_step_deg:g} deg in phi: they do "
+            "not cover the half sphere, so there is no reflectance"
         )
     coarse = np.zeros(fine.shape)
     keep = np.unique([*range(0, theta.size, 2), theta.size - 1])
-    coarse[:, keep] = grid_weights(theta[keep], phi, light.sigma_deg, mirrored=mirrored)[0]
+    coarse[:, keep] = grid_weights(theta[keep], phi, light.sigma_deg, mirrored=nodes.mirrored)[0]
     weight: Floats = np.bincount(node.ravel(), weights=fine.ravel(), minlength=index.size).astype(np.float64)
     values = data.values.values[index]
     of_coarse = float(np.sum(coarse * values[node]))
@@ -122,7 +130,7 @@ def _of_grid(data: SampleData, light: LightSetting, place: str) -> ValueWithU:
     outside = beyond * math.pi * float(np.mean(np.abs(values[node[:, -1]])))
     not_measured = ~data.good[index]
     filled = outside + float(np.sum(np.abs((weight * values)[not_measured])))
-    return _sum(data, light, weight, [abs(total - of_coarse) / 3.0, filled / RECTANGULAR], filled)
+    return _sum(data, replace(light, index=index), weight, [abs(total - of_coarse) / 3.0, filled / RECTANGULAR], filled)
 
 
 def grid_weights(theta_deg: Floats, phi_deg: Floats, sigma_deg: float, *, mirrored: bool) -> tuple[Floats, float]:

@@ -1,9 +1,10 @@
 """Interpolation of a sample's values to any direction, with the uncertainty; and what it needs: values on a grid of directions.
 
 In one light the values are on rings of one polar angle (an arc measures these), or on a grid about the specular direction
-(tables have this). Between them is the monotone cubic of `specular_grid`, the one of all tables. Where finer rings or half
-planes were measured near a lobe alone, a half plane that has no value at a ring gets one from its own neighbours, else from
-those of the ring. Between two incidences at fixed theta and phi, and between two wavelengths, the interpolation is linear.
+(tables have this): which one follows from the directions alone, whatever file has carried them, by the share of the nodes above
+the horizon that have a value. Between them is the monotone cubic of `specular_grid`, the one of all tables. Where finer rings
+or half planes were measured near a lobe alone, a half plane that has no value at a ring gets one from its own neighbours, else
+from those of the ring. Between two incidences at fixed theta and phi, and between two wavelengths, the interpolation is linear.
 
 The uncertainty is that of the values, what they share included, and an estimate of the interpolation's own error: the monotone
 cubic is between the given values, as a linear interpolation is, and the difference of the two, over the polar angle and over
@@ -20,11 +21,11 @@ import numpy as np
 
 from goniotwin.app.data.values import EQUAL, LightSetting, SampleData, neighbours
 from goniotwin.app.errors import UserError
+from goniotwin.app.formats.coverage import is_one_sided
 from goniotwin.app.formats.specular_grid import PolarGrid, count_nodes, grid_of_points, interpolate
 from goniotwin.arrays import Floats, Ints
 from goniotwin.twin.optics import from_specular
 from goniotwin.twin.optics.geometry.coordinates import (
-    HALF_TURN_DEG,
     TOLERANCE_DEG,
     TURN_DEG,
     fold_azimuth,
@@ -38,6 +39,12 @@ WIDEST_DEG = 30.0
 LEAST_COMPLETED = 0.05
 """Least share of a grid's nodes that have values (`count_nodes`): less than for a table, because the others are completed."""
 MOST_NODES = 4_000_000
+NODE_DEG, WIDEST_NODE_DEG = 1e-4, 0.02
+"""Directions no further apart on the sphere, and in their angle, have one node: a file keeps nine digits of its own angles."""
+ALIKE = 0.01
+"""Where two frames have nearly the same share of their nodes, as in the plane of incidence, it is the one of the tables."""
+WIDEST_OF_TURN = 1.5
+"""Azimuths go round where their widest step is at most so many times that of them and their mirror images together."""
 RECTANGULAR = math.sqrt(3.0)
 """A half-width over this is the standard uncertainty of a rectangular distribution."""
 Frame = Literal["rings", "specular"]
@@ -67,36 +74,86 @@ def _direction_grid(data: SampleData, light: LightSetting) -> DirectionGrid | No
     if not index.size:
         return None
     values = data.values
+    sigma = light.sigma_deg
+    rings = nodes_of("rings", sigma, values.polar_deg[index], values.azimuth_deg[index] - light.psi_deg, values.isotropic)
+    specular = nodes_of("specular", sigma, data.theta_deg[index], data.phi_deg[index], values.isotropic)
+    found = specular if specular.filled >= rings.filled - ALIKE else rings
+    if found.filled < LEAST_COMPLETED:
+        return None
     own, shared = own_and_shared(np.asarray(values.u)[index], np.asarray(values.u_shared)[index])
-    rings = values.polar_deg[index], values.azimuth_deg[index] - values.psi_deg[index]
-    specular = data.theta_deg[index], data.phi_deg[index]
-    frames: Sequence[tuple[Frame, tuple[Floats, Floats], bool]] = (
-        ("rings", rings, values.isotropic),
-        # A table to phi 180 has the other half as the mirror image.
-        (
-            "specular",
-            specular,
-            (data.gridded or values.isotropic) and bool(data.phi_deg.max() <= HALF_TURN_DEG + TOLERANCE_DEG),
-        ),
-    )
-    for frame, (polar, azimuth), mirrored in frames[::-1] if data.gridded else frames:
-        if _is_grid(polar, azimuth, mirrored):
-            grid = grid_of_points(polar, azimuth, values.values[index], own, shared, mirrored=mirrored)
-            return DirectionGrid(frame, _completed(grid))
-    return None
+    grid = grid_of_points(found.polar_deg, found.azimuth_deg, values.values[index], own, shared, mirrored=found.mirrored)
+    return DirectionGrid(found.frame, _completed(grid))
+
+
+@dataclass(frozen=True, eq=False)
+class Nodes:
+    """The nodes at which directions (n,) are in a frame, and the share `filled` of all nodes above the horizon that have one.
+
+    `azimuth_step_deg` is the widest step between half planes round the turn, their mirror images included where they count; 0
+    where one half plane alone stands for all.
+    """
+
+    frame: Frame
+    polar_deg: Floats
+    azimuth_deg: Floats
+    mirrored: bool
+    filled: float
+    azimuth_step_deg: float = 0.0
+
+
+def nodes_of(frame: Frame, sigma_deg: float, polar_deg: Floats, azimuth_deg: Floats, isotropic: bool) -> Nodes:
+    """Directions as nodes of a grid. Those at the pole are on the first half plane.
+
+    The other half is the mirror image where there are directions on one alone, or, of an isotropic sample, far fewer on one.
+    """
+    polar = _joined(polar_deg, np.ones(polar_deg.size))
+    polar[polar <= NODE_DEG] = 0.0
+    off = polar > 0.0
+    if not off.any():
+        return Nodes(frame, polar, np.zeros(polar.size), mirrored=False, filled=1.0)
+    wrapped = wrap_azimuth(azimuth_deg[off])
+    wrapped = np.where(wrapped >= TURN_DEG - WIDEST_NODE_DEG, wrapped - TURN_DEG, wrapped)
+    around = wrap_azimuth(_joined(wrapped, np.sin(np.radians(polar[off]))))
+    step, both = _widest_step(around), _widest_step(np.concatenate([around, wrap_azimuth(-around)]))
+    mirrored = (isotropic or is_one_sided(around)) and step > WIDEST_OF_TURN * both
+    if mirrored:
+        around, step = round_deg(fold_azimuth(around)), both
+    azimuth = np.full(polar.size, around.min())
+    azimuth[off] = around
+    nodes, filled = count_nodes(polar, azimuth)
+    if frame == "specular" and nodes <= MOST_NODES:  # a table has no values below the horizon
+        rows, columns = np.unique(polar[off]), np.unique(around)
+        nodes = int(np.sum(from_specular(sigma_deg, rows[:, None], columns)[..., 2] >= -math.radians(NODE_DEG)))
+    if frame == "specular" and np.unique(around).size == 1:
+        step = 0.0
+    return Nodes(frame, polar, azimuth, mirrored, filled / nodes if nodes <= MOST_NODES else 0.0, step)
+
+
+def _joined(angle_deg: Floats, sine: Floats) -> Floats:
+    """Angles (n,) of which those that the digits of a file set apart are one number; `sine` is the length of a turn there."""
+    order = np.argsort(angle_deg, kind="stable")
+    angle, length = angle_deg[order], sine[order]
+    apart = np.diff(angle)
+    new = (apart * np.minimum(length[1:], length[:-1]) > NODE_DEG) | (apart > WIDEST_NODE_DEG)
+    begin = np.concatenate([[0], 1 + np.flatnonzero(new)])
+    node = np.cumsum(np.concatenate([[False], new]))
+    means = np.bincount(node, angle * length**2) / np.bincount(node, length**2)
+    wide = np.append(angle[begin[1:] - 1], angle[-1:]) - angle[begin] > WIDEST_NODE_DEG
+    joined = np.empty(angle.size)
+    joined[order] = round_deg(np.where(wide[node], angle, means[node]))  # directions at random may be close, one by one
+    return joined
+
+
+def _widest_step(azimuth_deg: Floats) -> float:
+    """The widest step between azimuths (n,), round the whole turn."""
+    there = np.unique(round_deg(azimuth_deg))
+    return float(np.diff(there, append=there[0] + TURN_DEG).max())
 
 
 def own_and_shared(u: Floats, u_shared: Floats) -> tuple[Floats, Floats]:
     """Standard uncertainties (n,): of each value alone, and shared by neighbours; all of it is shared where that is unknown."""
     shared = np.where(np.isfinite(u_shared) & (u_shared > 0.0), np.minimum(u_shared, u), u)
     return np.sqrt(np.maximum(u**2 - shared**2, 0.0)), shared
-
-
-def _is_grid(polar: Floats, azimuth: Floats, mirrored: bool) -> bool:
-    """Whether directions (n,) are on a grid: its nodes are few, and enough of them have a value."""
-    folded = fold_azimuth(azimuth) if mirrored else wrap_azimuth(round_deg(azimuth))
-    nodes, filled = count_nodes(round_deg(polar), round_deg(folded))
-    return nodes <= MOST_NODES and filled >= LEAST_COMPLETED * nodes
 
 
 def _completed(grid: PolarGrid) -> PolarGrid:
@@ -191,7 +248,8 @@ def values_on_grid(found: DirectionGrid, sigma_deg: float, theta_deg: Floats, ph
     polar, azimuth = round_deg(polar), round_deg(fold_azimuth(azimuth) if grid.mirrored else wrap_azimuth(azimuth))
     one = grid.azimuth_deg.size == 1 and found.frame == "specular"  # a table of one phi is the same at all
     anywhere = (polar <= TOLERANCE_DEG) | one  # at the pole any azimuth is the same direction
-    azimuth = np.where(anywhere, grid.azimuth_deg[0], azimuth)
+    azimuth = np.where(anywhere, grid.azimuth_deg[0], _on_node(grid.azimuth_deg, azimuth, np.sin(np.radians(polar))))
+    polar = _on_node(grid.polar_deg, polar, np.ones(polar.size))
     apart = np.where(anywhere, 0.0, _step(grid.azimuth_deg, azimuth))
     with np.errstate(invalid="ignore"):
         apart = np.where(apart == 0.0, 0.0, apart * np.sin(np.radians(polar)))
@@ -201,6 +259,15 @@ def values_on_grid(found: DirectionGrid, sigma_deg: float, theta_deg: Floats, ph
         values[near], u_values = interpolate(grid, polar[near], azimuth[near])
         u[near] = np.hypot(u_values, _error(grid, polar[near], azimuth[near], values[near]) / RECTANGULAR)
     return values, u
+
+
+def _on_node(axis: Floats, at: Floats, sine: Floats) -> Floats:
+    """Places (n,) on an axis; one that the rounding of a direction's own angles has moved off a node is on it."""
+    if axis.size == 1:
+        return at
+    after = np.clip(np.searchsorted(axis, at), 1, axis.size - 1)
+    nearest = np.where(at - axis[after - 1] < axis[after] - at, axis[after - 1], axis[after])
+    return np.where(np.abs(at - nearest) * sine <= 2.0 * TOLERANCE_DEG, nearest, at)
 
 
 def _error(grid: PolarGrid, polar: Floats, azimuth: Floats, values: Floats) -> Floats:

@@ -15,6 +15,7 @@ from goniotwin.app.formats.content import RegularTable
 from goniotwin.app.formats.numerals import format_number
 from goniotwin.app.formats.table import BsdfTable
 from goniotwin.arrays import Flags, Floats, Ints
+from goniotwin.twin.optics.geometry.coordinates import HALF_TURN_DEG, fold_azimuth, round_deg, wrap_azimuth
 
 COVERED = "not in the data: "
 REPEATED = re.compile(r"(psi|sigma|theta) (\S+) repeated to (0|90|180|360)")
@@ -112,6 +113,13 @@ def _goes_round(angles_deg: Floats) -> bool:
 def is_whole_turn(angles_deg: Floats) -> bool:
     """Whether azimuths (n,), at least two, go round: the step from the last to the first is hardly wider than the others."""
     return bool(360.0 - angles_deg[-1] + angles_deg[0] <= WIDEST * np.diff(angles_deg).max())
+
+
+def is_one_sided(azimuth_deg: Floats) -> bool:
+    """Whether azimuths (n,), from the light's, are all on one side of the plane of incidence; in it they are on both."""
+    folded = round_deg(fold_azimuth(azimuth_deg))
+    aside = wrap_azimuth(azimuth_deg)[(folded > 0.0) & (folded < HALF_TURN_DEG)] < HALF_TURN_DEG
+    return bool(aside.all() or not aside.any())
 
 
 def _with_ends(table: BsdfTable, name: str, angles_deg: Floats) -> BsdfTable:

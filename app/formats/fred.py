@@ -19,8 +19,9 @@ from pathlib import Path
 import numpy as np
 
 from goniotwin.app.formats.content import BsdfFile, ScatteredBsdf
+from goniotwin.app.formats.coverage import is_one_sided
 from goniotwin.app.formats.file import FormatError, name_file, quote_word
-from goniotwin.app.formats.lists import ASSUMED_REFLECTED, Lines, incidences, observed, one_sided, opposite, turned
+from goniotwin.app.formats.lists import ASSUMED_REFLECTED, Lines, incidences, observed, opposite, turned
 from goniotwin.app.formats.numerals import NotANumber, parse_number
 from goniotwin.arrays import Floats, Ints
 from goniotwin.twin.optics.geometry.coordinates import wrap_azimuth
@@ -50,7 +51,7 @@ def _list(lines: Lines) -> ScatteredBsdf:
         light, out, values = incidences(lines, data)
     psi, azimuth, isotropic = turned(opposite(light[:, 1]), out[:, 1])
     comments = [*comments, ASSUMED_REFLECTED]
-    if isotropic and one_sided(psi, azimuth):
+    if isotropic and is_one_sided(azimuth - psi):
         comments.append("the directions are on one side of the plane of incidence: the others are their mirror image")
     return ScatteredBsdf(light[:, 0], psi, out[:, 0], azimuth, scale * values, isotropic=isotropic, comments=tuple(comments))
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from goniotwin.app.formats.content import CHECK, FILLED, ISOTROPIC, UNTRUSTED, ScatteredBsdf, flagged
+from goniotwin.app.formats.coverage import is_one_sided
 from goniotwin.app.formats.holes import Fill
 from goniotwin.app.formats.specular_grid import (
     PolarGrid,
@@ -109,7 +110,7 @@ def grid_table(
         np.sqrt(np.maximum(u**2 - shared**2, 0.0)),
         shared,
     ).where(trusted)
-    half = _is_half(points)
+    half = is_one_sided(points.azimuth_deg[round_deg(points.polar_deg) > 0.0])
     mirrored = values.isotropic or half
     if values.isotropic and not half:
         comments = [*comments, ISOTROPIC]
@@ -213,12 +214,6 @@ def _in_plane(points: _Values) -> Flags:
     """The values in the plane of incidence."""
     azimuth = round_deg(fold_azimuth(points.azimuth_deg))
     return np.asarray((azimuth == 0.0) | (azimuth == HALF_TURN_DEG) | (round_deg(points.polar_deg) == 0.0))
-
-
-def _is_half(points: _Values) -> bool:
-    """Whether all values are on one side of the plane of incidence."""
-    side = np.sign(np.sin(np.radians(points.azimuth_deg[~_in_plane(points)])))
-    return np.unique(side).size <= 1
 
 
 class _Cuts:

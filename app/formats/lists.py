@@ -142,12 +142,6 @@ def by_channel(columns: dict[str, Floats], values: Floats, channels: Sequence[fl
     return repeated
 
 
-def one_sided(psi_deg: Floats, azimuth_deg: Floats) -> bool:
-    """Whether all directions are on one side of the plane of incidence."""
-    from_light = np.round(wrap_azimuth(azimuth_deg - psi_deg), 6)
-    return bool(np.all((from_light <= 180.0) | (from_light == 360.0)) or np.all((from_light >= 180.0) | (from_light == 0.0)))
-
-
 def turned(psi_deg: Floats, azimuth_deg: Floats) -> tuple[Floats, Floats, bool]:
     """Azimuths of the light and of the observation, and whether one azimuth of the light stands for all: it is then 0."""
     if np.unique(psi_deg).size > 1:

@@ -6,6 +6,7 @@ has no error. Directions without a value stand for their neighbours on the ring,
 what these add is stated apart.
 """
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
@@ -24,6 +25,7 @@ from goniotwin.twin.optics.geometry.coordinates import fold_azimuth, round_deg
 
 WIDEST_AZIMUTH_DEG, WIDEST_POLAR_DEG, LEAST_POLAR_DEG = 60.0, 15.0, 60.0
 """Measured directions further apart than these, or none beyond the last, are no half sphere."""
+EQUAL_SHARE = 1e-9
 CHUNK_POINTS = 20_000
 """Points whose effects are in memory together."""
 RICHARDSON = 3.0
@@ -116,14 +118,22 @@ def quadrature(points: MeasuredRings, symmetry: StatedSymmetry) -> Quadrature:
         obstructed[here] = inside[k] * filled + max(inside[k] - all_rings[k], 0.0) * own
     known = rings[with_value]
     apart = float(np.diff(known).max(initial=0.0))
-    covered = known.size > 1 and known[-1] >= LEAST_POLAR_DEG and apart <= WIDEST_POLAR_DEG
     return Quadrature(
         weight,
         obstructed,
         extrapolated,
         _coarse(rings, ring, azimuth, good & with_value[ring], folded),
-        bool(covered and widest <= WIDEST_AZIMUTH_DEG),
+        known.size > 1 and covers_half_sphere(apart, widest, float(np.cos(np.radians(known[-1])) ** 2)),
     )
+
+
+def covers_half_sphere(polar_step_deg: float, azimuth_step_deg: float, beyond: float) -> bool:
+    """Whether directions are close enough for an integral over the half sphere, by their widest steps.
+
+    `beyond` is the share of the projected solid angle that is beyond the outermost ring, or beyond the last theta of a table.
+    """
+    close = polar_step_deg <= WIDEST_POLAR_DEG and azimuth_step_deg <= WIDEST_AZIMUTH_DEG
+    return close and beyond <= math.cos(math.radians(LEAST_POLAR_DEG)) ** 2 + EQUAL_SHARE
 
 
 def components_of_sum(points: BsdfPoints, weight: Floats, settings: ReductionSettings) -> list[Component]:

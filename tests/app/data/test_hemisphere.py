@@ -156,7 +156,7 @@ def test_what_is_no_half_sphere_is_refused() -> None:
     for part, message in ((short, "ends at theta 40 deg, and 59 %"), (plane, "do not cover the half sphere")):
         with pytest.raises(goniotwin.GoniotwinError, match=message):
             dataset_of(part).reflectance()
-    cut = dataset_of(table(lambertian(0.5), np.array([0.0]), 5.0))
+    cut = dataset_of(table(lambertian(0.5), np.array([30.0]), 5.0))
     with pytest.raises(goniotwin.GoniotwinError, match="does not begin at theta 0"):
         cut.where(cut.theta_deg >= 5.0).reflectance()
     with pytest.raises(goniotwin.GoniotwinError, match="is no journal"):
