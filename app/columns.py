@@ -64,7 +64,7 @@ class ColumnTable:
     @property
     def size(self) -> int:
         """Number of rows."""
-        return len(next(self._arrays())[1])
+        return len(next(self._columns())[1])
 
     def where(self, chosen: Flags | Ints | slice) -> Self:
         """Some of the rows, or all in another order."""
@@ -72,24 +72,19 @@ class ColumnTable:
 
     def each(self, part: Callable[[Array], Array]) -> Self:
         """The table with a function of each array in its place."""
-        return self.mapped(lambda array, _: part(array))
+        return self.of_columns({name: part(array) for name, array, _ in self._columns()})
 
     def known_at(self, known: Flags) -> Self:
         """The table with `absent` in all columns where a mask of its rows, or of its values of several axes, is false."""
 
-        def masked(array: Array, column: Column) -> Array:
-            return np.where(known.reshape(*known.shape, *[1] * (array.ndim - known.ndim)), array, column.absent)
+        def masked(array: Array, absent: float | str) -> Array:
+            return np.where(known.reshape(*known.shape, *[1] * (array.ndim - known.ndim)), array, absent)
 
-        return self.mapped(masked)
-
-    def mapped(self, part: Callable[[Array, Column], Array]) -> Self:
-        """The table with a function of each array, and of what its column is, in its place."""
-        held = vars(self)
-        return type(self)(**{name: kind.mapped(held[name], part) for name, kind in _layout(type(self)).items()})
+        return self.of_columns({name: masked(array, column.absent) for name, array, column in self._columns()})
 
     def columns(self) -> dict[str, Array]:
         """All columns by name. Those of a field with several begin with its name and a blank."""
-        return dict(self._arrays())
+        return {name: array for name, array, _ in self._columns()}
 
     def of_columns(self, columns: Mapping[str, Array]) -> Self:
         """A table of these columns, by the names of `columns`, with all that belongs to this whole table."""
@@ -104,17 +99,20 @@ class ColumnTable:
         """
         if len(tables) == 1:
             return tables[0]
-        sizes = [table.size for table in tables]
-        every = [vars(table) for table in tables]
-        layout = _layout(cls).items()
-        return cls(**{name: kind.joined([held[name] for held in every], sizes) for name, kind in layout})
+        declared = {name: column for table in tables for name, _, column in table._columns()}
+        every, sizes = [table.columns() for table in tables], [table.size for table in tables]
+        joined = {name: _joined([has.get(name) for has in every], sizes, each.absent) for name, each in declared.items()}
+        found = tables[0].of_columns(joined)
+        if found.columns().keys() != joined.keys():
+            raise ValueError("the first of the tables to join has no table where another one has it")
+        return found
 
     @classmethod
     def declared(cls) -> dict[str, Column]:
         """What the columns of a table of this class are, by name; without those that are in tables of its own."""
         return {name: kind.column for name, kind in _layout(cls).items() if isinstance(kind, _One)}
 
-    def _arrays(self) -> Iterator[tuple[str, Array]]:
+    def _columns(self) -> Iterator[tuple[str, Array, Column]]:
         held = vars(self)
         return (each for field, kind in _layout(type(self)).items() for each in kind.columns(field, held[field]))
 
@@ -122,13 +120,8 @@ class ColumnTable:
 class _Whole:
     """A field that belongs to the whole table."""
 
-    def mapped(self, held: Any, part: Callable[[Array, Column], Array]) -> Any:
-        """The field with a function of its arrays in their place."""
-        del part
-        return held
-
-    def columns(self, field: str, held: Any) -> Iterator[tuple[str, Array]]:
-        """The arrays of the field with their names."""
+    def columns(self, field: str, held: Any) -> Iterator[tuple[str, Array, Column]]:
+        """The arrays of the field, with their names and what they are."""
         del field, held
         return iter(())
 
@@ -137,52 +130,31 @@ class _Whole:
         del field, columns
         return held
 
-    def joined(self, every: Sequence[Any], sizes: Sequence[int]) -> Any:
-        """The field of several tables of such sizes, joined."""
-        del sizes
-        return every[0]
-
 
 @dataclass(frozen=True)
 class _One(_Whole):
-    """A field that is a column."""
+    """A field that is a column, or None."""
 
     column: Column
 
-    def mapped(self, held: Any, part: Callable[[Array, Column], Array]) -> Any:
-        return None if held is None else part(held, self.column)
-
-    def columns(self, field: str, held: Any) -> Iterator[tuple[str, Array]]:
+    def columns(self, field: str, held: Any) -> Iterator[tuple[str, Array, Column]]:
         if held is not None:
-            yield field, held
+            yield field, held, self.column
 
     def found(self, field: str, held: Any, columns: Mapping[str, Array]) -> Any:
         del held
         return columns.get(field)
 
-    def joined(self, every: Sequence[Any], sizes: Sequence[int]) -> Any:
-        return None if all(each is None for each in every) else _joined(every, sizes, self.column.absent)
-
 
 class _Table(_Whole):
     """A field that is a table, or None."""
 
-    def mapped(self, held: Any, part: Callable[[Array, Column], Array]) -> Any:
-        return None if held is None else held.mapped(part)
-
-    def columns(self, field: str, held: Any) -> Iterator[tuple[str, Array]]:
+    def columns(self, field: str, held: Any) -> Iterator[tuple[str, Array, Column]]:
         if held is not None:
-            yield from ((f"{field} {name}", array) for name, array in held.columns().items())
+            yield from ((f"{field} {name}", array, column) for name, array, column in held._columns())
 
     def found(self, field: str, held: Any, columns: Mapping[str, Array]) -> Any:
         return None if held is None else held.of_columns(_of(field, columns))
-
-    def joined(self, every: Sequence[Any], sizes: Sequence[int]) -> Any:
-        del sizes
-        there = [each for each in every if each is not None]
-        if there and len(there) < len(every):
-            raise ValueError("some of the tables to join have a table that others do not have")
-        return type(there[0]).join(there) if there else None
 
 
 @dataclass(frozen=True)
@@ -191,32 +163,23 @@ class _Named(_Whole):
 
     column: Column
 
-    def mapped(self, held: Any, part: Callable[[Array, Column], Array]) -> Any:
-        return {name: part(array, self.column) for name, array in held.items()}
-
-    def columns(self, field: str, held: Any) -> Iterator[tuple[str, Array]]:
-        return ((f"{field} {name}", array) for name, array in held.items())
+    def columns(self, field: str, held: Any) -> Iterator[tuple[str, Array, Column]]:
+        return ((f"{field} {name}", array, self.column) for name, array in held.items())
 
     def found(self, field: str, held: Any, columns: Mapping[str, Array]) -> Any:
         del held
         return _of(field, columns)
 
-    def joined(self, every: Sequence[Any], sizes: Sequence[int]) -> Any:
-        names = dict.fromkeys(name for held in every for name in held)
-        return {name: _joined([held.get(name) for held in every], sizes, self.column.absent) for name in names}
-
 
 @dataclass(frozen=True)
 class _NamedTables(_Whole):
-    """A field with tables by name, of a class without fields that belong to the whole table."""
+    """A field with tables by name, of a class that has columns alone."""
 
     of: type[ColumnTable]
 
-    def mapped(self, held: Any, part: Callable[[Array, Column], Array]) -> Any:
-        return {name: table.mapped(part) for name, table in held.items()}
-
-    def columns(self, field: str, held: Any) -> Iterator[tuple[str, Array]]:
-        return ((f"{field} {inner} {name}", array) for name, table in held.items() for inner, array in table.columns().items())
+    def columns(self, field: str, held: Any) -> Iterator[tuple[str, Array, Column]]:
+        for name, table in held.items():
+            yield from ((f"{field} {inner} {name}", array, column) for inner, array, column in table._columns())
 
     def found(self, field: str, held: Any, columns: Mapping[str, Array]) -> Any:
         del held
@@ -225,15 +188,6 @@ class _NamedTables(_Whole):
             inner, _, key = name.partition(" ")
             tables.setdefault(key, {})[inner] = array
         return {key: self.of(**found) for key, found in tables.items()}
-
-    def joined(self, every: Sequence[Any], sizes: Sequence[int]) -> Any:
-        tables = {}
-        for name in dict.fromkeys(name for held in every for name in held):
-            there = [vars(held[name]) if name in held else {} for held in every]
-            declared = self.of.declared().items()
-            columns = {inner: _joined([each.get(inner) for each in there], sizes, each.absent) for inner, each in declared}
-            tables[name] = self.of(**columns)
-        return tables
 
 
 def _of(field: str, columns: Mapping[str, Array]) -> dict[str, Array]:

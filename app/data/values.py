@@ -3,7 +3,7 @@
 import math
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property, wraps
 from inspect import signature
 from typing import Any, ParamSpec, Self, TypeVar
@@ -111,6 +111,11 @@ class SampleData(ColumnTable):
         """Some of the values, or all in another order."""
         everything = isinstance(chosen, np.ndarray) and chosen.dtype == bool and bool(chosen.all())
         return self if everything else super().where(chosen)  # a long journal is not copied
+
+    @classmethod
+    def join(cls, tables: Sequence[Self]) -> Self:
+        """The values of all parts of a sample."""
+        return replace(super().join(tables), values=ScatteredBsdf.join([table.values for table in tables]))
 
     def column(self, name: str) -> npt.NDArray[Any]:
         """An array (n,) by its name in `COLUMNS`."""

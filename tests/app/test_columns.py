@@ -106,8 +106,9 @@ def test_what_one_of_joined_tables_does_not_have_is_absent_there() -> None:
     assert columns["effects member etalon"] == [[0], [1], [-1]]
     assert columns["photodiode"] == [-1, -1, 5]
     assert joined.columns()["effects member lamp"].dtype == np.int32
-    with pytest.raises(ValueError, match="others do not have"):
-        Outer.join([one, replace(other, other=None)])
+    assert Outer.join([replace(one, other=None), replace(other, other=None)]).other is None
+    with pytest.raises(ValueError, match="another one has it"):
+        Outer.join([replace(one, other=None), other])
 
 
 def test_where_a_mask_is_false_everything_is_absent() -> None:
