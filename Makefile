@@ -8,9 +8,10 @@ export PYTHONDONTWRITEBYTECODE :=
 # numba tries many types for each call, and would colour the text of an error for each that does not fit.
 export NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING := 1
 # Its processes share the cores: threads of linear algebra beside them would wait for each other.
-PYTEST := QT_QPA_PLATFORM=offscreen OPENBLAS_NUM_THREADS=1 $(BIN)/pytest --dist worksteal
+PYTEST_ENVIRONMENT := QT_QPA_PLATFORM=offscreen OPENBLAS_NUM_THREADS=1
+PYTEST := $(PYTEST_ENVIRONMENT) $(BIN)/pytest --dist worksteal
 
-.PHONY: demo test test-long desktop tables proof clean
+.PHONY: demo test test-long desktop golden tables proof clean
 
 demo: $(READY)
 	$(BIN)/goniotwin demo
@@ -37,6 +38,10 @@ test-long: $(READY)
 
 desktop: $(READY)
 	$(BIN)/goniotwin
+
+# The golden files, after an intended change of values: the summary that is printed belongs into the commit.
+golden: $(READY)
+	$(PYTEST_ENVIRONMENT) $(BIN)/python -m tests.golden.make $(NAMES)
 
 # The list of inputs in docs/uncertainty.md, after a declaration in app/rig/inputs.py.
 tables: $(READY)

@@ -1,14 +1,16 @@
-"""What is found now, held against the golden files: exactly, or to 1e-12; a difference is named by its place.
+"""What is found now, held against the golden files: exactly, or to 1e-12; a difference is named by file, column and rows.
 
 Numba compiles for the processor that it finds, and processors add the terms of a sum in different orders. So a value that is
 the small difference of large ones, as an uncertainty is, may differ by rounding: it is held against the largest of its column.
 """
 
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from tests.golden import contents, files, product
+from goniotwin.arrays import Floats
+from tests.golden.files import Table, Tables, number
 
 RELATIVE = 1e-12
 ANGLE_DEG = 1e-10
@@ -23,101 +25,117 @@ U_FIT = 1e-10
 """That of an uncertainty of a campaign, for its fits are of the processor's own LAPACK; found: 4e-12 by AVX-512 from AVX2."""
 
 
-def check_rows(found: list[product.Row], golden: contents.Json) -> None:
-    """Rows are the golden ones: counts, gains, flags and positions exactly, times and the monitor's currents to 1e-12."""
-    assert [row["identity"] for row in found] == [row["identity"] for row in golden["rows"]]
-    for row, expected in zip(found, golden["rows"], strict=True):
-        where = row["identity"]
-        assert contents.exact_part(row) == contents.exact_part(expected), where
-        for key in ("started_s", "ended_s"):
-            check_numbers([row[key]], [expected[key]], f"{where}: {key}")
-        for reading, read in zip(row["readings"], expected["readings"], strict=True):
-            for key in ("first_s", "period_s", "monitor_a"):
-                check_numbers([reading[key]], [read[key]], f"{where}: {key}")
-    assert contents.rows_record(found)["digest"] == golden["digest"]
+@dataclass(frozen=True)
+class Bound:
+    """By how much a number may differ: relative, absolute, or as part of the largest of its column, whichever is most."""
+
+    relative: float = 0.0
+    absolute: float = 0.0
+    of_largest: float = 0.0
 
 
-def check_points(found: contents.Json, golden: contents.Json) -> None:
-    """Points, as `contents.points_record` has them, are the golden ones: flags exactly, values and coordinates to 1e-12."""
-    assert found.keys() == golden.keys()
-    for sample, points in found.items():
-        expected = golden[sample]
-        assert (points["count"], points["every"]) == (expected["count"], expected["every"]), sample
-        assert points["marks"].keys() == expected["marks"].keys(), sample
-        for name, mark in points["marks"].items():
-            then = expected["marks"][name]
-            assert mark == then, f"{sample}: {name}: {mark[0]} points, golden are {then[0]}"
-        for kind in ("columns", "sums"):
-            assert points[kind].keys() == expected[kind].keys(), sample
-            for name, column in points[kind].items():
-                part = U_FIT if name.startswith("u_") else RELATIVE
-                absolute = ANGLE_DEG if name.endswith("_deg") else part * largest(expected[kind][name])
-                check_numbers(column, expected[kind][name], f"{sample}: {kind} of {name}", absolute=absolute)
+EXACT, TIME = Bound(), Bound(RELATIVE)
+VALUE, ANGLE, UNCERTAINTY = Bound(RELATIVE, 0.0, RELATIVE), Bound(RELATIVE, ANGLE_DEG), Bound(RELATIVE, 0.0, U_FIT)
+Bounds = Mapping[str, Bound]
+"""Those of the columns that are not exact."""
+POINTS: Bounds = {
+    **dict.fromkeys(("wavelength_nm", "bsdf", "signature"), VALUE),
+    **dict.fromkeys(("sigma_deg", "gamma_deg", "beta_deg", "shift_deg", "zenith_deg", "azimuth_deg"), ANGLE),
+    **dict.fromkeys(("theta_deg", "phi_deg"), ANGLE),
+    **dict.fromkeys(("u_bsdf", "u_field"), UNCERTAINTY),
+}
+ROWS: Bounds = dict.fromkeys(("started_s", "ended_s", "first_s", "period_s", "monitor_a"), TIME)
+PLAN: Bounds = {"seconds": TIME}
+TABLE_3: Bounds = dict.fromkeys(("2 deg", "5 deg", "15 deg", "30 deg"), TIME)
+BOUNDS: Bounds = {**POINTS, **ROWS, **PLAN}
+"""Of all tables of campaigns and plans: a column of a name is of one quantity in all of them."""
+FILE: Bounds = {"": Bound(TABLE)}
+SIMULATED: Bounds = {"": Bound(PROCESSOR), "standard_error": Bound(PROCESSOR, 0.0, U_PROCESSOR)}
 
 
-def check_numbers(
-    found: list[Any], golden: list[Any], where: str, *, relative: float = RELATIVE, absolute: float = 0.0
-) -> None:
-    """Numbers are the golden ones; those that are missing are."""
-    now, then = files.array(found), files.array(golden)
-    assert now.shape == then.shape, where
-    assert np.array_equal(np.isnan(now), np.isnan(then)), f"{where}: other values are missing"
-    wrong = np.flatnonzero(np.abs(now - then) > relative * np.abs(then) + absolute)
-    if wrong.size:
-        k = int(wrong[0])
-        raise AssertionError(f"{where}: {wrong.size} of {now.size} differ; the first is [{k}]: {now[k]!r}, golden {then[k]!r}")
+@dataclass(frozen=True)
+class Difference:
+    """The cells of a column that differ, by their rows, as they are now and in the golden file."""
+
+    column: str
+    size: int
+    rows: list[int]
+    found: list[str]
+    golden: list[str]
+
+    @property
+    def relative(self) -> Floats:
+        """The relative changes of those that are numbers, of the larger magnitude."""
+        now, then = (np.array([number(each) for each in cells]) for cells in (self.found, self.golden))
+        known = np.isfinite(now) & np.isfinite(then)
+        largest = np.maximum(np.abs(now[known]), np.abs(then[known]))
+        changes: Floats = np.abs(now[known] - then[known]) / np.where(largest > 0.0, largest, 1.0)
+        return changes
+
+    def __str__(self) -> str:
+        sizes, first = self.relative, f"row {self.rows[0]}: {self.found[0]!r}, golden {self.golden[0]!r}"
+        much = f", by {np.median(sizes):.2g} in the median, at most {sizes.max():.2g}" if sizes.size else ""
+        return f"{self.column}: {len(self.rows)} of {self.size} differ{much}; the first in {first}"
 
 
-def check_table(found: list[str], golden: list[str], where: str, *, simulated: bool = False) -> None:
+def differences(found: Table, golden: Table, bounds: Bounds) -> list[Difference]:
+    """The columns that differ by more than their bounds. Raises AssertionError for other columns or another number of rows."""
+    assert list(found.columns) == list(golden.columns), f"its columns are {list(found.columns)}, not {list(golden.columns)}"
+    assert len(found) == len(golden), f"it has {len(found)} rows, golden are {len(golden)}"
+    result = []
+    for name, column in found.columns.items():
+        then = golden.columns[name]
+        rows = differing(column, then, bounds.get(name, bounds.get("", EXACT)))
+        if rows:
+            result.append(Difference(name, len(column), rows, [column[k] for k in rows], [then[k] for k in rows]))
+    return result
+
+
+def differing(found: Sequence[str], golden: Sequence[str], bound: Bound) -> list[int]:
+    """The rows in which two columns differ by more than a bound; words, and empty cells, are the same or differ."""
+    rows = [k for k, (now, then) in enumerate(zip(found, golden, strict=True)) if now != then]
+    if not rows or bound == EXACT:
+        return rows
+    absolute = max(bound.absolute, bound.of_largest * largest(golden) if bound.of_largest else 0.0)
+    allowed = [max(bound.relative * abs(number(golden[k])), absolute) for k in rows]
+    return [k for k, most in zip(rows, allowed, strict=True) if not abs(number(found[k]) - number(golden[k])) <= most]
+
+
+def largest(column: Sequence[str]) -> float:
+    """The largest magnitude of the finite values of a column."""
+    values = np.abs([number(each) for each in column])
+    return float(np.max(values[np.isfinite(values)], initial=0.0))
+
+
+def check_table(found: Table, golden: Table, where: str, bounds: Bounds = BOUNDS) -> None:
+    """A table is the golden one; else all columns that differ are named."""
+    try:
+        wrong = differences(found, golden, bounds)
+    except AssertionError as other:
+        raise AssertionError(f"{where}: {other}") from None
+    assert not wrong, "\n".join([f"{where}:", *map(str, wrong)])
+
+
+def check_tables(found: Tables, golden: Tables, where: str) -> None:
+    """The tables are the golden ones."""
+    assert found.keys() == golden.keys(), where
+    for name, each in found.items():
+        check_table(each, golden[name], f"{where}/{name}.csv")
+
+
+def check_lines(found: list[str], golden: list[str], where: str, *, simulated: bool = False) -> None:
     """A file's lines, without comments, are the golden ones: words exactly, numbers but for their last digit.
 
     `simulated` numbers but for the processor.
     """
-    assert len(found) == len(golden), where
-    expected_lines = [words_of(line) for line in golden]
-    relative = PROCESSOR if simulated else TABLE
-    allowed = {
-        column: U_PROCESSOR * largest([number_of(words[column]) for words in expected_lines[1:] if column < len(words)])
-        for column, title in enumerate(expected_lines[0])
-        if simulated and title == "standard_error"
-    }
-    for k, (line, expected_words) in enumerate(zip(found, expected_lines, strict=True)):
-        words = words_of(line)
-        assert len(words) == len(expected_words), f"{where}: line {k}: {line!r}, golden {golden[k]!r}"
-        for column, (word, other) in enumerate(zip(words, expected_words, strict=True)):
-            if word != other:
-                difference = abs(float(word) - float(other))
-                close = difference <= max(relative * abs(float(other)), allowed.get(column, 0.0))
-                assert close, f"{where}: line {k}: {word}, golden {other}"
+    check_table(words_table(found), words_table(golden), where, SIMULATED if simulated else FILE)
 
 
-def words_of(line: str) -> list[str]:
-    """The fields of a line of a CSV, or the words of another line."""
-    return line.split(",") if "," in line else line.split()
-
-
-def number_of(word: str) -> float:
-    """The number that a word is, NaN if it is none."""
-    try:
-        return float(word)
-    except ValueError:
-        return float("nan")
-
-
-def largest(column: list[Any]) -> float:
-    """The largest magnitude of the finite values of a column."""
-    values = np.abs(files.array(column))
-    return float(np.max(values[np.isfinite(values)], initial=0.0))
-
-
-def check_plan(found: contents.Json, golden: contents.Json, where: str) -> None:
-    """A plan is the golden one: its rows exactly, its durations to 1e-12."""
-    assert found["count"] == golden["count"], where
-    assert found["first"] == golden["first"], where
-    assert found["last"] == golden["last"], where
-    assert found["digest"] == golden["digest"], f"{where}: some row between the first and the last differs"
-    check_numbers([found["seconds"]], [golden["seconds"]], f"{where}: duration")
-    check_numbers(found["seconds_of_spans"], golden["seconds_of_spans"], f"{where}: durations of stretches")
-    assert found["seconds_of_kinds"].keys() == golden["seconds_of_kinds"].keys(), where
-    for kind, seconds in found["seconds_of_kinds"].items():
-        check_numbers([seconds], [golden["seconds_of_kinds"][kind]], f"{where}: duration of {kind} rows")
+def words_table(lines: list[str]) -> Table:
+    """The words of lines: those of a CSV by the titles in its first line, those of another file by line and place."""
+    if lines and "," in lines[0]:
+        rows = [line.split(",") for line in lines]
+        assert {len(row) for row in rows} == {len(rows[0])}, "lines of different lengths"
+        return Table({title: [row[k] for row in rows[1:]] for k, title in enumerate(rows[0])})
+    words = [(f"{k + 1}", f"{j + 1}", word) for k, line in enumerate(lines) for j, word in enumerate(line.split())]
+    return Table({title: [each[k] for each in words] for k, title in enumerate(("line", "place", "word"))})

@@ -1,28 +1,20 @@
-"""What the golden files hold, computed: one function for each file. Plain values for JSON, under names of their own."""
+"""What the golden files hold, computed: a function for each folder of tables, whose columns have names of their own."""
 
-import base64
-import hashlib
-import itertools
-import json
 import shutil
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import numpy.typing as npt
-
-from goniotwin.arrays import Flags, Floats
 from tests.conftest import ONE_WAY, REPOSITORY, changed
 from tests.golden import files, product
+from tests.golden.compare import BOUNDS, PLAN, POINTS, ROWS, TABLE_3
+from tests.golden.files import Table, Tables, sampled
 
 HERE = Path(__file__).resolve().parent
 SCHEDULES = REPOSITORY / "examples" / "schedules"
 RIGS = REPOSITORY / "examples" / "rigs"
 VIRTUAL, FILTERS = RIGS / "virtual.toml", RIGS / "filters.toml"
-
-Json = dict[str, Any]
 
 STEADY = (("noise = true", "noise = false"), ("drift_per_hour = 0.02", "drift_per_hour = 0.0"))
 STRAY = (("[twin.light]", "[twin.optics]\nstray = true\n\n[twin.frames]\nreflectance = 0.045\n\n[twin.light]"),)
@@ -46,24 +38,13 @@ PLANS = {
     "transmission": ("virtual", "filters"),
 }
 """Each schedule of the examples with the rigs of the examples that it is for."""
-PLAN_ROW = (
-    "identity",
-    "kind",
-    "sample",
-    "pose (gamma, sigma, beta, shift)",
-    "wavelength_nm",
-    "gains",
-    "readings",
-    "automatic gains",
-    "target",
-    "longest_s",
-)
-SPANS = 40
-"""So many stretches of a plan have a duration of their own in the golden file."""
-ALL_POINTS = 2500
-"""Of more points than these only some are kept one by one, and sums over blocks of all."""
+PLAN_ROWS, PLAN_BLOCKS = 60, 40
+"""So many rows of a long plan are kept one by one, and sums over so many stretches of the others."""
+ALL_ROWS = 2500
+"""Of tables of points with more rows than these only some are kept one by one, and sums over blocks of the others."""
 EVERY, BLOCK = 16, 48
 
+EXPORTS = ("csv", "ddr")
 GRID = ("--theta", "0:60:2.5", "--phi", "0:180:15")
 DETECTORS = ("--polar", "0:80:5", "--azimuth", "0:180:20")
 SIMULATIONS: dict[str, tuple[str, ...]] = {
@@ -116,12 +97,6 @@ SIMULATIONS: dict[str, tuple[str, ...]] = {
 """Each file with the options of `goniotwin simulate sample` that write it."""
 
 
-def digest_of(value: object) -> str:
-    """SHA-256 of a value's JSON."""
-    text = json.dumps(value, sort_keys=True, separators=(",", ":"), allow_nan=False)
-    return hashlib.sha256(text.encode()).hexdigest()
-
-
 def rig_file(folder: Path, original: Path, *changes: tuple[str, str]) -> Path:
     """A rig file of the examples with changes, in a folder."""
     path = folder / "rig.toml"
@@ -135,18 +110,52 @@ def run(schedule: Path, rig: Path, journal: Path) -> Path:
     return journal
 
 
+def _table(columns: Mapping[str, Iterable[object]]) -> Table:
+    """The table of columns that are compared by BOUNDS."""
+    return files.table(columns, BOUNDS)
+
+
 # ---- rows ----
 
 
-def rows_record(rows: list[product.Row]) -> Json:
-    """Rows with a digest of what has to be exactly the same: identities, flags, positions, gains and counts."""
-    return {"digest": digest_of(list(map(exact_part, rows))), "rows": rows}
+def rows_record(rows: list[product.Row]) -> Tables:
+    """The rows of a journal, their readings by gain, and the counts of each photodiode in each reading."""
+    places = sorted({name for row in rows for name in row["positions"] or ()})
+    exposures = [(row["identity"], each) for row in rows for each in row["readings"]]
+    counted = [(name, each["gain_v_per_a"], k, line) for name, each in exposures for k, line in enumerate(each["counts"])]
+    channels = range(max((len(line) for *_, line in counted), default=0))
+    return {
+        "rows": _table(
+            {
+                **{name: [row[name] for row in rows] for name in ("identity", "kind", "sample", "planned", "flags")},
+                **{name: [row[name] for row in rows] for name in ("started_s", "ended_s")},
+                **{f"position {name}": [(row["positions"] or {}).get(name) for row in rows] for name in places},
+            }
+        ),
+        "readings": _table(
+            {
+                "identity": [name for name, _ in exposures],
+                **{key: [each[key] for _, each in exposures] for key in ("gain_v_per_a", "first_s", "period_s", "monitor_a")},
+            }
+        ),
+        "counts": _table(
+            {
+                **{title: [each[k] for each in counted] for k, title in enumerate(("identity", "gain_v_per_a", "reading"))},
+                **{str(k): [line[k] for *_, line in counted] for k in channels},
+            }
+        ),
+    }
 
 
-def exact_part(row: product.Row) -> Json:
-    """What has to be the same to the last bit, wherever it is computed."""
-    about = {key: row[key] for key in ("identity", "kind", "sample", "planned", "positions", "flags")}
-    return {**about, "readings": [[each["gain_v_per_a"], each["counts"]] for each in row["readings"]]}
+def planned(record: Tables) -> Tables:
+    """What is exactly the same in each run of the planned rows of a record: everything but times and the monitor's currents."""
+    rows = record["rows"].columns
+    identities = {name for name, each in zip(rows["identity"], rows["planned"], strict=True) if each == "yes"}
+    result = {}
+    for name, each in record.items():
+        chosen = each.take(k for k, identity in enumerate(each.columns["identity"]) if identity in identities)
+        result[name] = Table({title: column for title, column in chosen.columns.items() if title not in ROWS})
+    return result
 
 
 def quick_journal(folder: Path) -> Path:
@@ -187,69 +196,43 @@ JOURNALS: dict[str, Callable[[Path], Path]] = {
 # ---- points ----
 
 
-def points_record(journal: Path) -> Json:
-    """The points of a journal, by sample."""
-    return {name: _points_of_one(columns, marks) for name, (columns, marks) in product.points(journal).items()}
+def points_record(journal: Path) -> Tables:
+    """The points of a journal, a table a sample; the flags of a point are the names of the marks that it has."""
+    record: Tables = {}
+    for sample, (columns, marks) in product.points(journal).items():
+        flags = [[name for name in sorted(marks) if marks[name][k]] for k in range(len(columns["bsdf"]))]
+        record |= _in_short(f"points-{sample}", _table({**columns, "flags": flags}))
+    return record
 
 
-def _points_of_one(columns: dict[str, npt.NDArray[Any]], marks: dict[str, Flags]) -> Json:
-    count = len(columns["bsdf"])
-    every = 1 if count <= ALL_POINTS else EVERY
-    return {
-        "count": count,
-        "every": every,
-        "columns": {name: numbers(column[::every]) for name, column in columns.items()},
-        "sums": {} if every == 1 else {name: numbers(block_sums(column)) for name, column in columns.items()},
-        "marks": {name: [int(mark.sum()), bits(mark)] for name, mark in marks.items()},
-    }
-
-
-def bits(mark: Flags) -> str:
-    """Eight points a byte, in base 64."""
-    return base64.b64encode(np.packbits(mark).tobytes()).decode()
-
-
-def block_sums(column: npt.NDArray[Any]) -> Floats:
-    """For each block of points the sum of the magnitudes, each with a weight of its own, and how many are finite or negative.
-
-    No value can change without its block's sum: what is summed is positive.
-    """
-    values = np.asarray(column, dtype=np.float64)
-    finite = np.isfinite(values)
-    weights = 1.0 + (0.618033988749895 * np.arange(values.size)) % 1.0
-    magnitudes = np.where(finite, np.abs(values), 0.0) * weights
-    edges = np.arange(0, values.size, BLOCK)
-    summed = [np.add.reduceat(each.astype(float), edges) for each in (magnitudes, finite, finite & (values < 0.0))]
-    return np.concatenate(summed)
-
-
-def numbers(values: npt.NDArray[Any]) -> list[float | int | None]:
-    """As JSON has them; None where there is no number."""
-    return [None if value != value else value for value in values.tolist()]
+def _in_short(name: str, points: Table) -> Tables:
+    if len(points) <= ALL_ROWS:
+        return {name: points}
+    some, rest = sampled(points, EVERY, BLOCK, tuple(POINTS))
+    return {name: some, f"{name}-rest": rest}
 
 
 # ---- plans ----
 
 
-def plan_record(schedule: Path, rig: Path) -> Json:
-    """The rows of a plan, in short, and its durations."""
-    rows, seconds = product.plan_rows(schedule, rig)
-    edges = np.unique(np.linspace(0, len(rows), SPANS + 1).astype(int)).tolist()
-    kinds = sorted({row[1] for row in rows})
-    return {
-        "count": len(rows),
-        "digest": digest_of(rows),
-        "first": [dict(zip(PLAN_ROW, row, strict=True)) for row in rows[:6]],
-        "last": [dict(zip(PLAN_ROW, row, strict=True)) for row in rows[-6:]],
-        "seconds": sum(seconds),
-        "seconds_of_spans": [sum(seconds[i:j]) for i, j in itertools.pairwise(edges)],
-        "seconds_of_kinds": {kind: sum(s for s, row in zip(seconds, rows, strict=True) if row[1] == kind) for kind in kinds},
-    }
+def plan_record(schedule: Path, rig: Path) -> Tables:
+    """The rows of a plan, in short, with their durations."""
+    columns = _table(product.plan_rows(schedule, rig))
+    some, rest = sampled(columns, -(-len(columns) // PLAN_ROWS), -(-len(columns) // PLAN_BLOCKS), tuple(PLAN))
+    return {rig.stem: some, f"{rig.stem}-rest": rest}
 
 
-def plans_record(schedule: str) -> Json:
+def plans_record(schedule: str) -> Tables:
     """The plans of a schedule of the examples, by rig."""
-    return {rig: plan_record(SCHEDULES / f"{schedule}.toml", RIGS / f"{rig}.toml") for rig in PLANS[schedule]}
+    record: Tables = {}
+    for rig in PLANS[schedule]:
+        record |= plan_record(SCHEDULES / f"{schedule}.toml", RIGS / f"{rig}.toml")
+    return record
+
+
+def table_3_record() -> Tables:
+    """The noise-free cells of the paper's Table 3, percent."""
+    return {"noise-free": files.table(product.table3_noise_free(), TABLE_3)}
 
 
 # ---- tables ----
@@ -267,14 +250,11 @@ def simulation_record(name: str, folder: Path) -> list[str]:
     return table_lines(folder / name)
 
 
-def exports_record(journal: Path, folder: Path) -> Json:
-    """What `goniotwin export` makes of a journal."""
-    lines = {}
-    for form in ("csv", "ddr"):
-        out = folder / f"exported.{form}"
-        product.answer("export", journal, "--format", form, "--out", out)
-        lines[form] = table_lines(out)
-    return lines
+def exported_lines(journal: Path, form: str, folder: Path) -> list[str]:
+    """What `goniotwin export` makes of a journal in a format."""
+    out = folder / f"exported.{form}"
+    product.answer("export", journal, "--format", form, "--out", out)
+    return table_lines(out)
 
 
 # ---- journals ----
@@ -287,28 +267,23 @@ def copied(folder: Path) -> tuple[Path, Path]:
     return folder / "finished.journal", folder / "interrupted.journal"
 
 
-def finished_record(journal: Path, folder: Path) -> Json:
-    """What a finished journal is reduced to and exported as."""
-    return {"points": points_record(journal), "exports": exports_record(journal, folder)}
-
-
-def resumed_record(journal: Path) -> Json:
+def resumed_record(journal: Path) -> Tables:
     """The rows and points of an interrupted journal once it has been resumed on its rig, which states the side of its opal."""
     rig = journal.with_name("rig.toml")
     rig.write_text(changed(product.campaign_entry(journal, "rig"), (ONE_WAY,)), encoding="utf-8")
     answer = product.answer("run", "--resume", journal, "--rig", rig)
     assert answer["state"] == "done"
-    return {**rows_record(product.measured_rows(journal)), "points": points_record(journal)}
+    return rows_record(product.measured_rows(journal)) | points_record(journal)
 
 
-def listed(folder: Path) -> list[Json]:
+def listed(folder: Path) -> list[dict[str, Any]]:
     """The campaigns of a folder as `goniotwin runs` lists them, without the folder."""
     found = product.answer("runs", folder)
     assert found["unreadable"] == []
     return [{**each, "journal": Path(each["journal"]).name} for each in found["campaigns"]]
 
 
-def make_journals(target: Path) -> Json:
+def make_journals(target: Path) -> Tables:
     """Makes the two journals, and the rows of the second as they are in a run that nothing disturbs.
 
     Only the folder of their rig file is put out of them: it is another on every computer.

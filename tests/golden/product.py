@@ -27,8 +27,8 @@ from goniotwin.app.campaign.studies.reduced_journal import reduce_journal
 from goniotwin.app.cli.main import app
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import read_rig
-from goniotwin.app.simulation.paper.explanation import rms_table
-from goniotwin.arrays import Flags, Floats
+from goniotwin.app.simulation.paper.explanation import WIDTHS_DEG, rms_table
+from goniotwin.arrays import Flags
 from goniotwin.twin.optics import Instrument
 
 COLUMNS = {
@@ -78,25 +78,23 @@ def refusal(*arguments: object) -> str:
     return str(caught.value)
 
 
-def plan_rows(schedule: Path, rig: Path) -> tuple[list[list[Any]], list[float]]:
-    """The rows of a plan, in the order of the golden files' `PLAN_ROW`, and how long each is expected to take, s."""
+def plan_rows(schedule: Path, rig: Path) -> dict[str, list[Any]]:
+    """The rows of a plan in columns; `seconds` is how long each is expected to take."""
     rows = make_plan(read_schedule(schedule), read_rig(rig)).rows
-    found = [
-        [
-            row.identity,
-            str(row.kind),
-            row.sample,
-            None if row.pose is None else list(row.pose),
-            row.wavelength_nm,
-            list(row.gains),
-            row.readings,
-            row.automatic,
-            row.target,
-            row.longest_s,
-        ]
-        for row in rows
-    ]
-    return found, [row.seconds for row in rows]
+    poses = [row.pose or (None,) * 4 for row in rows]
+    return {
+        "identity": [row.identity for row in rows],
+        "kind": [str(row.kind) for row in rows],
+        "sample": [row.sample for row in rows],
+        **{axis: [pose[k] for pose in poses] for k, axis in enumerate(("gamma", "sigma", "beta", "shift"))},
+        "wavelength": [row.wavelength_nm for row in rows],
+        "gains": [row.gains for row in rows],
+        "readings": [row.readings for row in rows],
+        "automatic gains": [row.automatic for row in rows],
+        "target": [row.target for row in rows],
+        "longest": [row.longest_s for row in rows],
+        "seconds": [row.seconds for row in rows],
+    }
 
 
 def points(journal: Path) -> dict[str, tuple[dict[str, npt.NDArray[Any]], dict[str, Flags]]]:
@@ -112,9 +110,10 @@ def points(journal: Path) -> dict[str, tuple[dict[str, npt.NDArray[Any]], dict[s
     }
 
 
-def table3_noise_free() -> Floats:
-    """The noise-free cells of the paper's Table 3 (3, 4), percent: sigma by width."""
-    return rms_table(Instrument(obstruction=False))
+def table3_noise_free() -> dict[str, list[float]]:
+    """The noise-free cells of the paper's Table 3, percent: a column a width, a row a sigma."""
+    cells = rms_table(Instrument(obstruction=False))
+    return {f"{width:g} deg": cells[:, k].tolist() for k, width in enumerate(WIDTHS_DEG)}
 
 
 def run_and_kill(schedule: Path, rig: Path, journal: Path, rows: int) -> None:

@@ -1,25 +1,26 @@
-"""What a rehearsal puts on the wires and into its journal, as digests: each wire's bytes with their times, each table's rows.
+"""What a rehearsal puts on the wires and into its journal: digests of some lines of every wire, of some rows of every table.
 
-The golden digests are those of the version before poses and readings were computed ahead. Numbers of the monitor, which
+The bytes and times are those of the version before poses and readings were computed ahead. Numbers of the monitor, which
 processors may round differently in the last digit, are compared to nine digits.
 """
 
-import hashlib
+import contextlib
 import re
 import sqlite3
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
 
 from goniotwin.app.campaign.journal.writing import Journal, software_versions
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.rehearsal.rehearsal import plan_rehearsal
 from goniotwin.app.campaign.running.engine import Engine
+from goniotwin.app.campaign.running.events import State
 from goniotwin.app.campaign.running.operator import VirtualOperator
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.rig import OpenRig, open_rig, read_rig
 from goniotwin.protocols.clock import VirtualClock
 from tests.conftest import REPOSITORY, RIG
+from tests.golden.files import Table, Tables, digest, table
 
 SPECTRAL = """
 name = "spectral"
@@ -45,7 +46,8 @@ TABLES = {
     "links": "SELECT number, attempt FROM chain ORDER BY link",
 }
 MONITOR_REPLY = re.compile(r"(?m)^( *[0-9.]+ <) .*$")
-Json = dict[str, Any]
+LINES, ROWS = 400, 50
+"""So many lines of a transcript, and rows of a journal, have a digest together."""
 
 
 def plan_of(name: str) -> Plan:
@@ -54,7 +56,7 @@ def plan_of(name: str) -> Plan:
     return plan
 
 
-def record(name: str, folder: Path, prepare: Callable[[OpenRig, Plan], object] = lambda *_: None) -> Json:
+def record(name: str, folder: Path, prepare: Callable[[OpenRig, Plan], object] = lambda *_: None) -> Tables:
     """Digests of the journal and of the transcripts of a rehearsal."""
     plan, path = plan_of(name), folder / f"{name}.journal"
     with (
@@ -64,25 +66,22 @@ def record(name: str, folder: Path, prepare: Callable[[OpenRig, Plan], object] =
         opened.connect()
         assert opened.virtual is not None
         prepare(opened, plan)
-        state = Engine(opened.rig, plan, journal, VirtualOperator(opened.virtual)).run()
-    wires = {each.stem: wire_digest(each) for each in sorted((folder / name).iterdir())}
-    return {"state": str(state), "wires": wires, "journal": journal_digests(path)}
+        assert Engine(opened.rig, plan, journal, VirtualOperator(opened.virtual)).run() is State.DONE
+    lines = {each.stem: transcript_lines(each) for each in sorted((folder / name).iterdir())}
+    return {f"{name}-wires": digests(lines, LINES), f"{name}-journal": journal_digests(path)}
 
 
-def journal_digests(path: Path) -> Json:
-    """A digest of each table of a journal, without what differs between two runs of the same program."""
-    with sqlite3.connect(path) as db:
-        found = {
-            table: digest(repr([tuple(map(rounded, row)) for row in db.execute(query)])) for table, query in TABLES.items()
-        }
-    db.close()
-    return found
+def journal_digests(path: Path) -> Table:
+    """Digests of the rows of each table of a journal, without what differs between two runs of the same program."""
+    with contextlib.closing(sqlite3.connect(path)) as db:
+        rows = {name: [repr(tuple(map(rounded, row))) for row in db.execute(query)] for name, query in TABLES.items()}
+    return digests(rows, ROWS)
 
 
-def wire_digest(path: Path) -> str:
-    """The digest of a transcript."""
+def transcript_lines(path: Path) -> list[str]:
+    """The lines of a transcript."""
     text = path.read_text(encoding="utf-8")
-    return digest(MONITOR_REPLY.sub(r"\1", text) if path.stem == "monitor" else text)
+    return (MONITOR_REPLY.sub(r"\1", text) if path.stem == "monitor" else text).splitlines()
 
 
 def rounded(value: object) -> object:
@@ -90,6 +89,13 @@ def rounded(value: object) -> object:
     return f"{value:.9g}" if isinstance(value, float) else value
 
 
-def digest(text: str) -> str:
-    """Of a text."""
-    return hashlib.sha256(text.encode()).hexdigest()[:32]
+def digests(lines: Mapping[str, list[str]], together: int) -> Table:
+    """Digests of so many lines each."""
+    parts = [(name, k, each[k : k + together]) for name, each in lines.items() for k in range(0, len(each), together)]
+    return table(
+        {
+            "of": [name for name, _, _ in parts],
+            "lines": [f"{k + 1} to {k + len(part)}" for _, k, part in parts],
+            "digest": [digest(part)[:32] for _, _, part in parts],
+        }
+    )
