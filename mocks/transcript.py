@@ -41,8 +41,8 @@ class Exchange:
         return b"".join(answer.data for answer in self.answers)
 
 
-def read_transcript(path: Path) -> list[Transfer]:
-    """Read all transfers, in order. Raises TranscriptError."""
+def read_transcript(path: Path, most_transfers: int = MOST_TRANSFERS) -> list[Transfer]:
+    """Read all transfers, in order. Raises TranscriptError, also for more than `most_transfers`."""
     try:
         if path.exists() and not path.is_file():  # a pipe blocks, and a device such as /dev/zero has no end
             raise TranscriptError(f"{path}: is a folder or a device, not a file; check the name")
@@ -65,8 +65,8 @@ def read_transcript(path: Path) -> list[Transfer]:
             raise TranscriptError(f"{path}, line {number}: is no line of a transcript: {line[:60]!a}")
         if abs(t := float(match["t"])) > LATEST_S:
             raise TranscriptError(f"{path}, line {number}: {match['t'][:60]} s is no time")
-        if len(found) == MOST_TRANSFERS:
-            raise TranscriptError(f"{path}, line {number}: has more than {MOST_TRANSFERS} transfers; give a part of it")
+        if len(found) == most_transfers:
+            raise TranscriptError(f"{path}, line {number}: has more than {most_transfers} transfers; give a part of it")
         found.append(Transfer(t, match["direction"], bytes.fromhex(match["bytes"]), number, path.name))
     return found
 

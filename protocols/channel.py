@@ -127,9 +127,14 @@ def parse_object(line: bytes) -> Message | None:
 
 
 class ChannelServer(LoopbackServer):
-    """A server of channels, one thread for each client: `serve` has its channel from the client's proof until it returns."""
+    """A server of channels, one thread for each client: `serve` has its channel from the client's proof until it returns.
 
-    def __init__(self, name: str, token: str, serve: Callable[[Channel], None], port: int = 0) -> None:
+    Both lines of a client have to come within `hello_s`, HELLO_S if it is not given.
+    """
+
+    def __init__(
+        self, name: str, token: str, serve: Callable[[Channel], None], port: int = 0, hello_s: float | None = None
+    ) -> None:
         def handle(connection: socket.socket) -> None:
             with contextlib.suppress(OSError):
                 channel = Channel(connection)
@@ -144,7 +149,7 @@ class ChannelServer(LoopbackServer):
                 handle(self.request)
 
         super().__init__(name, Handler, port)
-        self.token = token
+        self.token, self._hello_s = token, hello_s
         self._unproved = deque[Channel]()
         self._lock = threading.Lock()
 
@@ -164,7 +169,7 @@ class ChannelServer(LoopbackServer):
 
     def _prove(self, channel: Channel) -> bool:
         """Prove the token to a client, then have it do so. Raises OSError, TimeoutError for a slow client included."""
-        clock, within_s = RealClock(), HELLO_S
+        clock, within_s = RealClock(), HELLO_S if self._hello_s is None else self._hello_s
         first = channel.receive(within_s)
         if first is None or not is_protocol(first.get("protocol")) or not _is_nonce(nonce := first.get("nonce")):
             return False

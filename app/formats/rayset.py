@@ -75,9 +75,9 @@ def write_rayset(path: StrPath, rayset: Rayset) -> None:
     write_hdf5(path, HEADING, fill)
 
 
-def read_rayset(path: StrPath) -> Rayset:
+def read_rayset(path: StrPath, most_bytes: int = MOST_BYTES) -> Rayset:
     """Read a rayset. Raises FormatError for another kind of file, and for a file that changed after it was written."""
-    with open_hdf5(path, HEADING, "a rayset", RECORD_AGAIN, MOST_BYTES) as file:
+    with open_hdf5(path, HEADING, "a rayset", RECORD_AGAIN, most_bytes) as file:
         return Rayset(**_fields(path, file))
 
 

@@ -142,8 +142,9 @@ def header_words(head: bytes, mark: str, stop: Collection[str] = ()) -> set[str]
 class Words:
     """The words of a file, taken one after another. Every method raises FormatError with the line."""
 
-    def __init__(self, path: StrPath, comment_mark: str) -> None:
+    def __init__(self, path: StrPath, comment_mark: str, most_comments: int = MOST_COMMENTS) -> None:
         self.path = path
+        self._most_comments = most_comments
         self.line: int | None = None
         """The line of the word taken last."""
         self.top_comments: list[str] = []
@@ -173,8 +174,9 @@ class Words:
             self.comments.append(comment)
             if self.line is None:
                 self.top_comments.append(comment)
-            if len(self.comments) > MOST_COMMENTS:
-                raise FormatError(self.path, f"has more than {MOST_COMMENTS} lines of comments", "remove some", self._next_line)
+            if len(self.comments) > self._most_comments:
+                wrong = f"has more than {self._most_comments} lines of comments"
+                raise FormatError(self.path, wrong, "remove some", self._next_line)
 
     def error(self, wrong: str, remedy: str, line: int | None = None) -> FormatError:
         """A FormatError at the word taken last, or at `line`."""

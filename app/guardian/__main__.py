@@ -81,7 +81,7 @@ def carry_out(record: Record) -> None:
     """Take the locks, make the device safe, and write what came of it. Raises Taken where another program has the rig."""
     outcome = _make_safe(record)
     if record.journal and outcome:  # without the locks: a folder on a network may be slow
-        _note_event(Path(record.journal), f"{record.device}: {outcome}")
+        note_event(Path(record.journal), f"{record.device}: {outcome}")
 
 
 def _make_safe(record: Record) -> str:
@@ -161,7 +161,7 @@ def _noted(lock: str, parent: int) -> Iterator[None]:
         note.unlink()
 
 
-def _note_event(journal: Path, text: str) -> None:
+def note_event(journal: Path, text: str) -> None:
     """Add an event to the file beside a journal, unless the journal was moved."""
     if journal.exists():
         with contextlib.suppress(OSError):

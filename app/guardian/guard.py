@@ -9,6 +9,7 @@ import os
 import subprocess
 import sys
 import threading
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -32,7 +33,8 @@ FAREWELL_S = 5.0
 class Guardian:
     """The process. `failure` is why there is none, empty without one. For any thread."""
 
-    def __init__(self) -> None:
+    def __init__(self, command: Sequence[str] = COMMAND) -> None:
+        self._command = list(command)
         self._process: subprocess.Popen[bytes] | None = None
         self._lock = threading.Lock()
         self.failure = ""
@@ -64,7 +66,7 @@ class Guardian:
 
     def _write(self, line: bytes) -> None:
         if self._process is None:
-            self._process = start_detached(COMMAND, subprocess.PIPE)
+            self._process = start_detached(self._command, subprocess.PIPE)
         assert self._process.stdin is not None
         self._process.stdin.write(line)
         self._process.stdin.flush()

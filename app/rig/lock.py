@@ -97,8 +97,10 @@ def holder_of(path: Path) -> str | None:
 class RigLock:
     """Locks on device addresses, held until `release` or until the process ends, also if it is killed."""
 
-    def __init__(self, addresses: list[str], purpose: str, folder: Path | None = None) -> None:
+    def __init__(self, addresses: list[str], purpose: str, folder: Path | None = None, patience_s: float = PROBE_S) -> None:
         """Lock all addresses or none; nothing is opened. `folder` is that of the lock files.
+
+        `patience_s` is how long the check of another program may take that looks whether the rig is locked.
 
         Raises RigInUse with the holder of an address and the start of its lock.
         """
@@ -108,7 +110,7 @@ class RigLock:
         try:
             devices = sorted({name: address for address in addresses for name in device_names(address)}.items())
             for name, address in devices:
-                self._lock(name, address, purpose)
+                self._lock(name, address, purpose, patience_s)
             for name, address in devices:
                 self._check_relatives(name, address)
         except UserError:
@@ -133,11 +135,11 @@ class RigLock:
             file.release()
         self._names, self._files = [], []
 
-    def _lock(self, name: str, address: str, purpose: str) -> None:
+    def _lock(self, name: str, address: str, purpose: str, patience_s: float) -> None:
         path = self._path(name)
         try:
             make_own_folder(self._folder)
-            self._files.append(LockFile(path, address, purpose, 0o600))
+            self._files.append(LockFile(path, address, purpose, 0o600, patience_s))
             if name.startswith("tcp:"):
                 self._names.append(SystemName(name, address))
             elif (process := _process_on_port(name)) is not None:

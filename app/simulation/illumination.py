@@ -69,8 +69,12 @@ def simulate_illumination(
     seed: int,
     rays: int | None,
     report: ReportProgress = lambda _fraction, _step: None,
+    adjoint_error: float = ADJOINT_ERROR,
 ) -> IlluminationResult:
-    """Simulate the light of a unit: the forward flux to `error_percent`, and a rayset of `rays` if given. Raises UserError."""
+    """Simulate the light of a unit: the forward flux to `error_percent`, and a rayset of `rays` if given.
+
+    `adjoint_error` is the relative error of the adjoint flux. Raises UserError.
+    """
     if not (math.isfinite(error_percent) and error_percent > 0.0):
         raise UserError(f"--error: {error_percent:g} is not possible; give a percentage above 0")
     if not 0 <= seed < 2**63:
@@ -85,7 +89,7 @@ def simulate_illumination(
         )
     try:
         report(0.0, "adjoint")
-        figure = illumination_figure(unit, relative_error=ADJOINT_ERROR, seed=seed)
+        figure = illumination_figure(unit, relative_error=adjoint_error, seed=seed)
         report(0.2, "forward")
         forward = forward_illumination(unit, relative_error=0.01 * error_percent, seed=seed)
         report(0.8, "rayset" if rays is not None else "done")

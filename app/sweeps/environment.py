@@ -44,15 +44,21 @@ class Environment:
 
 
 @cache
-def environment() -> Environment:
-    """The environment of this process."""
+def environment(parts: tuple[str, ...] = PARTS, compiled_for: tuple[str, ...] | None = None) -> Environment:
+    """The environment of this process, by the sources of these parts of the project.
+
+    `compiled_for` has the name and the features of another processor than this one that numba compiles for, if it is given;
+    else numba's settings have.
+    """
+    if compiled_for is None:
+        compiled_for = tuple(each for each in (numba.config.CPU_NAME, numba.config.CPU_FEATURES) if each)
     return Environment(
-        f"{version('goniotwin')} ({_digest_of_sources()})",
+        f"{version('goniotwin')} ({_digest_of_sources(parts)})",
         np.__version__,
         _linear_algebra(),
         numba.__version__,
         platform.python_version(),
-        _processor(),
+        _processor(compiled_for),
     )
 
 
@@ -65,19 +71,18 @@ def _linear_algebra() -> str:
     )
 
 
-def _processor() -> str:
+def _processor(compiled_for: tuple[str, ...]) -> str:
     """Name and features of the processor, and another one for which the kernels are compiled by the user's choice."""
     given = llvmlite.binding.get_host_cpu_features().flatten().split(",")
     known = [each for each in FEATURES if f"+{each}" in given]
-    other = [each for each in (numba.config.CPU_NAME, numba.config.CPU_FEATURES) if each]
-    chosen = ["compiled for", *other] if other else []
+    chosen = ["compiled for", *compiled_for] if compiled_for else []
     return " ".join([platform.machine(), llvmlite.binding.get_host_cpu_name(), *known, *chosen])
 
 
-def _digest_of_sources() -> str:
+def _digest_of_sources(parts: tuple[str, ...]) -> str:
     """Twelve digits of the SHA-256 of all sources: two working copies can have one version."""
     digest = hashlib.sha256()
-    for part in PARTS:
+    for part in parts:
         spec = find_spec(f"goniotwin.{part}")
         for place in (spec.submodule_search_locations or ()) if spec is not None else ():
             for path in sorted(Path(os.path.realpath(place)).rglob("*.py")):

@@ -18,7 +18,6 @@ from goniotwin.drivers.motion import tmcl
 from goniotwin.drivers.photodiodes.modbus import explain, explain_rtu
 from goniotwin.drivers.tap import Explain, as_text
 from goniotwin.drivers.usb import control_endpoint
-from goniotwin.mocks import transcript as transcripts
 from goniotwin.mocks.transcript import TranscriptError, Transfer, exchanges, merge_transcripts, read_transcript
 from goniotwin.protocols.clock import VirtualClock
 from tests.conftest import RigOpener
@@ -57,13 +56,12 @@ def test_written_transcripts_are_read_back(
 
 
 @pytest.mark.skipif(os.name == "nt", reason="pipes and devices as files")
-def test_a_file_without_end_is_no_transcript(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_without_end_is_no_transcript(tmp_path: Path) -> None:
     pipe, long, many = tmp_path / "pipe.txt", tmp_path / "long.txt", tmp_path / "many.txt"
     os.mkfifo(pipe)
     long.touch()
     os.truncate(long, 10**11)  # takes no room
     many.write_text("0 > 00\n" * 11, encoding="utf-8")
-    monkeypatch.setattr(transcripts, "MOST_TRANSFERS", 10)
     not_a_file = "is a folder or a device, not a file"
     for path, wrong in (
         (Path("/dev/zero"), not_a_file),
@@ -72,7 +70,7 @@ def test_a_file_without_end_is_no_transcript(tmp_path: Path, monkeypatch: pytest
         (many, "line 11: has more than 10 transfers"),
     ):
         with pytest.raises(TranscriptError, match=wrong):
-            read_transcript(path)
+            read_transcript(path, 10)
 
 
 @given(st.sampled_from(EXPLAINS), st.sampled_from("<>"), st.binary(max_size=40))

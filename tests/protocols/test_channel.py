@@ -15,7 +15,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from goniotwin.protocols import channel
 from goniotwin.protocols.channel import (
     LONGEST_LINE,
     MOST_UNPROVED,
@@ -41,15 +40,24 @@ pytestmark = pytest.mark.endpoint
 @pytest.fixture(scope="module")
 def server() -> Iterator[ChannelServer]:
     """Echoes every object."""
+    with echoing() as server:
+        yield server
+
+
+@contextlib.contextmanager
+def echoing(hello_s: float | None = None) -> Iterator[ChannelServer]:
+    """A server that echoes every object of a client that has its hello in time."""
 
     def echo(end: Channel) -> None:
         while (message := end.receive()) is not None:
             end.send(message)
 
-    server = ChannelServer("echo", TOKEN, echo)
+    server = ChannelServer("echo", TOKEN, echo, hello_s=hello_s)
     server.start()
-    yield server
-    server.stop()
+    try:
+        yield server
+    finally:
+        server.stop()
 
 
 def answer(server: ChannelServer, sent: bytes, token: str | None = None) -> bytes:
@@ -251,20 +259,16 @@ def test_the_first_line_that_is_not_an_object_ends_the_connection(server: Channe
 
 
 @pytest.mark.parametrize("part", [b"", HELLO[:-1], HELLO, HELLO + b'{"proof": '], ids=["silent", "part", "hello", "no proof"])
-def test_a_client_without_both_lines_in_time_is_hung_up_on(
-    server: ChannelServer, monkeypatch: pytest.MonkeyPatch, part: bytes
-) -> None:
-    monkeypatch.setattr(channel, "HELLO_S", 0.05)
-    assert answer(server, part).count(b"\n") == part.count(b"\n")
+def test_a_client_without_both_lines_in_time_is_hung_up_on(part: bytes) -> None:
+    with echoing(0.05) as server:
+        assert answer(server, part).count(b"\n") == part.count(b"\n")
 
 
-def test_a_flood_of_silent_connections_is_bounded_and_keeps_no_client_out(
-    server: ChannelServer, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_flood_of_silent_connections_is_bounded_and_keeps_no_client_out() -> None:
     """The oldest are ended: nothing has to wait for the time of a hello."""
-    monkeypatch.setattr(channel, "HELLO_S", 60.0)
-    threads = threading.active_count()
     with contextlib.ExitStack() as stack:
+        server = stack.enter_context(echoing(60.0))
+        threads = threading.active_count()
         flood = [stack.enter_context(socket.create_connection((LOOPBACK, server.port), timeout=20.0)) for _ in range(100)]
         for each in flood[: 100 - MOST_UNPROVED]:
             with contextlib.suppress(ConnectionError):

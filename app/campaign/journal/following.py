@@ -18,8 +18,8 @@ MOST_ROWS = 200
 class JournalFollower:
     """The rows of a journal as they are committed. Its chain of hashes is not checked: its writer is this user's station."""
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    def __init__(self, path: Path, most_rows: int = MOST_ROWS) -> None:
+        self.path, self._most_rows = path, most_rows
         self._last = 0
 
     @contextlib.contextmanager
@@ -46,6 +46,6 @@ class JournalFollower:
         """The last entry of the next rows; None if there are no more."""
         found = db.execute(
             "SELECT MAX(entry), COUNT(*) FROM (SELECT rowid AS entry FROM attempt WHERE rowid > ? ORDER BY rowid LIMIT ?)",
-            (self._last, MOST_ROWS),
+            (self._last, self._most_rows),
         ).fetchone()
         return int(found[0]) if found[1] else None

@@ -300,15 +300,15 @@ class JournalReader:
             for number in numbers:
                 yield from self._rows(f"{LAST_ATTEMPT}{self._sound} AND p.number = ?", (number,))
 
-    def recorded(self, numbers: Iterable[int]) -> Iterator[RecordedRows]:
-        """The readings of committed rows by their numbers, in that order, of the last attempts; some hundred rows at once."""
+    def recorded(self, numbers: Iterable[int], at_once: int = ASKED_AT_ONCE) -> Iterator[RecordedRows]:
+        """The readings of committed rows by their numbers, in that order, of the last attempts; so many rows at once."""
         left = iter(numbers)
-        statement = READINGS_OF.format(f"p.number IN ({', '.join('?' * ASKED_AT_ONCE)}){self._sound}")
-        while asked := list(itertools.islice(left, ASKED_AT_ONCE)):
+        statement = READINGS_OF.format(f"p.number IN ({', '.join('?' * at_once)}){self._sound}")
+        while asked := list(itertools.islice(left, at_once)):
             with self._reading():
                 # One statement for any number of rows is prepared once.
-                found = self._db.execute(statement, asked + [NO_ROW] * (ASKED_AT_ONCE - len(asked))).fetchall()
-                rows = _recorded_rows([_columns_of_readings(found)] if found else [])
+                found = self._db.execute(statement, asked + [NO_ROW] * (at_once - len(asked))).fetchall()
+                rows = _recorded_rows([columns_of_readings(found)] if found else [])
             yield rows.of(np.array(asked, dtype=np.int64))
 
     def all_recorded(self, most_bytes: int, *kinds: RowKind) -> RecordedRows | None:
@@ -318,7 +318,7 @@ class JournalReader:
         with self._reading():
             found = self._db.execute(READINGS_OF.format(f"{of_kinds}{self._sound}"), kinds)
             while block := found.fetchmany(RECORDED_TOGETHER):
-                parts.append(_columns_of_readings(block))
+                parts.append(columns_of_readings(block))
                 left -= sum(each.nbytes for each in parts[-1])
                 if left < 0:
                     return None
@@ -526,7 +526,7 @@ def report_damage(path: Path) -> Iterator[None]:
         raise DamagedJournal(f"{path}: is damaged: {line}{' ...' if more else ''}; {USE_A_COPY}") from None
 
 
-def _columns_of_readings(found: Sequence[tuple[Any, ...]]) -> tuple[Ints, Floats, Ints, Counts]:
+def columns_of_readings(found: Sequence[tuple[Any, ...]]) -> tuple[Ints, Floats, Ints, Counts]:
     """Entries of READINGS_OF, in columns: numbers (n,), times and currents (n, 5), shapes (n, 2), and all counts.
 
     A row without a reading has an entry with the shape 0, 0. Raises ValueError for counts that have not the stated shape.

@@ -12,7 +12,7 @@ schedule that it began with, is by the whole estimator and the rows of their pla
 import math
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -125,17 +125,31 @@ class AlignmentDesign:
         }
 
 
+@dataclass(frozen=True)
+class SearchLimits:
+    """What a search for a design may take: levels beyond the schedule's own, by grid; the longest design; planned rows."""
+
+    further: Mapping[str, tuple[float, ...]] = field(default_factory=lambda: FURTHER)
+    most_minutes: float = MOST_MINUTES
+    most_planned_rows: int = MOST_PLANNED_ROWS
+
+
 def design_alignment(
-    schedule: ScheduleDescription, rig: RigDescription, minutes: float, sample: str | None = None
+    schedule: ScheduleDescription,
+    rig: RigDescription,
+    minutes: float,
+    sample: str | None = None,
+    limits: SearchLimits | None = None,
 ) -> AlignmentDesign:
     """The design that begins with a schedule, of at most so many minutes on the rig's clock, without mountings.
 
     Raises UserError where the rig file describes no light of the sample, or the time, or the schedule's own, is too short or
-    above MOST_MINUTES.
+    above the limit.
     """
-    if minutes > MOST_MINUTES:
-        raise UserError(f"--minutes {minutes:g}: an alignment is planned for at most {MOST_MINUTES:g} min; give fewer")
-    search = _Search(schedule, rig, _named(schedule, sample))
+    limits = limits or SearchLimits()
+    if minutes > limits.most_minutes:
+        raise UserError(f"--minutes {minutes:g}: an alignment is planned for at most {limits.most_minutes:g} min; give fewer")
+    search = _Search(schedule, rig, _named(schedule, sample), limits)
     levels = search.exchange(search.shortened(search.first, 60.0 * minutes), 60.0 * minutes)
     text = f"{FIRST_LINE}\n{search.text(levels).removeprefix(FIRST_LINE).lstrip()}"
     plan = search.plan(levels)
@@ -264,8 +278,8 @@ Levels = Mapping[str, tuple[float, ...]]
 class _Search:
     """The exchange of levels, with the information of all rows that a design can have."""
 
-    def __init__(self, schedule: ScheduleDescription, rig: RigDescription, sample: str) -> None:
-        self._schedule, self._rig, self.sample = schedule, rig, sample
+    def __init__(self, schedule: ScheduleDescription, rig: RigDescription, sample: str, limits: SearchLimits) -> None:
+        self._schedule, self._rig, self.sample, self._limits = schedule, rig, sample, limits
         self._wavelength = scan_wavelength_nm(schedule.file)
         self.first: Levels = {key: grid_values(getattr(schedule.file, key)) for key in GRIDS}
         self._kept = set(schedule.file.scanned_sigmas_deg) if schedule.file.open_beam_scan is not None else set()
@@ -273,10 +287,10 @@ class _Search:
             self._kept = set()
         self._plans: dict[str, NewPlan] = {}
         self._planned_rows = 0
-        if (own_minutes := self.plan(self.first).seconds / 60.0) > MOST_MINUTES:
+        if (own_minutes := self.plan(self.first).seconds / 60.0) > limits.most_minutes:
             raise UserError(
-                f"{schedule.name}: takes {math.ceil(own_minutes)} min, and a design begins with at most {MOST_MINUTES:g}; take "
-                "a schedule with fewer levels"
+                f"{schedule.name}: takes {math.ceil(own_minutes)} min, and a design begins with at most "
+                f"{limits.most_minutes:g}; take a schedule with fewer levels"
             )
         light, self._beams = self._read_light()
         self._light = _Light(light)
@@ -336,7 +350,7 @@ class _Search:
     def _possible(self, key: str) -> tuple[float, ...]:
         """The levels of a grid that the rig can have."""
         found = set(self.first[key])
-        for level in set(FURTHER[key]) - found:
+        for level in set(self._limits.further[key]) - found:
             levels = (*sorted(self._kept), level) if key == "sigma_deg" and level not in self._kept else (level,)
             try:
                 self.plan({**self.first, key: tuple(sorted(levels))})
@@ -480,7 +494,7 @@ class _Search:
     @property
     def ended(self) -> bool:
         """Whether the search has planned as many rows as it may."""
-        return self._planned_rows > MOST_PLANNED_ROWS
+        return self._planned_rows > self._limits.most_planned_rows
 
     def _fits(self, levels: Levels, allowed_s: float) -> bool:
         try:

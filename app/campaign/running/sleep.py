@@ -52,7 +52,9 @@ def watch_for(clock: Clock) -> SleepWatch:
 class StayAwake:
     """Keeps this computer awake from `begin` to `end`, both in one thread, or to the end of this program."""
 
-    def __init__(self) -> None:
+    def __init__(self, answer_s: float = ANSWER_S) -> None:
+        """`answer_s` is how long the system's program may take to grant it."""
+        self._answer_s = answer_s
         self._process: subprocess.Popen[bytes] | None = None
 
     def begin(self, purpose: str) -> str:
@@ -83,7 +85,7 @@ class StayAwake:
         except OSError as error:
             return f"{command[0]}: {error.strerror or error}"
         assert process.stdout is not None
-        if select.select([process.stdout], [], [], ANSWER_S)[0] and os.read(process.stdout.fileno(), 1):
+        if select.select([process.stdout], [], [], self._answer_s)[0] and os.read(process.stdout.fileno(), 1):
             self._process = process
             return ""
         _end(process)

@@ -136,12 +136,17 @@ def covers_half_sphere(polar_step_deg: float, azimuth_step_deg: float, beyond: f
     return close and beyond <= math.cos(math.radians(LEAST_POLAR_DEG)) ** 2 + EQUAL_SHARE
 
 
-def components_of_sum(points: BsdfPoints, weight: Floats, settings: ReductionSettings) -> list[Component]:
-    """The components of sum(weight * bsdf), the largest first, by the covariance of the points with a weight."""
+def components_of_sum(
+    points: BsdfPoints, weight: Floats, settings: ReductionSettings, at_once: int = CHUNK_POINTS
+) -> list[Component]:
+    """The components of sum(weight * bsdf), the largest first, by the covariance of the points with a weight.
+
+    So many points are in memory `at_once`, with their effects.
+    """
     used = np.flatnonzero(weight != 0.0)
     parts = []
-    for begin in range(0, used.size, CHUNK_POINTS):
-        chosen = used[begin : begin + CHUNK_POINTS]
+    for begin in range(0, used.size, at_once):
+        chosen = used[begin : begin + at_once]
         parts.append(effects_of(points.where(chosen), settings).of_sum(weight[chosen]))
     return merged(parts)
 

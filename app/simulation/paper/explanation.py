@@ -5,7 +5,7 @@ Blur falls as 1/width^2 and a shift of the specular direction as 1/width; counti
 
 import itertools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -118,7 +118,9 @@ def required_tilt_deg(blur: Floats, tilted: Floats, tilt_deg: float) -> Floats:
     return needed
 
 
-def closest_settings(instrument: Instrument, step: Callable[[], None] = lambda: None) -> ClosestSettings:
+def closest_settings(
+    instrument: Instrument, step: Callable[[], None] = lambda: None, tilts_deg: Sequence[float] = TILTS_DEG
+) -> ClosestSettings:
     """The closest settings to the paper among forms, ranges of theta, divergences, tilts of the sample and counting noises.
 
     The distance is the root mean square of the logarithms of the ratios. `step` is called for each form and range.
@@ -126,7 +128,7 @@ def closest_settings(instrument: Instrument, step: Callable[[], None] = lambda: 
     best: ClosestSettings | None = None
     for form, widths in itertools.product(FORMS, RANGES):
         variance = counting_variance(instrument, form, widths)
-        for divergence, tilt in itertools.product(DIVERGENCES_DEG, TILTS_DEG):
+        for divergence, tilt in itertools.product(DIVERGENCES_DEG, tilts_deg):
             table = rms_table(with_tilt(with_divergence(instrument, divergence), tilt), form, widths)
             for noise in NOISES_PERCENT:
                 total = np.sqrt(table**2 + noise**2 * variance)

@@ -1,6 +1,6 @@
 """The paper's Table 3 beside ours: noise-free, with the sample tilted, and at the worst corner of the deviations."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,6 +9,7 @@ from goniotwin.app.simulation.paper.explanation import (
     FORMS,
     RANGES,
     SIGMAS_DEG,
+    TILTS_DEG,
     WIDTHS_DEG,
     ClosestSettings,
     closest_settings,
@@ -65,10 +66,13 @@ class Table3:
         return self.corners[SIGMAS_DEG.index(sigma_deg) * len(WIDTHS_DEG) + WIDTHS_DEG.index(width_deg)]
 
 
-def compute_table3(report: ReportStep = lambda _: None, rays: int | None = None) -> Table3:
+def compute_table3(
+    report: ReportStep = lambda _: None, rays: int | None = None, tilts_deg: Sequence[float] = TILTS_DEG
+) -> Table3:
     """Compute the table by the fast estimator, without obstruction; `report` is called `STEPS` times.
 
-    `rays` is that of `twin.optics.throughput`, for the noise-free table alone.
+    `rays` is that of `twin.optics.throughput`, for the noise-free table alone. `tilts_deg` are those of the sample among which
+    the closest settings are looked for.
     """
     instrument = Instrument(obstruction=False)
     report("noise-free, tilted")
@@ -99,7 +103,7 @@ def compute_table3(report: ReportStep = lambda _: None, rays: int | None = None)
         etalon_rise=np.sqrt(alone[-1] / alone[0]),
         required_tilt_deg=required_tilt_deg(blur, tilted, TILT_DEG),
         interpolation=interpolation_error(0.5),
-        closest=closest_settings(instrument, lambda: report("closest settings to the paper")),
+        closest=closest_settings(instrument, lambda: report("closest settings to the paper"), tilts_deg),
     )
 
 

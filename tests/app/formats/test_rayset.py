@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from goniotwin.app.formats import FormatError, rayset, read_rayset, write_rayset
+from goniotwin.app.formats import FormatError, read_rayset, write_rayset
 from goniotwin.app.formats.hdf5 import BLOCK
 from goniotwin.app.formats.rayset import HEADING
 from goniotwin.twin.optics.illumination.rayset import Rayset, record
@@ -89,9 +89,9 @@ def test_the_same_rayset_gives_the_same_bytes(beam: Path) -> None:
     assert again.read_bytes() == beam.read_bytes()
 
 
-def refusal(path: Path) -> str:
+def refusal(path: Path, *most_bytes: int) -> str:
     with pytest.raises(FormatError) as caught:
-        read_rayset(path)
+        read_rayset(path, *most_bytes)
     text = str(caught.value)
     assert text.isprintable(), "one line"
     assert text.startswith(str(path))
@@ -187,7 +187,7 @@ def test_a_file_changed_without_error_is_read(beam: Path) -> None:
     assert same(read_rayset(changed(beam, lambda _file: None)), replace(record(UNIT, 50, seed=1)))
 
 
-def test_a_large_file_is_checked_without_being_in_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_large_file_is_checked_without_being_in_memory(tmp_path: Path) -> None:
     path = tmp_path / "large.h5"
     path.write_bytes(f"{HEADING}{'0' * 64}\n".encode().ljust(BLOCK - 1) + b"\n" + bytes(10_000_000))
     tracemalloc.start()
@@ -195,5 +195,4 @@ def test_a_large_file_is_checked_without_being_in_memory(tmp_path: Path, monkeyp
     most = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert most < 2_000_000
-    monkeypatch.setattr(rayset, "MOST_BYTES", 10_000_000)
-    assert "has more than 10000000 bytes" in refusal(path)
+    assert "has more than 10000000 bytes" in refusal(path, 10_000_000)

@@ -7,7 +7,6 @@ from pathlib import Path
 
 import pytest
 
-from goniotwin.app.formats import text
 from goniotwin.app.formats.file import FormatError
 from goniotwin.app.formats.text import Words, comment_lines, read_text, write_text
 
@@ -88,12 +87,11 @@ def test_words_of_a_long_text_are_not_in_memory_together(tmp_path: Path) -> None
         assert most < 600_000  # the text itself has 60 to 80 kB
 
 
-def test_more_comments_than_fit_in_memory_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(text, "MOST_COMMENTS", 10)
+def test_more_comments_than_fit_in_memory_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "a.ddr"
     path.write_text(";;ab\n" * 11)
     with pytest.raises(FormatError, match=r"a\.ddr, line 11: has more than 10 lines of comments"):
-        Words(path, ";;")
+        Words(path, ";;", 10)
 
 
 def test_surplus_numbers_are_counted_and_not_kept(tmp_path: Path) -> None:

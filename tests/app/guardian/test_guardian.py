@@ -310,9 +310,8 @@ def test_a_guardian_that_is_killed_is_started_again(record: Record) -> None:
     assert found.pid is None
 
 
-def test_a_guardian_that_cannot_be_started_is_stated(record: Record, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(guard, "COMMAND", [str(Path("no", "such", "program"))])
-    found = Guardian()
+def test_a_guardian_that_cannot_be_started_is_stated(record: Record) -> None:
+    found = Guardian([str(Path("no", "such", "program"))])
     found.hand([record])
     assert found.failure.startswith("the guardian cannot be started: ")
     found.end()
@@ -368,7 +367,7 @@ def test_a_named_pipe_in_the_place_of_the_events_holds_no_program_up(tmp_path: P
     journal.touch()
     pipe = Path(f"{journal}{EVENTS_SUFFIX}")
     os.mkfifo(pipe)
-    guardian._note_event(journal, "monochromator: the shutter is closed")
+    guardian.note_event(journal, "monochromator: the shutter is closed")
     assert read_events(pipe) == []
 
 

@@ -13,7 +13,6 @@ import pytest
 from filelock import FileLock
 
 from goniotwin.app.errors import UserError
-from goniotwin.app.rig import lock as module
 from goniotwin.app.rig.lock import RigInUse, RigLock, journal_holder, lock_journal
 from goniotwin.protocols.loopback import LOOPBACK
 
@@ -62,14 +61,13 @@ def test_the_lock_ends_with_its_process(tmp_path: Path) -> None:
     RigLock(["/dev/axes"], "mine", tmp_path).release()
 
 
-def test_a_check_of_the_lock_does_not_keep_another_program_out(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "PROBE_S", 60.0)
+def test_a_check_of_the_lock_does_not_keep_another_program_out(tmp_path: Path) -> None:
     RigLock(["COM4"], "makes the file", tmp_path).release()
     (file,) = tmp_path.glob("*.lock")
     probe = FileLock(file, thread_local=False)
     probe.acquire()
     threading.Timer(0.02, probe.release).start()
-    RigLock(["COM4"], "first", tmp_path).release()
+    RigLock(["COM4"], "first", tmp_path, 60.0).release()
 
 
 @pytest.mark.parametrize(("one", "other"), [("1313:8078", "1313:8078:P1"), ("1313:8078:P1", "1313:8078")])

@@ -8,7 +8,6 @@ import pytest
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats import read_points_csv, read_rayset, write_rayset
 from goniotwin.app.rig.samples import parse_sample
-from goniotwin.app.simulation import illumination
 from goniotwin.app.simulation.estimate import EstimatorSettings
 from goniotwin.app.simulation.files import assumptions
 from goniotwin.app.simulation.files import summary as simulated_summary
@@ -28,6 +27,8 @@ from tests.twin.optics.agreement import agree
 
 WIDE = Instrument(detector_diameter_mm=30.0, field_deg=6.0)
 UNIT = illumination_unit(WIDE, 555.0, 0.0, 5.0)
+QUICK = 1e-3
+"""Relative error of the adjoint flux, for tests that do not compare it."""
 
 
 @pytest.fixture(scope="session")
@@ -53,15 +54,9 @@ def test_both_estimators_of_the_flux_agree_within_their_errors(light: Illuminati
     assert 0.5 < result["full_width_deg"] < 1.0  # the paper's divergence
 
 
-@pytest.fixture
-def quick_adjoint(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(illumination, "ADJOINT_ERROR", 1e-3)
-
-
-@pytest.mark.usefixtures("quick_adjoint")
 def test_a_wider_passband_has_more_flux() -> None:
-    wide = simulate_illumination(illumination_unit(WIDE, 555.0, 20.0, 5.0), 10.0, 1, None)
-    narrow = simulate_illumination(UNIT, 10.0, 1, None)
+    wide = simulate_illumination(illumination_unit(WIDE, 555.0, 20.0, 5.0), 10.0, 1, None, adjoint_error=QUICK)
+    narrow = simulate_illumination(UNIT, 10.0, 1, None, adjoint_error=QUICK)
     # A trapezoid of 20 nm with edges of 5 nm over a triangle of 5 nm, of a lamp that changes little.
     assert wide.adjoint.flux / narrow.adjoint.flux == pytest.approx(25.0 / 5.0, rel=0.02)
     assert summary(wide)["rayset"] is None
@@ -147,7 +142,6 @@ def test_rays_of_another_geometry_and_invalid_files_are_refused_in_one_line(rays
     assert read_rayset(rays).geometry == UNIT.fingerprint
 
 
-@pytest.mark.usefixtures("quick_adjoint")
 @pytest.mark.parametrize(
     ("error", "seed", "count", "message"),
     [
@@ -161,7 +155,7 @@ def test_rays_of_another_geometry_and_invalid_files_are_refused_in_one_line(rays
 )
 def test_impossible_settings_are_refused(error: float, seed: int, count: int | None, message: str) -> None:
     with pytest.raises(UserError, match=message):
-        simulate_illumination(UNIT, error, seed, count)
+        simulate_illumination(UNIT, error, seed, count, adjoint_error=QUICK)
 
 
 def test_deviations_are_given_by_element_and_field_and_stated() -> None:

@@ -41,9 +41,7 @@ TOPICS = {"spot", "form", "range of i", "divergence", "field", "deviations", "no
 def table() -> Table3:
     """The table; the search for the closest settings to the paper, most of its time, has the first and the last tilt."""
     steps: list[str] = []
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(explanation, "TILTS_DEG", explanation.TILTS_DEG[::10])
-        result = compute_table3(steps.append)
+    result = compute_table3(steps.append, tilts_deg=explanation.TILTS_DEG[::10])
     assert len(steps) == STEPS
     return result
 

@@ -1,6 +1,7 @@
 """Sweeps on this computer: the same bytes by any runner and after any interruption; files that are whole or not there."""
 
 import json
+import multiprocessing.spawn
 import os
 import shutil
 from dataclasses import fields, replace
@@ -12,7 +13,6 @@ import pytest
 from threadpoolctl import threadpool_info
 
 from goniotwin.app.errors import MissingPackage, UserError
-from goniotwin.app.sweeps import environment as environments
 from goniotwin.app.sweeps.chunk_files import ChunkFiles, pack
 from goniotwin.app.sweeps.dask_cluster import DaskCluster
 from goniotwin.app.sweeps.environment import Environment, check_alike, environment
@@ -186,14 +186,14 @@ def test_no_more_processes_than_chunks() -> None:
     ]
 
 
-def test_the_environment_is_that_of_the_sources_and_the_processor(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_environment_is_that_of_the_sources_and_the_processor() -> None:
     known = environment()
     assert known.goniotwin.count("(") == 1
     assert known.numpy == np.__version__
-    monkeypatch.setattr("numba.config.CPU_NAME", "generic")
-    assert environment.__wrapped__().difference(known) == f"processor {environments._processor()} against {known.processor}"
-    monkeypatch.setattr(environments, "PARTS", ("protocols",))
-    assert environment.__wrapped__().goniotwin != known.goniotwin
+    own = known.processor.partition(" compiled for")[0]
+    other = environment(compiled_for=("generic",))
+    assert other.difference(known) == f"processor {own} compiled for generic against {known.processor}"
+    assert environment(parts=("protocols",)).goniotwin != known.goniotwin
 
 
 def test_linear_algebra_has_one_thread_in_a_chunk() -> None:
@@ -222,12 +222,16 @@ def test_a_process_that_is_killed_is_one_line_and_the_sweep_continues(tmp_path: 
 
 
 @pytest.mark.skipif(os.name == "nt", reason="there is no program that ends at once")
-def test_a_process_that_ends_while_it_starts_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_process_that_ends_while_it_starts_is_one_line() -> None:
     """With a specification that is longer than what a pipe holds, of which no process would read anything."""
     resource_tracker.ensure_running()  # a process of multiprocessing's own
-    monkeypatch.setattr("multiprocessing.spawn._python_exe", os.fsencode(shutil.which("false") or ""))
-    with pytest.raises(UserError, match="was ended from outside"):
-        list(Processes(1).run(numbers, specification(text="x" * 1_000_000), [0]))
+    own = multiprocessing.spawn.get_executable()
+    multiprocessing.set_executable(shutil.which("false") or "")
+    try:
+        with pytest.raises(UserError, match="was ended from outside"):
+            list(Processes(1).run(numbers, specification(text="x" * 1_000_000), [0]))
+    finally:
+        multiprocessing.set_executable(own)
 
 
 def test_without_dask_one_line_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:

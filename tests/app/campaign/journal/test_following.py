@@ -7,7 +7,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from goniotwin.app.campaign.journal import following
 from goniotwin.app.campaign.journal.following import JournalFollower
 from goniotwin.app.campaign.journal.reading import open_read_only
 from goniotwin.app.campaign.journal.writing import Journal
@@ -22,13 +21,10 @@ from tests.conftest import RIG, Writer
 
 
 @pytest.mark.parametrize("rows_at_once", [2, 200])
-def test_each_row_is_read_once_as_soon_as_it_is_committed(
-    write_schedule: Writer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, rows_at_once: int
-) -> None:
+def test_each_row_is_read_once_as_soon_as_it_is_committed(write_schedule: Writer, tmp_path: Path, rows_at_once: int) -> None:
     """Also many at once, in queries of a few; and the journal then is one file."""
-    monkeypatch.setattr(following, "MOST_ROWS", rows_at_once)
     path = tmp_path / "a.journal"
-    follower = JournalFollower(path)
+    follower = JournalFollower(path, rows_at_once)
     committed: list[int] = []
     read: list[CommittedRow] = []
 

@@ -7,8 +7,7 @@ import pytest
 
 from goniotwin.app.campaign.geometry.arcs import arc_views, views_at_sigma
 from goniotwin.app.campaign.geometry.shadow import blocked_by_mirrors
-from goniotwin.app.campaign.journal import reading
-from goniotwin.app.campaign.journal.reading import _columns_of_readings
+from goniotwin.app.campaign.journal.reading import columns_of_readings
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.reduction import arc_geometry, readings
 from goniotwin.app.campaign.reduction.arc_geometry import ArcGeometry
@@ -51,13 +50,12 @@ def test_a_pose_is_computed_once_however_many_wavelengths_it_has(
     assert len(computed) == 2 * POSES_OF_JOURNAL  # for each arc
 
 
-def test_rows_are_recorded_in_the_order_asked_for_and_a_few_at_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(reading, "ASKED_AT_ONCE", 7)
+def test_rows_are_recorded_in_the_order_asked_for_and_a_few_at_once(tmp_path: Path) -> None:
     write_long_journal(tmp_path / "a.journal", 2, 2)
     with Journal.open(tmp_path / "a.journal") as journal:
         numbers = journal.row_numbers("measure", "dark").tolist()[::-1]
         numbers.insert(3, 10_000_000)  # no such row
-        blocks = list(journal.recorded(numbers))
+        blocks = list(journal.recorded(numbers, 7))
         assert max(each.numbers.size for each in blocks) == 7
         assert [number for each in blocks for number in each.numbers.tolist()] == numbers[:3] + numbers[4:]
         everything = journal.all_recorded(10**9, "measure", "dark")
@@ -96,4 +94,4 @@ def test_counts_of_a_shape_that_cannot_be_are_damage(shape: tuple[int, int]) -> 
     """Where the product of the two is right all the same: of two negative numbers, or of one that does not fit in 64 bits."""
     counts = bytes(2 * shape[0] * shape[1] % (1 << 64))
     with pytest.raises(ValueError, match=r"row 7 has .* bytes of counts"):
-        _columns_of_readings([(7, 0.0, 1e8, 0.0, 0.08, 1e-9, *shape, counts)])
+        columns_of_readings([(7, 0.0, 1e8, 0.0, 0.08, 1e-9, *shape, counts)])

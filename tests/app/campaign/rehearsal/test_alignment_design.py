@@ -7,8 +7,7 @@ import pytest
 
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import make_plan
-from goniotwin.app.campaign.rehearsal import alignment_design
-from goniotwin.app.campaign.rehearsal.alignment_design import design_alignment
+from goniotwin.app.campaign.rehearsal.alignment_design import SearchLimits, design_alignment
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.campaign.studies.evaluation import evaluate_journal
 from goniotwin.app.campaign.studies.sample_alignment import align_sample
@@ -25,11 +24,10 @@ LITTLE = (
 FEW = {"sigma_deg": (45.0,), "gamma_deg": (90.0,), "beta_deg": (172.0,), "shift_deg": (2.0,)}
 
 
-def test_a_design_fits_into_the_time_and_has_more_information(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(alignment_design, "FURTHER", FEW)
+def test_a_design_fits_into_the_time_and_has_more_information() -> None:
     schedule, rig = parse_schedule(LITTLE, "little"), alignment_rig()
     minutes = make_plan(schedule, rig).seconds / 60.0
-    design = design_alignment(schedule, rig, minutes)
+    design = design_alignment(schedule, rig, minutes, limits=SearchLimits(FEW))
     assert design.plan.seconds <= 60.0 * minutes
     assert {**design.levels} != {"sigma_deg": (5, 30), "gamma_deg": (0, 180), "beta_deg": (165, 188), "shift_deg": (0,)}
     assert design.gain > 0.0
@@ -39,26 +37,24 @@ def test_a_design_fits_into_the_time_and_has_more_information(monkeypatch: pytes
     assert len(design.as_dict()["combinations"]) == len(design.forecast.u_before) > 0
 
 
-def test_too_short_a_time_is_refused_with_the_shortest_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(alignment_design, "FURTHER", dict.fromkeys(FEW, ()))
+def test_too_short_a_time_is_refused_with_the_shortest_one() -> None:
+    limits = SearchLimits(dict.fromkeys(FEW, ()))
     with pytest.raises(UserError, match=r"^little: 0.1 min are too few; the shortest design takes \d+ min$"):
-        design_alignment(parse_schedule(LITTLE, "little"), alignment_rig(), 0.1)
+        design_alignment(parse_schedule(LITTLE, "little"), alignment_rig(), 0.1, limits=limits)
 
 
-def test_times_in_which_no_design_is_computed_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_times_in_which_no_design_is_computed_are_refused() -> None:
     """The design's own time, and that of the schedule that it begins with."""
     schedule = parse_schedule(LITTLE, "little")
     with pytest.raises(UserError, match=r"^--minutes 1e\+06: an alignment is planned for at most 180 min; give fewer$"):
         design_alignment(schedule, alignment_rig(), 1e6)
-    monkeypatch.setattr(alignment_design, "MOST_MINUTES", 1.0)
     with pytest.raises(UserError, match=r"^little: takes \d min, and a design begins with at most 1; "):
-        design_alignment(schedule, alignment_rig(), 0.5)
+        design_alignment(schedule, alignment_rig(), 0.5, limits=SearchLimits(most_minutes=1.0))
 
 
-def test_a_search_ends_with_what_it_has_after_so_many_planned_rows(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(alignment_design, "FURTHER", FEW)
-    monkeypatch.setattr(alignment_design, "MOST_PLANNED_ROWS", 1)
-    design = design_alignment(parse_schedule(LITTLE, "little"), alignment_rig(), 10.0)
+def test_a_search_ends_with_what_it_has_after_so_many_planned_rows() -> None:
+    limits = SearchLimits(FEW, most_planned_rows=1)
+    design = design_alignment(parse_schedule(LITTLE, "little"), alignment_rig(), 10.0, limits=limits)
     assert design.ended_early
     assert list(design.levels["sigma_deg"]) == [5, 30]
     assert design.forecast.combinations
