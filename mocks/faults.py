@@ -121,12 +121,13 @@ class ScriptedFaults(FaultPlan):
 
     def __init__(self, faults: Iterable[Fault], seed: int = 0) -> None:
         super().__init__(seed, ())
-        self._script = list(faults)
+        self.script = list(faults)
+        """The faults to come."""
 
     def next(self) -> Fault:
         """Fault of the next exchange."""
         self._count += 1
-        fault = self._script.pop(0) if self._script else Fault.NONE
+        fault = self.script.pop(0) if self.script else Fault.NONE
         if fault is not Fault.NONE:
             self.met.append(fault)
         return fault

@@ -48,7 +48,7 @@ class FaultyLine:
         self.outbox: deque[tuple[float, bytes]] = device.outbox
         self.unplug = unplug
         self.plugs = 0
-        self._late_s = late_s
+        self.late_s = late_s
         self._foreign = foreign
         self._refusal = refusal
         self._held: list[bytes] = []
@@ -89,7 +89,7 @@ class FaultyLine:
         held, self._held = b"".join(self._held), []
         match fault:
             case Fault.LATE:
-                return [(ready + self._late_s, held + reply)]
+                return [(ready + self.late_s, held + reply)]
             case Fault.LOST:
                 return []
             case Fault.TRUNCATED:

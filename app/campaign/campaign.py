@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Protocol
 
 from goniotwin.app.campaign.journal.chain import Chain
-from goniotwin.app.campaign.journal.writing import Journal, software_versions
+from goniotwin.app.campaign.journal.writing import READERS_END_S, Journal, software_versions
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.running.engine import Engine
@@ -86,8 +86,11 @@ def run_campaign(
     transcript: Path | None = None,
     ask: Ask | None = None,
     host: RunHost | None = None,
+    readers_end_s: float = READERS_END_S,
 ) -> Outcome:
     """Run a plan until it is done, stopped, or ended by a fault. With a `host` others can watch and stop it.
+
+    At the end the reading of the journal by other programs is waited for, at most `readers_end_s`.
 
     Raises UserError, before anything is written, where it cannot start.
     """
@@ -96,7 +99,7 @@ def run_campaign(
         if journal_path.exists():
             Journal.create(journal_path, plan, {})  # raises the error before the rig is connected
         operator = _connect(opened, plan, ask, host)
-        with Journal.create(journal_path, plan, software_versions()) as journal:
+        with Journal.create(journal_path, plan, software_versions(), readers_end_s=readers_end_s) as journal:
             outcome = _run_engine(opened, plan, journal, operator, listeners, plan.rows, host)
     return replace(outcome, journal=journal.kept_at, journal_note=journal.note)
 

@@ -495,7 +495,7 @@ def _hosted(speed: float | None, rig: "RigDescription") -> "Iterator[tuple[Hoste
     if speed is not None and not rig.file.in_process:
         raise UserError(f"{rig.name}: --speed: the rig is not virtual in this process; leave --speed out")
     if speed is None and rig.file.in_process:
-        yield None, _ask_operator
+        yield None, ask_operator
         return
     from goniotwin.app.campaign.running.events import EventLogged
     from goniotwin.app.station.hosting import hosted_run
@@ -602,7 +602,7 @@ def _ask_rig(text: str) -> bool:
     return typer.confirm(f"{text}. Use these devices?", default=False, err=True)
 
 
-def _ask_operator(question: "Question") -> "Reply":
+def ask_operator(question: "Question") -> "Reply":
     """Print a question and read the beginning of an answer. Enter alone is no answer. Raises UserError without a terminal."""
     _print_question(question, NO_PLACE)
     while line := sys.stdin.readline():

@@ -214,7 +214,7 @@ def compile_ahead(names: Collection[str] = REHEARSAL) -> list[str]:
         missing = [name for name in names if not (FOLDER / f"{name}.done").exists()]
     except OSError:  # of a process that has become another user's
         return []
-    with _compiling_elsewhere(missing[1::2]):
+    with compiling_elsewhere(missing[1::2]):
         _compile(missing[::2])
     return missing
 
@@ -240,7 +240,7 @@ def compile_for_another(*names: str) -> None:
 
 
 @contextlib.contextmanager
-def _compiling_elsewhere(names: Collection[str]) -> Iterator[None]:
+def compiling_elsewhere(names: Collection[str]) -> Iterator[None]:
     """Have another process compile parts meanwhile; at the end it has, or it is ended. Raises UserError where it cannot."""
     if not names:
         yield

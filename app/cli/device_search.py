@@ -110,12 +110,12 @@ def _serial_ports(clock: Clock) -> Iterator[PortStatus]:
             yield PortStatus("serial", port.device, None, str(error))
             continue
         try:
-            yield _probe_port(port.device, clock)
+            yield probe_port(port.device, clock)
         finally:
             lock.release()
 
 
-def _probe_port(device: str, clock: Clock) -> PortStatus:
+def probe_port(device: str, clock: Clock) -> PortStatus:
     """Ask for the identity with each protocol in turn, motion controllers last.
 
     Their binary frames are a wrong statement to a device that reads lines; they drop what a line has left after a silence.

@@ -211,7 +211,7 @@ def main() -> None:
             with contextlib.suppress(OSError):  # of what is written before it: reported below
                 stream.reconfigure(errors="backslashreplace")
     interrupt_on_end_signal()  # a stop in order: axes at rest, journal closed
-    status = _run_command()
+    status = run_command()
     try:
         sys.stdout.flush()
     except OSError as error:  # a closed pipe, a full disk
@@ -223,7 +223,7 @@ def main() -> None:
     sys.exit(status)
 
 
-def _run_command() -> int:
+def run_command() -> int:
     """The exit status of the command."""
     try:
         return int(app(standalone_mode=False) or 0)

@@ -284,13 +284,25 @@ def register(added: Format) -> None:
     _registered.append(added)
 
 
+@contextmanager
+def registered(*added: Format) -> Iterator[None]:
+    """Formats that are there within the block alone. Raises ValueError for a name that exists."""
+    before = list(_registered)
+    try:
+        for each in added:
+            register(each)
+        yield
+    finally:
+        _registered[:] = before
+
+
 def formats() -> tuple[Format, ...]:
     """All formats: the program's own first, then those of other packages."""
-    return (*BUILT_IN, *_plug_ins()[0], *_registered)
+    return (*BUILT_IN, *plug_ins()[0], *_registered)
 
 
 @cache
-def _plug_ins() -> tuple[tuple[Format, ...], tuple[str, ...]]:
+def plug_ins() -> tuple[tuple[Format, ...], tuple[str, ...]]:
     """The formats of other packages, and what is wrong with those that cannot be used: these must not stop the others."""
     found: list[Format] = []
     faults = []
@@ -335,7 +347,7 @@ def join_words(words: Iterable[str], last: str = "or") -> str:
 
 
 def _unknown(place: Path | str, wrong: str, remedy: str) -> FormatError:
-    return FormatError(place, "; ".join([wrong, *_plug_ins()[1]]), remedy)
+    return FormatError(place, "; ".join([wrong, *plug_ins()[1]]), remedy)
 
 
 # ---- reading ----

@@ -93,7 +93,7 @@ def write_table(path: Path, table: BsdfTable, most_nodes: int = MOST_NODES) -> l
     Returns by how much what is read from the file is off, in words.
     """
     table = _writable(path, BsdfFile((table,)))
-    samples = _Samples(table, most_nodes)
+    samples = HalfVectorSamples(table, most_nodes)
     side, sigmas = samples.grid()
     wavelengths = table.wavelengths_nm or (GREY_NM,)
     notes = [*_words("the file is off from the table by up to", samples.deviation(side, sigmas))]
@@ -163,7 +163,7 @@ def _writable(path: Path, content: BsdfFile) -> BsdfTable:
 def _parts(
     shapes: Mapping[str, tuple[str, tuple[int, ...]]],
     small: Mapping[str, npt.NDArray[np.generic]],
-    samples: "_Samples",
+    samples: "HalfVectorSamples",
     sigmas: Floats,
     side: int,
 ) -> Iterator[bytes]:
@@ -260,7 +260,7 @@ def _azimuths_to_write(psi_deg: Floats) -> Floats:
     return np.unique(np.round(np.concatenate([[-180.0], turned, [180.0]]), 9))
 
 
-class _Samples:
+class HalfVectorSamples:
     """A table, evaluated at half vectors as a sample of the twin is: linear in phi and theta, a monotone cubic in sigma.
 
     Between azimuths of the light it is another interpolation: a lobe of brushed metal stays at its half vectors while the light

@@ -6,7 +6,8 @@ else. The defaults are those of an ordinary laboratory that has aligned its inst
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Annotated, Any, Literal
@@ -25,6 +26,17 @@ UNIT = re.compile(r"_(deg|mm|nm|per_\w+)$")
 """The end of a key with a unit; a relative one may have none."""
 LARGEST = {"deg": 5.0, "mm": 10.0, "nm": 50.0}
 _declared: dict[str, "Input"] = {}
+
+
+@contextmanager
+def inputs_of_block() -> Iterator[None]:
+    """Inputs that are declared within the block are there until its end."""
+    before = dict(_declared)
+    try:
+        yield
+    finally:
+        _declared.clear()
+        _declared.update(before)
 
 
 @dataclass(frozen=True, eq=False)

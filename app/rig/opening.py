@@ -148,6 +148,7 @@ class OpenRig:
     _name: str | None
     _transcript: "Transcript | None"
     guard: "RigGuard"
+    _wires: "Callable[[], Wires]"
     _lock: "RigLock | None" = None
 
     def connect(self) -> None:
@@ -174,6 +175,10 @@ class OpenRig:
         if self._lock is not None:
             self._lock.release()
             self._lock = None
+
+    def wires(self) -> "Wires":
+        """The wires of the rig for another client of its devices, by their addresses in the file; without transcripts."""
+        return self._wires()
 
     @property
     def transcript_failure(self) -> str | None:
@@ -237,7 +242,7 @@ def open_rig(description: RigDescription, clock: "Clock", transcript: Path | Non
         if transcripts is not None:
             transcripts.close()
         raise
-    opened = OpenRig(rig, file, virtual, name, transcripts, guard)
+    opened = OpenRig(rig, file, virtual, name, transcripts, guard, lambda: Wires(clock, virtual, None, in_this_process))
     try:
         opened.lock(
             [in_this_process(each) for each in file.addresses if not each.startswith(TWIN)], f"{file.name} ({description.name})"

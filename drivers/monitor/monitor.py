@@ -111,9 +111,11 @@ class Monitor:
     ) -> None:
         self._found = found or FoundSettings()
         self._present: dict[str, str] = {}
-        self._wire = UsbTmc(NAME, opener, clock, tap=tap)
+        self.wire = UsbTmc(NAME, opener, clock, tap=tap)
+        """Its wire, for queries that this driver does not have."""
         self._clock = clock
-        self._dialect = DIALECTS[settings.dialect]
+        self.dialect = DIALECTS[settings.dialect]
+        """Its commands."""
         self.settings = settings
         self._range_a: float | None = settings.range_a
         self._wavelength_nm = settings.wavelength_nm
@@ -125,27 +127,27 @@ class Monitor:
     @property
     def model(self) -> str:
         """The model, by its dialect in the rig file."""
-        return self._dialect.name.upper()
+        return self.dialect.name.upper()
 
     @property
     def events(self) -> deque[str]:
         """The driver's own actions (wire resynchronised, device found again), newest last."""
-        return self._wire.events
+        return self.wire.events
 
     def identify(self) -> str:
         """Open the instrument and return its identity; no setting is written. Raises DeviceError."""
-        identity = self._wire.connect()
+        identity = self.wire.connect()
         self._found.take_up(identity)
         self._leave_as_found()
         return identity
 
     def connect(self) -> str:
         """Open and identify the instrument, write its settings; return its identity. Raises DeviceError."""
-        self._wire.close()
-        identity = self._wire.connect()
+        self.wire.close()
+        identity = self.wire.connect()
         self._found.take_up(identity)
         self._present = self._ask_settings()
-        self._resynchronisations = self._wire.resynchronisations
+        self._resynchronisations = self.wire.resynchronisations
         self._quantity = "current"
         self._write_settings()
         return identity
@@ -158,7 +160,7 @@ class Monitor:
         """Restore the settings that were found, unless the instrument is not responding, and release the USB interface."""
         with contextlib.suppress(DeviceError):
             self._leave_as_found()
-        self._wire.close()
+        self.wire.close()
 
     # ---- settings ----
 
@@ -170,34 +172,34 @@ class Monitor:
     def set_wavelength(self, wavelength_nm: float) -> None:
         """Set the wavelength for power readings. Raises DeviceError."""
         self._wavelength_nm = wavelength_nm
-        self._send("set the wavelength", self._require(self._dialect.wavelength, "wavelength").format(wavelength_nm))
+        self._send("set the wavelength", self._require(self.dialect.wavelength, "wavelength").format(wavelength_nm))
 
     def set_low_pass(self, on: bool) -> None:
         """Switch the low-pass input filter. Raises DeviceError."""
         self._low_pass = on
-        self._send("set the filter", self._require(self._dialect.low_pass, "input filter").format(on))
+        self._send("set the filter", self._require(self.dialect.low_pass, "input filter").format(on))
 
     def check(self) -> None:
         """Read the canary. Raises Forgotten if settings were lost and have been written again, DeviceError if it is silent."""
         self._ready()
         if not self._averages:  # there is no canary before the first mean
-            self._wire.status_byte()
+            self.wire.status_byte()
         elif self._has_reset():
             self._restore()
 
     def ask(self) -> None:
         """Ask whether the instrument responds, and restore nothing: the next use finds a reset. Raises DeviceError."""
-        self._wire.ready()
-        self._wire.status_byte()
+        self.wire.ready()
+        self.wire.status_byte()
 
     def status_byte(self) -> int:
         """Status byte of IEEE 488.2; does not disturb a measurement. Raises DeviceError."""
-        return self._wire.status_byte()
+        return self.wire.status_byte()
 
     def abort(self) -> None:
         """Abort a measurement and discard its reply. Raises DeviceError."""
-        self._wire.abort()
-        self._wire.clear()
+        self.wire.abort()
+        self.wire.clear()
 
     # ---- measuring ----
 
@@ -214,12 +216,12 @@ class Monitor:
             self._averages = averages
             self._send("set the averaging", self._averaging_command())
         each_s = averages / self.settings.samples_per_s
-        return MonitorMean(self._wire, self._clock, self._dialect.read, pieces, each_s, self._limit(), self.check)
+        return MonitorMean(self.wire, self._clock, self.dialect.read, pieces, each_s, self._limit(), self.check)
 
     def start_zero(self) -> Pending:
         """Start a zero adjustment, with the photodiode in the dark. Raises DeviceError."""
-        command = self._require(self._dialect.zero, "zero adjustment")
-        state = self._require(self._dialect.zero_state, "zero adjustment")
+        command = self._require(self.dialect.zero, "zero adjustment")
+        state = self._require(self.dialect.zero_state, "zero adjustment")
         self._ready()
         self._send("adjust the zero", command)
         started = self._clock.now()
@@ -236,7 +238,7 @@ class Monitor:
 
     def zero_a(self) -> float:
         """Current that the instrument subtracts as zero, A. Raises DeviceError."""
-        return self._query_number(self._require(self._dialect.zero_value, "zero adjustment"))
+        return self._query_number(self._require(self.dialect.zero_value, "zero adjustment"))
 
     # ---- settings as found ----
 
@@ -251,9 +253,9 @@ class Monitor:
 
     def _ask_settings(self) -> dict[str, str]:
         """The settings that the driver may write, as they are now. Raises DeviceError."""
-        if not (self._found.asks and self._dialect.restores):
+        if not (self._found.asks and self.dialect.restores):
             return {}
-        each = self._dialect
+        each = self.dialect
         commands = (each.current, each.current_range, each.wavelength, each.low_pass, each.averaging, each.power_unit)
         return {name: self._setting(name) for command in commands if command for name, _ in _settings_of(command)}
 
@@ -267,7 +269,7 @@ class Monitor:
     def _leave_as_found(self) -> None:
         if not self._found.changes:
             return
-        self._wire.ready()
+        self.wire.ready()
         with contextlib.suppress(Refused):  # errors of a program that was killed, and are none of what follows
             self._check_errors("read its error queue")
         present = {name: self._setting(name) for name in self._found.changes}
@@ -284,7 +286,7 @@ class Monitor:
         return name.endswith(":RANG") and self._setting(auto) == "1" and self._found.value_to_restore(auto, "1") is None
 
     def _setting(self, name: str) -> str:
-        return _as_noted(self._wire.query(f"{name}?").decode("ascii", "replace"))
+        return _as_noted(self.wire.query(f"{name}?").decode("ascii", "replace"))
 
     # ---- exchanges ----
 
@@ -294,9 +296,9 @@ class Monitor:
 
     def _ready(self) -> None:
         """Make sure that the wire is in step and the settings are written. Raises DeviceError, Forgotten after a reset."""
-        self._wire.ready()
-        if self._wire.resynchronisations != self._resynchronisations:
-            self._resynchronisations = self._wire.resynchronisations
+        self.wire.ready()
+        if self.wire.resynchronisations != self._resynchronisations:
+            self._resynchronisations = self.wire.resynchronisations
             self._restore()
 
     def _restore(self) -> None:
@@ -313,29 +315,29 @@ class Monitor:
         return not math.isclose(self._query_number(query), written, rel_tol=1e-3)
 
     def _write_settings(self) -> None:
-        commands = ["*CLS", *self._dialect.before, *self._quantity_commands(), *self._range_commands()]
-        if self._dialect.wavelength is not None:
-            commands.append(self._dialect.wavelength.format(self._wavelength_nm))
-        if self._dialect.low_pass is not None:
-            commands.append(self._dialect.low_pass.format(self._low_pass))
+        commands = ["*CLS", *self.dialect.before, *self._quantity_commands(), *self._range_commands()]
+        if self.dialect.wavelength is not None:
+            commands.append(self.dialect.wavelength.format(self._wavelength_nm))
+        if self.dialect.low_pass is not None:
+            commands.append(self.dialect.low_pass.format(self._low_pass))
         if self._averages:
             commands.append(self._averaging_command())
         self._send("write its settings", *commands)
 
     def _quantity_commands(self) -> list[str]:
         if self._quantity == "current":
-            return [self._dialect.current]
-        unit = [self._dialect.power_unit] if self._dialect.power_unit is not None else []
-        return [self._require(self._dialect.power, "power reading"), *unit]
+            return [self.dialect.current]
+        unit = [self.dialect.power_unit] if self.dialect.power_unit is not None else []
+        return [self._require(self.dialect.power, "power reading"), *unit]
 
     def _range_commands(self) -> list[str]:
         if self._range_a is None:
-            return [self._dialect.auto_range.format(True)]
-        return [self._dialect.current_range.format(self._range_a)]
+            return [self.dialect.auto_range.format(True)]
+        return [self.dialect.current_range.format(self._range_a)]
 
     def _averaging_command(self) -> str:
-        value = self._averages if self._dialect.averages_samples else self._averages / self.settings.samples_per_s
-        return self._dialect.averaging.format(value)
+        value = self._averages if self.dialect.averages_samples else self._averages / self.settings.samples_per_s
+        return self.dialect.averaging.format(value)
 
     def _send(self, doing: str, *commands: str) -> None:
         """Send commands, each with a query in the same message, whose reply confirms it. Raises DeviceError."""
@@ -353,9 +355,9 @@ class Monitor:
 
     def _query_number(self, query: str) -> float:
         try:
-            return decode_number(self._wire.query(query))
+            return decode_number(self.wire.query(query))
         except ScpiError as error:
-            self._wire.in_step = False
+            self.wire.in_step = False
             raise BadAnswer(NAME, query, str(error), "ask again") from None
 
     def _check_errors(self, doing: str, query: str = NEXT_ERROR) -> None:
@@ -371,9 +373,9 @@ class Monitor:
 
     def _next_error(self, doing: str, query: str = NEXT_ERROR) -> tuple[int, str]:
         try:
-            return decode_error(self._wire.query(query))
+            return decode_error(self.wire.query(query))
         except ScpiError as error:
-            self._wire.in_step = False
+            self.wire.in_step = False
             raise BadAnswer(NAME, doing, str(error), "ask again") from None
 
     def _refused(self, doing: str, code: int, text: str) -> Refused:
@@ -381,7 +383,7 @@ class Monitor:
 
     def _require(self, command: str | None, what: str) -> str:
         if command is None:
-            raise Refused(NAME, "write its settings", f"a {self._dialect.name} has no {what}", "change the rig file")
+            raise Refused(NAME, "write its settings", f"a {self.dialect.name} has no {what}", "change the rig file")
         return command
 
 

@@ -31,7 +31,7 @@ class PhotodiodeArray:
     def __init__(self, units: list[ModbusUnit], settings: PhotodiodeSettings, clock: Clock) -> None:
         self._clock = clock
         self.settings = settings
-        self._modules = [
+        self.modules = [
             AdamModule(f"photodiodes module {index}", unit, settings.model, settings.range.code, clock, settings.raw_format)
             for index, unit in enumerate(units)
         ]
@@ -40,7 +40,7 @@ class PhotodiodeArray:
     @property
     def parts(self) -> tuple[str, ...]:
         """Names of the modules."""
-        return tuple(module.name for module in self._modules)
+        return tuple(module.name for module in self.modules)
 
     @property
     def model(self) -> str:
@@ -50,7 +50,7 @@ class PhotodiodeArray:
     @property
     def identities(self) -> list[str]:
         """Identities of the modules, once connected."""
-        return [module.identity for module in self._modules]
+        return [module.identity for module in self.modules]
 
     def identify(self) -> str:
         """Open and identify all modules; nothing is written. Raises DeviceError as `connect` does."""
@@ -63,7 +63,7 @@ class PhotodiodeArray:
         Every module is tried; the error is that of the first failed one, and names the others.
         """
         self._connected = False
-        for module in self._modules:
+        for module in self.modules:
             module.release()
         self._each(AdamModule.connect)
         self._connected = True
@@ -71,7 +71,7 @@ class PhotodiodeArray:
 
     @property
     def _identity(self) -> str:
-        return f"{len(self._modules)} modules {self.model}"
+        return f"{len(self.modules)} modules {self.model}"
 
     def reconnect(self) -> list[str]:
         """After a fault: identify each module and restore its settings; return what was restored.
@@ -90,7 +90,7 @@ class PhotodiodeArray:
     def close(self) -> None:
         """Restore the settings that were found, and close the connections."""
         self._connected = False
-        for module in self._modules:
+        for module in self.modules:
             module.close()
 
     def start_gain(self, gain: int) -> Pending:
@@ -117,12 +117,12 @@ class PhotodiodeArray:
     def _connected_modules(self, doing: str) -> list[AdamModule]:
         if not self._connected:
             raise NoAnswer(self.name, doing, "not connected", "connect them first")
-        return self._modules
+        return self.modules
 
     def _each(self, action: Callable[[AdamModule], list[str] | str]) -> list[list[str]]:
         done: list[list[str]] = []
         failed: list[DeviceError] = []
-        for module in self._modules:
+        for module in self.modules:
             try:
                 if failed and module.bus.noisy:  # a line of several modules, of which none can be heard
                     raise NoAnswer(module.name, "use its line", NOT_QUIET, CHECK_WIRING)

@@ -1,6 +1,7 @@
 """A file format that this file alone adds: `simulate`, `rehearse`, rig files and `export` know it, and so does their help."""
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -55,10 +56,10 @@ MY_TABLE = Format(
 
 
 @pytest.fixture(autouse=True)
-def added(monkeypatch: pytest.MonkeyPatch) -> None:
+def added() -> Iterator[None]:
     """The format is there for one test."""
-    monkeypatch.setattr(registry, "_registered", [])
-    registry.register(MY_TABLE)
+    with registry.registered(MY_TABLE):
+        yield
 
 
 def run(capsys: pytest.CaptureFixture[str], *arguments: object) -> dict[str, Any]:

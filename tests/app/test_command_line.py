@@ -117,7 +117,7 @@ class Last:
         Last.kill(Last.process, Last.number)
 
 last = Last()
-main._run_command = lambda: 1
+main.run_command = lambda: 1
 main.main()
 """
 JOURNAL = REPOSITORY / "tests" / "golden" / "data" / "finished.journal"

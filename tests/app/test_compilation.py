@@ -31,7 +31,7 @@ from goniotwin.app.cli.compilation import (
     state_compilation,
     state_no_more,
 )
-from goniotwin.app.cli.main import _run_command, app
+from goniotwin.app.cli.main import app, run_command
 from goniotwin.app.end_signals import EndSignalHandlers
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import read_rig
@@ -152,7 +152,7 @@ def test_damaged_code_is_removed_and_that_is_stated(
         (folder / f"{name}.done").touch()
     for status in (0, 1, 0):
         sys.modules.pop("damaged_kernel", None)
-        assert _run_command() == status
+        assert run_command() == status
         for each in folder.glob(f"*/*.{kind}") if folder.exists() else ():
             each.write_bytes(content)
         (folder / "scenes.done").unlink(missing_ok=True)
@@ -235,7 +235,7 @@ def test_after_compile_there_is_nothing_to_compile(tmp_path: Path) -> None:
 
 def test_damage_that_another_process_meets_is_removed_and_that_is_stated(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(folder.parent))
-    with compilation._compiling_elsewhere(["sequences"]):
+    with compilation.compiling_elsewhere(["sequences"]):
         pass
     code = list(folder.parent.glob("code-*/*/path_kernels*.nbi"))
     assert code
@@ -243,7 +243,7 @@ def test_damage_that_another_process_meets_is_removed_and_that_is_stated(folder:
         each.write_bytes(each.read_bytes()[:20])
     with (
         pytest.raises(UserError, match="compiled code was damaged, and is removed; repeat"),
-        compilation._compiling_elsewhere(["sequences"]),
+        compilation.compiling_elsewhere(["sequences"]),
     ):
         pass
     assert not any(each.exists() for each in code)

@@ -20,7 +20,7 @@ from goniotwin.app.campaign.studies.evaluation import evaluate_journal
 from goniotwin.app.campaign.studies.reduced_journal import reduce_journal
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription, parse_rig, rig_file_table
-from goniotwin.app.rig.inputs import Input, element_deviations, factor_of, inputs
+from goniotwin.app.rig.inputs import Input, element_deviations, factor_of, inputs, inputs_of_block
 from goniotwin.app.toml_file import json_schema
 from goniotwin.twin.plant import Plant
 from goniotwin.twin.plant.disturbances import ETALON, SAMPLE, SharedBy, Target
@@ -51,8 +51,7 @@ DECLARED_HERE = frozenset({"sample_frame", "etalon_stain"})
 @pytest.fixture(scope="module", autouse=True)
 def declared() -> Iterator[None]:
     """A factor on the light of each mounting of a sample, and one on the etalon's light."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("goniotwin.app.rig.inputs._declared", {each.key: each for each in inputs()})
+    with inputs_of_block():
         Input("sample_frame", 0.0, "light lost at the sample's frame", factor_of(SAMPLE), SharedBy.MOUNTING)
         Input("etalon_stain", 0.01, "stain on the etalon", factor_of(ETALON))
         yield
@@ -175,10 +174,10 @@ def test_the_document_is_up_to_date(monkeypatch: pytest.MonkeyPatch) -> None:
     assert renewed(TEXT) == TEXT
 
 
-def test_what_several_inputs_do_to_one_element_adds_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("goniotwin.app.rig.inputs._declared", {each.key: each for each in inputs()})
-    Input("knock_mm", 0.0, "knock", (Target("pupil", "x_mm"), Target("arc", "x_mm")))
-    found = element_deviations({"illumination_shift_x": 0.2, "knock": 0.3}, 500.0)
+def test_what_several_inputs_do_to_one_element_adds_up() -> None:
+    with inputs_of_block():
+        Input("knock_mm", 0.0, "knock", (Target("pupil", "x_mm"), Target("arc", "x_mm")))
+        found = element_deviations({"illumination_shift_x": 0.2, "knock": 0.3}, 500.0)
     assert (found["pupil"].x_mm, found["arc"].x_mm) == pytest.approx((0.5, 0.3))
 
 
@@ -189,13 +188,13 @@ def test_a_second_one_of_a_key_or_of_a_quantity_is_refused(key: str) -> None:
         Input(key, 0.0, "another stain", factor_of(ETALON))
 
 
-def test_a_factor_of_no_path_is_refused_and_so_is_one_of_the_name_of_a_component(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_factor_of_no_path_is_refused_and_so_is_one_of_the_name_of_a_component() -> None:
     with pytest.raises(ValueError, match="glare: a factor on the light"):
         Input("glare", 0.0, "glare", factor_of(SAMPLE), SharedBy.PHOTODIODE)
-    monkeypatch.setattr("goniotwin.app.rig.inputs._declared", {each.key: each for each in inputs()})
-    Input("dark", 0.0, "shade", factor_of(SAMPLE))
-    with pytest.raises(ValueError, match="a declared factor has the name of a component: dark"):
-        kinds()
+    with inputs_of_block():
+        Input("dark", 0.0, "shade", factor_of(SAMPLE))
+        with pytest.raises(ValueError, match="a declared factor has the name of a component: dark"):
+            kinds()
 
 
 def test_the_document_has_each_component() -> None:

@@ -40,10 +40,10 @@ def test_a_monochromator_on_a_port_of_this_computer_gets_info_alone(opened: RigO
 
     unit.receive = hear  # type: ignore[method-assign]
     ports: dict[str, PortOpener] = {
-        "mono": rig.rig.monochromator._wire._open_port,
-        "axes": rig.rig.controllers[0].module._open_port,  # type: ignore[attr-defined]
+        "mono": rig.wires().serial("twin://virtual/mono"),
+        "axes": rig.wires().serial("twin://virtual/axes"),
     }
     monkeypatch.setattr(device_search, "open_serial", lambda port, baudrate, timeout: ports[port](baudrate, timeout))
-    assert device_search._probe_port("mono", rig.rig.clock).identity == "Cornerstone 260 virtual"
+    assert device_search.probe_port("mono", rig.rig.clock).identity == "Cornerstone 260 virtual"
     assert received == b"INFO?\n"
-    assert device_search._probe_port("axes", rig.rig.clock).identity == "TMCM-6214"
+    assert device_search.probe_port("axes", rig.rig.clock).identity == "TMCM-6214"

@@ -19,7 +19,7 @@ class MonochromatorBench:
         """`unit` has further settings of the virtual unit."""
         rig = opened()
         assert rig.virtual is not None
-        self.plant, self.clock = rig.virtual.plant, rig.rig.clock
+        self.plant, self.clock, self.wires = rig.virtual.plant, rig.rig.clock, rig.wires()
         drive = replace(self.plant.model.monochromator, echo=echo, handshake=handshake, **unit)
         self.plant.model = replace(self.plant.model, monochromator=drive)
         self.unit = Cornerstone260(self.plant)
@@ -30,7 +30,7 @@ class MonochromatorBench:
         self.driver.connect()
 
     def set_faults(self, misfortune: FaultPlan, late_s: float = 0.1) -> None:
-        self.line.misfortune, self.line._late_s = misfortune, late_s
+        self.line.misfortune, self.line.late_s = misfortune, late_s
 
     def true_wavelength_nm(self) -> float:
         return self.plant.wavelength_nm.at(self.clock.now())

@@ -7,7 +7,11 @@ import pytest
 
 from goniotwin.drivers import BadAnswer, DeviceError, Forgotten, NoAnswer, Refused, errors
 from goniotwin.drivers.errors import LimitError, Overrange, Taken, WrongDevice
+from goniotwin.drivers.found import FoundSettings
+from goniotwin.drivers.monochromator.line import CornerstoneLine
 from goniotwin.drivers.motion.tmcl.rules import check_reply
+from goniotwin.drivers.tap import no_tap
+from goniotwin.protocols.clock import VirtualClock
 from goniotwin.protocols.cornerstone import ErrorCode, Statement
 from goniotwin.protocols.tmcl import HOST_ADDRESS, Command, CommandFrame, ReplyFrame, ReplyStatus
 from goniotwin.protocols.tmcl_parameters import GlobalParameter
@@ -97,7 +101,7 @@ def test_each_status_with_which_a_tmcl_module_refuses_has_a_remedy(status: Reply
 
 @pytest.mark.parametrize("code", ErrorCode)
 def test_each_error_of_a_monochromator_has_a_remedy(opened: RigOpener, code: ErrorCode) -> None:
-    line = opened().rig.monochromator._wire
+    line = CornerstoneLine(opened().wires().serial("twin://virtual/mono"), 9600, VirtualClock(), no_tap, FoundSettings())
     assert line.refused(Statement("GOWAVE", parameter="500"), f"error {int(code)}, {code.in_words()}").remedy
 
 

@@ -1,7 +1,6 @@
 """The filter wheel: the filter of a wavelength, and the driver that turns to it."""
 
 import contextlib
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -71,8 +70,7 @@ def test_nothing_is_sent_if_the_wheel_is_at_the_position_already(opened: RigOpen
 
 
 def test_a_unit_without_a_wheel_is_an_error(opened: RigOpener) -> None:
-    bench = MonochromatorBench(opened)
-    bench.unit._statements._drive = replace(bench.unit._statements._drive, filters=0)
+    bench = MonochromatorBench(opened, filters=0)
     with pytest.raises(DeviceError, match=r"monochromator: turn the filter wheel to 2: it has no filter wheel; remove mono"):
         bench.driver.start_filter(2)
     bench.go(600.0)

@@ -38,7 +38,9 @@ def test_the_guard_is_armed_before_the_shutter_opens_and_disarmed_when_it_is_see
 ) -> None:
     bench, guard = MonochromatorBench(opened, echo, handshake), Recorder()
     bench.driver.close()
-    driver = Monochromator(bench.driver._wire._open_port, MonochromatorSettings(), bench.clock, guard.tap, guard=guard)
+    driver = Monochromator(
+        bench.wires.serial("twin://virtual/mono"), MonochromatorSettings(), bench.clock, guard.tap, guard=guard
+    )
     driver.connect()
     assert guard.calls == []
     wait(bench.clock, [driver.start_shutter(opened=True)])
@@ -96,4 +98,4 @@ def test_a_unit_that_is_identified_is_asked_without_a_setting_changed(opened: Ri
     for is_open in (True, False):
         bench.plant.shutter_open.set(bench.clock.now(), is_open)
         assert bench.driver.is_safe() is not is_open
-    assert bench.driver._wire.setting("HANDSHAKE") == "0"
+    assert not bench.unit.state.handshake

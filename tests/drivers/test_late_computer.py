@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import pytest
 from pymodbus.client import ModbusSerialClient
 
-from goniotwin.drivers import DeviceError, Rig, wait
+from goniotwin.drivers import DeviceError, Rig, TmclController, wait
 from goniotwin.drivers.photodiodes.modbus import RtuClient
 from goniotwin.mocks.faults import Fault, FaultPlan
 from goniotwin.mocks.faulty_line import FaultyLine
 from goniotwin.mocks.faulty_usb import FaultyUsb
 from goniotwin.protocols.clock import VirtualClock
-from tests.conftest import Change, RigOpener, tmcl_axis
+from tests.conftest import Change, RigOpener
 from tests.drivers.photodiode_bench import QUIET, SERIAL
 
 LATE_S = 10.0
@@ -42,18 +42,20 @@ class Question:
 
 
 def resynchronisations(rig: Rig) -> int:
-    return len(tmcl_axis(rig, "sigma")._module.events)
+    (controller,) = rig.controllers
+    assert isinstance(controller, TmclController)
+    return len(controller.module.events)
 
 
 def unverified(rig: Rig) -> int:
-    return sum(module.registers.unverified for module in rig.photodiodes._modules)
+    return sum(module.registers.unverified for module in rig.photodiodes.modules)
 
 
 QUESTIONS = {
     "axes (TMCL)": Question(lambda rig: rig.axes["sigma"].position_deg(), resynchronisations),
     "monochromator (ASCII)": Question(lambda rig: rig.monochromator.filter(), lambda rig: len(rig.monochromator.events)),
-    "photodiodes (Modbus TCP)": Question(lambda rig: rig.photodiodes._modules[0].counts(), unverified),
-    "photodiodes (Modbus RTU)": Question(lambda rig: rig.photodiodes._modules[0].counts(), unverified, (QUIET, *SERIAL)),
+    "photodiodes (Modbus TCP)": Question(lambda rig: rig.photodiodes.modules[0].counts(), unverified),
+    "photodiodes (Modbus RTU)": Question(lambda rig: rig.photodiodes.modules[0].counts(), unverified, (QUIET, *SERIAL)),
     "monitor (USBTMC)": Question(lambda rig: rig.monitor.check(), lambda rig: len(rig.monitor.events)),
 }
 

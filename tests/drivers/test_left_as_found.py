@@ -26,6 +26,7 @@ from tests.drivers.monochromator_bench import DIALECTS, MonochromatorBench
 from tests.drivers.photodiode_bench import NARROW
 
 State = dict[str, Any]
+MONO, AXES = "twin://virtual/mono", "twin://virtual/axes"
 
 
 @dataclass
@@ -129,7 +130,7 @@ class Bench:
     def __init__(self, rig: OpenRig) -> None:
         rig.rig.close()
         assert rig.virtual is not None
-        self.rig, self.virtual, self.clock = rig.rig, rig.virtual, rig.rig.clock
+        self.rig, self.virtual, self.clock, self.wires = rig.rig, rig.virtual, rig.rig.clock, rig.wires()
         self.set_up()
 
     def driver(self) -> Any: ...
@@ -148,12 +149,11 @@ class MonochromatorSetUp(Bench):
     notes = (Notes(),)
 
     def driver(self) -> Monochromator:
-        first = self.rig.monochromator
         found = FoundSettings(self.notes[0])
-        return Monochromator(first._wire._open_port, first.settings, self.clock, found=found)
+        return Monochromator(self.wires.serial(MONO), self.rig.monochromator.settings, self.clock, found=found)
 
     def ask(self, line: bytes) -> bytes:
-        port = self.rig.monochromator._wire._open_port(9600, 0.2)
+        port = self.wires.serial(MONO)(9600, 0.2)
         port.write(line + b"\n")
         answer = bytes(port.read(100))
         port.close()
@@ -177,7 +177,7 @@ class PhotodiodesSetUp(Bench):
         first = self.rig.photodiodes
         units = [
             ModbusUnit(module.bus, module.registers.unit, found=FoundSettings(notes))
-            for module, notes in zip(first._modules, self.notes, strict=True)
+            for module, notes in zip(first.modules, self.notes, strict=True)
         ]
         return PhotodiodeArray(units, first.settings, self.clock)
 
@@ -203,8 +203,8 @@ class MonitorSetUp(Bench):
     notes = (Notes(),)
 
     def driver(self) -> Monitor:
-        first = self.rig.monitor
-        return Monitor(first._wire._opener, first.settings, self.clock, found=FoundSettings(self.notes[0]))
+        found = FoundSettings(self.notes[0])
+        return Monitor(self.wires.usb("twin://virtual/monitor"), self.rig.monitor.settings, self.clock, found=found)
 
     def ask(self, message: bytes) -> bytes:
         instrument = self.virtual.usb["monitor"].instrument
@@ -227,11 +227,10 @@ class AxesSetUp(Bench):
     def driver(self) -> TmclController:
         axes = {name: replace(axis.settings, switches=True) for name, axis in self.rig.axes.items()}  # type: ignore[type-var]
         found = FoundSettings(self.notes[0])
-        opener = self.rig.controllers[0].module._open_port  # type: ignore[attr-defined]
-        return TmclController("axes", opener, self.clock, TmclSettings(), axes, found=found)  # type: ignore[arg-type]
+        return TmclController("axes", self.wires.serial(AXES), self.clock, TmclSettings(), axes, found=found)  # type: ignore[arg-type]
 
     def exchange(self, command: Command, number: int, motor: int, value: int = 0) -> int:
-        port = self.rig.controllers[0].module._open_port(115200, 0.1)  # type: ignore[attr-defined]
+        port = self.wires.serial(AXES)(115200, 0.1)
         port.write(CommandFrame(1, command, number, motor, value).encode())
         reply = ReplyFrame.decode(bytes(port.read(9)))
         port.close()
@@ -410,8 +409,9 @@ def test_identifying_sends_info_alone(opened: RigOpener, echo: bool, handshake: 
     bench = MonochromatorBench(opened, echo, handshake)
     bench.driver.close()
     sent: list[tuple[str, bytes]] = []
-    opener = bench.driver._wire._open_port
-    device = Monochromator(opener, bench.driver.settings, bench.clock, lambda way, data: sent.append((way, data)))
+    device = Monochromator(
+        bench.wires.serial(MONO), bench.driver.settings, bench.clock, lambda way, data: sent.append((way, data))
+    )
     assert device.identify() == "Cornerstone 260 virtual"
     device.close()
     assert b"".join(data for way, data in sent if way == ">") == b"INFO?\n"
@@ -423,27 +423,34 @@ def test_every_unit_is_left_as_it_was(opened: RigOpener, echo: bool, handshake: 
     bench.driver.close()
     bench.unit.receive(b"UNITS WN\n", bench.clock.now())
     bench.unit.outbox.clear()
-    before = replace(bench.unit._state, status=NO_ERROR, error=ErrorCode.NONE)
+    before = replace(bench.unit.state, status=NO_ERROR, error=ErrorCode.NONE)
     bench.driver.connect()
     bench.go(600.0)
     slew = bench.driver.start_wavelength(700.0)
     assert slew.poll() is False
     bench.driver.close()  # in the middle of a motion
-    assert replace(bench.unit._state, status=NO_ERROR, error=ErrorCode.NONE) == before
+    assert replace(bench.unit.state, status=NO_ERROR, error=ErrorCode.NONE) == before
 
 
-def test_units_in_small_letters_are_restored_too(opened: RigOpener, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_units_in_small_letters_are_restored_too(opened: RigOpener) -> None:
     """Case does not matter in statements (MCS260 p. 49); whether replies keep to capitals is stated nowhere."""
-    bench = MonochromatorBench(opened)
+    bench = MonochromatorBench(opened, echo=False)
     bench.driver.close()
-    reply = bench.unit._reply
-    monkeypatch.setattr(bench.unit, "_reply", lambda t, text: reply(t, text.lower()))
+    receive = bench.unit.receive
+
+    def receive_and_whisper(data: bytes, t: float) -> None:
+        receive(data, t)
+        replies = [(due, reply.lower()) for due, reply in bench.unit.outbox]
+        bench.unit.outbox.clear()
+        bench.unit.outbox.extend(replies)
+
+    bench.unit.receive = receive_and_whisper  # type: ignore[method-assign]
     bench.unit.receive(b"UNITS UM\n", bench.clock.now())
     bench.unit.outbox.clear()
     bench.driver.connect()
-    units = [bench.unit._state.unit]
+    units = [bench.unit.state.unit]
     bench.driver.close()
-    units.append(bench.unit._state.unit)
+    units.append(bench.unit.state.unit)
     assert units == [WavelengthUnit.NM, WavelengthUnit.UM]
 
 

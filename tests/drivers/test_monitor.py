@@ -63,7 +63,7 @@ def test_a_read_without_a_query_is_an_error(bench: MonitorBench) -> None:
     with pytest.raises(NoAnswer, match="not connected"):
         wire.connect()
     with pytest.raises(NoAnswer, match="no query was sent"):
-        bench.monitor._wire.read("READ?")
+        bench.monitor.wire.read("READ?")
 
 
 class Picoammeter(ScpiInstrument):

@@ -60,7 +60,7 @@ def test_a_late_reply_is_never_taken_for_the_next_one(bench: MonitorBench, keeps
     """The host gives up after a second; the reply comes after three."""
     bench.device.keeps_fifo = keeps_fifo
     bench.mean()
-    wire = bench.monitor._wire
+    wire = bench.monitor.wire
     wire.query("*OPC?")
     wire.write("SENS:AVER:COUN 9000")
     start = bench.clock.now()
@@ -225,6 +225,6 @@ def test_a_lost_setting_is_an_error(opened: RigOpener) -> None:
 
 
 def test_an_unknown_setting_is_refused_with_the_error_of_the_instrument(bench: MonitorBench) -> None:
-    bench.monitor._dialect = replace(bench.monitor._dialect, low_pass="INP:NONSENSE {:d}")
+    bench.monitor.dialect = replace(bench.monitor.dialect, low_pass="INP:NONSENSE {:d}")
     with pytest.raises(Refused, match="set the filter: error -113"):
         bench.monitor.set_low_pass(True)

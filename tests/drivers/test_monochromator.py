@@ -5,6 +5,9 @@ from typing import Any
 import pytest
 
 from goniotwin.drivers import BadAnswer, DeviceError, NoAnswer, Refused, wait
+from goniotwin.drivers.found import FoundSettings
+from goniotwin.drivers.monochromator.line import CornerstoneLine
+from goniotwin.drivers.tap import no_tap
 from goniotwin.protocols.cornerstone import ErrorCode, Grating, Statement
 from goniotwin.twin.devices.cornerstone_statements import StatementRefused, StatementResult, Statements, UnitState
 from tests.conftest import RigOpener
@@ -90,9 +93,9 @@ def test_a_unit_without_the_query_of_handshake_mode_is_left_as_it_was(
     bench.unit.outbox.clear()
     bench.driver.connect()
     bench.go(600.0)
-    assert bench.unit._state.handshake
+    assert bench.unit.state.handshake
     bench.driver.close()
-    assert bench.unit._state.handshake is (found == "1")
+    assert bench.unit.state.handshake is (found == "1")
     bench.driver.connect()  # it is not locked out by what it has done
     bench.go(610.0)
 
@@ -102,25 +105,26 @@ def test_a_query_without_acknowledgement_ends_a_resynchronisation(opened: RigOpe
     bench = MonochromatorBench(opened, echo=False)
     receive = bench.unit.receive
     monkeypatch.setattr(bench.unit, "receive", lambda data, t: receive(data.replace(b"HANDSHAKE?\n", b""), t))
-    bench.driver._wire.in_step = False
+    bench.unit.outbox.append((bench.clock.now(), b"unasked\r\n"))
+    bench.clock.sleep_until(bench.clock.now() + 0.1)
     with pytest.raises(NoAnswer, match=r"HANDSHAKE\?: not responding"):
         bench.driver.wavelength_nm()
 
 
 def test_a_status_that_has_lost_a_digit_is_no_status(opened: RigOpener) -> None:
     bench = MonochromatorBench(opened)
+    line = CornerstoneLine(bench.wires.serial("twin://virtual/mono"), 9600, bench.clock, no_tap, FoundSettings())
+    line.open()
     with pytest.raises(BadAnswer, match="not the status byte of this unit"):
-        bench.driver._wire.status_of(Statement("STB", query=True), b"0")  # "20" without its first digit
+        line.status_of(Statement("STB", query=True), b"0")  # "20" without its first digit
+    line.close()
 
 
 def test_a_line_without_echo_is_detected(opened: RigOpener) -> None:
-    rig = opened()
-    assert rig.virtual is not None
-    device = rig.virtual.serial["mono"]
-    device._drive = type(device._drive)(echo=False)  # type: ignore[attr-defined]
-    assert "Cornerstone" in rig.rig.monochromator.connect()
-    wait(rig.rig.clock, [rig.rig.monochromator.start_wavelength(600.0)])
-    assert rig.rig.monochromator.wavelength_nm() == 600.0
+    bench = MonochromatorBench(opened, echo=False)
+    assert "Cornerstone" in bench.driver.connect()
+    bench.go(600.0)
+    assert bench.driver.wavelength_nm() == 600.0
 
 
 def test_a_silent_device_is_an_error_in_bounded_time(opened: RigOpener) -> None:

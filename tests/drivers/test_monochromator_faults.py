@@ -7,6 +7,7 @@ import pytest
 from goniotwin.drivers import BadAnswer, DeviceError, Forgotten, NoAnswer, wait
 from goniotwin.mocks.faults import ON_A_TEXT_LINE, Fault, FaultPlan, ScriptedFaults
 from goniotwin.protocols.cornerstone import Grating
+from goniotwin.twin.devices import Cornerstone260
 from tests.conftest import RigOpener
 from tests.drivers.bounded_calls import BoundedCalls
 from tests.drivers.monochromator_bench import DIALECTS, MonochromatorBench
@@ -148,11 +149,13 @@ def test_whether_a_unit_responds_can_be_asked_without_taking_its_reset_from_the_
         bench.driver.check()
 
 
-def test_a_unit_with_another_identity_is_refused(opened: RigOpener, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_unit_with_another_identity_is_refused(opened: RigOpener) -> None:
     bench = MonochromatorBench(opened)
     bench.set_faults(ScriptedFaults([Fault.LOST]))
     with pytest.raises(DeviceError):
         bench.driver.wavelength_nm()
-    monkeypatch.setattr("goniotwin.twin.devices.cornerstone_statements.IDENTITY", "Cornerstone 130 virtual")
+    other = Cornerstone260(bench.plant, "Cornerstone 130 virtual")
+    other.outbox = bench.line.outbox
+    bench.line.device = other
     with pytest.raises(BadAnswer, match="Cornerstone 130 virtual is connected"):
         bench.driver.wavelength_nm()

@@ -104,7 +104,7 @@ def test_ranges_of_which_a_killed_program_has_written_some_are_restored(opened: 
     rig = opened(QUIET, NARROW, *SERIAL, ("[twin.electronics]\n", "[twin.electronics]\nmultiple_writes = false\n"))
     assert rig.virtual is not None
     rig.rig.close()
-    first, module, clock = rig.rig.photodiodes._modules[0], rig.virtual.modbus["adc-0"], rig.rig.clock
+    first, module, clock = rig.rig.photodiodes.modules[0], rig.virtual.modbus["adc-0"], rig.rig.clock
     notes = Notes()
 
     def driver() -> AdamModule:
@@ -134,15 +134,15 @@ def test_ranges_of_which_a_killed_program_has_written_some_are_restored(opened: 
 
 def test_so_is_one_whose_confirmation_of_function_16_is_illegible(opened: RigOpener, monkeypatch: pytest.MonkeyPatch) -> None:
     """Reported of an ADAM-4017+ on its hardware: the confirmation has a wrong checksum."""
-    hear = RtuStation._hear
+    receive = RtuStation.receive
 
-    def garble(station: RtuStation, frame: bytes, t: float) -> None:
-        hear(station, frame, t)
-        if frame[1] == 16:
-            due, data = station.outbox.pop()
-            station.outbox.append((due, data[:-1] + bytes([data[-1] ^ 0xFF])))
+    def garble(station: RtuStation, data: bytes, t: float) -> None:
+        receive(station, data, t)
+        if data[1:2] == b"\x10" and station.outbox:
+            due, reply = station.outbox.pop()
+            station.outbox.append((due, reply[:-1] + bytes([reply[-1] ^ 0xFF])))
 
-    monkeypatch.setattr(RtuStation, "_hear", garble)
+    monkeypatch.setattr(RtuStation, "receive", garble)
     rig = opened(QUIET, NARROW, *SERIAL, clock=VirtualClock(10.0))
     assert rig.rig.photodiodes.identities == ["ADAM-4117 firmware 5.06"] * 5
     assert read(rig.rig.photodiodes, rig.rig.clock).shape == (1, 36)

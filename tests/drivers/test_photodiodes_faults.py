@@ -29,7 +29,7 @@ def test_a_single_fault_gives_no_error_and_no_wrong_value(bench: BenchOpener, se
     script = ScriptedFaults([])
     insert_faults(rig, script, late_s=1.0 + 0.02)
     read(array, clock, gain)
-    script._script = [Fault.NONE, fault]
+    script.script = [Fault.NONE, fault]
     np.testing.assert_allclose(read(array, clock, gain, 2), np.repeat(expected, 2, axis=0), atol=1)
     assert script.met == [fault]
 
@@ -103,7 +103,7 @@ def test_a_disconnected_wire_is_reopened_when_it_is_connected_again(bench: Bench
     expected = read(array, clock)
     script = ScriptedFaults([])
     insert_faults(rig, script)
-    script._script = [Fault.UNPLUGGED]
+    script.script = [Fault.UNPLUGGED]
     if serial:
         with pytest.raises(NoAnswer, match=r"photodiodes module 0: .*check address, cable and power"):
             read(array, clock)

@@ -99,10 +99,12 @@ def test_a_stop_while_a_start_reads_the_other_axes_prevents_the_move(opened: Rig
 
 @pytest.mark.parametrize("after_s", [0.01, 0.2, 0.4, 0.6])
 def test_a_stop_during_a_resynchronisation_of_the_monochromator_prevents_its_slew(opened: RigOpener, after_s: float) -> None:
-    rig = opened().rig
-    rig.monochromator._wire.in_step = False
+    made = opened()
+    rig, virtual = made.rig, made.virtual
+    assert virtual is not None
     before = rig.monochromator.wavelength_nm()
-    rig.monochromator._wire.in_step = False
+    virtual.serial["mono"].outbox.append((rig.clock.now(), b"unasked\r\n"))
+    rig.clock.sleep_until(rig.clock.now() + 0.1)
     rig.clock.at(rig.clock.now() + after_s, rig.stop)
     with pytest.raises(Interrupted, match="a stop was requested"):
         rig.monochromator.start_wavelength(before + 50.0)

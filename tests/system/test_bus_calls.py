@@ -3,7 +3,7 @@
 Each exchange on a wire is one call of its library, at the same lines of the drivers: what a rehearsal runs is what measures.
 """
 
-import sys
+import inspect
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -59,7 +59,8 @@ Site = tuple[str, str, int]
 
 def site() -> tuple[str, int]:
     """The line of a driver that is being carried out."""
-    frame = sys._getframe(1)
+    frame = inspect.currentframe()
+    assert frame is not None
     while not frame.f_code.co_filename.startswith(DRIVERS) and frame.f_back is not None:
         frame = frame.f_back
     return frame.f_code.co_filename.removeprefix(DRIVERS), frame.f_lineno

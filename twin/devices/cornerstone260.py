@@ -48,10 +48,10 @@ class Turn:
 class Cornerstone260:
     """The device's firmware on one serial line."""
 
-    def __init__(self, plant: Plant) -> None:
+    def __init__(self, plant: Plant, identity: str = IDENTITY) -> None:
         self._plant = plant
         self._drive = plant.model.monochromator
-        self._statements = Statements(plant, self._drive)
+        self._statements = Statements(plant, self._drive, identity)
         self.baudrate = self._drive.baudrate
         self.outbox: deque[tuple[float, bytes]] = deque()
         self._character_s = BITS_A_CHARACTER / self._drive.baudrate
@@ -62,7 +62,8 @@ class Cornerstone260:
         self._turns: deque[Turn] = deque(maxlen=WAITING_AT_MOST)
         gratings = tuple(GratingData(lines, label) for lines, label in self._drive.gratings)
         labels = tuple(f"FILTER{k + 1}" for k in range(self._drive.filters))
-        self._state = UnitState(gratings, labels, gpib_address=self._drive.gpib_address)
+        self.state = UnitState(gratings, labels, gpib_address=self._drive.gpib_address)
+        """What the unit keeps between two statements."""
 
     def receive(self, data: bytes, t: float) -> None:
         """Bytes of which the last has arrived at `t`."""
@@ -87,7 +88,7 @@ class Cornerstone260:
         self.outbox.clear()
         self._pending = self._unechoed = b""
         self._busy_until = t
-        self._state = self._state.after_power_on()
+        self.state = self.state.after_power_on()
         self._plant.shutter_open.set(t, False)
         self._plant.wheel.set(t, 1.0)
 
@@ -99,15 +100,15 @@ class Cornerstone260:
 
     def _take_turn(self, line: bytes, t: float) -> None:
         start = max(t, self._busy_until)
-        self._turns.append(Turn(line, start, self._state))
+        self._turns.append(Turn(line, start, self.state))
         self._perform(line, start + LATENCY_S)
 
     def _perform(self, line: bytes, t: float) -> None:
         answer: str | None = None
         done = t
         try:
-            result = self._statements.perform(self._state, Statement.decode(line.rstrip(b"\r\n")), t)
-            self._state, done, answer = result.state, result.t, result.answer
+            result = self._statements.perform(self.state, Statement.decode(line.rstrip(b"\r\n")), t)
+            self.state, done, answer = result.state, result.t, result.answer
         except StatementError:
             self._fail(ErrorCode.NOT_UNDERSTOOD)
         except StatementRefused as refused:
@@ -118,16 +119,16 @@ class Cornerstone260:
         self._end_statement(done)
 
     def _end_statement(self, t: float) -> None:
-        if self._state.handshake:
-            self._reply(t, status_text(self._drive, self._state.status))
-            self._state = replace(self._state, status=NO_ERROR)  # sent is read
+        if self.state.handshake:
+            self._reply(t, status_text(self._drive, self.state.status))
+            self.state = replace(self.state, status=NO_ERROR)  # sent is read
 
     def _reply(self, t: float, text: str) -> None:
         """A line of a reply at `t`, but not before one character's time after the echo."""
         self.outbox.append((max(t, self._echoed + self._character_s), text.encode("ascii") + FROM_DEVICE))
 
     def _fail(self, error: ErrorCode) -> None:
-        self._state = replace(self._state, error=error, status=ERROR_SINCE_LAST_READ)
+        self.state = replace(self.state, error=error, status=ERROR_SINCE_LAST_READ)
 
     def _abort(self, line: bytes, t: float) -> None:
         waiting = self._take_back(t)
@@ -142,7 +143,7 @@ class Cornerstone260:
         """Everything stops at `t`; returns the statements whose turn has not come, and undoes what they would have done."""
         waiting = [turn for turn in self._turns if turn.start > t]
         if waiting:
-            self._state = waiting[0].before
+            self.state = waiting[0].before
         while self.outbox and self.outbox[-1][0] > t:
             self.outbox.pop()
         self._echoed = min(self._echoed, t)  # an echo that was to come later does not come

@@ -111,8 +111,8 @@ class StatementResult:
 class Statements:
     """The statements, on one plant."""
 
-    def __init__(self, plant: Plant, drive: MonochromatorDrive) -> None:
-        self._plant = plant
+    def __init__(self, plant: Plant, drive: MonochromatorDrive, identity: str = IDENTITY) -> None:
+        self._plant, self._identity = plant, identity
         self._drive = drive
         self._commands: dict[str, Callable[[UnitState, str, float], StatementResult]] = {
             "GOWAVE": self._go_wave,
@@ -170,7 +170,7 @@ class Statements:
             case "ADDRESS":
                 answer = str(state.gpib_address)
             case "INFO":
-                answer = IDENTITY
+                answer = self._identity
             case "STB":
                 answer = status_text(self._drive, state.status)
                 state = replace(state, status=NO_ERROR)

@@ -112,6 +112,11 @@ class TcpStation:
             self.free = begins + 0.5 * device.latency_s  # the other half is the way here
             self.outbox.append((self.free, transaction + bytes((0, 0, 0, 1 + len(answer), request.unit)) + answer))
 
+    @property
+    def waiting(self) -> int:
+        """Number of bytes of a request that is not complete yet."""
+        return len(self._buffer)
+
     def reset(self, t: float) -> None:
         """The module loses its power for a moment, and with it incomplete requests and replies."""
         self.device.reset(t)

@@ -15,7 +15,7 @@ import shutil
 import sqlite3
 import tempfile
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from importlib import metadata
 from pathlib import Path
 from types import TracebackType
@@ -61,6 +61,8 @@ PROBE_BYTES = 1 << 16
 """SQLite makes its files longer by half of this at once."""
 UNFINISHED = ".goniotwin-new"
 """End of the name of a journal until it is complete."""
+Progress = Callable[[int, int, int], object]
+"""Takes a status of SQLite, and the numbers of pages that remain and of all."""
 PACKAGES = ("goniotwin", "numpy", "numba", "pyserial", "pymodbus", "pyusb")
 
 
@@ -101,12 +103,21 @@ class Journal(JournalReader):
         self._unlinked: list[tuple[int, int]] = []  # rows of the transaction that are not in the chain yet, and their attempts
 
     @classmethod
-    def create(cls, path: Path, plan: Plan, versions: dict[str, str], *, durable: bool = True) -> "Journal":
+    def create(
+        cls,
+        path: Path,
+        plan: Plan,
+        versions: dict[str, str],
+        *,
+        durable: bool = True,
+        readers_end_s: float = READERS_END_S,
+    ) -> "Journal":
         """Create the journal of a plan. Raises UserError where the file exists already or cannot be written.
 
         The file gets its name when it is complete and on the disk, so that a program that is killed here leaves either no
         journal or one that can be resumed. The name is on the disk before the first commit returns: SQLite syncs the folder
         with each new -wal file. With `durable` False nothing waits for the disk: a rehearsal need not survive a power failure.
+        `readers_end_s` is the longest wait for other programs' reading.
         """
         if not path.parent.is_dir():
             raise UserError(f"{path}: there is no folder {path.parent}; create it first")
@@ -116,12 +127,21 @@ class Journal(JournalReader):
             if os.path.lexists(path):
                 raise _not_overwritten(path)
             _check_leftovers(path)
-            journal = cls._create(path, plan, versions, lock, durable=durable)
+            journal = cls._create(path, plan, versions, lock, durable=durable, readers_end_s=readers_end_s)
             failed.pop_all()
         return journal
 
     @classmethod
-    def _create(cls, path: Path, plan: Plan, versions: dict[str, str], lock: JournalLock, *, durable: bool) -> "Journal":
+    def _create(
+        cls,
+        path: Path,
+        plan: Plan,
+        versions: dict[str, str],
+        lock: JournalLock,
+        *,
+        durable: bool,
+        readers_end_s: float,
+    ) -> "Journal":
         spare = _spare(path)
         try:
             _sweep(spare)
@@ -138,7 +158,7 @@ class Journal(JournalReader):
                 raise
             raise _not_overwritten(path) if isinstance(error, FileExistsError) else _unwritable(path, error) from None
         try:
-            db = _connect(path, durable=durable)
+            db = _connect(path, durable=durable, readers_end_s=readers_end_s)
             return cls(db, path, Chain(tip=campaign_hash(db)), lock, written=durable)
         except sqlite3.Error as error:
             _remove(path)
@@ -523,8 +543,8 @@ def _describe(db: sqlite3.Connection, plan: Plan, versions: dict[str, str]) -> N
         begin_chain(db)
 
 
-def _connect(path: Path, *, durable: bool = True) -> sqlite3.Connection:
-    db = sqlite3.connect(path, timeout=READERS_END_S, check_same_thread=False)
+def _connect(path: Path, *, durable: bool = True, readers_end_s: float = READERS_END_S) -> sqlite3.Connection:
+    db = sqlite3.connect(path, timeout=readers_end_s, check_same_thread=False)
     try:
         distrust(db)
         db.execute("PRAGMA journal_mode = WAL")
@@ -638,21 +658,21 @@ def _known_version(path: Path) -> int:
     return version
 
 
-def copy_journal(path: Path, copy: Path) -> Chain:
+def copy_journal(path: Path, copy: Path, progress: Progress | None = None) -> Chain:
     """Copy a journal as it is now to one file, also while its campaign runs, and check the copy; return its chain.
 
-    The copy has its name when it is whole. Raises UserError where it cannot be made, and DamagedJournal for a journal of which
-    more than rows, plan or sessions is damaged.
+    The copy has its name when it is whole. `progress` is called as that of `sqlite3.Connection.backup` is. Raises UserError
+    where the copy cannot be made, and DamagedJournal for a journal of which more than rows, plan or sessions is damaged.
     """
     _known_version(path)
     try:
         with contextlib.closing(open_read_only(path)) as db:
-            return _new_copy(db, copy, path)
+            return _new_copy(db, copy, path, progress)
     except (sqlite3.Error, OSError) as error:
         raise _unwritable(copy, error) from None
 
 
-def _new_copy(db: sqlite3.Connection, copy: Path, path: Path) -> Chain:
+def _new_copy(db: sqlite3.Connection, copy: Path, path: Path, progress: Progress | None = None) -> Chain:
     """Copy the journal `path`, open as `db`, to a new file, and check it. Raises UserError; nothing is overwritten."""
     exists = UserError(f"{copy}: exists, and nothing is overwritten; choose another name")
     if os.path.lexists(copy):
@@ -667,7 +687,7 @@ def _new_copy(db: sqlite3.Connection, copy: Path, path: Path) -> Chain:
     try:
         _check_leftovers(copy)
         _sweep(spare)
-        _copy(db, spare)
+        _copy(db, spare, progress)
         with contextlib.closing(open_read_only(spare)) as made:
             chain = _checked(made, path)
         name_new_file(spare, copy)
@@ -682,10 +702,10 @@ def _new_copy(db: sqlite3.Connection, copy: Path, path: Path) -> Chain:
         lock.release(remove=True)
 
 
-def _copy(db: sqlite3.Connection, to: Path) -> None:
+def _copy(db: sqlite3.Connection, to: Path, progress: Progress | None = None) -> None:
     """Copy a snapshot of a database to a new file, which is then on the disk. Raises sqlite3.Error."""
     with contextlib.closing(sqlite3.connect(to)) as copy:
-        db.backup(copy)
+        db.backup(copy, progress=progress)
         copy.execute("PRAGMA journal_mode = DELETE")
 
 

@@ -106,7 +106,8 @@ class TmclModule:
         self._baudrate = baudrate
         self._timeout_s = speed * (reply_timeout_s or default_reply_timeout_s(baudrate))
         self._patient_s = max(self._timeout_s, speed * PATIENT_TIMEOUT_S)
-        self._reply_s, self._attempts = self._timeout_s, ATTEMPTS
+        self.reply_s, self._attempts = self._timeout_s, ATTEMPTS
+        """The longest wait for a reply now, s of the clock, and the number of attempts."""
         self._frame_s = FRAME_S_BITS / baudrate
         self._patience_s = 3.0 * self._frame_s + SLICE_S
         self._alike_s = 4.0 * self._frame_s + SLICE_S
@@ -182,11 +183,11 @@ class TmclModule:
 
         For connecting: no motion is watched by it, and a computer that is busy, or serves the module itself, is often late.
         """
-        self._reply_s, self._attempts = self._patient_s, PATIENT_ATTEMPTS
+        self.reply_s, self._attempts = self._patient_s, PATIENT_ATTEMPTS
         try:
             yield
         finally:
-            self._reply_s, self._attempts = self._timeout_s, ATTEMPTS
+            self.reply_s, self._attempts = self._timeout_s, ATTEMPTS
 
     def close(self) -> None:
         """Close the port. Nothing is sent; the heartbeat stops motors that still turn."""
@@ -365,11 +366,11 @@ class TmclModule:
             port.send(request.encode())
             started = self._clock.now()  # a computer that is late before it sends does not shorten the module's time
             while True:
-                frame = port.frame(started + self._reply_s, lambda: self._gives_way(stops, started))
+                frame = port.frame(started + self.reply_s, lambda: self._gives_way(stops, started))
                 if stops != self._lock.acquired:
                     raise NoAnswer(self.name, self._describe(request), "a stop came between request and reply", "try again")
                 if frame is None:
-                    missing = unless_late(port.late_s, self._reply_s, port.describe_missing(started))
+                    missing = unless_late(port.late_s, self.reply_s, port.describe_missing(started))
                     raise NoAnswer(self.name, self._describe(request), *missing)
                 reply = check_reply(request, frame, self.name, self._describe)
                 if reply is not None:
@@ -394,7 +395,7 @@ class TmclModule:
                 port.send(marker.encode())
                 started = self._clock.now()
                 echo = ReplyFrame(HOST_ADDRESS, request.address, ReplyStatus.OK, Command.SGP, self._marker).encode()
-                if port.await_bytes(echo, started + self._reply_s, partial(self._gives_way, stops, started)):
+                if port.await_bytes(echo, started + self.reply_s, partial(self._gives_way, stops, started)):
                     self._out_of_step = False
                     self.events.append("line resynchronised")
                     self._last = (Command.SGP, self._marker, self._clock.now())
@@ -403,7 +404,7 @@ class TmclModule:
                     break
         except PORT_FAULTS as error:
             raise NoAnswer(self.name, self._describe(request), f"the port failed: {error}", "check cable and power") from None
-        silent = unless_late(port.late_s, self._reply_s, "not responding, not even to a marker", "check cable and power")
+        silent = unless_late(port.late_s, self.reply_s, "not responding, not even to a marker", "check cable and power")
         raise NoAnswer(self.name, self._describe(request), *silent)
 
     def _opened(self, request: CommandFrame) -> TmclPort:

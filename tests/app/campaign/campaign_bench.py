@@ -15,6 +15,7 @@ from goniotwin.app.campaign.row import CommittedRow, Row
 from goniotwin.app.campaign.running.engine import Engine
 from goniotwin.app.campaign.running.events import Listener, State
 from goniotwin.app.campaign.running.operator import Operator
+from goniotwin.app.campaign.running.sleep import SleepWatch
 from goniotwin.app.rig import OpenRig, open_rig
 from goniotwin.protocols.clock import VirtualClock
 
@@ -83,19 +84,29 @@ def run_plan(
     operator: Operator | None = None,
     listeners: list[Listener] | None = None,
     use_engine: Callable[[Engine], Any] = lambda _: None,
+    watch_sleep: Callable[[OpenRig], SleepWatch | None] = lambda _: None,
 ) -> RunResult:
-    """Run a plan on its virtual rig. `prepare` gets the connected rig, `use_engine` the engine before it runs."""
+    """Run a plan on its virtual rig. `prepare` gets the connected rig, `use_engine` the engine before it runs.
+
+    `watch_sleep` gives the engine's watch for a sleep of the computer, if there is to be another one than usual.
+    """
     with contextlib.ExitStack() as stack:
         opened = stack.enter_context(open_rig(plan.rig, VirtualClock()))
         opened.connect()
         prepare(opened)
         journal = stack.enter_context(Journal.create(path, plan, {}))
         chosen = operator or operator_for(opened, plan.rig.file, None)
-        engine = Engine(opened.rig, plan, journal, chosen, listeners)
+        engine = Engine(opened.rig, plan, journal, chosen, listeners, sleep_watch=watch_sleep(opened))
         use_engine(engine)
         state = engine.run()
-        events = [(str(kind), str(text)) for kind, text in journal._db.execute("SELECT kind, text FROM event ORDER BY id")]
+        events = recorded_events(path)
         return RunResult(state, list(journal.rows()), events, engine.faults, journal.seconds)
+
+
+def recorded_events(journal: Path) -> list[tuple[str, str]]:
+    """Kind and text of each event of a journal, which may still be open."""
+    with contextlib.closing(sqlite3.connect(journal)) as connection:
+        return [(str(kind), str(text)) for kind, text in connection.execute("SELECT kind, text FROM event ORDER BY id")]
 
 
 def planned_values(journal: Path) -> list[tuple[Any, ...]]:

@@ -2,7 +2,7 @@
 
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -36,11 +36,18 @@ def read_table(path: Path) -> BsdfTable:
 
 
 @pytest.fixture
+def add() -> Iterator[Callable[[Format], object]]:
+    """Adds formats for one test."""
+    with registry.registered():
+        yield registry.register
+
+
+@pytest.fixture
 def clean() -> Iterator[None]:
     """Formats of other packages are looked for again, before and after."""
-    registry._plug_ins.cache_clear()
+    registry.plug_ins.cache_clear()
     yield
-    registry._plug_ins.cache_clear()
+    registry.plug_ins.cache_clear()
 
 
 # ---- recognition ----
@@ -105,7 +112,7 @@ def test_what_is_of_no_format_is_refused_as_what_it_is_whatever_its_suffix(head:
         registry.read(unknown.rename(tmp_path / "a.brdf"))
 
 
-def test_a_folder_is_a_table_of_a_format_that_has_such(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_folder_is_a_table_of_a_format_that_has_such(tmp_path: Path) -> None:
     class Cuts:
         """One file an incidence."""
 
@@ -119,15 +126,14 @@ def test_a_folder_is_a_table_of_a_format_that_has_such(tmp_path: Path, monkeypat
             raise NotImplementedError
 
     cuts = Format("cuts", "a cut an incidence", (".cut",), frozenset({Holds.GRID}), Cuts(), writes=False, folders=True)
-    monkeypatch.setattr(registry, "_registered", [cuts])
     folder = tmp_path / "cuts"
     folder.mkdir()
-    with pytest.raises(FormatError, match="is a folder without files"):
-        registry.read(folder)
-    for name in ("30", "0"):
-        (folder / name).write_bytes(b"!!cut")
-    assert read_table(folder).comments == ("0", "30")
-    monkeypatch.setattr(registry, "_registered", [])
+    with registry.registered(cuts):
+        with pytest.raises(FormatError, match="is a folder without files"):
+            registry.read(folder)
+        for name in ("30", "0"):
+            (folder / name).write_bytes(b"!!cut")
+        assert read_table(folder).comments == ("0", "30")
     with pytest.raises(FormatError, match=r"is text that begins with '!!cut': neither"):
         registry.read(folder)
 
@@ -320,7 +326,7 @@ FORMATS = (replace(BUILT_IN[0], name="mine", suffixes=(".mine",)),)
         assert fault in str(refused.value)
 
 
-def test_the_content_decides_between_formats_that_share_a_suffix(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_content_decides_between_formats_that_share_a_suffix(tmp_path: Path, add: Callable[[Format], object]) -> None:
     class Other:
         """Another format with the suffix .bsdf, as there are several in the field."""
 
@@ -334,7 +340,7 @@ def test_the_content_decides_between_formats_that_share_a_suffix(tmp_path: Path,
             raise NotImplementedError
 
     other = Format("other", "another .bsdf", (".bsdf",), frozenset({Holds.GRID}), Other(), writes=False)
-    monkeypatch.setattr(registry, "_registered", [other])
+    add(other)
     path = tmp_path / "a.bsdf"
     path.write_bytes(b"tensor_file\0\1\0")
     assert read_table(path).comments == ("other",)
@@ -345,9 +351,9 @@ def test_the_content_decides_between_formats_that_share_a_suffix(tmp_path: Path,
         registry.check_holds(path, other, {Holds.GRID})
 
 
-def test_a_format_that_cannot_be_loaded_stops_no_other(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_format_that_cannot_be_loaded_stops_no_other(tmp_path: Path, add: Callable[[Format], object]) -> None:
     lost = Format("lost", "a table without its module", (".lost",), frozenset({Holds.GRID}), "no_such_package.tables")
-    monkeypatch.setattr(registry, "_registered", [lost])
+    add(lost)
     path = tmp_path / "a.txt"
     ZEMAX.load().write(path, content())
     assert registry.recognise(path) is ZEMAX
@@ -368,12 +374,12 @@ def test_a_format_that_cannot_be_loaded_stops_no_other(tmp_path: Path, monkeypat
     ],
 )
 def test_a_codec_with_a_fault_of_its_own_stops_no_other(
-    code: str, fault: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    code: str, fault: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, add: Callable[[Format], object]
 ) -> None:
     (tmp_path / "faulty_codec.py").write_text(code, encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)
     faulty = Format("faulty", "a format of the test", (".faulty",), frozenset({Holds.GRID}), "faulty_codec")
-    monkeypatch.setattr(registry, "_registered", [faulty])
+    add(faulty)
     path = tmp_path / "a.txt"
     ZEMAX.load().write(path, content())
     assert registry.recognise(path) is ZEMAX
@@ -382,7 +388,7 @@ def test_a_codec_with_a_fault_of_its_own_stops_no_other(
             ask()
 
 
-def test_a_codec_that_fails_is_named_and_no_file_is_blamed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_codec_that_fails_is_named_and_no_file_is_blamed(tmp_path: Path, add: Callable[[Format], object]) -> None:
     class Faulty:
         """A codec that keeps to none of the rules."""
 
@@ -398,7 +404,7 @@ def test_a_codec_that_fails_is_named_and_no_file_is_blamed(tmp_path: Path, monke
     faulty = Format(
         "faulty", "a format of the test", (".faulty",), frozenset({Holds.GRID, Holds.REFLECTED, Holds.SIGMAS}), Faulty()
     )
-    monkeypatch.setattr(registry, "_registered", [faulty])
+    add(faulty)
     path = tmp_path / "a.ddr"
     DDR.load().write(path, content())
     assert registry.recognise(path) is DDR

@@ -125,7 +125,7 @@ def half_angles(light: Floats, out: Floats) -> tuple[Floats, Floats]:
 
 def test_between_azimuths_of_the_light_a_lobe_stays_at_its_half_vectors() -> None:
     """Linear in psi at a theta and a phi, values between the azimuths would be off by up to 70 %."""
-    samples = rgl._Samples(brushed_table())
+    samples = rgl.HalfVectorSamples(brushed_table())
     light = turned(15.0, light_direction(40.0))
     out = from_specular(0.0, np.linspace(0.0, 75.0, 30)[:, None], np.linspace(0.0, 350.0, 36))
     found, _ = samples.at(15.0, 40.0, *half_angles(light, out), [0])
@@ -148,7 +148,7 @@ def test_mitsuba_confirms_the_deviation_that_a_file_states(tmp_path: Path) -> No
     table = brushed_table()
     notes = rgl.write(tmp_path / "brushed.bsdf", BsdfFile((table,)))
     assert set(notes) <= set(rgl.read(tmp_path / "brushed.bsdf").tables[0].comments)
-    brdf, samples, random = measured(tmp_path / "brushed.bsdf"), rgl._Samples(table), np.random.default_rng(2)
+    brdf, samples, random = measured(tmp_path / "brushed.bsdf"), rgl.HalfVectorSamples(table), np.random.default_rng(2)
     off = []
     for psi, polar, azimuth in random.uniform([0.0, 0.0, 0.0], [360.0, 75.0, 360.0], (1000, 3)).tolist():
         light, out = turned(psi, light_direction(40.0)), from_specular(0.0, polar, azimuth)

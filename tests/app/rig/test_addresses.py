@@ -15,7 +15,8 @@ from goniotwin.app.rig.addresses import check_address, device_names, resolve_por
 from goniotwin.app.rig.lock import RigLock
 from goniotwin.app.rig.modbus_units import ModbusUnits
 from goniotwin.app.rig.served_file import endpoint_address
-from goniotwin.app.rig.wires import FoundNote, Wires, open_serial
+from goniotwin.app.rig.wires import Wires, open_serial
+from goniotwin.drivers.found import FoundSettings
 from goniotwin.mocks.served import Endpoint, Wire
 from goniotwin.protocols.clock import VirtualClock
 from goniotwin.twin.doors import NoSuchTwin
@@ -266,13 +267,16 @@ def test_a_port_is_found_by_its_description_before_it_is_locked(monkeypatch: pyt
 def test_the_note_of_a_module_is_the_same_however_its_address_is_written(addresses: tuple[str, ...], other: str) -> None:
     """After a kill another rig file finds it."""
 
-    def note(address: str) -> str:
-        store = Wires(VirtualClock(), None, None).modbus(address, "module").found._store
-        assert isinstance(store, FoundNote)
-        return str(store._path)
+    def settings(address: str) -> FoundSettings:
+        found = Wires(VirtualClock(), None, None).modbus(address, "module").found
+        found.take_up("module")
+        return found
 
-    assert len(set(map(note, addresses))) == 1
-    assert note(other) not in map(note, addresses)
+    for address in addresses:
+        settings(address).note({"range": ("7", "8")})
+        assert [bool(settings(each).changes) for each in (*addresses, other)] == [True] * len(addresses) + [False]
+        settings(address).clear()
+        assert not any(settings(each).changes for each in addresses)
 
 
 @pytest.mark.endpoint

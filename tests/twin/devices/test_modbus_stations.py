@@ -199,4 +199,4 @@ def test_a_tcp_station_takes_any_bytes_and_keeps_few(rubbish: bytes) -> None:
     station = TcpStation(Adam6017(PLANT, 0))
     station.receive(rubbish, 10.0)
     assert all(len(data) <= 260 for data in take_answers(station))
-    assert len(station._buffer) <= 260
+    assert station.waiting <= 260

@@ -78,7 +78,7 @@ def test_a_reading_after_a_turn_of_the_wheel_is_of_the_new_filter() -> None:
     before = turned.volts(0, 5.0).copy()
     turned.wheel.slew(6.0, 7.0, 2.0)
     after = turned.volts(0, 8.0)
-    offset = turned.model.electronics.offset_v
+    turned.shutter_open.set(9.0, False)
+    dark = turned.volts(0, 60.0)
     lit = int(np.argmax(before))
-    dark = turned._dark_a[lit] * turned._gains[0] * (1.0 + turned._deviation[0, lit])
-    assert (after[lit] - offset - dark) / (before[lit] - offset - dark) == pytest.approx(0.9, rel=1e-6)
+    assert (after[lit] - dark[lit]) / (before[lit] - dark[lit]) == pytest.approx(0.9, rel=1e-6)

@@ -104,5 +104,5 @@ def test_expected_poses_are_computed_in_one_call(model: TwinModel, monkeypatch: 
     view = View(model)
     view.expect(poses())
     view.throughputs_m2sr(poses()[0])
-    monkeypatch.setattr(View, "_compute", None)
+    monkeypatch.setattr("goniotwin.twin.plant.view.throughput", None)
     assert all(view.throughputs_m2sr(each).shape == (2 * UPPER,) for each in poses())

@@ -13,7 +13,6 @@ import pytest
 
 from goniotwin.app.campaign.campaign import resume_campaign, run_campaign
 from goniotwin.app.campaign.journal import writing
-from goniotwin.app.campaign.journal.chain import Chain
 from goniotwin.app.campaign.journal.reading import DamagedJournal
 from goniotwin.app.campaign.journal.writing import CHECKPOINT_ROWS, CHECKPOINT_S, Journal, copy_journal
 from goniotwin.app.campaign.planning.plan import Plan
@@ -103,7 +102,6 @@ def test_a_finished_journal_is_whole_in_its_one_file_while_it_is_read(
     plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, reading: bool
 ) -> None:
     """The reader has the journal open, or reads an earlier state of it all the time."""
-    monkeypatch.setattr(writing, "READERS_END_S", 0.05)
     path = tmp_path / "a.journal"
     readers: list[sqlite3.Connection] = []
 
@@ -115,7 +113,7 @@ def test_a_finished_journal_is_whole_in_its_one_file_while_it_is_read(
             if not reading:
                 readers[0].execute("COMMIT")
 
-    assert run_campaign(plan, path, listeners=[attach]).state is State.DONE
+    assert run_campaign(plan, path, listeners=[attach], readers_end_s=0.05).state is State.DONE
     copied = Path(shutil.copyfile(path, tmp_path / "copied.journal"))
     assert len(digests(copied)) == len(plan.rows)
     with Journal.open(copied) as journal:
@@ -161,10 +159,9 @@ def test_of_two_copies_to_one_name_one_is_made_and_nothing_is_overwritten(
     """The second begins while the first is made; then another file gets the name of the first."""
     journal, copy, other = tmp_path / "a.journal", tmp_path / "b.journal", tmp_path / "c.journal"
     run_campaign(plan, journal)
-    checked = writing._checked
     seen: list[Path] = []
 
-    def interrupt(db: sqlite3.Connection, path: Path) -> Chain:
+    def interrupt(*_: int) -> None:
         if not seen:
             seen.extend(each for each in tmp_path.iterdir() if each.name.startswith("."))
             with pytest.raises(UserError, match=rf"b\.journal: is being written by process {os.getpid()} .*copied from .*a\.j"):
@@ -172,21 +169,17 @@ def test_of_two_copies_to_one_name_one_is_made_and_nothing_is_overwritten(
             with pytest.raises(UserError, match=r"b\.journal: is in use by process"):
                 Journal.create(copy, plan, {})
             copy_journal(journal, other)
-        return checked(db, path)
 
-    monkeypatch.setattr(writing, "_checked", interrupt)
-    copy_journal(journal, copy)
+    copy_journal(journal, copy, interrupt)
     assert seen
     assert digests(copy) == digests(other) == digests(journal)
 
-    def appear(db: sqlite3.Connection, path: Path) -> Chain:
+    def appear(*_: int) -> None:
         copy.write_bytes(b"precious")
-        return checked(db, path)
 
     copy.unlink()
-    monkeypatch.setattr(writing, "_checked", appear)
     with pytest.raises(UserError, match=r"b\.journal: exists, and nothing is overwritten"):
-        copy_journal(journal, copy)
+        copy_journal(journal, copy, appear)
     assert copy.read_bytes() == b"precious"
     assert {*tmp_path.glob("*journal*"), *tmp_path.glob(".*")} == {journal, copy, other}
 
@@ -209,7 +202,6 @@ def test_what_killed_programs_left_is_removed_and_what_is_being_made_is_not(plan
 def test_rows_that_remain_outside_of_a_finished_journal_are_reported(
     plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(writing, "READERS_END_S", 0.05)
     path, link = tmp_path / "a.journal", tmp_path / "link.journal"
     readers: list[sqlite3.Connection] = []
 
@@ -220,7 +212,7 @@ def test_rows_that_remain_outside_of_a_finished_journal_are_reported(
             readers[0].execute("BEGIN")
             readers[0].execute("SELECT COUNT(*) FROM attempt").fetchone()
 
-    outcome = run_campaign(plan, path, listeners=[attach])
+    outcome = run_campaign(plan, path, listeners=[attach], readers_end_s=0.05)
     assert (outcome.state, outcome.journal) == (State.DONE, path)
     assert outcome.journal_note == (
         f"{path}: rows remain in {path}-wal, because another program reads it, and it has another name too (a hard link); "
@@ -235,7 +227,6 @@ def test_rows_that_remain_outside_of_a_finished_journal_are_reported(
 def test_a_journal_that_is_replaced_at_its_end_keeps_its_mode(
     plan: Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(writing, "READERS_END_S", 0.05)
     path = tmp_path / "a.journal"
     owner = (1234, 2345) if os.geteuid() == 0 else (os.geteuid(), os.getegid())
     readers: list[sqlite3.Connection] = []
@@ -248,7 +239,7 @@ def test_a_journal_that_is_replaced_at_its_end_keeps_its_mode(
             readers[0].execute("BEGIN")
             readers[0].execute("SELECT COUNT(*) FROM attempt").fetchone()
 
-    assert run_campaign(plan, path, listeners=[attach]).journal_note == ""
+    assert run_campaign(plan, path, listeners=[attach], readers_end_s=0.05).journal_note == ""
     status = path.stat()
     assert (stat.S_IMODE(status.st_mode), status.st_uid, status.st_gid) == (0o640, *owner)
     readers[0].close()

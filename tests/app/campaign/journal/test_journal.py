@@ -1,5 +1,6 @@
 """The journal: refusals, its entries about the campaign, and damaged files."""
 
+import contextlib
 import errno
 import os
 import sqlite3
@@ -8,14 +9,18 @@ import tempfile
 import threading
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from goniotwin.app.campaign.campaign import run_campaign
 from goniotwin.app.campaign.journal.writing import Journal, JournalError, copy_journal
 from goniotwin.app.campaign.planning.plan import Plan
+from goniotwin.app.campaign.row import Reading, RowData
 from goniotwin.app.campaign.studies.reduced_journal import reduce_journal
 from goniotwin.app.errors import UserError
+from tests.app.campaign.campaign_bench import recorded_events
 
 
 def test_a_journal_is_not_overwritten(plan: Plan, tmp_path: Path) -> None:
@@ -104,16 +109,21 @@ def test_the_events_of_a_guardian_are_taken_over_into_the_session_that_died(plan
 
 def test_a_journal_is_not_closed_in_the_middle_of_another_threads_event(plan: Plan, tmp_path: Path) -> None:
     """Stop records a safety order in its own thread while the run ends: Python's SQLite then ended in a segmentation fault."""
-    journal = Journal.create(tmp_path / "a.journal", plan, {})
+    path = tmp_path / "a.journal"
+    journal = Journal.create(path, plan, {})
     journal.begin_session(0.0, plan.rig.text, {})
+    writer = threading.Thread(target=journal.event, args=(1.0, "order", "Cut the motors' power"))
     closer = threading.Thread(target=journal.close)
-    with journal._writing():
-        closer.start()
-        closer.join(0.1)  # without a lock it closes the connection meanwhile
-        journal.event(1.0, "order", "Cut the motors' power")
+    with contextlib.closing(sqlite3.connect(path, isolation_level=None)) as other:
+        other.execute("BEGIN IMMEDIATE")  # the event waits for it, in its transaction
+        for thread in (writer, closer):
+            thread.start()
+            thread.join(0.1)  # without a lock the second one closes the connection meanwhile
+        assert writer.is_alive()
+        other.execute("COMMIT")
+    writer.join()
     closer.join()
-    with Journal.open(tmp_path / "a.journal") as closed:
-        assert closed._db.execute("SELECT kind, text FROM event").fetchall() == [("order", "Cut the motors' power")]
+    assert recorded_events(path) == [("order", "Cut the motors' power")]
     with pytest.raises(JournalError, match="closed"):
         journal.event(2.0, "order", "Cut the motors' power")
 
@@ -145,19 +155,23 @@ def test_a_damaged_journal_gives_one_line(plan: Plan, tmp_path: Path, damage: st
 def test_an_event_of_another_thread_is_no_part_of_a_transaction_that_fails(plan: Plan, tmp_path: Path) -> None:
     with Journal.create(tmp_path / "a.journal", plan, {}) as journal:
         other = threading.Thread(target=lambda: journal.event(2.0, "acknowledged", "done"))
+        journal.begin_session(0.0, plan.rig.text, {})
 
-        def fail() -> None:
-            with journal._writing():
-                journal._db.execute("INSERT INTO event (t_s, kind, text) VALUES (1.0, 'order', 'undone')")
-                other.start()
+        class Counts(np.ndarray):
+            """While they are written the other thread has its event."""
+
+            def astype(self, *_: Any, **__: Any) -> Any:
+                if other.ident is None:
+                    other.start()
                 other.join(timeout=0.1)
-                raise sqlite3.OperationalError
+                return np.asarray(self)
 
-        with pytest.raises(JournalError):
-            fail()
+        reading = Reading(1e8, 0.0, 0.1, 1e-7, np.zeros((1, 36), dtype="<u2").view(Counts))
+        with pytest.raises(JournalError, match="UNIQUE"):
+            journal.commit(plan.rows[0], RowData(0.0, 1.0, None, (reading, reading)))  # of one gain there is one reading
         other.join()
         assert journal.event_texts("acknowledged") == ["done"]
-        assert journal.event_texts("order") == []
+        assert journal.row_counts()[0] == 0
 
 
 def test_free_space_is_asked_for_only_where_the_disk_is_full(
@@ -165,14 +179,13 @@ def test_free_space_is_asked_for_only_where_the_disk_is_full(
 ) -> None:
     """Another program that holds the journal, and a disk that fails, are other faults."""
     path = tmp_path / "a.journal"
-    with Journal.create(path, plan, {}) as journal:
-        journal._db.execute("PRAGMA busy_timeout = 0")
+    with Journal.create(path, plan, {}, readers_end_s=0.0) as journal, Journal.open(path) as read_journal:
         other = sqlite3.connect(path)
         other.execute("BEGIN IMMEDIATE")
         with pytest.raises(JournalError, match="database is locked") as locked:
             journal.event(0.0, "fault", "x")
         other.close()
-        journal._db.execute("PRAGMA query_only = ON")
+        journal = read_journal
         with pytest.raises(JournalError, match="readonly") as read_only:
             journal.event(0.0, "fault", "x")
         assert "free space" not in f"{locked.value}{read_only.value}"

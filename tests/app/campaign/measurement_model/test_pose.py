@@ -242,7 +242,7 @@ class Twin:
         return arc_axis(np.degrees(self._at.azimuth) + np.where(self._at.reverse, 180.0, 0.0))
 
     def _ratio(self, directions: Floats) -> Floats:
-        return self._of(True, INSTRUMENT, 0.0, directions) / self._of(False, INSTRUMENT, 0.0, directions)
+        return self.of(True, INSTRUMENT, 0.0, directions) / self.of(False, INSTRUMENT, 0.0, directions)
 
     def _throughput(self, of_sample: bool, name: str = "", size: float = 0.0) -> Floats:
         polar, azimuth = np.degrees(self._at.polar), np.degrees(self._at.azimuth)
@@ -257,7 +257,7 @@ class Twin:
             case "photodiode_across":  # towards growing beta, on both arcs
                 level = self._axes()
                 directions = arc_direction(polar, azimuth, self._lower) + math.radians(size) * level
-                return self._of(of_sample, INSTRUMENT, 0.0, directions)
+                return self.of(of_sample, INSTRUMENT, 0.0, directions)
             case "position_gamma":
                 gamma = size
             case "":
@@ -265,9 +265,9 @@ class Twin:
             case _:
                 element, moved = deviation(name, size)
                 instrument = replace(INSTRUMENT, deviations={element: moved})
-        return self._of(of_sample, instrument, turned, arc_direction(polar, azimuth, self._lower), gamma)
+        return self.of(of_sample, instrument, turned, arc_direction(polar, azimuth, self._lower), gamma)
 
-    def _of(self, of_sample: bool, instrument: Instrument, turned: float, directions: Floats, gamma: float = 0.0) -> Floats:
+    def of(self, of_sample: bool, instrument: Instrument, turned: float, directions: Floats, gamma: float = 0.0) -> Floats:
         sigma = float(self._at.sigma_deg[0])
         at = sigma if of_sample or not self._far else 180.0 - sigma
         scatterer = self._sample if of_sample else DIFFUSER
@@ -321,7 +321,7 @@ def test_a_lift_counts_the_more_where_discs_are_off_already() -> None:
         mixed = np.zeros(directions.shape[0])
         for a, b in itertools.product((1.0, -1.0), repeat=2):
             moved = dict([deviation("sample_height", a * lift), deviation(name, b * size)])
-            mixed += a * b * np.log(twin._of(True, replace(INSTRUMENT, deviations=moved), 0.0, directions))
+            mixed += a * b * np.log(twin.of(True, replace(INSTRUMENT, deviations=moved), 0.0, directions))
         mixed /= 4.0 * lift * size
         assert computed[:, k] == pytest.approx(mixed, rel=0.15, abs=0.05 * float(np.abs(computed[:, k]).max()))
     assert np.any(np.abs(computed).max(axis=1) * 0.05 > np.abs(of_lift))  # one of 0.05 is as much as the lift itself

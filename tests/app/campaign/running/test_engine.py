@@ -30,6 +30,7 @@ from goniotwin.app.errors import UserError
 from goniotwin.app.rig import OpenRig, open_rig, read_rig
 from goniotwin.drivers import DeviceError, Pending, Poll
 from goniotwin.protocols.clock import Clock, VirtualClock
+from tests.app.campaign.campaign_bench import recorded_events
 from tests.conftest import Writer
 
 
@@ -271,8 +272,7 @@ def test_a_stop_closes_the_shutter_after_the_stop_frames(bench: MakeBench, tmp_p
     assert len(interrupted) == (how in ("opening", "twice", "a late stop"))
     assert made.engine.faults == []
     assert not made.engine.shutter_may_be_open
-    events = made.journal._db.execute("SELECT kind, text FROM event").fetchall()
-    assert events == [("shutter", "closed after the stop")]
+    assert recorded_events(made.journal.path) == [("shutter", "closed after the stop")]
     made.opened.close()
     sent = {
         wire: (tmp_path / "wires" / f"{wire}.txt").read_text(encoding="utf-8").splitlines()
@@ -311,7 +311,7 @@ def test_a_stop_that_is_not_confirmed_is_one_order(bench: MakeBench) -> None:
     made = bench(VirtualClock(), [stop])
     assert made.engine.run() is State.IDLE
     assert len(heard) == 1
-    assert made.journal._db.execute("SELECT text FROM event WHERE kind = 'order'").fetchall() == [(heard[0],)]
+    assert [text for kind, text in recorded_events(made.journal.path) if kind == "order"] == heard
     assert made.journal.open_orders() == heard
     made.journal.event(made.opened.rig.clock.now(), "acknowledged", heard[0])
     assert made.journal.open_orders() == []

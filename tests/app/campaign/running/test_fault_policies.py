@@ -17,7 +17,7 @@ from goniotwin.app.campaign.running.recovery import FaultPolicies, fault_kind
 from goniotwin.app.campaign.running.stop import Stopped
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.campaign.studies.reduced_journal import reduce_journal
-from goniotwin.app.cli.campaign import _ask_operator
+from goniotwin.app.cli.campaign import ask_operator
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import OpenRig, read_rig
 from goniotwin.drivers import BadAnswer, DeviceError, Forgotten, LimitError, NoAnswer, Pending, Refused
@@ -167,7 +167,7 @@ def test_a_terminal_takes_the_beginning_of_an_answer_and_never_enter_alone(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("sys.stdin", io.StringIO("\n s\nSK\n"))
-    operator = HumanOperator(_ask_operator)
+    operator = HumanOperator(ask_operator)
     assert operator.resolve_fault("row 3: monitor: no reply", skippable=True) is Answer.SKIP
     shown = capsys.readouterr().err
     assert shown.count("Type Retry or Skip row or Stop") == 2  # after Enter, and after what may be Skip row or Stop

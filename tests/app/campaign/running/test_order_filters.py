@@ -111,9 +111,10 @@ def test_a_position_that_the_wheel_does_not_have_ends_the_run_with_the_error_of_
 def test_a_unit_with_an_error_for_its_current_position_is_not_sent_there(tmp_path: Path) -> None:
     def make_strict(opened: OpenRig) -> None:
         assert opened.virtual is not None
-        unit = opened.virtual.serial["mono"]
-        assert isinstance(unit, Cornerstone260)
-        unit._statements._drive = replace(unit._statements._drive, already_there_is_error=True)
+        plant = opened.virtual.plant
+        plant.model = replace(plant.model, monochromator=replace(plant.model.monochromator, already_there_is_error=True))
+        opened.virtual.serial["mono"] = Cornerstone260(plant)
+        opened.rig.monochromator.connect()
 
     run = run_plan(plan_with(tables=POLICIES), tmp_path / "a.journal", make_strict)
     assert run.state is State.DONE

@@ -9,8 +9,6 @@ import pytest
 
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
-from goniotwin.app.campaign.running import sleep
-from goniotwin.app.campaign.running.engine import Engine
 from goniotwin.app.campaign.running.events import Event, RowCommitted, RowStarted, State
 from goniotwin.app.campaign.running.recovery import FaultPolicies
 from goniotwin.app.campaign.running.sleep import SLEPT_S, SleepWatch, StayAwake
@@ -44,13 +42,9 @@ class Sleeper:
         self._asleep_s = 0.0
         self._opened: OpenRig | None = None
 
-    def prepare(self, opened: OpenRig) -> None:
-        self._opened = opened
-
-    def use(self, engine: Engine) -> None:
-        assert self._opened is not None
-        clock = self._opened.rig.clock
-        engine._sleep_watch = SleepWatch(lambda: 1.7e9 + clock.now() + self._asleep_s, clock.now)
+    def watch(self, opened: OpenRig) -> SleepWatch:
+        self._opened, clock = opened, opened.rig.clock
+        return SleepWatch(lambda: 1.7e9 + clock.now() + self._asleep_s, clock.now)
 
     def listen(self, event: Event) -> None:
         if isinstance(event, RowStarted) and event.row.number == self._row and self._left:
@@ -64,7 +58,7 @@ class Sleeper:
 
 
 def run_with_sleep(plan: Plan, path: Path, sleeper: Sleeper, *more: Callable[[Event], None]) -> RunResult:
-    return run_plan(plan, path, sleeper.prepare, listeners=[sleeper.listen, *more], use_engine=sleeper.use)
+    return run_plan(plan, path, listeners=[sleeper.listen, *more], watch_sleep=sleeper.watch)
 
 
 def test_after_a_sleep_the_row_and_the_dark_reading_are_taken_again(plan: Plan, tmp_path: Path) -> None:
@@ -155,8 +149,7 @@ def test_a_way_to_stay_awake_that_hangs_with_its_children_holds_up_no_run(
     program.write_text(f"#!/bin/sh\n/bin/sh -c '/bin/sleep 15; echo > {late}'\n", encoding="ascii")
     program.chmod(0o700)
     monkeypatch.setenv("PATH", str(tmp_path))
-    monkeypatch.setattr(sleep, "ANSWER_S", 0.1)
-    assert StayAwake().begin("nothing") == f"{program.name} does not grant it"
+    assert StayAwake(0.1).begin("nothing") == f"{program.name} does not grant it"
     assert not late.exists()
 
 
