@@ -25,7 +25,7 @@ import usb.core
 from usb.backend import IBackend
 
 from goniotwin.protocols import usbip
-from goniotwin.protocols.clock import RealClock
+from goniotwin.protocols.clock import Clock, RealClock
 from goniotwin.protocols.usb_descriptors import (
     CONFIGURATION,
     CONFIGURATION_BYTES,
@@ -42,7 +42,7 @@ ANSWER_S = 2.0
 """Longest reply time of the server itself, without a device."""
 CHUNK = 65_536
 SHORTEST_WAIT_S = 1e-3
-_clock = RealClock()
+CLOCK: Clock = RealClock()
 # Status numbers on the wire are Linux's on every system.
 STALLED, TOO_LARGE, BUSY = -32, -75, -16
 DISCONNECTED = {-19, -104, -108}
@@ -64,16 +64,22 @@ def exported_devices(host: str, port: int) -> list[usbip.ExportedDevice]:
 class UsbIpLink:
     """An imported device; it belongs to this program until every user has called `close`."""
 
-    def __init__(self, host: str, port: int, bus_id: str) -> None:
-        """Import the device. Raises USBError if it is not connected, or in use by another program."""
+    def __init__(
+        self, host: str, port: int, bus_id: str, connection: socket.socket | None = None, clock: Clock = CLOCK
+    ) -> None:
+        """Import the device, over a `connection` that is open already, if it is given.
+
+        Raises USBError if the device is not connected, or in use by another program.
+        """
+        self._clock = clock
         self._lock = threading.Lock()
         self._users, self._users_lock = 1, threading.Lock()
         self._buffer = bytearray()
         self._number = 0
-        self._socket = _connect(host, port)
+        self._socket = connection or _connect(host, port)
         try:
             self._socket.sendall(usbip.ImportRequest(bus_id).encode())
-            imported = _receive(self._socket, self._buffer, usbip.take_import)
+            imported = _receive(self._socket, self._buffer, usbip.take_import, self._clock)
         except BaseException:
             self._socket.close()
             raise
@@ -138,7 +144,7 @@ class UsbIpLink:
 
     def _results(self, reading: set[int], seconds: float) -> Iterator[usbip.Submitted | usbip.Unlinked]:
         """Results as they come, until the timeout; 0 is none. Raises OSError, UsbIpError."""
-        for _ in _received(self._socket, self._buffer, seconds):
+        for _ in _received(self._socket, self._buffer, seconds, self._clock):
             while (result := usbip.take_result(self._buffer, reading)) is not None:
                 yield result
 
@@ -340,9 +346,9 @@ def _connect(host: str, port: int) -> socket.socket:
     return connection
 
 
-def _receive(connection: socket.socket, buffer: bytearray, take: Callable[[bytearray], T | None]) -> T:
+def _receive(connection: socket.socket, buffer: bytearray, take: Callable[[bytearray], T | None], clock: Clock = CLOCK) -> T:
     try:
-        for _ in _received(connection, buffer, ANSWER_S):
+        for _ in _received(connection, buffer, ANSWER_S, clock):
             if (reply := take(buffer)) is not None:
                 return reply
         raise TimeoutError("timed out")
@@ -352,15 +358,15 @@ def _receive(connection: socket.socket, buffer: bytearray, take: Callable[[bytea
         raise usb.core.USBError(f"the USB/IP server is not responding: {error}", -4, errno.ENODEV) from None
 
 
-def _received(connection: socket.socket, buffer: bytearray, seconds: float) -> Iterator[None]:
+def _received(connection: socket.socket, buffer: bytearray, seconds: float, clock: Clock) -> Iterator[None]:
     """Append to `buffer` what comes: once before the first wait, then after each piece, until a timeout; 0 is none.
 
     Raises OSError.
     """
     yield
-    deadline, over = _clock.now() + seconds, False
+    deadline, over = clock.now() + seconds, False
     while not over:
-        left = deadline - _clock.now()
+        left = deadline - clock.now()
         over = seconds > 0.0 and left <= 0.0
         connection.settimeout(max(left, SHORTEST_WAIT_S) if seconds else None)
         try:
