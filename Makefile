@@ -9,7 +9,7 @@ export PYTHONDONTWRITEBYTECODE :=
 export NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING := 1
 # Its processes share the cores: threads of linear algebra beside them would wait for each other.
 PYTEST_ENVIRONMENT := QT_QPA_PLATFORM=offscreen OPENBLAS_NUM_THREADS=1
-PYTEST := $(PYTEST_ENVIRONMENT) $(BIN)/pytest --dist worksteal
+PYTEST := $(PYTEST_ENVIRONMENT) $(BIN)/pytest
 
 .PHONY: demo test test-long desktop golden tables proof clean
 

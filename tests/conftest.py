@@ -1,9 +1,10 @@
 """What many tests need: the example files, changed where a test wants, and virtual rigs with their drivers.
 
-Three workers share the tests (`make test`) on two cores: one of them mostly waits, and others at times. Those marked
-`endpoint` open real pseudo-terminals and sockets and wait in real time, so that two of them at once would make each other late.
-They hold a lock from setup to teardown, and come first, so that one worker has them all while the others have everything else.
-A fixture that takes seconds has the scope of the session: the tests of one module can run in pieces on several workers.
+Three workers share the tests (`make test`) on two cores: one of them mostly waits, and others at times. A group of pytest-xdist
+is one worker's. Those marked `endpoint` open real pseudo-terminals and sockets and wait in real time, so that two of them at
+once would make each other late: they are a group, and hold a lock from setup to teardown, for another run beside this one.
+The tests of a module whose fixture takes seconds are a group too, `pytestmark = pytest.mark.xdist_group("...")`. All others are
+given to whichever worker has none.
 
 Hypothesis takes its number of examples from a profile: few in `make test`, many in `make test-long`.
 """
@@ -81,25 +82,20 @@ def pytest_collection_finish() -> None:
     gc.enable()
 
 
-@pytest.hookimpl(wrapper=True)
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> Generator[None, None, None]:
-    """Marks whatever serves a rig as `endpoint`, and puts all those first. What is `early` comes first among these.
+@pytest.hookimpl(tryfirst=True)  # before pytest-xdist reads the groups
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Marks whatever serves a rig as `endpoint`, and has the groups of `endpoint` and of `early` begin with the run.
 
-    The first worker has them: another one that steals tests takes the last ones, and has a lower priority. The last worker
-    begins with what else is `early`.
+    The groups are given out in the order of their first tests, so that the first worker has those of `endpoint`. What is
+    `early` comes first among these, and what else is `early` is the second group.
     """
     for item in items:
         if {"serve", "forked_serve"} & set(getattr(item, "fixturenames", ())):
             item.add_marker(pytest.mark.endpoint)
+        group = next((name for name in ("endpoint", "early") if item.get_closest_marker(name) is not None), None)
+        if group is not None:
+            item.add_marker(pytest.mark.xdist_group(group))
     items.sort(key=lambda item: [item.get_closest_marker(name) is None for name in ("endpoint", "early")])
-    yield  # -m deselects tests
-    names = [[marker.name for marker in item.iter_markers()] for item in items]
-    early = [item for item, has in zip(items, names, strict=True) if "early" in has and "endpoint" not in has]
-    others = [item for item in items if item not in early]
-    first = 0  # of the tests that pytest-xdist gives to the last worker
-    for left in range(int(os.environ.get("PYTEST_XDIST_WORKER_COUNT", "1")), 1, -1):
-        first += (len(items) - first) // left
-    items[:] = [*others[:first], *early, *others[first:]]
 
 
 @pytest.fixture

@@ -15,6 +15,8 @@ import pytest
 import goniotwin
 from tests.conftest import BARE_NAMES, REPOSITORY
 
+pytestmark = pytest.mark.xdist_group("package")
+
 SETUPTOOLS: dict[str, Any] = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]
 
 

@@ -28,6 +28,8 @@ from goniotwin.twin.plant.view import Aspect
 from tests.conftest import RIG, changed
 from tests.input_list import DOCUMENT, renewed
 
+pytestmark = pytest.mark.xdist_group("declared inputs")
+
 STATED = "[uncertainty]\nsample_frame = 0.03\n"
 OFF = "[twin.disturbances]\nsample_frame = 0.03\netalon_stain = 0.02\n"
 SCHEDULE = """

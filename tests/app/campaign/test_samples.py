@@ -27,6 +27,8 @@ from goniotwin.twin.optics import anisotropic_gaussian, evaluate, from_specular,
 from goniotwin.twin.plant import TwinModel
 from tests.conftest import RIG, SMALL, Change, Writer, changed
 
+pytestmark = pytest.mark.xdist_group("samples")
+
 HEAD = "[twin.samples.etalon]"
 SAMPLES = """[twin.samples.brushed]
 model = "anisotropic-gaussian"

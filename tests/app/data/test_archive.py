@@ -32,6 +32,8 @@ from tests.app.campaign.studies.test_verification import HALF_SPHERE, PAINT
 from tests.app.data.archive_reader import effects
 from tests.conftest import RIG, SMALL, changed
 
+pytestmark = pytest.mark.xdist_group("archive")
+
 WHITE = 'model = "lambertian"\nreflectance = 0.99\nside = "both"\n'
 GOLDEN = Path(__file__).parents[2] / "golden" / "data" / "finished.journal"
 

@@ -19,6 +19,8 @@ from goniotwin.app.errors import GoniotwinError
 from goniotwin.app.rig import read_rig
 from tests.conftest import RIG, SMALL, changed
 
+pytestmark = pytest.mark.xdist_group("report")
+
 HOSTILE = '<script>alert("1")</script>'
 
 

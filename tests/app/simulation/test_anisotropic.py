@@ -18,7 +18,7 @@ from goniotwin.app.simulation.simulate import Simulation, Task, simulate
 from goniotwin.twin.optics import Instrument
 from tests.sizes import few_check_rays
 
-pytestmark = pytest.mark.usefixtures("quick_errors")
+pytestmark = [pytest.mark.usefixtures("quick_errors"), pytest.mark.xdist_group("anisotropic")]
 WARD = "ward:alpha_x=0.3,alpha_y=0.5,direction_deg=20"
 FEW = {"polar_deg": np.arange(10.0, 75.0, 20.0), "azimuth_deg": np.arange(0.0, 361.0, 45.0)}
 

@@ -25,6 +25,8 @@ from goniotwin.app.simulation.source import illumination_unit, read_source
 from goniotwin.twin.optics import Deviation, IlluminationUnit, Instrument
 from tests.twin.optics.agreement import agree
 
+pytestmark = pytest.mark.xdist_group("illumination")
+
 WIDE = Instrument(detector_diameter_mm=30.0, field_deg=6.0)
 UNIT = illumination_unit(WIDE, 555.0, 0.0, 5.0)
 QUICK = 1e-3

@@ -15,7 +15,7 @@ from goniotwin.app.simulation.simulate import Simulation, Task, regular_half_ang
 from goniotwin.twin.optics import Instrument, apply_spectrum, lambertian, regular, specular_direction, throughput
 from tests.sizes import few_check_rays
 
-pytestmark = pytest.mark.usefixtures("quick_errors")
+pytestmark = [pytest.mark.usefixtures("quick_errors"), pytest.mark.xdist_group("regular component")]
 OPEN = Instrument(obstruction=False)
 
 

@@ -20,6 +20,8 @@ from tests.conftest import Writer
 from tests.sizes import few_check_rays
 from tests.twin.optics.agreement import agree
 
+pytestmark = pytest.mark.xdist_group("simulate")
+
 # Detectors wider than the instrument's, so that many of few paths arrive at one.
 WIDE = Instrument(detector_diameter_mm=30.0, field_deg=6.0)
 OPEN = Instrument(obstruction=False)

@@ -31,6 +31,8 @@ from goniotwin.twin.plant.view import Aspect, View
 from tests.conftest import RIG, Writer
 from tests.rig_tables import disturbances, stated
 
+pytestmark = pytest.mark.xdist_group("drawn")
+
 LOBE = Aspect("paint", 0.0, 550.0, 30.0, 20.0, 150.0, 1.0)
 TWIN_ONLY = {
     "etalon",

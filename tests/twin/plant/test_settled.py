@@ -17,6 +17,8 @@ from goniotwin.twin.plant.shaft import Heartbeat
 from tests.conftest import RIG
 from tests.rig_tables import disturbances
 
+pytestmark = pytest.mark.xdist_group("settled")
+
 STEPS = (0.0, 1e-4, 4e-4, 0.003, 0.0808, 0.5, 2.0)
 """Time between two readings, s: several within a conversion, and long enough for everything to come to rest."""
 

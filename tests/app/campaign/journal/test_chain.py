@@ -22,6 +22,8 @@ from tests.app.campaign.campaign_bench import QUIET, planned_values
 from tests.conftest import ONE_WAY, RIG, SMALL, changed
 from tests.golden import files
 
+pytestmark = pytest.mark.xdist_group("chain")
+
 LAST = "(SELECT MAX(number) FROM attempt)"
 SAMPLE_ROW = "(SELECT number FROM plan WHERE sample = 'gaussian-5' AND kind = 'measure' LIMIT 1)"
 

@@ -22,6 +22,8 @@ from goniotwin.app.rig import RigDescription, parse_rig, read_rig
 from goniotwin.app.rig.samples import AnisotropicTable, SumTable, WardTable
 from goniotwin.app.sweeps.runners import Here, on_this_computer
 
+pytestmark = pytest.mark.xdist_group("structures")
+
 
 @pytest.fixture(scope="module")
 def base() -> RigDescription:

@@ -24,6 +24,8 @@ from tests.app.campaign.reduction.grey_campaign import GLASS, reduced
 from tests.app.data.exporting import export
 from tests.conftest import RIG, SMALL, Change, Writer, changed
 
+pytestmark = pytest.mark.xdist_group("pipeline")
+
 PER_DECADE = 0.02
 """Relative uncertainty for each decade between the signals of sample and etalon; made up."""
 SIGNALS = {

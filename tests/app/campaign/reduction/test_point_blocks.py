@@ -28,6 +28,8 @@ from goniotwin.app.campaign.studies.reduced_journal import reduce_journal
 from goniotwin.app.rig import parse_rig, read_rig
 from tests.conftest import RIG, SMALL, Writer, changed
 
+pytestmark = pytest.mark.xdist_group("point blocks")
+
 WHITE = ('model = "lambertian"\nreflectance = 0.99', 'model = "lambertian"\nreflectance = 0.99\nside = "both"')
 GLASS = '[twin.samples.glass]\nmodel = "lambertian"\nreflectance = 0.4\ntransmittance = 0.3\nside = "both"\n\n'
 FEW = (

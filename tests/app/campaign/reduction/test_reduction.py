@@ -27,6 +27,8 @@ from tests.app.campaign.reduction.grey_campaign import GLASS, grey_plan, reduced
 from tests.app.data.exporting import export
 from tests.conftest import RIG, SCHEDULE, SMALL, Writer
 
+pytestmark = pytest.mark.xdist_group("reduction")
+
 AEROGLAZE = Path(__file__).resolve().parents[5] / "shared" / "data" / "real_bsdf" / "aeroglaze.bsdf"
 Measure = Callable[[Path, Path], BsdfDataset]
 

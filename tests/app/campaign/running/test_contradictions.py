@@ -25,6 +25,8 @@ from tests.app.campaign.campaign_bench import RunResult, run_plan
 from tests.app.campaign.running.faulty_campaign import POLICIES, run_with_faults
 from tests.conftest import RIG, SMALL, changed
 
+pytestmark = pytest.mark.xdist_group("contradictions")
+
 GAIN_V_PER_A = 1e8
 SETTINGS = PhotodiodeSettings((5.0, 15.0, 25.0, 35.0, 45.0), (10.0, 20.0, 30.0), (GAIN_V_PER_A,), "adam-6017")
 ZERO = SETTINGS.range.zero

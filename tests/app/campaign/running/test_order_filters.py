@@ -23,6 +23,8 @@ from tests.app.campaign.campaign_bench import RunResult, planned_values, run_pla
 from tests.app.campaign.filter_rig import RIG_FILTERS, TWIN_FILTERS, plan_with, rig_with, second_order
 from tests.app.campaign.running.faulty_campaign import POLICIES, row_difference, run_with_faults
 
+pytestmark = pytest.mark.xdist_group("order filters")
+
 POSITION = {500.0: 1.0, 600.0: 4.0, 700.0: 2.0, 760.0: 2.0}
 """Position of the filter wheel by wavelength, as in the rig file of the bench."""
 

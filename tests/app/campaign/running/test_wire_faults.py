@@ -14,6 +14,8 @@ from goniotwin.mocks.faults import Fault, FaultPlan, ScriptedFaults
 from tests.app.campaign.campaign_bench import RunResult
 from tests.app.campaign.running.faulty_campaign import FAULTS, POLICIES, Wires, faulty_plan, row_difference, run_with_faults
 
+pytestmark = pytest.mark.xdist_group("wire faults")
+
 KINDS = [(wire, rtu, fault) for (wire, rtu), faults in FAULTS.items() for fault in faults]
 SEEDS = 9
 Undisturbed = dict[bool, tuple[RunResult, dict[str, int]]]

@@ -39,6 +39,8 @@ from tests.app.campaign.studies.alignment_bench import (
     unmeasured_views,
 )
 
+pytestmark = pytest.mark.xdist_group("alignment")
+
 SMALL = """
 name = "small alignment"
 side = "both"

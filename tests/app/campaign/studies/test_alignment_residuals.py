@@ -18,6 +18,8 @@ from goniotwin.app.rig import RigDescription, parse_rig, read_rig
 from goniotwin.app.rig.alignment import AlignmentFile, alignment_text
 from tests.app.campaign.studies.alignment_bench import PROOF, run
 
+pytestmark = pytest.mark.xdist_group("alignment residuals")
+
 BRUSHED = """
 name = "brushed"
 symmetry = "anisotropic"

@@ -30,6 +30,8 @@ from tests.app.campaign.studies.closure_bench import HEAD, lit_everywhere
 from tests.conftest import RIG, SMALL
 from tests.system.command import invoke
 
+pytestmark = pytest.mark.xdist_group("closure of campaigns")
+
 SMALL_SCAN = """
 sigma_deg = [5, 22]
 wavelength_nm = [450, 550]

@@ -26,6 +26,8 @@ from goniotwin.app.rig.inputs import POSITION
 from goniotwin.arrays import Floats
 from tests.conftest import REPOSITORY, Change, changed
 
+pytestmark = pytest.mark.xdist_group("scanned values")
+
 RIG = examples.FOLDER / "proof" / "rig.toml"
 SAMPLE = '\n[twin.samples.film]\nmodel = "gaussian"\ntransmits = true\nwidth_deg = 6.0\nreflectance = 0.6\n'
 SCHEDULE = """

@@ -46,6 +46,8 @@ from tests.app.campaign.campaign_bench import run_until
 from tests.conftest import RIG
 from tests.system.command import invoke
 
+pytestmark = pytest.mark.xdist_group("standards")
+
 SCHEDULE = """
 name = "two standards"
 samples = ["gaussian-5"]

@@ -27,6 +27,8 @@ from tests.app.data.exporting import export
 from tests.app.data.test_export import points_of
 from tests.conftest import RIG, SMALL, Change, Writer, changed
 
+pytestmark = pytest.mark.xdist_group("symmetry check")
+
 WIDE = ("beta_deg = [180]", "beta_deg = { start = 0, stop = 180, step = 30 }")
 GAINS = ("[1e8, 1e10]", "[1e8, 1e10, 1e11]")
 CHECK = "[symmetry_check]\npoints = 4\n"

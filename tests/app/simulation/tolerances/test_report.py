@@ -18,6 +18,8 @@ from goniotwin.app.toml_file import validate_table
 from tests.conftest import REPOSITORY
 from tests.system.command import goniotwin, invoke
 
+pytestmark = pytest.mark.xdist_group("report of tolerances")
+
 FOLDER = REPOSITORY / "examples" / "tolerances"
 DOCUMENT = (REPOSITORY / "docs" / "tolerances.md").read_text(encoding="utf-8")
 

@@ -43,6 +43,8 @@ from tests.conftest import REPOSITORY
 from tests.system.command import invoke
 from tests.twin.optics.agreement import agree
 
+pytestmark = pytest.mark.xdist_group("unit light")
+
 CRITERION = GaussianTable(kind="gaussian", step_deg=2.0)
 INSTRUMENT = Instrument(obstruction=False)
 UNIT = {"elements": ["unit"], "angles": ["rx", "rz"], "limit_deg": 0.05}

@@ -31,6 +31,8 @@ from tests.twin.optics.models import (
     wide_tailed,
 )
 
+pytestmark = pytest.mark.xdist_group("fast against forward")
+
 MEASURED = Path(__file__).resolve().parents[5] / "shared" / "data" / "real_bsdf" / "aeroglaze.bsdf"
 SIGMA = [0.0, 30.0, 60.0, 80.0, 150.0]
 # Wide detectors, for many hits from few paths; mirrors and beam are the instrument's own.
