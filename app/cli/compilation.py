@@ -265,8 +265,9 @@ def compiling_elsewhere(names: Collection[str]) -> Iterator[None]:
 class CompilationNotes(logging.Handler):
     """States that kernels are compiled, once there is a new file of compiled code. Looks for one from the first kernel on."""
 
-    def __init__(self) -> None:
+    def __init__(self, first_look_s: float) -> None:
         super().__init__(logging.INFO)
+        self._first_look_s = first_look_s
         self._ended = threading.Event()
         self._watch: threading.Thread | None = None
 
@@ -282,7 +283,7 @@ class CompilationNotes(logging.Handler):
             self._watch.start()
 
     def _look(self, folder: Path, known: int) -> None:
-        pause_s = FIRST_LOOK_S
+        pause_s = self._first_look_s
         while not self._ended.wait(pause_s):
             if _files(folder) > known:
                 print_note(NOTE)
@@ -305,10 +306,10 @@ def _files(folder: Path) -> int:
     return 0
 
 
-def state_compilation() -> None:
-    """Have a command state that it compiles, where it does."""
+def state_compilation(first_look_s: float = FIRST_LOOK_S) -> None:
+    """Have a command state that it compiles, where it does; the first look is after `first_look_s`, the others ever later."""
     state_no_more()
-    LOG.addHandler(CompilationNotes())
+    LOG.addHandler(CompilationNotes(first_look_s))
     LOG.setLevel(logging.INFO)
     LOG.propagate = False
     if "goniotwin.twin.optics.kernel" in sys.modules:

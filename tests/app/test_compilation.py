@@ -121,13 +121,12 @@ def notes() -> Iterator[None]:
 def test_it_is_stated_once_that_kernels_are_compiled_and_not_where_the_files_have_them(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(compilation, "FIRST_LOOK_S", 0.01)
     monkeypatch.syspath_prepend(tmp_path)
     (tmp_path / "stated_kernel.py").write_text(
         "from goniotwin.twin.optics.kernel import kernel\n\n\n@kernel()\ndef double(x):\n    return x + x\n", encoding="utf-8"
     )
     for expected in ([f"goniotwin: {NOTE}"], []):
-        state_compilation()
+        state_compilation(0.01)
         sys.modules.pop("stated_kernel", None)
         double = importlib.import_module("stated_kernel").double
         assert (double(2.0), double(2)) == (4.0, 4)
