@@ -76,7 +76,7 @@ def _journals(_folder: Path) -> None:
 
 def _read_journals(folder: Path) -> None:
     finished, interrupted = contents.copied(folder)
-    (files.DATA / "listed.json").write_text(json.dumps(contents.listed(folder), indent=1) + "\n", encoding="utf-8")
+    _write_lines("listed.json", json.dumps(contents.listed(folder), indent=1).splitlines(), {})
     _write("finished", contents.points_record(finished))
     for form in contents.EXPORTS:
         _write_lines(f"exported/finished.{form}", contents.exported_lines(finished, form, folder), FILE)
