@@ -288,7 +288,8 @@ class Words:
         None, with nothing taken, where anything else is among them: word by word, the fault gets its line.
         """
         text, pattern = self._text, OTHER_CHARACTER[missing]
-        before = self.line, self._next, self._next_line, self._end, len(self.comments), len(self.top_comments)
+        place = self.line, self._next, self._next_line, self._end
+        comments, top = len(self.comments), len(self.top_comments)
         if self._next is None or 2 * count > len(text) - self._end + len(self._next) + 1:
             return None
         values, done = np.empty(count), 0
@@ -317,7 +318,7 @@ class Words:
         else:
             if done == count:
                 return values
-        self.line, self._next, self._next_line, self._end, comments, top = before
+        self.line, self._next, self._next_line, self._end = place
         del self.comments[comments:], self.top_comments[top:]
         self._parts = self._pattern.finditer(text, self._end)
         return None

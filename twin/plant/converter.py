@@ -69,7 +69,8 @@ def _channel_v(
 
     The rest is as in `convert_channels`.
     """
-    bandwidth, temperature, amplifier_v, offset_v, settling, dark_wander, dark_period, noisy = constants
+    bandwidth, temperature, amplifier_v, offset_v = constants[:4]
+    settling, dark_wander, dark_period, noisy = constants[4:]
     dark = dark_a[k]
     if noisy > 0.0 and dark_wander > 0.0:
         dark *= 1.0 + dark_wander * wandering(dark_keys[k], t, dark_period)

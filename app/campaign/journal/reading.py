@@ -50,7 +50,6 @@ ROW_INDEX = np.dtype(
 """Index entry of a measured row: a few bytes a row, so that long campaigns fit in memory. `sample` is an index into a list of
 sample names that comes with the index.
 """
-ROW_COLUMNS = "p.number, identity, kind, sample, wavelength_nm, gamma_deg, sigma_deg, beta_deg, shift_deg, seconds, detail"
 USE_A_COPY = "use a copy of it, if there is one; goniotwin copy makes copies that are whole, also during a run"
 LIMITS = {
     sqlite3.SQLITE_LIMIT_LENGTH: 1 << 26,
@@ -93,6 +92,25 @@ MOST_EVENTS = 1000
 OUTCOMES = ("done", "stopped", "failed", None)
 DETAIL_KEYS = ("gains", "readings", "automatic", "target", "longest_s")
 """Fields of a row that the column `detail` holds as JSON."""
+
+
+class PlanEntry(NamedTuple):
+    """A row of the table `plan`, by its columns."""
+
+    number: int
+    identity: str
+    kind: RowKind
+    sample: str
+    wavelength_nm: float | None
+    gamma_deg: float
+    sigma_deg: float | None
+    beta_deg: float
+    shift_deg: float
+    seconds: float
+    detail: str
+
+
+ROW_COLUMNS = ", ".join(f"p.{name}" for name in PlanEntry._fields)
 
 
 class ExecutedRow(NamedTuple):
@@ -408,20 +426,21 @@ class JournalReader:
             f" FROM plan p {join} attempt a USING (number) {which}",
             values,
         )
-        for *planned, attempt, started, ended, positions, flags in found:
-            row = _row(*planned)
+        for columns in found:
+            row = _row(*columns[: len(PlanEntry._fields)])
+            attempt, started, ended, positions, flags = columns[len(PlanEntry._fields) :]
             readings = tuple(self._readings(row.number, attempt))
             degrees = None if positions is None else json.loads(positions)
             yield CommittedRow(row, RowData(started, ended, degrees, readings, tuple(json.loads(flags))))
 
     def _readings(self, number: int, attempt: int) -> Iterator[Reading]:
-        for gain, first, period, monitor, readings, channels, counts in self._db.execute(
+        for *about, readings, channels, counts in self._db.execute(
             "SELECT gain_v_per_a, first_s, period_s, monitor_a, readings, channels, counts FROM reading"
             " WHERE number = ? AND attempt = ? ORDER BY gain_v_per_a",
             (number, attempt),
         ):
-            raw = np.frombuffer(counts, dtype="<u2").reshape(readings, channels)
-            yield Reading(gain, first, period, monitor, raw)
+            gain, first, period, monitor = about
+            yield Reading(gain, first, period, monitor, np.frombuffer(counts, dtype="<u2").reshape(readings, channels))
 
 
 def open_read_only(path: Path) -> sqlite3.Connection:
@@ -568,8 +587,8 @@ def _session(number: int, started: float, ended: float, outcome: str | None, *ab
 
 
 def _row(*columns: Any) -> Row:
-    number, identity, kind, sample, wavelength, gamma, sigma, beta, shift, seconds, detail = columns
-    details = {key: value for key, value in json.loads(detail).items() if key in DETAIL_KEYS}
+    entry = PlanEntry(*columns)
+    details = {key: value for key, value in json.loads(entry.detail).items() if key in DETAIL_KEYS}
     details["gains"] = tuple(details["gains"])
-    pose = None if sigma is None else (gamma, sigma, beta, shift)
-    return Row(number, identity, kind, sample, seconds, wavelength, pose, **details)
+    pose = None if entry.sigma_deg is None else (entry.gamma_deg, entry.sigma_deg, entry.beta_deg, entry.shift_deg)
+    return Row(entry.number, entry.identity, entry.kind, entry.sample, entry.seconds, entry.wavelength_nm, pose, **details)

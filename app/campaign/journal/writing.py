@@ -753,4 +753,13 @@ INSERT_ROW = (
 def _planned(row: Row) -> tuple[object, ...]:
     pose = row.pose if row.pose is not None else (None, None, None, None)
     detail = json.dumps({key: getattr(row, key) for key in DETAIL_KEYS})
-    return (row.number, row.identity, row.kind, row.sample, row.wavelength_nm, *pose, row.seconds, detail)
+    return (
+        row.number,
+        row.identity,
+        row.kind,
+        row.sample,
+        row.wavelength_nm,
+        *pose,
+        row.seconds,
+        detail,
+    )

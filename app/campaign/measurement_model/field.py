@@ -115,9 +115,12 @@ def directions_covariance(instrument: Instrument, directions: Directions, sigma:
     of_y = far * np.stack([across_e, -along_e])
     # In the spot's coordinates towards the photodiode, 1, and at right angles, 2.
     of_1, of_2 = cos_a * of_x + sin_a * of_y, -sin_a * of_x + cos_a * of_y
-    acceptance = acceptance_moments(instrument)
     polar = np.abs(directions.polar)
-    k1, k2, k1_1, k2_2, spot_1, spot_2 = (np.interp(polar, POLAR_NODES, each) for each in acceptance)
+    slopes, with_places, places = (
+        (np.interp(polar, POLAR_NODES, along), np.interp(polar, POLAR_NODES, across))
+        for along, across in acceptance_moments(instrument).reshape(3, 2, -1)
+    )
+    (k1, k2), (k1_1, k2_2), (spot_1, spot_2) = slopes, with_places, places
     k2_2 = up * k2_2  # across the lower arc is the other way
     pupil = (instrument.pupil_radius_mm / instrument.pupil_distance_mm) ** 2 / 4.0
     a, c = np.sum(across * centre, axis=0), np.sum(along * centre, axis=0)

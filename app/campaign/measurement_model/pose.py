@@ -599,6 +599,7 @@ def moments(*parts: tuple[Displacement, Floats]) -> Floats:
 def variance(sums: Floats, slope_along: Floats, slope_across: Floats) -> Floats:
     """Relative variance (n,) of values with these slopes, from `moments`."""
     a, c = slope_along, slope_across
-    aa, cc, ss, ac, as_, cs = sums.T
+    aa, cc, ss = sums[:, :3].T
+    ac, as_, cs = sums[:, 3:].T
     found: Floats = np.maximum(a * a * aa + c * c * cc + ss + 2.0 * (a * c * ac + a * as_ + c * cs), 0.0)
     return found

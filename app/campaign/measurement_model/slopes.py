@@ -13,7 +13,7 @@ growing p, `across` is d x along: of growing azimuth where p is positive and the
 
 import math
 from dataclasses import dataclass
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 
@@ -92,7 +92,32 @@ class Parabola:
 
 
 PARABOLA_COLUMNS = 14
-Sums = tuple[float, float, float, float, float, float, float, float]
+
+
+class NormalSums(NamedTuple):
+    """Sums of a parabola's normal equations: of the weights times powers of the place, 0 to 4, and of these, 0 to 2, times the
+    value.
+    """
+
+    s0: float
+    s1: float
+    s2: float
+    s3: float
+    s4: float
+    t0: float
+    t1: float
+    t2: float
+
+
+class Cofactors(NamedTuple):
+    """Cofactors of the normal equations of a parabola, by row and column."""
+
+    c00: float
+    c01: float
+    c02: float
+    c11: float
+    c12: float
+    c22: float
 
 
 def local_parabola(line: Ints, x: Floats, y: Floats, variance: Floats, window: float, longest: float) -> Parabola:
@@ -108,35 +133,37 @@ def local_parabola(line: Ints, x: Floats, y: Floats, variance: Floats, window: f
     return Parabola(*found)
 
 
-NO_SUMS = (0.0,) * 8
+NO_SUMS = NormalSums(*(0.0,) * 8)
 
 
 @kernel(forceinline=True)
-def _with_value(sums: Sums, place: float, weight: float, value: float) -> Sums:
-    """Sums of a parabola's normal equations with one value more: of the weights times powers of the place, 0 to 4, and of
-    these, 0 to 2, times the value.
-    """
-    s0, s1, s2, s3, s4, t0, t1, t2 = sums
+def _with_value(sums: NormalSums, place: float, weight: float, value: float) -> NormalSums:
+    """The sums with one value more."""
     square, one = place * place, weight * place
     two = weight * square
-    return (
-        s0 + weight,
-        s1 + one,
-        s2 + two,
-        s3 + two * place,
-        s4 + two * square,
-        t0 + weight * value,
-        t1 + one * value,
-        t2 + two * value,
+    return NormalSums(
+        sums.s0 + weight,
+        sums.s1 + one,
+        sums.s2 + two,
+        sums.s3 + two * place,
+        sums.s4 + two * square,
+        sums.t0 + weight * value,
+        sums.t1 + one * value,
+        sums.t2 + two * value,
     )
 
 
 @kernel(forceinline=True)
-def _cofactors(sums: Sums) -> tuple[float, float, float, float, float, float]:
-    """Cofactors of the normal equations of a parabola, by row and column: 00, 01, 02, 11, 12 and 22."""
+def _cofactors(sums: NormalSums) -> Cofactors:
     s0, s1, s2, s3, s4 = sums[:5]
-    c02, c12, c22 = s1 * s3 - s2 * s2, s1 * s2 - s0 * s3, s0 * s2 - s1 * s1
-    return s2 * s4 - s3 * s3, s2 * s3 - s1 * s4, c02, s0 * s4 - s2 * s2, c12, c22
+    return Cofactors(
+        s2 * s4 - s3 * s3,
+        s2 * s3 - s1 * s4,
+        s1 * s3 - s2 * s2,
+        s0 * s4 - s2 * s2,
+        s1 * s2 - s0 * s3,
+        s0 * s2 - s1 * s1,
+    )
 
 
 @kernel()
@@ -157,9 +184,9 @@ def _fit(
         sums = NO_SUMS
         for j in range(begin, end):
             sums = _with_value(sums, (x[j] - x[i]) / width, 1.0, y[j])
-        _, _, s2, s3, s4, t0, t1, t2 = sums
-        _, c01, c02, c11, c12, c22 = _cofactors(sums)
-        determinant = s2 * c02 + s3 * c12 + s4 * c22
+        t0, t1, t2 = sums[5:]
+        c01, c02, c11, c12, c22 = _cofactors(sums)[1:]
+        determinant = sums.s2 * c02 + sums.s3 * c12 + sums.s4 * c22
         one, two = 1.0 / (determinant * width), 2.0 / (determinant * width * width)
         found[0, i] = (c01 * t0 + c11 * t1 + c12 * t2) * one
         found[1, i] = (c02 * t0 + c12 * t1 + c22 * t2) * two
@@ -187,7 +214,8 @@ def _compare_sides(
     Rows 12 and 13 have what x^3 and x^4 add to the derivatives of the parabola; to a side with neighbours at a and b they add
     - a b, and - a b (a + b) with the sign of the side.
     """
-    n, step, sides, others, cubic, quartic = x.size, 0.0, 0, 0.0, 0.0, 0.0
+    n, sides = x.size, 0
+    step, others, cubic, quartic = 0.0, 0.0, 0.0, 0.0
     after, own_after, before, own_before = 0.0, 0.0, 0.0, 0.0
     for sign in (1, -1):
         j = i + sign
@@ -493,11 +521,14 @@ def _fit_over_theta(
             if nearest < window:
                 continue
             # With weights, the inverse is the covariance.
-            s0, s1, s2, _, s4, t0, t1, t2 = sums
-            c00, c01, c02, c11, c12, c22 = _cofactors(sums)
-            determinant = s0 * c00 + s1 * c01 + s2 * c02
-            if not determinant > SINGULAR * s0 * s2 * s4:  # two places: a straight line
-                c01, c02, c11, c12, c22, determinant = -s1, 0.0, s0, 0.0, 0.0, c22
+            s0, s1, s2 = sums[:3]
+            t0, t1, t2 = sums[5:]
+            inverse = _cofactors(sums)
+            determinant = s0 * inverse.c00 + s1 * inverse.c01 + s2 * inverse.c02
+            c01, c02, c11, c12, c22 = inverse[1:]
+            if not determinant > SINGULAR * s0 * s2 * sums.s4:  # two places: a straight line
+                determinant = c22
+                c01, c02, c11, c12, c22 = -s1, 0.0, s0, 0.0, 0.0
                 if not determinant > SINGULAR * s0 * s2:
                     continue
             one, two = 1.0 / (determinant * window), 2.0 / (determinant * window * window)

@@ -269,7 +269,15 @@ def _texts(campaign: "Campaign") -> tuple[str, ...]:
     rows = f"{each.rows} of {each.planned}" + (f", {each.skipped} skipped" if each.skipped else "")
     begun = (each.begun or "").replace("T", " ")[:16]
     kind = "SIMULATED" if each.simulated else "measured"
-    return (each.name, f"{MARKS[each.state]} {each.state}", rows, left, begun, kind, campaign.path.name)
+    return (
+        each.name,
+        f"{MARKS[each.state]} {each.state}",
+        rows,
+        left,
+        begun,
+        kind,
+        campaign.path.name,
+    )
 
 
 def _about(campaign: "Campaign") -> str:

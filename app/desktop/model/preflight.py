@@ -94,16 +94,7 @@ class Facts:
 
 def preflight(facts: Facts) -> tuple[Check, ...]:
     """The list, always with the same checks in the same order."""
-    return (
-        _ports(facts),
-        _homed(facts),
-        _limits(facts),
-        _lamp(facts),
-        _dark(facts),
-        _drift(facts),
-        _certificate(facts),
-        _disk(facts),
-    )
+    return tuple(check(facts) for check in (_ports, _homed, _limits, _lamp, _dark, _drift, _certificate, _disk))
 
 
 def summary(checks: Sequence[Check]) -> str:

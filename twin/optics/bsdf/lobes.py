@@ -6,7 +6,7 @@ Samples are made without numba: what evaluates them loads it.
 import math
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -16,7 +16,6 @@ from goniotwin.twin.optics.bsdf.kinds import ANISOTROPIC, ELLIPTIC, GAUSSIAN, RE
 from goniotwin.twin.optics.geometry.coordinates import from_specular, light_direction
 
 GaussianQuantity = Literal["luminance", "intensity"]
-KernelArguments = tuple[int, Floats, Floats, Floats, Floats, Floats, Floats]
 
 GAUSS_NODES, GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(8)
 TAIL_WIDTHS = np.array([0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 10.0, 16.0, 30.0, 60.0, 120.0, 250.0, 500.0, 1000.0])
@@ -34,6 +33,18 @@ def freeze(values: npt.ArrayLike) -> Floats:
 def parameters(*values: float) -> Floats:
     """The eight parameters of a lobe, padded with zeros."""
     return freeze([*values, *[0.0] * (8 - len(values))])
+
+
+class KernelArguments(NamedTuple):
+    """The model of one lobe, as the kernels take it."""
+
+    kind: int
+    params: Floats
+    sigma_deg: Floats
+    phi_deg: Floats
+    theta_deg: Floats
+    psi_deg: Floats
+    table: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,11 +68,19 @@ class Lobe:
 
     @cached_property
     def kernel_arguments(self) -> KernelArguments:
-        """Arguments of `bsdf`: kind, params, sigma, phi, theta, psi, and the values with their slopes over sigma."""
+        """Arguments of `bsdf`; the table has the values with their slopes over sigma."""
         table = np.empty((2 * self.values.shape[0], *self.values.shape[1:]))
         for n, block in enumerate(self.values):
             table[2 * n], table[2 * n + 1] = block, slopes(self.sigma_deg, block)
-        return self.kind, self.params, self.sigma_deg, self.phi_deg, self.theta_deg, self.psi_deg, freeze(table)
+        return KernelArguments(
+            self.kind,
+            self.params,
+            self.sigma_deg,
+            self.phi_deg,
+            self.theta_deg,
+            self.psi_deg,
+            freeze(table),
+        )
 
     @cached_property
     def cells(self) -> Floats:
@@ -100,8 +119,8 @@ class Lobe:
 
         light = light_direction(sigma_deg)
         if self.kind == REGULAR:
-            _, params, sig, _, _, _, table = self.kernel_arguments
-            return float(regular_share(params, sig, table, *map(float, light)))
+            of = self.kernel_arguments
+            return float(regular_share(of.params, of.sigma_deg, of.table, *map(float, light)))
         axis_deg = sigma_deg
         if self.kind == GAUSSIAN and self.params[4] != 1.0:
             x, _, z = refract(float(self.params[4]), *map(float, light))

@@ -20,7 +20,7 @@ from goniotwin.twin.optics.kernel import kernel
 @kernel(forceinline=True)
 def to_canonical(
     incident: int, transmits: bool, lx: float, ly: float, lz: float, dx: float, dy: float, dz: float
-) -> tuple[float, float, float, float, float, float]:
+) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
     """Directions of the sample's own frame in canonical form, for light from the front (1) or the back (-1).
 
     A sample lit from the back is turned about x, so azimuths change their sign. A transmitted direction is mirrored in the
@@ -31,7 +31,7 @@ def to_canonical(
         ly, lz, dy, dz = -ly, -lz, -dy, -dz
     if transmits:
         dz = -dz
-    return lx, ly, lz, dx, dy, dz
+    return (lx, ly, lz), (dx, dy, dz)
 
 
 @kernel(forceinline=True)
@@ -160,7 +160,7 @@ def evaluate_all(
     """`bsdf` of rows (n, 3) of directions in the sample's own frame."""
     result = np.empty(light.shape[0])
     for i in range(light.shape[0]):
-        lx, ly, lz, dx, dy, dz = to_canonical(
+        (lx, ly, lz), (dx, dy, dz) = to_canonical(
             incident, transmits, light[i, 0], light[i, 1], light[i, 2], observer[i, 0], observer[i, 1], observer[i, 2]
         )
         result[i] = bsdf(kind, params, sig, ph, th, psi, table, lx, ly, lz, dx, dy, dz)

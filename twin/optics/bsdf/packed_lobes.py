@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from goniotwin.arrays import Floats, Ints
-from goniotwin.twin.optics.bsdf.lobes import ALBEDO_SIGMA_DEG, Lobe, freeze
+from goniotwin.twin.optics.bsdf.lobes import ALBEDO_SIGMA_DEG, KernelArguments, Lobe, freeze
 from goniotwin.twin.optics.bsdf.models import from_canonical, to_canonical
 from goniotwin.twin.optics.bsdf.sampling import scatter
 from goniotwin.twin.optics.kernel import kernel
@@ -75,24 +75,30 @@ def pack_lobes(lobes: tuple[Lobe, ...], weights: Floats, incident: int) -> Lobes
 
 
 @kernel()
-def model_arrays(models: Models, k: int) -> tuple[int, Floats, Floats, Floats, Floats, Floats, Floats]:
-    """Arguments of `bsdf` for lobe k: kind, params, sigma, phi, theta, psi and table."""
+def model_arrays(models: Models, k: int) -> KernelArguments:
+    """Arguments of `bsdf` for lobe k."""
     heads, starts, flat = models.heads, models.starts, models.flat
     sigmas, phis, thetas = heads[k, FIRST], heads[k, FIRST + 1], heads[k, FIRST + 2]
     sig, ph = flat[starts[k, 0] : starts[k, 0] + sigmas], flat[starts[k, 1] : starts[k, 1] + phis]
     th, psi = flat[starts[k, 2] : starts[k, 2] + thetas], flat[starts[k, 3] : starts[k, 3] + heads[k, FIRST + 3]]
     table = flat[starts[k, 4] : starts[k, 5]].reshape(heads[k, FIRST + 4], sigmas, phis, thetas)
-    return heads[k, KIND], models.params[k], sig, ph, th, psi, table
+    return KernelArguments(
+        heads[k, KIND],
+        models.params[k],
+        sig,
+        ph,
+        th,
+        psi,
+        table,
+    )
 
 
 @kernel()
-def lobe_arrays(models: Models, k: int) -> tuple[int, Floats, Floats, Floats, Floats, Floats, Floats, Floats]:
-    """Arguments of `scatter` for lobe k: those of `bsdf` and the cells."""
+def cells_of(models: Models, k: int) -> Floats:
+    """The cells of lobe k, which `scatter` takes after the arguments of `bsdf`."""
     heads, start = models.heads, models.starts[k, 5]
     size = heads[k, FIRST + 5] * heads[k, FIRST + 6] * heads[k, FIRST + 7]
-    cells = models.flat[start : start + size].reshape(heads[k, FIRST + 5], heads[k, FIRST + 6], heads[k, FIRST + 7])
-    kind, params, sig, ph, th, psi, table = model_arrays(models, k)
-    return kind, params, sig, ph, th, psi, table, cells
+    return models.flat[start : start + size].reshape(heads[k, FIRST + 5], heads[k, FIRST + 6], heads[k, FIRST + 7])
 
 
 @kernel()
@@ -138,9 +144,17 @@ def scatter_at_sample(
         if rest < 0.0:
             break
     transmits, side = lobes.models.heads[which, TRANSMITS] == 1, 1 if above else -1
-    lx, ly, lz, _, _, _ = to_canonical(side, transmits, -wx, -wy, -wz, 0.0, 0.0, 0.0)
+    (lx, ly, lz), _ = to_canonical(side, transmits, -wx, -wy, -wz, 0.0, 0.0, 0.0)
+    model = model_arrays(lobes.models, which)
     dx, dy, dz, factor = scatter(
-        *lobe_arrays(lobes.models, which),
+        model.kind,
+        model.params,
+        model.sigma_deg,
+        model.phi_deg,
+        model.theta_deg,
+        model.psi_deg,
+        model.table,
+        cells_of(lobes.models, which),
         lx,
         ly,
         lz,

@@ -151,7 +151,7 @@ def density(
     if kind == REGULAR:
         return 0.0
     if kind in (TABLE, ANISOTROPIC):
-        n, n1, share, sign, m, a = light_place(sig, psi, params, lx, ly, lz)
+        (n, n1, share, sign), (m, a) = light_place(sig, psi, params, lx, ly, lz)
         j, _, k, _, theta = observer_place(ph, th, sign, lx, ly, lz, dx, dy, dz)
         own = cell_density(ph, th, cells, n, n1, share, m, a, j, k, theta)
         return LOBE_SHARE * own + (1.0 - LOBE_SHARE) * max(dz, 0.0) / math.pi
@@ -179,7 +179,7 @@ def scatter_by_table(
     choice: float,
 ) -> tuple[float, float, float, float]:
     """`scatter` of a table: the places of light and observer in it are found once for draw, value and density."""
-    n, n1, share, sign, m, a = light_place(sig, psi, params, lx, ly, lz)
+    (n, n1, share, sign), (m, a) = light_place(sig, psi, params, lx, ly, lz)
     if choice < LOBE_SHARE and lz > 0.0:
         dx, dy, dz = cell_direction(ph, th, cells, n, n1, share, sign, m, a, lx, ly, lz, u, v, choice / LOBE_SHARE)
     else:

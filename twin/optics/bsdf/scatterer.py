@@ -205,7 +205,7 @@ def draw_directions(
         if not members.size:
             continue
         x, y, z = (float(c) for c in own)
-        canonical_light = to_canonical(lobe.incident, lobe.transmits, x, y, z, 0.0, 0.0, 0.0)[:3]
+        canonical_light = to_canonical(lobe.incident, lobe.transmits, x, y, z, 0.0, 0.0, 0.0)[0]
         drawn = scatter_all(
             *lobe.kernel_arguments,
             lobe.cells,

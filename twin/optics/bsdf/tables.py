@@ -96,11 +96,10 @@ def hermite_weights(a: float, step: float) -> tuple[float, float, float, float]:
 @kernel(forceinline=True)
 def light_place(
     sig: Floats, psi: Floats, params: Floats, lx: float, ly: float, lz: float
-) -> tuple[int, int, float, float, int, float]:
-    """The light's place: `azimuth_place`, then the interval of sigma and the relative position in it."""
-    n, n1, share, sign = azimuth_place(psi, params[0], params[1], lx, ly)
-    m, a = find_interval(sig, math.degrees(math.atan2(math.sqrt(lx * lx + ly * ly), lz)))
-    return n, n1, share, sign, m, a
+) -> tuple[tuple[int, int, float, float], tuple[int, float]]:
+    """The light's place: `azimuth_place`, and the interval of sigma with the relative position in it."""
+    place = find_interval(sig, math.degrees(math.atan2(math.sqrt(lx * lx + ly * ly), lz)))
+    return azimuth_place(psi, params[0], params[1], lx, ly), place
 
 
 @kernel(forceinline=True)
@@ -157,6 +156,6 @@ def table_value(
     """Value of a table in 1/sr, for directions in the sample's own frame; zero where light or observer is not in front."""
     if lz <= 0.0 or dz <= 0.0:
         return 0.0
-    n, n1, share, sign, m, a = light_place(sig, psi, params, lx, ly, lz)
+    (n, n1, share, sign), (m, a) = light_place(sig, psi, params, lx, ly, lz)
     j, b, k, c, _ = observer_place(ph, th, sign, lx, ly, lz, dx, dy, dz)
     return value_at(sig, table, n, n1, share, m, a, j, b, k, c)

@@ -15,6 +15,7 @@ instead. See docs/decisions/0009.
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -84,7 +85,8 @@ def place_detectors(block: Block, centres: Floats, views: Floats) -> None:
     last = views.shape[0] - 1
     for k in range(whole_lanes(last + 1)):
         i = min(k, last)
-        x, y, z, dx, dy, dz = centres[i, 0], centres[i, 1], centres[i, 2], views[i, 0], views[i, 1], views[i, 2]
+        x, y, z = centres[i, 0], centres[i, 1], centres[i, 2]
+        dx, dy, dz = views[i, 0], views[i, 1], views[i, 2]
         ax, ay, az, lx, ly = detector_frame(dx, dy, dz)
         block.position[X, k], block.position[Y, k], block.position[Z, k] = x, y, z
         block.axes[AWAY, X, k], block.axes[AWAY, Y, k], block.axes[AWAY, Z, k] = ax, ay, az
@@ -255,23 +257,31 @@ def disc_segment(radius: float, cut: float) -> tuple[float, float, float, float]
     return area, 2.0 / 3.0 * cube, quarter + 0.5 * cut * cube, quarter - cut * cube / 6.0
 
 
-@kernel()
-def common_disc(radius: float, x: float, y: float, other: float) -> tuple[float, float, float, float, float, float]:
-    """Intersection of a disc about the origin and a disc of radius `other` about (x, y).
+class DiscIntegrals(NamedTuple):
+    """Integrals of 1, x, y, x x, x y and y y over a part of a disc."""
 
-    Returns its area, and the integrals of x, y, x x, x y and y y over it.
-    """
+    area: float
+    x: float
+    y: float
+    xx: float
+    xy: float
+    yy: float
+
+
+@kernel()
+def common_disc(radius: float, x: float, y: float, other: float) -> DiscIntegrals:
+    """Intersection of a disc about the origin and a disc of radius `other` about (x, y)."""
     apart = math.sqrt(x * x + y * y)
     if apart >= radius + other:
-        return 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        return DiscIntegrals(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     if apart <= other - radius:
         area = math.pi * radius * radius
         own = 0.25 * radius * radius * area
-        return area, 0.0, 0.0, own, 0.0, own
+        return DiscIntegrals(area, 0.0, 0.0, own, 0.0, own)
     if apart <= radius - other:
         area = math.pi * other * other
         own = 0.25 * other * other * area
-        return area, area * x, area * y, own + area * x * x, area * x * y, own + area * y * y
+        return DiscIntegrals(area, area * x, area * y, own + area * x * x, area * x * y, own + area * y * y)
     cut = (apart * apart + radius * radius - other * other) / (2.0 * apart)
     a1, s1, xx1, yy1 = disc_segment(radius, cut)
     a2, s2, xx2, yy2 = disc_segment(other, apart - cut)  # relative to its own centre, opposite direction
@@ -279,7 +289,14 @@ def common_disc(radius: float, x: float, y: float, other: float) -> tuple[float,
     along, across = xx1 + xx2 - 2.0 * apart * s2 + apart * apart * a2, yy1 + yy2
     c, s = x / apart, y / apart
     mixed = (along - across) * c * s
-    return area, first * c, first * s, along * c * c + across * s * s, mixed, along * s * s + across * c * c
+    return DiscIntegrals(
+        area,
+        first * c,
+        first * s,
+        along * c * c + across * s * s,
+        mixed,
+        along * s * s + across * c * c,
+    )
 
 
 @kernel(nogil=True)
@@ -334,14 +351,15 @@ def add_point(block: Block, k: int, sizes: Floats, u: float, v: float, part: flo
     away = centre[VIEW, k] - u * axes[VIEW, X, k] - v * axes[VIEW, Y, k]
     x = u * axes[AWAY, X, k] + v * axes[AWAY, Y, k] - centre[AWAY, k]
     y = u * axes[LEVEL, X, k] + v * axes[LEVEL, Y, k] - centre[LEVEL, k]
-    area, sx, sy, sxx, sxy, syy = common_disc(sizes[0], x, y, away * (sine / math.sqrt(1.0 - sine * sine)))
+    common = common_disc(sizes[0], x, y, away * (sine / math.sqrt(1.0 - sine * sine)))
+    area, sx, sy = common.area, common.x, common.y
     if not area > 0.0:
         return
     one = 1.0 / away
     p, q = (sx - x * area) * one, (sy - y * area) * one
-    pp = (sxx - 2.0 * x * sx + x * x * area) * one * one
-    pq = (sxy - x * sy - y * sx + x * y * area) * one * one
-    qq = (syy - 2.0 * y * sy + y * y * area) * one * one
+    pp = (common.xx - 2.0 * x * sx + x * x * area) * one * one
+    pq = (common.xy - x * sy - y * sx + x * y * area) * one * one
+    qq = (common.yy - 2.0 * y * sy + y * y * area) * one * one
     mean_p, mean_q = p / area, q / area
     cov = pq - p * mean_q
     ppp, ppq = mean_p * (3.0 * pp - 2.0 * p * mean_p), mean_q * pp + 2.0 * mean_p * cov

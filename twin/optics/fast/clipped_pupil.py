@@ -101,13 +101,16 @@ def fill_clip(scene: SceneArrays, half: float, spot: float, clip: Floats) -> boo
 
 
 @kernel(forceinline=True)
-def linear_coordinates(image: Floats, axis: int, pupil: Floats) -> tuple[float, float, float, float, float, float]:
+def linear_coordinates(
+    image: Floats, axis: int, pupil: Floats
+) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
     """Coordinate along an axis of a mirror's image, from its centre: constant and slopes over the hole and over the pupil."""
     ex, ey, ez = image[axis, 0], image[axis, 1], image[axis, 2]
     own = image[0, 0] * ex + image[0, 1] * ey + image[0, 2] * ez
     centre = pupil[0, 0] * ex + pupil[0, 1] * ey + pupil[0, 2] * ez
     along_u = pupil[1, 0] * ex + pupil[1, 1] * ey + pupil[1, 2] * ez
-    return -own, ex, ey, centre - own, along_u, pupil[2, 0] * ex + pupil[2, 1] * ey + pupil[2, 2] * ez
+    along_v = pupil[2, 0] * ex + pupil[2, 1] * ey + pupil[2, 2] * ez
+    return (-own, ex, ey), (centre - own, along_u, along_v)
 
 
 @kernel()
@@ -122,13 +125,13 @@ def left_polygon(scene: SceneArrays, half: float, u: float, v: float, points: Fl
     count = 4
     for m in range(3):
         if scene.missed[m] > 0.0:
-            hn, hnu, hnv, gn, gna, gnb = linear_coordinates(scene.images[m], 1, scene.pupil)
+            (hn, hnu, hnv), (gn, gna, gnb) = linear_coordinates(scene.images[m], 1, scene.pupil)
             near = hn + hnu * u + hnv * v
             if not near * gn < 0.0:
                 return -1
             side = half if near > gn else -half
             for axis in range(2, 4):
-                h, hu, hv, g, ga, gb = linear_coordinates(scene.images[m], axis, scene.pupil)
+                (h, hu, hv), (g, ga, gb) = linear_coordinates(scene.images[m], axis, scene.pupil)
                 beside = h + hu * u + hv * v
                 for edge in range(2):
                     # As in `reaches_over`, for one of the two opposite edges.

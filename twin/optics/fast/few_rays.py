@@ -43,7 +43,7 @@ def _visible_shares(instrument: Instrument, mirrors: Floats, axes: Floats, rays:
     e1x, e1y, e1z, e2x, e2y = dz * cos, dz * sin, -level, -sin, cos  # away from the normal, and level
     total, free = np.zeros(len(axes)), np.zeros(len(axes))
     for sign in (1.0, -1.0):
-        along, hole_u, hole_v, _, _, p, q = np.concatenate([bundle[:1], sign * bundle[1:]])
+        along, (hole_u, hole_v), (p, q) = bundle[0], sign * bundle[1:3], sign * bundle[5:]
         with np.errstate(divide="ignore", invalid="ignore"):  # a detector in the sample's plane
             # A point (u, v) of the hole meets the detector's plane at (au u + av v + a0, bu u + bv v + b0).
             a0, au, av = distance * p, e1x - p * dx, e1y - p * dy

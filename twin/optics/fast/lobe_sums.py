@@ -87,7 +87,10 @@ def add_lobe(models: Models, lobe: int, block: Block, sums: Floats) -> None:
         for i in range(sums.size):
             block.value[i] = rays[WEIGHT, i] * params[lobe, 0] if (rays[OBSERVER + Z, i] < 0.0) == transmits else 0.0
     else:
-        _, own, sig, ph, th, psi, table = model_arrays(models, lobe)
+        model = model_arrays(models, lobe)
+        # Outside the loop: numba counts a reference to each array that is taken from a tuple.
+        own, sig, ph = model.params, model.sigma_deg, model.phi_deg
+        th, psi, table = model.theta_deg, model.psi_deg, model.table
         for i in range(sums.size):
             block.value[i] = 0.0
             if (rays[OBSERVER + Z, i] < 0.0) == transmits and rays[WEIGHT, i] > 0.0:

@@ -44,18 +44,14 @@ def map_to_disc(
     ahead: float,
     p: float,
     q: float,
-) -> tuple[float, float, float, float, float, float]:
-    """Map of the hole to a detector's disc along the slopes p and q, for a detector's axes: a0, au, av, b0, bu, bv.
+) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+    """Map of the hole to a detector's disc along the slopes p and q, for a detector's axes: (a0, au, av) and (b0, bu, bv).
 
     A point (u, v) of the hole meets the disc's plane at (au u + av v + a0, bu u + bv v + b0) from the disc's centre.
     """
     return (
-        ahead * p - beside1,
-        e1x - p * dx,
-        e1y - p * dy,
-        ahead * q - beside2,
-        e2x - q * dx,
-        e2y - q * dy,
+        (ahead * p - beside1, e1x - p * dx, e1y - p * dy),
+        (ahead * q - beside2, e2x - q * dx, e2y - q * dy),
     )
 
 
@@ -116,7 +112,7 @@ def fill_chords(block: Block, k: int, count: int, sign: float, sizes: Floats, fi
     beside1, beside2, ahead = block.centre[AWAY, k], block.centre[LEVEL, k], block.centre[VIEW, k]
     for i in range(count):
         p, q, along = sign * tile[SLOPE_P, i], sign * tile[SLOPE_Q, i], tile[COSINE, i]
-        a0, au, av, b0, bu, bv = map_to_disc(e1x, e1y, e2x, e2y, dx, dy, beside1, beside2, ahead, p, q)
+        (a0, au, av), (b0, bu, bv) = map_to_disc(e1x, e1y, e2x, e2y, dx, dy, beside1, beside2, ahead, p, q)
         square = au * au + bu * bu
         area = au * bv - av * bu
         whole, part = 1.0 / area, 1.0 / square  # few divisions and roots: they are half of the time
@@ -217,8 +213,10 @@ def fill_arrivals(block: Block, scene: SceneArrays, half: float, sign: float, sh
     the unfolded mirrors, of half side `half`.
     """
     pupil, ray, point = scene.pupil, block.ray, block.point
-    cx, cy, cz, ax, ay, az = pupil[0, 0], pupil[0, 1], pupil[0, 2], pupil[1, 0], pupil[1, 1], pupil[1, 2]
-    bx, by, bz, nx, ny, nz = pupil[2, 0], pupil[2, 1], pupil[2, 2], pupil[3, 0], pupil[3, 1], pupil[3, 2]
+    cx, cy, cz = pupil[0, 0], pupil[0, 1], pupil[0, 2]
+    ax, ay, az = pupil[1, 0], pupil[1, 1], pupil[1, 2]
+    bx, by, bz = pupil[2, 0], pupil[2, 1], pupil[2, 2]
+    nx, ny, nz = pupil[3, 0], pupil[3, 1], pupil[3, 2]
     for i in range(count):
         a, b = sign * block.tile[PUPIL_A, i], sign * block.tile[PUPIL_B, i]
         lx = cx + a * ax + b * bx - point[HOLE_U, i]

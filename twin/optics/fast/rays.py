@@ -72,7 +72,8 @@ def fill_slopes(block: Block, count: int, pupil: Floats) -> None:
     `pupil` (4, 3) is the exit pupil's centre, its two axes as long as its radius, its normal, mm.
     """
     axes, mean, along, across = block.axes, block.mean, block.slope[ALONG], block.slope[ACROSS]
-    cx, cy, cz, ax, ay, az = pupil[0, 0], pupil[0, 1], pupil[0, 2], pupil[1, 0], pupil[1, 1], pupil[1, 2]
+    cx, cy, cz = pupil[0, 0], pupil[0, 1], pupil[0, 2]
+    ax, ay, az = pupil[1, 0], pupil[1, 1], pupil[1, 2]
     bx, by, bz = pupil[2, 0], pupil[2, 1], pupil[2, 2]
     for k in range(count):
         e1x, e1y, e1z, e2x, e2y = axes[AWAY, X, k], axes[AWAY, Y, k], axes[AWAY, Z, k], axes[LEVEL, X, k], axes[LEVEL, Y, k]
@@ -174,8 +175,10 @@ def place_node(block: Block, count: int, pupil: Floats, away: float, level: floa
     solid angle, cos(light) cos(pupil) / r^2, 1/mm^2, and the aperture's mm^2. A detector that accepts no rays has weights of
     0.
     """
-    cx, cy, cz, ax, ay, az = pupil[0, 0], pupil[0, 1], pupil[0, 2], pupil[1, 0], pupil[1, 1], pupil[1, 2]
-    bx, by, bz, fx, fy, fz = pupil[2, 0], pupil[2, 1], pupil[2, 2], pupil[3, 0], pupil[3, 1], pupil[3, 2]
+    cx, cy, cz = pupil[0, 0], pupil[0, 1], pupil[0, 2]
+    ax, ay, az = pupil[1, 0], pupil[1, 1], pupil[1, 2]
+    bx, by, bz = pupil[2, 0], pupil[2, 1], pupil[2, 2]
+    fx, fy, fz = pupil[3, 0], pupil[3, 1], pupil[3, 2]
     own, others = (1.0, -6.0) if away == 0.0 and level == 0.0 else (0.0, 1.0)
     axes, mean, to_along, to_across = block.axes, block.mean, block.shift[ALONG], block.shift[ACROSS]
     ray, point = block.ray, block.point

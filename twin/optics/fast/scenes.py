@@ -420,9 +420,11 @@ def fill_regular(
     if scene.missed[0] + scene.missed[1] + scene.missed[2] > 0.0 or not light.slit.even:
         half = optics.lengths[HALF_MIRROR]
         light_shares(centres, views, optics.sizes, scene, half, light, transmits, optics.image_rays, result)
-    _, params, sig, _, _, _, table = model_arrays(models, k)
+    model = model_arrays(models, k)
     length = math.sqrt(pupil[0, 0] ** 2 + pupil[0, 1] ** 2 + pupil[0, 2] ** 2)
-    share = regular_share(params, sig, table, pupil[0, 0] / length, pupil[0, 1] / length, pupil[0, 2] / length)
+    share = regular_share(
+        model.params, model.sigma_deg, model.table, pupil[0, 0] / length, pupil[0, 1] / length, pupil[0, 2] / length
+    )
     for i in range(result.size):
         if result[i] != 0.0:
             result[i] *= 1e-6 * share

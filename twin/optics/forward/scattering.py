@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from goniotwin.arrays import Floats, Singles, Words
-from goniotwin.twin.optics.bsdf.packed_lobes import TRANSMITS, Lobes, lobe_arrays
+from goniotwin.twin.optics.bsdf.packed_lobes import TRANSMITS, Lobes, cells_of, model_arrays
 from goniotwin.twin.optics.bsdf.sampling import scatter
 from goniotwin.twin.optics.forward.elementary import arcsine, cosine, cosine_and_sine, exp_minus, minus_log, sine_ratio
 from goniotwin.twin.optics.forward.paths import DX, DY, DZ, FLUX, PX, PY, STOP, WEIGHT, WX, WY, WZ
@@ -155,11 +155,29 @@ def leave_frame(buffer: Singles, count: int, key: np.uint64, stratum: int, gain:
 @kernel()
 def leave_by_model(buffer: Singles, count: int, key: np.uint64, stratum: int, which: int, gain: float, lobes: Lobes) -> None:
     """Draw directions of any lobe, one path after the other: number `which` of the packed ones."""
-    arrays = lobe_arrays(lobes.models, which)
+    model, cells = model_arrays(lobes.models, which), cells_of(lobes.models, which)
+    # Outside the loop: numba counts a reference to each array that is taken from a tuple.
+    kind, params, sig = model.kind, model.params, model.sigma_deg
+    ph, th, psi, table = model.phi_deg, model.theta_deg, model.psi_deg, model.table
     transmits = lobes.models.heads[which, TRANSMITS] == 1
     for i in range(count):
         own = path_key(key, stratum, i)
         lx, ly, lz = -np.float64(buffer[i + WX]), -np.float64(buffer[i + WY]), -np.float64(buffer[i + WZ])
-        dx, dy, dz, weight = scatter(*arrays, lx, ly, lz, uniform(own, 0), uniform(own, 1), uniform(own, 2))
+        dx, dy, dz, weight = scatter(
+            kind,
+            params,
+            sig,
+            ph,
+            th,
+            psi,
+            table,
+            cells,
+            lx,
+            ly,
+            lz,
+            uniform(own, 0),
+            uniform(own, 1),
+            uniform(own, 2),
+        )
         buffer[i + DX], buffer[i + DY], buffer[i + DZ] = dx, dy, -dz if transmits else dz
         buffer[i + WEIGHT] = buffer[i + FLUX] * weight * gain

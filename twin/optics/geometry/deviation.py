@@ -46,7 +46,8 @@ def turn_by(deviation: Floats, turn: Floats) -> None:
     For Python; the kernel of it is `twin.optics.geometry.rotations.fill_rotation`.
     """
     rx, ry, rz = math.radians(deviation[0]), math.radians(deviation[1]), math.radians(deviation[2])
-    cx, sx, cy, sy, cz, sz = 1.0, 0.0, 1.0, 0.0, 1.0, 0.0
+    cx = cy = cz = 1.0
+    sx = sy = sz = 0.0
     if rx != 0.0:
         cx, sx = math.cos(rx), math.sin(rx)
     if ry != 0.0:

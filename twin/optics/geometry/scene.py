@@ -216,7 +216,7 @@ def fill_detectors(
             ax, ay, az = turned(turn, ax, ay, az)
         x, y, z = radius * dx + arc[3], radius * dy + arc[4], radius * dz + arc[5]
         if of_sensor:  # in its own frame: e1 away from the normal, e2 level, d along the view
-            e1x, e1y, e1z, e2x, e2y, e2z = arc_frame(dx, dy, dz, ax, ay, az)
+            (e1x, e1y, e1z), (e2x, e2y, e2z) = arc_frame(dx, dy, dz, ax, ay, az)
             x += sensor[3] * e1x + sensor[4] * e2x + sensor[5] * dx
             y += sensor[3] * e1y + sensor[4] * e2y + sensor[5] * dy
             z += sensor[3] * e1z + sensor[4] * e2z + sensor[5] * dz
@@ -242,24 +242,24 @@ def turned(turn: Floats, x: float, y: float, z: float) -> tuple[float, float, fl
 @kernel(forceinline=True)
 def arc_frame(
     dx: float, dy: float, dz: float, ax: float, ay: float, az: float
-) -> tuple[float, float, float, float, float, float]:
+) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
     """Frame of a detector with the viewing direction d on an arc that is bent about a: e1 along the arc, e2 across it.
 
     Without an arc (a = 0) that of `detector_frame`. It has the same axes but at the pole and, with the other sign, beyond it.
     """
     e1x, e1y, e1z, e2x, e2y = detector_frame(dx, dy, dz)
     if ax == 0.0 and ay == 0.0 and az == 0.0:
-        return e1x, e1y, e1z, e2x, e2y, 0.0
+        return (e1x, e1y, e1z), (e2x, e2y, 0.0)
     cosine = ax * e2x + ay * e2y
     if cosine > SAME_FRAME:
-        return e1x, e1y, e1z, e2x, e2y, 0.0
+        return (e1x, e1y, e1z), (e2x, e2y, 0.0)
     if cosine < -SAME_FRAME:
-        return -e1x, -e1y, -e1z, -e2x, -e2y, 0.0
+        return (-e1x, -e1y, -e1z), (-e2x, -e2y, 0.0)
     along = ax * dx + ay * dy + az * dz  # of a photodiode that is off across its arc
     ax, ay, az = ax - along * dx, ay - along * dy, az - along * dz
     length = math.sqrt(ax * ax + ay * ay + az * az)
     ax, ay, az = ax / length, ay / length, az / length
-    return ay * dz - az * dy, az * dx - ax * dz, ax * dy - ay * dx, ax, ay, az
+    return (ay * dz - az * dy, az * dx - ax * dz, ax * dy - ay * dx), (ax, ay, az)
 
 
 @kernel(forceinline=True)

@@ -69,7 +69,7 @@ def bend(
 @kernel(forceinline=True)
 def reflect_at_sphere(
     frames: Floats, e: int, radius: float, least: float, x: float, y: float, z: float, p: float, q: float, r: float
-) -> tuple[bool, float, float, float, float, float, float]:
+) -> tuple[bool, tuple[float, float, float], tuple[float, float, float]]:
     """Propagate a ray from near the reflector's centre to its sphere and reflect it; false if it misses the reflector.
 
     `least` is the cosine of the half-angle at the centre of curvature, which is a radius from the vertex along y.
@@ -89,7 +89,7 @@ def reflect_at_sphere(
     nx, ny, nz = (cx - x) * inverse, (cy - y) * inverse, (cz - z) * inverse
     depth = nx * frames[e, 2, 0] + ny * frames[e, 2, 1] + nz * frames[e, 2, 2]
     twice = 2.0 * (nx * p + ny * q + nz * r)
-    return met & (depth >= least), x, y, z, p - twice * nx, q - twice * ny, r - twice * nz
+    return met & (depth >= least), (x, y, z), (p - twice * nx, q - twice * ny, r - twice * nz)
 
 
 @kernel(forceinline=True)
@@ -125,7 +125,7 @@ def lit_length(frames: Floats, sizes: Floats, x: float, y: float, z: float, p: f
     passes = u * u + v * v <= sizes[5] * sizes[5]
     p, q, r, gain = bend(frames, INPUT, u, v, -1.0 / sizes[4], p, q, r)
     direct = chord(frames, ARC, sizes[0], sizes[1], x, y, z, p, q, r)
-    on, x, y, z, p, q, r = reflect_at_sphere(frames, REFLECTOR, sizes[2], sizes[3], x, y, z, p, q, r)
+    on, (x, y, z), (p, q, r) = reflect_at_sphere(frames, REFLECTOR, sizes[2], sizes[3], x, y, z, p, q, r)
     reflected = chord(frames, ARC, sizes[0], sizes[1], x, y, z, p, q, r)
     length: float = sizes[10] * direct + (sizes[11] * reflected if on else 0.0)
     return length / gain if passes else 0.0

@@ -57,7 +57,7 @@ def _trace(
         weight = sizes[10]
         if backwards:
             weight = sizes[11]
-            on, x, y, z, wx, wy, wz = reflect_at_sphere(frames, REFLECTOR, sizes[2], sizes[3], x, y, z, wx, wy, wz)
+            on, (x, y, z), (wx, wy, wz) = reflect_at_sphere(frames, REFLECTOR, sizes[2], sizes[3], x, y, z, wx, wy, wz)
             if not on:
                 continue
         x, y, z, u, v = to_plane(frames, INPUT, x, y, z, wx, wy, wz)

@@ -76,12 +76,12 @@ def test_the_reflector_images_its_centre_onto_itself() -> None:
         ray = reflect_at_sphere(
             frame[None], 0, 50.0, 0.5, 0.0, 0.0, 0.0, math.sin(math.radians(angle)), -math.cos(math.radians(angle)), 0.0
         )
-        x, w = np.array(ray[1:4]), np.array(ray[4:])
+        x, w = np.array(ray[1]), np.array(ray[2])
         assert ray[0] == on
         assert np.linalg.norm(x) == pytest.approx(50.0)
         assert x + 50.0 * w == pytest.approx(np.zeros(3), abs=1e-12)
     # A point beside the centre is imaged upside down.
     ray = reflect_at_sphere(frame[None], 0, 50.0, 0.5, 0.1, 0.0, 0.2, 0.0, -1.0, 0.0)
-    x, w = np.array(ray[1:4]), np.array(ray[4:])
+    x, w = np.array(ray[1]), np.array(ray[2])
     assert ray[0]
     assert x - x[1] / w[1] * w == pytest.approx([-0.1, 0.0, -0.2], rel=1e-4)
