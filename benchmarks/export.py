@@ -69,7 +69,7 @@ from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.rig import read_rig
 schedule, rig = map(Path, sys.argv[1:])
 begin = now()
-rows = check_plan(make_plan(read_schedule(schedule), read_rig(rig)))["rows"]
+rows = check_plan(make_plan(read_schedule(schedule), read_rig(rig))).rows
 found = {{**spent("check", begin, now()), "rows": rows}}
 {END}"""
 FORMAT = f"""{TIMES}

@@ -5,7 +5,8 @@ import os
 import re
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -26,13 +27,16 @@ from goniotwin.app.cli.output import (
 )
 from goniotwin.app.cli.sweeps import Dask, Processes, kept, runner_of
 from goniotwin.app.errors import UserError, one_line
+from goniotwin.app.json_document import OPTIONAL_KEY
 from goniotwin.protocols.clock import GREATEST_SPEED, LEAST_SPEED
 
 if TYPE_CHECKING:  # the planner loads numpy, which a command's help does not need
     from goniotwin.app.campaign.campaign import Outcome
+    from goniotwin.app.campaign.journal.chain import Chain
     from goniotwin.app.campaign.journal.summary import CampaignSummary
     from goniotwin.app.campaign.planning.plan import NewPlan
     from goniotwin.app.campaign.running.question import Answer, Ask, Question, Reply
+    from goniotwin.app.campaign.studies.checks import CheckResults
     from goniotwin.app.rig import RigDescription
     from goniotwin.app.station.hosting import HostedRun
 
@@ -50,6 +54,24 @@ NO_PLACE: Place = (None, None)
 app = typer.Typer()
 
 
+@dataclass(frozen=True)
+class RunResult:
+    """What `goniotwin run --json` prints; `checks` are left out where the data file cannot be read back."""
+
+    journal: Path
+    state: str
+    reason: str
+    rows: int
+    skipped: int
+    planned: int
+    duration_s: float
+    simulated: bool
+    faults: Sequence[str]
+    orders: list[str]
+    chain: "Chain"
+    checks: "CheckResults | None" = field(default=None, metadata=OPTIONAL_KEY)
+
+
 @app.command()
 def check(schedule: Schedule, rig: RigOption, as_json: Json = False) -> None:
     """Check a schedule against a rig: rows, duration, warnings.
@@ -64,14 +86,15 @@ def check(schedule: Schedule, rig: RigOption, as_json: Json = False) -> None:
     plan = _make_plan(schedule, rig)
     plan.rig.model()  # reads the files of the samples, so that an error in them shows now
     result, standards = check_plan(plan), ""
+    document: object = result
     if plan.schedule.file.second_standard is not None:
         from goniotwin.app.campaign.studies.standards import expected_comparison
 
         expected = expected_comparison(plan)
-        result["standards"] = None if expected is None else expected.as_dict()
+        document = {**vars(result), "standards": expected}
         words = "no photodiode sees both standards" if expected is None else str(expected)
         standards = f"\n  standards   {' and '.join(plan.schedule.file.standards)}: {words}"
-    answer(as_json, result, lambda: print(f"{describe_check(plan, result)}{standards}"))
+    answer(as_json, document, lambda: print(f"{describe_check(plan, result)}{standards}"))
 
 
 @app.command(cls=CommandWithFormats)
@@ -112,6 +135,7 @@ def rehearse(
     """
     from goniotwin.app.campaign.rehearsal.rehearsal import plan_rehearsal, rehearse
     from goniotwin.app.campaign.rehearsal.report import report_text
+    from goniotwin.app.campaign.running.events import State
     from goniotwin.app.campaign.schedule.file import read_schedule
     from goniotwin.app.cli.progress import RowProgress
     from goniotwin.app.rig import read_rig
@@ -122,10 +146,10 @@ def rehearse(
     with RowProgress(error_console(), f"{plan.schedule.file.name} (rehearsal)", len(plan.rows)) as progress:
         rehearsal = rehearse(plan, assumed, out=out, points=points, listeners=[progress], processes=processes)
     answer(as_json, rehearsal.result, lambda: print(report_text(rehearsal)))
-    for fault in rehearsal.result["faults"]:
+    for fault in rehearsal.result.faults:
         print_error(fault)
     if not rehearsal.done:
-        raise typer.Exit(3 if rehearsal.result["state"] == "stopped" else 1)
+        raise typer.Exit(3 if rehearsal.end is State.IDLE else 1)
 
 
 @app.command()
@@ -204,7 +228,7 @@ def prove(
         SweepProgress(error_console(), f"{proof.schedule.file.name} (proof)", rigs, "rigs") as progress,
     ):
         totals = prove_rigs(proof, runner, progress, print_note)
-    answer(as_json, totals.as_dict(), lambda: print(proof_text(proof, totals)))
+    answer(as_json, totals, lambda: print(proof_text(proof, totals)))
     _end_proof(totals.failed)
 
 
@@ -322,26 +346,25 @@ def run(
             outcome = run_campaign(plan, out, listeners=[progress], transcript=transcript, ask=ask, host=host)
             _report_end(host, outcome)
     moved, journal = outcome.journal != journal, outcome.journal
-    result = {
-        "journal": str(journal),
-        "state": "stopped" if outcome.state is State.IDLE else str(outcome.state),
-        "reason": outcome.ended_by_schedule,
-        "rows": outcome.rows,
-        "skipped": outcome.skipped,
-        "planned": outcome.planned,
-        "duration_s": outcome.seconds,
-        "simulated": outcome.simulated,
-        "faults": list(outcome.faults),
-        "orders": progress.orders,
-        "chain": outcome.chain.as_dict(),
-    }
     checks, unread = None, ""
     try:
         checks = check_journal(journal, outcome.chain)
     except UserError as error:
         unread = str(error)
-    if checks is not None:
-        result["checks"] = checks.as_dict()
+    result = RunResult(
+        journal=journal,
+        state="stopped" if outcome.state is State.IDLE else str(outcome.state),
+        reason=outcome.ended_by_schedule,
+        rows=outcome.rows,
+        skipped=outcome.skipped,
+        planned=outcome.planned,
+        duration_s=outcome.seconds,
+        simulated=outcome.simulated,
+        faults=outcome.faults,
+        orders=progress.orders,
+        chain=outcome.chain,
+        checks=checks,
+    )
     for fault in outcome.faults:
         print_error(fault)
     for each in filter(None, (outcome.journal_note, unread)):
@@ -349,7 +372,7 @@ def run(
     mark = "SIMULATED, " if outcome.simulated else ""
     skipped = f" ({outcome.skipped} skipped)" if outcome.skipped else ""
     rows = f"{outcome.rows} of {outcome.planned} rows{skipped} in {outcome.seconds:.1f} s of instrument time"
-    text = f"{mark}{result['state']}: {rows}: {journal}"
+    text = f"{mark}{result.state}: {rows}: {journal}"
     answer(
         as_json,
         result,
@@ -383,7 +406,7 @@ def runs(
     others = [each.text for each in left_unsafe() if each.text not in listed]  # its journal is elsewhere, or there is none
     answer(
         as_json,
-        {"campaigns": [each.as_dict() for each in found], "unreadable": refused, "orders": others},
+        {"campaigns": found, "unreadable": refused, "orders": others},
         lambda: _print_campaigns(folder, found),
     )
     for reason in refused:

@@ -3,6 +3,7 @@
 import math
 import os
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -154,7 +155,7 @@ def _convert(
                 else:
                     converted = convert_reduced(reduced, out, form, choice)
         damage, findings = chain.damage, list(reduced.findings)
-        result = {"chain": chain.as_dict(), "damaged": sorted(chain.without_values), "findings": findings}
+        result = {"chain": chain, "damaged": sorted(chain.without_values), "findings": findings}
         lines = [reduced.chain]
     else:
         converted = convert_file(source, out, form, choice)
@@ -178,10 +179,10 @@ def info(
 
     Its format, samples, light and directions, how complete it is, and whether it is simulated.
     """
-    from goniotwin.app.data.information import information, information_lines
+    from goniotwin.app.data.information import information
 
     found = information(file)
-    answer(as_json, found, lambda: print("\n".join(information_lines(found))))
+    answer(as_json, found, lambda: print("\n".join(found.lines())))
 
 
 @app.command()
@@ -220,7 +221,7 @@ def budget(
         simulated = opened.simulated
         found = (budget_of_reflectance if reflectance else budget_of_value)(evaluate_journal(opened).reduction, place)
     show = partial(_print_budget, found, simulated, every)
-    answer(as_json, {**found.as_dict(), "simulated": simulated}, show)
+    answer(as_json, replace(found.listed, simulated=simulated), show)
 
 
 def _print_budget(budget: "Budget", simulated: bool, every: bool) -> None:
@@ -229,15 +230,15 @@ def _print_budget(budget: "Budget", simulated: bool, every: bool) -> None:
     from rich.text import Text
 
     console = Console(highlight=False)
-    result = budget.as_dict()
+    result = budget.listed
     unit = "" if budget.unit == "1" else f" {budget.unit}"
-    relative = f" ({100.0 * result['relative_u']:.3g} %)" if result["relative_u"] is not None else ""
+    relative = f" ({100.0 * result.relative_u:.3g} %)" if result.relative_u is not None else ""
     console.print(f"{'SIMULATED, ' if simulated else ''}{budget.title}", markup=False, soft_wrap=True)
-    freedom = result["degrees_of_freedom"]
+    freedom = result.degrees_of_freedom
     degrees = "" if freedom is None else f", {freedom:.0f} effective degrees of freedom"
     console.print(f"{budget.value:.6g}{unit}, u {budget.u:.3g}{unit}{relative}{degrees}", markup=False, soft_wrap=True)
-    for each in budget.about:
-        console.print(each, markup=False, soft_wrap=True)
+    for remark in budget.about:
+        console.print(remark, markup=False, soft_wrap=True)
     wide = console.width >= WIDE_COLUMNS
     table = Table(box=None, pad_edge=False)
     for name in ("component", f"u{unit and ','}{unit}", "u, %", "share, %", *(["shared by", "source; u is"] if wide else [])):
@@ -246,19 +247,19 @@ def _print_budget(budget: "Budget", simulated: bool, every: bool) -> None:
         table.add_column(name, justify="right" if number else "left", no_wrap=number, overflow="fold", width=width)
     if not wide:
         table.add_column("shared by; source; u is", overflow="fold")
-    components = result["components"]
-    shown = [each for each in components if every or each["share"] >= LEAST_SHARE] or components
+    components = result.components
+    shown = [each for each in components if every or each.share >= LEAST_SHARE] or components
     for each in shown:
-        percent = "" if each["relative_u"] is None else f"{100.0 * each['relative_u']:.3g}"
-        known = f"{each['degrees_of_freedom']:.0f} degrees of freedom" if each["degrees_of_freedom"] is not None else ""
-        source = each.get("source", "")
-        origin = "" if f"({each['origin']})" in source else each["origin"]
-        about = (each["shared_by"], "; ".join(filter(None, (source, ", ".join(filter(None, (origin, known)))))))
-        texts = (each["name"], f"{each['u']:.3g}", percent, f"{100.0 * each['share']:.2f}")
+        percent = "" if each.relative_u is None else f"{100.0 * each.relative_u:.3g}"
+        known = f"{each.degrees_of_freedom:.0f} degrees of freedom" if each.degrees_of_freedom is not None else ""
+        source = each.source or ""
+        origin = "" if f"({each.origin})" in source else each.origin
+        about = (each.shared_by, "; ".join(filter(None, (source, ", ".join(filter(None, (origin, known)))))))
+        texts = (each.name, f"{each.u:.3g}", percent, f"{100.0 * each.share:.2f}")
         table.add_row(*map(Text, (*texts, *(about if wide else ["; ".join(filter(None, about))]))))
     console.print(table)
     if rest := components[len(shown) :]:
-        share = math.sqrt(math.fsum(each["share"] for each in rest))
+        share = math.sqrt(math.fsum(each.share for each in rest))
         console.print(f"and {len(rest)} smaller ones, together {100.0 * share:.2g} % of u (--all lists them)", soft_wrap=True)
 
 
@@ -323,7 +324,7 @@ def align(
     write = _checked_output(output, "an alignment file", is_alignment)
     result, file = align_journal(journal, sample)
     write(alignment_text(file))
-    as_object = {**result.as_dict(), "simulated": file.simulated, "file": None if output is None else str(output)}
+    as_object = {**result.as_dict(), "simulated": file.simulated, "file": output}
     answer(as_json, as_object, lambda: _print_alignment(result, file.simulated))
     for finding in result.findings:
         print_warning(finding)
@@ -364,7 +365,7 @@ def _watch(journal: Path, sample: str | None, as_json: bool) -> None:
     lines = [f"{mark}{each.sample}: {each.text}" for each in found.misalignments]
     lines += [f"{mark}{name}: the residuals show no misalignment" for name in found.clear]
     lines += [f"{mark}{name}: has no lobe that could be watched so far" for name in found.without]
-    answer(as_json, found.as_dict(), lambda: print("\n".join(lines)))
+    answer(as_json, found, lambda: print("\n".join(lines)))
     if found.misalignments:
         raise typer.Exit(1)
 
@@ -377,7 +378,7 @@ def _plan_alignment(schedule: Path, rig: Path, minutes: float, sample: str | Non
     write = _checked_output(output, "a schedule that align --plan has written", is_planned)
     design = design_alignment(read_schedule(schedule), read_rig(rig), minutes, sample)
     write(design.text)
-    as_object = {**design.as_dict(), "file": None if output is None else str(output)}
+    as_object = {**design.as_dict(), "file": output}
     answer(as_json, as_object, lambda: _print_design(design))
     if design.ended_early:
         print_warning("the search has ended after a bounded number of plans, and better levels may exist; give fewer minutes")
@@ -463,7 +464,7 @@ def verify(
         simulated = opened.simulated
         verdicts = verify_journal(evaluate_journal(opened))
     holds = all(each.verdict != "fails" for each in verdicts)
-    result = {"simulated": simulated, "holds": holds, "verdicts": [each.as_dict() for each in verdicts]}
+    result = {"simulated": simulated, "holds": holds, "verdicts": verdicts}
 
     def show() -> None:
         from rich.console import Console
@@ -508,11 +509,11 @@ def closure(
         evaluation = evaluate_journal(opened, without_damaged=without_damaged)
         report, standards = evaluation.closure, evaluation.standards
         result = {
-            "journal": str(journal),
+            "journal": journal,
             "simulated": opened.simulated,
             **report.as_dict(),
-            "standards": None if standards is None else standards.as_dict(),
-            "chain": opened.chain.as_dict(),
+            "standards": standards,
+            "chain": opened.chain,
         }
         mark = "SIMULATED, " if opened.simulated else ""
     text = f"{mark}closure of {journal}\n{closure_text(report)}"
@@ -537,7 +538,7 @@ def copy(
     from goniotwin.app.campaign.journal.writing import copy_journal
 
     chain = copy_journal(journal, file)
-    result = {"file": str(file), "chain": chain.as_dict(), "damaged": sorted(chain.damaged)}
+    result = {"file": file, "chain": chain, "damaged": sorted(chain.damaged)}
     answer(as_json, result, lambda: print(f"{file}\n{chain.statement}"))
     if chain.damage:
         print_error(f"{file}: differs from what was measured, as {journal} does: {chain.damage}")

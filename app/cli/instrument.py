@@ -37,7 +37,7 @@ def devices(
     from goniotwin.app.cli.device_search import exit_status, find_devices, status_table
 
     found = find_devices(rig)
-    answer(as_json, {"devices": [each.as_dict() for each in found]}, lambda: print(status_table(found)))
+    answer(as_json, {"devices": found}, lambda: print(status_table(found)))
     for each in found:
         if each.order:
             print_order(each.order)

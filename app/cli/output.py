@@ -1,7 +1,6 @@
 """What all commands share: answers on standard output, messages on standard error, common options."""
 
 import contextlib
-import json
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -11,6 +10,7 @@ import typer
 import typer.core
 
 from goniotwin.app.errors import one_line
+from goniotwin.app.json_document import json_text
 from goniotwin.protocols.clock import GREATEST_SPEED, LEAST_SPEED
 
 if TYPE_CHECKING:  # rich is loaded by what prints with it
@@ -52,10 +52,10 @@ class CommandWithFormats(typer.core.TyperCommand):
             formatter.write_dl(rows)
 
 
-def answer(as_json: bool, result: dict[str, Any], show: Callable[[], None]) -> None:
-    """Print the result of a command: as one JSON object, or as text by `show`."""
+def answer(as_json: bool, result: object, show: Callable[[], None]) -> None:
+    """Print the result of a command, see `app.json_document`: as one JSON object, or as text by `show`."""
     if as_json:
-        print(json.dumps(result, indent=2, allow_nan=False))
+        print(json_text(result))
     else:
         show()
 

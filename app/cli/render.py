@@ -1,7 +1,7 @@
 """The command `goniotwin render`: a sphere with a BSDF in a box, by Mitsuba 3, and figure 14 of the paper."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -53,18 +53,13 @@ def render(
         marks = (" (SIMULATED)" if table.generated else "" for table in (one, other))
         names = (f"{first.name}{next(marks)}", f"{second.name}{next(marks)}")
     write_figure(rendering.picture(pairs, names), out, 150)
-    result: dict[str, Any] = {
-        "file": str(out),
-        "variant": rendering.VARIANT,
-        "of": list(names),
-        "pairs": [pair.as_dict() for pair in pairs],
-    }
+    figures = [pair.figures for pair in pairs]
 
     def show() -> None:
         print(f"{out}: {names[0]}, {names[1]}")
-        for each in result["pairs"]:
-            one, other = ("not known" if value is None else f"{value:.3f}" for value in each["reflectances"])
-            difference = f"the difference is {each['rms_percent_of_white']:.2g} % of white (RMS)"
-            print(f"{each['title']}: {difference}; reflectances at the first sigma: {one}, {other}")
+        for each in figures:
+            one, other = ("not known" if value is None else f"{value:.3f}" for value in each.reflectances)
+            difference = f"the difference is {each.rms_percent_of_white:.2g} % of white (RMS)"
+            print(f"{each.title}: {difference}; reflectances at the first sigma: {one}, {other}")
 
-    answer(as_json, result, show)
+    answer(as_json, {"file": out, "variant": rendering.VARIANT, "of": names, "pairs": figures}, show)

@@ -185,7 +185,7 @@ def replay(
     from goniotwin.app.rig import read_rig
 
     result = replay_transcripts(transcripts, read_rig(rig), device, mount)
-    answer(as_json, result.as_dict(), lambda: print(result.text()))
+    answer(as_json, result, lambda: print(result.text()))
     raise typer.Exit(1 if result.differences else 0)
 
 

@@ -279,14 +279,14 @@ def rigs(
         "hundredth of the largest",
     ]
     write_rigs(results, out, heading)
-    result = {"file": str(out), "folder": str(place), **results.as_dict()}
+    result = {"file": out, "folder": place, **results.as_dict()}
 
     def show() -> None:
         print(f"SIMULATED, {count} rigs with tilts within {tilt:g} deg and shifts within {shift:g} mm: {out}")
-        for each in result["samples"]:
+        for each in results.spreads:
             print(
-                f"{each['sample']}, sigma {each['sigma']:g}: relative RMS {each['median_percent']:.2f} % in the median, "
-                f"{each['percentile_95_percent']:.2f} % at 95 %, {each['worst_percent']:.2f} % on rig {each['worst_rig']}"
+                f"{each.sample}, sigma {each.sigma:g}: relative RMS {each.median_percent:.2f} % in the median, "
+                f"{each.percentile_95_percent:.2f} % at 95 %, {each.worst_percent:.2f} % on rig {each.worst_rig}"
             )
 
     answer(as_json, result, show)
@@ -360,7 +360,7 @@ def illumination(
     write_illumination(light, out)
     if rayset is not None and light.rayset is not None:
         write_content(rayset, Holds.RAYS, light.rayset)
-    result = {"file": str(out), "rayset_file": None if rayset is None else str(rayset), **summary(light)}
+    result = {"file": out, "rayset_file": rayset, **summary(light)}
 
     def show() -> None:
         side = f"{unit.field_side_mm:g} x {unit.field_side_mm:g} mm"
@@ -435,7 +435,7 @@ def shadow(
         f"{each.sigma_deg:g} {'lower' if each.lower else 'upper'}": int((each.visible[:, :-1] < 1.0).sum()) for each in maps
     }
     result = {
-        "file": str(out),
+        "file": out,
         "simulated": True,
         "obstruction": maps[0].obstruction,
         "step_deg": step,

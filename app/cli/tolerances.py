@@ -44,4 +44,4 @@ def tolerances(
         for name, path in files.items():
             print(f"{name}: {path}")
 
-    answer(as_json, {"file": str(study), **as_dict(result), "files": files}, show)
+    answer(as_json, {"file": study, **as_dict(result), "files": files}, show)

@@ -67,7 +67,7 @@ def plot(
     save_figure(figure, out, dpi)
     if psi is None and (dataset.psi_deg != dataset.psi_deg[0]).any():
         print_warning(f"of the light's azimuths one is drawn, the first; psi: {listed(dataset.psi_deg, 'deg')} (--psi DEG)")
-    result = {"file": str(out), "kind": kind, "sample": dataset.sample, "simulated": dataset.simulated}
+    result = {"file": out, "kind": kind, "sample": dataset.sample, "simulated": dataset.simulated}
     answer(as_json, result, lambda: print(f"{'SIMULATED, ' if dataset.simulated else ''}{kind}: {out}"))
 
 
@@ -110,7 +110,7 @@ def compare(
         check_picture(out)
     a, b = _pair(first, second, sample or [])
     found = compare_datasets(a, b, theta_deg=theta, polar_deg=polar, least_share=least_share, in_plane=in_plane)
-    result = {**found.as_dict(), "file": None if out is None else str(out), "simulated": found.simulated}
+    result = {**found.as_dict(), "file": out, "simulated": found.simulated}
     if out is not None:
         save_figure(plot_comparison(found, log=log), out, dpi)
 

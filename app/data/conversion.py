@@ -133,7 +133,7 @@ class Converted:
             "values": self.values,
             "simulated": self.simulated,
             "fill": self.fill,
-            "not_measured": [vars(each) for each in self.shares],
+            "not_measured": self.shares,
             "notes": list(self.notes),
         }
 

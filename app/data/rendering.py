@@ -44,6 +44,17 @@ WHITE_PERCENTILE = 95.0
 """Of the light of all pixels: the light source itself, three hundredths of the picture, is brighter than white."""
 
 
+@dataclass(frozen=True)
+class DifferenceFigures:
+    """The difference of two pictures, in percent of white, and the reflectances of their tables."""
+
+    title: str
+    mean_percent_of_white: float
+    rms_percent_of_white: float
+    largest_percent_of_white: float
+    reflectances: tuple[float | None, float | None]
+
+
 @dataclass(frozen=True, eq=False)
 class Pair:
     """Two pictures (rows, columns, 3) of linear light in the same unit; `white` is what is shown as white.
@@ -66,16 +77,12 @@ class Pair:
         """Second less first (rows, columns), the mean of the colours, as a share of white."""
         return np.asarray((self.second - self.first).mean(axis=2) / self.white)
 
-    def as_dict(self) -> dict[str, Any]:
-        """Figures of the difference for JSON, in percent of white."""
+    @property
+    def figures(self) -> DifferenceFigures:
+        """Figures of the difference."""
         found = 100.0 * self.difference
-        return {
-            "title": self.title,
-            "mean_percent_of_white": float(found.mean()),
-            "rms_percent_of_white": float(np.sqrt(np.mean(found**2))),
-            "largest_percent_of_white": float(np.abs(found).max()),
-            "reflectances": list(self.reflectances),
-        }
+        mean, rms, largest = float(found.mean()), float(np.sqrt(np.mean(found**2))), float(np.abs(found).max())
+        return DifferenceFigures(self.title, mean, rms, largest, self.reflectances)
 
 
 def load_mitsuba() -> Any:

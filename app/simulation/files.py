@@ -206,7 +206,7 @@ def summary(simulation: Simulation, paths: list[Path]) -> dict[str, Any]:
         "regular": [each.regular.as_dict() for each in first if each.regular is not None],
         "regular_apart": _regular_shares(simulation.regular),
         "notes": _notes(simulation, paths),
-        "source": None if task.source is None else task.source.as_dict(),
+        "source": task.source,
         "wavelengths_nm": None if simulation.wavelengths_nm is None else simulation.wavelengths_nm.tolist(),
         "estimator": kind,
         unit: max(counts.values(), default=0),

@@ -107,6 +107,24 @@ class RigSweep:
             raise UserError(f"sample {sample + 1}, rig {rig}: {error}") from None
 
 
+@dataclass(frozen=True)
+class RmsSpread:
+    """The relative RMS of a sample at one sigma over the rigs, in percent."""
+
+    sample: str
+    sigma: float
+    median_percent: float
+    percentile_95_percent: float
+    worst_percent: float
+    worst_rig: int
+
+    @classmethod
+    def of(cls, sample: str, sigma: float, rms: Floats) -> "RmsSpread":
+        """That of the values of all rigs (rigs,)."""
+        median, high, worst = float(np.median(rms)), float(np.percentile(rms, 95.0)), float(rms.max())
+        return cls(sample, sigma, 100.0 * median, 100.0 * high, 100.0 * worst, 1 + int(np.argmax(rms)))
+
+
 @dataclass(frozen=True, eq=False)
 class RigResults:
     """What deviations do to samples: luminance factors (rigs + 1, samples, s, n), those of the rig without deviations first."""
@@ -127,8 +145,17 @@ class RigResults:
         result: Floats = np.sqrt(squares.sum(axis=-1) / counted.sum(axis=-1))
         return result
 
+    @property
+    def spreads(self) -> list[RmsSpread]:
+        """By sample and sigma the median, the 95th percentile and the worst rig."""
+        return [
+            RmsSpread.of(sample.name, sigma, self.relative_rms[:, k, m])
+            for k, sample in enumerate(self.sweep.samples)
+            for m, sigma in enumerate(self.sweep.sigma_deg.tolist())
+        ]
+
     def as_dict(self) -> dict[str, Any]:
-        """The result for JSON: by sample and sigma the median, the 95th percentile and the worst rig."""
+        """The result for JSON."""
         return {
             "simulated": True,
             "rigs": self.factors.shape[0] - 1,
@@ -136,11 +163,7 @@ class RigResults:
             "shift_mm": self.sweep.shift_mm,
             "seed": self.sweep.seed,
             "deviations": [f"{element}.{name}" for element, name, _ in self.sweep.tolerances],
-            "samples": [
-                {"sample": sample.name, "sigma": sigma, **_summary(self.relative_rms[:, k, m])}
-                for k, sample in enumerate(self.sweep.samples)
-                for m, sigma in enumerate(self.sweep.sigma_deg.tolist())
-            ],
+            "samples": self.spreads,
         }
 
     def columns(self) -> dict[str, Any]:
@@ -155,15 +178,6 @@ class RigResults:
             "relative_rms": self.relative_rms.transpose(1, 2, 0).ravel(),
             **{f"{element}_{name}": drawn[shape[2], k] for k, (element, name, _) in enumerate(self.sweep.tolerances)},
         }
-
-
-def _summary(rms: Floats) -> dict[str, Any]:
-    return {
-        "median_percent": 100.0 * float(np.median(rms)),
-        "percentile_95_percent": 100.0 * float(np.percentile(rms, 95.0)),
-        "worst_percent": 100.0 * float(rms.max()),
-        "worst_rig": 1 + int(np.argmax(rms)),
-    }
 
 
 def simulate_rigs(

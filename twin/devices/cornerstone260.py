@@ -22,6 +22,7 @@ from goniotwin.protocols.cornerstone import (
     StatementError,
 )
 from goniotwin.twin.devices.cornerstone_statements import (
+    IDENTITY,
     GratingData,
     StatementRefused,
     Statements,

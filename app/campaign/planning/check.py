@@ -1,10 +1,11 @@
 """Check of a plan before any device is opened: rows, duration, scan order and its reason, blocked directions, warnings."""
 
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
 from goniotwin.app.campaign.geometry.arcs import lit_arc, observed_directions
+from goniotwin.app.campaign.geometry.directions import Arc
 from goniotwin.app.campaign.planning.loop_order import LoopOrder
 from goniotwin.app.campaign.planning.plan import NewPlan
 from goniotwin.app.campaign.planning.scan_grid import FILTER, WAVELENGTH, ScanGrid
@@ -15,6 +16,7 @@ from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.schedule.file import LOOP_NAMES
 from goniotwin.app.campaign.wording import duration_text
 from goniotwin.app.rig import AXES
+from goniotwin.arrays import Floats
 
 COLUMN_NAMES = (*LOOP_NAMES, "filter")
 PATH_SEARCH = "path search"
@@ -22,47 +24,81 @@ MAX_LISTED = 6
 """Number of sigmas that are listed with blocked directions."""
 
 
-def check_plan(plan: NewPlan) -> dict[str, Any]:
-    """Check a plan; the result is the content of `--json`.
+@dataclass(frozen=True)
+class BlockedDirections:
+    """Directions of one arc that the mirror unit blocks at one sigma, as zenith and azimuth (n, 2), deg.
 
-    rows, duration_s, duration_range_s, least_s (lower bound), order, why, kinds (rows by kind), axes_deg (range of each axis),
-    directions, shadowed (number that the mirror unit blocks), shadowed_only_for_etalon, shadowed_deg (which), overlaps
-    (directions that two photodiodes measure), left_out (poses omitted by symmetry), filter_changes, warnings, mountings,
-    unreferenced (axes that need a reference after a power-up), simulated.
+    `only_for_etalon`: how many of them at the etalon alone. `specular`: the specular direction, or that straight through, is
+    among them.
     """
+
+    sigma: float
+    arc: Arc
+    only_for_etalon: int
+    specular: bool
+    zenith_azimuth: Floats
+
+
+@dataclass(frozen=True)
+class PlanCheck:
+    """The check of a plan, as `goniotwin check --json` prints it.
+
+    `least_s` is the lower bound of the duration, `order` has the loops, the innermost first, and `why` the reason for it.
+    `kinds` are rows by kind, `axes_deg` the range of each axis. `shadowed` is the number of directions that the mirror unit
+    blocks, `overlaps` that of directions that two photodiodes measure, `left_out` that of poses omitted by symmetry.
+    `unreferenced` axes need a reference after a power-up.
+    """
+
+    rows: int
+    duration_s: float
+    duration_range_s: tuple[float, float]
+    least_s: float
+    order: list[str]
+    why: str
+    kinds: dict[str, int]
+    axes_deg: dict[str, list[float]]
+    directions: int
+    shadowed: int
+    shadowed_only_for_etalon: int
+    shadowed_deg: list[BlockedDirections]
+    overlaps: int
+    left_out: int
+    filter_changes: int
+    warnings: list[str]
+    mountings: list[str]
+    unreferenced: list[str]
+    simulated: bool
+
+
+def check_plan(plan: NewPlan) -> PlanCheck:
+    """Check a plan."""
     rows = plan.rows
     arcs = observed_directions(plan.schedule.file, plan.rig.file, plan.of_samples.poses.angles)
-    return {
-        "rows": len(rows),
-        "duration_s": plan.seconds,
-        "duration_range_s": list(duration_range(plan)),
-        "least_s": plan.lower_bound_s,
-        "order": loop_names(sample_order(plan)[1]),
-        "why": explain_order(plan),
-        "kinds": rows.kinds,
-        "axes_deg": _ranges(plan),
-        "directions": sum(each.directions for each in arcs),
-        "shadowed": sum(len(each.blocked_deg) for each in arcs),
-        "shadowed_only_for_etalon": sum(each.blocked_only_at_etalon for each in arcs),
-        "shadowed_deg": [
-            {
-                "sigma": each.sigma_deg,
-                "arc": each.arc,
-                "only_for_etalon": each.blocked_only_at_etalon,
-                "specular": each.specular_blocked,
-                "zenith_azimuth": each.blocked_deg.tolist(),
-            }
+    return PlanCheck(
+        rows=len(rows),
+        duration_s=plan.seconds,
+        duration_range_s=duration_range(plan),
+        least_s=plan.lower_bound_s,
+        order=loop_names(sample_order(plan)[1]),
+        why=explain_order(plan),
+        kinds=rows.kinds,
+        axes_deg=_ranges(plan),
+        directions=sum(each.directions for each in arcs),
+        shadowed=sum(len(each.blocked_deg) for each in arcs),
+        shadowed_only_for_etalon=sum(each.blocked_only_at_etalon for each in arcs),
+        shadowed_deg=[
+            BlockedDirections(each.sigma_deg, each.arc, each.blocked_only_at_etalon, each.specular_blocked, each.blocked_deg)
             for each in arcs
             if len(each.blocked_deg)
         ],
-        "overlaps": sum(each.shared for each in arcs),
-        "left_out": plan.of_samples.poses.left_out,
-        "filter_changes": filter_changes(plan)[0],
-        "warnings": plan_warnings(plan, arcs),
-        "mountings": [passes[0].sample for passes in plan.mountings],
-        "unreferenced": _unreferenced(plan),
-        "simulated": plan.rig.simulated,
-    }
+        overlaps=sum(each.shared for each in arcs),
+        left_out=plan.of_samples.poses.left_out,
+        filter_changes=filter_changes(plan)[0],
+        warnings=plan_warnings(plan, arcs),
+        mountings=[passes[0].sample for passes in plan.mountings],
+        unreferenced=_unreferenced(plan),
+        simulated=plan.rig.simulated,
+    )
 
 
 def sample_order(plan: NewPlan) -> tuple[ScanGrid, ScanOrder]:
@@ -121,32 +157,32 @@ def _labels(loop_order: LoopOrder, taken: LoopOrder) -> list[str]:
     return [f"{COLUMN_NAMES[columns[-1]]} inside{by_filter}", *outside]
 
 
-def describe_check(plan: NewPlan, result: dict[str, Any]) -> str:
+def describe_check(plan: NewPlan, result: PlanCheck) -> str:
     """The result of `check_plan` as text."""
     file = plan.schedule.file
-    kinds = ", ".join(f"{count} {kind}" for kind, count in result["kinds"].items())
-    ranges = ", ".join(f"{axis} {low:g} to {high:g}" for axis, (low, high) in result["axes_deg"].items())
+    kinds = ", ".join(f"{count} {kind}" for kind, count in result.kinds.items())
+    ranges = ", ".join(f"{axis} {low:g} to {high:g}" for axis, (low, high) in result.axes_deg.items())
     lines = [
         f"{file.name} on {plan.rig.file.name}{' (SIMULATED)' if plan.rig.simulated else ''}",
-        f"  rows        {result['rows']} ({kinds})",
-        f"  duration    {duration_text(result['duration_s'])}, and the time to mount: {', '.join(result['mountings'])}",
-        f"              (lower bound for any order: {duration_text(result['least_s'])})",
-        f"  order       from the innermost loop: {', '.join(result['order']) or 'one pose, one wavelength'}",
-        f"              {result['why']}",
+        f"  rows        {result.rows} ({kinds})",
+        f"  duration    {duration_text(result.duration_s)}, and the time to mount: {', '.join(result.mountings)}",
+        f"              (lower bound for any order: {duration_text(result.least_s)})",
+        f"  order       from the innermost loop: {', '.join(result.order) or 'one pose, one wavelength'}",
+        f"              {result.why}",
         f"  axes        {ranges} deg",
-        f"  blocked     {result['shadowed']} of {result['directions']} directions of {_light(plan)}, by the mirror unit"
+        f"  blocked     {result.shadowed} of {result.directions} directions of {_light(plan)}, by the mirror unit"
         f"{_only_for_etalon(result)}",
         *_blocked_by_sigma(result),
-        f"  overlaps    {result['overlaps']} directions are measured by two photodiodes",
+        f"  overlaps    {result.overlaps} directions are measured by two photodiodes",
     ]
-    if result["left_out"]:
-        lines.append(f"  omitted     {result['left_out']} poses that are equivalent to others by the symmetry: {file.symmetry}")
-    if result["unreferenced"]:
+    if result.left_out:
+        lines.append(f"  omitted     {result.left_out} poses that are equivalent to others by the symmetry: {file.symmetry}")
+    if result.unreferenced:
         lines.append(
-            f"  reference   {', '.join(result['unreferenced'])}: home it, or set its position, after each power-up of the "
+            f"  reference   {', '.join(result.unreferenced)}: home it, or set its position, after each power-up of the "
             "controller: goniotwin home, goniotwin here"
         )
-    return "\n".join([*lines, *(f"  warning     {each}" for each in result["warnings"])])
+    return "\n".join([*lines, *(f"  warning     {each}" for each in result.warnings)])
 
 
 def _light(plan: NewPlan) -> str:
@@ -155,23 +191,23 @@ def _light(plan: NewPlan) -> str:
     ]
 
 
-def _only_for_etalon(result: dict[str, Any]) -> str:
-    only = result["shadowed_only_for_etalon"]
+def _only_for_etalon(result: PlanCheck) -> str:
+    only = result.shadowed_only_for_etalon
     return f", {only} of them only at the etalon, which is lit from the photodiodes' own side" if only else ""
 
 
-def _blocked_by_sigma(result: dict[str, Any]) -> list[str]:
+def _blocked_by_sigma(result: PlanCheck) -> list[str]:
     """Numbers of blocked directions for the first sigmas."""
     counts = [
-        f"{len(each['zenith_azimuth'])} at sigma {each['sigma']:g}{f' with the {_straight(each)}' if each['specular'] else ''}"
-        for each in result["shadowed_deg"]
+        f"{len(each.zenith_azimuth)} at sigma {each.sigma:g}{f' with the {_straight(each)}' if each.specular else ''}"
+        for each in result.shadowed_deg
     ]
     more = [f"and {len(counts) - MAX_LISTED} more sigmas"] if len(counts) > MAX_LISTED else []
     return [f"              {', '.join([*counts[:MAX_LISTED], *more])}"] if counts else []
 
 
-def _straight(each: dict[str, Any]) -> str:
-    return "specular direction" if each["arc"] == lit_arc(each["sigma"]) else "direction straight through"
+def _straight(each: BlockedDirections) -> str:
+    return "specular direction" if each.arc == lit_arc(each.sigma) else "direction straight through"
 
 
 def _ranges(plan: NewPlan) -> dict[str, list[float]]:

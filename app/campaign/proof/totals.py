@@ -58,15 +58,15 @@ class CellTotal:
             "label": self.label,
             "values": self.values,
             "coverage_percent": 100.0 * self.coverage,
-            "standard_error_percent": _finite(100.0 * self.u_coverage),
+            "standard_error_percent": 100.0 * self.u_coverage,
             "mean_z": self.mean,
-            "standard_error_z": _finite(self.u_mean),
-            "chi2_independent": _finite(self.chi_square),
+            "standard_error_z": self.u_mean,
+            "chi2_independent": self.chi_square,
             "beyond_5u": self.beyond,
             "expected_beyond_5u": self.expected_beyond,
             "rigs": self.rigs,
             "structures": self.structures,
-            "u_over_scatter": _finite(self.u_over_scatter),
+            "u_over_scatter": self.u_over_scatter,
         }
 
 
@@ -99,7 +99,7 @@ class ReflectanceTotal:
             "rigs": self.rigs,
             "chi2": self.chi_square,
             "limits_99": list(self.limits),
-            "u_over_scatter": _finite(self.u_over_scatter),
+            "u_over_scatter": self.u_over_scatter,
             "beyond_99": self.beyond,
             "limited": self.limited,
         }
@@ -155,27 +155,27 @@ class Totals:
             "rigs": self.rigs,
             "points": whole.values if whole else 0,
             "coverage_percent": 100.0 * whole.coverage if whole else None,
-            "standard_error_percent": _finite(100.0 * whole.u_coverage) if whole else None,
-            "chi2_independent": _finite(whole.chi_square) if whole else None,
-            "variance_shared": _finite(self.variance_shared),
+            "standard_error_percent": 100.0 * whole.u_coverage if whole else None,
+            "chi2_independent": whole.chi_square if whole else None,
+            "variance_shared": self.variance_shared,
             "mean_z": whole.mean if whole else None,
             "worst_cell_percent": 100.0 * worst[1].coverage if worst else None,
             "worst_cell": f"{worst[0]}: {worst[1].label}" if worst else None,
             "beyond_5u": whole.beyond if whole else 0,
             "expected_beyond_5u": whole.expected_beyond if whole else 0.0,
-            "tables": {table: [each.as_dict() for each in cells] for table, cells in self.tables.items()},
+            "tables": self.tables,
             "inputs": {
                 kind: {"variance_over_u2": square / expected, "determined": expected / count}
                 for kind, (square, expected, count) in self.inputs.items()
                 if expected > 0.0
             },
             "angles": {
-                name: {"correlation": _finite(correlation), "rms_difference_deg": difference}
+                name: {"correlation": correlation, "rms_difference_deg": difference}
                 for name, (correlation, difference) in self.angles.items()
             },
-            "reflectances": [each.as_dict() for each in self.reflectances],
-            "far": {str(seed): listed for seed, listed in self.far.items()},
-            "failed": {str(seed): reason for seed, reason in self.failed.items()},
+            "reflectances": self.reflectances,
+            "far": self.far,
+            "failed": self.failed,
         }
 
 
@@ -280,7 +280,3 @@ def chi_square_quantile(freedom: int, deviate: Floats | float) -> Floats:
     """The quantiles of chi-square whose normal deviates are given, by the cube root of Wilson and Hilferty."""
     variance = 2.0 / (9.0 * freedom)
     return np.asarray(freedom * np.maximum(1.0 - variance + deviate * math.sqrt(variance), 0.0) ** 3)
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None

@@ -4,6 +4,7 @@ The points are processed in blocks, which are not kept in memory.
 """
 
 import itertools
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,7 +19,7 @@ from goniotwin.app.campaign.reduction.points import BsdfPoints, Tally
 from goniotwin.app.campaign.reduction.reduction import BLOCK_ROWS, Reduction
 from goniotwin.app.campaign.studies.checks import CheckResults, ConsistencyChecks
 from goniotwin.app.campaign.studies.comparison import deviations_in_u, true_bsdf
-from goniotwin.app.campaign.studies.decades import UncertaintyByDecade, relative_uncertainty
+from goniotwin.app.campaign.studies.decades import UncertaintyByDecade, UncertaintySummary, relative_uncertainty
 from goniotwin.app.campaign.studies.evaluation import evaluate_journal
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats import FormatError, PointStream
@@ -45,6 +46,20 @@ COMMENTS = (
 )
 
 
+@dataclass(frozen=True)
+class SpreadSummary(UncertaintySummary):
+    """The relative uncertainties of a sample's values, its numbers of directions, and the distance from a known truth.
+
+    `coverage` is the share of the trusted values within their 95 % interval of the truth, `worst_u` the largest deviation in u;
+    NaN without a truth.
+    """
+
+    directions: int
+    trusted: int
+    coverage: float
+    worst_u: float
+
+
 @dataclass
 class UncertaintySpread:
     """Relative uncertainties of one sample, `known` by decade below the peak.
@@ -65,16 +80,16 @@ class UncertaintySpread:
             good = points.where(points.good)
             self.deviations.append(deviations_in_u(good, true_bsdf(self.truth, good)))
 
-    def as_dict(self) -> dict[str, Any]:
-        """Percentiles by decade, the numbers of directions, and the distance from the truth."""
+    def summary(self) -> SpreadSummary:
+        """The summary of all points that were added."""
         z = np.abs(np.concatenate(self.deviations)) if self.deviations else np.zeros(0)
-        return {
-            **self.known.as_dict(),
-            "directions": self.tally.directions,
-            "trusted": self.tally.good,
-            "coverage": float(np.mean(z <= COVERAGE)) if z.size else None,
-            "worst_u": float(np.max(z)) if z.size else None,
-        }
+        return SpreadSummary(
+            **vars(self.known.summary()),
+            directions=self.tally.directions,
+            trusted=self.tally.good,
+            coverage=float(np.mean(z <= COVERAGE)) if z.size else math.nan,
+            worst_u=float(np.max(z)) if z.size else math.nan,
+        )
 
 
 @dataclass(frozen=True)
@@ -84,7 +99,7 @@ class Forecast:
     `unchecked` are, by the mounted sample, the photodiodes that its drift checks do not cover.
     """
 
-    spread: dict[str, dict[str, Any]]
+    spread: dict[str, SpreadSummary]
     check_results: CheckResults
     trouble: str = ""
     tallies: dict[str, Tally] = field(default_factory=dict)
@@ -131,7 +146,7 @@ def forecast(
         return Forecast({}, CheckResults(trouble=trouble), trouble)
     if points is not None and not spreads:
         raise UserError(f"{points}: no sample has a value, so there is nothing to write")
-    spread = {name: each.as_dict() for name, each in spreads.items()}
+    spread = {name: each.summary() for name, each in spreads.items()}
     return Forecast(spread, check_results, tallies=tallies, unchecked=unchecked)
 
 

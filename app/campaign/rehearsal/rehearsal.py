@@ -9,7 +9,6 @@ import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 from goniotwin.app.campaign.journal.writing import Journal, software_versions
 from goniotwin.app.campaign.planning.check import check_plan
@@ -17,14 +16,15 @@ from goniotwin.app.campaign.planning.plan import NewPlan, Plan, make_plan
 from goniotwin.app.campaign.rehearsal.assumed_references import assume_referenced
 from goniotwin.app.campaign.rehearsal.blocks import OTHER_TIMES, divide, run_blocks, statistics_of, why_in_one_process
 from goniotwin.app.campaign.rehearsal.expected_poses import expected_poses
-from goniotwin.app.campaign.rehearsal.forecast import forecast
-from goniotwin.app.campaign.rehearsal.row_statistics import RowStatistics
+from goniotwin.app.campaign.rehearsal.forecast import SpreadSummary, forecast
+from goniotwin.app.campaign.rehearsal.row_statistics import MountingBlock, RowStatistics
 from goniotwin.app.campaign.rehearsal.warnings import rehearsal_warnings, value_warnings
 from goniotwin.app.campaign.running.engine import Engine
 from goniotwin.app.campaign.running.events import Listener, State
 from goniotwin.app.campaign.running.operator import VirtualOperator
 from goniotwin.app.campaign.running.resume import RemainingWork, remaining_work
 from goniotwin.app.campaign.schedule.file import ScheduleDescription
+from goniotwin.app.campaign.studies.checks import CheckResults
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription, open_rig
 from goniotwin.app.rig.described_twin import described_twin
@@ -33,16 +33,54 @@ from goniotwin.protocols.clock import VirtualClock
 
 
 @dataclass(frozen=True)
+class LargestCounts:
+    """The largest count of a rehearsal, and by gain in V/A its share of the converters' range."""
+
+    largest: int | None
+    share_of_range: dict[str, float]
+
+
+@dataclass(frozen=True)
+class RehearsalResult:
+    """The result of a rehearsal, as `goniotwin rehearse --json` prints it.
+
+    `foretold_s` is the duration of the plan, `duration_s` that of the run; `sessions` are more than one where the schedule's
+    [stop] ended it. `saturated` is the number of values that are so at every gain. `checks` and `relative_uncertainty` are of
+    the journal, `assumed` states what was assumed of the rig.
+    """
+
+    simulated: bool
+    state: str
+    sessions: int
+    faults: list[str]
+    rows: int
+    planned: int
+    duration_s: float
+    foretold_s: float
+    blocks: list[MountingBlock]
+    axes_deg: dict[str, list[float]]
+    counts: LargestCounts
+    saturated: int
+    checks: CheckResults
+    relative_uncertainty: dict[str, SpreadSummary]
+    lamp_hours: float
+    journal_bytes: int
+    warnings: list[str]
+    assumed: list[str]
+
+
+@dataclass(frozen=True)
 class Rehearsal:
-    """A rehearsed plan with its `result`, the object that `goniotwin rehearse --json` prints."""
+    """A rehearsed plan with its `result`, and the `end` of its run."""
 
     plan: NewPlan
-    result: dict[str, Any]
+    end: State
+    result: RehearsalResult
 
     @property
     def done(self) -> bool:
         """Whether the campaign was completed."""
-        return bool(self.result["state"] == State.DONE)
+        return self.end is State.DONE
 
 
 @dataclass(frozen=True)
@@ -97,7 +135,7 @@ def rehearse(
     with tempfile.TemporaryDirectory(prefix="goniotwin-rehearsal-") as folder:
         path = out if out is not None else Path(folder) / "rehearsal.journal"
         run = run_in_processes(plan, path, statistics, listeners or [], processes)
-        warnings = [*check_plan(plan)["warnings"], *rehearsal_warnings(plan, statistics)]
+        warnings = [*check_plan(plan).warnings, *rehearsal_warnings(plan, statistics)]
         heading = f"SIMULATED: {plan.schedule.file.name} rehearsed on {plan.rig.file.name}; nothing here is real"
         about = [heading, *(f"assumed: {each}" for each in (*assumed, *run.assumed))]
         model = plan.rig.model()
@@ -113,30 +151,30 @@ def rehearse(
             )
         warnings += predicted.check_results.alarms
         warnings += value_warnings(plan.schedule.file, predicted.tallies, predicted.unchecked) if not predicted.trouble else []
-        result = {
-            "simulated": True,
-            "state": "stopped" if run.state is State.IDLE else str(run.state),
-            "sessions": run.sessions,
-            "faults": list(run.faults),
-            "rows": run.rows,
-            "planned": len(plan.rows),
-            "duration_s": run.seconds,
-            "foretold_s": plan.seconds,
-            "blocks": [vars(block) for block in statistics.blocks],
-            "axes_deg": statistics.axes_deg,
-            "counts": {
-                "largest": max(statistics.largest.values(), default=None),
-                "share_of_range": {f"{gain:g}": share for gain, share in statistics.share_of_range.items()},
-            },
-            "saturated": statistics.saturated,
-            "checks": predicted.check_results.as_dict(),
-            "relative_uncertainty": predicted.spread,
-            "lamp_hours": run.seconds / 3600.0,
-            "journal_bytes": path.stat().st_size,
-            "warnings": warnings,
-            "assumed": [*assumed, *run.assumed],
-        }
-    return Rehearsal(plan, result)
+        result = RehearsalResult(
+            simulated=True,
+            state="stopped" if run.state is State.IDLE else str(run.state),
+            sessions=run.sessions,
+            faults=list(run.faults),
+            rows=run.rows,
+            planned=len(plan.rows),
+            duration_s=run.seconds,
+            foretold_s=plan.seconds,
+            blocks=statistics.blocks,
+            axes_deg=statistics.axes_deg,
+            counts=LargestCounts(
+                largest=max(statistics.largest.values(), default=None),
+                share_of_range={f"{gain:g}": share for gain, share in statistics.share_of_range.items()},
+            ),
+            saturated=statistics.saturated,
+            checks=predicted.check_results,
+            relative_uncertainty=predicted.spread,
+            lamp_hours=run.seconds / 3600.0,
+            journal_bytes=path.stat().st_size,
+            warnings=warnings,
+            assumed=[*assumed, *run.assumed],
+        )
+    return Rehearsal(plan, run.state, result)
 
 
 def run_in_processes(

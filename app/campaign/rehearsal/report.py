@@ -1,9 +1,10 @@
 """A rehearsal's result as text for a terminal."""
 
+import math
 from collections.abc import Iterator
-from typing import Any
 
-from goniotwin.app.campaign.rehearsal.rehearsal import Rehearsal
+from goniotwin.app.campaign.rehearsal.forecast import SpreadSummary
+from goniotwin.app.campaign.rehearsal.rehearsal import Rehearsal, RehearsalResult
 from goniotwin.app.campaign.studies.decades import uncertainty_texts
 from goniotwin.app.campaign.wording import duration_text
 
@@ -15,21 +16,21 @@ def report_text(rehearsal: Rehearsal) -> str:
     result = rehearsal.result
     plan = rehearsal.plan
     lines = [
-        f"SIMULATED: {plan.schedule.file.name} rehearsed on {plan.rig.file.name}: {result['rows']} of {result['planned']} rows",
-        f"  duration    {duration_text(result['duration_s'])}, and the time to mount",
-        *(f"    {block['name']:14}{duration_text(block['duration_s'])}, {block['rows']} rows" for block in result["blocks"]),
-        f"  axes        {_ranges(result['axes_deg'])}",
+        f"SIMULATED: {plan.schedule.file.name} rehearsed on {plan.rig.file.name}: {result.rows} of {result.planned} rows",
+        f"  duration    {duration_text(result.duration_s)}, and the time to mount",
+        *(f"    {block.name:14}{duration_text(block.duration_s)}, {block.rows} rows" for block in result.blocks),
+        f"  axes        {_ranges(result.axes_deg)}",
         f"  counts      {_counts(result)}",
         *(
             f"  {'uncertainty' if first else '':12}{each}"
-            for name, spread in result["relative_uncertainty"].items()
+            for name, spread in result.relative_uncertainty.items()
             for first, each in _spread(name, spread)
         ),
-        *(f"  check       {each}" for each in result["checks"]["told"]),
-        f"  lamp        {result['lamp_hours']:.2f} h",
-        f"  journal     {_size(result['journal_bytes'])}",
-        *(f"  assumed     {each}" for each in result["assumed"]),
-        *(f"  WARNING     {each}" for each in result["warnings"]),
+        *(f"  check       {each}" for each in result.checks.lines),
+        f"  lamp        {result.lamp_hours:.2f} h",
+        f"  journal     {_size(result.journal_bytes)}",
+        *(f"  assumed     {each}" for each in result.assumed),
+        *(f"  WARNING     {each}" for each in result.warnings),
     ]
     return "\n".join(lines)
 
@@ -38,16 +39,16 @@ def _ranges(axes: dict[str, list[float]]) -> str:
     return ", ".join(f"{axis} {low:g} to {high:g}" for axis, (low, high) in axes.items()) + " deg" if axes else "no axis moved"
 
 
-def _counts(result: dict[str, Any]) -> str:
-    shares = ", ".join(f"{share:.1%} of the range at {gain} V/A" for gain, share in result["counts"]["share_of_range"].items())
-    return f"at most {shares}; {result['saturated']} values saturated at every gain" if shares else "none"
+def _counts(result: RehearsalResult) -> str:
+    shares = ", ".join(f"{share:.1%} of the range at {gain} V/A" for gain, share in result.counts.share_of_range.items())
+    return f"at most {shares}; {result.saturated} values saturated at every gain" if shares else "none"
 
 
-def _spread(name: str, spread: dict[str, Any]) -> Iterator[tuple[bool, str]]:
+def _spread(name: str, spread: SpreadSummary) -> Iterator[tuple[bool, str]]:
     """The lines about a sample, and whether each is the first."""
     texts = uncertainty_texts(spread)
     if not texts:
-        yield True, f"{name}: none of {spread['directions']} directions has a value"
+        yield True, f"{name}: none of {spread.directions} directions has a value"
         return
     yield True, f"{name}: {texts[0]}"
     for each in texts[1:]:
@@ -55,17 +56,17 @@ def _spread(name: str, spread: dict[str, Any]) -> Iterator[tuple[bool, str]]:
     yield (
         False,
         (
-            f"  {spread['to_a_tenth']} of {spread['above_zero']} directions better than 10 % ({spread['directions']} measured, "
-            f"{spread['trusted']} trusted){_distance(spread)}"
+            f"  {spread.to_a_tenth} of {spread.above_zero} directions better than 10 % ({spread.directions} measured, "
+            f"{spread.trusted} trusted){_distance(spread)}"
         ),
     )
 
 
-def _distance(spread: dict[str, Any]) -> str:
+def _distance(spread: SpreadSummary) -> str:
     """How far the values were from the model of the sample."""
-    if spread["coverage"] is None:
+    if math.isnan(spread.coverage):
         return ""
-    return f"; {spread['coverage']:.1%} within their 95 % interval of the truth, the worst {spread['worst_u']:.1f} u off"
+    return f"; {spread.coverage:.1%} within their 95 % interval of the truth, the worst {spread.worst_u:.1f} u off"
 
 
 def _size(size: float) -> str:

@@ -167,9 +167,9 @@ class AlignmentResult:
             "values": self.values,
             "chi2": self.chi_square,
             "scans": self.scans,
-            "combinations": [vars(each) for each in self.combinations],
+            "combinations": self.combinations,
             "covariance": self.covariance.tolist(),
-            "light": None if self.light is None else self.light.as_dict(),
+            "light": self.light,
             "findings": list(self.findings),
             "before": self.before or None,
         }

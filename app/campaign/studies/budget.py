@@ -3,8 +3,8 @@
 import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, Literal
+from dataclasses import dataclass, field, replace
+from typing import Literal
 
 import numpy as np
 
@@ -26,6 +26,7 @@ from goniotwin.app.campaign.studies.reflectance import (
 )
 from goniotwin.app.campaign.wording import number_list
 from goniotwin.app.errors import UserError
+from goniotwin.app.json_document import OPTIONAL_KEY
 from goniotwin.arrays import Floats
 from goniotwin.keys import MEASURED, STATED
 from goniotwin.twin.optics import arc_direction
@@ -113,6 +114,40 @@ def effective_degrees_of_freedom(lines: Iterable[Line]) -> float:
 
 
 @dataclass(frozen=True)
+class ListedComponent:
+    """A component as `goniotwin budget` lists it; one that other values share has its input. `share` is that of u^2."""
+
+    name: str
+    u: float
+    relative_u: float | None
+    share: float
+    sensitivity: float
+    origin: str
+    degrees_of_freedom: float | None
+    shared_by: str = "no other value"
+    input_u: float | None = field(default=None, metadata=OPTIONAL_KEY)
+    input_unit: str | None = field(default=None, metadata=OPTIONAL_KEY)
+    distribution: str | None = field(default=None, metadata=OPTIONAL_KEY)
+    source: str | None = field(default=None, metadata=OPTIONAL_KEY)
+    twin: str | None = field(default=None, metadata=OPTIONAL_KEY)
+
+
+@dataclass(frozen=True)
+class BudgetDocument:
+    """A budget as `goniotwin budget` lists it; degrees of freedom are None where they are infinite, or as many as that."""
+
+    of: str
+    value: float
+    u: float
+    relative_u: float | None
+    unit: Unit
+    degrees_of_freedom: float | None
+    components: list[ListedComponent]
+    about: tuple[str, ...]
+    simulated: bool | None = field(default=None, metadata=OPTIONAL_KEY)
+
+
+@dataclass(frozen=True)
 class Budget:
     """A value with its standard uncertainty `u`, both in `unit`, and the lines of its components, the largest first.
 
@@ -136,41 +171,42 @@ class Budget:
         """The effective degrees of freedom of u."""
         return effective_degrees_of_freedom(self.lines)
 
-    def as_dict(self) -> dict[str, Any]:
-        """The budget for JSON."""
-        return {
-            "of": self.title,
-            "value": self.value,
-            "u": self.u,
-            "relative_u": abs(self.u / self.value) if self.value else None,
-            "unit": self.unit,
-            "degrees_of_freedom": finite(self.degrees_of_freedom),
-            "components": [self._component(each) for each in self.lines],
-            "about": list(self.about),
-        }
+    @property
+    def listed(self) -> BudgetDocument:
+        """The budget as it is listed."""
+        return BudgetDocument(
+            of=self.title,
+            value=self.value,
+            u=self.u,
+            relative_u=abs(self.u / self.value) if self.value else None,
+            unit=self.unit,
+            degrees_of_freedom=finite(self.degrees_of_freedom),
+            components=[self._component(each) for each in self.lines],
+            about=self.about,
+        )
 
-    def _component(self, line: Line) -> dict[str, Any]:
+    def _component(self, line: Line) -> ListedComponent:
         each = line.component
-        result: dict[str, Any] = {
-            "name": each.name,
-            "u": each.u,
-            "relative_u": abs(each.u / self.value) if self.value else None,
-            "share": each.u**2 / self.u**2 if self.u else 0.0,
-            "sensitivity": each.sensitivity,
-            "origin": line.origin,
-            "degrees_of_freedom": finite(line.degrees_of_freedom),
-        }
+        own = ListedComponent(
+            name=each.name,
+            u=each.u,
+            relative_u=abs(each.u / self.value) if self.value else None,
+            share=each.u**2 / self.u**2 if self.u else 0.0,
+            sensitivity=each.sensitivity,
+            origin=line.origin,
+            degrees_of_freedom=finite(line.degrees_of_freedom),
+        )
         if each.input is None:
-            return {**result, "shared_by": "no other value"}
-        return {
-            **result,
-            "shared_by": each.input.shared_by,
-            "input_u": each.input.u,
-            "input_unit": each.input.unit,
-            "distribution": each.input.distribution,
-            "source": each.input.source,
-            "twin": each.input.twin,
-        }
+            return own
+        return replace(
+            own,
+            shared_by=each.input.shared_by,
+            input_u=each.input.u,
+            input_unit=each.input.unit,
+            distribution=each.input.distribution,
+            source=each.input.source,
+            twin=each.input.twin,
+        )
 
 
 def parse_place(text: str) -> dict[str, str | float]:

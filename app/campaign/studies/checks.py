@@ -69,11 +69,11 @@ class CheckResults:
     def as_dict(self) -> dict[str, Any]:
         """The results for JSON."""
         return {
-            "symmetry": {name: result.as_dict() for name, result in self.symmetry.items()},
-            "overlaps": {name: result.as_dict() for name, result in self.overlaps.items() if result.pairs},
+            "symmetry": self.symmetry,
+            "overlaps": {name: result for name, result in self.overlaps.items() if result.pairs},
             "calibrated": self.calibrated,
-            "findings": list(self.findings),
-            **({} if self.closure is None else {"closure": self.closure.as_dict()}),
+            "findings": self.findings,
+            **({} if self.closure is None else {"closure": self.closure}),
             "trouble": self.trouble,
             "told": self.lines,
         }

@@ -371,8 +371,8 @@ class ClosureReport:
                 }
                 for each in self.beams
             ],
-            "together": self.together.as_dict() if self.together is not None else None,
-            "field": self.field.as_dict() if self.field is not None else None,
+            "together": self.together,
+            "field": self.field,
             "missing": [*self.not_planned, *self.missing],
             "verdict": self.verdict,
         }

@@ -4,9 +4,8 @@ Most directions of a lobe have values below its noise: a median over all of them
 is near the peak, so a summary of u is of the values above 1 % of the peak, and by decade.
 """
 
-from collections.abc import Mapping, Sequence
+import math
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
@@ -42,6 +41,33 @@ def relative_uncertainty(points: BsdfPoints) -> Floats:
     return relative
 
 
+@dataclass(frozen=True)
+class DecadeSummary:
+    """Number and percentiles of the relative uncertainties in a decade below the peak; NaN without a value."""
+
+    of_peak: str
+    values: int
+    p05: float
+    p50: float
+    p95: float
+
+
+@dataclass(frozen=True)
+class UncertaintySummary:
+    """Number and percentiles of the relative uncertainties above 1 % of the peak, and by decade; NaN without a value.
+
+    `above_zero` is the number of all values above zero, `to_a_tenth` of those that are known to a tenth.
+    """
+
+    values: int
+    p05: float
+    p50: float
+    p95: float
+    decades: list[DecadeSummary]
+    above_zero: int
+    to_a_tenth: int
+
+
 @dataclass
 class UncertaintyByDecade:
     """Relative uncertainties of a sample's trusted values above zero, with their decades; points are added in whole lights."""
@@ -55,37 +81,40 @@ class UncertaintyByDecade:
         self.relative.append(relative_uncertainty(good))
         self.decade.append(decades_below_peak(good, good.bsdf))
 
-    def as_dict(self) -> dict[str, Any]:
-        """Percentiles of the values above 1 % of the peak and by decade; how many values are known to a tenth."""
+    def summary(self) -> UncertaintySummary:
+        """The summary of all values that were added."""
         relative = np.concatenate([np.zeros(0), *self.relative])
         decade = np.concatenate([np.zeros(0, dtype=np.int64), *self.decade])
-        return {
-            **_percentiles(relative[decade < UPPER_DECADES]),
-            "decades": [{"of_peak": each, **_percentiles(relative[decade == k])} for k, each in enumerate(DECADE_NAMES)],
-            "above_zero": relative.size,
-            "to_a_tenth": int(np.sum(relative <= WELL_KNOWN)),
-        }
+        upper = relative[decade < UPPER_DECADES]
+        return UncertaintySummary(
+            upper.size,
+            *_percentiles(upper),
+            [
+                DecadeSummary(each, relative[decade == k].size, *_percentiles(relative[decade == k]))
+                for k, each in enumerate(DECADE_NAMES)
+            ],
+            relative.size,
+            int(np.sum(relative <= WELL_KNOWN)),
+        )
 
 
-def _percentiles(relative: Floats) -> dict[str, Any]:
-    found: Sequence[float | None] = [None] * len(PERCENTILES)
-    if relative.size:
-        found = np.percentile(relative, PERCENTILES).tolist()
-    return {"values": relative.size, **{f"p{each:02d}": value for each, value in zip(PERCENTILES, found, strict=True)}}
+def _percentiles(relative: Floats) -> tuple[float, float, float]:
+    p05, p50, p95 = np.percentile(relative, PERCENTILES).tolist() if relative.size else (math.nan,) * 3
+    return p05, p50, p95
 
 
-def uncertainty_texts(found: Mapping[str, Any]) -> list[str]:
-    """The result of `UncertaintyByDecade` in words: above 1 % of the peak, and by decade. None without a value above zero."""
+def uncertainty_texts(found: UncertaintySummary) -> list[str]:
+    """A summary in words: above 1 % of the peak, and by decade. None without a value above zero."""
     by_decade = [
-        f"{each['of_peak'].removeprefix(f'1e{-k:+d} ')}: {_percent(each['p50'])} ({each['values']})"
-        for k, each in enumerate(found["decades"])
-        if each["values"]
+        f"{each.of_peak.removeprefix(f'1e{-k:+d} ')}: {_percent(each.p50)} ({each.values})"
+        for k, each in enumerate(found.decades)
+        if each.values
     ]
     if not by_decade:
         return []
     upper = (
-        f"u above 1 % of the peak: median {_percent(found['p50'])}, 5th to 95th percentile {_percent(found['p05'])} to "
-        f"{_percent(found['p95'])} ({found['values']} values)"
+        f"u above 1 % of the peak: median {_percent(found.p50)}, 5th to 95th percentile {_percent(found.p05)} to "
+        f"{_percent(found.p95)} ({found.values} values)"
     )
     return [upper, f"median u by share of the peak (values): {', '.join(by_decade)}"]
 

@@ -129,8 +129,8 @@ class StandardsReport:
         return {
             "etalon": self.etalon,
             "second": self.name,
-            "together": None if self.together is None else self.together.as_dict(),
-            "by_light": [each.as_dict() for each in self.by_light],
+            "together": self.together,
+            "by_light": self.by_light,
             "chi_square": self.chi_square,
             "apart": self.apart,
             "difference": self.difference,

@@ -62,9 +62,8 @@ class SymmetryResult:
         )
 
     def as_dict(self) -> dict[str, Any]:
-        """The result for JSON; NaN and infinity become null."""
-        numbers = {name: getattr(self, name) for name in ("chi_square", "worst", "beyond", "largest", "u_largest")}
-        values = {name: float(value) if math.isfinite(value) else None for name, value in numbers.items()}
+        """The result for JSON."""
+        values = {name: float(getattr(self, name)) for name in ("chi_square", "worst", "beyond", "largest", "u_largest")}
         holds = self.holds if self.pairs else None
         return {"stated": self.stated, "holds": holds, "pairs": self.pairs, **values, "where": self.where}
 

@@ -150,7 +150,7 @@ class WatchResult:
         """The result for JSON."""
         return {
             "simulated": self.simulated,
-            "misalignments": [each.as_dict() for each in self.misalignments],
+            "misalignments": self.misalignments,
             "clear": list(self.clear),
             "without_lobe": list(self.without),
             "false_alarms": FALSE_ALARMS,

@@ -221,7 +221,7 @@ def _summary(dataset: Dataset, verdicts: list[Verdict]) -> list[tuple[str, str]]
         here = dataset[name]
         known = UncertaintyByDecade()
         known.add(_measured(here).points)
-        found = uncertainty_texts(known.as_dict()) or ["none of these above zero"]
+        found = uncertainty_texts(known.summary()) or ["none of these above zero"]
         values += ["; ".join([f"{name}: {here.size} values, {int(here.good.sum())} of them trusted", *found])]
     return [*(("values", each) for each in values), ("checks", checks)]
 

@@ -5,7 +5,6 @@ that the command would write. It ends with its study. While a run is in progress
 """
 
 import io
-import json
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
@@ -19,6 +18,7 @@ import numpy as np
 from goniotwin.app.desktop.model.worker import Worker, WorkerEnded
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats.file import make_folder, write_file
+from goniotwin.app.json_document import json_text
 from goniotwin.app.simulation.tolerances.study import (
     LIGHTS,
     GaussianTable,
@@ -237,7 +237,7 @@ def compute_outcome(path: Path, report: Callable[[float, str], None]) -> StudyOu
         files = {each.name: each.read_bytes() for each in written.values()}
     answer = {"file": str(path), **as_dict(result), "files": {name: each.name for name, each in written.items()}}
     files[f"{path.stem}.txt"] = text.getvalue().encode()
-    files[f"{path.stem}.json"] = json.dumps(answer, indent=2, allow_nan=False).encode()
+    files[f"{path.stem}.json"] = json_text(answer).encode()
     return StudyOutcome(
         name=result.study.name,
         quantity=quantity(result),

@@ -498,7 +498,7 @@ def as_dict(result: StudyResult) -> dict[str, Any]:
             "at_worst_percent": recentred.at_worst_percent,
             "peak_at_worst_deg": recentred.peak_at_worst_deg,
             "worst_percent": recentred.worst.percent,
-            "limitations": [vars(each) for each in recentred.limitations],
+            "limitations": recentred.limitations,
         },
         "uniformity": None if uniformity is None else {**vars(uniformity), "by_rays": vars(uniformity.by_rays)},
         "illumination": None if result.lights is None else _lights_as_dict(result.lights),

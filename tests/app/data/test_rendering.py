@@ -86,7 +86,7 @@ def test_equal_tables_have_equal_pictures_and_a_darker_sphere_is_darker() -> Non
     assert np.array_equal(other.first, same.first)
     middle = (slice(SIZE // 2 - 2, SIZE // 2 + 2),) * 2
     assert other.second[middle].mean() < 0.75 * other.first[middle].mean()
-    assert other.as_dict()["mean_percent_of_white"] < 0.0
+    assert other.figures.mean_percent_of_white < 0.0
 
 
 @pytest.mark.long

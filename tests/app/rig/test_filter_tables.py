@@ -148,5 +148,5 @@ def test_the_example_is_the_virtual_rig_with_filters_and_nothing_else() -> None:
     assert {**example, "name": plain["name"]} == plain
     schedule = parse_schedule(SMALL.replace("[550]", "{ start = 380, stop = 780, step = 10 }"), "x")
     result = check_plan(make_plan(schedule, read_rig(RIG.with_name("filters.toml"))))
-    assert not [each for each in result["warnings"] if "half the wavelength" in each]
-    assert result["filter_changes"] > 0
+    assert not [each for each in result.warnings if "half the wavelength" in each]
+    assert result.filter_changes > 0

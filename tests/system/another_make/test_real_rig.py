@@ -65,14 +65,14 @@ AVERAGING = f"{SMALL}[averaging]\nrelative_uncertainty = 0.01\n"
 @pytest.mark.parametrize("change", [ESP_SHIFT, OTHER])
 def test_it_is_planned_whatever_needs_the_expected_light(schedule: str, change: Change) -> None:
     planned = plan(schedule, change)
-    assert check_plan(planned)["rows"] > 0
+    assert check_plan(planned).rows > 0
     assert planned.expected_reading_s == {}
 
 
 def test_the_duration_of_filter_changes_is_that_of_the_table() -> None:
     """The two filters are neighbours: each change is one step."""
     planned = plan(SMALL.replace("[550]", "[550, 650]"), OTHER)
-    changes = check_plan(planned)["filter_changes"]
+    changes = check_plan(planned).filter_changes
     assert changes > 0
     assert f"filter changes: {changes}, 0 min {round(changes * TURN_S):02d} s" in explain_order(planned)
 

@@ -103,7 +103,7 @@ def test_the_etalon_is_measured_on_the_same_photodiode_at_every_wavelength() -> 
         assert each.poses[:, 3].min() >= -0.5
         assert {row.pose for row in rows_of(plan, NO_SAMPLE)} >= {tuple(pose) for pose in each.poses.tolist()}
     assert not any(row.pose is not None and row.pose[2] == 180.0 for row in rows_of(plan, "gaussian-5"))
-    (note,) = [each for each in check_plan(plan)["warnings"] if "open beam" in each]
+    (note,) = [each for each in check_plan(plan).warnings if "open beam" in each]
     assert "40.8 in place of 40 deg" in note
 
 
@@ -129,7 +129,7 @@ def test_below_ten_degrees_there_is_no_scan_and_check_reports_it() -> None:
     plan = planned("sigma_deg = [0, 9, 32]\n[open_beam]\nwavelength_nm = 650\n")
     assert [each.sigma_deg for each in beam_scans(plan.schedule.file, plan.rig.file)] == [32.0]
     assert sum(row.wavelength_nm == 650.0 for row in rows_of(plan, NO_SAMPLE)) == 169
-    assert any("not scanned at sigma 0, 9 deg: below 10 deg" in each for each in check_plan(plan)["warnings"])
+    assert any("not scanned at sigma 0, 9 deg: below 10 deg" in each for each in check_plan(plan).warnings)
     assert "no sigma_deg is 10 deg or more" in refused("sigma_deg = [0, 9]\n[open_beam]\n")
 
 
@@ -168,7 +168,7 @@ def test_two_sigmas_that_the_shift_brings_to_one_scan_have_it_once() -> None:
     ]
     identities = [row.identity for row in plan.rows]
     assert len(set(identities)) == len(identities)
-    assert any("sigma 40 deg has no scan of the open beam of its own" in each for each in check_plan(plan)["warnings"])
+    assert any("sigma 40 deg has no scan of the open beam of its own" in each for each in check_plan(plan).warnings)
 
 
 def test_more_poses_than_a_campaign_may_have_are_refused_before_they_are_built() -> None:

@@ -160,7 +160,7 @@ def test_check_warns_of_directions_and_wavelengths_outside_the_certificate(write
     rig = read_rig(RIG)
 
     def certificate_warnings(text: str, *changes: Change) -> list[str]:
-        warnings = check_plan(make_plan(certified(write_schedule, text, *changes), rig))["warnings"]
+        warnings = check_plan(make_plan(certified(write_schedule, text, *changes), rig)).warnings
         return [each for each in warnings if "etalon.csv" in each]
 
     (warning,) = certificate_warnings(BY_ZENITH)

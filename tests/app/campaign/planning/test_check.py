@@ -1,7 +1,5 @@
 """Result of `check`, and blocked directions against traced rays."""
 
-import json
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -26,18 +24,18 @@ def planned(text: str) -> NewPlan:
 
 def test_check_gives_rows_duration_order_blocked_directions_and_warnings() -> None:
     plan = make_plan(read_schedule(SCHEDULE), VIRTUAL)
-    result = json.loads(json.dumps(check_plan(plan)))
-    assert result["rows"] == 130
-    assert result["duration_s"] == pytest.approx(plan.seconds)
-    assert result["least_s"] <= result["duration_s"] <= 1.05 * result["least_s"]
-    assert result["order"] == ["shift", "sigma", "beta"]
-    assert result["why"].startswith("shift inside: 4 min 41 s; ")
-    assert result["kinds"] == {"mount": 2, "dark": 8, "measure": 120}
-    assert result["axes_deg"]["beta"] == [0.0, 180.0]
-    assert (result["directions"], result["shadowed"]) == (1077, 45)
-    assert sum(len(each["zenith_azimuth"]) for each in result["shadowed_deg"]) == 45
-    assert [each["sigma"] for each in result["shadowed_deg"] if each["specular"]] == [0.0]
-    assert "at sigma 0 deg the mirror unit blocks the specular direction" in result["warnings"][0]
+    result = check_plan(plan)
+    assert result.rows == 130
+    assert result.duration_s == pytest.approx(plan.seconds)
+    assert result.least_s <= result.duration_s <= 1.05 * result.least_s
+    assert result.order == ["shift", "sigma", "beta"]
+    assert result.why.startswith("shift inside: 4 min 41 s; ")
+    assert result.kinds == {"mount": 2, "dark": 8, "measure": 120}
+    assert result.axes_deg["beta"] == [0.0, 180.0]
+    assert (result.directions, result.shadowed) == (1077, 45)
+    assert sum(len(each.zenith_azimuth) for each in result.shadowed_deg) == 45
+    assert [each.sigma for each in result.shadowed_deg if each.specular] == [0.0]
+    assert "at sigma 0 deg the mirror unit blocks the specular direction" in result.warnings[0]
     words = describe_check(plan, result)
     assert "from the innermost loop: shift, sigma, beta" in words
     assert "15 at sigma 0 with the specular direction" in words
@@ -45,17 +43,17 @@ def test_check_gives_rows_duration_order_blocked_directions_and_warnings() -> No
 
 def test_overlaps_are_counted_and_check_warns_if_there_are_none() -> None:
     alone = check_plan(planned("sigma_deg = [30]\nbeta_deg = [0, 90]\nshift_deg = [0, 1]\n"))
-    assert alone["overlaps"] == 0
-    assert any("[overlap] points = 1 adds poses at shift 5 deg" in warning for warning in alone["warnings"])
+    assert alone.overlaps == 0
+    assert any("[overlap] points = 1 adds poses at shift 5 deg" in warning for warning in alone.warnings)
     # At each beta 17 of the 18 photodiodes move to the position of the next one.
     shared = check_plan(planned("sigma_deg = [30]\nbeta_deg = [0, 90]\nshift_deg = [0, 5]\n"))
-    assert shared["overlaps"] == 2 * 17
-    assert not any("overlap" in warning for warning in shared["warnings"])
+    assert shared.overlaps == 2 * 17
+    assert not any("overlap" in warning for warning in shared.warnings)
 
 
 def test_poses_omitted_by_symmetry_are_counted() -> None:
     plan = planned("sigma_deg = [30]\nbeta_deg = [0, 90, 180, 270]\n")
-    assert check_plan(plan)["left_out"] == 1
+    assert check_plan(plan).left_out == 1
     assert "omitted     1 poses that are equivalent to others by the symmetry: isotropic" in describe_check(
         plan, check_plan(plan)
     )
@@ -66,29 +64,29 @@ def test_transmitted_directions_are_blocked_only_at_the_etalon() -> None:
     plan = planned('light = "transmitted"\nsigma_deg = [0, 30]\nbeta_deg = [0, 90, 180]\n')
     result = check_plan(plan)
     reflected = check_plan(planned("sigma_deg = [0, 30]\nbeta_deg = [0, 90, 180]\n"))
-    assert result["shadowed"] == result["shadowed_only_for_etalon"] == reflected["shadowed"] > 0
-    assert reflected["shadowed_only_for_etalon"] == 0
+    assert result.shadowed == result.shadowed_only_for_etalon == reflected.shadowed > 0
+    assert reflected.shadowed_only_for_etalon == 0
     assert "of transmission, by the mirror unit, 2 of them only at the etalon" in describe_check(plan, result)
-    assert any("blocks the direction straight through" in each for each in result["warnings"])
-    assert not any("specular" in each for each in result["warnings"])
+    assert any("blocks the direction straight through" in each for each in result.warnings)
+    assert not any("specular" in each for each in result.warnings)
 
 
 def test_an_estimated_duration_is_reported_with_its_range() -> None:
     result = check_plan(planned("sigma_deg = [30]\nbeta_deg = [0, 90]\n[averaging]\nrelative_uncertainty = 0.01\n"))
-    least, most = result["duration_range_s"]
-    assert least < result["duration_s"] < most
-    assert any("the duration is an estimate" in warning for warning in result["warnings"])
+    least, most = result.duration_range_s
+    assert least < result.duration_s < most
+    assert any("the duration is an estimate" in warning for warning in result.warnings)
     exact = check_plan(planned("sigma_deg = [30]\nbeta_deg = [0, 90]\n"))
-    assert exact["duration_range_s"] == [exact["duration_s"], exact["duration_s"]]
+    assert exact.duration_range_s == (exact.duration_s, exact.duration_s)
 
 
 def test_check_warns_of_open_beam_old_dark_readings_and_second_order() -> None:
     grids = "sigma_deg = [30]\nbeta_deg = [0, 90]\n"
-    assert any("open beam" in each for each in check_plan(planned(f"open_beam = true\n{grids}"))["warnings"])
+    assert any("open beam" in each for each in check_plan(planned(f"open_beam = true\n{grids}")).warnings)
     slow = check_plan(planned(f"readings = 100\ndark_every_s = 5\n{grids}"))
-    assert any("a dark reading gets" in each for each in slow["warnings"])
+    assert any("a dark reading gets" in each for each in slow.warnings)
     red = make_plan(parse_schedule(f"{HEAD}gains_v_per_a = [1e8]\nwavelength_nm = [700, 720]\n{grids}", "x"), VIRTUAL)
-    assert any("above 710 nm (1 wavelengths)" in each for each in check_plan(red)["warnings"])
+    assert any("above 710 nm (1 wavelengths)" in each for each in check_plan(red).warnings)
 
 
 def test_front_and_back_have_the_same_blocked_directions() -> None:
@@ -134,5 +132,5 @@ def test_the_duration_is_within_its_own_range() -> None:
     """Also where the time limit comes before the target, after a number of lots that is not known in advance."""
     averaging = "readings = 1\nsignature = true\n[averaging]\nrelative_uncertainty = 0.0005\nlongest_s = 0.5\n"
     result = check_plan(planned(f"sigma_deg = [30]\nbeta_deg = [0, 90]\n{averaging}"))
-    least, most = result["duration_range_s"]
-    assert least <= result["duration_s"] <= most
+    least, most = result.duration_range_s
+    assert least <= result.duration_s <= most

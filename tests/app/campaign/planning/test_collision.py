@@ -47,7 +47,7 @@ def test_unreachable_cross_checks_are_omitted_with_a_warning() -> None:
     assert plan.omitted == ("overlap",)
     assert {row.pose[3] for row in plan.rows if row.pose is not None} == {0.0}
     assert any(
-        "[overlap] points = 1 is omitted: in any order the arc would collide" in each for each in check_plan(plan)["warnings"]
+        "[overlap] points = 1 is omitted: in any order the arc would collide" in each for each in check_plan(plan).warnings
     )
 
 

@@ -56,10 +56,10 @@ def test_the_duration_of_light_dependent_readings_is_within_five_percent(text: s
     plan = planned(text)
     assert run_campaign(plan, tmp_path / "run.journal").seconds == pytest.approx(plan.seconds, rel=TOLERANCE)
     checked = check_plan(plan)
-    least, most = checked["duration_range_s"]
-    assert checked["least_s"] <= plan.seconds
+    least, most = checked.duration_range_s
+    assert checked.least_s <= plan.seconds
     assert least <= plan.seconds <= most
-    assert any("it is based on the expected signal of the twin at up to 40 poses" in each for each in checked["warnings"])
+    assert any("it is based on the expected signal of the twin at up to 40 poses" in each for each in checked.warnings)
 
 
 @pytest.mark.long
@@ -76,7 +76,7 @@ def test_the_expected_exposure_at_a_real_rig_is_from_the_twin_that_its_file_desc
     text = text.replace("twin://virtual/monitor", "1313:8078:P0012345")
     plan = planned(LIGHT_DEPENDENT["auto-range"], parse_rig(text, RIG.parent, "real"))
     assert set(plan.expected_reading_s) == {"etalon", "gaussian-5"}
-    assert any("with assumed samples" in each for each in check_plan(plan)["warnings"])
+    assert any("with assumed samples" in each for each in check_plan(plan).warnings)
 
 
 def test_the_expected_exposure_is_reproducible_and_fast() -> None:

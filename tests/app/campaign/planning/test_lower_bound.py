@@ -121,7 +121,7 @@ def ages(plan: NewPlan) -> dict[str, float]:
 
 
 def warns_of_old_dark_reading(plan: NewPlan) -> bool:
-    return any("a dark reading gets" in each for each in check_plan(plan)["warnings"])
+    return any("a dark reading gets" in each for each in check_plan(plan).warnings)
 
 
 def test_a_warm_up_before_the_first_dark_reading_gives_no_warning() -> None:

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from goniotwin.app.campaign.proof.judgement import Cell, RigResult
 from goniotwin.app.campaign.proof.totals import Totals, chi_square_quantile, mean_square_limits
+from goniotwin.app.json_document import json_value
 
 
 def made_results(seed: int, rigs: int, values: int, common: float, wrong: float = 1.0) -> list[RigResult]:
@@ -97,8 +98,8 @@ def test_what_is_wrong_is_seen() -> None:
 
 
 def test_no_rig_and_one_rig_have_no_standard_error() -> None:
-    assert Totals([]).as_dict()["coverage_percent"] is None
-    one = Totals(made_results(1, 1, 30, 0.5)).as_dict()
+    assert json_value(Totals([]))["coverage_percent"] is None
+    one = json_value(Totals(made_results(1, 1, 30, 0.5)))
     assert one["standard_error_percent"] is None
     failed = Totals([RigResult(7, failed="the lamp")])
     assert (failed.rigs, failed.failed) == (0, {7: "the lamp"})

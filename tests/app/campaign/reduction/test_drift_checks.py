@@ -130,7 +130,7 @@ def test_a_photodiode_that_the_checks_do_not_cover_is_named(tmp_path: Path) -> N
 def test_a_rehearsal_warns_of_unchecked_photodiodes_with_a_remedy() -> None:
     def warnings(text: str) -> list[str]:
         rehearsal = rehearse(*plan_rehearsal(parse_schedule(text, "x.toml"), read_rig(RIG), {}))
-        return [each for each in rehearsal.result["warnings"] if "drift checks of" in each]
+        return [each for each in rehearsal.result.warnings if "drift checks of" in each]
 
     (warning,) = warnings(TEXT)
     assert "drift checks of gaussian-5" in warning
@@ -141,7 +141,7 @@ def test_a_rehearsal_warns_of_unchecked_photodiodes_with_a_remedy() -> None:
 
 def test_check_warns_of_photodiodes_without_light_at_the_pose_of_the_drift_checks() -> None:
     def warnings(text: str) -> list[str]:
-        return [each for each in check_plan(planned(text))["warnings"] if "a fault of these" in each]
+        return [each for each in check_plan(planned(text)).warnings if "a fault of these" in each]
 
     assert warnings(TEXT) == []
     through = 'light = "transmitted"\n' + TEXT.replace("gaussian-5", "opal")

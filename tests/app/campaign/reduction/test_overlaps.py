@@ -18,6 +18,7 @@ from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.campaign.studies.journals import check_journal
 from goniotwin.app.campaign.studies.reduced_journal import BsdfDataset, reduce_journal
 from goniotwin.app.formats import read_points_csv
+from goniotwin.app.json_document import json_value
 from goniotwin.app.rig import OpenRig, read_rig
 from tests.app.campaign.campaign_bench import remove_checksums, run_plan
 from tests.app.campaign.reduction import grey_campaign
@@ -104,7 +105,7 @@ def test_calibration_corrects_a_faded_photodiode_within_its_uncertainty(
     checks = check_journal(path)
     assert checks is not None
     assert any("values have been multiplied by 0.99" in line for line in checks.lines)
-    assert checks.as_dict()["overlaps"]["grey"]["calibration"]["significant"] == [FADED]
+    assert json_value(checks)["overlaps"]["grey"]["calibration"]["significant"] == [FADED]
     export(after, None, tmp_path / "a.csv", "csv")
     assert any("have been multiplied by" in each for each in read_points_csv(tmp_path / "a.csv").comments)
 

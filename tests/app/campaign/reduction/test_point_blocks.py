@@ -25,6 +25,7 @@ from goniotwin.app.campaign.schedule.file import parse_schedule, read_schedule
 from goniotwin.app.campaign.studies.decades import UncertaintyByDecade
 from goniotwin.app.campaign.studies.evaluation import evaluate_journal
 from goniotwin.app.campaign.studies.reduced_journal import reduce_journal
+from goniotwin.app.json_document import json_value
 from goniotwin.app.rig import parse_rig, read_rig
 from tests.conftest import RIG, SMALL, Writer, changed
 
@@ -101,15 +102,15 @@ def test_values_are_the_same_for_any_size_of_a_block(journal: Path, sizes: tuple
 def test_a_forecast_is_the_same_for_any_size_of_a_block(journal: Path, sizes: tuple[int, ...], tmp_path: Path) -> None:
     forecasts = [forecast(journal, tmp_path / f"{size}.csv", ["of a test"], size) for size in sizes]
     assert all(each.spread == forecasts[0].spread for each in forecasts)
-    assert all(each.check_results.as_dict() == forecasts[0].check_results.as_dict() for each in forecasts)
+    assert all(json_value(each.check_results) == json_value(forecasts[0].check_results) for each in forecasts)
     assert len({(tmp_path / f"{size}.csv").read_bytes() for size in sizes}) == 1
     with Journal.open(journal) as opened:
         whole = reduce_journal(opened)
     for name, points in whole.samples.items():
-        assert forecasts[0].spread[name]["directions"] == points.bsdf.size
+        assert forecasts[0].spread[name].directions == points.bsdf.size
         at_once = UncertaintyByDecade()
         at_once.add(points)
-        assert forecasts[0].spread[name].items() >= at_once.as_dict().items()
+        assert vars(forecasts[0].spread[name]).items() >= vars(at_once.summary()).items()
         assert forecasts[0].check_results.symmetry[name] == whole.symmetry[name]
         assert forecasts[0].check_results.overlaps[name] == whole.overlaps[name]
     assert whole.symmetry["glass"].pairs > 0

@@ -72,14 +72,14 @@ def test_directions_blocked_at_the_etalon_are_flagged_and_all_others_are_right(
     assert good.bsdf.size > 1150 * len(sigmas)
     checked = check_plan(plan)
     expected = {
-        (round(each["sigma"], 3), round(zenith, 3), round(azimuth, 3))
-        for each in checked["shadowed_deg"]
-        for zenith, azimuth in each["zenith_azimuth"]
+        (round(each.sigma, 3), round(zenith, 3), round(azimuth, 3))
+        for each in checked.shadowed_deg
+        for zenith, azimuth in each.zenith_azimuth
     }
     flagged = points.where(points.flag("shadowed"))
     keys = zip(flagged.sigma_deg.tolist(), (180.0 - flagged.zenith_deg).tolist(), flagged.azimuth_deg.tolist(), strict=True)
     assert {(sigma, round(zenith, 3), round(azimuth % 360.0, 3)) for sigma, zenith, azimuth in keys} == expected
-    assert checked["shadowed_only_for_etalon"] == len(expected) > 50 * len(sigmas)
+    assert checked.shadowed_only_for_etalon == len(expected) > 50 * len(sigmas)
 
 
 @pytest.mark.long
@@ -123,27 +123,27 @@ def test_the_example_has_values_in_nearly_all_directions(tmp_path: Path) -> None
     text = re.sub("beta_deg = .*", "beta_deg = [0, 90, 180]", text)
     text = re.sub("sigma_deg = .*", "sigma_deg = [0, 40]", text)
     result = rehearse(*plan_rehearsal(parse_schedule(text, "t.toml"), read_rig(RIG), {}))
-    spread = result.result["relative_uncertainty"]["opal"]
-    assert spread["to_a_tenth"] > 0.9 * spread["directions"]
-    assert not any("no value" in each for each in result.result["warnings"])
+    spread = result.result.relative_uncertainty["opal"]
+    assert spread.to_a_tenth > 0.9 * spread.directions
+    assert not any("no value" in each for each in result.result.warnings)
 
 
 def test_check_warns_of_samples_of_a_virtual_rig_that_give_no_light() -> None:
     def warnings(text: str) -> list[str]:
-        return [each for each in check_plan(planned(text))["warnings"] if "when its" in each]
+        return [each for each in check_plan(planned(text)).warnings if "when its" in each]
 
     assert warnings(HEAD + COARSE) == []
     bare, opaque = warnings(HEAD.replace("white-tile", "etalon").replace("opal", "gaussian-5") + COARSE)
     assert "etalon reflects nothing when its back is lit, so that transmitted light has no scale" in bare
     assert "gaussian-5 transmits nothing when its front is lit" in opaque
-    assert check_plan(make_plan(read_schedule(EXAMPLE), read_rig(RIG)))["shadowed_only_for_etalon"] == 135
+    assert check_plan(make_plan(read_schedule(EXAMPLE), read_rig(RIG))).shadowed_only_for_etalon == 135
 
 
 @pytest.mark.long
 def test_a_rehearsal_warns_of_a_sample_without_values_and_gives_the_reason() -> None:
     def warnings(text: str) -> list[str]:
         result = rehearse(*plan_rehearsal(parse_schedule(text, "t.toml"), read_rig(RIG), {}))
-        return [each for each in result.result["warnings"] if "has no value" in each]
+        return [each for each in result.result.warnings if "has no value" in each]
 
     (bare,) = warnings(HEAD.replace("white-tile", "etalon") + COARSE)
     assert "opal has no values: of 108 directions 4 are blocked by the mirror unit, 104 are without a signal" in bare

@@ -19,6 +19,7 @@ from goniotwin.app.campaign.running.events import Event, RowCommitted
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats import read_points_csv
+from goniotwin.app.json_document import json_text
 from goniotwin.app.rig import read_rig
 from goniotwin.app.rig.lock import RigLock
 from tests.conftest import Change, Writer
@@ -55,7 +56,7 @@ def run_rehearsal(schedule: Path, rig: Path, *, sample: str | None = None, out: 
 
 def warnings_with(rehearsal: Rehearsal, words: str) -> list[str]:
     """The warnings that contain `words`."""
-    return [each for each in rehearsal.result["warnings"] if words in each]
+    return [each for each in rehearsal.result.warnings if words in each]
 
 
 @pytest.fixture
@@ -69,49 +70,49 @@ def test_the_duration_is_that_of_the_journal_and_close_to_the_one_estimated_by_c
     schedule, rig = write_schedule(), write_rig()
     rehearsal = run_rehearsal(schedule, rig, out=tmp_path / "kept.journal")
     estimate = check_plan(make_plan(read_schedule(schedule), read_rig(rig)))
-    assert rehearsal.result["duration_s"] == pytest.approx(estimate["duration_s"], rel=0.05)
+    assert rehearsal.result.duration_s == pytest.approx(estimate.duration_s, rel=0.05)
     with Journal.open(tmp_path / "kept.journal") as journal:
-        assert rehearsal.result["duration_s"] == journal.seconds
-        assert rehearsal.result["rows"] == rehearsal.result["planned"] == estimate["rows"] == len(list(journal.rows()))
+        assert rehearsal.result.duration_s == journal.seconds
+        assert rehearsal.result.rows == rehearsal.result.planned == estimate.rows == len(list(journal.rows()))
         assert journal.simulated
-    assert rehearsal.result["journal_bytes"] == (tmp_path / "kept.journal").stat().st_size
+    assert rehearsal.result.journal_bytes == (tmp_path / "kept.journal").stat().st_size
 
 
 def test_the_blocks_add_up_to_the_whole_campaign(small: Rehearsal) -> None:
-    blocks = small.result["blocks"]
-    assert [block["name"] for block in blocks] == ["etalon", "gaussian-5"]
-    assert sum(block["rows"] for block in blocks) == small.result["rows"]
-    assert sum(block["duration_s"] for block in blocks) == pytest.approx(small.result["duration_s"], rel=1e-3)
-    assert small.result["lamp_hours"] == pytest.approx(small.result["duration_s"] / 3600.0)
+    blocks = small.result.blocks
+    assert [block.name for block in blocks] == ["etalon", "gaussian-5"]
+    assert sum(block.rows for block in blocks) == small.result.rows
+    assert sum(block.duration_s for block in blocks) == pytest.approx(small.result.duration_s, rel=1e-3)
+    assert small.result.lamp_hours == pytest.approx(small.result.duration_s / 3600.0)
 
 
 def test_the_values_are_compared_with_the_truth_of_the_samples(small: Rehearsal) -> None:
-    spread = small.result["relative_uncertainty"]["gaussian-5"]
-    assert 0.85 <= spread["coverage"] <= 1.0
-    assert 0.0 < spread["worst_u"] < 5.0
+    spread = small.result.relative_uncertainty["gaussian-5"]
+    assert 0.85 <= spread.coverage <= 1.0
+    assert 0.0 < spread.worst_u < 5.0
     assert "within their 95 % interval of the truth, the worst" in report_text(small)
 
 
 def test_the_ranges_of_axes_and_counts_are_reported(small: Rehearsal) -> None:
-    axes = small.result["axes_deg"]
+    axes = small.result.axes_deg
     assert axes["sigma"] == pytest.approx([30.0, 30.0], abs=0.01)
     assert axes["shift"] == pytest.approx([0.0, 1.0], abs=0.01)
-    counts = small.result["counts"]
-    assert set(counts["share_of_range"]) == {"1e+08", "1e+10"}
-    assert counts["share_of_range"]["1e+10"] == 1.0  # the peak is saturated at this gain, not at the lower one
-    assert 0.0 < counts["share_of_range"]["1e+08"] < 1.0
-    assert counts["largest"] == 65535
-    assert small.result["saturated"] == 0
+    counts = small.result.counts
+    assert set(counts.share_of_range) == {"1e+08", "1e+10"}
+    assert counts.share_of_range["1e+10"] == 1.0  # the peak is saturated at this gain, not at the lower one
+    assert 0.0 < counts.share_of_range["1e+08"] < 1.0
+    assert counts.largest == 65535
+    assert small.result.saturated == 0
 
 
 def test_the_uncertainty_of_each_direction_is_predicted(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
     plan, assumed = plan_rehearsal(read_schedule(write_schedule()), read_rig(write_rig()), {})
-    spread = rehearse(plan, assumed, points=tmp_path / "points.csv").result["relative_uncertainty"]["gaussian-5"]
-    assert 0.0 < spread["p05"] <= spread["p50"] <= spread["p95"]
+    spread = rehearse(plan, assumed, points=tmp_path / "points.csv").result.relative_uncertainty["gaussian-5"]
+    assert 0.0 < spread.p05 <= spread.p50 <= spread.p95
     table = read_points_csv(tmp_path / "points.csv")
     assert table.comments[0].startswith("SIMULATED")
     columns = table.columns
-    assert columns["bsdf_per_sr"].size == spread["directions"]
+    assert columns["bsdf_per_sr"].size == spread.directions
     peak = (columns["zenith_deg"] == 30.0) & (columns["azimuth_deg"] == 180.0)
     # Noise is small at the peak. The components are the etalon's certificate, the monitor and the gains, together 0.0025; the
     # etalon's age and its edges, 0.001 and 0.002; 0.001 for each decade from the etalon's light to the peak's; 12 % of the
@@ -127,7 +128,7 @@ def test_the_uncertainty_of_each_direction_is_predicted(write_rig: Writer, write
 
 
 def test_the_result_is_json_and_marked_as_simulated(small: Rehearsal) -> None:
-    result: dict[str, Any] = json.loads(json.dumps(small.result, allow_nan=False))
+    result: dict[str, Any] = json.loads(json_text(small.result))
     assert result["simulated"] is True
     assert result["state"] == "done"
     assert {"blocks", "counts", "saturated", "lamp_hours", "journal_bytes", "warnings", "assumed"} <= set(result)
@@ -154,14 +155,14 @@ def test_no_port_and_no_lock_of_a_real_rig_is_used(
     assert rehearsal.done
     assert opened
     assert all(url.startswith("twin://") for url in opened)
-    assert any("gaussian-5 scatters as a Gaussian of 5 deg" in each for each in rehearsal.result["assumed"])
+    assert any("gaussian-5 scatters as a Gaussian of 5 deg" in each for each in rehearsal.result.assumed)
 
 
 def test_unreferenced_axes_are_assumed_as_referenced_and_listed(write_rig: Writer, write_schedule: Writer) -> None:
     parked = "settling_s = 0.2\npower_up_at_reference = true\n\n[axes.beta]"
     rehearsal = run_rehearsal(write_schedule(), real_rig_file(write_rig, (parked, "settling_s = 0.2\n\n[axes.beta]")))
     assert rehearsal.done
-    assert sum("sigma has been referenced" in each for each in rehearsal.result["assumed"]) == 1
+    assert sum("sigma has been referenced" in each for each in rehearsal.result.assumed) == 1
 
 
 def test_a_sample_that_is_not_in_the_schedule_is_refused(write_rig: Writer, write_schedule: Writer) -> None:
@@ -204,7 +205,7 @@ def test_a_blocked_specular_direction_gives_a_warning(write_rig: Writer, write_s
 
 def test_saturated_values_give_a_warning(write_rig: Writer, write_schedule: Writer) -> None:
     rehearsal = run_rehearsal(write_schedule(("[1e8, 1e10]", "[1e11]")), write_rig())
-    assert rehearsal.result["saturated"] > 0
+    assert rehearsal.result.saturated > 0
     assert warnings_with(rehearsal, "saturated at every gain")
 
 
@@ -212,7 +213,7 @@ def test_the_direct_beam_on_an_arc_that_is_not_measured_gives_no_warning(write_r
     """Without a sample the lower arc looks into the beam, at gains for reflected light."""
     signature = ("dark_readings = 4", "dark_readings = 4\nsignature = true")
     reflected = run_rehearsal(write_schedule(signature), write_rig())
-    assert reflected.result["saturated"] == 0
+    assert reflected.result.saturated == 0
     assert not warnings_with(reflected, "saturated at every gain")
     light = ('name = "small"', 'name = "small"\nlight = "transmitted"')
     transmitted = run_rehearsal(write_schedule(signature, light), write_rig(), sample="lambertian:reflectance=0.9")

@@ -172,7 +172,7 @@ def test_a_rig_with_an_unreferenced_axis_is_refused_and_leaves_no_journal(
         run_campaign(unreferenced, tmp_path / "unreferenced.journal")
     assert not (tmp_path / "unreferenced.journal").exists()
     result = check_plan(unreferenced)
-    assert result["unreferenced"] == ["sigma", "beta"]
+    assert result.unreferenced == ["sigma", "beta"]
     assert "sigma, beta: home it, or set its position, after each power-up" in describe_check(unreferenced, result)
 
 

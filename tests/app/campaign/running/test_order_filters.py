@@ -63,7 +63,7 @@ def test_the_filter_wheel_turns_with_the_wavelength_and_each_row_has_its_positio
     changes = [after for before, after in zip([1.0, *order], order, strict=False) if before != after]
     assert [line for line in received if line.startswith("FILTER ")] == [f"FILTER {each:.0f}" for each in changes]
     assert changes
-    assert check_plan(plan)["filter_changes"] == len(changes)
+    assert check_plan(plan).filter_changes == len(changes)
 
 
 def test_the_position_is_queried_before_and_after_a_turn(received: list[str], tmp_path: Path) -> None:

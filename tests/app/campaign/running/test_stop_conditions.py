@@ -43,20 +43,20 @@ def test_a_session_ended_by_the_schedule_has_a_reason_and_its_own_exit_status(
 def test_a_rehearsal_resumes_session_after_session(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
     found = run_rehearsal(write_schedule(text=SHORT), write_rig(*QUIET), tmp_path / "a.journal")
     assert found.done
-    assert found.result["rows"] == found.result["planned"]
-    assert found.result["sessions"] >= 3
-    assert any("[stop] ends the run" in each and "--resume" in each for each in found.result["warnings"])
-    assert found.result["relative_uncertainty"]["gaussian-5"]["trusted"] > 0
+    assert found.result.rows == found.result.planned
+    assert found.result.sessions >= 3
+    assert any("[stop] ends the run" in each and "--resume" in each for each in found.result.warnings)
+    assert found.result.relative_uncertainty["gaussian-5"].trusted > 0
 
 
 def test_a_rehearsal_without_progress_ends_with_a_warning(write_rig: Writer, write_schedule: Writer, tmp_path: Path) -> None:
     """The lamp loses a thirtieth of its light per second, and is not replaced."""
     rig = write_rig(QUIET[0], ("drift_per_hour = 0.02", "drift_per_hour = -120.0"))
     found = run_rehearsal(write_schedule(text=DIM), rig, tmp_path / "a.journal")
-    assert (found.done, found.result["state"]) == (False, "stopped")
-    assert found.result["rows"] < found.result["planned"]
-    assert any("ends before all rows are measured" in each and "the lamp is at" in each for each in found.result["warnings"])
-    assert f"{found.result['rows']} of {found.result['planned']} rows" in report_text(found)
+    assert (found.done, found.result.state) == (False, "stopped")
+    assert found.result.rows < found.result.planned
+    assert any("ends before all rows are measured" in each and "the lamp is at" in each for each in found.result.warnings)
+    assert f"{found.result.rows} of {found.result.planned} rows" in report_text(found)
 
 
 @pytest.mark.skipif(not hasattr(os, "link"), reason="this system has no hard links")

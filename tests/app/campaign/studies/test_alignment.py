@@ -21,6 +21,7 @@ from goniotwin.app.campaign.studies.comparison import true_bsdf
 from goniotwin.app.campaign.studies.evaluation import evaluate_journal
 from goniotwin.app.campaign.studies.journals import align_journal
 from goniotwin.app.errors import UserError
+from goniotwin.app.json_document import json_value
 from goniotwin.app.rig import nominal_instrument, read_rig
 from goniotwin.app.rig.alignment import AlignmentFile, aligned_model, alignment_text, parse_alignment
 from goniotwin.app.sweeps.runners import Here
@@ -107,7 +108,7 @@ def test_a_hole_that_is_dark_in_part_is_found_and_stated(tmp_path: Path) -> None
     assert found.direction < 0.015
     (finding,) = found.findings
     assert re.match(r"light misses part of the hole: the slit.s image .* at sigma \d+ deg \d+ % of the hole is dark", finding)
-    assert result.as_dict()["light"]["missing"]
+    assert json_value(result)["light"]["missing"]
 
 
 def test_the_reduction_reads_the_rig_from_the_file_without_the_sample(small: Small) -> None:

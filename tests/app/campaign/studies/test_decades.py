@@ -23,16 +23,16 @@ def test_u_is_stated_above_a_hundredth_of_the_peak_of_each_light_and_by_decade()
     found = UncertaintyByDecade()
     for block in (blocks[0], BsdfPoints.join(blocks[1:])):
         found.add(block)
-    result = found.as_dict()
+    result = found.summary()
     relative = np.concatenate([U / below[:40], 1e-3 * U / below[:40]])  # sorted by hand: two decades of each light
-    assert result["values"] == 80
-    assert [result[key] for key in ("p05", "p50", "p95")] == pytest.approx(np.percentile(relative, [5, 50, 95]).tolist())
-    assert [each["values"] for each in result["decades"]] == [40, 40, 40, 40, 40, 80]
-    for k, each in enumerate(result["decades"][:-1]):
+    assert result.values == 80
+    assert [result.p05, result.p50, result.p95] == pytest.approx(np.percentile(relative, [5, 50, 95]).tolist())
+    assert [each.values for each in result.decades] == [40, 40, 40, 40, 40, 80]
+    for k, each in enumerate(result.decades[:-1]):
         of_decade = np.concatenate([share * U / below[20 * k : 20 * k + 20] for share in (1.0, 1e-3)])
-        assert each["p50"] == pytest.approx(np.median(of_decade))
-    assert result["above_zero"] == 280
-    assert result["to_a_tenth"] == 40 + 100  # U is a tenth of 1e-2: two decades below the one peak, five below the other
+        assert each.p50 == pytest.approx(np.median(of_decade))
+    assert result.above_zero == 280
+    assert result.to_a_tenth == 40 + 100  # U is a tenth of 1e-2: two decades below the one peak, five below the other
     upper, by_decade = uncertainty_texts(result)
     assert upper.endswith("(80 values)")
     assert "to 1e-1: " in by_decade
@@ -43,5 +43,5 @@ def test_without_a_value_above_zero_there_is_nothing_to_state() -> None:
     points = made_points(10.0, np.array([20.0]), np.array([180.0]), np.array([-0.1]), U)
     found = UncertaintyByDecade()
     found.add(points)
-    assert found.as_dict()["p50"] is None
-    assert uncertainty_texts(found.as_dict()) == []
+    assert np.isnan(found.summary().p50)
+    assert uncertainty_texts(found.summary()) == []

@@ -20,6 +20,7 @@ from goniotwin.app.campaign.studies.reduced_journal import BsdfDataset, reduce_j
 from goniotwin.app.campaign.studies.symmetry import SymmetryResult
 from goniotwin.app.cli.main import app
 from goniotwin.app.formats import read_ddr, read_points_csv
+from goniotwin.app.json_document import json_text
 from goniotwin.app.rig import RigDescription, read_rig
 from goniotwin.twin.optics import Scatterer, table_sample
 from tests.app.campaign.campaign_bench import remove_checksums
@@ -183,10 +184,10 @@ def test_run_and_rehearsal_report_a_failed_symmetry_check(
         json.loads(CliRunner().invoke(app, [*command, "--json"]).stdout)["checks"]["symmetry"]["gaussian-5"]["holds"] is False
     )
     found = rehearse(*plan_rehearsal(read_schedule(schedule), read_rig(rig), {}))
-    assert found.result["checks"]["symmetry"]["gaussian-5"]["holds"] is False
-    assert any("does NOT hold" in each for each in found.result["warnings"])
+    assert found.result.checks.symmetry["gaussian-5"].holds is False
+    assert any("does NOT hold" in each for each in found.result.warnings)
     assert "check       symmetry of gaussian-5" in report_text(found)
-    json.dumps(found.result, allow_nan=False)
+    assert json_text(found.result)
 
 
 def test_steepness_is_the_larger_relative_change_of_both_sides() -> None:

@@ -72,9 +72,9 @@ def test_the_components_of_a_value_add_up_to_its_uncertainty(measure: Measure, c
     sizes = [each.u for each in found.components]
     assert sizes == sorted(sizes, reverse=True)
     assert found.components[0].name == "sample_tilt_y@gaussian-5#1"  # on the flank of a lobe of 5 deg
-    result = found.as_dict()
-    assert sum(each["share"] for each in result["components"]) == pytest.approx(1.0, rel=1e-12)
-    assert result["components"][0]["shared_by"]
+    result = found.listed
+    assert sum(each.share for each in result.components) == pytest.approx(1.0, rel=1e-12)
+    assert result.components[0].shared_by
     app(["budget", str(path), "--at", "sigma=30,theta=6,phi=180"], standalone_mode=False)
     text = capsys.readouterr().out
     assert "SIMULATED, gaussian-5, 550 nm, sigma 30" in text
@@ -134,10 +134,10 @@ def test_a_budget_marks_what_is_measured_stated_and_assumed(measure: Measure) ->
     )
     spread = noise**2 / degrees + lamp**2 / np.max(of_lit)
     assert found.degrees_of_freedom == pytest.approx(found.u**4 / spread, rel=1e-12)
-    result = found.as_dict()
+    result = found.listed
     assert found.degrees_of_freedom > 1e6
-    assert result["degrees_of_freedom"] is None  # no other than infinitely many
-    assert {each["origin"] for each in result["components"]} <= {"measured", "stated", "assumed", ""}
+    assert result.degrees_of_freedom is None  # no other than infinitely many
+    assert {each.origin for each in result.components} <= {"measured", "stated", "assumed", ""}
 
 
 @pytest.mark.parametrize(

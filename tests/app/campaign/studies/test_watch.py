@@ -13,6 +13,7 @@ from goniotwin.app.campaign.studies.journals import watch_journal
 from goniotwin.app.campaign.studies.watch import FALSE_ALARMS, LOOKS, PATTERNS, PLACES, alarm_limit
 from goniotwin.app.campaign.wording import concise
 from goniotwin.app.errors import UserError
+from goniotwin.app.json_document import json_value
 from goniotwin.twin.plant import Plant, TwinModel
 from tests.app.campaign.studies.alignment_bench import SAMPLE, SCHEDULE, alignment_rig, drawn_plan
 from tests.app.campaign.studies.test_alignment import SMALL
@@ -73,7 +74,7 @@ def test_a_tilt_in_the_middle_of_a_run_is_found_and_named(tmp_path: Path, monkey
     assert misalignment.text.startswith("light against arc in the plane of incidence: off by 0.0")
     assert f"since row {misalignment.row}" in misalignment.text
     assert "sigma's zero, a mirror or the arc: the open beam distinguishes them" in misalignment.text
-    assert found.as_dict()["misalignments"][0]["row"] == misalignment.row
+    assert json_value(found)["misalignments"][0]["row"] == misalignment.row
     with pytest.raises(UserError, match="has no sample 'paper'"):
         watch_journal(path, "paper")
 
