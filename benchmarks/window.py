@@ -196,7 +196,8 @@ def time_left(speed: float) -> dict[str, Any]:
         def note(message: object) -> None:
             if isinstance(message, RowSaved):
                 if message.done >= TENTH * message.total and "left" not in seen:
-                    seen.update(left=window.presenter.wait.seconds, band=window.presenter.wait.band, at=time.perf_counter())
+                    wait = window.presenter.countdown.wait
+                    seen.update(left=wait.seconds, band=wait.band, at=time.perf_counter())
                 seen["end"] = time.perf_counter()
 
         window.presenter.message_shown.connect(note)

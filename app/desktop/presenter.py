@@ -1,10 +1,9 @@
 """The presenter: receives the messages of the connection, keeps the state of rig, plan and run, and shows it in the view."""
 
-from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
-from PySide6.QtCore import QDateTime, QObject, Qt, QTimer, Signal, Slot
+from PySide6.QtCore import QObject, Qt, Signal, Slot
 
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.row import NO_SAMPLE, Row
@@ -18,7 +17,7 @@ from goniotwin.app.campaign.running.events import (
     StateChanged,
 )
 from goniotwin.app.campaign.wording import rounded_duration_text
-from goniotwin.app.desktop.events.panels import LogEntry
+from goniotwin.app.desktop.events.event_log import EventLog
 from goniotwin.app.desktop.model.messages import (
     Attached,
     CommandRefused,
@@ -34,7 +33,7 @@ from goniotwin.app.desktop.model.messages import (
     ValuesMissing,
 )
 from goniotwin.app.desktop.model.permissions import Permissions, permissions
-from goniotwin.app.desktop.model.time_left import Mounting, TimeLeft, Wait
+from goniotwin.app.desktop.run.countdown import Countdown
 from goniotwin.app.desktop.run.live_plot import LivePlot
 from goniotwin.app.desktop.run.screen import RunScreen
 from goniotwin.app.desktop.view import MainView
@@ -59,7 +58,6 @@ from goniotwin.app.station.messages import (
     advance,
 )
 from goniotwin.app.station.messages import Message as StationMessage
-from goniotwin.protocols.clock import RealClock
 
 MAIN_SWITCH = "Stop did not get through: use the main switch"
 STATUS = {
@@ -70,10 +68,6 @@ STATUS = {
     State.STOPPING: "Stopping.",
 }
 END = {State.DONE: "done", State.IDLE: "stopped", State.FAILED: "failed"}
-NEAR_S = 600.0
-"""Calendar times nearer than this have seconds."""
-SERIOUS = ("fault", "stop", "encoder", "sleep", "finding", "dark")
-"""Kinds of events that a person should look at."""
 
 
 class Presenter(QObject):
@@ -108,20 +102,13 @@ class Presenter(QObject):
         self._starting = False
         self._pausing = False
         self._lost = False
-        self._progress = (0, 0)
-        self._wall = RealClock()
-        self._pace = TimeLeft()
-        self._mountings: tuple[Mounting, ...] = ()
-        self._row_number = -1
-        self._flags, self._flagged_scan = Counter[str](), ""
-        self._since = 0.0
-        self._every_second = QTimer(self, interval=1000)
-        self._every_second.timeout.connect(self._show_wait)
+        self.countdown = Countdown(view.run, lambda: self.busy, lambda: self._stands, self)
+        self._log = EventLog(view.log, self)
         self._live_plot = LivePlot(view.plot, view.hemisphere, self, processes=processes)
         self._live_plot.failed.connect(view.set_plot_error)
-        self._live_plot.alarmed.connect(self._log_alarm)
-        self._live_plot.misaligned.connect(self._log_misalignment)
-        self._live_plot.prediction_missing.connect(self._log_missing_prediction)
+        self._live_plot.alarmed.connect(self._log.add_alarm)
+        self._live_plot.misaligned.connect(self._log.add_misalignment)
+        self._live_plot.prediction_missing.connect(self._log.add_missing_prediction)
         view.screen_of(RunScreen).plane_chosen.connect(self._live_plot.show_plane)
         self.message_received.connect(self._handle, Qt.ConnectionType.QueuedConnection)
 
@@ -162,7 +149,7 @@ class Presenter(QObject):
     @property
     def title(self) -> str:
         """The window's title: rig and progress, which are visible in a task bar too."""
-        done, of = self._progress
+        done, of = self.countdown.progress
         progress = f"{self.state} {100 * done // max(of, 1)} %" if self.busy else str(self.state)
         name = self.rig.name if self.rig else "no rig"
         order = "SAFETY ORDER" if self._view.orders.orders else ""
@@ -198,12 +185,12 @@ class Presenter(QObject):
 
     def acknowledge(self, order: SafetyOrder) -> None:
         """Show that a safety order has been acknowledged."""
-        self._log(f"Acknowledged: {order.order}")
+        self._log.add(f"Acknowledged: {order.order}")
         self.changed.emit()
 
     def close(self) -> None:
         """Show no further messages."""
-        self._every_second.stop()
+        self.countdown.stop()
         self._live_plot.stop()
         self.message_received.disconnect(self._handle)
 
@@ -225,36 +212,37 @@ class Presenter(QObject):
                 self._live_plot.add_row(message)
             case StateChanged(state, _reason):
                 if state not in (State.RUNNING, State.PAUSING) or before.state not in (State.RUNNING, State.PAUSING):
-                    self._interrupt_pace()
-                self._log_state(before.state, state)
+                    self.countdown.interrupt()
+                if state is State.RECOVERING and before.state is not State.RECOVERING:
+                    self.notified.emit("Device fault")
+                self._log.add_state(before.state, state)
                 self._pausing = False
                 self.show_run_status(STATUS.get(state, self._view.status))
             case EventLogged():
-                self._log_event(message)
+                self._log.add_event(message)
             case PastRead(events):
                 for each in events:
-                    self._log_event(each)
+                    self._log.add_event(each)
             case SafetyOrder(order, reason):
                 self.notified.emit(order)
                 if message not in self._view.orders.orders:
                     where = self.rig.name if self.rig is not None else ""
                     self._view.orders.add(message)
-                    self._log(f"Safety order: {order}: {reason}", where, "stays until it is acknowledged", serious=True)
+                    self._log.add(f"Safety order: {order}: {reason}", where, "stays until it is acknowledged", serious=True)
             case OrderAcknowledged(order):
                 if self._view.orders.remove(order):  # by another client
-                    self._log(f"Acknowledged: {order.order}")
+                    self._log.add(f"Acknowledged: {order.order}")
             case RunBegun(journal, name, done, total, seconds_left, person):
                 self._starting = False
                 self._view.rig.person.setChecked(person)
                 self.journal = journal
-                self._begin_pace(done, total, seconds_left)
-                self._show_progress(done, total, seconds_left)
+                self._begin_countdown(done, total, seconds_left)
                 self._view.set_saved(f"Saved row by row in {journal}")
-                self._log(
+                self._log.add(
                     f"Run of {name} started", journal.name, f"{total} rows" if not done else f"{done} of {total} rows done"
                 )
             case RunStarted(plan, _journal, mountings):
-                self._mountings = mountings
+                self.countdown.mountings = mountings
                 self._live_plot.start(plan, self._mark)
             case ValuesMissing(reason):
                 self._view.set_plot_error(f"The values cannot be shown: {reason}; the run is not affected.")
@@ -263,16 +251,16 @@ class Presenter(QObject):
             case RunRefused(reason):
                 self._starting = False
                 self._view.show_status(f"Not started: {reason}", error=True)
-                self._log(f"Not started: {reason}", serious=True)
+                self._log.add(f"Not started: {reason}", serious=True)
                 self.run_ended.emit()
             case QuestionAsked(_number, question):
-                self._interrupt_pace()
+                self.countdown.interrupt()
                 self.show_run_status("")
-                self._log(f"Question to the operator: {question.title}", "", "the run waits")
+                self._log.add(f"Question to the operator: {question.title}", "", "the run waits")
                 self.question_asked.emit(message)
                 self.notified.emit(question.title)
             case QuestionClosed():
-                self._interrupt_pace()
+                self.countdown.interrupt()
                 self.show_run_status(STATUS.get(self.state, self._view.status))
                 self.question_closed.emit()
             case PlanBegun() | PlanMade() | PlanRefused():
@@ -294,9 +282,9 @@ class Presenter(QObject):
             case StopReport():
                 self._show_stop(message)
             case SpeedChanged(speed):
-                self._set_pace_speed(speed)
+                self._set_pace_speed()
                 self._view.run.show_speed(speed)
-                self._show_wait()
+                self.countdown.show()
             case OperatorChanged():
                 self._show_operator()
         now = self.station
@@ -315,9 +303,9 @@ class Presenter(QObject):
             case Attached(name, snapshot, found, dropped):
                 self.station, self.name, self._lost = snapshot, name, False
                 self._view.run.show_speed(snapshot.speed)
-                self._set_pace_speed(snapshot.speed)
+                self._set_pace_speed()
                 if dropped:
-                    self._log("This window was detached from the station", "", dropped, serious=True)
+                    self._log.add("This window was detached from the station", "", dropped, serious=True)
                 if snapshot.rig is not None:
                     self._show_rig(snapshot.rig, busy=False)
                 elif snapshot.closed:
@@ -333,18 +321,17 @@ class Presenter(QObject):
 
     def _attach(self, snapshot: Snapshot) -> None:
         """Show what a station that was there already does."""
-        self._log("Attached to a station that was running", snapshot.campaign, str(snapshot.state))
+        self._log.add("Attached to a station that was running", snapshot.campaign, str(snapshot.state))
         for order in snapshot.orders:
             self._view.orders.add(order)
         if snapshot.busy and snapshot.journal is not None:
             self.journal = snapshot.journal
             self._view.rig.person.setChecked(snapshot.person)
-            self._begin_pace(snapshot.done, snapshot.total, snapshot.seconds_left)
-            self._show_progress(snapshot.done, snapshot.total, snapshot.seconds_left)
+            self._begin_countdown(snapshot.done, snapshot.total, snapshot.seconds_left)
             self._view.set_saved(f"Saved row by row in {snapshot.journal}")
             self.show_run_status(STATUS.get(snapshot.state, ""))
             if snapshot.row is not None:
-                self._row_number = -1 if snapshot.row.unplanned else snapshot.row.number
+                self.countdown.begin_row(-1 if snapshot.row.unplanned else snapshot.row.number)
                 self._view.axes.set_targets(snapshot.row.pose)
         if snapshot.question is not None:
             self.question_asked.emit(snapshot.question)
@@ -378,7 +365,7 @@ class Presenter(QObject):
             self._view.notice.show_notice(text, "connect")
         self._view.show_status(text, error=True)
         self.notified.emit("The station has ended")
-        self._log(text, self.rig_path.name, "no rig is open", serious=True)
+        self._log.add(text, self.rig_path.name, "no rig is open", serious=True)
 
     def _show_operator(self) -> None:
         if not self.operates:
@@ -394,69 +381,41 @@ class Presenter(QObject):
         elif error:
             self._view.show_status(error, error=error != "stopped")
             if error != "stopped":
-                self._log(error, serious=True, detail=now.detail)
+                self._log.add(error, serious=True, detail=now.detail)
         elif before:
             self.show_run_status(f"Done: {before}.")
 
     def _show_stop(self, report: StopReport) -> None:
         if report.lost:
             self._view.show_status(MAIN_SWITCH, error=True)
-            self._log(MAIN_SWITCH, serious=True)
+            self._log.add(MAIN_SWITCH, serious=True)
         elif report.confirmed and not self.busy:
             self._view.show_status("All axes have stopped.")
 
-    @Slot(str, str)
-    def _log_alarm(self, what: str, where: str) -> None:
-        self._log(what, where, "look at it: the twin expects another value", serious=True)
-
-    @Slot(str, str)
-    def _log_misalignment(self, what: str, where: str) -> None:
-        if what:
-            self._log(what, where, "values since then are displaced: see goniotwin align --watch", serious=True)
-        else:
-            self._log(f"The residuals are not watched: {where}", "", "the run is not affected")
-
-    @Slot(str)
-    def _log_missing_prediction(self, reason: str) -> None:
-        self._log(f"No prediction: {reason}", "", "no residuals are shown")
-
-    def _log(self, what: str, where: str = "", consequence: str = "", *, serious: bool = False, detail: str = "") -> None:
-        self._view.log.add(LogEntry(what, where, consequence, serious, detail))
-
-    def _log_event(self, event: EventLogged) -> None:
-        self._log(event.what, event.where, event.consequence, serious=event.kind in SERIOUS, detail=event.detail)
-
-    def _log_state(self, before: State, state: State) -> None:
-        if state is State.RECOVERING and before is not State.RECOVERING:
-            self.notified.emit("Device fault")
-        if state is State.PAUSED:
-            self._log("Paused", "", "the shutter is closed")
-        elif state is State.STOPPING:
-            self._log("Stop", "", "all axes come to rest")
-        elif before is State.PAUSED:
-            self._log("Resumed")
-
     def _show_plan(self, message: PlanBegun | PlanMade | PlanRefused) -> None:
         if isinstance(message, PlanBegun):
-            self.plan, self._no_plan = None, f"{message.name} is being read"
+            self._set_plan(None)
+            self._no_plan = f"{message.name} is being read"
             if not self.busy:
                 self._view.show_status(f"Reading {message.name} …")
             return
         if isinstance(message, PlanMade):
-            self.plan, self._no_plan = message.plan, ""
+            self._set_plan(message.plan)
+            self._no_plan = ""
             if not self.busy:
                 self._live_plot.predict(message.plan)
-                self._show_progress(0, len(message.plan.rows), message.plan.seconds)
-                self._show_wait()
+                self.countdown.show_progress(0, len(message.plan.rows), message.plan.seconds)
+                self.countdown.show()
                 if self.rig is not None and not self._show_not_responding(self.rig):
                     self._view.show_status("Ready to start.")
         else:
-            self.plan, self._no_plan = None, message.reason
+            self._set_plan(None)
+            self._no_plan = message.reason
             if not self.busy:
-                self._show_progress(0, 0, None)
+                self.countdown.show_progress(0, 0, None)
             if self.rig is not None:
                 self._view.show_status(message.reason, error=True)
-                self._log(message.reason, "schedule", "there is no plan to start", serious=True)
+                self._log.add(message.reason, "schedule", "there is no plan to start", serious=True)
         self._view.schedule.set_plan(self.plan)
 
     def _show_rig(self, message: RigOpened | RigClosed | DeviceChanged, *, busy: bool) -> None:
@@ -464,7 +423,7 @@ class Presenter(QObject):
             case RigOpened(name=name, simulated=simulated, seed=seed, devices=devices):
                 self._opening = False
                 self.rig_path = message.path
-                self.plan = None  # made for the previous rig; the plan for this one follows
+                self._set_plan(None)  # made for the previous rig; the plan for this one follows
                 self._view.set_simulated(simulated, seed)
                 self._view.run.set_virtual(message.virtual)
                 if not busy:
@@ -472,10 +431,10 @@ class Presenter(QObject):
                 if self._show_not_responding(message):
                     for device in message.not_responding:
                         status = devices[device]
-                        self._log(status.text, device, "no run can start", serious=True, detail=status.detail)
+                        self._log.add(status.text, device, "no run can start", serious=True, detail=status.detail)
                 else:
                     self._view.show_status("All devices are connected.")
-                    self._log("All devices are connected", name)
+                    self._log.add("All devices are connected", name)
             case RigClosed(reason, fault):
                 self._starting = False
                 self._show_closed(reason, fault=fault, keep_plots=True)
@@ -485,9 +444,9 @@ class Presenter(QObject):
                 if status.contact is Contact.DISCONNECTED and not self.busy:  # a run's events have its faults
                     self._view.show_status(status.error, error=True)
                     lost = "no run can start before it is connected again"
-                    self._log(status.error, device, lost, serious=True, detail=status.detail)
+                    self._log.add(status.error, device, lost, serious=True, detail=status.detail)
                 elif status.connected and not self.busy:
-                    self._log("Connected", device)
+                    self._log.add("Connected", device)
         self._view.rig.set_rig(self.rig, self.rig_path)
 
     def _show_positions(self) -> None:
@@ -508,110 +467,56 @@ class Presenter(QObject):
         self.station = replace(
             self.station, rig=None, state=State.IDLE, activity="", question=None, closed=reason or self.station.closed
         )
-        self.plan = None
+        self._set_plan(None)
         self._view.axes.set_targets(None)
-        self._every_second.stop()
-        self._show_progress(*self._progress, None)
+        self.countdown.end()
         if not keep_plots:
             self._view.set_simulated(False, None)
             self._live_plot.start(None, "")
         self._view.show_status(reason, error=fault)
         if reason:
-            self._log(reason, self.rig_path.name, "no rig is open", serious=fault)
+            self._log.add(reason, self.rig_path.name, "no rig is open", serious=fault)
         self._view.rig.set_rig(None, self.rig_path)
 
     def _show_row(self, event: RowStarted | RowSaved) -> None:
         if isinstance(event, RowStarted):
             self._view.axes.set_targets(event.row.pose)
             if self.state is State.RUNNING:
-                done, of = self._progress
+                done, of = self.countdown.progress
                 self.show_run_status(f"{_row_words(event.row)} (row {min(done + 1, of)} of {of})")
             if not event.row.unplanned:
-                self._row_number = event.row.number
+                self.countdown.begin_row(event.row.number)
             self._live_plot.add_row(event)
         else:
-            self._pace.add_row(self._wall.now(), event.row.seconds, event.total - event.done, event.seconds_left)
-            self._since = self._wall.now()
-            self._show_progress(event.done, event.total, event.seconds_left)
-            self._show_wait()
-            self._count_flags(event)
+            self.countdown.end_row(event)
+            self._log.count_flags(event)
 
-    def _count_flags(self, saved: RowSaved) -> None:
-        """Count the flags of the rows of a scan: one event for each row of a narrow lobe would bury all others."""
-        if saved.row.pose is not None:
-            _gamma, sigma, beta, _shift = saved.row.pose
-            scan = f"{saved.row.sample} σ {sigma:g}° β {beta:g}°"
-            if scan != self._flagged_scan:
-                self._log_flags()
-                self._flagged_scan = scan
-        self._flags.update(saved.flags)
+    def _set_plan(self, plan: Plan | None) -> None:
+        self.plan = plan
+        self.countdown.planned_s = None if plan is None else plan.seconds
 
-    def _log_flags(self) -> None:
-        if self._flags:
-            counts = ", ".join(f"{flag} ({count})" for flag, count in self._flags.items())
-            self._log(f"Rows flagged: {counts}", self._flagged_scan)
-        self._flags.clear()
+    def _begin_countdown(self, done: int, total: int, seconds_left: float) -> None:
+        self._set_pace_speed()
+        self.countdown.begin(done, total, seconds_left)
 
-    def _show_progress(self, done: int, of: int, left_s: float | None) -> None:
-        self._progress = (done, of)
-        self._view.run.set_progress(done, of, left_s)
-
-    # The time left.
-
-    def _begin_pace(self, done: int, total: int, seconds_left: float) -> None:
-        self._since = self._wall.now()
-        self._row_number = -1
-        self._set_pace_speed(self.station.speed)
-        self._pace.begin(self._since, total - done, seconds_left)
-        self._every_second.start()
-
-    def _interrupt_pace(self) -> None:
-        self._since = self._wall.now()
-        self._pace.interrupt(self._since)
-
-    def _set_pace_speed(self, speed: float) -> None:
+    def _set_pace_speed(self) -> None:
         virtual = self.rig is None or self.rig.virtual
-        self._pace.set_speed(self._wall.now(), speed if virtual else 1.0)
+        self.countdown.set_speed(self.station.speed if virtual else 1.0)
 
     @property
-    def wait(self) -> Wait:
-        """The time that is left until the end of the run, from now, as learnt from its pace."""
-        left = self._pace.left
-        waited = 0.0 if self.station.question is not None or self.state is State.PAUSED else self._wall.now() - self._since
-        return Wait(max(left.seconds - waited, 0.0), left.band)
-
-    @Slot()
-    def _show_wait(self) -> None:
-        """Show the time left, when the run ends, and when the next sample is to be mounted by a person.
-
-        Before a run the time that the plan takes, if the pace of rows is known from another one.
-        """
-        done, of = self._progress
-        if not self.busy and not done and self.plan is not None and self._pace.known:
-            self._view.run.set_wait(self._pace.of_rows(of, self.plan.seconds), "")
-        if not self.busy or done >= of:
-            self._every_second.stop()
-            return
-        wait = self.wait
-        texts = [f"ends {_clock_text(wait.seconds)}"]
-        ahead = next((each for each in self._mountings if each.number > self._row_number), None)
-        if ahead is not None:
-            until = self._pace.until(ahead)
-            waited = self._pace.left.seconds - wait.seconds
-            texts.append(f"mount {ahead.sample} {_clock_text(max(until.seconds - waited, 0.0))}")
-        elif self._mountings:
-            texts.append("no more mounting")
-        self._view.run.set_wait(wait, ", ".join(texts))
+    def _stands(self) -> bool:
+        """Whether the run waits for a person."""
+        return self.station.question is not None or self.state is State.PAUSED
 
     def _show_end(self, end: RunEnded) -> None:
         self.journal = end.journal
-        self._log_flags()
+        self._log.add_flags()
         self._live_plot.finish()
         self._view.axes.set_targets(None)
-        done, of = self._progress
-        self._show_progress(done, of, None)
+        done, of = self.countdown.progress
+        self.countdown.end()
         failed = end.state is State.FAILED
-        self._log(
+        self._log.add(
             f"Run ended: {END[end.state]} after {done} of {of} rows",
             end.journal.name,
             "measured rows are saved",
@@ -632,15 +537,6 @@ class Presenter(QObject):
 def _without_station(last: Snapshot) -> Snapshot:
     """What stays of the last known state of a station that there is none of any more."""
     return Snapshot(orders=last.orders, speed=last.speed, activity="")
-
-
-def _clock_text(seconds: float) -> str:
-    """The calendar time after so many seconds: with its seconds if it is near, with its day if that is not today."""
-    now = QDateTime.currentDateTime()
-    then = now.addMSecs(round(1000.0 * seconds))
-    if then.date() != now.date():
-        return then.toString("ddd HH:mm")
-    return then.toString("HH:mm:ss" if seconds < NEAR_S else "HH:mm")
 
 
 def _row_words(row: Row) -> str:

@@ -371,7 +371,7 @@ def test_a_question_can_wait_and_no_key_answers_it_by_accident(
         assert mount.isVisible()
     mount.close()
     assert asking.question is mount
-    asking.presenter._show_wait()
+    asking.presenter.countdown.show()
     assert "mount gaussian-5" in asking.view.run.left.text()  # the next one, not that which waits
     with qtbot.waitSignal(asking.presenter.message_shown, check_params_cb=lambda m: m == StateChanged(State.PAUSING)):
         click(asking.view.run.pause_button)
@@ -379,8 +379,8 @@ def test_a_question_can_wait_and_no_key_answers_it_by_accident(
     assert asking.view.status.startswith(waiting)
     later = open_window()
     qtbot.waitUntil(lambda: later.view.status.startswith(waiting), timeout=READY_MS)
-    later.presenter._show_wait()
-    assert "mount gaussian-5" in later.view.run.left.text() or not later.presenter._mountings
+    later.presenter.countdown.show()
+    assert "mount gaussian-5" in later.view.run.left.text() or not later.presenter.countdown.mountings
     asking.connection.resume()
     assert [each.text() for each in tab_order(mount) if isinstance(each, QPushButton)] == ["Mounted", "Wait"]
     break_photodiodes(asking)

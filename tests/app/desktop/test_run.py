@@ -27,9 +27,11 @@ from goniotwin.app.campaign.studies.reduced_journal import reduce_journal
 from goniotwin.app.desktop import STOPPED, MainWindow, run_desktop
 from goniotwin.app.desktop.bench.screen import BenchScreen
 from goniotwin.app.desktop.dialogs import FileDialog
+from goniotwin.app.desktop.events.event_log import EventLog
 from goniotwin.app.desktop.model import connection, planner
 from goniotwin.app.desktop.model.connection import StationProcesses
 from goniotwin.app.desktop.model.live_scan import LiveScan, ScanData
+from goniotwin.app.desktop.model.time_left import Wait
 from goniotwin.app.desktop.rig.screen import RigScreen
 from goniotwin.app.desktop.window import KEEP_MEASURING, KEEP_OPEN, STOP_AND_CLOSE
 from goniotwin.app.end_signals import END_SIGNALS
@@ -81,8 +83,9 @@ def test_flags_of_a_scan_are_one_event(window: MainWindow) -> None:
     rows = [
         Row(number, f"row {number}", "measure", "satin", pose=(0.0, 30.0, 180.0 * (number == 3), 0.0)) for number in range(4)
     ]
+    log = EventLog(window.view.log, window)
     for row in rows:
-        window.presenter._handle(RowSaved(row, ("under-range",) if row.number < 2 else (), row.number + 1, 4, 1.0))
+        log.count_flags(RowSaved(row, ("under-range",) if row.number < 2 else (), row.number + 1, 4, 1.0))
     assert [(each.what, each.where) for each in window.view.log.entries if "flagged" in each.what] == [
         ("Rows flagged: under-range (2)", "satin σ 30° β 0°")
     ]
@@ -224,12 +227,14 @@ def test_axes_that_stop_responding_are_shown_and_no_run_can_start(
     assert window.view.run.stop_button.isEnabled()
 
 
-def test_the_simulation_speed_can_be_changed_during_a_run(qtbot: QtBot, open_window: WindowOpener) -> None:
+def test_the_simulation_speed_can_be_changed_during_a_run(
+    qtbot: QtBot, open_window: WindowOpener, monkeypatch: pytest.MonkeyPatch
+) -> None:
     window = ready(qtbot, open_window(speed=1.0))
     speeds, presenter = window.view.run.speeds, window.presenter
-    presenter._pace.begin(0.0, 2, 4.0)  # as after another run, whose rows take a second more than estimated
+    presenter.countdown.pace.begin(0.0, 2, 4.0)  # as after another run, whose rows take a second more than estimated
     for done in (1, 2):
-        presenter._pace.add_row(3.0 * done, 2.0, 2 - done, 4.0 - 2.0 * done)
+        presenter.countdown.pace.add_row(3.0 * done, 2.0, 2 - done, 4.0 - 2.0 * done)
 
     def choose(speed: float) -> None:
         set_to = window.presenter.message_shown
@@ -241,11 +246,18 @@ def test_the_simulation_speed_can_be_changed_during_a_run(qtbot: QtBot, open_win
     assert window.view.run.left.text().startswith("about")
     choose(1.0)
     wait_for_journal(qtbot, window)
-    presenter._show_wait()
-    before = presenter.wait.seconds
+    presenter.countdown.show()
+    before = presenter.countdown.wait.seconds
+    shown: list[float] = []
+    set_wait = window.view.run.set_wait
+
+    def note(wait: Wait, texts: str) -> None:
+        shown.append(wait.seconds)
+        set_wait(wait, texts)
+
+    monkeypatch.setattr(window.view.run, "set_wait", note)
     choose(60.0)  # no row is done in between
-    assert window.view.run._wait is not None
-    assert window.view.run._wait.seconds < 0.5 * before
+    assert shown[-1] < 0.5 * before
     assert "to wait" in window.view.run.left.text()
     assert " 0 s" not in window.view.run.left.text()
     wait_for_end(qtbot, window, State.DONE)
