@@ -1,8 +1,9 @@
 """The desktop: a window on a rig and its campaign. The only package that imports Qt.
 
-`model` is the client of the station that has the rig, without Qt. `presenter` receives its messages through one signal and
-shows them in the panels of `view`. `window` passes on what the operator does. Each screen has a folder (rig, bench, setup,
-run, campaigns, events, tolerances) and a line in `SCREENS` of the view.
+`model` is the client of the station that has the rig, with the window's planner and its reader of the run's journal, without
+Qt. `presenter` receives its messages through one signal and shows them in the panels of `view`. `window` passes on what the
+operator does; files, the open question and the question at the end are objects of their own. Each screen has a folder (rig,
+bench, setup, run, campaigns, events, tolerances) and a line in `SCREENS` of the view.
 """
 
 import contextlib

@@ -12,21 +12,19 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from PySide6.QtCore import QEvent, Qt, QTimer, QUrl, Signal, Slot
-from PySide6.QtGui import QCloseEvent, QDesktopServices
+from PySide6.QtCore import QEvent, Qt, QTimer, Signal, Slot
+from PySide6.QtGui import QCloseEvent
 from PySide6.QtWidgets import QApplication, QMainWindow, QPushButton
 
-from goniotwin import examples
-from goniotwin.app.campaign.running.question import EFFECTS, Answer
-from goniotwin.app.desktop.bench.position_entry import NO_ANGLE, PositionEntry
+from goniotwin.app.campaign.running.question import Answer
 from goniotwin.app.desktop.campaigns.screen import CampaignsScreen
-from goniotwin.app.desktop.dialogs import FileDialog, close_dialog
+from goniotwin.app.desktop.close_question import CloseQuestion
+from goniotwin.app.desktop.dialogs import close_dialog
 from goniotwin.app.desktop.event_loop import GarbageCollector
-from goniotwin.app.desktop.events.question import Choice, QuestionBox
-from goniotwin.app.desktop.menu import QUIT_KEY, Menus, TextBox, about_text, keys_text
-from goniotwin.app.desktop.remembered import Kind, Remembered
-from goniotwin.app.desktop.rig.panels import contact_text
-from goniotwin.app.desktop.run.panel import STOP_KEY
+from goniotwin.app.desktop.file_chooser import FileChooser
+from goniotwin.app.desktop.menu import Menus, TextBox, about_text, keys_text
+from goniotwin.app.desktop.operator_question import OperatorQuestion
+from goniotwin.app.desktop.remembered import Remembered
 from goniotwin.app.desktop.run.screen import RunScreen
 from goniotwin.app.desktop.theme import Scheme, Theme
 from goniotwin.app.desktop.view import MainView
@@ -40,8 +38,6 @@ if TYPE_CHECKING:
     from goniotwin.app.desktop.presenter import Presenter
     from goniotwin.app.station.messages import QuestionAsked
 
-KEEP_MEASURING, STOP_AND_CLOSE = "Keep measuring", "Stop and close"
-KEEP_OPEN, ACKNOWLEDGE = "Keep open", "Acknowledge"
 CLICK_MS = 150
 """Time after which a button whose letter was pressed has been clicked."""
 WIDTH, HEIGHT = 1180, 760
@@ -71,17 +67,11 @@ class MainWindow(QMainWindow):
     ) -> None:
         super().__init__()
         self.theme = theme
-        self.question: QuestionBox | None = None
-        self._entry: PositionEntry | None = None
-        self.close_question: QuestionBox | None = None
-        self._asked = 0
         self._first = rig, schedule, speed
-        self._folder = folder
         self._remembered = remembered or Remembered()
+        self.files = FileChooser(self, folder, self._remembered)
         self._stations = stations
         self._complete = False
-        self._closing = False
-        self._unattended = False
         self._listed: CampaignsListed | None = None
         self._unfinished: Campaign | None = None
         self._permissions: Permissions | None = None
@@ -92,18 +82,21 @@ class MainWindow(QMainWindow):
         self._import = threading.Thread(target=self._import_later, name="imports")
         self.view = MainView(theme.colours, folder, speed)
         self.setCentralWidget(self.view)
+        self.question = OperatorQuestion(self, self.view.question)
+        self.close_question = CloseQuestion(self)
         self.menus = Menus(self, self.view, self._remembered)
         self.setWindowTitle("goniotwin")
         self._set_enabled(False)
         self._restore_layout()
         menus = self.menus
-        menus.recent_chosen.connect(self._open_recent)
+        menus.recent_chosen.connect(self.files.choose_recent)
         menus.folder_wanted.connect(self._show_folder)
         menus.scheme_chosen.connect(self._choose_scheme)
         menus.help_wanted.connect(self._show_keys)
         menus.about_wanted.connect(self._show_about)
         self.view.run.hold.ended.connect(close_dialog)
         self.theme.changed.connect(self._recolour)
+        self.close_question.close_wanted.connect(self.close)
         self.imported.connect(self.complete, Qt.ConnectionType.QueuedConnection)
 
     # The start.
@@ -168,8 +161,10 @@ class MainWindow(QMainWindow):
     def _connect(self) -> None:
         self.presenter.changed.connect(self._refresh)
         self.presenter.question_asked.connect(self._ask)
-        self.presenter.question_closed.connect(self._dismiss_question)
-        self.presenter.answer_refused.connect(self._show_refused_answer)
+        self.presenter.question_closed.connect(self.question.dismiss)
+        self.presenter.answer_refused.connect(self.question.show_refusal)
+        self.question.answered.connect(self._answer)
+        self.question.stop_wanted.connect(self._stop)
         self.presenter.message_shown.connect(self._show_question_facts)
         self.view.devices.shown.connect(self._show_question_facts)
         self.presenter.run_ended.connect(self._after_run)
@@ -186,13 +181,17 @@ class MainWindow(QMainWindow):
         run.resume_journal.connect(self._resume_unfinished)
         run.speed_chosen.connect(self._set_speed)
         self.view.orders.acknowledged.connect(self._acknowledge)
-        self.view.question.show_question.connect(self._show_question)
         self.view.notice.pressed.connect(self._act_on_notice)
         rig.open.connect(self._choose_rig)
         rig.connect_again.connect(self._connect_again)
         rig.person.toggled.connect(self._set_person)
         schedule.open.connect(self._choose_schedule)
-        schedule.choose_folder.connect(self._choose_folder)
+        schedule.choose_folder.connect(self.files.choose_folder)
+        self.files.rig_chosen.connect(self._open_rig)
+        self.files.schedule_chosen.connect(self._open_schedule)
+        self.files.folder_chosen.connect(self._take_folder)
+        self.close_question.stop_wanted.connect(self._stop_to_close)
+        self.close_question.acknowledge_wanted.connect(self.view.orders.acknowledge)
 
         campaigns = self.view.screen_of(CampaignsScreen)
         self.campaigns_listed.connect(self._show_campaigns, Qt.ConnectionType.QueuedConnection)
@@ -214,8 +213,7 @@ class MainWindow(QMainWindow):
     @Slot()
     def _refresh(self) -> None:
         permissions, plan = self.presenter.permissions, self.presenter.plan
-        if self.question is not None:
-            self.question.set_refusal(permissions.watching)
+        self.question.set_watching(permissions.watching)
         if permissions != self._permissions or plan is not self._plan:  # most of hundreds of messages a second change neither
             self._permissions, self._plan = permissions, plan
             self.view.run.set_permissions(permissions)
@@ -238,7 +236,7 @@ class MainWindow(QMainWindow):
 
     @Slot()
     def _list_campaigns(self) -> None:
-        self._campaign_list.refresh(self._folder)
+        self._campaign_list.refresh(self.files.folder)
 
     @Slot(object)
     def _show_campaigns(self, listed: "CampaignsListed") -> None:
@@ -265,7 +263,7 @@ class MainWindow(QMainWindow):
 
     @Slot(object)
     def _resume_journal(self, journal: Path) -> None:
-        self._keep_open()
+        self.close_question.keep_open()
         self.view.show_screen(self.view.screens.index(self.view.screen_of(RunScreen)))
         self.presenter.show_starting()
         self.connection.resume_journal(journal)
@@ -279,10 +277,10 @@ class MainWindow(QMainWindow):
     @Slot()
     def _start(self) -> None:
         if self.presenter.plan is not None:
-            self._keep_open()
+            self.close_question.keep_open()
             self.view.show_screen(self.view.screens.index(self.view.screen_of(RunScreen)))
             self.presenter.show_starting()
-            self.connection.start(self.presenter.plan, self._folder)
+            self.connection.start(self.presenter.plan, self.files.folder)
 
     @Slot()
     def _pause(self) -> None:
@@ -320,8 +318,8 @@ class MainWindow(QMainWindow):
     def _acknowledge(self, order: "SafetyOrder") -> None:
         self.presenter.acknowledge(order)
         self.connection.acknowledge(order)
-        if self._closing and not self.presenter.busy:
-            self.close()
+        if not self.presenter.busy:
+            self.close_question.proceed()
 
     @Slot(str)
     def _act_on_notice(self, action: str) -> None:
@@ -338,10 +336,8 @@ class MainWindow(QMainWindow):
     @Slot()
     def _after_run(self) -> None:
         self._list_campaigns()
-        self._dismiss_question()
-        self._dismiss_close_question()
-        if self._closing:
-            self.close()
+        self.question.dismiss()
+        self.close_question.proceed()
 
     @Slot(str)
     def _notify(self, _what: str) -> None:
@@ -354,128 +350,51 @@ class MainWindow(QMainWindow):
 
     @Slot(object)
     def _ask(self, asked: "QuestionAsked") -> None:
-        self._dismiss_question()
-        question, self._asked = asked.question, asked.number
-        choices = [Choice(each, EFFECTS[each], each is Answer.STOP, each is question.default) for each in question.answers]
-        self._entry = PositionEntry(question.axis.name) if question.axis is not None else None
-        self.question = self._question_box(question.title, question.text, choices, self._entry)
-        self.question.chosen.connect(self._answer)
-        self._show_question_facts()
-        self.view.question.set_question(question.title)
+        self.question.ask(asked, self.presenter.station)
 
-    @Slot(str)
-    def _answer(self, label: str) -> None:
-        answer = Answer(label)
-        assert self.question is not None
-        angle = self._entry.angle_deg if self._entry is not None and answer is Answer.SET_POSITION else None
-        if answer is Answer.SET_POSITION and angle is None:
-            self.question.set_problem(NO_ANGLE)
-            return
-        self.question.hide()  # it is dismissed when it is closed, and shown again after a refusal
-        if answer is Answer.STOP:
-            self._stop()
-        elif answer is not Answer.WAIT:
-            self.connection.answer(self._asked, answer, angle)
+    @Slot(int, object, object)
+    def _answer(self, number: int, answer: Answer, angle_deg: float | None) -> None:
+        self.connection.answer(number, answer, angle_deg)
 
     @Slot()
     def _show_question_facts(self) -> None:
-        """Show, with the question, what is known now of the device and the axis that it is about."""
-        asked, box = self.presenter.station.question, self.question
-        if asked is None or box is None:
-            return
-        now, question = self.presenter.station, asked.question
-        if self._entry is not None and question.axis is not None:
-            name = question.axis.name
-            self._entry.show_place(now.positions.get(name), now.encoders.get(name))
-        status = now.rig.devices.get(question.device) if now.rig is not None else None
-        box.set_note(f"{question.device.capitalize()}: {' '.join(contact_text(status))}" if status is not None else "")
-
-    @Slot(str)
-    def _show_refused_answer(self, reason: str) -> None:
-        if self.question is not None:
-            self.question.set_problem(reason)
-            self.question.appear()
-
-    @Slot()
-    def _show_question(self) -> None:
-        if self.question is not None:
-            self.question.appear()
-
-    def _question_box(self, title: str, text: str, choices: list[Choice], entry: PositionEntry | None = None) -> QuestionBox:
-        return QuestionBox(self, title, text, choices, entry)
-
-    @Slot()
-    def _dismiss_question(self) -> None:
-        if self.question is not None:
-            self.question.dismiss()
-        self.question = None
-        self.view.question.set_question("")
-
-    def _dismiss_close_question(self) -> None:
-        if self.close_question is not None:
-            self.close_question.dismiss()
-        self.close_question = None
+        self.question.show_facts(self.presenter.station)
 
     # The files.
 
     @Slot()
     def _choose_rig(self) -> None:
-        folder = self._last_folder("rig", self.presenter.rig_path)
-        FileDialog(self, "Open a rig file", folder, "Rig files (*.toml)", self._open_rig)
+        self.files.choose_rig(self.presenter.rig_path)
 
     @Slot()
     def _connect_again(self) -> None:
         self._open_rig(self.presenter.rig_path)
 
+    @Slot(object)
     def _open_rig(self, path: Path) -> None:
-        self._remember("rig", path)
+        self.files.remember("rig", path)
         self.presenter.show_opening(path)
         self.connection.open(path)
 
     @Slot()
     def _choose_schedule(self) -> None:
         plan = self.presenter.plan
-        folder = self._last_folder("schedule", Path(plan.schedule.name) if plan else self.presenter.rig_path)
-        FileDialog(self, "Open a schedule file", folder, "Schedule files (*.toml)", self._open_schedule)
+        self.files.choose_schedule(Path(plan.schedule.name) if plan else self.presenter.rig_path)
 
+    @Slot(object)
     def _open_schedule(self, path: Path) -> None:
-        self._remember("schedule", path)
+        self.files.remember("schedule", path)
         self.connection.load(path)
 
-    def _remember(self, kind: Kind, path: Path) -> None:
-        """Remember a file that is opened, other than those of the first start."""
-        if path not in (examples.FIRST_RIG, examples.FIRST_SCHEDULE):
-            self._remembered.add_recent(kind, path)
-
-    def _last_folder(self, kind: Kind, present: Path) -> Path:
-        """The folder of the file of a kind that was opened last, or that of the present one."""
-        return next((path.parent for path in self._remembered.recent(kind)), present.parent)
-
-    @Slot(str, object)
-    def _open_recent(self, kind: str, path: Path) -> None:
-        if kind == "rig":
-            self._open_rig(path)
-        else:
-            self._open_schedule(path)
-
-    @Slot()
-    def _choose_folder(self) -> None:
-        # The first run creates the folder.
-        first = next(each for each in (self._folder, *self._folder.absolute().parents) if each.is_dir())
-        FileDialog(self, "Folder for data files (journals)", first, "", self._take_folder)
-
+    @Slot(object)
     def _take_folder(self, folder: Path) -> None:
-        self._folder = folder
-        self._remembered.set_folder(folder)
         self.view.schedule.set_folder(folder)
         self._list_campaigns()
 
     @Slot()
     def _show_folder(self) -> None:
-        if self._folder.is_dir():
-            QDesktopServices.openUrl(QUrl.fromLocalFile(str(self._folder.absolute())))
-        else:
-            self.view.show_status(f"There is no folder {self._folder} yet; the first run creates it.")
+        if not self.files.show_folder():
+            self.view.show_status(f"There is no folder {self.files.folder} yet; the first run creates it.")
 
     # The window itself.
 
@@ -501,25 +420,8 @@ class MainWindow(QMainWindow):
     def closeEvent(self, event: QCloseEvent) -> None:
         """Ask during a run, which may go on, and wait for the acknowledgement of every safety order; then leave the station."""
         self._remember_layout()
-        orders = [] if self._unattended or self._closed else self.view.orders.orders
-        asked = self.close_question is not None and self.close_question.isVisible()
-        self._dismiss_close_question()
-        if orders and not self._busy:
+        if not self._closed and not self.close_question.allows(self.view.orders.orders, busy=self._busy):
             event.ignore()
-            self._closing = True
-            self._ask_acknowledgement(orders[0])
-            return
-        if self._busy and not self._closed and not self._unattended and not asked:
-            event.ignore()
-            choices = [
-                Choice(KEEP_MEASURING, "The window closes, the run goes on. The next window shows it again.", default=True),
-                Choice(STOP_AND_CLOSE, f"{EFFECTS[Answer.STOP]} Then the window closes.", stops=True),
-                Choice(KEEP_OPEN, "The window stays open."),
-            ]
-            text = f"A run is in progress. {QUIT_KEY} again keeps measuring and closes; {STOP_KEY} first stops the run."
-            self.close_question = self._question_box("Close the window?", text, choices)
-            self.close_question.chosen.connect(self._answer_close)
-            self.close_question.rejected.connect(self._keep_open)
             return
         self.hide()  # at once, whatever is waited for
         self.shut_down()
@@ -535,48 +437,17 @@ class MainWindow(QMainWindow):
         """The safety orders that are not acknowledged."""
         return self.connection.open_orders if self._complete else []
 
-    def _ask_acknowledgement(self, order: "SafetyOrder") -> None:
-        choices = [
-            Choice(KEEP_OPEN, "The window stays open, with the order at its top.", default=True),
-            Choice(ACKNOWLEDGE, "It is done, or seen to. The journal records it. Then the window closes.", stops=True),
-        ]
-        text = f"The window closes when this order is acknowledged: {order.reason}"
-        self.close_question = self._question_box(order.order, text, choices)
-        self.close_question.chosen.connect(self._answer_close)
-        self.close_question.rejected.connect(self._keep_open)
-
-    @Slot()
-    def _keep_open(self) -> None:
-        """Give up closing the window."""
-        self._closing = False
-        self._dismiss_close_question()
-
     @Slot()
     def close_unattended(self) -> None:
         """Close without a question: after a signal, perhaps without a person at the window. A run goes on in its station."""
-        self._unattended = True
-        self.close()
+        self.close_question.close_unattended()
 
-    def _stop_and_close(self) -> None:
-        if not self._busy:
-            self.close()
-            return
-        self._dismiss_close_question()
-        self._closing = True
-        self._stop()
-
-    @Slot(str)
-    def _answer_close(self, label: str) -> None:
-        self._dismiss_close_question()
-        if label == STOP_AND_CLOSE:
-            self._stop_and_close()
-        elif label == KEEP_MEASURING:
-            self._unattended = True
-            self.close()
-        elif label == ACKNOWLEDGE:
-            self.view.orders.acknowledge(self.view.orders.orders[0])
+    @Slot()
+    def _stop_to_close(self) -> None:
+        if self._busy:
+            self._stop()
         else:
-            self._closing = False
+            self.close()
 
     def shut_down(self) -> None:
         """Leave the station, which goes on; nothing is moved. A second call does nothing."""

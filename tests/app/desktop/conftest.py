@@ -14,6 +14,7 @@ from pytestqt.qtbot import QtBot
 
 from goniotwin.app.campaign.running.events import State
 from goniotwin.app.desktop import MainWindow, Theme
+from goniotwin.app.desktop.remembered import Remembered
 from goniotwin.app.guardian.guard import record_folder
 from goniotwin.app.station.messages import BUSY
 from tests.app.desktop.local_stations import LocalStations
@@ -56,8 +57,10 @@ def stations() -> Iterator[LocalStations]:
 def open_window(qapp: QApplication, write_schedule: Writer, journals: Path, stations: LocalStations) -> Iterator[WindowOpener]:
     windows: list[MainWindow] = []
 
-    def opened(rig: Path = RIG, schedule: Path | None = None, speed: float = 200.0) -> MainWindow:
-        window = MainWindow(Theme(qapp), rig, schedule or write_schedule(), journals, speed, stations=stations)
+    def opened(
+        rig: Path = RIG, schedule: Path | None = None, speed: float = 200.0, remembered: Remembered | None = None
+    ) -> MainWindow:
+        window = MainWindow(Theme(qapp), rig, schedule or write_schedule(), journals, speed, remembered, stations)
         windows.append(window)
         window.show()
         window.complete()

@@ -7,11 +7,12 @@ from pathlib import Path
 
 from goniotwin.app.desktop.model.connection import OnEnd, OnEvent
 from goniotwin.app.errors import UserError
-from goniotwin.app.rig import read_rig
+from goniotwin.app.rig import OpenRig, read_rig
 from goniotwin.app.station.client import NoStation, StationClient
 from goniotwin.app.station.server import StationServer
 from goniotwin.app.station.station import Station
 from goniotwin.protocols.clock import ScaledClock
+from goniotwin.twin import VirtualRig
 
 FAST = 1000.0
 """Simulation speed while a rig is connected and given back."""
@@ -93,6 +94,19 @@ class LocalStations:
     def station(self) -> Station:
         """The station that was started last."""
         return self.hosts[-1].station
+
+    @property
+    def opened(self) -> OpenRig:
+        """The rig of the station that was started last."""
+        opened = self.station.opened
+        assert opened is not None
+        return opened
+
+    @property
+    def virtual(self) -> VirtualRig:
+        """Its virtual devices."""
+        assert self.opened.virtual is not None
+        return self.opened.virtual
 
     def end(self) -> None:
         """End all stations."""

@@ -16,10 +16,10 @@ from goniotwin.app.campaign.row import SKIPPED
 from goniotwin.app.campaign.running.events import State, StateChanged
 from goniotwin.app.campaign.running.stop import StopRequest
 from goniotwin.app.desktop import MainWindow
+from goniotwin.app.desktop.close_question import ACKNOWLEDGE, KEEP_OPEN, STOP_AND_CLOSE
 from goniotwin.app.desktop.events.panels import LogEntry
 from goniotwin.app.desktop.events.question import QuestionBox
 from goniotwin.app.desktop.run import panel
-from goniotwin.app.desktop.window import ACKNOWLEDGE, KEEP_OPEN, STOP_AND_CLOSE
 from goniotwin.app.guardian.guard import RigGuard
 from goniotwin.app.rig.left import left_unsafe
 from goniotwin.app.station.messages import BUSY
@@ -52,26 +52,22 @@ def wait_for_question(qtbot: QtBot, window: MainWindow, text: str) -> QuestionBo
     """Wait for a question with this text in it; return its box."""
 
     def asked() -> bool:  # one that is answered is there, hidden, until the station has closed it
-        return window.question is not None and window.question.isVisible() and text in window.question.text
+        return window.question.box is not None and window.question.box.isVisible() and text in window.question.box.text
 
     qtbot.waitUntil(asked, timeout=READY_MS)
-    assert window.question is not None
-    return window.question
+    assert window.question.box is not None
+    return window.question.box
 
 
 def answer(window: MainWindow, label: str) -> None:
     """Give an answer to the open question."""
-    assert window.question is not None
-    click(window.question.buttons[label])
+    assert window.question.box is not None
+    click(window.question.box.buttons[label])
 
 
-def break_photodiodes(window: MainWindow, *, broken: bool = True) -> None:
+def break_photodiodes(stations: LocalStations, *, broken: bool = True) -> None:
     """Let the third module of the photodiodes answer to another address, so that the driver gets no reply."""
-    assert isinstance(window._stations, LocalStations)
-    opened = window._stations.station.opened
-    assert opened is not None
-    assert opened.virtual is not None
-    opened.virtual.modbus["adc-2"].units = (9,) if broken else (1,)
+    stations.virtual.modbus["adc-2"].units = (9,) if broken else (1,)
 
 
 def button_of(shown: QWidget) -> QPushButton:
@@ -196,9 +192,9 @@ def refuse_to_stop(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def wait_for_close_question(qtbot: QtBot, window: MainWindow, text: str) -> QuestionBox:
     """Wait for a question about closing the window with this text in it; return its box."""
-    qtbot.waitUntil(lambda: window.close_question is not None and text in window.close_question.text, timeout=READY_MS)
-    assert window.close_question is not None
-    return window.close_question
+    qtbot.waitUntil(lambda: window.close_question.box is not None and text in window.close_question.box.text, timeout=READY_MS)
+    assert window.close_question.box is not None
+    return window.close_question.box
 
 
 def run_that_cannot_stop(qtbot: QtBot, open_window: WindowOpener, monkeypatch: pytest.MonkeyPatch) -> MainWindow:
@@ -223,7 +219,7 @@ def test_a_person_closes_the_window_only_after_acknowledging_the_order(
     assert len(window.view.orders.orders) == 1
     for key in ACCIDENTS:
         press(qtbot, box.focusWidget(), key)
-        assert window.close_question is None  # Keep open
+        assert window.close_question.box is None  # Keep open
         assert not window.close()
         box = wait_for_close_question(qtbot, window, "Cut the motors' power")
     assert [kind for kind, _ in journal_events(window) if kind in ("order", "acknowledged")] == ["order"]
@@ -265,14 +261,14 @@ def test_a_signal_closes_the_window_and_leaves_the_order_open(
     assert campaign_summary(window.presenter.journal).orders == [order.text]
 
 
-def test_a_run_ends_after_its_stop(qtbot: QtBot, open_window: WindowOpener, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_run_ends_after_its_stop(
+    qtbot: QtBot, open_window: WindowOpener, stations: LocalStations, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The stop of a person fails after the engine has ended with a stop of its own that is confirmed."""
     window = ready(qtbot, open_window(speed=1.0))
     click(window.view.run.start_button)
     qtbot.waitUntil(lambda: window.presenter.journal is not None, timeout=READY_MS)
-    assert isinstance(window._stations, LocalStations)
-    station = window._stations.station
-    engine = station.runs.engine
+    engine = stations.station.runs.engine
     assert engine is not None
     ended: list[int] = []
     window.presenter.run_ended.connect(lambda: ended.append(len(window.view.orders.orders)))
@@ -288,7 +284,7 @@ def test_a_run_ends_after_its_stop(qtbot: QtBot, open_window: WindowOpener, monk
 
     def request(_stop: StopRequest) -> list[DeviceError]:
         _stop.requested = True
-        return stop(station.opened.rig)  # type: ignore[union-attr]
+        return stop(stations.opened.rig)
 
     monkeypatch.setattr(Rig, "stop", stop)
     monkeypatch.setattr(StopRequest, "stop", request)
@@ -298,13 +294,13 @@ def test_a_run_ends_after_its_stop(qtbot: QtBot, open_window: WindowOpener, monk
     assert "order" in [kind for kind, _ in journal_events(window)]
 
 
-def test_each_answer_to_a_fault(qtbot: QtBot, asking: MainWindow) -> None:
+def test_each_answer_to_a_fault(qtbot: QtBot, asking: MainWindow, stations: LocalStations) -> None:
     """Retry asks again as long as the fault is there, Skip row goes to the next one, Pause waits for Resume."""
     wait_for_question(qtbot, asking, "etalon")
     answer(asking, "Mounted")
     box = wait_for_question(qtbot, asking, "gaussian-5")
     assert list(box.buttons) == ["Mounted", "Wait", "Stop"]
-    break_photodiodes(asking)
+    break_photodiodes(stations)
     answer(asking, "Mounted")
     first = wait_for_question(qtbot, asking, MODULE)
     assert list(first.buttons) == ["Retry", "Skip row", "Pause", "Stop"]
@@ -319,7 +315,7 @@ def test_each_answer_to_a_fault(qtbot: QtBot, asking: MainWindow) -> None:
     answer(asking, "Pause")
     qtbot.waitUntil(lambda: asking.presenter.state is State.PAUSED, timeout=READY_MS)
     assert asking.view.question.text == ""
-    break_photodiodes(asking, broken=False)
+    break_photodiodes(stations, broken=False)
     click(asking.view.run.pause_button)
     wait_for_end(qtbot, asking, State.DONE)
     assert asking.presenter.journal is not None
@@ -336,13 +332,13 @@ def test_each_answer_to_a_fault(qtbot: QtBot, asking: MainWindow) -> None:
 
 
 @pytest.mark.parametrize("question", ["etalon", MODULE])
-def test_stop_ends_the_wait_for_an_answer(qtbot: QtBot, asking: MainWindow, question: str) -> None:
+def test_stop_ends_the_wait_for_an_answer(qtbot: QtBot, asking: MainWindow, stations: LocalStations, question: str) -> None:
     """For one question with its own button, for the other with that of the window."""
     wait_for_question(qtbot, asking, "etalon")
     if question == "etalon":
         answer(asking, "Stop")
     else:
-        break_photodiodes(asking)
+        break_photodiodes(stations)
         answer(asking, "Mounted")
         wait_for_question(qtbot, asking, question)
         answer(asking, "Retry")
@@ -352,7 +348,7 @@ def test_stop_ends_the_wait_for_an_answer(qtbot: QtBot, asking: MainWindow, ques
     assert asking.view.run.start_button.isEnabled() == (
         question == "etalon"
     )  # photodiodes that were lost are no longer "ready"
-    assert asking.question is None
+    assert asking.question.box is None
     assert asking.view.question.text == ""
     assert "Stopped after" in asking.view.status
     assert asking.view.run.left.text() == ""  # the next Start begins at the first row
@@ -360,7 +356,7 @@ def test_stop_ends_the_wait_for_an_answer(qtbot: QtBot, asking: MainWindow, ques
 
 
 def test_a_question_can_wait_and_no_key_answers_it_by_accident(
-    qtbot: QtBot, asking: MainWindow, open_window: WindowOpener
+    qtbot: QtBot, asking: MainWindow, stations: LocalStations, open_window: WindowOpener
 ) -> None:
     mount = wait_for_question(qtbot, asking, "etalon")
     for key in ACCIDENTS:
@@ -370,7 +366,7 @@ def test_a_question_can_wait_and_no_key_answers_it_by_accident(
         click(button_of(asking.view.question))
         assert mount.isVisible()
     mount.close()
-    assert asking.question is mount
+    assert asking.question.box is mount
     asking.presenter.countdown.show()
     assert "mount gaussian-5" in asking.view.run.left.text()  # the next one, not that which waits
     with qtbot.waitSignal(asking.presenter.message_shown, check_params_cb=lambda m: m == StateChanged(State.PAUSING)):
@@ -383,13 +379,13 @@ def test_a_question_can_wait_and_no_key_answers_it_by_accident(
     assert "mount gaussian-5" in later.view.run.left.text() or not later.presenter.countdown.mountings
     asking.connection.resume()
     assert [each.text() for each in tab_order(mount) if isinstance(each, QPushButton)] == ["Mounted", "Wait"]
-    break_photodiodes(asking)
+    break_photodiodes(stations)
     answer(asking, "Mounted")
     fault = wait_for_question(qtbot, asking, MODULE)
     for key in ACCIDENTS:
         press(qtbot, fault.focusWidget(), key)
     assert fault.isVisible()
-    assert asking.question is fault
+    assert asking.question.box is fault
     assert [each.text() for each in tab_order(fault) if isinstance(each, QPushButton)] == ["Retry", "Skip row", "Pause"]
     assert asking.presenter.busy
 
@@ -444,7 +440,7 @@ def test_esc_has_to_be_held(qtbot: QtBot, open_window: WindowOpener, monkeypatch
         qtbot.keyRelease(widget, Qt.Key.Key_Escape)
         qtbot.waitUntil(lambda: not run.stop_button.isDown())
         assert box.isVisible() == (widget is window)
-    assert window.question is box
+    assert window.question.box is box
     assert window.presenter.state is State.RUNNING
     run.hold.rule.hold_ms = 1
     qtbot.keyPress(box, Qt.Key.Key_Escape)

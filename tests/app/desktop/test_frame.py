@@ -29,6 +29,7 @@ from goniotwin.app.desktop.campaigns.screen import CampaignsScreen
 from goniotwin.app.desktop.dialogs import FileDialog
 from goniotwin.app.desktop.events.panels import NOTICES, LogEntry
 from goniotwin.app.desktop.events.screen import EventsScreen
+from goniotwin.app.desktop.file_chooser import FileChooser
 from goniotwin.app.desktop.menu import about_text
 from goniotwin.app.desktop.model.axes import GREEK
 from goniotwin.app.desktop.model.campaigns import list_campaigns
@@ -387,25 +388,30 @@ def test_what_is_remembered_may_be_damaged(
 def test_a_recent_schedule_is_opened_from_the_menu(
     qtbot: QtBot, open_window: WindowOpener, write_schedule: Writer, tmp_path: Path
 ) -> None:
-    window = ready(qtbot, open_window(schedule=write_schedule()))
-    window._remembered = window.menus._remembered = Remembered(tmp_path / "window.ini")
-    window._remembered.add_recent("schedule", SCHEDULE)
-    menu = window.menus._recent_schedules
+    remembered = Remembered(tmp_path / "window.ini")
+    window = ready(qtbot, open_window(schedule=write_schedule(), remembered=remembered))
+    remembered.add_recent("schedule", SCHEDULE)
+    (menu,) = [each for each in window.menuBar().findChildren(QMenu) if each.title() == "Recent &schedules"]
     menu.aboutToShow.emit()
-    (action,) = menu.actions()
+    action = menu.actions()[0]  # before that of this window
     assert SCHEDULE.name in action.text()
     action.trigger()
     qtbot.waitUntil(lambda: 'name = "quick"' in window.view.screen_of(SetupScreen).text, timeout=READY_MS)
 
 
 def test_the_files_of_the_first_start_are_no_recent_ones(frame: MainWindow, tmp_path: Path) -> None:
-    frame._remembered = remembered = Remembered(tmp_path / "window.ini")
-    frame._remember("rig", examples.FIRST_RIG)
-    frame._remember("schedule", examples.FIRST_SCHEDULE)
-    frame._remember("schedule", SCHEDULE)
+    remembered = Remembered(tmp_path / "window.ini")
+    files = FileChooser(frame, tmp_path, remembered)
+    files.remember("rig", examples.FIRST_RIG)
+    files.remember("schedule", examples.FIRST_SCHEDULE)
+    files.remember("schedule", SCHEDULE)
     assert (remembered.recent("rig"), remembered.recent("schedule")) == ([], [SCHEDULE])
-    assert frame._last_folder("schedule", RIG) == SCHEDULE.parent
-    assert frame._last_folder("rig", RIG) == RIG.parent
+    files.choose_schedule(RIG)
+    files.choose_rig(RIG)
+    dialogs = {each.windowTitle(): Path(each.directory().absolutePath()) for each in frame.findChildren(FileDialog)}
+    assert dialogs == {"Open a schedule file": SCHEDULE.parent, "Open a rig file": RIG.parent}
+    for each in frame.findChildren(FileDialog):
+        each.reject()
 
 
 def test_a_part_that_cannot_be_loaded_is_shown(qtbot: QtBot, make_frame: FrameMaker, monkeypatch: pytest.MonkeyPatch) -> None:

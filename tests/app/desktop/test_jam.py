@@ -7,7 +7,6 @@ from goniotwin.app.campaign.running.events import State
 from goniotwin.app.desktop import MainWindow
 from goniotwin.app.desktop.bench.position_entry import PositionEntry
 from goniotwin.app.desktop.events.question import QuestionBox
-from goniotwin.app.rig import OpenRig
 from tests.app.campaign.campaign_bench import QUIET
 from tests.app.campaign.jam import ASK, AXIS, COUNTED_DEG, HOMES, JAMMED_DEG, check_undisturbed
 from tests.app.desktop.conftest import READY_MS, WindowOpener, click, ready, wait_for_end
@@ -16,20 +15,10 @@ from tests.app.desktop.test_events import answer, start_with_person, wait_for_qu
 from tests.conftest import Writer
 
 
-def rig_of(window: MainWindow) -> OpenRig:
-    """The rig of the window's station."""
-    assert isinstance(window._stations, LocalStations)
-    opened = window._stations.station.opened
-    assert opened is not None
-    return opened
-
-
-def jam(window: MainWindow, jammed: bool = True) -> None:
+def jam(stations: LocalStations, jammed: bool = True) -> None:
     """Jam the arc, or free it."""
-    opened = rig_of(window)
-    assert opened.virtual is not None
-    with opened.virtual.lock:
-        opened.virtual.plant.shafts[AXIS].jam(opened.rig.clock.now(), jammed)
+    with stations.virtual.lock:
+        stations.virtual.plant.shafts[AXIS].jam(stations.opened.rig.clock.now(), jammed)
 
 
 def place_of(question: QuestionBox) -> PositionEntry:
@@ -39,23 +28,23 @@ def place_of(question: QuestionBox) -> PositionEntry:
     return entry
 
 
-def jammed_question(qtbot: QtBot, window: MainWindow) -> QuestionBox:
+def jammed_question(qtbot: QtBot, window: MainWindow, stations: LocalStations) -> QuestionBox:
     """Run until the jammed axis is asked about."""
     start_with_person(window)
     wait_for_question(qtbot, window, "etalon")
     answer(window, "Mounted")
     wait_for_question(qtbot, window, "gaussian-5")
-    jam(window)
+    jam(stations)
     answer(window, "Mounted")
     return wait_for_question(qtbot, window, "Position of beta unknown")
 
 
 def test_a_jammed_axis_is_stated_by_its_encoder_and_the_values_are_those_of_an_undisturbed_rig(
-    qtbot: QtBot, open_window: WindowOpener, write_rig: Writer, write_schedule: Writer
+    qtbot: QtBot, open_window: WindowOpener, stations: LocalStations, write_rig: Writer, write_schedule: Writer
 ) -> None:
     rig, schedule = write_rig(*QUIET), write_schedule(text=ASK)
     window = ready(qtbot, open_window(rig, schedule=schedule))
-    question = jammed_question(qtbot, window)
+    question = jammed_question(qtbot, window, stations)
     entry = place_of(question)
     assert entry.field.text() == ""
     qtbot.waitUntil(lambda: "150.000°, 180.000°, 30.000°" in entry.place, timeout=READY_MS)
@@ -63,7 +52,7 @@ def test_a_jammed_axis_is_stated_by_its_encoder_and_the_values_are_those_of_an_u
     assert "Set position is an answer of its question" in window.presenter.permissions.refusals["set_position"]
     (strip,) = [each.text() for each in window.view.strip._axes.values() if "✗" in each.text()]
     assert strip == "β ✗ 150.00° | 180.00°"
-    jam(window, False)
+    jam(stations, False)
 
     click(question.buttons["Set position"])  # nothing is in the field: no answer
     assert "give its angle" in question.problem
@@ -76,21 +65,20 @@ def test_a_jammed_axis_is_stated_by_its_encoder_and_the_values_are_those_of_an_u
     wait_for_end(qtbot, window, State.DONE)
     assert window.presenter.journal is not None
     check_undisturbed(window.presenter.journal, rig, schedule)
-    opened = rig_of(window)
-    assert opened.virtual is not None
-    assert opened.rig.axes[AXIS].position_deg() == pytest.approx(COUNTED_DEG, abs=0.001)
-    assert opened.virtual.plant.angle_deg(AXIS, opened.rig.clock.now()) == pytest.approx(COUNTED_DEG, abs=0.01)
+    rig_now = stations.opened.rig
+    assert rig_now.axes[AXIS].position_deg() == pytest.approx(COUNTED_DEG, abs=0.001)
+    assert stations.virtual.plant.angle_deg(AXIS, rig_now.clock.now()) == pytest.approx(COUNTED_DEG, abs=0.01)
     assert JAMMED_DEG != COUNTED_DEG
 
 
 def test_a_jammed_axis_that_can_home_is_homed(
-    qtbot: QtBot, open_window: WindowOpener, write_rig: Writer, write_schedule: Writer
+    qtbot: QtBot, open_window: WindowOpener, stations: LocalStations, write_rig: Writer, write_schedule: Writer
 ) -> None:
     rig, schedule = write_rig(*QUIET, *HOMES), write_schedule(text=ASK)
     window = ready(qtbot, open_window(rig, schedule=schedule))
-    question = jammed_question(qtbot, window)
+    question = jammed_question(qtbot, window, stations)
     assert next(iter(question.buttons)) == "Home"
-    jam(window, False)
+    jam(stations, False)
     click(question.buttons["Home"])
     wait_for_end(qtbot, window, State.DONE)
     assert window.presenter.journal is not None

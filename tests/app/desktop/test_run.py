@@ -26,6 +26,7 @@ from goniotwin.app.campaign.schedule.file import ScheduleDescription, read_sched
 from goniotwin.app.campaign.studies.reduced_journal import reduce_journal
 from goniotwin.app.desktop import STOPPED, MainWindow, run_desktop
 from goniotwin.app.desktop.bench.screen import BenchScreen
+from goniotwin.app.desktop.close_question import KEEP_MEASURING, KEEP_OPEN, STOP_AND_CLOSE
 from goniotwin.app.desktop.dialogs import FileDialog
 from goniotwin.app.desktop.events.event_log import EventLog
 from goniotwin.app.desktop.model import connection, planner
@@ -33,7 +34,6 @@ from goniotwin.app.desktop.model.connection import StationProcesses
 from goniotwin.app.desktop.model.live_scan import LiveScan, ScanData
 from goniotwin.app.desktop.model.time_left import Wait
 from goniotwin.app.desktop.rig.screen import RigScreen
-from goniotwin.app.desktop.window import KEEP_MEASURING, KEEP_OPEN, STOP_AND_CLOSE
 from goniotwin.app.end_signals import END_SIGNALS
 from goniotwin.app.rig import RigDescription
 from goniotwin.app.station.connection_file import connection_folder
@@ -457,8 +457,8 @@ def wait_for_journal(qtbot: QtBot, window: MainWindow) -> Path:
 def close_with(window: MainWindow, choice: str) -> None:
     """Close a window during a run, and give an answer to its question."""
     assert not window.close()
-    assert window.close_question is not None
-    window.close_question.buttons[choice].click()
+    assert window.close_question.box is not None
+    window.close_question.box.buttons[choice].click()
 
 
 def test_closing_during_a_run_asks_and_stops_the_run(qtbot: QtBot, open_window: WindowOpener) -> None:
@@ -488,7 +488,7 @@ def test_the_run_goes_on_without_its_window_and_the_next_one_shows_it(
     else:
         assert not window.close()  # the question is answered with waiting
         window.close_unattended()
-        assert window.close_question is None
+        assert window.close_question.box is None
     qtbot.waitUntil(lambda: not window.isVisible(), timeout=READY_MS)
     assert stations.station.snapshot.busy
     record = stations.station.runs.record
@@ -596,7 +596,7 @@ def test_of_two_openings_the_second_holds(
 ) -> None:
     stations.coming_up.clear()
     window = open_window(rig=RIG.with_name("none.toml"))
-    window._open_rig(rig := write_rig())
+    window.files.rig_chosen.emit(rig := write_rig())
     stations.coming_up.set()
     ready(qtbot, window)
     assert [each.rig for each in stations.hosts] == [rig]
@@ -669,32 +669,34 @@ def test_a_watcher_sees_the_question_and_the_speed_and_changes_neither(
     one, two = ready(qtbot, open_window()), open_window()
     click(one.view.rig.person)
     click(one.view.run.start_button)
-    qtbot.waitUntil(lambda: two.question is not None and bool(two.presenter.permissions.watching), timeout=READY_MS)
-    question = two.question
+    qtbot.waitUntil(lambda: two.question.box is not None and bool(two.presenter.permissions.watching), timeout=READY_MS)
+    question = two.question.box
     assert question is not None
     assert not question.buttons["Mounted"].isEnabled()
     assert not two.view.run.speeds.isEnabled()
-    two.connection.answer(two._asked, Answer.MOUNTED)  # refused by the station as well
+    asked = two.presenter.station.question
+    assert asked is not None
+    two.connection.answer(asked.number, Answer.MOUNTED)  # refused by the station as well
     question.hide()
     qtbot.waitUntil(lambda: "operates this rig" in two.view.status, timeout=READY_MS)
-    assert two.question is question
+    assert two.question.box is question
     assert question.isVisible()
     assert "Mount" in two.view.question.text
     click(two.view.notice.button)
     qtbot.waitUntil(question.buttons["Mounted"].isEnabled, timeout=READY_MS)
     assert two.view.run.speeds.isEnabled()
-    assert one.question is not None
-    qtbot.waitUntil(lambda: not one.question.buttons["Mounted"].isEnabled(), timeout=READY_MS)  # type: ignore[union-attr]
-    shown = one.question
+    assert one.question.box is not None
+    qtbot.waitUntil(lambda: not one.question.box.buttons["Mounted"].isEnabled(), timeout=READY_MS)  # type: ignore[union-attr]
+    shown = one.question.box
     click(question.buttons["Mounted"])
-    qtbot.waitUntil(lambda: one.question is not shown and two.question is not question, timeout=READY_MS)
+    qtbot.waitUntil(lambda: one.question.box is not shown and two.question.box is not question, timeout=READY_MS)
 
 
 def test_the_status_keeps_the_question_and_the_pause_key_takes_its_pause_back(qtbot: QtBot, open_window: WindowOpener) -> None:
     window = ready(qtbot, open_window())
     click(window.view.rig.person)
     click(window.view.run.start_button)
-    qtbot.waitUntil(lambda: window.question is not None, timeout=READY_MS)
+    qtbot.waitUntil(lambda: window.question.box is not None, timeout=READY_MS)
     seen: list[State] = []
     window.presenter.message_shown.connect(lambda _message: seen.append(window.presenter.station.state))
     for _ in range(2):
@@ -705,13 +707,13 @@ def test_the_status_keeps_the_question_and_the_pause_key_takes_its_pause_back(qt
     assert window.view.status.startswith("Waiting for the operator: Mount")
     assert window.view.status.endswith("The run ends after this cut.")
     press("Ctrl+Q")  # the focus is in the question
-    closing = window.close_question
+    closing = window.close_question.box
     assert closing is not None
     assert all(each.accessibleName() for each in closing.findChildren(QWidget) if each.focusPolicy() & Qt.FocusPolicy.TabFocus)
     closing.activateWindow()
     qtbot.waitUntil(closing.isActiveWindow)
     press("Esc")
-    qtbot.waitUntil(lambda: window.close_question is None)
+    qtbot.waitUntil(lambda: window.close_question.box is None)
     assert window.isVisible()
     press("Ctrl+Q", "Ctrl+Q")
     assert not window.isVisible()
