@@ -101,7 +101,7 @@ def run_campaign(
         operator = _connect(opened, plan, ask, host)
         with Journal.create(journal_path, plan, software_versions(), readers_end_s=readers_end_s) as journal:
             outcome = _run_engine(opened, plan, journal, operator, listeners, plan.rows, host)
-    return replace(outcome, journal=journal.kept_at, journal_note=journal.note)
+    return replace(outcome, journal=journal.place.kept_at, journal_note=journal.place.note)
 
 
 def resume_campaign(
@@ -142,7 +142,7 @@ def resume_campaign(
         with open_rig(remaining.plan.rig, _clock(remaining.plan.rig, remaining.start_s, host), transcript) as opened:
             operator = _connect(opened, remaining.plan, ask, host, homing=True, moves=bool(remaining.work))
             outcome = _run_engine(opened, remaining.plan, journal, operator, listeners, remaining.work, host)
-    return replace(outcome, journal=journal.kept_at, journal_note=journal.note)
+    return replace(outcome, journal=journal.place.kept_at, journal_note=journal.place.note)
 
 
 def _refuse_used(journal_path: Path) -> None:

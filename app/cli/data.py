@@ -535,7 +535,7 @@ def copy(
 
     Exit status: 1 if the journal is damaged; with damaged rows the copy is kept.
     """
-    from goniotwin.app.campaign.journal.writing import copy_journal
+    from goniotwin.app.campaign.journal.copies import copy_journal
 
     chain = copy_journal(journal, file)
     result = {"file": file, "chain": chain, "damaged": sorted(chain.damaged)}

@@ -2,7 +2,8 @@
 
 import threading
 
-from goniotwin.app.campaign.journal.writing import Journal, JournalError
+from goniotwin.app.campaign.journal.place import JournalError
+from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.running.events import EventLogged, SafetyOrder
 from goniotwin.app.errors import UserError
 from goniotwin.app.station.board import Board

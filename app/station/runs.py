@@ -165,7 +165,7 @@ class Runs:
             poller.contacts.note_lost(device, lost)
         bench.look()
         bench.take_over(None if engine.disconnected else engine.gain, self._mounted)
-        self.end(state, reason, journal.kept_at, journal.note)
+        self.end(state, reason, journal.place.kept_at, journal.place.note)
 
     def begin(
         self, engine: Engine, plan: Plan, journal: Journal, work: Sequence[Row], record: RunRecord, *, person: bool = False

@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 
 from goniotwin.app.campaign.campaign import run_campaign
+from goniotwin.app.campaign.journal.copies import copy_journal
 from goniotwin.app.campaign.journal.reading import DamagedJournal
 from goniotwin.app.campaign.journal.summary import campaign_summary
-from goniotwin.app.campaign.journal.writing import CHECKPOINT_ROWS, Journal, copy_journal
+from goniotwin.app.campaign.journal.writing import CHECKPOINT_ROWS, Journal
 from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.cli.main import app

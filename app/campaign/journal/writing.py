@@ -5,47 +5,51 @@ and the raw counts; everything else can be derived from these again. docs/journa
 """
 
 import contextlib
-import errno
-import itertools
 import json
 import math
 import os
 import platform
-import shutil
 import sqlite3
-import tempfile
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from importlib import metadata
 from pathlib import Path
 from types import TracebackType
 
-from goniotwin.app.campaign.journal.chain import Chain, add_links, begin_chain, campaign_hash, check_chain, seal_session
+from goniotwin.app.campaign.journal.chain import Chain, add_links, begin_chain, campaign_hash, seal_session
+from goniotwin.app.campaign.journal.copies import (
+    check_file,
+    check_leftovers,
+    checked_chain,
+    discard,
+    known_version,
+    remedy_on_disk,
+    remove,
+    sweep,
+    unfinished_path,
+    unwritable,
+)
+from goniotwin.app.campaign.journal.place import JournalError, JournalPlace
 from goniotwin.app.campaign.journal.reading import (
     DETAIL_KEYS,
     JournalReader,
-    bound_steps,
     distrust,
     open_read_only,
     report_damage,
 )
 from goniotwin.app.campaign.journal.schema import (
-    APPLICATION_ID,
     LONGEST_TEXT,
-    SCHEMA_VERSION,
-    check_lengths,
-    check_schema,
     create_tables,
     migrate,
 )
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.row import Row, RowData
-from goniotwin.app.errors import UserError, room_on_disk
-from goniotwin.app.formats.file import name_new_file, sync_folder
+from goniotwin.app.errors import UserError
+from goniotwin.app.formats.file import name_new_file
 from goniotwin.app.guardian.guard import read_events
 from goniotwin.app.guardian.record import EVENTS_SUFFIX
-from goniotwin.app.rig.lock import JournalLock, RigInUse, identity_of, lock_journal
-from goniotwin.protocols.clock import RealClock, calendar_stamp
+from goniotwin.app.rig.lock import JournalLock, lock_journal
+from goniotwin.protocols.clock import calendar_stamp
 
 CHECKPOINT_ROWS, CHECKPOINT_S = 10, 60.0
 """After so many rows, or so many seconds after the first of them, they are brought from the -wal file into the journal."""
@@ -53,16 +57,8 @@ ROWS_TOGETHER = 50
 """Rows in a transaction of a journal that is not durable."""
 READERS_END_S = 5.0
 """Longest time that is waited for other programs' reading."""
-QUERY_S = 0.5
-"""The same for the end of short queries, at the end of a journal."""
 OLDEST_READABLE = 2
 """Older schemas lack columns that are read: a copy of them is migrated."""
-PROBE_BYTES = 1 << 16
-"""SQLite makes its files longer by half of this at once."""
-UNFINISHED = ".goniotwin-new"
-"""End of the name of a journal until it is complete."""
-Progress = Callable[[int, int, int], object]
-"""Takes a status of SQLite, and the numbers of pages that remain and of all."""
 PACKAGES = ("goniotwin", "numpy", "numba", "pyserial", "pymodbus", "pyusb")
 
 
@@ -71,15 +67,8 @@ def software_versions() -> dict[str, str]:
     return {"python": platform.python_version(), **{name: metadata.version(name) for name in PACKAGES}}
 
 
-class JournalError(Exception):
-    """The journal cannot be written any more. All rows committed before are safe."""
-
-
 class Journal(JournalReader):
-    """An open journal. A row is on the disk when `commit` returns.
-
-    After `close`, `kept_at` is the file with all rows, and `note` states why it is not the journal's one file, if it is not.
-    """
+    """An open journal. A row is on the disk when `commit` returns. After `close`, `place` has the file with all rows."""
 
     def __init__(
         self,
@@ -91,9 +80,7 @@ class Journal(JournalReader):
         written: bool = False,
     ) -> None:
         super().__init__(connection, path, chain)
-        self.note = ""
-        self.kept_at = path
-        self._lock = lock
+        self.place = JournalPlace(path, lock)
         self._session: int | None = None
         self._written = written
         self._fresh = 0  # committed since the last checkpoint
@@ -126,7 +113,7 @@ class Journal(JournalReader):
             failed.callback(lock.release, remove=True)
             if os.path.lexists(path):
                 raise _not_overwritten(path)
-            _check_leftovers(path)
+            check_leftovers(path)
             journal = cls._create(path, plan, versions, lock, durable=durable, readers_end_s=readers_end_s)
             failed.pop_all()
         return journal
@@ -142,9 +129,9 @@ class Journal(JournalReader):
         durable: bool,
         readers_end_s: float,
     ) -> "Journal":
-        spare = _spare(path)
+        spare = unfinished_path(path)
         try:
-            _sweep(spare)
+            sweep(spare)
             with contextlib.closing(_connect(spare, durable=durable)) as db:
                 create_tables(db)
                 _describe(db, plan, versions)
@@ -153,16 +140,16 @@ class Journal(JournalReader):
                 lock.hold_file(spare)  # before another program can find it
             name_new_file(spare, path)
         except (sqlite3.Error, OSError, UserError) as error:
-            _discard(spare)
+            discard(spare)
             if isinstance(error, UserError):
                 raise
-            raise _not_overwritten(path) if isinstance(error, FileExistsError) else _unwritable(path, error) from None
+            raise _not_overwritten(path) if isinstance(error, FileExistsError) else unwritable(path, error) from None
         try:
             db = _connect(path, durable=durable, readers_end_s=readers_end_s)
             return cls(db, path, Chain(tip=campaign_hash(db)), lock, written=durable)
         except sqlite3.Error as error:
-            _remove(path)
-            raise _unwritable(path, error) from None
+            remove(path)
+            raise unwritable(path, error) from None
 
     @classmethod
     def open(cls, path: Path) -> "Journal":
@@ -170,7 +157,7 @@ class Journal(JournalReader):
 
         Raises UserError for a file that is not a journal.
         """
-        version = _known_version(path)
+        version = known_version(path)
         db = open_read_only(path)
         if version < OLDEST_READABLE:
             copy = sqlite3.connect(":memory:", check_same_thread=False)
@@ -178,7 +165,7 @@ class Journal(JournalReader):
                 db.backup(copy)
                 migrate(copy)
             db = copy
-        journal = cls(db, path, _checked(db, path))
+        journal = cls(db, path, checked_chain(db, path))
         db.execute("PRAGMA query_only = ON")
         return journal
 
@@ -188,17 +175,17 @@ class Journal(JournalReader):
 
         Raises UserError for a file that is not a journal, or cannot be written.
         """
-        _check_file(path)
+        check_file(path)
         with contextlib.ExitStack() as failed:
             lock = lock_journal(path, "resumed")
             failed.callback(lock.release, remove=True)
             lock.hold_file(path)
-            _discard(_spare(Path(os.path.realpath(path))))  # the other name, if a program was killed while it named it
+            discard(unfinished_path(Path(os.path.realpath(path))))  # the other name, if a program was killed while it named it
             if path.stat().st_nlink > 1:  # SQLite keeps the latest rows in a file that has the journal's name
                 raise UserError(
                     f"{path}: has another name too (a hard link), and could lose rows; copy it, and resume the copy"
                 )
-            _known_version(path)
+            known_version(path)
             try:
                 db = _connect(path)
             except sqlite3.Error as error:
@@ -207,7 +194,7 @@ class Journal(JournalReader):
                 ) from None
             with report_damage(path):
                 migrate(db)
-            journal = cls(db, path, _checked(db, path), lock, written=True)
+            journal = cls(db, path, checked_chain(db, path), lock, written=True)
             failed.pop_all()
         journal._take_over_events()
         return journal
@@ -222,115 +209,12 @@ class Journal(JournalReader):
                 beside.unlink()
 
     def close(self) -> None:
-        """Close the journal. A written journal is then whole in its one file, also while other programs read it.
-
-        Where that cannot be, `note` has the reason. A journal that has lost its name is kept as a copy under another one.
-        """
+        """Close the journal. A written journal is then whole in its one file, also while other programs read it."""
         with self._writes:  # not in the middle of an event of another thread: Python's SQLite then crashes
             if self._together:
                 with contextlib.suppress(sqlite3.Error):  # of a rehearsal
                     self._commit_all()
-            moved = self._moved()
-            if moved:
-                self._rescue()
-            remains = ""
-            try:
-                if self._lock is not None:
-                    self._make_one_file()
-            except sqlite3.Error:  # another program has it open
-                if self._written and not moved:
-                    remains = self._finish()
-            self._db.close()
-        if remains and _size(wal := Path(f"{os.path.realpath(self.path)}-wal")):
-            self.note = f"{self.path}: rows remain in {wal}, because {remains}; use goniotwin copy to have all in one file"
-        if self._lock is not None:
-            self._lock.release(remove=True)
-
-    def _make_one_file(self) -> None:
-        """End the write-ahead log, after the short queries of others, for which SQLite does not wait. Raises sqlite3.Error."""
-        clock = RealClock()
-        while True:
-            try:
-                self._db.execute("PRAGMA journal_mode = DELETE")
-                return
-            except sqlite3.OperationalError as error:
-                if error.sqlite_errorcode != sqlite3.SQLITE_BUSY or clock.now() > QUERY_S:
-                    raise
-            clock.sleep_until(clock.now() + 0.01)
-
-    def _finish(self) -> str:
-        """Bring all rows into the file of a journal that other programs have open; return why that cannot be, if so.
-
-        SQLite waits some seconds for their reading to end. If it does not end, the journal is replaced by a copy; they keep
-        the file that they have open. Windows does not permit that, and a hard link would still lead to that file.
-        """
-        with contextlib.suppress(sqlite3.Error):
-            if not self._db.execute("PRAGMA wal_checkpoint(FULL)").fetchone()[0]:
-                return ""
-        remains = "another program reads it"
-        if os.name == "nt":
-            return remains
-        file = Path(os.path.realpath(self.path))
-        spare = _spare(file)
-        try:
-            if (status := file.stat()).st_nlink > 1:
-                return f"{remains}, and it has another name too (a hard link)"
-            _remove(spare)
-            _copy(self._db, spare)
-            made = spare.stat()
-            if (made.st_uid, made.st_gid) != (status.st_uid, status.st_gid):
-                os.chown(spare, status.st_uid, status.st_gid)
-            shutil.copymode(file, spare)
-            self._db.close()
-            spare.replace(file)
-            sync_folder(file.parent)
-            for suffix in ("-wal", "-shm"):
-                Path(f"{file}{suffix}").unlink(missing_ok=True)
-            return ""
-        except (sqlite3.Error, OSError) as error:
-            reason = _room_on_disk(file, error)
-            return f"{remains}, and a copy cannot take its place: {error}{f' ({reason})' if reason else ''}"
-        finally:
-            _discard(spare)
-
-    def _moved(self) -> bool:
-        """Whether the name of a journal that is written leads to another file, or to none."""
-        if self._lock is None or self._lock.identity is None:
-            return False
-        try:
-            return identity_of(self.path) != self._lock.identity
-        except (FileNotFoundError, NotADirectoryError):
-            return True
-        except OSError:  # a network disk that does not answer
-            return False
-
-    def _check_place(self) -> None:
-        """Raise JournalError where the rows go into a file that is not found by the journal's name any more."""
-        if self._moved():
-            now = "another file" if os.path.lexists(self.path) else "no file"
-            raise JournalError(
-                f"{self.path}: was moved, renamed or removed during the run, and {now} has its name now; "
-                "a copy with all rows is made, which can be resumed"
-            )
-
-    def _rescue(self) -> None:
-        """Copy a journal that has lost its name to a free name beside the old one, or in the nearest folder that permits it."""
-        folders = [self.path.parent]
-        with contextlib.suppress(OSError):  # the program's own folder was removed
-            folders += self.path.absolute().parent.parents
-        lost, failed = f"{self.path}: was moved, renamed or removed while it was written", ""
-        for folder in filter(Path.is_dir, [*folders, Path(tempfile.gettempdir())]):
-            names = (f"{self.path.stem}-rescued{f'-{k}' if k else ''}{self.path.suffix}" for k in itertools.count())
-            copy = next(each for each in map(folder.joinpath, names) if not os.path.lexists(each))
-            try:
-                _new_copy(self._db, copy, self.path)
-            except UserError as error:
-                failed = failed or str(error)
-            else:
-                self.kept_at = copy
-                self.note = f"{lost}; {copy} has all its rows: use that"
-                return
-        self.note = f"{lost}, and a copy cannot be made: {failed}; the rows are where the file is now"
+            self.place.end(self._db, written=self._written)
 
     def tend(self, t: float) -> None:
         """Bring the rows into the journal's one file if it is time; `t` is on the rig's clock. Raises JournalError."""
@@ -343,7 +227,7 @@ class Journal(JournalReader):
         Raises JournalError where the journal has lost its name.
         """
         self._checkpoint()
-        self._check_place()
+        self.place.check()
 
     def _checkpoint(self) -> None:
         with self._writes, contextlib.suppress(sqlite3.Error):  # the rows are on the disk, in the -wal file
@@ -450,7 +334,7 @@ class Journal(JournalReader):
                     self._db.execute("DELETE FROM temp.damaged WHERE number = ?", (row.number,))
                 self._link()
         self._expect_checkpoint(data.ended_s, rows=1)
-        self._check_place()
+        self.place.check()
 
     def append_session(self, path: Path, rig: str, rows: Sequence[Row]) -> None:
         """Append the one session of another journal of this plan, made by this program just now: `rows`, and its events.
@@ -515,7 +399,7 @@ class Journal(JournalReader):
                     self.chain, self._together, self._unlinked = self._safe_chain, 0, []
                     raise
         except sqlite3.Error as error:
-            remedy = _room_on_disk(self.path, error) or "check the disk, its permissions and any limit of the size of files"
+            remedy = remedy_on_disk(self.path, error) or "check the disk, its permissions and any limit of the size of files"
             if getattr(error, "sqlite_errorcode", 0) & 0xFF == sqlite3.SQLITE_BUSY:
                 remedy = "close the other program that writes to it"
             raise JournalError(f"{self.path}: cannot be written: {error}; {remedy}") from None
@@ -558,180 +442,8 @@ def _connect(path: Path, *, durable: bool = True, readers_end_s: float = READERS
     return db
 
 
-def _remove(path: Path) -> None:
-    """Delete a database and the files that SQLite keeps beside it, the database last. Raises OSError."""
-    for suffix in ("-wal", "-shm", "-journal", ""):
-        Path(f"{path}{suffix}").unlink(missing_ok=True)
-
-
-def _discard(spare: Path) -> None:
-    """Delete an unfinished journal, where the disk permits it."""
-    with contextlib.suppress(OSError):
-        _remove(spare)
-
-
-def _sweep(spare: Path) -> None:
-    """Delete the unfinished journal `spare`, whose lock is held, and those that killed programs left in its folder.
-
-    Raises OSError for the first.
-    """
-    _remove(spare)
-    for left in spare.parent.glob(f".*{UNFINISHED}"):
-        with contextlib.suppress(UserError):  # a program makes it now
-            lock = lock_journal(left.with_name(left.name[1:].removesuffix(UNFINISHED)), "removing what a killed program left")
-            _discard(left)
-            lock.release(remove=True)
-
-
-def _size(path: Path) -> int:
-    """The size of a file; 0 where there is none."""
-    with contextlib.suppress(OSError):
-        return path.stat().st_size
-    return 0
-
-
-def _check_leftovers(path: Path) -> None:
-    """Raise UserError where the name of a new journal has files that SQLite would apply to it."""
-    for leftover in (Path(f"{path}-wal"), Path(f"{path}-journal")):
-        if leftover.exists():
-            raise UserError(
-                f"{leftover}: belongs to another journal of that name; move it to that journal, or choose another name"
-            )
-
-
 def _not_overwritten(path: Path) -> UserError:
     return UserError(f"{path}: exists already, and a journal is never overwritten; choose another name")
-
-
-def _unwritable(path: Path, error: Exception) -> UserError:
-    remedy = _room_on_disk(path, error) or "check the folder and the disk"
-    return UserError(f"{path}: cannot be written: {error}; {remedy}")
-
-
-def _room_on_disk(path: Path, error: Exception) -> str:
-    """The remedy where a journal cannot be written because the disk is full; else empty.
-
-    SQLite may report a full disk as any error of input and output, and such an error as one: another file shows it.
-    """
-    if isinstance(error, OSError):
-        return room_on_disk(error)
-    try:
-        with tempfile.TemporaryFile(dir=path.parent) as file:
-            file.write(bytes(PROBE_BYTES))
-    except OSError as found:
-        return room_on_disk(found)
-    return room_on_disk(OSError(errno.ENOSPC, "")) if getattr(error, "sqlite_errorcode", 0) == sqlite3.SQLITE_FULL else ""
-
-
-def _check_file(path: Path) -> None:
-    if not path.is_file():
-        what = "is a folder or a device, not a journal" if path.exists() else "there is no such journal"
-        raise UserError(f"{path}: {what}; check the name")
-
-
-def _known_version(path: Path) -> int:
-    """The schema version of a journal.
-
-    Raises UserError for a file that is not a journal, or too new, and DamagedJournal for one that may have been a journal: half
-    of a file, or a copy that was made while rows were written.
-    """
-    _check_file(path)
-    try:
-        with contextlib.closing(open_read_only(path)) as db:
-            found = db.execute("PRAGMA application_id").fetchone()[0]
-            version = int(db.execute("PRAGMA user_version").fetchone()[0])
-            if found == APPLICATION_ID and 1 <= version <= SCHEMA_VERSION:
-                with bound_steps(db, path):
-                    check_schema(db, version)
-    except ValueError as error:
-        raise UserError(f"{path}: {error}; use the journal as goniotwin wrote it, or a copy of that") from None
-    except (sqlite3.Error, OSError) as error:
-        if getattr(error, "sqlite_errorname", "").startswith("SQLITE_CORRUPT"):
-            with report_damage(path):
-                raise
-        raise UserError(f"{path}: is not a journal: {' '.join(str(error).split())}; is it the right file?") from None
-    if found != APPLICATION_ID or version < 1:
-        what = "is an SQLite file, but not a journal of goniotwin" if path.stat().st_size > 1 else "is empty"
-        raise UserError(f"{path}: {what}; is it the right file?")
-    if version > SCHEMA_VERSION:
-        raise UserError(f"{path}: has schema {version}, newer than {SCHEMA_VERSION}; use a newer goniotwin")
-    return version
-
-
-def copy_journal(path: Path, copy: Path, progress: Progress | None = None) -> Chain:
-    """Copy a journal as it is now to one file, also while its campaign runs, and check the copy; return its chain.
-
-    The copy has its name when it is whole. `progress` is called as that of `sqlite3.Connection.backup` is. Raises UserError
-    where the copy cannot be made, and DamagedJournal for a journal of which more than rows, plan or sessions is damaged.
-    """
-    _known_version(path)
-    try:
-        with contextlib.closing(open_read_only(path)) as db:
-            return _new_copy(db, copy, path, progress)
-    except (sqlite3.Error, OSError) as error:
-        raise _unwritable(copy, error) from None
-
-
-def _new_copy(db: sqlite3.Connection, copy: Path, path: Path, progress: Progress | None = None) -> Chain:
-    """Copy the journal `path`, open as `db`, to a new file, and check it. Raises UserError; nothing is overwritten."""
-    exists = UserError(f"{copy}: exists, and nothing is overwritten; choose another name")
-    if os.path.lexists(copy):
-        raise exists
-    if not copy.parent.is_dir():
-        raise UserError(f"{copy}: cannot be written: there is no folder {copy.parent}; create it first")
-    try:
-        lock = lock_journal(copy, f"copied from {path}")
-    except RigInUse as used:
-        raise UserError(f"{copy}: is being written by {used.holder}; nothing is overwritten: choose another name") from None
-    spare = _spare(copy)
-    try:
-        _check_leftovers(copy)
-        _sweep(spare)
-        _copy(db, spare, progress)
-        with contextlib.closing(open_read_only(spare)) as made:
-            chain = _checked(made, path)
-        name_new_file(spare, copy)
-        sync_folder(copy.parent)
-        return chain
-    except FileExistsError:
-        raise exists from None
-    except (sqlite3.Error, OSError) as error:
-        raise _unwritable(copy, error) from None
-    finally:
-        _discard(spare)
-        lock.release(remove=True)
-
-
-def _copy(db: sqlite3.Connection, to: Path, progress: Progress | None = None) -> None:
-    """Copy a snapshot of a database to a new file, which is then on the disk. Raises sqlite3.Error."""
-    with contextlib.closing(sqlite3.connect(to)) as copy:
-        db.backup(copy, progress=progress)
-        copy.execute("PRAGMA journal_mode = DELETE")
-
-
-def _spare(path: Path) -> Path:
-    """The name of a journal until it is complete; the holder of the journal's lock may make and delete it."""
-    return path.with_name(f".{path.name}{UNFINISHED}")
-
-
-def _checked(db: sqlite3.Connection, path: Path) -> Chain:
-    """The chain of a journal, compared with all of it in one snapshot.
-
-    Raises UserError, and closes `db`, where more than rows, plan or sessions is damaged.
-    """
-    try:
-        with report_damage(path), bound_steps(db, path):
-            db.execute("BEGIN")
-            (found,) = db.execute("PRAGMA integrity_check(1)").fetchone()
-            if found != "ok":
-                raise ValueError(found)
-            check_lengths(db)
-            chain = check_chain(db)
-            db.execute("COMMIT")
-            return chain
-    except UserError:
-        db.close()
-        raise
 
 
 NEXT_ATTEMPT = """

@@ -14,7 +14,8 @@ from typing import TypeVar
 import numpy as np
 
 from goniotwin.app.campaign.geometry.directions import scan_plane_deg
-from goniotwin.app.campaign.journal.writing import Journal, JournalError, software_versions
+from goniotwin.app.campaign.journal.place import JournalError
+from goniotwin.app.campaign.journal.writing import Journal, software_versions
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.row import SKIPPED, WAKE_PREFIX, Row, RowData
 from goniotwin.app.campaign.running.events import (

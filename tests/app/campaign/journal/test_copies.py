@@ -12,9 +12,10 @@ from pathlib import Path
 import pytest
 
 from goniotwin.app.campaign.campaign import resume_campaign, run_campaign
-from goniotwin.app.campaign.journal import writing
+from goniotwin.app.campaign.journal import copies
+from goniotwin.app.campaign.journal.copies import copy_journal
 from goniotwin.app.campaign.journal.reading import DamagedJournal
-from goniotwin.app.campaign.journal.writing import CHECKPOINT_ROWS, CHECKPOINT_S, Journal, copy_journal
+from goniotwin.app.campaign.journal.writing import CHECKPOINT_ROWS, CHECKPOINT_S, Journal
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.running.events import Event, RowCommitted, State
 from goniotwin.app.cli.main import app
@@ -187,7 +188,7 @@ def test_of_two_copies_to_one_name_one_is_made_and_nothing_is_overwritten(
 def test_what_killed_programs_left_is_removed_and_what_is_being_made_is_not(plan: Plan, tmp_path: Path) -> None:
     journal = tmp_path / "a.journal"
     run_campaign(plan, journal)
-    left, made = (tmp_path / f".{name}.journal{writing.UNFINISHED}" for name in ("killed", "made"))
+    left, made = (tmp_path / f".{name}.journal{copies.UNFINISHED}" for name in ("killed", "made"))
     for each in (left, Path(f"{left}-wal"), made):
         each.write_bytes(b"part")
     lock = lock_journal(tmp_path / "made.journal", "measuring")

@@ -15,7 +15,9 @@ import numpy as np
 import pytest
 
 from goniotwin.app.campaign.campaign import run_campaign
-from goniotwin.app.campaign.journal.writing import Journal, JournalError, copy_journal
+from goniotwin.app.campaign.journal.copies import copy_journal
+from goniotwin.app.campaign.journal.place import JournalError
+from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.row import Reading, RowData
 from goniotwin.app.campaign.studies.reduced_journal import reduce_journal

@@ -147,7 +147,7 @@ def test_a_run_whose_journal_cannot_be_read_back_has_not_status_0(
 
     def close_and_damage(journal: Journal) -> None:
         close(journal)
-        if journal.path == path and journal.kept_at.exists():
+        if journal.path == path and journal.place.kept_at.exists():
             damage(path)
 
     monkeypatch.setattr(Journal, "close", close_and_damage)

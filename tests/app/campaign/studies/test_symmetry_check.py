@@ -10,7 +10,8 @@ import pytest
 from typer.testing import CliRunner
 
 from goniotwin.app.campaign.campaign import run_campaign
-from goniotwin.app.campaign.journal.writing import Journal, copy_journal
+from goniotwin.app.campaign.journal.copies import copy_journal
+from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.reduction.points import steepness
 from goniotwin.app.campaign.rehearsal.rehearsal import plan_rehearsal, rehearse
