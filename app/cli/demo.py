@@ -14,10 +14,11 @@ from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.running.events import State
 from goniotwin.app.campaign.schedule.file import read_schedule
-from goniotwin.app.campaign.studies.comparison import Comparison, compare, cut_figure
 from goniotwin.app.campaign.studies.reduced_journal import BsdfDataset, reduce_journal
+from goniotwin.app.campaign.studies.theory import cut_figure
 from goniotwin.app.cli.compilation import compile_ahead
 from goniotwin.app.cli.progress import RowProgress
+from goniotwin.app.data.comparison import DatasetComparison, compare_figure_13
 from goniotwin.app.data.conversion import Choice, convert_reduced, format_to_write
 from goniotwin.app.data.report.report import write_report
 from goniotwin.app.errors import MissingPackage, UserError
@@ -45,11 +46,11 @@ def run_demo(
     with tempfile.TemporaryDirectory() as folder:
         quiet_plan = make_plan(schedule, _without_noise(rig))
         ideal, _ = _measure(quiet_plan, Path(folder) / "noise-free.journal", None, console, "noise-free")
-    measured = compare(rig, SAMPLE, reduced.samples[SAMPLE])
-    noise_free = compare(rig, SAMPLE, ideal.samples[SAMPLE])
+    measured = compare_figure_13(rig, SAMPLE, reduced.samples[SAMPLE])
+    noise_free = compare_figure_13(rig, SAMPLE, ideal.samples[SAMPLE])
     for name in ("ddr", "csv"):
         convert_reduced(reduced, files[name], format_to_write(files[name]), Choice(SAMPLE))
-    cut_figure(reduced, SAMPLE, measured, files["png"])
+    cut_figure(reduced, SAMPLE, measured.by_sigma, files["png"])
     try:
         write_report(files["journal"], files["html"])
     except MissingPackage as error:  # a demo without it is as good
@@ -62,8 +63,8 @@ def run_demo(
         "wall_s": clock.now(),
         "relative_rms_percent": _by_sigma(measured),
         "noise_free_percent": _by_sigma(noise_free),
-        "directions": {f"{each.sigma_deg:g}": each.count for each in measured},
-        "hidden_theta_deg": {f"{each.sigma_deg:g}": list(each.hidden_deg) for each in measured},
+        "directions": {f"{each.light.sigma_deg:g}": each.count for each in measured.lights},
+        "hidden_theta_deg": {f"{each.light.sigma_deg:g}": list(each.blocked_deg) for each in measured.lights},
         "simulated": rig.simulated,
         "seed": rig.seed,
         "findings": list(reduced.findings),
@@ -89,18 +90,18 @@ def _without_noise(rig: RigDescription) -> RigDescription:
     return replace(rig, file=replace(rig.file, twin=replace(rig.file.twin, noise=False)))
 
 
-def _by_sigma(comparisons: list[Comparison]) -> dict[str, float]:
-    return {f"{each.sigma_deg:g}": each.relative_rms_percent for each in comparisons}
+def _by_sigma(found: DatasetComparison) -> dict[str, float]:
+    return {f"{sigma:g}": percent for sigma, percent in found.by_sigma.items()}
 
 
-def _print_result(console: Console, result: dict[str, Any], measured: list[Comparison], noise_free: list[Comparison]) -> None:
+def _print_result(console: Console, result: dict[str, Any], measured: DatasetComparison, noise_free: DatasetComparison) -> None:
     table = Table(title="Relative RMS against theory (formula 5), Gaussian of 5 deg", title_justify="left")
     for column in ("sigma", "measured", "noise-free", "directions", "blocked by the mirror unit"):
         table.add_column(column, justify="right" if column != "blocked by the mirror unit" else "left")
-    for noisy, ideal in zip(measured, noise_free, strict=True):
-        blocked = f"theta {noisy.hidden_deg[0]:g} to {noisy.hidden_deg[-1]:g} deg" if noisy.hidden_deg else ""
+    for noisy, ideal in zip(measured.lights, noise_free.lights, strict=True):
+        blocked = f"theta {noisy.blocked_deg[0]:g} to {noisy.blocked_deg[-1]:g} deg" if noisy.blocked_deg else ""
         table.add_row(
-            f"{noisy.sigma_deg:g} deg",
+            f"{noisy.light.sigma_deg:g} deg",
             f"{noisy.relative_rms_percent:.2f} %",
             f"{ideal.relative_rms_percent:.2f} %",
             str(noisy.count),

@@ -18,25 +18,27 @@ import numpy as np
 
 from goniotwin.app.campaign.geometry.directions import in_plane_of_incidence
 from goniotwin.app.campaign.measurement_model.effects import Effects
-from goniotwin.app.campaign.reduction.components import logarithmic
+from goniotwin.app.campaign.reduction.components import deviation_in_u
 from goniotwin.app.campaign.reduction.effects_of_points import effects_of
 from goniotwin.app.campaign.reduction.points import BsdfPoints
-from goniotwin.app.campaign.studies.comparison import noisy, true_bsdf
+from goniotwin.app.campaign.studies.theory import noisy, theoretical_bsdf, true_bsdf
 from goniotwin.app.data.dataset import Dataset
 from goniotwin.app.data.interpolation import direction_grid, interpolated
-from goniotwin.app.data.opening import open_dataset
+from goniotwin.app.data.opening import open_dataset, sample_of_points
 from goniotwin.app.data.values import EQUAL, LightSetting, SampleData, as_numbers, flag, quoted, with_names
 from goniotwin.app.errors import UserError
-from goniotwin.app.formats.content import ABSENT
+from goniotwin.app.formats.content import ABSENT, ScatteredBsdf, flagged
 from goniotwin.app.formats.file import StrPath
-from goniotwin.app.rig.samples import parse_sample
-from goniotwin.app.simulation.paper.gaussian_cut import HIGHEST_ZENITH_DEG, relative_rms_percent
+from goniotwin.app.rig import RigDescription
+from goniotwin.app.rig.samples import GaussianTable, parse_sample
+from goniotwin.app.simulation.paper.gaussian_cut import HIGHEST_ZENITH_DEG, WIDTHS, relative_rms_percent
 from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.twin.optics import Scatterer, arc_direction, evaluate, light_direction
 from goniotwin.twin.optics.geometry.coordinates import (
     DECIMALS,
     TOLERANCE_DEG,
     TURN_DEG,
+    aspecular_deg,
     mirror_in_sample_plane,
     round_deg,
     turn_about_x,
@@ -47,6 +49,8 @@ LEAST_SHARE = 0.01
 MOST_OF_CHI_SQUARE = 500
 """Directions of one light of which chi-square is computed; of more every second, third and so on."""
 LEAST_EIGENVALUE = 1e-10
+SHADOWED = "shadowed"
+"""Flag of a direction that the mirror unit blocks."""
 MOST_LISTED = 4
 """Lights that a message names."""
 
@@ -77,7 +81,8 @@ class LightComparison:
     `z` is their difference, first less second, in its standard uncertainty; NaN where none is known. `index` are the values of
     the first dataset. `in_range` are the directions of formula 5, and `count` their number, each direction once;
     `relative_rms_percent` is formula 5, NaN without any. `chi_square` is of `degrees` directions; NaN where the covariance is
-    not known.
+    not known. `blocked_deg` are the aspecular angles of the directions of this range, in the plane of incidence, that the
+    mirror unit blocks: negative on the grazing side of the specular direction.
     """
 
     light: LightSetting
@@ -96,6 +101,7 @@ class LightComparison:
     count: int
     chi_square: float
     degrees: int
+    blocked_deg: tuple[float, ...] = ()
 
     @property
     def share_within_2(self) -> float:
@@ -162,6 +168,11 @@ class DatasetComparison:
         return math.sqrt(math.fsum(squares) / count) if count else math.nan
 
     @property
+    def by_sigma(self) -> dict[float, float]:
+        """Formula 5 of each incidence, %; of several lights of one incidence the last."""
+        return {each.light.sigma_deg: each.relative_rms_percent for each in self.lights}
+
+    @property
     def simulated(self) -> bool:
         """Whether any of the two is simulated."""
         return self.first.simulated or self.second.simulated
@@ -220,6 +231,22 @@ def compare(
     return DatasetComparison(a, b, limits, tuple(found), tuple(notes))
 
 
+def compare_figure_13(rig: RigDescription, sample: str, points: BsdfPoints) -> DatasetComparison:
+    """Compare points of a Gaussian sample with theory as the paper's figure 13 does, at each sigma.
+
+    Its range is the plane of incidence, theta to 2 widths and the polar angle to 85 deg, without the directions that the mirror
+    unit blocks. Raises UserError for any other sample.
+    """
+    table = rig.file.twin.samples.get(sample) if rig.file.twin is not None else None
+    if not isinstance(table, GaussianTable):
+        raise UserError(f"{rig.name}: {sample!r} is not a Gaussian sample of a virtual rig, so formula 5 has no range")
+    points = points.front
+    measured = sample_of_points(points, sample, isotropic=True, generated=rig.simulated)
+    exact = replace(measured, values=_exact(measured.values, theoretical_bsdf(rig, sample, points)))
+    one, other = (Dataset(rig.name, "journal", {sample: each}) for each in (measured, exact))
+    return compare(one, other, theta_deg=WIDTHS * table.width_deg, least_share=0.0, in_plane=True)
+
+
 @with_names
 def theory(dataset: Dataset | StrPath, sample: str | None = None) -> Dataset:
     """The known BSDF of a model at the directions of a dataset, exact: u is 0.
@@ -242,8 +269,14 @@ def theory(dataset: Dataset | StrPath, sample: str | None = None) -> Dataset:
             )
         truth = true_bsdf(model.samples[like.sample], data.measured.points)
         name = f"{like.sample} of the virtual rig"
-    values = replace(
-        data.values,
+    made = replace(data, values=_exact(data.values, truth), regular=(), measured=None)
+    return Dataset(f"theory: {name}", "theory", {like.sample: made}, ("a model's BSDF, without an instrument",))
+
+
+def _exact(values: ScatteredBsdf, truth: Floats) -> ScatteredBsdf:
+    """Values that are known, in the directions of others."""
+    return replace(
+        values,
         values=truth,
         u=np.zeros(truth.size),
         u_shared=np.zeros(truth.size),
@@ -253,8 +286,6 @@ def theory(dataset: Dataset | StrPath, sample: str | None = None) -> Dataset:
         interval=ABSENT,
         generated=True,
     )
-    made = replace(data, values=values, regular=(), measured=None)
-    return Dataset(f"theory: {name}", "theory", {like.sample: made}, ("a model's BSDF, without an instrument",))
 
 
 def _model_values(scatterer: Scatterer, data: SampleData) -> Floats:
@@ -366,9 +397,7 @@ def _compare_light(
     values = one.values
     first, u_first = values.values[index], np.asarray(values.u)[index]
     polar, azimuth = values.polar_deg[index], values.azimuth_deg[index]
-    chosen = (theta <= limits.theta_deg + TOLERANCE_DEG) & (polar <= limits.polar_deg + TOLERANCE_DEG)
-    if limits.in_plane:
-        chosen &= in_plane_of_incidence(polar, azimuth - light.psi_deg)
+    chosen = _in_range(one, index, limits)
     mean = 0.5 * (first + second)
     chosen &= (mean >= limits.least_share * np.max(mean, initial=0.0)) & (mean > 0.0)
     once_first, once_second = _direction_means(theta[chosen], phi[chosen], first[chosen], second[chosen])
@@ -391,7 +420,23 @@ def _compare_light(
         once_first.size,
         chi_square,
         degrees,
+        _blocked(one, light, limits),
     )
+
+
+def _in_range(data: SampleData, index: Ints, limits: Range) -> Flags:
+    """Whether the directions of some values are in range."""
+    polar = data.values.polar_deg[index]
+    chosen = (data.theta_deg[index] <= limits.theta_deg + TOLERANCE_DEG) & (polar <= limits.polar_deg + TOLERANCE_DEG)
+    if limits.in_plane:
+        chosen &= in_plane_of_incidence(polar, data.values.azimuth_deg[index] - data.values.psi_deg[index])
+    return np.asarray(chosen)
+
+
+def _blocked(data: SampleData, light: LightSetting, limits: Range) -> tuple[float, ...]:
+    index = light.index[flagged(np.asarray(data.values.flags)[light.index], {SHADOWED})]
+    index = index[_in_range(data, index, replace(limits, in_plane=True))]
+    return tuple(np.unique(round_deg(aspecular_deg(data.theta_deg[index], data.phi_deg[index]))).tolist())
 
 
 def _direction_means(theta: Floats, phi: Floats, *values: Floats) -> list[Floats]:
@@ -438,20 +483,15 @@ def _joined(one: SampleData, index: Ints, other: SampleData, there: Ints) -> Eff
 def _deviations(first: Values, second: Values) -> Floats:
     """z (n,) by the rule of intervals; an uncertainty that is not known counts as 0, and z is NaN where none is known."""
     (one, index, a, u_a), (other, there, b, u_b) = first, second
-    variance = np.nan_to_num(u_a) ** 2 + np.nan_to_num(u_b) ** 2
+    variance: Floats = np.nan_to_num(u_a) ** 2 + np.nan_to_num(u_b) ** 2
     if _of_one_journal(one, other):
         both = np.flatnonzero(there >= 0)
         pairs = np.arange(both.size)
         common = _joined(one, index[both], other, there[both]).paired_covariance(pairs, both.size + pairs)
         variance[both] -= 2.0 * common
     known = (np.isfinite(u_a) | np.isfinite(u_b)) & (variance > 0.0)
-    u = np.sqrt(np.where(known, variance, np.nan))
-    z = (a - b) / u
-    if one.measured is not None:
-        chosen = logarithmic(a, u, noisy(one.measured.points.where(index))) & (b > 0.0)
-        ratio = np.where(chosen, a, 1.0) / np.where(chosen, b, 1.0)
-        z = np.where(chosen, np.log(ratio) * a / u, z)
-    return np.asarray(z)
+    linear = np.ones(a.size, dtype=bool) if one.measured is None else noisy(one.measured.points.where(index))
+    return deviation_in_u(a, np.sqrt(np.where(known, variance, np.nan)), linear, b)
 
 
 def _chi_square(first: Values, second: Values, chosen: Flags) -> tuple[float, int]:

@@ -25,7 +25,10 @@ from goniotwin.app.campaign.reduction.reduction import Reduction
 from goniotwin.app.campaign.reduction.scale import deviate_of_sum
 from goniotwin.app.campaign.reduction.settings import ReductionSettings
 from goniotwin.app.campaign.studies.budget import INDEX, finished_blocks
-from goniotwin.app.campaign.studies.comparison import (
+from goniotwin.app.campaign.studies.decades import DECADE_NAMES, decades_below_peak
+from goniotwin.app.campaign.studies.evaluation import evaluate_journal
+from goniotwin.app.campaign.studies.reflectance import components_of_sum, integration_settings, quadrature
+from goniotwin.app.campaign.studies.theory import (
     deviations_in_u,
     moved_logarithm,
     noisy,
@@ -33,9 +36,6 @@ from goniotwin.app.campaign.studies.comparison import (
     true_bsdf,
     with_true_slopes,
 )
-from goniotwin.app.campaign.studies.decades import DECADE_NAMES, decades_below_peak
-from goniotwin.app.campaign.studies.evaluation import evaluate_journal
-from goniotwin.app.campaign.studies.reflectance import components_of_sum, integration_settings, quadrature
 from goniotwin.app.rig import AXES
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics import Scatterer

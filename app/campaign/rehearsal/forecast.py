@@ -18,9 +18,9 @@ from goniotwin.app.campaign.reduction.components import COVERAGE
 from goniotwin.app.campaign.reduction.points import BsdfPoints, Tally
 from goniotwin.app.campaign.reduction.reduction import BLOCK_ROWS, Reduction
 from goniotwin.app.campaign.studies.checks import CheckResults, ConsistencyChecks
-from goniotwin.app.campaign.studies.comparison import deviations_in_u, true_bsdf
 from goniotwin.app.campaign.studies.decades import UncertaintyByDecade, UncertaintySummary, relative_uncertainty
 from goniotwin.app.campaign.studies.evaluation import evaluate_journal
+from goniotwin.app.campaign.studies.theory import deviations_in_u, true_bsdf
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats import FormatError, PointStream
 from goniotwin.app.formats.registry import Holds, format_for

@@ -16,8 +16,8 @@ from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.running.events import Event, RowStarted, State
 from goniotwin.app.campaign.schedule.file import parse_schedule
-from goniotwin.app.campaign.studies.comparison import theoretical_bsdf
 from goniotwin.app.campaign.studies.reduced_journal import reduce_journal
+from goniotwin.app.campaign.studies.theory import theoretical_bsdf
 from goniotwin.app.rig import OpenRig, parse_rig
 from goniotwin.twin.plant import Plant
 from tests.app.campaign.campaign_bench import RunResult, run_plan

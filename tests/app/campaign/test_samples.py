@@ -14,10 +14,10 @@ from goniotwin.app.campaign.reduction.effects_of_points import effects_of
 from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.campaign.studies.budget import finished_blocks
-from goniotwin.app.campaign.studies.comparison import deviations_in_u, theoretical_bsdf, true_bsdf
 from goniotwin.app.campaign.studies.evaluation import evaluate_journal
 from goniotwin.app.campaign.studies.reduced_journal import BsdfDataset, reduce_journal
 from goniotwin.app.campaign.studies.reflectance import components_of_sum, integration_settings, quadrature
+from goniotwin.app.campaign.studies.theory import deviations_in_u, theoretical_bsdf, true_bsdf
 from goniotwin.app.formats import BsdfTable
 from goniotwin.app.formats.content import BsdfFile
 from goniotwin.app.formats.ddr import write as write_ddr

@@ -17,9 +17,9 @@ from goniotwin.app.campaign.rehearsal.without_wires import run_without_wires
 from goniotwin.app.campaign.running.events import State
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.campaign.studies.closure import ClosureReport
-from goniotwin.app.campaign.studies.comparison import deviations_in_u, theoretical_bsdf
 from goniotwin.app.campaign.studies.evaluation import evaluate_journal
 from goniotwin.app.campaign.studies.reduced_journal import BsdfDataset, reduce_journal
+from goniotwin.app.campaign.studies.theory import deviations_in_u, theoretical_bsdf
 from goniotwin.app.rig import parse_rig
 from tests.app.campaign.campaign_bench import run_plan
 from tests.conftest import RIG, Change, changed

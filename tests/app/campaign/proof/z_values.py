@@ -17,8 +17,8 @@ from goniotwin.app.campaign.proof.structures import draw_structure
 from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.rehearsal.without_wires import run_without_wires
 from goniotwin.app.campaign.studies.budget import finished_blocks
-from goniotwin.app.campaign.studies.comparison import deviations_in_u, true_bsdf
 from goniotwin.app.campaign.studies.evaluation import evaluate_journal
+from goniotwin.app.campaign.studies.theory import deviations_in_u, true_bsdf
 from goniotwin.app.rig import read_rig
 from goniotwin.arrays import Floats
 from goniotwin.linear_algebra import one_thread_in_linear_algebra

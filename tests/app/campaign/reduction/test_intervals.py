@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from goniotwin.app.campaign.reduction.components import COVERAGE, interval, mostly_added
-from goniotwin.app.campaign.studies.comparison import deviations_in_u
+from goniotwin.app.campaign.studies.theory import deviations_in_u
 from tests.app.campaign.reduction.made_points import made_points
 
 

@@ -16,8 +16,9 @@ from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.running.events import Event, RowCommitted, State
 from goniotwin.app.campaign.schedule.file import read_schedule
-from goniotwin.app.campaign.studies.comparison import compare, cut_figure, theoretical_bsdf
 from goniotwin.app.campaign.studies.reduced_journal import BsdfDataset, reduce_journal
+from goniotwin.app.campaign.studies.theory import cut_figure, theoretical_bsdf
+from goniotwin.app.data.comparison import compare_figure_13
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import OpenRig, read_rig
 from goniotwin.app.rig.inputs import inputs
@@ -53,16 +54,16 @@ def demo(demo_run: tuple[Path, dict[str, Any]]) -> BsdfDataset:
 
 
 def test_the_demos_gaussian_is_within_3_percent_of_theory(demo: BsdfDataset) -> None:
-    found = compare(demo.rig, "gaussian-5", demo.samples["gaussian-5"])
-    assert [each.sigma_deg for each in found] == [0.0, 30.0, 60.0]
+    found = compare_figure_13(demo.rig, "gaussian-5", demo.samples["gaussian-5"]).lights
+    assert [each.light.sigma_deg for each in found] == [0.0, 30.0, 60.0]
     assert all(each.relative_rms_percent <= 3.0 for each in found)
     assert [each.count for each in found] == [26, 41, 41]
 
 
 def test_directions_blocked_at_normal_incidence_are_flagged_and_listed(demo: BsdfDataset) -> None:
-    normal = compare(demo.rig, "gaussian-5", demo.samples["gaussian-5"])[0]
+    normal = compare_figure_13(demo.rig, "gaussian-5", demo.samples["gaussian-5"]).lights[0]
     # Mirror 3 blocks about 3.5 deg around the retro-direction, which is the specular one at sigma 0.
-    assert normal.hidden_deg == tuple(np.arange(-3.5, 3.6, 0.5))
+    assert normal.blocked_deg == tuple(np.arange(-3.5, 3.6, 0.5))
     points = demo.samples["gaussian-5"]
     blocked = points.where((points.sigma_deg == 0.0) & (points.theta_deg < 2.0))
     assert blocked.flag("shadowed").all()
@@ -75,8 +76,8 @@ def test_the_figure_is_marked_as_simulated_whatever_its_heading_ends_with(
     texts: list[str] = []
     monkeypatch.setattr(Figure, "savefig", lambda figure, _: texts.extend(text.get_text() for text in figure.axes[0].texts))
     for each in (demo, replace(demo, chain="", notes=(*demo.notes, "a last note"))):
-        comparisons = compare(each.rig, "gaussian-5", each.samples["gaussian-5"])
-        cut_figure(each, "gaussian-5", comparisons, tmp_path / "cut.png")
+        found = compare_figure_13(each.rig, "gaussian-5", each.samples["gaussian-5"])
+        cut_figure(each, "gaussian-5", found.by_sigma, tmp_path / "cut.png")
         assert texts[-1] == f"SIMULATED (seed {demo.rig.seed})"
         texts.clear()
 
@@ -96,10 +97,10 @@ def test_the_blur_that_is_corrected_is_that_of_an_independent_program(
     reduced = measure(write_rig(("noise = true", "noise = false")), schedule)
     points = reduced.samples["gaussian-5"]
     blurred = replace(points, bsdf=points.bsdf * np.exp(-points.field_correction))
-    found = {each.sigma_deg: each for each in compare(reduced.rig, "gaussian-5", blurred)}
+    found = compare_figure_13(reduced.rig, "gaussian-5", blurred).by_sigma
     # An independent prototype of this geometry, without obstruction: 0.62 % at 30 deg, 0.53 % at 60 deg.
-    assert found[30.0].relative_rms_percent == pytest.approx(0.62, abs=0.1)
-    assert found[60.0].relative_rms_percent == pytest.approx(0.53, abs=0.1)
+    assert found[30.0] == pytest.approx(0.62, abs=0.1)
+    assert found[60.0] == pytest.approx(0.53, abs=0.1)
 
 
 @pytest.mark.parametrize(
@@ -123,10 +124,10 @@ def test_a_wrong_gear_or_sense_in_the_rig_file_shows_in_the_bsdf(
     """The virtual rig has its own mechanics, so that the error does not cancel."""
     schedule = write_schedule(("[0, 30, 60]", "[30]"), ("step = 0.5", "step = 1.5"), text=SCHEDULE.read_text(encoding="utf-8"))
     reduced = measure(write_rig(change), schedule)
-    right = compare(demo.rig, "gaussian-5", demo.samples["gaussian-5"])
-    wrong = compare(demo.rig, "gaussian-5", reduced.samples["gaussian-5"])
-    worst = max(each.relative_rms_percent for each in wrong)
-    assert worst > 5.0 * max(each.relative_rms_percent for each in right)
+    right = compare_figure_13(demo.rig, "gaussian-5", demo.samples["gaussian-5"])
+    wrong = compare_figure_13(demo.rig, "gaussian-5", reduced.samples["gaussian-5"])
+    worst = max(wrong.by_sigma.values())
+    assert worst > 5.0 * max(right.by_sigma.values())
     assert worst > 5.0  # the limit that the paper sets for the whole instrument
 
 

@@ -20,8 +20,8 @@ from goniotwin.app.campaign.reduction.settings import ReductionSettings, reducti
 from goniotwin.app.campaign.rehearsal.rehearsal import plan_rehearsal, rehearse
 from goniotwin.app.campaign.rehearsal.without_wires import run_without_wires
 from goniotwin.app.campaign.schedule.file import parse_schedule, read_schedule
-from goniotwin.app.campaign.studies.comparison import theoretical_bsdf
 from goniotwin.app.campaign.studies.reduced_journal import BsdfDataset, reduce_journal
+from goniotwin.app.campaign.studies.theory import theoretical_bsdf
 from goniotwin.app.rig import read_rig
 from tests.app.campaign.campaign_bench import QUIET
 from tests.conftest import REPOSITORY, RIG, Writer

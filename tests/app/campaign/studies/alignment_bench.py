@@ -22,9 +22,9 @@ from goniotwin.app.campaign.rehearsal.without_wires import run_without_wires
 from goniotwin.app.campaign.schedule.file import ScheduleDescription, parse_schedule
 from goniotwin.app.campaign.studies.alignment import AlignmentResult
 from goniotwin.app.campaign.studies.budget import finished_blocks
-from goniotwin.app.campaign.studies.comparison import true_bsdf
 from goniotwin.app.campaign.studies.evaluation import evaluate_journal
 from goniotwin.app.campaign.studies.sample_alignment import align_sample
+from goniotwin.app.campaign.studies.theory import true_bsdf
 from goniotwin.app.rig import RigDescription, nominal_instrument, parse_rig
 from goniotwin.app.simulation.paper.gaussian_cut import relative_rms_percent
 from goniotwin.arrays import Floats

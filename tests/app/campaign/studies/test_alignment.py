@@ -17,9 +17,9 @@ from goniotwin.app.campaign.reduction.settings import rig_alignment
 from goniotwin.app.campaign.schedule.file import parse_schedule, read_schedule
 from goniotwin.app.campaign.studies.alignment import LEAST_DARK
 from goniotwin.app.campaign.studies.budget import budget_of_value, finished_blocks, parse_place
-from goniotwin.app.campaign.studies.comparison import true_bsdf
 from goniotwin.app.campaign.studies.evaluation import evaluate_journal
 from goniotwin.app.campaign.studies.journals import align_journal
+from goniotwin.app.campaign.studies.theory import true_bsdf
 from goniotwin.app.errors import UserError
 from goniotwin.app.json_document import json_value
 from goniotwin.app.rig import nominal_instrument, read_rig

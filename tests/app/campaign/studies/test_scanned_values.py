@@ -19,8 +19,8 @@ from goniotwin.app.campaign.reduction.reduction import Reduction
 from goniotwin.app.campaign.rehearsal.without_wires import run_without_wires
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.campaign.studies.budget import budget_of_value, finished_blocks
-from goniotwin.app.campaign.studies.comparison import deviations_in_u, true_bsdf
 from goniotwin.app.campaign.studies.evaluation import Evaluation, evaluate_journal
+from goniotwin.app.campaign.studies.theory import deviations_in_u, true_bsdf
 from goniotwin.app.rig import parse_rig
 from goniotwin.app.rig.inputs import POSITION
 from goniotwin.arrays import Floats

@@ -33,10 +33,10 @@ from goniotwin.app.campaign.running.events import State
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.campaign.studies.budget import freedom_of
 from goniotwin.app.campaign.studies.closure import TROUBLES
-from goniotwin.app.campaign.studies.comparison import deviations_in_u, theoretical_bsdf
 from goniotwin.app.campaign.studies.evaluation import evaluate_journal
 from goniotwin.app.campaign.studies.reduced_journal import BsdfDataset, reduce_journal
 from goniotwin.app.campaign.studies.standards import StandardsReport, expected_comparison
+from goniotwin.app.campaign.studies.theory import deviations_in_u, theoretical_bsdf
 from goniotwin.app.campaign.studies.verification import verify_journal
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import parse_rig

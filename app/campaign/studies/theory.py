@@ -1,24 +1,24 @@
-"""Comparison of measured points with theory: the known BSDF of a virtual rig's sample, by the paper's formula 5; with a figure.
+"""Theory: the known BSDF of a virtual rig's sample in the directions of measured points; with the paper's figure 13.
 
-Only this file uses the theory. Measurement and reduction do not.
+Measurement and reduction do not use it.
 """
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from goniotwin.app.campaign.geometry.directions import direction_keys, is_lower
+from goniotwin.app.campaign.geometry.directions import is_lower
 from goniotwin.app.campaign.reduction.components import COVERAGE, deviation_in_u, mostly_added
 from goniotwin.app.campaign.reduction.field_of_view import FieldOfView
 from goniotwin.app.campaign.reduction.points import PLACE, BsdfPoints
 from goniotwin.app.campaign.studies.reduced_journal import BsdfDataset
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription, RigFile, nominal_instrument
-from goniotwin.app.rig.samples import GaussianTable
-from goniotwin.app.simulation.paper.gaussian_cut import HIGHEST_ZENITH_DEG, WIDTHS, relative_rms_percent
+from goniotwin.app.simulation.paper.gaussian_cut import HIGHEST_ZENITH_DEG, WIDTHS
 from goniotwin.arrays import Flags, Floats
 from goniotwin.twin.optics import Scatterer, arc_direction, evaluate, light_direction
 from goniotwin.twin.optics.geometry.coordinates import (
@@ -36,20 +36,6 @@ if TYPE_CHECKING:
 COLOURS = ("#c0392b", "#b7950b", "#1e8449", "#1f618d", "#6c3483", "#616a6b")
 
 SLOPE_STEP_DEG, WAVELENGTH_STEP_NM = 0.01, 0.1
-
-
-@dataclass(frozen=True)
-class Comparison:
-    """At one sigma: the relative RMS in percent over `count` directions, and the directions without a value.
-
-    `hidden_deg` are the aspecular angles of the directions in range that the mirror unit blocks: negative on the grazing side
-    of the specular direction.
-    """
-
-    sigma_deg: float
-    relative_rms_percent: float
-    count: int
-    hidden_deg: tuple[float, ...]
 
 
 def theoretical_bsdf(rig: RigDescription, sample: str, points: BsdfPoints) -> Floats:
@@ -136,42 +122,6 @@ def noisy(points: BsdfPoints) -> Flags:
     return mostly_added(points.components)
 
 
-def compare(rig: RigDescription, sample: str, points: BsdfPoints) -> list[Comparison]:
-    """Compare a Gaussian sample with theory at each sigma: plane of incidence, theta <= 2 widths, zenith <= 85 deg.
-
-    Directions blocked by the mirror unit are omitted. A direction that two photodiodes measured counts once, with the mean.
-    Raises UserError for any other sample.
-    """
-    table = rig.file.twin.samples.get(sample) if rig.file.twin is not None else None
-    if not isinstance(table, GaussianTable):
-        raise UserError(f"{rig.name}: {sample!r} is not a Gaussian sample of a virtual rig, so formula 5 has no range")
-    points = points.front
-    chosen = points.in_plane & (points.theta_deg <= WIDTHS * table.width_deg + TOLERANCE_DEG)
-    chosen &= points.zenith_deg <= HIGHEST_ZENITH_DEG + TOLERANCE_DEG
-    comparisons = []
-    for sigma in np.unique(points.sigma_deg):
-        here = points.where(chosen & (points.sigma_deg == sigma))
-        good = here.where(here.good)
-        measured, expected = _direction_means(good, good.luminance_factor, math.pi * theoretical_bsdf(rig, sample, good))
-        blocked = here.where(here.flag("shadowed")).aspecular_deg
-        comparisons.append(
-            Comparison(
-                float(sigma),
-                relative_rms_percent(measured, expected),
-                measured.size,
-                tuple(float(each) for each in np.unique(round_deg(blocked))),
-            )
-        )
-    return comparisons
-
-
-def _direction_means(points: BsdfPoints, *values: Floats) -> list[Floats]:
-    """Means of `values` over the points of the same direction."""
-    keys = direction_keys(points.zenith_deg, points.azimuth_deg)
-    _, which, counts = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
-    return [np.bincount(which.ravel(), weights=each, minlength=counts.size) / counts for each in values]
-
-
 def _scatterer(rig: RigDescription, sample: str) -> Scatterer:
     model = rig.model()
     if model is None or sample not in model.samples:
@@ -179,10 +129,10 @@ def _scatterer(rig: RigDescription, sample: str) -> Scatterer:
     return model.samples[sample]
 
 
-def cut_figure(reduced: BsdfDataset, sample: str, comparisons: list[Comparison], path: Path) -> None:
+def cut_figure(reduced: BsdfDataset, sample: str, relative_rms_percent: Mapping[float, float], path: Path) -> None:
     """Write the paper's figure 13 as a PNG: points over theoretical curves in the plane of incidence; below, the deviation.
 
-    `sample` is one with a known theory. Blocked directions are shaded.
+    `sample` is one with a known theory, and `relative_rms_percent` formula 5 by sigma. Blocked directions are shaded.
     """
     import matplotlib as mpl  # a rehearsal needs the truth of a sample, and not the 30 MB of what draws
     from matplotlib.figure import Figure
@@ -192,8 +142,9 @@ def cut_figure(reduced: BsdfDataset, sample: str, comparisons: list[Comparison],
     with mpl.rc_context({"font.size": 10.0, "axes.spines.top": False, "axes.spines.right": False}):
         figure = Figure(figsize=(9.0, 6.4), dpi=150, layout="constrained")
         upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
-        for comparison, colour in zip(comparisons, COLOURS * len(comparisons), strict=False):
-            _draw_cut(upper, lower, reduced, sample, chosen, comparison, colour)
+        every = relative_rms_percent.items()
+        for (sigma, percent), colour in zip(every, COLOURS * len(every), strict=False):
+            _draw_cut(upper, lower, reduced, sample, chosen, sigma, percent, colour)
         _draw_axes(upper, lower, reduced, sample)
         figure.savefig(path)
 
@@ -204,16 +155,16 @@ def _draw_cut(
     reduced: BsdfDataset,
     sample: str,
     points: BsdfPoints,
-    comparison: Comparison,
+    sigma: float,
+    percent: float,
     colour: str,
 ) -> None:
-    sigma = comparison.sigma_deg
     here = points.where(points.sigma_deg == sigma)
     good = here.where(here.good)
     x = _signed_zenith(good)
     order = np.argsort(x)
     angles = np.linspace(-89.0, 89.0, 1781)
-    label = f"sigma {sigma:g} deg, relative RMS {comparison.relative_rms_percent:.2f} %"
+    label = f"sigma {sigma:g} deg, relative RMS {percent:.2f} %"
     upper.plot(angles, _theoretical_curve(reduced, sample, sigma, angles), color=colour, lw=1.2)
     upper.plot(x[order], good.luminance_factor[order], "o", ms=3.2, mfc="white", mec=colour, mew=0.9, label=label)
     for start, stop in _blocked_ranges(here):
