@@ -4,11 +4,12 @@ import os
 import re
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from goniotwin.app.cli.output import Json, answer, print_error, print_warning
+from goniotwin.app.data.kinds import KINDS
 from goniotwin.app.errors import UserError
 
 if TYPE_CHECKING:  # a dataset loads numpy, which a command's help does not need
@@ -28,13 +29,11 @@ MODEL = re.compile(r"[a-z-]+(:|$)")
 app = typer.Typer()
 
 
-@app.command()
+@app.command(epilog="\n\n".join(f"{kind}: {text}" for kind, text in KINDS.items()))
 def plot(
     data: Annotated[Path, typer.Argument(metavar="DATA", help="Journal, or any file that can be read.", show_default=False)],
     out: Annotated[Path, typer.Option("--out", metavar="FILE", help="Picture to write: .png or .svg.", show_default=False)],
-    kind: Annotated[
-        Literal["cuts", "hemisphere", "polar", "spectrum"], typer.Option("--kind", help="What is drawn; see above.")
-    ] = "cuts",
+    kind: Annotated[str, typer.Option("--kind", metavar="|".join(KINDS), help="What is drawn; see below.")] = "cuts",
     sample: SampleOption = None,
     sigma: Annotated[
         list[float] | None,
@@ -53,13 +52,11 @@ def plot(
 ) -> None:
     """Draw the values of a journal or a file.
 
-    cuts: the plane of incidence, with bands of two standard uncertainties. hemisphere: a map of all directions for each
-    incidence. polar: the plane of incidence as a polar diagram. spectrum: some directions over the wavelength. Values that
-    have no place on a logarithmic scale are marked at its lower edge.
+    Values that have no place on a logarithmic scale are marked at its lower edge.
     """
-    from goniotwin.app.data.plotting import check_picture, save_figure
     from goniotwin.app.data.plotting import plot as draw
     from goniotwin.app.data.values import listed
+    from goniotwin.app.figures.matplotlib_figure import check_picture, save_figure
 
     check_picture(out)
     dataset = _dataset(data, sample)
@@ -104,7 +101,8 @@ def compare(
     measured. The picture has profiles with bands, and maps of z.
     """
     from goniotwin.app.data.comparison import compare as compare_datasets
-    from goniotwin.app.data.plotting import check_picture, plot_comparison, save_figure
+    from goniotwin.app.data.plotting import plot_comparison
+    from goniotwin.app.figures.matplotlib_figure import check_picture, save_figure
 
     if out is not None:
         check_picture(out)

@@ -4,7 +4,6 @@ One HTML file that needs no other. All texts of the journal are escaped: a journ
 """
 
 import base64
-import io
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -30,10 +29,12 @@ from goniotwin.app.campaign.studies.decades import (
 from goniotwin.app.campaign.studies.evaluation import evaluate_journal
 from goniotwin.app.campaign.studies.verification import Verdict, verify_journal
 from goniotwin.app.data.dataset import Dataset
+from goniotwin.app.data.kinds import KINDS
 from goniotwin.app.data.opening import dataset_of_evaluation
-from goniotwin.app.data.plotting import Kind, plot
+from goniotwin.app.data.plotting import plot
 from goniotwin.app.data.values import Measured
 from goniotwin.app.errors import MissingPackage, UserError
+from goniotwin.app.figures.matplotlib_figure import picture
 from goniotwin.app.formats.content import UNTRUSTED
 from goniotwin.app.formats.file import SQLITE, check_writable, read_head, write_file
 from goniotwin.app.formats.metadata import Metadata
@@ -42,12 +43,6 @@ from goniotwin.protocols.clock import calendar_stamp
 T = TypeVar("T")
 TEMPLATE = "report.html.j2"
 MISSING = "a report needs Jinja2, which is not installed; install it: pip install 'goniotwin[report]'"
-CAPTIONS: dict[Kind, str] = {
-    "cuts": "The plane of incidence. Bands: two standard uncertainties.",
-    "hemisphere": "All directions. The radius is the polar angle; star: the light, cross: the specular direction.",
-    "polar": "The plane of incidence as a polar diagram.",
-    "spectrum": "Some directions over the wavelength.",
-}
 EVENTS = {
     "fault": "faults",
     "answer": "answers of the operator",
@@ -255,19 +250,13 @@ def _sample(dataset: Dataset, metadata: Metadata) -> dict[str, Any]:
 
 def _plots(dataset: Dataset) -> Iterator[tuple[str, str, str]]:
     """The pictures: kind, caption, and the picture itself as a data URI."""
-    for kind, caption in CAPTIONS.items():
+    for kind, caption in KINDS.items():
         try:
             figure = plot(dataset, kind)
         except UserError:  # nothing to draw: one wavelength, no value
             continue
-        buffer = io.BytesIO()
-        if kind == "hemisphere":  # its colours are pixels anyway
-            figure.savefig(buffer, format="png", dpi=160)
-            form = "image/png"
-        else:
-            figure.savefig(buffer, format="svg", metadata={"Date": None})
-            form = "image/svg+xml"
-        yield kind, caption, f"data:{form};base64,{base64.b64encode(buffer.getvalue()).decode()}"
+        form, media = ("png", "image/png") if kind == "hemisphere" else ("svg", "image/svg+xml")  # a map is pixels anyway
+        yield kind, caption, f"data:{media};base64,{base64.b64encode(picture(figure, form, 160)).decode()}"
 
 
 def _lights(dataset: Dataset) -> Iterator[dict[str, Any]]:

@@ -1,0 +1,145 @@
+"""The choice of values for a picture, and the words that name them."""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from goniotwin.app.campaign.reduction.components import COVERAGE as INTERVAL_U
+from goniotwin.app.campaign.reduction.components import DRAWN_LAW, LOGARITHMIC_LAW, interval
+from goniotwin.app.data.dataset import Dataset
+from goniotwin.app.errors import UserError
+from goniotwin.app.figures.curves import COVERAGE, WIDEST_GAP_DEG, Curve, curve_of, plane_angle
+from goniotwin.app.figures.description import Figure, Panel
+from goniotwin.app.figures.scale import Scale, scale_of
+from goniotwin.app.formats.content import flagged
+from goniotwin.arrays import Floats
+
+MOST_CURVES, MOST_MAPS = 7, 6
+NEAR_PLANE_DEG = 1.0
+"""Directions so near to the plane of incidence make a cut where none is in it."""
+
+
+def one_channel(dataset: Dataset) -> Dataset:
+    """The values of the middle wavelength, or of the green colour; all where there is one channel."""
+    nm = np.unique(dataset.wavelength_nm[dataset.good & np.isfinite(dataset.wavelength_nm)])
+    if nm.size:
+        return dataset.select(wavelength_nm=float(nm[nm.size // 2]))
+    names = np.unique(dataset.channel[dataset.good]).tolist()
+    if len(names) > 1:
+        return dataset.select(channel=next((each for each in ("green", "Y") if each in names), names[0]))
+    return dataset
+
+
+def one_azimuth(dataset: Dataset) -> Dataset:
+    """The values of the first azimuth of the light. At normal incidence the light has none: whichever is there is taken."""
+    psi, sigma = dataset.psi_deg, dataset.sigma_deg
+    first = psi == psi[dataset.good & (sigma > 0.0)].min(initial=psi[dataset.good].max())
+    others = (sigma == 0.0) & ~np.isin(sigma, sigma[first])
+    others &= psi == psi[others].min(initial=np.inf)
+    return dataset.where(first | others)
+
+
+def sides(dataset: Dataset) -> Iterator[tuple[bool, bool, Dataset]]:
+    """The values by the lit side and by the side that the light leaves on: whether lit on the back, whether transmitted."""
+    for back in (False, True):
+        for transmitted in (False, True):
+            chosen = (dataset.back == back) & (dataset.transmitted == transmitted)
+            if (chosen & dataset.good).any():
+                yield back, transmitted, dataset.where(chosen)
+
+
+def at_sigma(dataset: Dataset, sigma_deg: float) -> Dataset:
+    """The values at an incidence."""
+    return dataset.where(np.abs(dataset.sigma_deg - sigma_deg) < 1e-5)
+
+
+def in_plane(dataset: Dataset) -> Dataset:
+    """The values in the plane of incidence, or near it where none is in it."""
+    around = around_deg(dataset)
+    out = np.degrees(np.arcsin(np.minimum(np.abs(np.sin(np.radians(dataset.polar_deg)) * np.sin(np.radians(around))), 1.0)))
+    in_it = out <= 1e-4
+    if not (in_it & dataset.good).any():
+        in_it = out <= NEAR_PLANE_DEG
+    if not (in_it & dataset.good).any():
+        raise UserError(
+            f"{dataset.name}: no trusted value is within {NEAR_PLANE_DEG:g} deg of the plane of incidence; draw the hemisphere"
+        )
+    return dataset.where(in_it)
+
+
+def around_deg(dataset: Dataset) -> Floats:
+    """Azimuths (n,) of the directions from the light's."""
+    return dataset.azimuth_deg - dataset.psi_deg
+
+
+def abscissa(dataset: Dataset) -> Floats:
+    """The abscissa of a cut (n,)."""
+    return plane_angle(dataset.polar_deg, around_deg(dataset))
+
+
+def scale_for(dataset: Dataset, log: bool | None) -> Scale:
+    """The scale of the trusted values."""
+    return scale_of(dataset.bsdf[dataset.good], dataset.u[dataset.good], log)
+
+
+def band(dataset: Dataset, coverage: float = COVERAGE) -> tuple[Floats, Floats]:
+    """Lower and upper ends (n,) of the values' intervals, of their law where it is stated; NaN without an uncertainty."""
+    added = np.asarray(dataset.interval != LOGARITHMIC_LAW)
+    with np.errstate(invalid="ignore"):
+        low, high = interval(dataset.bsdf, dataset.u, added, coverage, coverage)
+        drawn, wider = dataset.interval == DRAWN_LAW, coverage / INTERVAL_U
+        low = np.where(drawn, dataset.bsdf + wider * (dataset.low95 - dataset.bsdf), low)
+        return low, np.where(drawn, dataset.bsdf + wider * (dataset.high95 - dataset.bsdf), high)
+
+
+def curve(dataset: Dataset, x: Floats, widest: float = WIDEST_GAP_DEG) -> Curve:
+    """The values over `x` (n,)."""
+    return curve_of(
+        x,
+        dataset.bsdf,
+        band(dataset),
+        good=dataset.good,
+        lost=flagged(dataset.flags, {"under-range"}),
+        blocked=flagged(dataset.flags, {"shadowed"}),
+        widest=widest,
+    )
+
+
+def quantity(transmitted: bool, back: bool) -> str:
+    """The name of the values of one side, for an axis."""
+    name = "BTDF" if transmitted else "BRDF"
+    return f"{name}{' of the back' if back else ''}, 1/sr"
+
+
+def some_of(shown: int, there: int) -> str:
+    """The words for incidences of which some are shown; empty for all of them."""
+    return f"{shown} of {there} incidences" if shown < there else ""
+
+
+def about_curves(drawn: Sequence[Dataset], scale: Scale, more: str = "", *, below: str = "below the scale (triangles)") -> str:
+    """What bands and marks are, for the top of a legend; of the values that are drawn."""
+    values, u = (np.concatenate([getattr(each, name)[each.good] for each in drawn]) for name in ("bsdf", "u"))
+    parts = [f"{'bands: k = 2' if np.isfinite(u).any() else 'no uncertainties'}{f' ({more})' if more else ''}"]
+    if low := int(scale.below(values).sum()):
+        negative = int((values <= 0.0).sum())
+        parts.append(f"{low} of {values.size} values are {below}{f', {negative} of them not above 0' if negative else ''}")
+    return "; ".join(parts)
+
+
+def figure_of(
+    dataset: Dataset, panels: Sequence[Panel], size: tuple[float, float], *, columns: int = 1, about: str = "", legend: str = ""
+) -> Figure:
+    """A figure with the title of its values, and the mark of simulated ones."""
+    psi = np.unique(dataset.psi_deg[dataset.sigma_deg > 0.0])
+    sample = f", {dataset.sample}" if dataset.sample and dataset.sample != dataset.name else ""
+    more = [_channel_words(dataset), f"psi {psi[0]:g} deg" if psi.size == 1 and psi[0] else "", about]
+    after = "".join(f"; {each}" for each in more if each)
+    return Figure(tuple(panels), size, columns, f"{dataset.name}{sample}", after, legend, dataset.simulated)
+
+
+def _channel_words(dataset: Dataset) -> str:
+    nm = np.unique(dataset.wavelength_nm[np.isfinite(dataset.wavelength_nm)])
+    names = [each for each in np.unique(dataset.channel).tolist() if each]
+    if nm.size == 1:
+        return f"{nm[0]:g} nm"
+    return names[0] if len(names) == 1 else ""

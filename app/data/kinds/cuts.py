@@ -1,0 +1,48 @@
+"""Cuts: the plane of incidence over the signed polar angle, a curve for each sigma."""
+
+from goniotwin.app.data.dataset import Dataset
+from goniotwin.app.data.kinds.choice import (
+    MOST_CURVES,
+    about_curves,
+    abscissa,
+    at_sigma,
+    curve,
+    figure_of,
+    in_plane,
+    one_channel,
+    quantity,
+    scale_for,
+    sides,
+    some_of,
+)
+from goniotwin.app.figures.curves import ANGLE_LABEL, ANGLE_LIMITS, ANGLE_TICKS, curve_panel, curve_parts, distinct
+from goniotwin.app.figures.description import Axis, Figure, Guide
+from goniotwin.app.figures.style import CURVE_COLOURS, CURVE_SYMBOLS
+
+
+def describe(dataset: Dataset, log: bool | None) -> Figure:
+    """The description of the cuts, a panel for each side. Raises UserError where no value is near the plane."""
+    dataset = one_channel(dataset)
+    panels = []
+    for back, transmitted, here in sides(dataset):
+        plane = in_plane(here)
+        scale = scale_for(plane, log)
+        there = plane.sigma_deg[plane.good]
+        shown = list(distinct(there, MOST_CURVES))
+        drawn = [at_sigma(plane, sigma) for sigma in shown]
+        styles = list(zip(drawn, shown, CURVE_COLOURS, CURVE_SYMBOLS, strict=False))
+        direct = "direction straight through" if transmitted else "specular direction"
+        panels.append(
+            curve_panel(
+                [
+                    curve_parts(curve(each, abscissa(each)), scale, colour, f"sigma {sigma:g} deg", symbol)
+                    for each, sigma, colour, symbol in styles
+                ],
+                scale,
+                Axis(f"{ANGLE_LABEL}; positive and dotted: the {direct}", ANGLE_LIMITS, ANGLE_TICKS),
+                quantity(transmitted, back),
+                legend=about_curves(drawn, scale, some_of(len(shown), len(list(distinct(there, there.size))))),
+                guides=tuple(Guide(sigma, colour) for _, sigma, colour, _ in styles),
+            )
+        )
+    return figure_of(dataset, panels, (8.0, 1.0 + 3.8 * len(panels)))

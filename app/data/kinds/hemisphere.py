@@ -1,0 +1,38 @@
+"""The hemisphere: a map of all directions for each sigma and side."""
+
+import math
+
+import numpy as np
+
+from goniotwin.app.data.dataset import Dataset
+from goniotwin.app.data.kinds.choice import (
+    MOST_MAPS,
+    around_deg,
+    at_sigma,
+    figure_of,
+    one_channel,
+    scale_for,
+    sides,
+    some_of,
+)
+from goniotwin.app.figures.curves import spread
+from goniotwin.app.figures.description import Figure
+from goniotwin.app.figures.hemisphere import disc_panel, value_bar
+
+
+def describe(dataset: Dataset, log: bool | None) -> Figure:
+    """The description of the maps, which have one bar."""
+    dataset = one_channel(dataset)
+    bar = value_bar(scale_for(dataset, log), dataset.bsdf[dataset.good], "BSDF, 1/sr")
+    maps = [
+        (f"sigma {sigma:g} deg{', transmitted' if transmitted else ''}{', back' if back else ''}", sigma, at_sigma(here, sigma))
+        for back, transmitted, here in sides(dataset)
+        for sigma in np.unique(here.sigma_deg[here.good]).tolist()
+    ]
+    panels = [
+        disc_panel(sigma, here.polar_deg, around_deg(here), here.bsdf, here.good, bar, here.only.values.isotropic, title)
+        for title, sigma, here in (maps[k] for k in spread(len(maps), MOST_MAPS))
+    ]
+    columns = min(3, len(panels))
+    size = 1.2 + 3.4 * columns, 0.9 + 3.6 * math.ceil(len(panels) / columns)
+    return figure_of(dataset, panels, size, columns=columns, about=some_of(len(panels), len(maps)))
