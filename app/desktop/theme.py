@@ -7,38 +7,30 @@ from PySide6.QtCore import QObject, Qt, Signal, Slot
 from PySide6.QtGui import QColor, QPalette
 from PySide6.QtWidgets import QApplication
 
+from goniotwin.app.figures.style import Palette
+
 Scheme = Literal["light", "dark"]
 FUSION_DARKER = 140
 """Percentage by which Fusion darkens the window's colour for a frame; 120 for a grid."""
 
 
-@dataclass(frozen=True)
-class Colours:
-    """The colours of a scheme.
+@dataclass(frozen=True, kw_only=True)
+class Colours(Palette):
+    """The colours of a scheme: those of figures, and of the window.
 
-    The contrast of text to its background is at least 4.5 to 1. Marks differ in shape too, not only in hue. `map` is the name
-    of the colour map, which is ordered by lightness.
+    The contrast of text to its background is at least 4.5 to 1. Marks differ in shape too, not only in hue.
     """
 
     window: str
-    base: str
     button: str
-    text: str
-    dim: str
-    line: str
     accent: str
     on_accent: str
     good: str
-    bad: str
     simulated: str
     on_simulated: str
     stop: str
     stop_pressed: str
-    points: str
-    blocked: str
     beam: str
-    predicted: str
-    map: str
 
 
 LIGHT = Colours(
@@ -60,7 +52,6 @@ LIGHT = Colours(
     blocked="#6b7280",
     beam="#b85c00",
     predicted="#b45f06",
-    map="crameri:batlow",
 )
 DARK = Colours(
     window="#1e2126",
@@ -81,7 +72,6 @@ DARK = Colours(
     blocked="#9aa2ad",
     beam="#ffb454",
     predicted="#f0a63a",
-    map="crameri:batlow",
 )
 
 

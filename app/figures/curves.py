@@ -24,8 +24,8 @@ GAP_DEG, WIDEST_GAP_DEG = 6.0, 30.0
 MOST_MARKED = 60
 """Values of a curve that each have a mark."""
 ANGLE_LABEL = "polar angle in the plane of incidence, deg"
-POSITIVE = "positive on the specular side"
-ANGLE_TICKS = tuple(float(each) for each in range(-90, 91, 15))
+POSITIVE = "positive: specular side"
+ANGLE_TICKS = tuple(float(each) for each in range(-90, 91, 10))
 ANGLE_LIMITS = (-90.0, 90.0)
 
 
@@ -36,6 +36,12 @@ def plane_angle(polar_deg: Floats, around_deg: Floats, plane_deg: float = 0.0) -
     is positive on that side too. So right in a cut is right in a map.
     """
     return signed_polar(polar_deg, around_deg, plane_deg if 90.0 < plane_deg < 180.0 else plane_deg + SPECULAR_AZIMUTH_DEG)
+
+
+def quantity(transmitted: bool | None, back: bool = False) -> str:
+    """The name of values with their unit, for an axis; None is light of both sides."""
+    name = "BSDF" if transmitted is None else "BTDF" if transmitted else "BRDF"
+    return f"{name}{' of the back' if back else ''}, 1/sr"
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,10 +76,9 @@ def curve_of(
     order = np.flatnonzero(good)[np.argsort(x[good], kind="stable")]
     at, values, low, high = (each[order] for each in (x, y, *interval))
     bad = np.flatnonzero(~good)
-    bad = bad[~np.isin(round_deg(x[bad]), round_deg(at))]
     ring = np.zeros(bad.size, dtype=bool) if blocked is None else blocked[bad]
     gaps = gaps_of(at, widest)
-    breaks = np.union1d(round_deg(x[bad]), 0.5 * (at[gaps] + at[gaps + 1]))
+    breaks = np.union1d(np.setdiff1d(round_deg(x[bad]), round_deg(at)), 0.5 * (at[gaps] + at[gaps + 1]))
     places = np.searchsorted(at, breaks)
     values, low, high = (np.insert(each, places, np.nan) for each in (values, low, high))
     below = np.insert(below[order], places, False) | (low <= 0.0)

@@ -10,7 +10,7 @@ from functools import cache
 import numpy as np
 import numpy.typing as npt
 
-from goniotwin.app.figures.description import Bar, ColourMap, Map, Marks, Panel
+from goniotwin.app.figures.description import Bar, ColourMap, Map, Marks, Panel, Series
 from goniotwin.app.figures.scale import Scale, bar_ticks
 from goniotwin.arrays import Flags, Floats
 from goniotwin.twin.optics.geometry.coordinates import SPECULAR_AZIMUTH_DEG
@@ -52,12 +52,20 @@ def is_half(around_deg: Floats) -> bool:
     return bool((side > -ON_AXIS).all() or (side < ON_AXIS).all())
 
 
+@cache
+def ring_lines() -> tuple[Series, ...]:
+    """The circles of some polar angles."""
+    turn = np.radians(np.linspace(0.0, 360.0, 181))
+    return tuple(Series(each * np.cos(turn), each * np.sin(turn), "line") for each in RINGS_DEG)
+
+
 def value_bar(scale: Scale, values: Floats, label: str) -> Bar:
     """The bar of trusted values (n,) on a scale."""
     limits = scale.map_limits(values)
     return Bar(label, "values", scale, limits, bar_ticks(scale, limits), "min" if scale.log else "neither")
 
 
+@cache
 def disc_marks(sigma_deg: float) -> tuple[Marks, Marks]:
     """The light and the specular direction (or that straight through)."""
     at, opposite = np.array([sigma_deg]), np.array([SPECULAR_AZIMUTH_DEG])
@@ -77,4 +85,4 @@ def disc_panel(
     """The map of values (n,) of one light. Of an isotropic sample the half that was not measured is the image of the other."""
     x, y = places(polar_deg, around_deg)
     cells = Map(x, y, values, trusted, bar, isotropic and is_half(around_deg))
-    return Panel(projection="disc", title=title, map=cells, marks=disc_marks(sigma_deg))
+    return Panel(projection="disc", title=title, map=cells, series=ring_lines(), marks=disc_marks(sigma_deg))

@@ -13,7 +13,7 @@ from goniotwin.app.figures.curves import MOST_MARKED
 from goniotwin.app.figures.description import Bar, Colour, Figure, Map, Panel, Series
 from goniotwin.app.figures.hemisphere import EDGE_DEG, GAPS, HORIZON_DEG, RINGS_DEG, WIDEST_DEG, colour_table
 from goniotwin.app.figures.scale import Scale
-from goniotwin.app.figures.style import BAND_ALPHA, DISC, MARKS, PAPER, SIMULATED, Symbol
+from goniotwin.app.figures.style import BAND_ALPHA, DISC, MARKS, PAPER, SIMULATED, Palette, Symbol
 from goniotwin.app.formats.file import check_writable, write_file
 from goniotwin.arrays import Flags, Floats
 
@@ -183,7 +183,7 @@ def _draw_panel(axes: "Axes", panel: Panel) -> None:
     if panel.map is not None:
         _draw_disc(axes, panel.map)
     for each in panel.series:
-        _draw_series(axes, each)
+        _draw_series(axes, each, PAPER if panel.map is None else DISC)
     _draw_marks(axes, panel)
     for guide in panel.guides:
         line = axes.axvline if guide.upright else axes.axhline
@@ -207,12 +207,12 @@ def _draw_panel(axes: "Axes", panel: Panel) -> None:
         )
 
 
-def _colour(colour: Colour) -> str:
-    return str(getattr(PAPER, colour, colour))
+def _colour(colour: Colour, palette: Palette = PAPER) -> str:
+    return str(getattr(palette, colour, colour))
 
 
-def _draw_series(axes: "Axes", each: Series) -> None:
-    colour = _colour(each.colour)
+def _draw_series(axes: "Axes", each: Series, palette: Palette) -> None:
+    colour = _colour(each.colour, palette)
     if each.lower is not None and each.upper is not None:
         axes.fill_between(each.x, each.lower, each.upper, color=colour, alpha=BAND_ALPHA, lw=0, zorder=1.5)
     width, alpha = (4.0, 0.55) if each.broad else (1.3, 1.0)
@@ -228,7 +228,7 @@ def _draw_marks(axes: "Axes", panel: Panel) -> None:
 
     for each in panel.marks:
         style = MARKS[each.kind]
-        colour = _colour(style.colour or each.colour)
+        colour = _colour(style.colour or each.colour, PAPER if panel.map is None else DISC)
         if panel.map is not None:
             axes.plot(
                 each.x,
@@ -311,7 +311,7 @@ def _draw_disc(axes: "Axes", drawn: Map) -> None:
     from matplotlib.patches import Circle
     from matplotlib.patheffects import withStroke
 
-    axes.add_patch(Circle((0.0, 0.0), HORIZON_DEG, facecolor=DISC.ground, lw=0, zorder=1))
+    axes.add_patch(Circle((0.0, 0.0), HORIZON_DEG, facecolor=DISC.base, lw=0, zorder=1))
     x, y, trusted = drawn.x, drawn.y, drawn.trusted
     twice = 2 if drawn.mirrored else 1
     image = np.concatenate([y, -y]) if drawn.mirrored else y
@@ -321,12 +321,10 @@ def _draw_disc(axes: "Axes", drawn: Map) -> None:
     if x.size <= MOST_DOTS:
         axes.plot(x[trusted], y[trusted], ".", ms=MARKS["direction"].size, color="black", alpha=0.35, mew=0, zorder=3)
     if not trusted.all():
-        axes.plot(x[~trusted], y[~trusted], "x", ms=2.0, mew=0.5, color=DISC.untrusted, zorder=3)
-    turn = np.linspace(0.0, 2.0 * np.pi, 181)
+        axes.plot(x[~trusted], y[~trusted], "x", ms=2.0, mew=0.5, color=DISC.blocked, zorder=3)
     for radius in RINGS_DEG:
-        axes.plot(radius * np.cos(turn), radius * np.sin(turn), color=DISC.ring, lw=0.7, zorder=4)
         text = axes.text(0.0, -radius, f"{radius:g}°", fontsize=7, ha="center", va="bottom", color=DISC.text, zorder=5)
-        text.set_path_effects([withStroke(linewidth=1.8, foreground=DISC.ground)])
+        text.set_path_effects([withStroke(linewidth=1.8, foreground=DISC.base)])
     axes.set_xlim(-EDGE_DEG, EDGE_DEG)
     axes.set_ylim(-EDGE_DEG, EDGE_DEG)
     axes.set_aspect("equal")

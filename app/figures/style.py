@@ -5,7 +5,19 @@ from typing import Literal
 
 Symbol = Literal["circle", "square", "triangle", "diamond", "triangle down", "pentagon", "cross", "plus", "star", "dot"]
 MarkKind = Literal[
-    "measured", "transmitted", "steep", "lost", "below", "untrusted", "blocked", "alarm", "light", "specular", "direction"
+    "measured",
+    "transmitted",
+    "steep",
+    "lost",
+    "below",
+    "untrusted",
+    "blocked",
+    "alarm",
+    "alarm above",
+    "alarm below",
+    "light",
+    "specular",
+    "direction",
 ]
 Role = Literal["base", "text", "dim", "line", "bad", "points", "blocked", "predicted"]
 
@@ -62,24 +74,22 @@ MARKS: dict[MarkKind, MarkStyle] = {
     "untrusted": MarkStyle("cross", 4.0, False, "blocked"),
     "blocked": MarkStyle("circle", 4.0, False, "blocked"),
     "alarm": MarkStyle("square", 9.0, False, "bad"),
+    "alarm above": MarkStyle("triangle", 6.0, True, "bad"),
+    "alarm below": MarkStyle("triangle down", 6.0, True, "bad"),
     "light": MarkStyle("star", 10.0, True, "#ffd24d"),
     "specular": MarkStyle("plus", 10.0, False, "#ff8c69"),
     "direction": MarkStyle("dot", 1.0, True, "#000000"),
 }
 """The marks of all figures: values with their flags, and directions of a map. Light and specular direction have a dark edge."""
 
-
-@dataclass(frozen=True)
-class DiscStyle:
-    """The colours of a map of the hemisphere, on paper and in both schemes: the disc has a ground of its own."""
-
-    ground: str = "#15171b"
-    ring: str = "#8b93a0"
-    text: str = "#ffffff"
-    planned: str = "#6b7380"
-    untrusted: str = "#9aa2ad"
-    alarm: str = "#ff8080"
-    plane: str = "#f0a63a"
-
-
-DISC = DiscStyle()
+DISC = Palette(
+    base="#15171b",
+    text="#ffffff",
+    dim="#727a87",
+    line="#8b93a0",
+    bad="#ff8080",
+    points="#ffffff",
+    blocked="#b8bec8",
+    predicted="#f0a63a",
+)
+"""The colours of a map of the hemisphere, on paper and in both schemes: the disc has a ground of its own."""

@@ -105,12 +105,6 @@ def curve(dataset: Dataset, x: Floats, widest: float = WIDEST_GAP_DEG) -> Curve:
     )
 
 
-def quantity(transmitted: bool, back: bool) -> str:
-    """The name of the values of one side, for an axis."""
-    name = "BTDF" if transmitted else "BRDF"
-    return f"{name}{' of the back' if back else ''}, 1/sr"
-
-
 def some_of(shown: int, there: int) -> str:
     """The words for incidences of which some are shown; empty for all of them."""
     return f"{shown} of {there} incidences" if shown < there else ""

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from goniotwin.app.data.comparison import DatasetComparison, LightComparison
-from goniotwin.app.data.kinds.choice import quantity
 from goniotwin.app.figures.curves import (
     ANGLE_LABEL,
     COVERAGE,
@@ -14,6 +13,7 @@ from goniotwin.app.figures.curves import (
     curve_panel,
     curve_parts,
     plane_angle,
+    quantity,
     spread,
 )
 from goniotwin.app.figures.description import Axis, Bar, Figure, Guide, Panel, Series, Span

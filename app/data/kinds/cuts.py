@@ -10,12 +10,20 @@ from goniotwin.app.data.kinds.choice import (
     figure_of,
     in_plane,
     one_channel,
-    quantity,
     scale_for,
     sides,
     some_of,
 )
-from goniotwin.app.figures.curves import ANGLE_LABEL, ANGLE_LIMITS, ANGLE_TICKS, curve_panel, curve_parts, distinct
+from goniotwin.app.figures.curves import (
+    ANGLE_LABEL,
+    ANGLE_LIMITS,
+    ANGLE_TICKS,
+    POSITIVE,
+    curve_panel,
+    curve_parts,
+    distinct,
+    quantity,
+)
 from goniotwin.app.figures.description import Axis, Figure, Guide
 from goniotwin.app.figures.style import CURVE_COLOURS, CURVE_SYMBOLS
 
@@ -31,7 +39,6 @@ def describe(dataset: Dataset, log: bool | None) -> Figure:
         shown = list(distinct(there, MOST_CURVES))
         drawn = [at_sigma(plane, sigma) for sigma in shown]
         styles = list(zip(drawn, shown, CURVE_COLOURS, CURVE_SYMBOLS, strict=False))
-        direct = "direction straight through" if transmitted else "specular direction"
         panels.append(
             curve_panel(
                 [
@@ -39,7 +46,7 @@ def describe(dataset: Dataset, log: bool | None) -> Figure:
                     for each, sigma, colour, symbol in styles
                 ],
                 scale,
-                Axis(f"{ANGLE_LABEL}; positive and dotted: the {direct}", ANGLE_LIMITS, ANGLE_TICKS),
+                Axis(f"{ANGLE_LABEL}; {POSITIVE}", ANGLE_LIMITS, ANGLE_TICKS),
                 quantity(transmitted, back),
                 legend=about_curves(drawn, scale, some_of(len(shown), len(list(distinct(there, there.size))))),
                 guides=tuple(Guide(sigma, colour) for _, sigma, colour, _ in styles),

@@ -15,7 +15,7 @@ from goniotwin.app.data.kinds.choice import (
     sides,
     some_of,
 )
-from goniotwin.app.figures.curves import spread
+from goniotwin.app.figures.curves import quantity, spread
 from goniotwin.app.figures.description import Figure
 from goniotwin.app.figures.hemisphere import disc_panel, value_bar
 
@@ -23,7 +23,7 @@ from goniotwin.app.figures.hemisphere import disc_panel, value_bar
 def describe(dataset: Dataset, log: bool | None) -> Figure:
     """The description of the maps, which have one bar."""
     dataset = one_channel(dataset)
-    bar = value_bar(scale_for(dataset, log), dataset.bsdf[dataset.good], "BSDF, 1/sr")
+    bar = value_bar(scale_for(dataset, log), dataset.bsdf[dataset.good], quantity(None))
     maps = [
         (f"sigma {sigma:g} deg{', transmitted' if transmitted else ''}{', back' if back else ''}", sigma, at_sigma(here, sigma))
         for back, transmitted, here in sides(dataset)

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from goniotwin.app.data.dataset import Dataset
-from goniotwin.app.data.kinds.choice import about_curves, at_sigma, curve, figure_of, quantity, scale_for, sides
+from goniotwin.app.data.kinds.choice import about_curves, at_sigma, curve, figure_of, scale_for, sides
 from goniotwin.app.errors import UserError
-from goniotwin.app.figures.curves import curve_panel, curve_parts
+from goniotwin.app.figures.curves import curve_panel, curve_parts, quantity
 from goniotwin.app.figures.description import Axis, Figure
 from goniotwin.app.figures.style import CURVE_COLOURS, CURVE_SYMBOLS
 from goniotwin.twin.optics.geometry.coordinates import round_deg

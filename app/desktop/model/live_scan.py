@@ -28,16 +28,16 @@ from goniotwin.app.campaign.reduction.etalon import ReferenceSignals, reference_
 from goniotwin.app.campaign.reduction.evidence import RunningEvidence
 from goniotwin.app.campaign.reduction.overlaps import overlap_check
 from goniotwin.app.campaign.reduction.pipeline import finish_points, reduce_rows
-from goniotwin.app.campaign.reduction.points import BsdfPoints, Marks, pack_flags
+from goniotwin.app.campaign.reduction.points import BITS, BsdfPoints, Marks, pack_flags
 from goniotwin.app.campaign.reduction.readings import EVIDENCE_ROWS, DarkHistory
 from goniotwin.app.campaign.reduction.row_signals import PoseKey, RowSignal, RowSignals, mean_row, pose_key, rows_in_columns
 from goniotwin.app.campaign.reduction.settings import reduction_settings
 from goniotwin.app.campaign.row import NO_SAMPLE, CommittedRow, Row, reading_table
 from goniotwin.app.campaign.running.events import RowCommitted, RowStarted
 from goniotwin.app.errors import UserError
-from goniotwin.arrays import Flags, Floats
-from goniotwin.twin.optics import arc_direction, to_specular
-from goniotwin.twin.optics.geometry.coordinates import aspecular_deg, incidence_deg, polar_and_azimuth, signed_polar
+from goniotwin.app.figures.curves import ANGLE_LABEL, ANGLE_LIMITS, POSITIVE, plane_angle, quantity
+from goniotwin.arrays import Flags, Floats, Ints
+from goniotwin.twin.optics.geometry.coordinates import incidence_deg, is_lit_from_behind, polar_and_azimuth
 
 Setting = tuple[str, float, float, float]
 """Sample, wavelength, sigma and gamma."""
@@ -49,7 +49,8 @@ SIGNALS_AT_ONCE = 64
 MOST_OTHER_ROWS = 1000
 GRID_DEG = 0.5
 ENDED = object()
-BSDF = "BSDF (1/sr)"
+PER_SR = "1/sr"
+"""The unit of values, as against signals."""
 
 
 @dataclass(frozen=True)
@@ -73,12 +74,21 @@ class ScanPoints:
     marks: Marks
     directions: Floats = field(default_factory=lambda: np.empty((0, 4)))
 
+    @property
+    def steep(self) -> Flags:
+        """The points (n,) that were measured too far apart: their u may be too small."""
+        return np.asarray((self.marks & BITS["steep"]) != 0)
+
+    def where(self, chosen: Flags | Ints) -> "ScanPoints":
+        """Some of the points."""
+        return ScanPoints(*(each[chosen] for each in vars(self).values()))
+
 
 @dataclass(frozen=True)
 class ScanData:
     """Data of the plot of a scan, `key`. `blocked_deg` are the intervals of the abscissa that are blocked by the mirror unit.
 
-    `findings` are what the run shows so far of modules and gains.
+    `findings` are what the run shows so far of modules and gains, `specular_deg` the place of the specular direction, if any.
 
     `complete`: all rows so far are in it, with the latest dark readings; otherwise the next call has more.
     """
@@ -92,11 +102,12 @@ class ScanData:
     complete: bool = True
     findings: tuple[str, ...] = ()
     key: ScanKey | None = None
+    specular_deg: tuple[float, ...] = ()
 
     @property
     def is_bsdf(self) -> bool:
         """Whether the values are a BSDF, and no signals."""
-        return self.y_label.startswith(BSDF)
+        return PER_SR in self.y_label
 
 
 class LiveScan:
@@ -168,9 +179,11 @@ class LiveScan:
         if bsdf is None:
             y_label, points = self._signal_label(setting[0]), self._signal_points(rows, plane)
         else:
-            y_label = f"{BSDF}{self._note(setting[0])}"
+            light = self._schedule.light
+            transmitted = None if light == "both" else light == "transmitted"
+            y_label = f"{quantity(transmitted, is_lit_from_behind(setting[2]))}{self._note(setting[0])}"
             here = bsdf.where(scan_plane_deg(bsdf.beta_deg) == plane)
-            x = _x_deg(here.zenith_deg, here.azimuth_deg, here.theta_deg, here.phi_deg, plane)
+            x = _x_deg(here.zenith_deg, here.azimuth_deg, plane)
             blocked, lost = here.flag("shadowed"), here.flag("under-range")
             added = mostly_added(here.components)
             directions = np.stack([here.zenith_deg, here.azimuth_deg, here.theta_deg, here.phi_deg], axis=1)
@@ -198,19 +211,19 @@ class LiveScan:
         plane = _plane(beta)
         place = "plane of incidence" if plane == 0.0 else f"β {plane:g}°"
         rotation = f", γ {gamma:g}°" if gamma else ""
-        photodiodes = self._plan.rig.file.photodiodes
-        reach = max([*photodiodes.upper_deg, *photodiodes.lower_deg]) + 5.0
-        ends = _abscissa(incidence_deg(sigma), np.array([-reach, reach]), plane)
         return ScanData(
             title=f"{row.sample}: σ {sigma:g}°{rotation}, {place}, {row.wavelength_nm:g} nm",
-            x_label="aspecular angle θ (°), positive towards the normal" if plane == 0.0 else "polar angle (°)",
+            x_label=f"{ANGLE_LABEL}; {POSITIVE}"
+            if plane == 0.0
+            else f"polar angle at β {plane:g}° and opposite, deg; {POSITIVE}",
             y_label=y_label,
-            range_deg=(float(np.min(ends)), float(np.max(ends))),
+            range_deg=ANGLE_LIMITS,
             blocked_deg=self._blocked_intervals(row),
             points=points,
             complete=not self._omitted,
             findings=() if self._dark is None else self._dark.evidence.findings,
             key=scan_key(row),
+            specular_deg=(incidence_deg(sigma),) if plane == 0.0 else (),
         )
 
     # The rows.
@@ -395,7 +408,7 @@ class LiveScan:
             lost, added = each.signal.lost_in_noise, mostly_added(each.signal.components)
             for view, blocked in self._settings.geometry.views(each.row.pose):
                 if light in ("both", "transmitted" if view.transmitted else "reflected"):
-                    x = _x_deg(view.zenith, view.azimuth, view.theta, view.phi, plane)
+                    x = _x_deg(view.zenith, view.azimuth, plane)
                     c, transmitted = view.channels, np.full(len(view.channels), view.transmitted)
                     untrusted = blocked | np.any([flags[c] for flags in each.flags.values()], axis=0)
                     values = each.signal.value[c]
@@ -413,7 +426,7 @@ class LiveScan:
         polar, azimuth = polar_and_azimuth(signed, plane)
         zenith, sigmas = zenith_deg(polar, arc), {sigma, etalon_sigma_deg(sigma, arc)}
         blocked = np.any([blocked_by_mirrors(self._plan.rig.file, at, zenith, azimuth, gamma) for at in sigmas], axis=0)
-        x = _abscissa(incidence_deg(sigma), signed, plane)
+        x = plane_angle(polar, azimuth, plane)
         edges = np.flatnonzero(np.diff(np.concatenate([[False], blocked, [False]]).astype(np.int8)))
         intervals = []
         for first, after in zip(edges[::2], edges[1::2], strict=True):
@@ -434,19 +447,8 @@ def _plane(beta_deg: float) -> float:
     return float(scan_plane_deg(np.array(beta_deg)))
 
 
-def _x_deg(zenith: Floats, azimuth: Floats, theta: Floats, phi: Floats, plane_deg: float) -> Floats:
-    """The abscissa: in the plane of incidence the aspecular angle, positive towards the normal; elsewhere the polar angle,
-    positive at the azimuth `plane_deg`.
-    """
-    if plane_deg == 0.0:
-        return aspecular_deg(theta, phi)
-    return signed_polar(polar_from_zenith(zenith), azimuth, plane_deg)
-
-
-def _abscissa(incidence: float, signed_deg: Floats, plane_deg: float) -> Floats:
-    """The abscissa of signed polar angles on the arc's own side, positive at the azimuth `plane_deg`."""
-    polar, azimuth = polar_and_azimuth(signed_deg, plane_deg)
-    return _x_deg(polar, azimuth, *to_specular(incidence, arc_direction(polar, azimuth)), plane_deg)
+def _x_deg(zenith: Floats, azimuth: Floats, plane_deg: float) -> Floats:
+    return plane_angle(polar_from_zenith(zenith), azimuth, plane_deg)
 
 
 def join_points(*parts: ScanPoints) -> ScanPoints:

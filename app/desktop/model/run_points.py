@@ -1,19 +1,20 @@
 """The points of a run beside the twin's prediction: cuts, planes through the specular direction, the hemisphere. No Qt."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from goniotwin.app.campaign.geometry.directions import polar_from_zenith
 from goniotwin.app.campaign.reduction.components import deviation_in_u
 from goniotwin.app.desktop.model.live_scan import ScanData, ScanKey, ScanPoints, Setting, join_points
+from goniotwin.app.figures.curves import ANGLE_LABEL, ANGLE_LIMITS, POSITIVE, plane_angle
 from goniotwin.arrays import Flags, Floats, Ints
+from goniotwin.twin.optics.geometry.coordinates import HALF_TURN_DEG, incidence_deg
 
 ALARM_U = 4.0
 """A residual beyond so many u is marked, and is an event."""
 PLANE_HALF_WIDTH_DEG = 2.5
 """Points so near a plane through the specular direction are shown in it."""
-GAP_STEPS = 3.0
-"""A line of predicted points has a gap where they are farther apart than so many steps."""
 X_TOLERANCE_DEG = 1e-5
 
 
@@ -39,12 +40,24 @@ class Cut:
 
 @dataclass(frozen=True)
 class MapPoints:
-    """Points of a hemisphere (n,): zenith and azimuth from the normal in degrees, values, and whether one is in alarm."""
+    """Points of a hemisphere (n,): zenith and azimuth from the normal in degrees, values with u, and which are flagged."""
 
     zenith_deg: Floats
     azimuth_deg: Floats
     values: Floats
+    u_values: Floats
+    untrusted: Flags
     alarms: Flags
+
+    def where(self, chosen: Flags) -> "MapPoints":
+        """Some of the points."""
+        return MapPoints(*(each[chosen] for each in vars(self).values()))
+
+    @classmethod
+    def none(cls) -> "MapPoints":
+        """No points."""
+        empty, none = np.zeros(0), np.zeros(0, dtype=bool)
+        return cls(empty, empty, empty, empty, none, none)
 
 
 @dataclass
@@ -110,27 +123,26 @@ class RunPoints:
         title = f"{sample}: σ {sigma:g}°{rotation}, plane φ {phi_deg:g}° (± {PLANE_HALF_WIDTH_DEG:g}°), {wavelength:g} nm"
         scan = ScanData(
             title,
-            "aspecular angle θ (°), positive at φ",
+            f"{ANGLE_LABEL}; {POSITIVE}" if _is_of_incidence(phi_deg) else "aspecular angle θ, deg; positive at φ",
             latest.y_label,
-            (-180.0, 180.0),
+            ANGLE_LIMITS,
             (),
             _take(points, order, x),
             findings=latest.findings,
             key=latest.key,
+            specular_deg=(incidence_deg(sigma),) if _is_of_incidence(phi_deg) else (0.0,),
         )
         shown = scan.points.x_deg if line is None else np.concatenate([scan.points.x_deg, line.x_deg])
-        if shown.size:
+        if shown.size and not _is_of_incidence(phi_deg):
             low, high = float(shown.min()), float(shown.max())
-            scan = ScanData(**{**vars(scan), "range_deg": (low, max(high, low + 1.0))})
+            scan = replace(scan, range_deg=(low, max(high, low + 1.0)))
         return Cut(scan, expected, u, residual, line)
 
     def hemisphere(self, setting: Setting, transmitted: bool) -> MapPoints:
         """The measured points of a setting on one side of the sample."""
         parts = [self._mapped[key, transmitted] for cut in self.planes(setting) if (key := cut.scan.key) is not None]
-        none = MapPoints(np.zeros(0), np.zeros(0), np.zeros(0), np.zeros(0, dtype=bool))
-        return MapPoints(
-            *(np.concatenate(each) for each in zip(*(vars(part).values() for part in (none, *parts)), strict=True))
-        )
+        columns = zip(*(vars(part).values() for part in (MapPoints.none(), *parts)), strict=True)
+        return MapPoints(*(np.concatenate(each) for each in columns))
 
     def predicted_scans(self, setting: Setting) -> int:
         """The number of predicted scans of a setting."""
@@ -146,7 +158,8 @@ def map_points(cuts: list[Cut], transmitted: bool) -> MapPoints:
     points = join_points(*(each.scan.points for each in cuts))
     alarms = np.concatenate([np.zeros(0, dtype=bool), *(each.alarms for each in cuts)])
     chosen = (points.transmitted == transmitted) & ~points.blocked & np.isfinite(points.values)
-    return MapPoints(points.directions[chosen, 0], points.directions[chosen, 1], points.values[chosen], alarms[chosen])
+    columns = *points.directions[:, :2].T, points.values, points.u_values, points.untrusted, alarms
+    return MapPoints(*(each[chosen] for each in columns))
 
 
 MATCHED = ("expected", "u_expected", "residual")
@@ -172,24 +185,24 @@ def match(scan: ScanData, predicted: ScanData | None) -> Cut:
     return Cut(scan, expected, u, np.where(trusted, deviation, np.nan), line)
 
 
-def gaps(x_deg: Floats) -> Ints:
-    """The indices before which points (n,) in ascending order have a gap of more than GAP_STEPS steps, where none is known."""
-    steps = np.diff(x_deg)
-    if not steps.size:
-        return np.empty(0, dtype=np.int64)
-    # Points of several cuts lie beside each other at a distance that is no step: hence no median.
-    widest = max(GAP_STEPS * float(np.percentile(steps, 75.0)), 2.0 * PLANE_HALF_WIDTH_DEG)
-    return np.flatnonzero(steps > widest) + 1
-
-
-def _take(points: ScanPoints, chosen: np.ndarray, x_deg: Floats) -> ScanPoints:
-    columns = {name: each[chosen] for name, each in vars(points).items()}
-    return ScanPoints(**{**columns, "x_deg": x_deg[chosen]})
+def _take(points: ScanPoints, chosen: Ints, x_deg: Floats) -> ScanPoints:
+    return replace(points.where(chosen), x_deg=x_deg[chosen])
 
 
 def _in_plane(points: ScanPoints, phi_deg: float) -> tuple[Floats, Flags]:
-    """The signed angles (n,) from the specular direction, positive at `phi_deg`, and which points are near that plane."""
+    """The abscissa (n,) of a plane through the specular direction, and which points are near that plane.
+
+    In the plane of incidence it is that of every cut, elsewhere the signed angle from the specular direction, positive at
+    `phi_deg`.
+    """
     theta, turn = np.radians(points.directions[:, 2]), np.radians(points.directions[:, 3] - phi_deg)
     away = np.degrees(np.arcsin(np.clip(np.sin(theta) * np.sin(turn), -1.0, 1.0)))
-    x = np.where(np.cos(turn) >= 0.0, 1.0, -1.0) * points.directions[:, 2]
+    if _is_of_incidence(phi_deg):
+        x = plane_angle(polar_from_zenith(points.directions[:, 0]), points.directions[:, 1])
+    else:
+        x = np.where(np.cos(turn) >= 0.0, 1.0, -1.0) * points.directions[:, 2]
     return x, np.asarray(np.abs(away) <= PLANE_HALF_WIDTH_DEG)
+
+
+def _is_of_incidence(phi_deg: float) -> bool:
+    return phi_deg % HALF_TURN_DEG == 0.0

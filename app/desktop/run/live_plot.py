@@ -6,15 +6,16 @@ What they show is computed by workers; a plot that fails never stops a run.
 import numpy as np
 import pyqtgraph as pg
 from PySide6.QtCore import QEvent, QObject, QPointF, QRectF, Qt, QTimer, Signal, Slot
-from PySide6.QtGui import QColor, QFont, QFontMetricsF, QKeyEvent, QResizeEvent
+from PySide6.QtGui import QFont, QFontMetricsF, QKeyEvent, QResizeEvent
 from PySide6.QtWidgets import QLabel, QVBoxLayout, QWidget
 
 from goniotwin.app.campaign.planning.plan import Plan
-from goniotwin.app.campaign.reduction.components import COVERAGE, DETECTED, interval
+from goniotwin.app.campaign.reduction.components import DETECTED
 from goniotwin.app.campaign.reduction.points import BITS, REASON_ORDER
 from goniotwin.app.campaign.running.events import RowCommitted, RowStarted
-from goniotwin.app.desktop.model.live_scan import ScanData, ScanKey, ScanPoints, Setting
-from goniotwin.app.desktop.model.run_points import ALARM_U, Cut, RunPoints, gaps, map_points
+from goniotwin.app.desktop.figures import PanelItems
+from goniotwin.app.desktop.model.live_scan import ScanData, ScanKey, Setting
+from goniotwin.app.desktop.model.run_points import ALARM_U, Cut, RunPoints, map_points
 from goniotwin.app.desktop.model.values import (
     Begin,
     DirectionsPlanned,
@@ -30,14 +31,19 @@ from goniotwin.app.desktop.model.values import (
     serve_values,
 )
 from goniotwin.app.desktop.model.worker import Worker, WorkerEnded
-from goniotwin.app.desktop.run.axes import AXIS_WIDTH, AngleAxis, ResidualAxis, Scale, ValueAxis, transform
+from goniotwin.app.desktop.run.axes import AXIS_WIDTH, LOG, AngleAxis, ResidualAxis, ValueAxis
+from goniotwin.app.desktop.run.cut_panel import cut_panel, kinds, residual_panel
 from goniotwin.app.desktop.run.hemisphere import HemisphereMap
 from goniotwin.app.desktop.theme import Colours
-from goniotwin.arrays import Flags, Floats
+from goniotwin.app.figures.curves import ANGLE_LABEL, ANGLE_LIMITS, POSITIVE, quantity
+from goniotwin.app.figures.description import Panel
+from goniotwin.app.figures.hemisphere import is_half
+from goniotwin.app.figures.scale import ScaleKind
+from goniotwin.app.figures.style import MarkKind
+from goniotwin.arrays import Floats
 
 REDRAW_MS = 100
 """Shortest time between two repaints, at any rate of rows."""
-POINT_SIZE = 7
 LOW, LOW_FOR_TEXT = 190, 270
 """Heights in logical pixels below which the residuals and the cursor's value, and the text of the plot, are omitted. The text
 is the plot's tool tip too.
@@ -48,10 +54,6 @@ TITLE_POINTS, TITLE_MARGIN = 9, 34.0
 """Size of the title's letters, and the pixels beside it."""
 LABEL_SHARE = 0.6
 """Share of the height that the label of the values has; a longer one is cut at its comma."""
-RESIDUAL_SYMBOLS = {-1: "t", 0: "s", 1: "t1"}
-"""An alarm beyond the range is an arrow down or up at its edge."""
-LEAST_RESIDUAL = 5.0
-"""Half the least range of the residuals, in u."""
 ENDED = "has been ended, by another program or for want of memory"
 NO_CURSOR = "Point at the plot, or press ←, →, Home and End in it, to read a value."
 
@@ -68,10 +70,9 @@ class ScanPlot(QWidget):
         self._mark = ""
         self._scan: ScanData | None = None
         self._cut: Cut | None = None
-        self._scale: Scale = "log"
+        self._scale: ScaleKind = "log"
         self._cursor: int | None = None
         self._values_axis = ValueAxis()
-        self._regions: list[pg.LinearRegionItem] = []
         self._view = pg.GraphicsLayoutWidget()
         self._view.setAccessibleName("Plot of the scan in progress")
         self._view.viewport().setFocusPolicy(Qt.FocusPolicy.NoFocus)  # else Tab stops at it; the view gets it, too
@@ -86,38 +87,12 @@ class ScanPlot(QWidget):
             plot.setMenuEnabled(False)
             plot.hideButtons()
             plot.showGrid(x=True, y=True, alpha=0.15)
-        self._bounds = pg.PlotCurveItem(), pg.PlotCurveItem()
-        self._band = pg.FillBetweenItem(*self._bounds)
-        self._line = pg.PlotCurveItem()
-        self._bars = pg.ErrorBarItem(beam=0.0)
-        self._coverage = pg.LinearRegionItem((-COVERAGE, COVERAGE), orientation="horizontal", movable=False, pen=pg.mkPen(None))
+        self._items, self._residual_items = PanelItems(self._plot, colours), PanelItems(self._residuals, colours)
+        self._limits: tuple[float, float] | None = None
         self._cursor_lines = pg.InfiniteLine(angle=90), pg.InfiniteLine(angle=90)
-        for item in (self._band, self._line, self._bars):
-            self._plot.addItem(item)
-        self._line.setZValue(5)  # points may be dense
-        self._coverage.setZValue(-20)
-        self._residuals.addItem(self._coverage)
-        self._limits = tuple(pg.InfiniteLine(each, angle=0) for each in (-ALARM_U, ALARM_U))
-        for each in self._limits:
-            self._residuals.addItem(each, ignoreBounds=True)
         for plot, line in zip((self._plot, self._residuals), self._cursor_lines, strict=True):
             line.setVisible(False)
             plot.addItem(line, ignoreBounds=True)
-        self._items = {
-            "blocked": pg.ScatterPlotItem(symbol="o", size=POINT_SIZE),
-            "flagged": pg.ScatterPlotItem(symbol="x", size=POINT_SIZE),
-            "below limit": pg.ScatterPlotItem(symbol="t", size=POINT_SIZE - 2),
-            "measured": pg.ScatterPlotItem(symbol="o", size=POINT_SIZE),
-        }
-        self._alarms = pg.ScatterPlotItem(symbol="s", size=POINT_SIZE + 7)
-        self._residual_items = (
-            pg.ScatterPlotItem(symbol="o", size=POINT_SIZE - 2),
-            pg.ScatterPlotItem(symbol="s", size=POINT_SIZE + 3),
-        )
-        for item in (*self._items.values(), self._alarms):
-            self._plot.addItem(item)
-        for item in self._residual_items:
-            self._residuals.addItem(item)
         self._note = QLabel()
         self._note.setWordWrap(True)
         self._note.setAccessibleName("The scan in progress as text")
@@ -172,16 +147,30 @@ class ScanPlot(QWidget):
         """The label of the values' axis."""
         return str(self._plot.getAxis("left").labelText)
 
-    def marks(self) -> dict[str, tuple[Floats, Floats]]:
+    @property
+    def x_label(self) -> str:
+        """The label of the axis of angles."""
+        return str(self._plot.getAxis("bottom").labelText)
+
+    @property
+    def line(self) -> pg.PlotCurveItem:
+        """The line of the prediction."""
+        return self._items.lines[0]
+
+    def residual_marks(self) -> dict[MarkKind, tuple[Floats, Floats]]:
+        """The marks of the residuals, by kind."""
+        return self._residual_items.marks()
+
+    def marks(self) -> dict[MarkKind, tuple[Floats, Floats]]:
         """The marks that are drawn, by kind: angles, and values on the scale (logarithms to the base 10)."""
-        return {kind: item.getData() for kind, item in self._items.items()}
+        return self._items.marks()
 
     @property
     def alarms(self) -> int:
         """The number of points in alarm."""
         return 0 if self._cut is None else int(self._cut.alarms.sum())
 
-    def set_scale(self, scale: Scale) -> None:
+    def set_scale(self, scale: ScaleKind) -> None:
         """Show the values on another scale."""
         if scale != self._scale:
             self._scale = scale
@@ -193,17 +182,13 @@ class ScanPlot(QWidget):
         """Clear the plot; `mark` is the first part of its title (SIMULATED, or empty)."""
         self._mark = mark
         self._scan, self._cut = None, None
-        for item in (*self._items.values(), self._alarms, *self._residual_items):
-            item.setData([], [])
-        for curve in (self._line, *self._bounds):
-            curve.setData([], [])
-        self._bars.setData(x=np.empty(0), y=np.empty(0), top=np.empty(0), bottom=np.empty(0))
-        self._show_blocked(())
+        for items in (self._items, self._residual_items):
+            items.show(Panel())
         self._place_cursor(None)
-        self._plot.setXRange(-90.0, 90.0, padding=0.02)
-        self._values_axis.set_value_scale("log", 1.0)
-        self._plot.setYRange(-4.0, 0.0)
-        self._plot.enableAutoRange(axis="y")
+        self._plot.setXRange(*ANGLE_LIMITS, padding=0.0)
+        self._values_axis.set_value_scale(LOG)
+        self._plot.setYRange(-4.0, 0.0, padding=0.0)
+        self._limits = None
         self._label()
         self._write("The scan in progress is plotted here.")
         self._show_residuals()
@@ -213,67 +198,22 @@ class ScanPlot(QWidget):
         scan = cut.scan
         is_new = self._scan is None or (self._scan.title, self._scan.y_label) != (scan.title, scan.y_label)
         self._scan, self._cut = scan, cut
-        points, scale = scan.points, self._scale
-        finite = np.isfinite(points.values)
-        above = finite & (points.values > 0) & ~points.lost
-        below = finite & ~above
-        threshold = _threshold(points)
-        self._values_axis.set_value_scale(scale, threshold)
-        on_scale = transform(np.where(above | ((scale != "log") & finite), points.values, 1.0), scale, threshold)
-        kinds = {
-            "measured": above & ~points.blocked & ~points.untrusted,
-            "blocked": above & points.blocked,
-            "flagged": above & points.untrusted & ~points.blocked,
-        }
-        for kind, chosen in kinds.items():
-            self._items[kind].setData(points.x_deg[chosen], on_scale[chosen])
-        shown = kinds["measured"]
-        marks = zip(points.transmitted[shown].tolist(), _steep(points)[shown].tolist(), strict=True)
-        symbols = ["d" if steep else "s" if transmitted else "o" for transmitted, steep in marks]
-        self._items["measured"].setSymbol(symbols)
-        predicted = np.empty(0) if cut.line is None else cut.line.values[cut.line.values > 0.0]
-        floor = float(np.min(on_scale[above])) - 0.3 if above.any() else _lowest(predicted)
-        self._items["below limit"].setData(
-            points.x_deg[below], np.full(int(below.sum()), floor) if scale == "log" else on_scale[below]
-        )
-        low, high = (
-            transform(each, scale, threshold)
-            for each in interval(points.values[above], points.u_values[above], points.added[above], 1.0, 1.0)
-        )
-        self._bars.setData(x=points.x_deg[above], y=on_scale[above], top=high - on_scale[above], bottom=on_scale[above] - low)
-        alarms = cut.alarms & above
-        self._alarms.setData(points.x_deg[alarms], on_scale[alarms])
-        self._show_prediction(cut.line, threshold, floor)
+        panel = cut_panel(cut, self._scale)
+        self._items.show(panel)
+        scale, limits = panel.scale, panel.y.limits
+        assert scale is not None
+        self._values_axis.set_value_scale(scale)
+        if limits is not None and (is_new or limits != self._limits):
+            self._limits = limits
+            self._plot.setYRange(*scale.transform(np.array(limits)).tolist(), padding=0.0)
         if is_new:
-            self._show_blocked(scan.blocked_deg)
-            self._plot.setXRange(*scan.range_deg, padding=0.02)
-            self._plot.enableAutoRange(axis="y")
+            self._plot.setXRange(*scan.range_deg, padding=0.0)
             self._label()
             self._place_cursor(None)
         self._show_residuals()
-        self._write(_note_text(cut, kinds, int(below.sum())))
+        self._write(_note_text(cut))
         if self._cursor is not None:
             self._place_cursor(self._cursor)
-
-    def _show_prediction(self, line: ScanPoints | None, threshold: float, floor: float) -> None:
-        empty = np.empty(0)
-        x, middle, low, high = empty, empty, empty, empty
-        if line is not None:
-            chosen = np.isfinite(line.values) & ~line.blocked & ~line.transmitted
-            if not chosen.any():
-                chosen = np.isfinite(line.values) & ~line.blocked
-            at = np.flatnonzero(chosen)
-            breaks = gaps(line.x_deg[at])
-            at = np.insert(at, breaks, at[breaks])
-            x, values, u, added = line.x_deg[at], line.values[at], line.u_values[at], line.added[at]
-            values[breaks + np.arange(breaks.size)] = np.nan
-            least = 10.0**floor if self._scale == "log" else -np.inf
-            ends = interval(values, np.nan_to_num(u), added)
-            middle, low, high = (transform(np.maximum(each, least), self._scale, threshold) for each in (values, *ends))
-        self._line.setData(x, middle, connect="finite")
-        for curve, each in zip(self._bounds, (low, high), strict=True):
-            curve.setData(x, each, connect="finite")
-        self._band.setVisible(x.size > 1)
 
     def _show_residuals(self) -> None:
         """Show the residuals, those beyond the range at its edge, where there is room and a prediction."""
@@ -285,15 +225,10 @@ class ScanPlot(QWidget):
         self._plot.getAxis("bottom").showLabel(not shown)
         if not shown or cut is None:
             return
-        x, residual, alarms = cut.scan.points.x_deg, cut.residual, cut.alarms
-        known = np.isfinite(residual)
-        span = max(LEAST_RESIDUAL, min(float(np.max(np.abs(residual[known]), initial=0.0)) * 1.1, 12.0))
-        held = np.clip(residual, -0.9 * span, 0.9 * span)
-        for item, chosen in zip(self._residual_items, (known & ~alarms, alarms), strict=True):
-            item.setData(x[chosen], held[chosen])
-        beyond = np.where(residual[alarms] > span, 1, np.where(residual[alarms] < -span, -1, 0))
-        self._residual_items[1].setSymbol([RESIDUAL_SYMBOLS[each] for each in beyond.tolist()])
-        self._residuals.setYRange(-span, span, padding=0.0)
+        panel = residual_panel(cut)
+        self._residual_items.show(panel)
+        assert panel.y.limits is not None
+        self._residuals.setYRange(*panel.y.limits, padding=0.0)
 
     def set_colours(self, colours: Colours) -> None:
         """Take the colours of a scheme."""
@@ -303,28 +238,10 @@ class ScanPlot(QWidget):
             for name in ("left", "bottom", "right", "top"):
                 plot.getAxis(name).setPen(colours.line)
                 plot.getAxis(name).setTextPen(colours.text)
-        for kind, item in self._items.items():
-            filled = kind == "measured"
-            item.setPen(pg.mkPen(colours.base, width=0.5) if filled else pg.mkPen(colours.blocked, width=1.0))
-            item.setBrush(pg.mkBrush(colours.points if filled else None))
-        self._bars.setData(pen=pg.mkPen(colours.points, width=1))
-        self._line.setPen(pg.mkPen(colours.predicted, width=2))
-        shade = QColor(colours.predicted)
-        shade.setAlpha(70)
-        self._band.setBrush(pg.mkBrush(shade))
-        self._coverage.setBrush(pg.mkBrush(shade))
-        self._alarms.setPen(pg.mkPen(colours.bad, width=2))
-        self._alarms.setBrush(pg.mkBrush(None))
-        good, bad = self._residual_items
-        good.setPen(pg.mkPen(None))
-        good.setBrush(pg.mkBrush(colours.points))
-        bad.setPen(pg.mkPen(colours.bad, width=2))
-        bad.setBrush(pg.mkBrush(colours.bad))
-        for line in self._limits:
-            line.setPen(pg.mkPen(colours.bad, width=1, style=Qt.PenStyle.DotLine))
+        for items in (self._items, self._residual_items):
+            items.set_palette(colours)
         for line in self._cursor_lines:
             line.setPen(pg.mkPen(colours.dim, width=1, style=Qt.PenStyle.DashLine))
-        self._show_blocked(self._scan.blocked_deg if self._scan else ())
         self._label()
 
     # The cursor.
@@ -362,17 +279,6 @@ class ScanPlot(QWidget):
         self._view.setToolTip(text)
         self._view.setAccessibleDescription(text)
 
-    def _show_blocked(self, intervals: tuple[tuple[float, float], ...]) -> None:
-        for each in self._regions:
-            self._plot.removeItem(each)
-        shade = QColor(self._colours.blocked)
-        shade.setAlpha(50)
-        brush, pen = pg.mkBrush(shade), pg.mkPen(None)
-        self._regions = [pg.LinearRegionItem(each, movable=False, brush=brush, pen=pen) for each in intervals]
-        for each in self._regions:
-            each.setZValue(-10)
-            self._plot.addItem(each)
-
     def _label(self) -> None:
         title = self._scan.title if self._scan else "No scan yet"
         bold, plain = (QFont(self.font()) for _ in range(2))
@@ -389,8 +295,10 @@ class ScanPlot(QWidget):
         marked = f"<b style='color:{self._colours.bad}'>{mark}</b>&nbsp;&nbsp; " if mark else ""
         self._plot.setTitle(marked + title, color=self._colours.text, size=f"{TITLE_POINTS}pt")
         style = {"color": self._colours.text}
-        below = self._scan.x_label if self._scan else "aspecular angle θ (°)"
-        beside = self._scan.y_label if self._scan else "BSDF (1/sr)"
+        below = self._scan.x_label if self._scan else f"{ANGLE_LABEL}; {POSITIVE}"
+        if self.fontMetrics().horizontalAdvance(below) > self._view.width() - AXIS_WIDTH:
+            below = below.partition(";")[0]
+        beside = self._scan.y_label if self._scan else quantity(None)
         if self.fontMetrics().horizontalAdvance(beside) > LABEL_SHARE * self._view.height():
             beside = beside.partition(",")[0]
         self._plot.setLabel("left", beside, **style)
@@ -402,11 +310,6 @@ class ScanPlot(QWidget):
         self._plot.getAxis("bottom").showLabel(not self._residuals.isVisible())
         if (place := QRectF(self._view.rect())) != self._view.ci.geometry():  # a longer title may have made it wider
             self._view.ci.setGeometry(place)
-
-
-def _lowest(predicted: Floats) -> float:
-    """The logarithm below which a prediction is not shown, where nothing is measured yet."""
-    return float(np.log10(predicted.min())) - 0.3 if predicted.size else -4.0
 
 
 class LivePlot(QObject):
@@ -460,7 +363,7 @@ class LivePlot(QObject):
     def start(self, plan: Plan | None, mark: str) -> None:
         """Clear the plot for the run of a plan, or for none."""
         self._plot.clear(mark)
-        self._map.clear(mark)
+        self._map.clear(mark, mirrored=plan is not None and _is_half_of_isotropic(plan))
         self._points.begin_run()
         self._alarmed.clear()
         self._unmapped.clear()
@@ -587,7 +490,9 @@ class LivePlot(QObject):
             changed = [each for key, each in self._unmapped.items() if key[0] == setting]
             self._map.stamp(map_points([each for each in changed if each.scan.y_label == cut.scan.y_label], transmitted))
         self._unmapped.clear()
-        self._map.show_points(self._points.hemisphere(setting, transmitted), self._planned.get((setting, transmitted), 0))
+        self._map.show_points(
+            self._points.hemisphere(setting, transmitted), self._planned.get((setting, transmitted), 0), cut.scan.y_label
+        )
 
     def _fail(self, error: str) -> None:
         """Report the error. The plot of this run ends here, because the error would come back at every row."""
@@ -596,13 +501,10 @@ class LivePlot(QObject):
         self.failed.emit(f"The plot failed ({error}); the run is not affected.")
 
 
-def _threshold(points: ScanPoints) -> float:
-    """Where a symmetric logarithmic scale becomes linear: the detection limit of the faint points."""
-    known = np.isfinite(points.values) & np.isfinite(points.u_values) & (points.u_values > 0.0)
-    if not known.any():
-        return 1e-6
-    least = DETECTED * float(np.percentile(points.u_values[known], 10))
-    return float(10.0 ** np.floor(np.log10(max(least, 1e-12))))
+def _is_half_of_isotropic(plan: Plan) -> bool:
+    """Whether a plan measures one side of the plane of incidence of a sample whose other side is its image."""
+    beta = np.array([row.pose[2] for row in plan.rows if row.kind == "measure" and row.pose is not None])
+    return plan.schedule.file.symmetry == "isotropic" and is_half(beta)
 
 
 def _reading_text(cut: Cut, index: int) -> str:
@@ -620,32 +522,27 @@ def _reading_text(cut: Cut, index: int) -> str:
     return text + (", blocked by the mirror unit" if points.blocked[index] else "")
 
 
-def _note_text(cut: Cut, kinds: dict[str, Flags], below: int) -> str:
-    scan, measured = cut.scan, kinds["measured"]
-    points = scan.points
-    blocked, flagged = int(kinds["blocked"].sum()), int(kinds["flagged"].sum())
-    text = f"●\u00a0{int(measured.sum())} measured"
+def _note_text(cut: Cut) -> str:
+    scan, points, of = cut.scan, cut.scan.points, kinds(cut.scan.points)
+    measured, counts = of["measured"], {kind: int(which.sum()) for kind, which in of.items()}
+    text = f"●\u00a0{counts['measured']} measured"
     if measured.any():
         top = int(np.argmax(np.where(measured, points.values, -np.inf)))
         text += f", highest {points.values[top]:.3g} at {points.x_deg[top]:.1f}°"
     if transmitted := int((measured & points.transmitted).sum()):
         text += f"    ■\u00a0{transmitted} of these transmitted"
-    if steep := int((measured & _steep(points)).sum()):
+    if steep := int((measured & points.steep).sum()):
         text += f"    ◆\u00a0{steep} of these steep (measured too far apart: their u may be too small)"
-    if blocked or scan.blocked_deg:
-        text += f"    ○\u00a0{blocked} blocked by the mirror unit (shaded)"
-    if flagged:
-        marks = points.marks[kinds["flagged"]]
+    if counts["blocked"] or scan.blocked_deg:
+        text += f"    ○\u00a0{counts['blocked']} blocked by the mirror unit (shaded)"
+    if counts["untrusted"]:
+        marks = points.marks[of["untrusted"]]
         names = ", ".join(name for name in REASON_ORDER if np.any(marks & BITS[name]))
-        text += f"    ×\u00a0{flagged} flagged" + (f" ({names})" if names else "")
-    if below:
-        text += f"    ▽\u00a0{below} below detection limit (signal under {DETECTED:g} u)"
+        text += f"    ×\u00a0{counts['untrusted']} flagged" + (f" ({names})" if names else "")
+    if counts["lost"]:
+        text += f"    •▽\u00a0{counts['lost']} below detection limit (signal under {DETECTED:g} u)"
     if cut.line is not None:
         text += "    ━\u00a0predicted ± 2 u"
     if alarms := int(cut.alarms.sum()):
         text += f"    □\u00a0{alarms} residual above {ALARM_U:g} u ✗"
     return "\n".join([text, *(f"✗\u00a0{each}" for each in scan.findings)])
-
-
-def _steep(points: ScanPoints) -> Flags:
-    return np.asarray((points.marks & BITS["steep"]) != 0)

@@ -36,12 +36,13 @@ from goniotwin.app.desktop.model.campaigns import list_campaigns
 from goniotwin.app.desktop.remembered import MOST_RECENT, Remembered
 from goniotwin.app.desktop.rig.panels import DEVICES, contact_text
 from goniotwin.app.desktop.rig.strip import lamp_text
-from goniotwin.app.desktop.run.axes import PIXELS_OF_VALUE, LogAxis, log_ticks
+from goniotwin.app.desktop.run.axes import PIXELS_OF_VALUE, ValueAxis
 from goniotwin.app.desktop.run.panel import PAUSE, RESUME
 from goniotwin.app.desktop.screen import Screen
 from goniotwin.app.desktop.setup.screen import SetupScreen
 from goniotwin.app.desktop.theme import Colours
 from goniotwin.app.desktop.tolerances.screen import FOLDER, TolerancesScreen
+from goniotwin.app.figures.scale import log_ticks
 from goniotwin.app.rig import AXES, read_rig
 from goniotwin.app.rig.kinds import ROLES
 from goniotwin.app.station.messages import BenchChanged, Contact, DeviceStatus, LampRead
@@ -529,7 +530,7 @@ def test_the_texts_of_the_log_axis_never_collide(low: float, span: float, pixels
 
 def test_the_texts_of_the_log_axis_are_the_values(qapp: QApplication) -> None:
     del qapp
-    axis = LogAxis()
+    axis = ValueAxis()
     for low, high, pixels, texts in (
         (-3.0, 0.0, 90.0, ["0.001", "0.01", "0.1", "1"]),
         (0.3, 0.33, 150.0, ["2", "2.02", "2.04", "2.06", "2.08", "2.1", "2.12"]),

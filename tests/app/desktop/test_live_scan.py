@@ -78,8 +78,8 @@ def points_of_scan(dataset: BsdfDataset, key: ScanKey) -> tuple[np.ndarray, Bsdf
     same = np.stack([points.wavelength_nm, points.sigma_deg, points.gamma_deg], axis=1) == setting
     points = points.where(same.all(axis=1) & (np.mod(points.beta_deg, 180.0) == plane))
     polar = np.minimum(points.zenith_deg, 180.0 - points.zenith_deg)
-    signed = np.where(np.abs(points.azimuth_deg - plane) < 1.0, polar, -polar)
-    x = points.aspecular_deg if plane == 0.0 else signed
+    positive = plane if plane > 90.0 else plane + 180.0  # the side of the specular direction, at azimuth 180
+    x = np.where(np.abs(points.azimuth_deg - positive) < 1.0, polar, -polar)
     order = np.argsort(x, kind="stable")
     return x[order], points.where(order)
 
@@ -89,7 +89,7 @@ def check_all_scans(live: LiveScan, dataset: BsdfDataset) -> int:
     scans = [key for key in live.scans if key[0][0] in dataset.samples]
     for key in scans:
         scan, (x, expected) = complete(live, key), points_of_scan(dataset, key)
-        assert scan.y_label == "BSDF (1/sr)"
+        assert scan.y_label in ("BRDF, 1/sr", "BTDF, 1/sr", "BSDF, 1/sr")
         assert scan.points.x_deg == pytest.approx(x, abs=1e-9)
         assert scan.points.values == pytest.approx(expected.bsdf, rel=1e-9, nan_ok=True)
         assert scan.points.u_values == pytest.approx(expected.u_bsdf, rel=1e-9, nan_ok=True)
@@ -211,7 +211,7 @@ def test_rows_before_the_etalon_are_shown_as_signals_and_then_as_values(
     assert before.points.blocked.tolist() == expected.flag("shadowed").tolist()
     live.add_row(committed(of_etalon[0]))
     some = complete(live, key)
-    assert some.y_label == "BSDF (1/sr)"
+    assert some.y_label == "BRDF, 1/sr"
     assert 0 < some.points.values.size < expected.bsdf.size
     for each in of_etalon[1:]:
         live.add_row(committed(each))
@@ -287,6 +287,7 @@ def scan_data(values: list[float], u_values: list[float], blocked: list[bool], u
         np.array(values) < DETECTED * np.array(u_values),
         none,
         np.zeros(len(values), dtype=np.uint16),
+        np.zeros((len(values), 4)),
     )
     return ScanData("a scan", "x", "y", (-90.0, 90.0), ((2.5, 3.5),), points)
 
@@ -301,10 +302,10 @@ def test_values_below_the_detection_limit_are_marks_and_hide_no_other_point(plot
         assert np.all(np.isfinite(x))
         assert np.all(np.isfinite(y))
     assert {name: len(x) for name, (x, _y) in plot.marks().items()} == {
-        "measured": 2,
+        "measured": 1,
         "blocked": 1,
-        "flagged": 0,
-        "below limit": 3,
+        "lost": 1,
+        "below": 3,  # zero, a negative one, and one more than seven decades below the largest
     }
 
 
@@ -316,9 +317,7 @@ def test_the_marks_below_the_detection_limit_are_the_values_that_the_journal_cal
     assert "▽\u00a01 below detection limit (signal under 3 u)" in plot.summary
     assert {name: x.tolist() for name, (x, _y) in plot.marks().items()} == {
         "measured": [0.0, 2.0],
-        "blocked": [],
-        "flagged": [],
-        "below limit": [1.0],
+        "lost": [1.0],
     }
     plot.grab()
 
@@ -329,8 +328,7 @@ def test_values_flagged_for_drift_are_marks_of_their_own(plot: ScanPlot) -> None
     assert {name: x.tolist() for name, (x, _y) in plot.marks().items()} == {
         "measured": [0.0],
         "blocked": [1.0],
-        "flagged": [2.0],
-        "below limit": [],
+        "untrusted": [2.0],
     }
 
 
@@ -342,7 +340,7 @@ def test_flags_are_named_steep_values_have_a_mark_and_findings_a_line(plot: Scan
     assert "◆\u00a01 of these steep" in plot.summary
     assert "×\u00a02 flagged (module, monitor)" in plot.summary
     assert plot.summary.endswith("\n✗\u00a0photodiodes module 2: the amplifiers")
-    assert len(plot.marks()["measured"][0]) == 2
+    assert [len(plot.marks()[kind][0]) for kind in ("measured", "steep", "untrusted")] == [1, 1, 2]
 
 
 def test_the_plot_changes_its_label_once_the_etalon_is_there(plot: ScanPlot) -> None:

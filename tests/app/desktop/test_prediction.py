@@ -11,9 +11,10 @@ from goniotwin.app.campaign.rehearsal.without_wires import rows_without_wires
 from goniotwin.app.campaign.running.events import RowCommitted
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.desktop.model.live_scan import LiveScan, ScanData, ScanPoints
-from goniotwin.app.desktop.model.run_points import PLANE_HALF_WIDTH_DEG, RunPoints, gaps, match
+from goniotwin.app.desktop.model.run_points import PLANE_HALF_WIDTH_DEG, RunPoints, match
 from goniotwin.app.desktop.model.values import PlanTexts, RunValues, expected_model, planned_directions, predicted_scans
 from goniotwin.app.errors import UserError
+from goniotwin.app.figures.curves import gaps_of
 from goniotwin.app.rig import read_rig
 from goniotwin.twin.optics import from_specular
 from goniotwin.twin.optics.geometry.coordinates import zenith_and_azimuth
@@ -145,9 +146,9 @@ def test_a_plane_through_the_specular_direction_has_the_points_near_it() -> None
 
 def test_a_line_has_a_gap_where_cuts_are_missing() -> None:
     theta = np.concatenate([np.arange(0.0, 20.0), np.arange(50.0, 70.0)])
-    assert gaps(theta).tolist() == [20]
-    assert gaps(np.delete(theta, 10)).tolist() == [19]  # a single missing point is no gap
-    assert gaps(np.arange(0.0, 90.0, 10.0)).size == gaps(theta[:1]).size == 0
+    assert gaps_of(theta).tolist() == [19]
+    assert gaps_of(np.delete(theta, 10)).tolist() == [18]  # a single missing point is no gap
+    assert gaps_of(np.arange(0.0, 90.0, 10.0)).size == gaps_of(theta[:1]).size == 0
 
 
 def test_points_are_matched_by_angle_and_side_and_a_residual_is_in_u() -> None:

@@ -40,8 +40,8 @@ class PaintCounter(QObject):
 
 def scan_data(points: int) -> ScanData:
     x = np.arange(float(points))
-    no_marks = np.zeros(x.size, dtype=np.uint16)
-    scan = ScanPoints(x, x + 1.0, 0.1 * (x + 1.0), x == 3.0, x == 3.0, x == 1.0, x == 2.0, x < 0.0, no_marks)
+    no_marks, at = np.zeros(x.size, dtype=np.uint16), np.zeros((points, 4))
+    scan = ScanPoints(x, x + 1.0, 0.1 * (x + 1.0), x == 3.0, x == 3.0, x == 1.0, x == 2.0, x < 0.0, no_marks, at)
     return ScanData("a scan", "x", "y", (-90.0, 90.0), ((2.5, 3.5),), scan)
 
 

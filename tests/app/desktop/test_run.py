@@ -400,7 +400,7 @@ def test_after_a_run_the_plot_has_the_highest_value_of_the_journal(
         points = reduce_journal(journal).samples["gaussian-5"]
     highest = float(np.max(points.bsdf[points.good]))
     qtbot.waitUntil(lambda: f"highest {highest:.3g} at" in window.view.plot.summary, timeout=READY_MS)
-    assert window.view.plot.y_label == "BSDF (1/sr)"
+    assert window.view.plot.y_label == "BRDF, 1/sr"
 
 
 @pytest.mark.parametrize(

@@ -8,10 +8,11 @@ from PySide6.QtCore import Qt
 from pytestqt.qtbot import QtBot
 
 from goniotwin.app.desktop.model.run_points import MapPoints, match
-from goniotwin.app.desktop.run.axes import SCALES, ValueAxis, transform
+from goniotwin.app.desktop.run.axes import ValueAxis
 from goniotwin.app.desktop.run.hemisphere import HemisphereMap
 from goniotwin.app.desktop.run.live_plot import ScanPlot
 from goniotwin.app.desktop.theme import LIGHT
+from goniotwin.app.figures.scale import SCALES, Scale
 from tests.app.desktop.test_live_scan import scan_data
 
 KEY = (("satin", 550.0, 30.0, 0.0), 0.0)
@@ -38,10 +39,12 @@ def test_a_residual_beyond_4_u_is_marked_and_named(plot: ScanPlot) -> None:
     assert plot.alarms == 1
     assert "□\u00a01 residual above 4 u" in plot.summary
     assert "predicted ± 2 u" in plot.summary
-    good, alarmed = (item.getData() for item in plot._residual_items)
-    assert good[1] == pytest.approx([0.0, 2.0])
-    assert alarmed[0].tolist() == [2.0]
-    assert -5.0 <= alarmed[1][0] <= -4.0
+    shown = plot.residual_marks()
+    assert shown["measured"][1] == pytest.approx([0.0, 2.0])
+    ((kind, (x, y)),) = [each for each in shown.items() if each[0] != "measured"]
+    assert kind in ("alarm", "alarm below")
+    assert x.tolist() == [2.0]
+    assert -5.0 <= y[0] <= -4.0
     assert plot._residuals.isVisible()
     plot.show_cut(match(scan_data([1.0], [0.01], [False]), None))
     assert not plot._residuals.isVisible()
@@ -51,7 +54,7 @@ def test_a_residual_beyond_4_u_is_marked_and_named(plot: ScanPlot) -> None:
 def test_a_prediction_without_points_is_shown_where_it_is_and_a_long_title_is_shortened(plot: ScanPlot) -> None:
     show(plot, [np.nan, np.nan], [1e-6, 2e-6], u=1e-8)
     plot._label()
-    assert plot._line.getData()[1] == pytest.approx(np.log10([1e-6, 2e-6]))
+    assert plot.line.getData()[1] == pytest.approx(np.log10([1e-6, 2e-6]))
     long = replace(scan_data([1.0], [0.01], [False]), title="facade panel after weathering: σ 60°, plane of incidence, 550 nm")
     plot.clear("SIMULATED (seed 1)")
     plot.show_cut(match(long, None))
@@ -76,15 +79,16 @@ def test_the_cursor_reads_a_value_by_mouse_or_by_arrow_keys(qtbot: QtBot, plot: 
 
 def test_a_residual_beyond_the_range_is_an_arrow_and_the_predicted_line_has_gaps(plot: ScanPlot) -> None:
     show(plot, [1.0, 0.05, 1.05, 1.96], [1.0] * 4)
-    assert [each.symbol() for each in plot._residual_items[1].points()] == ["t", "s", "t1"]
+    alarms = {kind: x.tolist() for kind, (x, _y) in plot.residual_marks().items() if kind != "measured"}
+    assert alarms == {"alarm below": [1.0], "alarm": [2.0], "alarm above": [3.0]}
     here = scan_data([1.0] * 40, [0.01] * 40, [False] * 40)
     x = np.concatenate([np.arange(20.0), np.arange(50.0, 70.0)])
     here = replace(here, y_label="BSDF (1/sr)", key=KEY, points=replace(here.points, x_deg=x))
     plot.show_cut(match(here, here))
-    shown, values = plot._line.getData()
+    shown, values = plot.line.getData()
     assert np.flatnonzero(np.isnan(values)).tolist() == [20]
     assert shown.size == 41
-    assert plot._line.opts["connect"] == "finite"
+    assert plot.line.opts["connect"] == "finite"
     plot.grab()
 
 
@@ -102,9 +106,9 @@ def test_each_scale_shows_all_values_and_the_values_at_its_ticks(plot: ScanPlot,
 
 
 def test_a_symmetric_scale_has_zero_and_both_signs() -> None:
-    axis = ValueAxis()
-    axis.set_value_scale("symlog", 1e-3)
-    low, high = transform(np.array([-1.0, 100.0]), "symlog", 1e-3)
+    scale = Scale("symlog", 0.0, 100.0, 1e-3)
+    axis = ValueAxis(scale)
+    low, high = scale.transform(np.array([-1.0, 100.0]))
     ticks = axis.tickValues(low, high, 400.0)[0][1]
     texts = axis.tickStrings(ticks, 1.0, 1.0)
     assert "0" in texts
@@ -113,7 +117,9 @@ def test_a_symmetric_scale_has_zero_and_both_signs() -> None:
 
 
 def points(zenith: list[float], azimuth: list[float], values: list[float], alarms: list[bool] | None = None) -> MapPoints:
-    return MapPoints(np.array(zenith), np.array(azimuth), np.array(values), np.array(alarms or [False] * len(values)))
+    none = np.zeros(len(values), dtype=bool)
+    u = 0.01 * np.array(values)
+    return MapPoints(np.array(zenith), np.array(azimuth), np.array(values), u, none, np.array(alarms or none, dtype=bool))
 
 
 def test_the_hemisphere_fills_where_a_direction_is(qtbot: QtBot) -> None:
@@ -124,13 +130,13 @@ def test_the_hemisphere_fills_where_a_direction_is(qtbot: QtBot) -> None:
     some = points([30.0, 60.0], [180.0, 0.0], [10.0, 0.1], [True, False])
     shown.stamp(some)
     shown.show_points(some, 40)
-    rows, columns = np.nonzero(np.isfinite(shown._logs))
-    middle = shown._logs.shape[0] / 2
+    rows, columns = np.nonzero(np.isfinite(shown._values))
+    middle = shown._values.shape[0] / 2
     left, right = columns < middle, columns > middle
     assert left.any()
     assert right.any()
     assert np.abs(rows - middle).max() < 10  # in the plane of incidence
-    assert set(np.unique(shown._logs[rows[left], columns[left]])) == {np.float32(1.0)}
+    assert set(np.unique(shown._values[rows[right], columns[right]])) == {np.float32(10.0)}  # the specular side
     assert "2 of 40 directions" in shown.summary
     assert "highest 10 at zenith 30°, azimuth 180°" in shown.summary
     assert "1 in alarm" in shown.summary
