@@ -23,7 +23,9 @@ from goniotwin.app.figures.hemisphere import disc_panel, value_bar
 def describe(dataset: Dataset, log: bool | None) -> Figure:
     """The description of the maps, which have one bar."""
     dataset = one_channel(dataset)
-    bar = value_bar(scale_for(dataset, log), dataset.bsdf[dataset.good], quantity(None))
+    lit = {transmitted for _, transmitted, _ in sides(dataset)}
+    label = quantity(lit.pop() if len(lit) == 1 else None, bool(dataset.back.all()))
+    bar = value_bar(scale_for(dataset, log), dataset.bsdf[dataset.good], label)
     maps = [
         (f"sigma {sigma:g} deg{', transmitted' if transmitted else ''}{', back' if back else ''}", sigma, at_sigma(here, sigma))
         for back, transmitted, here in sides(dataset)
