@@ -7,6 +7,9 @@ import pytest
 
 from goniotwin.app.campaign.wording import rounded_duration_text
 from goniotwin.app.desktop.theme import DARK, LIGHT, Colours
+from goniotwin.app.figures.description import ColourMap
+from goniotwin.app.figures.hemisphere import colour_table
+from goniotwin.app.figures.style import DISC, MARKS, PAPER, Palette
 from goniotwin.app.station.runs import next_journal
 from goniotwin.protocols.clock import ScaledClock
 
@@ -67,6 +70,18 @@ def test_colours_have_the_contrast_that_wcag_requires(colours: Colours) -> None:
     # WCAG 2.2, 1.4.11: graphical objects, at least 3 to 1.
     for mark in (colours.points, colours.blocked, colours.beam):
         assert contrast(mark, colours.base) >= 3.0
+
+
+@pytest.mark.parametrize("palette", [PAPER, LIGHT, DARK, DISC], ids=["paper", "light", "dark", "disc"])
+def test_marks_and_colours_of_values_have_a_contrast_of_3_to_1_to_their_ground(palette: Palette) -> None:
+    """WCAG 2.2, 1.4.11, on paper and in both schemes; colours of values are on the disc, which has one ground in all."""
+    for mark in (palette.points, palette.blocked, palette.predicted, palette.bad):
+        assert contrast(mark, palette.base) >= 3.0
+    own = [getattr(palette, MARKS[kind].colour, MARKS[kind].colour) for kind in ("light", "specular") if palette is DISC]
+    colours: list[ColourMap] = ["values", "deviations"] if palette is DISC else []
+    for each in colours:
+        own += [f"#{red:02x}{green:02x}{blue:02x}" for red, green, blue in colour_table(each).tolist()]
+    assert all(contrast(each, palette.base) >= 3.0 for each in own)
 
 
 def contrast(one: str, other: str) -> float:
