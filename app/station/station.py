@@ -15,24 +15,20 @@ from goniotwin.app.campaign.running.events import (
     LightChanged,
     close_shutter_order,
     cut_power_order,
-    left_order,
-    shutter_found_open,
 )
 from goniotwin.app.campaign.running.question import Answer, Question, Reply, position_refusal
 from goniotwin.app.campaign.running.stop import Stopped, StopRequest
 from goniotwin.app.errors import UserError, one_line
-from goniotwin.app.guardian.record import Record
 from goniotwin.app.rig import OpenRig, RigDescription, open_rig
-from goniotwin.app.rig.last_rig import remember_rig
 from goniotwin.app.station.bench import Bench
 from goniotwin.app.station.board import Board
+from goniotwin.app.station.connector import Connector
 from goniotwin.app.station.messages import (
     ActivityChanged,
     BenchChanged,
     Message,
     OperatorChanged,
     RigClosed,
-    RigOpened,
     Snapshot,
     SpeedChanged,
     StopReceived,
@@ -60,7 +56,7 @@ class Station:
 
     `board` has its state and takes listeners. `disconnected` is set when the rig is to be given back: no command begins then.
     `clock` is that of the rig; without it a virtual rig has one at `speed`, which the command of that name changes, and any
-    other rig real time; it is `clock` from the opening on. `wall` is real time, in which idle devices are polled.
+    other rig real time; the attribute is the one in use. `wall` is real time, in which idle devices are polled.
     """
 
     def __init__(self, speed: float = 1.0, clock: Clock | None = None, wall: Clock | None = None) -> None:
@@ -74,6 +70,7 @@ class Station:
         """Number of the activity that was begun last."""
         self._description: RigDescription | None = None
         self._poller: Poller | None = None
+        self._connector: Connector | None = None
         self._end_reason = ""
         self.stops = Stops()
         self.orders = SafetyOrders(self.board)
@@ -99,7 +96,8 @@ class Station:
     @property
     def opened(self) -> OpenRig | None:
         """The rig that is open; None without one."""
-        return None if self._poller is None else self._poller.bench.opened
+        poller = self._poller  # the engine's thread may close it now
+        return None if poller is None else poller.bench.opened
 
     # ---- commands: from any thread; each returns at once ----
 
@@ -156,8 +154,9 @@ class Station:
         """Acknowledge a safety order, by its text, and record that in the journal of its run."""
         self._check("acknowledge")
         acknowledged = self.orders.acknowledge(order)
-        if self.opened is not None and acknowledged.order == CLOSE_SHUTTER:
-            self.opened.guard.settle()
+        opened = self.opened
+        if opened is not None and acknowledged.order == CLOSE_SHUTTER:
+            opened.guard.settle()
 
     def start(self, schedule: Path, folder: Path, person: bool = False) -> None:
         """Measure a schedule into a new journal in `folder`, which is created if it does not exist.
@@ -176,7 +175,7 @@ class Station:
         if device and rig is not None and device not in rig.devices:
             raise CommandRefused(f"{device}: is no device of this rig; give {', '.join(rig.devices)}")
         what = device or "the devices"
-        self._begin("connect", f"connecting {what}", lambda: self._connect(device))
+        self._begin("connect", f"connecting {what}", lambda: self._devices.connect(device))
 
     def move(self, axis: str, target_deg: float) -> None:
         """Move an axis to an angle. Refused outside the soft limits, before anything is sent."""
@@ -279,47 +278,25 @@ class Station:
 
     def release(self) -> None:
         """Hold the rig no longer: what has opened it closes it."""
-        self._poller = None
+        self._poller = self._connector = None
 
     def adopt(self, opened: OpenRig, description: RigDescription) -> None:
         """Hold a rig that is open on this station's clock."""
         self._description = description
         self._poller = Poller(Bench(opened, self.tick), self.board, self._publish, self._wall)
+        self._connector = Connector(self._poller, description, self.board, self._publish, self.orders)
         if description.file.in_process and not isinstance(self.clock, VirtualClock):
             for controller in opened.rig.controllers:
                 controller.set_heartbeat(NO_HEARTBEAT_S)
 
     def connect_all(self) -> None:
         """Connect all devices of the rig that is open; nothing moves. The event has the status of each."""
-        opened = self._rig()
-        self._report_devices(opened.rig.connect())
+        self._devices.report(self._rig().rig.connect())
 
     def report_connected(self) -> None:
         """Report that all devices of a rig are connected, for a run that is about to begin."""
-        self._report_devices({each.name: None for each in self._rig().rig.devices}, closing=True)
+        self._devices.report({each.name: None for each in self._rig().rig.devices}, closing=True)
         self._publish(ActivityChanged("starting the run", starts=True))
-
-    def _report_devices(self, outcome: dict[str, DeviceError | None], *, closing: bool = False) -> None:
-        """Report the devices of a rig with the errors, or None, of their connections; `closing` as in `_look`."""
-        opened, description = self._rig(), self._description
-        assert description is not None
-        if not any(outcome.values()):
-            remember_rig(description.file)
-        devices = self._held.contacts.first_statuses(outcome)
-        controllers = {axis: each.name for each in opened.rig.controllers for axis in each.axes}
-        self._publish(
-            RigOpened(
-                description.file.name,
-                Path(description.name),
-                description.digest,
-                description.simulated,
-                description.seed,
-                description.file.in_process,
-                devices,
-                controllers,
-            )
-        )
-        self._look(closing=closing)
 
     def serve(self) -> None:
         """Do what the commands ask for, until `end`; then stop what is in progress and close the rig."""
@@ -357,7 +334,7 @@ class Station:
 
     def close_rig(self, reason: str = "", *, fault: bool = False) -> None:
         """Close the shutter if the bench has opened it, and give the rig back. No axis moves."""
-        poller, self._poller, self._description = self._poller, None, None
+        poller, self._poller, self._connector, self._description = self._poller, None, None, None
         self.runs.wait_for_stops()  # one that finds a closed port would order to cut the motors' power
         if poller is not None:
             opened = poller.bench.opened
@@ -405,13 +382,7 @@ class Station:
         """Connect an idle device again that was lost; nothing moves. One attempt at a time, with pauses in between."""
         if self.busy or self.stops.in_progress or self.disconnected.is_set() or not self._tasks.empty():
             return
-        self._look_after_connection(self._held.contacts.connect_lost())
-
-    def _look_after_connection(self, device: str) -> None:
-        """Ask for the settings of the bench again where a device of them was connected: light and gain may be others."""
-        rig = self.snapshot.rig
-        if device and rig is not None and device not in rig.controllers.values():
-            self._look()
+        self._devices.connect_lost()
 
     # ---- the bench, in the engine's thread ----
 
@@ -421,45 +392,14 @@ class Station:
         assert self._poller is not None
         return self._poller
 
+    @property
+    def _devices(self) -> Connector:
+        """The connector of the open rig."""
+        assert self._connector is not None
+        return self._connector
+
     def _on_bench(self) -> Bench:
         return self._held.bench
-
-    def _look(self, *, closing: bool = False) -> None:
-        """Ask for the settings of the bench; `closing` closes a shutter that is open, also one that was opened by hand."""
-        if self._poller is not None:
-            bench, left = self._poller.bench, self._rig().guard.left
-            bench.look()
-            self._see_to_shutter(bench, left, closing=closing)
-            self._publish(bench.settings)
-            self._poller.report_references()
-
-    def _see_to_shutter(self, bench: Bench, left: Record | None, *, closing: bool) -> None:
-        """Close the shutter that a program which died has left open; order a person to, where that fails.
-
-        A shutter that is open for another reason is left as it is, with an order, unless `closing`.
-        """
-        is_open, guard = bench.settings.shutter_open, self._rig().guard
-        if left is not None and left.done:
-            self._publish(EventLogged("guardian", left.outcome, left.device))
-            guard.settle()
-            left = None
-        if left is None and (bench.opened_shutter or not is_open):
-            return
-        if left is None and not closing:
-            self.orders.give(shutter_found_open())
-            return
-        found = left_order(left) if left is not None else shutter_found_open()
-        try:
-            if is_open is not False:
-                bench.close_left_open()
-        except DeviceError as error:
-            self._held.contacts.note_fault(error)
-            self.orders.give(found)
-        else:
-            how = "found closed" if is_open is False else "closed now"
-            self._publish(EventLogged("guardian", f"Shutter {how}: {found.reason}", self._rig().rig.monochromator.name))
-            guard.settle()
-            self.orders.withdraw(found)
 
     def _set_live(self, on: bool) -> None:
         if not self.snapshot.busy:  # a run may have begun meanwhile
@@ -468,12 +408,6 @@ class Station:
     def _read(self, readings: int, dark: bool) -> None:
         reading = self._on_bench().read(readings, dark=dark)
         self._held.report_reading(reading, shutter_open=False if dark else self._on_bench().settings.shutter_open)
-
-    def _connect(self, device: str) -> None:
-        rig = self.snapshot.rig
-        for name in [device] if device else (rig.not_responding if rig is not None else []):
-            if self._held.contacts.connect(name) is None:
-                self._look_after_connection(name)
 
     # ---- a run ----
 
@@ -503,12 +437,12 @@ class Station:
 
         return self._questions.ask(question, look, given_up)
 
-    # ---- inside ----
-
     def report_place(self, axis: str) -> None:
         """Report counter and encoder of an axis at rest, as far as it responds."""
         if self._poller is not None:
             self._poller.report_place(axis)
+
+    # ---- inside ----
 
     def _check(self, command: str) -> None:
         if reason := allowed(self.snapshot)[command]:
