@@ -9,7 +9,7 @@ os.environ.setdefault("QT_QPA_PLATFORM", "offscreen")
 
 import pytest
 from PySide6.QtCore import QEvent
-from PySide6.QtWidgets import QAbstractButton, QApplication
+from PySide6.QtWidgets import QAbstractButton, QApplication, QLabel, QWidget
 from pytestqt.qtbot import QtBot
 
 from goniotwin.app.campaign.running.events import State
@@ -89,6 +89,12 @@ def ready(qtbot: QtBot, window: MainWindow) -> MainWindow:
     """Wait until Start is enabled; return the window."""
     qtbot.waitUntil(window.view.run.start_button.isEnabled, timeout=READY_MS)
     return window
+
+
+def named_label(shown: QWidget, name: str) -> QLabel:
+    """The one label whose accessible name begins so."""
+    (found,) = [each for each in shown.findChildren(QLabel) if each.accessibleName().startswith(name)]
+    return found
 
 
 def click(button: QAbstractButton) -> None:

@@ -14,7 +14,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from PySide6.QtCore import Qt
-from PySide6.QtWidgets import QAbstractButton, QAbstractItemView, QApplication, QDialog, QLabel, QMenu, QPlainTextEdit, QWidget
+from PySide6.QtGui import QAction
+from PySide6.QtWidgets import (
+    QAbstractButton,
+    QAbstractItemView,
+    QApplication,
+    QCheckBox,
+    QDialog,
+    QLabel,
+    QMenu,
+    QPlainTextEdit,
+    QWidget,
+)
 from pytestqt.qtbot import QtBot
 
 import goniotwin
@@ -47,7 +58,7 @@ from goniotwin.app.rig import AXES, read_rig
 from goniotwin.app.rig.kinds import ROLES
 from goniotwin.app.station.messages import BenchChanged, Contact, DeviceStatus, LampRead
 from goniotwin.protocols.clock import calendar_stamp
-from tests.app.desktop.conftest import READY_MS, WindowOpener, end_window, ready
+from tests.app.desktop.conftest import READY_MS, WindowOpener, end_window, named_label, ready
 from tests.app.desktop.made_study import made_outcome
 from tests.app.desktop.screen_faults import SCREEN, controls, faults
 from tests.conftest import REPOSITORY, RIG, SCHEDULE, Writer
@@ -172,7 +183,7 @@ def test_the_keys_of_stop_hold_in_the_windows_beside_the_main_one(qtbot: QtBot, 
     run.stop.connect(lambda: stopped.append(True))
     chosen: list[Path] = []
     (tmp_path / "a.csv").touch()
-    frame._show_keys()
+    frame.menus.help_wanted.emit()
     frame.view.screen_of(BenchScreen)._ask_about_position("sigma")
     FileDialog(frame, "Open", tmp_path, "Table (*.csv)", chosen.append)
     save = FileDialog(frame.view.screens[0], "Save", tmp_path / "a.csv", "Table (*.csv)", chosen.append, save=True)
@@ -316,6 +327,17 @@ def test_a_screen_is_added_by_a_line(qtbot: QtBot, open_window: WindowOpener, mo
     qtbot.waitUntil(lambda: bool(window.view.screen_of(AddedScreen).messages), timeout=READY_MS)
 
 
+def menu_action(window: MainWindow, text: str) -> QAction:
+    """The one action of the menus whose text begins so."""
+    (found,) = [
+        action
+        for menu in window.menuBar().findChildren(QMenu)
+        for action in menu.actions()
+        if action.text().startswith(text) and action.menu() is None
+    ]
+    return found
+
+
 def test_the_letter_and_the_key_of_start_and_pause(qtbot: QtBot, open_window: WindowOpener) -> None:
     """Alt+S opened the wrong dialog, and Alt+P did nothing."""
     window = ready(qtbot, open_window(speed=4.0))
@@ -325,12 +347,12 @@ def test_the_letter_and_the_key_of_start_and_pause(qtbot: QtBot, open_window: Wi
     qtbot.keyClick(window, Qt.Key.Key_S, Qt.KeyboardModifier.AltModifier)
     qtbot.waitUntil(window.view.run.pause_button.isEnabled, timeout=READY_MS)
     assert isinstance(window.view.screens[window.view.shown_screen], view.FIRST)
-    assert window.menus._stop.isEnabled()
+    assert menu_action(window, "Stop").isEnabled()
     qtbot.waitUntil(lambda: window.view.run.progress.value() > 0, timeout=READY_MS)
     qtbot.keyClick(window, Qt.Key.Key_P, Qt.KeyboardModifier.AltModifier)
     qtbot.waitUntil(lambda: window.view.run.pause_button.text() == "Res&ume", timeout=READY_MS)
-    assert window.menus._pause.text() == "Res&ume"
-    assert not window.menus._open_rig.isEnabled()
+    assert menu_action(window, "Res&ume").isEnabled()
+    assert not menu_action(window, "Open &rig").isEnabled()
     qtbot.keyClick(window, Qt.Key.Key_P, Qt.KeyboardModifier.ControlModifier)
     qtbot.waitUntil(lambda: window.view.run.pause_button.text() == PAUSE, timeout=READY_MS)
 
@@ -344,7 +366,7 @@ def test_the_window_remembers_its_screen_its_size_and_its_scheme(
     first.resize(700, 500)
     first.view.show_screen(3)
     first.theme.force(None)
-    first._choose_scheme("dark")
+    first.menus.scheme_chosen.emit("dark")
     assert first.close()
     del first
     remembered = Remembered(file)
@@ -352,7 +374,7 @@ def test_the_window_remembers_its_screen_its_size_and_its_scheme(
     second = make_frame(remembered)
     assert second.view.shown_screen == 3
     assert (second.width(), second.height()) == (700, 500)
-    second._choose_scheme(None)
+    second.menus.scheme_chosen.emit(None)
     assert Remembered(file).scheme is None
 
 
@@ -440,7 +462,9 @@ def test_the_events_to_look_at_are_counted_and_can_be_shown_alone(frame: MainWin
     table = screen.findChild(QAbstractItemView, "events")
     assert table is not None
     assert table.model().rowCount() == 5
-    screen._only.click()
+    only = screen.findChild(QCheckBox)
+    assert only is not None
+    only.click()
     assert [table.model().index(row, 1).data() for row in range(table.model().rowCount())] == ["✗ event 3", "✗ event 1"]
 
 
@@ -467,11 +491,12 @@ def test_the_strip_has_devices_light_and_axes_and_the_bench_both_values_of_an_ax
     on_bench.set_position(180.0)
     on_bench.set_unreferenced("it is jammed", 150.0)
     qtbot.wait(1)
-    assert ("1234.5&nbsp;nm" in strip._light.text()) == (percent < 200)
-    assert "<b>open</b>" in strip._light.text()
-    assert ("lamp&nbsp;412&nbsp;nA" in strip._light.text()) == (percent < 200)
-    assert "shutter open, 1234.5 nm, lamp 412 nA" in strip._light.accessibleName()
-    assert strip._axes["beta"].text() == "β ✗ 180.00° | 150.00°"
+    light, beta = (named_label(strip, name) for name in ("Light: ", "beta "))
+    assert ("1234.5&nbsp;nm" in light.text()) == (percent < 200)
+    assert "<b>open</b>" in light.text()
+    assert ("lamp&nbsp;412&nbsp;nA" in light.text()) == (percent < 200)
+    assert "shutter open, 1234.5 nm, lamp 412 nA" in light.accessibleName()
+    assert beta.text() == "β ✗ 180.00° | 150.00°"
     assert on_bench.position.text() == "✗ 180.00° | 150.00°"
     assert [fault for fault in faults(frame, percent) if "180.00" in fault or "nm" in fault] == []
 
@@ -512,8 +537,8 @@ def test_the_panels_have_the_axes_and_devices_of_a_rig() -> None:
 
 def test_about_has_the_version(frame: MainWindow) -> None:
     assert goniotwin.__version__ in about_text()
-    frame._show_about()
-    frame._show_keys()
+    frame.menus.about_wanted.emit()
+    frame.menus.help_wanted.emit()
     titles = {each.windowTitle() for each in QApplication.topLevelWidgets() if each.parent() is frame}
     assert {"About goniotwin", "Keys and screens"} <= titles
 

@@ -7,9 +7,10 @@ from goniotwin.app.campaign.running.events import State
 from goniotwin.app.desktop import MainWindow
 from goniotwin.app.desktop.bench.position_entry import PositionEntry
 from goniotwin.app.desktop.events.question import QuestionBox
+from goniotwin.app.rig import AXES
 from tests.app.campaign.campaign_bench import QUIET
 from tests.app.campaign.jam import ASK, AXIS, COUNTED_DEG, HOMES, JAMMED_DEG, check_undisturbed
-from tests.app.desktop.conftest import READY_MS, WindowOpener, click, ready, wait_for_end
+from tests.app.desktop.conftest import READY_MS, WindowOpener, click, named_label, ready, wait_for_end
 from tests.app.desktop.local_stations import LocalStations
 from tests.app.desktop.test_events import answer, start_with_person, wait_for_question
 from tests.conftest import Writer
@@ -50,8 +51,8 @@ def test_a_jammed_axis_is_stated_by_its_encoder_and_the_values_are_those_of_an_u
     qtbot.waitUntil(lambda: "150.000°, 180.000°, 30.000°" in entry.place, timeout=READY_MS)
     assert list(question.buttons) == ["Set position", "Retry", "Skip row", "Pause", "Stop"]
     assert "Set position is an answer of its question" in window.presenter.permissions.refusals["set_position"]
-    (strip,) = [each.text() for each in window.view.strip._axes.values() if "✗" in each.text()]
-    assert strip == "β ✗ 150.00° | 180.00°"
+    strip = [named_label(window.view.strip, f"{axis} position").text() for axis in AXES]
+    assert [each for each in strip if "✗" in each] == ["β ✗ 150.00° | 180.00°"]
     jam(stations, False)
 
     click(question.buttons["Set position"])  # nothing is in the field: no answer

@@ -42,7 +42,7 @@ from goniotwin.app.station.server import StationServer
 from goniotwin.app.station.station import Station
 from goniotwin.drivers import DeviceError, Rig, TmclAxis
 from goniotwin.drivers.errors import NoAnswer
-from tests.app.desktop.conftest import READY_MS, ROWS, WindowOpener, click, ready, wait_for_end
+from tests.app.desktop.conftest import READY_MS, ROWS, WindowOpener, click, named_label, ready, wait_for_end
 from tests.app.desktop.keyboard import press
 from tests.app.desktop.local_stations import Host, LocalStations
 from tests.conftest import RIG, SMALL, Writer
@@ -733,7 +733,7 @@ def test_a_station_that_dies_is_reported_and_the_run_is_resumed_with_one_key(
     assert "SIMULATED" in window.view.banner  # as long as its values are shown
     assert "SIMULATED" in window.view.plot.title
     assert window.view.run.left.text() == ""
-    assert window.view.axes._targets["sigma"].text() == "–"
+    assert named_label(window.view.axes, "sigma target").text() == "–"
     assert not window.view.run.start_button.isEnabled()
     press("Ctrl+.")
     qtbot.waitUntil(lambda: "use the main switch" in window.view.status, timeout=READY_MS)

@@ -22,7 +22,7 @@ from goniotwin.app.station.messages import (
 from goniotwin.app.station.server import StationServer
 from goniotwin.app.station.station import Station
 from goniotwin.protocols import channel
-from goniotwin.protocols.channel import LONGEST_LINE, connect
+from goniotwin.protocols.channel import LONGEST_LINE, Channel, connect
 from goniotwin.protocols.clock import RealClock
 from goniotwin.protocols.loopback import LOOPBACK
 
@@ -355,14 +355,17 @@ def test_a_command_that_fails_while_the_station_ends_fails_once(
     server: StationServer, attach: Callable[[str], Watcher], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The thread that reads and the one that sends notice the end at the same moment."""
-    one = attach("one")
+    one, send, asks = attach("one"), Channel.send, threading.current_thread()
 
-    def send(_message: object) -> None:
+    def fail(channel: Channel, message: dict[str, object]) -> None:
+        if threading.current_thread() is not asks:  # of the server
+            send(channel, message)
+            return
         server.stop()
         assert one.ended.wait(LONGEST_S)
         raise OSError("broken")
 
-    monkeypatch.setattr(one.client._channel, "send", send)
+    monkeypatch.setattr(Channel, "send", fail)
     with pytest.raises(NoStation):
         one.client.do("stop")
 

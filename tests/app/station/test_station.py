@@ -20,6 +20,7 @@ from goniotwin.app.campaign.running.events import (
 from goniotwin.app.campaign.running.question import Answer
 from goniotwin.app.campaign.running.stop import StopRequest
 from goniotwin.app.rig import OpenRig, read_rig
+from goniotwin.app.station.client import Refused, StationClient
 from goniotwin.app.station.contacts import ASK_S
 from goniotwin.app.station.messages import (
     ActivityChanged,
@@ -409,14 +410,18 @@ def test_no_command_is_accepted_while_a_stop_is_carried_out(
 def test_what_was_asked_for_before_a_stop_does_not_begin_after_it(bench: StationBench) -> None:
     """The line of a client waits somewhere while another one stops."""
     server = StationServer(bench.station)
+    server.start()
+    client = StationClient(server.port, server.token, "a")
+    client.start()
     try:
-        asked = {"axis": "sigma", "target_deg": 30.0, "stops": bench.station.snapshot.stops}
+        before = bench.station.snapshot.stops
         bench.station.stop()
-        with pytest.raises(CommandRefused, match="stopped before the start"):
-            server._command("a", "move", dict(asked))
-        server._command("a", "move", {**asked, "stops": bench.station.snapshot.stops})
+        with pytest.raises(Refused, match="stopped before the start"):
+            client.do("move", axis="sigma", target_deg=30.0, stops=before)
+        client.do("move", axis="sigma", target_deg=30.0, stops=bench.station.snapshot.stops)
     finally:
-        server._server.stop()
+        client.close()
+        server.stop()
 
 
 def test_a_stop_before_a_run_or_its_resume_has_begun(bench: StationBench, write_schedule: Writer, tmp_path: Path) -> None:
