@@ -120,7 +120,7 @@ class SerialEndpoints:
             done.result()
 
     def _plug_in(self, line: Line, link: Path) -> None:
-        import tty
+        import tty  # POSIX alone, as pseudo-terminals are
 
         master, slave = os.openpty()
         try:

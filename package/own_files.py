@@ -16,7 +16,7 @@ def state_folder() -> Path:
 
 def cache_folder() -> Path:
     """The folder of this user's programs for what they can make again. It is not looked at."""
-    from platformdirs import user_cache_path
+    from platformdirs import user_cache_path  # most commands do without
 
     return user_cache_path("goniotwin", appauthor=False)
 

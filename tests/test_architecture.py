@@ -155,6 +155,35 @@ def test_no_test_imports_a_benchmark() -> None:
             assert not [name for name in names if name.partition(".")[0] == "benchmarks"], path
 
 
+def test_each_import_within_a_function_says_why() -> None:
+    """In a comment at it or above it, or at the module's imports for types, of a library that the whole module loads late."""
+    silent = []
+    for path in [*sources("*.py"), *(REPOSITORY / "package").glob("*.py")]:
+        text = path.read_text(encoding="utf-8")
+        lines = text.splitlines()
+        if re.search(r"^if TYPE_CHECKING:  # \S", text, re.MULTILINE):
+            continue
+        said = 0  # the last line of imports with a reason
+        for number in late_imports(text):
+            above = lines[number - 2].strip()
+            if "#" in lines[number - 1] or above.startswith("#") or (said and all(map(is_import, lines[said:number]))):
+                said = number
+            else:
+                silent.append(f"{path.relative_to(REPOSITORY)}:{number}")
+    assert silent == []
+
+
+def late_imports(text: str) -> list[int]:
+    """The lines of imports within functions."""
+    functions = [each for each in ast.walk(ast.parse(text)) if isinstance(each, ast.FunctionDef)]
+    return sorted({each.lineno for one in functions for each in ast.walk(one) if isinstance(each, ast.Import | ast.ImportFrom)})
+
+
+def is_import(line: str) -> bool:
+    """Whether a line belongs to a block of imports, one of several lines included."""
+    return re.match(r"\s*(from|import) |\s*\w+,$|\s*\)$|\s*$", line) is not None
+
+
 def test_a_package_loads_each_name_that_it_imports_for_types_and_no_other() -> None:
     packages = [path for path in sources("__init__.py") if "first_use(" in path.read_text(encoding="utf-8")]
     assert len(packages) > 5

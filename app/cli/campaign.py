@@ -2,9 +2,7 @@
 
 import contextlib
 import os
-import re
 import sys
-import threading
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -33,23 +31,14 @@ from goniotwin.protocols.clock import GREATEST_SPEED, LEAST_SPEED
 if TYPE_CHECKING:  # the planner loads numpy, which a command's help does not need
     from goniotwin.app.campaign.campaign import Outcome
     from goniotwin.app.campaign.journal.chain import Chain
-    from goniotwin.app.campaign.journal.summary import CampaignSummary
     from goniotwin.app.campaign.planning.plan import NewPlan
-    from goniotwin.app.campaign.running.question import Answer, Ask, Question, Reply
+    from goniotwin.app.campaign.running.question import Ask
     from goniotwin.app.campaign.studies.checks import CheckResults
     from goniotwin.app.rig import RigDescription
     from goniotwin.app.station.hosting import HostedRun
 
 Schedule = Annotated[Path, typer.Argument(metavar="SCHEDULE.toml", help="Schedule file.", show_default=False)]
-STATE_STYLES = {"done": "green", "running": "cyan", "failed": "red", "killed": "red", "stopped": "yellow", "empty": "dim"}
 
-NO_TERMINAL = "samples are mounted and faults fixed by hand, and standard input is closed; run it in a terminal"
-
-ENCODER = "encoder"
-"""Typed in place of an angle: the encoder's."""
-Place = tuple[float | None, float | None]
-"""Counter and encoder of an axis, deg; None is unknown."""
-NO_PLACE: Place = (None, None)
 
 app = typer.Typer()
 
@@ -81,6 +70,7 @@ def check(schedule: Schedule, rig: RigOption, as_json: Json = False) -> None:
 
     Exit status: 2 if the rig cannot do the schedule.
     """
+    # Loads 317 modules, numpy and pydantic among them: 0.4 s, which help does without.
     from goniotwin.app.campaign.planning.check import check_plan, describe_check
 
     plan = _make_plan(schedule, rig)
@@ -88,6 +78,7 @@ def check(schedule: Schedule, rig: RigOption, as_json: Json = False) -> None:
     result, standards = check_plan(plan), ""
     document: object = result
     if plan.schedule.file.second_standard is not None:
+        # Loads 628 modules, numba and sqlite3 among them: 0.8 s, which help does without.
         from goniotwin.app.campaign.studies.standards import expected_comparison
 
         expected = expected_comparison(plan)
@@ -133,6 +124,7 @@ def rehearse(
 
     Exit status: 0 if all rows are done, 1 after a fault, 3 if the schedule's [stop] ended it.
     """
+    # Loads 941 modules, numba and pymodbus among them: 1.3 s, which help does without.
     from goniotwin.app.campaign.rehearsal.rehearsal import plan_rehearsal, rehearse
     from goniotwin.app.campaign.rehearsal.report import report_text
     from goniotwin.app.campaign.running.events import State
@@ -212,6 +204,7 @@ def prove(
     if schedule is None or rig is None:
         missing = "SCHEDULE.toml" if schedule is None else "--rig"
         raise UserError(f"prove: {missing} is missing; write goniotwin prove SCHEDULE.toml --rig RIG.toml, or --structures N")
+    # Loads 953 modules, numba and pymodbus among them: 1.2 s, which help does without.
     from goniotwin.app.campaign.proof.proof import Proof
     from goniotwin.app.campaign.proof.proof import prove as prove_rigs
     from goniotwin.app.campaign.proof.report import proof_text
@@ -242,6 +235,7 @@ def _prove_structures(
     dask: str | None,
     as_json: bool,
 ) -> None:
+    # Loads 953 modules, numba and pymodbus among them: 1.2 s, which help does without.
     from goniotwin import examples
     from goniotwin.app.campaign.proof.pooled import PooledProof, prove_structures
     from goniotwin.app.campaign.proof.report import pooled_text
@@ -312,6 +306,7 @@ def run(
     refused (no journal is created); 3 if the schedule ended the campaign ([stop], or a drift beyond its limit); 130 after
     Ctrl-C. After 1, 3 and 130 the journal has all measured rows, and --resume continues.
     """
+    # Loads 897 modules, numba and pymodbus among them: 1.1 s, which help does without.
     from goniotwin.app.campaign.campaign import resume_campaign, run_campaign
     from goniotwin.app.campaign.running.events import State
     from goniotwin.app.campaign.studies.journals import check_journal
@@ -398,7 +393,9 @@ def runs(
     as_json: Json = False,
 ) -> None:
     """List the campaigns of a folder: state, rows, time left."""
+    # Loads 393 modules, rich and sqlite3 among them: 0.5 s, which help does without.
     from goniotwin.app.campaign.journal.summary import campaign_summaries
+    from goniotwin.app.cli.tables import print_campaigns
     from goniotwin.app.rig.left import left_unsafe
 
     found, refused = campaign_summaries(folder)
@@ -407,7 +404,7 @@ def runs(
     answer(
         as_json,
         {"campaigns": found, "unreadable": refused, "orders": others},
-        lambda: _print_campaigns(folder, found),
+        lambda: print_campaigns(folder, found),
     )
     for reason in refused:
         print_error(one_line(reason))
@@ -416,33 +413,6 @@ def runs(
             print_order(f"of {each.journal}, not acknowledged: {order}")
     for order in others:
         print_order(order)
-
-
-def _print_campaigns(folder: Path, campaigns: "list[CampaignSummary]") -> None:
-    """Print one line for each campaign."""
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
-    from goniotwin.app.campaign.wording import duration_text
-
-    console = Console(highlight=False)
-    if not campaigns:
-        console.print(f"{folder}: no journals (*.journal)", markup=False)
-        return
-    table = Table(box=None, pad_edge=False)
-    for name in ("journal", "campaign", "state", "rows", "left", "started"):
-        table.add_column(name, justify="right" if name in ("rows", "left") else "left", overflow="fold")
-    for each in campaigns:
-        table.add_row(
-            Text(one_line(Path(each.journal).name)),
-            Text(one_line(f"{each.name}{' (SIMULATED)' if each.simulated else ''}")),
-            f"[{STATE_STYLES[each.state]}]{each.state}[/]{f', {each.skipped} skipped' if each.skipped else ''}",
-            f"{each.rows}/{each.planned}",
-            duration_text(each.seconds_left) if each.rows < each.planned else "",
-            Text(one_line(each.begun or "")),
-        )
-    console.print(table)
 
 
 def _sample_models(texts: list[str]) -> dict[str, str]:
@@ -460,6 +430,7 @@ def _sample_models(texts: list[str]) -> dict[str, str]:
 
 def _check_writable(points: Path | None, out: Path | None) -> None:
     """Check, before a long rehearsal, that its files can be written after it. Raises UserError."""
+    # Loads 36 modules, importlib.metadata among them: 30 ms, which help does without.
     from goniotwin.app.formats import FormatError
     from goniotwin.app.formats.file import check_writable
     from goniotwin.app.formats.registry import Holds, format_for
@@ -494,6 +465,7 @@ def _check_arguments(schedule: Path | None, rig: Path | None, out: Path | None, 
 
 
 def _make_plan(schedule: Path, rig: Path) -> "NewPlan":
+    # Loads 314 modules, numpy and pydantic among them: 0.4 s, which help does without.
     from goniotwin.app.campaign.planning.plan import make_plan
     from goniotwin.app.campaign.schedule.file import read_schedule
     from goniotwin.app.rig import read_rig
@@ -503,6 +475,7 @@ def _make_plan(schedule: Path, rig: Path) -> "NewPlan":
 
 def _rig_of(journal: Path, rig: "RigDescription | None") -> "RigDescription":
     """The rig of a campaign that is resumed. Raises UserError."""
+    # Loads 345 modules, sqlite3 and numpy among them: 0.4 s, which help does without.
     from goniotwin.app.campaign.journal.writing import Journal
     from goniotwin.app.campaign.running.resume import recorded_rig
 
@@ -517,9 +490,13 @@ def _hosted(speed: float | None, rig: "RigDescription") -> "Iterator[tuple[Hoste
     """The host of a run that others can attach to, and what asks the operator; no host on the virtual clock."""
     if speed is not None and not rig.file.in_process:
         raise UserError(f"{rig.name}: --speed: the rig is not virtual in this process; leave --speed out")
+    # Loads 836 modules, numba and pymodbus among them: 1.1 s, which help does without.
+    from goniotwin.app.cli.terminal import TerminalAsk, ask_operator
+
     if speed is None and rig.file.in_process:
         yield None, ask_operator
         return
+    # Loads 835 modules, numba and pymodbus among them: 1.2 s, which help does without.
     from goniotwin.app.campaign.running.events import EventLogged
     from goniotwin.app.station.hosting import hosted_run
 
@@ -538,148 +515,6 @@ def _report_end(host: "HostedRun | None", outcome: "Outcome") -> None:
         host.station.runs.end(outcome.state, outcome.ended_by_schedule, outcome.journal, outcome.journal_note)
 
 
-class TerminalAsk:
-    """Asks the operator here and at every attached client; the first answer counts."""
-
-    def __init__(self, host: "HostedRun") -> None:
-        self._host = host
-        self._reader: threading.Thread | None = None
-        self._question: tuple[int, Question] | None = None
-        self._asked = threading.Condition()
-        self._closed = False
-
-    def __call__(self, question: "Question") -> "Reply":
-        """Print a question and wait for an answer. Raises UserError where none can come."""
-        from goniotwin.app.station.messages import QuestionAsked
-
-        def note(_number: int, message: object) -> None:
-            if isinstance(message, QuestionAsked):
-                self._set_question((message.number, message.question))
-
-        if question.axis is not None:
-            self._host.station.report_place(question.axis.name)
-        _print_question(question, self._place_of(question))
-        self._host.station.board.subscribe(note)
-        try:
-            if self._reader is None:
-                self._reader = threading.Thread(target=self._read, name="terminal", daemon=True)
-                self._reader.start()
-            return self._host.station.ask(question, self._given_up)
-        finally:
-            self._set_question(None)
-            self._host.station.board.unsubscribe(note)
-
-    def _given_up(self) -> str:
-        return NO_TERMINAL if self._closed and not self._host.clients else ""
-
-    def _place_of(self, question: "Question") -> Place:
-        """The axis' counter and encoder now."""
-        now, axis = self._host.station.snapshot, question.axis
-        return (now.positions.get(axis.name), now.encoders.get(axis.name)) if axis is not None else NO_PLACE
-
-    def _set_question(self, question: "tuple[int, Question] | None") -> None:
-        with self._asked:
-            self._question = question
-            self._asked.notify_all()
-
-    def _read(self) -> None:
-        """Read answers, one line at a time while a question is open, to the end of standard input."""
-        while True:
-            with self._asked:
-                self._asked.wait_for(lambda: self._question is not None)
-                asked = self._question
-            line = sys.stdin.readline()
-            if not line:
-                break
-            if asked is None or self._question is not asked:
-                continue  # it was answered elsewhere, and the line is no answer to the next one
-            place = self._place_of(asked[1])
-            found = _reply_of(line, asked[1], place)
-            if found is None:
-                _print_choices(asked[1], place)
-                continue
-            self._set_question(None)
-            self._answer(asked, found)
-        self._closed = True
-        self._host.station.wake()
-
-    def _answer(self, asked: "tuple[int, Question]", reply: "Reply") -> None:
-        """Answer a question; one that is refused is still open, unless it was answered elsewhere."""
-        from goniotwin.app.campaign.running.question import Answer, PositionGiven
-
-        number, _ = asked
-        try:
-            if isinstance(reply, PositionGiven):
-                self._host.station.answer(number, Answer.SET_POSITION, reply.angle_deg)
-            else:
-                self._host.station.answer(number, reply)
-        except UserError as refusal:
-            still = self._host.station.snapshot.question
-            if still is not None and still.number == number:
-                print_error(refusal)
-                self._set_question(asked)
-
-
 def _ask_rig(text: str) -> bool:
     """Ask whether to resume on another rig than the last one; only an explicit yes is one."""
     return typer.confirm(f"{text}. Use these devices?", default=False, err=True)
-
-
-def ask_operator(question: "Question") -> "Reply":
-    """Print a question and read the beginning of an answer. Enter alone is no answer. Raises UserError without a terminal."""
-    _print_question(question, NO_PLACE)
-    while line := sys.stdin.readline():
-        found = _reply_of(line, question, NO_PLACE)
-        if found is not None:
-            return found
-        _print_choices(question, NO_PLACE)
-    raise UserError(NO_TERMINAL)
-
-
-def _answers(question: "Question") -> "list[Answer]":
-    """The answers that a terminal offers."""
-    from goniotwin.app.campaign.running.question import Answer
-
-    # A pause would last for ever, because a terminal has no Resume; waiting is what a question does by itself.
-    return [each for each in question.answers if each not in (Answer.PAUSE, Answer.WAIT)]
-
-
-def _reply_of(line: str, question: "Question", place: Place) -> "Reply | None":
-    """The reply of a line: the beginning of an answer, and behind Set position an angle, or the word encoder."""
-    from goniotwin.app.campaign.running.question import Answer, PositionGiven
-
-    words = line.lower().split()
-    given = words.pop() if len(words) > 1 and (words[-1] == ENCODER or not words[-1].isalpha()) else ""
-    start = " ".join(words)
-    found = [each for each in _answers(question) if start and each.lower().startswith(start)]
-    if len(found) != 1 or (given != "") is not (found[0] is Answer.SET_POSITION):
-        return None
-    if not given:
-        return found[0]
-    if given == ENCODER:
-        return None if place[1] is None else PositionGiven(round(place[1], 4))
-    number = given.replace("−", "-").replace(",", ".")
-    # Not all that Python takes for a number: 1_0 is a slip of the finger.
-    return PositionGiven(float(number)) if re.fullmatch(r"[-+]?([0-9]+\.?[0-9]*|\.[0-9]+)", number) else None
-
-
-def _print_question(question: "Question", place: Place) -> None:
-    from goniotwin.app.campaign.running.question import EFFECTS
-
-    error_console().print(f"{question.title}. {question.text}", style="bold", markup=False)
-    for each in _answers(question):
-        error_console().print(f"  {each}: {EFFECTS[each]}", markup=False)
-    if question.axis is not None:
-        _print_choices(question, place)
-
-
-def _print_choices(question: "Question", place: Place) -> None:
-    """Print what to type; for an axis its counter and encoder now, which may be others than when the question was asked."""
-    from goniotwin.app.campaign.running.question import Answer
-    from goniotwin.app.campaign.wording import place_text
-
-    if question.axis is not None:
-        error_console().print(f"{question.axis.name} now: {place_text(*place)}.", markup=False, highlight=False)
-    given = "ANGLE" if place[1] is None else f"ANGLE (or {ENCODER})"
-    ways = [f"{each} {given}" if each is Answer.SET_POSITION else str(each) for each in _answers(question)]
-    error_console().print(f"Type {' or '.join(ways)}, or the beginning of it, then Enter.", markup=False)

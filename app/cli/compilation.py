@@ -37,126 +37,25 @@ class Part(NamedTuple):
     call: Callable[[], object]
 
 
-def _scenes() -> None:
-    from goniotwin.twin.optics import Instrument, gaussian, throughput
+def _part(title: str, name: str) -> Part:
+    def call() -> None:
+        # Loads 704 modules, numba and pymodbus among them: 0.9 s, which help does without.
+        from goniotwin.app.cli import compiled_parts
 
-    throughput(Instrument(), 30.0, UPWARDS, gaussian(5.0))
+        getattr(compiled_parts, name)()
 
-
-def _every_scene() -> None:
-    from goniotwin.twin.optics import albedo, evaluate, gaussian, light_direction, regular, ward
-
-    evaluate(ward(1.0, 0.1, 0.2), light_direction(30.0), UPWARDS)
-    albedo(regular(1.0), 30.0)
-    albedo(gaussian(5.0, transmits=True, refraction=1.5), 30.0, transmitted=True)
+    return Part(title, call)
 
 
-def _rig() -> None:
-    import numpy as np
-
-    from goniotwin import examples
-    from goniotwin.app.rig import read_rig
-    from goniotwin.protocols.clock import VirtualClock
-    from goniotwin.twin import VirtualRig
-    from goniotwin.twin.optics import evaluate, gaussian, light_direction
-    from goniotwin.twin.plant.lamp import lamp_constants, lamp_mean
-    from goniotwin.twin.plant.noise import mix
-    from goniotwin.twin.plant.process_key import process_key
-
-    evaluate(gaussian(5.0), light_direction(30.0), UPWARDS)
-    model = read_rig(examples.RIG).model()
-    assert model is not None
-    plant = VirtualRig.build(model, VirtualClock()).plant  # on a real clock the light on the photodiodes would be computed
-    plant.volts(0, 0.0)
-    plant.coming_readings(1000)
-    lamp_mean(0.0, plant.conversion_period_s, *lamp_constants(model.light, model.seed, model.noise))
-    mix(process_key(model.seed, "encoder"), np.int64(0))
-
-
-def _shadows() -> None:
-    from goniotwin.twin.optics import Instrument, shadow_map
-    from goniotwin.twin.optics.geometry.mirrors import mirrors_at
-
-    shadow_map(Instrument(), 30.0, 45.0)
-    mirrors_at(Instrument(), 30.0)
-
-
-def _uncertainties() -> None:
-    import numpy as np
-
-    from goniotwin.app.campaign.measurement_model.lit_share import LitEnsemble, LitModes
-    from goniotwin.app.campaign.measurement_model.slopes import Directions, slopes_of
-
-    same, angles = np.zeros(5, dtype=np.int64), np.linspace(0.1, 0.2, 5)
-    slopes_of(Directions(same, same, same, *[angles] * 6), angles, angles, 0.1)
-    one = np.ones((1, 1))
-    LitModes(LitEnsemble(one, one, one, one[0]), one).quantiles(one, one[0], (0.1, 0.9))
-
-
-def _forward() -> None:
-    import numpy as np
-
-    from goniotwin.twin.optics import (
-        Instrument,
-        RealSensor,
-        draw_directions,
-        forward_throughput,
-        gaussian,
-        light_direction,
-    )
-    from goniotwin.twin.optics.forward.stray_light import stray_map
-
-    for instrument in (Instrument(), Instrument(sensor=RealSensor())):
-        forward_throughput(instrument, 30.0, UPWARDS, gaussian(5.0), 2)
-    stray_map(Instrument(), 30.0, gaussian(5.0), 2)
-    draw_directions(gaussian(5.0), light_direction(30.0), np.full((1, 4), 0.5))
-
-
-def _illumination() -> None:
-    import numpy as np
-
-    from goniotwin.twin.optics import (
-        IlluminationUnit,
-        Instrument,
-        adjoint_illumination,
-        field_fluxes,
-        forward_illumination,
-        pupil_image,
-        record,
-    )
-    from goniotwin.twin.optics.geometry.scene import scene_at
-    from goniotwin.twin.optics.illumination.slit_image import lit_corners
-
-    forward_illumination(IlluminationUnit(), rays=2)
-    adjoint_illumination(IlluminationUnit(), rays=2)
-    field_fluxes(IlluminationUnit(), np.zeros((1, 6, 6)))
-    record(IlluminationUnit(), rays=2, seed=1)
-    pupil_image(Instrument(), 30.0)
-    lit_corners(Instrument(), scene_at(Instrument(), 30.0))
-
-
-def _sequences() -> None:
-    import numpy as np
-
-    from goniotwin.app.campaign.planning.path_search import shorten_path
-    from goniotwin.twin.optics.bsdf.point_samples import plane_through_points
-    from goniotwin.twin.optics.fast.surrogate import fill_relative_rms
-
-    shorten_path(np.arange(3), np.ones((4, 4)), 10)
-    plane_through_points(np.array(UPWARDS), np.array(UPWARDS), np.ones(1), 1.0)
-    fill_relative_rms(np.zeros((1, 1)), np.zeros((3, 4)), np.zeros((4, 1)), np.empty(1))
-
-
-UPWARDS = [[0.0, 0.0, 1.0]]
 PARTS = {
-    "scenes": Part("light on the detectors", _scenes),
-    "rig": Part("samples, electronics", _rig),
-    "shadows": Part("shadows", _shadows),
-    "uncertainties": Part("uncertainties", _uncertainties),
-    "every-scene": Part("samples of every kind", _every_scene),
-    "forward": Part("forward estimator", _forward),
-    "illumination": Part("illumination unit", _illumination),
-    "sequences": Part("path search, measured points, tolerances", _sequences),
+    "scenes": _part("light on the detectors", "scenes"),
+    "rig": _part("samples, electronics", "rig"),
+    "shadows": _part("shadows", "shadows"),
+    "uncertainties": _part("uncertainties", "uncertainties"),
+    "every-scene": _part("samples of every kind", "every_scene"),
+    "forward": _part("forward estimator", "forward"),
+    "illumination": _part("illumination unit", "illumination"),
+    "sequences": _part("path search, measured points, tolerances", "sequences"),
 }
 REHEARSAL = ("scenes", "rig", "uncertainties")
 """What every rehearsal needs; Gaussian and diffuse samples need no more."""
@@ -169,6 +68,7 @@ NOT_KEPT = "compiling the optics, for this command alone: code can be kept nowhe
 
 def parts_of_rehearsal(schedule: "ScheduleFile", model: "TwinModel | None") -> tuple[str, ...]:
     """Names of the parts that a rehearsal of the schedule needs on the virtual rig `model`, if there is one."""
+    # Loads 4 modules: 3 ms, which help does without.
     from goniotwin.twin.optics.bsdf.kinds import GAUSSIAN, LAMBERTIAN
 
     samples = () if model is None else [model.samples.get(name) for name in schedule.mounted]
@@ -185,16 +85,14 @@ def compile_optics(as_json: Json = False) -> None:
     Otherwise that takes place in the first command that needs it. The code is kept in files for this computer and this version
     of the program; results are the same.
     """
-    from goniotwin.twin.optics.kernel import FOLDER
-
-    missing = compile_ahead(PARTS)
+    missing, folder = compile_ahead(PARTS), _folder()
     answer(
         as_json,
-        {"compiled": missing, "folder": str(FOLDER)},
+        {"compiled": missing, "folder": str(folder)},
         lambda: print(
-            f"compiled in {FOLDER}: {'; '.join(PARTS[name].title for name in missing)}"
+            f"compiled in {folder}: {'; '.join(PARTS[name].title for name in missing)}"
             if missing
-            else f"nothing to do: all is compiled, in {FOLDER}"
+            else f"nothing to do: all is compiled, in {folder}"
         ),
     )
 
@@ -204,14 +102,13 @@ def compile_ahead(names: Collection[str] = REHEARSAL) -> list[str]:
 
     Returns their names. Raises UserError where one cannot be compiled, or `names` are all and compiled code cannot be kept.
     """
-    from goniotwin.twin.optics.kernel import FOLDER
-
-    if FOLDER is None:
+    folder = _folder()
+    if folder is None:
         if names is PARTS:
             raise UserError("no folder for compiled code can be used: set NUMBA_CACHE_DIR to one that is yours alone")
         return []
     try:
-        missing = [name for name in names if not (FOLDER / f"{name}.done").exists()]
+        missing = [name for name in names if not (folder / f"{name}.done").exists()]
     except OSError:  # of a process that has become another user's
         return []
     with compiling_elsewhere(missing[1::2]):
@@ -219,14 +116,21 @@ def compile_ahead(names: Collection[str] = REHEARSAL) -> list[str]:
     return missing
 
 
-def _compile(names: Iterable[str]) -> None:
+def _folder() -> Path | None:
+    """The folder of compiled code."""
+    # Loads 384 modules, numba and numpy among them: 0.3 s, which help does without.
     from goniotwin.twin.optics.kernel import FOLDER
 
+    return FOLDER
+
+
+def _compile(names: Iterable[str]) -> None:
+    folder = _folder()
     for name in names:
         PARTS[name].call()
         with contextlib.suppress(OSError):  # the next command looks again
-            if FOLDER is not None:
-                (FOLDER / f"{name}.done").touch()
+            if folder is not None:
+                (folder / f"{name}.done").touch()
 
 
 def compile_for_another(*names: str) -> None:
@@ -273,13 +177,12 @@ class CompilationNotes(logging.Handler):
 
     def emit(self, _record: logging.LogRecord) -> None:
         """Begin to look: kernels are about to be defined, by the record of `twin.optics.kernel` (logging calls this)."""
-        from goniotwin.twin.optics.kernel import FOLDER
-
-        if FOLDER is None:
+        folder = _folder()
+        if folder is None:
             print_note(NOT_KEPT)
             self._ended.set()
         elif self._watch is None:
-            self._watch = threading.Thread(target=self._look, args=(FOLDER, _files(FOLDER)), name="compiled code", daemon=True)
+            self._watch = threading.Thread(target=self._look, args=(folder, _files(folder)), name="compiled code", daemon=True)
             self._watch.start()
 
     def _look(self, folder: Path, known: int) -> None:

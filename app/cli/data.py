@@ -1,6 +1,5 @@
 """Commands on data: `goniotwin export`, `convert`, `info`, `align`, `budget`, `verify`, `closure` and `copy`."""
 
-import math
 import os
 from collections.abc import Callable
 from dataclasses import replace
@@ -15,18 +14,11 @@ from goniotwin.app.errors import UserError
 from goniotwin.app.formats.fills import Fill
 
 if TYPE_CHECKING:  # the reduction loads numpy, which a command's help does not need
-    from goniotwin.app.campaign.rehearsal.alignment_design import AlignmentDesign
-    from goniotwin.app.campaign.studies.alignment import AlignmentResult
-    from goniotwin.app.campaign.studies.budget import Budget
+    pass
 
 JournalArgument = Annotated[
     Path, typer.Argument(metavar="JOURNAL", help="Data file (journal) of a campaign.", show_default=False)
 ]
-WIDE_COLUMNS = 110
-"""Width of a terminal from which a budget has a column for each of its texts."""
-LEAST_SHARE = 1e-4
-"""Share of u squared below which a component is not listed without --all: a hundredth of u."""
-FAILS_STYLE = {"fails": "red", "warns": "yellow", "holds": "green", "nothing to judge": "dim"}
 
 app = typer.Typer()
 
@@ -124,6 +116,7 @@ def _convert(
     of_journal: bool,
 ) -> None:
     """Convert a file or a journal, and print the result."""
+    # Loads 721 modules, numba and h5py among them: 1.0 s, which help does without.
     from goniotwin.app.campaign.journal.writing import Journal
     from goniotwin.app.campaign.studies.reduced_journal import reduce_to_files
     from goniotwin.app.data.conversion import (
@@ -179,6 +172,7 @@ def info(
 
     Its format, samples, light and directions, how complete it is, and whether it is simulated.
     """
+    # Loads 724 modules, numba and h5py among them: 1.0 s, which help does without.
     from goniotwin.app.data.information import information
 
     found = information(file)
@@ -212,55 +206,18 @@ def budget(
     the table and key of the rig file, or a measurement, and whether it is measured, stated or an assumed default, with degrees
     of freedom where they are finite. The squares of the components add up to the square of u.
     """
+    # Loads 703 modules, numba and rich among them: 0.9 s, which help does without.
     from goniotwin.app.campaign.journal.writing import Journal
     from goniotwin.app.campaign.studies.budget import budget_of_reflectance, budget_of_value, parse_place
     from goniotwin.app.campaign.studies.evaluation import evaluate_journal
+    from goniotwin.app.cli.tables import print_budget
 
     place = parse_place(at)
     with Journal.open(journal) as opened:
         simulated = opened.simulated
         found = (budget_of_reflectance if reflectance else budget_of_value)(evaluate_journal(opened).reduction, place)
-    show = partial(_print_budget, found, simulated, every)
+    show = partial(print_budget, found, simulated, every)
     answer(as_json, replace(found.listed, simulated=simulated), show)
-
-
-def _print_budget(budget: "Budget", simulated: bool, every: bool) -> None:
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
-    console = Console(highlight=False)
-    result = budget.listed
-    unit = "" if budget.unit == "1" else f" {budget.unit}"
-    relative = f" ({100.0 * result.relative_u:.3g} %)" if result.relative_u is not None else ""
-    console.print(f"{'SIMULATED, ' if simulated else ''}{budget.title}", markup=False, soft_wrap=True)
-    freedom = result.degrees_of_freedom
-    degrees = "" if freedom is None else f", {freedom:.0f} effective degrees of freedom"
-    console.print(f"{budget.value:.6g}{unit}, u {budget.u:.3g}{unit}{relative}{degrees}", markup=False, soft_wrap=True)
-    for remark in budget.about:
-        console.print(remark, markup=False, soft_wrap=True)
-    wide = console.width >= WIDE_COLUMNS
-    table = Table(box=None, pad_edge=False)
-    for name in ("component", f"u{unit and ','}{unit}", "u, %", "share, %", *(["shared by", "source; u is"] if wide else [])):
-        number = name.startswith(("u", "share,"))
-        width = (41 if wide else 27) if name == "component" else None  # the name of a product is longer
-        table.add_column(name, justify="right" if number else "left", no_wrap=number, overflow="fold", width=width)
-    if not wide:
-        table.add_column("shared by; source; u is", overflow="fold")
-    components = result.components
-    shown = [each for each in components if every or each.share >= LEAST_SHARE] or components
-    for each in shown:
-        percent = "" if each.relative_u is None else f"{100.0 * each.relative_u:.3g}"
-        known = f"{each.degrees_of_freedom:.0f} degrees of freedom" if each.degrees_of_freedom is not None else ""
-        source = each.source or ""
-        origin = "" if f"({each.origin})" in source else each.origin
-        about = (each.shared_by, "; ".join(filter(None, (source, ", ".join(filter(None, (origin, known)))))))
-        texts = (each.name, f"{each.u:.3g}", percent, f"{100.0 * each.share:.2f}")
-        table.add_row(*map(Text, (*texts, *(about if wide else ["; ".join(filter(None, about))]))))
-    console.print(table)
-    if rest := components[len(shown) :]:
-        share = math.sqrt(math.fsum(each.share for each in rest))
-        console.print(f"and {len(rest)} smaller ones, together {100.0 * share:.2g} % of u (--all lists them)", soft_wrap=True)
 
 
 @app.command()
@@ -318,14 +275,16 @@ def align(
     if watch:
         _watch(journal, sample, as_json)
         return
+    # Loads 705 modules, numba and rich among them: 0.9 s, which help does without.
     from goniotwin.app.campaign.studies.journals import align_journal
+    from goniotwin.app.cli.tables import print_alignment
     from goniotwin.app.rig.alignment import alignment_text, is_alignment
 
     write = _checked_output(output, "an alignment file", is_alignment)
     result, file = align_journal(journal, sample)
     write(alignment_text(file))
     as_object = {**result.as_dict(), "simulated": file.simulated, "file": output}
-    answer(as_json, as_object, lambda: _print_alignment(result, file.simulated))
+    answer(as_json, as_object, lambda: print_alignment(result, file.simulated))
     for finding in result.findings:
         print_warning(finding)
 
@@ -344,6 +303,7 @@ def check_alignment_options(*, watch: bool, plan: bool, minutes: float | None, r
 
 def _checked_output(output: Path | None, words: str, is_one: Callable[[bytes], bool]) -> Callable[[str], None]:
     """What writes a text to a file, which is checked now: a new one, or one of its kind, named by `words`. Raises UserError."""
+    # Loads 1 module: 6 ms, which help does without.
     from goniotwin.app.formats.file import Replaceable, check_writable, write_file
 
     replaceable = Replaceable(words, is_one)
@@ -358,6 +318,7 @@ def _checked_output(output: Path | None, words: str, is_one: Callable[[bytes], b
 
 
 def _watch(journal: Path, sample: str | None, as_json: bool) -> None:
+    # Loads 658 modules, numba and sqlite3 among them: 0.9 s, which help does without.
     from goniotwin.app.campaign.studies.journals import watch_journal
 
     found = watch_journal(journal, sample)
@@ -371,75 +332,19 @@ def _watch(journal: Path, sample: str | None, as_json: bool) -> None:
 
 
 def _plan_alignment(schedule: Path, rig: Path, minutes: float, sample: str | None, output: Path | None, as_json: bool) -> None:
+    # Loads 761 modules, numba and rich among them: 1.1 s, which help does without.
     from goniotwin.app.campaign.rehearsal.alignment_design import design_alignment, is_planned
     from goniotwin.app.campaign.schedule.file import read_schedule
+    from goniotwin.app.cli.tables import print_design
     from goniotwin.app.rig import read_rig
 
     write = _checked_output(output, "a schedule that align --plan has written", is_planned)
     design = design_alignment(read_schedule(schedule), read_rig(rig), minutes, sample)
     write(design.text)
     as_object = {**design.as_dict(), "file": output}
-    answer(as_json, as_object, lambda: _print_design(design))
+    answer(as_json, as_object, lambda: print_design(design))
     if design.ended_early:
         print_warning("the search has ended after a bounded number of plans, and better levels may exist; give fewer minutes")
-
-
-def _print_design(design: "AlignmentDesign") -> None:
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
-    from goniotwin.app.campaign.wording import duration_text
-
-    console = Console(highlight=False)
-    mark = "SIMULATED, " if design.plan.rig.simulated else ""
-    forecast = design.forecast
-    console.print(
-        f"{mark}alignment on {design.sample}: {forecast.rows} rows, {duration_text(forecast.seconds)} of "
-        f"{duration_text(design.allowed_s)}; the schedule's own: {duration_text(design.began_s)}",
-        markup=False,
-        soft_wrap=True,
-    )
-    for key, values in design.levels.items():
-        console.print(f"{key} = [{', '.join(f'{each:g}' for each in values)}]", markup=False, soft_wrap=True)
-    table = Table(box=None, pad_edge=False)
-    for name in ("expected u, deg", "schedule, equal time", "u before"):
-        table.add_column(name, justify="right", no_wrap=True)
-    table.add_column("combination", overflow="fold")
-    for each, u in zip(forecast.combinations, forecast.u_before, strict=True):
-        table.add_row(f"{each.u:.5f}", f"{u:.5f}", f"{each.prior_u:.3f}", Text(each.words))
-    console.print(table)
-
-
-def _print_alignment(result: "AlignmentResult", simulated: bool) -> None:
-    from rich.console import Console
-    from rich.table import Table
-    from rich.text import Text
-
-    console = Console(highlight=False)
-    mark = "SIMULATED, " if simulated else ""
-    scans = f" and {result.scans} scan{'s' if result.scans > 1 else ''} of the open beam" if result.scans else ""
-    console.print(
-        f"{mark}alignment on {', '.join(result.mountings)}: {len(result.combinations)} combinations from {result.values} "
-        f"values{scans}, chi-square {result.chi_square:.2f} per degree of freedom",
-        markup=False,
-        soft_wrap=True,
-    )
-    table = Table(box=None, pad_edge=False)
-    for name in ("value, deg", "u, deg", "u before"):
-        table.add_column(name, justify="right", no_wrap=True)
-    table.add_column("combination", overflow="fold")
-    for each in result.combinations:
-        table.add_row(f"{each.value:+.4f}", f"{each.u:.4f}", f"{each.prior_u:.3f}", Text(each.words))
-    console.print(table)
-    if result.before:
-        console.print(f"it begins with {result.before}", markup=False, soft_wrap=True)
-    if result.light is not None and not result.light.missing:
-        console.print(result.light.text, soft_wrap=True)
-    if not result.scans:
-        console.print(
-            "light and arc are one sum in the plane of incidence: a scan of the open beam separates them", soft_wrap=True
-        )
 
 
 @app.command()
@@ -456,9 +361,11 @@ def verify(
 
     Exit status: 1 if a verdict is "fails".
     """
+    # Loads 707 modules, numba and rich among them: 1.0 s, which help does without.
     from goniotwin.app.campaign.journal.writing import Journal
     from goniotwin.app.campaign.studies.evaluation import evaluate_journal
     from goniotwin.app.campaign.studies.verification import evidence_text, verify_journal
+    from goniotwin.app.cli.tables import print_verdicts
 
     with Journal.open(journal) as opened:
         simulated = opened.simulated
@@ -466,20 +373,7 @@ def verify(
     holds = all(each.verdict != "fails" for each in verdicts)
     result = {"simulated": simulated, "holds": holds, "verdicts": verdicts}
 
-    def show() -> None:
-        from rich.console import Console
-        from rich.text import Text
-
-        console = Console(highlight=False)
-        if simulated:
-            console.print("SIMULATED")
-        for each in verdicts:
-            line = Text(f"{each.name}: ").append(each.verdict, style=FAILS_STYLE[each.verdict]).append(f": {each.text}")
-            console.print(line, soft_wrap=True)
-        if table := evidence_text(verdicts):
-            console.print(table, soft_wrap=True)
-
-    answer(as_json, result, show)
+    answer(as_json, result, lambda: print_verdicts(verdicts, evidence_text(verdicts), simulated))
     if not holds:
         raise typer.Exit(1)
 
@@ -500,6 +394,7 @@ def closure(
 
     Exit status: 1 if the two scales, or the two standards, certainly do not agree.
     """
+    # Loads 654 modules, numba and sqlite3 among them: 0.8 s, which help does without.
     from goniotwin.app.campaign.journal.writing import Journal
     from goniotwin.app.campaign.studies.closure import closure_text
     from goniotwin.app.campaign.studies.evaluation import evaluate_journal
@@ -535,6 +430,7 @@ def copy(
 
     Exit status: 1 if the journal is damaged; with damaged rows the copy is kept.
     """
+    # Loads 343 modules, sqlite3 and numpy among them: 0.4 s, which help does without.
     from goniotwin.app.campaign.journal.copies import copy_journal
 
     chain = copy_journal(journal, file)

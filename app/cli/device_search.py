@@ -131,6 +131,7 @@ def probe_port(device: str, clock: Clock) -> PortStatus:
 
 
 def _usb_instruments() -> Iterator[PortStatus]:
+    # Loads 7 modules: 5 ms, which help does without.
     import libusb_package
 
     try:

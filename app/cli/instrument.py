@@ -34,6 +34,7 @@ def devices(
 
     Exit status: 1 if a device of a rig file does not respond, else 0.
     """
+    # Loads 720 modules, numba and pymodbus among them: 0.7 s, which help does without.
     from goniotwin.app.cli.device_search import exit_status, find_devices, status_table
 
     found = find_devices(rig)
@@ -82,6 +83,7 @@ def home_axes(path: Path, names: list[str], report: Report) -> None:
 
     Raises UserError before anything moves; BenchFault later, with the axes at rest.
     """
+    # Loads 281 modules, numpy and pydantic among them: 0.3 s, which help does without.
     from goniotwin.app.cli.station import attached_bench
     from goniotwin.app.rig import AXES, read_rig
 
@@ -116,6 +118,7 @@ def home_axes(path: Path, names: list[str], report: Report) -> None:
 
 def set_axis_position(path: Path, name: str, angle_deg: float, report: Report) -> None:
     """Set the current position of an axis; nothing moves. Raises UserError, BenchFault."""
+    # Loads 284 modules, numpy and pydantic among them: 0.3 s, which help does without.
     from goniotwin.app.campaign.running.question import position_refusal
     from goniotwin.app.cli.station import attached_bench
     from goniotwin.app.rig import read_rig
@@ -136,6 +139,7 @@ def set_axis_position(path: Path, name: str, angle_deg: float, report: Report) -
 
 
 def _check_axis(path: Path, name: str) -> None:
+    # Loads 281 modules, numpy and pydantic among them: 0.3 s, which help does without.
     from goniotwin.app.rig import AXES
 
     if name not in AXES:
@@ -145,6 +149,7 @@ def _check_axis(path: Path, name: str) -> None:
 @contextlib.contextmanager
 def _connected_axes(description: "RigDescription", names: list[str]) -> "Iterator[Rig]":
     """A rig, locked against other programs, with the controllers of these axes connected. Raises BenchFault after a fault."""
+    # Loads 821 modules, numba and pymodbus among them: 1.0 s, which help does without.
     from goniotwin.app.campaign.campaign import clock_for
     from goniotwin.app.cli.station import BenchFault
     from goniotwin.app.rig import open_rig
@@ -166,6 +171,7 @@ def _connected_axes(description: "RigDescription", names: list[str]) -> "Iterato
 
 
 def _home(rig: "Rig", axis: "Axis") -> None:
+    # Loads 7 modules: 9 ms, which help does without.
     from goniotwin.drivers import DeviceError, wait
 
     try:

@@ -164,6 +164,7 @@ def simulate_sample(
             f"simulate sample: {missing} is missing; write "
             "goniotwin simulate sample --sample gaussian:width_deg=5 --out FILE.ddr"
         )
+    # Loads 651 modules, numba and rich among them: 0.6 s, which help does without.
     from goniotwin.app.cli.progress import ShareProgress
     from goniotwin.app.rig.samples import parse_sample, table_files
     from goniotwin.app.simulation.detectors import parse_list
@@ -241,6 +242,7 @@ def rigs(
     Rigs that are done are not simulated again: after Ctrl-C the same command continues, more --rigs are added to those that are
     done, and with --dask other computers simulate them (docs/sweeps.md).
     """
+    # Loads 688 modules, numba and rich among them: 0.7 s, which help does without.
     import numpy as np
 
     from goniotwin.app.cli.progress import SweepProgress
@@ -336,6 +338,7 @@ def illumination(
     if rays is not None and rayset is None:
         raise UserError("--rays: is the number of rays in a rayset; give --rayset FILE.h5 too")
 
+    # Loads 709 modules, numba and matplotlib among them: 0.8 s, which help does without.
     from goniotwin.app.cli.progress import ShareProgress
     from goniotwin.app.formats.registry import Holds
     from goniotwin.app.simulation.files import write_content
@@ -388,6 +391,7 @@ def table3(
     Noise-free, tilted, and at the worst corner, beside the paper's values; with the assumptions of each column, and what
     explains the paper's values and what does not.
     """
+    # Loads 714 modules, numba and matplotlib among them: 0.8 s, which help does without.
     from rich.console import Console
 
     from goniotwin.app.cli.progress import ShareProgress
@@ -426,6 +430,7 @@ def shadow(
     as_json: Json = False,
 ) -> None:
     """Map the directions blocked by the mirror unit, on both arcs."""
+    # Loads 651 modules, numba and matplotlib among them: 0.8 s, which help does without.
     from goniotwin.app.simulation.detectors import parse_list
     from goniotwin.app.simulation.shadow import shadow_maps, write_shadows
 
@@ -448,6 +453,7 @@ def shadow(
 
 def _simulate_in_chunks(task: "Task", folder: Path, processes: int | None, dask: str | None) -> "Simulation":
     """Simulate by batches of paths that are kept in a folder. Raises UserError."""
+    # Loads 679 modules, numba and rich among them: 0.7 s, which help does without.
     from goniotwin.app.cli.progress import SweepProgress
     from goniotwin.app.simulation.forward_sweep import ForwardSweep, simulate_in_chunks
     from goniotwin.app.sweeps.chunk_files import ChunkFiles
@@ -465,6 +471,7 @@ def _simulate_in_chunks(task: "Task", folder: Path, processes: int | None, dask:
 
 def _instrument_and_frames(rig: Path | None, no_obstruction: bool = False) -> "tuple[Instrument, SampleFrames]":
     """The default instrument and sample frames, or those of a virtual rig. Raises UserError for the file of a real rig."""
+    # Loads 281 modules, numpy and pydantic among them: 0.3 s, which help does without.
     from goniotwin.app.rig import read_rig
     from goniotwin.twin.optics import Instrument, SampleFrames
 
@@ -485,6 +492,7 @@ def _read_source(
     instrument: "Instrument",
 ) -> "Source | None":
     """Read the rayset of --source. Raises UserError."""
+    # Loads 416 modules, numba and numpy among them: 0.3 s, which help does without.
     from goniotwin.app.simulation.source import illumination_unit, read_source
 
     if path is None:

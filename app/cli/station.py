@@ -41,6 +41,7 @@ def station(
 
     Exit status: 0 after a disconnect or without clients, 130 after a signal.
     """
+    # Loads 836 modules, numba and pymodbus among them: 1.1 s, which help does without.
     from goniotwin.app.station.process import run_station
 
     def log(line: str) -> None:
@@ -86,6 +87,7 @@ def read(
 
     Exit status: 0 with the values, 1 after a fault.
     """
+    # Loads 156 modules, numpy and pydantic among them: 0.1 s, which help does without.
     from goniotwin.app.station.messages import BenchReading, encode
 
     with _bench(rig) as bench:
@@ -194,6 +196,7 @@ class RemoteBench:
 
 def _ends(events: "list[Message]") -> list[str]:
     """The faults, or empty texts, with which activities have ended."""
+    # Loads 157 modules, numpy and pydantic among them: 0.1 s, which help does without.
     from goniotwin.app.station.messages import ActivityChanged
     from goniotwin.drivers.errors import FaultText
 
@@ -205,6 +208,7 @@ def _ends(events: "list[Message]") -> list[str]:
 @contextlib.contextmanager
 def _bench(rig: Path) -> "Iterator[LocalBench | RemoteBench]":
     """The station that has a rig; without one, a station of this command alone. Raises UserError."""
+    # Loads 281 modules, numpy and pydantic among them: 0.3 s, which help does without.
     from goniotwin.app.rig import read_rig
 
     description = read_rig(rig)
@@ -219,6 +223,7 @@ def _bench(rig: Path) -> "Iterator[LocalBench | RemoteBench]":
 @contextlib.contextmanager
 def attached_bench(rig: "RigDescription") -> "Iterator[RemoteBench | None]":
     """The station that has a rig, with its devices connected; None where there is none. Raises UserError."""
+    # Loads 835 modules, numba and pymodbus among them: 1.1 s, which help does without.
     from goniotwin.app.station.connection_file import attach
     from goniotwin.app.station.hosting import connection_path
 
@@ -249,6 +254,7 @@ def attached_bench(rig: "RigDescription") -> "Iterator[RemoteBench | None]":
 
 @contextlib.contextmanager
 def _station(rig: "RigDescription") -> "Iterator[Station]":
+    # Loads 829 modules, numba and pymodbus among them: 1.1 s, which help does without.
     from goniotwin.app.campaign.campaign import clock_for
     from goniotwin.app.station.station import Station
 
@@ -268,6 +274,7 @@ def _station(rig: "RigDescription") -> "Iterator[Station]":
 
 def print_shutter(message: "Message") -> None:
     """Print what a session does about a shutter that another one has left open, and each safety order."""
+    # Loads 98 modules, numpy among them: 76 ms, which help does without.
     from goniotwin.app.campaign.running.events import EventLogged, SafetyOrder
 
     if isinstance(message, SafetyOrder):

@@ -121,6 +121,7 @@ class MainWindow(QMainWindow):
         if self._complete or self._closed:
             return
         try:
+            # Loads 1069 modules, numba and pymodbus among them: 1.4 s, which the window's first picture does without.
             from goniotwin.app.desktop.model.campaigns import CampaignList
             from goniotwin.app.desktop.model.connection import Connection
             from goniotwin.app.desktop.presenter import Presenter

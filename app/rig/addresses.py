@@ -90,6 +90,7 @@ def resolve_port(address: str) -> str:
         return address
     bus, text, query = found[1] or "", found[2], found[3]
     check_serial_port(f"{HWGREP}{text}")
+    # Loads 6 modules: 3 ms, which `check` does without.
     from serial.tools import list_ports
 
     try:
@@ -124,6 +125,7 @@ def device_names(address: str) -> frozenset[str]:
     if match := _NETWORK_PORT.match(plain):
         return _tcp_names(plain[match.end() :].partition("/")[0], "")
     if plain.startswith(USBIP):
+        # Loads 1 module: 8 ms, which `check` does without.
         from goniotwin.protocols import usbip
 
         place, slash, bus_id = plain.removeprefix(USBIP).partition("/")
@@ -214,6 +216,7 @@ def address_settings(address: str, query: str, *known: str) -> dict[str, str]:
 
 def usbip_address(address: str) -> tuple[str, int, str]:
     """Host, port and bus id of `usbip:HOST:PORT/BUSID`; the default port is 3240. Raises UserError."""
+    # Loads 1 module: 8 ms, which `check` does without.
     from goniotwin.protocols import usbip
 
     place, _, bus_id = address.removeprefix(USBIP).partition("/")

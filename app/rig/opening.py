@@ -17,6 +17,7 @@ from goniotwin.app.rig.kinds import ROLES, Role, device_kind, load_plugins
 from goniotwin.app.rig.model_hash import model_hashes
 from goniotwin.app.rig.twin_file import check_detectors, twin_model
 from goniotwin.app.toml_file import parse_toml, read_toml, validate_table
+from goniotwin.drivers import Transcript
 
 if TYPE_CHECKING:  # the libraries of the buses are loaded when a rig is opened
     from goniotwin.app.guardian.guard import RigGuard
@@ -157,6 +158,7 @@ class OpenRig:
             if error is not None:
                 self.close()
                 raise UserError(str(self.rig.in_words(error)))
+        # Loads 2 modules: 2 ms, which `check` does without.
         from goniotwin.app.rig.last_rig import remember_rig
 
         remember_rig(self.file)
@@ -166,6 +168,7 @@ class OpenRig:
         self.rig.close()
         self.guard.close()  # before the locks: what it keeps is of no other program
         if self._name is not None:
+            # Loads 410 modules, numba and pymodbus among them: 0.4 s, which `check` does without.
             from goniotwin.twin.doors import unregister
 
             unregister(self._name)
@@ -187,6 +190,7 @@ class OpenRig:
 
     def lock(self, addresses: list[str], purpose: str) -> None:
         """Lock real devices against other programs until `close`. Raises RigInUse with the program that has one."""
+        # Loads 14 modules: 18 ms, which `check` does without.
         from goniotwin.app.rig.lock import RigLock
 
         self._lock = RigLock(addresses, purpose)
@@ -204,10 +208,10 @@ def open_rig(description: RigDescription, clock: "Clock", transcript: Path | Non
 
     With a folder in `transcript` every byte on every wire is written to files there. Raises UserError.
     """
+    # Loads 436 modules, numba and pymodbus among them: 0.4 s, which `check` does without.
     from goniotwin.app.guardian.guard import RigGuard
     from goniotwin.app.rig.lock import check_server
     from goniotwin.app.rig.wires import Wires
-    from goniotwin.drivers import Transcript
     from goniotwin.twin import VirtualRig
     from goniotwin.twin.doors import register, unregister
 
@@ -255,6 +259,7 @@ def open_rig(description: RigDescription, clock: "Clock", transcript: Path | Non
 
 def _rig(description: RigDescription, wires: "Wires") -> "Rig":
     """Drivers of a rig. Raises UserError for an address that is not valid."""
+    # Loads 109 modules, pymodbus and usb among them: 0.1 s, which `check` does without.
     from goniotwin.drivers import Rig
 
     file = description.file

@@ -268,6 +268,7 @@ def sample_scatterer(sample: FormulaTable | MeasuredTable | SumTable, folder: Pa
         return sum_samples(*[sample_scatterer(lobe, folder, f"{place}.lobes.{i}") for i, lobe in enumerate(sample.lobes)])
     if not isinstance(sample, MeasuredTable):
         return sample.scatterer()
+    # Loads 2 modules: 14 ms, which `check` does without.
     from goniotwin.app.formats import FormatError, registry
 
     path = folder / sample.file
@@ -327,6 +328,7 @@ def _model_entries(part: str) -> dict[str, Any]:
     name, colon, rest = (word.strip() for word in part.partition(":"))
     place = f"sample {name or part!r}"
     if name not in MODELS:
+        # Loads 2 modules: 14 ms, which `check` does without.
         from goniotwin.app.formats import registry
 
         tables = ", ".join(registry.suffixes(each for each in registry.readers() if each.holds & registry.BSDF))
@@ -369,6 +371,7 @@ def _value(text: str) -> bool | float | str:
 
 def _file_sample(content: "BsdfFile", path: Path, sample: MeasuredTable) -> Scatterer:
     """The sample of a file: all of its lobes. Raises FormatError, and ValueError for values that no sample has."""
+    # Loads 262 modules, numba among them: 0.2 s, which `check` does without.
     from goniotwin.app.formats import FormatError, registry
     from goniotwin.app.formats.content import separate
     from goniotwin.app.formats.gridding import grid_table

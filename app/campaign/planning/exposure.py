@@ -20,6 +20,7 @@ from goniotwin.app.rig.described_twin import NoDescription, described_twin
 from goniotwin.arrays import Counts, Floats, Ints
 from goniotwin.drivers.monochromator.settings import POSITION_AFTER_POWER_UP
 from goniotwin.twin.plant import Disturbances, Plant, TwinModel
+from goniotwin.twin.plant.noise import normal
 from goniotwin.twin.plant.process_key import process_key
 from goniotwin.twin.plant.view import Aspect
 
@@ -109,8 +110,6 @@ class ExpectedSignal:
 @lru_cache(maxsize=4)
 def _normals(columns: int) -> Floats:
     """Standard normal numbers (MAX_DRAWS, columns); the same in every call."""
-    from goniotwin.twin.plant.noise import normal
-
     key = process_key(0, "foreseen readings")
     drawn = [normal(key, np.int64(k)) for k in range(MAX_DRAWS * columns)]
     return np.array(drawn).reshape(MAX_DRAWS, columns)

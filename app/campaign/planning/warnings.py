@@ -233,6 +233,7 @@ def _basis(plan: NewPlan) -> str:
     """The signal that the estimate of the duration is based on."""
     if not plan.expected_reading_s:
         return ""
+    # Loads 313 modules, numba and tomlkit among them: 0.3 s, which `check` does without.
     from goniotwin.app.campaign.planning.exposure import SAMPLED_ROWS
 
     twin = "the twin" if plan.rig.file.twin is not None else "the twin that the rig file describes, with assumed samples,"

@@ -145,7 +145,7 @@ def report_html(path: Path, *, without_damaged: bool = False) -> tuple[str, dict
 def _template() -> Any:
     """The template of the page. Raises MissingPackage without Jinja2."""
     try:
-        from jinja2 import Environment, PackageLoader, StrictUndefined
+        from jinja2 import Environment, PackageLoader, StrictUndefined  # of an optional dependency
     except ImportError:
         raise MissingPackage(MISSING) from None
     environment = Environment(

@@ -10,6 +10,7 @@ from PySide6.QtCore import QPointF, QRectF, QSize, Qt, Signal, Slot
 from PySide6.QtGui import QBrush, QColor, QFontMetricsF, QPainter, QPaintEvent, QPen, QPolygonF
 from PySide6.QtWidgets import QSizePolicy, QWidget
 
+from goniotwin.app.desktop.model.axes import GREEK
 from goniotwin.app.desktop.rig.panels import place_mark
 from goniotwin.app.desktop.theme import Colours
 
@@ -85,8 +86,6 @@ class InstrumentView(QWidget):
     @property
     def doubt(self) -> str:
         """Which axes may be elsewhere than they are drawn, in one line; empty if none."""
-        from goniotwin.app.desktop.model.axes import GREEK
-
         marks = [
             f"{GREEK[axis]} {place_mark(self._positions.get(axis), True, encoder)}"
             for axis, encoder in self._unreferenced.items()
@@ -168,6 +167,7 @@ class InstrumentView(QWidget):
     def _text(self) -> str:
         if self._drawing is None:
             return "No positions: the axes are not connected." if self._model is not None else "No rig is open."
+        # Loads 557 modules, numba and numpy among them: 0.6 s, which the window's first picture does without.
         from goniotwin.app.desktop.model.instrument import pose_text
 
         blocked = len(self.blocked)
@@ -297,6 +297,7 @@ class ViewPainter:
         painter.restore()
 
     def _points(self, points: "Floats") -> list[QPointF]:
+        # Loads 557 modules, numba and numpy among them: 0.6 s, which the window's first picture does without.
         from goniotwin.app.desktop.model.instrument import project
 
         x0, y0, scale = self._origin.x(), self._origin.y(), self._scale

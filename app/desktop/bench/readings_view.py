@@ -95,6 +95,7 @@ class SignalBars(QWidget):
                     self._draw_bar(painter, place, bar, bars.level(bar))
 
     def _draw_scale(self, painter: QPainter, bars: "Bars", place: QRectF, line: float) -> None:
+        # Loads 310 modules, numpy and pydantic among them: 0.4 s, which the window's first picture does without.
         from goniotwin.app.desktop.model.readings import current_text
 
         low, high = math.log10(bars.least_a), math.log10(bars.full_scale_a)
@@ -184,6 +185,7 @@ class MonitorTrend(QWidget):
         if trace is None:
             self.setAccessibleDescription(NO_READING)
         else:
+            # Loads 310 modules, numpy and pydantic among them: 0.4 s, which the window's first picture does without.
             from goniotwin.app.desktop.model.readings import trend_text
 
             self.setAccessibleDescription(trend_text(trace))

@@ -41,6 +41,7 @@ class PreflightPanel(QGroupBox):
 
     def set_checks(self, checks: "Sequence[Check]") -> None:
         """Show the list."""
+        # Loads 160 modules, numpy and pydantic among them: 0.2 s, which the window's first picture does without.
         from goniotwin.app.desktop.model.preflight import summary
 
         if tuple(checks) == self._checks:
@@ -72,6 +73,7 @@ class PreflightPanel(QGroupBox):
     def _show(self) -> None:
         if not self._checks:
             return
+        # Loads 160 modules, numpy and pydantic among them: 0.2 s, which the window's first picture does without.
         from goniotwin.app.desktop.model.preflight import MARKS, Outcome
 
         c = self._colours

@@ -87,6 +87,7 @@ class Lobe:
         """Argument of `sample` and `density` in place of the table: see `cell_shares`; one zero for models without a table."""
         if self.kind not in (TABLE, ANISOTROPIC):
             return freeze([[[0.0]]])
+        # Loads 324 modules, numba and importlib.metadata among them: 0.2 s, which `check` does without.
         from goniotwin.twin.optics.bsdf.cells import cell_shares
 
         return freeze(cell_shares(self.sigma_deg, self.phi_deg, self.theta_deg, self.values))
@@ -115,6 +116,7 @@ class Lobe:
 
         Gauss-Legendre over theta between the breaks of the model and up to the horizon of each phi; mean over phi.
         """
+        # Loads 324 modules, numba and importlib.metadata among them: 0.2 s, which `check` does without.
         from goniotwin.twin.optics.bsdf.models import evaluate_all, refract, regular_share
 
         light = light_direction(sigma_deg)

@@ -110,6 +110,7 @@ def evaluate(
     Only the lobes for these sides contribute. A regular lobe has no finite value and adds 0. `gamma_deg` turns the sample.
     Raises ValueError for a wrong shape, and for a sample with a spectrum without a wavelength.
     """
+    # Loads 324 modules, numba and importlib.metadata among them: 0.2 s, which `check` does without.
     from goniotwin.twin.optics.bsdf.models import evaluate_all
 
     rows, shape = _rows(light, observer, gamma_deg)
@@ -187,6 +188,7 @@ def draw_directions(
     lobe's value times cosine over the density and over the lobe's probability, so the mean of the weights is the sum of both
     albedos. It is 0 for a direction without scattering. Raises ValueError for wrong shapes.
     """
+    # Loads 326 modules, numba and importlib.metadata among them: 0.2 s, which `check` does without.
     from goniotwin.twin.optics.bsdf.models import to_canonical
     from goniotwin.twin.optics.bsdf.sampling import scatter_all
 

@@ -24,6 +24,7 @@ def visible_fraction_of_few(
     rounding. Raises ValueError as that does.
     """
     if rays * np.size(directions) > 3 * FEW_RAYS or instrument.deviations or instrument.sensor is not None:
+        # Loads 343 modules, numba and importlib.metadata among them: 0.2 s, which `check` does without.
         from goniotwin.twin.optics.fast.obstruction import visible_fraction
 
         return visible_fraction(instrument, sigma_deg, directions, rays, gamma_deg)

@@ -163,6 +163,7 @@ class IlluminationUnit:
         arc = condenser - self.input_condenser_distance_mm
         places = np.zeros((5, 3))
         places[:, 1] = arc, arc - self.reflector_radius_mm, condenser, -self.slit_distance_mm, 0.0
+        # Loads 328 modules, numba and importlib.metadata among them: 0.2 s, which `check` does without.
         from goniotwin.twin.optics.geometry.rotations import rotations
 
         turns = rotations(np.ascontiguousarray(deviations).reshape(-1, len(COMPONENTS))).reshape(-1, len(ELEMENTS), 3, 3)
