@@ -4,10 +4,11 @@ The public API for scripts and notebooks. Everything is loaded at its first use,
 
     import goniotwin as g
 
-    d = g.open("my.journal")                               # or any file that can be read; several samples: d["paper"]
+    d = g.load("my.journal")                               # or any file that can be read; several samples: d["paper"]
     d.bsdf, d.u, d.flags, d.sigma_deg, d.theta_deg         # flat arrays of one length
     s = g.simulate("gaussian:width_deg=5", sigma_deg=[30])   # gives the same type
 
+`g.open` is the same function as `g.load`; `from goniotwin import *` leaves it out, for it would hide Python's own `open`.
 Whatever a file or an argument can do wrong is raised as `GoniotwinError`: one line with what, where and the remedy.
 """
 
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
     from goniotwin.app.errors import GoniotwinError as GoniotwinError
     from goniotwin.version import __version__ as __version__
 
+    load = open_dataset
     open = open_dataset
 else:
     __getattr__, __dir__ = first_use(__name__)

@@ -10,6 +10,7 @@ A package writes each name once, as an import for checkers and readers, which is
 One that has another name in the package is imported without `as`, and assigned: `open = open_dataset`.
 """
 
+import builtins
 import re
 import sys
 from collections.abc import Callable
@@ -35,7 +36,7 @@ def first_use(package: str) -> tuple[Callable[[str], Any], Callable[[], list[str
 
     def load(name: str) -> Any:
         if name == "__all__":
-            return names()
+            return [each for each in names() if not hasattr(builtins, each)]  # which an import of all would hide
         if name not in names():
             raise AttributeError(f"module {package!r} has no attribute {name!r}")
         home, own = homes[name]

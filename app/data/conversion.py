@@ -17,7 +17,7 @@ from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.campaign.studies.reduced_journal import ReducedJournal
 from goniotwin.app.data.archive import write_archive
 from goniotwin.app.data.export import part_of_light, part_of_wavelength, points_of, scattered_of, wavelengths_of
-from goniotwin.app.data.opening import with_files_beside
+from goniotwin.app.data.parts import with_files_beside
 from goniotwin.app.data.values import EQUAL, listed, neighbours
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats import BsdfTable, registry

@@ -7,14 +7,18 @@ azimuth 0 is the sample's mark. Of transmitted light the direction of observatio
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 
 from goniotwin.app.campaign.reduction.effects_of_points import effects_of
 from goniotwin.app.campaign.studies.reduced_journal import ReducedJournal
 from goniotwin.app.data import hemisphere
-from goniotwin.app.data.frames import to_dataframe, to_xarray
+from goniotwin.app.data.columns import content_of_columns
+from goniotwin.app.data.conversion import Choice, Converted, convert_content, convert_reduced, format_to_write
+from goniotwin.app.data.frames import html_of, to_dataframe, to_xarray
 from goniotwin.app.data.interpolation import (
     WIDEST_DEG,
     direction_grid,
@@ -23,6 +27,7 @@ from goniotwin.app.data.interpolation import (
     nearest_directions,
     own_and_shared,
 )
+from goniotwin.app.data.parts import remarks_of, samples_of
 from goniotwin.app.data.values import (
     Number,
     SampleData,
@@ -34,11 +39,13 @@ from goniotwin.app.data.values import (
     neighbours,
     numbers,
     quoted,
+    read_only,
     with_names,
 )
 from goniotwin.app.errors import UserError
-from goniotwin.app.formats.content import BsdfFile
-from goniotwin.app.formats.metadata import Metadata
+from goniotwin.app.formats.content import BsdfFile, Part
+from goniotwin.app.formats.file import StrPath
+from goniotwin.app.formats.metadata import Metadata, common_metadata
 from goniotwin.arrays import Flags, Floats, Ints, Texts
 from goniotwin.twin.optics import from_specular, to_specular
 from goniotwin.twin.optics.geometry.coordinates import TOLERANCE_DEG, arc_direction, zenith_and_azimuth
@@ -58,7 +65,8 @@ class Dataset:
     The arrays are of one sample: where there are several, choose one, `dataset["paper"]`. `name` is that of the campaign or of
     the file, `origin` what it was: "journal", "simulation" or the name of a format. `notes` are remarks for the reader of the
     values, `findings` those that state what is wrong with the instrument. `file` is the content of the file; of a journal
-    `reduced` is the whole reduction. Whatever an argument can do wrong raises GoniotwinError.
+    `reduced` is the whole reduction, and `whole` is whether no values were left out since. The arrays cannot be written; what
+    numpy makes of them by arithmetic or by a mask can. Whatever an argument can do wrong raises GoniotwinError.
     """
 
     name: str
@@ -68,6 +76,7 @@ class Dataset:
     findings: tuple[str, ...] = field(default=(), repr=False)
     file: BsdfFile | None = field(default=None, repr=False)
     reduced: ReducedJournal | None = field(default=None, repr=False)
+    whole: bool = field(default=True, repr=False)
 
     # ---- samples ----
 
@@ -134,105 +143,109 @@ class Dataset:
 
     # ---- columns ----
 
+    def _column(self, name: str) -> npt.NDArray[Any]:
+        """A column of the only sample, which cannot be written."""
+        return read_only(self.only.column(name))
+
     @property
     def bsdf(self) -> Floats:
         """The BSDF (n,) in 1/sr, without the cosine; NaN where a direction has no value."""
-        return self.only.values.values
+        return self._column("bsdf")
 
     @property
     def u(self) -> Floats:
         """Standard uncertainty (n,) of `bsdf`, 1/sr; NaN where the file has none."""
-        return np.asarray(self.only.values.u)
+        return self._column("u")
 
     @property
     def u_shared(self) -> Floats:
         """The part (n,) of `u` that neighbouring values have in common, 1/sr; 0 where it is not known."""
-        return np.asarray(self.only.values.u_shared)
+        return self._column("u_shared")
 
     @property
     def low95(self) -> Floats:
         """Lower ends (n,) of the values' intervals of 95 %, 1/sr; NaN where none is stated."""
-        return np.asarray(self.only.values.low95)
+        return self._column("low95")
 
     @property
     def high95(self) -> Floats:
         """Upper ends (n,) of the values' intervals of 95 %, 1/sr; NaN where none is stated."""
-        return np.asarray(self.only.values.high95)
+        return self._column("high95")
 
     @property
     def interval(self) -> Texts:
         """The law (n,) of the interval: "linear", "logarithmic", "drawn", or "" where none is stated."""
-        return np.asarray(self.only.values.interval)
+        return self._column("interval")
 
     @property
     def luminance_factor(self) -> Floats:
         """pi times the BSDF (n,): 1 for the ideal diffuser."""
-        return math.pi * self.bsdf
+        return read_only(math.pi * self.bsdf)
 
     @property
     def flags(self) -> Texts:
         """Flags (n,) as words, with a space between several; empty for a value without any."""
-        return np.asarray(self.only.values.flags)
+        return self._column("flags")
 
     @property
     def good(self) -> Flags:
         """The values (n,) to be trusted: there is a number, and no flag against it."""
-        return self.only.good
+        return read_only(self.only.good)
 
     @property
     def sigma_deg(self) -> Floats:
         """Incidence (n,): polar angle of the light from the normal of the lit side, 0 to 90."""
-        return self.only.values.sigma_deg
+        return self._column("sigma_deg")
 
     @property
     def psi_deg(self) -> Floats:
         """Azimuth of the light (n,) in the sample's frame; 0 of an isotropic table."""
-        return self.only.values.psi_deg
+        return self._column("psi_deg")
 
     @property
     def theta_deg(self) -> Floats:
         """Aspecular angle (n,): from the specular direction; of transmitted light from the direction straight through."""
-        return self.only.theta_deg
+        return self._column("theta_deg")
 
     @property
     def phi_deg(self) -> Floats:
         """Azimuth (n,) about that direction: 0 in the plane of incidence towards the normal."""
-        return self.only.phi_deg
+        return self._column("phi_deg")
 
     @property
     def polar_deg(self) -> Floats:
         """Polar angle (n,) of the observed direction from the normal of its own side, 0 to 90."""
-        return self.only.values.polar_deg
+        return self._column("polar_deg")
 
     @property
     def azimuth_deg(self) -> Floats:
         """Azimuth (n,) of the observed direction in the sample's frame; that of the light is `psi_deg`."""
-        return self.only.values.azimuth_deg
+        return self._column("azimuth_deg")
 
     @property
     def wavelength_nm(self) -> Floats:
         """Wavelength (n,); NaN for grey values and for those of a colour."""
-        return np.asarray(self.only.values.wavelength_nm)
+        return self._column("wavelength_nm")
 
     @property
     def channel(self) -> Texts:
         """Name (n,) of a colour, such as "red" or "X"; empty for grey and spectral values."""
-        return np.asarray(self.only.values.channel)
+        return self._column("channel")
 
     @property
     def transmitted(self) -> Flags:
         """Whether the light (n,) is transmitted."""
-        return np.asarray(self.only.values.transmitted)
+        return self._column("transmitted")
 
     @property
     def back(self) -> Flags:
         """Whether the sample is lit on its back (n,); the frame is then that of the sample turned about x."""
-        return np.asarray(self.only.values.back)
+        return self._column("back")
 
     @property
     def photodiode(self) -> Ints:
         """Number of the photodiode (n,); -1 where there is none."""
-        return np.asarray(self.only.values.photodiode)
+        return self._column("photodiode")
 
     # ---- selection ----
 
@@ -321,7 +334,7 @@ class Dataset:
         return f"{self.name}{f' ({self.sample})' if self.sample else ''}"
 
     def _with(self, data: SampleData) -> "Dataset":
-        return replace(self, data={self.sample: data})
+        return replace(self, data={self.sample: data}, whole=self.whole and data is self.only)
 
     # ---- values between the measured ones, integrals ----
 
@@ -335,7 +348,7 @@ class Dataset:
         azimuth_deg: Number | None = None,
         sigma_deg: float | None = None,
         psi_deg: float | None = None,
-        wavelength_nm: float | None = None,
+        wavelength_nm: Number | None = None,
         channel: str | None = None,
         transmitted: bool | None = None,
         back: bool | None = None,
@@ -343,25 +356,39 @@ class Dataset:
         """The BSDF in any direction, interpolated between trusted values, with u: `value, u = d.at(...)`.
 
         The direction is theta and phi, about the specular direction (phi need not be given at theta 0), or polar angle and
-        azimuth; arrays, which broadcast, give arrays, with NaN where there is no value. Incidence and wavelength may be between
-        those that are there; whatever has one value in the dataset need not be given. u has what the values share, and an
-        estimate of the interpolation's error (`app/data/interpolation.py`). Raises GoniotwinError where there are no values
-        around, further than 30 deg apart, with the nearest directions.
+        azimuth; arrays of directions and of wavelengths, which broadcast, give arrays, with NaN where there is no value.
+        Incidence and wavelength may be between those that are there; whatever has one value in the dataset need not be given.
+        u has what the values share, and an estimate of the interpolation's error (`app/data/interpolation.py`). Raises
+        GoniotwinError where there are no values around, further than 30 deg apart, with the nearest directions.
         """
+        light = {
+            "sigma_deg": _number("sigma_deg", sigma_deg),
+            "psi_deg": _number("psi_deg", psi_deg),
+            "channel": _channel(channel),
+            "transmitted": flag("transmitted", transmitted),
+            "back": flag("back", back),
+        }
+        direction = theta_deg, phi_deg, polar_deg, azimuth_deg
+        wavelengths = None if wavelength_nm is None else _angles("wavelength_nm", wavelength_nm)
+        if wavelengths is None or not wavelengths.ndim:
+            return self._at(direction, light, None if wavelengths is None else float(wavelengths))
+        given = [None if each is None else _angles(name, each) for name, each in zip(DIRECTION, direction, strict=True)]
+        shape = _broadcast(wavelengths, *(each for each in given if each is not None))
+        every = np.broadcast_to(wavelengths, shape)
+        around = [None if each is None else np.broadcast_to(each, shape) for each in given]
+        value, u = np.empty(shape), np.empty(shape)
+        for nm in np.unique(every).tolist():
+            here = every == nm
+            value[here], u[here] = self._at([None if each is None else each[here] for each in around], light, nm)
+        return ValueWithU(value, u, "1/sr")
+
+    def _at(self, direction: Sequence[object], light: Mapping[str, Any], wavelength_nm: float | None) -> ValueWithU:
+        """The BSDF at one wavelength, in one direction or in several."""
         data, place = self.only, self._place()
-        lights = lights_at(
-            data,
-            place,
-            sigma_deg=_number("sigma_deg", sigma_deg),
-            psi_deg=_number("psi_deg", psi_deg),
-            wavelength_nm=_number("wavelength_nm", wavelength_nm),
-            channel=_channel(channel),
-            transmitted=flag("transmitted", transmitted),
-            back=flag("back", back),
-        )
+        lights = lights_at(data, place, wavelength_nm=wavelength_nm, **light)
         sigma = float(sum(light.sigma_deg * weight for light, weight in lights))
         psi = lights[0][0].psi_deg
-        theta, phi = _direction(theta_deg, phi_deg, polar_deg, azimuth_deg, sigma, psi)
+        theta, phi = _direction(direction, sigma, psi)
         shape = _broadcast(theta, phi)
         flat = (np.broadcast_to(each, shape).ravel() for each in (theta, phi))
         values, u = interpolated(lights, data, *flat)
@@ -385,31 +412,37 @@ class Dataset:
         *,
         sigma_deg: float | None = None,
         psi_deg: float | None = None,
-        wavelength_nm: float | None = None,
+        wavelength_nm: Number | None = None,
         channel: str | None = None,
         transmitted: bool | None = None,
         back: bool | None = None,
     ) -> ValueWithU:
         """The directional-hemispherical reflectance (or transmittance) at one incidence: `value, u = d.reflectance(...)`.
 
-        u is by the covariance of the values: of a journal from all inputs of its uncertainty, of a file by an assumption that
-        `about` states. A regular part of the file is included. Raises GoniotwinError where the directions do not cover the half
-        sphere, and for an incidence without values.
+        An array of wavelengths gives arrays. u is by the covariance of the values: of a journal from all inputs of its
+        uncertainty, of a file by an assumption that `about` states. A regular part of the file is included. Raises
+        GoniotwinError where the directions do not cover the half sphere, and for an incidence without values.
         """
-        sigma = _number("sigma_deg", sigma_deg)
+        light = {
+            "sigma_deg": _number("sigma_deg", sigma_deg),
+            "psi_deg": _number("psi_deg", psi_deg),
+            "channel": _channel(channel),
+            "transmitted": flag("transmitted", transmitted),
+            "back": flag("back", back),
+        }
+        if wavelength_nm is None:
+            return self._reflectance(light, None)
+        wavelengths = _angles("wavelength_nm", wavelength_nm)
+        found = {nm: self._reflectance(light, nm) for nm in np.unique(wavelengths).tolist()}
+        if not wavelengths.ndim:
+            return found[float(wavelengths)]
+        value, u = (np.vectorize(lambda nm, k=k: tuple(found[nm])[k], otypes=[float])(wavelengths) for k in (0, 1))
+        return ValueWithU(value, u, "1", tuple(dict.fromkeys(each for one in found.values() for each in one.about)))
+
+    def _reflectance(self, light: Mapping[str, Any], wavelength_nm: float | None) -> ValueWithU:
         if not self.only.values.size and self.only.regular:
-            return hemisphere.only_regular(self.only, self._place(), sigma)
-        lights = lights_at(
-            self.only,
-            self._place(),
-            sigma_deg=sigma,
-            psi_deg=_number("psi_deg", psi_deg),
-            between=False,
-            wavelength_nm=_number("wavelength_nm", wavelength_nm),
-            channel=_channel(channel),
-            transmitted=flag("transmitted", transmitted),
-            back=flag("back", back),
-        )
+            return hemisphere.only_regular(self.only, self._place(), light["sigma_deg"])
+        lights = lights_at(self.only, self._place(), between=False, wavelength_nm=wavelength_nm, **light)
         return hemisphere.reflectance(self.only, lights[0][0], self._place())
 
     # ---- uncertainty ----
@@ -420,7 +453,7 @@ class Dataset:
         measured = self.only.measured
         if measured is None:
             raise UserError(f"components: {self._place()} is no journal; a file has no components of the uncertainty")
-        return measured.points.budget
+        return {name: read_only(each) for name, each in measured.points.budget.items()}
 
     def covariance(self) -> Floats:
         """The covariance (n, n) of the values, 1/sr squared; NaN where there is no value.
@@ -437,19 +470,78 @@ class Dataset:
         own, shared = own_and_shared(self.u, self.u_shared)
         return np.asarray(np.diag(own**2) + np.outer(shared, shared))
 
-    # ---- other libraries ----
+    # ---- files and other libraries ----
+
+    @staticmethod
+    @with_names
+    def from_table(
+        table: "pandas.DataFrame | Mapping[str, Any]",
+        *,
+        name: str = "table",
+        simulated: bool | None = None,
+        isotropic: bool | None = None,
+    ) -> "Dataset":
+        """The dataset of a DataFrame, or of arrays by name: the columns of a dataset, or those of a CSV of the program.
+
+        `bsdf`, `sigma_deg`, and `theta_deg` with `phi_deg` or `polar_deg` with `azimuth_deg` are required; all else is what is
+        not known, as in a CSV. `sample` is the sample of each value. The columns are copied. Without `simulated` it is what
+        `to_dataframe` has noted, else False; without `isotropic` values with light from one azimuth are. Raises GoniotwinError,
+        which names the column.
+        """
+        if not isinstance(name, str):
+            raise UserError(f"name: {quoted(name)}: give a text")
+        stated = {"simulated": flag("simulated", simulated), "isotropic": flag("isotropic", isotropic)}
+        content = content_of_columns(table, name=name, **stated)
+        return Dataset(name, "table", samples_of(content), remarks_of(content), file=content)
+
+    @with_names
+    def save(self, path: StrPath, *, format: str | None = None) -> "Converted":
+        """Write the values in any format that can be written, by the suffix of the path or by the name of the format.
+
+        It is what `goniotwin export` and `convert` write; of some of the values it is these. The result has the files and notes
+        on what the format could not hold. Raises GoniotwinError for what cannot be written.
+        """
+        if not isinstance(path, str | Path) or not (format is None or isinstance(format, str)):
+            raise UserError(f"save: {quoted(path)}, {quoted(format)}: give a path, and the name of a format or none")
+        file = Path(path)
+        found = format_to_write(file, format)
+        if self.reduced is not None and self.whole:
+            return convert_reduced(self.reduced, file, found, Choice(self.sample if len(self.samples) == 1 else None))
+        content = self._content()
+        if not content.parts:
+            raise UserError(f"save: {self.name} has no values; nothing is written")
+        return convert_content(content, file, found, Choice())
+
+    def _content(self) -> BsdfFile:
+        """The content of a file with the values: of a file of which nothing is left out its own grids."""
+        if self.file is not None and self.whole:
+            return replace(self.file, parts=tuple(each for each in self.file.parts if each.sample in self.data))
+        parts: list[Part] = []
+        for sample, data in self.data.items():
+            parts += [replace(data.values, sample=sample)] if data.values.size else []
+            parts += data.regular
+        of_samples = {sample: data.metadata for sample, data in self.data.items()}
+        return BsdfFile(tuple(parts), common_metadata(of_samples.values()), self.notes, of_samples)
 
     def to_dataframe(self) -> "pandas.DataFrame":
         """A DataFrame of pandas: a row for each value, the columns of the dataset. Needs the extra `xarray`."""
-        return to_dataframe(self.only)
+        return to_dataframe(self.only, self._attributes())
 
     def to_xarray(self) -> "xarray.Dataset":
         """A Dataset of xarray: `bsdf`, `u` and `flags`, a table over the axes of its grid, all else over `value`.
 
-        Needs the extra `xarray`.
+        Each has its unit and a long name. Needs the extra `xarray`.
         """
-        attributes = {"name": self.name, "origin": self.origin, "sample": self.sample, "simulated": int(self.simulated)}
-        return to_xarray(self.only, attributes)
+        return to_xarray(self.only, self._attributes())
+
+    def _attributes(self) -> dict[str, Any]:
+        return {"name": self.name, "origin": self.origin, "sample": self.sample, "simulated": int(self.simulated)}
+
+    def _repr_html_(self) -> str:
+        return html_of(self.name, self.origin, self.data, simulated=self.simulated)
+
+
+DIRECTION = ("theta_deg", "phi_deg", "polar_deg", "azimuth_deg")
 
 
 def _number(name: str, value: float | None) -> float | None:
@@ -470,10 +562,9 @@ def _channel(value: object) -> str | None:
     raise UserError(f"channel: {quoted(value)}: give the name of a colour")
 
 
-def _direction(
-    theta_deg: object, phi_deg: object, polar_deg: object, azimuth_deg: object, sigma_deg: float, psi_deg: float
-) -> tuple[Floats, Floats]:
+def _direction(direction: Sequence[object], sigma_deg: float, psi_deg: float) -> tuple[Floats, Floats]:
     """The specular coordinates of a direction that is given in one way or the other, scalars or arrays. Raises UserError."""
+    theta_deg, phi_deg, polar_deg, azimuth_deg = direction
     specular, own = (theta_deg, phi_deg), (polar_deg, azimuth_deg)
     if all(each is None for each in own) and theta_deg is not None:
         theta = _angles("theta_deg", theta_deg, 180.0)
@@ -490,11 +581,12 @@ def _direction(
     raise UserError("at: give the direction by theta_deg and phi_deg, or by polar_deg and azimuth_deg")
 
 
-def _broadcast(one: Floats, other: Floats) -> tuple[int, ...]:
+def _broadcast(*given: Floats) -> tuple[int, ...]:
     try:
-        return np.broadcast_shapes(one.shape, other.shape)
+        return np.broadcast_shapes(*(each.shape for each in given))
     except ValueError:
-        raise UserError(f"at: the two angles have the shapes {one.shape} and {other.shape}, which do not fit") from None
+        shapes = " and ".join(str(each.shape) for each in given)
+        raise UserError(f"at: the arguments have the shapes {shapes}, which do not fit") from None
 
 
 def _angles(name: str, value: object, most: float | None = None) -> Floats:

@@ -1,5 +1,7 @@
 """A sample's values as a DataFrame of pandas or a Dataset of xarray, which are extras."""
 
+from collections.abc import Mapping
+from html import escape
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
@@ -14,14 +16,38 @@ if TYPE_CHECKING:
     import xarray
 
 UNITS = {"bsdf": "1/sr", "u": "1/sr", "u_shared": "1/sr", "low95": "1/sr", "high95": "1/sr", "wavelength_nm": "nm"}
+LONG_NAMES = {
+    "bsdf": "BSDF",
+    "u": "standard uncertainty of the BSDF",
+    "u_shared": "part of the standard uncertainty that neighbouring values share",
+    "low95": "lower end of the interval of 95 %",
+    "high95": "upper end of the interval of 95 %",
+    "interval": "law of the interval of 95 %",
+    "flags": "flags",
+    "channel": "colour",
+    "wavelength_nm": "wavelength",
+    "sigma_deg": "incidence",
+    "psi_deg": "azimuth of the light in the sample's frame",
+    "theta_deg": "aspecular angle",
+    "phi_deg": "azimuth about the specular direction",
+    "polar_deg": "polar angle of observation",
+    "azimuth_deg": "azimuth of observation in the sample's frame",
+    "transmitted": "whether the light is transmitted",
+    "back": "whether the sample is lit on its back",
+    "photodiode": "number of the photodiode",
+}
+RANGES = ("bsdf", "u", "wavelength_nm", "sigma_deg", "psi_deg", "theta_deg", "phi_deg", "polar_deg", "azimuth_deg")
+"""Columns whose ranges a notebook shows."""
 AXES = ("channel", "wavelength_nm", "psi_deg", "sigma_deg", "phi_deg", "theta_deg")
 """Axes of a grid; a table has a channel or a wavelength, or neither."""
 ON_GRID = ("bsdf", "u", "flags")
 
 
-def to_dataframe(data: SampleData) -> "pandas.DataFrame":
+def to_dataframe(data: SampleData, attributes: dict[str, Any]) -> "pandas.DataFrame":
     """One row for each value, and the columns of the dataset. Raises MissingPackage where pandas is not installed."""
-    frame: pandas.DataFrame = _extra("pandas", "to_dataframe").DataFrame({name: data.column(name) for name in COLUMNS})
+    columns = {name: np.array(data.column(name)) for name in COLUMNS}
+    frame: pandas.DataFrame = _extra("pandas", "to_dataframe").DataFrame(columns)
+    frame.attrs.update(attributes)
     return frame
 
 
@@ -33,11 +59,39 @@ def to_xarray(data: SampleData, attributes: dict[str, Any]) -> "xarray.Dataset":
     library = _extra("xarray", "to_xarray")
     made = _on_grid(data, library) if data.gridded and _is_one_table(data) else _flat(data, library)
     for name, each in made.variables.items():
-        unit = UNITS.get(str(name), "deg" if str(name).endswith("_deg") else "")
-        if unit:
-            each.attrs["units"] = unit
+        each.attrs.update({"long_name": LONG_NAMES[str(name)], "units": _unit(str(name))})
     result: xarray.Dataset = made.assign_attrs(attributes)
     return result
+
+
+def _unit(name: str) -> str:
+    return UNITS.get(name, "deg" if name.endswith("_deg") else "1")
+
+
+def html_of(name: str, origin: str, samples: Mapping[str, SampleData], *, simulated: bool) -> str:
+    """A small table of each sample for a notebook: numbers of values, and ranges with units."""
+    mark = "<b>SIMULATED</b>, " if simulated else ""
+    return f"<div>{escape(name)}: {mark}{escape(origin)}{''.join(_rows(*each) for each in samples.items())}</div>"
+
+
+def _rows(sample: str, data: SampleData) -> str:
+    parts = [("values", "1", f"{data.values.size}, {int(data.good.sum())} of them trusted")]
+    for name in RANGES:
+        column = data.column(name)[data.good] if name in ("bsdf", "u") else data.column(name)
+        known = column[np.isfinite(column)]
+        if known.size:
+            low, high = (f"{each:.6g}" for each in (known.min(), known.max()))
+            text = low if low == high else f"{low} to {high}, {np.unique(known).size} different"
+            parts.append((f"{LONG_NAMES[name]} ({name})", _unit(name), text))
+    if colours := [each for each in np.unique(data.column("channel")).tolist() if each]:
+        parts.append(("colours", "1", ", ".join(colours)))
+    if data.regular:
+        parts.append(("tables of regular factors", "1", str(len(data.regular))))
+    cells = "".join(
+        f"<tr><td>{escape(what)}</td><td>{escape(text)}</td><td>{'' if unit == '1' else unit}</td></tr>"
+        for what, unit, text in parts
+    )
+    return f"<table><caption>{escape(sample or 'a sample without a name')}</caption>{cells}</table>"
 
 
 def _extra(module: str, method: str) -> Any:
@@ -74,6 +128,6 @@ def _on_grid(data: SampleData, library: Any) -> Any:
 
 
 def _flat(data: SampleData, library: Any) -> Any:
-    columns = {name: ("value", data.column(name)) for name in COLUMNS}
+    columns = {name: ("value", np.array(data.column(name))) for name in COLUMNS}
     variables = {name: columns.pop(name) for name in (*ON_GRID, "u_shared", *INTERVAL_COLUMNS)}
     return library.Dataset(variables, coords=columns)

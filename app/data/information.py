@@ -12,7 +12,7 @@ from goniotwin.app.campaign.reduction.polarisation import light_words
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.campaign.schedule.grids import grid_values
 from goniotwin.app.data.conversion import Share, is_journal, shares_of
-from goniotwin.app.data.opening import with_files_beside
+from goniotwin.app.data.parts import with_files_beside
 from goniotwin.app.formats import BsdfTable, registry
 from goniotwin.app.formats.content import UNTRUSTED, Part, RegularTable, ScatteredBsdf, flagged
 from goniotwin.app.formats.metadata import Metadata

@@ -169,6 +169,13 @@ class ValueWithU:
         return f"{self.value:.6g}{'' if self.unit == '1' else f' {self.unit}'}, u {self.u:.2g}"
 
 
+def read_only(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """The same numbers, which cannot be written; nor can slices."""
+    view = np.asarray(array).view()
+    view.flags.writeable = False
+    return view
+
+
 def with_names(function: Callable[P, R]) -> Callable[P, R]:
     """A public function whose call with other arguments than its own is a UserError, which names those that it has."""
 

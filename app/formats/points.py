@@ -85,7 +85,7 @@ def read(path: Path) -> BsdfFile:
     """
     points = read_points_csv(path)
     with name_file(path):
-        return _bsdf_file(path, points)
+        return content_of_points(path, points)
 
 
 def write(path: Path, content: BsdfFile | PointStream) -> None:
@@ -171,7 +171,7 @@ def _columns_of(part: ScatteredBsdf, optional: Collection[str]) -> dict[str, NDA
     return {name: np.asarray(column) for name, column in columns.items() if name not in OPTIONAL_COLUMNS or name in optional}
 
 
-def _bsdf_file(path: StrPath, points: Points) -> BsdfFile:
+def content_of_points(path: StrPath, points: Points) -> BsdfFile:
     """The content of a CSV by the names of its columns. Raises FormatError and ValueError."""
     found = _BsdfColumns(path, points)
     values, u = found.values()

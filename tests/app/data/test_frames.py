@@ -38,6 +38,10 @@ def test_a_table_is_on_its_axes() -> None:
     assert made["bsdf"].dims == ("wavelength_nm", "psi_deg", "sigma_deg", "phi_deg", "theta_deg")
     assert made["bsdf"].attrs["units"] == "1/sr"
     assert made["theta_deg"].attrs["units"] == "deg"
+    assert made["theta_deg"].attrs["long_name"] == "aspecular angle"
+    for each in made.variables.values():
+        assert each.attrs["long_name"]
+        assert each.attrs["units"]
     assert float(made["u"].sel(wavelength_nm=600, sigma_deg=0, phi_deg=180, theta_deg=10, psi_deg=0)) == pytest.approx(1.6)
     # Below the horizon there is nothing.
     below = made["bsdf"].sel(sigma_deg=60, phi_deg=180, theta_deg=90, psi_deg=0, wavelength_nm=500)
@@ -53,6 +57,7 @@ def test_measured_values_are_a_list() -> None:
     assert made["bsdf"].dims == ("value",)
     assert set(made.data_vars) == {"bsdf", "u", "u_shared", "low95", "high95", "interval", "flags"}
     assert made["sigma_deg"].values.tolist() == [30.0, 30.0]
+    assert all(each.attrs["long_name"] and each.attrs["units"] for each in made.variables.values())
 
 
 @pytest.mark.parametrize(("method", "module"), [("to_xarray", "xarray"), ("to_dataframe", "pandas")])
