@@ -27,10 +27,8 @@ ANGLES = {**POLAR, **dict.fromkeys(("psi_deg", "phi_deg", "azimuth_deg"), math.i
 """The angles, with the largest that there is."""
 NOT_NEGATIVE = ("u", "u_shared", "wavelength_nm")
 NUMBERS = ("bsdf", *NOT_NEGATIVE, "low95", "high95", "photodiode")
-TEXTS = ("sample", "channel", "flags", "interval", "side", "light")
+TEXTS = ("sample", "channel", "flags", "interval")
 SIDES = {"transmitted": ("light", "transmitted", "reflected"), "back": ("side", "back", "front")}
-LEFT_OUT = ("luminance_factor", "standard_error", "gamma_deg")
-"""Columns of a CSV that follow from the others."""
 KNOWN = (*ANGLES, *NUMBERS, *TEXTS, *SIDES)
 
 
@@ -40,32 +38,45 @@ def content_of_columns(table: Any, *, name: str, simulated: bool | None, isotrop
         given = {str(each): np.array(table[each]) for each in list(table)}
     except Exception:  # noqa: BLE001  (an object of any class may raise anything)
         raise UserError(f"from_table: {quoted(type(table).__name__)}: give a DataFrame, or a dictionary of arrays") from None
-    names = {in_csv: own for own, in_csv in IN_CSV.items()}
-    given = {names.get(each, each): column for each, column in given.items() if each not in LEFT_OUT}
-    if unknown := [each for each in given if each not in KNOWN]:
-        raise UserError(f"from_table: there is no column {quoted(unknown[0])}; there are {', '.join(KNOWN)}")
-    _refuse_missing(given)
+    if not given:
+        raise UserError("from_table: there are no columns; give bsdf, sigma_deg, theta_deg and phi_deg at least")
     lengths = {column.shape for column in given.values()}
     if len(lengths) > 1 or len(next(iter(lengths))) != 1:
         shapes = ", ".join(f"{each} {column.shape}" for each, column in given.items())
         raise UserError(f"from_table: the columns have the shapes {shapes}; give lists, all of the same length")
-    if not given["bsdf"].size:
-        raise UserError("from_table: the columns are empty; give at least one value")
-    columns = {each: _numbers(each, given[each]) for each in (*ANGLES, *NUMBERS) if each in given}
-    texts = {each: _texts(given[each]) for each in TEXTS if each in given}
-    for each, (column, yes, no) in SIDES.items():
-        if each in given:
-            texts[column] = np.where(_flags(each, given[each]), yes, no)
-    _to_directions_of_a_csv(columns, texts)
     attributes = getattr(table, "attrs", {})
-    texts.setdefault("sample", np.full(columns["bsdf"].size, str(attributes.get("sample", ""))))
     simulated = bool(attributes.get("simulated", False)) if simulated is None else simulated
-    points = Points((f"{SIMULATED}as the table states",) if simulated else (), {**columns, **texts})
-    points = replace(points, columns={IN_CSV.get(each, each): column for each, column in points.columns.items()})
-    content = content_of_points(name, points)
+    columns = _of_csv(given) if IN_CSV["bsdf"] in given else _of_dataset(given)
+    columns.setdefault("sample", np.full(next(iter(lengths)), str(attributes.get("sample", ""))))
+    content = content_of_points(name, Points((f"{SIMULATED}as the table states",) if simulated else (), columns))
     if isotropic is not None:
         content = replace(content, parts=tuple(replace(each, isotropic=isotropic) for each in content.scattered))
     return content
+
+
+def _of_csv(given: Mapping[str, npt.NDArray[Any]]) -> dict[str, Any]:
+    """The columns of a CSV that another program has read; those that say nothing of a BSDF are left out, as by our reader."""
+    return {name: column.astype(np.float64) if column.dtype.kind in "iuf" else _texts(column) for name, column in given.items()}
+
+
+def _of_dataset(given: Mapping[str, npt.NDArray[Any]]) -> dict[str, Any]:
+    """The columns of a CSV from those of a dataset, each of which is checked. Raises UserError."""
+    if unknown := [each for each in given if each not in KNOWN]:
+        raise UserError(f"from_table: there is no column {quoted(unknown[0])}; there are {', '.join(KNOWN)}")
+    _refuse_missing(given)
+    if not given["bsdf"].size:
+        raise UserError("from_table: the columns are empty; give at least one value")
+    columns: dict[str, Any] = {each: _numbers(each, given[each]) for each in (*ANGLES, *NUMBERS) if each in given}
+    columns |= {each: _texts(given[each]) for each in TEXTS if each in given}
+    for each, (column, yes, no) in SIDES.items():
+        if each in given:
+            columns[column] = np.where(_flags(each, given[each]), yes, no)
+    psi = columns.pop("psi_deg", np.zeros(columns["bsdf"].size))
+    if {"polar_deg", "azimuth_deg"} <= columns.keys():
+        columns["psi_deg"] = psi
+    else:  # a CSV then has the sample's rotation in the rig
+        columns["gamma_deg"] = psi_of_gamma(psi, columns["side"] == "back" if "side" in columns else False)
+    return {IN_CSV.get(each, each): column for each, column in columns.items()}
 
 
 def _refuse_missing(given: Mapping[str, Any]) -> None:
@@ -106,12 +117,3 @@ def _flags(name: str, column: npt.NDArray[Any]) -> Flags:
     if column.dtype.kind != "b" and not all(isinstance(each, bool) for each in column.tolist()):
         raise UserError(f"from_table: the column {name} has something else than True and False")
     return column.astype(bool)
-
-
-def _to_directions_of_a_csv(columns: dict[str, Any], texts: Mapping[str, Any]) -> None:
-    """Give the azimuth of the light as a CSV has it: beside polar angle and azimuth, or as the sample's rotation."""
-    psi = columns.pop("psi_deg", np.zeros(columns["bsdf"].size))
-    if {"polar_deg", "azimuth_deg"} <= columns.keys():
-        columns["psi_deg"] = psi
-    else:
-        columns["gamma_deg"] = psi_of_gamma(psi, texts["side"] == "back" if "side" in texts else False)
