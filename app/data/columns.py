@@ -55,7 +55,7 @@ def content_of_columns(table: Any, *, name: str, simulated: bool | None, isotrop
 
 
 def _of_csv(given: Mapping[str, npt.NDArray[Any]]) -> dict[str, Any]:
-    """The columns of a CSV that another program has read; those that say nothing of a BSDF are left out, as by our reader."""
+    """The columns of a CSV that another program has read; of these the reader of CSV takes the ones that it knows."""
     return {name: column.astype(np.float64) if column.dtype.kind in "iuf" else _texts(column) for name, column in given.items()}
 
 

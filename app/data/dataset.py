@@ -65,7 +65,7 @@ class Dataset:
     The arrays are of one sample: where there are several, choose one, `dataset["paper"]`. `name` is that of the campaign or of
     the file, `origin` what it was: "journal", "simulation" or the name of a format. `notes` are remarks for the reader of the
     values, `findings` those that state what is wrong with the instrument. `file` is the content of the file; of a journal
-    `reduced` is the whole reduction, and `whole` is whether no values were left out since. The arrays cannot be written; what
+    `reduced` is the whole reduction, and `whole` is whether all of its values are there. The arrays cannot be written; what
     numpy makes of them by arithmetic or by a mask can. Whatever an argument can do wrong raises GoniotwinError.
     """
 
@@ -513,7 +513,7 @@ class Dataset:
         return convert_content(content, file, found, Choice())
 
     def _content(self) -> BsdfFile:
-        """The content of a file with the values: of a file of which nothing is left out its own grids."""
+        """The content of a file with the values: its own grids where all of a file is there."""
         if self.file is not None and self.whole:
             return replace(self.file, parts=tuple(each for each in self.file.parts if each.sample in self.data))
         parts: list[Part] = []
