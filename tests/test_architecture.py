@@ -20,6 +20,7 @@ ROOMS = (
     "app.sweeps",
     "app.rig",
     "app.guardian",
+    "app.figures",
     "app.formats",
     "mocks",
     "twin.doors",

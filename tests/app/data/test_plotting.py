@@ -231,7 +231,8 @@ def test_a_picture_is_drawn_on_given_axes() -> None:
     ]
     for axes in (left, right):
         assert SIMULATED in [each.get_text() for each in axes.texts]
-    part = Figure().subfigures(1, 2)[0]
+    parts: Any = Figure().subfigures(1, 2)
+    part = parts[0]
     assert plot(dataset, "polar", ax=part.subplots(subplot_kw={"projection": "polar"})) is part.figure
     both = [rings(lambertian(0.5), sigma, RINGS, ROUND) for sigma in (20.0, 50.0)]
     two = Figure().subplots(1, 2)
@@ -243,14 +244,15 @@ def test_a_picture_is_drawn_on_given_axes() -> None:
 def test_axes_that_do_not_fit_are_refused() -> None:
     one, dataset = Figure().subplots(), two_wavelengths()
     two: Any = Figure().subplots(1, 2)
-    for arguments, message in (
+    wrong: tuple[tuple[dict[str, Any], str], ...] = (
         ({"ax": two}, "ax: 2 axes are given, and this picture has 1 panels: give a list of 1 axes"),
         ({"kind": "polar", "ax": one}, "ax: the projection is 'rectilinear', and this picture needs 'polar'"),
         ({"ax": Figure().subplots(subplot_kw={"projection": "polar"})}, "this picture needs 'rectilinear'"),
         ({"ax": "left"}, "ax: give matplotlib axes, or a list of them"),
-    ):
+    )
+    for arguments, message in wrong:
         with pytest.raises(goniotwin.GoniotwinError, match=message):
-            plot(dataset, **arguments)  # type: ignore[arg-type]  # one is no axes
+            plot(dataset, **arguments)
 
 
 def test_a_comparison_is_drawn_by_plot_on_its_own_figure_or_on_given_axes() -> None:
@@ -262,9 +264,10 @@ def test_a_comparison_is_drawn_by_plot_on_its_own_figure_or_on_given_axes() -> N
     assert axes[0].get_yscale() == "log"
     assert len(axes[0].get_legend().get_texts()) == 2
     assert figure.axes[-1].get_ylabel() == "z: first less second, in u"
-    for arguments in ({"kind": "polar"}, {"sigma_deg": 30.0}):
+    others: tuple[dict[str, Any], ...] = {"kind": "polar"}, {"sigma_deg": 30.0}
+    for arguments in others:
         with pytest.raises(goniotwin.GoniotwinError, match="a comparison has one kind of picture"):
-            plot(found, **arguments)  # type: ignore[arg-type]
+            plot(found, **arguments)
     with pytest.raises(goniotwin.GoniotwinError, match="this picture has 2 panels"):
         plot(found, ax=axes[0])
 
@@ -273,6 +276,8 @@ def test_values_that_are_not_to_be_trusted_have_grey_marks_at_their_place() -> N
     one = rings(lambertian(0.6), 30.0, np.array([5.0, 10.0, 15.0, 20.0]), np.array([180.0]))
     flags = np.array(["", "shadowed", "monitor", ""])
     (axes,) = plot(made(replace(one, flags=flags, values=np.array([0.2, 0.1, np.nan, 0.2])))).axes
-    marks = {line.get_marker(): np.asarray(line.get_data(), dtype=float) for line in axes.lines if line.get_marker() in "ox"}
+    marks = {
+        line.get_marker(): np.asarray(line.get_data(), dtype=float) for line in axes.lines if str(line.get_marker()) in "ox"
+    }
     assert marks["o"].tolist() == [[10.0], [0.1]]
     assert marks["x"].tolist() == [[15.0], [axes.get_ylim()[0]]]

@@ -2,12 +2,13 @@
 
 import base64
 import re
+from io import BytesIO
 from pathlib import Path
 
 import numpy as np
 import pytest
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.image import imread
 from PySide6.QtCore import QObject, QPointF
 from PySide6.QtGui import QImage
 from PySide6.QtWidgets import QWidget
@@ -95,14 +96,11 @@ def _pixels(widget: QWidget) -> Floats:
 
 def drawn(figure: Figure) -> tuple[Floats, Floats, Floats]:
     """The pixels of a figure, and those of places along the axes of its first panel: columns of -90 to 90, and rows."""
-    figure.set_dpi(DPI)
     for dots in [line for line in figure.axes[0].lines if line.get_marker() == "."]:
         dots.set_visible(False)  # they are on the colours that are read
-    canvas = FigureCanvasAgg(figure)
-    canvas.draw()
-    pixels = np.asarray(canvas.buffer_rgba())[..., :3].astype(float)
-    transform = figure.axes[0].transData
-    ends = transform.transform([(-90.0, -90.0), (90.0, 90.0)])
+    pixels = 255.0 * imread(BytesIO(picture(figure, "png", DPI)))[..., :3].astype(float)
+    figure.set_dpi(DPI)
+    ends = figure.axes[0].transData.transform([(-90.0, -90.0), (90.0, 90.0)])
     return pixels, ends[:, 0], pixels.shape[0] - ends[:, 1]
 
 
@@ -181,9 +179,9 @@ def test_window_plot_and_report_give_one_picture_of_a_journal(
 
     # The report has the plot's pictures.
     html, _ = report_html(journal)
-    found = dict(re.findall(r'src="data:image/(png|svg\+xml);base64,([^"]+)"', html)[k] for k in (1, 0))
-    assert base64.b64decode(found["png"]) == picture(goniotwin.plot(dataset, "hemisphere"), "png", DPI)
-    assert base64.b64decode(found["svg+xml"]) == picture(goniotwin.plot(dataset, "cuts"), "svg", DPI)
+    pictures = dict(re.findall(r'src="data:image/(png|svg\+xml);base64,([^"]+)"', html)[k] for k in (1, 0))
+    assert base64.b64decode(pictures["png"]) == picture(goniotwin.plot(dataset, "hemisphere"), "png", DPI)
+    assert base64.b64decode(pictures["svg+xml"]) == picture(goniotwin.plot(dataset, "cuts"), "svg", DPI)
 
 
 def peak_of(pixels: Floats, across: Floats, down: Floats) -> Floats:
