@@ -1,13 +1,12 @@
 """Both scales close on drawn rigs within their uncertainties, and what is beyond them is found."""
 
 import math
-from dataclasses import astuple, fields, replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from goniotwin.app.campaign.geometry.open_beam import BeamScan
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.rehearsal.without_wires import run_without_wires
@@ -16,22 +15,15 @@ from goniotwin.app.campaign.studies.closure import (
     Closure,
     ClosureReport,
     JointClosure,
-    compare,
     pose_inputs,
-    scanned_beam,
 )
 from goniotwin.app.campaign.studies.evaluation import evaluate_journal
-from goniotwin.app.rig import RigFile, parse_rig
-from goniotwin.app.rig.inputs import POSITION
-from goniotwin.twin.optics import Deviation, Instrument
+from goniotwin.app.rig import parse_rig
 from tests.app.campaign.studies.closure_bench import (
-    CERTIFICATE,
     FILE,
     HEAD,
-    beam_signal,
-    etalon_signal,
+    DrawnRig,
     lit_everywhere,
-    plain_ratio,
     scans_of,
 )
 from tests.conftest import RIG, changed
@@ -42,53 +34,6 @@ wavelength_nm = [550]
 gains_v_per_a = [1e6, 1e8, 1e10]
 [open_beam]
 """
-
-
-class DrawnRig:
-    """A rig within Table 2: all deviations, zeros and the photodiode's angles drawn from what the rig file states.
-
-    With the slit's image, which does not cover the hole any more where mirrors are tilted; or with a hole that is `lit`
-    everywhere. `times`: all mirrors are off by as much more than the rig file states.
-    """
-
-    def __init__(self, seed: int, file: RigFile = FILE, *, lit: bool = False, times: float = 1.0) -> None:
-        self._rng, self._table = np.random.default_rng(seed), file.uncertainty
-        tilts = ("mirror_tilt_deg", "mirror_shift_mm")
-        mirrors = {f"mirror_{k}": self._deviation(*tilts, "xy", "z") for k in (1, 2, 3)}
-        common = {name: Deviation(*(times * each for each in astuple(off))) for name, off in mirrors.items()}
-        common["pupil"] = self._deviation("mirror_tilt_deg", "illumination_shift_mm", "", "xy")
-        common["arc"] = self._deviation("arc_tilt_deg", "arc_shift_mm", "xyz", "xyz")
-        common["sensor"] = self._deviation("sensor_tilt_deg", "sensor_shift_mm", "xy", "xyz")
-        etalon = self._deviation("etalon_tilt_deg", "etalon_height_mm", "xy", "z")
-        empty = self._deviation("sample_tilt_deg", "sample_height_mm", "xy", "z")
-        self.with_etalon = Instrument(deviations={**common, "sample": etalon}, lit_everywhere=lit)
-        self.empty = Instrument(deviations={**common, "sample": empty}, lit_everywhere=lit)
-        self.zeros = {name: self._draw(f"{name}_zero_deg") for name in ("sigma", "beta", "shift")}
-
-    def _draw(self, key: str) -> float:
-        return float(self._rng.uniform(-1.0, 1.0) * getattr(self._table, key))
-
-    def _deviation(self, tilt: str, shift: str, about: str, along: str) -> Deviation:
-        angles = {f"r{axis}_deg": self._draw(tilt) for axis in about}
-        return Deviation(**angles, **{f"{axis}_mm": self._draw(shift) for axis in along})
-
-    def closure(self, scan: BeamScan, *, stops: bool = False) -> tuple[Closure, float]:
-        """The closure of a scan, without errors of the signals, and ln of its value before the correction.
-
-        With `stops` shift and beta stop elsewhere in each pose of the scan.
-        """
-        along = self.zeros["shift"] + self._draw("photodiode_angle_deg")
-        across = self._draw("photodiode_across_deg") + self.zeros["beta"] * math.sin(math.radians(scan.at_deg))
-        sigma = self.zeros["sigma"]
-        of_open = sigma + self._draw("position_deg")
-        off = self._rng.uniform(-1.0, 1.0, (2, len(scan.poses))) * self._table.width(POSITION) * stops
-        signal = beam_signal(scan, self.empty, along + off[0], across + off[1] * math.sin(math.radians(scan.at_deg)), of_open)
-        beam = scanned_beam(scan, 550.0, signal)
-        etalon = etalon_signal(
-            scan, self.with_etalon, along + self._draw("position_deg"), across, sigma + self._draw("position_deg")
-        )
-        found = compare(beam, 550.0, signal, None, etalon, 1.0, (CERTIFICATE,), FILE)
-        return found, plain_ratio(scan, beam, etalon)
 
 
 @pytest.mark.long

@@ -31,8 +31,7 @@ from goniotwin.app.rig import nominal_instrument, read_rig
 from goniotwin.arrays import Floats
 from tests import rig_tables
 from tests.app.campaign.studies.alignment_bench import PROOF, drawn_plan, run
-from tests.app.campaign.studies.closure_bench import FILE, scans_of
-from tests.app.campaign.studies.test_closure_of_drawn_rigs import DrawnRig
+from tests.app.campaign.studies.closure_bench import FILE, DrawnRig, scans_of
 from tests.conftest import SMALL, Change, Writer
 
 SETTINGS = reduction_settings(FILE, parse_schedule(SMALL, "small.toml").file, None, "")
