@@ -1,6 +1,6 @@
 """The JSON of results: the one place where a result of a command becomes a document.
 
-A dataclass is an object of its fields, in their order. A field with the metadata OPTIONAL_KEY is left out where it is None. A
+A dataclass is an object of its fields, in their order. A field with the metadata OPTIONAL_KEY is absent where it is None. A
 class whose document has other keys gives them by `as_dict`. Arrays, tuples and lists are lists; paths are their text, dates and
 times ISO 8601, members of an enumeration their value; NaN and infinity are null, because JSON has no such numbers.
 """
@@ -14,7 +14,7 @@ from datetime import date
 from enum import Enum
 from typing import Any
 
-OPTIONAL_KEY = {"json": "left out where it is None"}
+OPTIONAL_KEY = {"json": "absent where it is None"}
 
 
 def json_value(value: object) -> Any:

@@ -156,7 +156,7 @@ def test_no_test_imports_a_benchmark() -> None:
             assert not [name for name in names if name.partition(".")[0] == "benchmarks"], path
 
 
-def test_each_import_within_a_function_says_why() -> None:
+def test_each_import_within_a_function_has_its_reason() -> None:
     """In a comment at it or above it, or at the module's imports for types, of a library that the whole module loads late."""
     silent = []
     for path in [*sources("*.py"), *(REPOSITORY / "package").glob("*.py")]:
@@ -164,11 +164,15 @@ def test_each_import_within_a_function_says_why() -> None:
         lines = text.splitlines()
         if re.search(r"^if TYPE_CHECKING:  # \S", text, re.MULTILINE):
             continue
-        said = 0  # the last line of imports with a reason
+        reason_at = 0  # the last line of imports with a reason
         for number in late_imports(text):
             above = lines[number - 2].strip()
-            if "#" in lines[number - 1] or above.startswith("#") or (said and all(map(is_import, lines[said:number]))):
-                said = number
+            if (
+                "#" in lines[number - 1]
+                or above.startswith("#")
+                or (reason_at and all(map(is_import, lines[reason_at:number])))
+            ):
+                reason_at = number
             else:
                 silent.append(f"{path.relative_to(REPOSITORY)}:{number}")
     assert silent == []

@@ -111,7 +111,7 @@ def test_the_public_names_are_there_and_no_others() -> None:
 
 
 @pytest.mark.long
-def test_each_public_name_has_a_type_for_those_who_install_the_wheel(unpacked: Path, tmp_path: Path) -> None:
+def test_each_public_name_has_a_type_in_an_installed_wheel(unpacked: Path, tmp_path: Path) -> None:
     script = tmp_path / "script.py"
     script.write_text("\n".join(["import goniotwin as g", *(f"reveal_type(g.{name})" for name in dir(goniotwin)), "g.none"]))
     command = [sys.executable, "-m", "mypy", "--strict", "--follow-imports", "silent", "--ignore-missing-imports", str(script)]

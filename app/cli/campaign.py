@@ -45,7 +45,7 @@ app = typer.Typer()
 
 @dataclass(frozen=True)
 class RunResult:
-    """What `goniotwin run --json` prints; `checks` are left out where the data file cannot be read back."""
+    """What `goniotwin run --json` prints; `checks` are absent where the data file cannot be read back."""
 
     journal: Path
     state: str

@@ -1,6 +1,7 @@
 """The back end for files and notebooks: a description drawn by matplotlib, on a new figure or on given axes."""
 
 import io
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from textwrap import fill
@@ -12,7 +13,7 @@ from goniotwin.app.errors import UserError
 from goniotwin.app.figures.curves import MOST_MARKED
 from goniotwin.app.figures.description import Bar, Colour, Figure, Map, Panel, Series
 from goniotwin.app.figures.hemisphere import EDGE_DEG, GAPS, HORIZON_DEG, RINGS_DEG, WIDEST_DEG, colour_table
-from goniotwin.app.figures.scale import Scale
+from goniotwin.app.figures.scale import Scale, tick_text
 from goniotwin.app.figures.style import BAND_ALPHA, DISC, MARKS, PAPER, SIMULATED, Palette, Symbol
 from goniotwin.app.formats.file import check_writable, write_file
 from goniotwin.arrays import Flags, Floats
@@ -35,7 +36,7 @@ SYMBOLS: dict[Symbol, str] = {
     "star": "*",
     "dot": ".",
 }
-LINES = {"solid": "-", "dashed": "--", "dotted": ":", "none": ""}
+LINES = {"solid": "-", "dashed": "--", "dotted": ":", "none": "None"}
 LETTERS_AN_INCH, MOST_LETTERS = 12.0, 100
 """Of a title, and of a line above a legend."""
 MOST_DOTS = 2000
@@ -218,9 +219,8 @@ def _draw_series(axes: "Axes", each: Series, palette: Palette) -> None:
     width, alpha = (4.0, 0.55) if each.broad else (1.3, 1.0)
     symbol = SYMBOLS[each.symbol] if each.symbol else ""
     label = each.name or "_nolegend_"
-    axes.plot(
-        each.x, each.y, LINES[each.line], color=colour, lw=width, alpha=alpha, marker=symbol, ms=3.0, label=label, zorder=2.5
-    )
+    style: dict[str, Any] = {"ls": LINES[each.line], "marker": symbol, "ms": 3.0, "lw": width, "alpha": alpha}
+    axes.plot(each.x, each.y, color=colour, label=label, zorder=2.5, **style)
 
 
 def _draw_marks(axes: "Axes", panel: Panel) -> None:
@@ -258,8 +258,10 @@ def _draw_marks(axes: "Axes", panel: Panel) -> None:
 
 def _set_axes(axes: "Axes", panel: Panel) -> None:
     """Limits, ticks and labels of axes without a frame at top and right, with a faint grid."""
-    if panel.scale is not None and panel.scale.log:
+    scale = panel.scale
+    if scale is not None and scale.log:
         axes.set_yscale("log")
+        axes.yaxis.set_major_formatter(lambda value, _: tick_text(scale, math.log10(value)))
     for axis, set_limits, set_ticks, set_label in (
         (panel.x, axes.set_xlim, axes.set_xticks, axes.set_xlabel),
         (panel.y, axes.set_ylim, axes.set_yticks, axes.set_ylabel),
@@ -394,5 +396,5 @@ def _label_rings(axes: "PolarAxes", scale: Scale, outer: float) -> None:
     decades = np.arange(0, int(outer) + 1)
     first = round(float(np.log10(scale.floor)))
     step = -(-decades.size // MOST_RINGS)
-    names = [f"$10^{{{k + first}}}$" if (decades[-1] - k) % step == 0 else "" for k in decades.tolist()]
+    names = [tick_text(scale, k + first) if (decades[-1] - k) % step == 0 else "" for k in decades.tolist()]
     axes.set_rgrids(decades.tolist(), names)

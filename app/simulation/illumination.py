@@ -16,6 +16,7 @@ from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.patches import Rectangle
 
 from goniotwin.app.errors import UserError
+from goniotwin.app.figures.style import PAPER
 from goniotwin.app.formats import PointStream
 from goniotwin.app.formats.registry import Holds
 from goniotwin.app.simulation.files import check_suffix, write_content, write_figure
@@ -38,7 +39,6 @@ ADJOINT_ERROR = 1e-4
 """Relative standard error of the adjoint flux: it costs little, and makes the profile smooth."""
 FEWEST_RAYS, MOST_RAYS = 2, 5_000_000
 DOTS_PER_INCH = 130
-MARK_COLOUR = "#a93226"
 
 
 @dataclass(frozen=True, eq=False)
@@ -253,7 +253,7 @@ def _draw(result: IlluminationResult) -> Figure:
         _draw_profile(right, result)
         unit = result.unit
         at = f"{unit.wavelength_nm:g} nm, interval {unit.interval_nm:g} nm, bandwidth {unit.bandwidth_nm:g} nm"
-        figure.suptitle(f"SIMULATED: illumination of the sample, {at}", color=MARK_COLOUR, weight="bold", fontsize=12)
+        figure.suptitle(f"SIMULATED: illumination of the sample, {at}", color=PAPER.bad, weight="bold", fontsize=12)
         side = f"{unit.field_side_mm:g} x {unit.field_side_mm:g} mm"
         flux = ", ".join(format_estimate(*each) for each in (("forward", result.forward), ("adjoint", result.adjoint)))
         figure.supxlabel(f"flux into {side}: {flux}", fontsize=10)

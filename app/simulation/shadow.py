@@ -5,6 +5,7 @@ from pathlib import Path
 import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.projections.polar import PolarAxes
 
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats import PointStream
@@ -60,10 +61,12 @@ def _draw(maps: list[ShadowMap], path: Path) -> None:
         mesh = None
         for k, each in enumerate(maps):
             axes = figure.add_subplot(2, count, 1 + k // 2 + (count if each.lower else 0), projection="polar")
+            assert isinstance(axes, PolarAxes)
             visible = each.visible[:-1, :-1]
             mesh = axes.pcolormesh(
                 np.radians(each.azimuth_deg), each.polar_deg, visible, cmap="gray", vmin=0.0, vmax=1.0, rasterized=True
             )
+            axes.set_theta_zero_location("W")  # the light is left, as in a map of values
             axes.set_title(f"{'lower' if each.lower else 'upper'} arc, sigma {each.sigma_deg:g} deg", fontsize=9)
             axes.set_yticks([30.0, 60.0, 90.0], ["30", "60", "90 deg"], fontsize=7, color="#0b5394")
             axes.grid(alpha=0.25)

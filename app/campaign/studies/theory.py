@@ -17,6 +17,8 @@ from goniotwin.app.campaign.reduction.field_of_view import FieldOfView
 from goniotwin.app.campaign.reduction.points import PLACE, BsdfPoints
 from goniotwin.app.campaign.studies.reduced_journal import BsdfDataset
 from goniotwin.app.errors import UserError
+from goniotwin.app.figures.curves import ANGLE_LABEL, ANGLE_LIMITS, ANGLE_TICKS, POSITIVE, plane_angle
+from goniotwin.app.figures.style import CURVE_COLOURS, PAPER
 from goniotwin.app.rig import RigDescription, RigFile, nominal_instrument
 from goniotwin.app.simulation.paper.gaussian_cut import HIGHEST_ZENITH_DEG, WIDTHS
 from goniotwin.arrays import Flags, Floats
@@ -26,14 +28,11 @@ from goniotwin.twin.optics.geometry.coordinates import (
     TOLERANCE_DEG,
     polar_and_azimuth,
     round_deg,
-    signed_polar,
     zenith_and_azimuth,
 )
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-COLOURS = ("#c0392b", "#b7950b", "#1e8449", "#1f618d", "#6c3483", "#616a6b")
 
 SLOPE_STEP_DEG, WAVELENGTH_STEP_NM = 0.01, 0.1
 
@@ -143,7 +142,7 @@ def cut_figure(reduced: BsdfDataset, sample: str, relative_rms_percent: Mapping[
         figure = Figure(figsize=(9.0, 6.4), dpi=150, layout="constrained")
         upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
         every = relative_rms_percent.items()
-        for (sigma, percent), colour in zip(every, COLOURS * len(every), strict=False):
+        for (sigma, percent), colour in zip(every, CURVE_COLOURS * len(every), strict=False):
             _draw_cut(upper, lower, reduced, sample, chosen, sigma, percent, colour)
         _draw_axes(upper, lower, reduced, sample)
         figure.savefig(path)
@@ -191,13 +190,13 @@ def _draw_axes(upper: "Axes", lower: "Axes", reduced: BsdfDataset, sample: str) 
     upper.legend(loc="upper left", framealpha=1.0, edgecolor="white", title="points: measured, lines: theory")
     lower.axhline(0.0, color="0.6", lw=0.8)
     lower.set_ylabel("deviation, %\n(theta <= 2 widths)")
-    lower.set_xlabel("zenith angle in the plane of incidence, deg (positive on the specular side)")
-    lower.set_xlim(-90.0, 90.0)
-    lower.set_xticks(range(-90, 91, 15))
+    lower.set_xlabel(f"{ANGLE_LABEL}; {POSITIVE}")
+    lower.set_xlim(*ANGLE_LIMITS)
+    lower.set_xticks(ANGLE_TICKS)
     upper.set_title(f"{sample}: measurement and theory", loc="left", fontsize=12)
     if reduced.simulated:
         text = f"SIMULATED (seed {reduced.rig.seed})"
-        upper.text(1.0, 1.02, text, transform=upper.transAxes, ha="right", va="bottom", color="#a93226", weight="bold")
+        upper.text(1.0, 1.02, text, transform=upper.transAxes, ha="right", va="bottom", color=PAPER.bad, weight="bold")
 
 
 def _theoretical_curve(reduced: BsdfDataset, sample: str, sigma: float, angles: Floats) -> Floats:
@@ -215,7 +214,7 @@ def _width(reduced: BsdfDataset, sample: str) -> float:
 
 
 def _signed_zenith(points: BsdfPoints) -> Floats:
-    return signed_polar(points.zenith_deg, points.azimuth_deg, SPECULAR_AZIMUTH_DEG)
+    return plane_angle(points.zenith_deg, points.azimuth_deg)
 
 
 def _blocked_ranges(points: BsdfPoints) -> list[tuple[float, float]]:

@@ -12,7 +12,7 @@ PIXELS_OF_RESIDUAL, RESIDUAL_STEPS = 13.0, (2.0, 4.0, 8.0, 16.0)
 """Least distance of two texts at the axis of the residuals, and the distances in u."""
 ANGLE_STEPS_DEG = (90.0, 30.0, 10.0, 5.0, 1.0, 0.5, 0.1, 0.05, 0.01)
 """Each is a multiple of the next."""
-PIXELS_OF_ANGLE, PIXELS_OF_TICK = 38.0, 8.0
+PIXELS_OF_ANGLE, PIXELS_OF_TICK = 34.0, 8.0
 """Widths of a step above which it has room for its text, and for a tick."""
 LOG = Scale("log", 1e-4, 1.0)
 

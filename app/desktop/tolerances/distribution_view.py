@@ -1,6 +1,5 @@
 """The distribution of the criterion over all combinations of a study, as cumulative curves. It only shows."""
 
-import math
 from typing import TYPE_CHECKING
 
 from PySide6.QtCore import QPointF, QRectF, QSize, Qt
@@ -9,13 +8,13 @@ from PySide6.QtWidgets import QSizePolicy, QWidget
 
 from goniotwin.app.desktop.theme import Colours
 from goniotwin.app.desktop.tolerances.tables import number_text, share_text
+from goniotwin.app.figures.scale import linear_ticks
 
 if TYPE_CHECKING:  # the window shows itself before the optics are loaded
     from goniotwin.app.desktop.model.tolerances import Distribution, StudyOutcome
 
 NOTHING = "No study has been computed yet."
 QUARTERS = (0.0, 0.25, 0.5, 0.75, 1.0)
-STEPS = (1.0, 2.0, 5.0, 10.0)
 ROOM_OF_VALUE = 52.0
 """Least distance in pixels of two values of the horizontal axis."""
 
@@ -101,7 +100,7 @@ class DistributionView(QWidget):
                 painter.setPen(QColor(colours.text))
                 text = QRectF(0.0, y - 0.5 * line, place.left() - 6.0, line)
                 painter.drawText(text, Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter, f"{100.0 * share:.0f} %")
-        for value in axis_values(greatest, place.width()):
+        for value in linear_ticks(0.0, greatest, place.width(), ROOM_OF_VALUE):
             x = place.left() + place.width() * value / greatest
             painter.setPen(QPen(QColor(colours.line), 1.0))
             painter.drawLine(QPointF(x, place.top()), QPointF(x, place.bottom() + 3.0))
@@ -126,14 +125,6 @@ class DistributionView(QWidget):
         painter.setBrush(QColor(self._colours.points))
         painter.drawEllipse(QPointF(x, y), 4.0, 4.0)
         painter.setBrush(Qt.BrushStyle.NoBrush)
-
-
-def axis_values(greatest: float, pixels: float) -> list[float]:
-    """Round values from 0 to `greatest`, whose texts have room."""
-    least = greatest * ROOM_OF_VALUE / max(pixels, 1.0)
-    scale = 10.0 ** math.floor(math.log10(least))
-    step = scale * next(each for each in STEPS if each * scale >= least * (1.0 - 1e-9))
-    return [round(step * number, 9) for number in range(math.floor(greatest / step + 1e-9) + 1)]
 
 
 def _curve(each: "Distribution", place: QRectF, greatest: float) -> QPolygonF:

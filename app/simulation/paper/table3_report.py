@@ -13,6 +13,8 @@ from matplotlib.lines import Line2D
 from rich.console import Console
 from rich.table import Table
 
+from goniotwin.app.figures.style import CURVE_COLOURS
+from goniotwin.app.figures.style import PAPER as SHEET
 from goniotwin.app.simulation.files import write_figure
 from goniotwin.app.simulation.paper.explanation import (
     PAPER,
@@ -27,9 +29,7 @@ from goniotwin.app.simulation.paper.table3 import POINT_MM, Table3
 from goniotwin.app.simulation.paper.worst_corner import SHIFT_MM, TILT_DEG, with_deviations
 from goniotwin.arrays import Floats
 
-COLOURS = ("#c0392b", "#c08a00", "#1e8449")
 """Of sigma 0, 30, 60: the paper's red, yellow and green, dark enough to read."""
-MARK_COLOUR = "#a93226"
 COLUMNS = {"paper": "paper", "noise_free": "noise-free", "tilted": "tilted", "worst": "worst corner"}
 
 
@@ -237,14 +237,14 @@ def _draw_comparison(result: Table3, path: Path) -> None:
     figure = _figure(10.5, 7.6)
     panels = figure.subplots(2, 2)
     for axes, width in zip(panels.ravel(), WIDTHS_DEG, strict=True):
-        for sigma, colour in zip(SIGMAS_DEG, COLOURS, strict=True):
+        for sigma, colour in zip(SIGMAS_DEG, CURVE_COLOURS, strict=False):
             _draw_lobe(axes, result, sigma, width, colour)
         margin = max(6.0, 2.4 * width)
         axes.set(xlim=(-min(75.0, margin), min(86.0, 60.0 + margin)), ylim=(0, 1.05))
         axes.set_xlabel("zenith angle in the plane of incidence, deg")
         axes.set_ylabel("luminance factor over its peak")
         axes.set_title(f"width {width:g} deg", loc="left")
-    handles = [Line2D([], [], color=colour, lw=2.0) for colour in COLOURS]
+    handles = [Line2D([], [], color=colour, lw=2.0) for colour in CURVE_COLOURS[: len(SIGMAS_DEG)]]
     names = [f"sigma {sigma:g} deg" for sigma in SIGMAS_DEG]
     handles += [Line2D([], [], color="0.2", lw=1.2), Line2D([], [], color="0.2", lw=1.8, ls=":")]
     names += ["theory (formula 6, 1/e at the width)", "simulated, worst corner of the deviations"]
@@ -252,7 +252,14 @@ def _draw_comparison(result: Table3, path: Path) -> None:
     title = "Gaussians in the plane of incidence, theory and virtual prototype"
     figure.suptitle(f"{title}\n", x=0.01, ha="left", fontsize=12)
     figure.text(
-        0.99, 0.985, "SIMULATED: no obstruction, no noise", ha="right", va="top", color=MARK_COLOUR, weight="bold", fontsize=9
+        0.99,
+        0.985,
+        "SIMULATED: no obstruction, no noise",
+        ha="right",
+        va="top",
+        color=SHEET.bad,
+        weight="bold",
+        fontsize=9,
     )
     write_figure(figure, path)
 
@@ -268,4 +275,4 @@ def _draw_lobe(axes: Axes, result: Table3, sigma_deg: float, width_deg: float, c
 
 
 def _mark(axes: Axes, text: str) -> None:
-    axes.text(1.0, 1.02, text, transform=axes.transAxes, ha="right", va="bottom", color=MARK_COLOUR, weight="bold", fontsize=9)
+    axes.text(1.0, 1.02, text, transform=axes.transAxes, ha="right", va="bottom", color=SHEET.bad, weight="bold", fontsize=9)

@@ -201,6 +201,7 @@ def test_a_comparison_without_uncertainties_has_the_relative_deviation() -> None
     figure = plot_comparison(compare(one, other))
     below = figure.axes[1]
     assert below.get_title(loc="left") == "first less second over their mean, %"
+    assert [(line.get_linestyle(), line.get_marker()) for line in below.lines[:2]] == [("None", ".")] * 2
     np.testing.assert_allclose(np.concatenate([line.get_ydata() for line in below.lines[:2]]), -100.0 * 0.03 / 0.615)
 
 

@@ -17,8 +17,9 @@ from goniotwin.app.desktop.model import tolerances as model
 from goniotwin.app.desktop.model.messages import Attached, NotAttached
 from goniotwin.app.desktop.model.tolerances import Studies, StudyAnswer, StudyFailed, StudyOutcome, StudyProgress, read_content
 from goniotwin.app.desktop.theme import LIGHT
-from goniotwin.app.desktop.tolerances.distribution_view import NOTHING, ROOM_OF_VALUE, axis_values
+from goniotwin.app.desktop.tolerances.distribution_view import NOTHING, ROOM_OF_VALUE
 from goniotwin.app.desktop.tolerances.screen import CANCELLED, FOLDER, IN_RUN, READY, REPLACE, WAITING, TolerancesScreen
+from goniotwin.app.figures.scale import linear_ticks
 from goniotwin.app.station.messages import Snapshot
 from tests.app.desktop.conftest import click
 from tests.app.desktop.made_study import made_outcome
@@ -253,7 +254,7 @@ def test_a_study_is_computed_by_keys_and_the_focus_goes_where_the_next_key_is(qt
 
 @given(greatest=st.floats(0.01, 5000.0), pixels=st.floats(60.0, 2000.0))
 def test_the_values_of_the_axis_have_room_and_begin_at_zero(greatest: float, pixels: float) -> None:
-    values = axis_values(greatest, pixels)
+    values = linear_ticks(0.0, greatest, pixels, ROOM_OF_VALUE)
     assert values[0] == 0.0
     assert values[-1] <= greatest * (1.0 + 1e-9)
     if len(values) > 1:
