@@ -7,7 +7,7 @@ import pyqtgraph as pg
 from PySide6.QtCore import Qt
 from PySide6.QtGui import QColor
 
-from goniotwin.app.figures.description import Colour, Guide, Marks, Panel, Series, Span
+from goniotwin.app.figures.description import Colour, Guide, Line, Marks, Panel, Series, Span
 from goniotwin.app.figures.scale import Scale
 from goniotwin.app.figures.style import BAND_ALPHA, MARKS, MarkKind, Palette, Symbol
 from goniotwin.arrays import Floats
@@ -45,6 +45,7 @@ class _SeriesItems:
         self.line = pg.PlotCurveItem()
         self.bars = pg.ErrorBarItem(x=np.empty(0), y=np.empty(0), top=np.empty(0), bottom=np.empty(0), beam=0.0)
         self.line.setZValue(5)  # points may be dense
+        self._style: tuple[str, str] | None = None
         self._shown: tuple[Series | None, Scale, Palette] | None = None
         for item in (self._band, self.line, self.bars):
             plot.addItem(item)
@@ -57,8 +58,8 @@ class _SeriesItems:
         empty = np.empty(0)
         x, y, low, high = empty, empty, empty, empty
         if series is not None:
+            self._set_colour(_colour(series.colour, palette), series.line)
             x, y = series.x, scale.transform(series.y)
-            self.line.setPen(pg.mkPen(_colour(series.colour, palette), width=2, style=LINES[series.line]))
             if series.lower is not None and series.upper is not None:
                 low, high = scale.transform(series.lower), scale.transform(series.upper)
         bars = series is not None and series.bars
@@ -69,9 +70,13 @@ class _SeriesItems:
         known = np.isfinite(low) & np.isfinite(high) if bars else np.zeros(low.size, dtype=bool)
         half = 0.5 * (high - low)[known]
         self.bars.setData(x=x[known] if low.size else empty, y=low[known] + half, top=half, bottom=half)
-        if series is not None:
-            self.bars.setData(pen=pg.mkPen(_colour(series.colour, palette), width=1))
-            shade = QColor(_colour(series.colour, palette))
+
+    def _set_colour(self, colour: str, line: Line) -> None:
+        if (colour, line) != self._style:  # each would draw the last data again
+            self._style = colour, line
+            self.line.setPen(pg.mkPen(colour, width=2, style=LINES[line]))
+            self.bars.setData(pen=pg.mkPen(colour, width=1))
+            shade = QColor(colour)
             shade.setAlphaF(BAND_ALPHA)
             self._band.setBrush(pg.mkBrush(shade))
 
@@ -86,6 +91,7 @@ class PanelItems:
         self._series: list[_SeriesItems] = []
         self._marks: dict[MarkKind, pg.ScatterPlotItem] = {}
         self._drawn: dict[MarkKind, tuple[list[Marks], Scale, Palette]] = {}
+        self._styles: dict[MarkKind, tuple[str, Palette]] = {}
         self._halos: dict[MarkKind, pg.ScatterPlotItem] = {}
         self._spans: list[pg.LinearRegionItem] = []
         self._guides: list[pg.InfiniteLine] = []
@@ -108,10 +114,8 @@ class PanelItems:
             self._series.append(_SeriesItems(self._plot))
         for k, items in enumerate(self._series):
             items.show(panel.series[k] if k < len(panel.series) else None, scale, self._palette)
-        groups = {kind: [each for each in panel.marks if each.kind == kind] for kind in ORDER}
-        for kind, several in groups.items():
-            if several or kind in self._marks:
-                self._show_marks(kind, several, scale)
+        for kind in {*self._marks, *(each.kind for each in panel.marks)}:
+            self._show_marks(kind, [each for each in panel.marks if each.kind == kind], scale)
         if panel.spans != last.spans:
             self._show_spans(panel.spans)
         if panel.guides != last.guides:
@@ -135,9 +139,11 @@ class PanelItems:
             item.setZValue(6 + 0.1 * ORDER.index(kind))
             self._plot.addItem(item)
         colour = _colour(style.colour or (several[0].colour if several else "points"), self._palette)
-        edge = pg.mkPen(self._palette.base, width=0.5) if style.filled else pg.mkPen(colour, width=1.5)
-        item.setPen(pg.mkPen(None) if style.symbol == "dot" else edge)
-        item.setBrush(pg.mkBrush(colour if style.filled else None))
+        if (colour, self._palette) != self._styles.get(kind):  # each would draw the last data again
+            self._styles[kind] = colour, self._palette
+            edge = pg.mkPen(self._palette.base, width=0.5) if style.filled else pg.mkPen(colour, width=1.5)
+            item.setPen(pg.mkPen(None) if style.symbol == "dot" else edge)
+            item.setBrush(pg.mkBrush(colour if style.filled else None))
         x, y = (np.concatenate([np.empty(0), *(getattr(each, name) for each in several)]) for name in ("x", "y"))
         item.setData(x, scale.transform(y))
         if self._panel.projection == "disc" and not style.filled:  # to be seen on any colour of the map

@@ -53,7 +53,7 @@ PER_SR = "1/sr"
 """The unit of values, as against signals."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ScanPoints:
     """Points of a scan (n,): `x_deg`, and values with their standard uncertainty.
 

@@ -53,6 +53,11 @@ class MapPoints:
         """Some of the points."""
         return MapPoints(*(each[chosen] for each in vars(self).values()))
 
+    def with_more(self, parts: list["MapPoints"]) -> "MapPoints":
+        """These points, and then those of other parts."""
+        columns = zip(*(vars(part).values() for part in (self, *parts)), strict=True)
+        return MapPoints(*(np.concatenate(each) for each in columns)) if parts else self
+
     @classmethod
     def none(cls) -> "MapPoints":
         """No points."""
@@ -68,6 +73,8 @@ class RunPoints:
     predicted: dict[ScanKey, ScanData] = field(default_factory=dict)
     _mapped: dict[tuple[ScanKey, bool], MapPoints] = field(default_factory=dict)
     """The points of cuts in the map, by the side of the sample: of 120,000 only those of the scan in progress change."""
+    _joined: dict[tuple[Setting, bool], tuple[list[MapPoints], MapPoints]] = field(default_factory=dict)
+    """The points of all cuts of a setting but the last, one after the other, with these cuts."""
 
     def add(self, scan: ScanData) -> Cut:
         """Add a scan, or replace it by what is known now."""
@@ -88,6 +95,7 @@ class RunPoints:
         """Forget the measured scans, and keep the predicted ones."""
         self.cuts.clear()
         self._mapped.clear()
+        self._joined.clear()
 
     def begin_prediction(self) -> None:
         """Forget the predicted scans."""
@@ -141,8 +149,13 @@ class RunPoints:
     def hemisphere(self, setting: Setting, transmitted: bool) -> MapPoints:
         """The measured points of a setting on one side of the sample."""
         parts = [self._mapped[key, transmitted] for cut in self.planes(setting) if (key := cut.scan.key) is not None]
-        columns = zip(*(vars(part).values() for part in (MapPoints.none(), *parts)), strict=True)
-        return MapPoints(*(np.concatenate(each) for each in columns))
+        parts, last = parts[:-1], parts[-1:]
+        known, joined = self._joined.get((setting, transmitted), ([], MapPoints.none()))
+        if len(known) > len(parts) or any(one is not other for one, other in zip(known, parts, strict=False)):
+            known, joined = [], MapPoints.none()
+        joined = joined.with_more(parts[len(known) :])
+        self._joined[setting, transmitted] = parts, joined
+        return joined.with_more(last)
 
     def predicted_scans(self, setting: Setting) -> int:
         """The number of predicted scans of a setting."""

@@ -1,6 +1,7 @@
 """The description of the cut of a run, over its prediction, and of its residuals. No Qt."""
 
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -32,10 +33,9 @@ def kinds(points: ScanPoints) -> dict[MarkKind, Flags]:
     }
 
 
-def cut_panel(cut: Cut, kind: ScaleKind) -> Panel:
-    """Points with their intervals over the line and the band of the prediction."""
+def cut_panel(cut: Cut, of: dict[MarkKind, Flags], kind: ScaleKind) -> Panel:
+    """Points, by their `kinds`, with their intervals over the line and the band of the prediction."""
     scan, points = cut.scan, cut.scan.points
-    of = kinds(points)
     good = of["measured"] | of["lost"]
     values, u = points.values[good], points.u_values[good]
     parts: list[tuple[Series, list[Marks]]] = []
@@ -44,9 +44,7 @@ def cut_panel(cut: Cut, kind: ScaleKind) -> Panel:
         values, u = np.concatenate([values, line.values]), np.concatenate([u, line.u_values])
     scale = _scale(values, u, kind)
     if line is not None:
-        ends = interval(line.values, np.nan_to_num(line.u_values), line.added, COVERAGE, COVERAGE)
-        curve = curve_of(line.x_deg, line.values, ends)
-        parts.append((curve_parts(replace(curve, lost=np.zeros(curve.x.size, dtype=bool)), scale, "predicted")[0], []))
+        parts.append((_predicted_series(line, scale), []))
     with np.errstate(invalid="ignore"):
         ends = interval(points.values, points.u_values, points.added, COVERAGE, COVERAGE)
     shown = good | of["blocked"] | of["untrusted"]
@@ -101,6 +99,15 @@ def residual_panel(cut: Cut) -> Panel:
     )
 
 
+@lru_cache(8)
+def _predicted_series(line: ScanPoints, scale: Scale) -> Series:
+    """The line, which is the same at each update."""
+    ends = interval(line.values, np.nan_to_num(line.u_values), line.added, COVERAGE, COVERAGE)
+    curve = curve_of(line.x_deg, line.values, ends)
+    return curve_parts(replace(curve, lost=np.zeros(curve.x.size, dtype=bool)), scale, "predicted")[0]
+
+
+@lru_cache(8)
 def _prediction(line: ScanPoints) -> ScanPoints | None:
     """The predicted points that are shown: of reflected light where there are any."""
     chosen = np.isfinite(line.values) & ~line.blocked

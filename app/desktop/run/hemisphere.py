@@ -223,15 +223,14 @@ class HemisphereMap(QWidget):
         """Paint what has been stamped; `points` are all of the setting, for the bar, the marks and the text."""
         self._shown = points
         trusted = points.where(~points.untrusted) if points.untrusted.any() else points
-        values = trusted.values
-        if values.size:
-            self._update_bar(trusted, label or quantity(None), last=values.size == planned)
+        if trusted.values.size:
+            self._update_bar(trusted, label or quantity(None), last=points.values.size == planned)
         self._show_panel()
         text = f"{points.values.size} directions" if not planned else f"{points.values.size} of {planned} directions"
-        if values.size:
-            top = int(np.argmax(np.where(points.untrusted, -np.inf, points.values)))
-            text += f", highest {points.values[top]:.3g} at zenith {points.zenith_deg[top]:.0f}°"
-            text += f", azimuth {points.azimuth_deg[top]:.0f}°"
+        if trusted.values.size:
+            top = int(np.argmax(trusted.values))
+            text += f", highest {trusted.values[top]:.3g} at zenith {trusted.zenith_deg[top]:.0f}°"
+            text += f", azimuth {trusted.azimuth_deg[top]:.0f}°"
         alarms = int(points.alarms.sum())
         self._write(text + (f", ✗ {alarms} in alarm" if alarms else ""))
         self._paint()

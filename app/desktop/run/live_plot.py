@@ -40,7 +40,7 @@ from goniotwin.app.figures.description import Panel
 from goniotwin.app.figures.hemisphere import is_half
 from goniotwin.app.figures.scale import ScaleKind
 from goniotwin.app.figures.style import MarkKind
-from goniotwin.arrays import Floats
+from goniotwin.arrays import Flags, Floats
 
 REDRAW_MS = 100
 """Shortest time between two repaints, at any rate of rows."""
@@ -198,7 +198,8 @@ class ScanPlot(QWidget):
         scan = cut.scan
         is_new = self._scan is None or (self._scan.title, self._scan.y_label) != (scan.title, scan.y_label)
         self._scan, self._cut = scan, cut
-        panel = cut_panel(cut, self._scale)
+        of = kinds(scan.points)
+        panel = cut_panel(cut, of, self._scale)
         self._items.show(panel)
         scale, limits = panel.scale, panel.y.limits
         assert scale is not None
@@ -211,7 +212,7 @@ class ScanPlot(QWidget):
             self._label()
             self._place_cursor(None)
         self._show_residuals()
-        self._write(_note_text(cut))
+        self._write(_note_text(cut, of))
         if self._cursor is not None:
             self._place_cursor(self._cursor)
 
@@ -522,8 +523,8 @@ def _reading_text(cut: Cut, index: int) -> str:
     return text + (", blocked by the mirror unit" if points.blocked[index] else "")
 
 
-def _note_text(cut: Cut) -> str:
-    scan, points, of = cut.scan, cut.scan.points, kinds(cut.scan.points)
+def _note_text(cut: Cut, of: dict[MarkKind, Flags]) -> str:
+    scan, points = cut.scan, cut.scan.points
     measured, counts = of["measured"], {kind: int(which.sum()) for kind, which in of.items()}
     text = f"●\u00a0{counts['measured']} measured"
     if measured.any():
