@@ -145,3 +145,21 @@ def test_the_hemisphere_fills_where_a_direction_is(qtbot: QtBot) -> None:
     shown.grab()
     shown.clear()
     assert shown.filled == 0
+
+
+def test_a_sample_lit_on_its_back_is_seen_along_the_normal_of_that_side_and_a_half_has_its_image(qtbot: QtBot) -> None:
+    """A direction at azimuth 210 of the rig is above the plane of incidence from the front, and below it from the back."""
+    for sigma, zenith, mirrored, expected in (
+        (30.0, 40.0, False, {1}),
+        (150.0, 140.0, False, {-1}),
+        (30.0, 40.0, True, {-1, 1}),
+    ):
+        shown = HemisphereMap(LIGHT)
+        qtbot.addWidget(shown)
+        shown.clear(mirrored=mirrored)
+        shown.begin(("satin", 550.0, sigma, 0.0), points([], [], []))
+        shown.stamp(points([zenith], [210.0], [1.0]))
+        rows, columns = np.nonzero(np.isfinite(shown._values))
+        middle = (shown._values.shape[0] - 1) / 2
+        assert set(np.sign(rows - middle).astype(int).tolist()) == expected
+        assert np.all(columns > middle)  # the specular side
