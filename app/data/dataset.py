@@ -17,7 +17,6 @@ from goniotwin.app.campaign.reduction.effects_of_points import effects_of
 from goniotwin.app.campaign.studies.reduced_journal import ReducedJournal
 from goniotwin.app.data import hemisphere
 from goniotwin.app.data.columns import content_of_columns
-from goniotwin.app.data.conversion import Choice, Converted, convert_content, convert_reduced, format_to_write
 from goniotwin.app.data.frames import html_of, to_dataframe, to_xarray
 from goniotwin.app.data.interpolation import (
     WIDEST_DEG,
@@ -53,6 +52,8 @@ from goniotwin.twin.optics.geometry.coordinates import TOLERANCE_DEG, arc_direct
 if TYPE_CHECKING:
     import pandas
     import xarray
+
+    from goniotwin.app.data.conversion import Converted
 
 MOST_OF_COVARIANCE = 5000
 """Values of a covariance matrix: it takes 200 MB."""
@@ -501,6 +502,9 @@ class Dataset:
         It is what `goniotwin export` and `convert` write; of some of the values it is these. The result has the files and notes
         on what the format could not hold. Raises GoniotwinError for what cannot be written.
         """
+        # The 0.2 s of HDF5 are of writing alone.
+        from goniotwin.app.data.conversion import Choice, convert_content, convert_reduced, format_to_write
+
         if not isinstance(path, str | Path) or not (format is None or isinstance(format, str)):
             raise UserError(f"save: {quoted(path)}, {quoted(format)}: give a path, and the name of a format or none")
         file = Path(path)
