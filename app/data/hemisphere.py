@@ -42,7 +42,8 @@ def reflectance(data: SampleData, light: LightSetting, place: str) -> ValueWithU
     grid = direction_grid(data, light)
     result = None
     if grid is None or grid.frame == "rings" or light.sigma_deg == 0.0:  # at normal incidence both frames are one
-        result = _of_rings(data, light)
+        folded = data.values.isotropic or (grid is not None and grid.grid.mirrored)
+        result = _of_rings(data, light, folded=folded)
     if result is None and grid is not None and grid.frame == "specular":
         result = _of_grid(data, light, place)
     if result is None:
@@ -83,11 +84,11 @@ def _of_journal(measured: Measured, light: LightSetting, place: str) -> Budget:
     return measured_reflectance(measured.settings, place, points, setting)
 
 
-def _of_rings(data: SampleData, light: LightSetting) -> ValueWithU | None:
-    """Of directions on rings; None where they do not cover the half sphere."""
+def _of_rings(data: SampleData, light: LightSetting, *, folded: bool) -> ValueWithU | None:
+    """Of directions on rings, `folded` where mirror images count; None where they do not cover the half sphere."""
     values, index = data.values, light.index
     rings = Rings(values.polar_deg[index], values.azimuth_deg[index] - values.psi_deg[index], data.good[index])
-    rule = quadrature(rings, "isotropic" if values.isotropic else "anisotropic")
+    rule = quadrature(rings, "isotropic" if folded else "anisotropic")
     if not rule.hemisphere:
         return None
     bsdf = np.where(rule.weight != 0.0, values.values[index], 0.0)

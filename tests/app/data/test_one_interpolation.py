@@ -65,6 +65,13 @@ def anisotropic_table() -> BsdfTable:
     return replace(made, psi_deg=psi, values=made.values * scale[None, :, None, None, None])
 
 
+def anisotropic_half() -> BsdfTable:
+    """A table to phi 180: the other half is its mirror image."""
+    made = table(gaussian(8.0), SIGMAS, 2.5)
+    scale = np.array([1.0, 0.5, 2.0, 0.7]).reshape(1, 4, 1, 1, 1)
+    return replace(made, psi_deg=np.array([0.0, 90.0, 180.0, 270.0]), values=scale * made.values)
+
+
 def spectral_table() -> BsdfTable:
     made = table(gaussian(8.0), SIGMAS, 2.0, u=0.01)
     scale = np.array([1.0, 0.7, 0.3]).reshape(3, 1, 1, 1, 1)
@@ -105,6 +112,7 @@ CONTENTS: dict[str, Callable[[], BsdfTable | ScatteredBsdf]] = {
     "transmitted grid": lambda: replace(table(gaussian(5.0), SIGMAS, 2.0, u=0.01), transmitted=True),
     "grid of the whole turn": whole_turn,
     "anisotropic grid": anisotropic_table,
+    "anisotropic half": anisotropic_half,
     "spectral grid": spectral_table,
     "free directions": free_directions,
     "anisotropic points": anisotropic_points,
