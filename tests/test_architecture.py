@@ -164,15 +164,11 @@ def test_each_import_within_a_function_has_its_reason() -> None:
         lines = text.splitlines()
         if re.search(r"^if TYPE_CHECKING:  # \S", text, re.MULTILINE):
             continue
-        reason_at = 0  # the last line of imports with a reason
+        reason = 0  # the last line of imports with a reason
         for number in late_imports(text):
             above = lines[number - 2].strip()
-            if (
-                "#" in lines[number - 1]
-                or above.startswith("#")
-                or (reason_at and all(map(is_import, lines[reason_at:number])))
-            ):
-                reason_at = number
+            if "#" in lines[number - 1] or above.startswith("#") or (reason and all(map(is_import, lines[reason:number]))):
+                reason = number
             else:
                 silent.append(f"{path.relative_to(REPOSITORY)}:{number}")
     assert silent == []

@@ -33,6 +33,7 @@ LEVELS = 254
 @cache
 def colour_table(colours: ColourMap) -> npt.NDArray[np.uint8]:
     """The colours of a map as red, green and blue (LEVELS, 3), from low to high."""
+    # Loads 78 modules: 0.07 s, which descriptions without a map do without.
     from cmap import Colormap
 
     name, low, high = MAPS[colours]

@@ -18,7 +18,7 @@ from goniotwin.app.figures.style import BAND_ALPHA, DISC, MARKS, PAPER, SIMULATE
 from goniotwin.app.formats.file import check_writable, write_file
 from goniotwin.arrays import Flags, Floats
 
-if TYPE_CHECKING:
+if TYPE_CHECKING:  # matplotlib loads 249 modules, which checks of names and axes do not need
     from matplotlib import figure as mpl_figure
     from matplotlib.axes import Axes
     from matplotlib.colors import ListedColormap, Normalize
