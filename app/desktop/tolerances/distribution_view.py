@@ -8,7 +8,6 @@ from PySide6.QtWidgets import QSizePolicy, QWidget
 
 from goniotwin.app.desktop.theme import Colours
 from goniotwin.app.desktop.tolerances.tables import number_text, share_text
-from goniotwin.app.figures.scale import linear_ticks
 
 if TYPE_CHECKING:  # the window shows itself before the optics are loaded
     from goniotwin.app.desktop.model.tolerances import Distribution, StudyOutcome
@@ -90,6 +89,8 @@ class DistributionView(QWidget):
         )
 
     def _draw_axes(self, painter: QPainter, place: QRectF, greatest: float, quantity: str, line: float) -> None:
+        from goniotwin.app.figures.scale import linear_ticks  # the window shows itself before numpy is loaded
+
         colours = self._colours
         few = place.height() < 5.0 * line
         for share in QUARTERS:
