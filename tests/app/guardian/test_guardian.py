@@ -288,6 +288,7 @@ def test_the_process_loads_the_standard_library_and_pyserial_alone() -> None:
         "goniotwin.app.guardian.__main__",
         "goniotwin.app.guardian.held",
         "goniotwin.app.guardian.record",
+        "goniotwin.first_use",
         "goniotwin.own_files",
         "goniotwin.protocols",
         "goniotwin.protocols.clock",

@@ -109,7 +109,7 @@ def test_a_contribution_of_one_function_and_one_line_is_in_everything_that_has_u
     assert read_points_csv(tmp_path / "a.csv").columns["u_bsdf_per_sr"] == pytest.approx(points.u_bsdf, rel=1e-8, nan_ok=True)
     assert forecast(path).spread["gaussian-5"].p50 > spread_before["gaussian-5"].p50
 
-    order = np.argsort(points.aspecular_deg, kind="stable")
+    order = np.argsort(-points.aspecular_deg, kind="stable")  # from the side of the light to that of the specular direction
     assert live_u(plan, events) == pytest.approx(points.u_bsdf[order], rel=1e-9, nan_ok=True)
     assert np.nanmax(live_u(plan, events) / live_before) > 1.5
 
