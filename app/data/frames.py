@@ -9,13 +9,14 @@ import numpy as np
 
 from goniotwin.app.data.values import COLUMNS, SampleData
 from goniotwin.app.errors import MissingPackage
-from goniotwin.app.formats.content import INTERVAL_COLUMNS
+from goniotwin.app.formats.content import INTERVAL_COLUMNS, ScatteredBsdf
 
 if TYPE_CHECKING:
     import pandas
     import xarray
 
-UNITS = {"bsdf": "1/sr", "u": "1/sr", "u_shared": "1/sr", "low95": "1/sr", "high95": "1/sr", "wavelength_nm": "nm"}
+UNITS = {name: column.unit or "1" for name, column in {**ScatteredBsdf.declared(), **SampleData.declared()}.items()}
+UNITS["bsdf"] = UNITS.pop("values")
 LONG_NAMES = {
     "bsdf": "BSDF",
     "u": "standard uncertainty of the BSDF",
@@ -59,13 +60,9 @@ def to_xarray(data: SampleData, attributes: dict[str, Any]) -> "xarray.Dataset":
     library = _extra("xarray", "to_xarray")
     made = _on_grid(data, library) if data.gridded and _is_one_table(data) else _flat(data, library)
     for name, each in made.variables.items():
-        each.attrs.update({"long_name": LONG_NAMES[str(name)], "units": _unit(str(name))})
+        each.attrs.update({"long_name": LONG_NAMES[str(name)], "units": UNITS[str(name)]})
     result: xarray.Dataset = made.assign_attrs(attributes)
     return result
-
-
-def _unit(name: str) -> str:
-    return UNITS.get(name, "deg" if name.endswith("_deg") else "1")
 
 
 def html_of(name: str, origin: str, samples: Mapping[str, SampleData], *, simulated: bool) -> str:
@@ -82,7 +79,7 @@ def _rows(sample: str, data: SampleData) -> str:
         if known.size:
             low, high = (f"{each:.6g}" for each in (known.min(), known.max()))
             text = low if low == high else f"{low} to {high}, {np.unique(known).size} different"
-            parts.append((f"{LONG_NAMES[name]} ({name})", _unit(name), text))
+            parts.append((f"{LONG_NAMES[name]} ({name})", UNITS[name], text))
     if colours := [each for each in np.unique(data.column("channel")).tolist() if each]:
         parts.append(("colours", "1", ", ".join(colours)))
     if data.regular:
