@@ -28,15 +28,16 @@ from goniotwin.app.campaign.reduction.etalon import ReferenceSignals, reference_
 from goniotwin.app.campaign.reduction.evidence import RunningEvidence
 from goniotwin.app.campaign.reduction.overlaps import overlap_check
 from goniotwin.app.campaign.reduction.pipeline import finish_points, reduce_rows
-from goniotwin.app.campaign.reduction.points import BITS, BsdfPoints, Marks, pack_flags
+from goniotwin.app.campaign.reduction.points import BITS, BsdfPoints, pack_flags
 from goniotwin.app.campaign.reduction.readings import EVIDENCE_ROWS, DarkHistory
 from goniotwin.app.campaign.reduction.row_signals import PoseKey, RowSignal, RowSignals, mean_row, pose_key, rows_in_columns
 from goniotwin.app.campaign.reduction.settings import reduction_settings
 from goniotwin.app.campaign.row import NO_SAMPLE, CommittedRow, Row, reading_table
 from goniotwin.app.campaign.running.events import RowCommitted, RowStarted
+from goniotwin.app.columns import BitColumn, ColumnTable, Degrees, FlagColumn, NumberColumn
 from goniotwin.app.errors import UserError
 from goniotwin.app.figures.curves import ANGLE_LABEL, ANGLE_LIMITS, POSITIVE, plane_angle, quantity
-from goniotwin.arrays import Flags, Floats, Ints
+from goniotwin.arrays import Flags, Floats
 from goniotwin.twin.optics.geometry.coordinates import incidence_deg, is_lit_from_behind, polar_and_azimuth
 
 Setting = tuple[str, float, float, float]
@@ -54,7 +55,7 @@ PER_SR = "1/sr"
 
 
 @dataclass(frozen=True, eq=False)
-class ScanPoints:
+class ScanPoints(ColumnTable):
     """Points of a scan (n,): `x_deg`, and values with their standard uncertainty.
 
     They may be `blocked` by the mirror unit, `untrusted` for this or another reason, of `transmitted` light, or with a signal
@@ -63,25 +64,25 @@ class ScanPoints:
     normal, and theta and phi from the specular direction, in degrees.
     """
 
-    x_deg: Floats
-    values: Floats
-    u_values: Floats
-    blocked: Flags
-    untrusted: Flags
-    transmitted: Flags
-    lost: Flags
-    added: Flags
-    marks: Marks
-    directions: Floats = field(default_factory=lambda: np.empty((0, 4)))
+    x_deg: Degrees
+    values: NumberColumn
+    u_values: NumberColumn
+    blocked: FlagColumn
+    untrusted: FlagColumn
+    transmitted: FlagColumn
+    lost: FlagColumn
+    added: FlagColumn
+    marks: BitColumn
+    directions: Degrees = field(default_factory=lambda: np.empty((0, 4)))
 
     @property
     def steep(self) -> Flags:
         """The points (n,) that were measured too far apart: their u may be too small."""
         return np.asarray((self.marks & BITS["steep"]) != 0)
 
-    def where(self, chosen: Flags | Ints) -> "ScanPoints":
-        """Some of the points."""
-        return ScanPoints(*(each[chosen] for each in vars(self).values()))
+
+EMPTY, NONE = np.empty(0), np.empty(0, dtype=bool)
+NO_POINTS = ScanPoints(EMPTY, EMPTY, EMPTY, NONE, NONE, NONE, NONE, NONE, np.empty(0, dtype=np.uint16))
 
 
 @dataclass(frozen=True)
@@ -451,16 +452,7 @@ def _x_deg(zenith: Floats, azimuth: Floats, plane_deg: float) -> Floats:
     return plane_angle(polar_from_zenith(zenith), azimuth, plane_deg)
 
 
-def join_points(*parts: ScanPoints) -> ScanPoints:
-    """The points of all parts, one after the other."""
-    empty, none = np.empty(0), np.empty(0, dtype=bool)
-    nothing = ScanPoints(empty, empty, empty, none, none, none, none, none, np.empty(0, dtype=np.uint16))
-    columns = zip(*(vars(part).values() for part in (nothing, *parts)), strict=True)
-    return ScanPoints(*(np.concatenate(each) for each in columns))
-
-
 def _sort(*parts: ScanPoints) -> ScanPoints:
     """The points of all parts in the order of the abscissa."""
-    points = join_points(*parts)
-    order = np.argsort(points.x_deg, kind="stable")
-    return ScanPoints(*(each[order] for each in vars(points).values()))
+    points = ScanPoints.join([NO_POINTS, *parts])
+    return points.where(np.argsort(points.x_deg, kind="stable"))

@@ -6,7 +6,7 @@ import numpy as np
 
 from goniotwin.app.campaign.geometry.directions import polar_from_zenith
 from goniotwin.app.campaign.reduction.components import deviation_in_u
-from goniotwin.app.desktop.model.live_scan import ScanData, ScanKey, ScanPoints, Setting, join_points
+from goniotwin.app.desktop.model.live_scan import NO_POINTS, ScanData, ScanKey, ScanPoints, Setting
 from goniotwin.app.figures.curves import ANGLE_LABEL, ANGLE_LIMITS, POSITIVE, plane_angle
 from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.twin.optics.geometry.coordinates import HALF_TURN_DEG, incidence_deg
@@ -115,7 +115,7 @@ class RunPoints:
         if not cuts:
             return None
         latest = cuts[-1].scan
-        points = join_points(*(each.scan.points for each in cuts))
+        points = ScanPoints.join([NO_POINTS, *(each.scan.points for each in cuts)])
         x, near = _in_plane(points, phi_deg)
         order = np.flatnonzero(near)[np.argsort(x[near], kind="stable")]
         expected, u, residual = (np.concatenate([getattr(each, name) for each in cuts])[order] for name in MATCHED)
@@ -123,7 +123,7 @@ class RunPoints:
         planned = [each.points for key, each in self.predicted.items() if key[0] == setting and each.is_bsdf == latest.is_bsdf]
         line = None
         if lines:
-            every = join_points(*planned)
+            every = ScanPoints.join([NO_POINTS, *planned])
             at, close = _in_plane(every, phi_deg)
             line = _take(every, np.flatnonzero(close)[np.argsort(at[close], kind="stable")], at)
         sample, wavelength, sigma, gamma = setting
@@ -168,7 +168,7 @@ class RunPoints:
 
 def map_points(cuts: list[Cut], transmitted: bool) -> MapPoints:
     """The points of cuts on one side of the sample, without those that are blocked or have no value."""
-    points = join_points(*(each.scan.points for each in cuts))
+    points = ScanPoints.join([NO_POINTS, *(each.scan.points for each in cuts)])
     alarms = np.concatenate([np.zeros(0, dtype=bool), *(each.alarms for each in cuts)])
     chosen = (points.transmitted == transmitted) & ~points.blocked & np.isfinite(points.values)
     columns = *points.directions[:, :2].T, points.values, points.u_values, points.untrusted, alarms
