@@ -87,25 +87,29 @@ class ColumnTable:
         return {name: array for name, array, _ in self._columns()}
 
     def of_columns(self, columns: Mapping[str, Array]) -> Self:
-        """A table of these columns, by the names of `columns`, with all that belongs to this whole table."""
+        """A table of these columns, by the names of `columns`, with all that belongs to this whole table.
+
+        Raises KeyError for a column that is missing, and ValueError for one that has no place.
+        """
         held = vars(self)
-        return type(self)(**{name: kind.found(name, held[name], columns) for name, kind in _layout(type(self)).items()})
+        made = type(self)(**{name: kind.found(name, held[name], columns) for name, kind in _layout(type(self)).items()})
+        if without_place := columns.keys() - made.columns().keys():
+            raise ValueError(f"{type(self).__name__} has no place for the columns {', '.join(sorted(without_place))}")
+        return made
 
     @classmethod
     def join(cls, tables: Sequence[Self]) -> Self:
         """The rows of all tables, of which there is at least one; what belongs to the whole table is that of the first one.
 
-        A column that a table does not have is `absent` there, and so is the rest of a shorter axis.
+        A column that a table does not have is `absent` there, and so is the rest of a shorter axis. Raises ValueError where the
+        first has no table and another one has it.
         """
         if len(tables) == 1:
             return tables[0]
         declared = {name: column for table in tables for name, _, column in table._columns()}
         every, sizes = [table.columns() for table in tables], [table.size for table in tables]
         joined = {name: _joined([has.get(name) for has in every], sizes, each.absent) for name, each in declared.items()}
-        found = tables[0].of_columns(joined)
-        if found.columns().keys() != joined.keys():
-            raise ValueError("the first of the tables to join has no table where another one has it")
-        return found
+        return tables[0].of_columns(joined)
 
     @classmethod
     def declared(cls) -> dict[str, Column]:
@@ -142,8 +146,7 @@ class _One(_Whole):
             yield field, held, self.column
 
     def found(self, field: str, held: Any, columns: Mapping[str, Array]) -> Any:
-        del held
-        return columns.get(field)
+        return columns.get(field) if held is None else columns[field]
 
 
 class _Table(_Whole):

@@ -10,15 +10,12 @@ A package writes each name once, as an import for checkers and readers, which is
 One that has another name in the package is imported without `as`, and assigned: `open = open_dataset`.
 """
 
+import ast
 import builtins
-import re
 import sys
 from collections.abc import Callable
 from importlib import import_module
 from typing import Any
-
-IMPORT = re.compile(r"^    from (\S+) import (\w+)( as \2)?$", re.MULTILINE)
-ASSIGNMENT = re.compile(r"^    (\w+) = (\w+)$", re.MULTILINE)
 
 
 def first_use(package: str) -> tuple[Callable[[str], Any], Callable[[], list[str]]]:
@@ -28,10 +25,7 @@ def first_use(package: str) -> tuple[Callable[[str], Any], Callable[[], list[str
 
     def names() -> list[str]:
         if not homes:
-            source = module.__spec__.loader.get_data(module.__file__).decode()  # type: ignore[union-attr]
-            imports = {own: (home, public) for home, own, public in IMPORT.findall(source)}
-            assigned = {name: (imports[own][0], own) for name, own in ASSIGNMENT.findall(source)}
-            homes.update({own: (home, own) for own, (home, public) in imports.items() if public} | assigned)
+            homes.update(_homes(module.__spec__.loader.get_data(module.__file__)))  # type: ignore[union-attr]
         return sorted(homes)
 
     def load(name: str) -> Any:
@@ -45,3 +39,20 @@ def first_use(package: str) -> tuple[Callable[[str], Any], Callable[[], list[str
         return value
 
     return load, names
+
+
+def _homes(source: bytes) -> dict[str, tuple[str, str]]:
+    """By public name the module that has it and its name there, from the imports for types of a package's source."""
+    block = next(
+        each for each in ast.parse(source).body if isinstance(each, ast.If) and ast.unparse(each.test) == "TYPE_CHECKING"
+    )
+    imported: dict[str, tuple[str, str]] = {}
+    public: dict[str, tuple[str, str]] = {}
+    for each in block.body:
+        match each:
+            case ast.ImportFrom(module=str(home), names=names):
+                imported.update({alias.asname or alias.name: (home, alias.name) for alias in names})
+                public.update({alias.name: (home, alias.name) for alias in names if alias.asname == alias.name})
+            case ast.Assign(targets=[ast.Name(id=name)], value=ast.Name(id=own)):
+                public[name] = imported[own]
+    return public

@@ -92,6 +92,10 @@ def test_columns_have_the_names_of_their_fields_and_make_the_table_again() -> No
         "other own noise",
     ]
     assert same(table(1, begin=7).of_columns(whole.columns()), whole)
+    with pytest.raises(KeyError, match="sigma_deg"):
+        whole.of_columns({})
+    with pytest.raises(ValueError, match="no place for the columns sigma"):
+        whole.of_columns({**whole.columns(), "sigma": whole.sigma_deg})
 
 
 def test_what_one_of_joined_tables_does_not_have_is_absent_there() -> None:
@@ -107,7 +111,7 @@ def test_what_one_of_joined_tables_does_not_have_is_absent_there() -> None:
     assert columns["photodiode"] == [-1, -1, 5]
     assert joined.columns()["effects member lamp"].dtype == np.int32
     assert Outer.join([replace(one, other=None), replace(other, other=None)]).other is None
-    with pytest.raises(ValueError, match="another one has it"):
+    with pytest.raises(ValueError, match="no place for the columns other own dark, other value"):
         Outer.join([replace(one, other=None), other])
 
 
