@@ -14,7 +14,7 @@ from goniotwin.app.station.permissions import allowed
 from goniotwin.drivers import Rig
 from goniotwin.drivers.errors import NoAnswer, Taken
 from tests.app.campaign.campaign_bench import QUIET
-from tests.app.station.test_station import Idle
+from tests.app.station.station_bench import Idle
 from tests.conftest import SMALL, Writer
 
 ASK = SMALL + '\n[faults]\nwire = "ask"\n'

@@ -12,7 +12,7 @@ from goniotwin.app.station.messages import QuestionAsked, Snapshot
 from goniotwin.app.station.permissions import CommandRefused
 from tests.app.campaign.campaign_bench import QUIET
 from tests.app.campaign.jam import ASK, AXIS, COUNTED_DEG, HOMES, JAMMED_DEG, check_undisturbed
-from tests.app.station.test_station import StationBench
+from tests.app.station.station_bench import StationBench
 from tests.conftest import Writer
 
 SHORT = ("angle_deg = -4.0", "angle_deg = -4.0\nlongest_s = 60.0")

@@ -10,7 +10,7 @@ from goniotwin.app.station import poller
 from goniotwin.app.station.messages import LampRead, Message, RowSaved
 from goniotwin.drivers import Monochromator, NoAnswer
 from tests.app.campaign.campaign_bench import QUIET
-from tests.app.station.test_station import StationBench
+from tests.app.station.station_bench import StationBench
 from tests.conftest import SMALL, Writer
 
 Light = tuple[str, float | None, bool | None]
