@@ -5,7 +5,7 @@ One HTML file that needs no other. All texts of the journal are escaped: a journ
 
 import base64
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -77,16 +77,16 @@ class _Line:
     freedom: float | None = None
 
 
-def write_report(journal: Path, out: Path, *, without_damaged: bool = False) -> dict[str, Any]:
-    """Write the report of a journal; returns what it states, in short. Raises UserError, and FormatError for `out`."""
+def write_report(journal: Path, out: Path, *, without_damaged: bool = False, kinds: Collection[str] = KINDS) -> dict[str, Any]:
+    """Write the report of a journal, as `report_html`; returns what it states. Raises UserError, and FormatError for `out`."""
     check_writable(out)
-    html, result = report_html(journal, without_damaged=without_damaged)
+    html, result = report_html(journal, without_damaged=without_damaged, kinds=kinds)
     write_file(out, html.encode())
     return {"file": str(out), **result}
 
 
-def report_html(path: Path, *, without_damaged: bool = False) -> tuple[str, dict[str, Any]]:
-    """The report of a journal as HTML, and what it states in short, for JSON. Raises UserError."""
+def report_html(path: Path, *, without_damaged: bool = False, kinds: Collection[str] = KINDS) -> tuple[str, dict[str, Any]]:
+    """The report of a journal as HTML with pictures of `kinds`, and what it states in short, for JSON. Raises UserError."""
     template = _template()
     if read_head(path, len(SQLITE)) != SQLITE:
         raise UserError(f"{path}: is not a journal, and a report is one of a campaign; for a file use goniotwin plot")
@@ -113,7 +113,7 @@ def report_html(path: Path, *, without_damaged: bool = False) -> tuple[str, dict
         method=first.method,
         geometry=first.geometry,
         summary=_summary(dataset, verdicts),
-        samples=[_sample(dataset[name], metadata[name]) for name in dataset],
+        samples=[_sample(dataset[name], metadata[name], kinds) for name in dataset],
         verdicts=verdicts,
         reflectances=_spread(reflectances, MOST_LIGHTS),
         all_reflectances=len(reflectances),
@@ -232,14 +232,14 @@ def _clear(dataset: Dataset) -> np.ndarray:
     return np.asarray(dataset.good & ~lost & (dataset.bsdf > 0.0) & np.isfinite(dataset.u))
 
 
-def _sample(dataset: Dataset, metadata: Metadata) -> dict[str, Any]:
+def _sample(dataset: Dataset, metadata: Metadata, kinds: Collection[str]) -> dict[str, Any]:
     """One sample's part of the report."""
     measured = dataset.only.measured
     counts = {} if measured is None else {name: int(measured.points.flag(name).sum()) for name in FLAGS}
     return {
         "name": dataset.sample,
         "about": [(_words(key), value) for key, value in metadata.as_dict().get("sample", {}).items()],
-        "plots": list(_plots(dataset)),
+        "plots": list(_plots(dataset, kinds)),
         "lights": list(_lights(dataset)),
         "flags": [(name, FLAGS[name].meaning, count, name in UNTRUSTED) for name, count in counts.items() if count],
         "shares": _mean_shares(dataset),
@@ -248,15 +248,15 @@ def _sample(dataset: Dataset, metadata: Metadata) -> dict[str, Any]:
     }
 
 
-def _plots(dataset: Dataset) -> Iterator[tuple[str, str, str]]:
+def _plots(dataset: Dataset, kinds: Collection[str]) -> Iterator[tuple[str, str, str]]:
     """The pictures: kind, caption, and the picture itself as a data URI."""
-    for kind, caption in KINDS.items():
+    for kind in kinds:
         try:
             figure = plot(dataset, kind)
         except UserError:  # nothing to draw: one wavelength, no value
             continue
         form, media = ("png", "image/png") if kind == "hemisphere" else ("svg", "image/svg+xml")  # a map is pixels anyway
-        yield kind, caption, f"data:{media};base64,{base64.b64encode(picture(figure, form, 160)).decode()}"
+        yield kind, KINDS[kind], f"data:{media};base64,{base64.b64encode(picture(figure, form, 160)).decode()}"
 
 
 def _lights(dataset: Dataset) -> Iterator[dict[str, Any]]:

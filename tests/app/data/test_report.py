@@ -13,8 +13,8 @@ from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.rehearsal.without_wires import run_without_wires
 from goniotwin.app.campaign.schedule.file import parse_schedule
 from goniotwin.app.campaign.studies.evaluation import evaluate_journal
-from goniotwin.app.campaign.studies.verification import verify_journal
-from goniotwin.app.data.report.report import _text, report_html, write_report
+from goniotwin.app.campaign.studies.verification import Verdict, verify_journal
+from goniotwin.app.data.report.report import report_html, write_report
 from goniotwin.app.errors import GoniotwinError
 from goniotwin.app.rig import read_rig
 from tests.conftest import RIG, SMALL, changed
@@ -72,12 +72,6 @@ def journal(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.fixture
-def without_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Reports have no pictures, which are most of their time."""
-    monkeypatch.setattr("goniotwin.app.data.report.report._plots", lambda _: iter(()))
-
-
 def test_a_report_states_what_is_known_and_needs_no_other_file(journal: Path, tmp_path: Path) -> None:
     result = write_report(journal, tmp_path / "a.html")
     html = (tmp_path / "a.html").read_text(encoding="utf-8")
@@ -107,10 +101,9 @@ def test_a_report_states_what_is_known_and_needs_no_other_file(journal: Path, tm
     assert (result["simulated"], result["samples"]) == (True, ["gaussian-5"])
 
 
-@pytest.mark.usefixtures("without_pictures")
 def test_a_report_of_a_real_rig_is_not_marked(journal: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("goniotwin.app.campaign.journal.reading.JournalReader.simulated", False)
-    html, result = report_html(journal)
+    html, result = report_html(journal, kinds=())
     assert "SIMULATED" not in html
     assert result["simulated"] is False
 
@@ -128,16 +121,17 @@ def test_a_report_without_jinja_names_the_command_that_installs_it(journal: Path
         report_html(journal)
 
 
-def test_many_numbers_are_the_first_and_the_last() -> None:
-    assert _text([500.0 + 0.05 * k for k in range(500)]) == "500 from 500 to 524.95"
-    assert _text([400.0, 550.5]) == "400, 550.5"
+def test_many_numbers_are_the_first_and_the_last(journal: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert "wavelengths, nm 550, 600 " in Page(report_html(journal, kinds=())[0]).text
+    monkeypatch.setattr("goniotwin.app.data.report.report.MOST_LISTED", 1)
+    assert "wavelengths, nm 2 from 550 to 600 " in Page(report_html(journal, kinds=())[0]).text
 
 
-@pytest.mark.usefixtures("without_pictures")
 def test_of_many_reflectances_some_are_listed(journal: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     many = [{"of": f"reflectance {k}", "value": 0.5, "u": 0.01} for k in range(1000)]
-    monkeypatch.setattr("goniotwin.app.data.report.report._reflectances", lambda _: many)
-    page = Page(report_html(journal)[0])
+    energy = Verdict("energy, gaussian-5", "holds", "", {"reflectances": many})
+    monkeypatch.setattr("goniotwin.app.data.report.report.verify_journal", lambda _: [energy])
+    page = Page(report_html(journal, kinds=())[0])
     assert 20 < page.text.count("reflectance ") < 40
     assert "reflectance 0 0.5000" in page.text
     assert "reflectance 999 0.5000" in page.text
