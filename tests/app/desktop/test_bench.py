@@ -2,12 +2,13 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import cast
 
 import pytest
-from PySide6.QtCore import QSize, Qt
-from PySide6.QtWidgets import QLineEdit, QPushButton
+from PySide6.QtCore import QPoint, QRect, QSize, Qt
+from PySide6.QtWidgets import QApplication, QLineEdit, QPushButton, QWidget
 from pytestqt.qtbot import QtBot
 
 from goniotwin.app.campaign.planning.plan import make_plan
@@ -338,16 +339,30 @@ def test_what_the_mirror_unit_blocks_is_computed_while_the_screen_is_shown(desk:
 
 
 def test_the_parts_come_back_from_the_tabs_of_a_small_room(desk: Desk) -> None:
-    bench = desk.bench
-    bench.fit(QSize(900, 600))
-    before = [bench._left.indexOf(part) for part in (bench._axes_part, bench.light)]
-    for room in (QSize(548, 259), QSize(900, 600), QSize(548, 259), QSize(900, 600)):
-        for screen in (bench, desk.rig):
+    bench, rig = desk.bench, desk.rig
+    columns: list[tuple[QWidget, list[QWidget]]] = [
+        (bench, [*bench.axes.values(), bench.light]),
+        (bench, [bench.bars, bench.reading_text, bench.trend]),
+        (rig, [rig.rig, rig.devices, rig.axes]),
+    ]
+
+    def places(room: QSize) -> list[list[QRect]]:
+        for screen in (bench, rig):
+            screen.resize(room)
             screen.fit(room)
-    assert [bench._left.indexOf(part) for part in (bench._axes_part, bench.light)] == before == [0, 1]
-    assert bench._left.count() == 3  # and the room below them
-    assert bench._signals.indexOf(bench.reading_text) == 1
-    assert desk.rig._left.indexOf(desk.rig.devices) == 1
+            screen.show()
+        QApplication.processEvents()  # the layouts are computed again
+        return [[QRect(part.mapTo(screen, QPoint()), part.size()) for part in parts] for screen, parts in columns]
+
+    before = places(QSize(900, 600))
+    for column in before:
+        assert all(upper.bottom() < lower.top() for upper, lower in pairwise(column))
+        assert len({each.left() for each in column}) == 1
+    for _ in range(2):
+        assert places(QSize(548, 259)) != before
+        assert places(QSize(900, 600)) == before
+        assert all(part.isVisible() for _, parts in columns for part in parts)
+    assert before[0][-1].bottom() < before[1][-1].bottom()  # the room is below the parts at the left
 
 
 # The rig screen.

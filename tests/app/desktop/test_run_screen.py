@@ -3,16 +3,19 @@
 from dataclasses import replace
 
 import numpy as np
+import pyqtgraph as pg
 import pytest
 from PySide6.QtCore import Qt
 from pytestqt.qtbot import QtBot
 
 from goniotwin.app.desktop.model.run_points import MapPoints, match
 from goniotwin.app.desktop.run.axes import ValueAxis
-from goniotwin.app.desktop.run.hemisphere import HemisphereMap
+from goniotwin.app.desktop.run.hemisphere import LEAST_LEVEL, HemisphereMap
 from goniotwin.app.desktop.run.live_plot import ScanPlot
 from goniotwin.app.desktop.theme import LIGHT
+from goniotwin.app.figures.hemisphere import LEVELS
 from goniotwin.app.figures.scale import SCALES, Scale
+from goniotwin.arrays import Ints
 from tests.app.desktop.test_live_scan import scan_data
 
 KEY = (("satin", 550.0, 30.0, 0.0), 0.0)
@@ -27,6 +30,12 @@ def plot(qtbot: QtBot) -> ScanPlot:
     return plot
 
 
+@pytest.fixture
+def view(plot: ScanPlot) -> pg.GraphicsLayoutWidget:
+    """The plot of the values in row 0, and that of the residuals in row 1."""
+    return plot.findChild(pg.GraphicsLayoutWidget)
+
+
 def show(plot: ScanPlot, values: list[float], expected: list[float], u: float = 0.01) -> None:
     """Show values with a u beside expected ones."""
     here, there = (scan_data(each, [u] * len(each), [False] * len(each)) for each in (values, expected))
@@ -34,7 +43,7 @@ def show(plot: ScanPlot, values: list[float], expected: list[float], u: float = 
     plot.show_cut(match(here, there))
 
 
-def test_a_residual_beyond_4_u_is_marked_and_named(plot: ScanPlot) -> None:
+def test_a_residual_beyond_4_u_is_marked_and_named(plot: ScanPlot, view: pg.GraphicsLayoutWidget) -> None:
     show(plot, [1.0, 1.02, 0.95], [1.0, 1.0, 1.0])
     assert plot.alarms == 1
     assert "□\u00a01 residual above 4 u" in plot.summary
@@ -45,35 +54,39 @@ def test_a_residual_beyond_4_u_is_marked_and_named(plot: ScanPlot) -> None:
     assert kind in ("alarm", "alarm below")
     assert x.tolist() == [2.0]
     assert -5.0 <= y[0] <= -4.0
-    assert plot._residuals.isVisible()
+    assert view.getItem(1, 0).isVisible()
     plot.show_cut(match(scan_data([1.0], [0.01], [False]), None))
-    assert not plot._residuals.isVisible()
+    assert not view.getItem(1, 0).isVisible()
     assert plot.alarms == 0
 
 
-def test_a_prediction_without_points_is_shown_where_it_is_and_a_long_title_is_shortened(plot: ScanPlot) -> None:
+def test_a_prediction_without_points_is_shown_where_it_is_and_a_long_title_is_shortened(
+    plot: ScanPlot, view: pg.GraphicsLayoutWidget
+) -> None:
     show(plot, [np.nan, np.nan], [1e-6, 2e-6], u=1e-8)
-    plot._label()
     assert plot.line.getData()[1] == pytest.approx(np.log10([1e-6, 2e-6]))
     long = replace(scan_data([1.0], [0.01], [False]), title="facade panel after weathering: σ 60°, plane of incidence, 550 nm")
     plot.clear("SIMULATED (seed 1)")
     plot.show_cut(match(long, None))
-    assert plot._plot.sceneBoundingRect().right() <= plot._view.width()
-    assert "…" in plot._plot.titleLabel.text
-    assert "SIMULATED" in plot._plot.titleLabel.text
+    drawn = view.getItem(0, 0)
+    assert drawn.sceneBoundingRect().right() <= view.width()
+    assert "…" in drawn.titleLabel.text
+    assert "SIMULATED" in drawn.titleLabel.text
 
 
-def test_the_cursor_reads_a_value_by_mouse_or_by_arrow_keys(qtbot: QtBot, plot: ScanPlot) -> None:
+def test_the_cursor_reads_a_value_by_mouse_or_by_arrow_keys(
+    qtbot: QtBot, plot: ScanPlot, view: pg.GraphicsLayoutWidget
+) -> None:
     show(plot, [1.0, 1.02, 0.95], [1.0, 1.0, 1.0])
     for _ in range(3):
-        qtbot.keyClick(plot._view, Qt.Key.Key_Right)
+        qtbot.keyClick(view, Qt.Key.Key_Right)
     assert plot.reading.startswith("2.00°: 0.95 ± 0.01 1/sr (u), predicted 1, residual -5.0 u")
     assert plot.reading.endswith("✗ ALARM")
-    qtbot.keyClick(plot._view, Qt.Key.Key_Left)
+    qtbot.keyClick(view, Qt.Key.Key_Left)
     assert plot.reading.startswith("1.00°: 1.02")
     assert "ALARM" not in plot.reading
     for key, at in ((Qt.Key.Key_Home, "0.00°"), (Qt.Key.Key_End, "2.00°")):
-        qtbot.keyClick(plot._view, key)
+        qtbot.keyClick(view, key)
         assert plot.reading.startswith(at)
 
 
@@ -93,13 +106,16 @@ def test_a_residual_beyond_the_range_is_an_arrow_and_the_predicted_line_has_gaps
 
 
 @pytest.mark.parametrize("scale", SCALES)
-def test_each_scale_shows_all_values_and_the_values_at_its_ticks(plot: ScanPlot, scale: str) -> None:
+def test_each_scale_shows_all_values_and_the_values_at_its_ticks(
+    plot: ScanPlot, view: pg.GraphicsLayoutWidget, scale: str
+) -> None:
     plot.set_scale(next(each for each in SCALES if each == scale))
     show(plot, [1.0, 100.0, -0.5], [1.0, 100.0, 0.0])
     plot.grab()
     assert sum(len(x) for x, _y in plot.marks().values()) == 3
-    axis = plot._values_axis
-    low, high = plot._plot.viewRange()[1]
+    drawn = view.getItem(0, 0)
+    axis = drawn.getAxis("left")
+    low, high = drawn.viewRange()[1]
     (texts, *_more) = axis.tickValues(low, high, 300.0)
     assert len(texts[1]) >= 3
     assert len(set(axis.tickStrings(texts[1], 1.0, 1.0))) == len(texts[1])
@@ -122,6 +138,13 @@ def points(zenith: list[float], azimuth: list[float], values: list[float], alarm
     return MapPoints(np.array(zenith), np.array(azimuth), np.array(values), u, none, np.array(alarms or none, dtype=bool))
 
 
+def image_of(shown: HemisphereMap) -> Ints:
+    """The levels of the image that is drawn; rows go up."""
+    (view,) = shown.findChildren(pg.PlotWidget)
+    (image,) = [each for each in view.getPlotItem().items if isinstance(each, pg.ImageItem)]
+    return np.asarray(image.image, dtype=np.int64)
+
+
 def test_the_hemisphere_fills_where_a_direction_is(qtbot: QtBot) -> None:
     shown = HemisphereMap(LIGHT)
     qtbot.addWidget(shown)
@@ -130,13 +153,16 @@ def test_the_hemisphere_fills_where_a_direction_is(qtbot: QtBot) -> None:
     some = points([30.0, 60.0], [180.0, 0.0], [10.0, 0.1], [True, False])
     shown.stamp(some)
     shown.show_points(some, 40)
-    rows, columns = np.nonzero(np.isfinite(shown._values))
-    middle = shown._values.shape[0] / 2
+    image = image_of(shown)
+    rows, columns = np.nonzero(image >= LEAST_LEVEL)
+    middle = image.shape[0] / 2
     left, right = columns < middle, columns > middle
     assert left.any()
     assert right.any()
     assert np.abs(rows - middle).max() < 10  # in the plane of incidence
-    assert set(np.unique(shown._values[rows[right], columns[right]])) == {np.float32(10.0)}  # the specular side
+    top = LEAST_LEVEL + LEVELS - 1
+    assert set(image[rows[right], columns[right]].tolist()) == {top}  # the specular side has the 10
+    assert image[rows[left], columns[left]].max() < top
     assert "2 of 40 directions" in shown.summary
     assert "highest 10 at zenith 30°, azimuth 180°" in shown.summary
     assert "1 in alarm" in shown.summary
@@ -158,8 +184,11 @@ def test_a_sample_lit_on_its_back_is_seen_along_the_normal_of_that_side_and_a_ha
         qtbot.addWidget(shown)
         shown.clear(mirrored=mirrored)
         shown.begin(("satin", 550.0, sigma, 0.0), points([], [], []))
-        shown.stamp(points([zenith], [210.0], [1.0]))
-        rows, columns = np.nonzero(np.isfinite(shown._values))
-        middle = (shown._values.shape[0] - 1) / 2
+        some = points([zenith], [210.0], [1.0])
+        shown.stamp(some)
+        shown.show_points(some, 1)
+        image = image_of(shown)
+        rows, columns = np.nonzero(image >= LEAST_LEVEL)
+        middle = (image.shape[0] - 1) / 2
         assert set(np.sign(rows - middle).astype(int).tolist()) == expected
         assert np.all(columns > middle)  # the specular side

@@ -6,6 +6,7 @@ from io import BytesIO
 from pathlib import Path
 
 import numpy as np
+import pyqtgraph as pg
 import pytest
 from matplotlib.figure import Figure
 from matplotlib.image import imread
@@ -56,6 +57,7 @@ class Window(QObject):
     def __init__(self, qtbot: QtBot, schedule: Path, rig: Path, colours: Colours) -> None:
         super().__init__()
         self.plot, self.hemisphere = ScanPlot(colours), HemisphereMap(colours)
+        (self.disc,), (self.cut,) = self.hemisphere.findChildren(pg.PlotWidget), self.plot.findChildren(pg.GraphicsLayoutWidget)
         for widget, size in ((self.plot, (760, 480)), (self.hemisphere, (460, 560))):
             qtbot.addWidget(widget)
             widget.resize(*size)
@@ -79,12 +81,12 @@ class Window(QObject):
         self.plot.show_cut(match(complete(scans, key), None))  # the plane of incidence, and not the last one of the run
 
     def pixels(self) -> Floats:
-        return _pixels(self.hemisphere._view)
+        return _pixels(self.disc)
 
     def place(self, x: Floats, y: Floats) -> tuple[Floats, Floats]:
         """Row and column of places in degrees."""
-        box = self.hemisphere._plot.vb
-        at = [self.hemisphere._view.mapFromScene(box.mapViewToScene(QPointF(*each))) for each in zip(x, y, strict=True)]
+        box = self.disc.getPlotItem().vb
+        at = [self.disc.mapFromScene(box.mapViewToScene(QPointF(*each))) for each in zip(x, y, strict=True)]
         return np.array([each.y() for each in at]), np.array([each.x() for each in at])
 
 
@@ -174,8 +176,9 @@ def test_window_plot_and_report_give_one_picture_of_a_journal(
         assert 10.0**y == pytest.approx(line_y[aside], rel=1e-6)
     assert cut.get_xlabel() == window.plot.x_label
     assert cut.get_ylabel() == window.plot.y_label
-    assert cut.get_xlim() == pytest.approx(window.plot._plot.viewRange()[0])
-    assert cut.get_ylim() == pytest.approx(10.0 ** np.array(window.plot._plot.viewRange()[1]))
+    x_limits, y_limits = window.cut.getItem(0, 0).viewRange()
+    assert cut.get_xlim() == pytest.approx(x_limits)
+    assert cut.get_ylim() == pytest.approx(10.0 ** np.array(y_limits))
 
     # The report has the plot's pictures.
     html, _ = report_html(journal)

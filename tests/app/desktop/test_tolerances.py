@@ -2,14 +2,17 @@
 
 import json
 import math
+import multiprocessing
 import queue
 import shutil
 from pathlib import Path
+from typing import ClassVar
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from PySide6.QtCore import Qt
+from PySide6.QtWidgets import QApplication
 from pytestqt.qtbot import QtBot
 
 from goniotwin.app.campaign.running.events import State, StateChanged
@@ -56,10 +59,12 @@ def last_of(answers: Answers, *, until_it_waits: bool = False) -> StudyAnswer:
 class NoStudies:
     """A worker that computes nothing: the test sends its answers."""
 
+    asked: ClassVar[list[object]] = []
+    """The requests to the worker so far."""
+
     def __init__(self, deliver: object) -> None:
         del deliver
         self.number = 0
-        self.asked: list[object] = []
 
     def compute(self, path: Path) -> None:
         """Note the request."""
@@ -79,6 +84,7 @@ class NoStudies:
 def screen(qtbot: QtBot, monkeypatch: pytest.MonkeyPatch) -> TolerancesScreen:
     """The screen with the study of the examples that takes seconds, and no worker."""
     monkeypatch.setattr(model, "Studies", NoStudies)
+    monkeypatch.setattr(NoStudies, "asked", [])
     screen = TolerancesScreen(LIGHT)
     qtbot.addWidget(screen)
     screen.complete()
@@ -86,14 +92,10 @@ def screen(qtbot: QtBot, monkeypatch: pytest.MonkeyPatch) -> TolerancesScreen:
     return screen
 
 
-def sent(screen: TolerancesScreen) -> list[object]:
-    """The requests to the worker so far."""
-    return [] if screen._studies is None else screen._studies.asked  # type: ignore[attr-defined]
-
-
 def answer(screen: TolerancesScreen, *answers: StudyAnswer, number: int = 1) -> None:
     for each in answers:
-        screen._take_answer((number, each))
+        screen.answered.emit((number, each))
+    QApplication.processEvents()
 
 
 def cells(screen: TolerancesScreen, column: int) -> list[str]:
@@ -132,12 +134,12 @@ def test_a_file_that_is_no_study_is_refused_with_the_reason(screen: TolerancesSc
     wrong.unlink()
     screen.compute()
     assert "wrong.toml" in screen.status.text()
-    assert sent(screen) == []
+    assert NoStudies.asked == []
 
 
 def test_progress_and_result_are_shown_and_the_result_is_kept_for_its_study(screen: TolerancesScreen) -> None:
     click(screen.compute_button)
-    assert sent(screen) == ["quick.toml"]
+    assert NoStudies.asked == ["quick.toml"]
     assert not screen.choice.isEnabled()
     answer(screen, StudyProgress(0.25, "the study: 8192 of 531441 combinations"))
     assert screen.progress.value() == 250
@@ -145,7 +147,7 @@ def test_progress_and_result_are_shown_and_the_result_is_kept_for_its_study(scre
     answer(screen, StudyFailed("of an earlier study"), number=0)
     outcome = made_outcome()
     answer(screen, outcome)
-    assert sent(screen)[-1] == "end"
+    assert NoStudies.asked[-1] == "end"
     assert screen.summary.text() == outcome.summary
     assert screen.report.toPlainText() == outcome.text
     alone = cells(screen, 2)
@@ -184,7 +186,7 @@ def test_a_computation_is_cancelled_and_one_that_fails_gives_the_reason(screen: 
     click(screen.compute_button)
     click(screen.cancel_button)
     assert screen.status.text() == CANCELLED
-    assert sent(screen) == ["quick.toml", "end"]
+    assert NoStudies.asked == ["quick.toml", "end"]
     answer(screen, made_outcome())  # it was on its way
     assert screen.outcome is None
     click(screen.compute_button)
@@ -197,14 +199,14 @@ def test_nothing_is_computed_while_a_run_is_in_progress(screen: TolerancesScreen
     screen.show_message(Attached("window 1", Snapshot(), True, ""))
     click(screen.compute_button)
     screen.show_message(StateChanged(State.RUNNING, ""))
-    assert sent(screen)[-1] is True
+    assert NoStudies.asked == ["quick.toml", True]
     answer(screen, StudyProgress(0.5, "yield, uniform", True))
     assert screen.status.text() == f"{WAITING}: yield, uniform"
     click(screen.cancel_button)
     assert not screen.compute_button.isEnabled()
     assert IN_RUN in screen.compute_button.toolTip()
     screen.show_message(StateChanged(State.DONE, ""))
-    assert sent(screen)[-1] is False
+    assert NoStudies.asked == ["quick.toml", True, "end", False]
     assert screen.compute_button.isEnabled()
     assert screen.status.text() == READY
     screen.show_message(StateChanged(State.RUNNING, ""))
@@ -300,14 +302,13 @@ def test_a_worker_computes_what_the_command_does_and_waits_when_it_has_to(tmp_pa
 
 
 def test_a_worker_that_is_ended_by_another_program_is_a_study_without_a_result(monkeypatch: pytest.MonkeyPatch) -> None:
-    delivered: list[tuple[int, StudyAnswer]] = []
+    answers: Answers = queue.Queue()
     monkeypatch.setattr(model, "serve_study", lambda connection: connection.recv())
-    studies = Studies(delivered.append, process=False)
+    studies = Studies(answers.put, process=False)
     studies.compute(FOLDER / "quick.toml")
-    assert studies._worker is not None
-    studies._worker._threads[1].join()
+    assert answers.get(timeout=LONGEST_S) == (1, StudyFailed(model.ENDED))
     studies.end()
-    assert delivered == [(1, StudyFailed(model.ENDED))]
+    assert answers.empty()
 
 
 @pytest.mark.long
@@ -316,8 +317,7 @@ def test_a_study_in_a_process_is_ended_at_once() -> None:
     studies = Studies(answers.put)
     studies.compute(FOLDER / "table2.toml")
     assert isinstance(answers.get(timeout=LONGEST_S)[1], StudyProgress)
-    assert studies._worker is not None
-    process = studies._worker._process
+    (process,) = [each for each in multiprocessing.active_children() if each.name == "tolerances"]
     studies.end()
     with pytest.raises(ValueError, match="closed"):
         process.is_alive()
