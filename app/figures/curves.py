@@ -23,10 +23,11 @@ GAP_DEG, WIDEST_GAP_DEG = 6.0, 30.0
 """A curve ends where neighbours are further apart than the first and than four times most of them are, or than the second."""
 MOST_MARKED = 60
 """Values of a curve that each have a mark."""
-ANGLE_LABEL = "polar angle in the plane of incidence, deg"
 POSITIVE = "positive: specular side"
 ANGLE_TICKS = tuple(float(each) for each in range(-90, 91, 10))
 ANGLE_LIMITS = (-90.0, 90.0)
+PLANE_AXIS = Axis(f"polar angle in the plane of incidence, deg; {POSITIVE}", ANGLE_LIMITS, ANGLE_TICKS)
+"""The abscissa of whatever is drawn in the plane of incidence."""
 
 
 def plane_angle(polar_deg: Floats, around_deg: Floats, plane_deg: float = 0.0) -> Floats:

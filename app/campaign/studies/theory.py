@@ -17,7 +17,7 @@ from goniotwin.app.campaign.reduction.field_of_view import FieldOfView
 from goniotwin.app.campaign.reduction.points import PLACE, BsdfPoints
 from goniotwin.app.campaign.studies.reduced_journal import BsdfDataset
 from goniotwin.app.errors import UserError
-from goniotwin.app.figures.curves import ANGLE_LABEL, ANGLE_LIMITS, ANGLE_TICKS, POSITIVE, plane_angle
+from goniotwin.app.figures.curves import ANGLE_LIMITS, ANGLE_TICKS, PLANE_AXIS, plane_angle
 from goniotwin.app.figures.style import CURVE_COLOURS, PAPER
 from goniotwin.app.rig import RigDescription, RigFile, nominal_instrument
 from goniotwin.app.simulation.paper.gaussian_cut import HIGHEST_ZENITH_DEG, WIDTHS
@@ -190,7 +190,7 @@ def _draw_axes(upper: "Axes", lower: "Axes", reduced: BsdfDataset, sample: str) 
     upper.legend(loc="upper left", framealpha=1.0, edgecolor="white", title="points: measured, lines: theory")
     lower.axhline(0.0, color="0.6", lw=0.8)
     lower.set_ylabel("deviation, %\n(theta <= 2 widths)")
-    lower.set_xlabel(f"{ANGLE_LABEL}; {POSITIVE}")
+    lower.set_xlabel(PLANE_AXIS.label)
     lower.set_xlim(*ANGLE_LIMITS)
     lower.set_xticks(ANGLE_TICKS)
     upper.set_title(f"{sample}: measurement and theory", loc="left", fontsize=12)

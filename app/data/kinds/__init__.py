@@ -1,7 +1,9 @@
-"""The kinds of pictures of a dataset: one file each, and one line here.
+"""The kinds of pictures of a dataset: one file each, with the kind's name, and one line here.
 
-A file has `describe(dataset, log)`: the description of the picture of chosen values. It raises UserError for values of which
-there is no such picture.
+Beside them, `choice` has what they share, and `comparison` is the picture of two datasets, which is no kind.
+
+The file of a kind has `describe(dataset, log)`: the description of the picture of chosen values. It raises UserError for values
+of which there is no such picture.
 """
 
 KINDS = {

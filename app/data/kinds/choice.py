@@ -1,4 +1,4 @@
-"""The choice of values for a picture, and the words that name them."""
+"""The choice of values for the pictures of all kinds, and the words that name them."""
 
 from collections.abc import Iterator, Sequence
 
@@ -8,7 +8,7 @@ from goniotwin.app.campaign.reduction.components import COVERAGE as INTERVAL_U
 from goniotwin.app.campaign.reduction.components import DRAWN_LAW, LOGARITHMIC_LAW, interval
 from goniotwin.app.data.dataset import Dataset
 from goniotwin.app.errors import UserError
-from goniotwin.app.figures.curves import COVERAGE, WIDEST_GAP_DEG, Curve, curve_of, plane_angle
+from goniotwin.app.figures.curves import COVERAGE, WIDEST_GAP_DEG, Curve, curve_of, plane_angle, quantity
 from goniotwin.app.figures.description import Figure, Panel
 from goniotwin.app.figures.scale import Scale, scale_of
 from goniotwin.app.formats.content import flagged
@@ -46,6 +46,12 @@ def sides(dataset: Dataset) -> Iterator[tuple[bool, bool, Dataset]]:
             chosen = (dataset.back == back) & (dataset.transmitted == transmitted)
             if (chosen & dataset.good).any():
                 yield back, transmitted, dataset.where(chosen)
+
+
+def quantity_of(dataset: Dataset) -> str:
+    """The quantity of the trusted values with its unit: BSDF where they are of both sides."""
+    lit = np.unique(dataset.transmitted[dataset.good])
+    return quantity(bool(lit[0]) if lit.size == 1 else None, bool(dataset.back[dataset.good].all()))
 
 
 def at_sigma(dataset: Dataset, sigma_deg: float) -> Dataset:

@@ -1,14 +1,18 @@
-"""A comparison: profiles of both in the plane of incidence, with bands, and below them maps of the deviation."""
+"""The picture of a comparison, of two datasets (a kind is of one).
+
+Profiles of both in the plane of incidence, with bands, and below them maps of the deviation.
+"""
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from goniotwin.app.data.comparison import DatasetComparison, LightComparison
 from goniotwin.app.figures.curves import (
-    ANGLE_LABEL,
     COVERAGE,
+    PLANE_AXIS,
     curve_of,
     curve_panel,
     curve_parts,
@@ -123,16 +127,16 @@ def _profiles(found: DatasetComparison, light: LightComparison, log: bool | None
     return curve_panel(
         parts,
         scale,
-        _axis("theta, deg" if not flat else "" if plane.all() else ANGLE_LABEL, x),
+        _theta_axis(x) if not flat else replace(PLANE_AXIS, label="") if plane.all() else PLANE_AXIS,
         quantity(light.light.transmitted, light.light.back),
         title=f"{light.light}\nformula 5: {light.formula_5}",
     )
 
 
-def _axis(label: str, x: Floats) -> Axis:
-    """The axis of angles (n,), which has a width."""
+def _theta_axis(x: Floats) -> Axis:
+    """The axis of angles theta (n,), which has a width."""
     middle, half = 0.5 * float(x.min() + x.max()), 0.5 * max(1.06 * float(np.ptp(x)), LEAST_WIDTH_DEG)
-    return Axis(label, (middle - half, middle + half))
+    return Axis("theta, deg", (middle - half, middle + half))
 
 
 def _deviations(light: LightComparison, deviation: Floats, label: str, known: bool) -> Panel:
@@ -143,4 +147,4 @@ def _deviations(light: LightComparison, deviation: Floats, label: str, known: bo
         for chosen, colour in ((~light.in_range, "blocked"), (light.in_range, CURVE_COLOURS[0]))
     )
     spans = (Span(-COVERAGE, COVERAGE, upright=False),) if known else ()
-    return Panel(_axis(ANGLE_LABEL, x), title=label, series=series, guides=(Guide(0.0, "dim", False, "solid"),), spans=spans)
+    return Panel(PLANE_AXIS, title=label, series=series, guides=(Guide(0.0, "dim", False, "solid"),), spans=spans)

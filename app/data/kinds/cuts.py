@@ -15,16 +15,13 @@ from goniotwin.app.data.kinds.choice import (
     some_of,
 )
 from goniotwin.app.figures.curves import (
-    ANGLE_LABEL,
-    ANGLE_LIMITS,
-    ANGLE_TICKS,
-    POSITIVE,
+    PLANE_AXIS,
     curve_panel,
     curve_parts,
     distinct,
     quantity,
 )
-from goniotwin.app.figures.description import Axis, Figure, Guide
+from goniotwin.app.figures.description import Figure, Guide
 from goniotwin.app.figures.style import CURVE_COLOURS, CURVE_SYMBOLS
 
 
@@ -46,7 +43,7 @@ def describe(dataset: Dataset, log: bool | None) -> Figure:
                     for each, sigma, colour, symbol in styles
                 ],
                 scale,
-                Axis(f"{ANGLE_LABEL}; {POSITIVE}", ANGLE_LIMITS, ANGLE_TICKS),
+                PLANE_AXIS,
                 quantity(transmitted, back),
                 legend=about_curves(drawn, scale, some_of(len(shown), len(list(distinct(there, there.size))))),
                 guides=tuple(Guide(sigma, colour) for _, sigma, colour, _ in styles),

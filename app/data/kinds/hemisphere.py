@@ -11,11 +11,12 @@ from goniotwin.app.data.kinds.choice import (
     at_sigma,
     figure_of,
     one_channel,
+    quantity_of,
     scale_for,
     sides,
     some_of,
 )
-from goniotwin.app.figures.curves import quantity, spread
+from goniotwin.app.figures.curves import spread
 from goniotwin.app.figures.description import Figure
 from goniotwin.app.figures.hemisphere import disc_panel, value_bar
 
@@ -23,9 +24,7 @@ from goniotwin.app.figures.hemisphere import disc_panel, value_bar
 def describe(dataset: Dataset, log: bool | None) -> Figure:
     """The description of the maps, which have one bar."""
     dataset = one_channel(dataset)
-    lit = {transmitted for _, transmitted, _ in sides(dataset)}
-    label = quantity(lit.pop() if len(lit) == 1 else None, bool(dataset.back.all()))
-    bar = value_bar(scale_for(dataset, log), dataset.bsdf[dataset.good], label)
+    bar = value_bar(scale_for(dataset, log), dataset.bsdf[dataset.good], quantity_of(dataset))
     maps = [
         (f"sigma {sigma:g} deg{', transmitted' if transmitted else ''}{', back' if back else ''}", sigma, at_sigma(here, sigma))
         for back, transmitted, here in sides(dataset)

@@ -14,11 +14,12 @@ from goniotwin.app.data.kinds.choice import (
     figure_of,
     in_plane,
     one_channel,
+    quantity_of,
     scale_for,
     sides,
     some_of,
 )
-from goniotwin.app.figures.curves import curve_parts, distinct, quantity
+from goniotwin.app.figures.curves import curve_parts, distinct
 from goniotwin.app.figures.description import Arrow, Axis, Figure, Panel
 from goniotwin.app.figures.scale import ROOM
 from goniotwin.app.figures.style import CURVE_COLOURS
@@ -66,5 +67,5 @@ def describe(dataset: Dataset, log: bool | None) -> Figure:
     )
     some = some_of(len(shown), len(list(distinct(there, there.size))))
     about = about_curves([plane], scale, some, below="below the scale")
-    legend = f"{quantity(None)}; {'transmitted light below; ' if through else ''}arrows: the light; {about}"
+    legend = f"{quantity_of(plane)}; {'transmitted light below; ' if through else ''}arrows: the light; {about}"
     return figure_of(plane, [panel], (7.5, 8.0 if through else 4.9), legend=legend)

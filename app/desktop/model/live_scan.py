@@ -36,7 +36,7 @@ from goniotwin.app.campaign.row import NO_SAMPLE, CommittedRow, Row, reading_tab
 from goniotwin.app.campaign.running.events import RowCommitted, RowStarted
 from goniotwin.app.columns import BitColumn, ColumnTable, Degrees, FlagColumn, NumberColumn
 from goniotwin.app.errors import UserError
-from goniotwin.app.figures.curves import ANGLE_LABEL, ANGLE_LIMITS, POSITIVE, plane_angle, quantity
+from goniotwin.app.figures.curves import ANGLE_LIMITS, PLANE_AXIS, POSITIVE, plane_angle, quantity
 from goniotwin.arrays import Flags, Floats
 from goniotwin.twin.optics.geometry.coordinates import incidence_deg, is_lit_from_behind, polar_and_azimuth
 
@@ -214,9 +214,7 @@ class LiveScan:
         rotation = f", γ {gamma:g}°" if gamma else ""
         return ScanData(
             title=f"{row.sample}: σ {sigma:g}°{rotation}, {place}, {row.wavelength_nm:g} nm",
-            x_label=f"{ANGLE_LABEL}; {POSITIVE}"
-            if plane == 0.0
-            else f"polar angle at β {plane:g}° and opposite, deg; {POSITIVE}",
+            x_label=PLANE_AXIS.label if plane == 0.0 else f"polar angle at β {plane:g}° and opposite, deg; {POSITIVE}",
             y_label=y_label,
             range_deg=ANGLE_LIMITS,
             blocked_deg=self._blocked_intervals(row),

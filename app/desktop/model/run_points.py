@@ -7,7 +7,7 @@ import numpy as np
 from goniotwin.app.campaign.geometry.directions import polar_from_zenith
 from goniotwin.app.campaign.reduction.components import deviation_in_u
 from goniotwin.app.desktop.model.live_scan import NO_POINTS, ScanData, ScanKey, ScanPoints, Setting
-from goniotwin.app.figures.curves import ANGLE_LABEL, ANGLE_LIMITS, POSITIVE, plane_angle
+from goniotwin.app.figures.curves import ANGLE_LIMITS, PLANE_AXIS, plane_angle
 from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.twin.optics.geometry.coordinates import HALF_TURN_DEG, incidence_deg
 
@@ -131,7 +131,7 @@ class RunPoints:
         title = f"{sample}: σ {sigma:g}°{rotation}, plane φ {phi_deg:g}° (± {PLANE_HALF_WIDTH_DEG:g}°), {wavelength:g} nm"
         scan = ScanData(
             title,
-            f"{ANGLE_LABEL}; {POSITIVE}" if _is_of_incidence(phi_deg) else "aspecular angle θ, deg; positive at φ",
+            PLANE_AXIS.label if _is_of_incidence(phi_deg) else "aspecular angle θ, deg; positive at φ",
             latest.y_label,
             ANGLE_LIMITS,
             (),

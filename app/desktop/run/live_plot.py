@@ -35,7 +35,7 @@ from goniotwin.app.desktop.run.axes import AXIS_WIDTH, LOG, AngleAxis, ResidualA
 from goniotwin.app.desktop.run.cut_panel import cut_panel, kinds, residual_panel
 from goniotwin.app.desktop.run.hemisphere import HemisphereMap
 from goniotwin.app.desktop.theme import Colours
-from goniotwin.app.figures.curves import ANGLE_LABEL, ANGLE_LIMITS, POSITIVE, quantity
+from goniotwin.app.figures.curves import ANGLE_LIMITS, PLANE_AXIS, quantity
 from goniotwin.app.figures.description import Panel
 from goniotwin.app.figures.hemisphere import is_half
 from goniotwin.app.figures.scale import ScaleKind
@@ -296,7 +296,7 @@ class ScanPlot(QWidget):
         marked = f"<b style='color:{self._colours.bad}'>{mark}</b>&nbsp;&nbsp; " if mark else ""
         self._plot.setTitle(marked + title, color=self._colours.text, size=f"{TITLE_POINTS}pt")
         style = {"color": self._colours.text}
-        below = self._scan.x_label if self._scan else f"{ANGLE_LABEL}; {POSITIVE}"
+        below = self._scan.x_label if self._scan else PLANE_AXIS.label
         if self.fontMetrics().horizontalAdvance(below) > self._view.width() - AXIS_WIDTH:
             below = below.partition(";")[0]
         beside = self._scan.y_label if self._scan else quantity(None)
