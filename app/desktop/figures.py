@@ -9,7 +9,19 @@ from PySide6.QtGui import QColor
 
 from goniotwin.app.figures.description import Colour, Guide, Line, Marks, Panel, Series, Span
 from goniotwin.app.figures.scale import Scale
-from goniotwin.app.figures.style import BAND_ALPHA, MARKS, MarkKind, Palette, Symbol
+from goniotwin.app.figures.style import (
+    BAND_ALPHA,
+    BAR_WIDTH,
+    GUIDE_WIDTH,
+    HALO_WIDTH,
+    LINE_WIDTH,
+    MARKS,
+    OPEN_WIDTH,
+    SPAN_ALPHA,
+    MarkKind,
+    Palette,
+    Symbol,
+)
 from goniotwin.arrays import Floats
 
 SYMBOLS: dict[Symbol, str] = {
@@ -74,8 +86,8 @@ class _SeriesItems:
     def _set_colour(self, colour: str, line: Line) -> None:
         if (colour, line) != self._style:  # each would draw the last data again
             self._style = colour, line
-            self.line.setPen(pg.mkPen(colour, width=2, style=LINES[line]))
-            self.bars.setData(pen=pg.mkPen(colour, width=1))
+            self.line.setPen(pg.mkPen(colour, width=PIXELS_A_POINT * LINE_WIDTH, style=LINES[line]))
+            self.bars.setData(pen=pg.mkPen(colour, width=PIXELS_A_POINT * BAR_WIDTH))
             shade = QColor(colour)
             shade.setAlphaF(BAND_ALPHA)
             self._band.setBrush(pg.mkBrush(shade))
@@ -141,7 +153,9 @@ class PanelItems:
         colour = _colour(style.colour or (several[0].colour if several else "points"), self._palette)
         if (colour, self._palette) != self._styles.get(kind):  # each would draw the last data again
             self._styles[kind] = colour, self._palette
-            edge = pg.mkPen(self._palette.base, width=0.5) if style.filled else pg.mkPen(colour, width=1.5)
+            edge = (
+                pg.mkPen(self._palette.base, width=0.5) if style.filled else pg.mkPen(colour, width=PIXELS_A_POINT * OPEN_WIDTH)
+            )
             item.setPen(pg.mkPen(None) if style.symbol == "dot" else edge)
             item.setBrush(pg.mkBrush(colour if style.filled else None))
         x, y = (np.concatenate([np.empty(0), *(getattr(each, name) for each in several)]) for name in ("x", "y"))
@@ -149,7 +163,7 @@ class PanelItems:
         if self._panel.projection == "disc" and not style.filled:  # to be seen on any colour of the map
             if kind not in self._halos:
                 halo = pg.ScatterPlotItem(symbol=SYMBOLS[style.symbol], size=item.opts["size"], brush=None)
-                halo.setPen(pg.mkPen(self._palette.base, width=4))
+                halo.setPen(pg.mkPen(self._palette.base, width=PIXELS_A_POINT * HALO_WIDTH))
                 halo.setZValue(item.zValue() - 0.05)
                 self._halos[kind] = halo
                 self._plot.addItem(halo)
@@ -161,7 +175,7 @@ class PanelItems:
         self._spans = []
         for span in spans:
             shade = QColor(_colour(span.colour, self._palette))
-            shade.setAlphaF(0.2)
+            shade.setAlphaF(SPAN_ALPHA)
             way = "vertical" if span.upright else "horizontal"
             ends, brush, pen = (span.low, span.high), pg.mkBrush(shade), pg.mkPen(None)
             region = pg.LinearRegionItem(ends, orientation=way, movable=False, brush=brush, pen=pen)
@@ -174,7 +188,9 @@ class PanelItems:
             self._plot.removeItem(each)
         self._guides = []
         for guide in guides:
-            pen: Any = pg.mkPen(_colour(guide.colour, self._palette), width=1, style=LINES[guide.line])
+            pen: Any = pg.mkPen(
+                _colour(guide.colour, self._palette), width=PIXELS_A_POINT * GUIDE_WIDTH, style=LINES[guide.line]
+            )
             self._guides.append(pg.InfiniteLine(guide.at, angle=90 if guide.upright else 0, pen=pen))
             self._plot.addItem(self._guides[-1], ignoreBounds=True)
 

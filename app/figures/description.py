@@ -1,4 +1,8 @@
-"""The description of a figure: panels with axes, series, marks, maps and words. A back end draws it, and decides nothing.
+"""The description of a figure: panels with axes, series, marks, maps and words. A back end draws it in the style of `style`.
+
+A back end decides what depends on the room: which ticks have a text, where lines of words break, and where legend and mark of
+simulated values are; and whether the colours of a map are a surface, or a mark at each direction where they span no area. That
+of the window has no symbols on its curves, no broad ones and no polar panels, which it does not show.
 
 Arrays are of one length within a series, a group of marks or a map; NaN is a gap. A colour is "#rrggbb" or a role of `Palette`.
 """
@@ -17,7 +21,10 @@ ColourMap = Literal["values", "deviations"]
 
 @dataclass(frozen=True)
 class Axis:
-    """An axis with its label (and unit), limits, and ticks; without ticks the back end chooses them by the room there is."""
+    """An axis with its label (and unit), limits, and ticks at even distances about the middle, which has one.
+
+    As many ticks have a text as there is room for; without ticks the back end chooses them by the room, too.
+    """
 
     label: str = ""
     limits: tuple[float, float] | None = None

@@ -3,6 +3,7 @@
 import io
 import math
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from textwrap import fill
 from typing import TYPE_CHECKING, Any
@@ -14,13 +15,28 @@ from goniotwin.app.figures.curves import MOST_MARKED
 from goniotwin.app.figures.description import Bar, Colour, Figure, Map, Panel, Series
 from goniotwin.app.figures.hemisphere import EDGE_DEG, GAPS, HORIZON_DEG, RINGS_DEG, WIDEST_DEG, colour_table
 from goniotwin.app.figures.scale import Scale, tick_text
-from goniotwin.app.figures.style import BAND_ALPHA, DISC, MARKS, PAPER, SIMULATED, Palette, Symbol
+from goniotwin.app.figures.style import (
+    BAND_ALPHA,
+    BAR_WIDTH,
+    DISC,
+    GUIDE_WIDTH,
+    HALO_WIDTH,
+    LINE_WIDTH,
+    MARKS,
+    OPEN_WIDTH,
+    PAPER,
+    SIMULATED,
+    SPAN_ALPHA,
+    Palette,
+    Symbol,
+)
 from goniotwin.app.formats.file import check_writable, write_file
 from goniotwin.arrays import Flags, Floats
 
 if TYPE_CHECKING:  # matplotlib loads 249 modules, which checks of names and axes do not need
     from matplotlib import figure as mpl_figure
     from matplotlib.axes import Axes
+    from matplotlib.axis import Axis as MplAxis
     from matplotlib.colors import ListedColormap, Normalize
     from matplotlib.projections.polar import PolarAxes
 
@@ -42,6 +58,11 @@ LETTERS_AN_INCH, MOST_LETTERS = 12.0, 100
 MOST_DOTS = 2000
 MOST_RINGS = 5
 """Labelled circles of a polar diagram."""
+SIMULATED_STYLE: dict[str, Any] = {"color": PAPER.bad, "weight": "bold", "fontsize": 11}
+LEGEND_STYLE: dict[str, Any] = {"frameon": False, "fontsize": 9, "title_fontsize": 9, "alignment": "left"}
+APART, TITLE_ROOM, LABEL_SHARE = 2.0, 18.0, 0.6
+"""Points between the words above given axes, and over these under a title of the whole; the part of ticks and label in the
+distance to the axes below."""
 DPI = 150
 SUFFIXES = (".png", ".svg")
 
@@ -63,14 +84,9 @@ def draw(description: Figure, ax: "Axes | Sequence[Axes] | None" = None) -> "mpl
         shown = [each for each, panel in zip(axes, description.panels, strict=True) if panel.map is not None]
         _draw_bar(figure, shown, bar)
     if ax is None:
-        _write_title(figure, description)
-    if description.legend:
-        _common_legend(figure, axes, description, own=ax is None)
-    if description.simulated:
-        place = figure.transFigure if ax is None else axes[0].transAxes
-        text = axes[0].text if ax is not None else figure.text
-        at = (0.99, 0.99, "top") if ax is None else (1.0, 1.01, "bottom")
-        text(*at[:2], SIMULATED, ha="right", va=at[2], color=PAPER.bad, weight="bold", fontsize=11, transform=place)
+        _write_around(figure, axes, description)
+    else:
+        _write_above(figure, axes, description)
     return figure
 
 
@@ -156,13 +172,162 @@ def _write_title(figure: "mpl_figure.Figure", description: Figure) -> None:
     figure.suptitle(f"{name}{description.about}", x=0.01, ha="left", fontsize=10.5)
 
 
-def _common_legend(figure: "mpl_figure.Figure", axes: "list[Axes]", description: Figure, *, own: bool) -> None:
-    """The legend of the whole: of the curves of the first panel, above all or, on given axes, in it."""
-    handles, labels = axes[0].get_legend_handles_labels()
-    style: dict[str, Any] = {"frameon": False, "fontsize": 9, "title_fontsize": 9, "alignment": "left"}
-    if not own:
-        axes[0].legend(handles, [shortened(each, 40) for each in labels], title=fill(description.legend, 50), **style)
+def _write_around(figure: "mpl_figure.Figure", axes: "list[Axes]", description: Figure) -> None:
+    """Write the words of a new figure, with its title and the mark of simulated values at its top."""
+    _write_title(figure, description)
+    for row in _rows(axes, description):
+        _write_labels(row)
+    for each, panel in zip(axes, description.panels, strict=True):
+        if panel.legend:
+            _legend_above(each, panel.legend, MOST_LETTERS, 3)
+    if description.legend:
+        _common_legend(figure, axes, description)
+    if description.simulated:
+        figure.text(0.99, 0.99, SIMULATED, ha="right", va="top", **SIMULATED_STYLE)
+
+
+def _write_above(figure: "mpl_figure.Figure", axes: "list[Axes]", description: Figure) -> None:
+    """Write the words of given axes. Legends are above title and ticks, and the mark of simulated values is above these.
+
+    A layout engine leaves them room; without one the axes become lower.
+    """
+    engine = figure.get_layout_engine()
+    if engine is not None:
+        engine.execute(figure)  # for the widths
+    places: list[tuple[Axes, tuple[float, float]]] = []
+    for k, row in enumerate(_rows(axes, description)):
+        _write_labels(row)
+        above = _write_words(row, description if k == 0 else Figure((), description.size))
+        if engine is None:
+            given = [each for each, _ in row]
+            places += [(each, _lower_place(given, above)) for each in given]
+    for each, (low, high) in places:
+        place = each.get_position(original=True)
+        each.set_position((place.x0, low, place.width, high - low))
+        each.set_in_layout(True)  # which a position ends
+
+
+def _rows(axes: "list[Axes]", description: Figure) -> "list[list[tuple[Axes, Panel]]]":
+    """The rows of axes with their panels, from left to right; that of the first axes is the first."""
+    rows: dict[float, list[tuple[Axes, Panel]]] = {}
+    for pair in zip(axes, description.panels, strict=True):
+        rows.setdefault(round(pair[0].get_position(original=True).y1, 3), []).append(pair)
+    return [sorted(row, key=lambda pair: pair[0].get_position(original=True).x0) for row in rows.values()]
+
+
+def _write_labels(row: "list[tuple[Axes, Panel]]") -> None:
+    """Titles within the distance of the axes; labels that are the same for the whole row once, in its middle."""
+    first, last = row[0][0], row[-1][0]
+    width = row[1][0].bbox.x0 - first.bbox.x0 if len(row) > 1 else first.bbox.width
+    for each, panel in row:
+        title = "\n".join(fill(line, _letters(each, width)) for line in panel.title.split("\n"))
+        is_map = panel.map is not None
+        each.set_title(title, loc="center" if is_map else "left", fontsize=10 if is_map else 9)
+        each.set_ylabel(panel.y.label if panel.projection == "rectangular" else "")
+    if len({panel.y.label for _, panel in row}) == 1:
+        for each, _ in row[1:]:
+            each.set_ylabel("")
+    if row[0][1].projection != "rectangular":
         return
+    if len({panel.x.label for _, panel in row}) > 1:
+        for each, panel in row:
+            each.set_xlabel(fill(panel.x.label, _letters(each, width)))
+        return
+    given = [each for each, _ in row]
+    low, high, middle = first.bbox.x0, last.bbox.x1, 0.5 * (first.bbox.x0 + last.bbox.x1)
+    others = [each.bbox for each in first.figure.axes if each not in given and _beside(each, first)]
+    left = max([first.figure.bbox.x0, *(each.x1 for each in others if each.x1 <= low)])
+    right = min([first.figure.bbox.x1, *(each.x0 for each in others if each.x0 >= high)])
+    for each in given:
+        each.set_xlabel("")
+    here = given[(len(given) - 1) // 2]  # a layout engine takes the middle of a label for that of its axes
+    here.set_xlabel(fill(row[0][1].x.label, _letters(first, 2.0 * min(middle - left, right - middle))))
+    here.xaxis.label.set_x((middle - here.bbox.x0) / here.bbox.width)
+
+
+def _beside(one: "Axes", other: "Axes") -> bool:
+    """Whether axes have some height in common."""
+    return bool(one.bbox.y0 < other.bbox.y1 and other.bbox.y0 < one.bbox.y1)
+
+
+def _write_words(row: "list[tuple[Axes, Panel]]", description: Figure) -> float:
+    """Write legends and mark above a row of axes; returns the height of all that is above these, in points."""
+    first, shown = row[0][0], row[-1][0]
+    for each, _ in row:
+        each.apply_aspect()
+    bottom = height = max(_overhang(each)[1] for each, _ in row)
+    for each, panel in row:
+        if panel.legend:
+            height = max(height, bottom + _legend_above(each, panel.legend, _letters(each), 3, bottom, each.bbox.width))
+    if description.legend:
+        width = shown.bbox.x1 - first.bbox.x0
+        height += _legend_above(first, description.legend, _letters(first, width), 3, bottom, width)
+    if description.simulated or description.legend:
+        at: dict[str, Any] = {"xycoords": "axes fraction", "textcoords": "offset points", "ha": "right", "va": "bottom"}
+        text = SIMULATED if description.simulated else " "
+        mark = first.annotate(text, (1.0, 1.0), (0.0, height + APART), **at, **SIMULATED_STYLE)
+        height += APART + _points(first, mark.get_window_extent().height)
+    return height
+
+
+def _overhang(axes: "Axes") -> tuple[float, float]:
+    """What is drawn below and above axes, in points."""
+    whole = axes.get_tightbbox()
+    ends = (axes.bbox.y0 - whole.y0, whole.y1 - axes.bbox.y1) if whole is not None else (0.0, 0.0)
+    return max(_points(axes, ends[0]), 0.0), max(_points(axes, ends[1]), 0.0)
+
+
+def _lower_place(row: "list[Axes]", above: float) -> tuple[float, float]:
+    """The ends in height of axes of a row that has so many points above it, with all of theirs in the room that there is.
+
+    That is the room to the edge of the figure, and shares of the distance to the next axes.
+    """
+    parent, place = row[0].figure, row[0].get_position(original=True)
+    height = _points(row[0], parent.bbox.height)
+    places = [each.get_position(original=True) for each in parent.axes]
+    over = min((each.y0 - place.y1 for each in places if each.y0 >= place.y1), default=None)
+    under = min((place.y0 - each.y1 for each in places if each.y1 <= place.y0), default=None)
+    top = 1.0 - place.y1 if not parent.get_suptitle() else TITLE_ROOM / height
+    room_above = (top if over is None else (1.0 - LABEL_SHARE) * over) - APART / height
+    room_below = (place.y0 if under is None else LABEL_SHARE * under) - APART / height
+    low = place.y0 + max(max(_overhang(each)[0] for each in row) / height - room_below, 0.0)
+    high = place.y1 - max(above / height - room_above, 0.0)
+    return low, max(high, low + 0.1 * place.height)
+
+
+def _points(axes: "Axes", pixels: float) -> float:
+    return 72.0 * pixels / _root(axes).dpi
+
+
+def _letters(axes: "Axes", pixels: float | None = None) -> int:
+    """The letters of a line as wide as axes, or as so many pixels."""
+    return max(int(LETTERS_AN_INCH * (axes.bbox.width if pixels is None else pixels) / _root(axes).dpi), 10)
+
+
+def _legend_above(
+    axes: "Axes", heading: str, letters: int, columns: int, bottom: float = 0.0, width: float | None = None
+) -> float:
+    """Write a legend above axes, so many points over them, in as many columns as have room; returns its height in points."""
+    from matplotlib.transforms import ScaledTranslation
+
+    figure = _root(axes)
+    handles, labels = axes.get_legend_handles_labels()
+    place = axes.transAxes + ScaledTranslation(0.0, bottom / 72.0, figure.dpi_scale_trans)
+    at: dict[str, Any] = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "bbox_transform": place, "borderaxespad": 0.2}
+    short = [shortened(each, letters - 6) for each in labels]
+    for ncols in range(columns, 0, -1):
+        legend = axes.legend(handles, short, title=fill(heading, letters), ncols=ncols, **at, **LEGEND_STYLE)
+        box = legend.get_window_extent()
+        if width is None or box.width <= width:
+            break
+    legend.set_in_layout(width is None or width <= axes.bbox.width)  # of one over several axes, the mark above takes the room
+    return _points(axes, box.height) + 0.2 * 9.0
+
+
+def _common_legend(figure: "mpl_figure.Figure", axes: "list[Axes]", description: Figure) -> None:
+    """The legend of the whole: of the curves of the first panel, above all."""
+    handles, labels = axes[0].get_legend_handles_labels()
+    style = LEGEND_STYLE
     if description.panels[0].projection == "polar":
         title = fill(description.legend, MOST_LETTERS)
         figure.legend(handles, labels, loc="lower left", ncols=4, title=title, **{**style, "title_fontsize": 8.5})
@@ -180,7 +345,7 @@ def _common_legend(figure: "mpl_figure.Figure", axes: "list[Axes]", description:
 def _draw_panel(axes: "Axes", panel: Panel) -> None:
     for span in panel.spans:
         shade = axes.axvspan if span.upright else axes.axhspan
-        shade(span.low, span.high, color=_colour(span.colour), alpha=0.15, lw=0, zorder=0)
+        shade(span.low, span.high, color=_colour(span.colour), alpha=SPAN_ALPHA, lw=0, zorder=0)
     if panel.map is not None:
         _draw_disc(axes, panel.map)
     for each in panel.series:
@@ -188,24 +353,11 @@ def _draw_panel(axes: "Axes", panel: Panel) -> None:
     _draw_marks(axes, panel)
     for guide in panel.guides:
         line = axes.axvline if guide.upright else axes.axhline
-        line(guide.at, color=_colour(guide.colour), lw=0.8, ls=LINES[guide.line], zorder=1)
-    axes.set_title(panel.title, fontsize=10 if panel.projection == "disc" else 9, loc="center" if panel.map else "left")
+        line(guide.at, color=_colour(guide.colour), lw=GUIDE_WIDTH, ls=LINES[guide.line], zorder=1)
     if panel.projection == "rectangular":
         _set_axes(axes, panel)
     elif panel.projection == "polar":
         _set_polar(axes, panel)  # type: ignore[arg-type]  # the projection has been checked
-    if panel.legend:  # above the axes, where it hides nothing
-        axes.legend(
-            loc="lower left",
-            bbox_to_anchor=(0.0, 1.0),
-            ncols=3,
-            frameon=False,
-            fontsize=9,
-            title=fill(panel.legend, MOST_LETTERS),
-            title_fontsize=9,
-            alignment="left",
-            borderaxespad=0.2,
-        )
 
 
 def _colour(colour: Colour, palette: Palette = PAPER) -> str:
@@ -214,9 +366,11 @@ def _colour(colour: Colour, palette: Palette = PAPER) -> str:
 
 def _draw_series(axes: "Axes", each: Series, palette: Palette) -> None:
     colour = _colour(each.colour, palette)
-    if each.lower is not None and each.upper is not None:
+    if each.lower is not None and each.upper is not None and each.bars:
+        axes.vlines(each.x, each.lower, each.upper, color=colour, lw=BAR_WIDTH, zorder=2.0)
+    elif each.lower is not None and each.upper is not None:
         axes.fill_between(each.x, each.lower, each.upper, color=colour, alpha=BAND_ALPHA, lw=0, zorder=1.5)
-    width, alpha = (4.0, 0.55) if each.broad else (1.3, 1.0)
+    width, alpha = (4.0, 0.55) if each.broad else (LINE_WIDTH, 1.0)
     symbol = SYMBOLS[each.symbol] if each.symbol else ""
     label = each.name or "_nolegend_"
     style: dict[str, Any] = {"ls": LINES[each.line], "marker": symbol, "ms": 3.0, "lw": width, "alpha": alpha}
@@ -237,8 +391,8 @@ def _draw_marks(axes: "Axes", panel: Panel) -> None:
                 ms=style.size,
                 color=colour,
                 mec="black" if style.filled else colour,
-                mew=0.6 if style.filled else 1.8,
-                path_effects=[] if style.filled else [withStroke(linewidth=3.4, foreground="black")],
+                mew=0.6 if style.filled else OPEN_WIDTH,
+                path_effects=[] if style.filled else [withStroke(linewidth=HALO_WIDTH, foreground="black")],
                 zorder=6,
             )
             continue
@@ -250,30 +404,37 @@ def _draw_marks(axes: "Axes", panel: Panel) -> None:
             ms=style.size,
             color=colour,
             mfc=face,
-            mew=0.9,
+            mew=OPEN_WIDTH,
             clip_on=each.kind != "below",
             zorder=4,
         )
 
 
 def _set_axes(axes: "Axes", panel: Panel) -> None:
-    """Limits, ticks and labels of axes without a frame at top and right, with a faint grid."""
+    """Limits and ticks of axes without a frame at top and right, with a faint grid."""
     scale = panel.scale
     if scale is not None and scale.log:
         axes.set_yscale("log")
         axes.yaxis.set_major_formatter(lambda value, _: tick_text(scale, math.log10(value)))
-    for axis, set_limits, set_ticks, set_label in (
-        (panel.x, axes.set_xlim, axes.set_xticks, axes.set_xlabel),
-        (panel.y, axes.set_ylim, axes.set_yticks, axes.set_ylabel),
-    ):
+    for axis, of, set_limits in ((panel.x, axes.xaxis, axes.set_xlim), (panel.y, axes.yaxis, axes.set_ylim)):
         if axis.limits is not None:
             set_limits(*axis.limits)
         if axis.ticks is not None:
-            set_ticks(axis.ticks)
-        set_label(axis.label)
+            of.set_ticks(axis.ticks)
+            of.set_major_formatter(partial(_tick_text, of, axis.ticks))
     axes.spines[["top", "right"]].set_visible(False)
     axes.grid(color="0.9", lw=0.6)
     axes.set_axisbelow(True)
+
+
+def _tick_text(axis: "MplAxis", ticks: tuple[float, ...], value: float, _: int | None) -> str:
+    """The text of a tick; of as many as there is room for: the one in the middle, and at equal steps to both ends."""
+    if value not in ticks:  # that of the pointer
+        return f"{value:.3g}"
+    half = len(ticks) // 2
+    steps = [k for k in range(1, half + 1) if half % k == 0]
+    step = next((k for k in steps if 2 * half // k <= axis.get_tick_space()), half)
+    return f"{value:g}".replace("-", "\N{MINUS SIGN}") if abs(ticks.index(value) - half) % step == 0 else ""
 
 
 # ---- maps ----
@@ -294,10 +455,11 @@ def _colour_map(bar: Bar) -> "ListedColormap":
 def _draw_bar(figure: "mpl_figure.Figure", axes: "list[Axes]", bar: Bar) -> None:
     from matplotlib.cm import ScalarMappable
 
+    height = max(each.bbox.y1 for each in axes) - min(each.bbox.y0 for each in axes)
     shown = figure.colorbar(
         ScalarMappable(_norm(bar), _colour_map(bar)),
         ax=axes,
-        label=bar.label,
+        label=fill(bar.label, _letters(axes[0], height)),
         extend=bar.extend,
         shrink=0.8,
         aspect=30,

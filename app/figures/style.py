@@ -1,4 +1,4 @@
-"""The style of all figures: colours by their role, curves, and the shapes of marks. Plain data."""
+"""The style of all figures, of both back ends: colours by their role, lines, and the shapes of marks. Plain data."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -26,7 +26,12 @@ CURVE_COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#a66f00
 """Colours of curves (Okabe and Ito): also apart for people with a colour deficiency, and on white paper."""
 CURVE_SYMBOLS: tuple[Symbol, ...] = ("circle", "square", "triangle", "diamond", "triangle down", "pentagon", "cross")
 BAND_ALPHA = 0.27
-"""Opacity of a band."""
+SPAN_ALPHA = 0.2
+"""Opacity of a band, and of a shaded interval of an axis."""
+LINE_WIDTH, BAR_WIDTH, GUIDE_WIDTH = 1.5, 0.75, 0.75
+"""Of a curve, of the bars at its points and of a line across a panel, in points as all widths."""
+OPEN_WIDTH, HALO_WIDTH = 1.125, 3.0
+"""Of the line of a mark that is not filled, and of the dark one beneath it on a map."""
 
 
 @dataclass(frozen=True)

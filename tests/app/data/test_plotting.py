@@ -1,24 +1,31 @@
 """Pictures: what is drawn where, on logarithmic scales too; each kind from a journal and from made values."""
 
 import math
+import warnings
 from dataclasses import replace
+from itertools import combinations, pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 
 import goniotwin
+from goniotwin.app.data import kinds
 from goniotwin.app.data.comparison import compare
 from goniotwin.app.data.dataset import Dataset
 from goniotwin.app.data.kinds import KINDS
 from goniotwin.app.data.kinds.choice import curve
 from goniotwin.app.data.opening import dataset_of_file
 from goniotwin.app.data.plotting import plot, plot_comparison
+from goniotwin.app.figures.description import Figure as Description
+from goniotwin.app.figures.description import Panel, Series
 from goniotwin.app.figures.hemisphere import is_half
-from goniotwin.app.figures.matplotlib_figure import save_figure
+from goniotwin.app.figures.matplotlib_figure import draw, save_figure
 from goniotwin.app.figures.scale import scale_of
 from goniotwin.app.figures.style import SIMULATED
 from goniotwin.app.formats.content import BsdfFile, ScatteredBsdf
@@ -226,7 +233,7 @@ def test_a_picture_is_drawn_on_given_axes() -> None:
     dataset = two_wavelengths(generated=True)
     assert plot(dataset, "spectrum", ax=left) is own
     assert plot(dataset, ax=[right]) is own
-    assert [axes.get_xlabel().partition(",")[0] for axes in (left, right)] == [
+    assert [axes.get_xlabel().replace("\n", " ").partition(",")[0] for axes in (left, right)] == [
         "wavelength",
         "polar angle in the plane of incidence",
     ]
@@ -282,3 +289,133 @@ def test_values_that_are_not_to_be_trusted_have_grey_marks_at_their_place() -> N
     }
     assert marks["o"].tolist() == [[10.0], [0.1]]
     assert marks["x"].tolist() == [[15.0], [axes.get_ylim()[0]]]
+
+
+def lights(*sigma_deg: float, reflectance: float = 0.6, transmitted: bool = False, width_deg: float = math.inf) -> Dataset:
+    """Simulated values: a lobe of a width in each of some incidences, or the same values in all directions."""
+    model = lambertian(reflectance) if math.isinf(width_deg) else gaussian(width_deg)
+    parts = [rings(model, sigma, RINGS, ROUND, u=0.01) for sigma in sigma_deg]
+    return made(
+        *(
+            replace(
+                each,
+                generated=True,
+                transmitted=np.full(each.size, transmitted),
+                values=np.where(each.values > 1e-6, each.values, -1e-6),
+            )
+            for each in parts
+        )
+    )
+
+
+def words(axes: Axes) -> list[Artist]:
+    """The title, the legend and the mark of simulated values."""
+    texts = [axes.title, axes._left_title, *axes.texts]  # type: ignore[attr-defined]
+    legend = axes.get_legend()
+    found = [each for each in texts if each.get_text().strip() and "°" not in each.get_text()]  # no labels of rings
+    return found if legend is None else [*found, legend]
+
+
+@pytest.mark.parametrize(
+    ("kind", "layout"),
+    [
+        *(
+            (kind, layout)
+            for kind in ("cuts", "two sides", "polar", "hemisphere", "comparison")
+            for layout in (None, "constrained")
+        ),
+        *((kind, "tight") for kind in ("cuts", "polar")),  # which has no place for a bar of several axes
+    ],
+)
+def test_words_on_given_axes_of_the_usual_size_overlap_nothing_and_are_in_the_figure(kind: str, layout: Any) -> None:
+    own, sigma = Figure(layout=layout), (0.0, 30.0, 60.0)
+    shape: dict[str, Any] = {"hemisphere": {"ncols": 3}, "two sides": {"nrows": 2}, "comparison": {"nrows": 2, "ncols": 3}}.get(
+        kind, {}
+    )
+    axes: Any = own.subplots(**shape, subplot_kw={"projection": "polar"} if kind == "polar" else {})
+    if kind == "comparison":
+        plot(compare(lights(*sigma), lights(*sigma, reflectance=0.63)), ax=axes)
+    else:
+        many = sigma if kind == "hemisphere" else (*sigma, 15.0, 45.0)
+        sides = (False, True) if kind in ("polar", "two sides") else (False,)
+        shown = made(*(lights(*many, width_deg=8.0, transmitted=each).only.values for each in sides))
+        plot(shown, "cuts" if kind == "two sides" else kind, ax=axes)
+    own.draw_without_rendering()
+    panels: list[Axes] = list(own.axes)
+    written = [each for panel in panels for each in words(panel)]
+    assert sum(getattr(each, "get_text", str)() == SIMULATED for each in written) == 1
+    assert any(hasattr(each, "get_texts") for each in written) == (kind != "hemisphere")
+    labels = [each for panel in panels for each in (panel.xaxis.label, panel.yaxis.label) if each.get_text()]
+    placed = [each.get_window_extent() for each in (*written, *labels)]
+    drawn = [panel.patch.get_window_extent() for panel in panels]
+    for one, other in combinations([*placed, *drawn], 2):
+        shared = min(one.x1, other.x1) - max(one.x0, other.x0), min(one.y1, other.y1) - max(one.y0, other.y0)
+        assert min(shared) < 1.0, (one, other)
+    for each in placed:
+        assert each.x0 >= -0.5
+        assert each.y0 >= -0.5
+        assert each.x1 <= own.bbox.x1 + 0.5
+        assert each.y1 <= own.bbox.y1 + 0.5
+    for panel in panels:
+        texts_of_ticks = [each.get_window_extent() for each in panel.get_xticklabels() if each.get_text() and panel.axison]
+        if panel.name == "rectilinear":
+            assert all(left.x1 + 3.0 < right.x0 for left, right in pairwise(texts_of_ticks))
+    assert min(each.height for each in drawn) > 40.0
+
+
+def test_a_heading_without_named_series_is_drawn_without_a_warning() -> None:
+    for own in (None, Figure().subplots()):
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            figure = draw(Description((Panel(legend="no values"),), (4.0, 3.0)), own)
+        assert "no values" in texts(figure)
+
+
+def test_a_polar_diagram_names_the_quantity_of_its_side() -> None:
+    back, through = lights(30.0), lights(30.0, transmitted=True)
+    both = made(back.only.values, through.only.values)
+    for dataset, name in ((back, "BRDF, 1/sr"), (through, "BTDF, 1/sr"), (both, "BSDF, 1/sr")):
+        (legend,) = plot(dataset, "polar").legends
+        assert legend.get_title().get_text().startswith(f"{name};")
+
+
+def test_a_comparison_has_the_abscissa_of_cuts() -> None:
+    cut = plot(lights(30.0)).axes[0]
+    for round_deg in (ROUND, np.array([0.0, 180.0])):
+        one, other = (made(rings(lambertian(r), 30.0, np.arange(0.0, 41.0, 5.0), round_deg)) for r in (0.60, 0.63))
+        axes = plot(compare(one, other)).axes
+        across = [each for each in axes if each.get_xlim() != (0.0, 1.0) and each.axison and not each.get_label()]
+        shown = [
+            each for each in across if each.get_ylabel().startswith("BRDF") or "over their mean" in each.get_title(loc="left")
+        ]
+        assert len(shown) == (1 if round_deg is ROUND else 2)
+        for each in shown:
+            assert each.get_xlim() == cut.get_xlim() == (-90.0, 90.0)
+            assert each.get_xticks().tolist() == cut.get_xticks().tolist()
+        assert shown[-1].get_xlabel().replace("\n", " ") == cut.get_xlabel()
+        assert "positive: specular side" in cut.get_xlabel()
+
+
+def test_ticks_of_the_angle_have_a_text_at_the_normal_and_both_ends_where_they_have_room() -> None:
+    for width, step in ((2.0, 90), (6.4, 30), (14.0, 10)):
+        own = Figure(figsize=(width, 4.0))
+        plot(lights(30.0), ax=own.subplots())
+        own.draw_without_rendering()
+        texts_there = [
+            each.get_text().replace("\N{MINUS SIGN}", "-") for each in own.axes[0].get_xticklabels() if each.get_text()
+        ]
+        assert list(map(float, texts_there)) == list(range(-90, 91, step))
+        assert own.axes[0].format_xdata(12.34) == "12.3"  # of the pointer
+
+
+def test_bars_are_lines_at_the_points() -> None:
+    x, y = np.array([0.0, 1.0]), np.array([1.0, 2.0])
+    bars = Series(x, y, "points", lower=y - 0.5, upper=y + 0.25, bars=True)
+    (lines,) = draw(Description((Panel(series=(bars,)),), (4.0, 3.0))).axes[0].collections
+    ends = [path.vertices.tolist() for path in lines.get_paths()]  # type: ignore[union-attr]
+    assert ends == [[[0.0, 0.5], [0.0, 1.25]], [[1.0, 1.5], [1.0, 2.25]]]
+
+
+def test_each_file_beside_the_kinds_is_named() -> None:
+    files = {each.stem for each in Path(str(kinds.__file__)).parent.glob("*.py")} - {"__init__"}
+    assert {each for each in files if f"`{each}`" not in str(kinds.__doc__)} == set(KINDS)

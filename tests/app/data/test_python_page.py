@@ -4,11 +4,14 @@ import doctest
 import re
 import shutil
 from pathlib import Path
+from typing import Any
 
 import pytest
+from matplotlib.figure import Figure
 
 import goniotwin
 from goniotwin.app.data.values import COLUMNS
+from goniotwin.app.figures.style import SIMULATED
 from tests.conftest import REPOSITORY
 
 PAGE = REPOSITORY / "docs" / "python.md"
@@ -26,9 +29,21 @@ def names() -> set[str]:
 def test_the_examples_give_what_the_page_states(journal: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     shutil.copy(journal, tmp_path / "my.journal")
     monkeypatch.chdir(tmp_path)
+    drawn: list[Figure] = []
+    plot = goniotwin.plot
+
+    def kept(*given: Any, **named: Any) -> Figure:
+        drawn.append(plot(*given, **named))
+        return drawn[-1]
+
+    monkeypatch.setattr(goniotwin, "plot", kept)
     failed, tried = doctest.testfile(str(PAGE), module_relative=False)
     assert tried > 30
     assert failed == 0
+    assert len(drawn) == 2
+    for each in drawn:  # on a figure of its own
+        words = [*each.texts, *(text for axes in each.axes for text in axes.texts)]
+        assert [text.get_text() for text in words].count(SIMULATED) == 1
 
 
 def test_each_name_has_an_example_and_they_are_few() -> None:
