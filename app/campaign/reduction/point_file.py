@@ -23,6 +23,7 @@ ROW = np.dtype([("rank", "i8"), ("kind", "i4"), ("begin", "i8"), ("count", "i8")
 """A row: its place in order of time, the kind of its block, where its points begin in the file, their number, and its pose."""
 OF_ROW = "place"
 """The column of points that the table of rows has."""
+NO_ROWS: Ints = np.zeros(0, dtype=np.int64)
 PART_POINTS = 20_000
 """Points that are read together where all are brought into memory."""
 Table = npt.NDArray[np.void]
@@ -66,7 +67,7 @@ class PointFile:
         rows = np.zeros(begin.size, dtype=ROW)
         if records.dtype not in self._kinds:
             self._kinds.append(records.dtype)
-            self._empty.append(replace(points, places=points.places[:0]).where(slice(0)))
+            self._empty.append(replace(points, places=points.places[:0].copy()).where(NO_ROWS))  # copies: views keep all rows
         kind = self._kinds.index(records.dtype)
         rows["rank"], rows["kind"], rows["count"] = rank[begin], kind, np.diff(begin, append=points.size)
         rows["begin"] = self._end + begin * records.itemsize
