@@ -9,9 +9,10 @@ import csv
 import hashlib
 import io
 import itertools
+import math
 import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ from goniotwin.app.formats.numerals import format_number
 from goniotwin.app.formats.text import CONTROL_CHARACTER, LINE_END, comment_lines, encode_text, mark_comments, read_text
 from goniotwin.arrays import Flags, Floats
 from goniotwin.twin.optics import from_specular
-from goniotwin.twin.optics.geometry.coordinates import wrap_azimuth, zenith_and_azimuth
+from goniotwin.twin.optics.geometry.coordinates import arc_direction, wrap_azimuth, zenith_and_azimuth
 
 MOST_BYTES = 250_000_000
 """Bytes of a file: those of two million points."""
@@ -85,7 +86,10 @@ def read(path: Path) -> BsdfFile:
     """
     points = read_points_csv(path)
     with name_file(path):
-        return content_of_points(path, points)
+        try:
+            return content_of_points(path, points)
+        except ColumnError as error:
+            raise FormatError(path, error.wrong, error.remedy, _line_of_row(path, error.row)) from None
 
 
 def write(path: Path, content: BsdfFile | PointStream) -> None:
@@ -171,9 +175,67 @@ def _columns_of(part: ScatteredBsdf, optional: Collection[str]) -> dict[str, NDA
     return {name: np.asarray(column) for name, column in columns.items() if name not in OPTIONAL_COLUMNS or name in optional}
 
 
-def content_of_points(path: StrPath, points: Points) -> BsdfFile:
-    """The content of a CSV by the names of its columns. Raises FormatError and ValueError."""
-    found = _BsdfColumns(path, points)
+class ColumnError(ValueError):
+    """A value that a column cannot have, in one of its rows, from 0; why, where the value does not show it, and the remedy."""
+
+    def __init__(self, column: str, row: int, has: str, remedy: str, why: str = "") -> None:
+        because = f", {why}" if why else ""
+        super().__init__(f"the column {column} has {has} in row {row}{because}; {remedy}")
+        self.wrong, self.row, self.remedy = f"the column {column} has {has}{because}", row, remedy
+
+
+@dataclass(frozen=True)
+class Range:
+    """The numbers of a column: finite, from `low` to `high`; `above` low: without it; `whole` numbers. `empty`: NaN may be."""
+
+    low: float = -math.inf
+    high: float = math.inf
+    above: bool = False
+    whole: bool = False
+    empty: bool = True
+
+    def without(self, numbers: Floats) -> Flags:
+        """The numbers (n,) that are not in the range."""
+        missing = np.isnan(numbers)
+        within = (numbers > self.low if self.above else numbers >= self.low) & (numbers <= self.high) & ~np.isinf(numbers)
+        if self.whole:
+            within &= numbers == np.rint(numbers)
+        return ~np.where(missing, self.empty, within)
+
+    def __str__(self) -> str:
+        numbers = "whole numbers" if self.whole else "numbers"
+        if math.isinf(self.low):
+            return f"{numbers} that are finite"
+        if math.isinf(self.high):
+            return f"{numbers} above {self.low:g}" if self.above else f"{numbers} from {self.low:g} on"
+        return f"{numbers} from {self.low:g} to {self.high:g}"
+
+
+RANGES = {
+    "sigma_deg": Range(0.0, 90.0, empty=False),
+    "polar_deg": Range(0.0, 90.0, empty=False),
+    "theta_deg": Range(0.0, 180.0, empty=False),
+    **dict.fromkeys(("psi_deg", "azimuth_deg", "phi_deg", "gamma_deg"), Range(empty=False)),
+    **dict.fromkeys(("bsdf_per_sr", "luminance_factor", "low95_per_sr", "high95_per_sr"), Range()),
+    **dict.fromkeys(("u_bsdf_per_sr", "u_shared_per_sr", "standard_error"), Range(0.0)),
+    "wavelength_nm": Range(0.0, above=True),
+    "photodiode": Range(-1.0, whole=True),
+}
+"""The columns of numbers of a BSDF, and what they may be."""
+WORDS = {"light": ("reflected", "transmitted"), "side": ("front", "back"), "interval": ("linear", "logarithmic", "drawn")}
+"""The words of columns that have no others; a field may be empty."""
+SAME_DEG = 0.02
+"""Directions that are given in two ways are one if they are no further apart: angles of two decimals."""
+SAME_U = 1e-6
+"""Relative difference of uncertainties that are equal, in single precision or nine digits."""
+
+
+def content_of_points(path: StrPath, points: Points, titles: Mapping[str, str] | None = None) -> BsdfFile:
+    """The content of a CSV by the names of its columns; `titles` are the names in messages, where they have others.
+
+    Raises FormatError, ColumnError and ValueError.
+    """
+    found = _BsdfColumns(path, points, titles or {})
     values, u = found.values()
     size = values.size
     back = found.stated("side", "back", "side: light on the back")
@@ -184,6 +246,7 @@ def content_of_points(path: StrPath, points: Points) -> BsdfFile:
     stated = (line.removeprefix("sample: ") for line in points.comments if line.startswith("sample: "))
     names = found.texts("sample", next(stated, ""))
     photodiode = found.numbers("photodiode", -1.0)
+    shared, (low95, high95) = found.shared(u), found.interval()
     everything = ScatteredBsdf(
         sigma,
         psi,
@@ -191,9 +254,9 @@ def content_of_points(path: StrPath, points: Points) -> BsdfFile:
         azimuth,
         values,
         u,
-        u_shared=found.numbers("u_shared_per_sr", 0.0),
-        low95=found.numbers("low95_per_sr", np.nan),
-        high95=found.numbers("high95_per_sr", np.nan),
+        u_shared=shared,
+        low95=low95,
+        high95=high95,
         interval=found.texts("interval", ""),
         wavelength_nm=found.numbers("wavelength_nm", np.nan),
         channel=found.texts("channel", ""),
@@ -218,10 +281,11 @@ def content_of_points(path: StrPath, points: Points) -> BsdfFile:
 
 @dataclass(frozen=True)
 class _BsdfColumns:
-    """The columns of a CSV, with what is taken for one that is absent. All raise FormatError."""
+    """The columns of a CSV, with what is taken for one that is absent. All raise FormatError and ColumnError."""
 
     path: StrPath
     points: Points
+    titles: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def size(self) -> int:
@@ -232,17 +296,39 @@ class _BsdfColumns:
         """Whether all of these columns are there."""
         return all(name in self.points.columns for name in names)
 
-    def numbers(self, name: str, default: float | None = None, *, empty: bool = True) -> Floats:
-        """A column of numbers, NaN for an empty field unless it may not be `empty`."""
+    def title(self, name: str) -> str:
+        """The name of a column in messages."""
+        return self.titles.get(name, name)
+
+    def refuse(self, name: str, wrong: Flags, has: NDArray[Any], remedy: str, why: Callable[[int], str] | str = "") -> None:
+        """Raise ColumnError for the first row that is `wrong`, with what it `has` and why it cannot have that."""
+        if wrong.any():
+            row = int(np.argmax(wrong))
+            number = (
+                "no number" if has[row] != has[row] else f"{has[row]:g}" if has.dtype.kind == "f" else quote_word(str(has[row]))
+            )
+            raise ColumnError(self.title(name), row, number, remedy, why if isinstance(why, str) else why(row))
+
+    def numbers(self, name: str, default: float | None = None) -> Floats:
+        """A column of numbers in their range, NaN for an empty field."""
+        return self.within(name, self.unchecked(name, default))
+
+    def within(self, name: str, numbers: Floats) -> Floats:
+        """Numbers of a column, which have to be in its range."""
+        allowed = RANGES[name]
+        self.refuse(name, allowed.without(numbers), numbers, f"give {allowed}{', or none' if allowed.empty else ''}")
+        return numbers
+
+    def unchecked(self, name: str, default: float | None = None) -> Floats:
+        """A column of any numbers."""
         column = self.points.columns.get(name)
         if column is None:
             if default is None:
                 raise FormatError(self.path, f"the column {name} is missing", "give a CSV of a BSDF, as goniotwin writes it")
             return np.full(self.size, default)
         if column.dtype.kind != "f" and self.size:
-            raise FormatError(self.path, f"the column {name} has a field that is not a number", "correct it")
-        if not empty and np.isnan(column).any():
-            raise FormatError(self.path, f"the column {name} has an empty field", "give every row a direction")
+            odd = np.array([_numbers([each]) is None for each in column.tolist()])
+            self.refuse(name, odd, column, "correct it", "which is not a number")
         return np.asarray(column, dtype=np.float64)
 
     def texts(self, name: str, default: str) -> NDArray[np.str_]:
@@ -251,8 +337,12 @@ class _BsdfColumns:
         if column is None:
             return np.full(self.size, default)
         if column.dtype.kind == "f":
-            return np.array(["" if each != each else format_number(each) for each in column.tolist()], dtype=np.str_)
-        return np.asarray(column, dtype=np.str_)
+            column = np.array(["" if each != each else format_number(each) for each in column.tolist()], dtype=np.str_)
+        texts = np.asarray(column, dtype=np.str_)
+        if name in WORDS:
+            wrong = np.logical_and.reduce([texts != word for word in ("", *WORDS[name])])
+            self.refuse(name, wrong, texts, f"give {' or '.join(WORDS[name])}")
+        return texts
 
     def stated(self, name: str, word: str, comment: str) -> Flags:
         """The rows with this word in a column; without the column all of them, where a comment begins with `comment`."""
@@ -266,17 +356,50 @@ class _BsdfColumns:
             return self.numbers("bsdf_per_sr"), self.numbers("u_bsdf_per_sr", np.nan)
         return self.numbers("luminance_factor") / np.pi, self.numbers("standard_error", np.nan) / np.pi
 
+    def shared(self, u: Floats) -> Floats:
+        """The part of the standard uncertainty `u` that neighbouring values share, 1/sr."""
+        name = "u_shared_per_sr"
+        shared = self.numbers(name, 0.0)
+        more = shared > (1.0 + SAME_U) * u
+        self.refuse(name, more, shared, "give a part of u", lambda k: f"which is more than u, {u[k]:g}")
+        return shared
+
+    def interval(self) -> tuple[Floats, Floats]:
+        """The ends of the intervals of 95 %, 1/sr."""
+        low, high = self.numbers("low95_per_sr", np.nan), self.numbers("high95_per_sr", np.nan)
+        above = self.title("high95_per_sr")
+        self.refuse("low95_per_sr", low > high, low, "exchange them", lambda k: f"which is more than {above}, {high[k]:g}")
+        return low, high
+
     def directions(self, back: Flags) -> tuple[Floats, Floats, Floats, Floats]:
         """sigma, psi, polar angle and azimuth in the sample's frame."""
-        sigma = self.numbers("sigma_deg", empty=False)
-        sigma = np.where(back & (sigma > 90.0), 180.0 - sigma, sigma)  # of the rig, whose mirror unit turns to the back
-        if self.has("psi_deg", "polar_deg", "azimuth_deg"):
-            psi, polar, azimuth = (self.numbers(name, empty=False) for name in ("psi_deg", "polar_deg", "azimuth_deg"))
-            return sigma, psi, polar, azimuth
-        theta, phi = self.numbers("theta_deg", empty=False), self.numbers("phi_deg", empty=False)
-        psi = psi_of_gamma(self.numbers("gamma_deg", 0.0, empty=False), back)
-        polar, azimuth = zenith_and_azimuth(from_specular(sigma, theta, phi))
-        return sigma, psi, np.where(polar > HORIZON_DEG, polar, np.minimum(polar, 90.0)), wrap_azimuth(azimuth + psi)
+        sigma = self.unchecked("sigma_deg")
+        # Of the rig, whose mirror unit turns to the back.
+        sigma = self.within("sigma_deg", np.where(back & (sigma > 90.0), 180.0 - sigma, sigma))
+        psi = self.numbers("psi_deg") if self.has("psi_deg") else psi_of_gamma(self.numbers("gamma_deg", 0.0), back)
+        if not self.has("psi_deg", "polar_deg", "azimuth_deg"):
+            theta, phi = self.numbers("theta_deg"), self.numbers("phi_deg")
+            polar, azimuth = zenith_and_azimuth(from_specular(sigma, theta, phi))
+            self.refuse(
+                "theta_deg",
+                polar > HORIZON_DEG,
+                theta,
+                "give directions to 90 deg from it",
+                lambda k: f"which at phi {phi[k]:g} and sigma {sigma[k]:g} is {polar[k]:g} deg from the normal",
+            )
+            return sigma, psi, np.minimum(polar, 90.0), wrap_azimuth(azimuth + psi)
+        polar, azimuth = self.numbers("polar_deg"), self.numbers("azimuth_deg")
+        if self.has("theta_deg", "phi_deg"):
+            theta, phi = self.unchecked("theta_deg"), self.unchecked("phi_deg")
+            apart = np.linalg.norm(arc_direction(polar, azimuth - psi) - from_specular(sigma, theta, phi), axis=-1)
+            self.refuse(
+                "theta_deg",
+                apart > math.radians(SAME_DEG),
+                theta,
+                "correct them, or leave two of these columns out",
+                lambda k: f"which with phi {phi[k]:g} is not the direction polar {polar[k]:g}, azimuth {azimuth[k]:g}",
+            )
+        return sigma, psi, polar, azimuth
 
 
 def write_points_csv(
@@ -473,6 +596,15 @@ def _lines_of(text: str, start: int = 0) -> Iterator[str]:
         start = end.end()
     if start < len(text):
         yield text[start:]
+
+
+def _line_of_row(path: StrPath, row: int) -> int:
+    """The line of a row, from 0, in a file that can be read."""
+    lines = list(_lines_of(read_text(path, MOST_BYTES)))
+    before = sum(1 for _ in itertools.takewhile(lambda line: line.startswith("#"), lines))
+    reader = csv.reader(lines[before:], strict=True)
+    ends = (reader.line_num for fields in reader if fields)
+    return before + next(itertools.islice(ends, row + 1, None))
 
 
 def _columns(path: StrPath, text: str, start: int, line: int, as_text: set[int]) -> tuple[list[str], list[NDArray[Any]] | None]:

@@ -32,6 +32,8 @@ DIFFUSE = {
     "bsdf": [1.0 / math.pi] * 3,
 }
 BOTH = ("polar_deg", "azimuth_deg")
+CSV_NAMED = {"bsdf": None, "bsdf_per_sr": [0.3, 0.3, 0.3]}
+BELOW = "theta_deg has 80 in row 2, which at phi 180 and sigma 60 is 140 deg from the normal; give directions to 90"
 
 
 def of_every_origin(journal: goniotwin.Dataset, folder: Path) -> dict[str, goniotwin.Dataset]:
@@ -89,6 +91,24 @@ def test_columns_are_copied() -> None:
     assert (d.origin, d.simulated, d.samples) == ("table", False, ("",))
 
 
+def test_what_is_masked_is_not_known_and_either_name_of_a_column_is_read() -> None:
+    masked = np.ma.masked_array([0.1, 0.2, 0.3], [False, True, False])
+    plain = goniotwin.Dataset.from_table({**DIFFUSE, "bsdf": masked, "u": masked})
+    csv_named = {name: column for name, column in {**DIFFUSE, **CSV_NAMED, "u": masked}.items() if column is not None}
+    for d, values in ((plain, [0.1, math.nan, 0.3]), (goniotwin.Dataset.from_table(csv_named), [0.3, 0.3, 0.3])):
+        np.testing.assert_array_equal(d.bsdf, values)
+        np.testing.assert_array_equal(d.u, [0.1, math.nan, 0.3])
+    assert plain.good.tolist() == [True, False, True]
+
+
+def test_directions_in_both_frames_that_differ_by_their_digits_are_one() -> None:
+    lobe = rings(gaussian(20.0), 30.0, POLAR, AZIMUTH, u=0.01)
+    theta, phi = lobe.specular()
+    own = {name: getattr(lobe, "values" if name == "bsdf" else name) for name in ("sigma_deg", *BOTH, "bsdf")}
+    d = goniotwin.Dataset.from_table({**own, "theta_deg": np.round(theta, 3), "phi_deg": np.round(phi, 3)})
+    np.testing.assert_array_equal(d.polar_deg, lobe.polar_deg)
+
+
 @pytest.mark.parametrize("read_csv", [False, True])
 def test_a_dataframe_of_a_dataset_is_the_dataset_again(read_csv: bool, dataset: goniotwin.Dataset, tmp_path: Path) -> None:
     pandas = pytest.importorskip("pandas")
@@ -131,13 +151,42 @@ def test_directions_are_given_in_either_frame() -> None:
         ({"phi_deg": None}, "the column phi_deg is missing; give the direction by"),
         ({"theta_deg": None, "phi_deg": None, "polar_deg": [1.0] * 3}, "the column azimuth_deg is missing"),
         ({"bsfd": [1.0] * 3}, "there is no column 'bsfd'; there are sigma_deg"),
-        ({"bsdf": ["a", "b", "c"]}, "the column bsdf has something that is no number"),
+        ({"bsdf": ["a", "b", "c"]}, "the column bsdf has 'a' in row 0, which is no number; give numbers"),
         ({"bsdf": [1.0, math.inf, 2.0]}, "the column bsdf has inf in row 1"),
         ({"theta_deg": [0.0, 10.0, 190.0]}, "the column theta_deg has 190 in row 2; give numbers from 0 to 180"),
-        ({"sigma_deg": [0.0, math.nan, 0.0]}, "the column sigma_deg has nan in row 1"),
+        ({"sigma_deg": [0.0, math.nan, 0.0]}, "the column sigma_deg has no number in row 1; give numbers from 0 to 90"),
         ({"u": [0.1, -0.1, 0.1]}, "the column u has -0.1 in row 1; give numbers from 0 on"),
         ({"u": [0.1, 0.1]}, r"the shapes .*u \(2,\); give lists, all of the same length"),
-        ({"transmitted": ["no"] * 3}, "the column transmitted has something else than True and False"),
+        ({"u": [0.1, [0.1], 0.1]}, "the column u is not a list with one number or text for each row; give one"),
+        ({"transmitted": ["no"] * 3}, "the column transmitted has 'no' in row 0; give True or False"),
+        ({"transmitted": [True, 1, False]}, "the column transmitted has 1 in row 0; give True or False"),
+        ({"sigma_deg": [0.0, 0.0, 60.0], "theta_deg": [0.0, 10.0, 80.0], "phi_deg": [0.0, 0.0, 180.0]}, BELOW),
+        ({"bsdf": [1.0, 1.0, 1j]}, "the column bsdf has .* in row 0, which is no number"),
+        ({"bsdf": np.array([1.0, 1.0, 1j], dtype=object)}, "the column bsdf has 1j in row 2, which is no number"),
+        ({"sigma_deg": np.ma.masked_array([0.0] * 3, [False, True, False])}, "the column sigma_deg has no number in row 1"),
+        ({"transmitted": np.ma.masked_array([True] * 3, [False, True, False])}, "the column transmitted has None in row 1"),
+        ({"photodiode": [1, 1.5, 2]}, "the column photodiode has 1.5 in row 1; give whole numbers from -1 on, or none"),
+        ({"low95": [0.1, 0.2, 0.3], "high95": [0.2, 0.1, 0.4]}, "low95 has 0.2 in row 1, which is more than high95, 0.1;"),
+        ({"interval": ["linear", "foo", ""]}, "the column interval has 'foo' in row 1; give linear or logarithmic or drawn"),
+        (
+            {"u": [0.1] * 3, "u_shared": [0.1, 0.2, 0.0]},
+            "the column u_shared has 0.2 in row 1, which is more than u, 0.1; give",
+        ),
+        ({"wavelength_nm": [550.0, 0.0, math.nan]}, "the column wavelength_nm has 0 in row 1; give numbers above 0, or none"),
+        (
+            {"polar_deg": [0.0, 10.0, 20.0], "azimuth_deg": [0.0, 0.0, 91.0]},
+            "theta_deg has 20 in row 2, which with phi 90 is not",
+        ),
+        ({**CSV_NAMED, "sigma_deg": [0.0, 100.0, 0.0]}, "the column sigma_deg has 100 in row 1; give numbers from 0 to 90"),
+        ({**CSV_NAMED, "sigma_deg": [0.0, math.inf, 0.0]}, "the column sigma_deg has inf in row 1; give numbers from 0 to 90"),
+        ({**CSV_NAMED, "u": [0.1, -1.0, 0.1]}, "the column u has -1 in row 1; give numbers from 0 on"),
+        ({**CSV_NAMED, "u_bsdf_per_sr": [0.1, -1.0, 0.1]}, "the column u_bsdf_per_sr has -1 in row 1; give numbers from 0 on"),
+        ({**CSV_NAMED, "u": [0.1] * 3, "u_bsdf_per_sr": [0.1] * 3}, "u and u_bsdf_per_sr are one column; give one of them"),
+        (
+            {**CSV_NAMED, "light": ["", "Transmitted", ""]},
+            "column light has 'Transmitted' in row 1; give reflected or transmitted",
+        ),
+        ({**CSV_NAMED, "sigma_deg": None}, "the column sigma_deg is missing"),
     ],
 )
 def test_a_column_that_is_wrong_is_named(change: dict[str, Any], message: str) -> None:

@@ -260,3 +260,35 @@ def test_a_column_of_repeated_numbers_is_written_as_one_of_different_numbers(tmp
     lines = (tmp_path / "a.csv").read_text(encoding="utf-8").splitlines()[2:]
     texts = ["0", "-0", "", "0.333333333", "500.05"]
     assert lines == [f"{texts[k % 5]},{k % 3},{k}" for k in range(repeated.size)]
+
+
+HEADER = "sigma_deg,theta_deg,phi_deg,bsdf_per_sr"
+
+
+@pytest.mark.parametrize(
+    ("header", "row", "message"),
+    [
+        (HEADER, "60,80,180,1", "the column theta_deg has 80, which at phi 180 and sigma 60 is 140 deg from the normal; give"),
+        (HEADER, "100,0,0,1", "the column sigma_deg has 100; give numbers from 0 to 90"),
+        (HEADER, "0,,0,1", "the column theta_deg has no number; give numbers from 0 to 180"),
+        (HEADER, "0,0,0,one", "the column bsdf_per_sr has 'one', which is not a number; correct it"),
+        (f"{HEADER},u_bsdf_per_sr", "0,0,0,1,-1", "the column u_bsdf_per_sr has -1; give numbers from 0 on, or none"),
+        (f"{HEADER},light", "0,0,0,1,both", "the column light has 'both'; give reflected or transmitted"),
+    ],
+)
+def test_a_value_that_a_column_cannot_have_is_refused_with_its_line(
+    tmp_path: Path, header: str, row: str, message: str
+) -> None:
+    path = tmp_path / "a.csv"
+    good = "0,10,0,1" + header.removeprefix(HEADER).replace(",u_bsdf_per_sr", ",0.1").replace(",light", ",reflected")
+    path.write_text(f'# a "comment\n\n{header}\n{good}\n\n{row}\n')
+    with pytest.raises(FormatError, match=f"a.csv, line 6: {re.escape(message)}"):
+        points.read(path)
+    path.write_text(f"{header}\n{good}\n")
+    assert points.read(path).scattered[0].polar_deg.tolist() == pytest.approx([10.0])
+
+
+def test_the_azimuth_of_the_light_is_read_beside_specular_coordinates(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(f"{HEADER},psi_deg\n30,0,0,1,40\n")
+    part = points.read(tmp_path / "a.csv").scattered[0]
+    assert [part.psi_deg[0], part.polar_deg[0], part.azimuth_deg[0]] == pytest.approx([40.0, 30.0, 220.0])
