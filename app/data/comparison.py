@@ -32,7 +32,7 @@ from goniotwin.app.formats.file import StrPath
 from goniotwin.app.rig import RigDescription
 from goniotwin.app.rig.samples import GaussianTable, parse_sample
 from goniotwin.app.simulation.paper.gaussian_cut import HIGHEST_ZENITH_DEG, WIDTHS, relative_rms_percent
-from goniotwin.arrays import Flags, Floats, Ints
+from goniotwin.arrays import Flags, Floats, Ints, ReadOnlyArrays
 from goniotwin.twin.optics import Scatterer, arc_direction, evaluate, light_direction
 from goniotwin.twin.optics.geometry.coordinates import (
     DECIMALS,
@@ -75,7 +75,7 @@ class Range:
 
 
 @dataclass(frozen=True, eq=False)
-class LightComparison:
+class LightComparison(ReadOnlyArrays):
     """Two BSDFs at the directions (n,) of one light: `first` and `second` in 1/sr with their standard uncertainties.
 
     `z` is their difference, first less second, in its standard uncertainty; NaN where none is known. `index` are the values of

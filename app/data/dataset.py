@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from goniotwin.app.campaign.reduction.effects_of_points import effects_of
-from goniotwin.app.campaign.studies.reduced_journal import ReducedJournal
+from goniotwin.app.campaign.studies.reduced_journal import BsdfDataset, ReducedJournal
 from goniotwin.app.data import hemisphere
 from goniotwin.app.data.columns import content_of_columns
 from goniotwin.app.data.frames import html_of, to_dataframe, to_xarray
@@ -38,14 +38,13 @@ from goniotwin.app.data.values import (
     neighbours,
     numbers,
     quoted,
-    read_only,
     with_names,
 )
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats.content import BsdfFile, Part
 from goniotwin.app.formats.file import StrPath
 from goniotwin.app.formats.metadata import Metadata, common_metadata
-from goniotwin.arrays import Flags, Floats, Ints, Texts
+from goniotwin.arrays import Flags, Floats, Ints, Texts, read_only
 from goniotwin.twin.optics import from_specular, to_specular
 from goniotwin.twin.optics.geometry.coordinates import TOLERANCE_DEG, arc_direction, zenith_and_azimuth
 
@@ -66,8 +65,8 @@ class Dataset:
     The arrays are of one sample: where there are several, choose one, `dataset["paper"]`. `name` is that of the campaign or of
     the file, `origin` what it was: "journal", "simulation" or the name of a format. `notes` are remarks for the reader of the
     values, `findings` those that state what is wrong with the instrument. `file` is the content of the file; of a journal
-    `reduced` is the whole reduction, and `whole` is whether all of its values are there. The arrays cannot be written; what
-    numpy makes of them by arithmetic or by a mask can. Whatever an argument can do wrong raises GoniotwinError.
+    `reduced` is the whole reduction, and `whole` is whether all of its values are there. No array that is reached from here can
+    be written; what numpy makes of them by arithmetic or by a mask can. What an argument can do wrong raises GoniotwinError.
     """
 
     name: str
@@ -78,6 +77,17 @@ class Dataset:
     file: BsdfFile | None = field(default=None, repr=False)
     reduced: ReducedJournal | None = field(default=None, repr=False)
     whole: bool = field(default=True, repr=False)
+
+    def __post_init__(self) -> None:
+        """Keep the points of a reduction as arrays that cannot be written."""
+        if isinstance(self.reduced, BsdfDataset):
+            samples = {name: points.read_only() for name, points in self.reduced.samples.items()}
+            object.__setattr__(self, "reduced", replace(self.reduced, samples=samples))
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Take over what a copy has."""
+        vars(self).update(state)
+        self.__post_init__()
 
     # ---- samples ----
 
@@ -145,8 +155,8 @@ class Dataset:
     # ---- columns ----
 
     def _column(self, name: str) -> npt.NDArray[Any]:
-        """A column of the only sample, which cannot be written."""
-        return read_only(self.only.column(name))
+        """A column of the only sample."""
+        return self.only.column(name)
 
     @property
     def bsdf(self) -> Floats:
@@ -191,7 +201,7 @@ class Dataset:
     @property
     def good(self) -> Flags:
         """The values (n,) to be trusted: there is a number, and no flag against it."""
-        return read_only(self.only.good)
+        return self.only.good
 
     @property
     def sigma_deg(self) -> Floats:
@@ -467,9 +477,9 @@ class Dataset:
         data = self.only
         if data.measured is not None:
             every = np.arange(self.size)
-            return effects_of(data.measured.points, data.measured.settings).covariance(every, every)
+            return read_only(effects_of(data.measured.points, data.measured.settings).covariance(every, every))
         own, shared = own_and_shared(self.u, self.u_shared)
-        return np.asarray(np.diag(own**2) + np.outer(shared, shared))
+        return read_only(np.diag(own**2) + np.outer(shared, shared))
 
     # ---- files and other libraries ----
 
@@ -510,7 +520,8 @@ class Dataset:
         file = Path(path)
         found = format_to_write(file, format)
         if self.reduced is not None and self.whole:
-            return convert_reduced(self.reduced, file, found, Choice(self.sample if len(self.samples) == 1 else None))
+            choice = Choice(self.sample if len(self.samples) == 1 else None)
+            return convert_reduced(self.reduced, file, found, choice)
         content = self._content()
         if not content.parts:
             raise UserError(f"save: {self.name} has no values; nothing is written")

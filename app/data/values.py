@@ -17,7 +17,7 @@ from goniotwin.app.columns import ColumnTable, Degrees
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats.content import UNTRUSTED, RegularTable, ScatteredBsdf, flagged
 from goniotwin.app.formats.metadata import Metadata
-from goniotwin.arrays import Flags, Floats, Ints
+from goniotwin.arrays import Flags, Floats, Ints, ReadOnlyArrays, read_only
 from goniotwin.twin.optics.geometry.coordinates import DECIMALS, TOLERANCE_DEG, TURN_DEG
 
 ROUND = {"psi_deg": None, "phi_deg": "theta_deg", "azimuth_deg": "polar_deg"}
@@ -39,9 +39,18 @@ class Measured(ColumnTable):
     points: BsdfPoints
     settings: ReductionSettings
 
+    def __post_init__(self) -> None:
+        """Keep the points as arrays that cannot be written."""
+        object.__setattr__(self, "points", self.points.read_only())
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Take over what a copy has."""
+        vars(self).update(state)
+        self.__post_init__()
+
 
 @dataclass(frozen=True, eq=False)
-class LightSetting:
+class LightSetting(ReadOnlyArrays):
     """The light of some values, `index`: its wavelength (NaN: grey, or the colour `channel`), direction, side, and the side
     that it leaves the sample on.
     """
@@ -63,7 +72,7 @@ class LightSetting:
 
 
 @dataclass(frozen=True, eq=False)
-class SampleData(ColumnTable):
+class SampleData(ReadOnlyArrays, ColumnTable):
     """One sample: its `values`, with their specular coordinates (n,) in degrees.
 
     `gridded` values are the nodes of tables. `regular` factors have no place among values in 1/sr. `measured`: of a journal.
@@ -82,7 +91,7 @@ class SampleData(ColumnTable):
     @cached_property
     def good(self) -> Flags:
         """The values (n,) to be trusted: there is a number, and no flag against it."""
-        return np.isfinite(self.values.values) & ~flagged(np.asarray(self.values.flags), UNTRUSTED)
+        return read_only(np.isfinite(self.values.values) & ~flagged(np.asarray(self.values.flags), UNTRUSTED))
 
     @cached_property
     def lights(self) -> tuple[LightSetting, ...]:
@@ -118,7 +127,7 @@ class SampleData(ColumnTable):
         return replace(super().join(tables), values=ScatteredBsdf.join([table.values for table in tables]))
 
     def column(self, name: str) -> npt.NDArray[Any]:
-        """An array (n,) by its name in `COLUMNS`."""
+        """An array (n,) by its name in `COLUMNS`, which cannot be written."""
         if name in ("theta_deg", "phi_deg"):
             return np.asarray(getattr(self, name))
         return np.asarray(getattr(self.values, "values" if name == "bsdf" else name))
@@ -148,7 +157,7 @@ COLUMNS = (
 
 
 @dataclass(frozen=True)
-class ValueWithU:
+class ValueWithU(ReadOnlyArrays):
     """A value with its standard uncertainty `u`, both in `unit`; `value, u = result` takes them apart.
 
     Of several directions they are arrays. `about` are remarks: what the value is of, and what u assumes.
@@ -167,13 +176,6 @@ class ValueWithU:
         if np.ndim(self.value):
             return repr(self)
         return f"{self.value:.6g}{'' if self.unit == '1' else f' {self.unit}'}, u {self.u:.2g}"
-
-
-def read_only(array: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """The same numbers, which cannot be written; nor can slices."""
-    view = np.asarray(array).view()
-    view.flags.writeable = False
-    return view
 
 
 def with_names(function: Callable[P, R]) -> Callable[P, R]:

@@ -25,7 +25,7 @@ from goniotwin.app.columns import (
 from goniotwin.app.formats.metadata import Metadata
 from goniotwin.app.formats.numerals import finite_array
 from goniotwin.app.formats.table import BsdfTable
-from goniotwin.arrays import Flags, Floats, Ints, Texts
+from goniotwin.arrays import Flags, Floats, Ints, ReadOnlyArrays, Texts
 from goniotwin.twin.optics import from_specular, to_specular
 from goniotwin.twin.optics.geometry.coordinates import TOLERANCE_DEG, arc_direction, wrap_azimuth, zenith_and_azimuth
 
@@ -61,8 +61,8 @@ SAME = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class ScatteredBsdf(ColumnTable):
-    """Values of one sample at any directions; arrays (n,), angles in degrees.
+class ScatteredBsdf(ReadOnlyArrays, ColumnTable):
+    """Values of one sample at any directions; arrays (n,), angles in degrees. They cannot be written, once they are here.
 
     `sigma_deg`, `psi_deg`: polar angle, 0 to 90, and azimuth of the light. `polar_deg`, `azimuth_deg`: those of the observed
     direction; polar from the normal of its own side, 0 to 90, so that `transmitted` light has its own hemisphere. `values` in
@@ -117,6 +117,7 @@ class ScatteredBsdf(ColumnTable):
             outside = (getattr(self, each) < 0.0) | (getattr(self, each) > 90.0)
             if outside.any():
                 raise ValueError(f"{each} goes from 0 to 90, and has {getattr(self, each)[outside][0]:g}")
+        super().__post_init__()
 
     @classmethod
     def join(cls, tables: Sequence[Self]) -> Self:
@@ -165,7 +166,7 @@ def to_specular_deg(sigma_deg: Floats, polar_deg: Floats, azimuth_deg: Floats) -
 
 
 @dataclass(frozen=True, eq=False)
-class RegularTable:
+class RegularTable(ReadOnlyArrays):
     """Regular reflectance, or transmittance, of one sample: `values` [channel, psi, sigma], 0 to 1, at angles in degrees.
 
     Channels are as in `BsdfTable`; `u` are standard uncertainties, if known.
@@ -190,6 +191,7 @@ class RegularTable:
         object.__setattr__(self, "values", finite_array("values", self.values, shape))
         if self.u is not None:
             object.__setattr__(self, "u", finite_array("uncertainties", self.u, shape))
+        super().__post_init__()
 
 
 Part = BsdfTable | ScatteredBsdf | RegularTable

@@ -5,11 +5,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from goniotwin.app.formats.numerals import ascending_array, finite_array
-from goniotwin.arrays import Flags, Floats
+from goniotwin.arrays import Flags, Floats, ReadOnlyArrays
 
 
 @dataclass(frozen=True, eq=False)
-class BsdfTable:
+class BsdfTable(ReadOnlyArrays):
     """A BSDF in 1/sr, `values` [wavelength, psi, sigma, phi, theta]; angles in degrees, each list ascending.
 
     phi ends at 180 where the other half is the mirror image in the plane of incidence. `psi_deg`, the azimuth of the light, is
@@ -35,7 +35,7 @@ class BsdfTable:
     sample: str = ""
 
     def __post_init__(self) -> None:
-        """Check the fields, and copy the arrays."""
+        """Check the fields, and copy the arrays, which cannot be written then."""
         keep = object.__setattr__
         lists = [("psi", 360.0), ("sigma", 90.0), ("phi", 360.0), ("theta", 180.0)]
         for name, end in lists:
@@ -49,3 +49,4 @@ class BsdfTable:
             raise ValueError(f"known has the shape {self.known.shape}, not {shape}")
         if self.u is not None:
             keep(self, "u", finite_array("uncertainties", self.u, shape))
+        super().__post_init__()

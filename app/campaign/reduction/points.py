@@ -48,7 +48,7 @@ from goniotwin.app.columns import (
     Ratios,
 )
 from goniotwin.app.formats import content
-from goniotwin.arrays import Flags, Floats, Ints, Texts
+from goniotwin.arrays import Flags, Floats, Ints, Texts, read_only
 from goniotwin.twin.optics.geometry.coordinates import aspecular_deg, round_deg, signed_polar
 
 SLOPE_DECIMALS = 3
@@ -207,6 +207,10 @@ class MeasuredDirections(ColumnTable):
     def aspecular_deg(self) -> Floats:
         """Aspecular angle: theta, positive towards the normal (phi = 0) and negative towards grazing."""
         return aspecular_deg(self.theta_deg, self.phi_deg)
+
+    def read_only(self) -> Self:
+        """The same points as arrays that cannot be written."""
+        return replace(self.each(read_only), places=read_only(self.places))
 
     def _column(self, name: str) -> Floats:
         return np.asarray(self.places[self.place, PLACE.index(name)])

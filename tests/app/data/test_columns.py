@@ -4,6 +4,7 @@ import copy
 import math
 import operator
 import pickle
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ from goniotwin.app.data.conversion import Choice, convert_content
 from goniotwin.app.data.opening import dataset_of_file
 from goniotwin.app.data.values import COLUMNS
 from goniotwin.app.formats import registry
-from goniotwin.app.formats.content import BsdfFile
+from goniotwin.app.formats.content import BsdfFile, RegularTable
 from goniotwin.app.formats.registry import BSDF, Holds
 from goniotwin.twin.optics import arc_direction
 from tests.app.data.made import gaussian, lambertian, rings, table
@@ -80,6 +81,55 @@ def test_datasets_of_every_origin_are_copied_and_sent_and_their_arrays_cannot_be
     same = returned[list(every).index("ddr")]
     assert same.at(**light).value == every["ddr"].at(**light).value == pytest.approx(0.5 / math.pi)
     np.testing.assert_array_equal(returned[0].covariance(), dataset.covariance())
+
+
+def arrays_of(held: Any, title: str) -> Iterator[tuple[str, Any]]:
+    """The arrays that can be reached from an object, with how, but for those of the rig and of the reduction's settings."""
+    if isinstance(held, np.ndarray):
+        yield title, held
+    elif isinstance(held, Mapping):
+        for key, each in held.items():
+            yield from arrays_of(each, f"{title}[{key}]")
+    elif isinstance(held, tuple | list):
+        for k, each in enumerate(held):
+            yield from arrays_of(each, f"{title}[{k}]")
+    elif hasattr(held, "__dict__"):
+        for name, each in vars(held).items():
+            if name not in ("grids", "settings", "rig"):
+                yield from arrays_of(each, f"{title}.{name}")
+
+
+def test_no_array_that_is_reached_from_a_dataset_can_be_made_one_to_write(dataset: goniotwin.Dataset, tmp_path: Path) -> None:
+    every = of_every_origin(dataset, tmp_path)
+    mirror = RegularTable(np.array([0.0, 30.0]), np.full((1, 1, 2), 0.9), u=np.full((1, 1, 2), 0.01))
+    every["regular"] = dataset_of_file(BsdfFile((mirror,)), "mirror")
+    grid = table(lambertian(0.5), np.array([0.0, 30.0]), 30.0)
+    every["mask"] = dataset_of_file(BsdfFile((replace(grid, known=grid.values > 0.0),)), "mask")
+    seen = set()
+    for name, one in every.items():
+        for same in (
+            one,
+            copy.deepcopy(one),
+            pickle.loads(pickle.dumps(one, protocol=2)),
+            one.where(np.arange(one.size)[::-1]),
+        ):
+            for title, array in arrays_of([same, same.only.lights, same.only.good, same.bsdf], name):
+                seen.add(title.rpartition(".")[2])
+                assert not array.flags.writeable, title
+                with pytest.raises(ValueError, match="cannot set WRITEABLE"):
+                    array.setflags(write=True)
+    assert {"values", "u", "known", "theta_deg", "index", "bsdf", "places"} <= seen
+    gridded = every["ddr"]
+    light: dict[str, Any] = {"sigma_deg": 30.0, "theta_deg": [12.0, 20.0], "phi_deg": 20.0}
+    results = [gridded.at(**light), gridded.covariance(), dataset.covariance(), dataset.components]
+    results += [gridded.reflectance(sigma_deg=0.0), goniotwin.compare(dataset, goniotwin.theory(dataset)).lights]
+    spectral = goniotwin.simulate("lambertian:reflectance=0.5", [0.0], wavelengths_nm=[450.0, 550.0])
+    results += [spectral.reflectance(wavelength_nm=[450.0, 550.0])]
+    assert len(list(arrays_of(results, "results"))) > 20
+    for title, array in arrays_of(results, "results"):
+        with pytest.raises(ValueError, match="cannot set WRITEABLE"):
+            array.setflags(write=True)
+        assert not array.flags.writeable, title
 
 
 def test_columns_are_copied() -> None:
