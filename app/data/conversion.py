@@ -46,6 +46,25 @@ Side = Literal["front", "back"]
 
 
 @dataclass(frozen=True)
+class Remedies:
+    """How a sample, the back, one light or one wavelength is chosen, in messages."""
+
+    sample: str = "choose one with --sample"
+    back: str = "--side back writes them"
+    light: str = "choose it with --light reflected or --light transmitted"
+    wavelength: str = "choose one with --wavelength, write a file of each with --wavelength all"
+
+
+IN_PYTHON = Remedies(
+    sample='choose one with d["NAME"].save(...)',
+    back="d.select(back=True).save(...) writes them",
+    light="choose it with d.select(transmitted=False) or d.select(transmitted=True)",
+    wavelength="choose one with d.select(wavelength_nm=...)",
+)
+"""Those of `Dataset.save`."""
+
+
+@dataclass(frozen=True)
 class Choice:
     """What of several samples, lights, sides and wavelengths is written, and how holes are filled. None: all, or the only one.
 
@@ -57,6 +76,7 @@ class Choice:
     side: Side | None = None
     wavelength_nm: float | Literal["all"] | None = None
     fill: Fill = "hold"
+    remedies: Remedies = Remedies()
 
     @property
     def everything(self) -> bool:
@@ -171,7 +191,7 @@ def check_samples(journal: JournalReader, path: Path, form: Format, choice: Choi
     measured = {row.sample for row in journal.planned_rows() if row.kind == "measure" and row.number in done}
     names = tuple(name for name in asked if name in measured)
     if len(names) > 1:
-        raise _several(path, form, names)
+        raise _several(path, form, names, choice.remedies)
 
 
 def convert_reduced(reduced: ReducedJournal, path: Path, form: Format, choice: Choice) -> Converted:
@@ -226,12 +246,12 @@ def convert_content(content: BsdfFile, path: Path, form: Format, choice: Choice,
     notes: list[str] = []
     if not form.holds.issuperset({Holds.GRID, Holds.POINTS}):
         content = content.of_points()
-    chosen = _of_sample(content, path, form, choice.sample)
-    chosen = _of_side(chosen, path, form, choice.side, notes)
-    chosen = _of_light(chosen, path, form, choice.light, notes)
+    chosen = _of_sample(content, path, form, choice)
+    chosen = _of_side(chosen, path, form, choice, notes)
+    chosen = _of_light(chosen, path, form, choice, notes)
     chosen = _of_kind(chosen, path, form, notes)
     if choice.wavelength_nm != "all":
-        chosen = _of_wavelength(chosen, path, form, choice.wavelength_nm, notes)
+        chosen = _of_wavelength(chosen, path, form, choice, notes)
         negative = tuple(_negative_lines(chosen))
         converted = _write(chosen, path, form, choice, notes)
         return replace(converted, notes=(*converted.notes, *negative))
@@ -244,7 +264,9 @@ def convert_content(content: BsdfFile, path: Path, form: Format, choice: Choice,
     results = []
     for nm, each in zip(there.tolist(), files, strict=True):
         of_each = [*notes]
-        results.append(_write(_of_wavelength(chosen, each, form, nm, of_each), each, form, choice, of_each))
+        results.append(
+            _write(_of_wavelength(chosen, each, form, replace(choice, wavelength_nm=nm), of_each), each, form, choice, of_each)
+        )
     together = _together(results)
     return replace(together, notes=(*together.notes, *negative))
 
@@ -318,22 +340,23 @@ def shares_of(table: BsdfTable) -> Iterator[Share]:
         yield Share(table.sample, names[c], float(table.psi_deg[p]), float(table.sigma_deg[s]), float(shares[c, p, s]))
 
 
-def _several(path: Path, form: Format, samples: tuple[str, ...]) -> UserError:
+def _several(path: Path, form: Format, samples: tuple[str, ...], remedies: Remedies) -> UserError:
     wrong = f"the format {form.name} has one sample, and there are: {_names(samples)}"
-    return UserError(f"{path}: {wrong}; choose one with --sample")
+    return UserError(f"{path}: {wrong}; {remedies.sample}")
 
 
 def _names(samples: Iterable[str]) -> str:
     return ", ".join(repr(name) if "," in name else name or "one without a name" for name in samples)
 
 
-def _of_sample(content: BsdfFile, path: Path, form: Format, sample: str | None) -> BsdfFile:
+def _of_sample(content: BsdfFile, path: Path, form: Format, choice: Choice) -> BsdfFile:
+    sample = choice.sample
     if sample is not None:
         if sample not in content.samples:
             raise UserError(f"{path}: there is no sample {sample!r}; there are: {_names(content.samples)}")
         return content.of(sample)
     if len(content.samples) > 1 and Holds.SAMPLES not in form.holds:
-        raise _several(path, form, content.samples)
+        raise _several(path, form, content.samples, choice.remedies)
     return content.of(content.samples[0]) if len(content.samples) == 1 else content
 
 
@@ -355,20 +378,21 @@ def _both(content: BsdfFile, attribute: str) -> set[bool]:
     return {bool(each) for part in content.parts for each in np.unique(getattr(part, attribute))}
 
 
-def _of_side(content: BsdfFile, path: Path, form: Format, side: Side | None, notes: list[str]) -> BsdfFile:
-    sides = _both(content, "back")
+def _of_side(content: BsdfFile, path: Path, form: Format, choice: Choice, notes: list[str]) -> BsdfFile:
+    side, sides = choice.side, _both(content, "back")
     if side is not None:
         chosen = _parts(content, "back", side == "back")
         if not chosen.parts:
             raise UserError(f"{path}: nothing was measured with light on the {side}; leave --side out")
         return chosen
     if len(sides) > 1 and Holds.SIDES not in form.holds:
-        notes.append("the values of the back are omitted; --side back writes them")
+        notes.append(f"the values of the back are omitted; {choice.remedies.back}")
         return _parts(content, "back", False)
     return content
 
 
-def _of_light(content: BsdfFile, path: Path, form: Format, light: Light | None, notes: list[str]) -> BsdfFile:
+def _of_light(content: BsdfFile, path: Path, form: Format, choice: Choice, notes: list[str]) -> BsdfFile:
+    light = choice.light
     lights = {Holds.TRANSMITTED if each else Holds.REFLECTED for each in _both(content, "transmitted")}
     if light is not None:
         chosen = _parts(content, "transmitted", light == "transmitted")
@@ -378,7 +402,7 @@ def _of_light(content: BsdfFile, path: Path, form: Format, light: Light | None, 
     if len(lights) > 1 and Holds.LIGHTS not in form.holds:
         if len(lights & form.holds) > 1:
             wrong = f"there is reflected and transmitted light, and the format {form.name} holds one of them"
-            raise UserError(f"{path}: {wrong}; choose it with --light reflected or --light transmitted")
+            raise UserError(f"{path}: {wrong}; {choice.remedies.light}")
         transmitted = Holds.TRANSMITTED in form.holds
         other = Holds.REFLECTED if transmitted else Holds.TRANSMITTED
         notes.append(f"the {other} is omitted: the format {form.name} has no room for it")
@@ -402,15 +426,13 @@ def _check_wavelength(path: Path, there: Floats, wavelength_nm: float) -> None:
         raise UserError(f"{path}: there is no wavelength {wavelength_nm:g} nm: {has}")
 
 
-def _of_wavelength(content: BsdfFile, path: Path, form: Format, wavelength_nm: float | None, notes: list[str]) -> BsdfFile:
-    there = wavelengths_nm(content)
-    if wavelength_nm is None:
+def _of_wavelength(content: BsdfFile, path: Path, form: Format, choice: Choice, notes: list[str]) -> BsdfFile:
+    there, wavelength_nm = wavelengths_nm(content), choice.wavelength_nm
+    if wavelength_nm is None or wavelength_nm == "all":
         if there.size > 1 and Holds.WAVELENGTHS not in form.holds:
             wrong = f"the format {form.name} has one wavelength, and there are {listed(there, 'nm')}"
             others = registry.others(registry.content_needs(content))
-            raise UserError(
-                f"{path}: {wrong}; choose one with --wavelength, write a file of each with --wavelength all, or use {others}"
-            )
+            raise UserError(f"{path}: {wrong}; {choice.remedies.wavelength}, or use {others}")
         return content
     _check_wavelength(path, there, wavelength_nm)
     kept: list[Part] = []

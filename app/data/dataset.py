@@ -40,7 +40,7 @@ from goniotwin.app.data.values import (
     quoted,
     with_names,
 )
-from goniotwin.app.errors import UserError
+from goniotwin.app.errors import UserError, printable
 from goniotwin.app.formats.content import BsdfFile, Part
 from goniotwin.app.formats.file import StrPath
 from goniotwin.app.formats.metadata import Metadata, common_metadata
@@ -513,19 +513,19 @@ class Dataset:
         on what the format could not hold. Raises GoniotwinError for what cannot be written.
         """
         # The 0.2 s of HDF5 are of writing alone.
-        from goniotwin.app.data.conversion import Choice, convert_content, convert_reduced, format_to_write
+        from goniotwin.app.data.conversion import IN_PYTHON, Choice, convert_content, convert_reduced, format_to_write
 
         if not isinstance(path, str | Path) or not (format is None or isinstance(format, str)):
             raise UserError(f"save: {quoted(path)}, {quoted(format)}: give a path, and the name of a format or none")
         file = Path(path)
         found = format_to_write(file, format)
         if self.reduced is not None and self.whole:
-            choice = Choice(self.sample if len(self.samples) == 1 else None)
+            choice = Choice(self.sample if len(self.samples) == 1 else None, remedies=IN_PYTHON)
             return convert_reduced(self.reduced, file, found, choice)
         content = self._content()
         if not content.parts:
             raise UserError(f"save: {self.name} has no values; nothing is written")
-        return convert_content(content, file, found, Choice())
+        return convert_content(content, file, found, Choice(remedies=IN_PYTHON))
 
     def _content(self) -> BsdfFile:
         """The content of a file with the values: its own grids where all of a file is there."""
@@ -614,7 +614,7 @@ def _angles(name: str, value: object, most: float | None = None) -> Floats:
 
 
 def _named(sample: str) -> str:
-    return sample or "a sample without a name"
+    return printable(sample) or "a sample without a name"
 
 
 def _extent(data: SampleData) -> str:

@@ -34,7 +34,7 @@ def open_dataset(path: StrPath, *, without_damaged: bool = False) -> Dataset:
     then have no values. Raises GoniotwinError for whatever a path or a file can have wrong.
     """
     if not isinstance(path, str | os.PathLike):
-        raise UserError(f"open: {quoted(path)} is not a path; give the name of a journal or of a file")
+        raise UserError(f"{quoted(path)} is not a path; give the name of a journal or of a file")
     without_damaged = bool(flag("without_damaged", without_damaged))
     file = Path(path)
     if not _is_folder(file) and read_head(file, len(SQLITE)) == SQLITE:

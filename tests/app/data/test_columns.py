@@ -19,7 +19,7 @@ from goniotwin.app.cli.main import app
 from goniotwin.app.data.conversion import Choice, convert_content
 from goniotwin.app.data.opening import dataset_of_file
 from goniotwin.app.data.values import COLUMNS
-from goniotwin.app.formats import registry
+from goniotwin.app.formats import BsdfTable, registry
 from goniotwin.app.formats.content import BsdfFile, RegularTable
 from goniotwin.app.formats.registry import BSDF, Holds
 from goniotwin.twin.optics import arc_direction
@@ -313,3 +313,35 @@ def test_a_notebook_shows_a_table_of_each_sample(dataset: goniotwin.Dataset) -> 
     assert "<caption>&lt;b&gt;&amp;</caption>" in evil._repr_html_()
     assert "<script>" not in evil._repr_html_()
     assert "SIMULATED" not in evil._repr_html_()
+
+
+def test_what_is_not_saved_has_its_remedy_in_python(tmp_path: Path) -> None:
+    def one(**change: Any) -> BsdfTable:
+        return replace(table(lambertian(0.5), np.array([0.0, 30.0]), 10.0), **change)
+
+    grid = one()
+    spectral = one(values=np.concatenate([grid.values] * 2), wavelengths_nm=(450.0, 550.0))
+    refused = {
+        (
+            grid,
+            one(sample="b"),
+        ): r'the format ddr has one sample, and there are: .*; choose one with d\["NAME"\]\.save\(\.\.\.\)$',
+        (spectral,): r"the format zemax has one wavelength, .*; choose one with d\.select\(wavelength_nm=\.\.\.\), or use",
+        (grid, one(transmitted=True)): r"choose it with d\.select\(transmitted=False\) or d\.select\(transmitted=True\)$",
+    }
+    for (parts, message), path in zip(refused.items(), ("a.ddr", "a.bsdf", "a.astm"), strict=True):
+        with pytest.raises(goniotwin.GoniotwinError, match=message):
+            dataset_of_file(BsdfFile(parts), "made").save(tmp_path / path, format={"a.bsdf": "zemax"}.get(path))
+    both = dataset_of_file(BsdfFile((grid, one(back=True))), "made")
+    assert (
+        "the values of the back are omitted; d.select(back=True).save(...) writes them" in both.save(tmp_path / "b.ddr").notes
+    )
+    assert both.select(back=True).save(tmp_path / "c.ddr").files[0] == tmp_path / "c.ddr"
+
+
+def test_a_dataset_is_one_line_whatever_its_names() -> None:
+    d = goniotwin.Dataset.from_table({**DIFFUSE, "sample": ["a\nb"] * 3}, name="c\nd")
+    assert d.samples == ("a\nb",)
+    assert len(repr(d).splitlines()) == 1
+    with pytest.raises(goniotwin.GoniotwinError, match=r"^3 is not a path; give the name of a journal or of a file"):
+        goniotwin.load(3)  # type: ignore[arg-type]
