@@ -21,6 +21,7 @@ REAL = [
     ('usb = "twin://virtual/monitor"', 'usb = "1313:8078"'),
     *((f'"twin://virtual/adc-{k}"', f'"127.0.0.1:{1500 + k}"') for k in range(5)),
 ]
+pytestmark = pytest.mark.xdist_group("ports of one rig")  # its lock is for one test at a time
 NETWORK = "socket://127.0.0.1:4001"
 SLOW, KEY = "baudrate = 9600", "reply_timeout_s = 0.1"
 Served = Callable[[float], OpenRig]

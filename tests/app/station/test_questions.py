@@ -1,4 +1,4 @@
-"""The questions of a run at a station: the first answer counts, and the journal keeps who mounts."""
+"""The questions of a run at a station: the first answer counts, and the journal keeps the person that mounts."""
 
 from pathlib import Path
 
