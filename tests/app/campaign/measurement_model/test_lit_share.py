@@ -146,8 +146,9 @@ def test_a_value_of_an_aligned_rig_is_corrected_and_the_rest_is_that_of_rigs_abo
     assert np.abs((moments - expected) / np.outer(spread, spread)).max() < 0.15
 
 
-@pytest.mark.parametrize("rest", [3.0, pytest.param(0.3, marks=pytest.mark.long)])
-@pytest.mark.parametrize("sigma_deg", [15.0, *(pytest.param(each, marks=pytest.mark.long) for each in (5.0, 65.0))])
+@pytest.mark.long
+@pytest.mark.parametrize("rest", [3.0, 0.3])
+@pytest.mark.parametrize("sigma_deg", [15.0, 5.0, 65.0])
 def test_an_interval_has_the_ends_of_drawn_rigs_with_normal_errors(sigma_deg: float, rest: float) -> None:
     """`rest`: of the other, normal errors, in the root of the mean square of the effect."""
     modes, effects = lit_modes(RigLaw.of(FILE)), effects_at(sigma_deg, 0.0)

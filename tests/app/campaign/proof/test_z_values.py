@@ -5,10 +5,12 @@ twelve rigs are too few for that, and a copy of what is wrong agrees with it. Th
 """
 
 import numpy as np
+import pytest
 
 from tests.app.campaign.proof.z_values import FILE, RIGS, STRUCTURES, z_values
 
 
+@pytest.mark.long
 def test_the_deviations_in_u_are_the_stored_ones() -> None:
     """To 1e-6 u. After a change that is meant: `python -m tests.app.campaign.proof.z_values`."""
     found = z_values()
