@@ -25,7 +25,7 @@ def first_use(package: str) -> tuple[Callable[[str], Any], Callable[[], list[str
 
     def names() -> list[str]:
         if not homes:
-            homes.update(_homes(module.__spec__.loader.get_data(module.__file__)))  # type: ignore[union-attr]
+            homes.update(_homes(module.__spec__.loader.get_data(module.__file__)))  # type: ignore[union-attr]  # a package has both
         return sorted(homes)
 
     def load(name: str) -> Any:

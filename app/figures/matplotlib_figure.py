@@ -143,7 +143,7 @@ def _root(axes: "Axes") -> "mpl_figure.Figure":
     figure: Any = axes.figure
     while figure is not figure.figure:  # a subfigure
         figure = figure.figure
-    return figure  # type: ignore[no-any-return]
+    return figure  # type: ignore[no-any-return]  # matplotlib gives parents no type
 
 
 def _new_axes(description: Figure) -> "tuple[mpl_figure.Figure, list[Axes]]":
