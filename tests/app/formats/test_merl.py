@@ -75,11 +75,11 @@ def test_a_negative_cell_has_no_value(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("raw", "wrong"),
     [
-        (np.array([90, 90, 360], "<i4").tobytes(), "its counts are 90 x 90 x 360, not 90 x 90 x 180"),
-        (b"", "its counts are missing"),
-        (merl.HEADER + bytes(80), "has 92 bytes, not 34992012"),
-        (merl.HEADER + np.full(3 * 90 * 90 * 180, np.nan).tobytes(), "not finite"),
-        (bytes(merl.SIZE + 1), "has more than 34992012 bytes"),
+        pytest.param(np.array([90, 90, 360], "<i4").tobytes(), "its counts are 90 x 90 x 360, not 90 x 90 x 180", id="counts"),
+        pytest.param(b"", "its counts are missing", id="nothing"),
+        pytest.param(merl.HEADER + bytes(80), "has 92 bytes, not 34992012", id="short"),
+        pytest.param(merl.HEADER + np.full(3 * 90 * 90 * 180, np.nan).tobytes(), "not finite", id="not finite"),
+        pytest.param(bytes(merl.SIZE + 1), "has more than 34992012 bytes", id="long"),
     ],
 )
 def test_another_file_is_refused(raw: bytes, wrong: str, tmp_path: Path) -> None:
