@@ -16,7 +16,7 @@ import pytest
 from goniotwin import examples
 from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.schedule.file import read_schedule
-from goniotwin.app.cli import compilation
+from goniotwin.app.cli.work import compilation
 from goniotwin.app.rig import read_rig
 from goniotwin.protocols.clock import RealClock
 from goniotwin.twin import VirtualRig

@@ -1,64 +1,18 @@
 """Commands on campaigns: `goniotwin check`, `rehearse`, `prove`, `run` and `runs`."""
 
-import contextlib
-import os
-import sys
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from goniotwin.app.cli.compilation import compile_ahead, parts_of_rehearsal
-from goniotwin.app.cli.output import (
-    CommandWithFormats,
-    Json,
-    RigOption,
-    TranscriptOption,
-    answer,
-    error_console,
-    print_error,
-    print_note,
-    print_order,
-    print_warning,
-)
-from goniotwin.app.cli.sweeps import Dask, Processes, kept, runner_of
-from goniotwin.app.errors import UserError, one_line
-from goniotwin.app.json_document import OPTIONAL_KEY
+from goniotwin.app.cli.output import CommandWithFormats, Dask, Json, Processes, RigOption, TranscriptOption
+from goniotwin.app.errors import UserError
 from goniotwin.protocols.clock import GREATEST_SPEED, LEAST_SPEED
-
-if TYPE_CHECKING:  # the planner loads numpy, which a command's help does not need
-    from goniotwin.app.campaign.campaign import Outcome
-    from goniotwin.app.campaign.journal.chain import Chain
-    from goniotwin.app.campaign.planning.plan import NewPlan
-    from goniotwin.app.campaign.running.question import Ask
-    from goniotwin.app.campaign.studies.checks import CheckResults
-    from goniotwin.app.rig import RigDescription
-    from goniotwin.app.station.hosting import HostedRun
 
 Schedule = Annotated[Path, typer.Argument(metavar="SCHEDULE.toml", help="Schedule file.", show_default=False)]
 
 
 app = typer.Typer()
-
-
-@dataclass(frozen=True)
-class RunResult:
-    """What `goniotwin run --json` prints; `checks` are absent where the data file cannot be read back."""
-
-    journal: Path
-    state: str
-    reason: str
-    rows: int
-    skipped: int
-    planned: int
-    duration_s: float
-    simulated: bool
-    faults: Sequence[str]
-    orders: list[str]
-    chain: "Chain"
-    checks: "CheckResults | None" = field(default=None, metadata=OPTIONAL_KEY)
 
 
 @app.command()
@@ -70,22 +24,9 @@ def check(schedule: Schedule, rig: RigOption, as_json: Json = False) -> None:
 
     Exit status: 2 if the rig cannot do the schedule.
     """
-    # Loads 317 modules, numpy and pydantic among them: 0.4 s, which help does without.
-    from goniotwin.app.campaign.planning.check import check_plan, describe_check
+    from goniotwin.app.cli.work.check import check_schedule
 
-    plan = _make_plan(schedule, rig)
-    plan.rig.model()  # reads the files of the samples, so that an error in them shows now
-    result, standards = check_plan(plan), ""
-    document: object = result
-    if plan.schedule.file.second_standard is not None:
-        # Loads 628 modules, numba and sqlite3 among them: 0.8 s, which help does without.
-        from goniotwin.app.campaign.studies.standards import expected_comparison
-
-        expected = expected_comparison(plan)
-        document = {**vars(result), "standards": expected}
-        words = "no photodiode sees both standards" if expected is None else str(expected)
-        standards = f"\n  standards   {' and '.join(plan.schedule.file.standards)}: {words}"
-    answer(as_json, document, lambda: print(f"{describe_check(plan, result)}{standards}"))
+    check_schedule(schedule, rig, as_json)
 
 
 @app.command(cls=CommandWithFormats)
@@ -124,24 +65,9 @@ def rehearse(
 
     Exit status: 0 if all rows are done, 1 after a fault, 3 if the schedule's [stop] ended it.
     """
-    # Loads 941 modules, numba and pymodbus among them: 1.3 s, which help does without.
-    from goniotwin.app.campaign.rehearsal.rehearsal import plan_rehearsal, rehearse
-    from goniotwin.app.campaign.rehearsal.report import report_text
-    from goniotwin.app.campaign.running.events import State
-    from goniotwin.app.campaign.schedule.file import read_schedule
-    from goniotwin.app.cli.progress import RowProgress
-    from goniotwin.app.rig import read_rig
+    from goniotwin.app.cli.work.rehearsal import rehearse_schedule
 
-    _check_writable(points, out)
-    plan, assumed = plan_rehearsal(read_schedule(schedule), read_rig(rig), _sample_models(sample or []))
-    compile_ahead(parts_of_rehearsal(plan.schedule.file, plan.rig.model()))  # what is refused is not waited for
-    with RowProgress(error_console(), f"{plan.schedule.file.name} (rehearsal)", len(plan.rows)) as progress:
-        rehearsal = rehearse(plan, assumed, out=out, points=points, listeners=[progress], processes=processes)
-    answer(as_json, rehearsal.result, lambda: print(report_text(rehearsal)))
-    for fault in rehearsal.result.faults:
-        print_error(fault)
-    if not rehearsal.done:
-        raise typer.Exit(3 if rehearsal.end is State.IDLE else 1)
+    rehearse_schedule(schedule, rig, sample or [], out, points, processes, as_json)
 
 
 @app.command()
@@ -196,73 +122,17 @@ def prove(
 
     Exit status: 0 if all rigs are done, 1 if a campaign came to no end, 130 after Ctrl-C.
     """
-    if structures is not None:
-        if schedule is not None:
-            raise UserError(f"--structures: draws the schedules; leave {schedule} out")
-        _prove_structures(structures, rig, rigs, without_wires, out, processes, dask, as_json)
-        return
-    if schedule is None or rig is None:
+    if structures is not None and schedule is not None:
+        raise UserError(f"--structures: draws the schedules; leave {schedule} out")
+    if structures is None and (schedule is None or rig is None):
         missing = "SCHEDULE.toml" if schedule is None else "--rig"
         raise UserError(f"prove: {missing} is missing; write goniotwin prove SCHEDULE.toml --rig RIG.toml, or --structures N")
-    # Loads 953 modules, numba and pymodbus among them: 1.2 s, which help does without.
-    from goniotwin.app.campaign.proof.proof import Proof
-    from goniotwin.app.campaign.proof.proof import prove as prove_rigs
-    from goniotwin.app.campaign.proof.report import proof_text
-    from goniotwin.app.campaign.schedule.file import read_schedule
-    from goniotwin.app.cli.progress import SweepProgress
-    from goniotwin.app.rig import read_rig
+    from goniotwin.app.cli.work.proof import prove_drawn, prove_schedule
 
-    folder = out if out is not None else Path(f"{schedule.stem}.proof")
-    proof = Proof(read_schedule(schedule), read_rig(rig), rigs, folder, wires=not without_wires)
-    compile_ahead(parts_of_rehearsal(proof.plan.schedule.file, proof.rig.model()))  # what is refused is not waited for
-    with (
-        runner_of(processes, dask, rigs) as runner,
-        kept(folder, "rigs"),
-        SweepProgress(error_console(), f"{proof.schedule.file.name} (proof)", rigs, "rigs") as progress,
-    ):
-        totals = prove_rigs(proof, runner, progress, print_note)
-    answer(as_json, totals, lambda: print(proof_text(proof, totals)))
-    _end_proof(totals.failed)
-
-
-def _prove_structures(
-    structures: int,
-    rig: Path | None,
-    rigs: int,
-    without_wires: bool,
-    out: Path | None,
-    processes: int | None,
-    dask: str | None,
-    as_json: bool,
-) -> None:
-    # Loads 953 modules, numba and pymodbus among them: 1.2 s, which help does without.
-    from goniotwin import examples
-    from goniotwin.app.campaign.proof.pooled import PooledProof, prove_structures
-    from goniotwin.app.campaign.proof.report import pooled_text
-    from goniotwin.app.cli.progress import SweepProgress
-    from goniotwin.app.rig import read_rig
-
-    folder = out if out is not None else Path("structures.proof")
-    base = read_rig(rig if rig is not None else examples.FOLDER / "proof" / "rig.toml")
-    proof = PooledProof(base, structures, rigs, folder, wires=not without_wires)
-    for each in proof.drawn:
-        compile_ahead(parts_of_rehearsal(each.schedule.file, each.rig.model()))
-    with (
-        runner_of(processes, dask, proof.chunks) as runner,
-        kept(folder, "rigs"),
-        SweepProgress(error_console(), f"{structures} structures (proof)", proof.chunks, "rigs") as progress,
-    ):
-        found = prove_structures(proof, runner, progress, print_note)
-    answer(as_json, {**found.as_dict(), "drawn_again": proof.drawn_again}, lambda: print(pooled_text(proof, found)))
-    _end_proof(found.totals.failed)
-
-
-def _end_proof(failed: dict[int, str]) -> None:
-    """Print the rigs without a result, and end with their exit status."""
-    for seed, reason in failed.items():
-        print_error(f"seed {seed}: {reason}")
-    if failed:
-        raise typer.Exit(1)
+    if structures is not None:
+        prove_drawn(structures, rig, rigs, out, (processes, dask), as_json, wires=not without_wires)
+    elif schedule is not None and rig is not None:
+        prove_schedule(schedule, rig, rigs, out, (processes, dask), as_json, wires=not without_wires)
 
 
 @app.command()
@@ -306,85 +176,13 @@ def run(
     refused (no journal is created); 3 if the schedule ended the campaign ([stop], or a drift beyond its limit); 130 after
     Ctrl-C. After 1, 3 and 130 the journal has all measured rows, and --resume continues.
     """
-    # Loads 897 modules, numba and pymodbus among them: 1.1 s, which help does without.
-    from goniotwin.app.campaign.campaign import resume_campaign, run_campaign
-    from goniotwin.app.campaign.running.events import State
-    from goniotwin.app.campaign.studies.journals import check_journal
-    from goniotwin.app.cli.progress import RowProgress
-    from goniotwin.app.rig import read_rig
-
     _check_arguments(schedule, rig, out, resume)
+    from goniotwin.app.cli.work.run import resume_journal, run_schedule
+
     if resume is not None:
-        journal, title = resume, str(resume)
-        rig_now = read_rig(rig) if rig is not None else None
-        with RowProgress(error_console(), title, None) as progress, _hosted(speed, _rig_of(resume, rig_now)) as (host, ask):
-            outcome = resume_campaign(
-                resume,
-                rig_now,
-                listeners=[progress],
-                transcript=transcript,
-                ask=ask,
-                host=host,
-                accept_rig=(lambda _: True) if accept_rig else _ask_rig if sys.stdin.isatty() else None,
-                remind=lambda order: print_order(f"of the last session, not acknowledged: {order}"),
-            )
-            _report_end(host, outcome)
-    else:
-        assert schedule is not None
-        assert rig is not None
-        assert out is not None
-        plan, journal = _make_plan(schedule, rig), out
-        with (
-            RowProgress(error_console(), plan.schedule.file.name, len(plan.rows)) as progress,
-            _hosted(speed, plan.rig) as (host, ask),
-        ):
-            outcome = run_campaign(plan, out, listeners=[progress], transcript=transcript, ask=ask, host=host)
-            _report_end(host, outcome)
-    moved, journal = outcome.journal != journal, outcome.journal
-    checks, unread = None, ""
-    try:
-        checks = check_journal(journal, outcome.chain)
-    except UserError as error:
-        unread = str(error)
-    result = RunResult(
-        journal=journal,
-        state="stopped" if outcome.state is State.IDLE else str(outcome.state),
-        reason=outcome.ended_by_schedule,
-        rows=outcome.rows,
-        skipped=outcome.skipped,
-        planned=outcome.planned,
-        duration_s=outcome.seconds,
-        simulated=outcome.simulated,
-        faults=outcome.faults,
-        orders=progress.orders,
-        chain=outcome.chain,
-        checks=checks,
-    )
-    for fault in outcome.faults:
-        print_error(fault)
-    for each in filter(None, (outcome.journal_note, unread)):
-        print_error(each)
-    mark = "SIMULATED, " if outcome.simulated else ""
-    skipped = f" ({outcome.skipped} skipped)" if outcome.skipped else ""
-    rows = f"{outcome.rows} of {outcome.planned} rows{skipped} in {outcome.seconds:.1f} s of instrument time"
-    text = f"{mark}{result.state}: {rows}: {journal}"
-    answer(
-        as_json,
-        result,
-        lambda: print("\n".join([text, outcome.chain.statement, *(checks.lines if checks is not None else [])])),
-    )
-    for finding in checks.findings if checks is not None else ():
-        print_warning(finding)
-    if outcome.ended_by_schedule:
-        print_warning(f"ended by the schedule: {outcome.ended_by_schedule}")
-    if outcome.rows < outcome.planned:
-        error_console().print(f"to continue: goniotwin run --resume {journal}", markup=False)
-    for order in progress.orders:
-        print_order(order)
-    if outcome.state is State.DONE and (moved or unread):
-        raise typer.Exit(1)
-    if outcome.state is not State.DONE or outcome.skipped:
-        raise typer.Exit((3 if outcome.ended_by_schedule else 130) if outcome.state is State.IDLE else 1)
+        resume_journal(resume, rig, accept_rig, transcript, speed, as_json)
+    elif schedule is not None and rig is not None and out is not None:
+        run_schedule(schedule, rig, out, transcript, speed, as_json)
 
 
 @app.command()
@@ -393,60 +191,9 @@ def runs(
     as_json: Json = False,
 ) -> None:
     """List the campaigns of a folder: state, rows, time left."""
-    # Loads 393 modules, rich and sqlite3 among them: 0.5 s, which help does without.
-    from goniotwin.app.campaign.journal.summary import campaign_summaries
-    from goniotwin.app.cli.tables import print_campaigns
-    from goniotwin.app.rig.left import left_unsafe
+    from goniotwin.app.cli.work.runs import list_runs
 
-    found, refused = campaign_summaries(folder)
-    listed = {order for each in found for order in each.orders}
-    others = [each.text for each in left_unsafe() if each.text not in listed]  # its journal is elsewhere, or there is none
-    answer(
-        as_json,
-        {"campaigns": found, "unreadable": refused, "orders": others},
-        lambda: print_campaigns(folder, found),
-    )
-    for reason in refused:
-        print_error(one_line(reason))
-    for each in found:
-        for order in each.orders:
-            print_order(f"of {each.journal}, not acknowledged: {order}")
-    for order in others:
-        print_order(order)
-
-
-def _sample_models(texts: list[str]) -> dict[str, str]:
-    """The models of samples by name. Raises UserError."""
-    models: dict[str, str] = {}
-    for each in texts:
-        name, equals, model = each.partition("=")
-        if not name.strip() or not equals or not model.strip():
-            raise UserError(f"--sample {each!r}: write NAME=MODEL, such as paper=lambertian:reflectance=0.8")
-        if name.strip() in models:
-            raise UserError(f"--sample {name.strip()}: is given twice; leave one of them out")
-        models[name.strip()] = model.strip()
-    return models
-
-
-def _check_writable(points: Path | None, out: Path | None) -> None:
-    """Check, before a long rehearsal, that its files can be written after it. Raises UserError."""
-    # Loads 36 modules, importlib.metadata among them: 30 ms, which help does without.
-    from goniotwin.app.formats import FormatError
-    from goniotwin.app.formats.file import check_writable
-    from goniotwin.app.formats.registry import Holds, format_for
-
-    if out is not None and out.exists():
-        raise UserError(f"--out {out}: exists, and a journal is never overwritten; choose another name")
-    if points is not None and out is not None and os.path.realpath(points) == os.path.realpath(out):
-        raise UserError(f"--points {points}: is the journal of --out; choose another name for one of them")
-    for option, path in (("--points", points), ("--out", out)):
-        if path is not None:
-            try:
-                check_writable(path)
-                if path == points:
-                    format_for(path, {Holds.COLUMNS})
-            except FormatError as error:
-                raise UserError(f"{option} {error}") from None
+    list_runs(folder, as_json)
 
 
 def _check_arguments(schedule: Path | None, rig: Path | None, out: Path | None, resume: Path | None) -> None:
@@ -462,59 +209,3 @@ def _check_arguments(schedule: Path | None, rig: Path | None, out: Path | None, 
                 f"run: {name} is missing; write goniotwin run SCHEDULE.toml --rig RIG.toml --out JOURNAL, "
                 "or goniotwin run --resume JOURNAL"
             )
-
-
-def _make_plan(schedule: Path, rig: Path) -> "NewPlan":
-    # Loads 314 modules, numpy and pydantic among them: 0.4 s, which help does without.
-    from goniotwin.app.campaign.planning.plan import make_plan
-    from goniotwin.app.campaign.schedule.file import read_schedule
-    from goniotwin.app.rig import read_rig
-
-    return make_plan(read_schedule(schedule), read_rig(rig))
-
-
-def _rig_of(journal: Path, rig: "RigDescription | None") -> "RigDescription":
-    """The rig of a campaign that is resumed. Raises UserError."""
-    # Loads 345 modules, sqlite3 and numpy among them: 0.4 s, which help does without.
-    from goniotwin.app.campaign.journal.writing import Journal
-    from goniotwin.app.campaign.running.resume import recorded_rig
-
-    if rig is not None:
-        return rig
-    with Journal.open(journal) as opened:
-        return recorded_rig(opened)
-
-
-@contextlib.contextmanager
-def _hosted(speed: float | None, rig: "RigDescription") -> "Iterator[tuple[HostedRun | None, Ask]]":
-    """The host of a run that others can attach to, and what asks the operator; no host on the virtual clock."""
-    if speed is not None and not rig.file.in_process:
-        raise UserError(f"{rig.name}: --speed: the rig is not virtual in this process; leave --speed out")
-    # Loads 836 modules, numba and pymodbus among them: 1.1 s, which help does without.
-    from goniotwin.app.cli.terminal import TerminalAsk, ask_operator
-
-    if speed is None and rig.file.in_process:
-        yield None, ask_operator
-        return
-    # Loads 835 modules, numba and pymodbus among them: 1.2 s, which help does without.
-    from goniotwin.app.campaign.running.events import EventLogged
-    from goniotwin.app.station.hosting import hosted_run
-
-    def print_guardian(_number: int, message: object) -> None:
-        if isinstance(message, EventLogged) and message.kind == "guardian":  # orders are printed with the run's progress
-            print_warning(message.what)
-
-    with hosted_run(speed or 1.0, print_warning) as host:
-        host.station.board.subscribe(print_guardian)
-        yield host, TerminalAsk(host)
-
-
-def _report_end(host: "HostedRun | None", outcome: "Outcome") -> None:
-    if host is not None:
-        host.station.release()
-        host.station.runs.end(outcome.state, outcome.ended_by_schedule, outcome.journal, outcome.journal_note)
-
-
-def _ask_rig(text: str) -> bool:
-    """Ask whether to resume on another rig than the last one; only an explicit yes is one."""
-    return typer.confirm(f"{text}. Use these devices?", default=False, err=True)

@@ -1,20 +1,13 @@
 """Commands on data: `goniotwin export`, `convert`, `info`, `align`, `budget`, `verify`, `closure` and `copy`."""
 
-import os
-from collections.abc import Callable
-from dataclasses import replace
-from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 
-from goniotwin.app.cli.output import CommandWithFormats, Json, answer, print_error, print_warning
+from goniotwin.app.cli.output import CommandWithFormats, Json, answer, print_error
 from goniotwin.app.errors import UserError
 from goniotwin.app.formats.fills import Fill
-
-if TYPE_CHECKING:  # the reduction loads numpy, which a command's help does not need
-    pass
 
 JournalArgument = Annotated[
     Path, typer.Argument(metavar="JOURNAL", help="Data file (journal) of a campaign.", show_default=False)
@@ -78,7 +71,8 @@ def export(
 
     Exit status: 1 if the journal differs from what was measured, row by row or as a whole.
     """
-    _convert(journal, out, file_format, (sample, light, side, wavelength, fill), without_damaged, as_json, of_journal=True)
+    choice = (sample, light, side, wavelength, fill)
+    _convert(journal, out, file_format, choice, without_damaged, as_json, of_journal=True)
 
 
 @app.command(cls=CommandWithFormats)
@@ -102,65 +96,14 @@ def convert(
 
     Exit status: 1 if a journal differs from what was measured, row by row or as a whole.
     """
-    _convert(source, out, file_format, (sample, light, side, wavelength, fill), without_damaged, as_json, of_journal=False)
+    choice = (sample, light, side, wavelength, fill)
+    _convert(source, out, file_format, choice, without_damaged, as_json, of_journal=False)
 
 
-def _convert(
-    source: Path,
-    out: Path,
-    name: str | None,
-    options: tuple[Any, ...],
-    without_damaged: bool,
-    as_json: bool,
-    *,
-    of_journal: bool,
-) -> None:
-    """Convert a file or a journal, and print the result."""
-    # Loads 721 modules, numba and h5py among them: 1.0 s, which help does without.
-    from goniotwin.app.campaign.journal.writing import Journal
-    from goniotwin.app.campaign.studies.reduced_journal import reduce_to_files
-    from goniotwin.app.data.conversion import (
-        Choice,
-        archive_journal,
-        check_samples,
-        convert_file,
-        convert_reduced,
-        format_to_write,
-        is_journal,
-        parse_wavelength,
-        refuse_itself,
-    )
+def _convert(*arguments: Any, of_journal: bool) -> None:
+    from goniotwin.app.cli.work.conversion import convert_to_file
 
-    sample, light, side, wavelength, fill = options
-    form, choice = format_to_write(out, name), Choice(sample, light, side, parse_wavelength(wavelength), fill)
-    refuse_itself(source, out, form)
-    result: dict[str, Any] = {}
-    lines: list[str] = []
-    damage, findings = "", []
-    if of_journal or is_journal(source):
-        folder = Path(os.path.realpath(out)).parent
-        with Journal.open(source) as opened:
-            check_samples(opened, out, form, choice)
-            with reduce_to_files(opened, folder, without_damaged=without_damaged) as reduced:
-                chain = opened.chain
-                if form.name == "archive" and choice.everything:
-                    converted = archive_journal(opened, reduced, out, choice, without_damaged=without_damaged)
-                else:
-                    converted = convert_reduced(reduced, out, form, choice)
-        damage, findings = chain.damage, list(reduced.findings)
-        result = {"chain": chain, "damaged": sorted(chain.without_values), "findings": findings}
-        lines = [reduced.chain]
-    else:
-        converted = convert_file(source, out, form, choice)
-    mark = "SIMULATED, " if converted.simulated else ""
-    lines = [f"{mark}{converted.values} measured values: {', '.join(map(str, converted.files))}", *lines]
-    if (line := converted.unmeasured_line) is not None:
-        lines.append(line)
-    answer(as_json, {**converted.as_dict(), **result}, lambda: print("\n".join(lines)))
-    for finding in (*converted.notes, *findings):
-        print_warning(finding)
-    if damage:
-        print_error(f"{source}: exported without what differs from what was measured: {damage}")
+    convert_to_file(*arguments, of_journal=of_journal)
 
 
 @app.command()
@@ -172,7 +115,6 @@ def info(
 
     Its format, samples, light and directions, how complete it is, and whether it is simulated.
     """
-    # Loads 724 modules, numba and h5py among them: 1.0 s, which help does without.
     from goniotwin.app.data.information import information
 
     found = information(file)
@@ -206,18 +148,9 @@ def budget(
     the table and key of the rig file, or a measurement, and whether it is measured, stated or an assumed default, with degrees
     of freedom where they are finite. The squares of the components add up to the square of u.
     """
-    # Loads 703 modules, numba and rich among them: 0.9 s, which help does without.
-    from goniotwin.app.campaign.journal.writing import Journal
-    from goniotwin.app.campaign.studies.budget import budget_of_reflectance, budget_of_value, parse_place
-    from goniotwin.app.campaign.studies.evaluation import evaluate_journal
-    from goniotwin.app.cli.tables import print_budget
+    from goniotwin.app.cli.work.budget import list_components
 
-    place = parse_place(at)
-    with Journal.open(journal) as opened:
-        simulated = opened.simulated
-        found = (budget_of_reflectance if reflectance else budget_of_value)(evaluate_journal(opened).reduction, place)
-    show = partial(print_budget, found, simulated, every)
-    answer(as_json, replace(found.listed, simulated=simulated), show)
+    list_components(journal, at, as_json, of_reflectance=reflectance, every=every)
 
 
 @app.command()
@@ -270,23 +203,15 @@ def align(
     """
     check_alignment_options(watch=watch, plan=plan, minutes=minutes, rig=rig, output=output)
     if plan and minutes is not None and rig is not None:
-        _plan_alignment(journal, rig, minutes, sample, output, as_json)
-        return
-    if watch:
-        _watch(journal, sample, as_json)
-        return
-    # Loads 705 modules, numba and rich among them: 0.9 s, which help does without.
-    from goniotwin.app.campaign.studies.journals import align_journal
-    from goniotwin.app.cli.tables import print_alignment
-    from goniotwin.app.rig.alignment import alignment_text, is_alignment
+        from goniotwin.app.cli.work.alignment_plan import plan_alignment
 
-    write = _checked_output(output, "an alignment file", is_alignment)
-    result, file = align_journal(journal, sample)
-    write(alignment_text(file))
-    as_object = {**result.as_dict(), "simulated": file.simulated, "file": output}
-    answer(as_json, as_object, lambda: print_alignment(result, file.simulated))
-    for finding in result.findings:
-        print_warning(finding)
+        plan_alignment(journal, rig, minutes, sample, output, as_json)
+    elif watch:
+        _watch(journal, sample, as_json)
+    else:
+        from goniotwin.app.cli.work.alignment import estimate_alignment
+
+        estimate_alignment(journal, sample, output, as_json)
 
 
 def check_alignment_options(*, watch: bool, plan: bool, minutes: float | None, rig: Path | None, output: Path | None) -> None:
@@ -301,24 +226,7 @@ def check_alignment_options(*, watch: bool, plan: bool, minutes: float | None, r
         raise UserError("--watch writes no file; leave out --output")
 
 
-def _checked_output(output: Path | None, words: str, is_one: Callable[[bytes], bool]) -> Callable[[str], None]:
-    """What writes a text to a file, which is checked now: a new one, or one of its kind, named by `words`. Raises UserError."""
-    # Loads 1 module: 6 ms, which help does without.
-    from goniotwin.app.formats.file import Replaceable, check_writable, write_file
-
-    replaceable = Replaceable(words, is_one)
-
-    def write(text: str) -> None:
-        if output is not None:
-            write_file(output, text.encode(), replaceable)
-
-    if output is not None:
-        check_writable(output, replaceable)
-    return write
-
-
 def _watch(journal: Path, sample: str | None, as_json: bool) -> None:
-    # Loads 658 modules, numba and sqlite3 among them: 0.9 s, which help does without.
     from goniotwin.app.campaign.studies.journals import watch_journal
 
     found = watch_journal(journal, sample)
@@ -329,22 +237,6 @@ def _watch(journal: Path, sample: str | None, as_json: bool) -> None:
     answer(as_json, found, lambda: print("\n".join(lines)))
     if found.misalignments:
         raise typer.Exit(1)
-
-
-def _plan_alignment(schedule: Path, rig: Path, minutes: float, sample: str | None, output: Path | None, as_json: bool) -> None:
-    # Loads 761 modules, numba and rich among them: 1.1 s, which help does without.
-    from goniotwin.app.campaign.rehearsal.alignment_design import design_alignment, is_planned
-    from goniotwin.app.campaign.schedule.file import read_schedule
-    from goniotwin.app.cli.tables import print_design
-    from goniotwin.app.rig import read_rig
-
-    write = _checked_output(output, "a schedule that align --plan has written", is_planned)
-    design = design_alignment(read_schedule(schedule), read_rig(rig), minutes, sample)
-    write(design.text)
-    as_object = {**design.as_dict(), "file": output}
-    answer(as_json, as_object, lambda: print_design(design))
-    if design.ended_early:
-        print_warning("the search has ended after a bounded number of plans, and better levels may exist; give fewer minutes")
 
 
 @app.command()
@@ -361,21 +253,9 @@ def verify(
 
     Exit status: 1 if a verdict is "fails".
     """
-    # Loads 707 modules, numba and rich among them: 1.0 s, which help does without.
-    from goniotwin.app.campaign.journal.writing import Journal
-    from goniotwin.app.campaign.studies.evaluation import evaluate_journal
-    from goniotwin.app.campaign.studies.verification import evidence_text, verify_journal
-    from goniotwin.app.cli.tables import print_verdicts
+    from goniotwin.app.cli.work.verification import print_verification
 
-    with Journal.open(journal) as opened:
-        simulated = opened.simulated
-        verdicts = verify_journal(evaluate_journal(opened))
-    holds = all(each.verdict != "fails" for each in verdicts)
-    result = {"simulated": simulated, "holds": holds, "verdicts": verdicts}
-
-    answer(as_json, result, lambda: print_verdicts(verdicts, evidence_text(verdicts), simulated))
-    if not holds:
-        raise typer.Exit(1)
+    print_verification(journal, as_json)
 
 
 @app.command()
@@ -394,28 +274,9 @@ def closure(
 
     Exit status: 1 if the two scales, or the two standards, certainly do not agree.
     """
-    # Loads 654 modules, numba and sqlite3 among them: 0.8 s, which help does without.
-    from goniotwin.app.campaign.journal.writing import Journal
-    from goniotwin.app.campaign.studies.closure import closure_text
-    from goniotwin.app.campaign.studies.evaluation import evaluate_journal
-    from goniotwin.app.campaign.studies.standards import standards_text
+    from goniotwin.app.cli.work.closure import compare_scales
 
-    with Journal.open(journal) as opened:
-        evaluation = evaluate_journal(opened, without_damaged=without_damaged)
-        report, standards = evaluation.closure, evaluation.standards
-        result = {
-            "journal": journal,
-            "simulated": opened.simulated,
-            **report.as_dict(),
-            "standards": standards,
-            "chain": opened.chain,
-        }
-        mark = "SIMULATED, " if opened.simulated else ""
-    text = f"{mark}closure of {journal}\n{closure_text(report)}"
-    text += "" if standards is None else f"\n{standards_text(standards)}"
-    answer(as_json, result, lambda: print(text))
-    if report.contradicts_etalon or (standards is not None and standards.apart):
-        raise typer.Exit(1)
+    compare_scales(journal, as_json, without_damaged=without_damaged)
 
 
 @app.command()
@@ -430,7 +291,6 @@ def copy(
 
     Exit status: 1 if the journal is damaged; with damaged rows the copy is kept.
     """
-    # Loads 343 modules, sqlite3 and numpy among them: 0.4 s, which help does without.
     from goniotwin.app.campaign.journal.copies import copy_journal
 
     chain = copy_journal(journal, file)

@@ -3,7 +3,6 @@
 import atexit
 import contextlib
 import io
-import json
 import logging
 import os
 import sys
@@ -18,7 +17,7 @@ from typer.exceptions import TyperException
 
 import goniotwin
 from goniotwin import examples
-from goniotwin.app.cli import campaign, compilation, data, instrument, render, serving, simulation, station, tolerances, views
+from goniotwin.app.cli import campaign, compilation, data, instrument, serving, simulation, views
 from goniotwin.app.cli.output import Json, Speed, TranscriptOption, answer, error_console, print_error
 from goniotwin.app.end_signals import end_signal_received, ignore_end_signals, interrupt_on_end_signal
 from goniotwin.app.errors import UserError, fault_of_named_path, room_on_disk, unexpected_error, unusable
@@ -101,7 +100,7 @@ app = CommandLine(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
-for group in (instrument, station, campaign, data, views, render, serving, tolerances, compilation):
+for group in (instrument, campaign, data, views, serving):
     app.add_typer(group.app)
 app.add_typer(simulation.app, name="simulate")
 
@@ -143,7 +142,6 @@ def desktop(
 ) -> None:
     """Open the window."""
     try:
-        # Loads 96 modules: 0.2 s, which help does without.
         from goniotwin.app.desktop import run_desktop
     except ImportError as error:
         raise UserError(
@@ -152,6 +150,25 @@ def desktop(
         ) from None
 
     raise typer.Exit(run_desktop(rig, schedule, out, speed))
+
+
+@app.command()
+def tolerances(
+    study: Annotated[Path, typer.Argument(metavar="FILE.toml", help="Study file (docs/tolerances.md).", show_default=False)],
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="DIR", help="Folder for the figure and the tables as CSV.", show_default=False),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Find the tolerances of the instrument.
+
+    Each deviation alone, all combinations, limits with which none fails; the yield, the worst corner, sensitivities, and what
+    remains about the measured peak (the paper's section 3.3, Tables 1 and 2). Everything is computed on the optical twin.
+    """
+    from goniotwin.app.cli.work.tolerances import print_tolerances
+
+    print_tolerances(study, out, as_json)
 
 
 @app.command()
@@ -165,13 +182,21 @@ def demo(
     The sample is a Gaussian of 5 deg. The devices are driven over their real protocols. Writes a journal, a .ddr, a CSV and a
     figure into a folder; files of an earlier demo there are replaced.
     """
-    # Loads 970 modules, numba and pymodbus among them: 1.2 s, which help does without.
-    from rich.console import Console
+    from goniotwin.app.cli.work.demo import run_demo
 
-    from goniotwin.app.cli.demo import run_demo
+    answer(as_json, *run_demo(examples.RIG, examples.SCHEDULE, out, transcript, error_console()))
 
-    result, show = run_demo(examples.RIG, examples.SCHEDULE, out, transcript, error_console())
-    answer(as_json, result, lambda: show(Console(highlight=False)))
+
+@app.command("compile")
+def compile_optics(as_json: Json = False) -> None:
+    """Compile the optics once, ahead of the first use.
+
+    Otherwise that takes place in the first command that needs it. The code is kept in files for this computer and this version
+    of the program; results are the same.
+    """
+    from goniotwin.app.cli.work.compilation import compile_all
+
+    compile_all(as_json)
 
 
 @app.command("examples")
@@ -183,7 +208,6 @@ def copy_examples(
 
     Existing files are never overwritten.
     """
-    # Loads 1 module: 5 ms, which help does without.
     from goniotwin.app.formats.file import write_file
 
     sources = sorted(examples.FOLDER.glob("*/*.toml"))
@@ -277,23 +301,6 @@ def schema(
 
     With it an editor completes and checks such files. A first line `#:schema ./rig.schema.json` in them names the schema.
     """
-    # Loads 583 modules, numba and numpy among them: 0.6 s, which help does without.
-    from goniotwin.app.campaign.schedule.file import ScheduleFile
-    from goniotwin.app.formats.file import write_file
-    from goniotwin.app.rig import rig_file_table
-    from goniotwin.app.rig.kinds import load_all_plugins
-    from goniotwin.app.simulation.tolerances.study import StudyFile
-    from goniotwin.app.toml_file import json_schema
+    from goniotwin.app.cli.work.schema import write_schema
 
-    for fault in load_all_plugins():
-        error_console().print(f"goniotwin: {fault}; the schema does not have it", markup=False)
-    text = json.dumps(
-        json_schema(
-            {"rig": rig_file_table(), "schedule": ScheduleFile, "tolerances": StudyFile}[kind], f"goniotwin {kind} file"
-        ),
-        indent=2,
-    )
-    if out is None:
-        print(text)
-        return
-    write_file(out, f"{text}\n".encode())
+    write_schema(kind, out)

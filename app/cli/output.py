@@ -30,12 +30,26 @@ TranscriptOption = Annotated[
         show_default=False,
     ),
 ]
+Processes = Annotated[
+    int | None,
+    typer.Option("--processes", metavar="P", help="How many at once; default all cores.", show_default=False),
+]
+Dask = Annotated[
+    str | None,
+    typer.Option(
+        "--dask",
+        metavar="ADDRESS",
+        help="Compute on the workers of this Dask scheduler (tcp://HOST:8786), or `local`: workers on this computer.",
+        show_default=False,
+    ),
+]
+RunnerOptions = tuple[int | None, str | None]
+"""Of --processes and --dask."""
 
 
 @cache
 def error_console() -> "Console":
     """Standard error."""
-    # Loads 45 modules, rich among them: 25 ms, which help does without.
     from rich.console import Console
 
     return Console(stderr=True, highlight=False, soft_wrap=True)
@@ -46,7 +60,6 @@ class CommandWithFormats(typer.core.TyperCommand):
 
     def format_epilog(self, _context: Any, formatter: Any) -> None:
         """Write the list (the command-line library calls this)."""
-        # Loads 36 modules, importlib.metadata among them: 29 ms, which help does without.
         from goniotwin.app.formats.registry import Holds, formats
 
         with formatter.section("Formats"):

@@ -1,10 +1,8 @@
-"""Commands that show data: `goniotwin plot`, `compare` and `report`."""
+"""Commands that show data: `goniotwin plot`, `compare`, `report` and `render`."""
 
 import os
-import re
-from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -12,19 +10,12 @@ from goniotwin.app.cli.output import Json, answer, print_error, print_warning
 from goniotwin.app.data.kinds import KINDS
 from goniotwin.app.errors import UserError
 
-if TYPE_CHECKING:  # a dataset loads numpy, which a command's help does not need
-    from goniotwin.app.data.dataset import Dataset
-
 SampleOption = Annotated[str | None, typer.Option("--sample", help="Sample, if there are several.", show_default=False)]
 ScaleOption = Annotated[
     bool | None,
     typer.Option("--log/--linear", help="Scale of the values.", show_default="by their range"),
 ]
 Dpi = Annotated[int, typer.Option("--dpi", min=50, max=1200, help="Pixels an inch, of a PNG.")]
-
-THEORY = "theory"
-MODEL = re.compile(r"[a-z-]+(:|$)")
-"""The beginning of a model's text, as `simulate sample` takes it; THEORY is one too."""
 
 app = typer.Typer()
 
@@ -54,19 +45,10 @@ def plot(
 
     Values that have no place on a logarithmic scale are marked at its lower edge.
     """
-    # Loads 676 modules, numba and sqlite3 among them: 0.9 s, which help does without.
-    from goniotwin.app.data.plotting import plot as draw
-    from goniotwin.app.data.values import listed
-    from goniotwin.app.figures.matplotlib_figure import check_picture, save_figure
+    from goniotwin.app.cli.work.plot import plot_values
 
-    check_picture(out)
-    dataset = _dataset(data, sample)
-    figure = draw(dataset, kind, sigma_deg=sigma or None, psi_deg=psi, wavelength_nm=wavelength or None, log=log)
-    save_figure(figure, out, dpi)
-    if psi is None and (dataset.psi_deg != dataset.psi_deg[0]).any():
-        print_warning(f"of the light's azimuths one is drawn, the first; psi: {listed(dataset.psi_deg, 'deg')} (--psi DEG)")
-    result = {"file": out, "kind": kind, "sample": dataset.sample, "simulated": dataset.simulated}
-    answer(as_json, result, lambda: print(f"{'SIMULATED, ' if dataset.simulated else ''}{kind}: {out}"))
+    chosen = {"sigma_deg": sigma or None, "psi_deg": psi, "wavelength_nm": wavelength or None, "log": log}
+    plot_values(data, sample, kind, out, dpi, as_json, **chosen)
 
 
 @app.command()
@@ -101,26 +83,10 @@ def compare(
     format, or models. A model is evaluated in the directions of the other; "theory" is that of the virtual rig with which A was
     measured. The picture has profiles with bands, and maps of z.
     """
-    # Loads 703 modules, numba and sqlite3 among them: 1.0 s, which help does without.
-    from goniotwin.app.data.comparison import compare as compare_datasets
-    from goniotwin.app.data.plotting import plot_comparison
-    from goniotwin.app.figures.matplotlib_figure import check_picture, save_figure
+    from goniotwin.app.cli.work.comparison import compare_pair
 
-    if out is not None:
-        check_picture(out)
-    a, b = _pair(first, second, sample or [])
-    found = compare_datasets(a, b, theta_deg=theta, polar_deg=polar, least_share=least_share, in_plane=in_plane)
-    result = {**found.as_dict(), "file": out, "simulated": found.simulated}
-    if out is not None:
-        save_figure(plot_comparison(found, log=log), out, dpi)
-
-    def show() -> None:
-        mark = "SIMULATED: " if found.simulated else ""
-        print(f"{mark}{found.first.name} and {found.second.name}\n{found}")
-        if out is not None:
-            print(out)
-
-    answer(as_json, result, show)
+    limits = {"theta_deg": theta, "polar_deg": polar, "least_share": least_share, "in_plane": in_plane}
+    compare_pair((first, second), sample or [], out, log, dpi, as_json, **limits)
 
 
 @app.command()
@@ -141,7 +107,6 @@ def report(
     What was measured, on what, how, and with which uncertainty and budget; plots; the checks of goniotwin verify and closure;
     faults and flags; the metadata; the digest of the raw data. The journal is not changed.
     """
-    # Loads 680 modules, numba and sqlite3 among them: 0.9 s, which help does without.
     from goniotwin.app.data.report.report import write_report
 
     if not journal.name:
@@ -162,41 +127,31 @@ def report(
         print_error(f"{journal}: the report is without what differs from what was measured")
 
 
-def _pair(first: str, second: str, samples: list[str]) -> tuple["Dataset", "Dataset"]:
-    """Two datasets, of which one may be a model: a text that is no file. Raises UserError."""
-    # Loads 702 modules, numba and sqlite3 among them: 0.9 s, which help does without.
-    from goniotwin.app.data.comparison import theory
+@app.command()
+def render(
+    first: Annotated[
+        Path | None, typer.Argument(metavar="A", help="File of a table, of any format.", show_default=False)
+    ] = None,
+    second: Annotated[Path | None, typer.Argument(metavar="B", help="File of another table.", show_default=False)] = None,
+    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="Picture to write, .png.")] = Path("render.png"),
+    figure14: Annotated[
+        bool, typer.Option("--figure14", help="Instead of A and B: the paper's Gaussians, and as the prototype measures them.")
+    ] = False,
+    size: Annotated[int, typer.Option("--size", min=8, max=2048, help="Pixels of a side of each picture.")] = 128,
+    rays: Annotated[int, typer.Option("--rays", min=1, max=65536, help="Paths of each pixel.")] = 64,
+    seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the random numbers, the same for both.")] = 1,
+    as_json: Json = False,
+) -> None:
+    """Render a sphere with either of two BSDFs, and the difference.
 
-    if len(samples) > 2:
-        raise UserError("--sample: may be given twice, for one sample of A and one of B")
-    of_first, of_second = (samples * 2)[:2] if samples else (None, None)
-    models = [MODEL.match(each) is not None and not Path(each).exists() for each in (first, second)]
-    if all(models):
-        raise UserError(f"{first} and {second}: one of them has to be a journal or a file, whose directions are compared")
-    if models[0]:
-        if first == THEORY:
-            raise UserError("theory: is the second of the two, for the sample of a virtual rig's journal")
-        b = _named(Path(second), of_second)
-        return theory(b, first), b
-    a = _named(Path(first), of_first)
-    if models[1]:
-        return a, theory(a, None if second == THEORY else second)
-    return a, _named(Path(second), of_second)
+    The sphere is in a box with walls of a checkerboard, under a rectangular light. With --figure14 there are four columns:
+    Gaussians of 2, 5, 15 and 30 deg by formula 6 above, as the virtual prototype with the worst combination of its deviations
+    measures them below. Needs Mitsuba 3: pip install 'goniotwin[render]'.
+    """
+    if figure14 != (first is None and second is None) or (first is None) != (second is None):
+        raise UserError("render: give two files, or --figure14 alone")
+    if out.suffix.lower() != ".png":
+        raise UserError(f"{out}: a picture is a PNG; give a name that ends with .png")
+    from goniotwin.app.cli.work.spheres import render_spheres
 
-
-def _named(path: Path, sample: str | None) -> "Dataset":
-    """A dataset with the name of its file: two campaigns of one schedule have one name."""
-    return replace(_dataset(path, sample), name=path.name)
-
-
-def _dataset(path: Path, sample: str | None) -> "Dataset":
-    """The dataset of a file, of one sample where it is chosen. Raises UserError."""
-    # Loads 675 modules, numba and sqlite3 among them: 0.8 s, which help does without.
-    from goniotwin.app.data.opening import open_dataset
-
-    dataset = open_dataset(path)
-    if sample is not None:
-        return dataset[sample]
-    if len(dataset.samples) > 1:
-        raise UserError(f"{path}: has several samples: {', '.join(dataset.samples)}; choose one with --sample")
-    return dataset
+    render_spheres(first, second, out, size, rays, seed, as_json)

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import pytest
 
-from goniotwin.app.campaign.rehearsal import alignment_design
-from goniotwin.app.campaign.studies import journals
+from goniotwin.app.campaign.rehearsal.alignment_design import FIRST_LINE
 from goniotwin.app.cli.data import align
+from goniotwin.app.cli.work import alignment, alignment_plan
 from goniotwin.app.errors import UserError
 from tests.conftest import REPOSITORY
 
@@ -22,8 +22,8 @@ def computed(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         begun.append("computation")
         raise UserError("computed")
 
-    monkeypatch.setattr(journals, "align_journal", begin)
-    monkeypatch.setattr(alignment_design, "design_alignment", begin)
+    monkeypatch.setattr(alignment, "align_journal", begin)
+    monkeypatch.setattr(alignment_plan, "design_alignment", begin)
     return begun
 
 
@@ -70,7 +70,7 @@ def test_a_plan_replaces_only_a_planned_schedule(computed: list[str], tmp_path: 
         with pytest.raises(UserError, match=r"exists, is not a schedule that align --plan has written, and is not overwritten"):
             align(schedule, output=other, plan=True, minutes=10.0, rig=PROOF / "rig.toml")
     assert not computed
-    (tmp_path / "planned.toml").write_text(f"{alignment_design.FIRST_LINE}\n", encoding="utf-8")
+    (tmp_path / "planned.toml").write_text(f"{FIRST_LINE}\n", encoding="utf-8")
     for name in ("planned.toml", "new.toml"):
         with pytest.raises(UserError, match=r"^computed$"):
             align(schedule, output=tmp_path / name, plan=True, minutes=10.0, rig=PROOF / "rig.toml")

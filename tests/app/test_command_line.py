@@ -13,9 +13,9 @@ import platformdirs
 import pytest
 
 from goniotwin.app.campaign.running.events import Event, RowStarted
-from goniotwin.app.cli import device_search
 from goniotwin.app.cli.main import COMMANDS, INTERRUPTED, app, main
-from goniotwin.app.cli.progress import RowProgress
+from goniotwin.app.cli.work import device_search
+from goniotwin.app.cli.work.row_progress import RowProgress
 from goniotwin.drivers import DeviceError, Rig
 from tests.conftest import REPOSITORY, RIG, SCHEDULE, Writer
 from tests.system.command import invoke
@@ -321,7 +321,7 @@ def test_where_no_folder_can_be_written_the_line_has_the_place(tmp_path: Path, m
 
 
 def test_an_error_of_another_thread_or_of_a_slot_is_one_line_too() -> None:
-    text = "import sys, threading; from goniotwin.app.cli import main, device_search\n"
+    text = "import sys, threading; from goniotwin.app.cli import main; from goniotwin.app.cli.work import device_search\n"
     text += "def fail(*_):\n"
     text += "    thread = threading.Thread(target=lambda: 1 / 0); thread.start(); thread.join()\n"
     text += "    sys.excepthook(IndexError, IndexError('of a slot'), None); sys.exit(5)\n"

@@ -19,19 +19,9 @@ from typer.exceptions import TyperException
 from goniotwin import examples
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.cli import compilation
-from goniotwin.app.cli.compilation import (
-    LOG,
-    NOTE,
-    PARTS,
-    REHEARSAL,
-    Part,
-    compile_ahead,
-    compile_optics,
-    parts_of_rehearsal,
-    state_compilation,
-    state_no_more,
-)
-from goniotwin.app.cli.main import app, run_command
+from goniotwin.app.cli.compilation import LOG, NOTE, state_compilation, state_no_more
+from goniotwin.app.cli.main import app, compile_optics, run_command
+from goniotwin.app.cli.work.compilation import PARTS, REHEARSAL, Part, compile_ahead, compiling_elsewhere, parts_of_rehearsal
 from goniotwin.app.end_signals import EndSignalHandlers
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import read_rig
@@ -191,7 +181,7 @@ def test_without_a_folder_for_compiled_code_a_command_goes_on_and_compile_states
 FIRST_USE = """
 from numba.core import event
 from goniotwin import examples
-from goniotwin.app.cli.demo import run_demo
+from goniotwin.app.cli.work.demo import run_demo
 from pathlib import Path
 from rich.console import Console
 
@@ -234,7 +224,7 @@ def test_after_compile_there_is_nothing_to_compile(tmp_path: Path) -> None:
 
 def test_damage_that_another_process_meets_is_removed_and_that_is_stated(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(folder.parent))
-    with compilation.compiling_elsewhere(["sequences"]):
+    with compiling_elsewhere(["sequences"]):
         pass
     code = list(folder.parent.glob("code-*/*/path_kernels*.nbi"))
     assert code
@@ -242,7 +232,7 @@ def test_damage_that_another_process_meets_is_removed_and_that_is_stated(folder:
         each.write_bytes(each.read_bytes()[:20])
     with (
         pytest.raises(UserError, match="compiled code was damaged, and is removed; repeat"),
-        compilation.compiling_elsewhere(["sequences"]),
+        compiling_elsewhere(["sequences"]),
     ):
         pass
     assert not any(each.exists() for each in code)

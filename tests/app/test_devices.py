@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from goniotwin.app.cli import device_search
-from goniotwin.app.cli.device_search import PortStatus, exit_status, find_devices
+from goniotwin.app.cli.work import device_search
+from goniotwin.app.cli.work.device_search import PortStatus, exit_status, find_devices
 from goniotwin.drivers.device import PortOpener
 from tests.conftest import RIG, RigOpener, Writer
 

@@ -5,8 +5,9 @@ from pathlib import Path
 
 import pytest
 
-from goniotwin.app.cli.instrument import home_axes, set_axis_position
-from goniotwin.app.cli.station import BenchFault
+from goniotwin.app.cli.work import referencing
+from goniotwin.app.cli.work.bench import BenchFault
+from goniotwin.app.cli.work.referencing import home_axes, set_axis_position
 from goniotwin.app.errors import UserError
 from goniotwin.drivers import TmclAxis, TmclModule
 from goniotwin.drivers.motion import StopSteps
@@ -58,7 +59,7 @@ def test_ctrl_c_stops_the_axes(write_rig: Writer, monkeypatch: pytest.MonkeyPatc
         stopped.extend(name for name, _ in targets)
         return begin_stop(module, targets)
 
-    monkeypatch.setattr("goniotwin.drivers.wait", interrupt)
+    monkeypatch.setattr(referencing, "wait", interrupt)
     monkeypatch.setattr(TmclModule, "begin_stop", record)
     with pytest.raises(KeyboardInterrupt):
         home_axes(write_rig(*HOMES), [], print)

@@ -143,7 +143,7 @@ def _context() -> Any:
 def _command(files: list[str], arguments: list[str], limits: Limits) -> None:
     """Run the command, in the new process."""
     from goniotwin.app.cli.main import main
-    from goniotwin.app.cli.progress import RowProgress
+    from goniotwin.app.cli.work.row_progress import RowProgress
 
     rows, out, err = (os.open(file, os.O_WRONLY | os.O_APPEND) for file in files)
     os.dup2(out, 1)

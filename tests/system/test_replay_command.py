@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from pymodbus.framer import FramerRTU
 
-from goniotwin.app.cli.replay import ReplayResult, replay_transcripts
+from goniotwin.app.cli.work.replay import ReplayResult, replay_transcripts
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import read_rig
 from goniotwin.mocks.transcript import read_transcript

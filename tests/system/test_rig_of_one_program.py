@@ -35,7 +35,7 @@ USERS = [(None, None), (None, ANOTHER_USER), (ANOTHER_USER, None)]
 def process(work: Callable[..., None], *arguments: Any) -> Iterator[Connection]:
     """A process that does some work, and the pipe to it."""
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["goniotwin.app.cli.main", "goniotwin.app.cli.device_search", __name__])
+    context.set_forkserver_preload(["goniotwin.app.cli.main", "goniotwin.app.cli.work.device_search", __name__])
     ours, theirs = context.Pipe()
     started = context.Process(target=work, args=(theirs, *arguments))
     started.start()

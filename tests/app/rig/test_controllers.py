@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 import tomlkit
 
-from goniotwin.app.cli.device_search import find_devices
-from goniotwin.app.cli.instrument import home_axes
-from goniotwin.app.cli.replay import replay_transcripts
+from goniotwin.app.cli.work.device_search import find_devices
+from goniotwin.app.cli.work.referencing import home_axes
+from goniotwin.app.cli.work.replay import replay_transcripts
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import AXES, OpenRig, open_rig, parse_rig, read_rig
 from goniotwin.app.rig import kinds as registry

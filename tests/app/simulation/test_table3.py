@@ -174,7 +174,7 @@ def test_the_document_contains_the_output_of_the_command(table: Table3) -> None:
 
 def test_the_command_gives_the_table_and_the_figures(table: Table3, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """Without the time of the computation; with it, in a process of its own: `tests/system/test_simulate.py`."""
-    monkeypatch.setattr("goniotwin.app.simulation.paper.table3.compute_table3", lambda _: table)
+    monkeypatch.setattr("goniotwin.app.cli.work.table3.compute_table3", lambda _: table)
     check_table3(invoke, tmp_path / "new")
     for name in ("figure12", "figure13"):
         assert (tmp_path / "new" / f"{name}.png").read_bytes().startswith(b"\x89PNG")

@@ -15,7 +15,7 @@ import pytest
 
 from goniotwin.app.campaign.running.events import Positions, State, StateChanged
 from goniotwin.app.campaign.running.question import Answer, PositionGiven, Question, UnreferencedAxis
-from goniotwin.app.cli.terminal import TerminalAsk
+from goniotwin.app.cli.work.terminal import TerminalAsk
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import open_rig, parse_rig, read_rig
 from goniotwin.app.rig.lock import LockFile

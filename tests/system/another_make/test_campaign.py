@@ -15,7 +15,7 @@ from goniotwin.app.campaign.running.recovery import Recovery
 from goniotwin.app.campaign.running.stop import StopRequest
 from goniotwin.app.campaign.schedule.file import parse_schedule, read_schedule
 from goniotwin.app.campaign.studies.reduced_journal import reduce_journal
-from goniotwin.app.cli.instrument import home_axes
+from goniotwin.app.cli.work.referencing import home_axes
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import axis_timings, open_rig, parse_rig, read_rig
 from goniotwin.app.rig.kinds import unregister

@@ -17,7 +17,7 @@ from goniotwin.app.campaign.running.recovery import FaultPolicies, fault_kind
 from goniotwin.app.campaign.running.stop import Stopped
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.campaign.studies.reduced_journal import reduce_journal
-from goniotwin.app.cli.terminal import ask_operator
+from goniotwin.app.cli.work.terminal import ask_operator
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import OpenRig, read_rig
 from goniotwin.drivers import BadAnswer, DeviceError, Forgotten, LimitError, NoAnswer, Pending, Refused

@@ -61,7 +61,7 @@ def test_what_limits_the_deviations_is_the_incidence(quick: StudyResult) -> None
 
 
 def test_the_command_gives_text_figure_and_tables(quick: StudyResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(computation, "compute_study", lambda _study, _report: quick)
+    monkeypatch.setattr("goniotwin.app.cli.work.tolerances.compute_study", lambda _study, _report: quick)
     study, folder = FOLDER / "quick.toml", tmp_path / "new"
     text = invoke("tolerances", study, "--out", folder)
     assert text.returncode == 0
@@ -116,7 +116,7 @@ def test_a_criterion_that_fails_without_deviations_is_refused(tmp_path: Path) ->
 def test_a_folder_that_cannot_be_written_is_refused_before_anything_is_computed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(computation, "compute_study", lambda *_: pytest.fail("computed"))
+    monkeypatch.setattr("goniotwin.app.cli.work.tolerances.compute_study", lambda *_: pytest.fail("computed"))
     (tmp_path / "file").touch()
     done = invoke("tolerances", FOLDER / "quick.toml", "--out", tmp_path / "file")
     assert done.returncode == 2

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from goniotwin.app.simulation.tolerances import result as computation
 from goniotwin.app.simulation.tolerances.beam_on_sample import BeamOnSample
 from goniotwin.app.simulation.tolerances.lobe import GaussianLobe
 from goniotwin.app.simulation.tolerances.result import StudyResult, compute_study
@@ -130,7 +129,7 @@ def test_frozen_is_the_worst_unit_for_the_flux_and_anew_is_at_least_as_bad(compa
 def test_the_command_shows_both_lights_and_their_difference(
     compared: StudyResult, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(computation, "compute_study", lambda _study, _report: compared)
+    monkeypatch.setattr("goniotwin.app.cli.work.tolerances.compute_study", lambda _study, _report: compared)
     monkeypatch.setenv("COLUMNS", "120")
     study = REPOSITORY / "examples" / "tolerances" / "quick.toml"
     text = invoke("tolerances", study, "--out", tmp_path).stdout

@@ -1,68 +1,32 @@
-"""Commands of the bench: `goniotwin station`, `move` and `read`. A rig that a station has is used through it.
+"""The station of a command: the one that has the rig already, or one of the command alone; and what `move` and `read` do.
 
-`home` and `here` do so too (`attached_bench`); without a station they need one controller only, and are in `instrument`.
+`home` and `here` use the station that has the rig (`attached_bench`); without it they need one controller only (`referencing`).
 """
 
 import contextlib
 import threading
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Any
 
-import typer
-
-from goniotwin.app.cli.output import Json, RigOption, Speed, answer, print_order, print_warning
+from goniotwin.app.campaign.campaign import clock_for
+from goniotwin.app.campaign.running.events import EventLogged, SafetyOrder
+from goniotwin.app.cli.output import answer, print_order, print_warning
 from goniotwin.app.errors import UserError
-
-if TYPE_CHECKING:
-    from goniotwin.app.rig import RigDescription
-    from goniotwin.app.station.client import StationClient
-    from goniotwin.app.station.messages import Message, Snapshot
-    from goniotwin.app.station.station import Station
+from goniotwin.app.rig import RigDescription, read_rig
+from goniotwin.app.station.client import StationClient
+from goniotwin.app.station.connection_file import attach
+from goniotwin.app.station.hosting import connection_path
+from goniotwin.app.station.messages import ActivityChanged, BenchReading, Message, Snapshot, encode
+from goniotwin.app.station.station import Station
+from goniotwin.drivers.errors import FaultText
 
 WAIT_S = 0.2
 SILENT = "its station does not answer; wait, or end its process (the main switch stops the motors)"
 
-app = typer.Typer()
 
-
-@app.command()
-def station(
-    rig: RigOption,
-    speed: Speed = 1.0,
-    unattended: Annotated[
-        float, typer.Option("--unattended", metavar="S", min=0.0, help="Real time without a client after which it ends.")
-    ] = 60.0,
-) -> None:
-    """Hold a rig for windows and terminals.
-
-    The window starts one by itself. A campaign goes on in the station when the window is closed or has crashed; the next
-    window attaches to it. Ctrl-C and SIGTERM stop a campaign in order, close the shutter and give the rig back.
-
-    Exit status: 0 after a disconnect or without clients, 130 after a signal.
-    """
-    # Loads 836 modules, numba and pymodbus among them: 1.1 s, which help does without.
-    from goniotwin.app.station.process import run_station
-
-    def log(line: str) -> None:
-        print(line, flush=True)
-
-    if run_station(rig, speed, log, unattended):
-        raise typer.Exit(130)
-
-
-@app.command(context_settings={"ignore_unknown_options": True})  # -10 is an angle
-def move(
-    rig: RigOption,
-    axis: Annotated[str, typer.Argument(metavar="AXIS", help="gamma, sigma, beta or shift.", show_default=False)],
-    angle: Annotated[float, typer.Argument(metavar="DEG", help="Target, deg.", show_default=False)],
-) -> None:
-    """Move an axis to an angle.
-
-    Within the soft limits of the rig file. Ctrl-C stops all axes.
-
-    Exit status: 0 when it has arrived, 1 after a fault.
-    """
+def move_axis(rig: Path, axis: str, angle: float) -> None:
+    """Move an axis and print its position. Raises UserError, BenchFault."""
     with _bench(rig) as bench:
         error = bench.do("move", axis=axis, target_deg=angle)
         if error:
@@ -71,25 +35,8 @@ def move(
     print(f"{axis}: moved to {angle:g} deg" + ("" if position is None else f", at {position:.3f} deg"))
 
 
-@app.command()
-def read(
-    rig: RigOption,
-    readings: Annotated[int, typer.Option("--readings", metavar="N", min=1, max=1000, help="Readings to average.")] = 1,
-    gain: Annotated[
-        float | None, typer.Option("--gain", metavar="V/A", help="Gain of the amplifiers, V/A.", show_default=False)
-    ] = None,
-    dark: Annotated[bool, typer.Option("--dark", help="Close the shutter for it.")] = False,
-    as_json: Json = False,
-) -> None:
-    """Read all photodiodes and the monitor once.
-
-    Pose, wavelength and shutter stay as they are.
-
-    Exit status: 0 with the values, 1 after a fault.
-    """
-    # Loads 156 modules, numpy and pydantic among them: 0.1 s, which help does without.
-    from goniotwin.app.station.messages import BenchReading, encode
-
+def read_devices(rig: Path, readings: int, gain: float | None, dark: bool, as_json: bool) -> None:
+    """Read photodiodes and monitor, and print the values. Raises UserError, BenchFault."""
     with _bench(rig) as bench:
         error = bench.do("gain", v_per_a=gain) if gain is not None else ""
         error = error or bench.do("read", readings=readings, dark=dark)
@@ -115,13 +62,13 @@ class BenchFault(UserError):
 class LocalBench:
     """A station of this command alone, in this thread; a virtual rig is on the virtual clock."""
 
-    def __init__(self, station: "Station") -> None:
+    def __init__(self, station: Station) -> None:
         self.events: list[Message] = []
         self._station = station
         station.board.subscribe(lambda _number, message: self.events.append(message))
 
     @property
-    def snapshot(self) -> "Snapshot":
+    def snapshot(self) -> Snapshot:
         """The state of the station."""
         return self._station.snapshot
 
@@ -147,7 +94,7 @@ class RemoteBench:
         self.client: StationClient
 
     @property
-    def snapshot(self) -> "Snapshot":
+    def snapshot(self) -> Snapshot:
         """The state of the station."""
         return self.client.snapshot
 
@@ -159,7 +106,7 @@ class RemoteBench:
                     raise BenchFault(f"the station has no rig: {self.snapshot.closed}")
                 self._changed.wait(WAIT_S)
 
-    def note(self, message: "Message") -> None:
+    def note(self, message: Message) -> None:
         """Take an event."""
         with self._changed:
             self.events.append(message)
@@ -194,23 +141,16 @@ class RemoteBench:
         return ends[0]
 
 
-def _ends(events: "list[Message]") -> list[str]:
+def _ends(events: list[Message]) -> list[str]:
     """The faults, or empty texts, with which activities have ended."""
-    # Loads 157 modules, numpy and pydantic among them: 0.1 s, which help does without.
-    from goniotwin.app.station.messages import ActivityChanged
-    from goniotwin.drivers.errors import FaultText
-
     return [
         str(FaultText(each.error, each.detail)) for each in events if isinstance(each, ActivityChanged) and not each.activity
     ]
 
 
 @contextlib.contextmanager
-def _bench(rig: Path) -> "Iterator[LocalBench | RemoteBench]":
+def _bench(rig: Path) -> Iterator[LocalBench | RemoteBench]:
     """The station that has a rig; without one, a station of this command alone. Raises UserError."""
-    # Loads 281 modules, numpy and pydantic among them: 0.3 s, which help does without.
-    from goniotwin.app.rig import read_rig
-
     description = read_rig(rig)
     with attached_bench(description) as remote:
         if remote is not None:
@@ -221,12 +161,8 @@ def _bench(rig: Path) -> "Iterator[LocalBench | RemoteBench]":
 
 
 @contextlib.contextmanager
-def attached_bench(rig: "RigDescription") -> "Iterator[RemoteBench | None]":
+def attached_bench(rig: RigDescription) -> Iterator[RemoteBench | None]:
     """The station that has a rig, with its devices connected; None where there is none. Raises UserError."""
-    # Loads 835 modules, numba and pymodbus among them: 1.1 s, which help does without.
-    from goniotwin.app.station.connection_file import attach
-    from goniotwin.app.station.hosting import connection_path
-
     remote = RemoteBench()
     try:
         client = attach(connection_path(rig), "goniotwin command", remote.note, remote.end)
@@ -253,11 +189,7 @@ def attached_bench(rig: "RigDescription") -> "Iterator[RemoteBench | None]":
 
 
 @contextlib.contextmanager
-def _station(rig: "RigDescription") -> "Iterator[Station]":
-    # Loads 829 modules, numba and pymodbus among them: 1.1 s, which help does without.
-    from goniotwin.app.campaign.campaign import clock_for
-    from goniotwin.app.station.station import Station
-
+def _station(rig: RigDescription) -> Iterator[Station]:
     station = Station(clock=clock_for(rig.file))
     station.board.subscribe(lambda _number, message: print_shutter(message))
     station.open(rig)
@@ -272,11 +204,8 @@ def _station(rig: "RigDescription") -> "Iterator[Station]":
         station.close_rig()
 
 
-def print_shutter(message: "Message") -> None:
+def print_shutter(message: Message) -> None:
     """Print what a session does about a shutter that another one has left open, and each safety order."""
-    # Loads 98 modules, numpy among them: 76 ms, which help does without.
-    from goniotwin.app.campaign.running.events import EventLogged, SafetyOrder
-
     if isinstance(message, SafetyOrder):
         print_order(message.text)
     elif isinstance(message, EventLogged) and message.kind == "guardian":

@@ -131,7 +131,7 @@ def probe_port(device: str, clock: Clock) -> PortStatus:
 
 
 def _usb_instruments() -> Iterator[PortStatus]:
-    # Loads 7 modules: 5 ms, which help does without.
+    # Loads 7 modules, which a search by a rig file does without.
     import libusb_package
 
     try:

@@ -1,7 +1,7 @@
-"""Progress bars on standard error. Rich, which draws them, is loaded by the commands that show one."""
+"""Progress bars on standard error."""
 
 from types import TracebackType
-from typing import TYPE_CHECKING, Self
+from typing import Self
 
 from rich.console import Console
 from rich.progress import (
@@ -16,11 +16,6 @@ from rich.progress import (
 )
 from rich.table import Column
 from rich.text import Text
-
-from goniotwin.app.cli.output import print_order
-
-if TYPE_CHECKING:  # the events load numpy, which a simulation's bar does not need
-    from goniotwin.app.campaign.running.events import Event
 
 
 class CurrentStepColumn(ProgressColumn):
@@ -56,30 +51,6 @@ class ProgressBar:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         if self._bar.live.is_started:
             self._bar.stop()
-
-
-class RowProgress(ProgressBar):
-    """Progress of a campaign in rows; a listener of the engine. If `rows` is None, the first committed row gives the number."""
-
-    def __init__(self, console: Console, title: str, rows: int | None) -> None:
-        super().__init__(console, title, rows, MofNCompleteColumn(table_column=Column(no_wrap=True)), TextColumn("rows,"))
-        self.orders: list[str] = []
-
-    def __call__(self, event: "Event") -> None:
-        """Show an event of the engine. A safety order is printed at once, and kept in `orders` to be printed again."""
-        # Loads 95 modules, numpy among them: 82 ms, which help does without.
-        from goniotwin.app.campaign.running.events import RowCommitted, RowStarted, SafetyOrder
-
-        if isinstance(event, SafetyOrder):
-            if event.text not in self.orders:
-                self.orders.append(event.text)
-            print_order(event.text)
-            return
-        self._bar.start()
-        if isinstance(event, RowStarted):
-            self._update(event.row.identity)
-        elif isinstance(event, RowCommitted):
-            self._update(f"rig: {event.seconds_left:.0f} s left", event.done, event.total)
 
 
 class ShareProgress(ProgressBar):

@@ -16,8 +16,8 @@ from goniotwin.app.campaign.running.events import State
 from goniotwin.app.campaign.schedule.file import read_schedule
 from goniotwin.app.campaign.studies.reduced_journal import BsdfDataset, reduce_journal
 from goniotwin.app.campaign.studies.theory import cut_figure
-from goniotwin.app.cli.compilation import compile_ahead
-from goniotwin.app.cli.progress import RowProgress
+from goniotwin.app.cli.work.compilation import compile_ahead
+from goniotwin.app.cli.work.row_progress import RowProgress
 from goniotwin.app.data.comparison import DatasetComparison, compare_figure_13
 from goniotwin.app.data.conversion import Choice, convert_reduced, format_to_write
 from goniotwin.app.data.report.report import write_report
@@ -31,7 +31,7 @@ SAMPLE = "gaussian-5"
 
 def run_demo(
     rig_path: Path, schedule_path: Path, out: Path, transcript: Path | None, console: Console
-) -> tuple[dict[str, Any], Callable[[Console], None]]:
+) -> tuple[dict[str, Any], Callable[[], None]]:
     """Run the demonstration. Returns the result for JSON, and a function that prints it. Raises UserError."""
     clock = RealClock()
     rig = read_rig(rig_path)
@@ -70,7 +70,7 @@ def run_demo(
         "findings": list(reduced.findings),
         "files": {name: str(file) for name, file in files.items()},
     }
-    return result, lambda terminal: _print_result(terminal, result, measured, noise_free)
+    return result, lambda: _print_result(Console(highlight=False), result, measured, noise_free)
 
 
 def _measure(plan: Plan, journal: Path, transcript: Path | None, console: Console, title: str) -> tuple[BsdfDataset, float]:

@@ -5,8 +5,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import typer
+
+from goniotwin.app.cli.output import answer
 from goniotwin.app.errors import UserError
-from goniotwin.app.rig import RigDescription
+from goniotwin.app.rig import RigDescription, read_rig
 from goniotwin.app.rig.addresses import RTU, rtu_address
 from goniotwin.drivers.photodiodes.modbus import explain_rtu
 from goniotwin.drivers.tap import Explain
@@ -57,6 +60,13 @@ class ReplayResult:
         count = len(self.differences)
         differences = {0: "no difference", 1: "1 difference"}.get(count, f"{count} differences")
         return "\n".join([*lines, f"{differences} in {self.requests} requests: {', '.join(self.devices)}"])
+
+
+def print_differences(transcripts: list[Path], rig: Path, device: str | None, mount: str | None, as_json: bool) -> None:
+    """Print the differences of a replay. Raises UserError, and Exit."""
+    result = replay_transcripts(transcripts, read_rig(rig), device, mount)
+    answer(as_json, result, lambda: print(result.text()))
+    raise typer.Exit(1 if result.differences else 0)
 
 
 def replay_transcripts(paths: Sequence[Path], rig: RigDescription, device: str | None, mount: str | None) -> ReplayResult:
