@@ -2,7 +2,9 @@
 
 from collections.abc import Sequence
 from importlib import import_module
-from typing import TYPE_CHECKING
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from goniotwin.app.data.comparison import DatasetComparison
 from goniotwin.app.data.dataset import Dataset
@@ -15,10 +17,6 @@ from goniotwin.app.figures.description import Figure as Description
 from goniotwin.app.figures.matplotlib_figure import draw
 from goniotwin.app.formats.file import StrPath
 
-if TYPE_CHECKING:  # matplotlib takes 0.4 s, and is loaded where something is drawn
-    from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
-
 
 @with_names
 def plot(
@@ -29,8 +27,8 @@ def plot(
     psi_deg: Number | None = None,
     wavelength_nm: Number | None = None,
     log: bool | None = None,
-    ax: "Axes | Sequence[Axes] | None" = None,
-) -> "Figure":
+    ax: Axes | Sequence[Axes] | None = None,
+) -> Figure:
     """Draw the values of one sample, of a dataset or a file, or a comparison; returns the matplotlib figure, not shown yet.
 
     "cuts": the plane of incidence at each sigma. "hemisphere": a map of all directions at each sigma. "polar": the plane of
@@ -70,8 +68,6 @@ def describe(
     return found
 
 
-def plot_comparison(
-    found: DatasetComparison, *, log: bool | None = None, ax: "Axes | Sequence[Axes] | None" = None
-) -> "Figure":
+def plot_comparison(found: DatasetComparison, *, log: bool | None = None, ax: Axes | Sequence[Axes] | None = None) -> Figure:
     """Draw a comparison: profiles of both in the plane of incidence, with bands, and maps of z for some of its lights."""
     return draw(comparison.describe(found, flag("log", log)), ax)

@@ -6,9 +6,21 @@ from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from textwrap import fill
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import matplotlib as mpl
 import numpy as np
+from matplotlib import figure as mpl_figure
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis as MplAxis
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import ListedColormap, LogNorm, Normalize
+from matplotlib.patches import Circle
+from matplotlib.patheffects import withStroke
+from matplotlib.projections.polar import PolarAxes
+from matplotlib.ticker import MaxNLocator
+from matplotlib.transforms import ScaledTranslation
+from matplotlib.tri import Triangulation
 
 from goniotwin.app.errors import UserError
 from goniotwin.app.figures.curves import MOST_MARKED
@@ -32,13 +44,6 @@ from goniotwin.app.figures.style import (
 )
 from goniotwin.app.formats.file import check_writable, write_file
 from goniotwin.arrays import Flags, Floats
-
-if TYPE_CHECKING:  # matplotlib loads 249 modules, which checks of names and axes do not need
-    from matplotlib import figure as mpl_figure
-    from matplotlib.axes import Axes
-    from matplotlib.axis import Axis as MplAxis
-    from matplotlib.colors import ListedColormap, Normalize
-    from matplotlib.projections.polar import PolarAxes
 
 SYMBOLS: dict[Symbol, str] = {
     "circle": "o",
@@ -67,7 +72,7 @@ DPI = 150
 SUFFIXES = (".png", ".svg")
 
 
-def draw(description: Figure, ax: "Axes | Sequence[Axes] | None" = None) -> "mpl_figure.Figure":
+def draw(description: Figure, ax: Axes | Sequence[Axes] | None = None) -> mpl_figure.Figure:
     """Draw a description on a new figure, or on axes, one for each panel; returns the figure, which is not shown yet.
 
     On given axes there is no title of the whole, for the figure is the caller's. Raises UserError for axes that do not fit.
@@ -90,16 +95,14 @@ def draw(description: Figure, ax: "Axes | Sequence[Axes] | None" = None) -> "mpl
     return figure
 
 
-def save_figure(figure: "mpl_figure.Figure", path: Path, dpi: int = DPI) -> None:
+def save_figure(figure: mpl_figure.Figure, path: Path, dpi: int = DPI) -> None:
     """Write a figure as PNG or SVG, by the suffix; the file is complete or not there. Raises GoniotwinError."""
     check_picture(path)
     write_file(path, picture(figure, path.suffix.lower()[1:], dpi))
 
 
-def picture(figure: "mpl_figure.Figure", form: str, dpi: int = DPI) -> bytes:
+def picture(figure: mpl_figure.Figure, form: str, dpi: int = DPI) -> bytes:
     """The bytes of a figure as "png" or "svg"; the same figure gives the same ones."""
-    import matplotlib as mpl
-
     buffer = io.BytesIO()
     with mpl.rc_context({"svg.hashsalt": "goniotwin"}):  # no random names
         figure.savefig(buffer, format=form, dpi=dpi, metadata={"Date": None} if form == "svg" else {"Software": "goniotwin"})
@@ -122,9 +125,7 @@ def shortened(text: str, letters: int) -> str:
 # ---- axes and words ----
 
 
-def _given_axes(description: Figure, ax: "Axes | Sequence[Axes]") -> "list[Axes]":
-    from matplotlib.axes import Axes
-
+def _given_axes(description: Figure, ax: Axes | Sequence[Axes]) -> list[Axes]:
     given: Any = np.ravel(np.asarray(ax, dtype=object)).tolist()
     if not all(isinstance(each, Axes) for each in given):
         raise UserError("ax: give matplotlib axes, or a list of them")
@@ -139,22 +140,20 @@ def _given_axes(description: Figure, ax: "Axes | Sequence[Axes]") -> "list[Axes]
     return list(given)
 
 
-def _root(axes: "Axes") -> "mpl_figure.Figure":
+def _root(axes: Axes) -> mpl_figure.Figure:
     figure: Any = axes.figure
     while figure is not figure.figure:  # a subfigure
         figure = figure.figure
     return figure  # type: ignore[no-any-return]  # matplotlib gives parents no type
 
 
-def _new_axes(description: Figure) -> "tuple[mpl_figure.Figure, list[Axes]]":
-    from matplotlib.figure import Figure as NewFigure
-
+def _new_axes(description: Figure) -> tuple[mpl_figure.Figure, list[Axes]]:
     panels, columns = description.panels, description.columns
     if panels[0].projection == "polar":  # a layout engine would leave the room of a whole disc to a half one
-        figure = NewFigure(figsize=description.size, dpi=100)
+        figure = mpl_figure.Figure(figsize=description.size, dpi=100)
         place = (0.12, 0.14, 0.76, 0.7125) if panels[0].angles else (0.1, -0.07, 0.8, 1.2245)
         return figure, [figure.add_axes(place, projection="polar")]
-    figure = NewFigure(figsize=description.size, dpi=100, layout="constrained")
+    figure = mpl_figure.Figure(figsize=description.size, dpi=100, layout="constrained")
     rows = -(-len(panels) // columns)
     grid = figure.subplots(
         rows, columns, squeeze=False, height_ratios=description.heights, width_ratios=description.widths
@@ -164,7 +163,7 @@ def _new_axes(description: Figure) -> "tuple[mpl_figure.Figure, list[Axes]]":
     return figure, grid[: len(panels)].tolist()
 
 
-def _write_title(figure: "mpl_figure.Figure", description: Figure) -> None:
+def _write_title(figure: mpl_figure.Figure, description: Figure) -> None:
     if not description.title:
         return
     width = LETTERS_AN_INCH * (figure.get_figwidth() - (1.4 if description.simulated else 0.2))
@@ -172,7 +171,7 @@ def _write_title(figure: "mpl_figure.Figure", description: Figure) -> None:
     figure.suptitle(f"{name}{description.about}", x=0.01, ha="left", fontsize=10.5)
 
 
-def _write_around(figure: "mpl_figure.Figure", axes: "list[Axes]", description: Figure) -> None:
+def _write_around(figure: mpl_figure.Figure, axes: list[Axes], description: Figure) -> None:
     """Write the words of a new figure, with its title and the mark of simulated values at its top."""
     _write_title(figure, description)
     for row in _rows(axes, description):
@@ -186,7 +185,7 @@ def _write_around(figure: "mpl_figure.Figure", axes: "list[Axes]", description: 
         figure.text(0.99, 0.99, SIMULATED, ha="right", va="top", **SIMULATED_STYLE)
 
 
-def _write_above(figure: "mpl_figure.Figure", axes: "list[Axes]", description: Figure) -> None:
+def _write_above(figure: mpl_figure.Figure, axes: list[Axes], description: Figure) -> None:
     """Write the words of given axes. Legends are above title and ticks, and the mark of simulated values is above these.
 
     A layout engine leaves them room; without one the axes become lower.
@@ -207,7 +206,7 @@ def _write_above(figure: "mpl_figure.Figure", axes: "list[Axes]", description: F
         each.set_in_layout(True)  # which a position ends
 
 
-def _rows(axes: "list[Axes]", description: Figure) -> "list[list[tuple[Axes, Panel]]]":
+def _rows(axes: list[Axes], description: Figure) -> list[list[tuple[Axes, Panel]]]:
     """The rows of axes with their panels, from left to right; that of the first axes is the first."""
     rows: dict[float, list[tuple[Axes, Panel]]] = {}
     for pair in zip(axes, description.panels, strict=True):
@@ -215,7 +214,7 @@ def _rows(axes: "list[Axes]", description: Figure) -> "list[list[tuple[Axes, Pan
     return [sorted(row, key=lambda pair: pair[0].get_position(original=True).x0) for row in rows.values()]
 
 
-def _write_labels(row: "list[tuple[Axes, Panel]]") -> None:
+def _write_labels(row: list[tuple[Axes, Panel]]) -> None:
     """Titles within the distance of the axes; labels that are the same for the whole row once, in its middle."""
     first, last = row[0][0], row[-1][0]
     width = row[1][0].bbox.x0 - first.bbox.x0 if len(row) > 1 else first.bbox.width
@@ -245,12 +244,12 @@ def _write_labels(row: "list[tuple[Axes, Panel]]") -> None:
     here.xaxis.label.set_x((middle - here.bbox.x0) / here.bbox.width)
 
 
-def _beside(one: "Axes", other: "Axes") -> bool:
+def _beside(one: Axes, other: Axes) -> bool:
     """Whether axes have some height in common."""
     return bool(one.bbox.y0 < other.bbox.y1 and other.bbox.y0 < one.bbox.y1)
 
 
-def _write_words(row: "list[tuple[Axes, Panel]]", description: Figure) -> float:
+def _write_words(row: list[tuple[Axes, Panel]], description: Figure) -> float:
     """Write legends and mark above a row of axes; returns the height of all that is above these, in points."""
     first, shown = row[0][0], row[-1][0]
     for each, _ in row:
@@ -270,14 +269,14 @@ def _write_words(row: "list[tuple[Axes, Panel]]", description: Figure) -> float:
     return height
 
 
-def _overhang(axes: "Axes") -> tuple[float, float]:
+def _overhang(axes: Axes) -> tuple[float, float]:
     """What is drawn below and above axes, in points."""
     whole = axes.get_tightbbox()
     ends = (axes.bbox.y0 - whole.y0, whole.y1 - axes.bbox.y1) if whole is not None else (0.0, 0.0)
     return max(_points(axes, ends[0]), 0.0), max(_points(axes, ends[1]), 0.0)
 
 
-def _lower_place(row: "list[Axes]", above: float) -> tuple[float, float]:
+def _lower_place(row: list[Axes], above: float) -> tuple[float, float]:
     """The ends in height of axes of a row that has so many points above it, with all of theirs in the room that there is.
 
     That is the room to the edge of the figure, and shares of the distance to the next axes.
@@ -295,21 +294,19 @@ def _lower_place(row: "list[Axes]", above: float) -> tuple[float, float]:
     return low, max(high, low + 0.1 * place.height)
 
 
-def _points(axes: "Axes", pixels: float) -> float:
+def _points(axes: Axes, pixels: float) -> float:
     return 72.0 * pixels / _root(axes).dpi
 
 
-def _letters(axes: "Axes", pixels: float | None = None) -> int:
+def _letters(axes: Axes, pixels: float | None = None) -> int:
     """The letters of a line as wide as axes, or as so many pixels."""
     return max(int(LETTERS_AN_INCH * (axes.bbox.width if pixels is None else pixels) / _root(axes).dpi), 10)
 
 
 def _legend_above(
-    axes: "Axes", heading: str, letters: int, columns: int, bottom: float = 0.0, width: float | None = None
+    axes: Axes, heading: str, letters: int, columns: int, bottom: float = 0.0, width: float | None = None
 ) -> float:
     """Write a legend above axes, so many points over them, in as many columns as have room; returns its height in points."""
-    from matplotlib.transforms import ScaledTranslation
-
     figure = _root(axes)
     handles, labels = axes.get_legend_handles_labels()
     place = axes.transAxes + ScaledTranslation(0.0, bottom / 72.0, figure.dpi_scale_trans)
@@ -324,7 +321,7 @@ def _legend_above(
     return _points(axes, box.height) + 0.2 * 9.0
 
 
-def _common_legend(figure: "mpl_figure.Figure", axes: "list[Axes]", description: Figure) -> None:
+def _common_legend(figure: mpl_figure.Figure, axes: list[Axes], description: Figure) -> None:
     """The legend of the whole: of the curves of the first panel, above all."""
     handles, labels = axes[0].get_legend_handles_labels()
     style = LEGEND_STYLE
@@ -342,7 +339,7 @@ def _common_legend(figure: "mpl_figure.Figure", axes: "list[Axes]", description:
 # ---- panels ----
 
 
-def _draw_panel(axes: "Axes", panel: Panel) -> None:
+def _draw_panel(axes: Axes, panel: Panel) -> None:
     for span in panel.spans:
         shade = axes.axvspan if span.upright else axes.axhspan
         shade(span.low, span.high, color=_colour(span.colour), alpha=SPAN_ALPHA, lw=0, zorder=0)
@@ -364,7 +361,7 @@ def _colour(colour: Colour, palette: Palette = PAPER) -> str:
     return str(getattr(palette, colour, colour))
 
 
-def _draw_series(axes: "Axes", each: Series, palette: Palette) -> None:
+def _draw_series(axes: Axes, each: Series, palette: Palette) -> None:
     colour = _colour(each.colour, palette)
     if each.lower is not None and each.upper is not None and each.bars:
         axes.vlines(each.x, each.lower, each.upper, color=colour, lw=BAR_WIDTH, zorder=2.0)
@@ -377,9 +374,7 @@ def _draw_series(axes: "Axes", each: Series, palette: Palette) -> None:
     axes.plot(each.x, each.y, color=colour, label=label, zorder=2.5, **style)
 
 
-def _draw_marks(axes: "Axes", panel: Panel) -> None:
-    from matplotlib.patheffects import withStroke
-
+def _draw_marks(axes: Axes, panel: Panel) -> None:
     for each in panel.marks:
         style = MARKS[each.kind]
         colour = _colour(style.colour or each.colour, PAPER if panel.map is None else DISC)
@@ -410,7 +405,7 @@ def _draw_marks(axes: "Axes", panel: Panel) -> None:
         )
 
 
-def _set_axes(axes: "Axes", panel: Panel) -> None:
+def _set_axes(axes: Axes, panel: Panel) -> None:
     """Limits and ticks of axes without a frame at top and right, with a faint grid."""
     scale = panel.scale
     if scale is not None and scale.log:
@@ -427,7 +422,7 @@ def _set_axes(axes: "Axes", panel: Panel) -> None:
     axes.set_axisbelow(True)
 
 
-def _tick_text(axis: "MplAxis", ticks: tuple[float, ...], value: float, _: int | None) -> str:
+def _tick_text(axis: MplAxis, ticks: tuple[float, ...], value: float, _: int | None) -> str:
     """The text of a tick; of as many as there is room for: the one in the middle, and at equal steps to both ends."""
     if value not in ticks:  # that of the pointer
         return f"{value:.3g}"
@@ -440,21 +435,15 @@ def _tick_text(axis: "MplAxis", ticks: tuple[float, ...], value: float, _: int |
 # ---- maps ----
 
 
-def _norm(bar: Bar) -> "Normalize":
-    from matplotlib.colors import LogNorm, Normalize
-
+def _norm(bar: Bar) -> Normalize:
     return (LogNorm if bar.scale.log else Normalize)(*bar.limits)
 
 
-def _colour_map(bar: Bar) -> "ListedColormap":
-    from matplotlib.colors import ListedColormap
-
+def _colour_map(bar: Bar) -> ListedColormap:
     return ListedColormap(colour_table(bar.colours) / 255.0)
 
 
-def _draw_bar(figure: "mpl_figure.Figure", axes: "list[Axes]", bar: Bar) -> None:
-    from matplotlib.cm import ScalarMappable
-
+def _draw_bar(figure: mpl_figure.Figure, axes: list[Axes], bar: Bar) -> None:
     height = max(each.bbox.y1 for each in axes) - min(each.bbox.y0 for each in axes)
     shown = figure.colorbar(
         ScalarMappable(_norm(bar), _colour_map(bar)),
@@ -470,11 +459,8 @@ def _draw_bar(figure: "mpl_figure.Figure", axes: "list[Axes]", bar: Bar) -> None
     shown.ax.set_yticklabels([f"{each:g}" for each in bar.ticks])
 
 
-def _draw_disc(axes: "Axes", drawn: Map) -> None:
+def _draw_disc(axes: Axes, drawn: Map) -> None:
     """The values of a map on its ground, with rings; light and specular direction are marks of the panel."""
-    from matplotlib.patches import Circle
-    from matplotlib.patheffects import withStroke
-
     axes.add_patch(Circle((0.0, 0.0), HORIZON_DEG, facecolor=DISC.base, lw=0, zorder=1))
     x, y, trusted = drawn.x, drawn.y, drawn.trusted
     twice = 2 if drawn.mirrored else 1
@@ -495,10 +481,8 @@ def _draw_disc(axes: "Axes", drawn: Map) -> None:
     axes.set_axis_off()
 
 
-def _draw_surface(axes: "Axes", x: Floats, y: Floats, placed: Floats, trusted: Flags, bar: Bar) -> None:
+def _draw_surface(axes: Axes, x: Floats, y: Floats, placed: Floats, trusted: Flags, bar: Bar) -> None:
     """Colours between directions that are near each other; where they span no area, a mark at each."""
-    from matplotlib.tri import Triangulation
-
     found = None
     norm, colours = _norm(bar), _colour_map(bar)
     _, first = np.unique(np.round(np.stack([x, y]), 4), axis=1, return_index=True)
@@ -527,7 +511,7 @@ def _draw_surface(axes: "Axes", x: Floats, y: Floats, placed: Floats, trusted: F
 # ---- polar diagrams ----
 
 
-def _set_polar(axes: "PolarAxes", panel: Panel) -> None:
+def _set_polar(axes: PolarAxes, panel: Panel) -> None:
     assert panel.scale is not None
     assert panel.y.limits is not None
     axes.set_theta_zero_location("N")
@@ -547,10 +531,8 @@ def _set_polar(axes: "PolarAxes", panel: Panel) -> None:
     axes.tick_params(labelsize=8)
 
 
-def _label_rings(axes: "PolarAxes", scale: Scale, outer: float) -> None:
+def _label_rings(axes: PolarAxes, scale: Scale, outer: float) -> None:
     """Some labels of the circles of a polar diagram, so few that they are apart."""
-    from matplotlib.ticker import MaxNLocator
-
     axes.set_rlabel_position(88)
     if not scale.log:
         axes.yaxis.set_major_locator(MaxNLocator(MOST_RINGS, min_n_ticks=2))

@@ -14,8 +14,8 @@ from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.running.events import State
 from goniotwin.app.campaign.schedule.file import read_schedule
+from goniotwin.app.campaign.studies.cut_figure import cut_figure
 from goniotwin.app.campaign.studies.reduced_journal import BsdfDataset, reduce_journal
-from goniotwin.app.campaign.studies.theory import cut_figure
 from goniotwin.app.cli.work.compilation import compile_ahead
 from goniotwin.app.cli.work.row_progress import RowProgress
 from goniotwin.app.data.comparison import DatasetComparison, compare_figure_13

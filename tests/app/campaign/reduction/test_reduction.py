@@ -16,8 +16,9 @@ from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.reduction.points import BsdfPoints
 from goniotwin.app.campaign.running.events import Event, RowCommitted, State
 from goniotwin.app.campaign.schedule.file import read_schedule
+from goniotwin.app.campaign.studies.cut_figure import cut_figure
 from goniotwin.app.campaign.studies.reduced_journal import BsdfDataset, reduce_journal
-from goniotwin.app.campaign.studies.theory import cut_figure, theoretical_bsdf
+from goniotwin.app.campaign.studies.theory import theoretical_bsdf
 from goniotwin.app.data.comparison import compare_figure_13
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig import OpenRig, read_rig
