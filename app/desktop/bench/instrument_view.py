@@ -10,6 +10,7 @@ from PySide6.QtCore import QPointF, QRectF, QSize, Qt, Signal, Slot
 from PySide6.QtGui import QBrush, QColor, QFontMetricsF, QPainter, QPaintEvent, QPen, QPolygonF
 from PySide6.QtWidgets import QSizePolicy, QWidget
 
+from goniotwin.app.desktop import model
 from goniotwin.app.desktop.model.axes import GREEK
 from goniotwin.app.desktop.rig.panels import place_mark
 from goniotwin.app.desktop.theme import Colours
@@ -167,11 +168,8 @@ class InstrumentView(QWidget):
     def _text(self) -> str:
         if self._drawing is None:
             return "No positions: the axes are not connected." if self._model is not None else "No rig is open."
-        # Loads 557 modules, numba and numpy among them: 0.6 s, which the window's first picture does without.
-        from goniotwin.app.desktop.model.instrument import pose_text
-
         blocked = len(self.blocked)
-        parts = [self.doubt or pose_text(self._positions)]
+        parts = [self.doubt or model.pose_text(self._positions)]
         if self._shutter_open is not None:
             parts.append("shutter open" if self._shutter_open else "shutter closed")
         if blocked:
@@ -297,11 +295,8 @@ class ViewPainter:
         painter.restore()
 
     def _points(self, points: "Floats") -> list[QPointF]:
-        # Loads 557 modules, numba and numpy among them: 0.6 s, which the window's first picture does without.
-        from goniotwin.app.desktop.model.instrument import project
-
         x0, y0, scale = self._origin.x(), self._origin.y(), self._scale
-        return [QPointF(x0 + scale * x, y0 - scale * y) for x, y in project(points, self._view).tolist()]
+        return [QPointF(x0 + scale * x, y0 - scale * y) for x, y in model.project(points, self._view).tolist()]
 
     def _at(self, angle_deg: float, radius_mm: float) -> QPointF:
         """A point at an angle from the upward direction, clockwise (side view), or from the right, counter-clockwise (top)."""

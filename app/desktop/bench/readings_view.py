@@ -7,6 +7,7 @@ from PySide6.QtCore import QPointF, QRectF, QSize, Qt, Slot
 from PySide6.QtGui import QBrush, QColor, QFontMetricsF, QPainter, QPaintEvent, QPen, QPolygonF
 from PySide6.QtWidgets import QSizePolicy, QWidget
 
+from goniotwin.app.desktop import model
 from goniotwin.app.desktop.theme import Colours
 
 if TYPE_CHECKING:  # as in the instrument view
@@ -95,9 +96,6 @@ class SignalBars(QWidget):
                     self._draw_bar(painter, place, bar, bars.level(bar))
 
     def _draw_scale(self, painter: QPainter, bars: "Bars", place: QRectF, line: float) -> None:
-        # Loads 310 modules, numpy and pydantic among them: 0.4 s, which the window's first picture does without.
-        from goniotwin.app.desktop.model.readings import current_text
-
         low, high = math.log10(bars.least_a), math.log10(bars.full_scale_a)
         decades = range(math.ceil(low), math.floor(high) + 1)
         every = 1 + int(line * len(decades) / max(place.height(), 1.0))
@@ -108,7 +106,8 @@ class SignalBars(QWidget):
             if (decade - decades[0]) % every == 0:
                 painter.setPen(QColor(self._colours.text))
                 text = QRectF(0.0, y - 0.5 * line, place.left() - 7.0, line)
-                painter.drawText(text, Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter, current_text(10.0**decade))
+                right = Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter
+                painter.drawText(text, right, model.current_text(10.0**decade))
         painter.setPen(QPen(QColor(self._colours.bad), 1.2, Qt.PenStyle.DashLine))
         painter.drawLine(place.topLeft(), place.topRight())
         painter.setPen(QPen(QColor(self._colours.dim), 1.0))
@@ -185,10 +184,7 @@ class MonitorTrend(QWidget):
         if trace is None:
             self.setAccessibleDescription(NO_READING)
         else:
-            # Loads 310 modules, numpy and pydantic among them: 0.4 s, which the window's first picture does without.
-            from goniotwin.app.desktop.model.readings import trend_text
-
-            self.setAccessibleDescription(trend_text(trace))
+            self.setAccessibleDescription(model.trend_text(trace))
         self.update()
 
     def set_colours(self, colours: Colours) -> None:

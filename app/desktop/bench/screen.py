@@ -6,6 +6,7 @@ from PySide6.QtCore import QSize, Qt, Slot
 from PySide6.QtGui import QHideEvent, QShowEvent
 from PySide6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QStackedLayout, QTabWidget, QVBoxLayout, QWidget
 
+from goniotwin.app.desktop import model
 from goniotwin.app.desktop.bench.axis_controls import AxisControls
 from goniotwin.app.desktop.bench.instrument_view import InstrumentView
 from goniotwin.app.desktop.bench.light_controls import LightControls
@@ -171,18 +172,13 @@ class BenchScreen(Screen):
 
     def set_rig(self, rig: "RigFile | None") -> None:
         """Take the tables of the open rig."""
-        # Loads 559 modules, numba and numpy among them: 0.6 s, which the window's first picture does without.
-        from goniotwin.app.campaign.row import NO_SAMPLE
-        from goniotwin.app.desktop.model.instrument import InstrumentModel
-        from goniotwin.app.desktop.model.readings import BenchReadings
-
-        self._readings = None if rig is None else BenchReadings(rig)
-        self.instrument.set_model(None if rig is None else InstrumentModel(rig))
+        self._readings = None if rig is None else model.BenchReadings(rig)
+        self.instrument.set_model(None if rig is None else model.InstrumentModel(rig))
         for name, controls in self.axes.items():
             controls.set_settings(None if rig is None else rig.axes.by_name[name])
             controls.set_position(None)
         self.light.set_gains(() if rig is None else rig.photodiodes.gains_v_per_a)
-        self.light.set_samples((*rig.twin.samples, NO_SAMPLE) if rig is not None and rig.twin is not None else ())
+        self.light.set_samples((*rig.twin.samples, model.NO_SAMPLE) if rig is not None and rig.twin is not None else ())
         if rig is not None:
             self.light.set_wavelengths(rig.monochromator.lowest_nm, rig.monochromator.highest_nm)
         self.bars.set_bars(None)
@@ -195,32 +191,21 @@ class BenchScreen(Screen):
     @Slot(object)
     def show_message(self, message: object) -> None:
         """Show an event of the station, or what the window knows of it."""
-        # Loads 330 modules, numpy and pydantic among them: 0.5 s, which the window's first picture does without.
-        from goniotwin.app.desktop.model.messages import (
-            Attached,
-            CommandRefused,
-            NotAttached,
-            RigRead,
-            StationLost,
-            StopReport,
-        )
-        from goniotwin.app.station import messages
-
         match message:
-            case RigRead(rig):
+            case model.RigRead(rig):
                 self.set_rig(rig)
-            case Attached(_name, snapshot):
+            case model.Attached(_name, snapshot):
                 self._error = ""
                 self._take(snapshot)
-            case NotAttached() | StationLost():
+            case model.NotAttached() | model.StationLost():
                 self.set_rig(None)
-                self._take(messages.Snapshot())
-            case CommandRefused(command, reason) if command in COMMANDS:
+                self._take(model.Snapshot())
+            case model.CommandRefused(command, reason) if command in COMMANDS:
                 self.show_refusal(reason)
-            case StopReport(confirmed=True) if self._station is not None and not self._station.busy:
+            case model.StopReport(confirmed=True) if self._station is not None and not self._station.busy:
                 self.show_refusal("stopped")
-            case _ if isinstance(message, messages.Message):
-                self._station = messages.advance(self._station or messages.Snapshot(), message)
+            case _ if isinstance(message, model.Message):
+                self._station = model.advance(self._station or model.Snapshot(), message)
                 self._show_event(message)
         if not self._behind:
             self._show()
@@ -244,19 +229,15 @@ class BenchScreen(Screen):
         self._show_status()
 
     def _show_event(self, message: "Message") -> None:
-        # Loads 156 modules, numpy and pydantic among them: 0.2 s, which the window's first picture does without.
-        from goniotwin.app.campaign.running.events import Positions
-        from goniotwin.app.station.messages import ActivityChanged, BenchReading, DeviceChanged, RigClosed
-
         match message:
-            case Positions() | DeviceChanged() if self._station is not None:
+            case model.Positions() | model.DeviceChanged() if self._station is not None:
                 self._show_positions(self._station.positions)
-            case BenchReading():
+            case model.BenchReading():
                 self._show_reading(message)
-            case ActivityChanged(activity, error):
+            case model.ActivityChanged(activity, error):
                 if activity or error:
                     self._error = "" if activity else error
-            case RigClosed():
+            case model.RigClosed():
                 self._show_positions({})
 
     def _show_positions(self, degrees: dict[str, float]) -> None:

@@ -17,6 +17,7 @@ from PySide6.QtWidgets import (
 )
 
 from goniotwin.app.campaign.wording import rounded_duration_text
+from goniotwin.app.desktop import model
 from goniotwin.app.desktop.dialogs import FileDialog
 from goniotwin.app.desktop.events.question import Choice, QuestionBox
 from goniotwin.app.desktop.screen import Screen, WithoutPreferredHeight
@@ -141,10 +142,7 @@ class CampaignsScreen(Screen):
     @Slot(object)
     def show_message(self, message: object) -> None:
         """List the campaigns again when a run begins; the window does so at its end."""
-        # Loads 156 modules, numpy and pydantic among them: 0.2 s, which the window's first picture does without.
-        from goniotwin.app.station.messages import RunBegun
-
-        if isinstance(message, RunBegun):
+        if isinstance(message, model.RunBegun):
             self.refresh_wanted.emit()
 
     def showEvent(self, event: QShowEvent) -> None:

@@ -92,12 +92,12 @@ class Facts:
     needed_bytes: int = 0
 
 
-def preflight(facts: Facts) -> tuple[Check, ...]:
+def preflight_checks(facts: Facts) -> tuple[Check, ...]:
     """The list, always with the same checks in the same order."""
     return tuple(check(facts) for check in (_ports, _homed, _limits, _lamp, _dark, _drift, _certificate, _disk))
 
 
-def summary(checks: Sequence[Check]) -> str:
+def preflight_summary(checks: Sequence[Check]) -> str:
     """The list in one line."""
     counts = {outcome: sum(check.outcome is outcome for check in checks) for outcome in Outcome}
     if counts[Outcome.BAD]:

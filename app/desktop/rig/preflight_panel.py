@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 from PySide6.QtCore import Qt
 from PySide6.QtWidgets import QGridLayout, QGroupBox, QLabel
 
+from goniotwin.app.desktop import model
 from goniotwin.app.desktop.theme import Colours
 
 if TYPE_CHECKING:  # the window shows itself before numpy is loaded
@@ -41,15 +42,12 @@ class PreflightPanel(QGroupBox):
 
     def set_checks(self, checks: "Sequence[Check]") -> None:
         """Show the list."""
-        # Loads 160 modules, numpy and pydantic among them: 0.2 s, which the window's first picture does without.
-        from goniotwin.app.desktop.model.preflight import summary
-
         if tuple(checks) == self._checks:
             return
         self._checks = tuple(checks)
         while len(self._lines) < len(checks):
             self._add_line()
-        self._summary.setText(summary(checks))
+        self._summary.setText(model.preflight_summary(checks))
         self._summary.setAccessibleName(f"Preflight: {self._summary.text()}")
         self._show()
 
@@ -73,18 +71,15 @@ class PreflightPanel(QGroupBox):
     def _show(self) -> None:
         if not self._checks:
             return
-        # Loads 160 modules, numpy and pydantic among them: 0.2 s, which the window's first picture does without.
-        from goniotwin.app.desktop.model.preflight import MARKS, Outcome
-
-        c = self._colours
-        colours = {Outcome.GOOD: c.good, Outcome.LOOK: c.beam, Outcome.BAD: c.bad, Outcome.UNKNOWN: c.dim}
+        c, outcome = self._colours, model.Outcome
+        colours = {outcome.GOOD: c.good, outcome.LOOK: c.beam, outcome.BAD: c.bad, outcome.UNKNOWN: c.dim}
         for (mark, name, text), check in zip(self._lines, self._checks, strict=False):
             colour = colours[check.outcome]
-            mark.setText(MARKS[check.outcome])
+            mark.setText(model.MARKS[check.outcome])
             mark.setStyleSheet(f"color: {colour}; font-weight: bold")
             mark.setToolTip(str(check.outcome))
             name.setText(check.name)
-            name.setStyleSheet(f"color: {colour if check.outcome is not Outcome.UNKNOWN else c.text}; font-weight: bold")
+            name.setStyleSheet(f"color: {colour if check.outcome is not outcome.UNKNOWN else c.text}; font-weight: bold")
             text.setText(check.found + (f"\n→ {check.remedy}" if check.remedy else ""))
             mark.setAccessibleName(f"{check.name}: {check.outcome}")
             name.setAccessibleName(check.name)

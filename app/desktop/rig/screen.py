@@ -6,6 +6,7 @@ from PySide6.QtCore import QSize, Qt, QTimer, Slot
 from PySide6.QtGui import QShowEvent
 from PySide6.QtWidgets import QFrame, QHBoxLayout, QScrollArea, QStackedLayout, QTabWidget, QVBoxLayout, QWidget
 
+from goniotwin.app.desktop import model
 from goniotwin.app.desktop.rig.panels import AxesPanel, DevicesPanel, RigPanel
 from goniotwin.app.desktop.rig.preflight_panel import PreflightPanel
 from goniotwin.app.desktop.screen import Screen, WithoutPreferredHeight
@@ -74,10 +75,7 @@ class RigScreen(Screen):
 
     def complete(self) -> None:
         """Begin to look at the rig."""
-        # Loads 739 modules, numba and pymodbus among them: 1.1 s, which the window's first picture does without.
-        from goniotwin.app.desktop.model.rig_facts import RigFacts
-
-        self._facts = RigFacts()
+        self._facts = model.RigFacts()
         self._facts.set_plan(self._plan)
         self._facts.set_folder(self._folder)
         self._timer.start()
@@ -123,25 +121,20 @@ class RigScreen(Screen):
     @Slot(object)
     def show_message(self, message: object) -> None:
         """Show an event of the station, or what the window knows of it."""
-        # Loads 330 modules, numpy and pydantic among them: 0.5 s, which the window's first picture does without.
-        from goniotwin.app.campaign.running.events import RowCommitted
-        from goniotwin.app.desktop.model.messages import Attached, NotAttached, PastRead, RigRead, StationLost
-        from goniotwin.app.station import messages
-
         before = self.facts.station.rig
         match message:
-            case RigRead(rig):
+            case model.RigRead(rig):
                 self.set_rig(rig)
-            case Attached():
+            case model.Attached():
                 self.facts.begin(message)
-            case PastRead():
+            case model.PastRead():
                 self.facts.take_past(message)
-            case RowCommitted():
+            case model.RowCommitted():
                 self.facts.add_row(message)
-            case NotAttached() | StationLost():
+            case model.NotAttached() | model.StationLost():
                 self.set_rig(None)
-                self.facts.take(messages.Snapshot())
-            case _ if isinstance(message, messages.Message):
+                self.facts.take(model.Snapshot())
+            case _ if isinstance(message, model.Message):
                 self.facts.take(message)
         now = self.facts.station.rig
         if now is not before:
@@ -155,11 +148,8 @@ class RigScreen(Screen):
     def _look(self) -> None:
         if self._facts is None or not self.isVisible():
             return
-        # Loads 160 modules, numpy and pydantic among them: 0.2 s, which the window's first picture does without.
-        from goniotwin.app.desktop.model.preflight import preflight
-
         self.devices.refresh()
-        self.preflight.set_checks(preflight(self._facts.facts()))
+        self.preflight.set_checks(model.preflight_checks(self._facts.facts()))
 
     @Slot(str)
     def _reconnect(self, device: str) -> None:

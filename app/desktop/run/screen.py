@@ -110,6 +110,7 @@ class RunScreen(Screen):
 
     def complete(self) -> None:
         """Make the plots."""
+        # These load pyqtgraph, which the window's first picture does without.
         from goniotwin.app.desktop.run.hemisphere import HemisphereMap
         from goniotwin.app.desktop.run.live_plot import ScanPlot
 

@@ -19,6 +19,7 @@ from PySide6.QtWidgets import (
 )
 
 from goniotwin.app.campaign.wording import rounded_duration_text
+from goniotwin.app.desktop import model
 from goniotwin.app.desktop.model.axes import GREEK
 from goniotwin.app.desktop.rig.panels import fill, heading, path_label, show_path
 from goniotwin.app.desktop.screen import Screen
@@ -150,8 +151,6 @@ class SetupScreen(Screen):
 
 def plan_contents(plan: "Plan") -> list[tuple[str, str]]:
     """What a plan measures, as names and texts."""
-    from goniotwin.app.campaign.schedule.grids import grid_values  # loaded, for there is a plan
-
     file = plan.schedule.file
     gains = file.gains_v_per_a
     grids = (("sigma", file.sigma_deg), ("gamma", file.gamma_deg), ("beta", file.beta_deg), ("shift", file.shift_deg))
@@ -159,8 +158,8 @@ def plan_contents(plan: "Plan") -> list[tuple[str, str]]:
         ("Samples", ", ".join(file.samples)),
         ("Reference standard", ", ".join(file.standards)),
         ("Light", f"{file.light}, {file.side} side lit"),
-        *((GREEK[axis], values_text(grid_values(grid), "°")) for axis, grid in grids),
-        ("Wavelength", values_text(grid_values(file.wavelength_nm), " nm")),
+        *((GREEK[axis], values_text(model.grid_values(grid), "°")) for axis, grid in grids),
+        ("Wavelength", values_text(model.grid_values(file.wavelength_nm), " nm")),
         ("Gains", gains if isinstance(gains, str) else ", ".join(map(gain_text, gains)) + " V/A"),
         ("Dark readings", f"every {rounded_duration_text(file.dark_every_s)}"),
     )

@@ -6,6 +6,7 @@ from PySide6.QtCore import QPointF, QRectF, QSize, Qt
 from PySide6.QtGui import QColor, QFontMetricsF, QPainter, QPaintEvent, QPen, QPolygonF
 from PySide6.QtWidgets import QSizePolicy, QWidget
 
+from goniotwin.app.desktop import model
 from goniotwin.app.desktop.theme import Colours
 from goniotwin.app.desktop.tolerances.tables import number_text, share_text
 
@@ -89,8 +90,6 @@ class DistributionView(QWidget):
         )
 
     def _draw_axes(self, painter: QPainter, place: QRectF, greatest: float, quantity: str, line: float) -> None:
-        from goniotwin.app.figures.scale import linear_ticks  # the window shows itself before numpy is loaded
-
         colours = self._colours
         few = place.height() < 5.0 * line
         for share in QUARTERS:
@@ -101,7 +100,7 @@ class DistributionView(QWidget):
                 painter.setPen(QColor(colours.text))
                 text = QRectF(0.0, y - 0.5 * line, place.left() - 6.0, line)
                 painter.drawText(text, Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter, f"{100.0 * share:.0f} %")
-        for value in linear_ticks(0.0, greatest, place.width(), ROOM_OF_VALUE):
+        for value in model.linear_ticks(0.0, greatest, place.width(), ROOM_OF_VALUE):
             x = place.left() + place.width() * value / greatest
             painter.setPen(QPen(QColor(colours.line), 1.0))
             painter.drawLine(QPointF(x, place.top()), QPointF(x, place.bottom() + 3.0))

@@ -20,6 +20,7 @@ from PySide6.QtWidgets import (
 )
 
 from goniotwin import examples
+from goniotwin.app.desktop import model
 from goniotwin.app.desktop.dialogs import FileDialog
 from goniotwin.app.desktop.events.question import Choice, QuestionBox
 from goniotwin.app.desktop.screen import Screen, WithoutPreferredHeight
@@ -221,21 +222,16 @@ class TolerancesScreen(Screen):
     @Slot(object)
     def show_message(self, message: object) -> None:
         """Have a study wait while a run is in progress."""
-        # Loads 330 modules, numpy and pydantic among them: 0.6 s, which the window's first picture does without.
-        from goniotwin.app.campaign.running.events import Positions
-        from goniotwin.app.desktop.model.messages import Attached, NotAttached, StationLost
-        from goniotwin.app.station import messages
-
         before = self.in_run
         match message:
-            case Positions():  # a run has many a second
+            case model.Positions():  # a run has many a second
                 return
-            case Attached(_name, snapshot):
+            case model.Attached(_name, snapshot):
                 self._station = snapshot
-            case NotAttached() | StationLost():
+            case model.NotAttached() | model.StationLost():
                 self._station = None
-            case _ if isinstance(message, messages.Message):
-                self._station = messages.advance(self._station or messages.Snapshot(), message)
+            case _ if isinstance(message, model.Message):
+                self._station = model.advance(self._station or model.Snapshot(), message)
         if self.in_run != before:
             if self._studies is not None:
                 self._studies.wait(self.in_run)
@@ -273,15 +269,12 @@ class TolerancesScreen(Screen):
     @Slot()
     def _show_chosen(self) -> None:
         """Show the chosen study, with its result if it has been computed since the file was written."""
-        # Loads 518 modules, numba and numpy among them: 0.7 s, which the window's first picture does without.
-        from goniotwin.app.desktop.model.tolerances import read_content
-
         path = self.path
         self._show_nothing()
         if path is None or not self._complete:
             return
         try:
-            content = read_content(path)
+            content = model.read_content(path)
         except UserError as error:
             self._refused = True
             self._show_status(str(error), error=True)
@@ -329,9 +322,6 @@ class TolerancesScreen(Screen):
 
     def compute(self) -> None:
         """Begin to compute the chosen study."""
-        # Loads 518 modules, numba and numpy among them: 0.7 s, which the window's first picture does without.
-        from goniotwin.app.desktop.model.tolerances import Studies
-
         path = self.path
         if path is None or self._computing or self.in_run:
             return
@@ -340,7 +330,7 @@ class TolerancesScreen(Screen):
         if self.content is None:
             return
         if self._studies is None:
-            self._studies = Studies(self.answered.emit)
+            self._studies = model.Studies(self.answered.emit)
         self._computing = True
         self.progress.setValue(0)
         self._studies.compute(path)
@@ -355,24 +345,21 @@ class TolerancesScreen(Screen):
 
     @Slot(object)
     def _take_answer(self, numbered: "tuple[int, StudyAnswer]") -> None:
-        # Loads 518 modules, numba and numpy among them: 0.5 s, which the window's first picture does without.
-        from goniotwin.app.desktop.model.tolerances import StudyFailed, StudyOutcome, StudyProgress
-
         number, answer = numbered
         if not self._computing or self._studies is None or number != self._studies.number:
             return
         match answer:
-            case StudyProgress(share, step, waiting):
+            case model.StudyProgress(share, step, waiting):
                 self.progress.setValue(round(1000 * share))
                 self._show_status(f"{WAITING}: {step}" if waiting else f"{step[:1].upper()}{step[1:]} …")
-            case StudyOutcome():
+            case model.StudyOutcome():
                 content = self.content
                 assert content is not None  # no other study can be chosen meanwhile
                 self._outcomes[content.path] = content, answer
                 self._show_outcome(answer)
                 self.parts.setCurrentWidget(self._together)
                 self._end("")
-            case StudyFailed(reason):
+            case model.StudyFailed(reason):
                 self._end(reason, error=True)
 
     def _end(self, text: str, *, error: bool = False) -> None:
@@ -444,11 +431,8 @@ class TolerancesScreen(Screen):
         box.chosen.connect(decide)
 
     def _write(self, outcome: "StudyOutcome", folder: Path) -> None:
-        # Loads 518 modules, numba and numpy among them: 0.5 s, which the window's first picture does without.
-        from goniotwin.app.desktop.model.tolerances import write_outcome
-
         try:
-            write_outcome(outcome, folder)
+            model.write_outcome(outcome, folder)
         except UserError as error:
             self._show_status(str(error), error=True)
         else:

@@ -6,7 +6,7 @@ from datetime import date
 import pytest
 
 from goniotwin.app.campaign.readout import WarmUpTrace
-from goniotwin.app.desktop.model.preflight import MARKS, Facts, Outcome, preflight, summary
+from goniotwin.app.desktop.model.preflight import MARKS, Facts, Outcome, preflight_checks, preflight_summary
 from goniotwin.app.station.messages import Contact, DeviceStatus
 
 ANSWERS = DeviceStatus(Contact.CONNECTED, "TMCM-6214")
@@ -39,17 +39,17 @@ READY = Facts(
 
 
 def test_all_is_ready() -> None:
-    checks = preflight(READY)
+    checks = preflight_checks(READY)
     assert tuple(each.name for each in checks) == CHECKS
     assert [each.outcome for each in checks] == [Outcome.GOOD] * len(CHECKS)
     assert not any(each.remedy for each in checks)
-    assert summary(checks) == "Ready"
+    assert preflight_summary(checks) == "Ready"
 
 
 def test_nothing_is_known_and_nothing_is_called_good() -> None:
-    checks = preflight(Facts(today=TODAY))
+    checks = preflight_checks(Facts(today=TODAY))
     assert Outcome.GOOD not in {each.outcome for each in checks}
-    assert summary(checks) == "Not ready: ports, disk"
+    assert preflight_summary(checks) == "Not ready: ports, disk"
 
 
 @pytest.mark.parametrize(
@@ -90,7 +90,7 @@ def test_nothing_is_known_and_nothing_is_called_good() -> None:
 def test_a_check_states_what_is_found_and_what_to_do(
     name: str, changes: dict[str, object], outcome: str, found: str, remedy: str
 ) -> None:
-    (check,) = [each for each in preflight(replace(READY, **changes)) if each.name == name]  # type: ignore[arg-type]
+    (check,) = [each for each in preflight_checks(replace(READY, **changes)) if each.name == name]  # type: ignore[arg-type]
     assert check.outcome is Outcome[outcome.upper()]
     assert found in check.found
     assert remedy in check.remedy
@@ -103,5 +103,8 @@ def test_the_marks_differ_without_their_colour() -> None:
 
 
 def test_the_summary_names_what_to_look_at() -> None:
-    assert summary(preflight(replace(READY, dark_age_s=100.0, drift="", drift_planned=False))) == "Look at: dark reading, drift"
-    assert summary(preflight(replace(READY, dark_age_s=None, monitor=None))) == "Ready, 2 not measured yet"
+    assert (
+        preflight_summary(preflight_checks(replace(READY, dark_age_s=100.0, drift="", drift_planned=False)))
+        == "Look at: dark reading, drift"
+    )
+    assert preflight_summary(preflight_checks(replace(READY, dark_age_s=None, monitor=None))) == "Ready, 2 not measured yet"
