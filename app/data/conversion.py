@@ -20,7 +20,7 @@ from goniotwin.app.data.export import part_of_light, part_of_wavelength, points_
 from goniotwin.app.data.parts import with_files_beside
 from goniotwin.app.data.values import EQUAL, listed, neighbours
 from goniotwin.app.errors import UserError
-from goniotwin.app.formats import BsdfTable, registry
+from goniotwin.app.formats import BsdfTable, registry, writing
 from goniotwin.app.formats.content import (
     CHECK,
     UNTRUSTED,
@@ -30,7 +30,6 @@ from goniotwin.app.formats.content import (
     ScatteredBsdf,
     flagged,
     nodes,
-    separate,
 )
 from goniotwin.app.formats.file import SQLITE, read_head
 from goniotwin.app.formats.gridding import grid_table
@@ -302,7 +301,7 @@ def _write(chosen: BsdfFile, path: Path, form: Format, choice: Choice, notes: li
     shares = tuple(share for table in chosen.tables for share in shares_of(table))
     widest = next((part.widest_gap_deg for part in before.scattered if part.widest_gap_deg is not None), None)
     parts = tuple(replace(part, comments=(*part.comments, *notes)) for part in chosen.parts)
-    files = registry.write(path, replace(chosen, parts=parts), form, notes)
+    files = writing.write(path, replace(chosen, parts=parts), form, notes)
     return Converted(files, form.name, measured, chosen.simulated, choice.fill, shares, tuple(notes), widest)
 
 
@@ -431,7 +430,7 @@ def _of_wavelength(content: BsdfFile, path: Path, form: Format, choice: Choice, 
     if wavelength_nm is None or wavelength_nm == "all":
         if there.size > 1 and Holds.WAVELENGTHS not in form.holds:
             wrong = f"the format {form.name} has one wavelength, and there are {listed(there, 'nm')}"
-            others = registry.others(registry.content_needs(content))
+            others = registry.others(writing.content_needs(content))
             raise UserError(f"{path}: {wrong}; {choice.remedies.wavelength}, or use {others}")
         return content
     _check_wavelength(path, there, wavelength_nm)
@@ -463,7 +462,7 @@ def _of_kind(content: BsdfFile, path: Path, form: Format, notes: list[str]) -> B
     if not form.holds & {Holds.GRID, Holds.POINTS}:
         if not content.regular:
             wrong = f"the format {form.name} holds {Holds.REGULAR}, which is not there"
-            raise UserError(f"{path}: {wrong}; use {registry.others(registry.content_needs(content))}")
+            raise UserError(f"{path}: {wrong}; use {registry.others(writing.content_needs(content))}")
         if others:
             notes.append(f"the scattered part is omitted: the format {form.name} has no room for it")
         return replace(content, parts=content.regular)
@@ -495,9 +494,9 @@ def _gridded(content: BsdfFile, path: Path, form: Format, fill: Fill) -> BsdfFil
             parts.append(part)
         if not isinstance(part, ScatteredBsdf) or (both and content.tables):
             continue
-        for one in separate(part):
+        for one in part.separate():
             if not both:
-                needs = registry.content_needs(BsdfFile((one,))) - {Holds.POINTS} | {Holds.GRID, Holds.SIGMAS}
+                needs = writing.content_needs(BsdfFile((one,))) - {Holds.POINTS} | {Holds.GRID, Holds.SIGMAS}
                 registry.check_holds(path, form, needs)
             try:
                 parts.append(grid_table(one, fill=fill, comments=(*content.comments, *one.comments)))

@@ -129,6 +129,14 @@ class ScatteredBsdf(ReadOnlyArrays, ColumnTable):
             generated=any(table.generated for table in tables),
         )
 
+    def separate(self) -> Iterator[Self]:
+        """The values of each light and side."""
+        for transmitted in np.unique(self.transmitted):
+            for back in np.unique(self.back):
+                here = (self.transmitted == transmitted) & (self.back == back)
+                if here.any():
+                    yield self if here.all() else self.where(here)
+
     def specular(self) -> tuple[Floats, Floats]:
         """theta (n,) and phi (n,) about the specular direction; for transmitted light about that of regular transmission."""
         return to_specular_deg(self.sigma_deg, self.polar_deg, self.azimuth_deg - self.psi_deg)
@@ -261,7 +269,7 @@ class BsdfFile:
     def of_points(self) -> "BsdfFile":
         """Without the tables of which the scattered values are there, by sample, light and side: an archive has both, and the
         tables are made of the others."""
-        own = {(each.sample, bool(one.transmitted[0]), bool(one.back[0])) for each in self.scattered for one in separate(each)}
+        own = {(each.sample, bool(one.transmitted[0]), bool(one.back[0])) for each in self.scattered for one in each.separate()}
         kept = (
             each
             for each in self.parts
@@ -303,15 +311,6 @@ def read_gaps(content: BsdfFile) -> BsdfFile:
         else:
             parts.append(each)
     return replace(content, parts=tuple(parts), comments=tuple(line for line in content.comments if not GAP.fullmatch(line)))
-
-
-def separate(part: ScatteredBsdf) -> Iterator[ScatteredBsdf]:
-    """The values of each light and side."""
-    for transmitted in np.unique(part.transmitted):
-        for back in np.unique(part.back):
-            here = (part.transmitted == transmitted) & (part.back == back)
-            if here.any():
-                yield part if here.all() else part.where(here)
 
 
 def nodes(table: BsdfTable, *, once: bool = False) -> ScatteredBsdf:

@@ -46,7 +46,6 @@ from goniotwin.twin.optics.bsdf.table_samples import Symmetry
 
 if TYPE_CHECKING:  # the formats are loaded for a sample that is a file
     from goniotwin.app.formats import BsdfTable
-    from goniotwin.app.formats.content import BsdfFile
     from goniotwin.app.formats.content import RegularTable as RegularFactors
 
 
@@ -268,16 +267,10 @@ def sample_scatterer(sample: FormulaTable | MeasuredTable | SumTable, folder: Pa
         return sum_samples(*[sample_scatterer(lobe, folder, f"{place}.lobes.{i}") for i, lobe in enumerate(sample.lobes)])
     if not isinstance(sample, MeasuredTable):
         return sample.scatterer()
-    # Loads 2 modules: 14 ms, which `check` does without.
-    from goniotwin.app.formats import FormatError, registry
-
     path = folder / sample.file
     try:
-        content = registry.read(path)
-        if (described := registry.described_table(content)) is not None:
-            raise FormatError(path, f"it has {described}, not values", "give the table itself")
-        return _file_sample(content, path, sample)
-    except FormatError as error:
+        return _file_sample(path, sample)
+    except UserError as error:
         raise UserError(f"{place}: {error}") from None
     except ValueError as error:
         raise UserError(f"{place}: {path}: {error}") from None
@@ -328,8 +321,7 @@ def _model_entries(part: str) -> dict[str, Any]:
     name, colon, rest = (word.strip() for word in part.partition(":"))
     place = f"sample {name or part!r}"
     if name not in MODELS:
-        # Loads 2 modules: 14 ms, which `check` does without.
-        from goniotwin.app.formats import registry
+        from goniotwin.app.formats import registry  # as in `_file_sample`
 
         tables = ", ".join(registry.suffixes(each for each in registry.readers() if each.holds & registry.BSDF))
         known = (
@@ -369,13 +361,15 @@ def _value(text: str) -> bool | float | str:
         return text
 
 
-def _file_sample(content: "BsdfFile", path: Path, sample: MeasuredTable) -> Scatterer:
+def _file_sample(path: Path, sample: MeasuredTable) -> Scatterer:
     """The sample of a file: all of its lobes. Raises FormatError, and ValueError for values that no sample has."""
-    # Loads 262 modules, numba among them: 0.2 s, which `check` does without.
+    # Loads 262 modules, numba among them: 0.2 s, which `check` does without where no sample is a file.
     from goniotwin.app.formats import FormatError, registry
-    from goniotwin.app.formats.content import separate
     from goniotwin.app.formats.gridding import grid_table
 
+    content = registry.read(path)
+    if (described := registry.described_table(content)) is not None:
+        raise FormatError(path, f"it has {described}, not values", "give the table itself")
     if sample.sample is not None:
         content = content.of(sample.sample)
     if len(content.samples) != 1:
@@ -385,7 +379,7 @@ def _file_sample(content: "BsdfFile", path: Path, sample: MeasuredTable) -> Scat
     content = content.of_points()
     tables = list(content.tables)
     for part in content.scattered:
-        tables += [grid_table(each, fill=sample.fill) for each in separate(part)]
+        tables += [grid_table(each, fill=sample.fill) for each in part.separate()]
     lobes = [_table_sample(table, path.name, sample) for table in tables]
     lobes += [each for part in content.regular for each in _regular_lobes(part, sample)]
     return lobes[0] if len(lobes) == 1 else sum_samples(*lobes, name=path.name)

@@ -15,7 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from goniotwin.app.errors import UserError
-from goniotwin.app.formats import BsdfTable, PointStream, registry
+from goniotwin.app.formats import BsdfTable, PointStream, registry, writing
 from goniotwin.app.formats.content import BsdfFile, Part, RegularTable, ScatteredBsdf
 from goniotwin.app.formats.file import check_writable, write_file
 from goniotwin.app.formats.registry import Format, Holds
@@ -126,7 +126,7 @@ def write_simulation(simulation: Simulation, path: Path, name: str | None = None
     if Holds.COLUMNS in found.holds:
         write_content(path, Holds.POINTS, PointStream(_heading(simulation, every_detector=True), [_columns(simulation)]))
         return (path,)
-    return registry.write(path, _content(simulation, found), found)
+    return writing.write(path, _content(simulation, found), found)
 
 
 def _content(simulation: Simulation, found: Format) -> BsdfFile:

@@ -12,7 +12,7 @@ from typer.testing import CliRunner, Result
 from goniotwin.app.cli.main import app
 from goniotwin.app.data.report.report import write_report
 from goniotwin.app.errors import GoniotwinError
-from goniotwin.app.formats import registry
+from goniotwin.app.formats import registry, writing
 from goniotwin.app.formats.content import BsdfFile
 from tests.app.data.made import gaussian, table
 from tests.conftest import REPOSITORY
@@ -34,7 +34,7 @@ def json_of(*arguments: object) -> Any:
 def ddr(tmp_path: Path) -> Path:
     path = tmp_path / "made.ddr"
     made = table(gaussian(15.0), np.array([0.0, 30.0, 60.0, 90.0]), 2.5)
-    registry.write(path, BsdfFile((made,)), registry.format_named("ddr", registry.BSDF))
+    writing.write(path, BsdfFile((made,)), registry.format_named("ddr", registry.BSDF))
     return path
 
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from goniotwin.app.campaign.journal import chain
 from goniotwin.app.campaign.journal.schema import migrate
-from goniotwin.app.formats import BsdfTable, registry, write_rayset
+from goniotwin.app.formats import BsdfTable, registry, write_rayset, writing
 from goniotwin.app.formats.content import BsdfFile
 from goniotwin.app.formats.hdf5 import BLOCK
 from goniotwin.app.formats.rayset import HEADING
@@ -143,7 +143,7 @@ def make_files(root: Path) -> Path:
     table = BsdfTable(*grid, values=np.full((1, 1, 2, 3, 3), 0.2), transmitted=False, generated=True)
     for suffix in ("ddr", "bsdf"):
         path = folder / f"table.{suffix}"
-        registry.write(path, BsdfFile((table,)), registry.format_for(path, {registry.Holds.GRID}))
+        writing.write(path, BsdfFile((table,)), registry.format_for(path, {registry.Holds.GRID}))
         sample = f'[twin.samples.table]\nmodel = "table"\nfile = "{path.name}"\n\n[twin.samples.etalon]'
         (folder / f"{suffix}.toml").write_text(rig.replace("[twin.samples.etalon]", sample), encoding="utf-8")
     for name in ("finished.journal", "interrupted.journal"):

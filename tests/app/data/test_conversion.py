@@ -13,7 +13,7 @@ import goniotwin
 from goniotwin.app.cli.main import app
 from goniotwin.app.data.conversion import Choice, Converted, convert_content, convert_file, format_to_write, parse_wavelength
 from goniotwin.app.errors import GoniotwinError, UserError
-from goniotwin.app.formats import registry
+from goniotwin.app.formats import registry, writing
 from goniotwin.app.formats.content import BsdfFile, RegularTable, ScatteredBsdf, nodes
 from goniotwin.app.formats.gridding import grid_table
 from goniotwin.app.formats.metadata import Metadata, QualityMetadata, SampleMetadata, common_metadata
@@ -195,7 +195,7 @@ def test_of_an_archive_each_value_counts_once(tmp_path: Path) -> None:
     through = replace(values, transmitted=np.ones(values.size, dtype=bool))
     assert len(BsdfFile((through, grid)).of_points().parts) == 2  # light of which there are no values
     path = tmp_path / "a.h5"
-    registry.write(path, content, registry.format_named("archive", {registry.Holds.GRID}))
+    writing.write(path, content, registry.format_named("archive", {registry.Holds.GRID}))
     assert goniotwin.open(path).size == values.size
     listed = convert_file(path, tmp_path / "a.csv", format_to_write(tmp_path / "a.csv"), Choice())
     assert registry.read(listed.files[0]).scattered[0].size == values.size

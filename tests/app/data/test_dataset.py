@@ -13,7 +13,7 @@ from goniotwin.app.campaign.studies.reduced_journal import reduce_journal
 from goniotwin.app.data.conversion import Choice, convert_reduced, format_to_write
 from goniotwin.app.data.opening import dataset_of_file
 from goniotwin.app.data.values import COLUMNS
-from goniotwin.app.formats import registry
+from goniotwin.app.formats import registry, writing
 from goniotwin.app.formats.content import BsdfFile, ScatteredBsdf
 from goniotwin.app.formats.registry import Holds
 from goniotwin.app.formats.table import BsdfTable
@@ -209,7 +209,7 @@ def test_uncertainties_and_mask_beside_a_table_belong_to_it(tmp_path: Path) -> N
     known = np.ones(made.values.shape, dtype=bool)
     known[..., 3] = False
     path = tmp_path / "a.ddr"
-    files = registry.write(path, BsdfFile((replace(made, known=known),)), registry.format_named("ddr", {Holds.GRID}))
+    files = writing.write(path, BsdfFile((replace(made, known=known),)), registry.format_named("ddr", {Holds.GRID}))
     assert len(files) == 3
     d = goniotwin.open(path)
     assert d.origin == "ddr"

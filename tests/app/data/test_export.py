@@ -20,7 +20,7 @@ from goniotwin.app.data.conversion import format_to_write
 from goniotwin.app.data.export import scattered_of, scattered_points
 from goniotwin.app.data.opening import sample_of_points
 from goniotwin.app.errors import UserError
-from goniotwin.app.formats import read_ddr, read_points_csv, read_zemax, registry
+from goniotwin.app.formats import read_ddr, read_points_csv, read_zemax, registry, writing
 from goniotwin.app.formats.content import FILLED, ISOTROPIC, UNTRUSTED
 from goniotwin.app.formats.gridding import grid_table
 from goniotwin.app.formats.specular_grid import SpecularCut
@@ -193,7 +193,7 @@ def test_a_csv_has_the_interval_of_each_value_and_every_format_of_points_keeps_i
         np.testing.assert_allclose(columns[column], expected, rtol=1e-7)
     for path in (tmp_path / "a.csv", tmp_path / "a.h5", tmp_path / "b.csv"):
         if not path.exists():
-            registry.write(path, registry.read(tmp_path / "a.csv"), format_to_write(path))
+            writing.write(path, registry.read(tmp_path / "a.csv"), format_to_write(path))
         found = goniotwin.open(path)
         assert found.interval.tolist() == columns["interval"].tolist()
         np.testing.assert_array_equal(found.low95, columns["low95_per_sr"])

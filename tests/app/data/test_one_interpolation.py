@@ -14,7 +14,7 @@ import goniotwin
 from goniotwin.app.data.conversion import Choice, convert_content
 from goniotwin.app.data.interpolation import direction_grid
 from goniotwin.app.data.opening import dataset_of_file
-from goniotwin.app.formats import registry
+from goniotwin.app.formats import registry, writing
 from goniotwin.app.formats.content import BsdfFile, ScatteredBsdf
 from goniotwin.app.formats.registry import Format, Holds
 from goniotwin.app.formats.table import BsdfTable
@@ -124,7 +124,7 @@ CONTENTS: dict[str, Callable[[], BsdfTable | ScatteredBsdf]] = {
 
 def holds(form: Format, content: BsdfFile) -> bool:
     """Whether a format can hold a content as it is: a grid is also its nodes."""
-    needs = registry.content_needs(content)
+    needs = writing.content_needs(content)
     if Holds.POINTS in form.holds and Holds.GRID in needs:
         needs = (needs - {Holds.GRID}) | {Holds.POINTS}
     return form.writes and form.holds.issuperset(needs)

@@ -13,7 +13,7 @@ import pytest
 from goniotwin.app.cli.main import app
 from goniotwin.app.data import rendering
 from goniotwin.app.errors import MissingPackage, UserError
-from goniotwin.app.formats import BsdfTable, registry
+from goniotwin.app.formats import BsdfTable, registry, writing
 from goniotwin.app.formats.content import BsdfFile
 from tests.app.data.made import lambertian, rings
 from tests.conftest import REPOSITORY
@@ -55,7 +55,7 @@ def test_what_cannot_be_drawn_is_refused(arguments: list[str], words: str) -> No
 
 def test_a_file_without_reflected_light_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "clear.ddt"
-    registry.write(path, BsdfFile((diffuser(0.5, transmitted=True),)), registry.format_for(path, registry.BSDF))
+    writing.write(path, BsdfFile((diffuser(0.5, transmitted=True),)), registry.format_for(path, registry.BSDF))
     with pytest.raises(UserError, match=r"has no values in 1/sr of light that its front reflects"):
         rendering.read_table(path)
 
@@ -66,7 +66,7 @@ def test_the_command_that_a_refusal_names_makes_the_table(tmp_path: Path, monkey
     through = replace(points, transmitted=np.ones(points.size, dtype=bool))
     parts = tuple(replace(each, sample=name) for name in ("a b", "c") for each in (points, through))
     path = Path("all.csv")
-    registry.write(path, BsdfFile(parts), registry.format_for(path, registry.BSDF))
+    writing.write(path, BsdfFile(parts), registry.format_for(path, registry.BSDF))
     with pytest.raises(UserError, match=r"has points and no table of light that its front reflects; make one: ") as refused:
         rendering.read_table(path)
     command = str(refused.value).partition("make one: goniotwin ")[2]
@@ -94,7 +94,7 @@ def test_the_command_draws_two_files(tmp_path: Path, capsys: pytest.CaptureFixtu
     with_mitsuba()
     for name, reflectance in (("a", 0.6), ("b", 0.5)):
         path = tmp_path / f"{name}.ddr"
-        registry.write(path, BsdfFile((diffuser(reflectance),)), registry.format_for(path, registry.BSDF))
+        writing.write(path, BsdfFile((diffuser(reflectance),)), registry.format_for(path, registry.BSDF))
     files = [str(tmp_path / name) for name in ("a.ddr", "b.ddr")]
     out = tmp_path / "pair.png"
     app(["render", *files, "--out", str(out), "--size", str(SIZE), "--rays", "2", "--json"], standalone_mode=False)

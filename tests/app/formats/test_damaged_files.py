@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from goniotwin.app.formats import BsdfTable, FormatError, registry, write_rayset
+from goniotwin.app.formats import BsdfTable, FormatError, registry, write_rayset, writing
 from goniotwin.app.formats.content import BsdfFile, Part, RegularTable, ScatteredBsdf
 from goniotwin.app.formats.file import read_head
 from goniotwin.app.formats.numerals import NotANumber, parse_number
@@ -62,7 +62,7 @@ def original(found: Format, folder: Path) -> bytes:
     possible: dict[Holds, Part] = {Holds.GRID: table, Holds.POINTS: points, Holds.REGULAR: regular}
     parts = tuple(part for kind, part in possible.items() if kind in found.holds)
     assert found.writes, f"no small file of the format {found.name}: add one to READ_ONLY"
-    registry.write(path, BsdfFile(parts[:1]), found)
+    writing.write(path, BsdfFile(parts[:1]), found)
     return path.read_bytes()
 
 

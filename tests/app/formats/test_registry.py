@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from goniotwin.app.formats import BsdfTable, FormatError, PointStream, registry
+from goniotwin.app.formats import BsdfTable, FormatError, PointStream, registry, writing
 from goniotwin.app.formats.content import BsdfFile
 from goniotwin.app.formats.coverage import covered
 from goniotwin.app.formats.registry import BUILT_IN, KINDS, Format, Holds
@@ -199,12 +199,12 @@ def test_a_table_is_read_as_it_was_written(
         if each.name == "rgl":  # it resamples; test_rgl.py
             continue
         given = BsdfFile((written,))
-        if not registry.content_needs(given) <= each.holds:
+        if not writing.content_needs(given) <= each.holds:
             with pytest.raises(FormatError, match=f"the format {each.name} does not hold"):
-                registry.write(folder / "a", given, each)
+                writing.write(folder / "a", given, each)
             continue
         path = folder / f"a{each.suffixes[0]}"
-        assert registry.write(path, given, each) == (path,)
+        assert writing.write(path, given, each) == (path,)
         found = read_table(path)
         for name in ("sigma_deg", "phi_deg", "theta_deg", "psi_deg"):
             np.testing.assert_allclose(getattr(found, name), getattr(written, name), rtol=1e-8)
@@ -219,7 +219,7 @@ def test_uncertainties_and_mask_are_in_files_of_the_same_grid_beside(tmp_path: P
     given = content(u=0.1 * table().values, known=known)
     for each in (DDR, ZEMAX):
         path = tmp_path / f"my.paint{each.suffixes[0]}"
-        files = registry.write(path, given, each)
+        files = writing.write(path, given, each)
         assert files == tuple(tmp_path / f"my.paint{word}{each.suffixes[0]}" for word in ("", ".u", ".mask"))
         values, u, mask = (read_table(file) for file in files)
         np.testing.assert_allclose(u.values, 0.1 * values.values, rtol=1e-8)
@@ -231,7 +231,7 @@ def test_uncertainties_and_mask_are_in_files_of_the_same_grid_beside(tmp_path: P
         for word in ("u", "mask"):
             assert any(f"in my.paint.{word}{each.suffixes[0]}" in line for line in values.comments)
         # Of a later result without them the old ones would be wrong.
-        assert registry.write(path, content(), each) == (path,)
+        assert writing.write(path, content(), each) == (path,)
         assert not files[1].exists()
         assert not files[2].exists()
 
@@ -416,7 +416,7 @@ def test_a_codec_that_fails_is_named_and_no_file_is_blamed(tmp_path: Path, add: 
         with pytest.raises(
             FormatError, match=r"b\..*faulty: the codec of the format faulty failed \(KeyError: 'abc'\); correct"
         ):
-            registry.write(tmp_path / "b.faulty", written, faulty)
+            writing.write(tmp_path / "b.faulty", written, faulty)
 
 
 @pytest.mark.parametrize("suffix", [".ddr", ".ssdd", ".bsdf"])
@@ -427,7 +427,7 @@ def test_a_list_of_azimuths_that_goes_round_without_0_is_closed_and_read_as_it_w
     table = BsdfTable(np.array([0.0, 90.0]), phi, theta, values, psi_deg=psi)
     path = tmp_path / f"a{suffix}"
     form = registry.format_for(path, {Holds.GRID})
-    registry.write(path, BsdfFile((table,)), form)
+    writing.write(path, BsdfFile((table,)), form)
     again = registry.read(path).only_table()
     assert again.psi_deg.tolist() == psi.tolist()
     assert again.phi_deg.tolist() == phi.tolist()

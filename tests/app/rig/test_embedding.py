@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from goniotwin.app.errors import UserError
-from goniotwin.app.formats import BsdfTable, registry
+from goniotwin.app.formats import BsdfTable, registry, writing
 from goniotwin.app.formats.content import BsdfFile
 from goniotwin.app.rig import read_rig
 from goniotwin.app.rig.embedding import embed_rig, embedded_rig
@@ -28,7 +28,7 @@ def test_a_rig_on_another_computer_has_the_model_of_this_one(write_rig: Writer, 
     path = tmp_path / "tables" / "paint.ddr"
     values = np.full((1, 1, 2, 2, 3), 0.2)
     table = BsdfTable(np.array([0.0, 90.0]), np.array([0.0, 180.0]), np.array([0.0, 90.0, 180.0]), values)
-    registry.write(path, BsdfFile((table,)), registry.format_named("ddr", {registry.Holds.GRID}))
+    writing.write(path, BsdfFile((table,)), registry.format_named("ddr", {registry.Holds.GRID}))
     rig = read_rig(write_rig(("[twin.samples.etalon]", SUM)))
     own = rig.model()
     assert own is not None

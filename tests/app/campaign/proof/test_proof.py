@@ -18,7 +18,7 @@ from goniotwin.app.campaign.rehearsal.without_wires import run_without_wires
 from goniotwin.app.campaign.schedule.file import parse_schedule, read_schedule
 from goniotwin.app.campaign.studies.reduced_journal import reduce_journal
 from goniotwin.app.errors import UserError
-from goniotwin.app.formats import BsdfTable, registry
+from goniotwin.app.formats import BsdfTable, registry, writing
 from goniotwin.app.formats.content import BsdfFile
 from goniotwin.app.json_document import json_value
 from goniotwin.app.rig import read_rig
@@ -42,7 +42,7 @@ def write_table(path: Path, factor: float = 1.0) -> None:
     """The BRDF of a grey diffuser as a table."""
     zenith = np.linspace(0.0, 180.0, 37)
     table = BsdfTable(np.array([0.0, 90.0]), np.array([0.0, 180.0]), zenith, np.full((1, 1, 2, 2, zenith.size), 0.2 * factor))
-    registry.write(path, BsdfFile((table,)), registry.format_named("ddr", {registry.Holds.GRID}))
+    writing.write(path, BsdfFile((table,)), registry.format_named("ddr", {registry.Holds.GRID}))
 
 
 def small_proof(write_rig: Writer, write_schedule: Writer, folder: Path, rigs: int = 2, *, wires: bool = False) -> Proof:
