@@ -125,11 +125,8 @@ def device_names(address: str) -> frozenset[str]:
     if match := _NETWORK_PORT.match(plain):
         return _tcp_names(plain[match.end() :].partition("/")[0], "")
     if plain.startswith(USBIP):
-        # Loads 1 module: 8 ms, which `check` does without.
-        from goniotwin.protocols import usbip
-
         place, slash, bus_id = plain.removeprefix(USBIP).partition("/")
-        return frozenset(f"{each}{slash}{bus_id}" for each in _tcp_names(place, str(usbip.PORT)))
+        return frozenset(f"{each}{slash}{bus_id}" for each in _tcp_names(place, _usbip_port()))
     if match := re.fullmatch(r"(?i)(?:\\\\[.?]\\)?(com[0-9]+)", plain):
         return frozenset({f"serial:{match[1].upper()}"})
     if plain.startswith("/") or Path(plain).exists():
@@ -216,14 +213,17 @@ def address_settings(address: str, query: str, *known: str) -> dict[str, str]:
 
 def usbip_address(address: str) -> tuple[str, int, str]:
     """Host, port and bus id of `usbip:HOST:PORT/BUSID`; the default port is 3240. Raises UserError."""
-    # Loads 1 module: 8 ms, which `check` does without.
-    from goniotwin.protocols import usbip
-
     place, _, bus_id = address.removeprefix(USBIP).partition("/")
-    host, number = host_and_port(place, str(usbip.PORT))
+    host, number = host_and_port(place, _usbip_port())
     if not host or not bus_id or not is_port(number):
         raise InvalidAddress(address, "is not usbip:HOST:PORT/BUSID, such as usbip:127.0.0.1:3240/1-1")
     return host, int(number), bus_id
+
+
+def _usbip_port() -> str:
+    from goniotwin.protocols import usbip  # 8 ms, which `check` does without
+
+    return str(usbip.PORT)
 
 
 def whole_number(address: str, name: str, text: str) -> int:

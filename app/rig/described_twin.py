@@ -17,11 +17,11 @@ from goniotwin.app.errors import UserError
 from goniotwin.app.rig.addresses import RTU, TWIN, rtu_address
 from goniotwin.app.rig.alignment import AlignmentFile, parse_alignment
 from goniotwin.app.rig.axes import AXES
+from goniotwin.app.rig.description import RigDescription, parse_rig
 from goniotwin.app.rig.file import RigFile, nominal_instrument, set_addresses
 from goniotwin.app.rig.inputs import element_deviations
 from goniotwin.app.rig.kinds import ROLES, device_kind
 from goniotwin.app.rig.makes import DEFAULT_KIND, OWN_KINDS, MonitorTable, MonochromatorTable, PhotodiodesTable
-from goniotwin.app.rig.opening import RigDescription, parse_rig
 from goniotwin.app.rig.samples import sample_table
 from goniotwin.drivers import AxisSettings
 from goniotwin.keys import values_of

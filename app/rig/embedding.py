@@ -8,7 +8,7 @@ from typing import Any
 import tomlkit
 
 from goniotwin.app.formats.file import read_file, write_file
-from goniotwin.app.rig.opening import RigDescription, parse_rig
+from goniotwin.app.rig.description import RigDescription, parse_rig
 
 NAME = "the rig file"
 """Its name in the messages of another computer: the path on this one is not the rig's."""

@@ -10,7 +10,7 @@ from annotated_types import MinLen
 from goniotwin.app.rig.addresses import is_network_port
 from goniotwin.app.rig.axes import AnyAxis, AxesTable
 from goniotwin.app.rig.kinds import DeviceKind, Kind, MotionKind, register
-from goniotwin.drivers import TmclController, TmclModule
+from goniotwin.drivers import TmclController, TmclModule, monochromator
 from goniotwin.drivers.monitor.settings import MonitorSettings
 from goniotwin.drivers.monochromator.settings import MonochromatorSettings
 from goniotwin.drivers.motion.settings import AxisSettings
@@ -24,7 +24,7 @@ from goniotwin.twin.devices import FurtherTmclLine
 
 if TYPE_CHECKING:  # the libraries of the buses are loaded when a rig is opened
     from goniotwin.app.rig.wires import Wires
-    from goniotwin.drivers import Monitor, Monochromator, PhotodiodeArray
+    from goniotwin.drivers import Monitor, PhotodiodeArray
     from goniotwin.drivers.device import PortOpener
     from goniotwin.protocols.clock import Clock
 
@@ -134,16 +134,13 @@ def _tmcl_mechanics(name: str, axis: AxisSettings, assumptions: list[str]) -> di
     return mechanics
 
 
-def _open_cornerstone(wires: "Wires", table: Any) -> "Monochromator":
-    # Loads 4 modules: 9 ms, which `check` does without.
-    from goniotwin.drivers import Monochromator
-
+def _open_cornerstone(wires: "Wires", table: Any) -> "monochromator.Monochromator":
     tap, found = wires.tap("monochromator", as_text), wires.found(table.port)
-    return Monochromator(wires.serial(table.port), table, wires.clock, tap, found, wires.guard(table.port))
+    return monochromator.Monochromator(wires.serial(table.port), table, wires.clock, tap, found, wires.guard(table.port))
 
 
 def _open_adam(wires: "Wires", table: Any) -> "PhotodiodeArray":
-    # Loads 87 modules, pymodbus among them: 54 ms, which `check` does without.
+    # The libraries of the buses, pymodbus and usb, load some 90 modules: 70 ms, which `check` does without; below as well.
     from goniotwin.drivers import PhotodiodeArray
 
     units = [wires.modbus(address, f"photodiodes-{k}") for k, address in enumerate(table.units)]
@@ -151,7 +148,6 @@ def _open_adam(wires: "Wires", table: Any) -> "PhotodiodeArray":
 
 
 def _open_pm100d(wires: "Wires", table: Any) -> "Monitor":
-    # Loads 16 modules, usb among them: 16 ms, which `check` does without.
     from goniotwin.drivers import Monitor
 
     tap, found = wires.tap("monitor", _explain_usbtmc), wires.found(table.usb)
@@ -159,14 +155,12 @@ def _open_pm100d(wires: "Wires", table: Any) -> "Monitor":
 
 
 def _explain_modbus(direction: str, data: bytes) -> str:
-    # Loads 84 modules, pymodbus among them: 42 ms, which `check` does without.
     from goniotwin.drivers.photodiodes.modbus import explain
 
     return explain(direction, data)
 
 
 def _explain_usbtmc(direction: str, data: bytes) -> str:
-    # Loads 13 modules, usb among them: 11 ms, which `check` does without.
     from goniotwin.drivers.usb.control_endpoint import explain
 
     return explain(direction, data)
@@ -181,14 +175,11 @@ def _probe_tmcl(open_port: "PortOpener", clock: "Clock", baudrate: int) -> str:
 
 
 def _probe_cornerstone(open_port: "PortOpener", clock: "Clock") -> str:
-    # Loads 4 modules: 8 ms, which `check` does without.
-    from goniotwin.drivers import Monochromator
-
-    monochromator = Monochromator(open_port, MonochromatorSettings(), clock)
+    device = monochromator.Monochromator(open_port, MonochromatorSettings(), clock)
     try:
-        return monochromator.identify()
+        return device.identify()
     finally:
-        monochromator.close()
+        device.close()
 
 
 OWN_KINDS: tuple[Kind, ...] = (

@@ -7,8 +7,8 @@ from pathlib import Path
 import tomlkit
 
 from goniotwin.app.errors import UserError, unusable
+from goniotwin.app.rig.description import RigDescription
 from goniotwin.app.rig.file import set_addresses
-from goniotwin.app.rig.opening import RigDescription
 from goniotwin.mocks.served import CONTROL, Endpoint, Wire
 from goniotwin.own_files import replace_text
 from goniotwin.protocols import adam

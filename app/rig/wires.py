@@ -180,13 +180,10 @@ class Wires:
             vendor, product = int(parts[0], 16), int(parts[1], 16)
         except (ValueError, IndexError):
             raise InvalidAddress(address, "is neither VENDOR:PRODUCT:SERIAL nor usbip:HOST:PORT/BUSID") from None
-        serial_number = {"serial_number": parts[2]} if len(parts) > 2 else {}
+        return partial(_find_usb, vendor, product, **({"serial_number": parts[2]} if len(parts) > 2 else {}))
 
-        def opener() -> Any:
-            # Loads 7 modules: 4 ms, which `check` does without.
-            import libusb_package
 
-            backend = libusb_package.get_libusb1_backend()
-            return usb.core.find(backend=backend, idVendor=vendor, idProduct=product, **serial_number)
+def _find_usb(vendor: int, product: int, **serial_number: str) -> Any:
+    import libusb_package  # loads libusb, which most rigs do without
 
-        return opener
+    return usb.core.find(backend=libusb_package.get_libusb1_backend(), idVendor=vendor, idProduct=product, **serial_number)
