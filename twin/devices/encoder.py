@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from goniotwin.twin import plant
 from goniotwin.twin.plant.process_key import process_key
 
 if TYPE_CHECKING:
@@ -39,9 +40,7 @@ class Encoder:
         scale = self._scale(resolution)
         microsteps = self.steady(self._shaft.angle_deg(t), resolution) / scale
         if self._noise:
-            from goniotwin.twin.plant.noise import normal  # the settings are read without numba
-
-            microsteps += self._noise * normal(self._key, np.int64(math.floor(t / PERIOD_S)))
+            microsteps += self._noise * plant.normal(self._key, np.int64(math.floor(t / PERIOD_S)))
         a_count = mechanics.full_steps * MICROSTEPS / mechanics.encoder_counts
         return round(microsteps / a_count) * a_count * scale
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from goniotwin.protocols.tmcl import Command, ReplyStatus
 from goniotwin.protocols.tmcl_parameters import USER_BANK, GlobalParameter
+from goniotwin.twin import plant
 from goniotwin.twin.devices.ramp_generator import CommandRejected
 from goniotwin.twin.plant.process_key import process_key
 
@@ -103,9 +104,7 @@ class Globals:
                 case GlobalParameter.TICK_TIMER:
                     return round((t - self._ticks_from) * 1000.0) & 0x7FFF_FFFF
                 case GlobalParameter.RANDOM_NUMBER:
-                    from goniotwin.twin.plant.noise import mix  # the settings are read without numba
-
-                    return int(mix(self._key, np.int64(int(t * 1.0e6)))) & 0x7FFF_FFFF
+                    return int(plant.mix(self._key, np.int64(int(t * 1.0e6)))) & 0x7FFF_FFFF
         self._check(bank, number)
         return 0
 

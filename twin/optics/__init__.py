@@ -18,14 +18,14 @@ if TYPE_CHECKING:
     from goniotwin.twin.optics.bsdf.analytic_samples import regular as regular
     from goniotwin.twin.optics.bsdf.analytic_samples import ward as ward
     from goniotwin.twin.optics.bsdf.analytic_samples import wide_tailed as wide_tailed
+    from goniotwin.twin.optics.bsdf.evaluation import draw_directions as draw_directions
+    from goniotwin.twin.optics.bsdf.evaluation import evaluate as evaluate
     from goniotwin.twin.optics.bsdf.lobes import Lobe as Lobe
     from goniotwin.twin.optics.bsdf.point_samples import scattered_points as scattered_points
     from goniotwin.twin.optics.bsdf.scatterer import Scatterer as Scatterer
     from goniotwin.twin.optics.bsdf.scatterer import albedo as albedo
     from goniotwin.twin.optics.bsdf.scatterer import apply_spectrum as apply_spectrum
     from goniotwin.twin.optics.bsdf.scatterer import combine_sides as combine_sides
-    from goniotwin.twin.optics.bsdf.scatterer import draw_directions as draw_directions
-    from goniotwin.twin.optics.bsdf.scatterer import evaluate as evaluate
     from goniotwin.twin.optics.bsdf.scatterer import lobe_shares as lobe_shares
     from goniotwin.twin.optics.bsdf.scatterer import sum_samples as sum_samples
     from goniotwin.twin.optics.bsdf.scatterer import without_regular as without_regular

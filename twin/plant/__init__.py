@@ -1,4 +1,7 @@
-"""State of the instrument at a given time: mechanics, light, electronics; without threads and without ticks."""
+"""State of the instrument at a given time: mechanics, light, electronics; without threads and without ticks.
+
+Names are loaded at their first use: settings are read without numba.
+"""
 
 from typing import TYPE_CHECKING
 
@@ -23,6 +26,8 @@ if TYPE_CHECKING:
     from goniotwin.twin.plant.model import SecondOrder as SecondOrder
     from goniotwin.twin.plant.model import TwinModel as TwinModel
     from goniotwin.twin.plant.model import WheelFilter as WheelFilter
+    from goniotwin.twin.plant.noise import mix as mix
+    from goniotwin.twin.plant.noise import normal as normal
     from goniotwin.twin.plant.plant import ExpectedPose as ExpectedPose
     from goniotwin.twin.plant.plant import Plant as Plant
 else:

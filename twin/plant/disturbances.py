@@ -14,6 +14,7 @@ import numpy as np
 
 from goniotwin.arrays import Floats
 from goniotwin.keys import LATER, NonNegative, check_bounds
+from goniotwin.twin import plant
 from goniotwin.twin.optics import Deviation, Instrument
 from goniotwin.twin.optics.geometry.field import scale_field
 from goniotwin.twin.optics.geometry.instrument import COMPONENTS
@@ -147,12 +148,10 @@ class Drawn(Mapping[str, float]):
     def _draw(self, name: str, disturbance: Disturbance, width: float) -> float:
         if width == 0.0:
             return 0.0
-        from goniotwin.twin.plant.noise import mix, normal  # the settings are read without numba
-
         process = process_key(self._seed, f"disturbance {name}")
         if disturbance.distribution == "normal":
-            return width * float(normal(process, np.int64(0)))
-        return width * (float(mix(process, np.int64(0))) / 2.0**63 - 1.0)
+            return width * float(plant.normal(process, np.int64(0)))
+        return width * (float(plant.mix(process, np.int64(0))) / 2.0**63 - 1.0)
 
     def _drawn_at(self, target: Target, ends: Mapping[SharedBy, str]) -> list[float]:
         """The values that are added to a target, by the ends of their names."""

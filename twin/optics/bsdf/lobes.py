@@ -116,8 +116,7 @@ class Lobe:
 
         Gauss-Legendre over theta between the breaks of the model and up to the horizon of each phi; mean over phi.
         """
-        # Loads 324 modules, numba and importlib.metadata among them: 0.2 s, which `check` does without.
-        from goniotwin.twin.optics.bsdf.models import evaluate_all, refract, regular_share
+        from goniotwin.twin.optics.bsdf.models import evaluate_all, refract, regular_share  # as in `cells`
 
         light = light_direction(sigma_deg)
         if self.kind == REGULAR:
