@@ -2,7 +2,10 @@
 
 import errno
 import os
+import platform
 import sys
+import tempfile
+import traceback
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
@@ -51,16 +54,13 @@ def printable(text: str) -> str:
 def unexpected_error(error: BaseException) -> str:
     """One line about an error that nothing else has handled; its details go to a file, which the line names."""
     # Loads 69 modules, importlib.metadata among them: 26 ms, for an error that should not be.
-    import platform
-    import tempfile
-    import traceback
-    from importlib.metadata import version
-
     from platformdirs import user_log_path
+
+    from goniotwin.version import __version__
 
     what = "there is not enough memory" if isinstance(error, MemoryError) else "".join(traceback.format_exception_only(error))
     line = f"unexpected error: {what.strip()}"
-    about = f"goniotwin {version('goniotwin')}, Python {sys.version}, {platform.platform()}, {calendar_stamp()}"
+    about = f"goniotwin {__version__}, Python {sys.version}, {platform.platform()}, {calendar_stamp()}"
     details = "\n".join([about, " ".join(map(ascii, sys.argv)), *traceback.format_exception(error)])
     folders: tuple[Callable[[], Path], ...] = (lambda: user_log_path("goniotwin"), lambda: Path(tempfile.gettempdir()))
     for folder in folders:

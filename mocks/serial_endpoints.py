@@ -21,6 +21,9 @@ from goniotwin.protocols.loopback import listening_socket
 from goniotwin.twin.devices.line import SerialDevice
 from goniotwin.twin.devices.tmcm6214 import UnsolicitedReply
 
+if sys.platform != "win32":  # POSIX alone, as pseudo-terminals are
+    import tty
+
 CHUNK = 4096
 LONGEST_WAIT_S = 0.5
 
@@ -120,8 +123,6 @@ class SerialEndpoints:
             done.result()
 
     def _plug_in(self, line: Line, link: Path) -> None:
-        import tty  # POSIX alone, as pseudo-terminals are
-
         master, slave = os.openpty()
         try:
             tty.setraw(slave)

@@ -3,11 +3,16 @@
 import contextlib
 import os
 import socket
+import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from goniotwin.own_files import make_own_folder
 from goniotwin.twin.devices.line import SerialDevice
+
+if sys.platform != "win32":  # POSIX alone, as pseudo-terminals are
+    import fcntl
+    import termios
 
 HEARD_AT_ONCE = 260
 """The longest request on any wire: of a flood a device hears no more before the others have their turn."""
@@ -116,8 +121,6 @@ class PtyNames:
         self._claimed.clear()
 
     def _claim(self, folder: Path) -> None:
-        import fcntl  # POSIX alone, as pseudo-terminals are
-
         if folder in self._claimed:
             return
         if any(letter.isspace() for letter in str(folder)):
@@ -138,8 +141,6 @@ class PtyNames:
 
 def baudrate(slave: int) -> int | None:
     """Baud rate that the client has set on its side of a pseudo-terminal; None where it cannot be read."""
-    import termios  # POSIX alone, as pseudo-terminals are
-
     speed = termios.tcgetattr(slave)[5]
     names = {getattr(termios, f"B{rate}"): rate for rate in (9600, 19200, 38400, 57600, 115200) if hasattr(termios, f"B{rate}")}
     return names.get(speed)

@@ -3,15 +3,15 @@
 import os
 import sys
 
+import goniotwin
+
 
 def main() -> None:
     """Run the command line. `--version` alone does not load it."""
     _open_closed_streams()
     if sys.argv[1:] == ["--version"]:
-        from goniotwin.version import __version__  # 34 ms, for the version alone
-
         try:
-            print(f"goniotwin {__version__}", flush=True)
+            print(f"goniotwin {goniotwin.__version__}", flush=True)
             return
         except OSError:  # reported below
             pass

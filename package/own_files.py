@@ -5,20 +5,26 @@ import os
 import stat
 import tempfile
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from platformdirs import PlatformDirs
 
 
 def state_folder() -> Path:
     """The folder of this user's programs for what outlives them. It is not looked at."""
-    from platformdirs import user_state_path  # most commands do without
-
-    return user_state_path("goniotwin", appauthor=False)
+    return _folders().user_state_path
 
 
 def cache_folder() -> Path:
     """The folder of this user's programs for what they can make again. It is not looked at."""
-    from platformdirs import user_cache_path  # most commands do without
+    return _folders().user_cache_path
 
-    return user_cache_path("goniotwin", appauthor=False)
+
+def _folders() -> "PlatformDirs":
+    from platformdirs import PlatformDirs  # 20 ms, which most commands do without
+
+    return PlatformDirs("goniotwin", appauthor=False)
 
 
 def make_own_folder(folder: Path) -> None:

@@ -1,6 +1,7 @@
 """The runner on the workers of a Dask cluster: of a scheduler on any computer, or of a local one on the loopback interface.
 
-Dask is an extra. A worker computes one chunk at a time, with all of its cores: a chunk need not be safe among threads.
+Dask is an extra; without it the import raises MissingPackage. A worker computes one chunk at a time, with all of its cores: a
+chunk need not be safe among threads.
 """
 
 import contextlib
@@ -13,17 +14,21 @@ from collections.abc import Generator, Iterable, Iterator, Mapping
 from concurrent.futures import CancelledError
 from dataclasses import replace
 from itertools import islice
-from typing import TYPE_CHECKING, Any, Self
+from typing import Any, Self
 
 from goniotwin.app.errors import MissingPackage, UserError, one_line
 from goniotwin.app.sweeps.environment import Environment, check_alike, environment
 from goniotwin.app.sweeps.runners import AHEAD, HERE
 from goniotwin.app.sweeps.specification import Computed, Specification, Work, compute
 
-if TYPE_CHECKING:
-    from distributed import Client
+try:
+    from distributed import Client, KilledWorker, LocalCluster
+    from distributed.client import FutureCancelledError
+    from distributed.comm.addressing import get_address_host_port
+    from distributed.comm.core import CommClosedError
+except ImportError:
+    raise MissingPackage("--dask: dask is not installed; run pip install 'goniotwin[dask]'") from None
 
-MISSING = "--dask: dask is not installed; run pip install 'goniotwin[dask]'"
 LOCAL = "local"
 LOOPBACK = "127.0.0.1"
 LOOK_S = 5.0
@@ -41,15 +46,10 @@ class DaskCluster:
     """
 
     def __init__(self, address: str, processes: int | None = None) -> None:
-        """`processes`: number of `local` workers, by default that of the cores. Raises MissingPackage, UserError."""
-        try:
-            # Loads 355 modules, distributed and jinja2 among them: 0.2 s, which sweeps on this computer do without.
-            import distributed
-        except ImportError:
-            raise MissingPackage(MISSING) from None
+        """`processes`: number of `local` workers, by default that of the cores. Raises UserError."""
         if processes is not None and address != LOCAL:
             raise UserError("--processes: is the number of workers of --dask local; leave it out, or start so many workers")
-        self._log = logging.getLogger(distributed.__name__)
+        self._log = logging.getLogger("distributed")
         self._address = address
         self._count = processes or os.cpu_count() or 1
         self._opened = contextlib.ExitStack()
@@ -125,9 +125,6 @@ class DaskCluster:
 
     def _computed(self, future: Any) -> Computed:
         """The result of a future that is done. Raises UserError, and what the program has raised on a worker."""
-        # Loads 355 modules, distributed and jinja2 among them: 0.2 s, which sweeps on this computer do without.
-        from distributed import KilledWorker
-
         with self._errors():
             fault = future.exception() if future.status == "error" else None
             if fault is None:
@@ -141,11 +138,7 @@ class DaskCluster:
             raise UserError(f"--dask {self._address}: a worker cannot load {fault.name}; {remedy}")
         raise fault
 
-    def _connected(self) -> "Client":
-        # Loads 355 modules, distributed and jinja2 among them: 0.2 s, which sweeps on this computer do without.
-        from distributed import Client, LocalCluster
-        from distributed.comm.addressing import get_address_host_port
-
+    def _connected(self) -> Client:
         address: Any = self._address
         if self._address == LOCAL:
             cluster = LocalCluster(
@@ -167,7 +160,7 @@ class DaskCluster:
             raise UserError(f"--dask {self._address}: has no worker; start one with: dask worker {self._address}")
         return client
 
-    def _known(self) -> "Client":
+    def _known(self) -> Client:
         assert self._client is not None, "the cluster is not opened"
         return self._client
 
@@ -178,10 +171,6 @@ class DaskCluster:
     @contextlib.contextmanager
     def _errors(self) -> Iterator[None]:
         """Errors of the connection as UserError."""
-        # Loads 355 modules, distributed and jinja2 among them: 0.2 s, which sweeps on this computer do without.
-        from distributed.client import FutureCancelledError
-        from distributed.comm.core import CommClosedError
-
         try:
             yield
         except (CancelledError, FutureCancelledError, CommClosedError, OSError, ValueError) as error:

@@ -26,6 +26,8 @@ from goniotwin.arrays import Floats, Ints
 
 TYPICAL_GAINS = 2
 """Number of gains that a row with auto-range is assumed to need."""
+SAMPLED_ROWS = 40
+"""Number of rows of each sample and grid at which the expected signal is calculated."""
 TINY = 1e-9
 UNKNOWN_POINT: Floats = np.full(5, np.nan)
 ReadingLots = tuple[int, tuple[int, ...]]

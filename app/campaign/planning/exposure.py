@@ -9,7 +9,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from goniotwin.app.campaign.planning.durations import ReadingLots, Timing
+from goniotwin.app.campaign.planning.durations import SAMPLED_ROWS, ReadingLots, Timing
 from goniotwin.app.campaign.planning.mountings import Pass
 from goniotwin.app.campaign.planning.scan_grid import ScanGrid
 from goniotwin.app.campaign.readout import read_row
@@ -24,8 +24,6 @@ from goniotwin.twin.plant.noise import normal
 from goniotwin.twin.plant.process_key import process_key
 from goniotwin.twin.plant.view import Aspect
 
-SAMPLED_ROWS = 40
-"""Number of rows of each sample and grid at which the signal is calculated."""
 GOLDEN_FRACTION = 0.6180339887498949
 """Golden ratio minus 1: the fractional parts of its multiples are spread evenly, in step with no grid."""
 MAX_DRAWS = 1024

@@ -14,7 +14,7 @@ from goniotwin.app.campaign.geometry.arcs import ArcDirections, arc_channels, ar
 from goniotwin.app.campaign.geometry.directions import Arc
 from goniotwin.app.campaign.geometry.open_beam import scan_notes
 from goniotwin.app.campaign.geometry.shadow import blocked_by_mirrors
-from goniotwin.app.campaign.planning.durations import Timing, shortest_warm_up_s
+from goniotwin.app.campaign.planning.durations import SAMPLED_ROWS, Timing, shortest_warm_up_s
 from goniotwin.app.campaign.planning.plan import NewPlan
 from goniotwin.app.campaign.planning.poses import overlapping_step_deg
 from goniotwin.app.campaign.planning.timeline import MeasurementBlock, PlannedRows
@@ -233,9 +233,6 @@ def _basis(plan: NewPlan) -> str:
     """The signal that the estimate of the duration is based on."""
     if not plan.expected_reading_s:
         return ""
-    # Loads 313 modules, numba and tomlkit among them: 0.3 s, which `check` does without.
-    from goniotwin.app.campaign.planning.exposure import SAMPLED_ROWS
-
     twin = "the twin" if plan.rig.file.twin is not None else "the twin that the rig file describes, with assumed samples,"
     return f"it is based on the expected signal of {twin} at up to {SAMPLED_ROWS} poses and wavelengths of each sample; "
 

@@ -17,7 +17,6 @@ from tests.app.sweeps.works import numbers, specification
 from tests.system.conftest import until
 
 psutil = pytest.importorskip("psutil")
-pytest.importorskip("distributed")
 
 pytestmark = [pytest.mark.long, pytest.mark.skipif(sys.platform == "win32", reason="this system kills no single process")]
 CHUNKS = 12

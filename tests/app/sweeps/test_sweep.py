@@ -4,6 +4,7 @@ import json
 import multiprocessing.spawn
 import os
 import shutil
+import sys
 from dataclasses import fields, replace
 from multiprocessing import resource_tracker
 from pathlib import Path
@@ -12,9 +13,9 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_info
 
+from goniotwin.app.cli.sweeps import runner_of
 from goniotwin.app.errors import MissingPackage, UserError
 from goniotwin.app.sweeps.chunk_files import ChunkFiles, pack
-from goniotwin.app.sweeps.dask_cluster import DaskCluster
 from goniotwin.app.sweeps.environment import Environment, check_alike, environment
 from goniotwin.app.sweeps.runners import Here, Processes, on_this_computer
 from goniotwin.app.sweeps.specification import Arrays, Specification, compute
@@ -235,7 +236,8 @@ def test_a_process_that_ends_while_it_starts_is_one_line() -> None:
 
 
 def test_without_dask_one_line_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(__import__("sys").modules, "distributed", None)
-    with pytest.raises(MissingPackage) as missing:
-        DaskCluster("tcp://127.0.0.1:8786")
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    monkeypatch.delitem(sys.modules, "goniotwin.app.sweeps.dask_cluster", raising=False)
+    with pytest.raises(MissingPackage) as missing, runner_of(None, "tcp://127.0.0.1:8786", 1):
+        pass
     assert str(missing.value) == "--dask: dask is not installed; run pip install 'goniotwin[dask]'"
