@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_info
 
-from goniotwin.app.cli.sweeps import runner_of
+from goniotwin.app.cli.work.sweeps import runner_of
 from goniotwin.app.errors import MissingPackage, UserError
 from goniotwin.app.sweeps.chunk_files import ChunkFiles, pack
 from goniotwin.app.sweeps.environment import Environment, check_alike, environment
@@ -238,6 +238,6 @@ def test_a_process_that_ends_while_it_starts_is_one_line() -> None:
 def test_without_dask_one_line_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
     monkeypatch.delitem(sys.modules, "goniotwin.app.sweeps.dask_cluster", raising=False)
-    with pytest.raises(MissingPackage) as missing, runner_of(None, "tcp://127.0.0.1:8786", 1):
+    with pytest.raises(MissingPackage) as missing, runner_of((None, "tcp://127.0.0.1:8786"), 1):
         pass
     assert str(missing.value) == "--dask: dask is not installed; run pip install 'goniotwin[dask]'"
