@@ -129,11 +129,11 @@ def parse_object(line: bytes) -> Message | None:
 class ChannelServer(LoopbackServer):
     """A server of channels, one thread for each client: `serve` has its channel from the client's proof until it returns.
 
-    Both lines of a client have to come within `hello_s`, HELLO_S if it is not given.
+    Both lines of a client have to come within `hello_s`.
     """
 
     def __init__(
-        self, name: str, token: str, serve: Callable[[Channel], None], port: int = 0, hello_s: float | None = None
+        self, name: str, token: str, serve: Callable[[Channel], None], port: int = 0, hello_s: float = HELLO_S
     ) -> None:
         def handle(connection: socket.socket) -> None:
             with contextlib.suppress(OSError):
@@ -169,14 +169,14 @@ class ChannelServer(LoopbackServer):
 
     def _prove(self, channel: Channel) -> bool:
         """Prove the token to a client, then have it do so. Raises OSError, TimeoutError for a slow client included."""
-        clock, within_s = RealClock(), HELLO_S if self._hello_s is None else self._hello_s
-        first = channel.receive(within_s)
+        clock = RealClock()
+        first = channel.receive(self._hello_s)
         if first is None or not is_protocol(first.get("protocol")) or not _is_nonce(nonce := first.get("nonce")):
             return False
         own = _new_nonce()
         answer = proof(self.token, "server", self.port, nonce, own)
         channel.send({"protocol": PROTOCOL, "nonce": own, "proof": answer})
-        channel.hello = channel.receive(within_s - clock.now()) or {}
+        channel.hello = channel.receive(self._hello_s - clock.now()) or {}
         return _is_proof(channel.hello.get("proof"), proof(self.token, "client", self.port, nonce, own))
 
 

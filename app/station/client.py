@@ -100,11 +100,14 @@ class StationClient:
         """Send a command and wait for its answer. Raises Refused, NoStation, TimeoutError."""
         return self.send(command, **arguments).result(ANSWER_S)
 
-    def close(self) -> None:
-        """Leave the station, which goes on. If this client operates, its place is free then: the next may come at once."""
+    def close(self, leave_s: float = LEAVE_S) -> None:
+        """Leave the station, which goes on. If this client operates, its place is free then: the next may come at once.
+
+        It waits at most `leave_s` for the station to note that.
+        """
         self._channel.end_sending()
         if self._thread.is_alive() and threading.current_thread() is not self._thread:
-            self._thread.join(LEAVE_S)
+            self._thread.join(leave_s)
             self._channel.hang_up()
             self._thread.join()
         self._channel.close()

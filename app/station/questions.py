@@ -17,9 +17,9 @@ LOOK_S = 1.0
 class Questions:
     """The question that is open, by its number, and its answer. A stop, which sets `stopped`, answers each."""
 
-    def __init__(self, board: Board, stopped: threading.Event) -> None:
+    def __init__(self, board: Board, stopped: threading.Event, look_s: float = LOOK_S) -> None:
         self._board = board
-        self._stopped = stopped
+        self._stopped, self._look_s = stopped, look_s
         self._asked = 0
         self._answered = 0
         self._answers: queue.SimpleQueue[tuple[int, Reply] | None] = queue.SimpleQueue()
@@ -42,7 +42,7 @@ class Questions:
                 if self._answers.empty() and (reason := given_up()):
                     raise UserError(reason)
                 try:
-                    answer = self._answers.get(timeout=LOOK_S)
+                    answer = self._answers.get(timeout=self._look_s)
                 except queue.Empty:
                     look()
                     continue

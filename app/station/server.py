@@ -11,6 +11,7 @@ import json
 import threading
 from collections import OrderedDict, deque
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 from pydantic import ValidationError, validate_call
@@ -19,13 +20,9 @@ from goniotwin.app.errors import one_line
 from goniotwin.app.station.messages import NEWEST_ONLY, Message, encode
 from goniotwin.app.station.permissions import COMMANDS, EVERYBODYS, OF_BENCH, STOPPED, CommandRefused, allowed, watching
 from goniotwin.app.station.station import Station
-from goniotwin.protocols.channel import LONGEST_LINE, Channel, ChannelServer, new_token
+from goniotwin.protocols.channel import HELLO_S, LONGEST_LINE, Channel, ChannelServer, new_token
 from goniotwin.protocols.clock import RealClock
 
-MOST_WAITING = 2000
-"""Lines that wait for a client. At 100 rows a second, a window that paints for ten seconds is still there."""
-MOST_CLIENTS = 64
-"""Each has two threads and a socket, and the run needs files."""
 DROPPED = "it did not read what was sent"
 MOST_DROPPED = 100
 Line = dict[str, Any] | tuple[int, Message]
@@ -35,11 +32,11 @@ METHODS = {"continue": "resume_journal"}
 
 
 class Outbox:
-    """Lines that wait for one client, and the thread that sends them. `dropped` is called when there are too many."""
+    """Lines that wait for one client, `most` of them, and the thread that sends them. `dropped` is called for one more."""
 
-    def __init__(self, channel: Channel, dropped: Callable[[], None]) -> None:
+    def __init__(self, channel: Channel, most: int, dropped: Callable[[], None]) -> None:
         self._channel = channel
-        self._dropped = dropped
+        self._most, self._dropped = most, dropped
         self._lines: deque[tuple[str, Line]] = deque()
         self._ready = threading.Condition()
         self._open = True
@@ -60,7 +57,7 @@ class Outbox:
                         del self._lines[at]
                         break
             self._lines.append((newest_of, line))
-            full = len(self._lines) > MOST_WAITING
+            full = len(self._lines) > self._most
             if full:
                 self._open = False
             self._ready.notify()
@@ -94,16 +91,27 @@ class Outbox:
                     self._lines.clear()
 
 
+@dataclass(frozen=True)
+class ClientLimits:
+    """What a station grants to its clients."""
+
+    hello_s: float = HELLO_S
+    clients: int = 64
+    """Each has two threads and a socket, and the run needs files."""
+    waiting: int = 2000
+    """Lines that wait for a client. At 100 rows a second, a window that paints for ten seconds is still there."""
+
+
 class StationServer:
     """Serves a station to clients on this computer. `token` opens it, on `port`.
 
     `unattended_s` is the real time since the last client has left, 0 while there is one.
     """
 
-    def __init__(self, station: Station, port: int = 0) -> None:
+    def __init__(self, station: Station, port: int = 0, limits: ClientLimits = ClientLimits()) -> None:
         self.token = new_token()
-        self._station = station
-        self._server = ChannelServer("station", self.token, self._serve, port)
+        self._station, self._limits = station, limits
+        self._server = ChannelServer("station", self.token, self._serve, port, limits.hello_s)
         self._clients: dict[str, tuple[Channel, Outbox]] = {}
         self._dropped: OrderedDict[str, str] = OrderedDict()
         self._lock = threading.Lock()
@@ -145,11 +153,11 @@ class StationServer:
         self._server.stop()
 
     def _serve(self, channel: Channel) -> None:
-        if len(self.clients) >= MOST_CLIENTS:
-            channel.send({"error": f"{MOST_CLIENTS} clients are attached to the station; close one"})
+        if len(self.clients) >= self._limits.clients:
+            channel.send({"error": f"{self._limits.clients} clients are attached to the station; close one"})
             return
         client = ""
-        outbox = Outbox(channel, lambda: self._drop(client))
+        outbox = Outbox(channel, self._limits.waiting, lambda: self._drop(client))
 
         def listen(number: int, message: Message) -> None:
             newest = type(message).__name__ if isinstance(message, NEWEST_ONLY) else ""

@@ -34,16 +34,17 @@ def start_station(
     on_event: Callable[[Message], None] = lambda _: None,
     on_end: Callable[[], None] = lambda: None,
     given_up: Callable[[], bool] = lambda: False,
+    within_s: float = START_S,
 ) -> StationClient:
     """Start the station of a rig in a process of its own and attach to it. Blocks for some seconds.
 
-    The process lives on when this one ends. Raises UserError with the reason where it does not come up, or `given_up` returns
-    True before: then it comes up without a client, and ends soon.
+    The process lives on when this one ends. Raises UserError with the reason where it does not come up in `within_s`, or
+    `given_up` returns True before: then it comes up without a client, and ends soon.
     """
     log = user_log_path("goniotwin") / f"station-{calendar_s():.3f}.log"
     process = _start([sys.executable, "-m", "goniotwin", "station", "--rig", str(rig.absolute()), "--speed", f"{speed:g}"], log)
     clock, ended_at = RealClock(), math.inf
-    while clock.now() < START_S:
+    while clock.now() < within_s:
         if given_up():
             raise UserError(f"{rig}: its station is not waited for")
         clock.sleep_until(clock.now() + WAIT_S)
@@ -61,7 +62,7 @@ def start_station(
             raise UserError(_last_line(log) or f"{rig}: its station has ended with status {process.returncode}; see {log}")
     process.terminate()
     _reap(process)
-    raise UserError(f"{rig}: its station does not answer within {START_S:g} s and has been ended; see {log}")
+    raise UserError(f"{rig}: its station does not answer within {within_s:g} s and has been ended; see {log}")
 
 
 def _start(command: list[str], log: Path) -> "subprocess.Popen[bytes]":

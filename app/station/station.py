@@ -36,7 +36,7 @@ from goniotwin.app.station.messages import (
 from goniotwin.app.station.orders import SafetyOrders
 from goniotwin.app.station.permissions import CommandRefused, allowed
 from goniotwin.app.station.poller import POLL_S, Poller
-from goniotwin.app.station.questions import Questions
+from goniotwin.app.station.questions import LOOK_S, Questions
 from goniotwin.app.station.runs import Runs
 from goniotwin.app.station.stops import Stops
 from goniotwin.drivers import DeviceError, LimitError
@@ -56,10 +56,13 @@ class Station:
 
     `board` has its state and takes listeners. `disconnected` is set when the rig is to be given back: no command begins then.
     `clock` is that of the rig; without it a virtual rig has one at `speed`, which the command of that name changes, and any
-    other rig real time; the attribute is the one in use. `wall` is real time, in which idle devices are polled.
+    other rig real time; the attribute is the one in use. `wall` is real time, in which idle devices are polled; `look_s` that
+    between two looks at them while a question waits.
     """
 
-    def __init__(self, speed: float = 1.0, clock: Clock | None = None, wall: Clock | None = None) -> None:
+    def __init__(
+        self, speed: float = 1.0, clock: Clock | None = None, wall: Clock | None = None, look_s: float = LOOK_S
+    ) -> None:
         self.board = Board(Snapshot(speed=speed))
         self.disconnected = threading.Event()
         self._given_clock = clock
@@ -75,7 +78,7 @@ class Station:
         self.stops = Stops()
         self.orders = SafetyOrders(self.board)
         self.runs = Runs(self.board, self._publish, self.stops, self.orders, lambda: self._poller)
-        self._questions = Questions(self.board, self.stops.requested)
+        self._questions = Questions(self.board, self.stops.requested, look_s)
 
     @property
     def snapshot(self) -> Snapshot:

@@ -29,11 +29,16 @@ from goniotwin.twin.optics import kernel
 from tests.conftest import REPOSITORY
 
 
+def keep_code_in(monkeypatch: pytest.MonkeyPatch, folder: Path | None) -> None:
+    """Have the optics keep their compiled code in a folder, or in none."""
+    monkeypatch.setattr(kernel, "FOLDER", folder)
+
+
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """An empty folder for compiled code."""
     (tmp_path / "code").mkdir()
-    monkeypatch.setattr(kernel, "FOLDER", tmp_path / "code")
+    keep_code_in(monkeypatch, tmp_path / "code")
     return tmp_path / "code"
 
 
@@ -171,7 +176,7 @@ def test_without_a_sample_the_light_of_a_clear_sheet_is_compiled_too(rewrite: st
 
 def test_without_a_folder_for_compiled_code_a_command_goes_on_and_compile_states_it(monkeypatch: pytest.MonkeyPatch) -> None:
     compiler = Compiler(monkeypatch)
-    monkeypatch.setattr(kernel, "FOLDER", None)
+    keep_code_in(monkeypatch, None)
     assert compile_ahead() == []
     with pytest.raises(UserError, match="set NUMBA_CACHE_DIR"):
         compile_optics()
@@ -254,7 +259,7 @@ def test_what_a_signal_breaks_off_is_no_damage(ended: bool, folder: Path, monkey
 def test_a_command_without_a_folder_states_that_it_compiles(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(kernel, "FOLDER", None)
+    keep_code_in(monkeypatch, None)
     monkeypatch.setattr(LOG, "disabled", False)
     state_compilation()
     try:

@@ -16,6 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from goniotwin.protocols.channel import (
+    HELLO_S,
     LONGEST_LINE,
     MOST_UNPROVED,
     PROTOCOL,
@@ -45,7 +46,7 @@ def server() -> Iterator[ChannelServer]:
 
 
 @contextlib.contextmanager
-def echoing(hello_s: float | None = None) -> Iterator[ChannelServer]:
+def echoing(hello_s: float = HELLO_S) -> Iterator[ChannelServer]:
     """A server that echoes every object of a client that has its hello in time."""
 
     def echo(end: Channel) -> None:

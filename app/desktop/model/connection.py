@@ -54,12 +54,13 @@ ANSWER_S = 2.0
 """Longest time that a window which is closed waits for answers."""
 END_S = 30.0
 """Longest time in which a station gives its rig back."""
-LOOK_S = 2.0
-"""Time between two looks for a station of the rig, while there is none."""
 
 
 class Stations(Protocol):
     """How a window finds or starts the station of a rig file."""
+
+    look_s: float
+    """Time between two looks for a station of the rig, while there is none."""
 
     def attach(self, rig: Path, name: str, on_event: OnEvent, on_end: OnEnd) -> StationClient | None:
         """Attach to a station that has the rig; None where there is none. Raises TimeoutError where it is silent."""
@@ -75,6 +76,8 @@ class Stations(Protocol):
 
 class StationProcesses:
     """Stations in processes of their own, found by their connection files."""
+
+    look_s = 2.0
 
     def __init__(self) -> None:
         self._seen: int | None = None
@@ -99,7 +102,7 @@ class StationProcesses:
         if now == self._seen:
             return False
         # A file that comes within the same tick of the file system's clock would not be seen.
-        settled = calendar_s() - 1e-9 * now > LOOK_S
+        settled = calendar_s() - 1e-9 * now > self.look_s
         self._seen = now if settled else None
         return True
 
@@ -314,7 +317,7 @@ class Connection:
     def _work(self) -> None:
         while True:
             try:
-                task = self._tasks.get(timeout=LOOK_S)
+                task = self._tasks.get(timeout=self._stations.look_s)
             except queue.Empty:
                 task = self._look
             if task is None:

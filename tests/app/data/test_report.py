@@ -17,6 +17,7 @@ from goniotwin.app.campaign.studies.verification import Verdict, verify_journal
 from goniotwin.app.data.report.report import report_html, write_report
 from goniotwin.app.errors import GoniotwinError
 from goniotwin.app.rig import read_rig
+from tests.app.campaign.reduction.long_journal import write_long_journal
 from tests.conftest import RIG, SMALL, changed
 
 pytestmark = pytest.mark.xdist_group("report")
@@ -121,10 +122,10 @@ def test_a_report_without_jinja_names_the_command_that_installs_it(journal: Path
         report_html(journal)
 
 
-def test_many_numbers_are_the_first_and_the_last(journal: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_many_numbers_are_the_first_and_the_last(journal: Path, tmp_path: Path) -> None:
     assert "wavelengths, nm 550, 600 " in Page(report_html(journal, kinds=())[0]).text
-    monkeypatch.setattr("goniotwin.app.data.report.report.MOST_LISTED", 1)
-    assert "wavelengths, nm 2 from 550 to 600 " in Page(report_html(journal, kinds=())[0]).text
+    write_long_journal(tmp_path / "many.journal", wavelengths=25, shifts=1)
+    assert "wavelengths, nm 25 from 500 to 501.2 " in Page(report_html(tmp_path / "many.journal", kinds=())[0]).text
 
 
 def test_of_many_reflectances_some_are_listed(journal: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -61,6 +61,8 @@ class Host:
 class LocalStations:
     """Finds and starts stations in this process."""
 
+    look_s = 2.0
+
     def __init__(self) -> None:
         self.hosts: list[Host] = []
         self.coming_up = threading.Event()

@@ -3,7 +3,6 @@
 import os
 import sqlite3
 import threading
-from pathlib import Path
 
 import pytest
 from PySide6.QtCore import Qt
@@ -17,9 +16,9 @@ from goniotwin.app.campaign.running.events import State, StateChanged
 from goniotwin.app.campaign.running.stop import StopRequest
 from goniotwin.app.desktop import MainWindow
 from goniotwin.app.desktop.close_question import ACKNOWLEDGE, KEEP_OPEN, STOP_AND_CLOSE
-from goniotwin.app.desktop.events.panels import LogEntry
+from goniotwin.app.desktop.events.panels import MAX_ENTRIES, EventModel, LogEntry
 from goniotwin.app.desktop.events.question import QuestionBox
-from goniotwin.app.desktop.run import panel
+from goniotwin.app.desktop.theme import LIGHT
 from goniotwin.app.guardian.guard import RigGuard
 from goniotwin.app.rig.left import left_unsafe
 from goniotwin.app.station.messages import BUSY
@@ -422,11 +421,11 @@ def test_enter_and_space_never_stop_a_run(qtbot: QtBot, open_window: WindowOpene
     assert window.presenter.state is not State.STOPPING
 
 
-def test_esc_has_to_be_held(qtbot: QtBot, open_window: WindowOpener, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_esc_has_to_be_held(qtbot: QtBot, open_window: WindowOpener) -> None:
     """Released in time it stops nothing, in the window or in a question, which it closes; held it does, wherever focus is."""
-    monkeypatch.setattr(panel, "HOLD_MS", READY_MS)
     window = ready(qtbot, open_window(speed=1.0))
     run = window.view.run
+    run.hold.rule.hold_ms = READY_MS
     window.activateWindow()
     qtbot.waitUntil(window.isActiveWindow)
     start_with_person(window)
@@ -460,14 +459,10 @@ def test_a_key_stops_at_once(qtbot: QtBot, open_window: WindowOpener) -> None:
         assert journal.row_counts()[0] < ROWS
 
 
-def test_the_log_has_the_latest_first_and_is_bounded(
-    qtbot: QtBot, window: MainWindow, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    del qtbot, tmp_path
-    monkeypatch.setattr("goniotwin.app.desktop.events.panels.MAX_ENTRIES", 20)
-    for k in range(25):
-        window.view.log.add(LogEntry(f"event {k}", serious=k == 24))
-    entries = window.view.log.entries
-    assert len(entries) == 20
-    assert entries[0] == LogEntry("event 24", serious=True)
-    assert entries[-1] == LogEntry("event 5")
+def test_the_log_has_the_latest_first_and_is_bounded(window: MainWindow) -> None:
+    log = EventModel(window, LIGHT)
+    for k in range(MAX_ENTRIES + 5):
+        log.add(LogEntry(f"event {k}", serious=k == MAX_ENTRIES + 4))
+    assert len(log.entries) == log.rowCount() == MAX_ENTRIES
+    assert log.entries[0] == LogEntry(f"event {MAX_ENTRIES + 4}", serious=True)
+    assert log.entries[-1] == LogEntry("event 5")

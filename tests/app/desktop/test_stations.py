@@ -10,7 +10,6 @@ from goniotwin.app.campaign.journal.summary import campaign_summary
 from goniotwin.app.campaign.running.events import State
 from goniotwin.app.campaign.running.question import Answer
 from goniotwin.app.desktop import MainWindow
-from goniotwin.app.desktop.model import connection
 from goniotwin.app.desktop.model.connection import StationProcesses
 from goniotwin.app.station.connection_file import connection_folder
 from tests.app.desktop.conftest import READY_MS, ROWS, WindowOpener, click, named_label, ready, wait_for_end
@@ -33,10 +32,10 @@ def test_of_two_openings_the_second_holds(
 
 
 def test_a_window_without_a_station_shows_the_one_that_comes(
-    qtbot: QtBot, open_window: WindowOpener, stations: LocalStations, monkeypatch: pytest.MonkeyPatch
+    qtbot: QtBot, open_window: WindowOpener, stations: LocalStations
 ) -> None:
     """As after `goniotwin run --speed 1` in a terminal; nothing is started by the window."""
-    monkeypatch.setattr(connection, "LOOK_S", 0.02)
+    stations.look_s = 0.02
     window = ready(qtbot, open_window())
     stations.hosts[0].kill()
     qtbot.waitUntil(lambda: "The station has ended" in window.view.notice.text, timeout=READY_MS)
@@ -150,7 +149,7 @@ def test_a_station_that_dies_at_rest_is_connected_again(qtbot: QtBot, window: Ma
 
 @pytest.mark.long
 def test_a_rig_that_another_window_gives_back_is_no_emergency(
-    qtbot: QtBot, open_window: WindowOpener, stations: LocalStations, monkeypatch: pytest.MonkeyPatch
+    qtbot: QtBot, open_window: WindowOpener, stations: LocalStations
 ) -> None:
     """As by Connect again there: this window names the other one, and shows the next station."""
     one, two = open_window(), open_window()
@@ -163,7 +162,7 @@ def test_a_rig_that_another_window_gives_back_is_no_emergency(
     assert "✗" not in one.view.status
     assert not any(each.serious for each in one.view.log.entries)
     assert not one.view.run.stop_button.isEnabled()
-    monkeypatch.setattr(connection, "LOOK_S", 0.02)
+    stations.look_s = 0.02
     stations.hosts.append(Host(RIG, 60.0))
     ready(qtbot, one)
     assert one.view.notice.text == ""

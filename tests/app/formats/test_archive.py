@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from goniotwin.app.formats import BsdfTable, FormatError, archive
-from goniotwin.app.formats.content import COLUMNS, INTERVAL_COLUMNS, BsdfFile, Part, RegularTable, ScatteredBsdf
+from goniotwin.app.formats.content import INTERVAL_COLUMNS, BsdfFile, Part, RegularTable, ScatteredBsdf
 from goniotwin.app.formats.metadata import Metadata, QualityMetadata, SampleMetadata
 from goniotwin.protocols.clock import RealClock
 
@@ -268,12 +268,18 @@ def test_a_million_values_are_read_as_they_were_written(tmp_path: Path) -> None:
     assert same(many, read)
 
 
-def test_an_archive_of_an_older_version_has_no_intervals(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_archive_of_an_older_version_has_no_intervals(tmp_path: Path) -> None:
     ten = np.array([10.0, 20.0])
     values = ScatteredBsdf(ten, ten, ten, ten, ten)
-    with monkeypatch.context() as older:
-        older.setattr(archive, "COLUMNS", tuple(each for each in COLUMNS if each not in INTERVAL_COLUMNS))
-        archive.write(tmp_path / "a.h5", BsdfFile((values,)))
+
+    def fill(entry: h5py.Group) -> Iterator[None]:
+        archive.put_about(entry, BsdfFile(()))
+        group = archive.put_part(entry, "part_1", values)
+        for name in INTERVAL_COLUMNS:
+            del group[name]
+        yield
+
+    archive.write_entry(tmp_path / "a.h5", fill)
     (found,) = archive.read(tmp_path / "a.h5").scattered
     assert found.values.tolist() == [10.0, 20.0]
     assert np.isnan([found.low95, found.high95]).all()

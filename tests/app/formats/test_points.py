@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from numpy.typing import ArrayLike
 
 from goniotwin.app.formats import FormatError, points, read_points_csv, write_points_csv
+from goniotwin.app.formats.points import MOST_TEXT_BYTES, PART_ROWS
 
 
 def test_a_file_has_comments_then_column_names_then_rows(tmp_path: Path) -> None:
@@ -231,23 +232,23 @@ def test_columns_that_a_csv_cannot_represent_are_refused(tmp_path: Path, columns
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_column_is_of_texts_where_only_its_last_row_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("more", [0, PART_ROWS - 2, PART_ROWS])
+def test_a_column_is_of_texts_where_only_its_last_row_is(tmp_path: Path, more: int) -> None:
     """A file is read in blocks: what the first ones hold is not known to be text before the last."""
-    monkeypatch.setattr(points, "PART_ROWS", 2)
     path = tmp_path / "late.csv"
-    path.write_text('a,b,c\n1,10,\n02,20,\n3,,5\n\n4,"x\ny",\n5.0,30,\n')
+    path.write_text("a,b,c\n" + "1,10,\n" * more + '1,10,\n02,20,\n3,,5\n\n4,"x\ny",\n5.0,30,\n')
     columns = read_points_csv(path).columns
-    np.testing.assert_array_equal(columns["a"], [1.0, 2.0, 3.0, 4.0, 5.0])
-    assert columns["b"].tolist() == ["10", "20", "", "x\ny", "30"]
-    np.testing.assert_array_equal(columns["c"], [np.nan, np.nan, 5.0, np.nan, np.nan])
+    np.testing.assert_array_equal(columns["a"], [1.0] * more + [1.0, 2.0, 3.0, 4.0, 5.0])
+    assert columns["b"].tolist() == ["10"] * more + ["10", "20", "", "x\ny", "30"]
+    np.testing.assert_array_equal(columns["c"], [np.nan] * more + [np.nan, np.nan, 5.0, np.nan, np.nan])
 
 
-def test_a_long_text_among_many_rows_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_long_text_among_many_rows_is_refused(tmp_path: Path) -> None:
     """Each row of a column takes the memory of the longest."""
-    monkeypatch.setattr(points, "MOST_TEXT_BYTES", 10_000)
-    path = tmp_path / "long.csv"
-    path.write_text("a\n" + "x\n" * 100 + "y" * 30 + "\n")
-    with pytest.raises(FormatError, match="the column 'a' has a text of 30 characters, among 101 rows"):
+    path, rows = tmp_path / "long.csv", 2 * PART_ROWS + 1  # the long one is in a block of its own, which takes little
+    longest = MOST_TEXT_BYTES // (4 * rows) + 1
+    path.write_text("a\n" + "x\n" * (rows - 1) + "y" * longest + "\n")
+    with pytest.raises(FormatError, match=f"the column 'a' has a text of {longest} characters, among {rows} rows"):
         read_points_csv(path)
 
 

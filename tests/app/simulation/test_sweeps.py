@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from goniotwin.app.errors import UserError
-from goniotwin.app.simulation import estimate
-from goniotwin.app.simulation.estimate import EstimatorSettings
+from goniotwin.app.simulation.estimate import BATCH, EstimatorSettings
 from goniotwin.app.simulation.forward_sweep import TASK, ForwardSweep, simulate_in_chunks, trace_chunk
 from goniotwin.app.simulation.rig_sweep import RigSweep, factors_of_chunk, simulate_rigs
 from goniotwin.app.simulation.simulate import Task, simulate
@@ -70,14 +69,12 @@ TASKS = {
 
 
 @pytest.mark.parametrize("name", [name if name == "grey" else pytest.param(name, marks=pytest.mark.long) for name in TASKS])
-def test_a_simulation_in_chunks_has_the_numbers_of_one_in_one_piece(
-    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(estimate, "BATCH", 4096)  # three batches, the last one of the rest
-    task = TASKS[name]
+def test_a_simulation_in_chunks_has_the_numbers_of_one_in_one_piece(name: str, tmp_path: Path) -> None:
+    three_batches = EstimatorSettings("forward", paths=2 * BATCH + 1808, seed=5)  # the last one of the rest
+    task = replace(TASKS[name], estimator=three_batches)
     whole = simulate(task)
     sweep = ForwardSweep(task)
-    assert sweep.sizes == [4096, 4096, 1808]
+    assert sweep.sizes == [1 << 20, 1 << 20, 1808]
     files = files_of(tmp_path, sweep.specification)
     parts = simulate_in_chunks(sweep, files, Here())
     assert len(list(tmp_path.glob("chunk-*.npz"))) == sweep.chunks == 3 * len(sweep.traced)

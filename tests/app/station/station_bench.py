@@ -5,6 +5,7 @@ from pathlib import Path
 
 from goniotwin.app.rig import OpenRig, read_rig
 from goniotwin.app.station.messages import ActivityChanged, DeviceStatus, Message, Snapshot
+from goniotwin.app.station.questions import LOOK_S
 from goniotwin.app.station.station import Station
 from goniotwin.protocols.clock import Clock, VirtualClock
 from goniotwin.twin import VirtualRig
@@ -15,9 +16,9 @@ ROWS = 10
 class StationBench:
     """A station on the virtual clock, with its events."""
 
-    def __init__(self, rig: Path, wall: Clock | None = None) -> None:
+    def __init__(self, rig: Path, wall: Clock | None = None, look_s: float = LOOK_S) -> None:
         self.clock = VirtualClock()
-        self.station = Station(clock=self.clock, wall=wall)
+        self.station = Station(clock=self.clock, wall=wall, look_s=look_s)
         self.events: list[Message] = []
         self.reactions: list[Callable[[Message], object]] = []
         self.station.board.subscribe(self._note)
@@ -53,12 +54,20 @@ class StationBench:
         return self.opened.virtual
 
 
+class HurriedClock(VirtualClock):
+    """Real time that is a second later whenever it is read: what is due from time to time is due each time."""
+
+    def now(self) -> float:
+        self.sleep_until(super().now() + 1.0)
+        return super().now()
+
+
 class Idle(StationBench):
     """A station without a command, on the virtual clock, and on another one in place of the real time between its polls."""
 
     def __init__(self, rig: Path) -> None:
         self.wall = VirtualClock()
-        super().__init__(rig, self.wall)
+        super().__init__(rig, self.wall, look_s=0.01)
 
     def wait(self, seconds: float, step_s: float = 0.1) -> None:
         """Let time pass, and what is due be done."""

@@ -12,7 +12,7 @@ from goniotwin.app.station.messages import ActivityChanged, BenchReading, Device
 from goniotwin.app.station.permissions import CommandRefused, allowed
 from goniotwin.drivers.photodiodes.array import PhotodiodeArray
 from tests.app.campaign.campaign_bench import QUIET
-from tests.app.station.station_bench import Idle, StationBench
+from tests.app.station.station_bench import HurriedClock, Idle, StationBench
 from tests.conftest import Writer
 
 
@@ -50,13 +50,14 @@ def test_unreferenced_axes_are_reported_until_their_position_is_set(write_rig: W
     assert bench.station.snapshot.unreferenced == {}
 
 
-def test_positions_are_reported_while_an_axis_moves(bench: StationBench, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("goniotwin.app.station.poller.POLL_S", 0.0)
+def test_positions_are_reported_while_an_axis_moves(write_rig: Writer) -> None:
+    bench = StationBench(write_rig(*QUIET), HurriedClock())
     bench.station.move("sigma", 30.0)
     bench.work()
     seen = [each.degrees["sigma"] for each in bench.events if isinstance(each, Positions)]
     assert len(seen) > 3
     assert seen == sorted(seen)
+    bench.station.close_rig()
 
 
 def test_one_thing_at_a_time(bench: StationBench, write_schedule: Writer, tmp_path: Path) -> None:

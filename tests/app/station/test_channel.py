@@ -9,7 +9,6 @@ import pytest
 
 from goniotwin.app.campaign.row import Row
 from goniotwin.app.campaign.running.events import EventLogged, Positions, RowStarted, SafetyOrder
-from goniotwin.app.station import client as station_client
 from goniotwin.app.station import server as station_server
 from goniotwin.app.station.client import NoStation, Refused, StationClient
 from goniotwin.app.station.messages import (
@@ -19,15 +18,19 @@ from goniotwin.app.station.messages import (
     SpeedChanged,
     advance,
 )
-from goniotwin.app.station.server import StationServer
+from goniotwin.app.station.server import ClientLimits, StationServer
 from goniotwin.app.station.station import Station
-from goniotwin.protocols import channel
 from goniotwin.protocols.channel import LONGEST_LINE, Channel, connect
 from goniotwin.protocols.clock import RealClock
 from goniotwin.protocols.loopback import LOOPBACK
 
 pytestmark = pytest.mark.endpoint
 LONGEST_S = 20.0
+
+
+def with_limits(limits: ClientLimits) -> pytest.MarkDecorator:
+    """Gives the server of a test its limits."""
+    return pytest.mark.parametrize("server", [limits], indirect=True, ids=[""])
 
 
 @pytest.fixture
@@ -37,8 +40,9 @@ def station() -> Station:
 
 
 @pytest.fixture
-def server(station: Station) -> Iterator[StationServer]:
-    server = StationServer(station)
+def server(station: Station, request: pytest.FixtureRequest) -> Iterator[StationServer]:
+    """Its server, with the limits of a test."""
+    server = StationServer(station, limits=getattr(request, "param", ClientLimits()))
     server.start()
     yield server
     server.stop()
@@ -151,10 +155,8 @@ def test_what_is_no_hello_learns_nothing(server: StationServer, first: bytes, st
     assert not stopped
 
 
-def test_a_silent_client_keeps_no_other_out(
-    server: StationServer, attach: Callable[[str], Watcher], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(channel, "HELLO_S", 0.2)
+@with_limits(ClientLimits(hello_s=0.2))
+def test_a_silent_client_keeps_no_other_out(server: StationServer, attach: Callable[[str], Watcher]) -> None:
     with socket.create_connection((LOOPBACK, server.port), timeout=LONGEST_S) as silent:
         attach("one")
         assert silent.recv(1) == b""
@@ -257,20 +259,15 @@ def test_a_client_that_has_left_operates_no_more(station: Station, attach: Calla
     assert station.snapshot.operator == ""
 
 
-def test_a_client_leaves_a_station_that_hangs(
-    station: Station, attach: Callable[[str], Watcher], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(station_client, "LEAVE_S", 0.05)
+def test_a_client_leaves_a_station_that_hangs(station: Station, attach: Callable[[str], Watcher]) -> None:
     here = attach("here")
     with station.board.deciding():
-        here.client.close()
+        here.client.close(leave_s=0.05)
         assert here.ended.is_set()
 
 
-def test_a_client_too_many_is_refused_and_the_others_stay(
-    server: StationServer, attach: Callable[[str], Watcher], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(station_server, "MOST_CLIENTS", 2)
+@with_limits(ClientLimits(clients=2))
+def test_a_client_too_many_is_refused_and_the_others_stay(attach: Callable[[str], Watcher]) -> None:
     one, _two = attach("one"), attach("two")
     with pytest.raises(Refused, match="2 clients are attached to the station; close one"):
         attach("three")
@@ -307,10 +304,10 @@ def test_a_stop_is_carried_out_by_the_thread_that_reads_it(station: Station, att
     assert threading.get_ident() not in threads
 
 
+@with_limits(ClientLimits(waiting=50))
 def test_a_client_that_never_reads_is_dropped_and_learns_why_when_it_comes_back(
-    station: Station, server: StationServer, attach: Callable[[str], Watcher], monkeypatch: pytest.MonkeyPatch
+    station: Station, server: StationServer, attach: Callable[[str], Watcher]
 ) -> None:
-    monkeypatch.setattr(station_server, "MOST_WAITING", 50)
     good = attach("good")
     bad = connect(server.port, server.token, LONGEST_S, client="bad")
     until(lambda: sorted(server.clients) == ["bad", "good"])

@@ -223,9 +223,8 @@ def test_a_station_that_does_not_come_up_is_ended(write_rig: Writer, monkeypatch
         return processes[-1]
 
     monkeypatch.setattr(starting, "_start", start)
-    monkeypatch.setattr(starting, "START_S", 0.1)
     with pytest.raises(UserError, match="has been ended"):
-        starting.start_station(write_rig(), 1.0, "window")
+        starting.start_station(write_rig(), 1.0, "window", within_s=0.1)
     (process,) = processes
     assert process.wait(20.0) != 0
     assert process.stdin is not None

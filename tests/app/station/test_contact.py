@@ -175,11 +175,8 @@ def contacts_during_a_question(idle: Idle, device: str, lose: Callable[[], None]
     return seen
 
 
-def test_axes_that_do_not_respond_while_a_question_waits_are_silent(
-    idle: Idle, write_schedule: Writer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_axes_that_do_not_respond_while_a_question_waits_are_silent(idle: Idle, write_schedule: Writer, tmp_path: Path) -> None:
     """A mounting may last an hour. When they respond again they are connected, and the run goes on."""
-    monkeypatch.setattr("goniotwin.app.station.questions.LOOK_S", 0.01)
     silent = pytest.MonkeyPatch()
     seen = contacts_during_a_question(idle, "axes", lambda: silent_positions(silent), silent.undo)
     idle.station.start(write_schedule(text=SMALL), tmp_path, person=True)
@@ -188,10 +185,9 @@ def test_axes_that_do_not_respond_while_a_question_waits_are_silent(
 
 
 def test_a_device_that_fails_while_a_question_waits_is_silent_until_it_responds(
-    idle: Idle, write_schedule: Writer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    idle: Idle, write_schedule: Writer, tmp_path: Path
 ) -> None:
     """A mounting in whose middle the monitor's cable is pulled and plugged in again."""
-    monkeypatch.setattr("goniotwin.app.station.questions.LOOK_S", 0.01)
     monitor = idle.virtual.usb["monitor"]
 
     def unplug() -> None:
@@ -209,7 +205,6 @@ def test_the_run_learns_of_a_reset_while_a_question_waits(
     idle: Idle, write_schedule: Writer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, device: str, question: str
 ) -> None:
     """The question that finds a device reset restores nothing: wavelength, gain and averaging are the run's."""
-    monkeypatch.setattr("goniotwin.app.station.questions.LOOK_S", 0.01)
     resets: dict[str, Callable[[float], None]] = {
         "monochromator": idle.virtual.serial["mono"].reset,
         "photodiodes": idle.virtual.modbus["adc-2"].reset,

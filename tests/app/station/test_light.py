@@ -6,20 +6,18 @@ from pathlib import Path
 import pytest
 
 from goniotwin.app.campaign.running.events import LightChanged, State
-from goniotwin.app.station import poller
 from goniotwin.app.station.messages import LampRead, Message, RowSaved
 from goniotwin.drivers import Monochromator, NoAnswer
 from tests.app.campaign.campaign_bench import QUIET
-from tests.app.station.station_bench import StationBench
+from tests.app.station.station_bench import HurriedClock, StationBench
 from tests.conftest import SMALL, Writer
 
 Light = tuple[str, float | None, bool | None]
 
 
 @pytest.fixture
-def bench(write_rig: Writer, monkeypatch: pytest.MonkeyPatch) -> Iterator[StationBench]:
-    monkeypatch.setattr(poller, "LAMP_S", 0.0)
-    bench = StationBench(write_rig(*QUIET))
+def bench(write_rig: Writer) -> Iterator[StationBench]:
+    bench = StationBench(write_rig(*QUIET), HurriedClock())
     yield bench
     bench.station.close_rig()
 
