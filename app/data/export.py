@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from goniotwin.app.campaign.geometry.directions import polar_from_zenith
+from goniotwin.app.campaign.journal.block_sizes import BlockSizes
 from goniotwin.app.campaign.reduction.components import INTERVAL_RULE, shared_variance
 from goniotwin.app.campaign.reduction.points import BITS, FLAGS, BsdfPoints, PointSource
 from goniotwin.app.campaign.studies.reduced_journal import ReducedJournal
@@ -18,8 +19,6 @@ from goniotwin.app.formats.points import ABOUT_INTERVAL, SYMMETRY_LINES
 from goniotwin.arrays import Flags, Floats, Texts
 from goniotwin.twin.optics.geometry.coordinates import HALF_TURN_DEG, TOLERANCE_DEG, wrap_azimuth
 
-PART_POINTS = 20_000
-"""Points written in one part: as text a point takes one or two kilobytes."""
 WIDEST_GAP_DEG = 3.0
 """In a table there is no interpolation between measured directions that are further apart."""
 
@@ -41,7 +40,7 @@ def scattered_of(reduced: ReducedJournal, sample: str | None = None, metadata: M
         raise UserError("no sample has been measured yet, so there is nothing to write")
     parts = []
     for name, source in chosen.items():
-        columns = [_scattered_columns(points) for points in source.parts(PART_POINTS)]
+        columns = [_scattered_columns(points) for points in source.parts(reduced.sizes.points)]
         joined = {key: np.concatenate([each[key] for each in columns]) for key in columns[0]}
         symmetry = (f"symmetry: {reduced.symmetry[name]}",) if name in reduced.symmetry else ()
         parts.append(_scattered(joined, name, reduced.isotropic, reduced.simulated, symmetry))
@@ -107,7 +106,7 @@ def points_of(reduced: ReducedJournal, sample: str | None, path: Path) -> tuple[
         *(note for note in reduced.notes if note not in (*reduced.light, *reduced.findings)),
         *(f"overlaps of {name}: {each}" for name, each in reduced.overlaps.items() if name in chosen and each.pairs),
     ]
-    parts = (_columns(name, points) for name, source in chosen.items() for points in source.parts(PART_POINTS))
+    parts = (_columns(name, points) for name, source in chosen.items() for points in source.parts(reduced.sizes.points))
     return PointStream(about, parts), sum(source.size for source in chosen.values())
 
 
@@ -121,7 +120,7 @@ class _SomePoints:
     @property
     def size(self) -> int:
         """Number of points."""
-        return sum(points.size for points in self.parts(PART_POINTS))
+        return sum(points.size for points in self.parts(BlockSizes.points))
 
     def parts(self, points: int) -> Iterator[BsdfPoints]:
         """The points in order of time."""
@@ -151,7 +150,7 @@ def part_of_wavelength(reduced: ReducedJournal, sample: str | None, wavelength_n
 def wavelengths_of(reduced: ReducedJournal, sample: str | None) -> Floats:
     """The wavelengths at which one sample, or any, was measured, ascending."""
     chosen = reduced.samples.values() if sample is None else [_points(reduced, sample)]
-    found = [np.unique(points.wavelength_nm) for source in chosen for points in source.parts(PART_POINTS)]
+    found = [np.unique(points.wavelength_nm) for source in chosen for points in source.parts(reduced.sizes.points)]
     return np.unique(np.concatenate([np.zeros(0), *found]))
 
 

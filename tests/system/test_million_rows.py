@@ -9,13 +9,11 @@ from typing import Any
 
 import pytest
 
-from goniotwin.app.campaign.journal import chain as journal_chain
-from goniotwin.app.campaign.journal import reading
+from goniotwin.app.campaign.journal.block_sizes import BlockSizes
 from goniotwin.app.campaign.journal.writing import Journal
-from goniotwin.app.campaign.reduction import readings, reduction
+from goniotwin.app.campaign.reduction import readings
 from goniotwin.app.campaign.reduction.pipeline import reduce_readings
 from goniotwin.app.campaign.studies import reduced_journal
-from goniotwin.app.data import export as exporting
 from goniotwin.app.data.conversion import Choice, convert_reduced, format_to_write
 from tests.app.campaign.reduction.long_journal import write_long_journal
 from tests.conftest import REPOSITORY
@@ -26,14 +24,7 @@ def test_the_memory_of_an_export_grows_by_less_than_a_kilobyte_per_row_and_each_
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With small blocks a short journal shows what a long one takes."""
-    for module in (reduction, reduced_journal):
-        monkeypatch.setattr(module, "BLOCK_ROWS", 16)
-    monkeypatch.setattr(readings, "EVIDENCE_ROWS", 16)
-    monkeypatch.setattr(readings, "ROWS_AT_ONCE", 16)
-    monkeypatch.setattr(journal_chain, "CHECKED_TOGETHER", 16)
-    monkeypatch.setattr(reading, "RECORDED_TOGETHER", 16)
-    monkeypatch.setattr(reading, "INDEXED_TOGETHER", 16)
-    monkeypatch.setattr(exporting, "PART_POINTS", 64)
+    small = BlockSizes(checked=16, recorded=16, evidence=16, signals=16, rows=16, block=16, points=64)
     reduced = 0
 
     def counted(table: Any, *arguments: Any) -> Any:
@@ -51,7 +42,7 @@ def test_the_memory_of_an_export_grows_by_less_than_a_kilobyte_per_row_and_each_
         reduced = 0
         tracemalloc.start()
         form = format_to_write(tmp_path / "a.csv")
-        with Journal.open(path) as journal, reduced_journal.reduce_to_files(journal, tmp_path) as found:
+        with Journal.open(path, small) as journal, reduced_journal.reduce_to_files(journal, tmp_path) as found:
             convert_reduced(found, tmp_path / "a.csv", form, Choice())
         memory.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()

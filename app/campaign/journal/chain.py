@@ -13,6 +13,7 @@ from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from goniotwin.app.campaign.journal.block_sizes import BlockSizes
 from goniotwin.app.campaign.journal.canonical import CanonicalColumns, encode
 
 ENTRY = "chain"
@@ -31,8 +32,6 @@ ROW_NUMBERS = 12
 READING = "gain_v_per_a, first_s, period_s, monitor_a, readings, channels, counts"
 NAMED_ROWS = 5
 """Damaged rows that a message names."""
-CHECKED_TOGETHER = 512
-"""Rows that are compared with their links together, and whose readings are in memory."""
 READING_NUMBERS, PLAN_ROW_NUMBERS = 6, 7
 
 
@@ -125,8 +124,8 @@ def seal_session(db: sqlite3.Connection, session: int) -> None:
     db.execute("UPDATE session SET sha256 = ? WHERE id = ?", (_session_hash(row), session))
 
 
-def check_chain(db: sqlite3.Connection) -> Chain:
-    """Compare all of a journal with its chain. It must not change meanwhile.
+def check_chain(db: sqlite3.Connection, at_once: int = BlockSizes.checked) -> Chain:
+    """Compare all of a journal with its chain, `at_once` rows together. It must not change meanwhile.
 
     Raises ChainError where an entry is damaged on which all values depend, and sqlite3.Error.
     """
@@ -134,15 +133,15 @@ def check_chain(db: sqlite3.Connection) -> Chain:
         return Chain(unchecked=db.execute("SELECT COUNT(*) FROM attempt").fetchone()[0])
     factory, db.text_factory = db.text_factory, bytes  # a damaged text may not be UTF-8
     try:
-        return _check(db)
+        return _check(db, at_once)
     finally:
         db.text_factory = factory
 
 
-def _check(db: sqlite3.Connection) -> Chain:
+def _check(db: sqlite3.Connection, at_once: int) -> Chain:
     after, hashes = _check_entries(db)
-    parts = [] if _plan_hash(db) == hashes["plan"] else ["the plan"]
-    links = _Links(db, _campaign_hash(after, hashes))
+    parts = [] if _plan_hash(db, at_once) == hashes["plan"] else ["the plan"]
+    links = _Links(db, _campaign_hash(after, hashes), at_once)
     sound = links.count - len(links.bad)
     (unchecked,) = db.execute("SELECT COUNT(*) FROM attempt WHERE session <= ?", (after,)).fetchone()
     (checked,) = db.execute("SELECT COUNT(*) FROM attempt WHERE session > ?", (after,)).fetchone()
@@ -174,12 +173,12 @@ class _Links:
     `bad` are those whose row differs; `gap` is the last link before which one is missing, or 0.
     """
 
-    def __init__(self, db: sqlite3.Connection, tip: str) -> None:
+    def __init__(self, db: sqlite3.Connection, tip: str, at_once: int) -> None:
         self.bad: set[int] = set()
         self.count = self.last = self.gap = 0
         self.tip = tip
         self._repaired: str | None = None  # the hash of the last link as computed, where it differs from the stored one
-        for block in _linked_rows(db, tip):
+        for block in _linked_rows(db, tip, at_once):
             without_gap = range(self.last + 1, self.last + 1 + len(block.links))
             if block.computed == block.stored and block.links == list(without_gap):
                 self.tip, self.last, self.count = block.stored[-1], block.links[-1], self.count + len(block.links)
@@ -220,12 +219,12 @@ class _LinkedRows:
         return [reading[1:] for reading in self.readings if reading[0] == link]
 
 
-def _linked_rows(db: sqlite3.Connection, tip: str) -> Iterator[_LinkedRows]:
+def _linked_rows(db: sqlite3.Connection, tip: str, at_once: int) -> Iterator[_LinkedRows]:
     """All links with their rows, some at a time. Each has the hash before it as it is stored."""
-    readings = _readings_by_link(db)
+    readings = _readings_by_link(db, at_once)
     found = db.execute(f"SELECT link, sha256, {ROW.format('chain')} ORDER BY link")
     next(readings)
-    while block := found.fetchmany(CHECKED_TOGETHER):
+    while block := found.fetchmany(at_once):
         links, stored = [each[0] for each in block], [_text(each[1]) for each in block]
         rows, counted = [each[2:] for each in block], readings.send(block[-1][0])
         before = [tip, *stored[:-1]]
@@ -267,7 +266,7 @@ def _canonical_readings(links: list[int], counted: list[Sequence[Any]]) -> tuple
     return numbers, lengths, contents
 
 
-def _readings_by_link(db: sqlite3.Connection) -> Generator[list[Sequence[Any]], int, None]:
+def _readings_by_link(db: sqlite3.Connection, at_once: int) -> Generator[list[Sequence[Any]], int, None]:
     """In the order of the chain the readings up to the link that is sent, of those that were not given before."""
     found = db.execute(
         f"SELECT link, {READING} FROM chain CROSS JOIN reading USING (number, attempt) ORDER BY link, gain_v_per_a"
@@ -276,7 +275,7 @@ def _readings_by_link(db: sqlite3.Connection) -> Generator[list[Sequence[Any]], 
     last = yield known
     while True:
         while not known or known[-1][0] <= last:
-            more = found.fetchmany(CHECKED_TOGETHER)
+            more = found.fetchmany(at_once)
             if not more:
                 break
             known += more
@@ -336,10 +335,10 @@ def _check_sessions(db: sqlite3.Connection, after: int, links: _Links, *, rows: 
     return damaged
 
 
-def _plan_hash(db: sqlite3.Connection) -> str:
+def _plan_hash(db: sqlite3.Connection, at_once: int = BlockSizes.checked) -> str:
     found = hashlib.sha256()
     rows = db.execute(f"SELECT number, {PLAN_NUMBERS}, {PLAN_TEXTS} FROM plan WHERE session IS NULL ORDER BY number")
-    while block := rows.fetchmany(CHECKED_TOGETHER):
+    while block := rows.fetchmany(at_once):
         columns = list(zip(*block, strict=True))
         for content in CanonicalColumns(columns[:PLAN_ROW_NUMBERS], columns[PLAN_ROW_NUMBERS:]).encoded():
             found.update(content)

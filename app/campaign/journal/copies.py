@@ -8,6 +8,7 @@ import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
+from goniotwin.app.campaign.journal.block_sizes import BlockSizes
 from goniotwin.app.campaign.journal.chain import Chain, check_chain
 from goniotwin.app.campaign.journal.reading import bound_steps, open_read_only, report_damage
 from goniotwin.app.campaign.journal.schema import APPLICATION_ID, SCHEMA_VERSION, check_lengths, check_schema
@@ -170,7 +171,7 @@ def unfinished_path(path: Path) -> Path:
     return path.with_name(f".{path.name}{UNFINISHED}")
 
 
-def checked_chain(db: sqlite3.Connection, path: Path) -> Chain:
+def checked_chain(db: sqlite3.Connection, path: Path, at_once: int = BlockSizes.checked) -> Chain:
     """The chain of a journal, compared with all of it in one snapshot.
 
     Raises UserError, and closes `db`, where more than rows, plan or sessions is damaged.
@@ -182,7 +183,7 @@ def checked_chain(db: sqlite3.Connection, path: Path) -> Chain:
             if found != "ok":
                 raise ValueError(found)
             check_lengths(db)
-            chain = check_chain(db)
+            chain = check_chain(db, at_once)
             db.execute("COMMIT")
             return chain
     except UserError:

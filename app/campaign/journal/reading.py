@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from goniotwin.app.campaign.journal.block_sizes import DEFAULT_SIZES
 from goniotwin.app.campaign.journal.chain import Chain
 from goniotwin.app.campaign.row import (
     CONTRADICTION,
@@ -76,14 +77,12 @@ WHERE {} AND p.attempt = (SELECT MAX(attempt) FROM attempt b WHERE b.number = p.
 ORDER BY p.number, r.gain_v_per_a
 """
 """The readings of rows, of their last attempts."""
-ASKED_AT_ONCE, RECORDED_TOGETHER = 256, 1024
-"""Rows that are asked for in one statement, and readings that are made into columns together."""
+ASKED_AT_ONCE = 256
+"""Rows that are asked for in one statement."""
 NO_ROW = -1
 PLAN_FIRST = "CROSS JOIN"
 """A join in which SQLite begins with the plan: it looks for no attempts of rows of other kinds."""
 NUMBER_AND_START = np.dtype([("number", np.int64), ("started_s", np.float64)])
-INDEXED_TOGETHER = 1024
-"""Rows that are made into entries of the index together."""
 ATTEMPTED = "EXISTS (SELECT 1 FROM attempt a WHERE a.number = p.number)"
 MOST_ORDERS = 20
 """Safety orders of a session that are listed: a run gives two."""
@@ -149,13 +148,14 @@ class JournalReader:
     """The contents of a journal. All methods raise UserError for a damaged file.
 
     `chain` is its chain of hashes as it was when the journal was opened. Rows that differ from what was committed count as not
-    measured.
+    measured. `sizes` are those of the blocks in which it is read.
     """
 
     def __init__(self, connection: sqlite3.Connection, path: Path, chain: Chain) -> None:
         self._db = connection
         self.path = path
         self.chain = chain
+        self.sizes = DEFAULT_SIZES
         self._sound = ""
         if chain.without_values:
             self._db.execute("CREATE TEMP TABLE damaged (number INTEGER PRIMARY KEY)")
@@ -335,7 +335,7 @@ class JournalReader:
         of_kinds = f"(SELECT kind FROM plan q WHERE q.number = p.number) IN ({', '.join('?' * len(kinds))})"
         with self._reading():
             found = self._db.execute(READINGS_OF.format(f"{of_kinds}{self._sound}"), kinds)
-            while block := found.fetchmany(RECORDED_TOGETHER):
+            while block := found.fetchmany(self.sizes.recorded):
                 parts.append(columns_of_readings(block))
                 left -= sum(each.nbytes for each in parts[-1])
                 if left < 0:
@@ -394,7 +394,7 @@ class JournalReader:
                 f" AND EXISTS (SELECT 1 FROM reading r WHERE r.number = p.number AND r.attempt = a.attempt){self._sound}",
                 (MIRRORED_MARK, CONTRADICTION),
             )
-            while block := found.fetchmany(INDEXED_TOGETHER):
+            while block := found.fetchmany(self.sizes.recorded):
                 number, sample, *columns, started = zip(*block, strict=True)
                 part = np.empty(len(block), dtype=ROW_INDEX)
                 codes = [names.setdefault(each, len(names)) for each in sample]

@@ -16,6 +16,7 @@ from importlib import metadata
 from pathlib import Path
 from types import TracebackType
 
+from goniotwin.app.campaign.journal.block_sizes import DEFAULT_SIZES, BlockSizes
 from goniotwin.app.campaign.journal.chain import Chain, add_links, begin_chain, campaign_hash, seal_session
 from goniotwin.app.campaign.journal.copies import (
     check_file,
@@ -152,7 +153,7 @@ class Journal(JournalReader):
             raise unwritable(path, error) from None
 
     @classmethod
-    def open(cls, path: Path) -> "Journal":
+    def open(cls, path: Path, sizes: BlockSizes = DEFAULT_SIZES) -> "Journal":
         """Open an existing journal for reading. The file is not changed; an older schema is migrated in memory.
 
         Raises UserError for a file that is not a journal.
@@ -165,7 +166,8 @@ class Journal(JournalReader):
                 db.backup(copy)
                 migrate(copy)
             db = copy
-        journal = cls(db, path, checked_chain(db, path))
+        journal = cls(db, path, checked_chain(db, path, sizes.checked))
+        journal.sizes = sizes
         db.execute("PRAGMA query_only = ON")
         return journal
 

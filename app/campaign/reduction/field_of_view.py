@@ -103,9 +103,15 @@ class FieldOfView:
 
     @classmethod
     def of(
-        cls, points: BsdfPoints, instrument: Instrument, *, round_lobe: bool = True, moved_deg: Floats | None = None
+        cls,
+        points: BsdfPoints,
+        instrument: Instrument,
+        *,
+        round_lobe: bool = True,
+        moved_deg: Floats | None = None,
+        at_once: int = CHUNK_POINTS,
     ) -> Self:
-        """Of points in any order; NaN for those without a trusted value. `round_lobe` as in `slopes_of`.
+        """Of points in any order, `at_once` together; NaN for those without a trusted value. `round_lobe` as in `slopes_of`.
 
         `moved_deg` (n, 2) is the displacement along the arc and across it for which the values will be corrected by the slopes.
         """
@@ -120,7 +126,7 @@ class FieldOfView:
         changes = np.any(np.diff(lights[:, np.lexsort(lights)], axis=1) != 0.0, axis=0)
         begin = 0
         for end in [*(np.flatnonzero(changes) + 1).tolist(), order.size]:
-            if end - begin >= CHUNK_POINTS or end == order.size > begin:
+            if end - begin >= at_once or end == order.size > begin:
                 part = order[begin:end]
                 moved = None if moved_deg is None else moved_deg[part]
                 found = _evaluate(merge_directions(points.where(part)), instrument, moved, round_lobe=round_lobe)
@@ -269,7 +275,7 @@ def _evaluate(values: MergedDirections, instrument: Instrument, moved_deg: Float
     )
 
 
-def correct_field_of_view(points: BsdfPoints, settings: ReductionSettings) -> BsdfPoints:
+def correct_field_of_view(points: BsdfPoints, settings: ReductionSettings, at_once: int = CHUNK_POINTS) -> BsdfPoints:
     """Correct the values for the finite field of view, and add slopes, flags, and the components of the uncertainty.
 
     With an alignment they are also corrected from the directions that they were measured in to the nominal ones. Values that
@@ -279,7 +285,8 @@ def correct_field_of_view(points: BsdfPoints, settings: ReductionSettings) -> Bs
     round_lobe = settings.schedule.symmetry == "isotropic"
     aligned = None if settings.alignment is None else aligned_displacement(points, settings)
     moved = None if aligned is None else np.concatenate([aligned[0].along, aligned[0].across], axis=1)
-    found = FieldOfView.of(points, nominal_instrument(settings.rig), round_lobe=round_lobe, moved_deg=moved)
+    instrument = nominal_instrument(settings.rig)
+    found = FieldOfView.of(points, instrument, round_lobe=round_lobe, moved_deg=moved, at_once=at_once)
     corrected = np.isfinite(found.correction)
     correction = np.where(corrected, found.correction, 0.0)
     slope, total = found.slope, correction

@@ -58,12 +58,8 @@ from goniotwin.app.rig import RigFile
 from goniotwin.arrays import Flags, Floats, Ints
 from goniotwin.twin.optics.geometry.coordinates import round_deg
 
-ROWS_AT_ONCE, MOST_COUNTS = 1024, 1 << 22
-"""Rows whose signals are computed together, and counts from which on they are fewer."""
-EVIDENCE_ROWS = 256
-"""Rows whose readings are in memory together for the evidence."""
-MOST_BYTES = 1 << 28
-"""Memory that the readings of all rows with light may take; where they take more, they are read from the journal each time."""
+MOST_COUNTS = 1 << 22
+"""Counts from which on fewer rows than the sizes of blocks state are in memory together."""
 LIT: tuple[RowKind, ...] = ("measure", "drift")
 """Kinds of rows with light on the photodiodes."""
 END_OF_RANGE = 0.98
@@ -185,8 +181,9 @@ class Measurements:
 
     def __init__(self, journal: JournalReader, schedule: ScheduleFile, rig: RigFile) -> None:
         self._journal, self._schedule, self._rig = journal, schedule, rig
+        self._sizes = journal.sizes
         self._kept: dict[int, RowSignal] = {}
-        self._in_memory = journal.all_recorded(MOST_BYTES, *LIT)
+        self._in_memory = journal.all_recorded(self._sizes.kept_bytes, *LIT)
         self._table, self._names = journal.row_index()
         self._by_number = np.argsort(self._table["number"], kind="stable")
 
@@ -196,8 +193,9 @@ class Measurements:
         with self._path_in_errors():
             dark = DarkHistory(list(self._journal.rows("dark")), self._rig)
             lit = self._journal.row_numbers(*LIT)
-            blocks = (lit[begin : begin + EVIDENCE_ROWS] for begin in range(0, lit.size, EVIDENCE_ROWS))
-            tables = (each.readings for block in blocks for each in self._recorded(block, EVIDENCE_ROWS))
+            rows = self._sizes.evidence
+            blocks = (lit[begin : begin + rows] for begin in range(0, lit.size, rows))
+            tables = (each.readings for block in blocks for each in self._recorded(block, rows))
             return dark.with_evidence(collect(dark.sums(), tables))
 
     @cached_property
@@ -243,7 +241,7 @@ class Measurements:
     def row_signals(self, numbers: Iterable[int]) -> Iterator[RowSignal]:
         """The signals of rows, by the rows' numbers: of a few: many are faster in columns."""
         left = iter(numbers)
-        while block := list(itertools.islice(left, ROWS_AT_ONCE)):
+        while block := list(itertools.islice(left, self._sizes.signals)):
             rows = list(self._journal.rows_of(block))
             with self._path_in_errors():
                 signals = self._dark.signals(rows)
@@ -256,7 +254,7 @@ class Measurements:
         found = {number: self._kept.pop(number) for number in numbers if number in self._kept}
         kept = rows_in_columns(list(found.values()))
         left = [number for number in numbers if number not in found] if found else numbers
-        parts = [self._reduced(each) for each in self._recorded(np.array(left, dtype=np.int64), ROWS_AT_ONCE)]
+        parts = [self._reduced(each) for each in self._recorded(np.array(left, dtype=np.int64), self._sizes.signals)]
         if kept is None:
             return RowSignals.join(parts) if parts else None
         rows = RowSignals.join([kept, *parts])

@@ -34,10 +34,6 @@ from goniotwin.app.errors import UserError
 from goniotwin.app.rig import RigDescription, parse_rig
 from goniotwin.arrays import Ints
 
-BLOCK_ROWS = 256
-"""Rows in a block, and rows whose signals are in memory together: they take some megabytes."""
-MOST_ROWS = 4096
-"""Rows of one pose that are reduced together, each at another wavelength."""
 RESUME = "goniotwin run --resume measures them"
 
 
@@ -70,46 +66,49 @@ class Reduction:
     signature: ReferenceMeasurements
     second: ReferenceMeasurements | None = None
 
-    def blocks(self, sample: str, rows: int = BLOCK_ROWS) -> Iterator[PointBlock]:
+    def blocks(self, sample: str) -> Iterator[PointBlock]:
         """The points of a sample in the order of sigma, gamma, wavelength, half planes and time; not finished yet.
 
-        A block has about `rows` rows; their number changes no value. Raises UserError.
+        A block has about as many rows as the journal's `sizes` state; that number changes no value. Raises UserError.
         """
+        rows = self.journal.sizes.rows
         table = self.measurements.row_table(sample)
         order, settings, lights = order_by_setting(table)
-        for begin, end in _together(lights, BLOCK_ROWS):
+        for begin, end in _together(lights, rows):
             edges = settings[(settings >= begin) & (settings <= end)] - begin
             places = order[begin:end]
             if np.unique(table["wavelength_nm"][places]).size > 1:
-                yield from self._spectral_blocks(sample, table, places, edges, rows)
+                yield from self._spectral_blocks(sample, table, places, edges)
             else:
-                for first, last in _together(edges, rows):
-                    cut = np.split(np.arange(first, last), range(BLOCK_ROWS, last - first, BLOCK_ROWS))
+                for first, last in _together(edges, self.journal.sizes.block):
+                    cut = np.split(np.arange(first, last), range(rows, last - first, rows))
                     if found := list(self._reduced(sample, table, places, cut)):
                         at, points = zip(*found, strict=True)
                         yield PointBlock(places[np.concatenate(at)], BsdfPoints.join(list(points)))
 
-    def _spectral_blocks(self, sample: str, table: RowTable, places: Ints, edges: Ints, rows: int) -> Iterator[PointBlock]:
+    def _spectral_blocks(self, sample: str, table: RowTable, places: Ints, edges: Ints) -> Iterator[PointBlock]:
         """The blocks of rows at several wavelengths: reduced pose by pose, and put in a file until all of them are known."""
+        sizes = self.journal.sizes
         by_pose, poses = order_by_pose(table[places])
         of_poses = row_places(table[places[by_pose[poses[:-1]]]])[:, POSE]
         if len(of_poses) <= MOST_POSES:  # together, and not a few for each part of the rows
             self.settings.geometry.views_at([tuple(each) for each in of_poses.tolist()])
         parts = (
-            by_pose[k : min(k + MOST_ROWS, end)]
-            for begin, end in _together(poses, BLOCK_ROWS // 2)
-            for k in range(begin, end, MOST_ROWS)
+            by_pose[k : min(k + sizes.of_pose, end)]
+            for begin, end in _together(poses, sizes.rows // 2)
+            for k in range(begin, end, sizes.of_pose)
         )
         with PointFile(Path(tempfile.gettempdir())) as file:
             for at, points in self._reduced(sample, table, places, parts):
                 file.add(at, points)
-            for first, last in _together(edges, rows):
+            for first, last in _together(edges, sizes.block):
                 if (found := file.between(first, last)) is not None:
                     yield PointBlock(places[found[0]], found[1])
 
     def points_of_rows(self, sample: str, places: Ints) -> BsdfPoints | None:
         """The points of some rows of a sample, by their indices in its table, not finished yet; None for none."""
-        cut = np.split(np.arange(len(places)), range(BLOCK_ROWS, len(places), BLOCK_ROWS))
+        rows = self.journal.sizes.rows
+        cut = np.split(np.arange(len(places)), range(rows, len(places), rows))
         found = [points for _, points in self._reduced(sample, self.measurements.row_table(sample), places, cut)]
         return BsdfPoints.join(found) if found else None
 
@@ -118,7 +117,7 @@ class Reduction:
         factors = overlaps.factors if self.settings.calibrates and overlaps is not None else None
         return finish_points(points, replace(self.settings, sample=sample, calibration=factors))
 
-    def overlaps(self, sample: str, rows: int = BLOCK_ROWS) -> Overlaps | None:
+    def overlaps(self, sample: str) -> Overlaps | None:
         """The overlaps of a sample; None where its points are not calibrated by them.
 
         It reads all blocks once more. Raises UserError.
@@ -126,7 +125,7 @@ class Reduction:
         if not self.settings.calibrates:
             return None
         check = overlap_check(self.settings)
-        for block in self.blocks(sample, rows):
+        for block in self.blocks(sample):
             check.add(block.points)
         return check.result()
 

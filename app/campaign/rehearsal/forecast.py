@@ -13,10 +13,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from goniotwin.app.campaign.journal.block_sizes import DEFAULT_SIZES, BlockSizes
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.reduction.components import COVERAGE
 from goniotwin.app.campaign.reduction.points import BsdfPoints, Tally
-from goniotwin.app.campaign.reduction.reduction import BLOCK_ROWS, Reduction
+from goniotwin.app.campaign.reduction.reduction import Reduction
 from goniotwin.app.campaign.studies.checks import CheckResults, ConsistencyChecks
 from goniotwin.app.campaign.studies.decades import UncertaintyByDecade, UncertaintySummary, relative_uncertainty
 from goniotwin.app.campaign.studies.evaluation import evaluate_journal
@@ -110,7 +111,7 @@ def forecast(
     path: Path,
     points: Path | None = None,
     about: Sequence[str] = (),
-    rows_at_once: int = BLOCK_ROWS,
+    sizes: BlockSizes = DEFAULT_SIZES,
     truth: Mapping[str, Scatterer] | None = None,
 ) -> Forecast:
     """The forecast from the journal `path`; each direction is written to the CSV `points`, with the comments `about`.
@@ -120,14 +121,14 @@ def forecast(
     """
     spreads: dict[str, UncertaintySpread] = {}
     try:
-        with Journal.open(path) as journal:
+        with Journal.open(path, sizes) as journal:
             evaluation = evaluate_journal(journal)
             reduction = evaluation.reduction
             closure = None if reduction.schedule.open_beam_scan is None else evaluation.closure
             check_results = CheckResults(
                 calibrated=reduction.settings.calibrates, findings=tuple(evaluation.findings), closure=closure
             )
-            parts = _parts(reduction, spreads, check_results, rows_at_once, truth or {})
+            parts = _parts(reduction, spreads, check_results, truth or {})
             first = next(parts, None)
             if points is None or first is None:
                 for _ in parts:
@@ -154,13 +155,12 @@ def _parts(
     reduction: Reduction,
     spreads: dict[str, UncertaintySpread],
     check_results: CheckResults,
-    rows_at_once: int,
     truth: Mapping[str, Scatterer],
 ) -> Iterator[dict[str, npt.NDArray[Any]]]:
     """The columns of a CSV, block by block; fills `spreads` and `check_results`."""
     for name in reduction.schedule.samples:
-        checks, overlaps = ConsistencyChecks(reduction, name), reduction.overlaps(name, rows_at_once)
-        for block in reduction.blocks(name, rows_at_once):
+        checks, overlaps = ConsistencyChecks(reduction, name), reduction.overlaps(name)
+        for block in reduction.blocks(name):
             checks.add(block.points)
             points = reduction.finish(name, block.points, overlaps)
             spreads.setdefault(name, UncertaintySpread(truth.get(name))).add(points)

@@ -8,13 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
+from goniotwin.app.campaign.journal.block_sizes import DEFAULT_SIZES, BlockSizes
 from goniotwin.app.campaign.journal.reading import JournalReader
 from goniotwin.app.campaign.reduction.metadata import journal_metadata
 from goniotwin.app.campaign.reduction.overlaps import Overlaps
 from goniotwin.app.campaign.reduction.point_file import PointFile
 from goniotwin.app.campaign.reduction.points import BsdfPoints, PointSource, Tally
 from goniotwin.app.campaign.reduction.polarisation import light_words
-from goniotwin.app.campaign.reduction.reduction import BLOCK_ROWS
 from goniotwin.app.campaign.studies.checks import ConsistencyChecks
 from goniotwin.app.campaign.studies.evaluation import Evaluation, evaluate_journal
 from goniotwin.app.campaign.studies.notes import calibration_notes, light_lines, reduction_notes
@@ -36,7 +36,7 @@ class ReducedJournal:
     those of them that state what is wrong with the instrument. `unchecked` are, by the mounted sample, the photodiodes that its
     drift checks do not cover. `chain` states the journal's checksums, `light` the polarisation of the light: these notes belong
     to every file of values. `metadata` are those of each sample, for archives and reports. `isotropic`: the schedule states so;
-    this alone decides, however many gammas were measured.
+    this alone decides, however many gammas were measured. `sizes` are those of parts in which the points are read.
     """
 
     name: str
@@ -52,6 +52,7 @@ class ReducedJournal:
     findings: tuple[str, ...] = ()
     metadata: Mapping[str, Metadata] = field(default_factory=dict)
     isotropic: bool = True
+    sizes: BlockSizes = DEFAULT_SIZES
 
 
 @dataclass(frozen=True)
@@ -112,8 +113,8 @@ def _reduce(evaluation: Evaluation, keep: Keep) -> ReducedJournal:
     overlaps, symmetry = {}, {}
     tallies: dict[str, Tally] = {}
     for name in reduction.schedule.samples:
-        checks, of_sample = ConsistencyChecks(reduction, name), reduction.overlaps(name, BLOCK_ROWS)
-        for block in reduction.blocks(name, BLOCK_ROWS):
+        checks, of_sample = ConsistencyChecks(reduction, name), reduction.overlaps(name)
+        for block in reduction.blocks(name):
             checks.add(block.points)
             points = reduction.finish(name, block.points, of_sample)
             tallies.setdefault(name, Tally()).add(points)
@@ -139,6 +140,7 @@ def _reduce(evaluation: Evaluation, keep: Keep) -> ReducedJournal:
         tuple(evaluation.findings),
         {name: _metadata(evaluation, name, tally) for name, tally in tallies.items()},
         reduction.schedule.symmetry == "isotropic",
+        journal.sizes,
     )
 
 

@@ -20,6 +20,7 @@ import numpy as np
 from goniotwin.app.campaign.geometry.arcs import etalon_sigma_deg, far_arc, lit_arc
 from goniotwin.app.campaign.geometry.directions import polar_from_zenith, scan_plane_deg, zenith_deg
 from goniotwin.app.campaign.geometry.shadow import blocked_by_mirrors
+from goniotwin.app.campaign.journal.block_sizes import BlockSizes
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.reduction.calibration import CalibrationFactors
 from goniotwin.app.campaign.reduction.components import Signal, mostly_added
@@ -29,7 +30,7 @@ from goniotwin.app.campaign.reduction.evidence import RunningEvidence
 from goniotwin.app.campaign.reduction.overlaps import overlap_check
 from goniotwin.app.campaign.reduction.pipeline import finish_points, reduce_rows
 from goniotwin.app.campaign.reduction.points import BITS, BsdfPoints, pack_flags
-from goniotwin.app.campaign.reduction.readings import EVIDENCE_ROWS, DarkHistory
+from goniotwin.app.campaign.reduction.readings import DarkHistory
 from goniotwin.app.campaign.reduction.row_signals import PoseKey, RowSignal, RowSignals, mean_row, pose_key, rows_in_columns
 from goniotwin.app.campaign.reduction.settings import reduction_settings
 from goniotwin.app.campaign.row import NO_SAMPLE, CommittedRow, Row, reading_table
@@ -336,10 +337,10 @@ class LiveScan:
         """Compute what needs the whole campaign: the evidence of its rows, then the calibration; a part at a time."""
         assert self._dark is not None
         sums = self._dark.sums()
-        for begin in range(0, len(self._lit_rows), EVIDENCE_ROWS):
+        for begin in range(0, len(self._lit_rows), BlockSizes.evidence):
             if begin:
                 yield
-            sums.add(reading_table(each.data.readings for each in self._lit_rows[begin : begin + EVIDENCE_ROWS]))
+            sums.add(reading_table(each.data.readings for each in self._lit_rows[begin : begin + BlockSizes.evidence]))
         self._dark = self._dark.with_evidence(sums.result())
         if self._settings.calibrates:
             yield from self._calibrate()

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 from goniotwin.app.campaign.geometry.arcs import arc_views
 from goniotwin.app.campaign.measurement_model.field import correct_logarithm, directions_covariance
 from goniotwin.app.campaign.measurement_model.slopes import Directions, Slopes, local_parabola
-from goniotwin.app.campaign.reduction import field_of_view
 from goniotwin.app.campaign.reduction.field_of_view import (
     FieldOfView,
     correct_field_of_view,
@@ -268,7 +267,5 @@ def test_neither_the_scale_nor_the_order_of_points_nor_chunks_change_a_slope(see
     )
     other = replace(points, places=points.places + np.array([10.0, 0.0, 0.0, 0.0, 0.0]), bsdf=2.0 * points.bsdf)
     both = BsdfPoints.join([points, other])
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(field_of_view, "CHUNK_POINTS", 10)
-        small = columns(correct_field_of_view(both, SETTINGS))
+    small = columns(correct_field_of_view(both, SETTINGS, at_once=10))
     assert np.array_equal(small, columns(correct_field_of_view(both, SETTINGS)), equal_nan=True)

@@ -7,9 +7,10 @@ import pytest
 
 from goniotwin.app.campaign.geometry.arcs import arc_views, views_at_sigma
 from goniotwin.app.campaign.geometry.shadow import blocked_by_mirrors
+from goniotwin.app.campaign.journal.block_sizes import BlockSizes
 from goniotwin.app.campaign.journal.reading import columns_of_readings
 from goniotwin.app.campaign.journal.writing import Journal
-from goniotwin.app.campaign.reduction import arc_geometry, readings
+from goniotwin.app.campaign.reduction import arc_geometry
 from goniotwin.app.campaign.reduction.arc_geometry import ArcGeometry
 from goniotwin.app.campaign.studies.reduced_journal import reduce_journal, reduce_to_files
 from goniotwin.app.rig import read_rig
@@ -74,12 +75,11 @@ def test_rows_are_recorded_in_the_order_asked_for_and_a_few_at_once(tmp_path: Pa
             assert next(found, None) is None
 
 
-def test_readings_beyond_the_memory_for_them_are_read_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_readings_beyond_the_memory_for_them_are_read_again(tmp_path: Path) -> None:
     write_long_journal(tmp_path / "a.journal", 2, 2)
     found = []
     for most in (10**9, 100):
-        monkeypatch.setattr(readings, "MOST_BYTES", most)
-        with Journal.open(tmp_path / "a.journal") as journal:
+        with Journal.open(tmp_path / "a.journal", BlockSizes(kept_bytes=most)) as journal:
             assert (journal.all_recorded(most, "measure") is None) == (most == 100)
             found.append(reduce_journal(journal).samples["gaussian-5"])
     one, other = found

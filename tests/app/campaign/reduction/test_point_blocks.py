@@ -9,12 +9,10 @@ import numpy as np
 import pytest
 
 from goniotwin.app.campaign.campaign import run_campaign
-from goniotwin.app.campaign.journal import chain, reading
+from goniotwin.app.campaign.journal.block_sizes import BlockSizes
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.measurement_model.quantity import NONE
 from goniotwin.app.campaign.planning.plan import make_plan
-from goniotwin.app.campaign.reduction import readings
-from goniotwin.app.campaign.reduction import reduction as reducing
 from goniotwin.app.campaign.reduction.effects_of_points import effects_of
 from goniotwin.app.campaign.reduction.etalon import ReferenceSignals, join_references
 from goniotwin.app.campaign.reduction.points import BsdfPoints
@@ -80,19 +78,20 @@ def bits(points: BsdfPoints) -> list[bytes]:
 @JOURNALS
 def test_values_are_the_same_for_any_size_of_a_block(journal: Path, sizes: tuple[int, ...]) -> None:
     with Journal.open(journal) as opened:
-        reduction, whole = evaluate_journal(opened).reduction, reduce_journal(opened)
-        for sample in ("glass", "gaussian-5"):
-            results = {}
-            for size in sizes:
-                blocks = list(reduction.blocks(sample, size))
-                overlaps = reduction.overlaps(sample, size)
+        whole = reduce_journal(opened)
+    results: dict[str, list[list[bytes]]] = {"glass": [], "gaussian-5": []}
+    for size in sizes:
+        with Journal.open(journal, BlockSizes(block=size)) as opened:
+            reduction = evaluate_journal(opened).reduction
+            for sample, found in results.items():
+                blocks, overlaps = list(reduction.blocks(sample)), reduction.overlaps(sample)
                 points = BsdfPoints.join([reduction.finish(sample, block.points, overlaps) for block in blocks])
-                results[size] = bits(points)
+                found.append(bits(points))
                 ranks = np.concatenate([block.rank for block in blocks])
                 assert bits(points.where(np.argsort(ranks, kind="stable"))) == bits(whole.samples[sample])
                 listed = [(row.wavelength_nm, row.pose[:2]) for row in plan_rows(opened, sample) if row.pose is not None]
                 assert max(np.unique(block.rank).size for block in blocks) < size + max(Counter(listed).values())
-            assert all(each == results[sizes[0]] for each in results.values())
+    assert all(each == found[0] for found in results.values() for each in found)
     assert whole.samples["glass"].transmitted.any()
     assert whole.samples["glass"].back.any()
 
@@ -100,7 +99,7 @@ def test_values_are_the_same_for_any_size_of_a_block(journal: Path, sizes: tuple
 @pytest.mark.long
 @JOURNALS
 def test_a_forecast_is_the_same_for_any_size_of_a_block(journal: Path, sizes: tuple[int, ...], tmp_path: Path) -> None:
-    forecasts = [forecast(journal, tmp_path / f"{size}.csv", ["of a test"], size) for size in sizes]
+    forecasts = [forecast(journal, tmp_path / f"{size}.csv", ["of a test"], BlockSizes(block=size)) for size in sizes]
     assert all(each.spread == forecasts[0].spread for each in forecasts)
     assert all(json_value(each.check_results) == json_value(forecasts[0].check_results) for each in forecasts)
     assert len({(tmp_path / f"{size}.csv").read_bytes() for size in sizes}) == 1
@@ -120,19 +119,9 @@ def test_a_forecast_is_the_same_for_any_size_of_a_block(journal: Path, sizes: tu
 @pytest.mark.long
 @pytest.mark.parametrize("steps", [(20.0, 5.0), (4.0, 1.0)], ids=["few", "many"])
 def test_the_memory_of_a_forecast_grows_by_much_less_than_a_kilobyte_per_row(
-    write_rig: Writer, write_schedule: Writer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, steps: tuple[float, float]
+    write_rig: Writer, write_schedule: Writer, tmp_path: Path, steps: tuple[float, float]
 ) -> None:
-    for module, name in (
-        (reducing, "BLOCK_ROWS"),
-        (reducing, "MOST_ROWS"),
-        (readings, "EVIDENCE_ROWS"),
-        (readings, "ROWS_AT_ONCE"),
-        (readings, "MOST_BYTES"),
-        (chain, "CHECKED_TOGETHER"),
-        (reading, "RECORDED_TOGETHER"),
-        (reading, "INDEXED_TOGETHER"),
-    ):
-        monkeypatch.setattr(module, name, 16)  # with small blocks a short journal shows what a long one takes
+    small = BlockSizes(16, 16, 16, 16, 16, 16, 16, 16)  # with small blocks a short journal shows what a long one takes
     rig, memory, rows = read_rig(write_rig()), [], []
     for step in steps:
         many = ("[550]", f"{{ start = 500.0, stop = 600.0, step = {step} }}")
@@ -141,9 +130,10 @@ def test_the_memory_of_a_forecast_grows_by_much_less_than_a_kilobyte_per_row(
         )
         path = tmp_path / f"{step}.journal"
         rehearse(plan, out=path)
+        forecast(path, tmp_path / "a.csv", sizes=small)  # imports what it needs, and fills what is kept of poses
         gc.collect()
         tracemalloc.start()
-        forecast(path, tmp_path / "a.csv", rows_at_once=16)
+        forecast(path, tmp_path / "a.csv", sizes=small)
         memory.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
         rows.append(len(plan.rows))

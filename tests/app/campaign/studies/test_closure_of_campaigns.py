@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from goniotwin.app.campaign.journal.block_sizes import BlockSizes
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import make_plan
 from goniotwin.app.campaign.reduction.effects_of_points import effects_of
@@ -194,15 +195,15 @@ def test_transmitted_light_can_be_scaled_by_the_open_beam_and_the_export_states_
     text = HEAD.replace("gaussian-5", "opal").replace('"etalon"', '"white-tile"') + 'light = "transmitted"\n' + SMALL_SCAN
     path = tmp_path / "a.journal"
     run_plan(make_plan(parse_schedule(text + 'scale = "open beam"\n', "closure.toml"), read_rig(RIG)), path)
-    with Journal.open(path) as journal:
+    with Journal.open(path, BlockSizes(block=10_000)) as journal:
         evaluation = evaluate_journal(journal)
         reduction = evaluation.reduction
-        own = reduction.finish("opal", next(reduction.blocks("opal", 10_000)).points, None)
+        own = reduction.finish("opal", next(reduction.blocks("opal")).points, None)
         closures = {(each.wavelength_nm, each.beam.scan.sigma_deg): each for each in evaluation.closure.closures}
         notes = reduction_notes(evaluation, {"opal": tally_of(own)})
         variances = effects_of(own.where(own.good), reduction.settings).variances()
         reduction = replace(reduction, settings=replace(reduction.settings, absolute={}))
-        by_etalon = reduction.finish("opal", next(reduction.blocks("opal", 10_000)).points, None)
+        by_etalon = reduction.finish("opal", next(reduction.blocks("opal")).points, None)
     assert sorted(closures) == [(450.0, 22.0), (550.0, 22.0)]
     assert sum("is that of the open beam" in each for each in notes) == 2
     for (wavelength, sigma), closure in closures.items():
