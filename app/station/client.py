@@ -101,10 +101,7 @@ class StationClient:
         return self.send(command, **arguments).result(ANSWER_S)
 
     def close(self, leave_s: float = LEAVE_S) -> None:
-        """Leave the station, which goes on. If this client operates, its place is free then: the next may come at once.
-
-        It waits at most `leave_s` for the station to note that.
-        """
+        """Leave the station, which goes on. If this client operates, its place is free then: the next may come at once."""
         self._channel.end_sending()
         if self._thread.is_alive() and threading.current_thread() is not self._thread:
             self._thread.join(leave_s)

@@ -38,8 +38,8 @@ def start_station(
 ) -> StationClient:
     """Start the station of a rig in a process of its own and attach to it. Blocks for some seconds.
 
-    The process lives on when this one ends. Raises UserError with the reason where it does not come up in `within_s`, or
-    `given_up` returns True before: then it comes up without a client, and ends soon.
+    The process lives on when this one ends. Raises UserError with the reason where it does not come up, or `given_up` returns
+    True before: then it comes up without a client, and ends soon.
     """
     log = user_log_path("goniotwin") / f"station-{calendar_s():.3f}.log"
     process = _start([sys.executable, "-m", "goniotwin", "station", "--rig", str(rig.absolute()), "--speed", f"{speed:g}"], log)

@@ -24,7 +24,7 @@ def test_the_memory_of_an_export_grows_by_less_than_a_kilobyte_per_row_and_each_
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With small blocks a short journal shows what a long one takes."""
-    small = BlockSizes(checked=16, recorded=16, evidence=16, signals=16, rows=16, block=16, points=64)
+    small = BlockSizes(checked=16, recorded=16, rows=16, block=16, points=64)
     reduced = 0
 
     def counted(table: Any, *arguments: Any) -> Any:

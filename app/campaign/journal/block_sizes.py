@@ -10,15 +10,11 @@ class BlockSizes:
     checked: int = 512
     """Rows that are compared with their links together, and whose readings are in memory."""
     recorded: int = 1024
-    """Readings that are made into columns together, and rows that are made into entries of the index."""
+    """Readings that are made into columns together, rows that are made into entries of the index, and rows with signals."""
     kept_bytes: int = 1 << 28
     """Memory of the readings of all rows with light; where they take more, they are read from the journal each time."""
-    evidence: int = 256
-    """Rows whose readings are in memory together for the evidence."""
-    signals: int = 1024
-    """Rows whose signals are computed together."""
     rows: int = 256
-    """Rows whose points are computed together: they take some megabytes. Of other numbers, sums may be rounded otherwise."""
+    """Rows whose evidence or points are computed together: some megabytes. Another number may round sums otherwise."""
     block: int = 256
     """Rows in a block of points."""
     of_pose: int = 4096

@@ -193,7 +193,7 @@ class Measurements:
         with self._path_in_errors():
             dark = DarkHistory(list(self._journal.rows("dark")), self._rig)
             lit = self._journal.row_numbers(*LIT)
-            rows = self._sizes.evidence
+            rows = self._sizes.rows
             blocks = (lit[begin : begin + rows] for begin in range(0, lit.size, rows))
             tables = (each.readings for block in blocks for each in self._recorded(block, rows))
             return dark.with_evidence(collect(dark.sums(), tables))
@@ -241,7 +241,7 @@ class Measurements:
     def row_signals(self, numbers: Iterable[int]) -> Iterator[RowSignal]:
         """The signals of rows, by the rows' numbers: of a few: many are faster in columns."""
         left = iter(numbers)
-        while block := list(itertools.islice(left, self._sizes.signals)):
+        while block := list(itertools.islice(left, self._sizes.recorded)):
             rows = list(self._journal.rows_of(block))
             with self._path_in_errors():
                 signals = self._dark.signals(rows)
@@ -254,7 +254,7 @@ class Measurements:
         found = {number: self._kept.pop(number) for number in numbers if number in self._kept}
         kept = rows_in_columns(list(found.values()))
         left = [number for number in numbers if number not in found] if found else numbers
-        parts = [self._reduced(each) for each in self._recorded(np.array(left, dtype=np.int64), self._sizes.signals)]
+        parts = [self._reduced(each) for each in self._recorded(np.array(left, dtype=np.int64), self._sizes.recorded)]
         if kept is None:
             return RowSignals.join(parts) if parts else None
         rows = RowSignals.join([kept, *parts])

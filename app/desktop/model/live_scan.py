@@ -337,10 +337,10 @@ class LiveScan:
         """Compute what needs the whole campaign: the evidence of its rows, then the calibration; a part at a time."""
         assert self._dark is not None
         sums = self._dark.sums()
-        for begin in range(0, len(self._lit_rows), BlockSizes.evidence):
+        for begin in range(0, len(self._lit_rows), BlockSizes.rows):
             if begin:
                 yield
-            sums.add(reading_table(each.data.readings for each in self._lit_rows[begin : begin + BlockSizes.evidence]))
+            sums.add(reading_table(each.data.readings for each in self._lit_rows[begin : begin + BlockSizes.rows]))
         self._dark = self._dark.with_evidence(sums.result())
         if self._settings.calibrates:
             yield from self._calibrate()

@@ -121,7 +121,7 @@ def test_a_forecast_is_the_same_for_any_size_of_a_block(journal: Path, sizes: tu
 def test_the_memory_of_a_forecast_grows_by_much_less_than_a_kilobyte_per_row(
     write_rig: Writer, write_schedule: Writer, tmp_path: Path, steps: tuple[float, float]
 ) -> None:
-    small = BlockSizes(16, 16, 16, 16, 16, 16, 16, 16)  # with small blocks a short journal shows what a long one takes
+    small = BlockSizes(16, 16, 16, 16, 16, 16)  # with small blocks a short journal shows what a long one takes
     rig, memory, rows = read_rig(write_rig()), [], []
     for step in steps:
         many = ("[550]", f"{{ start = 500.0, stop = 600.0, step = {step} }}")
