@@ -81,7 +81,6 @@ def test_a_negative_cell_has_no_value(tmp_path: Path) -> None:
         pytest.param(merl.HEADER + np.full(3 * 90 * 90 * 180, np.nan).tobytes(), "not finite", id="not finite"),
         pytest.param(bytes(merl.SIZE + 1), "has more than 34992012 bytes", id="long"),
     ],
-    ids=["counts", "empty", "short", "not finite", "long"],  # of 35 MB, made of the content, each took ten seconds
 )
 def test_another_file_is_refused(raw: bytes, wrong: str, tmp_path: Path) -> None:
     path = tmp_path / "no.binary"

@@ -30,7 +30,7 @@ LONGEST_S = 20.0
 
 def with_limits(limits: ClientLimits) -> pytest.MarkDecorator:
     """Gives the server of a test its limits."""
-    return pytest.mark.parametrize("server", [limits], indirect=True, ids=[""])
+    return pytest.mark.parametrize("server", [limits], indirect=True, ids=["limits"])
 
 
 @pytest.fixture
