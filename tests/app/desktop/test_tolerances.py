@@ -16,7 +16,8 @@ from PySide6.QtWidgets import QApplication
 from pytestqt.qtbot import QtBot
 
 from goniotwin.app.campaign.running.events import State, StateChanged
-from goniotwin.app.desktop.model import tolerances as model
+from goniotwin.app.desktop import model
+from goniotwin.app.desktop.model import tolerances
 from goniotwin.app.desktop.model.messages import Attached, NotAttached
 from goniotwin.app.desktop.model.tolerances import Studies, StudyAnswer, StudyFailed, StudyOutcome, StudyProgress, read_content
 from goniotwin.app.desktop.theme import LIGHT
@@ -303,10 +304,10 @@ def test_a_worker_computes_what_the_command_does_and_waits_when_it_has_to(tmp_pa
 
 def test_a_worker_that_is_ended_by_another_program_is_a_study_without_a_result(monkeypatch: pytest.MonkeyPatch) -> None:
     answers: Answers = queue.Queue()
-    monkeypatch.setattr(model, "serve_study", lambda connection: connection.recv())
+    monkeypatch.setattr(tolerances, "serve_study", lambda connection: connection.recv())
     studies = Studies(answers.put, process=False)
     studies.compute(FOLDER / "quick.toml")
-    assert answers.get(timeout=LONGEST_S) == (1, StudyFailed(model.ENDED))
+    assert answers.get(timeout=LONGEST_S) == (1, StudyFailed(tolerances.ENDED))
     studies.end()
     assert answers.empty()
 
