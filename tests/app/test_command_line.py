@@ -372,6 +372,7 @@ def test_closed_standard_streams_lead_nowhere(tmp_path: Path, closed: str) -> No
     assert (tmp_path / "first").read_text() == "0 True\n"
 
 
+@pytest.mark.long
 @pytest.mark.skipif(sys.platform == "win32", reason="this system sends no signals to a process")
 def test_a_host_process_that_calls_a_command_keeps_its_hooks_signals_streams_and_logs(
     tmp_path: Path, write_schedule: Writer

@@ -227,6 +227,7 @@ def test_after_compile_there_is_nothing_to_compile(tmp_path: Path) -> None:
     subprocess.run([sys.executable, "-c", FIRST_USE], env=environment, cwd=tmp_path, check=True, capture_output=True)
 
 
+@pytest.mark.long
 def test_damage_that_another_process_meets_is_removed_and_that_is_stated(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(folder.parent))
     with compiling_elsewhere(["sequences"]):

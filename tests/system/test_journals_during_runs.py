@@ -38,7 +38,7 @@ def export_csv(journal: Path, out: Path) -> bytes | None:
     return None if status else out.read_bytes()
 
 
-@pytest.mark.parametrize("flips", [pytest.param(60, id="60"), pytest.param(10_000, id="10000", marks=pytest.mark.long)])
+@pytest.mark.parametrize("flips", [pytest.param(20, id="20"), pytest.param(10_000, id="10000", marks=pytest.mark.long)])
 def test_no_flipped_bit_of_a_journal_gives_other_values(
     write_rig: Writer, write_schedule: Writer, tmp_path: Path, flips: int
 ) -> None:

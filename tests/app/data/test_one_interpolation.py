@@ -120,6 +120,8 @@ CONTENTS: dict[str, Callable[[], BsdfTable | ScatteredBsdf]] = {
     "spectral points": spectral_points,
     "plane of incidence": in_plane,
 }
+SLOW = ("anisotropic grid", "anisotropic half")
+"""Contents that most formats carry in the long run alone."""
 
 
 def holds(form: Format, content: BsdfFile) -> bool:
@@ -132,7 +134,9 @@ def holds(form: Format, content: BsdfFile) -> bool:
 
 def carried() -> list[Any]:
     return [
-        pytest.param(name, form.name, marks=[pytest.mark.long] if form.resamples else [])
+        pytest.param(
+            name, form.name, marks=[pytest.mark.long] if form.resamples or (name in SLOW and form.name != "csv") else []
+        )
         for name, made in CONTENTS.items()
         for form in registry.BUILT_IN
         if holds(form, BsdfFile((made(),))) and (name == "wide lobe" or not form.resamples)

@@ -52,7 +52,7 @@ def reference_counts() -> tuple[int, int]:
 
 
 @pytest.mark.skipif(sys.version_info >= (3, 12), reason="None and True are immortal: their references are not counted")
-@pytest.mark.parametrize("repaints", [pytest.param(200, id="200"), pytest.param(2000, id="2000", marks=pytest.mark.long)])
+@pytest.mark.parametrize("repaints", [pytest.param(50, id="50"), pytest.param(2000, id="2000", marks=pytest.mark.long)])
 def test_repaints_and_signals_lose_no_references(qtbot: QtBot, qapp: QApplication, window: MainWindow, repaints: int) -> None:
     """The plot is a separate small one, which repaints faster; the signals are those of a hidden window."""
     held: list[object] = [None, True] * RESERVE

@@ -89,6 +89,7 @@ def test_formula_5_is_symmetric_and_in_percent() -> None:
     assert relative_rms_percent(two, one) == pytest.approx(expected)
 
 
+@pytest.mark.long
 def test_blur_shift_and_noise_fall_with_the_powers_of_the_explanation(table: Table3) -> None:
     assert exponents(table.noise_free)[:, :2] == pytest.approx(2.0, abs=0.06)
     shift = np.sqrt(table.tilted**2 - table.noise_free**2)

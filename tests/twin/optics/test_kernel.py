@@ -100,7 +100,13 @@ class Poison:
 
 @pytest.mark.skipif(sys.platform == "win32", reason="a user's folders are closed to others")
 @pytest.mark.parametrize(
-    ("whose", "trusted"), [("own", True), ("open to all", False), ("open to the group", False), ("another user's", False)]
+    ("whose", "trusted"),
+    [
+        ("own", True),
+        ("open to all", False),
+        pytest.param("open to the group", False, marks=pytest.mark.long),
+        pytest.param("another user's", False, marks=pytest.mark.long),
+    ],
 )
 def test_code_in_a_folder_that_others_may_write_to_is_not_loaded(
     whose: str, trusted: bool, install: Installer, tmp_path: Path

@@ -125,9 +125,9 @@ ANGLES, WAVELENGTH = (("[0, 1]", ALMOST_TIES), ("[30]", "[30.0140625]")), (("[55
     ("changes", "light"),
     [
         pytest.param(ANGLES, "both", id="angles", marks=pytest.mark.long),
-        pytest.param(WAVELENGTH, "both", id="wavelength"),
+        pytest.param(WAVELENGTH, "both", id="wavelength", marks=pytest.mark.long),
         pytest.param(ANGLES, "reflected", id="angles, reflected"),
-        pytest.param(WAVELENGTH, "reflected", id="wavelength, reflected", marks=pytest.mark.long),
+        pytest.param(WAVELENGTH, "reflected", id="wavelength, reflected"),
     ],
 )
 def test_rows_at_angles_and_wavelengths_between_two_roundings_have_all_values(

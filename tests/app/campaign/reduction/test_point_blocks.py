@@ -40,7 +40,7 @@ MANY = (*FEW[:2], ("[30]", "[30, 45]"), ("[550]", "[500, 550]"))
 JOURNALS = pytest.mark.parametrize(
     ("journal", "sizes"),
     [
-        pytest.param(FEW, (7, 10**9), id="few rows, two sizes"),
+        pytest.param(FEW, (7, 10**9), id="few rows, two sizes", marks=pytest.mark.long),
         pytest.param(MANY, (1, 7, 40, 10**9), id="many rows", marks=pytest.mark.long),
     ],
     indirect=["journal"],

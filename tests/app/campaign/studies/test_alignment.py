@@ -85,6 +85,7 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Small:
     return Small(path, plan, judge_alignment(result, plan), result.alignment, file)
 
 
+@pytest.mark.long
 def test_nine_combinations_are_found_within_their_uncertainties(small: Small) -> None:
     """The truth is what the seed draws. Stated are 0.1 deg for tilts and 0.2 deg for zeros: u of 0.06 and 0.12 deg."""
     found = small.found
