@@ -5,7 +5,8 @@ there were; where it needs so many hits, it takes those directions, samples or r
 """
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from typing import Any
 
 import pytest
 
@@ -16,6 +17,12 @@ def parted(part: int) -> pytest.MarkDecorator:
     """Gives a test its `part`: it takes one draw of so many, and all of them in the long run."""
     long = pytest.param(1, id="all", marks=pytest.mark.long)
     return pytest.mark.parametrize("part", [pytest.param(part, id=f"1 of {part}"), long])
+
+
+def some(cases: Iterable[Any], count: int = 1) -> list[Any]:
+    """Cases of a parametrized test, tuples for several values: the first ones in the short run, all in the long one."""
+    each = [case if isinstance(case, tuple) else (case,) for case in cases]
+    return [pytest.param(*case, marks=[pytest.mark.long] if k >= count else []) for k, case in enumerate(each)]
 
 
 @contextlib.contextmanager

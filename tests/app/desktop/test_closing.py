@@ -125,6 +125,7 @@ def test_a_signal_while_a_file_is_chosen_ends_the_desktop(qapp: QApplication, tm
     assert dialogs() == []
 
 
+@pytest.mark.long
 def test_widgets_are_destroyed_in_the_windows_thread_alone(qtbot: QtBot, window: MainWindow) -> None:
     """Qt would crash; so garbage is collected in the window's thread while there is another thread."""
     collected_in: set[str] = set()

@@ -72,6 +72,7 @@ def test_a_jammed_axis_is_stated_by_its_encoder_and_the_values_are_those_of_an_u
     assert JAMMED_DEG != COUNTED_DEG
 
 
+@pytest.mark.long
 def test_a_jammed_axis_that_can_home_is_homed(
     qtbot: QtBot, open_window: WindowOpener, stations: LocalStations, write_rig: Writer, write_schedule: Writer
 ) -> None:

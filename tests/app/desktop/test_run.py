@@ -118,6 +118,7 @@ def test_axes_that_stop_responding_are_shown_and_no_run_can_start(
     assert window.view.run.stop_button.isEnabled()
 
 
+@pytest.mark.long
 def test_the_simulation_speed_can_be_changed_during_a_run(
     qtbot: QtBot, open_window: WindowOpener, monkeypatch: pytest.MonkeyPatch
 ) -> None:

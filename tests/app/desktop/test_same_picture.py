@@ -120,7 +120,8 @@ def files(write_rig: Writer, write_schedule: Writer) -> tuple[Path, Path]:
     return write_schedule(text=SCHEDULE), write_rig(("[twin.samples.etalon]", tilted))
 
 
-@pytest.mark.parametrize("colours", [LIGHT, pytest.param(DARK, marks=pytest.mark.long)], ids=["light", "dark"])
+@pytest.mark.parametrize("colours", [LIGHT, DARK], ids=["light", "dark"])
+@pytest.mark.long
 def test_window_plot_and_report_give_one_picture_of_a_journal(
     qtbot: QtBot, files: tuple[Path, Path], tmp_path: Path, colours: Colours
 ) -> None:

@@ -134,6 +134,7 @@ def test_code_in_a_folder_that_others_may_write_to_is_not_loaded(
     assert trace.exists() is trusted
 
 
+@pytest.mark.long
 def test_without_a_home_that_can_be_written_to_the_code_is_in_a_private_folder_for_temporary_files(
     install: Installer, tmp_path: Path
 ) -> None:
@@ -154,6 +155,7 @@ def test_without_any_folder_each_program_compiles_for_itself(install: Installer,
         assert run(install(3.0), tmp_path / "home", NUMBA_CACHE_DIR=str(tmp_path / "home")) == ["3.0", "0", "None"]
 
 
+@pytest.mark.long
 def test_numbas_own_setting_has_the_folder(install: Installer, tmp_path: Path) -> None:
     place = run(install(3.0), tmp_path / "home", NUMBA_CACHE_DIR=str(tmp_path / "chosen"))[2]
     assert Path(place).parent == tmp_path / "chosen"
@@ -176,6 +178,7 @@ for each in Path("__pycache__").glob("*.nbi"):
 """
 
 
+@pytest.mark.long
 def test_a_users_own_code_is_kept_where_numba_keeps_it(install: Installer, tmp_path: Path) -> None:
     """Whether it is decorated before the optics are loaded or after."""
     installed = install(3.0)

@@ -112,6 +112,7 @@ def test_a_hole_that_is_dark_in_part_is_found_and_stated(tmp_path: Path) -> None
     assert json_value(result)["light"]["missing"]
 
 
+@pytest.mark.long
 def test_the_reduction_reads_the_rig_from_the_file_without_the_sample(small: Small) -> None:
     file, text = small.file, alignment_text(small.file)
     assert parse_alignment(text, "file") == parse_alignment(alignment_text(parse_alignment(text, "file")), "again")
@@ -201,6 +202,7 @@ def test_the_budget_of_an_aligned_value_has_modes_and_sums_to_its_uncertainty(sm
     assert budget.u == pytest.approx(points.u_bsdf[here & points.good][0], rel=1e-9)
 
 
+@pytest.mark.long
 def test_an_alignment_of_another_rig_is_refused(small: Small, tmp_path: Path) -> None:
     file = replace(small.file, seed=1)
     rig = (PROOF / "rig.toml").read_text(encoding="utf-8") + '\n[alignment]\nfile = "found.toml"\n'
@@ -216,6 +218,7 @@ def test_an_alignment_of_another_rig_is_refused(small: Small, tmp_path: Path) ->
         read_rig(tmp_path / "rig.toml")
 
 
+@pytest.mark.long
 def test_a_second_alignment_begins_with_the_first_one_as_long_as_the_rig_has_not_moved(small: Small, tmp_path: Path) -> None:
     """A few rows of the same rig keep and sharpen what is known; those of a rig that was drawn anew begin anew."""
     text = alignment_text(small.file)
@@ -245,6 +248,7 @@ def test_a_second_alignment_begins_with_the_first_one_as_long_as_the_rig_has_not
             assert before < 0.5 * min(each.prior_u for each in result.combinations)
 
 
+@pytest.mark.long
 def test_the_twin_of_a_prediction_is_off_by_what_was_found(small: Small) -> None:
     alignment = small.alignment
     model, _ = model_of(small.plan)

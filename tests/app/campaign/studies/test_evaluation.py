@@ -15,6 +15,7 @@ from goniotwin.app.campaign.studies.evaluation import evaluate_journal
 from goniotwin.app.campaign.studies.reduced_journal import reduce_journal
 from goniotwin.app.rig import parse_rig
 from tests.conftest import RIG, Change, changed
+from tests.sizes import some
 from tests.system.command import invoke
 
 SCHEDULE = """
@@ -65,7 +66,7 @@ def test_a_position_with_play_names_both_keys(tmp_path: Path) -> None:
     assert sources == {"[uncertainty] position_deg (assumed), [uncertainty] backlash_deg (stated)"}
 
 
-@pytest.mark.parametrize("gains", ["[1e10]", "[1e8, 1e10]"])
+@pytest.mark.parametrize("gains", some(["[1e8, 1e10]", "[1e10]"]))
 def test_gains_that_are_exact_have_no_component(gains: str, tmp_path: Path) -> None:
     exact = ("gain_uncertainty = 0.001", "gain_uncertainty = 0.0")
     short = SCHEDULE.replace("start = 100", "start = 170").replace("[1e8, 1e10, 1e11]", gains)
