@@ -1,7 +1,7 @@
 """Commands on data: `goniotwin export`, `convert`, `info`, `align`, `budget`, `verify`, `closure` and `copy`."""
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import typer
 
@@ -71,8 +71,10 @@ def export(
 
     Exit status: 1 if the journal differs from what was measured, row by row or as a whole.
     """
+    from goniotwin.app.cli.work.conversion import convert_to_file
+
     choice = (sample, light, side, wavelength, fill)
-    _convert(journal, out, file_format, choice, without_damaged, as_json, of_journal=True)
+    convert_to_file(journal, out, file_format, choice, without_damaged, as_json, of_journal=True)
 
 
 @app.command(cls=CommandWithFormats)
@@ -96,14 +98,10 @@ def convert(
 
     Exit status: 1 if a journal differs from what was measured, row by row or as a whole.
     """
-    choice = (sample, light, side, wavelength, fill)
-    _convert(source, out, file_format, choice, without_damaged, as_json, of_journal=False)
-
-
-def _convert(*arguments: Any, of_journal: bool) -> None:
     from goniotwin.app.cli.work.conversion import convert_to_file
 
-    convert_to_file(*arguments, of_journal=of_journal)
+    choice = (sample, light, side, wavelength, fill)
+    convert_to_file(source, out, file_format, choice, without_damaged, as_json, of_journal=False)
 
 
 @app.command()

@@ -9,6 +9,8 @@ from goniotwin.app.campaign.studies.reduced_journal import reduce_to_files
 from goniotwin.app.cli.output import answer, print_error, print_warning
 from goniotwin.app.data.conversion import (
     Choice,
+    Light,
+    Side,
     archive_journal,
     check_samples,
     convert_file,
@@ -18,13 +20,14 @@ from goniotwin.app.data.conversion import (
     parse_wavelength,
     refuse_itself,
 )
+from goniotwin.app.formats.fills import Fill
 
 
 def convert_to_file(
     source: Path,
     out: Path,
     name: str | None,
-    options: tuple[Any, ...],
+    options: tuple[str | None, Light | None, Side | None, str | None, Fill],
     without_damaged: bool,
     as_json: bool,
     *,

@@ -8,7 +8,7 @@ import numpy as np
 from goniotwin.app.cli.output import RunnerOptions, answer, error_console, print_note
 from goniotwin.app.cli.work.progress import SweepProgress
 from goniotwin.app.cli.work.sweeps import kept, runner_of
-from goniotwin.app.cli.work.virtual_instrument import SIGMA_END_DEG, instrument_and_frames
+from goniotwin.app.cli.work.virtual_instrument import AZIMUTH_DEG, POLAR_DEG, SIGMA_END_DEG, instrument_and_frames
 from goniotwin.app.formats.registry import Holds
 from goniotwin.app.rig.samples import parse_sample
 from goniotwin.app.simulation.detectors import parse_list
@@ -37,7 +37,7 @@ def simulate_random_rigs(
     """Simulate the samples on so many rigs, write a table of all and print the spreads. Raises UserError."""
     check_suffix(out, Holds.COLUMNS)
     angles = np.meshgrid(
-        parse_list(options.polar, "--polar", 0.0, 89.5), parse_list(options.azimuth, "--azimuth", 0.0, 360.0), indexing="ij"
+        parse_list(options.polar, "--polar", *POLAR_DEG), parse_list(options.azimuth, "--azimuth", *AZIMUTH_DEG), indexing="ij"
     )
     sweep = RigSweep(
         tuple(parse_sample(each) for each in options.samples),

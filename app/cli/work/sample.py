@@ -4,26 +4,29 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from goniotwin.app.cli.output import RunnerOptions, answer
-from goniotwin.app.cli.work.progress import ShareProgress
-from goniotwin.app.cli.work.virtual_instrument import SIGMA_END_DEG, instrument_and_frames
+from goniotwin.app.cli.output import RunnerOptions, answer, error_console, print_note
+from goniotwin.app.cli.work.progress import ShareProgress, SweepProgress
+from goniotwin.app.cli.work.sweeps import kept, runner_of
+from goniotwin.app.cli.work.virtual_instrument import AZIMUTH_DEG, POLAR_DEG, SIGMA_END_DEG, instrument_and_frames
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig.samples import parse_sample, table_files
 from goniotwin.app.simulation.detectors import parse_list
 from goniotwin.app.simulation.estimate import EstimatorSettings
 from goniotwin.app.simulation.files import check_file_names, summary, task_of_files, write_simulation
-from goniotwin.app.simulation.simulate import WAVELENGTH_LIMITS_NM, Task, simulate
+from goniotwin.app.simulation.forward_sweep import ForwardSweep, simulate_in_chunks
+from goniotwin.app.simulation.simulate import WAVELENGTH_LIMITS_NM, Simulation, Task, simulate
 from goniotwin.app.simulation.source import Source, illumination_unit, read_source
+from goniotwin.app.sweeps.chunk_files import ChunkFiles
 from goniotwin.arrays import Floats
 from goniotwin.twin.optics import Instrument
 
 LIMITS = {
     "wavelength": WAVELENGTH_LIMITS_NM,
-    "polar": (0.0, 89.5),
-    "azimuth": (0.0, 360.0),
+    "polar": POLAR_DEG,
+    "azimuth": AZIMUTH_DEG,
     "theta": (0.0, 180.0),
-    "phi": (0.0, 360.0),
-    "psi": (0.0, 360.0),
+    "phi": AZIMUTH_DEG,
+    "psi": AZIMUTH_DEG,
 }
 """Limits of the numbers of an option that is a list; nm, deg."""
 
@@ -81,10 +84,7 @@ def simulate_sample(
     )
     task = task_of_files(task, out, form)
     if folder is not None:
-        # Loads 28 modules more, which a simulation in one piece does without.
-        from goniotwin.app.cli.work.sample_chunks import simulate_batches
-
-        simulation = simulate_batches(task, folder, runner_options)
+        simulation = _simulate_batches(task, folder, runner_options)
     else:
         given = [name for name, value in zip(("--processes", "--dask"), runner_options, strict=True) if value is not None]
         if given:
@@ -94,6 +94,19 @@ def simulate_sample(
     files = [file for path in out for file in write_simulation(simulation, path, form)]
     result = summary(simulation, files)
     answer(as_json, result, lambda: _print_summary(result))
+
+
+def _simulate_batches(task: Task, folder: Path, runner_options: RunnerOptions) -> Simulation:
+    """Simulate the batches that the folder does not have. Raises UserError."""
+    sweep = ForwardSweep(task)
+    files = ChunkFiles(folder, sweep.specification, "--folder", "simulation", print_note)
+    # A batch takes all cores of a computer: several processes trace no faster.
+    with (
+        runner_of((1, None) if runner_options == (None, None) else runner_options, sweep.chunks) as runner,
+        kept(folder, "batches"),
+        SweepProgress(error_console(), "simulating", sweep.chunks, "batches") as progress,
+    ):
+        return simulate_in_chunks(sweep, files, runner, progress)
 
 
 def _read_source(options: SampleOptions, wavelengths: Floats | None, instrument: Instrument) -> Source | None:

@@ -8,6 +8,8 @@ from goniotwin.app.rig import read_rig
 from goniotwin.twin.optics import Instrument, SampleFrames
 
 SIGMA_END_DEG = 89.0
+POLAR_DEG, AZIMUTH_DEG = (0.0, 89.5), (0.0, 360.0)
+"""Limits of the angles of detectors; of sigma the upper one."""
 
 
 def instrument_and_frames(rig: Path | None, no_obstruction: bool = False) -> tuple[Instrument, SampleFrames]:

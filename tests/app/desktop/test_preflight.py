@@ -90,7 +90,7 @@ def test_nothing_is_known_and_nothing_is_called_good() -> None:
 def test_a_check_states_what_is_found_and_what_to_do(
     name: str, changes: dict[str, object], outcome: str, found: str, remedy: str
 ) -> None:
-    (check,) = [each for each in preflight_checks(replace(READY, **changes)) if each.name == name]  # type: ignore[arg-type]
+    (check,) = [each for each in preflight_checks(replace(READY, **changes)) if each.name == name]  # type: ignore[arg-type]  # fields by name
     assert check.outcome is Outcome[outcome.upper()]
     assert found in check.found
     assert remedy in check.remedy

@@ -122,7 +122,6 @@ def test_the_tilt_of_the_sample_alone_gives_the_papers_limit() -> None:
     assert rms_table(with_tilt(OPEN, 0.05))[1, 1] == pytest.approx(4.75, abs=0.1)
 
 
-@pytest.mark.long
 @parted(64)
 def test_the_worst_corner_is_the_worst_of_all_4096_corners(table: Table3, part: int) -> None:
     tolerances = tilts(OPEN)
