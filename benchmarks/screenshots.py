@@ -1,7 +1,7 @@
 """Pictures of every screen of the window, and a check that every control is on the screen.
 
     python -m benchmarks.screenshots DIR [--scale 100 125 150 200] [--scheme light dark]
-    python -m benchmarks.screenshots docs --readme      # the two pictures of the README
+    python -m benchmarks.screenshots docs/pictures --readme      # the two pictures of the README
 
 The window fills a screen of 1280 x 800 pixels at each scale factor, in a process of its own. It is shown before its rig is
 open, ready, with a tolerance study, at the bench, in a run of the virtual rig, paused, with a safety order and an open

@@ -56,7 +56,7 @@ ON_A_SERIAL_LINE = (*_ANY_STREAM, Fault.FOREIGN)
 """A line of frames with addresses."""
 ON_MODBUS_RTU = (*ON_A_SERIAL_LINE, Fault.EXCEPTION)
 ON_MODBUS = tuple(each for each in ON_MODBUS_RTU if each is not Fault.GARBLED)
-"""Modbus TCP. A changed request is a right request for something else: see docs/faults.md."""
+"""Modbus TCP. A changed request is a right request for something else: see docs/rig/faults.md."""
 ON_USB = (
     Fault.LATE,
     Fault.LOST,

@@ -4,7 +4,7 @@ Addresses are those of the PDU (4X reference less 40001, 0X reference less 1). F
 Source: Advantech, "ADAM-6000 Series User Manual", appendix B, and "ADAM-4100 Series User's Manual", appendix B.
 
 The two series have the same registers, but not the same codes of their input ranges. Which fact is proven and which is
-assumed: docs/interoperability.md.
+assumed: docs/rig/interoperability.md.
 """
 
 from dataclasses import dataclass

@@ -1,8 +1,8 @@
 """The statements of the Oriel Cornerstone 260 monochromator: lines of ASCII over RS232.
 
 Source: Newport/Oriel, "Cornerstone 260 monochromator" user's manual (MCS260): syntax, echo and handshake mode (p. 49 to
-51), error codes (p. 58). Each fact with its proof is in docs/interoperability.md. To be confirmed on hardware: the statement
-BANDPASS, the decimals of wavelengths in um and 1/cm.
+51), error codes (p. 58). Each fact with its proof is in docs/rig/interoperability.md. To be confirmed on hardware: the
+statement BANDPASS, the decimals of wavelengths in um and 1/cm.
 """
 
 import math

@@ -1,4 +1,4 @@
-"""docs/architecture.md: its picture is that of the imports, and its links lead somewhere."""
+"""docs/extend/architecture.md: its picture is that of the imports, and its links lead somewhere."""
 
 import ast
 import functools
@@ -9,7 +9,7 @@ from pathlib import Path
 
 from tests.conftest import REPOSITORY
 
-DOCUMENT = REPOSITORY / "docs" / "architecture.md"
+DOCUMENT = REPOSITORY / "docs" / "extend" / "architecture.md"
 ROOMS = (
     "app.cli",
     "app.desktop",

@@ -118,7 +118,7 @@ def prove(
     those whose coverage is off by more than 1 % and 2.6 of its standard errors are named.
 
     A rig that is done is not run again: after Ctrl-C the same command continues, and more --rigs of a schedule, or more
-    --structures, are added to those that are done. With --dask the rigs are computed on other computers (docs/sweeps.md).
+    --structures, are added to those that are done. With --dask other computers compute them (docs/analyse/sweeps.md).
 
     Exit status: 0 if all rigs are done, 1 if a campaign came to no end, 130 after Ctrl-C.
     """

@@ -42,7 +42,7 @@ WavelengthOption = Annotated[
 ]
 FillOption = Annotated[
     Fill,
-    typer.Option("--fill", help="How a table's holes are filled, where nothing was measured: docs/formats.md."),
+    typer.Option("--fill", help="How a table's holes are filled, where nothing was measured: docs/exchange/formats.md."),
 ]
 DamagedOption = Annotated[
     bool, typer.Option("--without-damaged", help="Leave out the rows that are damaged, instead of writing nothing.")

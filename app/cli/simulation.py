@@ -147,7 +147,7 @@ def simulate_sample(
     Both estimators count light that was scattered once, by the sample; with --stray all light that arrives.
 
     With --folder a simulation with the forward estimator can be interrupted, and --processes and --dask trace it elsewhere
-    (docs/sweeps.md).
+    (docs/analyse/sweeps.md).
     """
     if sample is None or not out:
         missing = "--sample" if sample is None else "--out"
@@ -204,7 +204,7 @@ def rigs(
     the relative RMS over all detectors with at least a hundredth of the largest value.
 
     Rigs that are done are not simulated again: after Ctrl-C the same command continues, more --rigs are added to those that are
-    done, and with --dask other computers simulate them (docs/sweeps.md).
+    done, and with --dask other computers simulate them (docs/analyse/sweeps.md).
     """
     from goniotwin.app.cli.work.rigs import RigsOptions, simulate_random_rigs
 

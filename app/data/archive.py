@@ -1,8 +1,8 @@
 """The archive of a journal: every point with all that its uncertainty is made of, tables, and what was recorded.
 
 With it the uncertainty of a value, the covariance of two values, of two samples too, and that of a reflectance are rebuilt from
-the file alone (docs/archive.md). An input's effect on a value is stored in the value's unit, for one standard uncertainty of
-the input: what has one name is one input in the whole file, so a covariance is a sum of products.
+the file alone (docs/exchange/archive.md). An input's effect on a value is stored in the value's unit, for one standard
+uncertainty of the input: what has one name is one input in the whole file, so a covariance is a sum of products.
 """
 
 import itertools

@@ -1,4 +1,4 @@
-"""The archive: HDF5 in the manner of NeXus, after one line of text. docs/archive.md describes its layout.
+"""The archive: HDF5 in the manner of NeXus, after one line of text. docs/exchange/archive.md describes its layout.
 
 It holds every content, with metadata and uncertainties, and what a journal's writer adds (app/data/archive.py).
 Each part is a group NXdata with the signal `values` and `values_errors` beside it. The line of text has the SHA-256 of the HDF5

@@ -1,4 +1,4 @@
-"""Rayset files: HDF5 after one line of text, with the columns and units that docs/rayset.md describes.
+"""Rayset files: HDF5 after one line of text, with the columns and units that docs/exchange/rayset.md describes.
 
 The line has the SHA-256 of the HDF5 content, see `hdf5`.
 """

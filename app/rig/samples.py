@@ -188,7 +188,7 @@ class MeasuredTable(TomlTable):
     older name of the `model`. Values with several azimuths of the light are anisotropic, and go on beyond them by their
     `symmetry`: "none" repeats them after 360 deg, "half_turn" after 180. With "mirror" there are 0 to 180 deg and with
     "orthotropic" 0 to 90, and the rest is the mirror image. `sample` chooses one of several in the file, `fill` how holes are
-    filled: see docs/formats.md.
+    filled: see docs/exchange/formats.md.
     """
 
     model: Literal["table", "zemax"]

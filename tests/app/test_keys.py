@@ -60,7 +60,8 @@ def blocks(document: str) -> Iterator[tuple[str, dict[str, Any]]]:
 
 
 def contents() -> list[tuple[str, dict[str, Any]]]:
-    return [(kind, tomllib.loads(path.read_text(encoding="utf-8"))) for kind, path in EXAMPLES] + list(blocks("measuring.md"))
+    examples = [(kind, tomllib.loads(path.read_text(encoding="utf-8"))) for kind, path in EXAMPLES]
+    return examples + list(blocks("operate/measuring.md"))
 
 
 def tables(content: Any) -> Iterator[dict[str, Any]]:
@@ -105,7 +106,7 @@ def test_every_key_of_the_examples_and_documents_validates() -> None:
 
 def test_the_page_on_uncertainty_has_the_keys_of_its_table_with_their_defaults() -> None:
     """In its list of keys, and wherever else a default stands beside a key or beside the inputs of one."""
-    text = (REPOSITORY / "docs" / "uncertainty.md").read_text(encoding="utf-8")
+    text = (REPOSITORY / "docs" / "physics" / "uncertainty.md").read_text(encoding="utf-8")
     before, _, after = text.partition("| key | default |")
     table, _, after = after.partition("\n\n")
     listed: list[tuple[str, float]] = []
@@ -152,7 +153,7 @@ def test_an_unknown_key_validates_in_no_table_of_them() -> None:
 
 
 def test_the_schema_has_the_tables_of_a_registered_kind_as_long_as_it_is_registered() -> None:
-    [(_, content)] = blocks("adding-a-device.md")
+    [(_, content)] = blocks("extend/adding-a-device.md")
     register(ESP)
     try:
         table = rig_file_table()

@@ -346,7 +346,7 @@ def test_errors_that_a_killed_program_has_left_in_the_monitor_do_not_fail_the_ne
 
 
 def test_of_an_axis_the_scales_of_its_counters_and_its_standby_current_stay_and_nothing_else(opened: RigOpener) -> None:
-    """docs/interoperability.md has the reasons."""
+    """docs/rig/interoperability.md has the reasons."""
     AxesSetUp.notes[0].text = ""
     bench = AxesSetUp(opened(NARROW))
     for parameter, value in ((AxisParameter.MICROSTEP_RESOLUTION, 4), (AxisParameter.STANDBY_CURRENT, 3)):

@@ -282,7 +282,7 @@ def test_a_flood_of_silent_connections_is_bounded_and_keeps_no_client_out() -> N
 
 def test_the_worked_example_of_the_page_is_right() -> None:
     """By RFC 2104's own formula, so that a client in another language can be held against the page."""
-    page = (REPOSITORY / "docs" / "station.md").read_text(encoding="utf-8")
+    page = (REPOSITORY / "docs" / "operate" / "station.md").read_text(encoding="utf-8")
     examples = dict(
         re.findall(r"^    (token|port|client's nonce|server's nonce|server's proof|client's proof) +(\S+)$", page, re.M)
     )

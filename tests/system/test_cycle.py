@@ -1,4 +1,4 @@
-"""The cycle of docs/looking.md, by its commands: measure, convert, rehearse with the table as a sample, compare."""
+"""The cycle of docs/analyse/figures.md, by its commands: measure, convert, rehearse with the table as a sample, compare."""
 
 import json
 import re
@@ -10,7 +10,7 @@ import pytest
 from tests.conftest import REPOSITORY
 from tests.system.command import invoke
 
-PAGE = (REPOSITORY / "docs" / "looking.md").read_text(encoding="utf-8")
+PAGE = (REPOSITORY / "docs" / "analyse" / "figures.md").read_text(encoding="utf-8")
 
 
 @pytest.mark.long

@@ -1,4 +1,4 @@
-"""docs/python.ipynb: it is kept without outputs, and it runs on the bundled example."""
+"""docs/analyse/python.ipynb: it is kept without outputs, and it runs on the bundled example."""
 
 import ast
 import re
@@ -10,7 +10,7 @@ import pytest
 import goniotwin
 from tests.conftest import REPOSITORY
 
-NOTEBOOK = REPOSITORY / "docs" / "python.ipynb"
+NOTEBOOK = REPOSITORY / "docs" / "analyse" / "python.ipynb"
 
 
 def cells() -> list[str]:

@@ -1,8 +1,8 @@
 """A Thorlabs PM100D with a photodiode: current, power and its density, ranges, averaging, wavelength, dark zero, delta mode.
 
 Source: Thorlabs, PM100D operation manual, "SCPI commands"; what of it was seen, and what is assumed, stands in
-docs/interoperability.md. To be confirmed on hardware: ranges, 3000 samples a second, the sensor's curve, how long a zero takes
-and from which current on it is refused, the bit that it sets, the limits of references and threshold.
+docs/rig/interoperability.md. To be confirmed on hardware: ranges, 3000 samples a second, the sensor's curve, how long a zero
+takes and from which current on it is refused, the bit that it sets, the limits of references and threshold.
 
 Settings without an effect here: low-pass filter, line frequency, type of the adapter (for a sensor without memory), beeper
 and display. The instrument's calendar begins at 2000-01-01 with the rig, until it is set.

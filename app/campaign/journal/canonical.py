@@ -1,7 +1,7 @@
 """The canonical form of what the chain hashes: a JSON list of numbers and of the contents' lengths in bytes; then the contents.
 
-docs/journal.md has it for other programs. `encode` does it for one row, `CanonicalColumns` for many rows at once, column by
-column: in a third of the time, and to the same bytes. A damaged journal may have a value of any type in any column.
+docs/exchange/journal.md has it for other programs. `encode` does it for one row, `CanonicalColumns` for many rows at once,
+column by column: in a third of the time, and to the same bytes. A damaged journal may have a value of any type in any column.
 """
 
 import json

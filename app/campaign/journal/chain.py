@@ -1,7 +1,7 @@
 """The chain of a journal: each committed row has a SHA-256 over all that its values are made from, and over the hash before it.
 
 It shows damage: a changed bit, a missing row, a copy that is torn. It does not show forgery: a program that changes a row can
-compute the chain anew. docs/journal.md describes what is hashed, so that any program can check it.
+compute the chain anew. docs/exchange/journal.md describes what is hashed, so that any program can check it.
 """
 
 import bisect

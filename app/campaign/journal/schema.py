@@ -1,4 +1,4 @@
-"""Tables of the journal, and the migration of journals with an older schema. docs/journal.md describes the tables."""
+"""Tables of the journal, and the migration of journals with an older schema. docs/exchange/journal.md describes the tables."""
 
 import contextlib
 import json

@@ -1,7 +1,7 @@
 """The journal of a campaign: one SQLite file, one transaction per row.
 
 It is crash journal, resume pointer and archive. It contains the text of the schedule and of the rig file, the planned rows,
-and the raw counts; everything else can be derived from these again. docs/journal.md describes the tables.
+and the raw counts; everything else can be derived from these again. docs/exchange/journal.md describes the tables.
 """
 
 import contextlib

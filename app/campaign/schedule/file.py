@@ -1,4 +1,4 @@
-"""The schedule file: what is measured, where and how; one TOML file for each campaign. See docs/schedule.md."""
+"""The schedule file: what is measured, where and how; one TOML file for each campaign. See docs/operate/schedule.md."""
 
 from dataclasses import dataclass
 from pathlib import Path

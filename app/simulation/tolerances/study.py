@@ -1,6 +1,6 @@
 """The study file of `goniotwin tolerances`: which deviations, their ranges and steps, and the criterion. One TOML file.
 
-See docs/tolerances.md.
+See docs/physics/tolerances.md.
 """
 
 from collections.abc import Sequence

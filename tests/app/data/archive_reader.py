@@ -1,4 +1,4 @@
-"""A reader of archives by the rule of docs/archive.md, with h5py and numpy alone: `python -I archive_reader.py FILE`.
+"""A reader of archives by the rule of docs/exchange/archive.md, with h5py and numpy alone: `python -I archive_reader.py FILE`.
 
 It prints JSON: the modules of goniotwin that are loaded (none), and of each part the values with their u, and the reflectances.
 """

@@ -50,7 +50,7 @@ def archived(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return journal, path
 
 
-# The rule of docs/archive.md, with h5py and numpy alone: archive_reader.py.
+# The rule of docs/exchange/archive.md, with h5py and numpy alone: archive_reader.py.
 
 
 def unit(count: int, index: int) -> Floats:

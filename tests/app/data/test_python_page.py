@@ -1,4 +1,4 @@
-"""docs/python.md: its examples run and give what the page states; each name of the public API has one."""
+"""docs/analyse/python.md: its examples run and give what the page states; each name of the public API has one."""
 
 import doctest
 import re
@@ -14,7 +14,7 @@ from goniotwin.app.data.values import COLUMNS
 from goniotwin.app.figures.style import SIMULATED
 from tests.conftest import REPOSITORY
 
-PAGE = REPOSITORY / "docs" / "python.md"
+PAGE = REPOSITORY / "docs" / "analyse" / "python.md"
 MOST_NAMES = 60
 INNER = {"data", "only", "reduced", "whole", "file"}
 """Attributes of a dataset that other parts of the program use, and a page of the API's does not."""

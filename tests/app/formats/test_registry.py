@@ -274,7 +274,7 @@ def test_an_impossible_format_is_refused() -> None:
 
 
 def test_the_page_on_formats_has_a_row_for_each_format() -> None:
-    text = (REPOSITORY / "docs" / "formats.md").read_text(encoding="utf-8")
+    text = (REPOSITORY / "docs" / "exchange" / "formats.md").read_text(encoding="utf-8")
     for each in BUILT_IN:
         done = " and ".join(word for word, does in (("read", each.reads), ("written", each.writes)) if does)
         holds = ", ".join(found.name.lower() for found in Holds if found in each.holds)

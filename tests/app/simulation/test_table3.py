@@ -35,7 +35,7 @@ pytestmark = pytest.mark.xdist_group("table3")
 OPEN = Instrument(obstruction=False)
 # Percent, sigma 0, 30, 60 by widths of 2, 5, 15, 30 deg: from an independent prototype that shared no code with this one.
 PROTOTYPE = np.array([[4.32, 0.66, 0.07, 0.02], [4.05, 0.62, 0.07, 0.02], [3.47, 0.53, 0.06, 0.01]])
-DOCUMENT = Path(__file__).resolve().parents[3] / "docs" / "table3.md"
+DOCUMENT = Path(__file__).resolve().parents[3] / "docs" / "physics" / "table3.md"
 TOPICS = {"spot", "form", "range of i", "divergence", "field", "deviations", "noise", "obstruction"}
 
 

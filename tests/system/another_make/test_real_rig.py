@@ -26,7 +26,7 @@ TURN_S = 7.0
 
 @dataclass(frozen=True, kw_only=True)
 class OtherTable:
-    """The table of a monochromator of another make: what docs/adding-a-device.md lists, and nothing else."""
+    """The table of a monochromator of another make: what docs/extend/adding-a-device.md lists, and nothing else."""
 
     kind: Literal["other"]
     port: str

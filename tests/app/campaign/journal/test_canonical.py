@@ -43,7 +43,7 @@ def test_a_zero_keeps_its_sign_among_many_equal_numbers() -> None:
 
 @pytest.mark.parametrize("row", [([1, 0.1, None], [b"a", None, "\u00e9"]), (["], ["], [b"], ["])])
 def test_the_canonical_form_is_json_of_numbers_and_lengths_then_the_contents(row: tuple[list[Any], list[Any]]) -> None:
-    """As docs/journal.md has it for other programs."""
+    """As docs/exchange/journal.md has it for other programs."""
     numbers, contents = row
     as_bytes = [each.encode() if isinstance(each, str) else each for each in contents]
     lengths = [None if each is None else len(each) for each in as_bytes]

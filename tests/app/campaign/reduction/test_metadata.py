@@ -18,7 +18,7 @@ from tests.app.campaign.reduction.grey_campaign import reduced
 from tests.conftest import REPOSITORY, SCHEDULE, SMALL, Change, Writer
 
 (STATED,) = re.findall(
-    r"```toml\n(\[metadata\].*?)```", (REPOSITORY / "docs" / "schedule.md").read_text(encoding="utf-8"), re.S
+    r"```toml\n(\[metadata\].*?)```", (REPOSITORY / "docs" / "operate" / "schedule.md").read_text(encoding="utf-8"), re.S
 )
 
 

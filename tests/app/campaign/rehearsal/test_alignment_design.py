@@ -75,7 +75,8 @@ def test_a_shorter_design_knows_no_combination_less_well_than_the_schedule_at_eq
 def test_expected_uncertainties_are_those_of_random_rigs(tmp_path: Path) -> None:
     """The example's time: what an alignment states after the campaign is as expected, and its errors are as stated.
 
-    The mean square of the errors over u is 1. Where more than a fifth of the hole is dark they are larger: docs/alignment.md.
+    The mean square of the errors over u is 1. Where more than a fifth of the hole is dark they are larger
+    (docs/analyse/alignment.md).
     """
     design = design_alignment(parse_schedule(SCHEDULE.read_text(encoding="utf-8"), "alignment"), alignment_rig(), 64.9)
     assert design.gain > 0.1

@@ -56,7 +56,7 @@ axis = "reconnect"
 attempts = 6
 """
 UNDETECTABLE_OVER_TCP = (Fault.CORRUPTED, Fault.NOISE)
-"""docs/faults.md: Modbus TCP has no checksum of its own. Over RTU both are detected."""
+"""docs/rig/faults.md: Modbus TCP has no checksum of its own. Over RTU both are detected."""
 
 
 @dataclass

@@ -271,8 +271,8 @@ def test_an_alignment_through_the_wires_is_the_same(seed: int, tmp_path: Path) -
 def test_fifty_random_rigs(tmp_path: Path) -> None:
     """Each of ten combinations has a median error below 0.005 deg; directions at other poses, and the cut, as documented.
 
-    The photodiodes' own angles, 0.0115 deg each, limit the directions: see docs/alignment.md. Chi-square of the predictions
-    holds for rigs whose hole is lit; of others it is stated that light is missing.
+    The photodiodes' own angles, 0.0115 deg each, limit the directions: see docs/analyse/alignment.md. Chi-square of the
+    predictions holds for rigs whose hole is lit; of others it is stated that light is missing.
     """
     rigs = [find(seed, tmp_path) for seed in range(1, 51)]
     assert all(each.rows <= 800 and len(each.errors) >= 10 for each in rigs)

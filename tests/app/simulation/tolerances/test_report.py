@@ -21,7 +21,7 @@ from tests.system.command import goniotwin, invoke
 pytestmark = pytest.mark.xdist_group("report of tolerances")
 
 FOLDER = REPOSITORY / "examples" / "tolerances"
-DOCUMENT = (REPOSITORY / "docs" / "tolerances.md").read_text(encoding="utf-8")
+DOCUMENT = (REPOSITORY / "docs" / "physics" / "tolerances.md").read_text(encoding="utf-8")
 
 
 @pytest.fixture(scope="session")
