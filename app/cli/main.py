@@ -160,7 +160,9 @@ def desktop(
 
 @app.command()
 def tolerances(
-    study: Annotated[Path, typer.Argument(metavar="FILE.toml", help="Study file (see Tolerances in the docs).", show_default=False)],
+    study: Annotated[
+        Path, typer.Argument(metavar="FILE.toml", help="Study file: docs/physics/tolerances.md.", show_default=False)
+    ],
     out: Annotated[
         Path | None,
         typer.Option("--out", metavar="DIR", help="Folder for the figure and the tables as CSV.", show_default=False),

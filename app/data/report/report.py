@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
+from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.reduction.components import COVERAGE as INTERVAL_U
@@ -33,7 +34,7 @@ from goniotwin.app.data.kinds import KINDS
 from goniotwin.app.data.opening import dataset_of_evaluation
 from goniotwin.app.data.plotting import plot
 from goniotwin.app.data.values import Measured
-from goniotwin.app.errors import MissingPackage, UserError
+from goniotwin.app.errors import UserError
 from goniotwin.app.figures.matplotlib_figure import picture
 from goniotwin.app.formats.content import UNTRUSTED
 from goniotwin.app.formats.file import SQLITE, check_writable, read_head, write_file
@@ -42,7 +43,6 @@ from goniotwin.protocols.clock import calendar_stamp
 
 T = TypeVar("T")
 TEMPLATE = "report.html.j2"
-MISSING = "a report needs Jinja2, which is not installed; install it: pip install 'goniotwin[report]'"
 EVENTS = {
     "fault": "faults",
     "answer": "answers of the operator",
@@ -143,11 +143,7 @@ def report_html(path: Path, *, without_damaged: bool = False, kinds: Collection[
 
 
 def _template() -> Any:
-    """The template of the page. Raises MissingPackage without Jinja2."""
-    try:
-        from jinja2 import Environment, PackageLoader, StrictUndefined  # of an optional dependency
-    except ImportError:
-        raise MissingPackage(MISSING) from None
+    """The template of the page."""
     environment = Environment(
         loader=PackageLoader("goniotwin.app.data", "report"),
         autoescape=True,

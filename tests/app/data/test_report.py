@@ -1,6 +1,5 @@
 """The report: what it states of a journal, that it needs no other file, and that texts of a journal are texts."""
 
-import builtins
 import re
 from html.parser import HTMLParser
 from pathlib import Path
@@ -107,19 +106,6 @@ def test_a_report_of_a_real_rig_is_not_marked(journal: Path, monkeypatch: pytest
     html, result = report_html(journal, kinds=())
     assert "SIMULATED" not in html
     assert result["simulated"] is False
-
-
-def test_a_report_without_jinja_names_the_command_that_installs_it(journal: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    found = builtins.__import__
-
-    def without(name: str, *rest: Any) -> Any:
-        if name == "jinja2":
-            raise ImportError(name)
-        return found(name, *rest)
-
-    monkeypatch.setattr(builtins, "__import__", without)
-    with pytest.raises(GoniotwinError, match=r"pip install 'goniotwin\[report\]'"):
-        report_html(journal)
 
 
 def test_many_numbers_are_the_first_and_the_last(journal: Path, tmp_path: Path) -> None:
