@@ -185,14 +185,14 @@ def demo(
     transcript: TranscriptOption = None,
     as_json: Json = False,
 ) -> None:
-    """Measure a sample on the virtual rig and compare with theory.
+    """Measure a satin sample on the virtual rig and compare it with theory.
 
-    The sample is a Gaussian of 5 deg. The devices are driven over their real protocols. Writes a journal, a .ddr, a CSV and a
-    figure into a folder; files of an earlier demo there are replaced.
+    The program drives the devices over their real protocols, and measures the hemisphere at two incidences. It writes a
+    journal, a .ddr file, a CSV file, a figure and a report into a folder. It replaces the files of an earlier demo there.
     """
     from goniotwin.app.cli.work.demo import run_demo
 
-    answer(as_json, *run_demo(examples.RIG, examples.SCHEDULE, out, transcript, error_console()))
+    answer(as_json, *run_demo(examples.FIRST_RIG, examples.FIRST_SCHEDULE, out, transcript, error_console()))
 
 
 @app.command("compile")

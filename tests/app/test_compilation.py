@@ -191,7 +191,7 @@ from pathlib import Path
 from rich.console import Console
 
 with event.install_recorder("numba:compile") as compiled:
-    run_demo(examples.RIG, examples.SCHEDULE, Path("demo"), None, Console(stderr=True))
+    run_demo(examples.FIRST_RIG, examples.FIRST_SCHEDULE, Path("demo"), None, Console(stderr=True))
 names = [each.data["dispatcher"].py_func.__qualname__ for _, each in compiled.buffer if each.is_start]
 assert not names, names
 """

@@ -7,7 +7,10 @@ from typing import Any
 
 import pytest
 
-from tests.conftest import RIG, SCHEDULE, Change, Writer
+from goniotwin.app.rig.samples import parse_sample
+from goniotwin.examples import FIRST_RIG, FIRST_SCHEDULE
+from goniotwin.twin.optics import albedo
+from tests.conftest import RIG, Change, Writer
 from tests.system.command import (
     CALLS,
     Call,
@@ -20,23 +23,29 @@ from tests.system.command import (
 )
 
 
-def test_the_demo_reports_its_deviation_from_theory(demo_run: tuple[Path, dict[str, Any]]) -> None:
+def test_the_demo_reports_uncertainty_and_deviation_from_theory(demo_run: tuple[Path, dict[str, Any]]) -> None:
     folder, result = demo_run
-    assert result["rows"] == 130
     assert result["simulated"] is True
-    for key in ("relative_rms_percent", "noise_free_percent"):
-        assert set(result[key]) == {"0", "30", "60"}
-        assert all(0.0 < value <= 3.0 for value in result[key].values())
-    for name in ("journal", "ddr", "csv", "png"):
-        assert (folder / f"quick.{name}").stat().st_size > 1000
-    assert (folder / "quick.png").read_bytes().startswith(b"\x89PNG")
+    sample = parse_sample("gaussian:width_deg=12,reflectance=0.4+lambertian:reflectance=0.3")
+    assert [each["sigma_deg"] for each in result["lights"]] == [30.0, 60.0]
+    for each in result["lights"]:
+        assert 0.0 < each["relative_rms_percent"] < 0.5
+        # The values have inputs in common, so chi-square is below its degrees where these happen to be small.
+        assert each["chi_square"] < 1.3 * each["directions"]
+        assert each["reflectance"]["value"] == pytest.approx(
+            albedo(sample, each["sigma_deg"]), abs=2.0 * each["reflectance"]["u"]
+        )
+        assert each["specular_per_sr"]["u"] < 0.01 * each["specular_per_sr"]["value"]
+    for name in ("journal", "ddr", "csv", "html"):
+        assert (folder / f"first.{name}").stat().st_size > 1000
+    assert (folder / "first.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_check_predicts_the_duration_of_the_journal(demo_run: tuple[Path, dict[str, Any]]) -> None:
-    predicted = json_result(invoke("check", SCHEDULE, "--rig", RIG, "--json"))
-    assert predicted["rows"] == 130
+    predicted = json_result(invoke("check", FIRST_SCHEDULE, "--rig", FIRST_RIG, "--json"))
+    assert predicted["rows"] == demo_run[1]["rows"]
     assert predicted["duration_s"] == pytest.approx(demo_run[1]["duration_s"], rel=0.01)
-    database = sqlite3.connect(demo_run[0] / "quick.journal")
+    database = sqlite3.connect(demo_run[0] / "first.journal")
     (seconds,) = database.execute("SELECT MAX(ended_s) - MIN(started_s) FROM attempt").fetchone()
     database.close()
     assert seconds == pytest.approx(predicted["duration_s"], rel=0.01)

@@ -295,7 +295,7 @@ class Engine:
         """Keep the computer awake until the end of the run, unless the rig is in virtual time."""
         if not isinstance(self._sleep_watch, NoSleepWatch):
             reason = self._stay_awake.begin(f"measuring {self._plan.schedule.file.name}")
-            if reason:
+            if reason and not self._plan.rig.file.in_process:  # a virtual rig waits for a computer that sleeps
                 self._log_event("sleep", f"this computer may go to sleep during the run: {reason}; switch its sleep off")
 
     def _execute_row(self, row: Row) -> RowData:

@@ -103,19 +103,24 @@ def quadrature(points: MeasuredRings, symmetry: StatedSymmetry) -> Quadrature:
     azimuth = np.where(polar == 0.0, 0.0, azimuth)
     rings, ring = np.unique(polar, return_inverse=True)
     good = points.good
-    with_value = np.array([bool(good[ring == k].any()) for k in range(rings.size)])
+    on_ring = [np.flatnonzero(ring == k) for k in range(rings.size)]
+    shares = [_azimuth_shares(azimuth[here], good[here], folded) for here in on_ring]
+    gaps = np.where(rings > 0.0, [gap for _, _, gap in shares], 0.0)
+    with_value = np.array([bool(good[here].any()) for here in on_ring])
+    # A few directions outside the rings of a campaign, as those of an overlap are, are no ring.
+    dense = with_value & (gaps <= WIDEST_AZIMUTH_DEG)
+    if np.count_nonzero(dense) > 1:
+        with_value = dense
     all_rings, _ = _ring_weights(rings)
     inside, beyond = np.zeros(rings.size), np.zeros(rings.size)
     inside[with_value], beyond[with_value] = _ring_weights(rings[with_value])
     weight, obstructed, extrapolated = (np.zeros(polar.size) for _ in range(3))
-    widest = 0.0
     for k in np.flatnonzero(with_value).tolist():
-        here = np.flatnonzero(ring == k)
-        own, filled, gap = _azimuth_shares(azimuth[here], good[here], folded)
-        widest = max(widest, gap if rings[k] > 0.0 else 0.0)
+        here, (own, filled, _) = on_ring[k], shares[k]
         weight[here] = (inside[k] + beyond[k]) * (own + filled)
         extrapolated[here] = beyond[k] * (own + filled)
         obstructed[here] = inside[k] * filled + max(inside[k] - all_rings[k], 0.0) * own
+    widest = float(gaps[with_value].max(initial=0.0))
     known = rings[with_value]
     apart = float(np.diff(known).max(initial=0.0))
     return Quadrature(

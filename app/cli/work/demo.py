@@ -1,32 +1,33 @@
-"""The demonstration: a campaign on the virtual rig, and the deviation of its BSDF from theory."""
+"""The demonstration: satin measured over the hemisphere on the virtual rig, its uncertainty, and its deviation from theory."""
 
-import tempfile
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from matplotlib.figure import Figure
 from rich.console import Console
 from rich.table import Table
 
 from goniotwin.app.campaign.campaign import run_campaign
-from goniotwin.app.campaign.journal.writing import Journal
 from goniotwin.app.campaign.planning.plan import Plan, make_plan
 from goniotwin.app.campaign.running.events import State
 from goniotwin.app.campaign.schedule.file import read_schedule
-from goniotwin.app.campaign.studies.cut_figure import cut_figure
-from goniotwin.app.campaign.studies.reduced_journal import BsdfDataset, reduce_journal
 from goniotwin.app.cli.work.compilation import compile_ahead
 from goniotwin.app.cli.work.row_progress import RowProgress
-from goniotwin.app.data.comparison import DatasetComparison, compare_figure_13
-from goniotwin.app.data.conversion import Choice, convert_reduced, format_to_write
+from goniotwin.app.data.comparison import DatasetComparison, compare, theory
+from goniotwin.app.data.dataset import Dataset
+from goniotwin.app.data.kinds.choice import relative_u_text
+from goniotwin.app.data.opening import open_dataset
+from goniotwin.app.data.plotting import plot
 from goniotwin.app.data.report.report import write_report
+from goniotwin.app.data.values import ValueWithU
 from goniotwin.app.errors import UserError
+from goniotwin.app.figures.curves import COVERAGE
 from goniotwin.app.formats.file import make_folder
-from goniotwin.app.rig import RigDescription, read_rig
+from goniotwin.app.rig import read_rig
 from goniotwin.protocols.clock import RealClock
 
-SAMPLE = "gaussian-5"
+FIGURE_INCHES = (12.0, 4.2)
 
 
 def run_demo(
@@ -36,83 +37,93 @@ def run_demo(
     clock = RealClock()
     rig = read_rig(rig_path)
     schedule = read_schedule(schedule_path)
-    files = {name: out / f"quick.{name}" for name in ("journal", "ddr", "csv", "png", "html")}
+    files = {name: out / f"{schedule.file.name}.{name}" for name in ("journal", "ddr", "csv", "png", "html")}
     make_folder(out)
     for file in files.values():
         file.unlink(missing_ok=True)
     compile_ahead()
     plan = make_plan(schedule, rig)
-    reduced, seconds = _measure(plan, files["journal"], transcript, console, "with noise")
-    with tempfile.TemporaryDirectory() as folder:
-        quiet_plan = make_plan(schedule, _without_noise(rig))
-        ideal, _ = _measure(quiet_plan, Path(folder) / "noise-free.journal", None, console, "noise-free")
-    measured = compare_figure_13(rig, SAMPLE, reduced.samples[SAMPLE])
-    noise_free = compare_figure_13(rig, SAMPLE, ideal.samples[SAMPLE])
+    seconds = _measure(plan, files["journal"], transcript, console)
+    dataset = open_dataset(files["journal"])
+    found = compare(dataset, theory(dataset))
     for name in ("ddr", "csv"):
-        convert_reduced(reduced, files[name], format_to_write(files[name]), Choice(SAMPLE))
-    cut_figure(reduced, SAMPLE, measured.by_sigma, files["png"])
+        dataset.save(files[name])
+    draw_demo(dataset).savefig(files["png"], dpi=150)
     write_report(files["journal"], files["html"])
+    lights = [
+        {
+            "sigma_deg": each.light.sigma_deg,
+            "reflectance": _with_u(dataset.reflectance(sigma_deg=each.light.sigma_deg)),
+            "specular_per_sr": _with_u(dataset.at(sigma_deg=each.light.sigma_deg, theta_deg=0.0, phi_deg=0.0)),
+            "relative_rms_percent": each.relative_rms_percent,
+            "chi_square": each.chi_square,
+            "directions": each.degrees,
+        }
+        for each in found.lights
+    ]
     result = {
         "rows": len(plan.rows),
         "duration_s": seconds,
         "foretold_s": plan.seconds,
         "wall_s": clock.now(),
-        "relative_rms_percent": _by_sigma(measured),
-        "noise_free_percent": _by_sigma(noise_free),
-        "directions": {f"{each.light.sigma_deg:g}": each.count for each in measured.lights},
-        "hidden_theta_deg": {f"{each.light.sigma_deg:g}": list(each.blocked_deg) for each in measured.lights},
         "simulated": rig.simulated,
         "seed": rig.seed,
-        "findings": list(reduced.findings),
+        "lights": lights,
         "files": {name: str(file) for name, file in files.items()},
     }
-    return result, lambda: _print_result(Console(highlight=False), result, measured, noise_free)
+    return result, lambda: _print_result(Console(highlight=False), result, dataset, found)
 
 
-def _measure(plan: Plan, journal: Path, transcript: Path | None, console: Console, title: str) -> tuple[BsdfDataset, float]:
-    with RowProgress(console, f"{plan.schedule.file.name}, {title}", len(plan.rows)) as progress:
+def draw_demo(dataset: Dataset) -> Figure:
+    """The picture of the demonstration: the plane of incidence, and the hemisphere at each of two incidences."""
+    figure = Figure(figsize=FIGURE_INCHES, layout="constrained")
+    axes = figure.subplots(1, 3)
+    plot(dataset, "cuts", ax=axes[0])
+    plot(dataset, "hemisphere", ax=axes[1:])
+    return figure
+
+
+def _measure(plan: Plan, journal: Path, transcript: Path | None, console: Console) -> float:
+    """Run the campaign; returns its duration on the rig, s."""
+    with RowProgress(console, plan.schedule.file.name, len(plan.rows)) as progress:
         outcome = run_campaign(plan, journal, listeners=[progress], transcript=transcript)
     if outcome.state is State.IDLE:
         raise KeyboardInterrupt
     if outcome.state is not State.DONE:
         raise UserError(f"the demo ended {outcome.state} after {outcome.rows} rows: {'; '.join(outcome.faults)}")
-    with Journal.open(journal) as opened:
-        return reduce_journal(opened), outcome.seconds
+    return outcome.seconds
 
 
-def _without_noise(rig: RigDescription) -> RigDescription:
-    """The same virtual rig without random processes."""
-    assert rig.file.twin is not None
-    return replace(rig, file=replace(rig.file, twin=replace(rig.file.twin, noise=False)))
+def _with_u(found: ValueWithU) -> dict[str, float]:
+    return {"value": found.value, "u": found.u}
 
 
-def _by_sigma(found: DatasetComparison) -> dict[str, float]:
-    return {f"{sigma:g}": percent for sigma, percent in found.by_sigma.items()}
+def _with_expanded(found: dict[str, float], digits: int) -> str:
+    return f"{found['value']:.{digits}f} ± {COVERAGE * found['u']:.{digits}f}"
 
 
-def _print_result(console: Console, result: dict[str, Any], measured: DatasetComparison, noise_free: DatasetComparison) -> None:
-    table = Table(title="Relative RMS against theory (formula 5), Gaussian of 5 deg", title_justify="left")
-    for column in ("sigma", "measured", "noise-free", "directions", "blocked by the mirror unit"):
-        table.add_column(column, justify="right" if column != "blocked by the mirror unit" else "left")
-    for noisy, ideal in zip(measured.lights, noise_free.lights, strict=True):
-        blocked = f"theta {noisy.blocked_deg[0]:g} to {noisy.blocked_deg[-1]:g} deg" if noisy.blocked_deg else ""
+def _print_result(console: Console, result: dict[str, Any], dataset: Dataset, found: DatasetComparison) -> None:
+    title = f"{dataset.sample} at {dataset.wavelength_nm[0]:g} nm, SIMULATED (seed {result['seed']}); ± U (k = {COVERAGE:g})"
+    table = Table(title=title, title_justify="left")
+    for column in ("sigma", "reflectance", "specular BRDF, 1/sr", "RMS from theory", "chi-square"):
+        table.add_column(column, justify="right")
+    for each in result["lights"]:
         table.add_row(
-            f"{noisy.light.sigma_deg:g} deg",
-            f"{noisy.relative_rms_percent:.2f} %",
-            f"{ideal.relative_rms_percent:.2f} %",
-            str(noisy.count),
-            blocked,
+            f"{each['sigma_deg']:g} deg",
+            _with_expanded(each["reflectance"], 4),
+            _with_expanded(each["specular_per_sr"], 3),
+            f"{each['relative_rms_percent']:.2f} %",
+            f"{each['chi_square']:.0f} of {each['directions']}",
         )
     console.print()
     console.print(table)
     console.print(
-        "Plane of incidence, steps of 0.5 deg, theta <= 2 widths, zenith <= 85 deg; both sides of the specular direction.",
+        f"{relative_u_text(dataset)} of the values. Theory is the known BSDF of the virtual sample. "
+        f"RMS is by formula 5, {found.range}."
     )
     console.print(
-        f"SIMULATED (seed {result['seed']}): {result['rows']} rows, {result['duration_s']:.0f} s simulated "
-        f"(estimated {result['foretold_s']:.0f} s), {result['wall_s']:.1f} s elapsed."
+        f"{result['rows']} rows: {result['duration_s']:.0f} s on the rig (estimated {result['foretold_s']:.0f} s), "
+        f"{result['wall_s']:.1f} s here."
     )
-    for finding in result["findings"]:
-        console.print(finding, style="yellow", markup=False, soft_wrap=True)
     for name, file in result["files"].items():
         console.print(f"  {name:8}{file}", markup=False, soft_wrap=True)

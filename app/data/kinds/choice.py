@@ -119,11 +119,26 @@ def some_of(shown: int, there: int) -> str:
 def about_curves(drawn: Sequence[Dataset], scale: Scale, more: str = "", *, below: str = "below the scale (triangles)") -> str:
     """What bands and marks are, for the top of a legend; of the values that are drawn."""
     values, u = (np.concatenate([getattr(each, name)[each.good] for each in drawn]) for name in ("bsdf", "u"))
-    parts = [f"{'bands: k = 2' if np.isfinite(u).any() else 'no uncertainties'}{f' ({more})' if more else ''}"]
+    parts = [f"bands: {_relative_u_text(values, u)}" if np.isfinite(u).any() else "no uncertainties"]
+    parts += [more] if more else []
     if low := int(scale.below(values).sum()):
         negative = int((values <= 0.0).sum())
         parts.append(f"{low} of {values.size} values are {below}{f', {negative} of them not above 0' if negative else ''}")
     return "; ".join(parts)
+
+
+def relative_u_text(dataset: Dataset) -> str:
+    """The median of the expanded uncertainty of the trusted values relative to them, in words."""
+    return _relative_u_text(dataset.bsdf[dataset.good], dataset.u[dataset.good])
+
+
+def _relative_u_text(bsdf: Floats, u: Floats) -> str:
+    with np.errstate(invalid="ignore", divide="ignore"):
+        relative = COVERAGE * u / bsdf
+    relative = relative[np.isfinite(relative) & (relative >= 0.0)]
+    if not relative.size:
+        return "no uncertainties"
+    return f"U (k = {COVERAGE:g}), median {100.0 * np.median(relative):.2g} %"
 
 
 def figure_of(

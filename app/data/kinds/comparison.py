@@ -59,7 +59,7 @@ def describe(found: DatasetComparison, log: bool | None) -> Figure:
         tuple(panels),
         (1.0 + 3.9 * max(len(lights), 2), 4.4 if beside else 5.6 if flat else 6.6),
         2 if beside else len(lights),
-        legend=f"{'bands: k = 2' if with_u else 'no uncertainties'}; formula 5: {total} ({found.range})",
+        legend=f"{'bands: U (k = 2)' if with_u else 'no uncertainties'}; formula 5: {total} ({found.range})",
         simulated=found.simulated,
         heights=None if beside else (1.0, 0.6 if flat else 1.1),
         widths=(1.25, 1.0) if beside else None,

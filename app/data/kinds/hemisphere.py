@@ -12,6 +12,7 @@ from goniotwin.app.data.kinds.choice import (
     figure_of,
     one_channel,
     quantity_of,
+    relative_u_text,
     scale_for,
     sides,
     some_of,
@@ -31,7 +32,16 @@ def describe(dataset: Dataset, log: bool | None) -> Figure:
         for sigma in np.unique(here.sigma_deg[here.good]).tolist()
     ]
     panels = [
-        disc_panel(sigma, here.polar_deg, around_deg(here), here.bsdf, here.good, bar, here.only.values.isotropic, title)
+        disc_panel(
+            sigma,
+            here.polar_deg,
+            around_deg(here),
+            here.bsdf,
+            here.good,
+            bar,
+            here.only.values.isotropic,
+            f"{title}\n{relative_u_text(here)}",
+        )
         for title, sigma, here in (maps[k] for k in spread(len(maps), MOST_MAPS))
     ]
     columns = min(3, len(panels))

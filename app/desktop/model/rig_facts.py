@@ -132,6 +132,7 @@ class RigFacts:
             expires=None if certificate is None else certificate.expires,
             accepted_by="" if certificate is None else certificate.accept_expired_by or "",
             calibrated=None if rig is None else rig.etalon.calibrated,
+            virtual=rig is not None and rig.in_process,
             folder="" if folder is None else str(folder),
             free_bytes=None if folder is None else free_bytes(folder),
             needed_bytes=0 if plan is None else needed_bytes(plan),
@@ -139,7 +140,10 @@ class RigFacts:
 
 
 class DarkAges:
-    """Ages of the dark readings of a run, in the rig's time: they are planned for a computer that keeps up with it."""
+    """Ages of the dark readings of a run, in the rig's time: they are planned for a computer that keeps up with it.
+
+    A virtual rig in this process has none: where its time is faster, a slow computer makes every reading old.
+    """
 
     def __init__(self, plan: Plan) -> None:
         self._every_s = plan.schedule.file.dark_every_s
@@ -151,14 +155,14 @@ class DarkAges:
         """Take a row; the first that is measured with a dark reading which is too old gives an event."""
         if row.kind == "dark":
             self._dark_s = data.ended_s
-        if row.kind not in ("measure", "drift") or self._dark_s is None or self._stated:
+        if row.kind not in ("measure", "drift") or self._dark_s is None or self._stated or self._virtual:
             return None
         age_s = data.ended_s - self._dark_s
         if age_s <= DARK_MARGIN * max(self._every_s, row.seconds):
             return None
         self._stated = True
         what = f"the dark reading was {rounded_duration_text(age_s)} old, dark_every_s is {self._every_s:g}"
-        return EventLogged("dark", what, row.identity, "choose a lower simulation speed" if self._virtual else "")
+        return EventLogged("dark", what, row.identity, "")
 
 
 def is_drift(event: EventLogged) -> bool:

@@ -96,7 +96,7 @@ def test_a_logarithmic_scale_has_zeros_and_negative_values_at_its_edge_and_the_c
     drawn = np.asarray(axes.lines[0].get_ydata(), dtype=float)
     assert np.nanmax(drawn) == noise.max()
     assert np.nanmin(drawn) >= low
-    assert f"{int((noise <= 0.0).sum())} of them not above 0" in texts(figure)
+    assert f"{int((noise <= 0.0).sum())} of them not above 0" in texts(figure).replace("\n", " ")
     assert "0 of them not above 0" not in texts(plot(made(lobe), log=True))
 
 
@@ -169,7 +169,7 @@ def test_a_title_has_a_long_name_in_short_and_the_azimuth_of_the_light() -> None
 def test_the_picture_of_a_journal_is_of_its_sample_and_wavelength(dataset: Dataset) -> None:
     figure = plot(dataset)
     assert f"{dataset.name}, {dataset.sample}; 550 nm" in texts(figure)
-    assert "bands: k = 2" in texts(figure)
+    assert "bands: U (k = 2), median" in texts(figure)
     assert "sigma 30 deg" in texts(figure)
 
 
@@ -246,7 +246,7 @@ def test_a_picture_is_drawn_on_given_axes() -> None:
     both = [rings(lambertian(0.5), sigma, RINGS, ROUND) for sigma in (20.0, 50.0)]
     two = Figure().subplots(1, 2)
     figure = plot(made(*both), "hemisphere", ax=two)
-    assert [axes.get_title() for axes in two] == ["sigma 20 deg", "sigma 50 deg"]
+    assert [axes.get_title() for axes in two] == [f"sigma {sigma} deg\nno uncertainties" for sigma in (20, 50)]
     assert [axes.get_ylabel() for axes in figure.axes] == ["", "", "BRDF, 1/sr"]  # one bar for both
 
 

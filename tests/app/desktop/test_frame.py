@@ -450,7 +450,7 @@ def test_the_set_up_shows_what_a_schedule_measures(frame: MainWindow) -> None:
     plan = make_plan(read_schedule(examples.FIRST_SCHEDULE), read_rig(examples.FIRST_RIG))
     frame.view.schedule.set_plan(plan)
     names = [each.accessibleName() for each in frame.view.screen_of(SetupScreen).findChildren(QLabel)]
-    for name in ("Samples: satin", "σ: 30, 60°", "β: 0 to 350°, 36 values", "Wavelength: 550 nm", "Gains: 1e8, 1e10 V/A"):
+    for name in ("Samples: satin", "σ: 30, 60°", "β: 0 to 350°, 36 values", "Wavelength: 550 nm", "Gains: 1e10, 1e11 V/A"):
         assert name in names
     assert plan.seconds / 20.0 < 120.0  # the first campaign, at the simulation speed of the start
 

@@ -14,7 +14,7 @@ from goniotwin.app.campaign.running.recovery import FaultPolicies
 from goniotwin.app.campaign.running.sleep import SLEPT_S, SleepWatch, StayAwake
 from goniotwin.app.campaign.schedule.file import FaultsTable, read_schedule
 from goniotwin.app.campaign.studies.reduced_journal import reduce_journal
-from goniotwin.app.rig import OpenRig, read_rig
+from goniotwin.app.rig import OpenRig, RigFile, read_rig
 from goniotwin.drivers import NoAnswer
 from goniotwin.drivers.errors import Interrupted
 from tests.app.campaign.campaign_bench import QUIET, RunResult, planned_values, run_plan
@@ -164,6 +164,9 @@ def test_a_computer_that_cannot_be_kept_awake_is_named_in_the_journal(
         (folder / "systemd-inhibit").write_text(program, encoding="ascii")
         (folder / "systemd-inhibit").chmod(0o700)
     monkeypatch.setenv("PATH", str(folder))
+    virtual = run_with_sleep(plan, tmp_path / "virtual.journal", Sleeper(0, times=0))
+    assert not [text for kind, text in virtual.events if kind == "sleep"]
+    monkeypatch.setattr(RigFile, "in_process", False)
     run = run_with_sleep(plan, tmp_path / "a.journal", Sleeper(0, times=0))
     assert run.state is State.DONE
     (text,) = [text for kind, text in run.events if kind == "sleep"]

@@ -63,6 +63,16 @@ def test_a_cosine_is_integrated_and_a_direction_measured_twice_counts_once() -> 
     assert again[40] == again[-1] == pytest.approx(weight[40] / 2.0, rel=1e-12)
 
 
+def test_a_few_directions_outside_the_rings_do_not_count() -> None:
+    """An overlap measures single directions, here one at the horizon."""
+    zenith, azimuth = _grid(np.arange(0.0, 89.0, 4.0), np.arange(0.0, 181.0, 10.0))
+    with_one = _points(np.append(zenith, 90.0), np.append(azimuth, 0.0), np.full(zenith.size + 1, 0.2))
+    result = quadrature(with_one, "isotropic")
+    assert result.hemisphere
+    assert result.weight[-1] == 0.0
+    assert result.weight.sum() == pytest.approx(np.pi, rel=1e-9)
+
+
 def test_blocked_directions_and_those_beyond_the_last_ring_are_stated() -> None:
     zenith, azimuth = _grid(np.arange(0.0, 81.0, 5.0), np.arange(0.0, 360.0, 15.0))
     blocked = (azimuth == 30.0) & (zenith > 20.0)
