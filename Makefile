@@ -43,11 +43,11 @@ desktop: $(READY)
 golden: $(READY)
 	$(PYTEST_ENVIRONMENT) $(BIN)/python -m tests.golden.make $(NAMES)
 
-# The list of inputs in docs/physics/uncertainty.md, after a declaration in app/rig/inputs.py.
+# The list of inputs in docs/physics/inputs.md, after a declaration in app/rig/inputs.py.
 tables: $(READY)
 	$(BIN)/python -m tests.input_list
 
-# The proofs of docs/physics/uncertainty.md and their tables there, from results in the folder proofs; after Ctrl-C the same command continues.
+# The proofs and their tables in docs/physics/uncertainty-proofs.md, from results in the folder proofs; after Ctrl-C the same command continues.
 # Many hours with WIRES=yes RIGS=200.
 RIGS := 10
 STRUCTURES := 40

@@ -1,10 +1,10 @@
-"""The list of declared inputs in docs/physics/uncertainty.md; `make tables` renews it."""
+"""The list of declared inputs in docs/physics/inputs.md; `make tables` renews it."""
 
 from pathlib import Path
 
 from goniotwin.app.rig.inputs import inputs
 
-DOCUMENT = Path(__file__).resolve().parents[1] / "docs" / "physics" / "uncertainty.md"
+DOCUMENT = Path(__file__).resolve().parents[1] / "docs" / "physics" / "inputs.md"
 HEAD = "| key | default | of what | quantities | one value for |\n|---|---|---|---|---|\n"
 MOST_NAMED = 4
 

@@ -1,4 +1,4 @@
-"""The tables of proofs in docs/physics/uncertainty.md, from folders of results of `goniotwin prove` (`make proof`).
+"""The tables of proofs in docs/physics/uncertainty-proofs.md, from folders of results of `goniotwin prove` (`make proof`).
 
 `python -m tests.proof_tables FOLDER...` replaces the table of each folder's proof, between its marks; the others stay. A table
 states the command and the sources that computed it, and some rigs alone, which a test computes again.
@@ -24,7 +24,7 @@ from goniotwin.app.sweeps.chunk_files import ABOUT, ChunkFiles
 from goniotwin.app.sweeps.environment import PARTS, environment
 
 ROOT = Path(__file__).resolve().parents[1]
-DOCUMENT = ROOT / "docs" / "physics" / "uncertainty.md"
+DOCUMENT = ROOT / "docs" / "physics" / "uncertainty-proofs.md"
 FOLDER = examples.FOLDER / "proof"
 HEAD = "| | values | coverage, % | mean z | u/scatter | chi2/n | beyond 5 u (expected) |\n|---|---|---|---|---|---|---|\n"
 STRUCTURES = 3

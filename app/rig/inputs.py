@@ -1,7 +1,7 @@
 """The uncertain inputs of a rig, each declared once.
 
 From its declaration follow the key of `[uncertainty]`, that of `[twin.disturbances]` and what is drawn by it, the input
-quantities of a budget, and its row in docs/physics/uncertainty.md. One that is a factor on the light of sample or etalon needs
+quantities of a budget, and its row in docs/physics/inputs.md. One that is a factor on the light of sample or etalon needs
 nothing else. The defaults are those of an ordinary laboratory that has aligned its instrument once, and are assumed.
 """
 

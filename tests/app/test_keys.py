@@ -104,27 +104,21 @@ def test_every_key_of_the_examples_and_documents_validates() -> None:
         validate_table(FILES[kind], content, kind)
 
 
-def test_the_page_on_uncertainty_has_the_keys_of_its_table_with_their_defaults() -> None:
-    """In its list of keys, and wherever else a default stands beside a key or beside the inputs of one."""
-    text = (REPOSITORY / "docs" / "physics" / "uncertainty.md").read_text(encoding="utf-8")
-    before, _, after = text.partition("| key | default |")
-    table, _, after = after.partition("\n\n")
-    listed: list[tuple[str, float]] = []
-    for line in table.splitlines()[2:]:
-        names, defaults = line.split("|")[1:3]
-        listed += zip(re.findall(r"`(\w+)`", names), map(float, defaults.split(",")), strict=True)
+def test_the_page_of_the_inputs_has_the_keys_with_their_defaults() -> None:
+    """In its list of keys, and those of other tables that it names."""
+    text = (REPOSITORY / "docs" / "physics" / "inputs.md").read_text(encoding="utf-8")
+    table, _, after = text.partition("| key | default |")[2].partition("\n\n")
+    rows = [line.split("|") for line in table.splitlines()[2:]]
+    listed = [(name.strip("` "), float(default)) for _, name, default, *_ in rows]
     known = {each.key: each.u for each in inputs() if each.u is not None}
     assert len(listed) == len(known)
     assert dict(listed) == known
-    beside = re.findall(r"`(\w+)` \(([\d.e-]+)( %|\)| nm)", before + after)
-    beside += re.findall(r"`\[uncertainty\] (\w+)`(?:,| \|) ([\d.e-]+)( %)?", before + after)
-    stated = [(key, float(number) / (100.0 if unit == " %" else 1.0)) for key, number, unit in beside if key in known]
-    for part in re.findall(r"^\| (`.*?) \|", (before + after).replace("_1..3", ""), re.MULTILINE):
-        for names, half, unit in re.findall(r"(`[^;]*), ([\d.]+) (deg|mm)", part):
-            of_inputs = re.findall(r"`([a-z_]+?)(?:_[xyz]|\[c\]|@axis#k)?`", names)
-            stated += [(key, float(half)) for name in of_inputs if (key := f"{name}_{unit}") in known]
-    assert len(stated) >= 25
-    assert [(key, default) for key, default in stated if default != pytest.approx(known[key])] == []
+    beside = re.findall(r"`\[(\w+)\] (\w+)` \(([\d.e-]+)\)", after)
+    schema = SCHEMAS["rig"]
+    tables = {name: each["$ref"].rpartition("/")[2] for name, each in schema["properties"].items() if "$ref" in each}
+    defaults = [schema["$defs"][tables[name]]["properties"][key]["default"] for name, key, _ in beside]
+    assert len(defaults) >= 3
+    assert [float(stated) for *_, stated in beside] == defaults
 
 
 def test_a_schedule_in_the_place_of_a_rig_file_and_the_reverse_are_named(tmp_path: Path) -> None:

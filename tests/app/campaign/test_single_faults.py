@@ -1,7 +1,8 @@
 """Single faults of the virtual rig of which its rig file knows nothing: each is covered by u, corrected, or flagged.
 
-`make test-long` prints the table of docs/physics/uncertainty.md, of campaigns through the wires with a scan of the open beam;
-the quick test has three that the campaign itself shows, without wires. The true value is the BSDF of the virtual rig's sample.
+`make test-long` prints the table of docs/physics/uncertainty-proofs.md, of campaigns through the wires with a scan of the open
+beam; the quick test has three that the campaign itself shows, without wires. The true value is the BSDF of the virtual rig's
+sample.
 """
 
 from dataclasses import dataclass

@@ -184,7 +184,7 @@ def test_a_cell_of_few_rigs_is_not_judged() -> None:
 def test_drawn_structures_are_covered_as_stated(base: RigDescription, tmp_path: Path) -> None:
     """Values without a lobe's slope, of 8 structures with 4 rigs each: the noise and what values share are as stated.
 
-    The standard error of each cell is over its rigs. Cells with slopes are of fewer values: docs/physics/uncertainty.md.
+    The standard error of each cell is over its rigs. Cells with slopes are of fewer values: docs/physics/uncertainty-proofs.md.
     """
     pooled = PooledProof(base, 8, 4, tmp_path / "pooled", wires=False)
     found = prove_structures(pooled, on_this_computer(None, pooled.chunks))

@@ -1,7 +1,8 @@
 """A regression test of values and their u: deviations from the truth, in u, against a stored copy.
 
 It shows that nothing has changed, on four structures with three rigs each. It cannot show that an interval of 95 % covers 95 %:
-twelve rigs are too few for that, and a copy of what is wrong agrees with it. The proofs show it (docs/physics/uncertainty.md).
+twelve rigs are too few for that, and a copy of what is wrong agrees with it. The proofs show it
+(docs/physics/uncertainty-proofs.md).
 """
 
 import numpy as np

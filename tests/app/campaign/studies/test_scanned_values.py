@@ -57,7 +57,7 @@ THREE_SCANS: tuple[Change, ...] = (
     ("beta_deg = [165, 170, 175, 185]", "beta_deg = [180]"),
     ("shift_deg = [0, 2.5]", "shift_deg = [0, 1, 2, 3, 4]"),
 )
-DOCUMENT = REPOSITORY / "docs" / "physics" / "uncertainty.md"
+DOCUMENT = REPOSITORY / "docs" / "physics" / "uncertainty-proofs.md"
 RIGS = 4
 UPPER = 1e-2
 
