@@ -46,6 +46,7 @@ golden: $(READY)
 # The list of inputs in docs/physics/inputs.md, after a declaration in app/rig/inputs.py.
 tables: $(READY)
 	$(BIN)/python -m tests.input_list
+	$(BIN)/python -m tests.arrival_list
 
 # The proofs and their tables in docs/physics/uncertainty-proofs.md, from results in the folder proofs; after Ctrl-C the same command continues.
 # Many hours with WIRES=yes RIGS=200.

@@ -56,7 +56,7 @@ def rehearse(
     ] = 1,
     as_json: Json = False,
 ) -> None:
-    """Run a whole campaign on the digital twin, in simulated time.
+    """Run a campaign on the digital twin, in simulated time.
 
     Gives the duration, the predicted uncertainty and warnings. Drivers, bytes and plan are those of the campaign. For the
     file of a real rig, the twin is built from that file; no device is opened. An error in the rig file (a direction of

@@ -140,7 +140,7 @@ def budget(
     ] = False,
     as_json: Json = False,
 ) -> None:
-    """List the components of a value's uncertainty, largest first.
+    """List the components of a value's uncertainty by size.
 
     For each: u in the unit of the value and in percent of it, its share of the square of u, which values share it, its source:
     the table and key of the rig file, or a measurement, and whether it is measured, stated or an assumed default, with degrees

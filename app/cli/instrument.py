@@ -1,11 +1,11 @@
-"""Commands on the instrument: `goniotwin devices`, `home`, `here`, `station`, `move` and `read`."""
+"""Commands on the instrument: `goniotwin devices`, `home`, `here`, `station`, `move`, `read` and `verify-device`."""
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from goniotwin.app.cli.output import Json, RigOption, Speed, answer, print_order
+from goniotwin.app.cli.output import Json, RigOption, Speed, TranscriptOption, answer, print_order
 
 app = typer.Typer()
 
@@ -132,3 +132,34 @@ def read(
     from goniotwin.app.cli.work.bench import read_devices
 
     read_devices(rig, readings, gain, dark, as_json)
+
+
+@app.command("verify-device")
+def verify_device(
+    rig: RigOption,
+    devices: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="DEVICE", help="A name of `goniotwin devices`, or an axis. Default: all devices.", show_default=False
+        ),
+    ] = None,
+    yes: Annotated[bool, typer.Option("--yes", help="Move without asking.")] = False,
+    report: Annotated[
+        Path | None, typer.Option("--report", metavar="FILE", help="Write the results as text, to be kept.", show_default=False)
+    ] = None,
+    transcript: TranscriptOption = None,
+    as_json: Json = False,
+) -> None:
+    """Verify the devices of a rig when it arrives.
+
+    First what moves nothing: identities, settings, reply times, gains, dark levels. Then, after a yes, what moves: small moves,
+    a stop, a change of wavelength, the shutter, the filter wheel. Devices are left as they were found. Ctrl-C stops all axes.
+    The list of checks: docs/rig/arrival.md.
+
+    Exit status: 0 if nothing differs, 1 if something does, 2 for bad input.
+    """
+    from goniotwin.app.cli.work.device_verification import verify_devices
+
+    found = verify_devices(rig, list(devices or []), yes=yes, report=report, transcript=transcript, quiet=as_json)
+    answer(as_json, found, lambda: print(found.summary))
+    raise typer.Exit(int(found.differing > 0))

@@ -33,6 +33,7 @@ COMMANDS = (
     "here",
     "move",
     "read",
+    "verify-device",
     "check",
     "rehearse",
     "prove",
@@ -185,7 +186,7 @@ def demo(
     transcript: TranscriptOption = None,
     as_json: Json = False,
 ) -> None:
-    """Measure a satin sample on the virtual rig and compare it with theory.
+    """Measure satin on the virtual rig; compare it with theory.
 
     The program drives the devices over their real protocols, and measures the hemisphere at two incidences. It writes a
     journal, a .ddr file, a CSV file, a figure and a report into a folder. It replaces the files of an earlier demo there.

@@ -142,7 +142,7 @@ def render(
     seed: Annotated[int, typer.Option("--seed", min=0, help="Seed of the random numbers, the same for both.")] = 1,
     as_json: Json = False,
 ) -> None:
-    """Render a sphere with either of two BSDFs, and the difference.
+    """Render a sphere with two BSDFs, and their difference.
 
     The sphere is in a box with walls of a checkerboard, under a rectangular light. With --figure14 there are four columns:
     Gaussians of 2, 5, 15 and 30 deg by formula 6 above, as the virtual prototype with the worst combination of its deviations

@@ -73,6 +73,12 @@ class Monochromator:
         """The driver's own actions (port reopened, settings restored), newest last."""
         return self._wire.events
 
+    @property
+    def modes(self) -> str:
+        """What was detected of the line: echo and handshake mode, as text."""
+        echo, handshake = (("no", "with")[on] for on in (self._wire.echoes, self._wire.handshake))
+        return f"{echo} echo, {handshake} handshake mode"
+
     def identify(self) -> str:
         """Open the port and return the identity; `INFO?` is all that is sent. Raises DeviceError."""
         return self._identified(self._wire.identify())

@@ -148,10 +148,11 @@ class AdamModule:
         self._outputs_checked = True
 
     def _check_rest(self) -> None:
-        self._check_enabled()
+        self.check_enabled()
         self._checked_s = self._clock.now()
 
-    def _check_enabled(self) -> None:
+    def check_enabled(self) -> None:
+        """Read the enabled channels back. Raises Forgotten if not all are."""
         if self._differs(lambda: self.registers.read(adam.CHANNEL_ENABLE, 1), [adam.ALL_CHANNELS]):
             self._forget("not all of its channels are enabled")
 

@@ -78,7 +78,7 @@ class TmclAxis:
 
     def connect(self) -> None:
         """Write the settings to the module. The axis does not move. Raises DeviceError."""
-        parameters = self._parameters()
+        parameters = self.parameters()
         self._registers.note([(each, value) for each, value in parameters if each not in KEPT])
         for parameter, value in parameters:
             self._registers.write(parameter, value)
@@ -94,7 +94,7 @@ class TmclAxis:
         self._reference.errors = ErrorFlag(0)
         self._taken_up = False
 
-    def _parameters(self) -> list[tuple[Parameter, int]]:
+    def parameters(self) -> list[tuple[Parameter, int]]:
         """Axis parameters by the settings, in the order in which they are written."""
         settings, each = self.settings, abs(self.settings.microsteps_per_deg)
         deviation = settings.encoder_value(settings.max_deviation_deg * each)

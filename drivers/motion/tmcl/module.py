@@ -123,6 +123,11 @@ class TmclModule:
         self._resets = dict.fromkeys(self.addresses, 0)
 
     @property
+    def timeout_s(self) -> float:
+        """Longest wait for a reply, s of the clock."""
+        return self._timeout_s
+
+    @property
     def keep_alive_s(self) -> float:
         """Longest interval between two requests to a module with moving motors, s; infinity without a heartbeat."""
         return self.heartbeat_s / 4.0 if self.heartbeat_s > 0.0 else float("inf")
