@@ -1,6 +1,7 @@
 """Errors that the user sees: those of input, a full disk, and the last resort for those of the program."""
 
 import errno
+import logging
 import os
 import platform
 import sys
@@ -11,6 +12,8 @@ from pathlib import Path
 
 from goniotwin.protocols.clock import calendar_stamp
 
+LOG = logging.getLogger(__name__)
+LOG.addHandler(logging.NullHandler())  # what is logged here is printed too
 LONGEST_MESSAGE = 2000
 """Characters of an error message: a value of a file that is quoted in it may be a megabyte."""
 IMPOSSIBLE = frozenset({errno.ENAMETOOLONG, errno.EACCES, errno.ELOOP, errno.ENOTDIR})
@@ -52,7 +55,8 @@ def printable(text: str) -> str:
 
 
 def unexpected_error(error: BaseException) -> str:
-    """One line about an error that nothing else has handled; its details go to a file, which the line names."""
+    """One line about an error that nothing else has handled; its details go to a file, which the line names, and to the log."""
+    LOG.critical("unexpected error", exc_info=error)
     # Loads 69 modules, importlib.metadata among them: 26 ms, for an error that should not be.
     from platformdirs import user_log_path
 

@@ -1,6 +1,9 @@
 """Errors of devices. Each names the device, the action, what happened and what to do."""
 
+import logging
 from dataclasses import dataclass
+
+LOG = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -27,6 +30,7 @@ class DeviceError(Exception):
         self.remedy = remedy
         text = f"{device}: {doing}: {happened}"
         super().__init__(f"{text}; {remedy}" if remedy else text)
+        LOG.debug("%s: %s", type(self).__name__, text)  # here, because a driver repeats some exchanges and raises nothing
 
     def in_words(self, device: str, *, plural: bool = False) -> FaultText:
         """The fault for people; `device` is the device in an operator's words, as `Rig.plain_name` gives it."""

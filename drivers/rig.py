@@ -1,6 +1,7 @@
 """The rig: all devices of one goniophotometer, connected, started and stopped together."""
 
 import contextlib
+import logging
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -16,6 +17,7 @@ from goniotwin.drivers.motion.stop import driver_failure, request_stop, stop_all
 from goniotwin.drivers.photodiodes.array import PhotodiodeArray
 from goniotwin.protocols.clock import Clock
 
+LOG = logging.getLogger(__name__)
 SIMULATED_SERIAL = "TWIN"
 PLURAL = ("axes", PhotodiodeArray.name)
 """Names of devices that are more than one, in a sentence."""
@@ -99,6 +101,7 @@ class Rig:
         for device in self.devices:
             with contextlib.suppress(DeviceError):
                 device.close()
+        LOG.info("closed: %s", ", ".join(device.name for device in self.devices))
 
     def start(self, name: str, target_deg: float) -> PendingMove:
         """Start a move of an axis, unless the arc would collide. Raises LimitError before anything is sent, DeviceError."""
@@ -156,13 +159,15 @@ class Rig:
         if device in self.controllers:
             self._paths.clear()
         device.reconnect()
+        LOG.info("%s: reconnected", device.name)
 
     def _open(self, device: Device, action: Callable[[], str]) -> DeviceError | None:
         """`action` opens a device and returns its identity."""
         try:
             try:
                 identity = action()
-            except (NoAnswer, BadAnswer):  # nothing moves: once more
+            except (NoAnswer, BadAnswer) as first:  # nothing moves: once more
+                LOG.info("%s; trying again", first)
                 identity = action()
             if SIMULATED_SERIAL in identity and not self.simulated:
                 device.close()
@@ -173,6 +178,8 @@ class Rig:
                     "add a [simulated] table to the rig file, or connect the real instrument",
                 )
         except DeviceError as error:
+            LOG.info("%s: not connected: %s", device.name, error)
             return error
+        LOG.info("%s: connected: %s", device.name, identity)
         self.identities[device.name] = identity
         return None

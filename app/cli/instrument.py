@@ -1,13 +1,40 @@
-"""Commands on the instrument: `goniotwin devices`, `home`, `here`, `station`, `move`, `read` and `verify-device`."""
+"""Commands on the instrument: `doctor`, `devices`, `home`, `here`, `station`, `move`, `read` and `verify-device`."""
 
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+<<<<<<< HEAD
 from goniotwin.app.cli.output import Json, RigOption, Speed, TranscriptOption, answer, print_order
+=======
+from goniotwin.app.cli.output import Json, RigOption, Speed, answer, print_order
+from goniotwin.app.log_file import own_log
+>>>>>>> h-c33
 
 app = typer.Typer()
+
+
+@app.command()
+def doctor(
+    rig: Annotated[
+        Path | None, typer.Option("--rig", metavar="RIG.toml", help="Examine its ports too.", show_default=False)
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Examine this computer: libraries, ports, rights, disk, clock.
+
+    Each line is ok, a note, or a problem that prevents measuring, with the remedy. No device is opened and nothing is
+    changed. The text is for a report of a fault: it has no name of a user or a computer. With --rig it has the addresses of
+    the rig file.
+
+    Exit status: 1 if a problem prevents measuring, else 0.
+    """
+    from goniotwin.app.cli.work.doctor import examine, exit_status, findings_text
+
+    found = examine(rig)
+    answer(as_json, {"findings": found}, lambda: print(findings_text(found)))
+    raise typer.Exit(exit_status(found))
 
 
 @app.command()
@@ -92,7 +119,9 @@ def station(
     def log(line: str) -> None:
         print(line, flush=True)
 
-    if run_station(rig, speed, log, unattended):
+    with own_log("station"):
+        received = run_station(rig, speed, log, unattended)
+    if received:
         raise typer.Exit(130)
 
 

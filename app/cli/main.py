@@ -19,15 +19,20 @@ from typer.exceptions import TyperException
 import goniotwin
 from goniotwin import examples
 from goniotwin.app.cli import campaign, compilation, data, instrument, serving, simulation, views
+from goniotwin.app.cli.logging_options import add_log_options
 from goniotwin.app.cli.output import Json, Speed, TranscriptOption, answer, error_console, print_error
 from goniotwin.app.end_signals import end_signal_received, ignore_end_signals, interrupt_on_end_signal
 from goniotwin.app.errors import UserError, fault_of_named_path, room_on_disk, unexpected_error, unusable
+from goniotwin.app.log_file import own_log
 
+LOG = logging.getLogger(__name__)
+LOG.addHandler(logging.NullHandler())  # what is logged here is printed too
 FAULT = 1
 """Exit status after an unexpected error, and where standard output cannot be written."""
 INTERRUPTED = 130
 """Exit status after Ctrl-C: 128 + SIGINT, as of a shell."""
 COMMANDS = (
+    "doctor",
     "devices",
     "home",
     "here",
@@ -81,6 +86,14 @@ class CommandGroup(TyperGroup):
         except KeyboardInterrupt:
             print_error("stopped")
             raise typer.Exit(INTERRUPTED) from None
+        except UserError as error:
+            LOG.error("%s", error)
+            raise
+        except (typer.Exit, TyperException):
+            raise
+        except Exception:
+            LOG.exception("unexpected error")
+            raise
 
 
 class CommandLine(typer.Typer):
@@ -89,7 +102,9 @@ class CommandLine(typer.Typer):
     @cached_property
     def _command(self) -> Any:
         """What typer builds of all functions, which takes 13 ms: once, for a program that calls several commands."""
-        return typer.main.get_command(self)
+        command = typer.main.get_command(self)
+        add_log_options(command)
+        return command
 
     def __call__(self, *args: Any, **kwargs: Any) -> Any:
         """Run the command. Typer's own way takes over `sys.excepthook`."""
@@ -151,12 +166,13 @@ def desktop(
     try:
         from goniotwin.app.desktop import run_desktop
     except ImportError as error:
-        raise UserError(
-            f"the window needs Qt, which cannot be loaded: {error}; on Debian and Ubuntu: "
-            "sudo apt-get install -y libegl1 libgl1 libxkbcommon0 libdbus-1-3 libfontconfig1 libglib2.0-0"
-        ) from None
+        from goniotwin.app.cli.work.doctor import QT_LIBRARIES
 
-    raise typer.Exit(run_desktop(rig, schedule, out, speed))
+        raise UserError(f"the window needs Qt, which cannot be loaded: {error}; {QT_LIBRARIES}") from None
+
+    with own_log("window"):
+        status = run_desktop(rig, schedule, out, speed)
+    raise typer.Exit(status)
 
 
 @app.command()

@@ -1,6 +1,7 @@
 """What all commands share: answers on standard output, messages on standard error, common options."""
 
 import contextlib
+import logging
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -16,6 +17,8 @@ from goniotwin.protocols.clock import GREATEST_SPEED, LEAST_SPEED
 if TYPE_CHECKING:  # rich is loaded by what prints with it
     from rich.console import Console
 
+LOG = logging.getLogger(__name__)
+LOG.addHandler(logging.NullHandler())  # without a log, printing is enough
 RigOption = Annotated[Path, typer.Option("--rig", metavar="RIG.toml", help="Rig file.", show_default=False)]
 Json = Annotated[bool, typer.Option("--json", help="One JSON object on standard output, everything else on standard error.")]
 Speed = Annotated[
@@ -76,13 +79,15 @@ def answer(as_json: bool, result: object, show: Callable[[], None]) -> None:
 
 
 def print_error(text: object) -> None:
-    """Print an error on standard error, in red and in one line."""
+    """Print an error on standard error, in red and in one line, and log it."""
+    LOG.error("%s", one_line(str(text)))
     with contextlib.suppress(OSError):  # a closed terminal
         error_console().print(f"goniotwin: {one_line(str(text))}", style="red", markup=False)
 
 
 def print_warning(text: object) -> None:
-    """Print what needs attention on standard error, in yellow and in one line."""
+    """Print what needs attention on standard error, in yellow and in one line, and log it."""
+    LOG.warning("%s", one_line(str(text)))
     with contextlib.suppress(OSError):  # a closed terminal
         error_console().print(f"goniotwin: {one_line(str(text))}", style="yellow", markup=False)
 
@@ -93,6 +98,7 @@ def print_order(text: str) -> None:
 
 
 def print_note(text: str) -> None:
-    """Print what the program is doing on standard error, in one line."""
+    """Print what the program is doing on standard error, in one line, and log it."""
+    LOG.info("%s", one_line(text))
     with contextlib.suppress(OSError):  # a closed terminal
         error_console().print(f"goniotwin: {one_line(text)}", style="dim", markup=False)

@@ -239,6 +239,14 @@ def lock_journal(path: Path, purpose: str) -> JournalLock:
         raise unusable(path, "its lock file cannot be made", error, "check the folder") from None
 
 
+def port_holder(address: str) -> str | None:
+    """The program that has a device, None if it is free. Nothing is locked, and no file is made. Raises UserError."""
+    for name in sorted(device_names(address)):
+        if (holder := holder_of(_lock_folder() / f"{file_stem(name)}.lock") or _process_on_port(name)) is not None:
+            return holder
+    return None
+
+
 def journal_holder(path: Path) -> str | None:
     """The note of the program that has a journal open for writing, by this name or another; None if there is none."""
     holder = holder_of(_journal_lock(path))

@@ -1,30 +1,21 @@
 """The process of a station, `goniotwin station`: until it is disconnected, has no clients, or a signal comes."""
 
 import contextlib
+import logging
 import threading
 from collections.abc import Callable
 from pathlib import Path
 
-from goniotwin.app.campaign.running.events import EventLogged, SafetyOrder, StateChanged
+from goniotwin.app.campaign.running.events import Event
 from goniotwin.app.end_signals import call_on_end_signal
-from goniotwin.app.errors import one_line
 from goniotwin.app.rig import read_rig
 from goniotwin.app.station.hosting import serving
-from goniotwin.app.station.messages import (
-    ActivityChanged,
-    DeviceChanged,
-    Message,
-    OperatorChanged,
-    RigClosed,
-    RigOpened,
-    RunBegun,
-    RunEnded,
-    RunRefused,
-)
+from goniotwin.app.station.message_text import message_text
+from goniotwin.app.station.messages import Message
 from goniotwin.app.station.station import Station
-from goniotwin.drivers.errors import FaultText
 from goniotwin.protocols.clock import calendar_stamp
 
+LOG = logging.getLogger(__name__)
 UNATTENDED_S = 60.0
 """A station without a client, and with nothing in progress, gives its rig back after this time."""
 WAIT_S = 0.1
@@ -45,7 +36,7 @@ def run_station(rig: Path, speed: float, log: Log, unattended_s: float = UNATTEN
             log(text)
 
     note(f"{calendar_stamp()} station of {description.file.name} ({rig})")
-    station.board.subscribe(lambda _number, message: _log(note, message))
+    station.board.subscribe(lambda _number, message: _note_message(note, message))
     with contextlib.ExitStack() as stack:
         signals = stack.enter_context(call_on_end_signal(ended.set))
         station.open(description)
@@ -72,30 +63,8 @@ def run_station(rig: Path, speed: float, log: Log, unattended_s: float = UNATTEN
     return signals.received
 
 
-def _log(log: Log, message: Message) -> None:
-    match message:
-        case RigOpened(devices=devices):
-            text = "rig opened; not responding: " + (" and ".join(message.not_responding) or f"none of {len(devices)} devices")
-        case RigClosed(reason):
-            text = f"rig closed {reason}"
-        case RunBegun(journal, name):
-            text = f"run of {name} into {journal}"
-        case RunEnded(state, reason, journal):
-            text = f"run ended: {state} {reason}: {journal}"
-        case RunRefused(reason):
-            text = f"run refused: {reason}"
-        case StateChanged(state, reason):
-            text = f"{state} {reason}"
-        case EventLogged(kind, what, where, consequence, detail):
-            text = f"{kind}: {where}: {FaultText(what, detail)} {consequence}"
-        case SafetyOrder():
-            text = f"SAFETY: {message.text}"
-        case DeviceChanged(device, status):
-            text = f"{device}: {status.contact}: {FaultText(status.text, '' if status.connected else status.detail)}"
-        case ActivityChanged(activity, error, detail=detail) if activity or error:
-            text = activity or f"failed: {FaultText(error, detail)}"
-        case OperatorChanged(client):
-            text = f"operated by {client or 'no client'}"
-        case _:
-            return
-    log(f"{calendar_stamp()} {one_line(text)}")
+def _note_message(note: Log, message: Message) -> None:
+    if text := message_text(message):
+        if not isinstance(message, Event):  # the engine logs its events
+            LOG.info("%s", text)
+        note(f"{calendar_stamp()} {text}")

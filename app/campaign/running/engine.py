@@ -18,6 +18,7 @@ from goniotwin.app.campaign.journal.place import JournalError
 from goniotwin.app.campaign.journal.writing import Journal, software_versions
 from goniotwin.app.campaign.planning.plan import Plan
 from goniotwin.app.campaign.row import SKIPPED, WAKE_PREFIX, Row, RowData
+from goniotwin.app.campaign.running.event_log import log_listeners
 from goniotwin.app.campaign.running.events import (
     DeviceFailed,
     Event,
@@ -76,7 +77,7 @@ class Engine:
         self._plan = plan
         self._journal = journal
         self._operator = operator
-        self._listeners = list(listeners or [])
+        self._listeners = [*log_listeners(), *(listeners or [])]
         self._positions_every_s = positions_every_s
         self._positions_due = 0.0
         self.faults: list[str] = []

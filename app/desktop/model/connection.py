@@ -6,6 +6,7 @@ thread that calls it, before anything else.
 """
 
 import contextlib
+import logging
 import queue
 import threading
 from collections import deque
@@ -38,6 +39,7 @@ from goniotwin.app.station.client import ANSWER_S as COMMAND_S
 from goniotwin.app.station.client import NoStation, Refused, StationClient
 from goniotwin.app.station.connection_file import attach, connection_folder
 from goniotwin.app.station.hosting import station_of
+from goniotwin.app.station.message_text import message_text
 from goniotwin.app.station.messages import Message as StationMessage
 from goniotwin.app.station.messages import RigOpened, RunEnded, RunRefused, Snapshot
 from goniotwin.app.station.permissions import STOPPED
@@ -47,6 +49,7 @@ from goniotwin.protocols.clock import RealClock, calendar_s
 Send = Callable[[Message], None]
 OnEvent = Callable[[StationMessage], None]
 OnEnd = Callable[[], None]
+LOG = logging.getLogger(__name__)
 NOT_OPENED = "stopped before the rig was open; connect again"
 LOST_S = 0.5
 """Real time without any reply after which a stop counts as lost."""
@@ -118,11 +121,14 @@ class Session:
         self.ended = threading.Event()
 
     def on_event(self, message: StationMessage) -> None:
-        """Take an event of the station."""
+        """Take an event of the station, and log it."""
+        if text := message_text(message):
+            LOG.info("station: %s", text)
         self._take(self, message)
 
     def on_end(self) -> None:
         """The connection has ended."""
+        LOG.info("the connection to the station has ended%s", "" if self.leaving else " unexpectedly")
         self.ended.set()
         self._lost(self)
 
@@ -326,7 +332,8 @@ class Connection:
                 task()
             except (UserError, TimeoutError) as error:
                 self._send(NotAttached(str(error)))
-            except Exception as error:  # noqa: BLE001  (of any library: reported, and the window stays open)
+            except Exception as error:  # of any library: reported, and the window stays open
+                LOG.exception("unexpected error")
                 self._send(NotAttached(f"unexpected error: {type(error).__name__}: {error}"))
 
     def _open(self, rig: Path, presses: int, opening: int) -> None:
@@ -375,6 +382,7 @@ class Connection:
             client.close()
             return
         session.client, session.stops = client, client.snapshot.stops
+        LOG.info("attached to the station of %s as %s", self._rig_path, client.name)
         self._session = session
         self._send(Attached(client.name, client.snapshot, found, client.dropped, client.attached_s))
         self._show(client.snapshot)

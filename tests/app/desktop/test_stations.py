@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 from pytestqt.qtbot import QtBot
 
+from goniotwin.app import log_file
 from goniotwin.app.campaign.journal.summary import campaign_summary
 from goniotwin.app.campaign.running.events import State
 from goniotwin.app.campaign.running.question import Answer
@@ -166,3 +167,16 @@ def test_a_rig_that_another_window_gives_back_is_no_emergency(
     stations.hosts.append(Host(RIG, 60.0))
     ready(qtbot, one)
     assert one.view.notice.text == ""
+
+
+def test_the_windows_log_has_what_its_station_says(
+    qtbot: QtBot, open_window: WindowOpener, stations: LocalStations, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(log_file, "log_folder", lambda: tmp_path / "log")
+    with log_file.own_log("window"):
+        window = ready(qtbot, open_window())
+        stations.hosts[0].kill()
+        qtbot.waitUntil(lambda: "The station has ended" in window.view.notice.text, timeout=READY_MS)
+    text = (tmp_path / "log" / "window.log").read_text(encoding="utf-8")
+    assert text.index("attached to the station of") < text.index("the connection to the station has ended unexpectedly")
+    assert "monitor: connected: Thorlabs,PM100D" in text
