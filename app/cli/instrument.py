@@ -5,12 +5,8 @@ from typing import Annotated
 
 import typer
 
-<<<<<<< HEAD
 from goniotwin.app.cli.output import Json, RigOption, Speed, TranscriptOption, answer, print_order
-=======
-from goniotwin.app.cli.output import Json, RigOption, Speed, answer, print_order
 from goniotwin.app.log_file import own_log
->>>>>>> h-c33
 
 app = typer.Typer()
 

@@ -182,14 +182,14 @@ def tolerances(
     ],
     out: Annotated[
         Path | None,
-        typer.Option("--out", metavar="DIR", help="Folder for the figure and the tables as CSV.", show_default=False),
+        typer.Option("--out", metavar="DIR", help="Folder for the figures and the tables as CSV.", show_default=False),
     ] = None,
     as_json: Json = False,
 ) -> None:
     """Find the tolerances of the instrument.
 
-    Each deviation alone, all combinations, limits with which none fails; the yield, the worst corner, sensitivities, and what
-    remains about the measured peak (the paper's section 3.3, Tables 1 and 2). Everything is computed on the optical twin.
+    The steps are those of the paper's section 3.3: each deviation alone, all combinations, and limits with which none fails.
+    The command adds yields, the worst corner, sensitivities, and what remains about the measured peak. All is simulated.
     """
     from goniotwin.app.cli.work.tolerances import print_tolerances
 

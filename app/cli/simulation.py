@@ -270,8 +270,8 @@ def table3(
 ) -> None:
     """Compute the paper's Table 3: relative RMS against theory.
 
-    Noise-free, tilted, and at the worst corner, beside the paper's values; with the assumptions of each column, and what
-    explains the paper's values and what does not.
+    The columns are the paper's values, and ours without noise, with the sample tilted, and at the worst corner of all tilts.
+    The command also prints the assumptions of each column, and what explains the paper's values.
     """
     from goniotwin.app.cli.work.table3 import print_deviations
 

@@ -133,8 +133,9 @@ def _rank_combinations(model: _QuadraticModel, count: int, random: np.random.Gen
         starts = corners[np.argsort(-model.percent(corners), kind="stable")[:MODEL_STARTS]]
     else:
         # The signs of the linear terms against the residuals, and of the directions in which these are largest.
-        axes = np.linalg.eigh(model.slopes @ model.slopes.T)[1][:, -4:].T
-        first = np.concatenate([(model.slopes @ model.nominal)[None], axes, -axes])
+        slopes = np.nan_to_num(model.slopes)  # a combination without light has no slope
+        axes = np.linalg.eigh(slopes @ slopes.T)[1][:, -4:].T
+        first = np.concatenate([(slopes @ model.nominal)[None], axes, -axes])
         drawn = random.standard_normal((MODEL_STARTS - len(first), count))
         starts = np.where(np.concatenate([first, drawn]) >= 0.0, 1, -1)
     climbed = _climb_all(model.percent, starts)[0]

@@ -25,11 +25,11 @@ THETA_DEG: Floats = np.concatenate(
 PHI_STEP_DEG = 10.0
 
 
-def parse_list(text: str, name: str, low: float, high: float) -> Floats:
+def parse_list(text: str, name: str, low: float, high: float, reason: str = "") -> Floats:
     """The list (n,) of a text: numbers separated by commas, or ranges `start:stop:step` with the stop included.
 
-    Raises UserError with the name of the list for a text that is not a number, for a number outside low..high, and for a
-    list that does not ascend.
+    Raises UserError with the name of the list for a text that is not a number, for a number outside low..high (with the
+    `reason` of the limit), and for a list that does not ascend.
     """
     numbers: list[float] = []
     for part in text.split(","):
@@ -45,7 +45,8 @@ def parse_list(text: str, name: str, low: float, high: float) -> Floats:
         numbers += values
     for value in numbers:
         if not (math.isfinite(value) and low <= value <= high):
-            raise UserError(f"{name}: {value:g} is out of range; give {low:g} to {high:g}")
+            because = f" ({reason})" if reason else ""
+            raise UserError(f"{name}: {value:g} is out of range; give {low:g} to {high:g}{because}")
     result = np.array(numbers)
     if np.any(np.diff(result) <= 0.0):
         raise UserError(f"{name}: {text!r} does not ascend; sort it, and give each number once")

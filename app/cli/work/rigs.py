@@ -8,7 +8,7 @@ import numpy as np
 from goniotwin.app.cli.output import RunnerOptions, answer, error_console, print_note
 from goniotwin.app.cli.work.progress import SweepProgress
 from goniotwin.app.cli.work.sweeps import kept, runner_of
-from goniotwin.app.cli.work.virtual_instrument import AZIMUTH_DEG, POLAR_DEG, SIGMA_END_DEG, instrument_and_frames
+from goniotwin.app.cli.work.virtual_instrument import AZIMUTH_DEG, POLAR_DEG, incidences, instrument_and_frames
 from goniotwin.app.formats.registry import Holds
 from goniotwin.app.rig.samples import parse_sample
 from goniotwin.app.simulation.detectors import parse_list
@@ -42,7 +42,7 @@ def simulate_random_rigs(
     sweep = RigSweep(
         tuple(parse_sample(each) for each in options.samples),
         instrument_and_frames(options.rig)[0],
-        parse_list(options.sigma, "--sigma", 0.0, SIGMA_END_DEG),
+        incidences(options.sigma),
         angles[0].ravel(),
         angles[1].ravel(),
         options.tilt_deg,

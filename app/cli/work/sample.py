@@ -7,7 +7,7 @@ from typing import Any, Literal
 from goniotwin.app.cli.output import RunnerOptions, answer, error_console, print_note
 from goniotwin.app.cli.work.progress import ShareProgress, SweepProgress
 from goniotwin.app.cli.work.sweeps import kept, runner_of
-from goniotwin.app.cli.work.virtual_instrument import AZIMUTH_DEG, POLAR_DEG, SIGMA_END_DEG, instrument_and_frames
+from goniotwin.app.cli.work.virtual_instrument import AZIMUTH_DEG, POLAR_DEG, incidences, instrument_and_frames
 from goniotwin.app.errors import UserError
 from goniotwin.app.rig.samples import parse_sample, table_files
 from goniotwin.app.simulation.detectors import parse_list
@@ -67,7 +67,7 @@ def simulate_sample(
     read = table_files(options.sample) + ([] if options.source is None else [options.source])
     task = Task(
         sample=parse_sample(options.sample),
-        sigma_deg=parse_list(options.sigma, "--sigma", 0.0, SIGMA_END_DEG),
+        sigma_deg=incidences(options.sigma),
         instrument=instrument,
         estimator=EstimatorSettings(*options.estimator),
         wavelengths_nm=wavelengths,

@@ -29,7 +29,6 @@ from goniotwin.app.simulation.paper.table3 import POINT_MM, Table3
 from goniotwin.app.simulation.paper.worst_corner import SHIFT_MM, TILT_DEG, with_deviations
 from goniotwin.arrays import Floats
 
-"""Of sigma 0, 30, 60: the paper's red, yellow and green, dark enough to read."""
 COLUMNS = {"paper": "paper", "noise_free": "noise-free", "tilted": "tilted", "worst": "worst corner"}
 
 
@@ -95,7 +94,7 @@ def _contributions(result: Table3) -> list[str]:
         f"These tilts are well within the tolerance of {TILT_DEG:g} deg, which gives {_list_values(tilted[:, 1], 2)} %.",
         f"Widths 15 and 30: the paper's values rise with sigma, by {paper_rise[2]:.2f} and {paper_rise[3]:.2f} up to 60 deg. "
         f"At a fixed number of rays the etalon's counting noise rises by {rise[2]:.2f} and {rise[3]:.2f}: fewer rays pass the "
-        "hole of the frame, and the detectors are lower. Noise of sample and etalon that gives "
+        "hole of the frame and the detectors are lower. Noise of sample and etalon that gives "
         f"{PAPER[0, 3]:.2f} % at sigma 0, width 30 gives {_list_values(floor[:, 3], 2)} % at width 30 (paper: "
         f"{_list_values(PAPER[:, 3], 2)}) and {_list_values(floor[:, 2], 2)} % at width 15 (paper: "
         f"{_list_values(PAPER[:, 2], 2)}). So this floor has the right direction and order of magnitude, but does not explain "
@@ -107,23 +106,23 @@ def _open_questions(result: Table3) -> list[str]:
     near, falls, middle = result.closest, exponents(PAPER), result.corner(30.0, 5.0)
     required = result.required_tilt_deg
     return [
-        "There is no explanation of all four widths together. Blur, shift and noise add as squares, and each is nearly a power "
-        "of the width. So over one range of i, counted in widths, the fall cannot get much steeper towards wider lobes. The "
-        f"paper's fall does: as 1/width^{falls[0, 0]:.2f} from 2 to 5 deg and as ^{falls[0, 1]:.2f} from 5 to 15 deg at sigma "
-        f"0, ^{falls[1, 0]:.2f} and ^{falls[1, 1]:.2f} at sigma 30. The tilt that gives width 5 at sigma 0, "
+        "No setting explains all four widths together. Blur, shift and noise add as squares, and each is nearly a power of the "
+        "width. So over one range of i, counted in widths, the fall cannot get much steeper towards wider lobes. The paper's "
+        f"fall does. At sigma 0 it is 1/width^{falls[0, 0]:.2f} from 2 to 5 deg and 1/width^{falls[0, 1]:.2f} from 5 to 15. "
+        f"At sigma 30 the exponents are {falls[1, 0]:.2f} and {falls[1, 1]:.2f}. The tilt that gives width 5 at sigma 0, "
         f"{required[0, 1]:.3f} deg, is too large for width 2, which permits {required[0, 0]:.3f} deg. So the range of i, the "
         "deviations or the number of rays were not the same for all widths.",
         "Tried: both forms; theta up to 1, 1.5, 2 and 3 widths; divergences of 0.5, 0.716 and 1 deg; tilts of the sample of 0 "
         f"to 0.05 deg; counting noise of 0 to 0.6 %. The closest is {_describe_settings(near)}: {_list_rows(near.table)} "
-        f"(sigma 0 | 30 | 60), off by a factor of {near.off_by:.2f} in the root mean square. Linear interpolation half way "
-        f"between detectors 0.5 deg apart adds {result.interpolation[0, 0]:.1f} % at width 2 and "
-        f"{result.interpolation[0, 1]:.2f} % at 5; it falls like blur.",
-        f"Deviations: of single ones the tilt of the sample is the worst, {result.tilted[1, 1]:.2f} % at sigma 30, width 5; "
-        f"this is the paper's limit of 5 % at its {TILT_DEG:g} deg. All twelve together give "
+        f"(sigma 0 | 30 | 60). It is off by a factor of {near.off_by:.2f} in the root mean square. Linear interpolation half "
+        f"way between detectors 0.5 deg apart would add {result.interpolation[0, 0]:.1f} % at width 2 and "
+        f"{result.interpolation[0, 1]:.2f} % at 5. It falls like blur.",
+        f"Deviations: of single ones the tilt of the sample is the worst, {result.tilted[1, 1]:.2f} % at sigma 30, width 5. "
+        f"This is about the paper's limit of 5 % at its {TILT_DEG:g} deg. All twelve together give "
         f"{middle.relative_rms_percent:.1f} % there ({result.shifted.relative_rms_percent:.1f} % with shifts of "
-        f"+-{SHIFT_MM:g} mm as well), so the paper's values are not those of this worst corner. It would be "
-        f"{result.collimated.relative_rms_percent:.1f} % with a collimated beam, which a tilt of a mirror turns in full; from "
-        "a pupil at 800 mm the mirrors 1, 2, 3 turn it by a quarter, a half, three quarters of that.",
+        f"+-{SHIFT_MM:g} mm as well). So the paper's values are not those of this worst corner. With a collimated beam it "
+        f"would be {result.collimated.relative_rms_percent:.1f} %, because a tilted mirror turns all of it. From a pupil "
+        "at 800 mm the mirrors 1, 2, 3 turn it by a quarter, a half, three quarters of that.",
     ]
 
 

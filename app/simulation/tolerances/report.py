@@ -13,6 +13,7 @@ from goniotwin.app.formats import PointStream
 from goniotwin.app.formats.registry import Holds
 from goniotwin.app.simulation.files import write_content
 from goniotwin.app.simulation.paper.gaussian_cut import HIGHEST_ZENITH_DEG
+from goniotwin.app.simulation.tolerances.elements_figure import write_elements
 from goniotwin.app.simulation.tolerances.figure import write_figures
 from goniotwin.app.simulation.tolerances.result import AfterRecentring, Case, Sensitivities, StudyResult
 from goniotwin.app.simulation.tolerances.stages import CONFIRMED, Combinations
@@ -146,31 +147,34 @@ def explanations(result: StudyResult) -> list[str]:
     found = [
         f"Alone: the largest effect is {worst_of.title}, {_criterion(alone)} at +-{worst_of.limit:g} {worst_of.unit}; the "
         f"limit of {within:g} % is reached at {_least_alone(case)}.",
-        f"Together: {_percent(share, error)} of the combinations are within {within:g} %, the worst is "
-        f"{_criterion(case.worst.percent)}. So limits that hold for each deviation alone do not hold for all of them.",
-        f"The worst corner was found in {case.worst.evaluated} evaluations, without an enumeration"
+        f"Together: {_percent(share, error)} of the combinations are within {within:g} %. The worst one has "
+        f"{_criterion(case.worst.percent)}."
+        + (" Limits that hold for each deviation alone do not hold for all of them." if case.common.factor < 1.0 else ""),
+        f"The search found the worst corner in {case.worst.evaluated} evaluations. "
         + (
-            f"; the enumeration of all {case.combinations.percent.size} gives {_criterion(case.combinations.worst_percent)}."
+            f"The enumeration of all {case.combinations.percent.size} combinations gives "
+            f"{_criterion(case.combinations.worst_percent)}."
             if case.combinations.complete
-            else f"; it is the worst that was found, not proven to be the worst of all. The worst of "
-            f"{case.combinations.percent.size} random corners has {_criterion(case.combinations.worst_percent)}."
+            else f"A worse one may exist: not all are evaluated. The worst of {case.combinations.percent.size} random corners "
+            f"has {_criterion(case.combinations.worst_percent)}."
         ),
     ]
     dark = int(np.count_nonzero(np.isinf(case.combinations.percent)))
     if dark:
-        found.append(f"{dark} of the combinations have directions without light, and so no value: they fail.")
+        found.append(f"{dark} of the combinations have directions without light. They have no value and count as failed.")
     if case.common.factor < 1.0:
         found.append(
-            f"Reduced until none fails: by one factor, {case.common.factor:.3f}, to {_common_limits(case)}. Starting from the "
-            f"limits alone instead, insensitive elements keep wider limits: {_individual_range(case)}."
+            f"Reduced until none fails: one factor for all limits, {case.common.factor:.3f}, gives {_common_limits(case)}. If "
+            f"instead each limit alone is reduced, insensitive elements keep wider limits: {_individual_range(case)}."
         )
     span = case.combinations.surviving / np.array([each.limit for each in case.parameters])[:, None]
     if share < 1.0 and np.all(span[:, 0] <= -0.99) and np.all(span[:, 1] >= 0.99):
         found.append(
             "The paper removes the combinations that fail and takes the ranges of the rest. Each deviation alone passes at its "
-            "limit, so each still has its whole range among the combinations that pass: read in this way, the limits of the "
-            f"paper come out as they went in, though {100.0 * (1.0 - share):.0f} % of the combinations fail."
+            "limit, so it keeps its whole range among those that pass. Read in this way, the paper's limits come out as they "
+            f"went in, although {100.0 * (1.0 - share):.0f} % of the combinations fail."
         )
+    found += [text for each in result.variants for text in _explain_variant(result, each)]
     if result.recentred is not None:
         found.append(_explain_recentring(result.recentred))
     if result.lights is not None:
@@ -178,15 +182,41 @@ def explanations(result: StudyResult) -> list[str]:
     if result.uniformity is not None:
         even = result.uniformity
         found.append(
-            f"By {even.by_rays.rays} adjoint rays the worst corner of the flux loses {100.0 * (1.0 - even.by_rays.flux):.2f}"
-            f"({100.0 * even.by_rays.flux_error:.2f}) %."
+            f"{even.by_rays.rays} adjoint rays confirm the worst corner of the flux: it loses "
+            f"{100.0 * (1.0 - even.by_rays.flux):.2f}({100.0 * even.by_rays.flux_error:.2f}) %."
         )
         found.append(
-            f"Uniformity beside the flux: {even.aligned:.2f} without deviations, {even.at_worst:.2f} at the worst corner of "
-            f"the flux, which has {even.flux_at_worst:.2f} of it, and {even.lowest:.2f} at its own worst corner. A corner of "
-            "the square is dark before a tenth of the flux is gone: a limit of the flux alone permits that."
+            f"Uniformity: {even.aligned:.2f} without deviations. The worst corner of the flux has {even.flux_at_worst:.2f} of "
+            f"the flux and a uniformity of {even.at_worst:.2f}. The worst corner of the uniformity itself has "
+            f"{even.lowest:.2f}. A corner of the square is dark before a tenth of the flux is lost, and a limit of the flux "
+            "alone permits that."
         )
     return found
+
+
+def _explain_variant(result: StudyResult, variant: Case) -> list[str]:
+    """What a variant has to say of deviations of a kind that the study itself has not, such as shifts beside tilts."""
+    paper, own = PAPER.get(result.study.paper or 0, {}), _units(result.case)
+    if {each.unit for each in variant.parameters} & own:
+        return []
+    within, text = variant.combinations.within[0], []
+    for unit in _units(variant):
+        limit = max(each.limit for each in variant.parameters if each.unit == unit)
+        text.append(
+            f"{variant.name}: all at +-{limit:g} {unit} together have {_criterion(variant.worst.percent)} at the worst corner, "
+            f"and {_criterion(variant.aligned_percent)} without deviations. A single one reaches {within:g} % at "
+            f"{_least_alone(variant)}, no other one earlier."
+        )
+        if variant.common.factor == 1.0 and unit in paper:
+            text.append(
+                f"So this criterion alone does not lead to the paper's +-{paper[unit]:g} {unit}, if the paper has these "
+                "dimensions. It states no other criterion."
+            )
+    return [" ".join(text)]
+
+
+def _units(case: Case) -> set[str]:
+    return {each.unit for each in case.parameters}
 
 
 def _criterion(percent: float) -> str:
@@ -198,30 +228,30 @@ def _explain_lights(lights: LightComparison) -> list[str]:
     assert even is not None
     assert aligned is not None
     found = [
-        f"The slit's image: with its edges the worst corner is {aligned.worst.percent:.2f} %, with an evenly lit hole "
-        f"{even.worst.percent:.2f} %; where a part of the hole is dark, the middle of the light is off as well. The median "
-        f"flux is {np.median(aligned.flux):.3f}, the least {aligned.flux.min():.2f}."
+        f"The slit's image: with its edges the worst corner has {aligned.worst.percent:.2f} %, with an evenly lit hole "
+        f"{even.worst.percent:.2f} %. Where a part of the hole is dark, the middle of the light moves. The median flux is "
+        f"{np.median(aligned.flux):.3f}, the least {aligned.flux.min():.2f}."
     ]
     anew, frozen, difference = lights.of("anew"), lights.of("frozen"), lights.difference
     if difference is None or anew is None or frozen is None:
         return found
     (share, error), *_ = difference.shares
     found.append(
-        f"Illumination frozen at its worst corner, which has {lights.frozen_flux:.2f} of the flux, minus anew: median "
-        f"{_points(difference.median_percent)}, share within {anew.combinations.within[0]:g} % {100.0 * share:+.1f}"
-        f"({100.0 * error:.1f}) points, worst corner {_points(difference.worst_percent)}, median of the flux "
-        f"{difference.median_flux:+.3f}, least flux {difference.least_flux:+.2f}. One combination changes by up to "
-        f"{difference.largest_percent:.2f} points."
+        f"Frozen minus anew: the frozen unit stands at its worst corner, which has {lights.frozen_flux:.2f} of the flux. The "
+        f"median changes by {_points(difference.median_percent)}, the share within {anew.combinations.within[0]:g} % by "
+        f"{100.0 * share:+.1f}({100.0 * error:.1f}) points, and the worst corner by {_points(difference.worst_percent)}. The "
+        f"median flux changes by {difference.median_flux:+.3f}, the least flux by {difference.least_flux:+.2f}. One "
+        f"combination changes by up to {difference.largest_percent:.2f} points."
     )
     worse = (
-        "so the paper's rayset is not the worst light for formula 5"
+        "So the paper's rayset is not the worst light for formula 5."
         if anew.worst.percent > frozen.worst.percent
-        else "so here the worst light for the flux is the worst for formula 5 as well"
+        else "Here the worst light for the flux is also the worst for formula 5."
     )
     found.append(
-        "Formula 5 is about a ratio of sample and etalon in the same light: the unit changes it only as far as it moves the "
-        f"middle of the light within the hole, {worse}. The flux follows the unit in full: frozen, every combination begins "
-        "with the loss of the unit's worst corner."
+        "Formula 5 compares sample and etalon in the same light. The unit changes it only by moving the middle of the light "
+        f"within the hole. {worse} The flux follows the unit in full: with the frozen unit every combination begins with the "
+        "loss of its worst corner."
     )
     return found
 
@@ -232,23 +262,23 @@ def _points(value: float) -> str:
 
 def _explain_recentring(after: AfterRecentring) -> str:
     if not math.isfinite(after.peak_at_worst_deg):
-        return "At the worst corner some directions have no light: there is no measured peak about which to recentre."
+        return "At the worst corner some directions have no light, so there is no measured peak to recentre on."
     others = [each for each in after.limitations[2:] if each.factor < 1.0]
     least = min(after.limitations[2:], key=lambda each: each.factor)
     text = (
-        f"Recentred on the measured peak, which the worst corner moves by {after.peak_at_worst_deg:.2f} deg, its criterion is "
-        f"{after.at_worst_percent:.2f} % (without deviations {after.aligned_percent:.2f} %), and no corner exceeds "
-        f"{after.worst.percent:.2f} %. Nearly all of the error is the shift of the specular direction. The peak does not show "
-        "the incidence, the absolute scale, or where on the sample the light is. "
+        f"About the measured peak: the worst corner moves the peak by {after.peak_at_worst_deg:.2f} deg. Taken about the moved "
+        f"peak, its criterion is {after.at_worst_percent:.2f} % (without deviations {after.aligned_percent:.2f} %), and no "
+        f"corner exceeds {after.worst.percent:.2f} %. What this removes is the shift of the specular direction. The peak does "
+        "not show the incidence, the absolute scale, or the place of the light on the sample. "
     )
     if not others:
-        return text + f"None of these exceeds its limit here; the nearest is the {least.name}."
-    listed = "; ".join(
-        f"the {each.name}, up to {each.worst:.2f} {each.unit} against {each.limit:g} {each.unit}, which "
-        f"{100.0 * each.factor:.0f} % of the limits would keep"
+        return text + f"None of these exceeds its limit here. The nearest is the {least.name}."
+    listed = " ".join(
+        f"The {each.name} reaches {each.worst:.2f} {each.unit} and may have {each.limit:g} {each.unit}; "
+        f"{100.0 * each.factor:.0f} % of all limits would keep it."
         for each in others
     )
-    return text + f"What then limits the deviations: {listed}."
+    return text + f"These then limit the deviations. {listed}"
 
 
 def _percent(share: float, error: float) -> str:
@@ -326,7 +356,6 @@ def _new_table(title: str, *columns: str) -> Table:
 
 
 def _paper_table(result: StudyResult) -> Table:
-    case = result.case
     paper = PAPER.get(result.study.paper or 0, {})
     table = _new_table(
         f"{result.study.name}, permissible deviations",
@@ -336,16 +365,20 @@ def _paper_table(result: StudyResult) -> Table:
         "all, by one factor",
         "all, individually",
     )
-    alone = _by_unit(case, case.alone.permitted[:, 0])
-    common, individual = _by_unit(case, case.common.limits), _by_unit(case, case.individual.limits)
-    for unit, (value, _) in alone.items():
-        table.add_row(
-            KINDS[unit],
-            f"+-{paper[unit]:g} {unit}" if unit in paper else "",
-            f"+-{value:.3f} {unit}" if math.isfinite(value) else f"more than {_searched_to(case, unit)}",
-            f"+-{common[unit][0]:.4f} {unit}",
-            f"from +-{individual[unit][0]:.4f} {unit}",
-        )
+    for case in result.cases:
+        alone = _by_unit(case, case.alone.permitted[:, 0])
+        common, individual = _by_unit(case, case.common.limits), _by_unit(case, case.individual.limits)
+        enough = "at least " if case.common.factor == 1.0 else ""
+        # A variant has a row for a kind of deviation that the study itself has not.
+        for unit in alone if case is result.case else alone.keys() - _units(result.case):
+            value = alone[unit][0]
+            table.add_row(
+                f"{KINDS[unit]}, {case.name}" if case.name else KINDS[unit],
+                f"+-{paper[unit]:g} {unit}" if unit in paper else "",
+                f"+-{value:.3f} {unit}" if math.isfinite(value) else f"more than {_searched_to(case, unit)}",
+                f"{enough}+-{common[unit][0]:.4f} {unit}",
+                f"from +-{individual[unit][0]:.4f} {unit}",
+            )
     return table
 
 
@@ -590,9 +623,11 @@ def _or_nan(value: Any) -> float:
 
 
 def write_report(result: StudyResult, folder: Path, stem: str) -> dict[str, str]:
-    """Write figure and tables into a folder; their paths by name. Raises UserError."""
+    """Write figures and tables into a folder; their paths by name. Raises UserError."""
     paths = {"figure": folder / f"{stem}.png"}
     write_figures(result, paths["figure"], quantity(result))
+    paths["elements"] = folder / f"{stem}-elements.png"
+    write_elements(result, paths["elements"])
     heading = [
         f"SIMULATED: {result.study.name} (paper, section 3.3), computed with the virtual prototype; nothing is measured",
         *(f"{topic}: {text}" for topic, text in assumptions(result).items()),

@@ -282,7 +282,7 @@ def test_a_worker_computes_what_the_command_does_and_waits_when_it_has_to(tmp_pa
     studies.end()
     assert isinstance(outcome, StudyOutcome)
     tables = tuple(f"-{name}.csv" for name in ("deviations", "combinations", "limitations"))
-    assert set(outcome.files) == {f"small{end}" for end in (".png", *tables, ".txt", ".json")}
+    assert set(outcome.files) == {f"small{end}" for end in (".png", "-elements.png", *tables, ".txt", ".json")}
     found = json.loads(outcome.files["small.json"])
     assert found["simulated"] is True
     (case,) = found["cases"]

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from goniotwin.app.data.rendering import figure14_tables, reflectance
 from goniotwin.app.simulation.paper import explanation
 from goniotwin.app.simulation.paper.explanation import (
     PAPER,
@@ -25,6 +26,7 @@ from goniotwin.app.simulation.paper.gaussian_cut import gaussian_cuts, gaussian_
 from goniotwin.app.simulation.paper.table3 import STEPS, Table3, compute_table3
 from goniotwin.app.simulation.paper.table3_report import as_dict, assumptions, print_table3
 from goniotwin.app.simulation.paper.worst_corner import Tolerance, tilts, with_deviations, worst_corner
+from goniotwin.arrays import Floats
 from goniotwin.twin.optics import Instrument
 from tests.sizes import parted
 from tests.system.command import invoke
@@ -164,13 +166,64 @@ def test_each_column_states_its_assumptions(table: Table3) -> None:
     assert np.all(table.tilted > table.noise_free)
 
 
-def test_the_document_contains_the_output_of_the_command(table: Table3) -> None:
+def test_the_page_has_the_values_of_the_command(table: Table3) -> None:
+    page = " ".join(DOCUMENT.read_text(encoding="utf-8").split())
+    columns = (PAPER, table.noise_free, table.tilted, table.worst)
+    for (i, sigma), (j, width) in itertools.product(enumerate(SIGMAS_DEG), enumerate(WIDTHS_DEG)):
+        assert f"| {sigma:g} | {width:g} | {' | '.join(f'{each[i, j]:.2f}' for each in columns)} |" in page
+    ours, rise, paper = table.noise_free, table.etalon_rise, PAPER[2] / PAPER[0]
+    tilts_deg = ", ".join(f"{each:.3f}" for each in table.required_tilt_deg[:, 1])
+    for words in (
+        f"{ours[0, 0]:.2f} of the paper's {PAPER[0, 0]:.2f} % at sigma 0",
+        f"falls to {ours[2, 0] / ours[0, 0]:.2f}, as the paper's does",
+        f"Blur gives {ours[0, 1]:.2f} % only",
+        f"Tilts of the sample of {tilts_deg} deg",
+        f"values rise by {paper[2]:.2f} and {paper[3]:.2f} from",
+        f"counting noise rises by {rise[2]:.2f} and {rise[3]:.2f} at",
+        f"off by a factor of {table.closest.off_by:.2f}",
+        f"All twelve tilts give {table.corner(30.0, 5.0).relative_rms_percent:.1f} % at sigma 30",
+        f"they would give {table.collimated.relative_rms_percent:.1f} %",
+        f"which the sample's tilt alone reaches ({table.tilted[1, 1]:.2f} %)",
+    ):
+        assert words in page
+    for text in ("0.716 deg full width", "zenith angle below 85 deg", "steps of 0.5 deg"):
+        assert text in page
+        assert any(text in each for each in assumptions(table)["noise_free"].values())
     printed = io.StringIO()
     print_table3(Console(width=100, file=printed, highlight=False, color_system=None), table)
-    document = DOCUMENT.read_text(encoding="utf-8")
-    assert "goniotwin simulate table3" in document
-    for line in printed.getvalue().splitlines():
-        assert line.rstrip() in document
+    assert f"{ours[0, 0]:.2f} │" in printed.getvalue()
+
+
+def reflectance_by_quadrature(width_deg: float, shift_deg: float, half: bool) -> float:
+    """Reflectance at the normal of a Gaussian of reflectance 0.9, its peak shifted; of twice one half with `half`.
+
+    Gauss and Legendre over the zenith angle, the trapezoidal rule over the azimuth.
+    """
+    nodes, weights = np.polynomial.legendre.leggauss(400)
+    zenith, weights = 0.25 * np.pi * (nodes + 1.0)[:, None], 0.25 * np.pi * weights[:, None]
+    azimuth = np.radians(np.arange(0.25, 360.0, 0.5))
+
+    def integral(shift: float, azimuth: Floats) -> float:
+        cosine = np.sin(zenith) * np.sin(azimuth) * np.sin(shift) + np.cos(zenith) * np.cos(shift)
+        theta = np.arccos(np.clip(cosine, -1.0, 1.0))
+        lobe = np.exp(-((theta / np.radians(width_deg)) ** 2))
+        return float(np.sum(lobe * np.cos(zenith) * np.sin(zenith) * weights) * np.radians(0.5))
+
+    seen = np.concatenate([azimuth[azimuth < np.pi]] * 2) if half else azimuth
+    return 0.9 * integral(math.radians(shift_deg), seen) / integral(0.0, azimuth)
+
+
+def test_a_shifted_lobe_keeps_its_reflectance_and_half_of_it_with_its_mirror_image_does_not() -> None:
+    whole, half = (reflectance_by_quadrature(2.0, 0.38, each) for each in (False, True))
+    assert whole == pytest.approx(0.900, abs=1e-4)
+    assert half == pytest.approx(0.9 * (1.0 + math.erf(0.38 / 2.0)), rel=3e-3)
+    page = " ".join(DOCUMENT.read_text(encoding="utf-8").split())
+    assert f"0.9 (1 + erf(0.38 / 2)) = {half:.2f} at 2 deg" in page
+    theory, measured = (reflectance(each) for each in figure14_tables(2.0))
+    assert theory is not None
+    assert measured is not None
+    assert (theory, measured) == pytest.approx((whole, whole), rel=1e-3)
+    assert f"{theory:.4f} and {measured:.4f} at 2 deg" in page
 
 
 def test_the_command_gives_the_table_and_the_figures(table: Table3, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -121,6 +121,18 @@ def test_the_search_of_more_deviations_than_have_their_corners_listed_finds_the_
     assert found.levels.tolist() == np.sign(slopes).tolist()
 
 
+def test_the_search_of_many_deviations_fails_a_response_without_light_at_a_limit() -> None:
+    """Such as a detector that no longer sees the sample: the residuals of these combinations are not numbers."""
+    slopes = 0.01 * RANDOM.standard_normal((15, 9))
+
+    def residuals(x: Floats) -> Floats:
+        found = x @ slopes
+        found[np.abs(x[:, 3]) > 0.5] = np.nan
+        return np.asarray(found)
+
+    assert search_worst(residuals, 15).percent == math.inf
+
+
 def test_the_search_finds_the_worst_corner_where_the_response_is_flat_about_zero() -> None:
     """As a flux is until the light's edge reaches the square: a loss beyond a margin, in two directions."""
     across, up = RANDOM.standard_normal((2, 24))
