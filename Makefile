@@ -11,7 +11,7 @@ export NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING := 1
 PYTEST_ENVIRONMENT := QT_QPA_PLATFORM=offscreen OPENBLAS_NUM_THREADS=1
 PYTEST := $(PYTEST_ENVIRONMENT) $(BIN)/pytest
 
-.PHONY: demo test test-long desktop golden tables proof clean
+.PHONY: demo test test-long desktop docs words golden tables proof clean
 
 demo: $(READY)
 	$(BIN)/goniotwin demo
@@ -38,6 +38,14 @@ test-long: $(READY)
 
 desktop: $(READY)
 	$(BIN)/goniotwin
+
+# The site, in build/site/index.html; needs no network.
+docs: $(READY)
+	$(BIN)/sphinx-build -q -W --keep-going -b html docs build/site
+
+# Words and length of sentences of every page; forbids nothing.
+words: $(READY)
+	@$(BIN)/python -m tests.docs.words
 
 # The golden files, after an intended change of values: the summary that is printed belongs into the commit.
 golden: $(READY)
@@ -78,4 +86,4 @@ $(READY): pyproject.toml constraints.txt $(wildcard package/*.py)
 	@touch $(READY)
 
 clean:
-	rm -rf $(VENV) demo
+	rm -rf $(VENV) demo build/site
