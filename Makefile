@@ -11,7 +11,7 @@ export NUMBA_DISABLE_ERROR_MESSAGE_HIGHLIGHTING := 1
 PYTEST_ENVIRONMENT := QT_QPA_PLATFORM=offscreen OPENBLAS_NUM_THREADS=1
 PYTEST := $(PYTEST_ENVIRONMENT) $(BIN)/pytest
 
-.PHONY: demo test test-long desktop docs words golden tables proof clean
+.PHONY: demo test test-long test-lowest desktop docs words golden tables proof clean
 
 demo: $(READY)
 	$(BIN)/goniotwin demo
@@ -35,6 +35,18 @@ test: $(READY)
 # The slow proofs, in full; run before a change of what they prove is called done.
 test-long: $(READY)
 	$(PYTEST) -n 3 -m "long or hypothesis" --hypothesis-profile=long
+
+# The lowest versions that pyproject.toml allows, in an environment of their own, with the tests that read and write files.
+LOWEST := $(VENV)/lowest
+LOWEST_TESTS := tests/app/formats tests/app/data tests/app/test_command_line.py tests/app/test_keys.py tests/app/test_tables.py
+
+test-lowest: $(READY)
+	$(PYTHON) -m venv --clear $(LOWEST)
+	$(LOWEST)/bin/python -m pip install --quiet --disable-pip-version-check uv
+	$(LOWEST)/bin/uv pip compile --quiet --python $(LOWEST)/bin/python --resolution lowest-direct --extra xarray --extra dask \
+	  --output-file $(LOWEST)/lowest.txt pyproject.toml
+	$(LOWEST)/bin/uv pip install --quiet --python $(LOWEST)/bin/python --constraints $(LOWEST)/lowest.txt --editable '.[dev]'
+	$(PYTEST_ENVIRONMENT) $(LOWEST)/bin/python -m pytest -n 2 --dist worksteal -m "not long" $(LOWEST_TESTS)
 
 desktop: $(READY)
 	$(BIN)/goniotwin

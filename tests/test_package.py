@@ -1,16 +1,20 @@
 """The import package `goniotwin`: five folders under one name, in the tree and in the wheel."""
 
+import json
 import os
 import re
 import shutil
 import subprocess
 import sys
+import tarfile
 import tomllib
 import zipfile
 from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
+from markdown_it import MarkdownIt
 
 import goniotwin
 from tests.conftest import BARE_NAMES, REPOSITORY
@@ -32,13 +36,38 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     copy = tmp_path_factory.mktemp("sources")
     for name in [*BARE_NAMES, "package"]:
         shutil.copytree(REPOSITORY / name, copy / name, ignore=shutil.ignore_patterns("__pycache__"))
-    for name in ("pyproject.toml", "README.md", "LICENSE"):
+    for name in ("pyproject.toml", "setup.py", "README.md", "LICENSE"):
         shutil.copy(REPOSITORY / name, copy / name)
-    out = tmp_path_factory.mktemp("wheel")
-    build = [sys.executable, "-m", "pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation"]
-    done = subprocess.run([*build, "--wheel-dir", str(out), str(copy)], capture_output=True, text=True, check=False)
+    return built("wheel", copy, tmp_path_factory.mktemp("wheel"))
+
+
+def built(kind: str, sources: Path, out: Path) -> Path:
+    """The wheel or sdist of a folder of sources, by the build back end that pyproject.toml names."""
+    lines = f"import sys, setuptools.build_meta as back_end; print(back_end.build_{kind}(sys.argv[1]))"
+    done = subprocess.run([sys.executable, "-c", lines, str(out)], cwd=sources, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
-    return next(out.glob("*.whl"))
+    return out / done.stdout.splitlines()[-1]
+
+
+@pytest.fixture(scope="session")
+def sdist(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A source distribution of a copy of the tree, without what git ignores."""
+    ignored = shutil.ignore_patterns(".git", ".venv", ".*_cache", ".hypothesis", "__pycache__", "*.egg-info", "*.nbi", "*.nbc")
+    outputs = {"build", "demo", "dist", "proofs"}
+    copy = tmp_path_factory.mktemp("tree")
+    for path in REPOSITORY.iterdir():
+        if path.name in outputs or path.name in ignored("", [path.name]):
+            continue
+        if path.is_dir():
+            shutil.copytree(path, copy / path.name, ignore=ignored)
+        else:
+            shutil.copy(path, copy / path.name)
+    return built("sdist", copy, tmp_path_factory.mktemp("sdist"))
+
+
+def contents(wheel: Path) -> dict[str, bytes]:
+    with zipfile.ZipFile(wheel) as packed:
+        return {name: packed.read(name) for name in packed.namelist()}
 
 
 @pytest.fixture(scope="session")
@@ -63,6 +92,93 @@ def test_the_wheel_has_one_import_package_with_all_sources_and_examples(wheel: P
     wanted |= {f"goniotwin/{path.relative_to(REPOSITORY).as_posix()}" for path in (REPOSITORY / "examples").glob("*/*.toml")}
     wanted |= {f"goniotwin/{path.relative_to(REPOSITORY).as_posix()}" for path in (REPOSITORY / "app").rglob("*.j2")}
     assert names == wanted
+
+
+@pytest.mark.long
+def test_the_source_distribution_has_all_that_a_clone_has_and_builds_the_same_wheel(
+    sdist: Path, wheel: Path, tmp_path: Path
+) -> None:
+    with tarfile.open(sdist) as packed:
+        packed.extractall(tmp_path, filter="data")
+    root = tmp_path / sdist.name.removesuffix(".tar.gz")
+    documents = ("CHANGELOG.md", "CITATION.cff", "CONTRIBUTING.md", "SECURITY.md", "README.md", "LICENSE")
+    for name in (*documents, "Makefile", "constraints.txt", ".ci/run"):
+        assert (root / name).read_bytes() == (REPOSITORY / name).read_bytes()
+    for folder in ("tests", "docs", "examples", "benchmarks", ".github"):
+        kept = [path.relative_to(REPOSITORY) for path in (REPOSITORY / folder).rglob("*") if path.is_file()]
+        wanted = {path for path in kept if path.suffix not in {".pyc", ".nbi", ".nbc"}}
+        assert {path.relative_to(root) for path in (root / folder).rglob("*") if path.is_file()} == wanted
+    out = tmp_path / "wheel"
+    out.mkdir()
+    assert contents(built("wheel", root, out)) == contents(wheel)
+
+
+def long_description(wheel: Path) -> str:
+    metadata = next(text for name, text in contents(wheel).items() if name.endswith(".dist-info/METADATA"))
+    return metadata.decode("utf-8").partition("\n\n")[2]
+
+
+def test_the_long_description_is_the_readme_without_dead_links(wheel: Path) -> None:
+    text = MarkdownIt().parse(long_description(wheel))
+    spans = [span for block in text for span in [block, *(block.children or [])]]
+    targets = [str(span.attrGet("href") or span.attrGet("src") or "") for span in spans]
+    assert [target for target in targets if target and not target.startswith(("https://", "#"))] == []
+    assert not any("src=" in span.content for span in spans if span.type.startswith("html"))
+    headings = re.findall(r"^#+ .*$", (REPOSITORY / "README.md").read_text(encoding="utf-8"), re.MULTILINE)
+    assert re.findall(r"^#+ .*$", long_description(wheel), re.MULTILINE) == headings
+
+
+@pytest.mark.long
+@pytest.mark.skipif(shutil.which("twine") is None, reason="twine is not on the path")
+def test_twine_finds_nothing_wrong(wheel: Path, sdist: Path) -> None:
+    done = subprocess.run(["twine", "check", "--strict", str(wheel), str(sdist)], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.stdout.count("PASSED") == 2
+
+
+def test_the_citation_and_the_changelog_have_the_version() -> None:
+    citation = yaml.safe_load((REPOSITORY / "CITATION.cff").read_text(encoding="utf-8"))
+    assert citation["version"] == goniotwin.__version__
+    changes = (REPOSITORY / "CHANGELOG.md").read_text(encoding="utf-8")
+    assert f"## {citation['version']} - {citation['date-released']}\n" in changes
+
+
+@pytest.mark.parametrize("path", sorted((REPOSITORY / ".github").rglob("*.yml")), ids=lambda path: path.stem)
+def test_the_files_of_the_host_of_the_sources_can_be_read(path: Path) -> None:
+    assert isinstance(yaml.safe_load(path.read_text(encoding="utf-8")), dict)
+
+
+def test_the_workflow_has_each_python_of_the_classifiers_on_three_systems() -> None:
+    workflow = yaml.safe_load((REPOSITORY / ".github/workflows/test.yml").read_text(encoding="utf-8"))
+    matrix = workflow["jobs"]["test"]["strategy"]["matrix"]
+    classifiers = tomllib.loads((REPOSITORY / "pyproject.toml").read_text(encoding="utf-8"))["project"]["classifiers"]
+    stated = [each.rpartition(" ")[2] for each in classifiers if re.search(r":: 3\.\d+$", each)]
+    assert matrix["python"] == stated
+    assert {name.partition("-")[0] for name in matrix["system"]} == {"ubuntu", "macos", "windows"}
+    lines = [step.get("run", "") for step in workflow["jobs"]["test"]["steps"]]
+    targets = re.findall(r"^([a-z-]+):", (REPOSITORY / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
+    called = [line.split()[1] for line in lines if line.startswith("make ")]
+    assert called == ["demo", "test"]
+    assert set(called) <= set(targets)
+
+
+@pytest.mark.long
+@pytest.mark.skipif(shutil.which("pyright") is None, reason="pyright is not on the path")
+def test_an_editor_finds_each_import_of_a_clone() -> None:
+    done = subprocess.run(["pyright", "--outputjson"], cwd=REPOSITORY, capture_output=True, text=True, check=False)
+    found = json.loads(done.stdout)
+    assert found["summary"]["filesAnalyzed"] > len(folders())
+    unresolved = [each["message"] for each in found["generalDiagnostics"] if each.get("rule") == "reportMissingImports"]
+    # Mitsuba is the extra `render`, which neither `make demo` nor `make test` installs.
+    assert [message for message in unresolved if 'Import "mitsuba"' not in message] == []
+
+
+def test_the_links_for_editors_are_the_files_of_the_tree() -> None:
+    links = REPOSITORY / ".venv/links/goniotwin"
+    for name in BARE_NAMES:
+        assert (links / name).samefile(REPOSITORY / name)
+    for path in (REPOSITORY / "package").glob("*.py"):
+        assert (links / path.name).samefile(path)
 
 
 @pytest.mark.long
