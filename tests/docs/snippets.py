@@ -1,8 +1,9 @@
 """The blocks of README and site: commands, Python, TOML, JSON; and the running of a page's blocks in their order.
 
 A comment above a block, `<!-- not run: REASON -->`, keeps it from running where it cannot: a real port, another shell.
-`<!-- long -->` has it run in `make test-long` alone, with all that follows on its page. `<!-- status 2 -->` is the exit status
-of its last command. `<!-- output -->` above a block of text: its lines are in the output of the block before, in this order.
+`<!-- status 2 -->` is the exit status of its last command. `<!-- output -->` above a block of text: its lines are in the output
+of the block before, in this order. A page with `<!-- long -->` above one of its blocks, or with a command of SLOW, runs in
+`make test-long` alone.
 
 Without a mark these are not run, only held against the commands and options that there are: a synopsis, which is an indented
 block, or a line with brackets or with a word in capitals in the place of a file; and what opens a window or serves until it is
@@ -31,6 +32,8 @@ MARK = re.compile(r"<!-- (not run: [^>]+|long|output|status \d+) -->\s*\Z")
 SYNOPSIS = re.compile(r"^[A-Z]{2,}|[\[\]|]|^\.\.\.$")
 SERVING = ("serve", "station", "usb")
 LANGUAGE = {"pycon": "python"}
+SLOW = ("rehearse", "run", "prove", "demo", "tolerances")
+"""Commands that take seconds."""
 COMMAND_LANGUAGES = ("sh", "bash", "console", "powershell", "bat")
 
 
@@ -128,7 +131,13 @@ def toml_parts(page: Path, files: dict[str, tuple[set[str], Path]]) -> Iterator[
         yield kind, whole
 
 
-def run_page(page: Path, *, long: bool, outputs: list[str] | None = None) -> int:
+def takes_long(page: Path) -> bool:
+    """Whether a page runs in `make test-long` alone."""
+    slow = (words for block in blocks(page) for words in block.lines if not block.reason(words) and words[1] in SLOW)
+    return any(block.mark == "long" for block in blocks(page)) or any(slow)
+
+
+def run_page(page: Path, outputs: list[str] | None = None) -> int:
     """Run the blocks of a page in the current folder, in order; returns the number of commands and blocks of Python.
 
     `outputs` gets what each command prints.
@@ -137,8 +146,6 @@ def run_page(page: Path, *, long: bool, outputs: list[str] | None = None) -> int
     count = 0
     output = ""
     for block in blocks(page):
-        if block.mark == "long" and not long:
-            break
         if block.mark == "output":
             check_output(block, output)
         elif block.runs and block.language == "python":

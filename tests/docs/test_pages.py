@@ -13,7 +13,9 @@ from goniotwin.app.data.values import COLUMNS
 from goniotwin.app.figures.style import SIMULATED
 from tests.docs.snippets import DOCS, blocks, run_page
 from tests.docs.test_snippets import folder as folder  # a fixture
+from tests.docs.test_snippets import left_by_tutorial as left_by_tutorial
 
+pytestmark = pytest.mark.xdist_group("pages")
 PYTHON = DOCS / "analyse" / "python.md"
 MOST_NAMES = 60
 INNER = {"data", "only", "reduced", "whole", "file"}
@@ -35,7 +37,7 @@ def figures(monkeypatch: pytest.MonkeyPatch) -> list[Figure]:
 
 
 def test_each_figure_of_the_python_page_is_marked_as_simulated(folder: Path, figures: list[Figure]) -> None:
-    run_page(PYTHON, long=False)
+    run_page(PYTHON)
     assert len(figures) == 2
     for each in figures:  # on a figure of its own
         words = [*each.texts, *(text for axes in each.axes for text in axes.texts)]
@@ -52,15 +54,18 @@ def test_each_public_name_has_an_example_and_they_are_few() -> None:
 
 
 @pytest.mark.long
-def test_the_cycle_measures_a_measured_table_again_within_its_uncertainty(folder: Path) -> None:
+def test_the_cycle_measures_a_measured_table_again_within_its_uncertainty(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """docs/analyse/figures.md: measure, convert, rehearse with the table as a sample, compare."""
+    monkeypatch.chdir(tmp_path)
     outputs: list[str] = []
-    run_page(DOCS / "analyse" / "figures.md", long=True, outputs=outputs)
+    run_page(DOCS / "analyse" / "figures.md", outputs)
     found = next(json.loads(each) for each in outputs if '"formula_5"' in each)
     assert [each["sigma_deg"] for each in found["lights"]] == [0.0, 30.0, 60.0]
     assert all(each["share_within_2_u"] == 1.0 for each in found["lights"])
     assert all(each["largest_abs_z"] < 1.0 for each in found["lights"])
     assert found["formula_5"]["percent"] < 1.0
     assert sum(each["directions"] for each in found["lights"]) >= 100
-    assert (folder / "cycle.png").stat().st_size > 10_000
-    assert (folder / "measured.html").exists()
+    assert (tmp_path / "cycle.png").stat().st_size > 10_000
+    assert (tmp_path / "measured.html").exists()

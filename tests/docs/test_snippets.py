@@ -1,5 +1,6 @@
 """Each command and each snippet of README and site runs, on what the demo and the tutorial left, or states why it cannot."""
 
+import contextlib
 import json
 import re
 import shlex
@@ -13,10 +14,17 @@ import typer.main
 
 from goniotwin.app.cli.main import app
 from tests.conftest import REPOSITORY
-from tests.docs.snippets import COMMAND_LANGUAGES, DOCS, blocks, pages, run_page
+from tests.docs.snippets import COMMAND_LANGUAGES, DOCS, blocks, pages, run_page, takes_long
 from tests.system.command import invoke
 
+
+def name(page: Path) -> str:
+    return page.relative_to(REPOSITORY).as_posix()
+
+
+pytestmark = pytest.mark.xdist_group("pages")
 TUTORIAL = DOCS / "tutorial.md"
+BEGIN_EMPTY = (TUTORIAL, DOCS / "operate" / "procedures.md")
 WITH_OWN_TEST = (DOCS / "analyse" / "python.md", DOCS / "analyse" / "figures.md")
 """In test_pages.py."""
 STARTS = {
@@ -27,39 +35,49 @@ STARTS = {
 """Files that a page's commands begin with, and their names there."""
 LANGUAGES = {*COMMAND_LANGUAGES, "python", "toml", "json", "text", "mermaid", "sql"}
 WITH_RUNS = [page for page in pages() if page not in WITH_OWN_TEST and any(block.runs for block in blocks(page))]
-QUICK = [page for page in WITH_RUNS if next(block for block in blocks(page) if block.runs).mark != "long"]
-LONG = [page for page in WITH_RUNS if any(block.mark == "long" for block in blocks(page))]
+CASES = [pytest.param(page, marks=pytest.mark.long if takes_long(page) else (), id=name(page)) for page in WITH_RUNS]
 SPAN = re.compile(r"(?<!`)`(goniotwin (?!rayset`)[a-z][^`]*)`(?!`)")  # `goniotwin rayset` is the name of a file format
 
 
+@pytest.fixture(scope="session")
+def left_by_tutorial(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the example files and the data file that the tutorial makes. Tests only read it."""
+    base = tmp_path_factory.mktemp("tutorial")
+    lines = [words for block in blocks(TUTORIAL) for words in block.lines] if TUTORIAL.exists() else []
+    with contextlib.chdir(base):
+        for words in lines:
+            if words[:2] in (["goniotwin", "examples"], ["goniotwin", "run"]):
+                assert invoke(*words[1:]).returncode == 0, words
+    return base
+
+
 @pytest.fixture
-def folder(demo_run: tuple[Path, dict[str, Any]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """The current folder of a page: what the demo left in `demo`, and the files that pages call `my` and `rig.toml`."""
+def folder(
+    request: pytest.FixtureRequest,
+    demo_run: tuple[Path, dict[str, Any]],
+    left_by_tutorial: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> Path:
+    """The current folder of a page: what demo and tutorial left, and the files that pages call `my` and `rig.toml`.
+
+    Those of BEGIN_EMPTY begin in an empty one.
+    """
+    monkeypatch.chdir(tmp_path)
+    callspec = getattr(request.node, "callspec", None)
+    if callspec is not None and callspec.params["page"] in BEGIN_EMPTY:
+        return tmp_path
+    shutil.copytree(left_by_tutorial, tmp_path, dirs_exist_ok=True)
     shutil.copytree(demo_run[0], tmp_path / "demo", ignore=shutil.ignore_patterns("wires", "lock", "result.json"))
     for source, own in STARTS.items():
         shutil.copy(source, tmp_path / own)
-    monkeypatch.chdir(tmp_path)
     assert invoke("export", "my.journal", "--out", "my.h5").returncode == 0
     return tmp_path
 
 
-def name(page: Path) -> str:
-    return page.relative_to(REPOSITORY).as_posix()
-
-
-@pytest.mark.parametrize("page", QUICK, ids=name)
-def test_the_quick_blocks_of_a_page_run(page: Path, folder: Path) -> None:
-    if page != TUTORIAL:
-        shutil.copy(folder / "demo" / "first.journal", folder)  # as the tutorial leaves it
-    assert run_page(page, long=False) > 0
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("page", LONG, ids=name)
-def test_all_blocks_of_a_page_run(page: Path, folder: Path) -> None:
-    if TUTORIAL.exists() and page != TUTORIAL:
-        run_page(TUTORIAL, long=True)
-    run_page(page, long=True)
+@pytest.mark.parametrize("page", CASES)
+def test_the_blocks_of_a_page_run(page: Path, folder: Path) -> None:
+    assert run_page(page) > 0
 
 
 def test_every_block_has_a_language_that_is_checked_and_commands_that_are_known() -> None:
@@ -109,7 +127,7 @@ def report() -> str:
         commands = [(block, words, block.reason(words)) for block in found for words in block.lines]
         snippets = sum(block.language == "python" and block.runs for block in found)
         tables = sum(block.language in ("toml", "json") for block in found)
-        late = any(block.mark == "long" for block in found)
+        late = takes_long(page)
         if found:
             running = sum(not reason for _, _, reason in commands)
             lines.append(f"{name(page):40} {running:4} commands {snippets:3} Python {tables:3} TOML, JSON{'  (long)' * late}")
