@@ -18,7 +18,7 @@ def doctor(
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Examine this computer: libraries, ports, rights, disk, clock.
+    """Examine this computer: libraries, ports, rights, disk.
 
     Each line is ok, a note, or a problem that prevents measuring, with the remedy. No device is opened and nothing is
     changed. The text is for a report of a fault: it has no name of a user or a computer. With --rig it has the addresses of

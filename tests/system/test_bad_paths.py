@@ -32,7 +32,7 @@ TWO_PATHS = {"compare": ("first", "second")}
 """Paths that are texts on the command line, since they may be something else."""
 IN_THE_WINDOW = {("desktop", "rig"), ("desktop", "schedule"), ("desktop", "out")}
 """Paths whose faults the window shows (tests/app/desktop)."""
-NOT_STOPPED = {("run", "transcript"), ("demo", "transcript"), ("serve", "ptys")}
+NOT_STOPPED = {("run", "transcript"), ("demo", "transcript"), ("serve", "ptys"), ("verify-device", "transcript")}
 """What a full disk does not stop: the measurement goes on without its transcript, and links need no room."""
 if find_spec("mitsuba") is None:
     NOT_STOPPED.add(("render", "out"))  # there is no picture to write
@@ -150,6 +150,10 @@ CASES = [
     write("simulate shadow", "out", "--step 10 --out {path}", ".csv"),
     write("demo", "out", "--out {path}", folder=True),
     write("demo", "transcript", "--out none --transcript {path}", folder=True),
+    read("doctor", "rig", "--rig {path}"),
+    read("verify-device", "rig", "--rig {path}"),
+    write("verify-device", "report", "monitor --rig RIG --report {path}", ".txt"),
+    write("verify-device", "transcript", "monitor --rig RIG --transcript {path}", folder=True),
     write("examples", "folder", "{path}", folder=True),
     write("schema", "out", "rig --out {path}", ".json"),
 ]
