@@ -1,7 +1,7 @@
 """Pictures of every screen of the window, and a check that every control is on the screen.
 
     python -m benchmarks.screenshots DIR [--scale 100 125 150 200] [--scheme light dark]
-    python -m benchmarks.screenshots docs/pictures --readme      # the two pictures of the README
+    python -m benchmarks.screenshots docs/pictures --readme      # the pictures of docs/operate/window.md
 
 The window fills a screen of 1280 x 800 pixels at each scale factor, in a process of its own. It is shown before its rig is
 open, ready, with a tolerance study, at the bench, in a run of the virtual rig, paused, with a safety order and an open
@@ -43,7 +43,7 @@ SPEED = 60.0
 """Simulation speed of the run that is shown."""
 FIRST_SHARE, SHARE = 0.2, 0.85
 """Parts of the rows that are measured in the pictures of a run."""
-LONGEST_S, SETTLE_S = 60.0, 0.3
+LONGEST_S, SETTLE_S, PLANE_S = 60.0, 0.3, 4.0
 BENCH: tuple[tuple[str, dict[str, object]], ...] = (
     ("mount", {"sample": "satin"}),
     ("move", {"axis": "sigma", "target_deg": 30.0}),
@@ -54,7 +54,7 @@ BENCH: tuple[tuple[str, dict[str, object]], ...] = (
 )
 """Commands before the first reading."""
 README = {"bench-bench": "window-bench", "running-run": "window-run"}
-"""The pictures of the README, and the names of their files."""
+"""The pictures of docs/operate/window.md, and the names of their files."""
 COLOURS = 160
 """Colours of these: they are small files then."""
 
@@ -93,6 +93,7 @@ class Pictures:
         window.connection.set_speed(1.0)  # the run waits for no picture
         plane = view.screen_of(RunScreen).plane
         plane.setValue(1)
+        self._settle(PLANE_S)  # until then the summary is that of the scan
         self._wait(lambda: "predicted" in view.plot.summary and " 0 measured" not in view.plot.summary.replace("\u00a0", " "))
         self._settle(SETTLE_S)
         self._picture("running-run")
