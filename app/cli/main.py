@@ -205,7 +205,7 @@ def demo(
     """Measure satin on the virtual rig; compare it with theory.
 
     The program drives the devices over their real protocols, and measures the hemisphere at two incidences. It writes a
-    journal, a .ddr file, a CSV file, a figure and a report into a folder. It replaces the files of an earlier demo there.
+    journal, a CSV file, a figure and a report into a folder. It replaces the files of an earlier demo there.
     """
     from goniotwin.app.cli.work.demo import run_demo
 

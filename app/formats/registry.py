@@ -367,6 +367,8 @@ def recognise(path: Path, kinds: Collection[Holds] = BSDF) -> Format:
     wanted = f"give {join_words(str(each) for each in formats() if each.reads and each.holds.intersection(kinds))}"
     if not alike and begins_as(head) not in (None, begins_as(HDF5), begins_as(TENSORS)):
         named = []  # a picture, a page of the web: of no format, whatever its suffix
+    if not (alike or named) and folder:
+        raise FormatError(path, "is a folder, and its files are no table of a known format", "give a file of it")
     if not (alike or named):
         of_none = "its content is of no" if suffix in suffixes(possible) else "neither its content nor its suffix is of a"
         raise _unknown(path, f"is {describe(head)}: {of_none} known format", wanted)

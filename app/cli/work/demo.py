@@ -37,7 +37,7 @@ def run_demo(
     clock = RealClock()
     rig = read_rig(rig_path)
     schedule = read_schedule(schedule_path)
-    files = {name: out / f"{schedule.file.name}.{name}" for name in ("journal", "ddr", "csv", "png", "html")}
+    files = {name: out / f"{schedule.file.name}.{name}" for name in ("journal", "csv", "png", "html")}
     make_folder(out)
     for file in files.values():
         file.unlink(missing_ok=True)
@@ -46,8 +46,7 @@ def run_demo(
     seconds = _measure(plan, files["journal"], transcript, console)
     dataset = open_dataset(files["journal"])
     found = compare(dataset, theory(dataset))
-    for name in ("ddr", "csv"):
-        dataset.save(files[name])
+    dataset.save(files["csv"])
     draw_demo(dataset).savefig(files["png"], dpi=150)
     write_report(files["journal"], files["html"])
     lights = [
@@ -105,7 +104,7 @@ def _with_expanded(found: dict[str, float], digits: int) -> str:
 def _print_result(console: Console, result: dict[str, Any], dataset: Dataset, found: DatasetComparison) -> None:
     title = f"{dataset.sample} at {dataset.wavelength_nm[0]:g} nm, SIMULATED (seed {result['seed']}); ± U (k = {COVERAGE:g})"
     table = Table(title=title, title_justify="left")
-    for column in ("sigma", "reflectance", "specular BRDF, 1/sr", "RMS from theory", "chi-square"):
+    for column in ("sigma", "reflectance", "specular BRDF, 1/sr", "RMS from theory", "chi-square of directions"):
         table.add_column(column, justify="right")
     for each in result["lights"]:
         table.add_row(

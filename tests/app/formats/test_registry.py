@@ -134,7 +134,7 @@ def test_a_folder_is_a_table_of_a_format_that_has_such(tmp_path: Path) -> None:
         for name in ("30", "0"):
             (folder / name).write_bytes(b"!!cut")
         assert read_table(folder).comments == ("0", "30")
-    with pytest.raises(FormatError, match=r"is text that begins with '!!cut': neither"):
+    with pytest.raises(FormatError, match=r"is a folder, and its files are no table of a known format"):
         registry.read(folder)
 
 
