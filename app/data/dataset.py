@@ -119,6 +119,8 @@ class Dataset:
     @property
     def sample(self) -> str:
         """The name of the only sample. Raises GoniotwinError where there are several."""
+        if not self.data:
+            raise UserError(f"{self.name}: no sample has values yet")
         if len(self.data) != 1:
             has = self._listed_samples()
             raise UserError(f"{self.name}: values of several samples are not mixed; choose one with d[NAME]: it has {has}")

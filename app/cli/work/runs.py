@@ -50,6 +50,6 @@ def _print_campaigns(folder: Path, campaigns: list[CampaignSummary]) -> None:
             f"[{STATE_STYLES[each.state]}]{each.state}[/]{f', {each.skipped} skipped' if each.skipped else ''}",
             f"{each.rows}/{each.planned}",
             duration_text(each.seconds_left) if each.rows < each.planned else "",
-            Text(one_line(each.begun or "")),
+            Text(one_line(each.begun or "").replace("T", " ")[:16]),
         )
     console.print(table)
