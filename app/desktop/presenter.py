@@ -526,7 +526,9 @@ class Presenter(QObject):
             self._view.show_status(f"Done: {of} rows.")
         elif end.state is State.IDLE:
             why = "" if end.reason in ("", "stopped") else f": {end.reason}"
-            self._view.show_status(f"Stopped after {done} of {of} rows{why}. They are saved. Resume continues, Start begins a new campaign.")
+            self._view.show_status(
+                f"Stopped after {done} of {of} rows{why}. They are saved. Resume continues, Start begins a new campaign."
+            )
         else:
             self._view.show_status(f"Failed after {done} of {of} rows, which are saved: {end.reason}", error=True)
         self._view.set_saved(f"Saved in {end.journal}")
